@@ -47,13 +47,23 @@ MOST_SVG = 4_000_000
 MOST_BRACES = 100
 
 
+#: Pa, elastic moduli of woods
+_USUAL = (5e7, 5e10)
+
+
 class WoodParameters(Parameters):
     """A wood by its species, or by its constants; a constant that is given goes before that of the species."""
 
     species: str | None = described("name in the table of woods", default=None)
-    E_L: float | None = quantity("Pa", low=1e6, high=1e12, default=None, doc="Young's modulus along the grain")
-    E_R: float | None = quantity("Pa", low=1e6, high=1e12, default=None, doc="Young's modulus across the grain")
-    G_LR: float | None = quantity("Pa", low=1e6, high=1e12, default=None, doc="shear modulus in the plate's plane")
+    E_L: float | None = quantity(
+        "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="Young's modulus along the grain"
+    )
+    E_R: float | None = quantity(
+        "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="Young's modulus across the grain"
+    )
+    G_LR: float | None = quantity(
+        "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="shear modulus in the plate's plane"
+    )
     nu_LR: float | None = quantity("1", low=0.0, high=0.99, default=None, doc="Poisson's ratio, pulled along the grain")
     density: float | None = quantity("kg/m^3", low=10.0, high=2e4, default=None, doc="mass per volume")
     loss_L: float | None = quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of E_L")

@@ -19,6 +19,10 @@ force, in 48000 values per second, drawn from `seed`, the string, the stop and t
 Work of all these forces is counted as that of the gesture. While it draws the string, the finger damps earlier motion
 by a dashpot, which dissipates only.
 
+So notes neither scale with their force (the slip is faster at a higher one, the random part another) nor superpose
+(the dashpot acts on all that the string does). With `linear` they do both: every note has the course of the force that
+the bundle's `force` has, times the ratio of the note's force to it, and there is no dashpot.
+
 Sources: G. Cuzzucoli and V. Lombardo, A physical model of the classical guitar, including the player's touch, Computer
 Music Journal 23(2), 1999 (phases of a pluck; finger as mass, spring, dashpot); D. Chadefaux, J.-L. Le Carrou and
 B. Fabre, A model of harp plucking, J. Acoust. Soc. Am. 133, 2444 (2013) (sticking and slipping; the string's velocity
@@ -29,7 +33,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -89,6 +93,11 @@ class FingerPluckParameters(Parameters):
     roughness: float = quantity("1", low=0.0, high=1.0, default=4e-3, doc="rms of the force's random part, re it")
     seed: int = described("of the random part", default=0, ge=0)
     hold_dashpot: float = quantity("N s/m", low=0.0, high=100.0, default=0.5, doc="damping of the finger on the string")
+    linear: bool = described(
+        "notes scale with their force and superpose: the slip is that of the bundle's `force`, without `hold_dashpot`",
+        default=False,
+        strict=True,
+    )
 
     @property
     def tip(self) -> Tip:
@@ -114,21 +123,26 @@ class FingerPluck(Exciter[FingerPluckParameters]):
     def gesture(self, event: Event, place: Place) -> Gesture:
         """Landing, drawing, slip; the slip begins at time 0."""
         p = self.adjusted(event.values)
+        wanted, force = p.force, self.parameters.force if p.linear else p.force
+        if p.linear and force <= 0.0:
+            raise self.fault("is 0 N; `linear` needs a force above 0 of which the slip is taken", "force")
         tip, x = p.tip, metres(p.from_bridge, place)
         tension, freq = place.tension or _TENSION, event.freq or _FREQ
         impedance = tension / (2 * place.length * freq)
         compliance = x * (place.length - x) / (tension * place.length) + 1 / tip.stiffness
         draw = max(p.draw_time, 1.0 / freq)
-        speed = p.force * compliance / draw
-        landed = min(2 * impedance * speed, 0.5 * p.force)
+        speed = force * compliance / draw
+        landed = min(2 * impedance * speed, 0.5 * force)
         rise = min(4 * impedance / tip.stiffness, 0.25 * draw)
         touch = smooth_step(-draw, rise - draw, 0.0, landed)
-        drawing = smooth_step(rise - draw, 0.0, landed, p.force)
-        release = slip(p.force, impedance, speed, tip, p.mass)
-        hold = Hold(-draw, -draw / 2, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 else None
+        drawing = smooth_step(rise - draw, 0.0, landed, force)
+        release = slip(force, impedance, speed, tip, p.mass)
+        hold = Hold(-draw, -draw / 2, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 and not p.linear else None
         segments = touch + drawing + release
-        label = f"{p.seed} {place.name} {event.stop:g} {p.force!r} {x!r}"
-        noise = roughness(segments, p.roughness, zlib.crc32(label.encode())) if p.roughness * p.force > 0 else None
+        label = f"{p.seed} {place.name} {event.stop:g} {force!r} {x!r}"
+        noise = roughness(segments, p.roughness, zlib.crc32(label.encode())) if p.roughness * force > 0 else None
+        if p.linear:
+            segments, noise = _scaled(segments, noise, wanted / force)
         return Gesture(segments, x, p.angle_deg, hold, width=min(tip.width, x, place.length - x), noise=noise)
 
 
@@ -165,6 +179,14 @@ def slip(force: float, impedance: float, speed: float, tip: Tip, mass: float) ->
         (f0, d0), (f1, d1) = (_force_and_rate(force, i * dx, rates[i] / tip.edge) for i in (a, b))
         out += _pair(times[a], times[b], f0, d0, f1, d1)
     return tuple(out)
+
+
+def _scaled(
+    segments: tuple[Segment, ...], noise: SampledForce | None, factor: float
+) -> tuple[tuple[Segment, ...], SampledForce | None]:
+    """Forces times a factor."""
+    louder = tuple(replace(s, c0=factor * s.c0, c1=factor * s.c1, c2=factor * s.c2) for s in segments)
+    return louder, None if noise is None else replace(noise, values=factor * noise.values)
 
 
 def _force_and_rate(force: float, x: float, rate: float) -> tuple[float, float]:

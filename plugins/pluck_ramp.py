@@ -3,7 +3,8 @@
 The force grows smoothly for `ramp_time` (or one period of the note, if that is longer: a shorter ramp sounds by
 itself), has its peak when the note begins, and falls to zero within `release_time`: 0.3 ms for a soft fingertip, 0.05
 ms for a hard nail. Rise and fall are two parabolas each, so that force and its rate are continuous. While it draws the
-string, the finger damps earlier motion by a dashpot, which dissipates only.
+string, the finger damps earlier motion by a dashpot, which dissipates only. Notes scale with their force; with
+`linear`, without that dashpot, they superpose, too.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ class PluckParameters(Parameters):
     ramp_time: float = quantity("s", low=1e-3, high=5.0, default=0.02, doc="time in which the force grows")
     release_time: float = quantity("s", low=0.0, high=0.05, default=2e-4, doc="time in which the force vanishes")
     hold_dashpot: float = quantity("N s/m", low=0.0, high=100.0, default=0.5, doc="damping of the finger on the string")
+    linear: bool = described("notes superpose: there is no `hold_dashpot`", default=False, strict=True)
 
 
 class PluckRamp(Exciter[PluckParameters]):
@@ -49,5 +51,5 @@ class PluckRamp(Exciter[PluckParameters]):
         p = self.adjusted(event.values)
         ramp = max(p.ramp_time, 1.0 / event.freq if event.freq > 0 else 0.0)
         segments = smooth_step(-ramp, 0.0, 0.0, p.force) + smooth_step(0.0, p.release_time, p.force, 0.0)
-        hold = Hold(-ramp, -ramp / 2, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 else None
+        hold = Hold(-ramp, -ramp / 2, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 and not p.linear else None
         return Gesture(segments, metres(p.from_bridge, place), p.angle_deg, hold)

@@ -8,8 +8,6 @@ Valid for small slopes (no change of tension with amplitude) and for wavelengths
 
 from __future__ import annotations
 
-from typing import cast
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,9 +18,9 @@ from tonewood.authoring import (
     Resonator,
     described,
     quantity,
-    retuned,
     string_basis,
     string_carry,
+    string_detuned,
     string_transfer,
     wavenumber,
 )
@@ -37,7 +35,9 @@ class StiffStringParameters(Parameters):
     """Parameters of the open string."""
 
     length: float = quantity("m", low=0.02, high=5.0, doc="speaking length of the open string, nut to bridge")
-    tension: float = quantity("N", low=1.0, high=2000.0, doc="tension of the open string; the tuner adjusts it")
+    tension: float = quantity(
+        "N", low=1.0, high=2000.0, usual=(10.0, 1500.0), doc="tension of the open string; the tuner adjusts it"
+    )
     linear_density: float = quantity("kg/m", low=1e-5, high=0.3, doc="mass per length")
     bending_stiffness: float = quantity("N m^2", low=0.0, high=1.0, default=0.0, doc="E I; 0 is an ideal string")
     loss: LossLaw = described("loss law and its numbers")
@@ -87,13 +87,7 @@ class StiffString(Resonator[StiffStringParameters]):
         rates follow the law from the old frequency of each mode to its new one: on a classical guitar 200 cents leave
         those of partials on a rigid end within 0.6 % of the law.
         """
-        known = basis.metadata
-        a, b, wavenumber = (cast(Floats, known[key]) for key in ("tension_part", "bending_part", "wavenumber"))
-        old_rad, freq_rad = np.sqrt(basis.stiffness), np.sqrt(tension * a + self.parameters.bending_stiffness * b)
-        old = old_rad * self._eta(old_rad, wavenumber, cast(float, known["tension"]))
-        new = freq_rad * self._eta(freq_rad, wavenumber, tension)
-        sigma = basis.damping_rate * np.divide(new, old, out=np.ones_like(new), where=old > 0)
-        return retuned(basis, freq_rad, sigma, {"tension": tension})
+        return string_detuned(basis, tension, self._eta)
 
     def transfer(self, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
         """Projections of displacement and velocity; see `tonewood.physics.modal.string_transfer`."""

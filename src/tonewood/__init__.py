@@ -12,14 +12,13 @@ error. Each name is imported when it is first used, so that ``import tonewood`` 
 
 from __future__ import annotations
 
-import warnings
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
 from tonewood.support import moved
-from tonewood.support.garbage import without_collecting
 
+# no imports that take time: until the command line has begun, Ctrl-C is Python's
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from tonewood.errors import DroppedNotesWarning as DroppedNotesWarning
     from tonewood.errors import TonewoodError as TonewoodError
     from tonewood.instrument.bundle.loading import Instrument as Instrument
@@ -97,6 +96,11 @@ moved.install()
 
 
 def __getattr__(name: str) -> Any:
+    import warnings
+    from importlib import import_module
+
+    from tonewood.support.garbage import without_collecting
+
     if name in _NEW_HOME:
         place = _NEW_HOME[name]
         text = f"tonewood.{name} is deprecated since 0.2 and will be removed in 0.4: it is {place}.{name}"

@@ -1,5 +1,5 @@
 """``python -m tonewood``."""
 
-from tonewood.cli.main import run
+from tonewood.cli.start import main
 
-run()
+main()

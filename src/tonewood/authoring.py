@@ -71,6 +71,7 @@ from tonewood.physics.coupling.layout import Drive, Probe, Readout
 from tonewood.physics.coupling.phantoms import PhantomPartials
 from tonewood.physics.modal.damping import with_damping_case
 from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_losses import string_detuned, with_partial_decays
 from tonewood.physics.modal.string_modes import string_basis, wavenumber
 from tonewood.physics.modal.string_transfer import retuned, string_carry, string_transfer
 from tonewood.physics.passivity.basis import check_basis, repair_basis
@@ -159,9 +160,11 @@ __all__ = [
     "smooth_step",
     "string_basis",
     "string_carry",
+    "string_detuned",
     "string_transfer",
     "svg_ring",
     "unit_vector",
     "wavenumber",
     "with_damping_case",
+    "with_partial_decays",
 ]

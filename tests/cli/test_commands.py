@@ -16,7 +16,7 @@ import soundfile as sf
 
 import tonewood as tw
 from cli_runs import refused
-from midi_bytes import midi_file, note, write
+from midi_bytes import control, midi_file, note, write
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -71,7 +71,7 @@ def test_json_is_one_object_and_nothing_else(tonewood: Run, score: Path, tmp_pat
 
 
 def test_dropped_notes_are_listed_on_stderr(tonewood: Run, score: Path, tmp_path: Path) -> None:
-    _, out, err = tonewood("render", score, "-i", "monochord", "-o", tmp_path / "a.wav", "--max-duration", 0.1)
+    _, out, err = tonewood("render", score, "-i", "monochord", "-o", tmp_path / "a.wav", "--max-duration", 0.3)
     assert "1 dropped" in out
     assert "not played at 0.20 s" in err
 
@@ -304,7 +304,7 @@ def test_a_score_of_which_nothing_can_be_played_ends_with_1(tonewood: Run, tmp_p
 
 
 def test_plan_lists_dropped_notes(tonewood: Run, score: Path) -> None:
-    code, _, err = tonewood("plan", score, "-i", "monochord", "--max-duration", 0.2, "--fs", 16000)
+    code, _, err = tonewood("plan", score, "-i", "monochord", "--max-duration", 0.3, "--fs", 16000)
     assert code == 0
     assert err.count("not played at 0.20 s") == 1
 
@@ -355,3 +355,42 @@ def test_a_room_adds_its_tail_and_says_that_it_is_not_measured(tonewood: Run, sc
     expected[2400:] += 0.5 * dry[:-2400]
     assert wet[: len(dry)] == pytest.approx(expected, abs=1e-12)
     refused(tonewood(*short, "-o", tmp_path / "x.wav", "--room", "cellar"), "--room", "small, hall")
+
+
+def test_a_silent_render_says_so_and_ends_with_1(tonewood: Run, tmp_path: Path) -> None:
+    """Turned down by its own controller, or below the smallest step of the file; the file is there all the same."""
+    turned_down = write(tmp_path / "a.mid", [control(0.0, 7, 0), *note(0.01, 0.2, 45)])
+    loud = write(tmp_path / "b.mid", note(0.01, 0.2, 45))
+    words = ("-i", "monochord", "-o", tmp_path / "a.wav", "--max-duration", 0.1, "--fs", 16000)
+    for score, more in ((turned_down, ()), (turned_down, ("--level", "calibrated")), (loud, ("--gain", -150))):
+        code, _, err = tonewood("render", score, *words, *more)
+        assert code == 1
+        assert err.count("\n") == 1
+        assert "silent: its peak" in err
+        assert np.abs(sf.read(str(tmp_path / "a.wav"))[0]).max() < 2.0**-22  # rounding at most
+        code, out, _ = tonewood("render", score, *words, *more, "--json")
+        assert (code, json.loads(out)["ok"]) == (1, False)
+    assert tonewood("render", loud, *words, "--gain", -150, "--subtype", "FLOAT")[0] == 0
+    parts = ("render", turned_down, "--part", "1=monochord", *words[2:])
+    code, _, err = tonewood(*parts)
+    assert code == 1
+    assert "part 1: the sound is silent" in err
+    with pytest.warns(UserWarning, match="the sound is silent"):
+        tw.render(turned_down, "monochord", 16000, max_duration=0.1)
+
+
+def test_warnings_are_one_line_a_kind_within_the_part_that_is_rendered(tonewood: Run, tmp_path: Path) -> None:
+    """961 lines before: every note too low or too high, also of the minutes that were not rendered."""
+    notes = [e for i in range(300) for e in note(0.05 * i, 0.04, (20 + i % 9) if i % 3 else 45)]
+    score = write(tmp_path / "a.mid", notes)
+    words = ("-i", "monochord", "-o", tmp_path / "a.wav", "--max-duration", 0.98, "--fs", 8000)
+    for command in (("render", score), ("render", score, "--part", "1=monochord"), ("plan", score)):
+        code, out, err = tonewood(command[0], *command[1:], *(words if len(command) < 3 else words[2:]))
+        lines = [line for line in err.splitlines() if "not played" in line]
+        assert code == 0
+        assert len(lines) == 1
+        # at 0.05 s and 12 more of 20 notes; a third of them can be played
+        assert "not played at 0.05 s: no string plays A0" in lines[0]
+        assert lines[0].endswith(", nor 12 other notes for such a reason")
+        if command[0] == "render":
+            assert "7 notes, 13 dropped" in out

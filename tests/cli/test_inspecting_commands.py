@@ -130,10 +130,31 @@ def test_check_shows_strings_alone_and_mounted(tonewood: Run) -> None:
     assert "shared with A2 (5" in text
 
 
+def test_check_and_modes_show_each_plane(tonewood: Run) -> None:
+    """Sorted, the worst first; near the mode at 215 Hz the second plane rings on 8 cents or more beside the note."""
+    rows = json.loads(tonewood("check", "classical_guitar", "--json")[1])["off_planes"]
+    off = [row["off_cents"] for row in rows]
+    assert off == sorted(off, reverse=True)
+    assert min(off) > 5.0
+    by_stop = {(row["string"], row["stop"]): row for row in rows}
+    g_sharp = by_stop["D3", 6]
+    assert g_sharp["note"] == "G#3"
+    assert abs(g_sharp["planes"]["D3.z"]["cents"]) < 0.1
+    assert 8.0 < g_sharp["planes"]["D3.y"]["cents"] < 20.0
+    lines = [line for line in tonewood("check", "classical_guitar")[1].splitlines() if "second plane" in line]
+    assert len(lines) == 13
+    assert lines[0].startswith(f"  second plane: {rows[0]['string']} stop {rows[0]['stop']}")
+    assert f"{len(rows) - 12} stops more" in lines[-1]
+    shown = tonewood("modes", "classical_guitar", "--string", "D3", "--stop", "6", "--count", "1")[1]
+    assert f"y {g_sharp['planes']['D3.y']['cents']:+.1f} (split" in shown
+    assert "second plane" not in tonewood("check", "electric_bass")[1]
+
+
 def test_check_names_a_string_that_misses_its_loss_law(tonewood: Run) -> None:
     bending_alone = "strings.A2.loss={law: woodhouse, eta_f: 0.0, eta_a: 0.0, eta_b: 0.02}"
     steep = tonewood("check", "monochord", "--set", bending_alone, "--set", "strings.A2.bending_stiffness=5e-5")
-    assert "partial 1 decays at 1." in steep[1]
+    assert "partial 1 at stop 0 decays at 1." in steep[1]
+    assert "the law grows too steeply" in steep[1]
     assert "decays at" not in tonewood("check", "monochord")[1]
 
 

@@ -66,6 +66,97 @@ def test_ctrl_c_at_any_time_is_one_line_and_code_130(where: str) -> None:
     assert (done.returncode, done.stderr) == (130, "tonewood: interrupted; nothing was written\n")
 
 
+#: sends itself a signal at the n-th event (import, file, call of exec) after the program's first line
+SIGNALLED = """
+import os, signal, sys
+n, number, count = int(sys.argv[1]), int(sys.argv[2]), 0
+def hook(event, args):
+    global count
+    if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+        return
+    if event in ("import", "open", "exec", "compile", "os.listdir", "os.scandir", "marshal.loads"):
+        count += 1
+        if count == n:
+            os.kill(os.getpid(), number)
+sys.addaudithook(hook)
+del sys.argv[1:3]
+from tonewood.cli.start import main
+try:
+    main()
+finally:
+    print(count, file=sys.stderr)
+"""
+
+
+def signalled(n: int, number: int, folder: Path, score: Path) -> subprocess.CompletedProcess[str]:
+    words = ["render", str(score), "-i", "monochord", "-o", str(folder / "out.wav"), "--fs", "16000"]
+    return subprocess.run(
+        [sys.executable, "-c", SIGNALLED, str(n), str(int(number)), *words, "--max-duration", "0.1"],
+        capture_output=True, text=True, check=False,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def events(tmp_path_factory: pytest.TempPathFactory) -> int:
+    """Number of events of the whole program."""
+    folder = tmp_path_factory.mktemp("whole")
+    score = write(folder / "score.mid", note(0.0, 0.2, 45))
+    return int(signalled(0, signal.SIGINT, folder, score).stderr.splitlines()[-1])
+
+
+LATER = [pytest.param(i / 60, signal.SIGINT, marks=pytest.mark.validate) for i in range(60)]
+SWEEP = [(0.0, signal.SIGINT), (0.2, signal.SIGINT), (0.6, signal.SIGTERM), (0.9, signal.SIGINT), (0.95, signal.SIGHUP)]
+
+
+@pytest.mark.parametrize(("share", "number"), [*SWEEP, *LATER])
+def test_a_signal_at_any_time_is_one_line(share: float, number: int, tmp_path: Path, score: Path, events: int) -> None:
+    """From the first line of the program on: imports of modules in C turn the exception into others, or lose it."""
+    assert events > 1000
+    done = signalled(1 + round(share * events), number, tmp_path, score)
+    lines = [line for line in done.stderr.splitlines() if not line.isdecimal()]
+    if (tmp_path / "out.wav").exists():
+        assert done.returncode in (0, 128 + number)
+        assert lines in ([], [f"tonewood: {WORDS[number]}; out.wav is written"])
+    else:
+        assert done.returncode == 128 + number
+        assert lines == [f"tonewood: {WORDS[number]}; nothing was written"]
+    assert not [p.name for p in tmp_path.iterdir() if p.name not in ("score.mid", "out.wav")]
+
+
+WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
+
+
+def test_an_interruption_that_a_callback_swallows_is_raised_again() -> None:
+    program = (
+        "import os, signal, sys, time, weakref\nimport tonewood.cli.listing\n"
+        "class Thing: pass\n"
+        "def lost(_):\n    os.kill(os.getpid(), signal.SIGINT)\n    time.sleep(0.01)\n"
+        "def stop(*_, **__):\n    thing = Thing()\n    kept = weakref.ref(thing, lost)\n"
+        "    del thing\n    time.sleep(60)\n"
+        "tonewood.cli.listing.print = stop\nsys.argv[1:] = ['list']\n"
+        "from tonewood.cli.start import main\nmain()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=50,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (130, "tonewood: interrupted; nothing was written\n")
+
+
+def test_signals_that_are_ignored_stay_ignored(tmp_path: Path, score: Path) -> None:
+    """As by nohup, and in the background jobs of a shell."""
+    done = subprocess.run(
+        [sys.executable, "-c", SIGNALLED.replace("signal.getsignal(number) in", "signal.getsignal(15) in"),
+         "1500", str(int(signal.SIGHUP)), "render", score, "-i", "monochord", "-o", tmp_path / "out.wav",
+         "--max-duration", "0.1"],
+        capture_output=True, text=True, check=False,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN),
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert (tmp_path / "out.wav").exists()
+
+
 @pytest.mark.parametrize("more", [[], ["--normalize", "-3"]])
 def test_a_full_disk_is_one_line_and_no_file(tmp_path: Path, score: Path, more: list[str]) -> None:
     """Files may grow to 50 kB here, as on a disk with as much left."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import piano_scenes
 import pytest
 from phantom_scenes import excess
 
@@ -54,6 +55,19 @@ LONG = [pytest.param(s, marks=pytest.mark.validate) for s in range(300) if s not
 def test_in_random_scenes_it_is_within_the_budget(seed: int, tmp_path: Path) -> None:
     """Strings that others set in motion through a light body among them."""
     assert excess(seed, tmp_path) <= 0.0
+
+
+#: scenes of keys that others set in motion, 10 to 14 dB beyond the budget if strings with little energy are not looked
+#: at, or not until 2,048 samples after a gesture
+SPREADING = (4, 8, 11)
+
+
+@pytest.mark.parametrize(
+    "seed", [*SPREADING, *(pytest.param(s, marks=pytest.mark.validate) for s in range(200) if s not in SPREADING)]
+)
+def test_on_a_piano_it_is_within_the_budget(seed: int, tmp_path: Path) -> None:
+    """An estimate, since bounds of several keys are added up in power; over these scenes it keeps a margin of 3 dB."""
+    assert piano_scenes.excess(seed, tmp_path) <= -3.0
 
 
 def test_left_out_by_choice_the_string_is_stiff(bass: tw.Instrument, tmp_path: Path) -> None:
@@ -108,3 +122,12 @@ def test_motion_that_grows_ends_in_an_error(tmp_path: Path) -> None:
     """The force takes no energy from the string, and scene 289 is not passive: refused, never sound without limit."""
     with pytest.raises(tw.NumericalError, match="no longer finite"):
         excess(289, tmp_path)
+
+
+def test_a_bend_that_moves_modes_over_the_limit_keeps_them_on() -> None:
+    """The bound of a string is that of its modes as it was; bent by octaves the string has fewer of them."""
+    controls = [tw.Control(0.05 + 0.01 * i, "bend", 4800.0 if i < 25 else -4800.0, 0) for i in range(50)]
+    score = tw.Score([tw.Note(0.0, 1.0, note="A2", velocity_midi=100, channel=0)], controls)
+    sound = np.concatenate(list(tw.Renderer(score, "grand_piano", fs=24000, max_duration=0.6).blocks(4096)))
+    assert np.all(np.isfinite(sound))
+    assert np.abs(sound).max() > 0.0

@@ -42,7 +42,7 @@ def test_what_is_broken_off_leaves_the_old_file(tmp_path: Path, stop: type[BaseE
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
-@pytest.mark.parametrize("statement", range(1, 12))
+@pytest.mark.parametrize("statement", range(1, 60))
 def test_ctrl_c_between_any_two_statements_leaves_nothing(tmp_path: Path, statement: int) -> None:
     """An interruption before the n-th line executed in the module, wherever that is."""
     counted = 0
@@ -59,6 +59,7 @@ def test_ctrl_c_between_any_two_statements_leaves_nothing(tmp_path: Path, statem
 
     def begun() -> None:
         part = AtomicFile(tmp_path / "file")
+        sys.settrace(None)
         assert part.path.exists()
         raise KeyboardInterrupt  # no statement was left
 
@@ -135,13 +136,91 @@ def test_where_nothing_can_be_written_nothing_is_removed(tmp_path: Path, monkeyp
     """A read-only file system refuses to remove even a file that is not there, at the end of the program, too."""
     tried: list[Path] = []
 
-    def refuse(path: Path, **_: object) -> None:
+    def refuse(path: Path, *_: object, **__: object) -> None:
         tried.append(path)
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
-    monkeypatch.setattr(Path, "touch", refuse)
+    monkeypatch.setattr(os, "open", refuse)
     monkeypatch.setattr(Path, "unlink", refuse)
     with pytest.raises(OutputError, match="cannot be written: Read-only file system"):
         AtomicFile(tmp_path / "out.txt")
     gc.collect()
-    assert len(tried) == 1
+    assert tried == [tmp_path / ".out.0.part.txt"] * 2  # looked for a leftover, and tried to make it
+
+
+def incomplete(folder: Path) -> list[str]:
+    return sorted(p.name for p in folder.iterdir() if ".part" in p.name)
+
+
+#: writes some bytes beside the target, says so and waits
+WRITER = (
+    "import sys\nfrom tonewood.support.whole_files import AtomicFile\nfile = AtomicFile(sys.argv[1])\n"
+    "file.path.write_bytes(b'half')\nprint('begun', flush=True)\nsys.stdin.read()\n"
+)
+
+
+def writer(target: Path) -> subprocess.Popen[str]:
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(target)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "begun\n"
+    return process
+
+
+def test_what_a_killed_program_leaves_is_removed_by_the_next_one(tmp_path: Path) -> None:
+    """Files of programs that still run are not touched, whichever of three came first."""
+    target = tmp_path / "out.wav"
+    one, two, three = (writer(target) for _ in range(3))
+    for killed in (two, three):
+        killed.kill()
+        killed.communicate()
+    assert incomplete(tmp_path) == [f".out.{i}.part.wav" for i in range(3)]
+    write_whole(target, b"whole")
+    assert incomplete(tmp_path) == [".out.0.part.wav"]
+    assert (tmp_path / ".out.0.part.wav").read_bytes() == b"half"
+    one.kill()
+    one.communicate()
+    assert incomplete(tmp_path) == [".out.0.part.wav"]
+    write_whole(tmp_path / "other.wav", b"")
+    assert incomplete(tmp_path) == [".out.0.part.wav"]  # of another target
+    write_whole(target, b"whole")
+    assert incomplete(tmp_path) == []
+    assert target.read_bytes() == b"whole"
+
+
+def test_more_writers_of_one_target_than_numbers(tmp_path: Path) -> None:
+    files = [AtomicFile(tmp_path / "out.txt") for _ in range(12)]
+    for i, file in enumerate(files):
+        file.path.write_text(str(i))
+    assert len(incomplete(tmp_path)) == 12
+    for file in files:
+        file.complete()
+    assert [p.read_text() for p in tmp_path.iterdir()] == ["11"]
+
+
+def test_a_name_that_is_taken_is_left_alone(tmp_path: Path) -> None:
+    """A link or a folder where the new file would be: another number is taken, and nothing behind them is touched."""
+    (tmp_path / "far").write_bytes(b"kept")
+    (tmp_path / ".out.0.part.txt").symlink_to(tmp_path / "far")
+    (tmp_path / ".out.1.part.txt").mkdir()
+    write_whole(tmp_path / "out.txt", b"new")
+    assert (tmp_path / "far").read_bytes() == b"kept"
+    assert incomplete(tmp_path) == [".out.0.part.txt", ".out.1.part.txt"]
+    assert (tmp_path / "out.txt").read_bytes() == b"new"
+
+
+def test_where_files_cannot_be_locked_they_are_written_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    one, two = AtomicFile(tmp_path / "out.txt"), AtomicFile(tmp_path / "out.txt")
+    one.path.write_bytes(b"1")
+    two.path.write_bytes(b"2")
+    one.complete()
+    assert (tmp_path / "out.txt").read_bytes() == b"1"
+    two.discard()
+    assert incomplete(tmp_path) == []

@@ -13,6 +13,7 @@ import typer
 
 from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
 from tonewood.cli.common import warn
+from tonewood.cli.stopping import stopping
 from tonewood.errors import CacheFolderWarning, DamagedCacheWarning, OldFormatWarning
 
 # typer may carry its own copy of click: its errors are found through it
@@ -49,6 +50,7 @@ def _command(command: Callable[..., Any]) -> Callable[..., Any]:
                 show(message, category, *place, **more)
 
         try:
+            stopping.command_begins()
             with warnings.catch_warnings():
                 warnings.showwarning = show_in_one_line
                 code = command(*args, **options)

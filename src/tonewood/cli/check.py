@@ -17,8 +17,10 @@ if TYPE_CHECKING:
     from tonewood.instrument.inspection.mounted import MountedPitch
     from tonewood.instrument.model.assembly import Model
 
-#: relative error of a partial's decay rate from which on a string is reported to miss its loss law
-LOSS_TOLERANCE = 1e-3
+#: cause of partials that are off
+_DETUNED = "the plugin's `detuned` gives others than its `basis`"
+#: stops whose second plane is off that are printed
+_PLANES = 12
 #: peak sound of a microphone per N on the bridge, re full scale, from which on its table is doubted
 LOUD = 1e3
 
@@ -40,6 +42,7 @@ def check(
     """
     from tonewood.instrument.bundle.added import added_line
     from tonewood.instrument.inspection.frequencies import (
+        PLANE_CENTS,
         TOLERANCE_CENTS,
         check_transfers,
         microphone_responses,
@@ -47,15 +50,18 @@ def check(
     )
     from tonewood.instrument.inspection.mounted import mounted_pitches
     from tonewood.instrument.model.assembly import assemble
+    from tonewood.performance.engine.trial import try_parts
 
     render_options({"fs": fs})
     bundle = load(instrument, settings, allow_code, strings)
     model = assemble(bundle, fs, outputs=tuple(bundle.pickups))
     check_transfers(model)
+    try_parts(model)
     body = _body(model)
     found = pitches(model)
     wolves = [p for p in found if p.wolf is not None]
     off = [p for p in found if abs(p.error_cents) > TOLERANCE_CENTS]
+    off_planes = sorted((p for p in found if _worst_plane(p) > PLANE_CENTS), key=_worst_plane, reverse=True)
     together = mounted_pitches(model, found)
     pairs = list(zip(found, together, strict=True))
     spec = bundle.spec
@@ -74,6 +80,7 @@ def check(
         "microphones": [_microphone(response) for response in microphone_responses(model)],
         "off_pitch": [pitch_row(p) for p in off],
         "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
+        "off_planes": [plane_row(p) for p in off_planes],
         "wolf_notes": [pitch_row(p) for p in wolves],
         "table_doubts": bundle.table_doubts(),
         "stand_ins": [{"path": path, "note": spec.provenance[path].note} for path in bundle.stand_ins()],
@@ -141,10 +148,11 @@ def _microphone(response: MicrophoneResponse) -> dict[str, Any]:
 
 def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) -> dict[str, Any]:
     from tonewood.instrument.inspection.frequencies import feel
+    from tonewood.instrument.inspection.string_laws import law_errors
     from tonewood.instrument.scales import note_name
 
     string, mine = model.strings[name], [(p, m) for p, m in pairs if p.string == name]
-    given = string.given_tension
+    given, errors = string.given_tension, law_errors(model, name)
     return {
         "note": note_name(string.open_note),
         "stops": string.n_stops,
@@ -157,20 +165,32 @@ def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) ->
         "held_note": given.line() if given.noticeable else None,
         "worst_cents": max((p.error_cents for p, _ in mine), key=abs),
         "worst_cents_mounted": max((m.error_cents for _, m in mine), key=abs),
-        "loss_error": _loss_error(model, name),
+        "loss_error": None
+        if errors[0].decay is None
+        else {"partial": errors[0].decay_partial, "relative": errors[0].decay},
+        "law": [asdict(e) | {"decay_is_off": e.decay_is_off, "pitch_is_off": e.pitch_is_off} for e in errors],
     }
 
 
-def _loss_error(model: Model, name: str) -> dict[str, Any] | None:
-    """Partial of the open string whose decay on a rigid end is farthest from its loss law; None if unknown."""
-    import numpy as np
+def _worst_plane(p: Pitch) -> float:
+    """Cents by which one of a string's further planes is off; 0 without any."""
+    return max((abs(plane.off_cents) for plane in p.planes[1:]), default=0.0)
 
-    basis = next(iter(model.strings[name].bases().values()))
-    error = basis.metadata.get("loss_error")
-    if not isinstance(error, np.ndarray) or not error.size:
-        return None
-    worst = int(np.argmax(np.abs(error)))
-    return {"partial": worst + 1, "relative": float(error[worst])}
+
+def plane_row(p: Pitch) -> dict[str, Any]:
+    """A stop and its planes as plain values."""
+    from tonewood.instrument.scales import note_name
+
+    planes = {x.component: {"cents": x.cents, "split_cents": x.split_cents, "share": x.share} for x in p.planes}
+    row: dict[str, Any] = {"string": p.string, "stop": p.stop, "note": note_name(p.note)}
+    return row | {"off_cents": _worst_plane(p), "planes": planes}
+
+
+def plane_words(row: dict[str, Any]) -> str:
+    """Cents of each plane from the note, in a few words."""
+    first, *others = [(name.rpartition(".")[2], plane) for name, plane in row["planes"].items()]
+    second = ", ".join(f"{name} {plane['cents']:+.1f} (split {plane['split_cents']:+.1f})" for name, plane in others)
+    return f"{first[0]} {first[1]['cents']:+.1f}, {second} cents"
 
 
 def _mounted_row(p: Pitch, mounted: MountedPitch) -> dict[str, Any]:
@@ -232,8 +252,48 @@ def _mounted_line(row: dict[str, Any]) -> str:
     )
 
 
+def _law_lines(rows: list[dict[str, Any]]) -> list[str]:
+    """How well a string's partials keep to its own law on a rigid end: one line, then warnings."""
+    worst = max(abs(row["cents"]) for row in rows if not row["bend_cents"])
+    bent = next((row for row in rows if row["bend_cents"]), None)
+    if rows[0]["decay"] is None:
+        decays = "its plugin does not tell its loss law (`decay_rate`): decays are not compared"
+    else:
+        decay = max(abs(row["decay"]) for row in rows if not row["bend_cents"])
+        shown = f" ({100 * abs(bent['decay']):.2g} %)" if bent else ""
+        decays = f"decays within {100 * decay:.2g} %{shown} of its loss law"
+    shown = f" ({abs(bent['cents']):.1g} bent by {bent['bend_cents']:g})" if bent else ""
+    out = [f"partials within {worst:.1g} cents{shown}, {decays}"]
+    # of each kind the first: at a stop before bent
+    if row := next((row for row in rows if row["decay_is_off"]), None):
+        steep = "the law grows too steeply without loss to the air or of stretching"
+        why = steep if abs(row["own"]) > 0.5 * abs(row["decay"]) else _DETUNED
+        rate = f"{1 + row['decay']:.3g} times the rate of its loss law on a rigid end"
+        out.append(f"warning: partial {row['decay_partial']} {_held(row)} decays at {rate}: {why}")
+    if row := next((row for row in rows if row["pitch_is_off"]), None):
+        beside = f"{row['cents']:+.3g} cents from that of a basis made for this tension"
+        out.append(f"warning: partial {row['pitch_partial']} {_held(row)} is {beside}: {_DETUNED}")
+    return out
+
+
+def _held(row: dict[str, Any]) -> str:
+    bend = f", bent by {row['bend_cents']:g} cents," if row["bend_cents"] else ""
+    return f"at stop {row['stop']}{bend}"
+
+
+def _print_planes(rows: list[dict[str, Any]]) -> None:
+    """Stops whose second plane rings on beside the note, the worst first."""
+    for row in rows[:_PLANES]:
+        print(f"  second plane: {row['string']} stop {row['stop']:>2} ({row['note']}): {plane_words(row)}")
+    if more := rows[_PLANES:]:
+        print(
+            f"  second plane: {len(more)} stops more, {more[0]['off_cents']:.1f} cents off or less (--json lists all)"
+        )
+
+
 def _print(report: dict[str, Any], ok: bool) -> None:
     body = report["body"]
+    warnings = len(report["table_doubts"]) + sum(bool(row["doubt"]) for row in report["microphones"])
     print(f"{report['instrument']}: {report['title']} ({report['licence']})")
     print(f"  folder: {report['folder']}")
     more = "" if (total := report["n_modes_all_outputs"]) == report["n_modes"] else f" ({total} with all outputs)"
@@ -261,12 +321,9 @@ def _print(report: dict[str, Any], ok: bool) -> None:
             print(f"    {feel['newton_per_mm']:.2f} N for 1 mm sideways, {place:.0f} mm from the bridge{down}")
         if row["held_note"]:
             print(f"    {row['held_note']}")
-        loss = row["loss_error"]
-        if loss and abs(loss["relative"]) > LOSS_TOLERANCE:
-            print(
-                f"    warning: partial {loss['partial']} decays at {1 + loss['relative']:.3g} times the rate of its "
-                "loss law on a rigid end: the law grows too steeply without loss to the air or of stretching"
-            )
+        for line in _law_lines(row["law"]):
+            print(f"    {line}")
+            warnings += line.startswith("warning")
     forces = [f and row["count"] * f for row in report["strings"].values() for f in [row["feel"]["force_on_bridge"]]]
     down = "" if None in forces else f", {sum(forces):.0f} N down on the bridge"
     print(
@@ -281,6 +338,7 @@ def _print(report: dict[str, Any], ok: bool) -> None:
             print(f"  warning: {name} {row['doubt']}")
     for row in report["off_pitch"]:
         print(f"  off pitch: {row['string']} stop {row['stop']} ({row['note']}): {row['error_cents']:+.1f} cents")
+    _print_planes(report["off_planes"])
     for row in report["off_pitch_mounted"]:
         print(f"  with all strings on: {_mounted_line(row)}")
     for row in report["wolf_notes"]:
@@ -297,4 +355,5 @@ def _print(report: dict[str, Any], ok: bool) -> None:
         place = source.get("doi") or source.get("url") or ""
         unused = "" if key in report["sources_used"] else ", which no figure names"
         print(f"  source {key}{unused}: {source['text']}{', ' + place if place else ''} ({source['licence']})")
-    print("ok" if ok else "not ok: its body could create energy")
+    warned = f", with {warnings} warning{'s' * (warnings > 1)}" if warnings else ""
+    print(f"ok{warned}" if ok else "not ok: its body could create energy")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 import typer
 
 from tonewood.errors import DroppedNotesWarning, TonewoodError
+from tonewood.support.units import counted
 
 if TYPE_CHECKING:
     from tonewood.instrument.bundle.loading import Instrument
@@ -180,9 +183,32 @@ def dropped_notes_listed() -> Iterator[None]:
         yield
 
 
-def warn_of_dropped(dropped: Sequence[Dropped]) -> None:
-    """Print notes that cannot be played, one line each on stderr."""
-    warn([f"not played at {drop.time:.2f} s: {drop.reason}" for drop in dropped])
+def warn_of_dropped(dropped: Sequence[Dropped], where: str = "") -> None:
+    """Print on stderr how many notes cannot be played, where the first is and why: one line a kind of reason.
+
+    Parameters
+    ----------
+    dropped : in time order.
+    where : before each line.
+    """
+    kinds: dict[str, list[Dropped]] = {}
+    for drop in dropped:
+        kinds.setdefault(_kind(drop.reason), []).append(drop)
+    for drops in kinds.values():
+        first, more = drops[0], f", nor {counted(len(drops) - 1, 'other note')} for such a reason" if drops[1:] else ""
+        warn([f"{where}not played at {first.time:.2f} s: {first.reason}{more}"])
+
+
+def warn_of_kinds(lines: Sequence[str]) -> None:
+    """Print warnings on stderr, one line a kind: of those that differ in numbers and names of notes, the first."""
+    counts = Counter(map(_kind, lines))
+    first = {_kind(line): line for line in reversed(lines)}
+    warn([first[kind] + (f" (and {n - 1} more of this kind)" if n > 1 else "") for kind, n in counts.items()])
+
+
+def _kind(line: str) -> str:
+    """A line without its numbers and names of notes."""
+    return re.sub(r"\b[A-G][#b]?-?\d+\b|-?\d+(\.\d+)?(e[-+]?\d+)?", "", line)
 
 
 def warn(lines: list[str]) -> None:

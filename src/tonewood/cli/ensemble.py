@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import typer
 
-from tonewood.cli.common import dropped_notes_listed, print_json, progress, warn
+from tonewood.cli.common import dropped_notes_listed, print_json, progress, warn, warn_of_dropped, warn_of_kinds
 from tonewood.cli.stems import make_stem_folder, stem_files
 from tonewood.support.units import counted, decibel
 
@@ -40,6 +41,7 @@ def render_parts(
     from tonewood.sound.files.audio import Audio
     from tonewood.sound.level.loudness import loudness, matching_gain_db, true_peak
     from tonewood.sound.render.level import LOUDNESS
+    from tonewood.sound.render.renderer import SILENT
 
     began = time.perf_counter()
     names = [f"{part.part:02d}_" + re.sub(r"\W+", "_", Path(part.instrument).name) for part in parts]
@@ -62,6 +64,7 @@ def render_parts(
         if level == "LUFS":
             gain = min(gain, matching_gain_db(mix, fs, LOUDNESS))
     factor = 10 ** (gain / 20)
+    silent = peak <= SILENT
     clipped = Audio(mix * factor, fs, ("left", "right")).save(output, subtype)
     if stems is not None:
         make_stem_folder(stems, parents=True)
@@ -88,12 +91,14 @@ def render_parts(
         ],
     }  # fmt: skip
     if as_json:
-        print_json("render-parts", said)
+        print_json("render-parts", said, ok=not silent)
+        if silent:
+            raise typer.Exit(1)
         return
     for stem in rendered:
         where = f"part {stem.part.part}: "
-        warn([where + line for line in stem.summary.warnings])
-        warn([f"{where}not played at {d.time:.2f} s: {d.reason}" for d in stem.summary.notes_dropped])
+        warn_of_kinds([where + line for line in stem.summary.warnings])
+        warn_of_dropped(stem.summary.notes_dropped, where)
     if clipped:
         warn([f"{counted(clipped, 'sample')} clipped; lower --gain, or use --level peak"])
     peak_text = f"true peak {decibel(peak) + gain:.1f} dBTP" if peak > 0 else "silent"
@@ -109,3 +114,5 @@ def render_parts(
         )
     for file in files:
         print(f"  {file}")
+    if silent:
+        raise typer.Exit(1)

@@ -6,23 +6,28 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tonewood.cli.common import print_json, warn
-from tonewood.errors import TonewoodError
+from tonewood.cli.common import print_json, warn, warn_of_kinds
+from tonewood.errors import OutputError, TonewoodError
 from tonewood.support.units import counted
 
 if TYPE_CHECKING:
     from tonewood.instrument.bundle.loading import Instrument
+    from tonewood.sound.live.instrument import Live
     from tonewood.sound.live.ports import EventSource
     from tonewood.sound.live.session import LiveSession
     from tonewood.sound.live.stream import Playback
+    from tonewood.sound.live.take import Take
     from tonewood.sound.render.options import RenderOptions
 
 #: velocity of the chord of all open strings whose peak is brought near full scale
 _LOUD = 110
+#: s
+_KEPT_EVERY = 1.0
 
 
 def play_live(
@@ -70,18 +75,51 @@ def play_live(
             print(f"  {meaning(live.model.outputs, live.options.gain_db)}")
             if keys is not None:
                 print(f"  {HELP}")
+        meter, kept = _meter(session, duration, lambda: keys is not None and keys.ended), Kept(take, record, live)
+
+        def wait() -> bool:
+            kept.now_and_then()
+            return meter()
+
         try:
-            played = session.run(device, stream, _meter(session, duration, lambda: keys is not None and keys.ended))
+            played = session.run(device, stream, wait)
         except BaseException:
-            if record is not None and take is not None and take.messages:
-                take.save(record, live, live.frames)
+            if take is not None and take.messages:
+                kept.save()
             raise
+        kept.save()
     finally:
         for source in sources:
             source.close()
-    if record is not None and take is not None:
-        take.save(record, live, live.frames)
     _tell(session, played, record, as_json=as_json)
+
+
+class Kept:
+    """Keeps a take on disk while it is recorded: a program that is killed loses the last second."""
+
+    def __init__(self, take: Take | None, record: Path | None, live: Live):
+        self._take, self._record, self._live = take, record, live
+        self._at, self._n = time.monotonic(), 0
+
+    def now_and_then(self) -> None:
+        """Save messages of the last second; where they cannot be written, `save` tries again and says so."""
+        now, n = time.monotonic(), 0 if self._take is None else len(self._take.messages)
+        if n > self._n and now - self._at >= _KEPT_EVERY:
+            self._at, self._n = now, n
+            with suppress(OutputError):
+                self._write()
+
+    def save(self) -> None:
+        """Save all; Ctrl-C meanwhile begins it again."""
+        try:
+            self._write()
+        except KeyboardInterrupt:
+            self._write()
+            raise
+
+    def _write(self) -> None:
+        if self._take is not None and self._record is not None:
+            self._take.save(self._record, self._live, self._live.frames)
 
 
 def _check_record(record: Path) -> None:
@@ -152,7 +190,7 @@ def _tell(session: LiveSession, played: Playback, record: Path | None, *, as_jso
         print(file=sys.stderr)
     if summary.clipped:
         warn([f"{counted(summary.clipped, 'sample')} clipped; lower --gain"])
-    warn([f"{count} not played: {reason}" for reason, count in summary.dropped.items()])
+    warn_of_kinds([f"{count} not played: {reason}" for reason, count in summary.dropped.items()])
     print(
         f"played {played.frames / live.fs:.2f} s, {counted(summary.notes, 'note')}, {dropped} dropped, "
         f"{summary.cut} ended by another on their string; {counted(played.underruns, 'underrun')}"

@@ -1,4 +1,4 @@
-"""Entry point: one line on stderr and exit code 2 for errors a user can mend (1: no note played), 130 for Ctrl-C."""
+"""The command line: one line on stderr and exit code 2 for errors a user can mend (1: silence), 130 for Ctrl-C."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import NoReturn
 
 from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
+from tonewood.cli.stopping import stopping
 from tonewood.errors import TonewoodError
 from tonewood.support.validation_messages import did_you_mean
 
@@ -46,9 +47,7 @@ def run(arguments: list[str] | None = None) -> None:
         # Where a KeyboardInterrupt has passed a call of exec (every dataclass makes some), CPython ends by killing
         # itself with the signal, whatever the exit code; another call makes it forget.
         exec("")
-        fault = TonewoodError(f"interrupted; {str(error) or 'nothing was written'}")
-        _print_error(given, "Interrupted", fault, _INTERRUPTED)
-        _fail(fault.reason, _INTERRUPTED)
+        _interrupted(given, str(error) or _remaining())
     except ReaderGoneError:
         _no_more_output()
         sys.exit(0)
@@ -56,8 +55,35 @@ def run(arguments: list[str] | None = None) -> None:
         if error.filename is not None:
             raise
         _no_more_output()
+        if stopping.signal:  # SIGHUP: the terminal has gone
+            _interrupted(given, _remaining())
         _fail(f"standard output: cannot be written: {error.strerror}", 2)
+    except Exception:
+        if stopping.signal:  # an import that was interrupted may fail in other ways
+            _interrupted(given, _remaining())
+        raise
+    if stopping.signal and stopping.code != _INTERRUPTED:  # a session that a signal has ended in good order
+        sys.exit(stopping.code)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _remaining() -> str:
+    """Files that were completed before an interruption, besides those kept between runs."""
+    from tonewood.support.cache_folder import cache_folder
+    from tonewood.support.whole_files import completed
+
+    cache = cache_folder()
+    files = list(dict.fromkeys(f.name for f in completed if cache is None or not f.is_relative_to(cache.resolve())))
+    if not files:
+        return "nothing was written"
+    more = f" and {len(files) - 3} more" if len(files) > 3 else ""
+    return f"{', '.join(files[:3])}{more} {'are' if len(files) > 1 else 'is'} written"
+
+
+def _interrupted(given: list[str], rest: str) -> NoReturn:
+    fault = TonewoodError(f"{stopping.word}; {rest}")
+    _print_error(given, "Interrupted", fault, stopping.code)
+    _fail(fault.reason, stopping.code)
 
 
 def _with_values(given: list[str]) -> list[str]:

@@ -45,8 +45,8 @@ def modes(
     as_json: Json = False,
 ) -> None:
     """List the coupled modes of INSTRUMENT's strings: frequency, cents from the harmonic, T60, wolf notes."""
-    from tonewood.cli.check import pitch_row, wolf_line
-    from tonewood.instrument.inspection.frequencies import mobility_peaks, partials, pitches
+    from tonewood.cli.check import pitch_row, plane_row, plane_words, wolf_line
+    from tonewood.instrument.inspection.frequencies import mobility_peaks, partials, pitch, pitches
     from tonewood.instrument.inspection.modal_export import modal_table_text
     from tonewood.instrument.model.assembly import assemble
     from tonewood.support.whole_files import write_whole
@@ -70,6 +70,7 @@ def modes(
         if not 0 <= stop <= model.strings[name].n_stops:
             raise TonewoodError(f"is {stop}; string {name} has 0 to {model.strings[name].n_stops}", key="--stop")
     listed = {name: partials(model, name, stop, count=count) for name in names}
+    planes = {name: plane_row(pitch(model, name, stop)) for name in names}
     wolves = [pitch_row(p) for p in pitches(model, names) if p.wolf is not None]
     facts = bundle.body.facts()
     peaks = {name: mobility_peaks(model, name) for name in names}
@@ -85,6 +86,7 @@ def modes(
                 name: {
                     "wanted_freq": model.strings[name].freq(stop),
                     "tension": model.strings[name].tension(stop),
+                    "planes": planes[name]["planes"],
                     "partials": [
                         {"number": p.number, "freq": p.freq, "cents": p.cents, "t60": p.t60,
                          "string_share": sum(p.shares[:-1]), "body_share": p.shares[-1]}
@@ -105,6 +107,8 @@ def modes(
         print(
             f"{name} at stop {stop}: {model.strings[name].freq(stop):.2f} Hz, {model.strings[name].tension(stop):.2f} N"
         )
+        if len(planes[name]["planes"]) > 1:
+            print(f"  planes: {plane_words(planes[name])}")
         print("  partial     freq/Hz    cents    T60/s  share of the body")
         for p in rows:
             print(f"  {p.number:>7} {p.freq:>11.2f} {p.cents:>+8.2f} {p.t60:>8.2f} {100 * p.shares[-1]:>9.1f} %")

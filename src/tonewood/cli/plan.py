@@ -84,7 +84,7 @@ def plan(
     if as_json:
         print_json("plan", {"score": str(score), "instrument": bundle.name, "fs": options.fs, **asdict(found)})
         return
-    warn_of_dropped(found.notes_dropped)
+    warn_of_dropped([drop for drop in found.notes_dropped if drop.time < found.duration_s])
     print(f"{found.duration_s:.2f} s of sound in about {found.predicted_s:.1f} s of computing")
     if verbose:
         for effect in found.effects:

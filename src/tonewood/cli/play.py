@@ -25,8 +25,8 @@ from tonewood.cli.common import (
     load,
     print_json,
     reading,
-    warn,
     warn_of_dropped,
+    warn_of_kinds,
 )
 from tonewood.cli.options import takes_render_options
 from tonewood.errors import TonewoodError
@@ -129,7 +129,7 @@ def play(
         dropped = [asdict(drop) for drop in summary.notes_dropped]
         print_json("play", {**report, **level_of, "fs": options.fs, "notes_dropped": dropped, "warnings": warnings})
         return
-    warn(warnings)
+    warn_of_kinds(warnings)
     warn_of_dropped(summary.notes_dropped)
     print(f"played {seconds:.2f} s, {played.underruns} underruns; {summary.realtime_factor:.1f} x real time")
     print(f"  level {wanted}: {meaning(renderer.model.outputs, options.gain_db)}")

@@ -32,8 +32,8 @@ from tonewood.cli.common import (
     print_json,
     progress,
     reading,
-    warn,
     warn_of_dropped,
+    warn_of_kinds,
 )
 from tonewood.cli.options import takes_render_options
 from tonewood.errors import OutputError, TonewoodError
@@ -114,7 +114,7 @@ def render(
     from tonewood.sound.live.take import Replay
     from tonewood.sound.render.energy import check_energy_file, save_energy
     from tonewood.sound.render.level import PEAK, level_name, meaning
-    from tonewood.sound.render.renderer import Renderer, assembled
+    from tonewood.sound.render.renderer import SILENT, Renderer, assembled
 
     fs = options.fs
     file_format(output, subtype)
@@ -208,11 +208,16 @@ def render(
         warnings.append(f"{clipped} {were} {fate}; lower --gain, or use --level peak or --limiter")
     if hold is not None and hold.reduction_db > 0:
         warnings.append(f"the limiter took away up to {hold.reduction_db:.1f} dB")
+    silent = summary.peak_dbfs <= decibel(SILENT) or peak < 0.5 * _STEPS.get(subtype.upper(), 0.0)
+    if silent and summary.peak_dbfs > decibel(SILENT):
+        warnings.append(f"{output} is silent: its peak of {decibel(peak):.0f} dBFS is below its smallest step")
     if as_json:
         report = _report(renderer, output, clipped, peak, loaded - began, warnings)
-        print_json("render", report | {"level": wanted, "gain_db": gain, "room": room})
+        print_json("render", report | {"level": wanted, "gain_db": gain, "room": room}, ok=not silent)
+        if silent:
+            raise typer.Exit(1)
         return
-    warn(warnings)
+    warn_of_kinds(warnings)
     warn_of_dropped(summary.notes_dropped)
     played, lost = summary.notes, len(summary.notes_dropped)
     print(
@@ -241,6 +246,8 @@ def render(
             f"  energy: peak {account.peak:.3g} J, balance open by {account.worst_residual:.1e} of it in an interval, "
             f"{account.worst_cumulative_residual:.1e} summed up: {', '.join(str(path) for path in energy or ())}"
         )
+    if silent:
+        raise typer.Exit(1)
 
 
 def _players(parts: Sequence[str], ensemble: Path | None) -> list[EnsemblePart]:
@@ -270,13 +277,14 @@ def _write(
     gain : dB, of the level.
     """
     from tonewood.sound.files.audio import SoundWriter
-    from tonewood.support.whole_files import AtomicFile
+    from tonewood.support.whole_files import AtomicFile, remove_leftovers
 
     channels, fs = len(renderer.channels), renderer.fs
     frames = math.ceil(renderer.expected_duration * fs)
     sound = renderer.blocks(block) if room is None else room.process(renderer.blocks(block))
     with progress("rendering", renderer.expected_duration) as advance:
         if level == "calibrated":
+            remove_leftovers(output.with_suffix(".rf64"))  # of a scratch file
             with SoundWriter(output, fs, channels, subtype, frames=frames) as writer:
                 for samples in sound if limiter is None else limiter.process(sound):
                     writer.write(samples)
@@ -289,7 +297,7 @@ def _write(
         except OutputError as error:
             raise OutputError(error.reason, file=output) from None
         try:
-            with SoundWriter(scratch.path, fs, channels, "DOUBLE", frames=frames) as writer:
+            with SoundWriter(scratch, fs, channels, "DOUBLE", frames=frames) as writer:
                 for samples in sound:
                     writer.write(samples)
                     advance(renderer.time)
@@ -321,6 +329,8 @@ def _loudness_gain(path: Path) -> float:
     return matching_gain_db(samples, fs, LOUDNESS)
 
 
+#: smallest step of integers in a file
+_STEPS = {"PCM_16": 2.0**-15, "PCM_24": 2.0**-23, "PCM_32": 2.0**-31}
 #: strings that are named one by one; least share of the computing time that is reported
 _NAMED, _LEAST_SHARE = 2, 0.02
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import sys
-import warnings
-from collections.abc import Sequence
-from importlib import import_module
-from importlib.abc import Loader, MetaPathFinder
-from importlib.machinery import ModuleSpec
-from types import ModuleType
-from typing import Any
+
+# no imports that take time: this module is imported before the command line can answer Ctrl-C
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from importlib.machinery import ModuleSpec
+    from types import ModuleType
+    from typing import Any
 
 #: packages, old -> new
 _PACKAGES = {
@@ -80,6 +81,8 @@ def attribute(package: str, name: str, home: str) -> Any:
     ------
     AttributeError : there is none.
     """
+    from importlib import import_module
+
     if name.startswith("__") or not hasattr(module := import_module(home), name):
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
     _warn(f"{package}.{name}", f"{home}.{name}", 2)
@@ -88,11 +91,13 @@ def attribute(package: str, name: str, home: str) -> Any:
 
 def _warn(old: str, new: str, frames: int) -> None:
     """Warn at the import: so many frames above the caller, those of the import system not counted."""
+    import warnings
+
     text = f"{old} is deprecated since 0.3 and will be removed in 0.4: it is {new}"
     warnings.warn(text, DeprecationWarning, stacklevel=2 + frames)
 
 
-class _Alias(Loader):
+class _Alias:
     """Gives the module of another name."""
 
     def __init__(self, module: ModuleType):
@@ -105,7 +110,7 @@ class _Alias(Loader):
         module.__spec__ = self.spec  # the import system has put that of the old name there
 
 
-class _OldNames(MetaPathFinder):
+class _OldNames:
     """Finds modules by their names of version 0.2; asked first, or an old package would load its modules once more."""
 
     def find_spec(
@@ -113,12 +118,16 @@ class _OldNames(MetaPathFinder):
     ) -> ModuleSpec | None:
         if not fullname.startswith("tonewood.") or (new := new_name(fullname)) is None:
             return None
+        from importlib import import_module
+        from importlib.machinery import ModuleSpec
+
         try:
             module = import_module(new)
         except ModuleNotFoundError:
             return None
         _warn(fullname, new, 1)
-        return ModuleSpec(fullname, _Alias(module), is_package=hasattr(module, "__path__"))
+        loader: Any = _Alias(module)  # all that the import system asks of one
+        return ModuleSpec(fullname, loader, is_package=hasattr(module, "__path__"))
 
 
 def install() -> None:

@@ -32,7 +32,13 @@ class Parameters(BaseModel):
 
 
 def quantity(
-    unit: str, *, low: float | None = None, high: float | None = None, default: Any = _MISSING, doc: str
+    unit: str,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    usual: tuple[float, float] | None = None,
+    default: Any = _MISSING,
+    doc: str,
 ) -> Any:
     """Declare a number with its unit.
 
@@ -40,10 +46,13 @@ def quantity(
     ----------
     unit : SI, ``"1"`` for a pure number; another unit only where the key's name ends in it (``_deg``, ``_cents``).
     low, high : smallest and largest value allowed, both included.
+    usual : smallest and largest value that users mean, for hints at another unit; from `low` and `high` where left
+        out (`validation_messages.usual_values`).
     default : value where the key is left out; without it the key is required.
     doc : its meaning, in a few words.
     """
-    options: dict[str, Any] = {"description": doc, "json_schema_extra": {"unit": unit}, "strict": True}
+    extra = {"unit": unit} if usual is None else {"unit": unit, "usual": list(usual)}
+    options: dict[str, Any] = {"description": doc, "json_schema_extra": extra, "strict": True}
     if low is not None:
         options["ge"] = low
     if high is not None:

@@ -155,13 +155,32 @@ def _beyond(fault: Any, keys: Sequence[str], owners: Sequence[type[BaseModel]]) 
     value, (bound, words) = fault["input"], _BOUNDS[fault["type"]]
     if unit is None or not isinstance(value, (int, float)):
         return None
-    low = max((x for f in fields for x in _limits(f, "ge", "gt")), default=-math.inf)
-    high = min((x for f in fields for x in _limits(f, "le", "lt")), default=math.inf)
     scaled = [(name, value * factor) for name, factor in _SCALES.get(unit, {}).items()]
-    meant = " or ".join(f"{value:.12g} {name} ({x:.6g})" for name, x in scaled if low < x < high)
+    ranges = [usual_values(f) for f in fields if unit_of(f)]
+    likely = [(name, x) for name, x in scaled if all(low < x < high for low, high in ranges)]
+    meant = " or ".join(f"{value:.12g} {name} ({x:.6g})" for name, x in likely)
     of = "" if unit == "1" else f" {unit}"
     hint = f": did you mean {meant}?" if meant else " is allowed"
     return f"is {value:.12g}{of}; {words} {fault['ctx'][bound]:.12g}{of}{hint}"
+
+
+def usual_values(field: FieldInfo) -> tuple[float, float]:
+    """Range in which a value is plausible, and another unit worth a hint.
+
+    It is the field's own where that is declared. Else it is the range allowed less a sixth of its decades at either
+    end, and where that begins at 0 or below, the three decades below its end; empty (inf, -inf) without an upper bound.
+    """
+    extra = field.json_schema_extra
+    if isinstance(extra, dict) and isinstance(declared := extra.get("usual"), (list, tuple)):
+        low, high = (float(str(x)) for x in declared)
+        return low, high
+    low, high = max(_limits(field, "ge", "gt"), default=-math.inf), min(_limits(field, "le", "lt"), default=math.inf)
+    if not 0.0 < high < math.inf:
+        return math.inf, -math.inf
+    if low <= 0.0:
+        return 1e-3 * high, high
+    inset = (high / low) ** (1 / 6)
+    return low * inset, high / inset
 
 
 def unit_of(field: FieldInfo) -> str:

@@ -1,4 +1,9 @@
-"""Atomic files: written beside their target, renamed when complete."""
+"""Atomic files: written beside their target, renamed when complete.
+
+While it is written a file is called ``.NAME.0.part.SUFFIX`` and locked (flock) by its writer. The writer's end unlocks
+it, however that comes: a file that is not locked is a leftover, and the next writer of the same target removes it.
+Several writers of one target take different numbers. Where files cannot be locked, leftovers of killed programs stay.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +11,29 @@ import os
 import secrets
 import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from tonewood.errors import OutputError
+
+try:
+    import fcntl
+except ImportError:  # no POSIX
+    fcntl = None  # type: ignore[assignment]
+
+#: writers of one target at a time that take small numbers
+_PLACES = 8
+#: files that this program has completed, which remain where it is interrupted
+completed: list[Path] = []
+_FLAGS = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
 
 
 class AtomicFile:
     """Write a file beside its target, and rename it when it is complete.
 
     An error, or Ctrl-C between any two statements, before `complete` removes the new file and leaves an earlier
-    file of the target's name as it was.
+    file of the target's name as it was. Leftovers of a killed program are removed by the next one.
 
     Parameters
     ----------
@@ -25,7 +41,8 @@ class AtomicFile:
 
     Attributes
     ----------
-    path : where to write: an empty file, made here, with the target's suffix.
+    path : where to write: an empty file, made here, with the target's suffix. To be written in place: another file of
+        this name would not be locked.
     discard : removes the new file; does nothing after `complete`.
 
     Raises
@@ -46,14 +63,18 @@ class AtomicFile:
                 raise OutputError("is no file but a device", file=path)
         except (OSError, RuntimeError, ValueError) as fault:  # a name too long or with a zero byte, links in a circle
             raise OutputError(f"cannot be written: {getattr(fault, 'strerror', None) or fault}", file=path) from None
-        self.path = folder / f".{self._final.stem}.{secrets.token_hex(4)}.part{self._final.suffix}"
-        # known before it exists; called when nobody holds this object any more, or at the end of the program
-        self.discard = weakref.finalize(self, remove, self.path)
+        places = _places(self._final)
+        #: the file's name and the descriptor that locks it, as soon as there is one
+        claimed: dict[Path, int] = {}
+        # called when nobody holds this object any more, or at the end of the program
+        self.discard = weakref.finalize(self, _discard, claimed)
         try:
-            self.path.touch(exist_ok=False)
+            last = _place(self._final, secrets.token_hex(4))
+            self.path = next(place for place in (*places, last) if _claim(place, claimed))
         except OSError as fault:
-            self.discard.detach()  # there is no file; to remove one where nothing can be written would fail again
             raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
+        self._claimed = claimed
+        remove_leftovers(self._final)
 
     def complete(self) -> None:
         """Rename the file to its target.
@@ -67,6 +88,91 @@ class AtomicFile:
         except OSError as fault:
             raise OutputError(f"cannot be written: {fault.strerror}", file=self._named) from None
         self.discard.detach()
+        completed.append(self._final)
+        _unlock(self._claimed)
+
+
+def _place(target: Path, number: object) -> Path:
+    return target.parent / f".{target.stem}.{number}.part{target.suffix}"
+
+
+def _places(target: Path) -> list[Path]:
+    """Names of incomplete files."""
+    return [_place(target, i) for i in range(_PLACES)]
+
+
+def _claim(place: Path, claimed: dict[Path, int]) -> bool:
+    """Make and lock a file; False where another writer has it."""
+    remove_leftover(place)
+    try:
+        claimed[place] = lock = os.open(place, os.O_RDWR | os.O_CREAT | os.O_EXCL | _FLAGS, 0o666)
+    except FileExistsError:
+        return False
+    if fcntl is None:
+        os.close(lock)
+        claimed[place] = -1
+        return True
+    with suppress(OSError):  # locked by a writer that looks for leftovers, or locks are not known here
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    if _is_at(place, lock):
+        return True
+    os.close(claimed.pop(place))
+    return False
+
+
+def _is_at(place: Path, lock: int) -> bool:
+    """Whether a file still has its name."""
+    try:
+        return os.path.samestat(os.fstat(lock), os.stat(place, follow_symlinks=False))
+    except OSError:
+        return False
+
+
+def remove_leftover(place: Path) -> None:
+    """Remove an incomplete file, unless a program that still runs is its writer.
+
+    Raises
+    ------
+    OutputError : as `remove`.
+    """
+    if fcntl is None:
+        return
+    try:
+        lock = os.open(place, os.O_RDWR | os.O_NONBLOCK | _FLAGS)
+    except OSError:  # it is not there, or somebody else's
+        return
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # its writer has locked it, or locks are not known here
+        pass
+    else:
+        if _is_at(place, lock):
+            remove(place)
+    finally:
+        os.close(lock)
+
+
+def remove_leftovers(target: Path) -> None:
+    """Remove the incomplete files of a target, unless programs that still run are their writers."""
+    for place in _places(target.resolve()):
+        remove_leftover(place)
+
+
+def _discard(claimed: dict[Path, int]) -> None:
+    try:
+        for place, lock in claimed.items():
+            if lock < 0 or _is_at(place, lock):
+                remove(place)
+            else:
+                remove_leftover(place)
+    finally:
+        _unlock(claimed)
+
+
+def _unlock(claimed: dict[Path, int]) -> None:
+    while claimed:
+        if (lock := claimed.popitem()[1]) >= 0:
+            os.close(lock)
 
 
 def remove(path: Path) -> None:

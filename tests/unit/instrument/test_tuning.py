@@ -11,7 +11,9 @@ import pytest
 from system_modes import CoupledModes, coupled_modes
 from tonewood.errors import BundleError
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.inspection.frequencies import pitch
 from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.instrument.model.tuning import CoupledMode
 from tonewood.lab.string_end import ExactString, coupled_pole
 
 Make = Callable[..., Instrument]
@@ -93,9 +95,19 @@ def test_body_resonance_makes_a_wolf(guitar: Model) -> None:
     assert quiet.wolf is None
 
 
-def test_strength_is_what_a_pluck_does(make: Make) -> None:
+def test_the_level_of_a_mode_is_that_of_its_energy() -> None:
+    """a exp(-sigma t): int a^2 exp(-2 sigma t) dt = a^2 / 2 sigma."""
+    weak, strong = CoupledMode(-8.0 + 600j, (1.0,), 1.0), CoupledMode(-2.0 + 600j, (1.0,), 3.0)
+    t = np.linspace(0.0, 8.0, 80001)
+    energies = [np.trapezoid((m.strength * np.exp(m.pole.real * t)) ** 2, t) for m in (strong, weak)]
+    assert strong.level_db(weak) == pytest.approx(10 * math.log10(energies[0] / energies[1]), abs=1e-3)
+
+
+@pytest.mark.parametrize("sigma", [None, 40.0])
+def test_strength_is_what_a_pluck_does(make: Make, sigma: float | None) -> None:
     """Amplitudes of the two strongest modes in the bridge's motion after a static pull is let go."""
-    model = assemble(make().replace({"strings.D3.note": "F#3", "body.table": "body.csv"}), 16000.0)
+    lossy = {"strings.*.loss": {"law": "sigma", "sigma0": sigma}} if sigma else {}
+    model = assemble(make().replace({"strings.D3.note": "F#3", "body.table": "body.csv"} | lossy), 16000.0)
     string = model.strings["D3"]
     tuned = string.tuned(0)
     assert tuned is not None
@@ -197,3 +209,35 @@ def test_which_of_tension_and_pitch_won_is_said(make: Make) -> None:
 def test_no_shipped_tension_is_far_from_its_note(name: str) -> None:
     model = assemble(Instrument.load(name), 48000.0)
     assert [s.name for s in model.strings.values() if s.given_tension.noticeable] == []
+
+
+def test_each_plane_has_the_pitch_of_its_mode_in_the_eigenproblem(guitar: Model) -> None:
+    """Near the body's modes the tuned plane is moved, and the other one is left beside the note."""
+    off = {}
+    for string, stop in (("E2", 4), ("E2", 13), ("A2", 12), ("D3", 0), ("D3", 6), ("D3", 7)):
+        found = pitch(guitar, string, stop)
+        modes = on_body(guitar, string, stop)
+        assert [plane.component for plane in found.planes] == [f"{string}.z", f"{string}.y"]
+        for plane in found.planes:
+            freq = dominated(modes, plane.component, guitar.strings[string].freq(stop))
+            assert abs(1200 * math.log2(plane.freq / freq)) < 0.01
+            assert plane.cents == pytest.approx(1200 * math.log2(freq / found.wanted_freq), abs=0.01)
+        off[string, stop] = found.planes[1].off_cents
+    assert 8.0 < off["D3", 6] < 20.0
+    assert -20.0 < off["D3", 7] < -8.0
+    assert abs(off["D3", 0]) < 5.0
+
+
+def test_the_other_plane_on_a_rigid_end_follows_the_tension(make: Make) -> None:
+    """A body that moves in z alone: y sounds sqrt(T/mu) / 2 L of the tuned tension, times the split."""
+    changes = {
+        "strings.*.polarizations": ["z", "y"], "strings.*.end_compliance": 0.0, "strings.*.bending_stiffness": 0.0,
+        "strings.*.loss": {"law": "sigma", "sigma0": 0.3}, "strings.*.split_cents": 3.0,
+    }  # fmt: skip
+    model = assemble(make().replace(changes), 16000.0)
+    for stop in (0, 5):
+        found = pitch(model, "D3", stop)
+        string = model.strings["D3"]
+        free = math.sqrt(found.tension / string.resonator.parameters.linear_density) / (2 * string.length(stop))
+        assert found.planes[1].split_cents == pytest.approx(3.0)
+        assert found.planes[1].off_cents == pytest.approx(1200 * math.log2(free / found.wanted_freq), abs=0.01)

@@ -96,7 +96,9 @@ class StringSetEntry(Parameters):
 
     note: str = described("of the open string")
     length: float | None = quantity("m", low=0.02, high=5.0, default=None, doc="if not that of the set")
-    tension: float | None = quantity("N", low=1.0, high=2000.0, default=None, doc="at that length and note")
+    tension: float | None = quantity(
+        "N", low=1.0, high=2000.0, usual=(10.0, 1500.0), default=None, doc="at that length and note"
+    )
     diameter: float | None = quantity("m", low=1e-5, high=0.05, default=None, doc="of the whole string")
     core: float = quantity("1", low=0.05, high=1.0, default=1.0, doc="share of the diameter that bends and stretches")
     density: float | None = quantity("kg/m^3", low=100.0, high=3e4, default=None, doc="effective, of the whole string")

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from tonewood.errors import BundleError
 from tonewood.instrument.contract.attached import Attached, Site
+from tonewood.instrument.contract.contract_checks import CHECKS, check_results
 from tonewood.instrument.contract.effects import BODY_MODES, OUTPUTS, SECOND_POLARIZATION, Effect
 from tonewood.instrument.contract.files import Files
 from tonewood.instrument.contract.gestures import Event, Gesture, Place
@@ -66,6 +67,11 @@ class Plugin(ABC, Generic[P]):
     effects: ClassVar[tuple[Effect, ...]] = ()
     #: pydantic model of the keys the plugin takes in a bundle
     Parameters: ClassVar[type[Parameters]]
+
+    def __init_subclass__(cls, **options: Any):
+        """Check the results of the methods that the class defines; see `contract_checks`."""
+        super().__init_subclass__(**options)
+        check_results(cls, CHECKS.get(getattr(cls, "kind", ""), {}), lambda plugin, reason: plugin.fault(reason))
 
     def __init__(self, parameters: P, files: Files, key: str = ""):
         self.parameters = parameters
@@ -180,6 +186,22 @@ class Resonator(Plugin[P]):
     @abstractmethod
     def detuned(self, basis: ModalBasis, tension: float) -> ModalBasis:
         """Return `basis` (one of this string's) at another tension: same shapes, new frequencies and losses."""
+
+    def decay_rate(self, freq_rad: Floats, tension: float) -> Floats | None:
+        """Return the law of loss, with which `tonewood check` compares; None where the bases say how they meet it.
+
+        Bases of `ta.string_basis` and `ta.with_partial_decays` say so: ``loss_error`` in their metadata.
+
+        Parameters
+        ----------
+        freq_rad : (n,) rad/s, of partials between fixed ends.
+        tension : N.
+
+        Returns
+        -------
+        (n,) 1/s, sigma of each partial.
+        """
+        return None
 
     @abstractmethod
     def transfer(self, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:

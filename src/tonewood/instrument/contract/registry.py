@@ -17,8 +17,10 @@ from importlib.resources import files as package_files
 from pathlib import Path
 from typing import Any
 
-from tonewood.errors import BundleError, PluginError
+from tonewood.errors import BundleError, PluginError, kind_of
 from tonewood.instrument.contract.base import API, KINDS, Plugin
+from tonewood.instrument.contract.contract_checks import CHECKS
+from tonewood.instrument.contract.effects import Effect
 from tonewood.support.params import Parameters
 from tonewood.support.validation_messages import did_you_mean
 
@@ -164,6 +166,37 @@ def check_plugin(found: object, who: str) -> None:
     if inspect.isabstract(found):
         missing = ", ".join(sorted(found.__abstractmethods__))
         raise PluginError(f"{who} leaves out {missing}")
+    for name in CHECKS[found.kind]:
+        own, first = inspect.getattr_static(found, name), inspect.getattr_static(KINDS[found.kind], name)
+        if isinstance(first, property) and inspect.isroutine(own):
+            raise PluginError(f"{who}: {name} is a method; a property is wanted (@property)")
+        if not isinstance(first, property) and not callable(own):
+            raise PluginError(f"{who}: {name} is {kind_of(own)}; a method is wanted")
+    _check_effects(found, who)
+
+
+def _check_effects(found: type[Plugin[Any]], who: str) -> None:
+    """Check the effects that a class declares, and the classes that run them."""
+    effects = found.effects
+    if not isinstance(effects, tuple) or not all(isinstance(effect, Effect) for effect in effects):
+        raise PluginError(f"{who}: effects is {kind_of(effects)}; a tuple of ta.Effect is wanted")
+    for effect in effects:
+        runtime, named = effect.runtime, f"{who}: its effect {effect.name!r}"
+        if effect.kind not in ("additive", "detuning"):
+            raise PluginError(f"{named} is of kind {effect.kind!r}; additive or detuning is wanted")
+        for key in ("bound", "cost"):
+            if not callable(getattr(effect, key)):
+                raise PluginError(f"{named}: {key} is {kind_of(getattr(effect, key))}; a function is wanted")
+        if runtime is None:
+            continue
+        name = getattr(runtime, "__name__", repr(runtime))
+        if not callable(runtime):
+            raise PluginError(f"{named}: runtime is {kind_of(runtime)}; a ta.RuntimeEffect class is wanted")
+        if inspect.isclass(runtime) and not all(hasattr(runtime, method) for method in ("report", "plan", "running")):
+            raise PluginError(f"{named}: runtime {name} is not derived from ta.RuntimeEffect or ta.SwitchedEffect")
+        if inspect.isabstract(runtime):
+            missing = ", ".join(sorted(getattr(runtime, "__abstractmethods__", ())))
+            raise PluginError(f"{named}: {name} leaves out {missing}")
 
 
 def instrument_folder(name_or_path: str | os.PathLike[str]) -> Path:

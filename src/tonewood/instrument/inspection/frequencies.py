@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.instrument.model.assembly import Model
-from tonewood.instrument.model.strings import held_freq
-from tonewood.instrument.model.tuning import CoupledMode
+from tonewood.instrument.model.strings import StringModel, held_freq
+from tonewood.instrument.model.tuning import CoupledMode, TunedStop
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.receptance import Joint, Ports
 from tonewood.support.units import cents, t60
@@ -22,8 +22,37 @@ Complexes = NDArray[np.complex128]
 
 #: a string-dominated mode farther than this from its pitch is reported, cents
 TOLERANCE_CENTS = 1.0
+#: a plane farther than this from the pitch that its split gives it is reported, cents
+PLANE_CENTS = 5.0
 #: change of the bridge's displacement by a new stop that counts as rounding, relative to its largest shape
 _KEPT_BRIDGE = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class PlanePitch:
+    """One polarization of a string at a stop on its body.
+
+    The tuner gives the first one the note; its tension gives the others theirs, which a body mode shifts otherwise.
+
+    Attributes
+    ----------
+    component : of the polarization.
+    freq : Hz, of the coupled mode with the largest share of its energy in it.
+    cents : of that mode above the note.
+    split_cents : by which the bundle has it sharper than the first.
+    share : of the mode's energy in it.
+    """
+
+    component: str
+    freq: float
+    cents: float
+    split_cents: float
+    share: float
+
+    @property
+    def off_cents(self) -> float:
+        """Cents above the pitch that the note and the split give it."""
+        return self.cents - self.split_cents
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +67,7 @@ class Pitch:
     tension : N, of the first polarization.
     modes : coupled modes near the pitch, the string-dominated one first.
     wolf : a second mode that disturbs the first, or None.
+    planes : every polarization, the first one first.
     """
 
     string: str
@@ -47,6 +77,7 @@ class Pitch:
     tension: float
     modes: tuple[CoupledMode, ...]
     wolf: CoupledMode | None
+    planes: tuple[PlanePitch, ...]
 
     @property
     def freq(self) -> float:
@@ -145,7 +176,25 @@ def pitch(model: Model, string: str, stop: int = 0) -> Pitch:
     """Return the pitch of a string at one stop of a `model`: tuned, or at the bundle's tension without compensation."""
     held = model.strings[string]
     tuned = held.tuned(stop)
-    return Pitch(string, stop, held.open_note + stop, held.freq(stop), tuned.tension, tuned.modes, tuned.wolf)
+    wanted, planes = held.freq(stop), _planes(held, stop, tuned)
+    return Pitch(string, stop, held.open_note + stop, wanted, tuned.tension, tuned.modes, tuned.wolf, planes)
+
+
+def _planes(string: StringModel, stop: int, tuned: TunedStop) -> tuple[PlanePitch, ...]:
+    """Pitches of a string's polarizations: of each the mode, of `tuned` or near it, with most of its energy there."""
+    known = [(mode.pole, mode.shares) for mode in tuned.modes]
+    out = []
+    for i, (polarization, split) in enumerate(zip(string.polarizations, string.plane_cents(stop), strict=True)):
+        own = known[:1] if i == 0 else known
+        if i and max(shares[i] for _, shares in own) < 0.5:  # the tuner has looked for the first one
+            coupled = string.coupled(stop)
+            joint, freq = coupled.joint(tuned.tension), held_freq(coupled.bases(tuned.tension)[i])
+            pole = None if freq is None else joint.newton(2 * math.pi * freq * complex(-1e-3, 1.0))
+            own = own if pole is None else [*own, (pole, tuple(float(x) for x in joint.shares(pole)))]
+        pole, shares = max(own, key=lambda mode: mode[1][i])
+        freq = pole.imag / (2 * math.pi)
+        out.append(PlanePitch(polarization.component, freq, cents(freq / string.freq(stop)), split, shares[i]))
+    return tuple(out)
 
 
 def pitches(model: Model, strings: Sequence[str] | None = None) -> list[Pitch]:

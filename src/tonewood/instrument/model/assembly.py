@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 from tonewood.errors import BundleError
@@ -16,12 +16,13 @@ from tonewood.instrument.bundle.added import body_parts
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.schema import Playing
 from tonewood.instrument.contract.attached import Attached
-from tonewood.instrument.contract.base import BodyPoint, Exciter
+from tonewood.instrument.contract.base import BodyPoint, Exciter, Plugin
 from tonewood.instrument.contract.gestures import Place, places
 from tonewood.instrument.contract.registry import MANIFEST
 from tonewood.instrument.model.choice import Choice, declared
 from tonewood.instrument.model.kept_tunings import KeptTunings
-from tonewood.instrument.model.output_assembly import OutputGroup, make_outputs, make_scene
+from tonewood.instrument.model.output_assembly import OutputGroup, Outputs, make_outputs, make_scene
+from tonewood.instrument.model.references import by_part, check_connections, check_readouts
 from tonewood.instrument.model.string_assembly import string_models
 from tonewood.instrument.model.string_stems import outputs_by_string
 from tonewood.instrument.model.strings import StringModel
@@ -170,11 +171,13 @@ def assemble(
     tensions, geometric = _stretches(strings.values(), choice)
     made = make_outputs(instrument, outputs, make_scene(strings, body_points, limit, added.forces, instrument.body))
     connections = [*_end_connections(strings.values()), *added.connections, *_attached_connections(attached, resting)]
+    components = {"body": body, **added.components, **_string_components(strings.values())}
+    _check_references(instrument, strings, {**components, **made.components}, connections, made)
     owners = {component: name for name, string in strings.items() for component in string.all_components}
     if by_string:
         made = outputs_by_string(made, connections, owners, list(strings), body, list(body_points))
     system = System.build(
-        {"body": body, **added.components, **_string_components(strings.values()), **made.components},
+        {**components, **made.components},
         connections,
         made.readouts,
         dt=1.0 / fs,
@@ -209,6 +212,34 @@ def _check_body(instrument: Instrument, strings: Mapping[str, StringModel], body
     driven = {point for string in strings.values() for p in string.ends for point in p.ends}
     driven |= {e.at.partition(".")[2] for e in instrument.exciters.values() if e.at is not None}
     check_basis(body, sorted(driven), dt=dt).require(file=str(instrument.folder / MANIFEST), key="body")
+
+
+def _check_references(
+    instrument: Instrument,
+    strings: Mapping[str, StringModel],
+    components: Mapping[str, ModalBasis],
+    connections: Sequence[Connection],
+    made: Outputs,
+) -> None:
+    """Refuse connections and readouts of plugins that name unknown components, points and connections."""
+    taken = {c.name for c in connections if c.role != "attached"}
+    for string in strings.values():
+        for part, own in by_part(string.connections()).items():
+            plugin = string.touching.get(part)
+            fault = partial(_fault, plugin, f"connections.{part}")
+            check_connections(own, components, taken, fault)
+            taken |= {c.name for c in own}
+    names = [c.name for c in connections]
+    for group in made.groups:
+        pickup = instrument.pickups.get(group.name.partition(".")[0], instrument.pickups.get(group.name))
+        readouts = [made.readouts[i] for i in group.readouts]
+        check_readouts(readouts, (), components, names, partial(_fault, pickup, f"outputs.{group.name}"))
+    check_readouts((), made.drives, components, names, partial(_fault, None, "outputs"))
+
+
+def _fault(plugin: Plugin[Any] | None, key: str, reason: str) -> BundleError:
+    """Error of a part that names its class."""
+    return BundleError(reason, key=key) if plugin is None else plugin.fault(f"{type(plugin).__name__}: {reason}")
 
 
 def _string_components(strings: Iterable[StringModel]) -> dict[str, ModalBasis]:

@@ -55,6 +55,8 @@ class StringModel:
     longitudinal, phantoms : its longitudinal motion, if that is stepped, or driven one way.
     pluck_from_bridge, pluck_width : m, place of the pluck where a gesture gives none, and how far it is spread.
     group : strings that a note on the first of them plays together; itself among them.
+    touching : attachments and exciters that may add parts to it, by name.
+    freq_upper : Hz, of its modes at the first guess of its tension.
     damper : resistance (N s/m), place and width (m, from the bridge) of the felt that rests on it; None without one.
 
     Parameters
@@ -93,9 +95,9 @@ class StringModel:
         self.pluck_from_bridge, self.pluck_width = pluck_from_bridge, pluck_width
         self.group, self.damper = group or (name,), damper
         self._of_key, self._kept = bool(group), kept
-        self._body, self._freq_upper, self._freq_limit = body, freq_upper, freq_limit
+        self._body, self.freq_upper, self._freq_limit = body, freq_upper, freq_limit
         self._end_compliance, self._tilt_deg = end_compliance, tilt_deg
-        self._touching, self._scatter = dict(touching or {}), scatter
+        self.touching, self._scatter = dict(touching or {}), scatter
         self._attached: dict[float, tuple[Attached, ...]] = {}
         self._tuned: dict[float, tuple[TunedStop | None, float]] = {}
         self._bases: dict[float, ModalBasis] = {}
@@ -186,7 +188,7 @@ class StringModel:
         if stop not in self._attached:
             site = self.site(stop)
             # pairs: an exciter may have the name of the soft finger
-            found = [(name, part.attach(name, site)) for name, part in self._touching.items()]
+            found = [(name, part.attach(name, site)) for name, part in self.touching.items()]
             if self.stopping.finger is not None:
                 found.append((POINT, fingertips(self.stopping.finger, site, self._left_under_finger(stop))))
             self._attached[stop] = tuple(a.owned_by(self.name, part) for part, a in found if a is not None)
@@ -322,6 +324,10 @@ class StringModel:
             return polarization.detune
         return polarization.detune * ratio_of_cents(self._scatter(stop))
 
+    def plane_cents(self, stop: float = 0) -> tuple[float, ...]:
+        """Return the pitch of each polarization at a stop over the first one's, cents, as the bundle splits them."""
+        return tuple(cents(self._detune(p, self._end(stop))) for p in self.polarizations)
+
     def n_modes(self, stop: float = 0) -> int:
         """Modes per polarization of a stop before tension raises any above the limit."""
         return self._untuned(self._end(stop)).n_modes
@@ -351,11 +357,8 @@ class StringModel:
         """One motion, modal coordinates q and q', carried from one stop's basis to another's."""
         self._own(component)
         if self._is_longitudinal(component):
-            return (
-                (q, velocity)
-                if old.metadata["length"] == new.metadata["length"]
-                else string_carry(old, new, q, velocity)
-            )
+            same = old.metadata["length"] == new.metadata["length"]
+            return (q, velocity) if same else string_carry(old, new, q, velocity)
         if self.stopping.finger is not None:
             displacement, moving = laid_down(old, new)
             return displacement @ q, moving @ velocity
@@ -414,10 +417,10 @@ class StringModel:
         if stop not in self._bases:
             # the open string's tension, once known, is the best guess for every stop
             guess = self._tuned[0.0][1] if stop > 0.0 and 0.0 in self._tuned else self._first_guess()
-            basis = self.resonator.basis(self._freq_upper, stop=self.position(stop), tension=guess)
+            basis = self.resonator.basis(self.freq_upper, stop=self.position(stop), tension=guess)
             if basis.n_modes < 2:  # a single mode moves with the bridge: a string held there would have none
                 raise self.resonator.fault(
-                    f"{self._freq_upper:g} Hz leave {basis.n_modes} of the modes at stop {stop:g}; "
+                    f"{self.freq_upper:g} Hz leave {basis.n_modes} of the modes at stop {stop:g}; "
                     f"{self.freq(stop):.2f} Hz need 2 or more: raise freq_upper, or the sampling rate",
                     "freq_upper",
                 )
@@ -437,7 +440,7 @@ class StringModel:
         nominal = self.resonator.tension
         if self._tension_held or self.stopping.compensate == "none":
             return nominal
-        freq = held_freq(self.resonator.basis(min(self._freq_upper, 12 * self.freq(0)), tension=nominal))
+        freq = held_freq(self.resonator.basis(min(self.freq_upper, 12 * self.freq(0)), tension=nominal))
         guess = nominal if freq is None else nominal * (self.freq(0) / freq) ** 2
         if not 1 / _RETENSION <= guess / nominal <= _RETENSION:
             raise self.resonator.fault(

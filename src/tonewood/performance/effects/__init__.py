@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from tonewood.errors import PluginError, TonewoodError, kind_of
 from tonewood.instrument.contract.base import Plugin
 from tonewood.instrument.contract.effects import (
     DAMPERS,
@@ -57,11 +58,27 @@ def runtime_effects(model: Model) -> tuple[RuntimeEffect, ...]:
             key = effect.name, plugin.kind
             effects.setdefault(key, effect)
             plugins.setdefault(key, {})[component] = plugin
-    made = [_maker(effect, kind)(model, effect, plugins[name, kind]) for (name, kind), effect in effects.items()]
+    made = [_made(_maker(effect, kind), model, effect, plugins[name, kind]) for (name, kind), effect in effects.items()]
     watched = [found for found in made if isinstance(found, SwitchedEffect) and found.watched]
     for one in watched:
         one.share = 1.0 / len(watched)
     return tuple(made)
+
+
+def _made(maker: Maker, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]) -> RuntimeEffect:
+    first = next(iter(plugins.values()))
+    try:
+        made = maker(model, effect, plugins)
+    except (TonewoodError, MemoryError):
+        raise
+    except Exception as fault:
+        name = getattr(maker, "__name__", repr(maker))
+        reason = f"effect {effect.name!r}: {name} raises {type(fault).__name__}: {fault}"
+        raise PluginError(reason, file=first.files.manifest, key=first.key) from fault
+    if not isinstance(made, RuntimeEffect):
+        reason = f"effect {effect.name!r}: runtime makes {kind_of(made)}; a ta.RuntimeEffect is wanted"
+        raise PluginError(reason, file=first.files.manifest, key=first.key)
+    return made
 
 
 def _plugins(model: Model) -> Iterator[tuple[str, Plugin[Any]]]:

@@ -26,7 +26,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.errors import PluginError
 from tonewood.instrument.contract.base import Plugin
+from tonewood.instrument.contract.contract_checks import check_results, number, want
 from tonewood.instrument.contract.effects import Effect
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.effects.usage import Bound, EffectUsage
@@ -200,6 +202,55 @@ class Foreseen:
     computing: Mapping[tuple[str, str], float]
 
 
+def _fault(effect: Any, reason: str) -> PluginError:
+    """Error of an effect's class, with the key of the first plugin that declares it."""
+    plugin = next(iter(getattr(effect, "plugins", {}).values()), None)
+    named = f"effect {effect.effect.name!r}: " if hasattr(effect, "effect") else ""
+    return PluginError(named + reason, file=plugin and plugin.files.manifest, key=plugin and plugin.key)
+
+
+def _next_watch(effect: Any, value: Any, given: Mapping[str, Any]) -> None:
+    number(value, "a sample", given["sample"], above=True)
+    want(value == int(value) and int(value) % GRID == 0, value, f"a multiple of {GRID} (ta.next_multiple)")
+
+
+def _watched(effect: Any, value: Any, given: Mapping[str, Any]) -> None:
+    if value is None:
+        return
+    want(isinstance(value, Watched), value, "a ta.Watched or None")
+    known = set(effect.components)
+    for component in value.wanted:
+        want(component in known, component, f"one of {', '.join(sorted(known))}", "wanted")
+    for entry in value.bounds:
+        fits = isinstance(entry, tuple) and len(entry) == 3 and isinstance(entry[1], Bound)
+        want(fits, entry, "(component, ta.Bound, whether it is left out)", "bounds")
+        want(entry[0] in known, entry[0], f"one of {', '.join(sorted(known))}", "bounds")
+        for name in ("level", "cents"):
+            size = getattr(entry[1], name)
+            want(size == math.inf or (size >= 0.0), size, "0 or more", f"bound.{name}")
+
+
+def _reports(kind: type) -> Callable[[Any, Any, Mapping[str, Any]], None]:
+    def verify(effect: Any, value: Any, given: Mapping[str, Any]) -> None:
+        fits = isinstance(value, list) and all(isinstance(one, kind) for one in value)
+        want(fits, value, f"a list of {kind.__name__}")
+
+    return verify
+
+
+#: method of an effect -> check of its result
+_CHECKS: dict[str, Any] = {
+    "next_watch": _next_watch,
+    "watch": _watched,
+    "start": lambda e, v, a: want(isinstance(v, Switching), v, "a ta.Switching"),
+    "apply": lambda e, v, a: want(isinstance(v, System), v, "the system"),
+    "cost": lambda e, v, a: number(v, "an energy in J"),
+    "load": lambda e, v, a: number(v, "a number of modes, 0 or more,", 0.0),
+    "report": _reports(EffectReport),
+    "plan": _reports(PlannedEffect),
+}
+
+
 class RuntimeEffect:
     """One declared effect in one model. This base class is an effect that always runs on all its components.
 
@@ -209,6 +260,11 @@ class RuntimeEffect:
     effect : as it is declared.
     plugins : string, ``body``, part or output group -> the plugin that declares it.
     """
+
+    def __init_subclass__(cls, **options: Any):
+        """Check the results of the methods that the class defines; see `instrument.contract.contract_checks`."""
+        super().__init_subclass__(**options)
+        check_results(cls, _CHECKS, _fault)
 
     def __init__(self, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]):
         self.model, self.effect, self.plugins = model, effect, plugins

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 
 import numpy as np
@@ -147,7 +148,7 @@ def _over_modes(form: RealForm, freq_rad: Floats, read: Floats, driven: Floats) 
     (cx, cy), (bx, by) = np.moveaxis(read, -1, 0), np.moveaxis(driven, -1, 0)
     growing = cx * bx + cy * by
     constant = cx * (A[:, 0, 1] * by - A[:, 1, 1] * bx) + cy * (A[:, 1, 0] * bx - A[:, 0, 0] * by)
-    numerators = np.stack([growing, constant]).reshape(2 * growing[..., 0].size, len(A)).T
+    numerators = np.stack([growing, constant]).reshape(2 * math.prod(growing.shape[:-1]), len(A)).T
     n = numerators.shape[1] // 2
     trace, square = A[:, 0, 0] + A[:, 1, 1], A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
     whole = np.zeros((n, len(freq_rad)), dtype=np.complex128)

@@ -2,9 +2,9 @@
 
 They run from any gesture on a string until bounds on the missing sound (`effects.phantoms`, from the string's
 partials and the body's response) come to the budget over all strings without them: those of the strings of a key are
-added up, those of several keys in power, since their partials are at other frequencies: the sum is an estimate.
-Strings on which they are off are looked at where they hold a thousandth of the energy of the one that holds most:
-phantom partials go with the energy, so that those of the others are faint; they are not in the sum.
+added up, those of several keys in power, since their partials are at other frequencies: the sum is an estimate. Strings
+that nobody plays are in it, whatever their energy: a bass string of a piano makes phantom partials of little motion.
+After gestures and changes of pedals motion spreads from string to string, so that looks are frequent for a while.
 
 Up to 24 strings may be in unison on a light body, which passes their motion on from one to another between two looks.
 Their bounds are all added up, and if they are wanted on one string they run on all.
@@ -37,12 +37,10 @@ from tonewood.physics.modal.string_modes import string_basis
 
 Floats = NDArray[np.float64]
 
-#: points of the control grid between two looks
-_SELDOM = 32
+#: s between two looks, and while motion spreads to other strings; s that it does after a gesture or a change of pedals
+_SELDOM, _OFTEN, _SPREAD = 0.04, 0.005, 0.15
 #: share of that below which they are left out; above the whole of it, they come back
 _LEAVE = 0.9
-#: share of the largest energy of a string from which on strings without them are looked at
-_FAINT = 1e-3
 #: strings up to which they run on all or on none: a light body passes motion on within milliseconds. Of a piano's many
 #: strings, others than those of a key are damped or move far less
 _FEW = 24
@@ -57,6 +55,8 @@ class PhantomPartialsEffect(SwitchedEffect):
         super().__init__(model, effect, plugins)
         self._laws = {p.name: p for p in model.system.phantoms}
         self._few = len(self._laws) <= _FEW
+        self._often = max(1, round(_OFTEN / (GRID * model.system.dt)))
+        self._seldom = self._often * max(1, round(_SELDOM / (GRID * model.system.dt) / self._often))
         self._response: BridgeResponse | None = None
         self._bounds: dict[tuple[str, float], Phantoms] = {}
 
@@ -78,22 +78,25 @@ class PhantomPartialsEffect(SwitchedEffect):
                 self._bound(self.model.system, name, 0.0)
 
     def next_watch(self, sample: int, switching: Switching) -> int:
-        """Every 2,048 samples."""
-        return next_multiple(sample, _SELDOM)
+        """Every 40 ms; every 5 ms while motion spreads after a gesture."""
+        return next_multiple(sample, self._often if sample < switching.until.get("", 0) else self._seldom)
 
     def watch(self, moment: Moment, switching: Switching) -> Watched | None:
-        """Wanted where a gesture acts or begins, and where the bound is beyond the budget."""
+        """Wanted where a gesture acts or begins, and where the bound is beyond the budget.
+
+        `Switching.until` holds, for no component, the sample until which motion spreads.
+        """
         played = self._moved(play.string for play in moment.fresh)
-        if moment.sample % (GRID * _SELDOM):
-            return None if played <= switching.on else Watched(switching.on | played)
-        held = played | self._moved(moment.busy)
+        until = switching.until
+        if moment.fresh or moment.moved:
+            until = {"": moment.sample + round(_SPREAD / moment.system.dt)}
+        whole = moment.sample % (GRID * self._seldom) == 0
+        if not whole and (moment.sample % (GRID * self._often) or moment.sample >= switching.until.get("", 0)):
+            same = played <= switching.on and until == switching.until
+            return None if same else Watched(switching.on | played, until=until)
+        held = played | self._moved(moment.busy) | (set() if whole else switching.on)
         peak = np.maximum(moment.peak, _SILENT)
-        every = {name: self._energy(moment, name) for name in self._laws}
-        energies = {name: energy for name, energy in every.items() if name not in held}
-        levels = {name: self._level(moment, name, peak) for name in energies if name in switching.on}
-        least = _FAINT * max(every.values(), default=0.0) if not self._few else 0.0
-        off = (name for name, energy in energies.items() if name not in switching.on and energy > least)
-        levels |= {name: self._level(moment, name, peak) for name in off}
+        levels = {name: self._level(moment, name, peak) for name in self._laws if name not in held}
         # levels of the strings of a key add up, and so do those of few strings; those of several keys in power
         wanted, missing, power = set(held), dict.fromkeys(("", *self._laws), 0.0), 0.0
         for name, level in sorted(levels.items(), key=lambda item: item[1]):
@@ -106,7 +109,7 @@ class PhantomPartialsEffect(SwitchedEffect):
         if self._few and wanted:
             wanted = set(self._laws)
         bounds = [(name, Bound(level=level), name not in wanted) for name, level in levels.items()]
-        return Watched(frozenset(wanted), bounds)
+        return Watched(frozenset(wanted), bounds, until)
 
     def _moved(self, played: Iterable[str | None]) -> set[str]:
         """Strings that gestures on these move at once: those of their keys, or all where there are few."""
@@ -140,20 +143,15 @@ class PhantomPartialsEffect(SwitchedEffect):
     def _planes(self, name: str) -> Sequence[str]:
         return [p.component for p in self.model.strings[name].polarizations]
 
-    def _energy(self, moment: Moment, name: str) -> float:
-        total = 0.0
-        for component in self._planes(name):
-            q, v = motion(moment.system, moment.state, component)
-            basis = moment.system.compiled[moment.system.slot(component)].basis
-            total += 0.5 * float(v @ v + basis.stiffness @ (q * q))
-        return total
-
     def _level(self, moment: Moment, name: str, peak: Floats) -> float:
         """Bound on the largest sample that is missing without it, re the loudest one."""
         like = self._alike(name)
         planes = zip(self._planes(like), self._planes(name), strict=True)
         bound = self._bound(moment.system, like, moment.frettings[name].stop)
-        level = bound.level(bound.slopes({a: motion(moment.system, moment.state, b) for a, b in planes}), peak)
+        moved = {a: motion(moment.system, moment.state, b) for a, b in planes}
+        if any(bound.parts[a].displaced.shape[1] != len(q) for a, (q, _) in moved.items()):
+            return math.inf  # a bend has moved modes over the limit: the bound is that of the string as it was
+        level = bound.level(bound.slopes(moved), peak)
         return level if math.isfinite(level) else math.inf
 
     def _alike(self, name: str) -> str:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.errors import BundleError
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.player.timeline import GRID, Play
 from tonewood.physics.coupling.system import Injection, PrescribedMotion, System
@@ -52,7 +53,13 @@ def places(play: Play, model: Model) -> tuple[tuple[str, str, float], ...]:
 
 
 def forces(play: Play, model: Model, system: System, first: int) -> list[Injection]:
-    """Compile a gesture's known forces from sample `first` on."""
+    """Compile a gesture's known forces from sample `first` on.
+
+    Raises
+    ------
+    BundleError : the gesture names an input, a connection or a point that nothing has attached.
+    """
+    _check_names(play, model)
     if play.gesture.noise is not None and not play.gesture.segments:
         return _sampled(play, play.gesture.noise.course(system.dt, time=play.time, first=first), model, system)
     known = Course.of(play.gesture.segments, system.dt, time=play.time, first=first)
@@ -62,6 +69,29 @@ def forces(play: Play, model: Model, system: System, first: int) -> list[Injecti
     for component, point, factor in places(play, model):
         out += known.injections(component, system.compiled[system.slot(component)].impulses(point), factor)
     return out
+
+
+def _check_names(play: Play, model: Model) -> None:
+    gesture = play.gesture
+    if gesture.on is None and not gesture.motions and not gesture.touches:
+        return
+    parts = model.strings[play.string].attached() if play.string is not None else ()
+    named = (
+        ("on", [gesture.on] if gesture.on is not None else [], model.inputs),
+        ("motions", [motion.connection for motion in gesture.motions], model.system.layout.places),
+        ("touches", list(gesture.touches), [point for part in parts for point in part.places]),
+    )
+    for field, wanted, known in named:
+        for name in wanted:
+            if name not in known:
+                reason = f"gesture: {field} names {name!r}; there are {', '.join(list(known)[:10]) or 'none'}"
+                exciter = model.exciters.get(play.exciter or "")
+                named_class = f"{type(exciter).__name__}." if exciter else ""
+                raise BundleError(
+                    named_class + reason,
+                    file=exciter.files.manifest if exciter else None,
+                    key=exciter.key if exciter else f"exciters.{play.exciter}",
+                )
 
 
 def _sampled(play: Play, known: Course, model: Model, system: System) -> list[Injection]:

@@ -23,11 +23,12 @@ from itertools import chain
 from operator import itemgetter
 from pathlib import Path
 
-from tonewood.errors import OutputError, ScoreError
+from tonewood.errors import ScoreError
 from tonewood.performance.score.file_bytes import file_bytes
 from tonewood.performance.score.note import Control, Note, Score
 from tonewood.performance.score.performance import ChannelReader, where
 from tonewood.performance.score.smf import Findings, MidiFile, Track, parse_smf
+from tonewood.support.whole_files import whole_file
 
 MAX_BYTES = 16 * 2**20
 MAX_NOTES = 200_000
@@ -253,10 +254,8 @@ def write_midi(score: Score, path: str | os.PathLike[str], *, bpm: float = 120.0
             track.append(event.copy(time=tick - now))
             now = tick
         file.tracks.append(track)
-    try:
-        file.save(os.fspath(path))
-    except OSError as error:
-        raise OutputError(f"cannot be written: {error.strerror or error}", file=path) from None
+    with whole_file(path) as stream:
+        file.save(file=stream)
 
 
 def _control_message(control: Control, number: int, semitones: int, path: str | os.PathLike[str]) -> object:

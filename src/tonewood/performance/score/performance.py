@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from tonewood.errors import ScoreError
+from tonewood.performance.score.channels import STEERING, TUNING, MidiChannels
 from tonewood.performance.score.note import Control
 from tonewood.performance.score.smf import Findings
 
+MAX_CONTROLS = 1_000_000
 _PERCUSSION = 9
-# Bank select, data entry and parameter numbers steer other messages; 120 and up are mode messages.
-_NOT_CONTROLS = {0, 32, 6, 38, 96, 97, 98, 99, 100, 101}
-_IGNORED_CONTROLLERS = {0: "bank select", 32: "bank select", 96: "data increment", 97: "data decrement"}
 #: upper four bits of the status byte
 _IGNORED = {0xA0: "polyphonic pressure", 0xC0: "program change", 0xF0: "system exclusive"}
-_NO_PARAMETER = (127, 127)
-_BEND_RANGE = (0, 0)
 
 
 @dataclass
 class _Channel:
     """State of a MIDI channel between messages; notes are indices into the performance's list."""
 
-    held: dict[int, list[int]] = field(default_factory=dict)
+    held: dict[int, deque[int]] = field(default_factory=dict)
     pedalled: dict[int, int] = field(default_factory=dict)
     pedal: bool = False
-    parameter: tuple[int, int] = _NO_PARAMETER
-    bend_range: float = 2.0
-    bend: int = 0
 
 
 class ChannelReader:
@@ -50,9 +46,15 @@ class ChannelReader:
         self._findings = findings
         self._latest: dict[tuple[int, str], float] = {}
         self._channels = [_Channel() for _ in range(16)]
+        self._midi = MidiChannels()
 
     def play(self, messages: Iterable[tuple[float, int, int, int]]) -> None:
-        """Take messages (time in s, status, data 1, data 2) in time order."""
+        """Take messages (time in s, status, data 1, data 2) in time order.
+
+        Raises
+        ------
+        ScoreError : more than `MAX_CONTROLS` changes.
+        """
         for time, status, a, b in messages:
             number = status & 0x0F
             channel = self._channels[number]
@@ -61,15 +63,18 @@ class ChannelReader:
                     self._note_on(time, number, channel, a, b)
                 case 0x80 | 0x90:
                     self._note_off(time, number, channel, a)
-                case 0xB0 if a < 120:
-                    self._controller(time, number, channel, a, b)
+                case 0xB0 if a in STEERING:
+                    self._steer(time, number, a, b)
                 case 0xB0:
-                    self._mode_message(time, number, channel, a)
+                    for at in self._midi.reached(number):
+                        self._controller(time, at, a, b)
+                    self._bend(time)
                 case 0xE0:
-                    channel.bend = (b << 7 | a) - 8192
-                    self._bend(time, number, channel)
+                    self._midi.wheel(number, a, b)
+                    self._bend(time)
                 case 0xD0:
-                    self._control(time, number, "channel_pressure", a / 127)
+                    for at in self._midi.reached(number):
+                        self._control(time, at, "channel_pressure", a / 127)
                 case kind:
                     self.ignored.append((time, _IGNORED[kind]))
 
@@ -89,10 +94,10 @@ class ChannelReader:
     def _note_on(self, time: float, number: int, channel: _Channel, key: int, velocity: int) -> None:
         if key in channel.pedalled:
             self.ends[channel.pedalled.pop(key)] = time
-        held = channel.held.setdefault(key, [])
+        held = channel.held.setdefault(key, deque())
         if held:
             self._findings.add("key struck again before its note-off", where(number, key, time))
-        if number == _PERCUSSION:
+        if number == _PERCUSSION and not self._midi.is_member(number):
             self._findings.add("channel 10, percussion by General MIDI, is read as pitches")
         held.append(len(self.notes))
         self.notes.append((time, number, key, velocity))
@@ -104,7 +109,7 @@ class ChannelReader:
         if not held:
             self._findings.add("note-off without a note, ignored", where(number, key, time))
             return
-        self._release(time, channel, key, held.pop(0))
+        self._release(time, channel, key, held.popleft())
 
     def _release(self, time: float, channel: _Channel, key: int, note: int) -> None:
         """Release a key: its note ends, or is left to the pedal, which holds one note per key."""
@@ -134,40 +139,31 @@ class ChannelReader:
         self._all_notes_off(time, channel)
         self._end_pedalled(time, channel)
 
-    def _controller(self, time: float, number: int, channel: _Channel, a: int, b: int) -> None:
+    def _steer(self, time: float, number: int, a: int, b: int) -> None:
+        kind = self._midi.steer(number, a, b)
+        if kind == TUNING:
+            self._findings.add("channel tuning (registered parameters 1 and 2) is not read", f"channel {number + 1}")
+        elif kind:
+            self.ignored.append((time, kind))
+        self._bend(time)
+
+    def _controller(self, time: float, number: int, a: int, b: int) -> None:
+        channel = self._channels[number]
+        if a >= 120:
+            self._mode_message(time, number, channel, a)
+            return
         if a == 64 and b >= 64:
             channel.pedal = True
         elif a == 64:
             self._lift_pedal(time, channel)
-        elif a in (98, 99):  # a non-registered parameter: data entry is ignored until a registered one is chosen
-            channel.parameter = _NO_PARAMETER
-        elif a in (100, 101):
-            low, high = channel.parameter
-            channel.parameter = (b, high) if a == 100 else (low, b)
-        elif a in (6, 38):
-            self._data_entry(time, number, channel, a, b)
-        elif a in _IGNORED_CONTROLLERS:
-            self.ignored.append((time, _IGNORED_CONTROLLERS[a]))
-        if a not in _NOT_CONTROLS:
-            self._control(time, number, f"cc{a}", b / 127)
-
-    def _data_entry(self, time: float, number: int, channel: _Channel, a: int, b: int) -> None:
-        if channel.parameter == _BEND_RANGE:
-            channel.bend_range = float(b) if a == 6 else int(channel.bend_range) + b / 100
-            self._bend(time, number, channel)
-        elif channel.parameter in ((1, 0), (2, 0)):
-            self._findings.add("channel tuning (registered parameters 1 and 2) is not read", f"channel {number + 1}")
-        else:
-            self.ignored.append((time, "data entry of a parameter that is not read"))
+        self._control(time, number, f"cc{a}", b / 127)
 
     def _mode_message(self, time: float, number: int, channel: _Channel, a: int) -> None:
         if a == 120:
             self._silence(time, channel)
-        elif a == 121:  # RP-015 resets neither the volume nor the range of the bend
+        elif a == 121:
             self._lift_pedal(time, channel)
-            channel.parameter = _NO_PARAMETER
-            channel.bend = 0
-            self._bend(time, number, channel)
+            self._midi.reset(number)
             for kind, value in (("cc1", 0.0), ("cc11", 1.0), ("cc64", 0.0)):
                 if (number, kind) in self._latest:
                     self._control(time, number, kind, value)
@@ -176,13 +172,17 @@ class ChannelReader:
         else:
             self._all_notes_off(time, channel)
 
-    def _bend(self, time: float, number: int, channel: _Channel) -> None:
-        self._control(time, number, "bend", channel.bend / 8192 * channel.bend_range * 100)
+    def _bend(self, time: float) -> None:
+        """Keep the bends that a message has changed."""
+        for number, cents in self._midi.bends():
+            self._control(time, number, "bend", cents)
 
     def _control(self, time: float, number: int, kind: str, value: float) -> None:
         if self._latest.get((number, kind), 0.0 if kind == "bend" else None) != value:
             self._latest[number, kind] = value
             self.controls.append(Control(time, kind, value, number))
+            if len(self.controls) > MAX_CONTROLS:  # one message of a master channel makes sixteen
+                raise ScoreError(f"more than {MAX_CONTROLS} changes of controllers and bends")
 
 
 def where(channel: int, key: int, time: float) -> str:

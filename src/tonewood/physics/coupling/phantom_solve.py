@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from tonewood.physics.coupling.phantoms import DELAY, MOST_MODES, DrivenLongitudinal, PhantomShare
 from tonewood.physics.coupling.system import System
+from tonewood.physics.modal.propagator import apply
 
 Floats = NDArray[np.float64]
 
@@ -49,8 +50,10 @@ class PhantomForces:
 def force_vector(system: System, string: DrivenLongitudinal) -> Floats:
     """(n_modes, 2) state that a longitudinal force of 1 N, held over a step, adds to the component it acts on."""
     compiled = system.compiled[system.slot(string.onto[0][0])]
-    ports = system.ports_of(string.onto[0][0])
-    return np.asarray(sum(share * compiled.W[ports.index(point)] for _, point, share in string.onto))
+    # not rows of W: a string whose transverse end is rigid makes no port of the point on which its tension acts
+    points = [compiled.basis.index(point) for _, point, _ in string.onto]
+    inputs = apply(compiled.held, compiled.form.B[points])
+    return np.asarray(sum(share * row for (_, _, share), row in zip(string.onto, inputs, strict=True)))
 
 
 def _share(system: System, slot: int) -> PhantomShare:

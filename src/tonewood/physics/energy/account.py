@@ -171,7 +171,8 @@ class EnergyAccount:
             if basis.is_real:
                 energy = ComponentEnergy(basis, basis.points, self.system.dt)
             else:
-                points = [*ports, *(p for p in self.driven_points.get(name, ()) if p not in ports)]
+                onto = [at for p in self.system.phantoms for component, at, _ in p.onto if component == name]
+                points = list(dict.fromkeys([*ports, *self.driven_points.get(name, ()), *onto]))
                 index = np.array([basis.index(p) for p in points], dtype=np.intp)
                 storage = self.storages.get(name) or storage_matrix(basis.poles, basis.right[index], basis.left[index])
                 energy = ComponentEnergy(basis, points, self.system.dt, storage)
@@ -207,9 +208,9 @@ class EnergyAccount:
                     yield f"{string.name} longitudinal", point, share * force
 
     def _displacement(self, component: str, point: str, x: Floats) -> Floats:
-        """(T + 1,) m, of a port."""
-        row = self.system.ports_of(component).index(point)
-        return np.asarray(np.einsum("mx,tmx->t", self.system.compiled[self.system.slot(component)].rows[row], x))
+        """(T + 1,) m, of a point."""
+        compiled = self.system.compiled[self.system.slot(component)]
+        return np.asarray(np.einsum("mx,tmx->t", compiled.form.C[compiled.basis.index(point)], x))
 
     def _gaps(self, path: Mapping[str, Floats]) -> Floats:
         """(T, m) gaps of all connections."""

@@ -169,7 +169,7 @@ class SoundWriter:
 
     Parameters
     ----------
-    path : final name; the suffix decides the format.
+    path : final name; the suffix decides the format. Or a file to write in place, which is left as it is.
     fs, n_channels : Hz, number of channels.
     subtype : PCM_16, PCM_24 (default), PCM_32, FLOAT or DOUBLE.
     frames : how many are expected at most, to choose RF64 in time.
@@ -180,20 +180,28 @@ class SoundWriter:
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], fs: int, n_channels: int, subtype: str | None = None, *, frames: int = 0
+        self,
+        path: str | os.PathLike[str] | AtomicFile,
+        fs: int,
+        n_channels: int,
+        subtype: str | None = None,
+        *,
+        frames: int = 0,
     ):
         import soundfile as sf
 
-        self.path = Path(path)
-        container, self.subtype = file_format(path, subtype, float(frames) * n_channels)
+        self._own = not isinstance(path, AtomicFile)
+        self.path = path.path if isinstance(path, AtomicFile) else Path(path)
+        container, self.subtype = file_format(self.path, subtype, float(frames) * n_channels)
         self.clipped, self.frames, self.peak = 0, 0, 0.0
-        self._new = AtomicFile(path)
+        self._new = path if isinstance(path, AtomicFile) else AtomicFile(path)
         try:
             self._file = sf.SoundFile(str(self._new.path), "w", fs, n_channels, subtype=self.subtype, format=container)
         except (sf.LibsndfileError, OSError) as error:
             reason = _reason(self._new.path, error)
-            self._new.discard()
-            raise OutputError(f"cannot be written: {reason}", file=path) from None
+            if self._own:
+                self._new.discard()
+            raise OutputError(f"cannot be written: {reason}", file=self.path) from None
 
     @property
     def keeps_peaks(self) -> bool:
@@ -236,12 +244,13 @@ class SoundWriter:
             complete = kind is None and sf.info(str(self._new.path)).frames == self.frames
             if kind is None and not complete:
                 raise OutputError("is incomplete on disk (is it full?)", file=self.path)
-            if complete:
+            if complete and self._own:
                 self._new.complete()
         except (sf.LibsndfileError, OSError) as fault:
             raise OutputError(f"cannot be written: {_reason(self._new.path, fault)}", file=self.path) from None
         finally:
-            self._new.discard()
+            if self._own:
+                self._new.discard()
 
 
 def _reason(path: Path, error: Exception) -> str:

@@ -26,6 +26,7 @@ from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.resampling import Resampler
 from tonewood.sound.render.routing import Routing
 from tonewood.support.blas import one_blas_thread
+from tonewood.support.one_user import OneUser, alone
 
 Floats = NDArray[np.float64]
 
@@ -35,6 +36,8 @@ _NOT_LIVE = ("tail", "tail_level_db", "max_duration", "lead_in", "energy")
 _FORGET = 1 << 16
 #: s, shortest and longest preparation of a pluck
 RAMP = (1e-3, 0.1)
+#: cents, largest bend
+BEND_LIMIT = 12800.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,8 @@ class Live:
     control grid (64 steps of the engine) on that no frame up to n needs. A note then sounds after the preparation of
     its gesture, `ramp` for a pluck; `latency` adds this up.
 
+    One thread at a time may call these methods, another gets an error; `AudioStream.send` passes calls on.
+
     Parameters
     ----------
     instrument : a loaded instrument, or its name or folder.
@@ -91,6 +96,10 @@ class Live:
     spacing : control intervals between the beginnings of notes that come together, 0 for none: a chord is strummed.
         One interval is 64 steps, 1.3 ms at 48 kHz; the default lets six notes cost no more than their time.
     prepare : compile every stop before the first note, in about a second, so that no note has to wait for it.
+
+    Attributes
+    ----------
+    use : context of a thread that calls several methods with no other in between.
 
     Raises
     ------
@@ -109,6 +118,7 @@ class Live:
         prepare: bool = True,
         **settings: Any,
     ):
+        self.use = OneUser("instrument", "AudioStream.send calls a function before the next block")
         self.options = options = RenderOptions.of(options, fs, settings)
         wrong = [name for name in _NOT_LIVE if getattr(options, name) != type(options).model_fields[name].default]
         if wrong:
@@ -165,6 +175,7 @@ class Live:
         """
         return self.ramp + GRID / self.model.fs - self._resampler.frame(0) / self.fs
 
+    @alone
     def note_on(
         self,
         note: float | str | None = None,
@@ -211,6 +222,7 @@ class Live:
         )
         return self.player.note_on(given)
 
+    @alone
     def note_off(self, note: float | str, channel: int = 0) -> bool:
         """Release the key of a pitch, that struck first if there are several; returns whether there was one.
 
@@ -220,10 +232,12 @@ class Live:
         """
         return self.player.note_off(Note(0.0, note=note).note or 0.0, channel)
 
+    @alone
     def release(self, voice: Voice) -> None:
         """Release the key of a note: the `voice` that `note_on` returned."""
         self.player.release(voice)
 
+    @alone
     def control(self, number: int, value: float, channel: int = 0) -> None:
         """Move controller `number` to a value from 0 to 1: 64 the sustain pedal, 7 and 11 volume, others by bundle.
 
@@ -235,6 +249,7 @@ class Live:
             raise TonewoodError(f"controller {number} at {value!r}: 0 to 127, at values 0 to 1, are allowed")
         self.player.control(f"cc{number}", value, channel)
 
+    @alone
     def pressure(self, value: float, channel: int = 0, note: float | None = None) -> None:
         """Press on the keys of a channel, or on one, 0 to 1.
 
@@ -255,6 +270,7 @@ class Live:
             raise TonewoodError(f"pressure of {value!r}: 0 to 1 is allowed")
         self.player.control("channel_pressure" if note is None else "polyphonic_pressure", value, channel)
 
+    @alone
     def bend(self, cents: float, channel: int | None = None) -> None:
         """Bend the strings of a channel, or all, to so many cents above their notes; followed at 40 cents per ms.
 
@@ -262,10 +278,11 @@ class Live:
         ------
         TonewoodError : more than 12800 cents up or down.
         """
-        if not -12800.0 <= cents <= 12800.0:
-            raise TonewoodError(f"a bend of {cents!r} cents: -12800 to 12800 are allowed")
+        if not -BEND_LIMIT <= cents <= BEND_LIMIT:
+            raise TonewoodError(f"a bend of {cents!r} cents: {-BEND_LIMIT:g} to {BEND_LIMIT:g} are allowed")
         self.player.bend(cents, channel)
 
+    @alone
     def all_off(self, channel: int | None = None) -> None:
         """Release all keys and pedals, of a channel or of all."""
         for at in range(16) if channel is None else (channel,):
@@ -273,10 +290,12 @@ class Live:
                 self.player.control(kind, 0.0, at)
         self.player.all_off(channel, pedalled=True)
 
+    @alone
     def release_keys(self, channel: int | None = None) -> None:
         """Release all keys of a channel, or of all; notes that the pedal holds sound on."""
         self.player.all_off(channel)
 
+    @alone
     def process(self, frames: int) -> Floats:
         """Return the next frames, (frames, n_channels).
 

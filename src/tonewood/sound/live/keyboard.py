@@ -53,7 +53,7 @@ class ComputerKeyboard:
         #: note -> time at which it is released
         self._held: dict[int, float] = {}
 
-    def poll(self) -> list[list[int]]:
+    def poll(self) -> list[tuple[float, list[int]]]:
         """Messages of the characters typed since the last time, and of notes whose time is over."""
         now, out = self._now(), list[list[int]]()
         for character in self._read() if self._read is not None else "":
@@ -61,7 +61,7 @@ class ComputerKeyboard:
         for note in [note for note, until in self._held.items() if until <= now]:
             del self._held[note]
             out.append([0x80, note, 0])
-        return out
+        return [(now, message) for message in out]
 
     def _typed(self, character: str, now: float) -> list[list[int]]:
         note = self.base + KEYS.get(character.lower(), -1000)

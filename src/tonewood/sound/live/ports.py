@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import time
+from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol
@@ -16,8 +18,8 @@ class EventSource(Protocol):
 
     name: str
 
-    def poll(self) -> Sequence[Sequence[int]]:
-        """Messages, each as its bytes."""
+    def poll(self) -> Sequence[tuple[float, Sequence[int]]]:
+        """Messages, each as the time at which it came, s of `time.monotonic`, and its bytes."""
 
     def close(self) -> None:
         """Give it back."""
@@ -85,14 +87,19 @@ class MidiInput:
             listed = f"{'' if found else did_you_mean(name, names)}there are {', '.join(found or names)}"
             raise TonewoodError(f"{name!r} {which}; {listed}", key="--midi-in")
         self.name: str = found[0]
+        self._come: deque[tuple[float, list[int]]] = deque()
         try:
-            self._port: Any = mido.open_input(self.name)
+            self._port: Any = mido.open_input(self.name, callback=self._take)
         except (OSError, RuntimeError) as error:
             raise TonewoodError(f"{self.name!r} cannot be opened: {str(error).strip()}", key="--midi-in") from None
 
-    def poll(self) -> list[list[int]]:
+    def _take(self, message: Any) -> None:
+        """Note when a message comes, in the thread of the MIDI library."""
+        self._come.append((time.monotonic(), message.bytes()))
+
+    def poll(self) -> list[tuple[float, list[int]]]:
         """Messages that have come since the last time."""
-        return [message.bytes() for message in self._port.iter_pending()]
+        return [self._come.popleft() for _ in range(len(self._come))]
 
     def close(self) -> None:
         """Close the port."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 import gc
 import sys
 from collections.abc import Callable, Sequence
+from operator import itemgetter
 from typing import Any
 
 from tonewood.sound.live.instrument import Live
 from tonewood.sound.live.ports import EventSource
 from tonewood.sound.live.receiver import MidiReceiver
-from tonewood.sound.live.stream import AudioStream, Playback
+from tonewood.sound.live.stream import Arrivals, AudioStream, Playback
 from tonewood.sound.live.take import Take
 
 #: s, after which a thread of Python gives way to another: the card's callback must not wait for the computing thread
@@ -20,7 +21,8 @@ _SWITCH = 5e-4
 class LiveSession:
     """Plays an instrument from sources of MIDI messages on a sound card.
 
-    All sources are asked before every block, so that every message reaches the next block that is computed.
+    All sources are asked before every block, so that every message reaches the next block that is computed. Messages
+    that came before there was sound keep their distances (`Arrivals`).
 
     Parameters
     ----------
@@ -45,15 +47,29 @@ class LiveSession:
     ):
         self.live, self.sources, self.take = live, sources, take
         self.receiver = MidiReceiver(live)
+        self._arrivals = Arrivals[Sequence[int]](live.fs, block_size)
         self.stream = AudioStream(live, block_size, ahead=ahead, before=self._poll)
 
     def _poll(self) -> None:
         frame = self.live.frames
-        for source in self.sources:
-            for message in source.poll():
-                if self.take is not None:
-                    self.take.add(frame, message)
-                self.receiver.receive(message)
+        self._ask()
+        for message in self._arrivals.due(frame):
+            if self.take is not None:
+                self.take.add(frame, message)
+            self.receiver.receive(message)
+
+    def _ask(self) -> None:
+        come = [arrival for source in self.sources for arrival in source.poll()]
+        for time, message in sorted(come, key=itemgetter(0)):
+            self._arrivals.add(time, message)
+
+    def _end(self) -> None:
+        """Put messages for which there was no block any more into the take, at its end."""
+        self._ask()
+        for message in self._arrivals.rest():
+            self.receiver.ignored["message after the last block"] += 1
+            if self.take is not None:
+                self.take.add(self.live.frames, message)
 
     @property
     def latency(self) -> dict[str, float]:
@@ -85,5 +101,6 @@ class LiveSession:
         finally:
             sys.setswitchinterval(interval)
             gc.enable()
+            self._end()
             for source in self.sources:
                 source.close()

@@ -5,10 +5,11 @@ from __future__ import annotations
 import queue
 import threading
 import time
+import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,14 @@ from tonewood.sound.render.renderer import Renderer
 Floats = NDArray[np.float64]
 #: takes a block (n, n_channels) and the sampling rate in Hz, returns one of as many channels
 Processor = Callable[[Floats, int], Floats]
+
+
+T = TypeVar("T")
+#: s, for which a message may wait for the next block; beyond that, blocks were not computed as they should be
+PATIENCE = 0.05
+#: instruments that streams play now
+_STREAMED = weakref.WeakSet[Live]()
+_STREAMED_LOCK = threading.Lock()
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +49,46 @@ class Playback:
     clipped: int = 0
     load: float = 0.0
     worst_block_s: float = 0.0
+
+
+class Arrivals(Generic[T]):
+    """Messages that wait for the block that they come before.
+
+    One that has just come is due at once. Where the oldest has waited for longer than `PATIENCE`, because sound had not
+    begun or was interrupted, messages keep their distances: they come as late as that one, until none waits any more.
+
+    Parameters
+    ----------
+    fs, block_size : Hz, frames per block.
+    clock : s, of the times of arrival.
+    """
+
+    def __init__(self, fs: int, block_size: int, clock: Callable[[], float] = time.monotonic):
+        self._fs, self._block_size, self._clock = fs, block_size, clock
+        self._waiting: deque[tuple[float, T]] = deque()
+        #: time of arrival and frame of the message that was late; None where none is
+        self._late: tuple[float, int] | None = None
+
+    def add(self, time: float, message: T) -> None:
+        """Add a message that came at a time, s; of several in their order."""
+        self._waiting.append((time, message))
+
+    def due(self, frame: int) -> Iterator[T]:
+        """Yield the messages due before the block that begins at a frame."""
+        if self._late is None and self._waiting and self._clock() - self._waiting[0][0] > PATIENCE:
+            self._late = self._waiting[0][0], frame
+        while self._waiting:
+            if self._late is not None:
+                time, first = self._late
+                if (self._waiting[0][0] - time) * self._fs >= frame - first + self._block_size:
+                    return
+            yield self._waiting.popleft()[1]
+        self._late = None
+
+    def rest(self) -> Iterator[T]:
+        """Yield all that wait."""
+        while self._waiting:
+            yield self._waiting.popleft()[1]
 
 
 class AudioStream:
@@ -92,8 +141,8 @@ class AudioStream:
         channels = len(source.channels) if isinstance(source, Live | Renderer) else n_channels or 0
         self.block_size, self.ahead, self.n_channels = block_size, ahead, max(2, channels)
         self._before, self._chain = before, tuple(chain)
-        self._source = self._blocks(source)
-        self._calls: deque[Callable[[], Any]] = deque()
+        self._played, self._source = source, self._blocks(source)
+        self._calls = Arrivals[Callable[[], Any]](self.fs, block_size)
         self._ready: queue.Queue[Floats | None] = queue.Queue(maxsize=ahead)
         self.done, self._primed = threading.Event(), threading.Event()
         self._failed: list[Exception] = []
@@ -104,8 +153,11 @@ class AudioStream:
         self._filler = threading.Thread(target=self._fill, daemon=True)
 
     def send(self, function: Callable[..., Any], *arguments: Any, **keywords: Any) -> None:
-        """Call a function before the next block, in the thread that computes: ``send(live.note_on, "A2", 90)``."""
-        self._calls.append(lambda: function(*arguments, **keywords))
+        """Call a function before the next block, in the thread that computes: ``send(live.note_on, "A2", 90)``.
+
+        Calls that were sent before there was sound keep their distances.
+        """
+        self._calls.add(time.monotonic(), lambda: function(*arguments, **keywords))
 
     def close(self) -> None:
         """Stop computing, and wait for the thread."""
@@ -117,9 +169,24 @@ class AudioStream:
                 continue
 
     def start(self) -> None:
-        """Start computing, and wait until the queue is full, so that the stream does not begin with underruns."""
+        """Start computing, and wait until the queue is full, so that the stream does not begin with underruns.
+
+        Raises
+        ------
+        TonewoodError : it was started before, or another stream plays this instrument.
+        NumericalError, ... : as the source raised it.
+        """
+        if self._filler.ident is not None:
+            raise TonewoodError("this stream was started before; each playing needs one of its own")
+        if isinstance(self._played, Live):
+            with _STREAMED_LOCK:
+                if self._played in _STREAMED:
+                    raise TonewoodError("this instrument is played by another stream; one at a time is allowed")
+                _STREAMED.add(self._played)
         self._filler.start()
         self._primed.wait()
+        if self._failed:
+            raise self._failed[0]
 
     def __enter__(self) -> AudioStream:
         self.start()
@@ -186,7 +253,23 @@ class AudioStream:
         return self.playback()
 
     def callback(self, out: Any, n: int, _time: Any = None, status: Any = None) -> None:
-        """Fill `out`, (n, n_channels), with n frames of a block; a sound card's callback, `status` its flags."""
+        """Fill `out`, (n, n_channels), with n frames of a block; a sound card's callback, `status` its flags.
+
+        An error ends the stream; `playback` raises it.
+        """
+        try:
+            ended = self._give(out, status)
+        except Exception as error:
+            self._failed.append(error)
+            self.done.set()
+            out[:] = 0.0
+            raise
+        if ended:
+            self.done.set()
+            raise _stop()
+
+    def _give(self, out: Any, status: Any) -> bool:
+        """Fill `out`; whether the source has ended."""
         if getattr(status, "output_underflow", False):
             self.underruns += 1
         try:
@@ -194,14 +277,14 @@ class AudioStream:
         except queue.Empty:
             self.underruns += 1
             out[:] = 0.0
-            return
+            return False
         if block is None:
-            self.done.set()
             out[:] = 0.0
-            raise _stop()
+            return True
         out[: len(block)] = block
         out[len(block) :] = 0.0
         self.frames += len(block)
+        return False
 
     def _blocks(self, source: Live | Renderer | Iterable[Floats]) -> Iterator[Floats]:
         if isinstance(source, Renderer):
@@ -230,9 +313,14 @@ class AudioStream:
         if len(held):
             yield held
 
+    def _take_calls(self) -> None:
+        for call in self._calls.due(self._blocks_made * self.block_size):
+            call()
+
     def _fill(self) -> None:
         length = self.block_size / self.fs
         try:
+            self._take_calls()
             began = time.perf_counter()
             for block in self._chained():
                 self.clipped += int(np.count_nonzero(np.abs(block) > 1.0))
@@ -247,11 +335,12 @@ class AudioStream:
                 if self.done.is_set():
                     return
                 began = time.perf_counter()
-                while self._calls:
-                    self._calls.popleft()()
+                self._take_calls()
         except Exception as error:  # raised again in `playback`
             self._failed.append(error)
         finally:
+            if isinstance(self._played, Live):
+                _STREAMED.discard(self._played)
             self._primed.set()
             self._ready.put(None)
 

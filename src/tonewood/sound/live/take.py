@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.errors import OutputError, TonewoodError
+from tonewood.errors import TonewoodError
 from tonewood.performance.score.midi import read_messages
 from tonewood.performance.score.note import Dropped
 from tonewood.sound.files.audio import decibels
@@ -23,11 +23,14 @@ from tonewood.sound.files.inputs import InstrumentLike
 from tonewood.sound.live.instrument import Live
 from tonewood.sound.live.receiver import MidiReceiver
 from tonewood.sound.render.options import RenderOptions
-from tonewood.sound.render.renderer import Summary
+from tonewood.sound.render.renderer import Summary, silence
+from tonewood.support.whole_files import write_whole
 
 Floats = NDArray[np.float64]
 
 _HEADING = "tonewood take"
+#: ticks before an event, most
+_LONGEST = 0x0FFFFFFF
 #: microseconds per quarter note of which one is taken; a quarter note has at most 32767 ticks
 _TEMPOS = (1_000_000, 500_000, 250_000, 200_000, 125_000, 100_000, 50_000, 40_000)
 
@@ -55,6 +58,8 @@ class Take:
         if not tempos:
             raise TonewoodError(f"a take at {fs} Hz has no tempo of whole frames; e.g. 44100 or 48000 has", key="--fs")
         self._tempo = tempos[0]
+        #: messages as they stand in the file, their number, and the frame of the last
+        self._encoded, self._n_encoded, self._frame = bytearray(), 0, 0
 
     def add(self, frame: int, message: Sequence[int]) -> None:
         """Add a channel message that came before a frame; others are left out."""
@@ -62,29 +67,40 @@ class Take:
             self.messages.append((frame, bytes(message)))
 
     def save(self, path: str | os.PathLike[str], live: Live, frames: int) -> None:
-        """Write a MIDI file, of a length in frames.
+        """Write a MIDI file, of a length in frames; whole or not at all, and again whenever there are more messages.
 
         Raises
         ------
         OutputError : it cannot be written.
         """
-        import mido
-
         name = live.instrument.spec.name
-        title = f"{_HEADING}; fs={live.fs}; ramp={live.ramp!r}; spacing={live.player.spacing}; instrument={name}"
-        track = mido.MidiTrack([mido.MetaMessage("track_name", name=title)])
-        track.append(mido.MetaMessage("set_tempo", tempo=self._tempo))
-        now = 0
-        for frame, data in self.messages:
-            track.append(mido.Message.from_bytes(data, time=frame - now))
-            now = frame
-        track.append(mido.MetaMessage("end_of_track", time=max(frames - now, 0)))
-        file = mido.MidiFile(type=0, ticks_per_beat=self.fs * self._tempo // 1_000_000, charset="utf-8")
-        file.tracks.append(track)
-        try:
-            file.save(os.fspath(path))
-        except OSError as error:
-            raise OutputError(f"cannot be written: {error.strerror or error}", file=path) from None
+        title = (
+            f"{_HEADING}; fs={live.fs}; ramp={live.ramp!r}; spacing={live.player.spacing}; instrument={name}".encode()
+        )
+        track = b"\x00\xff\x03" + _variable_length(len(title)) + title
+        track += b"\x00\xff\x51\x03" + self._tempo.to_bytes(3, "big")
+        n = len(self.messages)  # others may come meanwhile, in another thread
+        for frame, data in self.messages[self._n_encoded : n]:
+            self._encoded += _later(frame - self._frame) + data
+            self._frame = frame
+        self._n_encoded = n
+        track += self._encoded + _later(max(frames - self._frame, 0)) + b"\xff\x2f\x00"
+        ticks = self.fs * self._tempo // 1_000_000
+        header = b"MThd\x00\x00\x00\x06\x00\x00\x00\x01" + ticks.to_bytes(2, "big")
+        write_whole(path, header + b"MTrk" + len(track).to_bytes(4, "big") + track)
+
+
+def _variable_length(value: int) -> bytes:
+    out = [value & 0x7F]
+    while value := value >> 7:
+        out.append(value & 0x7F | 0x80)
+    return bytes(reversed(out))
+
+
+def _later(ticks: int) -> bytes:
+    """Ticks before an event; more than a file has for one follow empty texts."""
+    wait, rest = divmod(ticks, _LONGEST)
+    return wait * (_variable_length(_LONGEST) + b"\xff\x01\x00") + _variable_length(rest)
 
 
 def _settings(title: str) -> dict[str, str]:
@@ -160,7 +176,7 @@ class Replay:
         self._warnings = (
             [] if recorded == self.fs else [f"recorded at {recorded:.0f} Hz: its samples are those at that rate"]
         )
-        self._over = ""
+        self._over, self._loudest = "", 0.0
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -185,7 +201,7 @@ class Replay:
 
     def blocks(self, block_size: int = 1024) -> Iterator[Floats]:
         """Yield blocks until the sound has decayed after the last message."""
-        most, due, loudest = round(self.expected_duration * self.fs), 0, 0.0
+        most, due = round(self.expected_duration * self.fs), 0
         recent: list[float] = []
         while self.live.frames < most:
             frame = self.live.frames
@@ -196,13 +212,13 @@ class Replay:
             block = self.live.process(until - frame)
             yield block
             peak = float(np.abs(block).max(initial=0.0))
-            loudest = max(loudest, peak)
+            self._loudest = max(self._loudest, peak)
             if frame < self._end or due < len(self._messages):
                 continue
             recent.append(peak)
             window = -(-round(0.2 * self.fs) // block_size) + 1
             del recent[:-window]
-            if len(recent) == window and max(recent) <= loudest * 10 ** (self.options.tail_level_db / 20):
+            if len(recent) == window and max(recent) <= self._loudest * 10 ** (self.options.tail_level_db / 20):
                 self._over = "decayed"
                 return
         capped = self.options.max_duration is not None and most == round(self.options.max_duration * self.fs)
@@ -223,7 +239,7 @@ class Replay:
             notes_dropped=found.latest_dropped,
             peak_dbfs=found.peak_dbfs if found.frames else decibels(0.0),
             end=self._over or "not ended",
-            warnings=[*self.model.warnings, *self._warnings, *cut],
+            warnings=[*self.model.warnings, *self._warnings, *cut, *silence(self._loudest, ended=bool(self._over))],
             effects=found.effects,
             ignored={**found.ignored, **self.receiver.ignored},
         )

@@ -31,6 +31,7 @@ from tonewood.sound.render.resampling import Resampler
 from tonewood.sound.render.routing import Routing
 from tonewood.support.blas import one_blas_thread
 from tonewood.support.garbage import without_collecting
+from tonewood.support.one_user import OneReader
 
 Floats = NDArray[np.float64]
 
@@ -42,6 +43,8 @@ _TAIL_SPANS = 8
 _BLOCK = 4096
 #: s for which the sound must have stayed below the level of the tail
 _WINDOW = 0.2
+#: re full scale, the loudest sample of silence: 1 bit of 32
+SILENT = 2.0**-31
 #: s over which a step at the first frame is smoothed
 _SMOOTHING = 5e-3
 
@@ -56,8 +59,8 @@ class Summary:
     render_s : seconds of computing, without import and load.
     realtime_factor : seconds of sound per second of computing.
     n_modes : modes that were stepped, at most at a time.
-    notes : notes played.
-    notes_dropped : notes that could not be played, and why.
+    notes : notes played, of those that begin in it.
+    notes_dropped : notes that could not be played and would begin in it, and why.
     peak_dbfs : largest sample re full scale.
     end : why it ended: decayed, tail cap or maximum duration.
     warnings : one line each.
@@ -181,6 +184,7 @@ class Renderer:
         self._frames, self._seconds, self._loudest = 0, 0.0, 0.0
         self._recent: list[tuple[int, float]] = []
         self._end = ""
+        self._reading = OneReader("renderer")
         warn_of_dropped_notes(self.dropped)
 
     @property
@@ -213,25 +217,31 @@ class Renderer:
     def blocks(self, block_size: int = 1024) -> Iterator[Floats]:
         """Yield (n, n_channels) arrays of `block_size` frames, the last one shorter, until the sound has ended.
 
+        A later call goes on where the one before was left, which can then be continued no more.
+
         Raises
         ------
         NumericalError : the state is no longer finite; nothing of that block is yielded.
-        TonewoodError : `block_size` is below 1.
+        TonewoodError : `block_size` is below 1; or blocks are taken in several places at once, which would each get
+            pieces of the sound.
         """
         if block_size < 1:
             raise TonewoodError(f"is {block_size}; 1 or more is allowed", key="block_size")
-        while True:
-            while len(self._pending) < block_size and not self._end:
-                self._fill(block_size - len(self._pending))
-            if not len(self._pending):
-                return
-            block, self._pending = self._pending[:block_size], self._pending[block_size:]
-            self._frames += len(block)
-            yield block
+        with self._reading.begun() as reading:
+            while True:
+                with reading:
+                    while len(self._pending) < block_size and not self._end:
+                        self._fill(block_size - len(self._pending))
+                    if not len(self._pending):
+                        return
+                    block, self._pending = self._pending[:block_size], self._pending[block_size:]
+                    self._frames += len(block)
+                yield block
 
     def summary(self) -> Summary:
         """Return the summary of the frames so far."""
         duration = self._frames / self.fs
+        until = (self._frames - self.zero_frame) / self.fs
         return Summary(
             frames=self._frames,
             fs=self.fs,
@@ -239,11 +249,11 @@ class Renderer:
             render_s=self._seconds,
             realtime_factor=duration / self._seconds if self._seconds > 0 else 0.0,
             n_modes=self.model.n_modes,
-            notes=len(self.performance.timeline.plays),
-            notes_dropped=self.performance.dropped,
+            notes=sum(play.time < until for play in self.performance.timeline.plays),
+            notes_dropped=[drop for drop in self.performance.dropped if drop.time < until],
             peak_dbfs=decibels(self._loudest),
             end=self._end or "not ended",
-            warnings=[*self.model.warnings, *self.performance.warnings],
+            warnings=[*self.model.warnings, *self.performance.warnings, *silence(self._loudest, ended=bool(self._end))],
             effects=[report for effect in self.engine.effects for report in effect.report(self.engine.usage)],
             ignored=self.performance.ignored,
             zero_frame=self.zero_frame,
@@ -253,24 +263,26 @@ class Renderer:
 
     def snapshot(self) -> Checkpoint:
         """Return a copy of the whole state, to `restore` in this renderer or in one made from the same arguments."""
-        return Checkpoint(
-            self.engine.snapshot(),
-            (self._resampler.memory.copy(), self._routing.memory.copy()),
-            self._pending.copy(),
-            self._frames,
-            self._loudest,
-            tuple(self._recent),
-            self._end,
-            self._step,
-        )
+        with self._reading.use:
+            return Checkpoint(
+                self.engine.snapshot(),
+                (self._resampler.memory.copy(), self._routing.memory.copy()),
+                self._pending.copy(),
+                self._frames,
+                self._loudest,
+                tuple(self._recent),
+                self._end,
+                self._step,
+            )
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Restore a `checkpoint` of this renderer; the samples that follow are the same to the last bit."""
-        self.engine.restore(checkpoint.engine)
-        self._resampler.memory, self._routing.memory = (memory.copy() for memory in checkpoint.memory)
-        self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
-        self._loudest, self._recent, self._end = checkpoint.loudest, list(checkpoint.recent), checkpoint.end
-        self._step = checkpoint.step
+        with self._reading.use:
+            self.engine.restore(checkpoint.engine)
+            self._resampler.memory, self._routing.memory = (memory.copy() for memory in checkpoint.memory)
+            self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
+            self._loudest, self._recent, self._end = checkpoint.loudest, list(checkpoint.recent), checkpoint.end
+            self._step = checkpoint.step
 
     def _fill(self, frames: int) -> None:
         """Step at least `frames` frames, in whole spans; after the last event always the same number of spans."""
@@ -333,17 +345,26 @@ class Renderer:
             self._end = "tail cap"
 
 
+def silence(peak: float, *, ended: bool) -> list[str]:
+    """Return a warning where nothing is heard of a render that has ended, else none."""
+    return [f"the sound is silent: its peak is {decibels(peak):.0f} dBFS"] if ended and peak <= SILENT else []
+
+
 def warn_of_dropped_notes(dropped: Sequence[Dropped]) -> None:
     """Issue one warning, at the line outside this package that called the render."""
     if not dropped:
         return
-    level, frame = 1, sys._getframe()
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "tonewood":
-        level, frame = level + 1, frame.f_back
     drop = dropped[0]
     notes = "1 note" if len(dropped) == 1 else f"{len(dropped)} notes"
     text = f"{notes} cannot be played; the first, at {drop.time:.2f} s: {drop.reason}"
-    warnings.warn(DroppedNotesWarning(text), stacklevel=level)
+    _warn(DroppedNotesWarning(text))
+
+
+def _warn(warning: Warning) -> None:
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "tonewood":
+        level, frame = level + 1, frame.f_back
+    warnings.warn(warning, stacklevel=level)
 
 
 @one_blas_thread
@@ -374,4 +395,6 @@ def render(
         if progress is not None:
             progress(renderer.time)
     samples = np.concatenate(blocks) if blocks else np.zeros((0, len(renderer.channels)))
+    for line in silence(float(np.max(np.abs(samples), initial=0.0)), ended=True):
+        _warn(UserWarning(line))
     return Audio(samples, renderer.fs, renderer.channels, renderer.energy, renderer.dropped)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import OutputError
-from tonewood.support.whole_files import remove, whole_file
+from tonewood.support.whole_files import remove_leftover, whole_file
 
 SCHEMA = "tonewood-render/2"
 
@@ -101,7 +101,7 @@ class Store:
     def clear_parts(self) -> None:
         """Remove incomplete files of an earlier run."""
         for part in self.folder.glob(".*.part.npz"):
-            remove(part)
+            remove_leftover(part)
 
 
 def _facts(archive: Any) -> dict[str, Any]:

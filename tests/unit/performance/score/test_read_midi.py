@@ -273,3 +273,41 @@ def test_end_of_track_is_where_the_builder_puts_it():
     """The builders themselves are sound: mido reads their files."""
     file = mido.MidiFile(file=io.BytesIO(header() + chunk(b"MTrk", ONE_NOTE + END)))
     assert [m.type for m in file.tracks[0]] == ["note_on", "note_off", "end_of_track"]
+
+
+def register(channel: int, parameter: int, value: int) -> bytes:
+    return b"".join(event(0, 0xB0 | channel, *pair) for pair in ((101, 0), (100, parameter), (6, value)))
+
+
+MPE_NOTE = event(10, 0x91, 55, 90) + event(10, 0x81, 55, 0)
+
+
+def test_zones_of_mpe_are_read_as_they_are_played_live(read):
+    """MPE: members have 48 semitones, the master 2, which are added; the master's controllers reach the zone."""
+    moves = event(10, 0xE1, 0, 68) + event(10, 0xE0, 0, 32) + event(10, 0xB0, 64, 127) + event(10, 0xD0, 64)
+    ends = event(10, 0x81, 55, 0) + event(0, 0x89, 64, 0) + event(10, 0xB0, 64, 0) + event(10, 0xB1, 121, 0)
+    notes = event(0, 0x91, 55, 90) + event(0, 0x99, 64, 90)
+    found = read(smf(register(0, 6, 9) + notes + moves + ends + event(0, 0xB0, 121, 0)))
+    bends = [(c.channel, c.value) for c in found.controls if c.kind == "bend"]
+    # 4 * 128 / 8192 of 48 semitones; half way down of 2
+    assert [cents for at, cents in bends if at == 1] == [300.0, 200.0, -100.0, 0.0]
+    assert [cents for at, cents in bends if at == 9] == [-100.0, 0.0]
+    assert [n.held is not None for n in found.notes] == [True, True]  # the master's pedal holds both
+    assert {c.channel for c in found.controls if c.kind == "channel_pressure"} == set(range(10))
+    assert not found.warnings  # channel 10 is no percussion here
+
+
+def test_the_range_of_a_zone_is_that_of_parameter_0(read):
+    """On a member it holds for all members, on the master for the master; a zone of none ends it."""
+    wheels = event(5, 0xE1, 0, 96) + event(5, 0xE0, 0, 96)
+    found = read(smf(register(0, 6, 5) + register(3, 0, 24) + register(0, 0, 12) + wheels + MPE_NOTE))
+    assert [c.value for c in found.controls if c.channel == 1] == [1200.0, 1800.0]
+    ended = read(smf(register(0, 6, 5) + register(0, 6, 0) + wheels + MPE_NOTE))
+    assert [c.value for c in ended.controls if c.kind == "bend" and c.channel == 0] == [100.0]
+    assert len([c for c in ended.controls if c.channel == 1]) == 1
+
+
+def test_a_master_cannot_multiply_controllers_beyond_a_limit(read, monkeypatch):
+    monkeypatch.setattr("tonewood.performance.score.performance.MAX_CONTROLS", 1000)
+    with pytest.raises(ScoreError, match="more than 1000 changes"):
+        read(smf(register(0, 6, 15) + MPE_NOTE + b"".join(event(1, 0xB0, 1, i % 128) for i in range(100))))

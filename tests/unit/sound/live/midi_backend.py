@@ -18,7 +18,8 @@ def get_devices(**_: Any) -> list[dict[str, Any]]:
 class Input(BaseInput):
     """A port that gives the messages that `feed` has put in."""
 
-    def _open(self, **_: Any) -> None:
+    def _open(self, callback: Any = None, **_: Any) -> None:
+        self.callback = callback
         OPEN[self.name] = self
 
     def _close(self) -> None:
@@ -28,4 +29,5 @@ class Input(BaseInput):
         return None
 
     def feed(self, *messages: mido.Message) -> None:
-        self._messages.extend(messages)
+        for message in messages:
+            self.callback(message)

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +17,7 @@ import pytest
 
 from tonewood.cli.main import run
 from tonewood.errors import OutputError
+from tonewood.sound.live.stream import AudioStream
 
 
 class Card:
@@ -86,4 +92,87 @@ def test_a_session_that_fails_keeps_its_take(
     code, _, err = session(ports, tmp_path / "take.mid", monkeypatch, capsys, Unplugged)
     assert code == 2
     assert "the sound card has gone" in err
+    assert len([m for m in mido.MidiFile(tmp_path / "take.mid") if not m.is_meta]) == 3
+
+
+#: a session in a process of its own: a card that gives a message before every block and says when ten were played
+SESSION = """
+import sys, time
+import mido, numpy as np
+sys.path.insert(0, sys.argv.pop(1))
+mido.set_backend("midi_backend")
+import midi_backend
+import tonewood.sound.live.stream as stream
+
+class Card:
+    latency = 0.0
+    def __init__(self, **options):
+        self.options = options
+    def __enter__(self):
+        out = np.zeros((self.options["blocksize"], self.options["channels"]), np.float32)
+        for i in range(10):
+            midi_backend.OPEN["Keys A"].feed(mido.Message("note_on", note=45 + i))
+            self.options["callback"](out, len(out), None, None)
+            time.sleep(0.01)
+        print("played", flush=True)
+        return self
+    def __exit__(self, *_):
+        pass
+
+stream._output_stream = lambda: Card
+from tonewood.cli.start import main
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [(signal.SIGINT, 0), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, -9)],
+    ids=["int", "term", "hup", "kill"],
+)
+def test_a_signal_keeps_the_take(tmp_path: Path, number: int, code: int) -> None:
+    """In good order, so that every message is there; a killed program loses a second at most."""
+    take = tmp_path / "take.mid"
+    words = ["play", "-i", "monochord", "--midi-in", "--record", str(take), "--level", "calibrated"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", SESSION, str(Path(__file__).parent), *words],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+    assert process.stdout is not None
+    while process.stdout.readline() != "played\n":
+        assert process.poll() is None
+    if number == signal.SIGKILL:
+        while not take.exists():
+            assert process.poll() is None
+            time.sleep(0.05)
+    process.send_signal(number)
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == code
+    assert "Traceback" not in err
+    assert [p.name for p in tmp_path.iterdir()] == ["take.mid"]
+    notes = [m.note for m in mido.MidiFile(take) if not m.is_meta]
+    assert notes == [45 + i for i in range(len(notes))]
+    assert len(notes) > 3
+    if number != signal.SIGKILL:
+        assert "take.mid" in out
+
+
+def test_an_error_in_the_callback_keeps_the_take(
+    ports: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_: Any) -> None:
+        raise OutputError("the card's memory has gone")
+
+    class Broken(Card):
+        def __enter__(self) -> Card:
+            super().__enter__()
+            monkeypatch.setattr(AudioStream, "_give", broken)
+            with contextlib.suppress(OutputError):  # the card's own thread: the error goes no further
+                self.options["callback"](np.zeros((128, 2), np.float32), 128, None, None)
+            return self
+
+    code, _, err = session(ports, tmp_path / "take.mid", monkeypatch, capsys, Broken)
+    assert code == 2
+    assert "the card's memory has gone" in err
     assert len([m for m in mido.MidiFile(tmp_path / "take.mid") if not m.is_meta]) == 3

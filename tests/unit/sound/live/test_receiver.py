@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,12 @@ import pytest
 
 import tonewood as tw
 from tonewood.errors import TonewoodError
-from tonewood.performance.score.midi import read_messages
+from tonewood.performance.score.midi import read_messages, read_midi
 from tonewood.sound.live.keyboard import HELD, ComputerKeyboard
 from tonewood.sound.live.ports import MidiInput
 from tonewood.sound.live.receiver import MidiReceiver
 from tonewood.sound.live.session import LiveSession
+from tonewood.sound.live.stream import Arrivals
 from tonewood.sound.live.take import Replay, Take
 
 
@@ -71,6 +73,41 @@ def test_a_zone_adds_the_masters_bend_and_passes_its_controllers_on(guitar: tw.I
     assert midi.zones == {0: list(range(1, 16))}
     register(midi, 0, (0, 6), 0)
     assert midi.zones == {}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_bends_are_those_of_the_file_reader(monochord: tw.Instrument, tmp_path: Path, seed: int) -> None:
+    """Zones, ranges, wheels and resets at random: live and from a file every channel ends at the same bend."""
+    rng = np.random.default_rng(seed)
+    messages = []
+    for _ in range(60):
+        at, value = int(rng.choice([0, 1, 2, 9, 14, 15])), int(rng.integers(0, 16))
+        messages += [
+            [(0xB0 | at, 101, 0), (0xB0 | at, 100, int(rng.choice([0, 6]))), (0xB0 | at, 6, value)],
+            [(0xE0 | at, 0, int(rng.integers(0, 128)))],
+            [(0xB0 | at, 121, 0)],
+        ][int(rng.choice(3, p=[0.3, 0.6, 0.1]))]
+    midi, track = receiver(monochord), mido.MidiTrack()
+    for message in messages:
+        midi.receive(message)
+        track.append(mido.Message.from_bytes(message, time=1))
+    track += [mido.Message("note_on", note=45), mido.Message("note_off", note=45, time=500)]
+    file = mido.MidiFile()
+    file.tracks.append(track)
+    file.save(tmp_path / "a.mid")
+    read = {c.channel: c.value for c in read_midi(tmp_path / "a.mid").controls if c.kind == "bend"}
+    assert {c: round(v) for c, v in read.items() if round(v)} == {c: v for c, v in bends(midi).items() if v}
+
+
+def test_a_bend_beyond_all_limits_is_held_there(monochord: tw.Instrument) -> None:
+    """Ranges of a member and of its master may add up to more than a string can be bent."""
+    midi = receiver(monochord)
+    for channel, parameter, value in ((0, (0, 6), 3), (0, (0, 0), 100), (1, (0, 0), 127)):
+        register(midi, channel, parameter, value)
+    midi.receive((0xE1, 127, 127))
+    midi.receive((0xE0, 127, 127))
+    assert bends(midi)[1] == 12800
+    assert midi.ignored == {"bend beyond 12800 cents, held there": 1}
 
 
 def test_each_voice_of_a_zone_bends_its_own_string(guitar: tw.Instrument) -> None:
@@ -129,6 +166,21 @@ def test_a_take_plays_back_to_the_same_samples(guitar: tw.Instrument, tmp_path: 
     messages, end, _ = read_messages(tmp_path / "take.mid")
     assert len(messages) == 24
     assert round(end * fs) == len(recorded)
+
+
+def test_a_take_is_kept_while_it_is_recorded(monochord: tw.Instrument, tmp_path: Path) -> None:
+    """Saved again and again, with waits longer than a number of the file can be; mido is the second opinion."""
+    live, take = tw.Live(monochord, prepare=False), Take(48000)
+    times = [0, 5, 5, 300, 300 + 3 * 2**28, 301 + 3 * 2**28]
+    for i, frame in enumerate(times):
+        take.add(frame, (0x90 | i, 45 + i, 90))
+        take.save(tmp_path / "take.mid", live, frame + 7)
+        file = mido.MidiFile(tmp_path / "take.mid")
+        ticks = np.cumsum([m.time for m in file.tracks[0]])
+        messages = [(int(t), m.bytes()) for t, m in zip(ticks, file.tracks[0], strict=True) if not m.is_meta]
+        assert messages == [(t, [0x90 | k, 45 + k, 90]) for k, t in enumerate(times[: i + 1])]
+        assert ticks[-1] == frame + 7
+    assert [p.name for p in tmp_path.iterdir()] == ["take.mid"]
 
 
 def test_a_replay_at_another_rate_says_so(monochord: tw.Instrument, tmp_path: Path) -> None:
@@ -208,6 +260,70 @@ def test_a_port_is_played_and_recorded(guitar: tw.Instrument, ports: Any, tmp_pa
     assert np.array_equal(sound, again[: len(sound)].astype(np.float32))
 
 
+class Waiting:
+    """A source whose messages came before the first block, at given times re the first of them, s."""
+
+    name = "waiting"
+
+    def __init__(self, *messages: tuple[float, tuple[int, ...]]) -> None:
+        self.messages = list(messages)
+
+    def poll(self) -> list[tuple[float, tuple[int, ...]]]:
+        begun, out = time.monotonic() - 10.0, self.messages
+        self.messages = []
+        return [(begun + at, message) for at, message in out]
+
+    def close(self) -> None:
+        pass
+
+
+def test_messages_that_waited_for_the_sound_keep_their_distances(monochord: tw.Instrument) -> None:
+    """They came 10 s before the first block: a note, its end 50 ms later, and the next; all were at frame 0.
+
+    Those of two sources are put into their order, and one that is due after the end is counted.
+    """
+    live, take = tw.Live(monochord, prepare=False), Take(48000)
+    one = Waiting((0.0, (0x90, 45, 100)), (0.1, (0x90, 47, 100)), (5.0, (0x80, 47, 0)))
+    two = Waiting((0.05, (0x80, 45, 0)))
+    made, _, _ = session(live, [one, two], 60, take=take, block_size=128)
+    assert [tuple(data) for _, data in take.messages] == [
+        (0x90, 45, 100), (0x80, 45, 0), (0x90, 47, 100), (0x80, 47, 0)
+    ]  # fmt: skip
+    for (frame, _), at in zip(take.messages[:3], (0.0, 0.05, 0.1), strict=True):
+        assert at * 48000 - 128 < frame <= at * 48000
+    assert take.messages[3][0] == live.frames
+    assert made.receiver.ignored == {"message after the last block": 1}
+
+
+def test_arrivals_keep_their_distances_until_none_waits() -> None:
+    clock = [0.0]
+    arrivals = Arrivals[str](1000, 10, lambda: clock[0])
+    clock[0] = 0.04
+    arrivals.add(0.03, "in time")
+    assert list(arrivals.due(0)) == ["in time"]
+    for at, name in ((1.0, "first"), (1.012, "second"), (1.0125, "third")):
+        arrivals.add(at, name)
+    clock[0] = 2.0
+    assert [list(arrivals.due(frame)) for frame in (100, 110, 120)] == [["first"], ["second", "third"], []]
+    arrivals.add(1.99, "in time")  # none waits any more
+    assert list(arrivals.due(130)) == ["in time"]
+
+
+def test_calls_that_waited_for_the_stream_keep_their_distances(
+    monochord: tw.Instrument, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames: list[int] = []
+    live = tw.Live(monochord, prepare=False)
+    stream = tw.AudioStream(live, 64, ahead=8)
+    with monkeypatch.context() as patch:
+        for at in (-9.0, -8.995):
+            patch.setattr("tonewood.sound.live.stream.time.monotonic", lambda at=at: at)
+            stream.send(lambda: frames.append(live.frames))
+    with stream:
+        pass
+    assert frames == [0, 192]  # 5 ms are 240 frames: in the block from 192 on
+
+
 def test_ports_that_are_not_there_are_one_line(ports: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(TonewoodError, match="--midi-in: 'organ' is not there; there are Keys A, Keys B, Pads"):
         MidiInput("organ")
@@ -237,12 +353,15 @@ def test_the_computers_keys(guitar: tw.Instrument) -> None:
 
     keys = ComputerKeyboard(40, read, lambda: clock[0])
     typed[0] = "zq-]z"
-    assert keys.poll() == [[0x90, 36, 90], [0x90, 48, 90]]  # the octave up has z at 48, which is still held
+    assert keys.poll() == [
+        (0.0, [0x90, 36, 90]),
+        (0.0, [0x90, 48, 90]),
+    ]  # the octave up has z at 48, which is still held
     clock[0] = HELD + 0.01
     typed[0] = "s"
-    assert keys.poll() == [[0x90, 49, 80], [0x80, 36, 0], [0x80, 48, 0]]
+    assert [message for _, message in keys.poll()] == [[0x90, 49, 80], [0x80, 36, 0], [0x80, 48, 0]]
     typed[0] = " \x1b!"
-    assert keys.poll() == [[0xB0, 120, 0]]
+    assert keys.poll() == [(clock[0], [0xB0, 120, 0])]
     assert keys.ended
     with pytest.raises(TonewoodError, match="--keyboard: standard input is no terminal"):
         ComputerKeyboard(40)

@@ -1,0 +1,328 @@
+"""Methods of plugins with their results checked: a wrong result or an exception ends in one line that names the method.
+
+`check_results` wraps the methods of the contract that a class defines. A result is checked for its type, for finite
+numbers and for the shapes that the contract promises; an exception that is not a `TonewoodError` becomes one, from
+which the first still hangs, so that its traceback is there in Python.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import math
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tonewood.errors import TonewoodError, kind_of
+from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.physics.coupling.layout import Drive, Readout
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.stepping.forcing import SampledForce, Segment
+
+#: check of a result, which raises `WrongResultError`: object, result, arguments of the call
+Verify = Callable[[Any, Any, Mapping[str, Any]], None]
+
+
+_CONTRACT = "tonewood.instrument.contract.base"
+
+
+class WrongResultError(Exception):
+    """A result breaks the contract; the text goes on from ``returns``."""
+
+
+def want(ok: object, value: object, wanted: str, where: str = "") -> None:
+    """Raise `WrongResultError` unless `ok`: ``EvenString.length returns 'long'; a number above 0 is wanted``."""
+    if not ok:
+        text = repr(value)
+        shown = text if len(text) <= 60 and "\n" not in text else kind_of(value)
+        raise WrongResultError(f"{where} {shown}; {wanted} is wanted".strip())
+
+
+def number(value: object, wanted: str, low: float = -math.inf, where: str = "", *, above: bool = False) -> None:
+    """Check a finite number, `low` or more, or above it."""
+    real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    want(real and math.isfinite(value) and (value > low if above else value >= low), value, wanted, where)  # type: ignore[arg-type,operator]
+
+
+def pair_of_arrays(value: Any, shape: tuple[int, ...]) -> None:
+    """Check displacement and velocity of a `transfer` or `carried`."""
+    want(isinstance(value, tuple) and len(value) == 2, value, "a pair (displacement, velocity) of arrays")
+    for quantity, array in zip(("displacement", "velocity"), value, strict=True):
+        want(isinstance(array, np.ndarray), array, "an array", quantity)
+        if array.shape != shape:
+            wanted = " x ".join(map(str, shape))
+            raise WrongResultError(f"{quantity} of shape {array.shape}; {wanted} is wanted")
+        want(np.isfinite(array).all(), "numbers that are not finite", "a finite array", quantity)
+
+
+def basis(value: Any, *, where: str = "") -> None:
+    """Check a basis for its type and its numbers."""
+    want(isinstance(value, ModalBasis), value, "a ta.ModalBasis", where)
+    for name in ("poles", "stiffness", "damping_rate", "right", "left", "residual"):
+        if not np.isfinite(getattr(value, name)).all():
+            raise WrongResultError(f"{where} a basis whose {name} are not finite".strip())
+
+
+def string_basis(value: Any) -> None:
+    """Check a basis of a string: real modes that lose energy or keep it, the bridge's point, shapes between places."""
+    basis(value)
+    if not value.is_real:
+        raise WrongResultError("a basis of complex modes; real modes are wanted")
+    if "bridge" not in value.points:
+        raise WrongResultError(
+            f"a basis of the points {', '.join(value.points) or 'none'}; 'bridge' is wanted among them"
+        )
+    if (value.damping_rate < 0).any():
+        raise WrongResultError(f"a damping rate of {value.damping_rate.min():g} 1/s; 0 or more is wanted")
+    if value.shape is None:
+        raise WrongResultError(
+            "a basis without `shape`, whose points between the ends are unknown; ta.string_basis has one"
+        )
+
+
+def terms(value: object, where: str) -> None:
+    """Check the terms of a gap."""
+    want(isinstance(value, Sequence), value, "a tuple of ta.Term", where)
+    for term in value:  # type: ignore[attr-defined]
+        want(isinstance(term, Term), term, "a ta.Term", where)
+        number(term.factor, "a finite factor", where=where)
+
+
+def attached(value: Any) -> None:
+    """Check the places, components and connections that a part adds to a string."""
+    from tonewood.instrument.contract.attached import Attached
+
+    want(isinstance(value, Attached), value, "a ta.Attached")
+    want(isinstance(value.places, Mapping), value.places, "a mapping of point to metres", "places")
+    for point, x in value.places.items():
+        number(x, "a number of metres from the bridge (ta.metres)", where=f"places[{point!r}]")
+    want(isinstance(value.components, Mapping), value.components, "a mapping of name to ta.ModalBasis", "components")
+    for name, own in value.components.items():
+        basis(own, where=f"components[{name!r}]")
+    want(isinstance(value.connections, tuple), value.connections, "a tuple of ta.Connection", "connections")
+    for connection in value.connections:
+        want(isinstance(connection, Connection), connection, "a ta.Connection", "connections")
+        terms(connection.terms, f"connection {connection.name!r}: terms")
+    names = {connection.name for connection in value.connections}
+    for name in value.resting:
+        want(name in names, name, "the name of one of its connections", "resting")
+    want(isinstance(value.inputs, Mapping), value.inputs, "a mapping of name to entries", "inputs")
+
+
+def segments(value: Any, where: str) -> None:
+    """Check pieces of a force."""
+    want(isinstance(value, tuple), value, "a tuple of ta.Segment", where)
+    for piece in value:
+        want(isinstance(piece, Segment), piece, "a ta.Segment", where)
+        for field in ("start", "stop", "c0", "c1", "c2"):
+            number(getattr(piece, field), "a finite number", where=f"{where}: {field}")
+        want(piece.start <= piece.stop, piece, "a start before the stop", where)
+
+
+def gesture(value: Any) -> None:
+    """Check a gesture."""
+    from tonewood.instrument.contract.attached import Motion
+    from tonewood.instrument.contract.gestures import Gesture, Hold
+
+    want(isinstance(value, Gesture), value, "a ta.Gesture")
+    segments(value.segments, "segments")
+    segments(value.stops, "stops")
+    if value.from_bridge is not None:
+        number(value.from_bridge, "a number of metres (ta.metres) or None", 0.0, "from_bridge")
+    number(value.angle_deg, "a number of degrees", where="angle_deg")
+    number(value.width, "a width in metres, 0 or more,", 0.0, "width")
+    want(value.on is None or isinstance(value.on, str), value.on, "the name of an input or None", "on")
+    want(value.hold is None or isinstance(value.hold, Hold), value.hold, "a ta.Hold or None", "hold")
+    if value.hold is not None:
+        number(value.hold.damping, "0 N s/m or more", 0.0, "hold.damping")
+        for field in ("start", "grown", "stop"):
+            number(getattr(value.hold, field), "a time in s", where=f"hold.{field}")
+    noise = value.noise
+    want(noise is None or isinstance(noise, SampledForce), noise, "a ta.SampledForce or None", "noise")
+    if noise is not None:
+        want(np.isfinite(noise.values).all(), "values that are not finite", "finite values", "noise")
+    want(isinstance(value.motions, tuple), value.motions, "a tuple of motions", "motions")
+    for motion in value.motions:
+        want(isinstance(motion, Motion), motion, "a ta.Motion", "motions")
+        segments(motion.segments, f"motion of {motion.connection}")
+    want(isinstance(value.touches, Mapping), value.touches, "a mapping of point to segments", "touches")
+    for point, course in value.touches.items():
+        segments(course, f"touches[{point!r}]")
+        want(course, course, "one segment or more", f"touches[{point!r}]")
+
+
+def pickup_rows(plugin: Any, value: Any) -> None:
+    """Check rows of a pickup; that their components and points exist, `references` checks."""
+    want(isinstance(value, _class(_CONTRACT, "PickupRows")), value, "a ta.PickupRows")
+    want(isinstance(value.readouts, tuple), value.readouts, "a tuple of ta.Readout", "readouts")
+    for readout in value.readouts:
+        want(isinstance(readout, Readout), readout, "a ta.Readout", "readouts")
+        for probe in readout.probes:
+            where = f"readout {readout.name!r}: probes"
+            want(all(hasattr(probe, k) for k in ("component", "point", "factor")), probe, "a ta.Probe", where)
+            number(probe.factor, "a finite factor", where=where)
+        for force in readout.forces:
+            where = f"readout {readout.name!r}: forces"
+            want(isinstance(force, Sequence) and len(force) == 2, force, "a pair (connection, factor)", where)
+            number(force[1], "a finite factor", where=where)
+        empty = "probes" if readout.quantity != "force" else "forces"
+        want(getattr(readout, empty), f"a readout {readout.name!r} without {empty}", f"a {readout.quantity} of some")
+    if len(value.readouts) != len(plugin.channels):
+        raise WrongResultError(
+            f"{len(value.readouts)} readouts; one for each of its {len(plugin.channels)} channels is wanted"
+        )
+    for name, own in value.components.items():
+        basis(own, where=f"components[{name!r}]")
+    for drive in value.drives:
+        want(isinstance(drive, Drive), drive, "a ta.Drive", "drives")
+
+
+def texts(value: Any, wanted: str, *, some: bool) -> None:
+    """Check a sequence of words."""
+    listed = isinstance(value, (tuple, list)) and all(isinstance(word, str) for word in value)
+    want(listed and (value or not some), value, wanted)
+
+
+def body_points(value: Any) -> None:
+    """Check the points of a body."""
+    want(isinstance(value, Mapping) and value, value, "a mapping of name to ta.BodyPoint")
+    for name, point in value.items():
+        want(isinstance(point, _class(_CONTRACT, "BodyPoint")), point, "a ta.BodyPoint", f"points[{name!r}]")
+        vector = np.asarray(point.direction, dtype=object).ravel()
+        want(len(vector) == 3, point.direction, "three numbers", f"the direction of {name!r}")
+        for x in vector:
+            number(x, "a finite number", where=f"the direction of {name!r}")
+
+
+def _detuned(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
+    string_basis(value)
+    old = given["basis"]
+    want(value.n_modes == old.n_modes, value.n_modes, f"as many modes as before, {old.n_modes},", "modes:")
+    want(value.points == old.points, value.points, f"the points as before, {old.points},", "points")
+
+
+def _body_basis(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
+    basis(value)
+    for point in plugin.points():
+        want(point in value.points, value.points, f"a basis with the point {point!r} of `points`", "the points")
+
+
+def _decay_rate(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
+    if value is not None:
+        array, shape = np.asarray(value), np.shape(given["freq_rad"])
+        fits = array.dtype.kind in "fi" and array.shape in ((), shape)
+        fits = fits and bool(np.isfinite(array).all() and (array >= 0).all())
+        want(fits, value, f"finite rates of shape {shape}, 0 or more,")
+
+
+def _class(module: str, name: str) -> type[Any]:
+    """Class of a module that imports this one, or that only a plugin that uses it has imported."""
+    found: type[Any] = getattr(sys.modules[module], name, type(None)) if module in sys.modules else type(None)
+    return found
+
+
+def _of_type(module: str, name: str) -> Verify:
+    """Check for None or an instance of a class, imported when it is needed."""
+
+    def verify(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
+        if value is not None:
+            want(isinstance(value, _class(module, name)), value, f"a ta.{name} or None")
+
+    return verify
+
+
+#: kind of plugin -> method or property -> check of its result
+CHECKS: dict[str, dict[str, Any]] = {
+    "resonator": {
+        "length": lambda p, v, a: number(v, "a number of metres above 0", 0.0, above=True),
+        "tension": lambda p, v, a: number(v, "a number of newtons above 0", 0.0, above=True),
+        "axial_stiffness": lambda p, v, a: number(v, "a number of newtons, 0 or more,", 0.0),
+        "longitudinal": _of_type(_CONTRACT, "Longitudinal"),
+        "phantom_partials": _of_type("tonewood.physics.coupling.phantoms", "PhantomPartials"),
+        "basis": lambda p, v, a: string_basis(v),
+        "detuned": _detuned,
+        "decay_rate": _decay_rate,
+        "transfer": lambda p, v, a: pair_of_arrays(v, (a["new"].n_modes, a["old"].n_modes)),
+        "carried": lambda p, v, a: pair_of_arrays(v, (a["new"].n_modes,)),
+    },
+    "body": {
+        "basis": _body_basis,
+        "points": lambda p, v, a: body_points(v),
+        "sources": _of_type("tonewood.physics.plate.radiation", "Sources"),
+        "facts": lambda p, v, a: texts(v, "lines of text", some=False),
+    },
+    "exciter": {
+        "at": lambda p, v, a: want(v is None or isinstance(v, str), v, "'body.POINT' or None"),
+        "recovery": lambda p, v, a: number(v, "a number of seconds, 0 or more,", 0.0),
+        "attach": lambda p, v, a: None if v is None else attached(v),
+        "gesture": lambda p, v, a: gesture(v),
+    },
+    "connection": {"attach": lambda p, v, a: attached(v)},
+    "pickup": {
+        "channels": lambda p, v, a: texts(v, "a tuple of one or more names", some=True),
+        "unit": lambda p, v, a: want(isinstance(v, str), v, "a unit, as text,"),
+        "rows": lambda p, v, a: pickup_rows(p, v),
+    },
+}
+
+
+def check_results(cls: type[Any], checks: Mapping[str, Any], fault: Callable[[Any, str], TonewoodError]) -> None:
+    """Replace the methods of a class that `checks` names by ones whose results are checked.
+
+    Parameters
+    ----------
+    cls : the class; inherited methods are left as they are.
+    checks : name -> check of a result: object, result, arguments by name; raises `WrongResultError`.
+    fault : makes the error of an object and a reason.
+    """
+    for name, verify in checks.items():
+        found = cls.__dict__.get(name)
+        if isinstance(found, property) and found.fget is not None:
+            setattr(cls, name, property(_checked(cls, name, found.fget, verify, fault), doc=found.__doc__))
+        elif isinstance(found, functools.cached_property):
+            wrapped = functools.cached_property(_checked(cls, name, found.func, verify, fault))
+            wrapped.__set_name__(cls, name)
+            setattr(cls, name, wrapped)
+        elif inspect.isfunction(found):
+            setattr(cls, name, _checked(cls, name, found, verify, fault))
+
+
+def _checked(
+    cls: type[Any], name: str, function: Callable[..., Any], verify: Any, fault: Callable[[Any, str], TonewoodError]
+) -> Callable[..., Any]:
+    if getattr(function, "__isabstractmethod__", False):
+        return function
+    # by the names of the contract, whatever the class calls its parameters
+    first = next((base.__dict__[name] for base in reversed(cls.__mro__) if name in base.__dict__), function)
+    signature = inspect.signature(first if inspect.isfunction(first) else function)
+    who = f"{cls.__name__}.{name}"
+
+    @functools.wraps(function)
+    def call(self: Any, *args: Any, **kwargs: Any) -> Any:
+        try:
+            value = function(self, *args, **kwargs)
+        except (TonewoodError, MemoryError):
+            raise
+        except Exception as raised:
+            said = " ".join(str(raised).split())
+            text = f"{who} raises {type(raised).__name__}{': ' if said else ''}{said}{_place(raised)}"
+            raise fault(self, text) from raised
+        try:
+            verify(self, value, signature.bind(self, *args, **kwargs).arguments)
+        except WrongResultError as wrong:
+            raise fault(self, f"{who} returns {wrong}") from None
+        return value
+
+    return call
+
+
+def _place(raised: BaseException) -> str:
+    """`` (file.py, line 12)`` of the innermost frame."""
+    trace = raised.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return "" if trace is None else f" ({Path(trace.tb_frame.f_code.co_filename).name}, line {trace.tb_lineno})"

@@ -1,0 +1,55 @@
+"""Every gesture of an instrument made once, and a few milliseconds of all of them stepped with their effects."""
+
+from __future__ import annotations
+
+from tonewood.instrument.model.assembly import Model
+from tonewood.instrument.model.references import by_part
+from tonewood.performance.engine.engine import Engine
+from tonewood.performance.player.playing import perform
+from tonewood.performance.player.timeline import GRID
+from tonewood.performance.score.note import Note, Score
+
+#: s, between gestures that share a string; grid points that are stepped after the last one's time
+_APART, _AFTER = 0.005, 8
+
+
+def try_parts(model: Model) -> None:
+    """Make the gesture of every exciter on an open string and step them; compare attachments at the last stops.
+
+    Each exciter and effect is so asked once for all that a render asks; assembly has asked the other plugins.
+
+    Raises
+    ------
+    TonewoodError : a plugin breaks the contract; names it.
+    """
+    strings = list(model.groups)
+    if not strings:
+        return
+    notes = [
+        Note(_APART * (i // len(strings)), _APART, string=strings[i % len(strings)], stop=0, technique=name)
+        for i, name in enumerate(model.exciters)
+    ]
+    for string in strings:
+        held = model.strings[string]
+        if held.n_stops:
+            _same_connections(model, string)
+    engine = Engine(model, perform(Score(notes), model).timeline)
+    last = max(note.time for note in notes) * model.fs
+    while engine.state.sample < last + _AFTER * GRID:
+        engine.advance(1)
+    for effect in engine.effects:
+        effect.report(engine.usage)
+
+
+def _same_connections(model: Model, string: str) -> None:
+    """Refuse a part whose connections differ at the last stop from those of the open string."""
+    held = model.strings[string]
+    stopped = by_part(held.connections(held.n_stops))
+    for part, own in by_part(held.connections()).items():
+        now = [(c.name, c.terms) for c in stopped.get(part, ())]
+        if now != [(c.name, c.terms) for c in own] and part in held.touching:
+            plugin = held.touching[part]
+            raise plugin.fault(
+                f"{type(plugin).__name__}.attach returns other connections at stop {held.n_stops} of {string} than on "
+                "the open string; the same names and terms are wanted, laws may differ"
+            )

@@ -1,0 +1,73 @@
+"""Loss of a string's modes from the law of its partials: at another tension, and for modes of one's own.
+
+A law is measured on partials between fixed ends. Modes with the bridge end free have rates of their own, with which the
+partials, mixtures of these modes, decay by the law (`string_modes.loss_rates`). Rates that the law gives at the modes'
+own frequencies are others: the partials then miss the law by 4 to 19 % at the first ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tonewood.physics.modal.held_modes import HeldModes
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_modes import loss_rates
+from tonewood.physics.modal.string_transfer import retuned
+
+Floats = NDArray[np.float64]
+
+
+def string_detuned(basis: ModalBasis, tension: float, loss: Callable[[Floats, Floats, float], ArrayLike]) -> ModalBasis:
+    """Return a basis of `string_basis` at another tension: a string's `detuned`.
+
+        omega^2 = T a_k + EI b_k,      s_k(T) = s_k sigma(omega(T), k, T) / sigma(omega, k, T0)
+
+    Shapes stay; each mode's rate goes as the law goes from its old frequency to its new one, so that partials go on to
+    follow the law: exactly if it is a power of the frequency, within some 0.6 % over 200 cents for the laws of strings.
+
+    Parameters
+    ----------
+    basis : of `string_basis`, detuned or not.
+    tension : N.
+    loss : eta(omega rad/s, k 1/m, tension N), the law that the basis was made with, at any tension.
+
+    Raises
+    ------
+    ValueError : the basis was not made by `string_basis`.
+    """
+    known = basis.metadata
+    if missing := {"tension", "tension_part", "bending_part", "bending_stiffness", "wavenumber"} - set(known):
+        raise ValueError(f"the basis was not made by string_basis: its metadata has no {sorted(missing)[0]}")
+    a, b, wavenumber = (cast(Floats, known[key]) for key in ("tension_part", "bending_part", "wavenumber"))
+    old_rad = np.sqrt(basis.stiffness)
+    freq_rad = np.sqrt(tension * a + cast(float, known["bending_stiffness"]) * b)
+    old = old_rad * np.asarray(loss(old_rad, wavenumber, cast(float, known["tension"])))
+    new = freq_rad * np.asarray(loss(freq_rad, wavenumber, tension))
+    sigma = basis.damping_rate * np.divide(new, old, out=np.ones_like(new), where=old > 0)
+    return retuned(basis, freq_rad, sigma, {"tension": tension})
+
+
+def with_partial_decays(basis: ModalBasis, law: Callable[[Floats], ArrayLike]) -> ModalBasis:
+    """Return real modes with other losses: those with which the partials on a rigid bridge decay by a law.
+
+    Parameters
+    ----------
+    basis : of a string's real modes with the point ``bridge``, which moves in each.
+    law : sigma(omega), decay rates (1/s, 0 or more) of partials of these frequencies (rad/s).
+
+    Returns
+    -------
+    The basis with these rates; ``loss_error`` in its metadata is the relative error of each partial's decay rate.
+
+    Raises
+    ------
+    ValueError : modes are not real, two have one frequency, or the bridge does not move in one.
+    """
+    held, freq_rad = HeldModes.of(basis, "bridge"), np.sqrt(basis.stiffness)
+    wanted, guess = (np.broadcast_to(np.asarray(law(f), dtype=np.float64), f.shape) for f in (held.freq_rad, freq_rad))
+    rates = loss_rates(held.vectors**2, wanted, guess)
+    return retuned(basis, freq_rad, rates.mode, {"loss_error": rates.error})
