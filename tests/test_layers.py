@@ -217,7 +217,7 @@ def test_nothing_but_the_package_is_imported_by_plugins():
             root = module.split(".")[0]
             allowed = root in sys.stdlib_module_names or root in {"numpy", "scipy", "pydantic", "tonewood", "pytest"}
             allowed |= root == "numba" and path.name == "_gong_compiled.py"
-            own = any((p / root).exists() or (p / f"{root}.py").exists() for p in path.parents)
+            own = any((p / at).exists() for p in path.parents for at in (root, f"{root}.py", f"src/{root}"))
             assert allowed or own, f"{path.relative_to(ROOT)}:{line}: {module}"
 
 
