@@ -18,7 +18,12 @@ from tonewood.physics.stepping.kernel import KernelStepper
 SCORES = sorted((Path(__file__).parents[2] / "examples" / "scores").glob("*.mid"))
 #: of the package. One of a third party may be chaotic: the thread of `plate_zither`, switched at another place of
 #: the system, rounds otherwise by 3e-18 of the peak after 12.8 s of the prelude, and sounds another way after 18 s
-INSTRUMENTS = sorted(path.parent.name for path in (Path(__file__).parents[2] / "instruments").glob("*/instrument.yaml"))
+#: The one note of `gong` stands in no score: tests/plugins/test_gong.py
+INSTRUMENTS = sorted(
+    path.parent.name
+    for path in (Path(__file__).parents[2] / "instruments").glob("*/instrument.yaml")
+    if path.parent.name != "gong"
+)
 
 
 def pair(score: tw.Score, name: str, seconds: float | None, fs: int) -> tuple[tw.Renderer, tw.Renderer]:

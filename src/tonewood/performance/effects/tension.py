@@ -28,23 +28,17 @@ from numpy.typing import NDArray
 from tonewood.instrument.contract.base import Plugin
 from tonewood.instrument.contract.effects import Effect, Norms, rise_of_tension
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.effects.base import (
-    Moment,
-    SwitchedEffect,
-    Switching,
-    Watched,
-    motion,
-    next_multiple,
-)
+from tonewood.performance.effects.base import Moment, SwitchedEffect, Switching, Watched, next_multiple
 from tonewood.performance.effects.bridge_response import BridgeResponse
 from tonewood.performance.effects.phantoms import Phantoms
 from tonewood.performance.effects.sidebands import Sidebands
+from tonewood.performance.effects.switching import clear_memory, motion
 from tonewood.performance.effects.usage import Bound, EffectUsage
 from tonewood.performance.player.fretting import Fretting
 from tonewood.performance.player.gestures import places
 from tonewood.performance.player.timeline import GRID, Play, Timeline
 from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
-from tonewood.physics.coupling.potentials.solve import active_potential, clear_memory
+from tonewood.physics.coupling.potentials.solve import active_potential
 from tonewood.physics.coupling.potentials.tension import TensionModulation, stretch_weights
 from tonewood.physics.coupling.system import Compiled, State, System
 from tonewood.physics.stepping.forcing import Segment

@@ -11,7 +11,7 @@ potentials, K those forces per displacement of the gaps.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from tonewood.physics.coupling.potentials.base import JoinedPotential, MiddleOfStep
 from tonewood.physics.coupling.potentials.coordinates import ModalCoordinates, pay_from_motion
 from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal, PhantomShares
-from tonewood.physics.coupling.system import State, System
+from tonewood.physics.coupling.system import System
 from tonewood.physics.modal.propagator import apply
 
 Floats = NDArray[np.float64]
@@ -285,11 +285,3 @@ def force_vector(system: System, string: DrivenLongitudinal) -> Floats:
     points = [compiled.basis.index(point) for _, point, _ in string.onto]
     inputs = apply(compiled.held, compiled.form.B[points])
     return np.asarray(sum(share * row for (_, _, share), row in zip(string.onto, inputs, strict=True)))
-
-
-def clear_memory(system: System, state: State, potentials: Collection[str]) -> None:
-    """Set the numbers of these potentials in a state to zero, in place."""
-    if state.potentials.size:
-        for potential, memory in zip(system.potentials, system.memory, strict=True):
-            if potential.name in potentials:
-                state.potentials[memory] = 0.0
