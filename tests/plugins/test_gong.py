@@ -16,12 +16,12 @@ from tonewood.plugins._gong_plate import GongPlate, PlateGrid, biharmonic
 from tonewood.plugins.gong import Gong, PlateEnergy, stiffening
 
 import tonewood as tw
-from tonewood.coupling.potentials.user import ModalPotential
-from tonewood.coupling.system import System
 from tonewood.errors import BundleError
-from tonewood.modal.modes import ModalBasis
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.motion import from_motion, to_motion
+from tonewood.physics.coupling.potentials.user import ModalPotential
+from tonewood.physics.coupling.system import System
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.motion import from_motion, to_motion
 
 Floats = NDArray[np.float64]
 
