@@ -1,6 +1,7 @@
 #include "kernel.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 #include "load/component.hpp"
 #include "load/contacts.hpp"
@@ -26,6 +27,20 @@ bool assign(Array<double>& to, const View& from) {
     if (from.equals(to)) return false;
     to = from.copy();
     return true;
+}
+
+// Refuses a law without the numbers or functions of its kind.
+void expect_law(const Law& law, std::size_t j) {
+    const std::string number = std::to_string(j);
+    const std::vector<double>& knots = law.knots;
+    bool rises = knots.size() >= 2 && std::isfinite(knots.front()) && std::isfinite(knots.back());
+    for (std::size_t i = 1; i < knots.size(); ++i) rises = rises && knots[i - 1] < knots[i];
+    const bool has_none = knots.empty() && law.coefficients.empty();
+    require(has_none ? law.kind != Law::sampled : (rises && law.coefficients.size() == 4 * (knots.size() - 1)),
+            "nonlinear.samples: law " + number + " is missing, or has not rising knots and 4 coefficients between two");
+    const auto known = [](const Law::Function& f) { return f.plain || f.with_data; };
+    require(law.kind != Law::compiled || (known(law.potential) && known(law.slope)),
+            "nonlinear.functions: law " + number + " is missing");
 }
 
 }  // namespace
@@ -133,6 +148,7 @@ bool Kernel::load_nonlinear(const NonlinearDescription& d) {
         require(t.connection >= 0 && std::size_t(t.connection) < k && t.component >= 0 &&
                     std::size_t(t.component) < model_.components.size() && t.port >= 0,
                 "nonlinear.terms: connection " + std::to_string(t.connection) + " does not fit the components");
+    for (std::size_t j = 0; j < k; ++j) expect_law(d.laws[j], j);
     Nonlinear& nl = model_.nonlinear;
     bool changed =
         nl.k != int(k) || nl.dt != d.dt || nl.theta != d.theta || nl.all_terms != d.terms || nl.laws != d.laws;

@@ -254,6 +254,9 @@ def test_what_is_written_to_is_never_a_converted_copy(argument: int, dtype: type
         (("components", 1), {"key": -1}), (("components", 1), None), (("linear",), {}), (("shortcuts",), {}),
         (("nonlinear", "kinds"), np.array([9])), (("nonlinear", "kinds"), np.array([2])),
         (("nonlinear", "kinds"), np.array([3])), (("nonlinear", "kinds"), np.array([-1])),
+        (("nonlinear", "samples"), [(0, [1.0, 0.0], [1.0] * 4)]),
+        (("nonlinear", "samples"), [(0, [0.0, np.nan], [1.0] * 4)]),
+        (("nonlinear", "samples"), [(0, [0.0, np.inf], [1.0] * 4)]), (("nonlinear", "samples"), [(0, [0.0], [])]),
         (("nonlinear", "samples"), [(0, [0.0, 1.0], [1.0])]), (("nonlinear", "samples"), [(1, [0.0, 1.0], [1.0] * 4)]),
         (("nonlinear", "functions"), [(0, [(1, 0, False)])]), (("nonlinear", "dt"), "fast"),
         (("nonlinear", "terms"), np.array([[0, 0, 2, 0]])), (("nonlinear", "terms"), np.array([[0, 0, 10**6, 0]])),
@@ -299,9 +302,33 @@ def test_a_state_of_the_potentials_that_is_too_small_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
+    "strings",
+    [[(3, 10.0, [0])], [(2**31 - 1, 10.0, [0])], [(0, 10.0, [])], [(0, 10.0, [0, 0])], [(0, 10.0, [0]), (1, 9.0, [0])]],
+)
+def test_strings_with_rising_tension_that_do_not_fit_are_refused(strings: list[Any]) -> None:
+    made = stretched()
+    made["tensions"]["strings"] = strings
+    with pytest.raises(ValueError, match="tensions"):
+        through(made)
+
+
+def test_a_component_without_modes_and_a_part_without_modes_are_refused() -> None:
+    made = described()
+    for name in ("e", "rows", "w"):
+        made["components"][0][name] = np.ascontiguousarray(made["components"][0][name][..., :0])
+    with pytest.raises(ValueError, match="offset: the modes do not fit"):
+        through(made)
+    made = longitudinal()
+    made["tensions"]["stretches"][0]["parts"][0] |= {"slopes": np.zeros((2, 0)), "stiffness": np.zeros(0)}
+    with pytest.raises(ValueError, match="slopes: they do not fit"):
+        through(made)
+
+
+@pytest.mark.parametrize(
     ("path", "wrong"),
     [
         (("target",), 3), (("target",), 2), (("target",), -1), (("slots", 0), 2), (("slots", 0), 3), (("slots",), []),
+        (("at",), 2**31 - 1), (("parts", 0, "weights"), np.zeros((3, 0))),
         (("steps",), np.zeros((33, 4))), (("steps",), np.zeros((0, 4))),
     ],
 )  # fmt: skip

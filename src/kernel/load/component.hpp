@@ -244,7 +244,7 @@ inline Component load_component(const ComponentDescription& d, std::size_t slot,
     expect(name + "w", d.w, {n_ports, 2, n});
     expect(name + "response", d.response, {kBlock, n_ports, n_rows});
     expect(name + "incidence", d.incidence, {n_connections, n_ports});
-    require(n % kPadding == 0 && d.offset % kPadding == 0 && d.offset + n >= n && d.offset + n <= capacity,
+    require(n > 0 && n % kPadding == 0 && d.offset % kPadding == 0 && d.offset + n >= n && d.offset + n <= capacity,
             name + "offset: the modes do not fit the state");
     require(d.difference.size() == d.channels.size() && n_rows == d.channels.size() + (d.driven ? 0 : n_ports),
             name + "rows: one for each port and readout is needed");

@@ -139,4 +139,10 @@ inline void require(bool fits, const std::string& message) {
     if (!fits) throw std::invalid_argument("kernel: " + message);
 }
 
+inline Law::Kind law_kind(std::int64_t kind) {
+    require(kind >= Law::contact && kind <= Law::friction,
+            "nonlinear.kinds: no law has the number " + std::to_string(kind));
+    return Law::Kind(kind);
+}
+
 }  // namespace tonewood

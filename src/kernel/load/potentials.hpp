@@ -125,7 +125,7 @@ inline Stretch load_stretch(const PotentialDescription& d, const std::vector<Com
         const std::string at = name + "parts[" + std::to_string(q) + "].";
         require(slopes.ndim == 2, at + "slopes has 2 dimensions");
         const std::size_t n = slopes.shape[1], cosines = slopes.shape[0], w = padded(n);
-        require(!c.contact.n && n <= std::size_t(c.n) && cosines > 0, at + "slopes: they do not fit the component");
+        require(!c.contact.n && n > 0 && n <= std::size_t(c.n) && cosines > 0, at + "slopes: they do not fit the component");
         Stretch::Part part;
         part.n = int(n), part.width = int(w), part.cosines = int(cosines);
         part.cosines_width = int(padded(cosines));
@@ -172,7 +172,7 @@ inline PhantomString load_phantom(const PotentialDescription& d, const std::vect
         const int slot = d.slots[q];
         const std::size_t n = p.weights.ndim == 2 ? p.weights.shape[1] : 0;
         const std::size_t wide = (n + kPadding - 1) / kPadding * kPadding;
-        require(p.weights.ndim == 2 && n <= std::size_t(components[slot].n) && !components[slot].driven &&
+        require(n > 0 && n <= std::size_t(components[slot].n) && !components[slot].driven &&
                     !components[slot].by_sample(),
                 name + "parts: one does not fit component " + std::to_string(slot));
         expect(name + "weights", p.weights, {order + 1, n});
@@ -196,6 +196,8 @@ inline void mark_potentials(const std::vector<PotentialDescription>& all, std::v
         const PotentialDescription& d = all[s];
         const std::string name = "potentials[" + std::to_string(s) + "]";
         require(d.kind >= 0 && d.kind < Potentials::n_kinds, name + ": no such kind");
+        require(d.at <= kPhantomMemory * components.size(), name + ".at: a state of so many numbers is not needed");
+        require(!d.slots.empty(), name + ": no components");
         require(s == 0 || all[s - 1].kind <= d.kind, name + ": potentials of a kind stand together");
         for (const int i : d.slots) {
             require(i >= 0 && std::size_t(i) < components.size(), name + ": no component " + std::to_string(i));

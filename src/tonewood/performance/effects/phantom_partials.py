@@ -155,7 +155,10 @@ class PhantomPartialsEffect(SwitchedEffect):
         like = self._alike(name)
         planes = zip(self._planes(like), self._planes(name), strict=True)
         bound = self._bound(moment.system, like, moment.frettings[name].stop)
-        level = bound.level(bound.slopes({a: motion(moment.system, moment.state, b) for a, b in planes}), peak)
+        moved = {a: motion(moment.system, moment.state, b) for a, b in planes}
+        if any(bound.parts[a].displaced.shape[1] != len(q) for a, (q, _) in moved.items()):
+            return math.inf  # a bend has moved modes over the limit: the bound is that of the string as it was
+        level = bound.level(bound.slopes(moved), peak)
         return level if math.isfinite(level) else math.inf
 
     def _alike(self, name: str) -> str:

@@ -316,3 +316,10 @@ def test_a_system_that_comes_back_takes_the_series_over_again():
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13 * np.abs(theirs).max())
     np.testing.assert_allclose(state.series, twin.series, rtol=0, atol=1e-6 * np.abs(twin.series).max())
     assert state.series.all()
+    # so does a state of its own that comes to a stepper which has run another one
+    other, again = twin.copy(), twin.copy()
+    other.series[0] = again.series[0] = 0.0
+    ours, _ = stepper.run(other, 16)
+    theirs, _ = NumpyStepper(whole).run(again, 16)
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13 * np.abs(theirs).max())
+    np.testing.assert_allclose(other.series, again.series, rtol=0, atol=1e-6 * np.abs(again.series).max())
