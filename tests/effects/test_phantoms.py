@@ -8,9 +8,9 @@ from effect_scenes import FS, TENSION, compared, duet, moment, renderer, sound, 
 
 import tonewood as tw
 from tonewood.instrument.model.assembly import Model, assemble
-from tonewood.performance.effects.base import pay
 from tonewood.performance.effects.bridge_response import BridgeResponse
 from tonewood.performance.effects.phantoms import Phantoms
+from tonewood.performance.effects.switching import pay
 from tonewood.performance.effects.tension import SELDOM, potential
 from tonewood.performance.effects.usage import Bound
 from tonewood.performance.engine.engine import GRID

@@ -10,7 +10,8 @@ from effect_scenes import FS, TENSION, compared, duet, moment, renderer, sound, 
 
 import tonewood as tw
 from tonewood.instrument.model.assembly import assemble
-from tonewood.performance.effects.base import Switching, Watched, pay, switch
+from tonewood.performance.effects.base import Switching, Watched
+from tonewood.performance.effects.switching import pay, switch
 from tonewood.performance.effects.tension import SELDOM
 from tonewood.performance.effects.usage import Bound
 from tonewood.performance.engine.engine import GRID

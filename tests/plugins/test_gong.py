@@ -383,7 +383,7 @@ def test_inspection_takes_its_modes_for_its_own() -> None:
 def test_a_point_at_rest_takes_no_velocity_from_a_switch() -> None:
     """The gong's bridge has no shape: all velocities are free to pay."""
     from tonewood.instrument.model.assembly import assemble
-    from tonewood.performance.effects.base import free_velocity
+    from tonewood.performance.effects.switching import free_velocity
 
     system = assemble(small(), 48000).system
     basis = system.compiled[system.slot("gong.z")].basis

@@ -245,19 +245,7 @@ std::string refusal(const std::string& bytes) {
     return reason;
 }
 
-std::string content(const char* path) {
-    std::ifstream stream(path, std::ios::binary);
-    return {std::istreambuf_iterator<char>(stream), {}};
-}
-
-std::string damaged;  // the file that is read now
-
-void keep_damaged() { std::ofstream("damaged.tonewood", std::ios::binary) << damaged; }
-
 }  // namespace
-
-// of the sanitizers' runtime; without them there is none
-extern "C" __attribute__((weak)) void __sanitizer_set_death_callback(void (*call)());
 
 #ifdef TONEWOOD_LIBFUZZER
 
@@ -273,6 +261,22 @@ extern "C" std::size_t LLVMFuzzerCustomMutator(std::uint8_t* data, std::size_t s
 }
 
 #else
+
+// of the sanitizers' runtime; without them there is none
+extern "C" __attribute__((weak)) void __sanitizer_set_death_callback(void (*call)());
+
+namespace {
+
+std::string content(const char* path) {
+    std::ifstream stream(path, std::ios::binary);
+    return {std::istreambuf_iterator<char>(stream), {}};
+}
+
+std::string damaged;  // the file that is read now
+
+void keep_damaged() { std::ofstream("damaged.tonewood", std::ios::binary) << damaged; }
+
+}  // namespace
 
 int main(int count, char** arguments) {
     const std::uint64_t n = count > 3 ? std::stoull(arguments[1]) : 0, seed = count > 3 ? std::stoull(arguments[2]) : 0;

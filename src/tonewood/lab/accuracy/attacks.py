@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.lab.systems.harp_body import harp_body
-from tonewood.performance.effects.base import Moment, SwitchedEffect, Watched, switch
+from tonewood.performance.effects.base import Moment, SwitchedEffect, Watched
+from tonewood.performance.effects.switching import switch
 from tonewood.performance.effects.tension import potential
 from tonewood.performance.score.note import Note, Score
 from tonewood.physics.coupling.connections import Connection, Rigid, Term

@@ -28,18 +28,11 @@ from numpy.typing import NDArray
 from tonewood.instrument.contract.base import Plugin
 from tonewood.instrument.contract.effects import Effect, Norms, rise_of_tension
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.effects.base import (
-    Moment,
-    SwitchedEffect,
-    Switching,
-    Watched,
-    clear_memory,
-    motion,
-    next_multiple,
-)
+from tonewood.performance.effects.base import Moment, SwitchedEffect, Switching, Watched, next_multiple
 from tonewood.performance.effects.bridge_response import BridgeResponse
 from tonewood.performance.effects.phantoms import Phantoms
 from tonewood.performance.effects.sidebands import Sidebands
+from tonewood.performance.effects.switching import clear_memory, motion
 from tonewood.performance.effects.usage import Bound, EffectUsage
 from tonewood.performance.player.fretting import Fretting
 from tonewood.performance.player.gestures import places

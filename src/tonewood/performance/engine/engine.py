@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.effects import runtime_effects
-from tonewood.performance.effects.base import Moment, Run, SwitchedEffect, Switching, switch
+from tonewood.performance.effects.base import Moment, Run, SwitchedEffect, Switching
 from tonewood.performance.effects.gesture_connections import GestureConnections, holds_at
+from tonewood.performance.effects.switching import switch
 from tonewood.performance.effects.usage import EffectUsage
 from tonewood.performance.engine.schedule import Schedule
 from tonewood.performance.player.fretting import FrettedBases, Fretting, at_rest, bridge_forces
