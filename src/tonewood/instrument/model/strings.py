@@ -496,6 +496,5 @@ def held_freq(basis: ModalBasis) -> float | None:
     if ends_at_rest(basis):
         return float(basis.natural_freq.min())
     ports = Ports.of(basis, np.eye(len(basis.points))[[basis.index("bridge")]])
-    octave = 2 * math.sqrt(float(basis.stiffness.min()))
-    zero = Joint([ports]).newton(octave * complex(-1e-5, 1.0), steps=80)
+    zero = Joint([ports]).newton(2 * math.sqrt(basis.stiffness.min()) * complex(-1e-5, 1.0), steps=80)
     return None if zero is None else zero.imag / (2 * math.pi)
