@@ -18,7 +18,7 @@ from tonewood.instrument.contract.base import Attachment, Exciter, Longitudinal,
 from tonewood.instrument.model.finger import POINT, compliance, fingertips, laid_down
 from tonewood.instrument.model.kept_tunings import KeptTunings
 from tonewood.instrument.model.string_setup import GivenTension, LongitudinalMotion, Polarization, Stopping
-from tonewood.instrument.model.tuning import StringOnBody, TunedStop, no_mode, tune
+from tonewood.instrument.model.tuning import StringOnBody, TunedStop, ends_at_rest, no_mode, tune
 from tonewood.physics.coupling.connections import Connection
 from tonewood.physics.modal.damper import damper_rates
 from tonewood.physics.modal.modes import ModalBasis
@@ -455,7 +455,7 @@ class StringModel:
             base, tension, trial = self._untuned(stop), self.tension(stop), 50.0
             pair = (self.resonator.detuned(base, t) for t in (tension, tension * ratio_of_cents(trial) ** 2))
             low, high = (held_freq(basis) for basis in pair)
-            self._gains[stop] = 1.0 if low is None or high is None else trial / cents(high / low)
+            self._gains[stop] = 1.0 if low is None or high is None or low == high else trial / cents(high / low)
         return self._gains[stop]
 
     def _tune(self, stop: float) -> tuple[TunedStop | None, float]:
@@ -493,7 +493,8 @@ def held_freq(basis: ModalBasis) -> float | None:
 
     It lies an octave above the lowest one with the bridge free, or little more; None if it is not found there.
     """
+    if ends_at_rest(basis):
+        return float(basis.natural_freq.min())
     ports = Ports.of(basis, np.eye(len(basis.points))[[basis.index("bridge")]])
-    octave = 2 * math.sqrt(float(basis.stiffness.min()))
-    zero = Joint([ports]).newton(octave * complex(-1e-5, 1.0), steps=80)
+    zero = Joint([ports]).newton(2 * math.sqrt(basis.stiffness.min()) * complex(-1e-5, 1.0), steps=80)
     return None if zero is None else zero.imag / (2 * math.pi)
