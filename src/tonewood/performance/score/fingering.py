@@ -111,7 +111,37 @@ class _States(NamedTuple):
     held: NDArray[np.float64]
 
 
-def finger(chords: Sequence[Chord], n_strings: int, costs: FingeringCosts) -> tuple[list[tuple[Option, ...]], float]:
+@dataclass(frozen=True)
+class Hand:
+    """Left hand before the first chord, at time 0.
+
+    Attributes
+    ----------
+    place : stop under the first finger.
+    stops : of the notes that sound, one per string.
+    weights : how much of them would be cut off, from 0 (nothing sounds) to 1.
+    """
+
+    place: float
+    stops: Sequence[float]
+    weights: Sequence[float]
+
+    @classmethod
+    def silent(cls, n_strings: int) -> Hand:
+        """Return a hand at stop 1 where nothing sounds."""
+        return cls(1.0, [0.0] * n_strings, [0.0] * n_strings)
+
+    @staticmethod
+    def moved(place: float, chosen: Sequence[Option]) -> float:
+        """Return where the first finger is after a chord: moved no farther than its stopped notes ask for."""
+        stops = [option.stop for option in chosen if option.stop > 0]
+        if not stops:
+            return place
+        ends = max(stops) - HAND_SPAN, min(stops)
+        return min(max(place, min(ends)), max(ends))
+
+
+def finger(chords: Sequence[Chord], hand: Hand, costs: FingeringCosts) -> tuple[list[tuple[Option, ...]], float]:
     """Choose a place for every note of every chord.
 
     Returns
@@ -119,8 +149,10 @@ def finger(chords: Sequence[Chord], n_strings: int, costs: FingeringCosts) -> tu
     chosen : per chord one option per note, on different strings.
     cost : of the whole piece, as defined above.
     """
-    silent = np.zeros((1, n_strings))
-    states = _States(np.zeros(1), np.ones(1), silent - math.inf, silent + 1.0, silent, silent)
+    n_strings, stops, weights = len(hand.stops), np.array([hand.stops]), np.array([hand.weights])
+    ends = np.where(weights > 0, weights, -math.inf)
+    held = (stops > 0).astype(float)
+    states = _States(np.zeros(1), np.array([hand.place]), ends, np.ones((1, n_strings)), stops, held)
     steps: list[tuple[list[tuple[Option, ...]], NDArray[np.int16], NDArray[np.int16]]] = []
     for i, chord in enumerate(chords):
         ways = ways_to_play(chord, n_strings, costs)
