@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from tonewood.instrument.contract.gestures import Event, Gesture, Place
 from tonewood.instrument.model.assembly import Model
@@ -21,21 +21,13 @@ from tonewood.performance.player.strokes import (
     stroke,
     tapped,
 )
-from tonewood.performance.player.timeline import GRID, Change, Play
+from tonewood.performance.player.timeline import GRID, Change, Play, Timeline
 from tonewood.performance.player.variation import Deviates
 from tonewood.performance.player.voices import PlayedString, Voice
 from tonewood.performance.score.assignment import PEDALLED, Sounding
 
 #: s, by which a gesture that lasts as long as its note is known ahead, and the shortest note
 CONTINUED, _SHORTEST = 0.25, 0.02
-
-
-@dataclass(frozen=True)
-class Actions:
-    """Changes and gestures that are decided, in the order in which they are made at one sample."""
-
-    changes: list[Change] = field(default_factory=list)
-    plays: list[Play] = field(default_factory=list)
 
 
 class PacedHands:
@@ -52,7 +44,7 @@ class PacedHands:
     ----------
     lines : first string of a key, or any other -> its voice, stop and bend.
     dampers : of the keys.
-    actions : that are decided and not taken yet.
+    changes, plays : that are decided and not taken yet, in the order in which they are made at one sample.
     now : sample of the next point of the control grid.
     """
 
@@ -61,10 +53,16 @@ class PacedHands:
         self.ramp, self.spacing, self.capo, self.now = ramp, spacing, capo, 0
         self.dampers = Dampers(model)
         self.lines = {name: PlayedString(stop=float(capo)) for name in model.strings}
-        self.actions = Actions(laid_on(0.0, model) + [Change(0.0, name, stop=capo) for name in model.strings if capo])
+        self.changes = laid_on(0.0, model) + [Change(0.0, name, stop=capo) for name in model.strings if capo]
+        self.plays: list[Play] = []
         #: technique -> whether its gesture lasts as long as the note, and the seconds for which it is prepared
         self._sustained: dict[str, bool] = {}
         self._preparations: dict[str, float] = {}
+
+    def taken(self) -> Timeline:
+        """Take the decided changes and gestures."""
+        timeline, self.changes, self.plays = Timeline(self.changes, self.plays), [], []
+        return timeline
 
     @property
     def idle(self) -> bool:
@@ -108,10 +106,10 @@ class PacedHands:
         return (self.now - voice.began) * self.dt < _SHORTEST
 
     def tap(self, voice: Voice) -> bool:
-        """Play a gesture on a point of the body, if that is what the note asks for."""
+        """Play a gesture on a point of the body, if the note asks for one; whether it does."""
         play = tapped(voice.note, self.model)
         if play is not None:
-            self.actions.plays.append(replace(play, time=max(voice.time, self.now * self.dt - play.gesture.start)))
+            self.plays.append(replace(play, time=max(voice.time, self.now * self.dt - play.gesture.start)))
         return play is not None
 
     def begin(self, voice: Voice, values: Mapping[str, float], bend: float) -> None:
@@ -157,8 +155,8 @@ class PacedHands:
             line.later.append((math.floor(change.time / self.tick + 1e-6) * GRID, change))
         self.dampers.press(own.string)
         self._change(first, max(first.time, begin) if voice.time > begin else begin)
-        self.actions.changes.extend(self.dampers.moved(begin))
-        self.actions.plays.extend(plays)
+        self.changes += self.dampers.moved(begin)
+        self.plays += plays
 
     def finish(self, voice: Voice) -> None:
         """Damp the string of a note, or end the gesture that lasts as long as the note."""
@@ -172,7 +170,7 @@ class PacedHands:
         if end := ended(time, voice.string, self.model, self.capo):
             damped, free = end
             self._change(damped, time)
-            self.actions.plays.extend(touch_at_end(voice.assigned, voice.play, time, self.model))
+            self.plays += touch_at_end(voice.assigned, voice.play, time, self.model)
             line.later.append((self.now + math.ceil(round((free.time - time) / self.tick, 6)) * GRID, free))
             line.wanted = line.cents
 
@@ -185,7 +183,7 @@ class PacedHands:
         last = self.now if until is not None else self.now + CONTINUED / self.dt
         voice.event = replace(voice.event, duration=max(last * self.dt - voice.play.time, _SHORTEST))
         voice.play = replace(voice.play, gesture=self._gesture(voice, voice.event))
-        self.actions.plays.append(voice.play)
+        self.plays.append(voice.play)
 
     def follow(self) -> bool:
         """Make one change that was planned: of a slide, or to let a damped string go; whether there was one."""
@@ -215,7 +213,7 @@ class PacedHands:
     def move_dampers(self) -> None:
         """Move the dampers that keys and pedals have stirred."""
         if self.dampers.stirred:
-            self.actions.changes.extend(self.dampers.moved(self.now * self.dt))
+            self.changes += self.dampers.moved(self.now * self.dt)
 
     def _gesture(self, voice: Voice, event: Event) -> Gesture:
         """Gesture of a note that sounds, with another event."""
@@ -226,4 +224,4 @@ class PacedHands:
     def _change(self, change: Change, time: float) -> None:
         """Change all strings of a key at a time (s)."""
         names = self.model.groups[change.string]
-        self.actions.changes.extend(replace(change, time=time, string=name) for name in names)
+        self.changes += (replace(change, time=time, string=name) for name in names)

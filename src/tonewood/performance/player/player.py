@@ -25,13 +25,13 @@ from tonewood.errors import TonewoodError
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.scales import note_number
 from tonewood.performance.player.hands import not_live
-from tonewood.performance.player.paced import Actions, PacedHands
+from tonewood.performance.player.paced import PacedHands
 from tonewood.performance.player.playing import perform, playable
 from tonewood.performance.player.strokes import beyond_capo, event_values, with_force
 from tonewood.performance.player.techniques import checked_technique, technique_of
-from tonewood.performance.player.timeline import GRID
-from tonewood.performance.player.voices import Keys, PlayerCounters, Voice
-from tonewood.performance.score.assignment import LeftHand, Sounding
+from tonewood.performance.player.timeline import GRID, Timeline
+from tonewood.performance.player.voices import HeldKeys, PlayerCounters, Voice
+from tonewood.performance.score.assignment import Sounding, StringChooser
 from tonewood.performance.score.controllers import loudness
 from tonewood.performance.score.note import Control, Dropped, Note, Score, ignored_name
 
@@ -67,10 +67,10 @@ class Player:
         capo: int = 0,
     ):
         self.model, self.spacing, self.capo, self.channel_per_string = model, spacing, capo, channel_per_string
-        self.hands, self.keys, self.counters = PacedHands(model, ramp, spacing, capo), Keys(), PlayerCounters()
+        self.hands, self.keys, self.counters = PacedHands(model, ramp, spacing, capo), HeldKeys(), PlayerCounters()
         self.counters.ignored.update(not_live(model))
         self.spare: Callable[[], bool] = lambda: False
-        self._hand = LeftHand(
+        self._hand = StringChooser(
             playable(model, capo), channel_per_string=channel_per_string, tuning=model.instrument.tuning
         )
         self.waiting: deque[Voice] = deque()
@@ -84,8 +84,8 @@ class Player:
         self._read = frozenset({*model.playing.controls, *model.playing.switches, "cc7", "cc11", "cc64"})
         self._read |= self.hands.dampers.kinds
 
-    def feed(self, events: Iterable[Note | Control], lookahead: float, sample: int = 0) -> Actions:
-        """Take events that have become known, and return what is decided to do.
+    def feed(self, events: Iterable[Note | Control], lookahead: float, sample: int = 0) -> Timeline:
+        """Take events that have become known, and return the changes and gestures that are decided.
 
         Parameters
         ----------
@@ -103,21 +103,19 @@ class Player:
         ScoreError : a whole score has no notes or none that can be played, or asks for a technique that is not there.
         """
         if lookahead == math.inf:
-            known = list(events)
+            known = sorted(events, key=lambda event: event.time)
             notes = [event for event in known if isinstance(event, Note)]
             score = Score(notes, [event for event in known if isinstance(event, Control)])
-            whole = perform(score, self.model, channel_per_string=self.channel_per_string, capo=self.capo).timeline
-            return Actions(list(whole.changes), list(whole.plays))
+            return perform(score, self.model, channel_per_string=self.channel_per_string, capo=self.capo).timeline
         self.hands.now = sample
         for event in events:
-            # a note is begun as long before its time as its gesture is prepared, if it is known by then
-            early = min(lookahead, self.hands.preparation(event.technique)) if isinstance(event, Note) else 0.0
-            heapq.heappush(self._known, (event.time - early, next(self._numbers), event))
+            # a note is begun at the last point before its gesture's preparation, if it is known by then
+            early = self.hands.preparation(event.technique) + self.hands.tick if isinstance(event, Note) else 0.0
+            heapq.heappush(self._known, (event.time - min(early, lookahead), next(self._numbers), event))
         while self._known and self._known[0][0] <= sample / self.model.fs:
             self._do(heapq.heappop(self._known)[2])
         self._tick(sample)
-        done, self.hands.actions = self.hands.actions, Actions()
-        return done
+        return self.hands.taken()
 
     def _do(self, event: Note | Control | Voice) -> None:
         """Let an event happen: a note, the release of its key, or a controller."""

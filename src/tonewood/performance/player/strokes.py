@@ -1,4 +1,4 @@
-"""One note to a gesture and to what the left hand does for it, however much is known of the notes around it."""
+"""One note to a gesture and to changes of the left hand, however much is known of the notes around it."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ class PlayerCounters:
     ignored: Counter[str] = field(default_factory=Counter)
 
 
-class Keys:
+class HeldKeys:
     """Keys of all channels: which are down, which notes only the pedal holds, and which were let go.
 
     Attributes

@@ -7,7 +7,7 @@ a player reads them; twice the same pitch in one voice asks for two strings. A n
 many for the strings at its moment, is dropped with a reason. A wide stretch or a long shift is never a reason: it
 only costs.
 
-`assign` knows a whole piece. `LeftHand` decides as notes come, from the place where the hand is and the notes that
+`assign` knows a whole piece. `StringChooser` decides as notes come, from the place where the hand is and the notes that
 sound: of the chords in its window only those due now are final, the later ones count in the cost. A player without
 lookahead has a window of one chord. A note that sounds weighs 1 while its key is down, `PEDALLED` while only the pedal
 holds it, and 0 afterwards; it is taken to last a second more.
@@ -158,7 +158,7 @@ class Sounding:
     weight: float
 
 
-class LeftHand:
+class StringChooser:
     """Left hand of a player who reads as far ahead as notes are known, or not at all.
 
     Parameters
