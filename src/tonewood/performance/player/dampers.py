@@ -7,14 +7,18 @@ mechanism: the one pressed farthest counts.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.player.timeline import Change
-from tonewood.performance.score.controllers import History
+from tonewood.performance.player.timeline import GRID, Change
 from tonewood.performance.score.note import Control
 
 SUSTAIN, SOSTENUTO, UNA_CORDA = "cc64", "cc66", "cc67"
+#: moves of a pedal times strings
+_MOST_MOVES = 1_000_000
+#: (time in s, value), in order; each value holds until the next
+Steps = list[tuple[float, float]]
 
 
 class Dampers:
@@ -94,11 +98,39 @@ class Dampers:
         return max(self._at[kind].values(), default=0.0)
 
 
-def pressed_farthest(controls: Sequence[Control], kind: str) -> History:
-    """Return the largest of a controller's positions over all channels, whenever one of them changes."""
+def pedal_moves(model: Model, controls: Sequence[Control]) -> tuple[list[Control], list[str]]:
+    """Return the moves of pedals in a score, at most one of each per point of the control grid, and warnings.
+
+    There are fewer where all strings would be moved too often.
+    """
+    out: list[Control] = []
+    warnings: list[str] = []
+    for kind in sorted(Dampers(model).kinds):
+        steps = pressed_farthest(controls, kind)
+        spacing = tick = GRID / model.fs
+        while len(kept := on_grid(steps, spacing)) * len(model.strings) > _MOST_MOVES:
+            spacing *= 2
+        if spacing > tick:
+            name = f"controller {kind[2:]} moves a pedal {len(steps)} times"
+            warnings.append(f"{name}: moves within {1e3 * spacing:.0f} ms are taken as one")
+        out += [Control(time, kind, value) for time, value in kept]
+    return out, warnings
+
+
+def pressed_farthest(controls: Sequence[Control], kind: str) -> Steps:
+    """The largest of a controller's positions over all channels, whenever it changes."""
     positions: dict[int | None, float] = {}
-    out = []
+    out: Steps = []
     for control in sorted((c for c in controls if c.kind == kind), key=lambda c: c.time):
         positions[control.channel] = control.value
-        out.append(Control(control.time, kind, max(positions.values())))
-    return History(out)
+        value = max(positions.values())
+        if out and out[-1][0] == control.time:
+            out[-1] = control.time, value
+        elif not out or out[-1][1] != value:
+            out.append((control.time, value))
+    return out
+
+
+def on_grid(steps: Steps, spacing: float) -> Steps:
+    """The last of the steps in each interval of a grid (s)."""
+    return list({math.floor(time / spacing): (time, value) for time, value in steps}.values())

@@ -10,7 +10,7 @@ from itertools import groupby
 
 from tonewood.errors import NothingPlayedError, ScoreError
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.player.dampers import SOSTENUTO, SUSTAIN, UNA_CORDA, Dampers, pressed_farthest
+from tonewood.performance.player.dampers import SOSTENUTO, SUSTAIN, UNA_CORDA, Dampers, pedal_moves
 from tonewood.performance.player.hands import laid_on, noises, slurred
 from tonewood.performance.player.strokes import (
     BEND_RATE,
@@ -33,6 +33,8 @@ from tonewood.performance.score.note import Control, Dropped, Score, ignored_nam
 
 #: volume, expression, sustain pedal
 _READ_CONTROLLERS = ("cc7", "cc11", SUSTAIN)
+#: bends of a score that are said to take long
+_MANY_BENDS = 2000
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,10 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
     dropped = [*score.dropped, *assignment.dropped]
     if not plays:
         raise NothingPlayedError(_why_nothing(dropped), file=score.place)
-    warnings = list(score.warnings)
+    warnings = [*score.warnings, *reader.warnings]
+    n_bent = len({(c.string, c.stop, c.cents) for c in reader.changes if c.cents is not None and c.stop is None})
+    if n_bent > _MANY_BENDS:
+        warnings.append(f"{n_bent} different bends of strings: the modes of each are computed anew, which takes long")
     if assignment.n_cut:
         warnings.append(f"{assignment.n_cut} notes end early: their string is needed again")
     if reader.n_moved:
@@ -114,7 +119,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
     if assignment.doubled:
         warnings.append(f"{len(assignment.doubled)} notes share another voice's pluck of the same pitch")
     first = min([0.0, *(play.start for play in plays)])
-    changes = laid_on(first, model) + reader.changes + _damper_changes(model, score.controls, reader.pressed)
+    changes = laid_on(first, model) + reader.changes + _damper_changes(model, reader.pedals, reader.pressed)
     if capo:
         changes += [Change(first, name, stop=capo) for name in model.strings]
     timeline = Timeline(
@@ -132,6 +137,7 @@ class _Reader:
     ----------
     changes, plays, played : of the strings played so far, and their notes.
     pressed : (time, whether it goes down, first string) of keys.
+    pedals, warnings : moves of pedals, and lines about them.
     n_moved : notes that are played at another place than asked for.
     """
 
@@ -139,8 +145,8 @@ class _Reader:
         self._model, self._capo, self._file = model, capo, score.place
         self._controllers, self._drawn = controllers, drawn
         self._bends = {c: History(_glided(line, GRID / model.fs)) for c, line in _by_channel(score.controls).items()}
-        kinds = Dampers(model).kinds
-        self._una_corda = pressed_farthest(score.controls, UNA_CORDA) if UNA_CORDA in kinds else History()
+        self.pedals, self.warnings = pedal_moves(model, score.controls)
+        self._una_corda = History([move for move in self.pedals if move.kind == UNA_CORDA])
         self.changes: list[Change] = []
         self.plays: list[Play] = []
         self.played: list[Assigned] = []
@@ -200,12 +206,12 @@ class _Reader:
 
 
 def _damper_changes(
-    model: Model, controls: Sequence[Control], pressed: Sequence[tuple[float, bool, str]]
+    model: Model, pedals: Sequence[Control], pressed: Sequence[tuple[float, bool, str]]
 ) -> list[Change]:
     """Return how keys and pedals move dampers; at one time keys come up, then go down, then pedals move."""
     dampers = Dampers(model)
     events: list[tuple[float, int, Control | str]] = [(time, int(down), name) for time, down, name in pressed]
-    events += [(control.time, 2, control) for control in controls if control.kind in dampers.kinds]
+    events += [(move.time, 2, move) for move in pedals]
     out: list[Change] = []
     for time, together in groupby(sorted(events, key=lambda e: e[:2]), key=lambda e: e[0]):
         for _, kind, event in together:
@@ -260,7 +266,10 @@ def playable(model: Model, capo: int = 0) -> list[PlayableString]:
 
 
 def _glided(line: Sequence[Control], tick: float) -> list[Control]:
-    """Return the bends with leaps drawn out to steps, one per `tick` (s), at no more than the greatest rate."""
+    """Return the bends with leaps drawn out to steps, one per `tick` (s), at no more than the greatest rate.
+
+    Steps on the way are multiples of that rate, so that leaps there and back share the bases of their strings.
+    """
     out: list[Control] = []
     value, step = 0.0, BEND_RATE * tick
     for i, control in enumerate(line):
@@ -268,7 +277,8 @@ def _glided(line: Sequence[Control], tick: float) -> list[Control]:
         until = line[i + 1].time if i + 1 < len(line) else math.inf
         while value != control.value and time < until:
             way = control.value - value
-            value = control.value if abs(way) <= step else value + math.copysign(step, way)
+            on_grid = step * (math.floor(value / step + 1e-9) + 1 if way > 0 else math.ceil(value / step - 1e-9) - 1)
+            value = control.value if abs(way) <= step else on_grid
             out.append(Control(time, control.kind, value, control.channel))
             time += tick
     return out

@@ -16,7 +16,7 @@ from midi_bytes import control, note, off, on, write
 from pianos import piano
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.engine.engine import Engine
-from tonewood.performance.player.dampers import Dampers, pressed_farthest
+from tonewood.performance.player.dampers import Dampers, on_grid, pressed_farthest
 from tonewood.performance.player.playing import perform
 from tonewood.support.units import decibel
 
@@ -83,9 +83,8 @@ def test_sostenuto_holds_what_is_down_when_it_is_pressed(model: Model) -> None:
 def test_the_pedal_pressed_farthest_counts(model: Model) -> None:
     steps = [(0.0, pedal("cc64", 0.5, 0)), (1.0, pedal("cc64", 1.0, 1)), (2.0, pedal("cc64", 0.0, 1))]
     assert course(model, steps) == [(0.0, 0.25), (1.0, 0.0), (2.0, 0.25)]
-    controls = [tw.Control(float(i), "cc67", value, channel) for i, (value, channel) in enumerate([(0.5, 0), (1.0, 1)])]
-    history = pressed_farthest([*controls, tw.Control(2.0, "cc67", 0.0, 1)], "cc67")
-    assert [history.at(time) for time in (-1.0, 0.0, 1.5, 2.0)] == [None, 0.5, 1.0, 0.5]
+    controls = [tw.Control(0.0, "cc64", 0.5, 0), tw.Control(1.0, "cc64", 1.0, 1), tw.Control(2.0, "cc64", 0.0, 1)]
+    assert pressed_farthest(controls, "cc64") == [(0.0, 0.5), (1.0, 1.0), (2.0, 0.5)]
 
 
 def test_a_note_struck_again_while_its_hammer_is_on_its_way_keeps_the_damper_up(model: Model) -> None:
@@ -271,3 +270,23 @@ def test_pedals_of_courses_without_dampers_are_reported_as_ignored() -> None:
     live = tw.Live(tw.load_instrument("twelve_string_guitar"), prepare=False, fs=8000)
     live.control(67, 1.0)
     assert sum(live.summary().ignored.values()) == 1
+
+
+def test_a_pedal_that_trembles_moves_once_per_point_of_the_grid(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+    """20,000 moves in 2 s: at most one for each 64 samples, and fewer where they would be too many for the strings."""
+    moves = [tw.Control(i * 1e-4, "cc64", float(i % 2)) for i in range(20_000)]
+    score = tw.Score([tw.Note(0.5, 1.0, note="C4", velocity_midi=80)], moves)
+    most = 2.0 * FS / 64 + 2
+    lines = perform(score, model)
+    times = {c.time for c in lines.timeline.changes if c.damper is not None and c.string.startswith("C3")}
+    assert 0.25 * most < len(times) <= most
+    assert not [w for w in lines.warnings if "pedal" in w]
+    monkeypatch.setattr("tonewood.performance.player.dampers._MOST_MOVES", 50 * len(model.strings))
+    fewer = perform(score, model)
+    times = {c.time for c in fewer.timeline.changes if c.damper is not None and c.string.startswith("C3")}
+    assert len(times) <= 50
+    assert [w for w in fewer.warnings if "controller 64 moves a pedal 20000 times: moves within" in w]
+
+
+def test_the_last_move_within_an_interval_counts() -> None:
+    assert on_grid([(0.1, 1.0), (0.9, 0.0), (1.5, 0.5), (3.0, 1.0)], 1.0) == [(0.9, 0.0), (1.5, 0.5), (3.0, 1.0)]
