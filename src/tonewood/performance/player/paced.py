@@ -24,7 +24,8 @@ from tonewood.performance.player.strokes import (
 from tonewood.performance.player.timeline import GRID, Change, Play, Timeline
 from tonewood.performance.player.variation import Deviates
 from tonewood.performance.player.voices import PlayedString, Voice
-from tonewood.performance.score.assignment import PEDALLED, Sounding
+from tonewood.performance.score.assignment import PEDALLED
+from tonewood.performance.score.fingering import Sounding
 
 #: s, by which a gesture that lasts as long as its note is known ahead, and the shortest note
 CONTINUED, _SHORTEST = 0.25, 0.02

@@ -31,8 +31,9 @@ from tonewood.performance.player.strokes import beyond_capo, event_values, with_
 from tonewood.performance.player.techniques import checked_technique, technique_of
 from tonewood.performance.player.timeline import GRID, Timeline
 from tonewood.performance.player.voices import HeldKeys, PlayerCounters, Voice
-from tonewood.performance.score.assignment import Sounding, StringChooser
+from tonewood.performance.score.assignment import StringChooser
 from tonewood.performance.score.controllers import loudness
+from tonewood.performance.score.fingering import Sounding
 from tonewood.performance.score.note import Control, Dropped, Note, Score, ignored_name
 
 #: points of the grid that are stepped at once while nothing is to be done

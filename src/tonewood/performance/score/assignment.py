@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from tonewood.errors import ScoreError
 from tonewood.instrument.scales import Tuning, note_name
-from tonewood.performance.score.fingering import Chord, FingeringCosts, Hand, Option, finger
+from tonewood.performance.score.fingering import Chord, FingeringCosts, Option, Sounding, finger, hand_after
 from tonewood.performance.score.note import Dropped, Note
 
 CHORD_WINDOW = 0.030
@@ -139,7 +139,7 @@ def assign(
     if not channel_per_string:
         plucks, doubled = _share_plucks(plucks)
     chords, dropped = _chords(plucks, resolver, len(strings))
-    chosen, cost = finger([_chord(chord) for chord in chords], Hand.silent(len(strings)), costs or FingeringCosts())
+    chosen, cost = finger([_chord(chord) for chord in chords], len(strings), costs or FingeringCosts())
     pairs = [
         (voice.note, option)
         for chord, options in zip(chords, chosen, strict=True)
@@ -148,14 +148,6 @@ def assign(
     assigned, n_cut = _ends(pairs, strings, resolver)
     drops = tuple(sorted((drop for _, drop in dropped), key=lambda d: d.time))
     return Assignment(assigned, tuple(doubled), drops, n_cut, cost)
-
-
-@dataclass(frozen=True, slots=True)
-class Sounding:
-    """A note on a string now: its stop, and its weight from 0 (let go) to 1 (key down)."""
-
-    stop: float
-    weight: float
 
 
 class StringChooser:
@@ -204,12 +196,9 @@ class StringChooser:
         if not first:
             return [], dropped
         chords = [_chord(chord, now) for chord in (*first, *later)]
-        stops, weights = [0.0] * len(self.strings), [0.0] * len(self.strings)
-        for i, string in enumerate(self.strings):
-            if (note := sounding.get(string.name)) is not None:
-                stops[i], weights[i] = note.stop, note.weight
-        chosen, _ = finger(chords, Hand(self.hand, stops, weights), self._costs)
-        self.hand = Hand.moved(self.hand, chosen[0])
+        now_on = {i: sounding[string.name] for i, string in enumerate(self.strings) if string.name in sounding}
+        chosen, _ = finger(chords, len(self.strings), self._costs, hand=self.hand, sounding=now_on)
+        self.hand = hand_after(self.hand, chosen[0])
         return [
             Assigned(v.note, self.strings[o.string].name, o.stop, self._resolver.cents(v.note, o), math.inf)
             for v, o in zip(first[0], chosen[0], strict=True)

@@ -21,7 +21,7 @@ it; the work is then proportional to the number of chords.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import NamedTuple
@@ -111,48 +111,48 @@ class _States(NamedTuple):
     held: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Hand:
-    """Left hand before the first chord, at time 0.
+@dataclass(frozen=True, slots=True)
+class Sounding:
+    """A note on a string before the first chord: its stop, and its weight from 0 (let go) to 1 (key down)."""
 
-    Attributes
-    ----------
-    place : stop under the first finger.
-    stops : of the notes that sound, one per string.
-    weights : how much of them would be cut off, from 0 (nothing sounds) to 1.
-    """
-
-    place: float
-    stops: Sequence[float]
-    weights: Sequence[float]
-
-    @classmethod
-    def silent(cls, n_strings: int) -> Hand:
-        """Return a hand at stop 1 where nothing sounds."""
-        return cls(1.0, [0.0] * n_strings, [0.0] * n_strings)
-
-    @staticmethod
-    def moved(place: float, chosen: Sequence[Option]) -> float:
-        """Return where the first finger is after a chord: moved no farther than its stopped notes ask for."""
-        stops = [option.stop for option in chosen if option.stop > 0]
-        if not stops:
-            return place
-        ends = max(stops) - HAND_SPAN, min(stops)
-        return min(max(place, min(ends)), max(ends))
+    stop: float
+    weight: float
 
 
-def finger(chords: Sequence[Chord], hand: Hand, costs: FingeringCosts) -> tuple[list[tuple[Option, ...]], float]:
+def hand_after(hand: float, chosen: Sequence[Option]) -> float:
+    """Return where the first finger is after a chord: moved no farther than its stopped notes ask for."""
+    stops = [option.stop for option in chosen if option.stop > 0]
+    if not stops:
+        return hand
+    ends = max(stops) - HAND_SPAN, min(stops)
+    return min(max(hand, min(ends)), max(ends))
+
+
+def finger(
+    chords: Sequence[Chord],
+    n_strings: int,
+    costs: FingeringCosts,
+    *,
+    hand: float = 1.0,
+    sounding: Mapping[int, Sounding] | None = None,
+) -> tuple[list[tuple[Option, ...]], float]:
     """Choose a place for every note of every chord.
+
+    Parameters
+    ----------
+    hand : stop under the first finger before the first chord.
+    sounding : string -> note on it at time 0.
 
     Returns
     -------
     chosen : per chord one option per note, on different strings.
     cost : of the whole piece, as defined above.
     """
-    n_strings, stops, weights = len(hand.stops), np.array([hand.stops]), np.array([hand.weights])
-    ends = np.where(weights > 0, weights, -math.inf)
+    stops, ends = np.zeros((1, n_strings)), np.full((1, n_strings), -math.inf)
+    for i, note in (sounding or {}).items():
+        stops[0, i], ends[0, i] = note.stop, note.weight or -math.inf
     held = (stops > 0).astype(float)
-    states = _States(np.zeros(1), np.array([hand.place]), ends, np.ones((1, n_strings)), stops, held)
+    states = _States(np.zeros(1), np.array([hand]), ends, np.ones((1, n_strings)), stops, held)
     steps: list[tuple[list[tuple[Option, ...]], NDArray[np.int16], NDArray[np.int16]]] = []
     for i, chord in enumerate(chords):
         ways = ways_to_play(chord, n_strings, costs)

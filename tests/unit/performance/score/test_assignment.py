@@ -14,7 +14,7 @@ from tonewood.errors import ScoreError
 from tonewood.instrument.scales import Scale, Tuning
 from tonewood.performance.score import fingering
 from tonewood.performance.score.assignment import Assignment, PlayableString, StringChooser, assign
-from tonewood.performance.score.fingering import Chord, FingeringCosts, Hand, Option, finger
+from tonewood.performance.score.fingering import Chord, FingeringCosts, Option, finger
 from tonewood.performance.score.note import Note
 
 GUITAR = [
@@ -195,7 +195,7 @@ def test_a_held_finger_is_left_behind_once(stop, leaves):
     above = [Chord(t, (t + 1,), (1.0,), ((Option(s, float(stop + t - 1)),),)) for s, t in ((1, 1), (2, 2))]
     _, cost = finger(
         [held, *above[: 2 if leaves else 1]],
-        Hand.silent(3),
+        3,
         FingeringCosts(position=0.0, shift=0.0, stretch=0.0, cut=1.0),
     )
     assert cost == (0.75 if leaves else 0.0)
@@ -208,7 +208,7 @@ def test_cost_of_three_notes_by_hand():
         Chord(1.0, (2.0,), (1.0,), ((Option(0, 2.0),),)),
         Chord(2.0, (3.0,), (1.0,), ((Option(0, 9.0),),)),
     ]
-    _, cost = finger(chords, Hand.silent(1), FingeringCosts(position=0.1, shift=1.0, stretch=1.0, cut=6.0))
+    _, cost = finger(chords, 1, FingeringCosts(position=0.1, shift=1.0, stretch=1.0, cut=6.0))
     assert cost == pytest.approx(0.1 * 16 + (1 + 4) + 6 * 0.5)
 
 
@@ -266,7 +266,7 @@ def small_pieces(draw) -> tuple[list[Chord], int, FingeringCosts]:
 @given(small_pieces())
 def test_nothing_is_cheaper(piece):
     chords, n_strings, costs = piece
-    chosen, cost = finger(chords, Hand.silent(n_strings), costs)
+    chosen, cost = finger(chords, n_strings, costs)
     assert cost == pytest.approx(least_cost(chords, costs) if chords else 0.0, rel=1e-9, abs=1e-9)
     for chord, options in zip(chords, chosen, strict=True):
         assert all(option in allowed for option, allowed in zip(options, chord.options, strict=True))
@@ -290,7 +290,7 @@ def test_a_chord_with_more_ways_than_are_kept_is_still_played():
     """Twelve strings in unison and twelve notes of which one fits a single string: no dead end."""
     options = [tuple(Option(s, float(n)) for s in range(12)) for n in range(11)] + [(Option(0, 5.0),)]
     chord = Chord(0.0, (1.0,) * 12, (1.0,) * 12, tuple(options))
-    (chosen,), _ = finger([chord], Hand.silent(12), FingeringCosts())
+    (chosen,), _ = finger([chord], 12, FingeringCosts())
     assert sorted(o.string for o in chosen) == list(range(12))
     assert chosen[11] == (0, 5.0)
 
