@@ -56,7 +56,7 @@ class StringModel:
 
     Parameters
     ----------
-    along : body point -> share of its displacement in that of the string's end along the string.
+    end_shares : body point -> share of its displacement in that of the string's end along the string.
     scatter : stop -> cents by which the second polarization is sharper than its `detune` says.
     kept : tunings of open strings from an earlier run.
     """
@@ -79,7 +79,7 @@ class StringModel:
         scatter: Callable[[float], float] | None = None,
         touching: Mapping[str, Attachment[Any] | Exciter[Any]] | None = None,
         longitudinal: LongitudinalMotion | None = None,
-        along: Mapping[str, float] | None = None,
+        end_shares: Mapping[str, float] | None = None,
         pluck_width: float = 0.0,
         group: tuple[str, ...] = (),
         damper: tuple[float, float, float] | None = None,
@@ -88,7 +88,7 @@ class StringModel:
         self.name, self.resonator, self.polarizations = name, resonator, polarizations
         self.longitudinal = longitudinal
         planes, own = tuple(p.component for p in polarizations), longitudinal.component if longitudinal else None
-        motion = StringMotion(name, planes, own, dict(along or {}))
+        motion = StringMotion(name, planes, own, dict(end_shares or {}))
         self.potentials = tuple(resonator.potentials(motion))
         self.open_note, self.stopping, self.points = open_note, stopping, dict(points)
         self.pluck_from_bridge, self.pluck_width = pluck_from_bridge, pluck_width

@@ -24,7 +24,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any, ClassVar
 
 import numpy as np
@@ -88,7 +87,7 @@ class Potential(ABC):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class MiddleOfStep:
     """What the direction of one potential over one step may depend on.
 
     Attributes
@@ -107,7 +106,7 @@ class Step:
     psi: float
 
 
-class Kind(IntEnum):
+class Kind:
     """Kinds of potentials in the kernel, in the order in which it steps them."""
 
     TENSION = 0
@@ -136,7 +135,7 @@ class JoinedPotential(ABC):
         """V, J, at coordinates (n,), m sqrt(kg)."""
 
     @abstractmethod
-    def direction(self, step: Step) -> Floats:
+    def direction(self, step: MiddleOfStep) -> Floats:
         """G (n,), sqrt(J) / (m sqrt(kg)): the gradient of psi in the middle of the step."""
 
     @abstractmethod
