@@ -53,7 +53,7 @@ def test_parts_are_mixed(tonewood: Run, duo: Path, tmp_path: Path) -> None:
     assert np.abs(mix - sum(stems)).max() < 3 * 2**-23
     _, out, _ = tonewood(*words, "--level", "calibrated")
     assert "1 part at 16000 Hz, true peak" in out
-    assert "part 2 on monochord, -3.0 dB, pan -0.50: 1 notes, 0 dropped" in out
+    assert "part 2 on monochord, -3.0 dB, pan -0.50: 1 note, 0 dropped" in out
 
 
 @pytest.mark.parametrize(
