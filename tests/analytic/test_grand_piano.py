@@ -77,7 +77,7 @@ def test_unisons_decay_as_weinreich_says(middle: tw.Instrument) -> None:
     three, _ = unison(model, 3)
     assert len(three) == 3
     p = model.strings["C4_1"].resonator.parameters
-    own = p.loss.sigma0 + p.loss.sigma1 * (math.pi / p.length) ** 2
+    own = p.loss.parameters.sigma0 + p.loss.parameters.sigma1 * (math.pi / p.length) ** 2
     rates = np.sort(-three.real)
     assert rates[:2] == pytest.approx([own, own], rel=0.01)
     assert rates[2] - own == pytest.approx(3 * (-one.real - own), rel=0.1)
@@ -186,7 +186,7 @@ def test_decays_of_all_keys(grand: Model) -> None:
         end = next(iter(string.polarizations[0].ends))
         mobility = grand.body.frf(np.array([at.wanted_freq]), end, end)[0].real
         impedance = math.sqrt(at.tension * p.linear_density)
-        rate = p.loss.sigma0 + p.loss.sigma1 * (math.pi / p.length) ** 2 + 2 * at.wanted_freq * impedance * mobility * n
+        rate = p.loss.parameters.sigma0 + p.loss.parameters.sigma1 * (math.pi / p.length) ** 2 + 2 * at.wanted_freq * impedance * mobility * n
         ratios.append(math.log(1000) / rate / at.t60)
         decays[at.string.partition("_")[0]] = at.t60
     assert np.median(ratios) == pytest.approx(1.0, abs=0.03)

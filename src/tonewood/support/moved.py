@@ -38,8 +38,8 @@ _MODULES = {
     ): "blas cache_folder garbage params plotting scipy_linalg tables units validation_messages whole_files "
     "yaml_edit yaml_io yaml_parser",
     ("instrument", "instrument.contract"): "attached directions effects files gestures losses microphones svg_path "
-    "registry array_cache",
-    ("instrument", "instrument.bundle"): "bundle_code added json_schema keys migration new_bundle overrides schema "
+    "registry array_cache bundle_code",
+    ("instrument", "instrument.bundle"): "added json_schema keys migration new_bundle overrides schema "
     "schema_table string_sets key_schema",
     ("instrument", "instrument.model"): "assembly choice finger kept_tunings output_assembly stretch string_assembly "
     "string_setup string_stems strings tuning",

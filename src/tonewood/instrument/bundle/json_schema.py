@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic.json_schema import models_json_schema
 
-from tonewood.instrument.bundle.bundle_code import CODE_PATTERN
+from tonewood.instrument.contract.bundle_code import CODE_PATTERN
 from tonewood.instrument.bundle.schema import (
     SCHEMA,
     BodyPart,

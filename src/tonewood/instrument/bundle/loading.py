@@ -14,14 +14,14 @@ from typing import Any
 
 from tonewood.errors import BundleError, OldFormatWarning, PluginError, ScoreError, TonewoodError, kind_of
 from tonewood.instrument.bundle.added import body_parts
-from tonewood.instrument.bundle.bundle_code import code_hash, code_plugin, is_code
 from tonewood.instrument.bundle.keys import check_keys, groups, key_exciters, merged, with_keys
 from tonewood.instrument.bundle.migration import bundle_edits
 from tonewood.instrument.bundle.overrides import apply_overrides
 from tonewood.instrument.bundle.schema import Bundle, OutputPart, PluginPart, Provenance
 from tonewood.instrument.bundle.string_sets import with_set
 from tonewood.instrument.contract import registry
-from tonewood.instrument.contract.base import Attachment, Body, Exciter, Pickup, Plugin, Resonator
+from tonewood.instrument.contract.base import Attachment, Body, Exciter, Loss, Pickup, Plugin, Resonator
+from tonewood.instrument.contract.bundle_code import code_hash, is_code, plugin_named
 from tonewood.instrument.contract.directions import polarization_vectors
 from tonewood.instrument.contract.files import Files
 from tonewood.instrument.scales import Tuning, note_number, read_tuning
@@ -143,30 +143,25 @@ class Instrument(ModalViews):
         BundleError, PluginError : one line with file, key and reason.
         """
         root = Path(folder)
-        files = Files(root, root / registry.MANIFEST, granted)
+        files = Files(root, root / registry.MANIFEST, granted, allow_code)
         if edits := bundle_edits(values, files.manifest):
             what = f"{files.manifest}: schema: {values['schema']} is deprecated; run: tonewood migrate {root}"
             warnings.warn(what, OldFormatWarning, stacklevel=3)
             values = apply_edits(values, edits)
         rows = with_keys(values, files)
         try:
-            return cls._made_of(rows.values, files, granted, allow_code)
+            return cls._made_of(rows.values, files)
         except (BundleError, PluginError) as fault:
             raise rows.located(fault) from None
 
     @classmethod
-    def _made_of(
-        cls, values: Mapping[str, Any], files: Files, granted: frozenset[Path], allow_code: bool
-    ) -> Instrument:
+    def _made_of(cls, values: Mapping[str, Any], files: Files) -> Instrument:
         """Make one from the values of a bundle whose table of keys is expanded."""
         spec = validated(Bundle, _with_strings(_merged(values, files), files), key="", file=files.manifest)
 
         def make(part: PluginPart, kind: str, key: str) -> Plugin[Any]:
             try:
-                if is_code(part.plugin):
-                    plugin = code_plugin(part.plugin, kind, files, allowed=allow_code)
-                else:
-                    plugin = registry.plugin(part.plugin, kind)
+                plugin = plugin_named(part.plugin, kind, files)
             except PluginError as fault:
                 raise PluginError(fault.reason, file=files.manifest, key=f"{key}.plugin") from None
             return plugin.from_values(part.values, files, key)
@@ -195,8 +190,8 @@ class Instrument(ModalViews):
             **made,
             key_exciters=by_key,
             resolved=resolved,
-            granted=granted,
-            allow_code=allow_code,
+            granted=files.granted,
+            allow_code=files.allow_code,
         )
         instrument._check()
         return instrument
@@ -376,10 +371,11 @@ class Instrument(ModalViews):
         return {name: code.get(name) or registry.plugin_hash(name) for name in self.plugin_names}
 
     def _made(self) -> Iterator[tuple[str, Plugin[Any]]]:
-        """Name and plugin of every part."""
+        """Name and plugin of every part, and of the loss laws of strings."""
         spec = self.spec
         yield spec.body.plugin, self.body
         yield from ((spec.strings[name].plugin, made) for name, made in self.resonators.items())
+        yield from ((law.law, law) for made in self.resonators.values() for law in made.inner if isinstance(law, Loss))
         yield from ((spec.connections[name].plugin, made) for name, made in self.attachments.items())
         yield from ((spec.exciters[name].plugin, made) for name, made in self.exciters.items())
         yield from ((part.plugin, self.pickups[part.name]) for part in spec.outputs)

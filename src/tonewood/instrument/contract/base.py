@@ -4,7 +4,9 @@ A plugin is a class with parameters and formulas. It owns nothing that moves and
 before a render it is asked for arrays (modal bases, pieces of force, rows to read), and the engine does the rest.
 
 ====================  ==================================================================================
-`Resonator`           a string: modal bases for every stop and tension, and the maps of motion between them
+`Resonator`           a string: its length, tension, mass, stiffness and loss, from which its modes at every stop and tension
+                      and the maps of motion between them follow
+`Loss`                the loss factor of a string's partials: one formula
 `Body`                the body that strings are joined to: one modal basis with named points
 `Exciter`             gestures: known forces in time, and a finger's dashpot on the string meanwhile; an exciter that
                       reacts adds masses and contacts of its own
@@ -36,6 +38,9 @@ from tonewood.instrument.contract.gestures import Event, Gesture, Place
 from tonewood.physics.coupling.phantoms import PhantomPartials
 from tonewood.physics.coupling.system import Drive, Readout
 from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_losses import string_detuned
+from tonewood.physics.modal.string_modes import string_basis, wavenumber
+from tonewood.physics.modal.string_transfer import string_carry, string_transfer
 from tonewood.physics.modal.views import SHOWN_TO, ModalViews
 from tonewood.support.params import Parameters, Vector, validated
 from tonewood.support.tables import properties_html
@@ -43,7 +48,10 @@ from tonewood.support.tables import properties_html
 if TYPE_CHECKING:
     from tonewood.physics.plate.radiation import Sources
 
+#: version of this contract
 API = 1
+#: limit of the number of modes of a string: cost and memory grow with its square
+MOST_MODES = 3000
 
 Floats = NDArray[np.float64]
 P = TypeVar("P", bound=Parameters)
@@ -59,7 +67,8 @@ class Plugin(ABC, Generic[P]):
     key : of the part in the bundle, e.g. ``strings.E2``, for errors.
     """
 
-    #: version of this contract the plugin was written for
+    #: version of this contract that the plugin was written for; each class states it, so that a later version can
+    #: refuse the class in one line
     api: ClassVar[int] = API
     #: the kind's name, set by the base classes here
     kind: ClassVar[str]
@@ -93,7 +102,8 @@ class Plugin(ABC, Generic[P]):
         BundleError : a value is unknown, missing or out of range.
         """
         files = files or Files(None)
-        return cls(validated(cls.Parameters, values, key=key, file=files.manifest), files, key)  # type: ignore[arg-type]  # Parameters of this very class
+        parameters = validated(cls.Parameters, values, key=key, file=files.manifest, context={"files": files, "key": key})
+        return cls(parameters, files, key)  # type: ignore[arg-type]  # Parameters of this very class
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.key or self.kind})"
@@ -101,6 +111,16 @@ class Plugin(ABC, Generic[P]):
     def _repr_html_(self) -> str:
         heading = f"{type(self).__name__}, {self.kind} {self.key}".rstrip()
         return properties_html(heading, self.parameters.model_dump(mode="json", by_alias=True))
+
+    @classmethod
+    def left_out(cls) -> list[str]:
+        """Return the names of the contract that the class must define and does not."""
+        return sorted(cls.__abstractmethods__)
+
+    @property
+    def inner(self) -> tuple[Plugin[Any], ...]:
+        """Plugins among its parameters: a string's loss law."""
+        return tuple(value for _, value in self.parameters if isinstance(value, Plugin))
 
     @property
     def name(self) -> str:
@@ -130,10 +150,62 @@ class Longitudinal:
     bridge_leverage: float
 
 
+@dataclass(frozen=True, slots=True)
+class StringData:
+    """A uniform string under tension, as a loss law is told of it.
+
+    Attributes
+    ----------
+    tension : T, N.
+    linear_density : mu, kg/m.
+    bending_stiffness : EI, N m^2.
+    """
+
+    tension: float
+    linear_density: float
+    bending_stiffness: float = 0.0
+
+
+class Loss(Plugin[P]):
+    """A law of loss: the loss factor of a string's partials, as measurements of strings give it.
+
+    A bundle names it by the key ``law`` of a string's ``loss``, with the law's own parameters beside it; a string takes
+    one by a parameter of the type `ta.LossLaw`.
+
+    Attributes
+    ----------
+    law : its name in the bundle; empty where it was made in Python.
+    """
+
+    kind = "loss"
+    law: str = ""
+
+    @abstractmethod
+    def eta(self, omega: Floats, k: Floats, string: StringData) -> Floats:
+        """Return the loss factor of partials between fixed ends.
+
+            eta = 1 / Q = 2 sigma / omega,      T60 = ln(1000) / sigma
+
+        Parameters
+        ----------
+        omega : (n,) rad/s, above 0, of the partials without loss.
+        k : (n,) 1/m, their wavenumbers.
+        string : its tension, mass and stiffness.
+
+        Returns
+        -------
+        (n,) or a single number, 0 or more.
+        """
+
+
 class Resonator(Plugin[P]):
     """A string in one polarization: held at the nut or a stop, moved by a body at the bridge.
 
-    Places are metres from the bridge, so that they stay true when the string is stopped.
+        mu u_tt + loss = T u_xx - EI u_xxxx + f(x, t),      u(0, t) the bridge's motion,  u(L - stop, t) = 0
+
+    A uniform string states `length`, `tension`, `linear_density`, `bending_stiffness` and `loss`; its modes and the maps
+    of motion between stops follow. A string that is not uniform overrides `basis`, `detuned` and `transfer`, all three.
+    Places are metres from the bridge, so that they stay true when the string is stopped; stops are metres from the nut.
     """
 
     kind = "resonator"
@@ -148,6 +220,31 @@ class Resonator(Plugin[P]):
     @abstractmethod
     def tension(self) -> float:
         """Tension of the open string before tuning, N."""
+
+    @property
+    def linear_density(self) -> float:
+        """Mass per length, kg/m; 0 where it is not uniform and the string makes modes of its own."""
+        return 0.0
+
+    @property
+    def bending_stiffness(self) -> float:
+        """EI, N m^2; 0 for a string without stiffness."""
+        return 0.0
+
+    def loss(self, omega: Floats, k: Floats, tension: float) -> Floats:
+        """Return the loss factor eta = 2 sigma / omega of partials between fixed ends; often a `Loss` has it.
+
+        Parameters
+        ----------
+        omega : (n,) rad/s, above 0, of the partials without loss.
+        k : (n,) 1/m, their wavenumbers.
+        tension : N; the tuner and bends change it.
+
+        Returns
+        -------
+        (n,) or a single number, 0 or more.
+        """
+        raise NotImplementedError
 
     @property
     def axial_stiffness(self) -> float:
@@ -168,9 +265,24 @@ class Resonator(Plugin[P]):
         """Longitudinal motion that is driven one way; needs bases of `ta.string_basis`, detuned or not."""
         return None
 
-    @abstractmethod
+    @classmethod
+    def left_out(cls) -> list[str]:
+        """Return what the class must define and does not: the physics of a uniform string, or modes of its own."""
+
+        def missing(names: Sequence[str]) -> list[str]:
+            return [name for name in names if getattr(cls, name) is getattr(Resonator, name)]
+
+        physics, modes = missing(_PHYSICS), missing(_MODES)
+        needed = [] if not (physics and modes) else physics if "basis" in modes else modes
+        return [*super().left_out(), *needed]
+
+    def __init__(self, parameters: P, files: Files, key: str = ""):
+        if left_out := self.left_out():  # as an abstract method of Python's would
+            raise TypeError(f"{type(self).__name__} leaves out {', '.join(left_out)}")
+        super().__init__(parameters, files, key)
+
     def basis(self, freq_upper: float, *, stop: float = 0.0, tension: float | None = None) -> ModalBasis:
-        """Return the modes of the string with its bridge end free.
+        """Return the modes of the string with its bridge end free: all below `freq_upper`, by `ta.string_basis`.
 
         Parameters
         ----------
@@ -181,16 +293,44 @@ class Resonator(Plugin[P]):
         Returns
         -------
         Mass-normalised real modes with the point ``bridge`` and a shape for every place from 0 to the speaking length.
-        """
 
-    @abstractmethod
+        Raises
+        ------
+        BundleError : more than 3000 modes, or none, lie below `freq_upper`.
+        """
+        actual, length = self.tension if tension is None else tension, self.length - stop
+        density, stiffness = self.linear_density, self.bending_stiffness
+        count = int(length / np.pi * wavenumber(2 * np.pi * freq_upper, actual, density, stiffness))
+        if count > MOST_MODES:
+            raise self.fault(f"has some {count} modes below {freq_upper:g} Hz; at most {MOST_MODES} are allowed")
+        try:
+            return string_basis(
+                length, actual, density, stiffness, lambda w, k: self.loss(w, k, actual), freq_upper=freq_upper
+            )
+        except ValueError as fault:
+            raise self.fault(str(fault)) from None
+
     def detuned(self, basis: ModalBasis, tension: float) -> ModalBasis:
-        """Return `basis` (one of this string's) at another tension: same shapes, new frequencies and losses."""
+        """Return a basis at another tension, as a bend or the tuner changes it: same shapes, by `ta.string_detuned`.
+
+            omega^2 = T a_k + EI b_k
+
+        The change of the shapes, which only bending stiffness causes, is left out: a tension raised by 50 cents raises
+        the partials of a classical guitar's strings by 0.08 to 0.2 cent less, all nearly alike. Decay rates follow
+        `loss` from the old frequency of each mode to its new one: on a classical guitar 200 cents leave those of
+        partials on a rigid end within 0.6 % of the law.
+
+        Parameters
+        ----------
+        basis : one of this string's, at any stop.
+        tension : N.
+        """
+        return string_detuned(basis, tension, self.loss)
 
     def decay_rate(self, freq_rad: Floats, tension: float) -> Floats | None:
-        """Return the law of loss, with which `tonewood check` compares; None where the bases say how they meet it.
+        """Return the law of loss, with which `tonewood check` compares; None where `loss` is not stated.
 
-        Bases of `ta.string_basis` and `ta.with_partial_decays` say so: ``loss_error`` in their metadata.
+            sigma = omega eta(omega, k, T) / 2
 
         Parameters
         ----------
@@ -201,11 +341,13 @@ class Resonator(Plugin[P]):
         -------
         (n,) 1/s, sigma of each partial.
         """
-        return None
+        if type(self).loss is Resonator.loss or not self.linear_density > 0.0:
+            return None
+        k = wavenumber(freq_rad, tension, self.linear_density, self.bending_stiffness)
+        return np.asarray(freq_rad * self.loss(freq_rad, k, tension) / 2, dtype=np.float64)
 
-    @abstractmethod
     def transfer(self, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
-        """Carry the string's motion from one stop to another.
+        """Carry the string's motion from one stop to another, by `ta.string_transfer`.
 
         Parameters
         ----------
@@ -216,17 +358,24 @@ class Resonator(Plugin[P]):
         displacement, velocity : (n_new, n_old), q_new = displacement @ q_old and q_new' = velocity @ q_old' of the
         modal coordinates q, y = sum phi q. Must keep the bridge's displacement and never raise the energy.
         """
+        return string_transfer(old, new)
 
     def carried(self, old: ModalBasis, new: ModalBasis, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-        """Return one motion carried from one stop to another; override it where that is faster.
+        """Return one motion carried from one stop to another, as `transfer` would; override it where that is faster.
 
         Parameters
         ----------
         old, new : as for `transfer`.
         q, velocity : (n_old,) coordinates and their rates.
         """
+        if type(self).transfer is Resonator.transfer:
+            return string_carry(old, new, q, velocity)
         displacement, moving = self.transfer(old, new)
         return displacement @ q, moving @ velocity
+
+
+#: what a uniform string states, and what a string of its own modes does
+_PHYSICS, _MODES = ("linear_density", "loss"), ("basis", "detuned", "transfer")
 
 
 @dataclass(frozen=True, slots=True)
@@ -430,7 +579,7 @@ class Pickup(Plugin[P]):
 
 
 #: kind -> base class; a plugin derives from exactly one of them
-KINDS: dict[str, type[Plugin[Any]]] = {c.kind: c for c in (Resonator, Body, Exciter, Attachment, Pickup)}
+KINDS: dict[str, type[Plugin[Any]]] = {c.kind: c for c in (Resonator, Loss, Body, Exciter, Attachment, Pickup)}
 
 
 def dot(a: Sequence[float], b: Sequence[float]) -> float:

@@ -1,106 +1,86 @@
-"""Loss laws of strings: loss factor eta(omega, k) of a partial between fixed ends, sigma = omega eta / 2.
+"""The type of a parameter that is a loss law: ``loss: {law: NAME, ...}`` in a bundle becomes the plugin of that name.
 
-Measurements of strings give this loss factor; `tonewood.physics.modal.string_modes` finds the loss of the modes with
-which the partials on a rigid bridge decay by the law. The law is chosen by its key ``law`` in a bundle: ``woodhouse``,
-``sigma`` or ``valette``.
+>>> from tonewood.plugins.stiff_string import StiffString
+>>> values = {"length": 0.65, "tension": 70.0, "linear_density": 4e-3, "loss": {"law": "sigma", "sigma0": 0.5}}
+>>> StiffString.from_values(values).parameters.loss.parameters.sigma0
+0.5
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
+from pydantic_core import CoreSchema, core_schema
 
-from tonewood.support.params import Parameters, described, quantity
-
-Floats = NDArray[np.float64]
-
-
-class StringLoss(Parameters, ABC):
-    """A loss law: its parameters, and the loss factor."""
-
-    @abstractmethod
-    def eta(
-        self, freq_rad: Floats, wavenumber: Floats, *, tension: float, linear_density: float, bending_stiffness: float
-    ) -> Floats:
-        """Loss factor 1/Q of partials between fixed ends, 1; not below 0.
-
-        Parameters
-        ----------
-        freq_rad : (n,) rad/s, above 0, without loss.
-        wavenumber : (n,) 1/m.
-        tension, linear_density, bending_stiffness : N, kg/m, N m^2.
-        """
+from tonewood.errors import BundleError, PluginError, kind_of
+from tonewood.instrument.contract.base import Loss
+from tonewood.instrument.contract.bundle_code import CODE_PATTERN, plugin_named
+from tonewood.instrument.contract.files import Files
+from tonewood.instrument.contract.registry import list_plugins
 
 
-class Woodhouse(StringLoss):
-    """Friction, air and bending losses of a polymer string.
+class _LawField:
+    """Tells pydantic how a loss law is read, written and described."""
 
-        eta = [T (eta_f + eta_a / omega) + EI eta_b k^2] / [T + EI k^2]
+    @staticmethod
+    def __get_pydantic_core_schema__(source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        written = core_schema.plain_serializer_function_ser_schema(_written)
+        return core_schema.with_info_plain_validator_function(_read, serialization=written)
 
-    Woodhouse (2004), Acta Acustica 90, 945, Eq. 8 (k = n pi / L there).
-    """
-
-    law: Literal["woodhouse"] = described("chooses this law")
-    eta_f: float = quantity("1", low=0.0, high=1.0, doc="loss of stretching, the same at every frequency")
-    eta_b: float = quantity("1", low=0.0, high=1.0, doc="loss of bending")
-    eta_a: float = quantity("1/s", low=0.0, high=1e3, doc="loss to the air")
-
-    def eta(
-        self, freq_rad: Floats, wavenumber: Floats, *, tension: float, linear_density: float, bending_stiffness: float
-    ) -> Floats:
-        """As `StringLoss.eta`."""
-        bending = bending_stiffness * wavenumber**2
-        lost = tension * (self.eta_f + self.eta_a / freq_rad) + bending * self.eta_b
-        return np.asarray(lost / (tension + bending))
+    @staticmethod
+    def __get_pydantic_json_schema__(schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        laws = {name: law for name, law in list_plugins().items() if law.kind == Loss.kind}
+        return {"anyOf": [*(_branch(name, law.Parameters, handler) for name, law in laws.items()), _CODE_BRANCH]}
 
 
-class Sigma(StringLoss):
-    """sigma = sigma0 + sigma1 k^2: u_tt = ... - 2 sigma0 u_t + 2 sigma1 u_txx.
-
-    Bensa, Bilbao, Kronland-Martinet & Smith (2003), J. Acoust. Soc. Am. 114, 1095, Eq. 6.
-    """
-
-    law: Literal["sigma"] = described("chooses this law")
-    sigma0: float = quantity("1/s", low=0.0, high=1e4, doc="damping rate at low frequency")
-    sigma1: float = quantity("m^2/s", low=0.0, high=1.0, default=0.0, doc="growth of the damping rate with k^2")
-
-    def eta(
-        self, freq_rad: Floats, wavenumber: Floats, *, tension: float, linear_density: float, bending_stiffness: float
-    ) -> Floats:
-        """As `StringLoss.eta`."""
-        return np.asarray(2 * (self.sigma0 + self.sigma1 * wavenumber**2) / freq_rad)
+#: a loss law in a bundle's folder, whose own keys are not known here
+_CODE_BRANCH = {
+    "type": "object",
+    "title": "loss law in the bundle's folder",
+    "properties": {"law": {"type": "string", "pattern": rf"^{CODE_PATTERN}$", "description": "FILE.py:CLASS"}},
+    "required": ["law"],
+    "additionalProperties": True,
+}
 
 
-class Valette(StringLoss):
-    """Air, visco-elastic and thermo-elastic losses of a metal string.
-
-        eta = R / (2 pi mu nu) + delta_ve EI k^2 / T + inverse_q_te,   nu = omega / 2 pi,
-        R = 2 pi eta_air + 2 pi d sqrt(pi eta_air rho_air nu)
-
-    Valette & Cuesta, *Mécanique de la corde vibrante* (1993); in this form Issanchou, Bilbao, Le Carrou, Touzé &
-    Doaré (2017), J. Sound Vib. 393, 219.
-    """
-
-    law: Literal["valette"] = described("chooses this law")
-    diameter: float = quantity("m", low=1e-5, high=0.05, doc="of the string, as the air meets it")
-    delta_ve: float = quantity("1", low=0.0, high=1.0, doc="visco-elastic loss angle of bending")
-    inverse_q_te: float = quantity("1", low=0.0, high=1.0, default=0.0, doc="thermo-elastic and dislocation loss")
-    air_viscosity: float = quantity("kg/(m s)", low=0.0, high=1e-3, default=1.8e-5, doc="dynamic viscosity of air")
-    air_density: float = quantity("kg/m^3", low=0.0, high=10.0, default=1.2, doc="density of air")
-
-    def eta(
-        self, freq_rad: Floats, wavenumber: Floats, *, tension: float, linear_density: float, bending_stiffness: float
-    ) -> Floats:
-        """As `StringLoss.eta`."""
-        viscous, nu = self.air_viscosity, freq_rad / (2 * np.pi)
-        drag = 2 * np.pi * (viscous + self.diameter * np.sqrt(np.pi * viscous * self.air_density * nu))
-        bending = self.delta_ve * bending_stiffness * wavenumber**2 / tension
-        return np.asarray(drag / (freq_rad * linear_density) + bending + self.inverse_q_te)
+def _branch(name: str, parameters: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    """Schema of one law: its name, and its own keys."""
+    own = handler.resolve_ref_schema(handler(parameters.__pydantic_core_schema__))
+    law = {"const": name, "description": "chooses this law"}
+    required = ["law", *own.get("required", [])]
+    return {**own, "title": name, "properties": {"law": law, **own.get("properties", {})}, "required": required}
 
 
-#: the three laws, distinguished by their key ``law``
-LossLaw = Annotated[Woodhouse | Sigma | Valette, Field(discriminator="law")]
+def _read(value: Any, info: ValidationInfo) -> Loss[Any]:
+    """Make the plugin of a law from its name and its parameters."""
+    if isinstance(value, Loss):
+        return value
+    context = info.context or {}
+    files = context.get("files") or Files(None)
+    key = ".".join(part for part in (context.get("key", ""), info.field_name) if part)
+    if not isinstance(value, Mapping):
+        reason = f"is {kind_of(value)}; a mapping with the key law, the name of a loss law, is wanted"
+        raise BundleError(reason, file=files.manifest, key=key)
+    values = dict(value)
+    name = values.pop("law", None)
+    if not isinstance(name, str):
+        known = ", ".join(name for name, law in list_plugins().items() if law.kind == Loss.kind)
+        reason = "is missing" if name is None else f"is {kind_of(name)}; the name of a loss law is wanted: {known}"
+        raise BundleError(reason, file=files.manifest, key=f"{key}.law")
+    try:
+        kind: Any = plugin_named(name, Loss.kind, files)
+    except PluginError as fault:
+        raise PluginError(fault.reason, file=files.manifest, key=f"{key}.law") from None
+    law: Loss[Any] = kind.from_values(values, files, key)
+    law.law = name
+    return law
+
+
+def _written(law: Loss[Any]) -> dict[str, Any]:
+    return {"law": law.law, **law.parameters.model_dump(mode="json", by_alias=True)}
+
+
+#: type of a parameter: a loss law, by its name and its own parameters
+LossLaw = Annotated[Loss[Any], _LawField]

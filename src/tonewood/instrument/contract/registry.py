@@ -163,9 +163,8 @@ def check_plugin(found: object, who: str) -> None:
     unsaid = [key for key, field in parameters.model_fields.items() if not field.description]
     if unsaid:
         raise PluginError(f"{who}: parameter {unsaid[0]!r} does not say what it is (doc)")
-    if inspect.isabstract(found):
-        missing = ", ".join(sorted(found.__abstractmethods__))
-        raise PluginError(f"{who} leaves out {missing}")
+    if missing := found.left_out():
+        raise PluginError(f"{who} leaves out {', '.join(missing)}")
     for name in CHECKS[found.kind]:
         own, first = inspect.getattr_static(found, name), inspect.getattr_static(KINDS[found.kind], name)
         if isinstance(first, property) and inspect.isroutine(own):
