@@ -16,6 +16,8 @@ Kinds of plugins and the types that they return, declared parameters, modal base
 errors; and functions that show the part at work in an instrument: `assemble`, `partials`, `pitches`.
 """
 
+from typing import Any
+
 from tonewood.errors import BundleError, PassivityError, PluginError, TonewoodError
 from tonewood.instrument.contract.array_cache import cached_arrays
 from tonewood.instrument.contract.attached import Attached, Motion, Site, loose_mass
@@ -26,13 +28,11 @@ from tonewood.instrument.contract.base import (
     BridgeForce,
     Exciter,
     Longitudinal,
-    Loss,
     Pickup,
     PickupRows,
     Plugin,
     Resonator,
     Scene,
-    StringData,
     dot,
 )
 from tonewood.instrument.contract.directions import Direction, unit_vector
@@ -58,7 +58,8 @@ from tonewood.instrument.contract.gestures import (
     metres,
     smooth_step,
 )
-from tonewood.instrument.contract.losses import LossLaw
+from tonewood.instrument.contract.law_field import LossLaw
+from tonewood.instrument.contract.losses import Loss, StringData
 from tonewood.instrument.contract.microphones import Microphones
 from tonewood.instrument.contract.svg_path import svg_ring
 from tonewood.instrument.inspection.frequencies import partials, pitch, pitches
@@ -69,7 +70,7 @@ from tonewood.performance.effects.usage import Bound
 from tonewood.physics import plate as plate
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
-from tonewood.physics.coupling.layout import Drive, Probe, Readout
+from tonewood.physics.coupling.layout import Drive, Readout
 from tonewood.physics.coupling.phantoms import PhantomPartials
 from tonewood.physics.modal.damping import with_damping_case
 from tonewood.physics.modal.modes import ModalBasis
@@ -78,6 +79,7 @@ from tonewood.physics.modal.string_modes import string_basis, wavenumber
 from tonewood.physics.modal.string_transfer import retuned, string_carry, string_transfer
 from tonewood.physics.passivity.basis import check_basis, repair_basis
 from tonewood.physics.stepping.forcing import SampledForce, Segment
+from tonewood.support import moved
 from tonewood.support.params import Number, Parameters, Vector, described, quantity
 
 __all__ = [
@@ -126,7 +128,6 @@ __all__ = [
     "Place",
     "Plugin",
     "PluginError",
-    "Probe",
     "Readout",
     "Resonator",
     "RuntimeEffect",
@@ -172,3 +173,7 @@ __all__ = [
     "with_damping_case",
     "with_partial_decays",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    return moved.renamed(__name__, name, {"Probe": Term})

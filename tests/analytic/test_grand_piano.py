@@ -186,7 +186,11 @@ def test_decays_of_all_keys(grand: Model) -> None:
         end = next(iter(string.polarizations[0].ends))
         mobility = grand.body.frf(np.array([at.wanted_freq]), end, end)[0].real
         impedance = math.sqrt(at.tension * p.linear_density)
-        rate = p.loss.parameters.sigma0 + p.loss.parameters.sigma1 * (math.pi / p.length) ** 2 + 2 * at.wanted_freq * impedance * mobility * n
+        rate = (
+            p.loss.parameters.sigma0
+            + p.loss.parameters.sigma1 * (math.pi / p.length) ** 2
+            + 2 * at.wanted_freq * impedance * mobility * n
+        )
         ratios.append(math.log(1000) / rate / at.t60)
         decays[at.string.partition("_")[0]] = at.t60
     assert np.median(ratios) == pytest.approx(1.0, abs=0.03)

@@ -89,6 +89,19 @@ def attribute(package: str, name: str, home: str) -> Any:
     return getattr(module, name)
 
 
+def renamed(module: str, name: str, present: dict[str, Any]) -> Any:
+    """Return the class that an old name of a module stands for, for its ``__getattr__``; until version 0.4.
+
+    Raises
+    ------
+    AttributeError : it is no such name.
+    """
+    if name not in present:
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+    _warn(f"{module}.{name}", f"{module}.{present[name].__name__}", 2)
+    return present[name]
+
+
 def _warn(old: str, new: str, frames: int) -> None:
     """Warn at the import: so many frames above the caller, those of the import system not counted."""
     import warnings

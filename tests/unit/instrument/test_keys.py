@@ -176,7 +176,9 @@ def test_keys_may_stand_beside_those_of_the_table(tmp_path: Path) -> None:
 
 
 def test_one_string_of_a_row_keeps_what_its_own_columns_leave(tmp_path: Path) -> None:
-    loss = piano(tmp_path / "own", ["C4"], {"string_2.loss.sigma0": "0.5"}).resonators["C4_2"].parameters.loss.parameters
+    loss = (
+        piano(tmp_path / "own", ["C4"], {"string_2.loss.sigma0": "0.5"}).resonators["C4_2"].parameters.loss.parameters
+    )
     assert (loss.sigma0, loss.sigma1) == (0.5, 0.00031)
 
 

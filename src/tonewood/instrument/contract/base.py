@@ -4,9 +4,9 @@ A plugin is a class with parameters and formulas. It owns nothing that moves and
 before a render it is asked for arrays (modal bases, pieces of force, rows to read), and the engine does the rest.
 
 ====================  ==================================================================================
-`Resonator`           a string: its length, tension, mass, stiffness and loss, from which its modes at every stop and tension
-                      and the maps of motion between them follow
-`Loss`                the loss factor of a string's partials: one formula
+`Resonator`           a string: its length, tension, mass, stiffness and loss, from which its modes at every stop and
+                      tension follow, and the maps of motion between them
+`Loss`                a law of loss for strings: one formula (`losses`)
 `Body`                the body that strings are joined to: one modal basis with named points
 `Exciter`             gestures: known forces in time, and a finger's dashpot on the string meanwhile; an exciter that
                       reacts adds masses and contacts of its own
@@ -21,20 +21,20 @@ bundle writes after ``plugin:``.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.errors import BundleError
 from tonewood.instrument.contract.attached import Attached, Site
-from tonewood.instrument.contract.contract_checks import CHECKS, check_results
 from tonewood.instrument.contract.effects import BODY_MODES, OUTPUTS, SECOND_POLARIZATION, Effect
 from tonewood.instrument.contract.files import Files
 from tonewood.instrument.contract.gestures import Event, Gesture, Place
+from tonewood.instrument.contract.losses import Loss
+from tonewood.instrument.contract.plugin import API, P, Plugin
 from tonewood.physics.coupling.phantoms import PhantomPartials
 from tonewood.physics.coupling.system import Drive, Readout
 from tonewood.physics.modal.modes import ModalBasis
@@ -42,94 +42,15 @@ from tonewood.physics.modal.string_losses import string_detuned
 from tonewood.physics.modal.string_modes import string_basis, wavenumber
 from tonewood.physics.modal.string_transfer import string_carry, string_transfer
 from tonewood.physics.modal.views import SHOWN_TO, ModalViews
-from tonewood.support.params import Parameters, Vector, validated
-from tonewood.support.tables import properties_html
+from tonewood.support.params import Vector, validated
 
 if TYPE_CHECKING:
     from tonewood.physics.plate.radiation import Sources
 
-#: version of this contract
-API = 1
 #: limit of the number of modes of a string: cost and memory grow with its square
 MOST_MODES = 3000
 
 Floats = NDArray[np.float64]
-P = TypeVar("P", bound=Parameters)
-
-
-class Plugin(ABC, Generic[P]):
-    """Base of all kinds.
-
-    Parameters
-    ----------
-    parameters : already checked against `Parameters`.
-    files : the bundle's folder, for tables.
-    key : of the part in the bundle, e.g. ``strings.E2``, for errors.
-    """
-
-    #: version of this contract that the plugin was written for; each class states it, so that a later version can
-    #: refuse the class in one line
-    api: ClassVar[int] = API
-    #: the kind's name, set by the base classes here
-    kind: ClassVar[str]
-    #: effects of the plugin that a render may leave out
-    effects: ClassVar[tuple[Effect, ...]] = ()
-    #: pydantic model of the keys the plugin takes in a bundle
-    Parameters: ClassVar[type[Parameters]]
-
-    def __init_subclass__(cls, **options: Any):
-        """Check the results of the methods that the class defines; see `contract_checks`."""
-        super().__init_subclass__(**options)
-        check_results(cls, CHECKS.get(getattr(cls, "kind", ""), {}), lambda plugin, reason: plugin.fault(reason))
-
-    def __init__(self, parameters: P, files: Files, key: str = ""):
-        self.parameters = parameters
-        self.files = files
-        self.key = key
-
-    @classmethod
-    def from_values(cls, values: Mapping[str, Any], files: Files | None = None, key: str = "") -> Plugin[P]:
-        """Make one from plain values, as they stand in a bundle.
-
-        Parameters
-        ----------
-        values : name of a parameter -> value.
-        files : folder of the bundle, for tables; none by default.
-        key : of the part in the bundle, for errors.
-
-        Raises
-        ------
-        BundleError : a value is unknown, missing or out of range.
-        """
-        files = files or Files(None)
-        parameters = validated(cls.Parameters, values, key=key, file=files.manifest, context={"files": files, "key": key})
-        return cls(parameters, files, key)  # type: ignore[arg-type]  # Parameters of this very class
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.key or self.kind})"
-
-    def _repr_html_(self) -> str:
-        heading = f"{type(self).__name__}, {self.kind} {self.key}".rstrip()
-        return properties_html(heading, self.parameters.model_dump(mode="json", by_alias=True))
-
-    @classmethod
-    def left_out(cls) -> list[str]:
-        """Return the names of the contract that the class must define and does not."""
-        return sorted(cls.__abstractmethods__)
-
-    @property
-    def inner(self) -> tuple[Plugin[Any], ...]:
-        """Plugins among its parameters: a string's loss law."""
-        return tuple(value for _, value in self.parameters if isinstance(value, Plugin))
-
-    @property
-    def name(self) -> str:
-        """Name of the part in the bundle: the last word of its key."""
-        return self.key.rpartition(".")[2]
-
-    def fault(self, reason: str, key: str = "") -> BundleError:
-        """Return an error with this reason that names the bundle's file and the part's key, and a `key` below it."""
-        return BundleError(reason, file=self.files.manifest, key=".".join(k for k in (self.key, key) if k))
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,62 +71,15 @@ class Longitudinal:
     bridge_leverage: float
 
 
-@dataclass(frozen=True, slots=True)
-class StringData:
-    """A uniform string under tension, as a loss law is told of it.
-
-    Attributes
-    ----------
-    tension : T, N.
-    linear_density : mu, kg/m.
-    bending_stiffness : EI, N m^2.
-    """
-
-    tension: float
-    linear_density: float
-    bending_stiffness: float = 0.0
-
-
-class Loss(Plugin[P]):
-    """A law of loss: the loss factor of a string's partials, as measurements of strings give it.
-
-    A bundle names it by the key ``law`` of a string's ``loss``, with the law's own parameters beside it; a string takes
-    one by a parameter of the type `ta.LossLaw`.
-
-    Attributes
-    ----------
-    law : its name in the bundle; empty where it was made in Python.
-    """
-
-    kind = "loss"
-    law: str = ""
-
-    @abstractmethod
-    def eta(self, omega: Floats, k: Floats, string: StringData) -> Floats:
-        """Return the loss factor of partials between fixed ends.
-
-            eta = 1 / Q = 2 sigma / omega,      T60 = ln(1000) / sigma
-
-        Parameters
-        ----------
-        omega : (n,) rad/s, above 0, of the partials without loss.
-        k : (n,) 1/m, their wavenumbers.
-        string : its tension, mass and stiffness.
-
-        Returns
-        -------
-        (n,) or a single number, 0 or more.
-        """
-
-
 class Resonator(Plugin[P]):
     """A string in one polarization: held at the nut or a stop, moved by a body at the bridge.
 
         mu u_tt + loss = T u_xx - EI u_xxxx + f(x, t),      u(0, t) the bridge's motion,  u(L - stop, t) = 0
 
-    A uniform string states `length`, `tension`, `linear_density`, `bending_stiffness` and `loss`; its modes and the maps
-    of motion between stops follow. A string that is not uniform overrides `basis`, `detuned` and `transfer`, all three.
-    Places are metres from the bridge, so that they stay true when the string is stopped; stops are metres from the nut.
+    A uniform string states `length`, `tension`, `linear_density`, `bending_stiffness` and `loss`; its modes and the
+    maps of motion between stops follow. A string that is not uniform overrides `basis`, `detuned` and `transfer`, all
+    three. Places are metres from the bridge, so that they stay true when the string is stopped; stops are metres from
+    the nut.
     """
 
     kind = "resonator"
@@ -586,3 +460,22 @@ def dot(a: Sequence[float], b: Sequence[float]) -> float:
     """Return the scalar product of two directions `a` and `b`; 0 if it is below 1e-12."""
     value = math.fsum(x * y for x, y in zip(a, b, strict=True))
     return 0.0 if abs(value) < 1e-12 else value
+
+
+__all__ = [
+    "API",
+    "KINDS",
+    "Attachment",
+    "Body",
+    "BodyPoint",
+    "BridgeForce",
+    "Exciter",
+    "Longitudinal",
+    "Loss",
+    "Pickup",
+    "PickupRows",
+    "Plugin",
+    "Resonator",
+    "Scene",
+    "dot",
+]

@@ -163,7 +163,7 @@ def pickup_rows(plugin: Any, value: Any) -> None:
         want(isinstance(readout, Readout), readout, "a ta.Readout", "readouts")
         for probe in readout.probes:
             where = f"readout {readout.name!r}: probes"
-            want(all(hasattr(probe, k) for k in ("component", "point", "factor")), probe, "a ta.Probe", where)
+            want(all(hasattr(probe, k) for k in ("component", "point", "factor")), probe, "a ta.Term", where)
             number(probe.factor, "a finite factor", where=where)
         for force in readout.forces:
             where = f"readout {readout.name!r}: forces"

@@ -101,7 +101,7 @@ def plugin(name: str, kind: str | None = None) -> type[Plugin[Any]]:
     Parameters
     ----------
     name : its entry point's name.
-    kind : ``resonator``, ``body``, ``exciter`` or ``pickup``, if only that will do.
+    kind : one of `KINDS`, if only that will do.
 
     Raises
     ------
@@ -109,8 +109,9 @@ def plugin(name: str, kind: str | None = None) -> type[Plugin[Any]]:
     """
     known = entries(PLUGINS)
     if name not in known:
-        installed = f"{did_you_mean(name, known)}installed: {', '.join(known) or 'none'}"
-        raise PluginError(f"there is no plugin {name!r}; {installed}")
+        fitting = [n for n, p in list_plugins().items() if p.kind == kind] if kind else list(known)
+        installed = f"{did_you_mean(name, fitting)}installed: {', '.join(fitting) or 'none'}"
+        raise PluginError(f"there is no plugin {name!r}{f' of kind {kind}' if kind else ''}; {installed}")
     entry = known[name]
     if entry.fault:
         raise PluginError(entry.fault)

@@ -9,7 +9,7 @@ from nonlinear_scenes import LENGTH, TENSION, body, hang, held_string
 from tonewood import _kernel
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.laws import Contact
-from tonewood.physics.coupling.system import PrescribedMotion, Probe, Readout, System
+from tonewood.physics.coupling.system import PrescribedMotion, Readout, System
 from tonewood.physics.coupling.tension import TensionModulation
 from tonewood.physics.modal.points import with_still_points
 from tonewood.physics.modal.string_modes import string_basis
@@ -60,7 +60,7 @@ def fretted(
             for k in range(FRETS)
         ]
     readouts = [
-        Readout("a", "acceleration", (Probe("body", "b0"),)),
+        Readout("a", "acceleration", (Term("body", "b0"),)),
         Readout("f", "force", (), (("s0f2", 1.0), ("joint1", 0.5))),
     ]
     tensions = [TensionModulation(f"s{i}", (f"s{i}a", f"s{i}b"), axial_stiffness) for i in modulated]
