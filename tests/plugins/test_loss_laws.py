@@ -111,6 +111,14 @@ def test_a_single_number_of_a_law_can_be_replaced(lyre: Path) -> None:
     assert parameters(with_law(lyre, {"law": "sigma", "sigma0": 1.0}))["strings.A2.loss.sigma0"].unit == "1/s"
 
 
+def test_strings_of_the_same_numbers_have_equal_parameters(lyre: Path) -> None:
+    """By which effects tell strings that are alike."""
+    one, two, other = (with_law(lyre, {**LOSS, "b": b}).resonators["A2"].parameters for b in (0.02, 0.02, 0.03))
+    assert one == two
+    assert hash(one) == hash(two)
+    assert one != other
+
+
 def test_editors_know_every_installed_law() -> None:
     schema = bundle_schema()
     branches = {b["title"]: b for b in schema["$defs"]["StringPart"]["anyOf"]}

@@ -43,6 +43,13 @@ class Loss(Plugin[P]):
     kind = "loss"
     law: str = ""
 
+    def __eq__(self, other: object) -> bool:
+        """Whether it is the same law with the same numbers: parameters of strings that hold it are then equal."""
+        return isinstance(other, Loss) and type(self) is type(other) and self.parameters == other.parameters
+
+    def __hash__(self) -> int:
+        return hash((type(self), self.parameters))
+
     @abstractmethod
     def eta(self, omega: Floats, k: Floats, string: StringData) -> Floats:
         """Return the loss factor of partials between fixed ends.
