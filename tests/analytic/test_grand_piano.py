@@ -44,7 +44,7 @@ def test_partials_are_those_of_a_stiff_string_with_measured_inharmonicity(tmp_pa
     model = ta.assemble(piano(tmp_path / "cs", list(MEASURED_B)), 48000)
     for key, measured in MEASURED_B.items():
         string = model.strings[f"{key}_1"]
-        freq = np.array(held_partials(string.coupled(0).bases(string.tension(0))[0], 8))
+        freq = np.array(held_partials(string.tuning.coupled(0).bases(string.tension(0))[0], 8))
         n = np.arange(1, len(freq) + 1)
         slope, start = np.polyfit(n**2, (freq / n) ** 2, 1)
         assert slope / start == pytest.approx(measured, rel=0.25)
@@ -58,7 +58,7 @@ def test_partials_are_those_of_a_stiff_string_with_measured_inharmonicity(tmp_pa
 def unison(model: Model, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Poles near C4 of that many equal strings on the board, and their shares of energy per string."""
     string = model.strings["C4_1"]
-    basis = string.coupled(0).bases(string.tension(0))[0]
+    basis = string.tuning.coupled(0).bases(string.tension(0))[0]
     upper = 2500.0
     names = [f"s{i}" for i in range(count)]
     end = next(iter(string.polarizations[0].ends))

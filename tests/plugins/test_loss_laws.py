@@ -1,4 +1,4 @@
-"""Loss laws as plugins, installed ones and such in a bundle's folder; and strings that state nothing but their physics."""
+"""Loss laws, installed ones and such in a bundle's folder; and strings that state nothing but their physics."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ class Wire(ta.Resonator[WireParameters]):
 
 
 def test_a_string_is_made_of_its_physics() -> None:
-    """The wave equation's partials at three tensions and two stops, their decays, and a motion carried between stops."""
+    """The wave equation's partials at three tensions and two stops, their decays, and a motion carried over."""
     check_plugin(Wire, "wire")
     wire = Wire.from_values({})
     assert isinstance(wire, Wire)

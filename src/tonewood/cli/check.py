@@ -152,7 +152,7 @@ def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) ->
     from tonewood.instrument.scales import note_name
 
     string, mine = model.strings[name], [(p, m) for p, m in pairs if p.string == name]
-    given, errors = string.given_tension, law_errors(model, name)
+    given, errors = string.tuning.given, law_errors(model, name)
     return {
         "note": note_name(string.open_note),
         "stops": string.n_stops,

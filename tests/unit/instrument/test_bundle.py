@@ -74,7 +74,7 @@ def put(values: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
         ("strings.A2.polarizations", ["x", "z"], "strings.A2.polarizations: lies along the string"),
         ("strings.A2.polarizations", ["z", "z"], "strings.A2.polarizations: lies along the string, or repeats"),
         ("strings.A2.plugin", "pluck_ramp", "strings.A2.plugin: plugin 'pluck_ramp' is of kind exciter"),
-        ("strings.A2.plugin", "no_such", "strings.A2.plugin: there is no plugin 'no_such'; installed: "),
+        ("strings.A2.plugin", "no_such", "strings.A2.plugin: there is no plugin 'no_such' of kind resonator; "),
         ("strings.A2.loss", {"law": "woodhouse"}, "strings.A2.loss.eta_f: is missing"),
         ("strings.defaults", 3, "strings.defaults: holds keys that are merged"),
         ("strings.body", {"note": "A2"}, "a string cannot be called body"),

@@ -10,7 +10,8 @@ import pytest
 
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.model.assembly import assemble
-from tonewood.instrument.model.strings import StringModel, held_freq
+from tonewood.instrument.model.strings import StringModel
+from tonewood.instrument.model.untuned_bases import held_freq
 
 Make = Callable[..., Instrument]
 
@@ -23,11 +24,11 @@ def string(make: Make) -> StringModel:
 def test_stops_lie_where_the_scale_puts_them(string: StringModel) -> None:
     assert string.length(12) == pytest.approx(0.325)
     assert string.length(7) == pytest.approx(0.65 * 2 ** (-7 / 12))
-    assert string.stop_freqs[12] == pytest.approx(220.0)
-    assert len(string.stop_freqs) == 13
+    assert string.tuning.freqs[12] == pytest.approx(220.0)
+    assert len(string.tuning.freqs) == 13
     for stop in (-1, 13, 0.5):
         with pytest.raises(ValueError, match="stops from 0 to 12"):
-            string.position(stop)
+            string.tuning.stops.position(stop)
 
 
 def test_any_place_on_a_continuous_string(make: Make) -> None:

@@ -292,7 +292,7 @@ def _strings(instrument: Instrument, model: Model) -> tuple[StringRow, ...]:
     rows = []
     for name in model.groups:
         string = model.strings[name]
-        given = string.given_tension
+        given = string.tuning.given
         values: Mapping[str, Any] = instrument.resolved["strings"][name]
         density = values.get("linear_density")
         rows.append(
