@@ -65,7 +65,7 @@ from tonewood.instrument.contract.svg_path import svg_ring
 from tonewood.instrument.inspection.frequencies import partials, pitch, pitches
 from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.performance.effects.base import Moment, RuntimeEffect, SwitchedEffect, Switching, Watched, next_multiple
-from tonewood.performance.effects.connections import SwitchedConnections
+from tonewood.performance.effects.connections import ConnectionsInReach, SwitchedConnections
 from tonewood.performance.effects.usage import Bound
 from tonewood.physics import plate as plate
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
@@ -99,6 +99,7 @@ __all__ = [
     "BundleError",
     "CompiledPotential",
     "Connection",
+    "ConnectionsInReach",
     "Contact",
     "Direction",
     "Drive",

@@ -170,7 +170,7 @@ def test_instruments_name_their_figures(name: str) -> None:
     instrument = Instrument.load(name)
     settings = ("provenance", "sources", "oversampling", "draft_oversampling")
     figures = [p for p, v in _leaves(instrument.resolved) if isinstance(v, int | float) and not isinstance(v, bool)]
-    unknown = [p for p in figures if p.split(".")[0] not in settings and instrument.provenance(p) is None]
+    unknown = [p for p in figures if p.split(".")[0] not in settings and instrument.origins.of(p) is None]
     assert unknown == []
     assert instrument.spec.licence
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from jsonschema import Draft202012Validator
+from jsonschema import Draft202012Validator  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 import tonewood as tw
@@ -180,7 +180,7 @@ def test_a_string_is_made_of_its_physics() -> None:
 )
 def test_a_string_that_states_too_little_is_refused(taken: set[str], said: str) -> None:
     body = {k: v for k, v in vars(Wire).items() if k in {"api", "Parameters", *_STATED} - taken}
-    kind = type("Less", (ta.Resonator,), body)
+    kind: Any = type("Less", (ta.Resonator,), body)
     with pytest.raises(PluginError, match=said):
         check_plugin(kind, "less")
     with pytest.raises(TypeError, match=r"leaves out|abstract"):
@@ -196,8 +196,8 @@ def test_a_string_with_modes_of_its_own_needs_all_that_they_need() -> None:
     with pytest.raises(PluginError, match="leaves out detuned, transfer"):
         check_plugin(type("Own", (ta.Resonator,), {**body, "basis": made.basis}), "own")  # type: ignore[attr-defined]  # of a resonator
     whole = {**body, **{name: getattr(made, name) for name in ("basis", "detuned", "transfer")}}
-    kind = type("Own", (ta.Resonator,), whole)
+    kind: Any = type("Own", (ta.Resonator,), whole)
     check_plugin(kind, "own")
-    assert kind.from_values({}).decay_rate(np.ones(3), 70.0) is None  # type: ignore[attr-defined]  # no law is stated
+    assert kind.from_values({}).decay_rate(np.ones(3), 70.0) is None  # no law is stated
     with pytest.raises(BundleError, match=r"Wrong\.loss returns eta = -1 at"):
         type("Wrong", (Wire,), {"loss": lambda self, w, k, t: -np.ones_like(w)}).from_values({}).basis(4e3)  # type: ignore[attr-defined]
