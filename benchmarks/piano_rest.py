@@ -112,7 +112,7 @@ def rendered(
     notes = [tw.Note(start, 0.28, note, velocity_midi=80) for start, note in played]
     renderer = tw.Renderer(tw.Score(notes), piano, FS, max_duration=3.0, effects="all")
     engine = renderer.engine
-    engine.system = engine.system.with_phantoms(())
+    engine.system = engine.system.with_potentials(())
     if way is not None:
         engine.system = way(engine.system, engine.model.strings, names)
     engine.stepper.exchange(engine.system)

@@ -83,7 +83,8 @@ def test_loss_laws(name: str, used: dict[str, list[Plugin[Any]]]) -> None:
         np.testing.assert_array_equal(eta[::3], np.broadcast_to(law.eta(omega[::3], k[::3], string), (10,)))
 
 
-@pytest.mark.parametrize("name", [n for n, p in PLUGINS.items() if issubclass(p, Resonator)])
+#: a gong has no stops and no tension, and refuses the first
+@pytest.mark.parametrize("name", [n for n, p in PLUGINS.items() if issubclass(p, Resonator) and n != "gong"])
 def test_strings(name: str, used: dict[str, list[Plugin[Any]]]) -> None:
     string = used[name][0]
     assert isinstance(string, Resonator)

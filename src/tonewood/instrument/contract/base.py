@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -35,7 +35,8 @@ from tonewood.instrument.contract.files import Files
 from tonewood.instrument.contract.gestures import Event, Gesture, Place
 from tonewood.instrument.contract.losses import Loss
 from tonewood.instrument.contract.plugin import API, P, Plugin
-from tonewood.physics.coupling.phantoms import PhantomPartials
+from tonewood.instrument.contract.string_motion import Longitudinal, StringMotion, levered
+from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.coupling.system import Drive, Readout
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_losses import string_detuned
@@ -51,24 +52,6 @@ if TYPE_CHECKING:
 MOST_MODES = 3000
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class Longitudinal:
-    """Motion along a string, stepped with the transverse one; see `tonewood.physics.coupling.geometric`.
-
-    Attributes
-    ----------
-    basis : highest frequency (Hz) and stop (m from the nut) -> modes along the string with its bridge end free, made by
-        `ta.string_basis` with EA as tension.
-    freq_coupled : Hz, transverse modes below it take part.
-    bridge_leverage : displacement of the string's end towards the nut per displacement of the body's point, in
-        addition to the projection on the inclined string.
-    """
-
-    basis: Callable[[float, float], ModalBasis]
-    freq_coupled: float
-    bridge_leverage: float
 
 
 class Resonator(Plugin[P]):
@@ -121,23 +104,23 @@ class Resonator(Plugin[P]):
         raise NotImplementedError
 
     @property
-    def axial_stiffness(self) -> float:
-        """EA, N, by which the tension rises as the string stretches; 0 for a constant tension.
-
-        Where it is not 0, the bases must carry ``length`` and ``tension_part`` in their metadata, as those of
-        `ta.string_basis` do.
-        """
-        return 0.0
-
-    @property
     def longitudinal(self) -> Longitudinal | None:
-        """Longitudinal motion, where it is stepped; needs an axial stiffness."""
+        """Longitudinal motion that is a component of its own, joined to the body; a potential couples it."""
         return None
 
-    @property
-    def phantom_partials(self) -> PhantomPartials | None:
-        """Longitudinal motion that is driven one way; needs bases of `ta.string_basis`, detuned or not."""
-        return None
+    def potentials(self, string: StringMotion) -> Sequence[Potential]:
+        """Return energies that the string stores beside those of its modes; none by default.
+
+        Parameters
+        ----------
+        string : its components in the system.
+
+        Returns
+        -------
+        One potential at most for each component: `ta.TensionModulation`, `ta.GeometricStretch`,
+        `ta.DrivenLongitudinal`, or a `ta.ModalPotential` of one's own.
+        """
+        return ()
 
     @classmethod
     def left_out(cls) -> list[str]:
@@ -285,6 +268,15 @@ class Body(Plugin[P], ModalViews):
     @abstractmethod
     def points(self) -> Mapping[str, BodyPoint]:
         """Return every point of the basis with its direction."""
+
+    def potentials(self, component: str) -> Sequence[Potential]:
+        """Return energies that the body stores beside those of its modes, which must then be real; none by default.
+
+        Parameters
+        ----------
+        component : of the body in the system.
+        """
+        return ()
 
     def sources(self, freq_upper: float) -> Sources | None:
         """Return volume sources of the modes of ``basis(freq_upper)``, in its order; None where they are not known."""
@@ -477,5 +469,7 @@ __all__ = [
     "Plugin",
     "Resonator",
     "Scene",
+    "StringMotion",
     "dot",
+    "levered",
 ]

@@ -9,7 +9,7 @@ from typing import Any
 from tonewood.errors import BundleError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.schema import StringPart
-from tonewood.instrument.contract.base import Attachment, BodyPoint, Exciter, Resonator, dot
+from tonewood.instrument.contract.base import Attachment, BodyPoint, Exciter, Resonator, dot, levered
 from tonewood.instrument.contract.directions import unit_vector
 from tonewood.instrument.contract.gestures import Fraction
 from tonewood.instrument.contract.registry import MANIFEST
@@ -18,7 +18,7 @@ from tonewood.instrument.model.kept_tunings import KeptTunings
 from tonewood.instrument.model.stops import StopTable
 from tonewood.instrument.model.stretch import inharmonicity, octave_stretch
 from tonewood.instrument.model.string_bases import StringPlaces
-from tonewood.instrument.model.string_setup import LongitudinalMotion, PhantomMotion, Polarization, Stopping
+from tonewood.instrument.model.string_setup import LongitudinalMotion, Polarization, Stopping
 from tonewood.instrument.model.string_tuning import StringTuning
 from tonewood.instrument.model.strings import StringModel
 from tonewood.instrument.model.tuning import body_ports
@@ -148,7 +148,7 @@ def _string(
         tilt_deg=part.tilt_deg + part.scatter.tilt(name),
         touching=_touching(instrument, name, choice),
         longitudinal=_longitudinal(part, name, resonator, body_points, choice),
-        phantoms=_phantoms(part, resonator, body_points, choice),
+        along=_along(part, body_points)[1],
         group=next(s for s in instrument.groups.values() if name in s) if name in instrument.key_of else (),
     )
     shortest = string.length(string.n_stops)
@@ -208,18 +208,8 @@ def _longitudinal(
     motion = resonator.longitudinal
     if motion is None or not choice.keeps(resonator, "longitudinal"):
         return None
-    to_nut, ends = _longitudinal_ends(part, body_points, motion.bridge_leverage)
-    return LongitudinalMotion(f"{name}.longitudinal", to_nut, ends, motion)
-
-
-def _phantoms(
-    part: StringPart, resonator: Resonator[Any], body_points: Mapping[str, BodyPoint], choice: Choice
-) -> PhantomMotion | None:
-    motion = resonator.phantom_partials
-    if motion is None or not choice.keeps(resonator, "phantom_partials"):
-        return None
-    _, ends = _longitudinal_ends(part, body_points, motion.bridge_leverage)
-    return PhantomMotion(ends, motion) if ends else None
+    to_nut, along = _along(part, body_points)
+    return LongitudinalMotion(f"{name}.longitudinal", to_nut, levered(along, motion.bridge_leverage), motion)
 
 
 def _transverse_ends(direction: Vector, ends: Sequence[str], body_points: Mapping[str, BodyPoint]) -> dict[str, float]:
@@ -228,17 +218,8 @@ def _transverse_ends(direction: Vector, ends: Sequence[str], body_points: Mappin
     return {point: factor for point, factor in shares.items() if factor != 0.0}
 
 
-def _longitudinal_ends(
-    part: StringPart, body_points: Mapping[str, BodyPoint], bridge_leverage: float
-) -> tuple[Vector, dict[str, float]]:
-    """Direction to the nut; body point -> share of its displacement in the string's end, along the string.
-
-    The share is the projection on the string's direction. The point that moves most across the string also turns about
-    the bridge, which adds the resonator's leverage.
-    """
+def _along(part: StringPart, body_points: Mapping[str, BodyPoint]) -> tuple[Vector, dict[str, float]]:
+    """Direction to the nut; body point -> share of its displacement in the string's end, along the string."""
     x, y, z = unit_vector(part.axis)
-    to_nut, ends = (-x, -y, -z), part.body_points
-    shares = {point: dot(to_nut, body_points[point].direction) for point in ends}
-    most = min(ends, key=lambda point: abs(shares[point]))
-    shares[most] += bridge_leverage
-    return to_nut, {point: factor for point, factor in shares.items() if abs(factor) > 1e-12}
+    to_nut = (-x, -y, -z)
+    return to_nut, {point: dot(to_nut, body_points[point].direction) for point in part.body_points}

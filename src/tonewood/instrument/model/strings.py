@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.instrument.contract.attached import Attached, Site
-from tonewood.instrument.contract.base import Attachment, Exciter, Resonator
+from tonewood.instrument.contract.base import Attachment, Exciter, Resonator, StringMotion
 from tonewood.instrument.model.finger import POINT, fingertips, laid_down
 from tonewood.instrument.model.string_bases import StringBases, StringPlaces
-from tonewood.instrument.model.string_setup import LongitudinalMotion, PhantomMotion, Polarization, Stopping
+from tonewood.instrument.model.string_setup import LongitudinalMotion, Polarization, Stopping
 from tonewood.instrument.model.string_tuning import StringTuning
 from tonewood.instrument.model.tuning import TunedStop
 from tonewood.physics.coupling.connections import Connection
@@ -32,7 +32,8 @@ class StringModel:
     open_note : note number of the open string.
     tuning : geometry (`tuning.stops`), tensions and coupled modes of its stops.
     places : of pluck, damper and named points on it.
-    longitudinal, phantoms : its longitudinal motion, if that is stepped, or driven one way.
+    longitudinal : its longitudinal motion, if that is stepped.
+    potentials : energies that it stores beside those of its modes, those that are left out among them.
     group : strings that a note on the first of them plays together; itself among them.
     touching : attachments and exciters that may add parts to it, by name.
 
@@ -40,6 +41,7 @@ class StringModel:
     ----------
     freq_limit : Hz, no mode is stepped above it.
     tilt_deg : of its principal axes.
+    along : body point -> share of its displacement in that of the string's end along the string.
     """
 
     def __init__(
@@ -53,11 +55,13 @@ class StringModel:
         tilt_deg: float,
         touching: Mapping[str, Attachment[Any] | Exciter[Any]] | None = None,
         longitudinal: LongitudinalMotion | None = None,
-        phantoms: PhantomMotion | None = None,
+        along: Mapping[str, float] | None = None,
         group: tuple[str, ...] = (),
     ):
         self.name, self.open_note, self.tuning, self.places = name, open_note, tuning, places
-        self.longitudinal, self.phantoms = longitudinal, phantoms
+        self.longitudinal = longitudinal
+        planes, own = tuple(p.component for p in self.polarizations), longitudinal.component if longitudinal else None
+        self.potentials = tuple(self.resonator.potentials(StringMotion(name, planes, own, dict(along or {}))))
         self.group, self._of_key = group or (name,), bool(group)
         self.touching, self._tilt_deg = dict(touching or {}), tilt_deg
         self._bases = StringBases(tuning, places, longitudinal, freq_limit)

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from tonewood.instrument.contract.base import Plugin
 from tonewood.instrument.contract.effects import Effect
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.effects.base import Moment, SwitchedEffect, Switching, Watched, motion, next_multiple
+from tonewood.performance.effects.base import Moment, SwitchedEffect, Switching, Watched, next_multiple
 from tonewood.performance.effects.gesture_connections import with_laws
+from tonewood.performance.effects.switching import motion
 from tonewood.performance.effects.usage import Bound
 from tonewood.performance.player.fretting import Fretting
 from tonewood.performance.player.timeline import GRID

@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 ForceAtBridge = Callable[[str], float]
 
 #: compiled bases that are kept for use again, and of those of each string
-_CACHE, _WAYS = 96, 10
+_CACHE, _WAYS = 768, 10
 
 
 @dataclass(frozen=True, slots=True)
