@@ -33,13 +33,13 @@ class StringMotion:
     name : of the string: that of its potential, or the beginning of it.
     planes : components of its polarizations.
     longitudinal : component of its longitudinal motion; None where that is not stepped.
-    along : body point -> share of its displacement in that of the string's end along the string.
+    end_shares : body point -> share of its displacement in that of the string's end along the string.
     """
 
     name: str
     planes: tuple[str, ...]
     longitudinal: str | None
-    along: Mapping[str, float]
+    end_shares: Mapping[str, float]
 
     def onto_body(self, leverage: float = 0.0) -> tuple[tuple[str, str, float], ...]:
         """Return (component, point, share), ...: on which a tension at the bridge acts, times the share.
@@ -48,11 +48,11 @@ class StringMotion:
         ----------
         leverage : share added at the point that moves most along the string, which turns about the bridge.
         """
-        return tuple(("body", point, share) for point, share in levered(self.along, leverage).items())
+        return tuple(("body", point, share) for point, share in levered(self.end_shares, leverage).items())
 
 
-def levered(along: Mapping[str, float], leverage: float) -> dict[str, float]:
+def levered(end_shares: Mapping[str, float], leverage: float) -> dict[str, float]:
     """Return shares of body points in the motion along a string, `leverage` added to the largest one."""
-    shares = dict(along)
+    shares = dict(end_shares)
     shares[max(shares, key=lambda point: abs(shares[point]))] += leverage
     return {point: share for point, share in shares.items() if abs(share) > 1e-12}

@@ -148,7 +148,7 @@ def _string(
         tilt_deg=part.tilt_deg + part.scatter.tilt(name),
         touching=_touching(instrument, name, choice),
         longitudinal=_longitudinal(part, name, resonator, body_points, choice),
-        along=_along(part, body_points)[1],
+        end_shares=_end_shares(part, body_points)[1],
         group=next(s for s in instrument.groups.values() if name in s) if name in instrument.key_of else (),
     )
     shortest = string.length(string.n_stops)
@@ -208,8 +208,8 @@ def _longitudinal(
     motion = resonator.longitudinal
     if motion is None or not choice.keeps(resonator, "longitudinal"):
         return None
-    to_nut, along = _along(part, body_points)
-    return LongitudinalMotion(f"{name}.longitudinal", to_nut, levered(along, motion.bridge_leverage), motion)
+    to_nut, end_shares = _end_shares(part, body_points)
+    return LongitudinalMotion(f"{name}.longitudinal", to_nut, levered(end_shares, motion.bridge_leverage), motion)
 
 
 def _transverse_ends(direction: Vector, ends: Sequence[str], body_points: Mapping[str, BodyPoint]) -> dict[str, float]:
@@ -218,7 +218,7 @@ def _transverse_ends(direction: Vector, ends: Sequence[str], body_points: Mappin
     return {point: factor for point, factor in shares.items() if factor != 0.0}
 
 
-def _along(part: StringPart, body_points: Mapping[str, BodyPoint]) -> tuple[Vector, dict[str, float]]:
+def _end_shares(part: StringPart, body_points: Mapping[str, BodyPoint]) -> tuple[Vector, dict[str, float]]:
     """Direction to the nut; body point -> share of its displacement in the string's end, along the string."""
     x, y, z = unit_vector(part.axis)
     to_nut = (-x, -y, -z)

@@ -98,7 +98,7 @@ class StringBases:
                 basis = with_points(basis if whole else below(basis, self._limit), here, beyond, width)
             out[polarization.component] = basis
         if self._longitudinal:
-            out[self._longitudinal.component] = self._along(end, self._longitudinal.motion)
+            out[self._longitudinal.component] = self._lengthwise_basis(end, self._longitudinal.motion)
         return damped(out, added_damping) if added_damping else out
 
     def plucked_at(
@@ -142,7 +142,7 @@ class StringBases:
             self._placed[key] = with_points(self.tuning.base(end), here, beyond, width)
         return self._placed[key]
 
-    def _along(self, stop: float, motion: Longitudinal) -> ModalBasis:
+    def _lengthwise_basis(self, stop: float, motion: Longitudinal) -> ModalBasis:
         """Longitudinal modes at a stop, kept; bends do not change them."""
         if stop not in self._lengthwise:
             if len(self._lengthwise) >= PASSING_STOPS:

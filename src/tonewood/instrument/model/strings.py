@@ -41,7 +41,7 @@ class StringModel:
     ----------
     freq_limit : Hz, no mode is stepped above it.
     tilt_deg : of its principal axes.
-    along : body point -> share of its displacement in that of the string's end along the string.
+    end_shares : body point -> share of its displacement in that of the string's end along the string.
     """
 
     def __init__(
@@ -55,13 +55,13 @@ class StringModel:
         tilt_deg: float,
         touching: Mapping[str, Attachment[Any] | Exciter[Any]] | None = None,
         longitudinal: LongitudinalMotion | None = None,
-        along: Mapping[str, float] | None = None,
+        end_shares: Mapping[str, float] | None = None,
         group: tuple[str, ...] = (),
     ):
         self.name, self.open_note, self.tuning, self.places = name, open_note, tuning, places
         self.longitudinal = longitudinal
         planes, own = tuple(p.component for p in self.polarizations), longitudinal.component if longitudinal else None
-        self.potentials = tuple(self.resonator.potentials(StringMotion(name, planes, own, dict(along or {}))))
+        self.potentials = tuple(self.resonator.potentials(StringMotion(name, planes, own, dict(end_shares or {}))))
         self.group, self._of_key = group or (name,), bool(group)
         self.touching, self._tilt_deg = dict(touching or {}), tilt_deg
         self._bases = StringBases(tuning, places, longitudinal, freq_limit)
