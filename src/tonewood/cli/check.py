@@ -166,7 +166,7 @@ def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) ->
         "worst_cents": max((p.error_cents for p, _ in mine), key=abs),
         "worst_cents_mounted": max((m.error_cents for _, m in mine), key=abs),
         "loss_error": None
-        if errors[0].decay is None
+        if not errors or errors[0].decay is None
         else {"partial": errors[0].decay_partial, "relative": errors[0].decay},
         "law": [asdict(e) | {"decay_is_off": e.decay_is_off, "pitch_is_off": e.pitch_is_off} for e in errors],
     }
@@ -254,6 +254,8 @@ def _mounted_line(row: dict[str, Any]) -> str:
 
 def _law_lines(rows: list[dict[str, Any]]) -> list[str]:
     """How well a string's partials keep to its own law on a rigid end: one line, then warnings."""
+    if not rows:
+        return ["does not end on the body: its partials are compared with no law"]
     worst = max(abs(row["cents"]) for row in rows if not row["bend_cents"])
     bent = next((row for row in rows if row["bend_cents"]), None)
     if rows[0]["decay"] is None:

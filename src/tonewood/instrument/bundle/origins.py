@@ -43,7 +43,7 @@ class Origins:
         return [path for path, entry in self.entries.items() if entry.kind == "stand_in"]
 
     def of_unknown_origin(self) -> list[str]:
-        """Return the paths of values of which nobody has said yet where they come from."""
+        """Return the paths of values without a source."""
         return [path for path, entry in self.entries.items() if entry.kind == "unknown"]
 
     def table_doubts(self) -> list[str]:

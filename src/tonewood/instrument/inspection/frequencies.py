@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.strings import StringModel
-from tonewood.instrument.model.tuning import CoupledMode, TunedStop
+from tonewood.instrument.model.tuning import CoupledMode, TunedStop, ends_at_rest
 from tonewood.instrument.model.untuned_bases import held_freq
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.receptance import Joint, Ports
@@ -236,6 +236,8 @@ def partials(model: Model, string: str, stop: int = 0, *, count: int = 12) -> li
 
 def held_partials(basis: ModalBasis, count: int) -> list[float]:
     """Frequencies of a string held at the bridge, Hz, from the fundamental on, at most `count`."""
+    if ends_at_rest(basis):
+        return [float(freq) for freq in np.sort(basis.natural_freq)[:count]]
     joint = Joint([Ports.of(basis, np.eye(len(basis.points))[[basis.index("bridge")]])])
     out: list[float] = []
     last, step = 0.0, held_freq(basis) or math.inf

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.strings import StringModel
+from tonewood.instrument.model.tuning import ends_at_rest
 from tonewood.physics.modal.held_modes import HeldModes
 from tonewood.support.units import ratio_of_cents
 
@@ -60,11 +61,15 @@ class LawErrors:
 def law_errors(model: Model, name: str) -> list[LawErrors]:
     """Compare the open string, its last stop and, but of strings of keys, a bend; the first polarization.
 
+    Nothing is compared of a resonator that does not end on the body: it has no bridge at which it is held.
+
     Raises
     ------
     BundleError : the string's modes cannot be held at the bridge.
     """
     string = model.strings[name]
+    if ends_at_rest(string.coupled(0).bases(string.tension(0))[0]):
+        return []
     cases = [(0, 0.0), *([(string.n_stops, 0.0)] if string.n_stops and string.stopping.finger is None else [])]
     if name not in model.instrument.key_of:
         cases.append((0, BEND_CENTS))

@@ -185,7 +185,7 @@ class StringTuning:
             base, tension, trial = self.base(stop), self.tension(stop), 50.0
             pair = (self.resonator.detuned(base, t) for t in (tension, tension * ratio_of_cents(trial) ** 2))
             low, high = (held_freq(basis) for basis in pair)
-            self._gains[stop] = 1.0 if low is None or high is None else trial / cents(high / low)
+            self._gains[stop] = 1.0 if low is None or high is None or low == high else trial / cents(high / low)
         return self._gains[stop]
 
     def _tune(self, stop: float) -> tuple[TunedStop | None, float]:

@@ -12,6 +12,7 @@ import numpy as np
 from tonewood.instrument.contract.base import Resonator
 from tonewood.instrument.model.stops import StopTable
 from tonewood.instrument.model.string_setup import Polarization
+from tonewood.instrument.model.tuning import ends_at_rest
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.receptance import Joint, Ports
 from tonewood.support.units import ratio_of_cents
@@ -95,7 +96,8 @@ def held_freq(basis: ModalBasis) -> float | None:
 
     It lies an octave above the lowest one with the bridge free, or little more; None if it is not found there.
     """
+    if ends_at_rest(basis):
+        return float(basis.natural_freq.min())
     ports = Ports.of(basis, np.eye(len(basis.points))[[basis.index("bridge")]])
-    octave = 2 * math.sqrt(float(basis.stiffness.min()))
-    zero = Joint([ports]).newton(octave * complex(-1e-5, 1.0), steps=80)
+    zero = Joint([ports]).newton(2 * math.sqrt(basis.stiffness.min()) * complex(-1e-5, 1.0), steps=80)
     return None if zero is None else zero.imag / (2 * math.pi)

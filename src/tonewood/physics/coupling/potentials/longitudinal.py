@@ -43,7 +43,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.physics.coupling.potentials.base import JoinedPotential, Kind, Potential, Step
+from tonewood.physics.coupling.potentials.base import JoinedPotential, Kind, MiddleOfStep, Potential
 from tonewood.physics.modal.modes import ModalBasis
 
 Floats = NDArray[np.float64]
@@ -238,7 +238,7 @@ class GeometricShares(JoinedPotential):
         """Forces on the longitudinal modes under s_n."""
         return -(self.weights * self.squares(middle)) @ self.strains
 
-    def direction(self, step: Step) -> Floats:
+    def direction(self, step: MiddleOfStep) -> Floats:
         """See `JoinedPotential`."""
         squares, strain = self.squares(step.middle), np.asarray(self.strains @ step.answered)
         potential = self.potential(squares, strain)
