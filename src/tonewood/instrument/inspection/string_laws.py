@@ -68,7 +68,7 @@ def law_errors(model: Model, name: str) -> list[LawErrors]:
     BundleError : the string's modes cannot be held at the bridge.
     """
     string = model.strings[name]
-    if ends_at_rest(string.coupled(0).bases(string.tension(0))[0]):
+    if ends_at_rest(string.tuning.coupled(0).bases(string.tension(0))[0]):
         return []
     cases = [(0, 0.0), *([(string.n_stops, 0.0)] if string.n_stops and string.stopping.finger is None else [])]
     if name not in model.instrument.key_of:
