@@ -47,7 +47,7 @@ def test_parts_are_mixed(tonewood: Run, duo: Path, tmp_path: Path) -> None:
     found = json.loads(out)
     assert (code, found["schema"]) == (0, "tonewood-render-parts/1")
     assert found["true_peak_dbtp"] == pytest.approx(-1.0)
-    assert [(p["part"], p["gain_db"], p["notes"]) for p in found["parts"]] == [(2, -3.0, 2)]
+    assert [(p["part"], p["gain_db"], p["notes"]) for p in found["parts"]] == [(2, -3.0, 1)]
     mix, _ = sf.read(tmp_path / "mix.wav")
     stems = [sf.read(file)[0] for file in found["stems"]]
     assert np.abs(mix - sum(stems)).max() < 3 * 2**-23

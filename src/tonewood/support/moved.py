@@ -46,8 +46,12 @@ _MODULES = {
     "string_setup string_stems strings tuning",
     ("instrument", "instrument.inspection"): "wolf modal_export mounted",
     ("score", "instrument"): "scales",
-    ("engine", "performance.player"): "playing live_state live_dampers pedals techniques hands variation note_events "
-    "timeline fretting gestures",
+    ("score", "performance.score"): "causal=assignment",
+    (
+        "engine",
+        "performance.player",
+    ): "playing live_state=voices live_dampers=dampers pedals=dampers techniques hands variation "
+    "note_events=strokes timeline fretting gestures live=player",
     ("engine", "performance.effects"): "costs effect_usage=usage gesture_connections",
     ("output", "sound.render"): "options render=renderer plan accuracy routing resampling energy level model_file",
     ("output", "sound.live"): "live=instrument stream play",
