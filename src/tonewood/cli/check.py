@@ -82,9 +82,9 @@ def check(
         "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
         "off_planes": [plane_row(p) for p in off_planes],
         "wolf_notes": [pitch_row(p) for p in wolves],
-        "table_doubts": bundle.table_doubts(),
-        "stand_ins": [{"path": path, "note": spec.provenance[path].note} for path in bundle.stand_ins()],
-        "unknown": bundle.of_unknown_origin(),
+        "table_doubts": bundle.origins.table_doubts(),
+        "stand_ins": [{"path": path, "note": spec.provenance[path].note} for path in bundle.origins.stand_ins()],
+        "unknown": bundle.origins.of_unknown_origin(),
         "provenance": dict(Counter(entry.kind for entry in spec.provenance.values())),
         "sources_used": sorted({entry.source for entry in spec.provenance.values() if entry.source}),
         "sources": {key: source.model_dump(exclude_none=True) for key, source in spec.sources.items()},
@@ -152,7 +152,7 @@ def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) ->
     from tonewood.instrument.scales import note_name
 
     string, mine = model.strings[name], [(p, m) for p, m in pairs if p.string == name]
-    given, errors = string.given_tension, law_errors(model, name)
+    given, errors = string.tuning.given, law_errors(model, name)
     return {
         "note": note_name(string.open_note),
         "stops": string.n_stops,

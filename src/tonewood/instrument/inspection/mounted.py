@@ -110,5 +110,5 @@ def mounted_pitches(model: Model, found: Sequence[Pitch]) -> list[MountedPitch]:
 
 def _ports(string: StringModel, stop: int) -> list[Ports]:
     """Each polarization of a string at its bridge end."""
-    bases = string.coupled(stop).bases(string.tension(stop))
+    bases = string.tuning.coupled(stop).bases(string.tension(stop))
     return [Ports.of(b, np.eye(len(b.points))[[b.index("bridge")]]) for b in bases]

@@ -68,7 +68,7 @@ def law_errors(model: Model, name: str) -> list[LawErrors]:
     BundleError : the string's modes cannot be held at the bridge.
     """
     string = model.strings[name]
-    if ends_at_rest(string.coupled(0).bases(string.tension(0))[0]):
+    if ends_at_rest(string.tuning.coupled(0).bases(string.tension(0))[0]):
         return []
     cases = [(0, 0.0), *([(string.n_stops, 0.0)] if string.n_stops and string.stopping.finger is None else [])]
     if name not in model.instrument.key_of:
@@ -78,9 +78,10 @@ def law_errors(model: Model, name: str) -> list[LawErrors]:
 
 def _compared(string: StringModel, stop: int, bend_cents: float) -> LawErrors:
     tension = string.tension(stop) * ratio_of_cents(bend_cents) ** 2
-    made = string.resonator.basis(string.freq_upper, stop=string.position(stop), tension=tension)
+    freq_upper, place = string.tuning.untuned.freq_upper, string.tuning.stops.position(stop)
+    made = string.resonator.basis(freq_upper, stop=place, tension=tension)
     try:
-        used, own = (HeldModes.of(b, "bridge") for b in (string.coupled(stop).bases(tension)[0], made))
+        used, own = (HeldModes.of(b, "bridge") for b in (string.tuning.coupled(stop).bases(tension)[0], made))
     except ValueError as fault:
         raise string.resonator.fault(f"its partials cannot be found: {fault}") from None
     # of a basis of one's own the highest partials need not have converged
