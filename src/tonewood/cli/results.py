@@ -24,7 +24,7 @@ def results(
     as_json: Json = False,
 ) -> None:
     """Write the table of answers of DIR, means, models, sensitivities and thresholds, and a report with figures."""
-    need("results", "statsmodels", "pandas", "jinja2", "matplotlib")
+    need("results", "jinja2", "matplotlib")
     from tonewood.workshop.listening.report import write_report
     from tonewood.workshop.listening.results import FOLDER, analyse, write_tables
 
@@ -92,13 +92,18 @@ def _lines(page: PageResults) -> list[str]:
     for mean in (*page.cells, *page.helpers):
         bounds = "" if mean.low is None else f" [{mean.low:.2f}, {mean.high:.2f}]"
         lines.append(f"{mean.label}: {mean.mean:.2f}{bounds}")
-    if page.mixed is not None:
-        lines.append(f"mixed model: {page.mixed.formula} + {page.mixed.groups}")
-        for term in page.mixed.terms:
+    if page.linear is not None:
+        lines.append(f"{page.linear.formula}; {page.linear.method}")
+        for term in page.linear.terms:
             lines.append(
-                f"  {term.name}: {term.difference:+.2f} [{term.low:.2f}, {term.high:.2f}], p = {term.p_value:.3g}, "
+                f"  {term.name}: {term.difference:+.2f} [{term.low:.2f}, {term.high:.2f}], p = {term.p_holm:.3g}, "
                 f"d = {term.cohens_d:.2f}"
             )
+        for test in page.linear.tests:
+            lines.append(
+                f"  {test.name}: F({test.df:.1f}, {test.df2 or 0:.1f}) = {test.statistic:.2f}, p = {test.p_value:.3g}"
+            )
+        lines += [f"  {note}" for note in page.linear.notes]
     for pair in page.ranks.pairs if page.ranks is not None else ():
         lines.append(f"ranks, {pair.factor}: {pair.second} over {pair.first}: r = {pair.r:.2f}, p = {pair.p_holm:.3g}")
     for one in page.detections:
