@@ -59,7 +59,10 @@ class ModelTerm:
 
 @dataclass(frozen=True)
 class FactorTest:
-    """Test of a whole factor or interaction: statistic, degrees of freedom, p, effect size with its name."""
+    """Test of a whole factor or interaction: statistic, degrees of freedom, p, effect size with its name.
+
+    `df2` is that of an F's denominator, `p_greenhouse` the probability without the correction for small samples.
+    """
 
     name: str
     test: str
@@ -69,6 +72,7 @@ class FactorTest:
     effect: float | None = None
     effect_name: str = ""
     df2: float | None = None
+    p_greenhouse: float | None = None
 
 
 @dataclass(frozen=True)
@@ -182,7 +186,7 @@ def linear_analysis(
     exact = data.complete and not few
     if exact:
         estimates, tests = _by_strata(data, contrasts, confidence, bool(sampled))
-        what = "Satterthwaite's quasi-F" if sampled else "Greenhouse-Geisser degrees of freedom"
+        what = "Satterthwaite's quasi-F" if sampled else "Greenhouse-Geisser degrees of freedom as corrected by Huynh and Feldt"
         method = f"analysis of variance by strata, {what}; each difference against its own spread over the listeners"
         converged = True
     else:
@@ -199,9 +203,12 @@ def linear_analysis(
             for i, name in enumerate(contrasts.names[effect])
         ]  # fmt: skip
     named = [
-        FactorTest(" : ".join(e), "F", float(t.statistic), float(t.df1), float(t.p_value), df2=float(t.df2))
+        FactorTest(
+            " : ".join(e), "F", float(t.statistic), float(t.df1), float(t.p_value), df2=float(t.df2),
+            p_greenhouse=float(t.p_greenhouse) if exact else None,
+        )
         for e, t in tests.items()
-    ]
+    ]  # fmt: skip
     formula = "value ~ " + " + ".join(":".join(effect) for effect in contrasts.bases)
     return LinearAnalysis(
         formula, method, exact, len(rows), len(who), sampled, tuple(terms), tuple(named), cell_sd, at_ends, converged,
@@ -304,7 +311,8 @@ def _by_mixed_model(
         estimates[effect] = strata.Estimated(value, value - half, value + half, df, p)
         f, df2 = fit.f_test(select)
         df2 = max(min(df2, limits[effect]), 1.0)
-        tests[effect] = strata.Tested(f, float(k), df2, fdtrc(k, df2, f))
+        p_value = fdtrc(k, df2, f)
+        tests[effect] = strata.Tested(f, float(k), df2, p_value, 1.0, p_value)
     method = f"linear mixed model with {' + '.join(names)} by REML, Satterthwaite's degrees of freedom"
     return estimates, tests, method, fit.converged, notes
 

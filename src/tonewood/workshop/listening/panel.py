@@ -42,7 +42,7 @@ from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.detection import CHANCE, share_right, task_of
 from tonewood.workshop.listening.session import OPEN, Session, choices
 from tonewood.workshop.listening.table import Key, read_key
-from tonewood.workshop.listening.thresholds import psychometric
+from tonewood.workshop.listening.psychometric import psychometric
 
 #: points of the scale of 100 in one grade of BS.1116
 _POINTS = 25.0

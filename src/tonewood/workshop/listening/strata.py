@@ -7,11 +7,19 @@ orthonormal over the cells, and V the estimated covariance matrix of their mean,
     F = |mean z|^2 / tr V,     df1 = (tr V)^2 / tr V^2,     df2 = (tr V)^2 / sum_k (tr V_k^2 / f_k)
 
 V = V_1 = S / n, f_1 = n - 1 where sounds are fixed: the F of the sums of squares by strata, with the degrees of freedom
-of Greenhouse and Geisser. Where m sounds are a random sample, V = V_listeners + V_sounds - V_both: Satterthwaite's quasi-F
-of two crossed samples. One difference has its own variance v and t = mean / sqrt v on df2 degrees of freedom.
+of Greenhouse and Geisser, df1 = q eps and df2 = (n - 1) df1. Their estimate of eps is too small in small samples (false
+alarms of 3 % with 12 listeners and q = 4); with unbiased estimates of both traces, those of Huynh and Feldt as corrected
+by Lecoutre,
 
-Sources: S. W. Greenhouse & S. Geisser, Psychometrika 24 (1959) 95-112; F. E. Satterthwaite, Biometrics Bull. 2 (1946)
-110-114; H. H. Clark, J. Verbal Learn. Verbal Behav. 12 (1973) 335-359.
+    df1 = (n q eps - 2) / (n - 1 - q eps)     at most q,
+
+which is used from n - 1 > q on. Both probabilities are reported. Where m sounds are a random sample, V = V_listeners +
+V_sounds - V_both: Satterthwaite's quasi-F of two crossed samples. One difference has its own variance v and
+t = mean / sqrt v on df2 degrees of freedom.
+
+Sources: S. W. Greenhouse & S. Geisser, Psychometrika 24 (1959) 95-112; H. Huynh & L. S. Feldt, J. Educ. Stat. 1 (1976)
+69-82; B. Lecoutre, J. Educ. Stat. 16 (1991) 371-372; F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110-114; H. H.
+Clark, J. Verbal Learn. Verbal Behav. 12 (1973) 335-359.
 """
 
 from __future__ import annotations
@@ -100,12 +108,17 @@ def steps(n: int) -> Array:
 
 @dataclass(frozen=True)
 class Tested:
-    """Tests of effects in many experiments at once: arrays of one shape."""
+    """Tests of effects in many experiments at once: arrays of one shape.
+
+    `epsilon` and `p_greenhouse` are of Greenhouse and Geisser, without the correction for small samples.
+    """
 
     statistic: Any
     df1: Any
     df2: Any
     p_value: Any
+    epsilon: Any
+    p_greenhouse: Any
 
 
 @dataclass(frozen=True)
@@ -139,8 +152,14 @@ def tested(y: Array, basis: Array, *, sounds: bool = False) -> Tested:
         df1 = np.where(trace > 0, trace**2 / np.sum(total**2, axis=(-2, -1)), basis.shape[-1])
         spread = sum(np.sum(v**2, axis=(-2, -1)) / f for v, f in parts)
         df2 = np.where(trace > 0, trace**2 / spread, 1.0)
-    df1, df2 = np.clip(df1, 1.0, basis.shape[-1]), np.maximum(df2, 1.0)
-    return Tested(statistic, df1, df2, fdtrc(df1, df2, statistic))
+    q, n = basis.shape[-1], y.shape[-3 if sounds else -2]
+    df1, df2 = np.clip(df1, 1.0, q), np.maximum(df2, 1.0)
+    greenhouse = fdtrc(df1, df2, statistic)
+    epsilon = df1 / q
+    if not sounds and n - 1 > q > 1:
+        df1 = np.clip((n * df1 - 2) / (n - 1 - df1), 1.0, q)
+        df2 = (n - 1) * df1
+    return Tested(statistic, df1, df2, fdtrc(df1, df2, statistic), epsilon, greenhouse)
 
 
 def estimated(y: Array, rows: Array, confidence: float, *, sounds: bool = False) -> Estimated:
