@@ -20,6 +20,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 #: theta below which a variance is 0
 _ZERO = 1e-4
+#: bound of theta: standard deviations of a group in units of the residual's
+_MOST = 1e3
+#: slope of the criterion in theta, of a search that has converged
+_FLAT = 1e-2
 
 
 @dataclass(frozen=True)
@@ -92,7 +96,7 @@ class _Criterion:
         self.zz, self.zx, self.zy = z.T @ z, z.T @ x, z.T @ y
         self.xx, self.xy, self.yy = x.T @ x, x.T @ y, float(y @ y)
         self.start = np.concatenate([np.eye(k)[np.tril_indices(k)] for _, k in self.shapes])
-        self.bounds = [(0.0 if i == j else None, None) for _, k in self.shapes
+        self.bounds = [(0.0 if i == j else -_MOST, _MOST) for _, k in self.shapes
                        for i, j in zip(*np.tril_indices(k), strict=True)]  # fmt: skip
 
     def factors(self, theta: Array) -> list[Array]:
@@ -150,33 +154,24 @@ def fit(y: Array, x: Array, terms: Sequence[RandomTerm]) -> Fitted:
 
     scale = float(np.std(y)) or 1.0
     criterion = _Criterion((y - y.mean()) / scale, x, terms)
-    best = minimize(criterion.profiled, criterion.start, method="L-BFGS-B", bounds=criterion.bounds)
-    for _ in range(5):
-        value = best.fun
-        best = minimize(
-            criterion.profiled, best.x, method="Nelder-Mead", bounds=criterion.bounds,
-            options={"xatol": 1e-7, "fatol": 1e-10, "maxfev": 4000, "initial_simplex": _simplex(best.x)},
-        )  # fmt: skip
-        if value - best.fun < 1e-8:
-            break
-    theta = np.where([b[0] is not None for b in criterion.bounds] & (best.x < _ZERO), 0.0, best.x)
+    options = {"ftol": 1e-15, "gtol": 1e-7, "maxiter": 500}
+    best = minimize(
+        criterion.profiled, criterion.start, method="L-BFGS-B", jac="3-point", bounds=criterion.bounds, options=options
+    )  # fmt: skip
+    inside = np.array([b[0] != 0.0 or t > _ZERO for b, t in zip(criterion.bounds, best.x, strict=True)])
+    slope = np.where(inside, best.jac, np.minimum(best.jac, 0.0))
+    theta = np.where([b[0] == 0.0 for b in criterion.bounds] & (best.x < _ZERO), 0.0, best.x)
     _, squares, beta, inverse = criterion.parts(theta)
     s = float(np.sqrt(max(squares, 0.0) / (criterion.n - criterion.p)))
-    on_edge = np.array([b[0] is not None and t == 0 for b, t in zip(criterion.bounds, theta, strict=True)])
+    on_edge = np.array([b[0] == 0.0 and t == 0 for b, t in zip(criterion.bounds, theta, strict=True)])
     gradients, a = _derivatives(criterion, theta, s, ~on_edge)
     shift = np.linalg.lstsq(x, np.full(len(y), y.mean()), rcond=None)[0]
     return Fitted(
         beta * scale + shift, s**2 * inverse * scale**2,
         tuple((s * scale) ** 2 * t @ t.T for t in criterion.factors(theta)), s * scale,
         criterion.profiled(theta) + 2 * (criterion.n - criterion.p) * float(np.log(scale)), bool(on_edge.any()),
-        bool(best.success), gradients * scale**2, a,
+        bool(np.max(np.abs(slope)) < _FLAT), gradients * scale**2, a,
     )  # fmt: skip
-
-
-def _simplex(x: Array) -> Array:
-    points = np.tile(x, (len(x) + 1, 1))
-    points[1:][np.diag_indices(len(x))] = np.where(np.abs(x) > 1e-3, 1.05 * x, x + 0.02)
-    return points
 
 
 def _derivatives(criterion: _Criterion, theta: Array, s: float, free: NDArray[np.bool_]) -> tuple[Array, Array]:
