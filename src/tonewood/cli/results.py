@@ -25,6 +25,7 @@ def results(
 ) -> None:
     """Write the table of answers of DIR, means, models, sensitivities and thresholds, and a report with figures."""
     need("results", "jinja2", "matplotlib")
+    from tonewood.workshop.listening.plain import methods, summary
     from tonewood.workshop.listening.report import write_report
     from tonewood.workshop.listening.results import FOLDER, analyse, write_tables
 
@@ -33,7 +34,8 @@ def results(
     write_tables(found, place)
     page = write_report(found, place, _facts(folder))
     if as_json:
-        print_json("results", {**found.to_dict(), "report": str(page)})
+        sentences = {"summary": summary(found), "methods": methods(found)}
+        print_json("results", {**found.to_dict(), **sentences, "report": str(page)})
         return
     _print(found)
     print(f"{page}; answers.csv has one row an answer")
@@ -73,6 +75,8 @@ def _facts_of(record: Any) -> dict[str, Any] | None:
 
 
 def _print(found: PanelResults) -> None:
+    from tonewood.workshop.listening.plain import summary
+
     for page in found.pages:
         warn([f"{s.listener} is left out: {s.reason}" for s in page.screened])
     warn([f"{who} did not finish" for who in found.unfinished])
@@ -81,6 +85,8 @@ def _print(found: PanelResults) -> None:
         count = sum(one.answers for one in found.left_out)
         warn([f"{count} {'answer is' if count == 1 else 'answers are'} left out"])
     print(f"{found.test.manifest.name}: {found.who}, {100 * found.confidence:g} % intervals")
+    for line in summary(found):
+        print(f"  {line}")
     for page in found.pages:
         print(f"{page.page}. {page.heading} ({page.kind}, {page.listeners} listeners)")
         for line in _lines(page):

@@ -191,6 +191,7 @@ class RatingScale(Section):
     high: float = 100.0
     low_label: Text = ""
     high_label: Text = ""
+    ordinal: bool = Field(default=False, description="grades have an order, but no stated distance")
 
     @model_validator(mode="after")
     def _rises(self) -> Self:

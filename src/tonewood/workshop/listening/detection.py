@@ -178,7 +178,7 @@ def _pooled(
     right = np.array([bool(row["value"]) for row in rows])
     if task != "same":
         return pooling.pooled(
-            np.bincount(where, right), np.bincount(where).astype(float), _shares(task), confidence
+            np.bincount(where, right), np.bincount(where).astype(float), shares_of(task), confidence
         )  # fmt: skip
     said = np.array([row["response"] == "different" for row in rows])
     were = said == right
@@ -189,7 +189,7 @@ def _pooled(
 
 
 @cache
-def _shares(task: Task) -> Any:
+def shares_of(task: Task) -> Any:
     """Shares of right answers at the sensitivities of `pooling.D`."""
     return np.array([share_right(float(d), task) for d in pooling.D])
 

@@ -50,6 +50,8 @@ class PageResults:
     per_factor, cells, helpers : means by each factor, by all, and of hidden reference and anchors.
     detections, by_listener : discrimination by cell, and by cell and listener.
     scale : Bradley-Terry values by factor.
+    everybody : the linear analysis with the listeners who were left out, if any were.
+    ordinal : whether the scale's grades have an order only.
     """
 
     page: int
@@ -63,6 +65,8 @@ class PageResults:
     cells: tuple[CellMean, ...] = ()
     helpers: tuple[CellMean, ...] = ()
     linear: LinearAnalysis | None = None
+    everybody: LinearAnalysis | None = None
+    ordinal: bool = False
     ranks: RankAnalysis | None = None
     detections: tuple[Detection, ...] = ()
     by_listener: tuple[Detection, ...] = ()
@@ -136,7 +140,8 @@ def analyse(folder: Path, *, key: Path | None = None, confidence: float = 0.95, 
     answers = every.listeners
     if not any(one.records for one in answers):
         others = sum(one.answers for one in every.left_out)
-        why = f" that can be used; {others} are left out, the first because: {every.left_out[0].reason}"
+        first = every.left_out[0].reason if every.left_out else ""
+        why = f" that can be used; {others} are left out, the first because: {first}"
         raise ListeningError(f"holds no answers{why if others else ''}", file=folder / "answers")
     table = tidy(test, opened, answers)
     finish = len(test.pages)
@@ -171,15 +176,18 @@ def _page_results(
         kept = [row for row in rows if row["listener"] not in {s.listener for s in out}]
         if not kept:
             raise ListeningError(f"page {index + 1}: no listener passes the screening; --no-screening keeps all")
-        return [_rated(base, kept, table, page, confidence, random, (0.0, 100.0), out)]
+        whole = _rated(base, rows, table, page, confidence, random, (0.0, 100.0)).linear if out else None
+        own = _rated(base, kept, table, page, confidence, random, (0.0, 100.0), out)
+        return [replace(own, everybody=whole)]
     if isinstance(page, Bs1116Page):
         return [_rated(base, _difference_grades(rows), table, page, confidence, random, (-4.0, 4.0))]
     if isinstance(page, RatingPage):
         labels = {scale.name: localised(scale.label, language) for scale in page.scales}
+        ordinal = {scale.name for scale in page.scales if scale.ordinal}
         limits = {scale.name: (scale.low, scale.high) for scale in page.scales}
         return [
             _rated(
-                {**base, "heading": f"{heading}: {labels[name]}"},
+                {**base, "heading": f"{heading}: {labels[name]}", "ordinal": name in ordinal},
                 [row for row in rows if row["item"] == name], table, page, confidence, random, limits[name],
             )
             for name in unique([row["item"] for row in rows])

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening import strata
-from tonewood.workshop.listening.detection import CHANCE, task_of
+from tonewood.workshop.listening.detection import CHANCE, Task, sensitivity, shares_of, task_of
 from tonewood.workshop.listening.models import linear_analysis
+from tonewood.workshop.listening.pooling import D, pooled
 from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.quest import table_of
 from tonewood.workshop.listening.staircase import StaircaseTrack
@@ -223,3 +224,54 @@ def threshold_rates(
     return ThresholdRates(
         experiments, count, float(np.expm1(mean)), covered, float(np.expm1(own)), inside_share, float(np.expm1(width))
     )
+
+
+def sensitivity_rates(
+    random: np.random.Generator, experiments: int, listeners: int, answers: int, task: Task, mean: float, sd: float
+) -> tuple[float, float, float]:
+    """Mean d' of a population: mean estimate, mean of the d' of pooled shares, and coverage of the interval."""
+    shares = shares_of(task)
+    population = np.maximum(mean + sd * np.random.default_rng(0).standard_normal(200_000), 0.0).mean()
+    rows = []
+    for _ in range(experiments):
+        own = np.maximum(mean + sd * random.standard_normal(listeners), 0.0)
+        right = random.binomial(answers, np.interp(own, D, shares)).astype(np.float64)
+        value, low, high = pooled(right, np.full(listeners, float(answers)), shares, 0.95)
+        together = min(float(right.sum()) / (listeners * answers), 1 - 1e-6)
+        rows.append((value, sensitivity(together, task), float(low <= population <= high)))
+    a, b, c = (float(x) for x in np.mean(np.array(rows), axis=0))
+    return a / population - 1, b / population - 1, c
+
+
+def power_had(random: np.random.Generator, experiments: int, listeners: int, shift: float, sd: float) -> float:
+    """Share of experiments, drawn answer by answer, in which the report finds the second of three levels.
+
+    Parameters
+    ----------
+    random : source of the answers.
+    experiments, listeners : numbers of them.
+    shift : points by which the second level is higher.
+    sd : standard deviation of the listeners' differences, from their own responses and single answers in halves.
+    """
+    contrasts = strata.contrasts(_CELLS, _LEVELS)
+    part = sd / 2  # of the level's mean: own response and mean of six answers; var of a difference = 4 part^2
+    own = random.normal(0, 6, (experiments, listeners, 1, 1)) + random.normal(0, part, (experiments, listeners, 3, 1))
+    y = 50 + own + np.array([0.0, shift, 0.0])[:, None]
+    y = y + random.normal(0, part * np.sqrt(3), (experiments, listeners, 3, 3))
+    p = strata.estimated(y.reshape(experiments, listeners, 9), contrasts.differences["factor",], 0.95).p_value
+    return float(np.mean(strata.holm(p)[:, 0] < 0.05))
+
+
+def excluded(
+    random: np.random.Generator, experiments: int, listeners: int, page: StaircasePage, people: Population, margin: float
+) -> float:
+    """Share of experiments in which the interval of the mean threshold excludes one that is a margin (of u) higher."""
+    grid, centre, count = ThresholdGrid(page), page.transformed(people.mean), 0
+    for _ in range(experiments):
+        true = centre + people.sd * random.standard_normal(listeners)
+        slopes = people.slope * np.exp(people.slope_sd * random.standard_normal(listeners))
+        levels, right = trials(page, true, slopes, people.lapses, random)
+        tables = np.array([grid.likelihood(x, r) for x, r in zip(levels, right, strict=True)])
+        low, high = grid.fit(tables, 0.95).interval
+        count += not low <= centre + margin <= high
+    return count / experiments

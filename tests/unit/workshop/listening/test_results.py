@@ -19,7 +19,7 @@ from tonewood.workshop.listening.panel import SimulatedPanel, read_panel, simula
 from tonewood.workshop.listening.report import write_report
 from tonewood.workshop.listening.results import analyse, write_tables
 
-pytest.importorskip("statsmodels")
+pytest.importorskip("jinja2")
 
 
 def panel(**changes) -> SimulatedPanel:
