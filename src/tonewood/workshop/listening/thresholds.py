@@ -3,10 +3,10 @@
 Listener i answers by the psychometric function of `tonewood.workshop.listening.psychometric` with threshold T_i, slope
 b_i and lapse rate l_i. In the population
 
-    u(T) ~ N(mu, tau^2),    ln b ~ N(m, 0.4^2),    l ~ Beta(1, 10) on a grid
+    u(T) ~ N(mu, tau^2),    ln b ~ N(m, 0.4^2),    l ~ Beta(1, 30) on a grid
 
-The likelihood of each listener is summed over slopes and lapses; m is the value of greatest likelihood of all
-listeners. With flat priors of mu and of tau the posterior of (mu, tau) is summed on a grid: the mean threshold and its
+The likelihood of each listener is summed over slopes and lapses. With flat priors of mu and tau and a wide one of m
+the posterior of (mu, tau, m) is summed on a grid: the mean threshold and its
 interval are the median and percentiles of mu, those of each listener the median and percentiles of T_i. A listener with
 few trials is thereby drawn towards the others. The threshold of a listener alone, with no others, has a flat prior.
 
@@ -41,9 +41,11 @@ _POINTS, _MEANS, _SPREADS = 241, 121, 40
 #: standard deviation of ln b between listeners, and the grid of ln b
 SLOPE_SD = 0.4
 _LAPSES = np.array([0.005, 0.02, 0.05, 0.1, 0.2])
-_LAPSE_PRIOR = 10 * (1 - _LAPSES) ** 9 * np.array([0.0125, 0.0225, 0.04, 0.075, 0.1])
+_LAPSE_PRIOR = 30 * (1 - _LAPSES) ** 29 * np.array([0.0125, 0.0225, 0.04, 0.075, 0.1])
 #: simulated tracks from which the error of reversals is estimated
 _TRACKS = 200
+#: most rounds between slope and thresholds of the population
+_ROUNDS = 6
 
 
 @dataclass(frozen=True)
@@ -197,20 +199,32 @@ class ThresholdGrid:
         weights = np.exp(-0.5 * ((logs - centres[:, None]) / SLOPE_SD) ** 2)
         weights /= weights.sum(axis=1, keepdims=True)
         start = like @ weights.T  # (listeners, thresholds, centres)
-        wide = self._population(start.mean(axis=2))[1]
-        prior = self._normal(wide[0], wide[1])
-        evidence = np.sum(np.log(np.einsum("ntc,t->nc", start, prior) + 1e-300), axis=0)
-        evidence -= 0.5 * ((centres - math.log(10.0 / self.span)) / 1.5) ** 2  # holds m where answers say nothing of it
-        best = int(np.argmax(evidence))
-        own = start[..., best]
-        (grid_mu, grid_tau, posterior), (mean, spread) = self._population(own)
+        penalty = 0.5 * ((centres - math.log(10.0 / self.span)) / 1.5) ** 2
+        own, best = start.mean(axis=2), -1
+        for _ in range(_ROUNDS):  # m of greatest likelihood under the population's thresholds, and these again
+            mu, tau = self._grids(own)
+            kernel = self._kernel(mu, tau)
+            at = np.argmax(np.sum(np.log(own @ kernel.T + 1e-300), axis=0))
+            evidence = np.sum(np.log(np.einsum("ntc,t->nc", start, kernel[at]) + 1e-300), axis=0) - penalty
+            if (last := best) == (best := int(np.argmax(evidence))):
+                break
+            own = start[..., best]
+        near = np.flatnonzero(evidence > evidence[best] - 5.0)
+        near = near[:: max(1, len(near) // 8)]
+        shares = np.array([start[..., c] @ kernel.T + 1e-300 for c in near])  # (slopes, listeners, means x spreads)
+        logs_of = np.sum(np.log(shares), axis=1) - penalty[near, None]
+        joint = np.exp(logs_of - logs_of.max())
+        joint /= joint.sum()
+        posterior = joint.sum(axis=0).reshape(len(mu), len(tau))
+        mean, spread = quantile(mu, posterior.sum(axis=1), 0.5), quantile(tau, posterior.sum(axis=0), 0.5)
         tail = (1 - confidence) / 2
         along = posterior.sum(axis=1)
-        interval = (quantile(grid_mu, along, tail), quantile(grid_mu, along, 1 - tail))
+        interval = (quantile(mu, along, tail), quantile(mu, along, 1 - tail))
         each, alone = np.empty((len(own), 3)), np.empty((len(own), 3))
-        kernel = self._kernel(grid_mu, grid_tau)
-        shares = own @ kernel.T + 1e-300  # (listeners, means x spreads)
-        mixed = ((posterior.ravel() / shares) @ kernel) * own
+        mixed = sum((w / p) @ kernel * start[..., c] for w, p, c in zip(joint, shares, near, strict=True))
+        weight = joint.sum(axis=1)
+        own = start[..., near] @ weight
+        best = near[int(np.argmin(np.abs(np.cumsum(weight) - 0.5)))]
         levels = (0.5, tail, 1 - tail)
         slopes = np.empty(len(own))
         for i in range(len(own)):
@@ -224,8 +238,8 @@ class ThresholdGrid:
             slopes,
         )  # fmt: skip
 
-    def _population(self, own: Array) -> tuple[tuple[Array, Array, Array], tuple[float, float]]:
-        """Grids and posterior (means, spreads) of mu and tau, and the median of each."""
+    def _grids(self, own: Array) -> tuple[Array, Array]:
+        """Grids of mu and tau for the listeners' likelihoods (listeners, thresholds)."""
         n = len(own)
         means = (own @ self.u) / own.sum(axis=1)
         errors = np.sqrt(np.maximum((own @ self.u**2) / own.sum(axis=1) - means**2, 0.0))
@@ -234,14 +248,7 @@ class ThresholdGrid:
         reach = (6.0 if n > 3 else 10.0) * wide * math.sqrt(max(1.0, 4.0 / n))
         middle = float(np.median(means))
         mu = np.linspace(max(middle - reach, self.u[0]), min(middle + reach, self.u[-1]), _MEANS)
-        tau = np.linspace(0.25 * step, 4.0 * wide, _SPREADS)
-        kernel = self._kernel(mu, tau)
-        logs = np.sum(np.log(own @ kernel.T + 1e-300), axis=0).reshape(len(mu), len(tau))
-        posterior = np.exp(logs - logs.max())
-        posterior /= posterior.sum()
-        return (mu, tau, posterior), (
-            quantile(mu, posterior.sum(axis=1), 0.5), quantile(tau, posterior.sum(axis=0), 0.5)
-        )  # fmt: skip
+        return mu, np.linspace(0.25 * step, 4.0 * wide, _SPREADS)
 
     def _normal(self, mu: Any, tau: Any) -> Array:
         """Normal weights over the thresholds' grid that sum to 1, with the width of a step added."""
