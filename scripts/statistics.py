@@ -30,7 +30,6 @@ STAIRS: dict[str, Any] = {
 LEVITT = {"steps": [2.0, 1.4, 1.2], "down": 2, "reversals": 8, "discard": 2}
 PAGES = {
     "QUEST+, 60 trials": STAIRS,
-    "QUEST+, 60 trials, 2 intervals": STAIRS | {"intervals": 2},
     "2-down staircase": STAIRS | LEVITT,
 }
 #: slope per unit of ln(level), lapse rate
@@ -108,6 +107,7 @@ def powers(options: argparse.Namespace) -> None:
     """Power promised, and power had by other simulated experiments."""
     rows = []
     for shift, sd in ((5.0, 8.0), (5.0, 12.0), (8.0, 12.0)):
+
         def promised(n: int, shift: float = shift, sd: float = sd) -> float:
             return float(power.rating_power([0.0, shift, 0.0], sd**2 / 2 * np.eye(3), n, 0.05)[0])
 

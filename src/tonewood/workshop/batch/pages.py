@@ -266,7 +266,9 @@ class StaircasePage(Page):
         if not self.steps and levitt:
             raise PydanticCustomError("staircase", f"{min(levitt)} belongs to a staircase with steps")
         if self.steps and "trials" in self.model_fields_set:
-            raise PydanticCustomError("staircase", "trials belongs to QUEST+, which has no steps; longest limits a track")
+            raise PydanticCustomError(
+                "staircase", "trials belongs to QUEST+, which has no steps; longest limits a track"
+            )
         for key in ("expect_sd", "margin"):
             if self.ratio and (value := getattr(self, key)) is not None and value <= 1:
                 raise PydanticCustomError("staircase", f"{key} is a ratio above 1 where ratio: true (1.2: 20 %)")

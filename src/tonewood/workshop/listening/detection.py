@@ -177,15 +177,13 @@ def _pooled(
     where = np.array([who.index(row["listener"]) for row in rows])
     right = np.array([bool(row["value"]) for row in rows])
     if task != "same":
-        return pooling.pooled(
-            np.bincount(where, right), np.bincount(where).astype(float), shares_of(task), confidence
-        )  # fmt: skip
+        return pooling.pooled(np.bincount(where, right), np.bincount(where, right >= 0), shares_of(task), confidence)
     said = np.array([row["response"] == "different" for row in rows])
     were = said == right
     if were.all() or not were.any():
         return None, None, None
-    counts = [np.bincount(where, x, len(who)) for x in (said & were, were, said & ~were, ~were)]
-    return pooling.pooled_same_different(*counts, confidence)
+    hits, different, alarms, same = (np.bincount(where, x, len(who)) for x in (said & were, were, said & ~were, ~were))
+    return pooling.pooled_same_different(hits, different, alarms, same, confidence)
 
 
 @cache

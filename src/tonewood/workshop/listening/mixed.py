@@ -3,9 +3,9 @@
     y = X beta + Z u + e,    u ~ N(0, s^2 Lambda Lambda^T),    e ~ N(0, s^2 I)
 
 Lambda is block diagonal: one lower triangular matrix for each group of a random term, its entries theta. beta and s are
-profiled out; theta minimizes the REML criterion of D. Bates et al., J. Stat. Softw. 67(1) (2015), equations 39-42. For a
-contrast c with variance v = c C c^T, nu = 2 v^2 / (g A g^T), g the gradient of v in theta and s, A twice the inverse of
-the criterion's second derivatives; for several contrasts A. Kuznetsova et al., J. Stat. Softw. 82(13) (2017).
+profiled out; theta minimizes the REML criterion of D. Bates et al., J. Stat. Softw. 67(1) (2015), equations 39-42. For
+a contrast c with variance v = c C c^T, nu = 2 v^2 / (g A g^T), g the gradient of v in theta and s, A twice the inverse
+of the criterion's second derivatives; for several contrasts A. Kuznetsova et al., J. Stat. Softw. 82(13) (2017).
 """
 
 from __future__ import annotations
@@ -123,17 +123,17 @@ class _Criterion:
         rzx = linalg.solve_triangular(root, spread.T @ self.zx, lower=True, check_finite=False)
         cu = linalg.solve_triangular(root, spread.T @ self.zy, lower=True, check_finite=False)
         information = self.xx - rzx.T @ rzx
-        inverse = np.linalg.inv(information)
+        inverse: Array = np.asarray(np.linalg.inv(information))
         right = self.xy - rzx.T @ cu
         beta = inverse @ right
         squares = self.yy - float(cu @ cu) - float(beta @ right)
         logs = 2 * float(np.sum(np.log(np.diag(root)))) + float(np.linalg.slogdet(information)[1])
-        return logs, squares, beta, inverse
+        return logs, squares, np.asarray(beta), inverse
 
     def profiled(self, theta: Array) -> float:
         logs, squares, _, _ = self.parts(theta)
         free = self.n - self.p
-        return logs + free * (1 + float(np.log(2 * np.pi * max(squares, 1e-300) / free)))
+        return float(logs + free * (1 + float(np.log(2 * np.pi * max(squares, 1e-300) / free))))
 
     def whole(self, theta: Array, s: float) -> tuple[float, Array]:
         """Criterion of theta and s, and the covariance matrix of beta."""
@@ -154,7 +154,7 @@ def fit(y: Array, x: Array, terms: Sequence[RandomTerm]) -> Fitted:
 
     scale = float(np.std(y)) or 1.0
     criterion = _Criterion((y - y.mean()) / scale, x, terms)
-    options = {"ftol": 1e-15, "gtol": 1e-7, "maxiter": 500}
+    options: Any = {"ftol": 1e-15, "gtol": 1e-7, "maxiter": 500}
     best = minimize(
         criterion.profiled, criterion.start, method="L-BFGS-B", jac="3-point", bounds=criterion.bounds, options=options
     )  # fmt: skip

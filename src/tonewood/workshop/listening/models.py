@@ -1,21 +1,21 @@
 """Models of ratings and comparisons: linear analysis, ranks and shares of preference, Bradley-Terry scale.
 
-*Linear analysis*: main effects over all cells and interactions of two factors. Where every listener answered every cell,
-each effect is tested against the listeners' own differences in it (`tonewood.workshop.listening.strata`). Where answers
-are missing, a mixed model is fitted (`tonewood.workshop.listening.mixed`): a random intercept of each listener, and a
-random deviation of each listener in each effect of which a listener has more answers than cells; of random sounds
-likewise. A variance that is estimated as 0 is kept at 0. Degrees of freedom are Satterthwaite's, but never more than the
-design has: those of the effect times (listeners - 1), or (sounds - 1) where these are fewer.
+*Linear analysis*: main effects over all cells and interactions of two factors. Where every listener answered every
+cell, each effect is tested against the listeners' own differences in it (`tonewood.workshop.listening.strata`). Where
+answers are missing, a mixed model is fitted (`tonewood.workshop.listening.mixed`): a random intercept of each
+listener, and a random deviation of each listener in each effect of which a listener has more answers than cells; of
+random sounds likewise. A variance that is estimated as 0 is kept at 0. Degrees of freedom are Satterthwaite's, but
+never more than the design has: those of the effect times (listeners - 1), or (sounds - 1) where these are fewer.
 
 *Rank analysis*: for each factor Friedman's test on the listeners' means of its levels, with Kendall's W as effect size,
 and Wilcoxon's signed-rank test of each pair of levels with the matched-pairs rank-biserial correlation, p by Holm. It
 asks for no normal distribution. *Superiority* asks for no equal spacing of grades either: the share of comparisons
-within a listener, all else equal, in which one level is rated above another (a tie counts half), with Student's interval
-of the listeners' shares. Any rising change of the scale leaves it as it is, and so does a scale that ends.
+within a listener, all else equal, in which one level is rated above another (a tie counts half), with Student's
+interval of the listeners' shares. Any rising change of the scale leaves it as it is, and so does a scale that ends.
 
 *Bradley-Terry*: P(b over a) = 1 / (1 + e^(v_a - v_b)), sum v = 0, by maximum likelihood; a tie is half an answer each.
-Answers of a listener belong together: the covariance matrix is the sandwich of the listeners' scores, n / (n - 1) times,
-with Student's t on n - 1 degrees of freedom; of a single listener it is that of independent answers.
+Answers of a listener belong together: the covariance matrix is the sandwich of the listeners' scores, n / (n - 1)
+times, with Student's t on n - 1 degrees of freedom; of a single listener it is that of independent answers.
 """
 
 from __future__ import annotations
@@ -186,7 +186,11 @@ def linear_analysis(
     exact = data.complete and not few
     if exact:
         estimates, tests = _by_strata(data, contrasts, confidence, bool(sampled))
-        what = "Satterthwaite's quasi-F" if sampled else "Greenhouse-Geisser degrees of freedom as corrected by Huynh and Feldt"
+        what = (
+            "Satterthwaite's quasi-F"
+            if sampled
+            else "Greenhouse-Geisser degrees of freedom as corrected by Huynh and Feldt"
+        )
         method = f"analysis of variance by strata, {what}; each difference against its own spread over the listeners"
         converged = True
     else:
@@ -197,8 +201,8 @@ def linear_analysis(
         adjusted = strata.holm(one.p_value)
         terms += [
             ModelTerm(
-                name, effect, *(float(x[i]) for x in (one.difference, one.low, one.high, one.df, one.p_value)),
-                float(adjusted[i]), float(one.difference[i] / cell_sd) if cell_sd > 0 else 0.0,
+                name, effect, float(one.difference[i]), float(one.low[i]), float(one.high[i]), float(one.df[i]),
+                float(one.p_value[i]), float(adjusted[i]), float(one.difference[i] / cell_sd) if cell_sd > 0 else 0.0,
             )
             for i, name in enumerate(contrasts.names[effect])
         ]  # fmt: skip
@@ -220,7 +224,12 @@ class _Cells:
     """Answers by listener, random sound and cell of the fixed factors."""
 
     def __init__(
-        self, rows: Rows, used: Sequence[str], sampled: Sequence[str], levels: Mapping[str, Sequence[str]], who: list[str]
+        self,
+        rows: Rows,
+        used: Sequence[str],
+        sampled: Sequence[str],
+        levels: Mapping[str, Sequence[str]],
+        who: list[str],
     ):
         own = [tuple(str(row[f]) for f in used) for row in rows]
         self.cells = sorted(set(own), key=lambda cell: [levels[f].index(v) for f, v in zip(used, cell, strict=True)])
@@ -265,8 +274,10 @@ def _by_mixed_model(
     """The mixed model of the module; random deviations of one variance for each effect."""
     from scipy.special import fdtrc, stdtr, stdtrit
 
-    codes = {(f,): np.array([data.levels[f].index(cell[i]) for cell in data.cells]) for i, f in enumerate(data.used)}
-    coded = {e: strata.coded(codes[e], len(data.levels[e[0]])) for e in codes}
+    codes: dict[strata.Effect, Any] = {
+        (f,): np.array([data.levels[f].index(cell[i]) for cell in data.cells]) for i, f in enumerate(data.used)
+    }
+    coded: dict[strata.Effect, Any] = {e: strata.coded(codes[e], len(data.levels[e[0]])) for e in codes}
     columns = {
         e: coded[e] if len(e) == 1
         else np.einsum("ki,kj->kij", coded[e[:1]], coded[e[1:]]).reshape(len(data.cells), -1)
@@ -274,7 +285,7 @@ def _by_mixed_model(
     }  # fmt: skip
     x = np.hstack([np.ones((len(data.cells), 1)), *columns.values()])
     one = np.ones((len(data.value), 1))
-    terms, names, limits = [], [], {e: math.inf for e in columns}
+    terms, names, limits = [], [], dict.fromkeys(columns, math.inf)
     samples = [("listener", data.listener)] + ([("sound", data.sound)] if len(data.sounds) > 1 else [])
     for name, of in samples:
         terms.append(mixed.RandomTerm(one, of))
@@ -299,7 +310,7 @@ def _by_mixed_model(
         select[:, at : at + k] = np.eye(k)
         at += k
         sizes = [len(data.levels[f]) for f in effect]
-        steps = strata.steps(sizes[0])
+        steps: Any = strata.steps(sizes[0])
         for n in sizes[1:]:
             steps = np.kron(steps, strata.steps(n))
         rows = steps @ select

@@ -43,9 +43,9 @@ from tonewood.workshop.batch.seeds import generator
 from tonewood.workshop.listening.answer_file import begin
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.detection import CHANCE, share_right, task_of
+from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.session import OPEN, Session, choices
 from tonewood.workshop.listening.table import Key, read_key
-from tonewood.workshop.listening.psychometric import psychometric
 
 #: points of the scale of 100 in one grade of BS.1116
 _POINTS = 25.0
@@ -180,7 +180,9 @@ class _Listener:
         if self.panel.slope_sd == 0:
             return 0.0
         levels = self.key.stimuli[code].levels.items()
-        return sum(self.panel.slope_sd * float(generator(self.seed, "response", *at).standard_normal()) for at in levels)
+        return sum(
+            self.panel.slope_sd * float(generator(self.seed, "response", *at).standard_normal()) for at in levels
+        )
 
     def _mushra(self, slots: Mapping[str, str]) -> dict[str, float]:
         codes = {slot: code for slot, code in slots.items() if slot != OPEN}

@@ -54,8 +54,8 @@ def _rated(found: PanelResults, page: PageResults, linear: LinearAnalysis, perce
         lines.append("grades have an order but no stated distance: shares of comparisons are reported, not points.")
     elif bent:
         lines.append(
-            f"{100 * (linear.at_ends or 0):.0f} % of the answers stand at an end of the scale, where differences in points "
-            "are pulled together: shares of comparisons are reported, too, and interactions may be the scale's."
+            f"{100 * (linear.at_ends or 0):.0f} % of the answers stand at an end of the scale, where differences in "
+            "points are pulled together: shares of comparisons are reported, too, and interactions may be the scale's."
         )
     for term in linear.terms:
         if len(term.effect) > 1:
@@ -76,14 +76,19 @@ def _rated(found: PanelResults, page: PageResults, linear: LinearAnalysis, perce
                 f"{interval}, p {_p(p)}); differences beyond {most:.3g} points are unlikely"
             )
         if bent and (share := _superiority(page, term.effect[0], first, level)) is not None:
-            bounds = "" if share.low is None or share.high is None else f", {100 * share.low:.0f} to {100 * share.high:.0f} %"
-            own = f"{level} is rated above {first} in {100 * share.share:.0f} % of comparisons{bounds} (p {_p(share.p_value)})"
+            bounds = (
+                ""
+                if share.low is None or share.high is None
+                else f", {100 * share.low:.0f} to {100 * share.high:.0f} %"
+            )
+            rate = f"{100 * share.share:.0f} % of comparisons{bounds} (p {_p(share.p_value)})"
+            own = f"{level} is rated above {first} in {rate}"
             text = own + varied if page.ordinal else f"{text}; {own}"
         lines.append(text + ".")
     if page.everybody is not None:
         lines.append(
-            f"{len(page.screened)} listeners were left out by their ratings of reference and anchors; p is the larger of "
-            "those without and with them, because that choice favours the reference."
+            f"{len(page.screened)} listeners were left out by their ratings of reference and anchors; p is the larger "
+            "of those without and with them, because that choice favours the reference."
         )
     lines += [
         f"the effect of {' depends on '.join(t.name.split(' : '))} (p {_p(t.p_value)}): see the means per cell."
@@ -130,7 +135,11 @@ def _detected(found: PanelResults, page: PageResults, one: Detection, percent: s
     jnd = ""
     if one.d_prime is not None and task is not None:
         unit = sensitivity(JND_SHARE, task)
-        bounds = "" if one.d_low is None or one.d_high is None else f" ({percent} interval {one.d_low:.2f} to {one.d_high:.2f})"
+        bounds = (
+            ""
+            if one.d_low is None or one.d_high is None
+            else f" ({percent} interval {one.d_low:.2f} to {one.d_high:.2f})"
+        )
         jnd = f"; d' = {one.d_prime:.2f}{bounds}, {one.d_prime / unit:.2g} just-noticeable differences"
     return f"{cell}{varied} are told apart ({share} right, p {_p(one.p_value)}{jnd})."
 
@@ -150,7 +159,8 @@ def _threshold(found: PanelResults, page: PageResults, percent: str) -> str:
     elif len(fit.listeners) > 1:
         interval = "its interval passes the levels that can be presented"
     spread = "" if len(fit.listeners) < 2 else (
-        f"; listeners differ by a factor of {fit.spread:.2f}" if own.ratio else f"; standard deviation {fit.spread:.2g}{unit}"
+        f"; listeners differ by a factor of {fit.spread:.2f}" if own.ratio
+        else f"; standard deviation {fit.spread:.2g}{unit}"
     )  # fmt: skip
     return f"the just-noticeable difference is {fit.mean:.3g}{unit}{varied} ({interval}{spread})."
 
@@ -224,14 +234,18 @@ def methods(found: PanelResults) -> str:
             f"differences are adjusted by Holm within an effect.{sampled}"
         )
     if any(page.screened for page in found.pages):
-        parts.append("Listeners were screened after ITU-R BS.1534-3; tests are reported without and with those left out.")
+        parts.append(
+            "Listeners were screened after ITU-R BS.1534-3; tests are reported without and with those left out."
+        )
     if any(page.detections for page in found.pages):
         parts.append(
             "Right answers were tested against guessing by one-sided exact binomial tests; d' is the mean of a normal "
             "population of listeners, by maximum likelihood of the listeners' counts under the task's model."
         )
     if any(page.scale for page in found.pages):
-        parts.append("Paired comparisons were scaled by Bradley and Terry's model, with intervals clustered by listener.")
+        parts.append(
+            "Paired comparisons were scaled by Bradley and Terry's model, with intervals clustered by listener."
+        )
     parts += [text for page in found.pages if page.thresholds is not None for text in [_stairs(test, page)]]
     return " ".join(dict.fromkeys(parts))
 
@@ -246,6 +260,6 @@ def _stairs(test: ListeningTest, page: PageResults) -> str:
     )
     return (
         f"Thresholds of {own.path} were measured by {rule} in {own.tracks} track{'s' if own.tracks > 1 else ''}, "
-        f"{own.intervals} intervals, at {100 * own.share:.1f} % right answers, and estimated by a hierarchical logistic "
-        "psychometric function over all trials and listeners, lapse rates marginal."
+        f"{own.intervals} intervals, at {100 * own.share:.1f} % right answers, and estimated by a hierarchical "
+        "logistic psychometric function over all trials and listeners, lapse rates marginal."
     )

@@ -1,14 +1,14 @@
 """Sensitivity of a population from the answers of several listeners.
 
 d' is a curved function of the share of right answers: the d' of a pooled share lies below the mean d' of listeners who
-differ, and the mean of single d' is infinite where one listener is always right. Here the d' of listeners are normal with
-mean mu and standard deviation tau, cut off below 0, and the likelihood of all counts is summed over them,
+differ, and the mean of single d' is infinite where one listener is always right. Here the d' of listeners are normal
+with mean mu and standard deviation tau, cut off below 0, and the likelihood of all counts is summed over them,
 
     L(mu, tau) = prod_i  int_0^inf  P(right_i | d) N(d; mu, tau) dd / int_0^inf N(d; mu, tau) dd.
 
 The estimate is the population's mean d' at the greatest likelihood; its interval holds every mean whose likelihood,
-maximized over the rest, is within t^2 / 2 of it (t of Student's distribution, listeners - 1). In the same-different task
-the listeners' criteria are normal, too; their mean and spread are those of greatest likelihood.
+maximized over the rest, is within t^2 / 2 of it (t of Student's distribution, listeners - 1). In the same-different
+task the listeners' criteria are normal, too; their mean and spread are those of greatest likelihood.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 Array = NDArray[np.float64]
+#: one number a listener
+Counts = NDArray[np.float64] | NDArray[np.intp]
 D = np.linspace(0.0, 8.0, 161)
 _MU, _TAU = np.linspace(-3.0, 6.0, 121), np.geomspace(0.05, 3.0, 30)
 _CRITERIA = np.linspace(0.1, 6.0, 60)
@@ -36,7 +38,7 @@ def _population() -> tuple[Array, Array]:
     return weights, weights @ D
 
 
-def pooled(right: Array, answers: Array, shares: Array, confidence: float) -> tuple[float, float, float]:
+def pooled(right: Counts, answers: Counts, shares: Array, confidence: float) -> tuple[float, float, float]:
     """Mean d' of a population with its interval.
 
     Parameters
@@ -46,10 +48,11 @@ def pooled(right: Array, answers: Array, shares: Array, confidence: float) -> tu
     confidence : of the interval.
     """
     p = np.clip(shares, 1e-12, 1 - 1e-12)
-    return _estimate(right[:, None] * np.log(p) + (answers - right)[:, None] * np.log1p(-p), confidence)
+    hits, misses = np.asarray(right, dtype=np.float64), np.asarray(answers - right, dtype=np.float64)
+    return _estimate(hits[:, None] * np.log(p) + misses[:, None] * np.log1p(-p), confidence)
 
 
-def pooled_same_different(hits: Array, different: Array, alarms: Array, same: Array, confidence: float) -> tuple[
+def pooled_same_different(hits: Counts, different: Counts, alarms: Counts, same: Counts, confidence: float) -> tuple[
     float, float, float
 ]:  # fmt: skip
     """Mean d' of a population by the differencing model of the same-different task.

@@ -3,9 +3,9 @@
 *Ratings*: the listeners' means of the levels of the factor in question are drawn with the spread that the page expects,
 or with the covariances of a pilot's answers, and analysed by `tonewood.workshop.listening.strata`; the effect counts as
 found where the report says so: p by Holm below alpha. *Paired comparisons*: listeners' choices, tested by the
-Bradley-Terry interval. *Right answers*: the exact binomial test of the report, one-sided, whose power is a sum and needs
-no simulation. *Staircases*: listeners take it trial by trial; power is the share of experiments in which the interval of
-the mean threshold excludes a threshold that is `margin` away.
+Bradley-Terry interval. *Right answers*: the exact binomial test of the report, one-sided, whose power is a sum and
+needs no simulation. *Staircases*: listeners take it trial by trial; power is the share of experiments in which the
+interval of the mean threshold excludes a threshold that is `margin` away.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from tonewood.workshop.batch.manifest import Manifest
 from tonewood.workshop.batch.pages import (
     Bs1116Page,
     MushraPage,
-    PairedPage,
     PairPage,
     RatingPage,
     StaircasePage,
@@ -82,7 +81,7 @@ def fewest(power_with: Callable[[int], float], power: float, effect: str) -> int
 
 
 def rating_power(
-    effects: Sequence[float], covariance: Array, listeners: int, alpha: float, seed: int = 1
+    effects: Sequence[float] | Array, covariance: Array, listeners: int, alpha: float, seed: int = 1
 ) -> Array:
     """Share of simulated experiments in which the report finds each level's difference from the first.
 
@@ -104,7 +103,7 @@ def rating_power(
     random = np.random.default_rng([seed, listeners])
     count = max(200, min(EXPERIMENTS, 4_000_000 // (listeners * len(effects))))
     y = np.asarray(effects) + random.standard_normal((count, listeners, len(effects))) @ root.T
-    p = strata.estimated(y, contrasts.differences["factor",], 1 - alpha).p_value
+    p = strata.estimated(y, contrasts.differences["factor",], 1 - alpha, sounds=False).p_value
     return np.asarray((strata.holm(p) < alpha).mean(axis=0))
 
 

@@ -1,6 +1,7 @@
 """QUEST+: the next level is that of least expected entropy of all parameters of the psychometric function.
 
-With pi_k the probability of parameter set k, p_ik that of a right answer at level i, and q = 1 - p, m_i = sum_k pi_k p_ik,
+With pi_k the probability of parameter set k, p_ik that of a right answer at level i, and q = 1 - p, m_i = sum_k pi_k
+p_ik,
 
     E_i = sum over right and wrong of  m_i log m_i - sum_k pi_k p_ik (log p_ik + log pi_k)
 
@@ -8,7 +9,8 @@ up to the sign of all terms. Posterior and entropies need two products of tables
 simulated at once. Levels within 1e-9 of the least entropy count as equal, and the first of them is taken: rounding does
 not decide.
 
-Source: A. B. Watson, QUEST+: A general multidimensional Bayesian adaptive psychometric method, J. Vision 17(3):10 (2017).
+Source: A. B. Watson, QUEST+: A general multidimensional Bayesian adaptive psychometric method, J. Vision 17(3):10
+(2017).
 """
 
 from __future__ import annotations
@@ -60,7 +62,7 @@ class QuestTable:
     def best(self, posterior: Array) -> NDArray[np.int_]:
         """Index (...) of the level to present."""
         e = self.entropies(posterior)
-        return np.argmax(e <= e.min(axis=-1, keepdims=True) + _EQUAL, axis=-1)
+        return np.asarray(np.argmax(e <= e.min(axis=-1, keepdims=True) + _EQUAL, axis=-1))
 
     def updated(self, posterior: Array, level: Any, right: Any) -> Array:
         """Posterior after answers (...) at levels (...)."""

@@ -1,7 +1,7 @@
 """Simulated experiments: do false alarms, intervals and thresholds hold what they state?
 
-Ratings are drawn as cell means of many experiments at once, and tested by the functions that the report uses; answers of
-staircases are drawn trial by trial. `tonewood.workshop.listening.power` counts listeners by the same functions, and
+Ratings are drawn as cell means of many experiments at once, and tested by the functions that the report uses; answers
+of staircases are drawn trial by trial. `tonewood.workshop.listening.power` counts listeners by the same functions, and
 ``scripts/statistics.py`` prints the tables of ``docs/statistics.md``.
 """
 
@@ -39,7 +39,7 @@ _CELLS = [(f, s) for f in _FACTOR for s in _SOUND]
 
 @dataclass(frozen=True)
 class Rates:
-    """Shares of experiments; `coverage` is of the interval of a difference that is there, `failed` of fits that failed."""
+    """Shares of experiments: `coverage` of the interval of a true difference, `failed` of fits that did not converge."""
 
     experiments: int
     test: float
@@ -65,7 +65,7 @@ def ratings(
     y = law["mean"] + own + np.array([0.0, shift, 0.0])[:, None]
     noise = random.normal(0, 1, (*shape, 3, 3, repetitions)) * np.array(law["residual"])[:, None, None]
     answers = np.clip(np.broadcast_to(y, (*shape, 3, 3))[..., None] + noise, 0.0, 100.0)
-    return answers.reshape(*shape, 9, repetitions)
+    return np.asarray(answers.reshape(*shape, 9, repetitions))
 
 
 def rating_rates(
@@ -80,11 +80,11 @@ def rating_rates(
     for begin in range(0, experiments, 1000):
         n = min(1000, experiments - begin)
         y = ratings(random, n, listeners, null).mean(axis=-1)
-        test = strata.tested(y, contrasts.bases["factor",]).p_value < alpha
-        cross = strata.tested(y, contrasts.bases["factor", "sound"]).p_value < alpha
-        term = strata.estimated(y, contrasts.differences["factor",], confidence).p_value[..., 0] < alpha
+        test = strata.tested(y, contrasts.bases["factor",], sounds=False).p_value < alpha
+        cross = strata.tested(y, contrasts.bases["factor", "sound"], sounds=False).p_value < alpha
+        term = strata.estimated(y, contrasts.differences["factor",], confidence, sounds=False).p_value[..., 0] < alpha
         y = ratings(random, n, listeners, null, shift).mean(axis=-1)
-        one = strata.estimated(y, contrasts.differences["factor",], confidence)
+        one = strata.estimated(y, contrasts.differences["factor",], confidence, sounds=False)
         parts.append([test, term, (one.low[..., 0] <= shift) & (shift <= one.high[..., 0]), cross])
     shares = [float(np.mean(np.concatenate(x))) for x in zip(*parts, strict=True)]
     return Rates(experiments, *shares)
@@ -121,12 +121,13 @@ def missing_rates(
             [sounds.p_value < alpha, other.p_value < alpha, term.low <= shift <= term.high, cross.p_value < alpha]
         )
     shares = np.mean(np.array(rates, dtype=np.float64), axis=0) if rates else np.full(4, np.nan)
-    return Rates(experiments, *(float(x) for x in shares), failed=failed / experiments)
+    test, difference, coverage, interaction = (float(x) for x in shares)
+    return Rates(experiments, test, difference, coverage, interaction, failed / experiments)
 
 
 @dataclass(frozen=True)
 class Population:
-    """Listeners of a staircase: `mean` threshold, standard deviation of u, slope with its spread of ln b, lapse rate."""
+    """Listeners of a staircase: mean threshold, standard deviation of u, slope and spread of ln b, lapse rate."""
 
     mean: float
     sd: float
@@ -258,12 +259,19 @@ def power_had(random: np.random.Generator, experiments: int, listeners: int, shi
     own = random.normal(0, 6, (experiments, listeners, 1, 1)) + random.normal(0, part, (experiments, listeners, 3, 1))
     y = 50 + own + np.array([0.0, shift, 0.0])[:, None]
     y = y + random.normal(0, part * np.sqrt(3), (experiments, listeners, 3, 3))
-    p = strata.estimated(y.reshape(experiments, listeners, 9), contrasts.differences["factor",], 0.95).p_value
+    p = strata.estimated(
+        y.reshape(experiments, listeners, 9), contrasts.differences["factor",], 0.95, sounds=False
+    ).p_value
     return float(np.mean(strata.holm(p)[:, 0] < 0.05))
 
 
 def excluded(
-    random: np.random.Generator, experiments: int, listeners: int, page: StaircasePage, people: Population, margin: float
+    random: np.random.Generator,
+    experiments: int,
+    listeners: int,
+    page: StaircasePage,
+    people: Population,
+    margin: float,
 ) -> float:
     """Share of experiments in which the interval of the mean threshold excludes one that is a margin (of u) higher."""
     grid, centre, count = ThresholdGrid(page), page.transformed(people.mean), 0

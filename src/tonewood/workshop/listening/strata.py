@@ -1,15 +1,15 @@
 """Exact analysis of repeated measures: each effect is tested against the listeners' own differences in it.
 
-Every listener answers every cell (a combination of levels), so an effect is a set of contrasts of the listener's own cell
-means, and its test needs no model of the covariance between cells. With z (n, q) the contrasts of n listeners,
+Every listener answers every cell (a combination of levels), so an effect is a set of contrasts of the listener's own
+cell means, and its test needs no model of the covariance between cells. With z (n, q) the contrasts of n listeners,
 orthonormal over the cells, and V the estimated covariance matrix of their mean,
 
     F = |mean z|^2 / tr V,     df1 = (tr V)^2 / tr V^2,     df2 = (tr V)^2 / sum_k (tr V_k^2 / f_k)
 
 V = V_1 = S / n, f_1 = n - 1 where sounds are fixed: the F of the sums of squares by strata, with the degrees of freedom
 of Greenhouse and Geisser, df1 = q eps and df2 = (n - 1) df1. Their estimate of eps is too small in small samples (false
-alarms of 3 % with 12 listeners and q = 4); with unbiased estimates of both traces, those of Huynh and Feldt as corrected
-by Lecoutre,
+alarms of 3 % with 12 listeners and q = 4); with unbiased estimates of both traces, those of Huynh and Feldt as
+corrected by Lecoutre,
 
     df1 = (n q eps - 2) / (n - 1 - q eps)     at most q,
 
@@ -65,16 +65,18 @@ def contrasts(cells: Sequence[Sequence[str]], levels: Mapping[str, Sequence[str]
     levels : factor -> its levels, the first being that of the reference.
     """
     where = {f: np.array([list(levels[f]).index(cell[i]) for cell in cells]) for i, f in enumerate(levels)}
-    main = {(f,): coded(where[f], len(levels[f])) for f in levels}
+    main: dict[Effect, Array] = {(f,): coded(where[f], len(levels[f])) for f in levels}
     pairs: dict[Effect, Array] = {}
-    without = []
+    without: list[Effect] = []
     for a, b in itertools.combinations(levels, 2):
         if len(set(zip(where[a], where[b], strict=True))) < len(levels[a]) * len(levels[b]):
             without.append((a, b))
         else:
             pairs[a, b] = np.einsum("ki,kj->kij", main[a,], main[b,]).reshape(len(cells), -1)
     columns = main | pairs
-    bases, differences, names = {}, {}, {}
+    bases: dict[Effect, Array] = {}
+    differences: dict[Effect, Array] = {}
+    names: dict[Effect, tuple[str, ...]] = {}
     for effect, own in columns.items():
         others = np.hstack([np.ones((len(cells), 1)), *(x for e, x in columns.items() if e != effect)])
         free = own - others @ (np.linalg.pinv(others) @ own)
@@ -84,7 +86,7 @@ def contrasts(cells: Sequence[Sequence[str]], levels: Mapping[str, Sequence[str]
             continue
         bases[effect] = u[:, :rank]
         coefficients = np.linalg.pinv(free)  # of the effect's columns, all others in the model
-        rows = steps(len(levels[effect[0]]))
+        rows: Any = steps(len(levels[effect[0]]))
         if len(effect) == 2:
             a, b = effect
             rows = np.kron(rows, steps(len(levels[b])))
@@ -132,7 +134,7 @@ class Estimated:
     p_value: Any
 
 
-def tested(y: Array, basis: Array, *, sounds: bool = False) -> Tested:
+def tested(y: Array, basis: Array, *, sounds: bool) -> Tested:
     """Test an effect.
 
     Parameters
@@ -162,7 +164,7 @@ def tested(y: Array, basis: Array, *, sounds: bool = False) -> Tested:
     return Tested(statistic, df1, df2, fdtrc(df1, df2, statistic), epsilon, greenhouse)
 
 
-def estimated(y: Array, rows: Array, confidence: float, *, sounds: bool = False) -> Estimated:
+def estimated(y: Array, rows: Array, confidence: float, *, sounds: bool) -> Estimated:
     """Estimate differences (rows, cells), each with its own variance; `y` and `sounds` as for `tested`."""
     from scipy.special import stdtr, stdtrit
 

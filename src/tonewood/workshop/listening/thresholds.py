@@ -14,8 +14,8 @@ Reversals of a staircase lie above the level that Levitt's argument names, the m
 shallower the function. `reversals` is the mean of the tracks' reversals less the mean error of as many simulated
 tracks of listeners of this population.
 
-Sources: R. E. Kass & D. Steffey, J. Am. Stat. Assoc. 84 (1989) 717-726 (hierarchical models); H. H. Schuett et al., Vision
-Res. 122 (2016) 105-123 (prior of lapses).
+Sources: R. E. Kass & D. Steffey, J. Am. Stat. Assoc. 84 (1989) 717-726 (hierarchical models); H. H. Schuett et al.,
+Vision Res. 122 (2016) 105-123 (prior of lapses).
 """
 
 from __future__ import annotations
@@ -124,8 +124,9 @@ def thresholds(rows: Sequence[Mapping[str, Any]], page: StaircasePage, unit: str
     found = [
         ListenerThreshold(
             name, counts[i], page.tracks, None if (r := reversals[i]) is None else page.level_of(r - (error or 0.0)),
-            page.level_of(fit.listeners[i]), *(grid.bound(x) for x in fit.intervals[i]),
-            page.level_of(fit.alone[i]), *(grid.bound(x) for x in fit.alone_intervals[i]), float(fit.slopes[i]),
+            page.level_of(fit.listeners[i]), grid.bound(fit.intervals[i, 0]), grid.bound(fit.intervals[i, 1]),
+            page.level_of(fit.alone[i]), grid.bound(fit.alone_intervals[i, 0]), grid.bound(fit.alone_intervals[i, 1]),
+            float(fit.slopes[i]),
         )
         for i, name in enumerate(who)
     ]  # fmt: skip
@@ -183,9 +184,7 @@ class ThresholdGrid:
         misses = np.bincount(places, ~right, len(at))
         total = np.full((len(self.u), len(self.slopes)), -np.inf)
         for lapse, weight in zip(_LAPSES, _LAPSE_PRIOR / _LAPSE_PRIOR.sum(), strict=True):
-            p = psychometric(
-                at[:, None, None], self.u[:, None], self.slopes, self.guess, self.page.share, lapse
-            )
+            p = psychometric(at[:, None, None], self.u[:, None], self.slopes, self.guess, self.page.share, lapse)
             p = np.clip(p, 1e-9, 1 - 1e-9)
             one = np.einsum("i,ijk->jk", hits, np.log(p)) + np.einsum("i,ijk->jk", misses, np.log1p(-p))
             total = np.logaddexp(total, one + math.log(weight))
@@ -204,9 +203,10 @@ class ThresholdGrid:
         for _ in range(_ROUNDS):  # m of greatest likelihood under the population's thresholds, and these again
             mu, tau = self._grids(own)
             kernel = self._kernel(mu, tau)
-            at = np.argmax(np.sum(np.log(own @ kernel.T + 1e-300), axis=0))
-            evidence = np.sum(np.log(np.einsum("ntc,t->nc", start, kernel[at]) + 1e-300), axis=0) - penalty
-            if (last := best) == (best := int(np.argmax(evidence))):
+            peak = np.argmax(np.sum(np.log(own @ kernel.T + 1e-300), axis=0))
+            evidence = np.sum(np.log(np.einsum("ntc,t->nc", start, kernel[peak]) + 1e-300), axis=0) - penalty
+            last, best = best, int(np.argmax(evidence))
+            if best == last:
                 break
             own = start[..., best]
         near = np.flatnonzero(evidence > evidence[best] - 5.0)
@@ -224,7 +224,7 @@ class ThresholdGrid:
         mixed = sum((w / p) @ kernel * start[..., c] for w, p, c in zip(joint, shares, near, strict=True))
         weight = joint.sum(axis=1)
         own = start[..., near] @ weight
-        best = near[int(np.argmin(np.abs(np.cumsum(weight) - 0.5)))]
+        best = int(near[int(np.argmin(np.abs(np.cumsum(weight) - 0.5)))])
         levels = (0.5, tail, 1 - tail)
         slopes = np.empty(len(own))
         for i in range(len(own)):

@@ -13,10 +13,10 @@ from scipy import integrate, stats
 
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening import detection, means, power, thresholds
-from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.definition import ListeningError
 from tonewood.workshop.listening.models import bradley_terry, linear_analysis, rank_analysis
 from tonewood.workshop.listening.panel import SimulatedPanel, read_panel, simulate
+from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.report import write_report
 from tonewood.workshop.listening.results import analyse, write_tables
 
@@ -104,7 +104,14 @@ def test_a_simulated_panel_s_effects_are_found_again(tmp_path: Path) -> None:
     block = [float(r["value"]) for r in rated if r["damping"] == "block" and r["pluck"] == "near"]
     assert np.median(block) == pytest.approx(60, abs=6)
     page = write_report(found, tmp_path / "results").read_text()
-    for words in ("40 simulated listeners", "damping:pluck", "Cohen", "simulated</strong>", "Methods", "just-noticeable"):
+    for words in (
+        "40 simulated listeners",
+        "damping:pluck",
+        "Cohen",
+        "simulated</strong>",
+        "Methods",
+        "just-noticeable",
+    ):
         assert words in page
     for heading in re.findall(r"<h2>\d.*?</h2>", page):
         assert "simulated listeners" in heading
@@ -280,7 +287,10 @@ def test_the_stated_power_is_that_of_the_noncentral_t() -> None:
         ("schema: tonewood-panel/1\nratings: {dampng: {block: 1.0}}", "ratings: dampng is not one of"),
         ("schema: tonewood-panel/1\nratings: {damping: {blok: 1.0}}", "ratings.damping: blok is not one of complex"),
         ("schema: tonewood-panel/1\nthresholds: {'1': {mean: 1.0, slope: 1.0}}", "page 1 is no staircase; 2 is"),
-        ("schema: tonewood-panel/1\nthresholds: {'2': {mean: 1.0, sd: 0.25, slope: 1.0}}", "thresholds.2.sd: is 0.25; a ratio"),
+        (
+            "schema: tonewood-panel/1\nthresholds: {'2': {mean: 1.0, sd: 0.25, slope: 1.0}}",
+            "thresholds.2.sd: is 0.25; a ratio",
+        ),
         ("schema: tonewood-panel/1\nrating: {}", "rating: is not a known key; did you mean ratings?"),
     ],
 )

@@ -19,7 +19,6 @@ from tonewood.workshop.listening.mixed import RandomTerm, fit
 from tonewood.workshop.listening.models import bradley_terry, linear_analysis, rank_analysis
 from tonewood.workshop.listening.panel import SimulatedPanel, simulate
 from tonewood.workshop.listening.plain import methods, summary
-from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.quest import QuestTable, QuestTrack, table_of
 from tonewood.workshop.listening.results import analyse
 from tonewood.workshop.listening.thresholds import thresholds
@@ -44,7 +43,7 @@ def rows_of(y: np.ndarray) -> list[dict]:
 def test_strata_are_those_of_winer_s_table() -> None:
     """F(3, 12) = 24.76; the Stata manual (anova, repeated measures) prints epsilons .6049 and 1.0789, p .0006."""
     contrasts = strata.contrasts([(x,) for x in "abcd"], {"drug": list("abcd")})
-    found = strata.tested(np.array(DRUGS, dtype=float), contrasts.bases["drug",])
+    found = strata.tested(np.array(DRUGS, dtype=float), contrasts.bases["drug",], sounds=False)
     assert round(float(found.statistic), 2) == 24.76
     assert round(float(found.epsilon), 4) == 0.6049
     assert round(float(found.p_greenhouse), 4) == 0.0006
@@ -64,11 +63,11 @@ def test_strata_are_those_of_sums_of_squares(rng: np.random.Generator) -> None:
     }
     for effect, (own, error, times, df) in parts.items():
         f = (9 * times * np.sum(own**2) / df) / (times * np.sum(error**2) / (df * 8))
-        found = strata.tested(y.reshape(9, 12), contrasts.bases[effect])
+        found = strata.tested(y.reshape(9, 12), contrasts.bases[effect], sounds=False)
         assert found.statistic == pytest.approx(f)
     c = y - y.mean(2, keepdims=True) - y.mean(1, keepdims=True) + y.mean((1, 2), keepdims=True)
     f = 9 * np.sum(c.mean(0) ** 2) / 6 / (np.sum((c - c.mean(0)) ** 2) / (6 * 8))
-    assert strata.tested(y.reshape(9, 12), contrasts.bases["a", "b"]).statistic == pytest.approx(f)
+    assert strata.tested(y.reshape(9, 12), contrasts.bases["a", "b"], sounds=False).statistic == pytest.approx(f)
 
 
 def test_the_machines_are_those_of_lmer() -> None:
@@ -256,7 +255,28 @@ def test_quest_plus_takes_the_levels_of_the_reference_run() -> None:
         at = int(table.best(posterior))
         levels.append(int(grid[at]))
         posterior = table.updated(posterior, at, answer == "C")
-    assert levels == [-18, -22, -25, -28, -19, -20, -22, -16, -17, -18, -19, -14, -15, -16, -17, -18, -15, -16, -13, -13]
+    assert levels == [
+        -18,
+        -22,
+        -25,
+        -28,
+        -19,
+        -20,
+        -22,
+        -16,
+        -17,
+        -18,
+        -19,
+        -14,
+        -15,
+        -16,
+        -17,
+        -18,
+        -15,
+        -16,
+        -13,
+        -13,
+    ]
     mean = float(posterior @ grid)
     assert mean == pytest.approx(-15.734298, abs=1e-6)
     assert math.sqrt(posterior @ grid**2 - mean**2) == pytest.approx(3.055088, abs=1e-6)
@@ -269,7 +289,9 @@ def test_quest_plus_takes_the_levels_of_questplus(rng: np.random.Generator) -> N
                                            np.array([0.01, 0.05]))  # fmt: skip
     theirs = questplus.QuestPlus(
         stim_domain={"intensity": levels}, func="weibull", stim_scale="dB",
-        param_domain={"threshold": thresholds_, "slope": slopes, "lower_asymptote": np.array([1 / 3]), "lapse_rate": lapses},
+        param_domain={
+            "threshold": thresholds_, "slope": slopes, "lower_asymptote": np.array([1 / 3]), "lapse_rate": lapses
+        },
         outcome_domain={"response": ["Correct", "Incorrect"]}, stim_selection_method="min_entropy",
         param_estimation_method="mean",
     )  # fmt: skip
@@ -311,7 +333,9 @@ def test_thresholds_are_without_bias(page: dict) -> None:
 def test_thresholds_of_the_guide_hold_bias_and_coverage(slope: float) -> None:
     people = simulations.Population(5.0, 0.25, slope)
     for seed in (1, 2, 3):
-        found = simulations.threshold_rates(np.random.default_rng(seed), 400, 12, StaircasePage.model_validate(GUIDE), people)
+        found = simulations.threshold_rates(
+            np.random.default_rng(seed), 400, 12, StaircasePage.model_validate(GUIDE), people
+        )
         assert abs(found.bias_mean) <= 0.05
         assert abs(found.bias_listener) <= 0.05
         assert 0.93 <= found.coverage_listener <= 0.97
