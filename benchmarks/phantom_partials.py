@@ -28,7 +28,7 @@ def renderer(piano: tw.Instrument, note: int, velocity: int, on: Collection[str]
     score = tw.Score([tw.Note(0.1, seconds, note, velocity_midi=velocity)])
     made = tw.Renderer(score, piano, FS, max_duration=seconds)
     if on is not None:
-        made.engine.system = made.engine.system.with_phantoms(on)
+        made.engine.system = made.engine.system.with_potentials(on)
         made.engine.stepper.exchange(made.engine.system)
     return made
 

@@ -1,8 +1,8 @@
-"""Time of a piano's score, and the difference that stand-ins for strings make which nobody plays.
+"""Time of a piano's score, and the error of stand-ins for strings that are not played.
 
     python benchmarks/piano_rest.py [--notes dense | --score examples/scores/prelude.mid [--pedal 1.5]]
 
-`grand_piano`, pedal up, 3 s: eight notes, or (dense) forty in two hands. Strings under dampers that nobody plays are
+`grand_piano`, pedal up, 3 s: eight notes, or (dense) forty in two hands. Damped strings that are not played are
 left out, or something simpler stands in their place:
 
 * *left out*: they neither move nor load the bridge;
@@ -112,7 +112,7 @@ def rendered(
     notes = [tw.Note(start, 0.28, note, velocity_midi=80) for start, note in played]
     renderer = tw.Renderer(tw.Score(notes), piano, FS, max_duration=3.0, effects="all")
     engine = renderer.engine
-    engine.system = engine.system.with_phantoms(())
+    engine.system = engine.system.with_potentials(())
     if way is not None:
         engine.system = way(engine.system, engine.model.strings, names)
     engine.stepper.exchange(engine.system)

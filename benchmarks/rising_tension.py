@@ -15,7 +15,7 @@ from scipy.linalg import norm
 import tonewood as tw
 import tonewood.authoring as ta
 from tonewood.instrument.model.assembly import assemble
-from tonewood.physics.coupling.geometric import GeometricStretch
+from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
 from tonewood.physics.coupling.system import System
 from tonewood.physics.stepping.forcing import compile_force
 from tonewood.physics.stepping.kernel import KernelStepper
@@ -68,7 +68,7 @@ def released(height: float, times: int) -> Floats:
     stretch = GeometricStretch("string", ("y", "z"), "x", stiffness)
     read = [ta.Readout(name, "displacement", (ta.Probe(name, "pick"),)) for name in ("y", "z")]
     parts = {"y": across, "z": across, "x": lengthwise}
-    system = System.build(parts, ends, read, dt=1 / (RATE * times), geometric=[stretch])
+    system = System.build(parts, ends, read, dt=1 / (RATE * times), potentials=[stretch])
     state = system.start()
     vec = np.asarray(across.metadata["vec"])
     n = np.arange(1, len(vec))

@@ -247,7 +247,7 @@ def _child(score: Path, folder: str, *more: str) -> tuple[float, float, float]:
 
 
 def cold_start(repeats: int) -> Iterator[Row]:
-    """``tonewood render`` of one second, from the shell's return key to the file."""
+    """``tonewood render`` of one second, from the command to the file."""
     with tempfile.TemporaryDirectory() as folder:
         score = Path(folder) / "one.mid"
         tw.write_midi(tw.Score([tw.Note(0.0, 0.5, note=64, velocity_midi=80)]), score)

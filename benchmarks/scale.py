@@ -190,7 +190,7 @@ class Scene:
             made = time.perf_counter()
             self.model: Model = assemble(tw.load_instrument(bundle), FS)
         system = self.model.system
-        self.stepper = KernelStepper(system if phantoms else system.with_phantoms(()))
+        self.stepper = KernelStepper(system if phantoms else system.with_potentials(()))
         self.load_seconds = time.perf_counter() - made
 
     def run(self, seconds: float) -> Floats:

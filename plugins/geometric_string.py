@@ -2,12 +2,12 @@
 
     strain e = u_x + (v_x^2 + w_x^2) / 2,   potential EA/2 int_0^L e^2 dx beside the tension at rest,
 
-the exact string to fourth order in its motion (`tonewood.physics.coupling.geometric`: equations, energy, terms left
-out). The square of the slope has partials at sums and differences of the transverse frequencies, f_m + f_n; it drives
-the longitudinal modes, n / (2 L) sqrt(EA / mu), and the bridge hears them: Conklin's phantom partials, strong near a
-longitudinal mode (Bank & Sujbert 2005). The string's end moves along the string by the projection of the body's
-motion on the inclined string, and by `bridge_leverage` times the body's motion (break angle and rocking of the saddle);
-the longitudinal force acts on the body with the same factors.
+the exact string to fourth order in its motion; `tonewood.physics.coupling.potentials.longitudinal` has equations,
+energy, and terms left out. The square of the slope has partials at sums and differences of the transverse frequencies,
+f_m + f_n; it drives the longitudinal modes, n / (2 L) sqrt(EA / mu), and the bridge hears them: Conklin's phantom
+partials, strong near a longitudinal mode (Bank & Sujbert 2005). The string's end moves along the string by the
+projection of the body's motion on the inclined string, and by `bridge_leverage` times the body's motion (break angle
+and rocking of the saddle); the longitudinal force acts on the body with the same factors.
 
 Longitudinal modes are those below 0.45 of the sampling rate; higher ones follow quasi-statically and add nothing.
 Transverse modes up to `freq_coupled` take part in the coupling, the others move as on `stiff_string`: their share of
@@ -16,13 +16,23 @@ the squared slope is small, and cost goes with the square of their number. Valid
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
 from pydantic import model_validator
 from tonewood.plugins.tension_modulated_string import TensionModulatedParameters, TensionModulatedString
 
-from tonewood.authoring import LONGITUDINAL, Longitudinal, ModalBasis, quantity, string_basis
+from tonewood.authoring import (
+    LONGITUDINAL,
+    GeometricStretch,
+    Longitudinal,
+    ModalBasis,
+    Potential,
+    StringMotion,
+    quantity,
+    string_basis,
+)
 
 
 class GeometricParameters(TensionModulatedParameters):
@@ -60,7 +70,14 @@ class GeometricString(TensionModulatedString):
     @property
     def longitudinal(self) -> Longitudinal:
         """Motion along the string."""
-        return Longitudinal(self._longitudinal, self.parameters.freq_coupled, self.parameters.bridge_leverage)
+        return Longitudinal(self._longitudinal, self.parameters.bridge_leverage)
+
+    def potentials(self, string: StringMotion) -> Sequence[Potential]:
+        """The coupling to the longitudinal motion; where that is left out, the rising tension alone."""
+        if string.longitudinal is None:
+            return super().potentials(string)
+        p = self.parameters
+        return [GeometricStretch(string.name, string.planes, string.longitudinal, p.axial_stiffness, p.freq_coupled)]
 
     def _longitudinal(self, freq_upper: float, stop: float) -> ModalBasis:
         p = self.parameters

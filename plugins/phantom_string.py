@@ -7,15 +7,17 @@ modes, n / (2 L) sqrt(EA / mu), and the bridge hears them (Conklin 1999; Bank & 
 motion does not feel it, nor does the tension rise (`geometric_string` steps both ways at tens of times the cost). The
 force acts on the body's point by the projection on the inclined string, and by `bridge_leverage` times more.
 
-Equations, terms left out, energy: `tonewood.physics.coupling.phantoms`. Good where the rise of the tension is not
-heard: a piano's strings, below a cent.
+Equations, terms left out, energy: `tonewood.physics.coupling.potentials.phantom`. Good where the rise of the tension is
+not heard: a piano's strings, below a cent.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from tonewood.plugins.stiff_string import StiffString, StiffStringParameters
 
-from tonewood.authoring import PHANTOM_PARTIALS, PhantomPartials, quantity
+from tonewood.authoring import PHANTOM_PARTIALS, DrivenLongitudinal, Potential, StringMotion, quantity
 
 
 class PhantomStringParameters(StiffStringParameters):
@@ -41,8 +43,8 @@ class PhantomString(StiffString):
     Parameters = PhantomStringParameters
     parameters: PhantomStringParameters
 
-    @property
-    def phantom_partials(self) -> PhantomPartials:
-        """Motion along the string."""
-        p = self.parameters
-        return PhantomPartials(p.axial_stiffness, p.freq_coupled, p.longitudinal_loss, p.bridge_leverage)
+    def potentials(self, string: StringMotion) -> Sequence[Potential]:
+        """The motion along the string, where it moves the body."""
+        p, onto = self.parameters, string.onto_body(self.parameters.bridge_leverage)
+        driven = string.name, string.planes, onto, p.axial_stiffness, p.freq_coupled, p.longitudinal_loss
+        return [DrivenLongitudinal(*driven)] if onto else []

@@ -2,8 +2,8 @@
 
     T = T0 + EA/(2 L) int_0^L u_x^2 dx,    both polarizations together,
 
-so that a hard pluck begins sharp and glides down, and its plane of motion turns. The root of the potential
-EA/(8 L) S^2 is stepped as a variable of its own (`tonewood.physics.coupling.tension`): energy cannot rise. Valid while
+so that a hard pluck begins sharp and glides down, and its plane of motion turns. The root of the potential EA/(8 L) S^2
+is stepped as a variable of its own (`tonewood.physics.coupling.potentials.tension`): energy cannot rise. Valid while
 longitudinal waves are quick against the partials of interest: the tension is one number for the whole speaking length.
 The part of the string behind a stop or the nut, which would share the stretch, is left out.
 
@@ -14,6 +14,7 @@ by some 1.5 sqrt(EI/T) / L, 0.8 % for a plain steel string of .7 mm.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tonewood.plugins.stiff_string import StiffString, StiffStringParameters
 
-from tonewood.authoring import TENSION_MODULATION, ModalBasis, quantity
+from tonewood.authoring import TENSION_MODULATION, ModalBasis, Potential, StringMotion, TensionModulation, quantity
 
 
 class TensionModulatedParameters(StiffStringParameters):
@@ -38,10 +39,10 @@ class TensionModulatedString(StiffString):
     Parameters = TensionModulatedParameters
     parameters: TensionModulatedParameters
 
-    @property
-    def axial_stiffness(self) -> float:
-        """E A, N."""
-        return self.parameters.axial_stiffness
+    def potentials(self, string: StringMotion) -> Sequence[Potential]:
+        """The rising tension."""
+        stiffness = self.parameters.axial_stiffness
+        return [TensionModulation(string.name, string.planes, stiffness)] if stiffness > 0.0 else []
 
     def basis(self, freq_upper: float, *, stop: float = 0.0, tension: float | None = None) -> ModalBasis:
         """As `StiffString.basis`, with the weights of the stretch, ``stretch_part``, in its metadata."""

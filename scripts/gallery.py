@@ -46,6 +46,7 @@ PIECES: dict[str, str | list[tuple[int, int, float]]] = {
     "bowed_monochord": [(50, 80, 1.2), (55, 80, 1.2), (62, 90, 1.6)],
     "buzzing_monochord": [(45, 70, 1.3), (52, 90, 1.3), (57, 110, 1.4)],
     "struck_monochord": [(60, 60, 1.3), (60, 80, 1.3), (67, 100, 1.4)],
+    "gong": [(33, 40, 1.3), (33, 90, 1.3), (33, 127, 1.4)],
     "grand_piano": "prelude",
     "twelve_string_guitar": "chords",
 }

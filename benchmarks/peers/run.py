@@ -33,8 +33,8 @@ import tonewood as tw
 from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.lab.accuracy.timing import machine
 from tonewood.physics.coupling.connections import Connection, Rigid, Term
+from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.system import Probe, Readout, System
-from tonewood.physics.coupling.tension import TensionModulation
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_modes import string_basis
 from tonewood.physics.stepping.kernel import KernelStepper
@@ -126,7 +126,7 @@ def own_tension() -> Run:
     out = [Readout("out", "displacement", (Probe("string", "out"),))]
     end = Connection("end", (Term("string", "bridge"),), Rigid())
     tension = TensionModulation("string", ("string",), 3e4)
-    system = System.build({"string": made}, [end], out, dt=1 / FS, tensions=[tension])
+    system = System.build({"string": made}, [end], out, dt=1 / FS, potentials=[tension])
     pluck, bridge = (made.right[made.index(point)].real / made.stiffness for point in ("pluck", "bridge"))
     held = made.right[made.index("bridge")].real
     return stepped(system, "string", 2.0 * (pluck - bridge * (held @ pluck) / (held @ bridge)))

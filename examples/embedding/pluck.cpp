@@ -17,12 +17,15 @@ void write_number(std::ofstream& stream, std::uint32_t value, int bytes) {
 // 16 bits, the largest sample at -1 dBFS.
 void write_wav(const std::string& path, const std::vector<double>& sound, int n_channels, int fs) {
     double peak = 1e-30;
-    for (const double x : sound) peak = std::max(peak, std::abs(x));
+    for (const double x : sound) {
+        if (!std::isfinite(x)) throw std::runtime_error("the sound is not finite");
+        peak = std::max(peak, std::abs(x));
+    }
     const std::uint32_t n_bytes = std::uint32_t(2 * sound.size());
     std::ofstream stream(path, std::ios::binary);
     stream << "RIFF", write_number(stream, 36 + n_bytes, 4), stream << "WAVEfmt ";
     write_number(stream, 16, 4), write_number(stream, 1, 2), write_number(stream, std::uint32_t(n_channels), 2);
-    write_number(stream, std::uint32_t(fs), 4), write_number(stream, std::uint32_t(2 * n_channels * fs), 4);
+    write_number(stream, std::uint32_t(fs), 4), write_number(stream, std::uint32_t(2.0 * n_channels * fs), 4);
     write_number(stream, std::uint32_t(2 * n_channels), 2), write_number(stream, 16, 2);
     stream << "data", write_number(stream, n_bytes, 4);
     for (const double x : sound) write_number(stream, std::uint32_t(std::int32_t(std::lround(x / peak * 29203))), 2);
@@ -34,14 +37,17 @@ void write_wav(const std::string& path, const std::vector<double>& sound, int n_
 int main(int count, char** arguments) try {
     if (count < 3) throw std::runtime_error("usage: pluck MODEL.tonewood OUT.wav [SECONDS]");
     tonewood::saved::SavedModel model(arguments[1]);
-    const int fs = int(std::lround(model.file()["fs"].f8[0])), n_channels = model.n_channels();
+    const int fs = int(std::lround(model.fs())), n_channels = model.n_channels();
     const double seconds = count > 3 ? std::stod(arguments[3]) : 4.0;
     if (!(seconds > 0 && seconds < 600)) throw std::runtime_error("0 to 600 s are allowed");
     // a host's callback: blocks of 64 samples, events between two of them
     constexpr std::size_t kBlock = 64;
     const std::size_t n_blocks = std::size_t(seconds * fs) / kBlock + 1;
     const std::size_t apart = std::max<std::size_t>(1, std::size_t(0.25 * fs) / kBlock);
-    const std::vector<double>& scale = model.file()["scale"].f8;
+    const std::vector<double>& scale = model.scale();
+    constexpr std::size_t kMost = std::size_t(1) << 28;  // samples of the file; its sizes have 32 bits
+    if (n_channels == 0 || n_blocks > kMost / kBlock / std::size_t(n_channels))
+        throw std::runtime_error("no channels, or a sound of more than " + std::to_string(kMost) + " samples");
     std::vector<double> sound(n_blocks * kBlock * std::size_t(n_channels));
     std::chrono::duration<double> longest{};
     const auto began = std::chrono::steady_clock::now();

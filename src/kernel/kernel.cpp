@@ -1,12 +1,13 @@
 #include "kernel.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 #include "load/component.hpp"
 #include "load/contacts.hpp"
 #include "load/layout.hpp"
 #include "load/parts.hpp"
-#include "load/tension.hpp"
+#include "load/potentials.hpp"
 
 namespace tonewood {
 
@@ -18,6 +19,7 @@ extern const Table table_baseline;
 
 namespace {
 
+constexpr std::size_t kMemory[Potentials::n_kinds] = {3, 3, kPhantomMemory, 3};  // numbers of a potential in the state
 constexpr std::size_t kStored = 4;  // replaced components in store for each slot
 
 // Whether `to` was another array; it is this one now.
@@ -25,6 +27,20 @@ bool assign(Array<double>& to, const View& from) {
     if (from.equals(to)) return false;
     to = from.copy();
     return true;
+}
+
+// Refuses a law without the numbers or functions of its kind.
+void expect_law(const Law& law, std::size_t j) {
+    const std::string number = std::to_string(j);
+    const std::vector<double>& knots = law.knots;
+    bool rises = knots.size() >= 2 && std::isfinite(knots.front()) && std::isfinite(knots.back());
+    for (std::size_t i = 1; i < knots.size(); ++i) rises = rises && knots[i - 1] < knots[i];
+    const bool has_none = knots.empty() && law.coefficients.empty();
+    require(has_none ? law.kind != Law::sampled : (rises && law.coefficients.size() == 4 * (knots.size() - 1)),
+            "nonlinear.samples: law " + number + " is missing, or has not rising knots and 4 coefficients between two");
+    const auto known = [](const Law::Function& f) { return f.plain || f.with_data; };
+    require(law.kind != Law::compiled || (known(law.potential) && known(law.slope)),
+            "nonlinear.functions: law " + number + " is missing");
 }
 
 }  // namespace
@@ -50,7 +66,7 @@ const Table& instruction_set(const std::string& name) {
 
 Kernel::Kernel(const Table& table, std::size_t n_components, std::size_t capacity, int n_channels)
     : table_(table), capacity_(capacity), n_channels_(n_channels), keys_(n_components, -1) {
-    model_.components.resize(n_components);
+    model_.components.resize(n_components), space_.recurrences.resize(n_components);
 }
 
 std::vector<std::int64_t> Kernel::cached() const {
@@ -63,63 +79,9 @@ std::vector<std::int64_t> Kernel::cached() const {
 
 std::vector<int> Kernel::acted() const {
     std::vector<int> out;
-    for (std::size_t j = 0; j < model_.contacts.acted.size(); ++j)
-        if (model_.contacts.acted[j]) out.push_back(int(j));
+    for (std::size_t j = 0; j < space_.contacts.acted.size(); ++j)
+        if (space_.contacts.acted[j]) out.push_back(int(j));
     return out;
-}
-
-std::size_t Kernel::n_tensions() const {
-    std::size_t n = 0;
-    for (const auto& string : model_.tensions.strings) n = std::max(n, std::size_t(string.index) + 1);
-    return n;
-}
-
-std::size_t Kernel::n_phantoms() const {
-    std::size_t n = 0;
-    for (const auto& string : model_.phantoms) n = std::max(n, std::size_t(string.index) + 1);
-    return n;
-}
-
-void Kernel::load_phantoms(const std::vector<PhantomDescription>& strings) {
-    const auto& components = model_.components;
-    std::vector<PhantomString> out;
-    for (std::size_t q = 0; q < strings.size(); ++q) {
-        const PhantomDescription& d = strings[q];
-        const std::string name = "phantoms[" + std::to_string(q) + "].";
-        require(d.index >= 0, name + "index is negative");
-        require(d.target >= 0 && std::size_t(d.target) < components.size() && !components[d.target].driven &&
-                    !components[d.target].geometric && !components[d.target].tension.on,
-                name + "target: no force can act on component " + std::to_string(d.target));
-        require(d.steps.ndim == 2 && d.steps.shape[0] >= 1 && d.steps.shape[0] <= kPhantomModes,
-                name + "steps: 1 to " + std::to_string(kPhantomModes) + " modes are allowed");
-        const std::size_t order = d.steps.shape[0];
-        expect(name + "steps", d.steps, {order, 4});
-        expect(name + "vector", d.vector, {2, std::size_t(components[d.target].n)});
-        PhantomString string;
-        string.index = d.index, string.target = d.target, string.order = int(order), string.scale = d.scale;
-        string.vector = d.vector.copy(), string.steps.assign(4 * kPhantomModes, 0.0);
-        for (std::size_t m = 0; m < order; ++m)
-            for (std::size_t i = 0; i < 4; ++i) string.steps[i * kPhantomModes + m] = d.steps[4 * m + i];
-        for (const auto& p : d.parts) {
-            const bool known = p.slot >= 0 && std::size_t(p.slot) < components.size() && p.weights.ndim == 2;
-            const std::size_t n = known ? p.weights.shape[1] : 0, wide = (n + kPadding - 1) / kPadding * kPadding;
-            require(known && n <= std::size_t(components[p.slot].n) && !components[p.slot].driven &&
-                        !components[p.slot].geometric && !components[p.slot].tension.on,
-                    name + "parts: one does not fit component " + std::to_string(p.slot));
-            expect(name + "weights", p.weights, {order + 1, n});
-            expect(name + "mirrored", p.mirrored, {order + 1, order});
-            PhantomString::Part part;
-            part.slot = p.slot, part.wide = int(wide);
-            part.weights.assign(padded(order + 1) * wide, 0.0), part.mirrored.assign((order + 1) * kPhantomModes, 0.0);
-            for (std::size_t m = 0; m <= order; ++m) {
-                std::copy_n(p.weights.data + m * n, n, part.weights.data() + m * wide);
-                std::copy_n(p.mirrored.data + m * order, order, part.mirrored.data() + m * kPhantomModes);
-            }
-            string.parts.push_back(std::move(part));
-        }
-        out.push_back(std::move(string));
-    }
-    model_.phantoms = std::move(out);
 }
 
 bool Kernel::load_components(const CompiledSystem& system, std::size_t m) {
@@ -145,6 +107,7 @@ bool Kernel::load_components(const CompiledSystem& system, std::size_t m) {
         }
         if (keys_[slot] >= 0) replaced_.emplace_back(keys_[slot], std::move(components[slot]));
         components[slot] = std::move(next), keys_[slot] = d.key;
+        space_.recurrences[slot] = components[slot].recurrence.numbers;
     }
     // only now, since a later slot may take an entry that an earlier one would have displaced
     const std::size_t most = kStored * components.size();
@@ -185,6 +148,7 @@ bool Kernel::load_nonlinear(const NonlinearDescription& d) {
         require(t.connection >= 0 && std::size_t(t.connection) < k && t.component >= 0 &&
                     std::size_t(t.component) < model_.components.size() && t.port >= 0,
                 "nonlinear.terms: connection " + std::to_string(t.connection) + " does not fit the components");
+    for (std::size_t j = 0; j < k; ++j) expect_law(d.laws[j], j);
     Nonlinear& nl = model_.nonlinear;
     bool changed =
         nl.k != int(k) || nl.dt != d.dt || nl.theta != d.theta || nl.all_terms != d.terms || nl.laws != d.laws;
@@ -208,43 +172,33 @@ bool Kernel::load_nonlinear(const NonlinearDescription& d) {
     return changed;
 }
 
-bool Kernel::load_tensions(const TensionsDescription& d, bool components_changed) {
-    Tensions& t = model_.tensions;
-    std::vector<Tensions::String> strings;
-    std::vector<int> components;
-    for (Component& c : model_.components) c.tension.on = c.geometric = false;
-    require(d.stretches.empty() || d.stretches.size() == d.strings.size(),
-            "tensions.stretches: one for each string is needed");
-    for (std::size_t s = 0; s < d.strings.size(); ++s) {
-        const auto& string = d.strings[s];
-        const std::string name = "tensions[" + std::to_string(s) + "]";
-        require(string.index >= 0, name + ": no tension " + std::to_string(string.index));
-        for (const int i : string.slots) {
-            require(i >= 0 && std::size_t(i) < model_.components.size(), name + ": no component " + std::to_string(i));
-            Component& c = model_.components[i];
-            require(!c.tension.a.empty(), name + ": component " + std::to_string(i) + " was loaded without `tension`");
-            (d.stretches.empty() ? c.tension.on : c.geometric) = true;
-            if (d.stretches.empty()) components.push_back(i);
+bool Kernel::load_potentials(const std::vector<PotentialDescription>& all, bool components_changed) {
+    Potentials& t = model_.potentials;
+    const std::vector<Potentials::One> before = std::move(t.two_way);
+    t.two_way.clear(), t.driven.clear(), t.stretches.clear(), t.users.clear(), t.memory = 0;
+    for (std::size_t s = 0; s < all.size(); ++s) {
+        const PotentialDescription& d = all[s];
+        const std::string name = "potentials[" + std::to_string(s) + "].";
+        t.memory = std::max(t.memory, d.at + kMemory[d.kind]);
+        if (d.kind == Potentials::phantom) {
+            t.driven.push_back(load_phantom(d, model_.components, name));
+            continue;
         }
-        strings.emplace_back();
-        strings.back().index = string.index, strings.back().kappa = string.kappa;
-        strings.back().components = string.slots;
+        Potentials::One one;
+        one.kind = d.kind, one.at = d.at, one.scale = d.scale, one.components = d.slots;
+        if (d.kind == Potentials::longitudinal)
+            one.data = int(t.stretches.size()), t.stretches.push_back(load_stretch(d, model_.components, name));
+        if (d.kind == Potentials::user)
+            one.data = int(t.users.size()), t.users.push_back(load_user(d, model_.components, name));
+        t.two_way.push_back(std::move(one));
     }
-    const bool same = d.stretches.empty() && t.stretches.empty() &&
-                      std::equal(strings.begin(), strings.end(), t.strings.begin(), t.strings.end(),
+    const bool same = std::equal(before.begin(), before.end(), t.two_way.begin(), t.two_way.end(),
                                  [](const auto& a, const auto& b) {
-                                     return a.index == b.index && a.kappa == b.kappa && a.components == b.components;
+                                     return a.kind == b.kind && a.at == b.at && a.scale == b.scale &&
+                                            a.components == b.components && a.kind == Potentials::tension;
                                  });
-    if (same && !components_changed) return false;
-    for (std::size_t s = 0; s < d.stretches.size(); ++s) {
-        std::vector<int> slots;
-        for (const auto& part : d.stretches[s].parts) slots.push_back(part.slot);
-        require(slots == d.strings[s].slots,
-                "tensions.stretches[" + std::to_string(s) + "].parts are not the components of the string");
-    }
-    t.stretches = load_stretches(d.stretches, model_.components);
-    t.strings = std::move(strings), t.components = std::move(components);  // `make_tensions` derives the rest
-    return true;
+    if (same && !components_changed) t.two_way = before;  // with all that `make_potentials` derived
+    return !same || components_changed;
 }
 
 void Kernel::load(const CompiledSystem& system) {
@@ -252,29 +206,32 @@ void Kernel::load(const CompiledSystem& system) {
     loaded_ = false;
     Model& model = model_;
     const bool changed = load_components(system, system.linear.gamma.size()) || all;
-    std::vector<bool> before;
-    for (const Component& c : model.components) before.push_back(c.geometric), before.push_back(c.tension.on);
+    const auto marks = [&] {
+        std::vector<bool> out;
+        for (const Component& c : model.components) out.push_back(c.coupled), out.push_back(c.modulated);
+        return out;
+    };
+    const std::vector<bool> before = marks();
+    mark_potentials(system.potentials, model.components);
     const bool linear = load_linear(system.linear);
     const bool laws = load_nonlinear(system.nonlinear);
-    const bool tensions = load_tensions(system.tensions, changed);
-    std::vector<bool> after;
-    for (const Component& c : model.components) after.push_back(c.geometric), after.push_back(c.tension.on);
-    load_phantoms(system.phantoms);
-    const bool contacts = changed || laws || before != after || !(model.shortcuts == system.shortcuts);
+    const bool potentials = load_potentials(system.potentials, changed);
+    const bool marked = before != marks();
+    const bool contacts = changed || laws || marked || !(model.shortcuts == system.shortcuts);
     model.shortcuts = system.shortcuts;
-    for (const Tensions::String& string : model.tensions.strings)
-        for (const int i : string.components)
-            require(!model.solve.in_parts || i != model.solve.hub.slot, "linear.hub: its tension may not rise");
-    if (changed || linear) model.layout = make_layout(model.components, model.solve, n_channels_);
+    for (const Potentials::One& one : model.potentials.two_way)
+        for (const int i : one.components)
+            require(!model.solve.in_parts || i != model.solve.hub.slot, "linear.hub: no potential may act on it");
+    if (changed || linear || marked) model.layout = make_layout(model.components, model.solve, n_channels_);
     if (contacts) {
         make_groups(model.components, model.nonlinear);
-        make_buffers(model.components, model.nonlinear, capacity_, model.contacts);
+        make_buffers(model.components, model.nonlinear, capacity_, space_.contacts);
     }
-    if (changed || linear || contacts || tensions) {
-        make_tensions(model.components, model.solve, model.layout, model.tensions, capacity_, model.nonlinear,
-                      model.tension);
-        reset_responses(model.nonlinear, model.layout, model.contacts);
-        model.linear_laws.known = false;
+    if (linear || contacts || potentials) {
+        make_potentials(model.components, model.solve, model.layout, model.potentials, capacity_, model.nonlinear,
+                        space_.potentials);
+        reset_responses(model.nonlinear, model.layout, space_.contacts);
+        space_.linear_laws.known = false;
     }
     loaded_ = true;
 }
@@ -287,10 +244,10 @@ Fault Kernel::run(const Job& job) {
     for (const Injection& in : job.injections)
         require(in.slot >= 0 && std::size_t(in.slot) < model_.components.size(),
                 "injections: no component " + std::to_string(in.slot));
-    require(model_.tensions.strings.empty() || (job.phase >= 0 && (job.phase == 0 || job.phase + job.n <= kResetSteps)),
-            "phase: with rising tensions a run that begins between two multiples of " + std::to_string(kResetSteps) +
+    require(model_.potentials.two_way.empty() || (job.phase >= 0 && (job.phase == 0 || job.phase + job.n <= kResetSteps)),
+            "phase: with potentials a run that begins between two multiples of " + std::to_string(kResetSteps) +
                 " samples ends at the next one");
-    return table_.run(model_, job);
+    return table_.run(model_, space_, job);
 }
 
 }  // namespace tonewood

@@ -29,7 +29,7 @@ public:
     // Keys of the components that `load` takes without arrays: those in use, and recent ones.
     std::vector<std::int64_t> cached() const;
     std::vector<int> acted() const;  // nonlinear connections with a force in the last run
-    const Statistics& statistics() const { return model_.statistics; }
+    const Statistics& statistics() const { return space_.statistics; }
     std::size_t capacity() const { return capacity_; }
     int n_channels() const { return n_channels_; }
     bool loaded() const { return loaded_; }
@@ -37,21 +37,20 @@ public:
     int n_modes(std::size_t slot) const { return model_.components[slot].n; }
     int n_linear() const { return model_.solve.m; }
     int n_nonlinear() const { return model_.nonlinear.k; }
-    std::size_t n_phantoms() const;  // rows that the state of the longitudinal motion has at least
-    std::size_t n_tensions() const;  // rows that the state of the tensions has at least
+    std::size_t memory() const { return model_.potentials.memory; }  // numbers of the potentials in the state, at least
 
 private:
     bool load_components(const CompiledSystem& system, std::size_t m);
     bool load_linear(const LinearDescription& d);
     bool load_nonlinear(const NonlinearDescription& d);
-    void load_phantoms(const std::vector<PhantomDescription>& strings);
-    bool load_tensions(const TensionsDescription& d, bool components_changed);
+    bool load_potentials(const std::vector<PotentialDescription>& all, bool components_changed);
 
     const Table& table_;
     std::size_t capacity_;
     int n_channels_;
     bool loaded_ = false;
     Model model_;
+    Workspace space_;
     std::vector<std::int64_t> keys_;                           // by slot, -1: empty
     std::vector<std::pair<std::int64_t, Component>> replaced_; // components in store, the oldest first
 };

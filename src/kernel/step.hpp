@@ -9,26 +9,27 @@
 #include <memory>
 
 #include "connect/general_step.hpp"
-#include "connect/tension_step.hpp"
+#include "connect/potential_step.hpp"
 #include "modal/motion.hpp"
-#include "modal/phantom_step.hpp"
+#include "potentials/phantom.hpp"
 
 namespace tonewood {
 namespace {
 
-inline std::unique_ptr<ConnectionStep> connection_step(Block& block, LawForces& laws) {
-    const Model& m = block.model;
-    if (!m.tensions.strings.empty()) return std::make_unique<TensionStep>(block, laws);
+inline std::unique_ptr<ConnectionStep> connection_step(Forces& forces) {
+    const Model& m = forces.block.model;
+    if (forces.potentials) return std::make_unique<PotentialStep>(forces);
     if (m.shortcuts.direct_step && (m.layout.in_parts || int(m.layout.own_port.size()) == m.solve.m))
-        return std::make_unique<DirectStep>(block, laws);
-    return std::make_unique<GeneralStep>(block, laws);
+        return std::make_unique<DirectStep>(forces);
+    return std::make_unique<GeneralStep>(forces);
 }
 
-inline Fault run(Model& model, const Job& job) {
+inline Fault run(const Model& model, Workspace& space, const Job& job) {
     const FlushDenormals flush;
-    Block block(model, job);
-    LawForces laws(block);
-    const auto connections = connection_step(block, laws);
+    Block block(model, space, job);
+    Forces forces(block);
+    LawForces& laws = forces.laws;
+    const auto connections = connection_step(forces);
     Propagate propagate(model.layout);
     PhantomStep phantoms(block);
     Resting resting(block);
@@ -38,7 +39,7 @@ inline Fault run(Model& model, const Job& job) {
         phantoms.begin_block();
         resting.begin_block();
         if (const int i = free_motion(block, fused, resting); i >= 0) return {i, start};
-        if (laws.any()) laws.cull.begin_block();
+        if (laws.any()) forces.cull.begin_block();
         connections->begin_block();
         for (int b = 0; b < block.nb; ++b) {
             double* now = block.force(b);
@@ -46,7 +47,7 @@ inline Fault run(Model& model, const Job& job) {
                 return {Fault::kUnsolved, start + b};
             propagate(b, block.nb, block.forces.data(), block.history.data());
             step_shapes(block, b);
-            if (laws.any()) laws.rows.propagate(b, now);
+            if (laws.any()) forces.rows.propagate(b, now);
         }
         connections->finish_block();
         std::fill_n(job.out + start * job.n_channels, block.nb * job.n_channels, 0.0);
@@ -54,8 +55,8 @@ inline Fault run(Model& model, const Job& job) {
             for (std::int64_t b = start; b < start + block.nb; ++b)
                 job.out[b * job.n_channels + channel] += weight * job.forces[b * model.solve.m + connection];
         laws.add_outputs();
-        phantoms.finish_block(laws.rows);
-        if (const int i = correct(block, laws.rows, fused, resting); i >= 0) return {i, start};
+        phantoms.finish_block(forces.rows);
+        if (const int i = correct(block, forces.rows, fused, resting); i >= 0) return {i, start};
     }
     laws.finish();
     for (int i = 0; i < int(model.components.size()); ++i)  // those without a readout are checked once per run

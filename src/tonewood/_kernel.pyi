@@ -26,8 +26,7 @@ class Kernel:
         series: NDArray[np.float64],
         slip: NDArray[np.float64],
         last_force: NDArray[np.float64],
-        tension: NDArray[np.float64],
-        phantoms: NDArray[np.float64],
+        potentials: NDArray[np.float64],
         phase: int,
     ) -> tuple[int, int]: ...
     def acted(self) -> list[int]: ...

@@ -31,17 +31,11 @@ from tonewood.instrument.contract.base import (
     Plugin,
     Resonator,
     Scene,
+    StringMotion,
     dot,
 )
 from tonewood.instrument.contract.directions import Direction, unit_vector
 from tonewood.instrument.contract.effects import (
-    DAMPERS,
-    FRETTING_NOISE,
-    LONGITUDINAL,
-    PHANTOM_PARTIALS,
-    SQUEAK,
-    TENSION_MODULATION,
-    TOUCH_NOISE,
     Effect,
     Norms,
     contact_effect,
@@ -63,12 +57,20 @@ from tonewood.instrument.inspection.frequencies import partials, pitch, pitches
 from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.performance.effects.base import Moment, RuntimeEffect, SwitchedEffect, Switching, Watched, next_multiple
 from tonewood.performance.effects.connections import SwitchedConnections
+from tonewood.performance.effects.longitudinal import LONGITUDINAL
+from tonewood.performance.effects.phantom_partials import PHANTOM_PARTIALS
+from tonewood.performance.effects.tension import TENSION_MODULATION
+from tonewood.performance.effects.unswitched import DAMPERS, FRETTING_NOISE, SQUEAK, TOUCH_NOISE
 from tonewood.performance.effects.usage import Bound
 from tonewood.physics import plate as plate
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
 from tonewood.physics.coupling.layout import Drive, Probe, Readout
-from tonewood.physics.coupling.phantoms import PhantomPartials
+from tonewood.physics.coupling.potentials.base import Potential
+from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
+from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
+from tonewood.physics.coupling.potentials.tension import TensionModulation
+from tonewood.physics.coupling.potentials.user import ModalPotential, PotentialEnergy, PotentialFunction
 from tonewood.physics.modal.damping import with_damping_case
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_losses import string_detuned, with_partial_decays
@@ -98,11 +100,13 @@ __all__ = [
     "Contact",
     "Direction",
     "Drive",
+    "DrivenLongitudinal",
     "Effect",
     "Event",
     "Exciter",
     "Fraction",
     "Friction",
+    "GeometricStretch",
     "Gesture",
     "HardeningSpring",
     "Hold",
@@ -110,6 +114,7 @@ __all__ = [
     "LossLaw",
     "Microphones",
     "ModalBasis",
+    "ModalPotential",
     "Model",
     "Moment",
     "Motion",
@@ -117,12 +122,14 @@ __all__ = [
     "Number",
     "Parameters",
     "PassivityError",
-    "PhantomPartials",
     "Pickup",
     "PickupRows",
     "Place",
     "Plugin",
     "PluginError",
+    "Potential",
+    "PotentialEnergy",
+    "PotentialFunction",
     "Probe",
     "Readout",
     "Resonator",
@@ -133,10 +140,12 @@ __all__ = [
     "Segment",
     "Site",
     "SpringDashpot",
+    "StringMotion",
     "StringPlace",
     "SwitchedConnections",
     "SwitchedEffect",
     "Switching",
+    "TensionModulation",
     "Term",
     "TonewoodError",
     "Vector",

@@ -20,8 +20,12 @@ class OldFormatWarning(FutureWarning):
     """A file of an earlier schema was read; the next version will refuse it. The text names the command to run."""
 
 
+class CacheFolderWarning(UserWarning):
+    """The folder of files kept between runs belongs to somebody else, or others can write to it: nothing is kept."""
+
+
 class DamagedCacheWarning(UserWarning):
-    """A file that is kept between runs is damaged; its contents are computed again."""
+    """A file that is kept between runs is damaged or another one; its contents are computed again."""
 
 
 class TonewoodError(Exception):

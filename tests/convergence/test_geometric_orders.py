@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from tonewood.physics.coupling.geometric import GeometricStretch
+from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
 from tonewood.physics.coupling.system import Probe, Readout, System
 from tonewood.physics.modal.string_modes import string_basis
 from tonewood.physics.stepping.kernel import KernelStepper
@@ -31,7 +31,7 @@ def string(fs: float) -> System:
     readouts = [Readout("across", "displacement", (Probe("y", "pick"),)),
                 Readout("along", "displacement", (Probe("x", "bridge"),))]  # fmt: skip
     components = {"y": across, "z": across, "x": longitudinal}
-    return System.build(components, [], readouts, dt=1 / fs, geometric=[GeometricStretch("s", ("y", "z"), "x", AXIAL)])
+    return System.build(components, [], readouts, dt=1 / fs, potentials=[GeometricStretch("s", ("y", "z"), "x", AXIAL)])
 
 
 def start(system: System) -> list[Floats]:

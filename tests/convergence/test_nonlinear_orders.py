@@ -10,8 +10,8 @@ import pytest
 
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
+from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.system import Probe, Readout, System
-from tonewood.physics.coupling.tension import TensionModulation
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.kernel import KernelStepper
 
@@ -48,7 +48,7 @@ def motion(law, rate, residual=0.0):
     readouts = [Readout("u", "displacement", (Probe("string", "p"),))]
     connections = [Connection("law", (Term("string", "q"),), law)] if law is not None else []
     tensions = [TensionModulation("t", ("string",), 3e4)] if law is None else []
-    system = System.build({"string": basis}, connections, readouts, dt=1 / rate, tensions=tensions)
+    system = System.build({"string": basis}, connections, readouts, dt=1 / rate, potentials=tensions)
     state = system.start()
     state.modes[0, :N_MODES] = 1e-3 * np.sin(0.3 * n) / n**3 * np.sqrt(DENSITY * LENGTH / 2)
     out, _ = KernelStepper(system).run(state, int(DURATION * rate) + 1)
@@ -58,7 +58,8 @@ def motion(law, rate, residual=0.0):
 @pytest.mark.parametrize("name", LAWS)
 def test_smooth_laws_are_of_second_order(name):
     exact = motion(LAWS[name], 16 * 4 * COARSE)
-    errors = [np.abs(motion(LAWS[name], k * COARSE) - exact).max() for k in (1, 2, 4)]
+    first = 2 if name == "tension" else 1  # at the coarsest step psi is put back in between
+    errors = [np.abs(motion(LAWS[name], k * first * COARSE) - exact).max() for k in (1, 2, 4)]
     assert errors[0] < 0.05 * np.abs(exact).max()
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     # where a contact's stiffness jumps the error of one rate depends on where in a step it is met

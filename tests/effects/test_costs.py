@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 import tonewood as tw
-from tonewood.instrument.contract.effects import TENSION_MODULATION
 from tonewood.performance.effects.costs import Costs, not_negative
+from tonewood.performance.effects.tension import TENSION_MODULATION
 from tonewood.performance.engine import engine as engine_module
 from tonewood.physics.coupling.system import System
 from tonewood.physics.stepping.kernel import KernelStepper
@@ -71,7 +71,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
 
     def per_sample(system: System) -> float:
         modes = {name: c.basis.n_modes for name, c in zip(system.names, system.compiled, strict=True)}
-        rising = [t for t, on in zip(system.tensions, system.tension_on, strict=True) if on]
+        rising = [t for t, on in zip(system.potentials, system.on, strict=True) if on]
         modulated = sum(modes[c] for t in rising for c in t.components)
         return MODE * sum(modes.values()) + RISING * (modulated > 0) + RISING_MODE * modulated
 

@@ -58,7 +58,7 @@ def test_none_keeps_every_string_in_one_plane(name: str) -> None:
     whole = assemble(instrument, 16000)
     plain = assemble(instrument.replace({"effects.mode": "none"}), 16000)
     assert list(plain.strings) == list(whole.strings)
-    assert not plain.system.tensions
+    assert not plain.system.potentials
     ends = [c.name for c in plain.system.connections if c.role == "bridge"]
     assert ends == [f"{string.components[0]}.bridge" for string in plain.strings.values()]
     kept = {c.part for c in plain.system.connections} & set(instrument.attachments)
@@ -77,7 +77,7 @@ def test_none_is_linear() -> None:
 
 def test_names_choose_what_runs() -> None:
     chosen = assemble(duet(mode=["tension_modulation"]), 16000)
-    assert [t.name for t in chosen.system.tensions] == ["B3", "E4"]
+    assert [t.name for t in chosen.system.potentials] == ["B3", "E4"]
     assert [len(s.polarizations) for s in chosen.strings.values()] == [1, 1]
     known = declared(duet().plugins)
     with pytest.raises(tw.TonewoodError, match=r"^effects: there is no effect 'glides'; auto, all, none or ") as fault:

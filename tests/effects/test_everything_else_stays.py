@@ -18,7 +18,12 @@ from tonewood.physics.stepping.kernel import KernelStepper
 SCORES = sorted((Path(__file__).parents[2] / "examples" / "scores").glob("*.mid"))
 #: of the package. One of a third party may be chaotic: the thread of `plate_zither`, switched at another place of
 #: the system, rounds otherwise by 3e-18 of the peak after 12.8 s of the prelude, and sounds another way after 18 s
-INSTRUMENTS = sorted(path.parent.name for path in (Path(__file__).parents[2] / "instruments").glob("*/instrument.yaml"))
+#: The one note of `gong` stands in no score: tests/plugins/test_gong.py
+INSTRUMENTS = sorted(
+    path.parent.name
+    for path in (Path(__file__).parents[2] / "instruments").glob("*/instrument.yaml")
+    if path.parent.name != "gong"
+)
 
 
 def pair(score: tw.Score, name: str, seconds: float | None, fs: int) -> tuple[tw.Renderer, tw.Renderer]:
@@ -34,13 +39,13 @@ def check(score: tw.Score, name: str, seconds: float | None, fs: int, moments: b
     a, b = sound(auto), sound(all_)
     # additive effects alone: with all detuning ones held the same
     same = a
-    if auto.model.system.rising:
+    if auto.model.system.potentials:
         same = sound(tw.Renderer(score, tw.load_instrument(name), fs, max_duration=seconds, budget_cents=0.0))
     # the tail may be judged decayed a moment sooner or later
     n = min(len(same), len(b))
     assert abs(n - max(len(same), len(b))) <= 0.3 * fs
     assert abs(same[:n] - b[:n]).max() <= 10 ** (auto.model.choice.budget_db / 20) * abs(b).max()
-    if not auto.model.system.rising:
+    if not auto.model.system.potentials:
         return
     # detuning effects: partials followed
     bounds = [r.bound for r in auto.summary().effects if r.name == "tension_modulation"]

@@ -122,3 +122,12 @@ def test_motion_that_grows_ends_in_an_error(tmp_path: Path) -> None:
     """The force takes no energy from the string, and scene 289 is not passive: refused, never sound without limit."""
     with pytest.raises(tw.NumericalError, match="no longer finite"):
         excess(289, tmp_path)
+
+
+def test_a_bend_that_moves_modes_over_the_limit_keeps_them_on() -> None:
+    """The bound of a string is that of its modes as it was; bent by octaves the string has fewer of them."""
+    controls = [tw.Control(0.05 + 0.01 * i, "bend", 4800.0 if i < 25 else -4800.0, 0) for i in range(50)]
+    score = tw.Score([tw.Note(0.0, 1.0, note="A2", velocity_midi=100, channel=0)], controls)
+    sound = np.concatenate(list(tw.Renderer(score, "grand_piano", fs=24000, max_duration=0.6).blocks(4096)))
+    assert np.all(np.isfinite(sound))
+    assert np.abs(sound).max() > 0.0

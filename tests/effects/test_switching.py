@@ -10,7 +10,8 @@ from effect_scenes import FS, TENSION, compared, duet, moment, renderer, sound, 
 
 import tonewood as tw
 from tonewood.instrument.model.assembly import assemble
-from tonewood.performance.effects.base import Switching, Watched, pay, switch
+from tonewood.performance.effects.base import Switching, Watched
+from tonewood.performance.effects.switching import pay, switch
 from tonewood.performance.effects.tension import SELDOM
 from tonewood.performance.effects.usage import Bound
 from tonewood.performance.engine.engine import GRID
@@ -129,7 +130,7 @@ def test_a_tension_that_comes_back_is_paid_for(seed: int) -> None:
     rng = np.random.default_rng(seed)
     model = assemble(duet(mode="all"), FS)
     system = model.system
-    off, on = system.with_tensions([]), system.with_tensions(["E4"])
+    off, on = system.with_potentials([]), system.with_potentials(["E4"])
     state = off.start()
     for name in ("E4.z", "E4.y", "body"):
         modes = off.modes_of(state, name)

@@ -202,11 +202,11 @@ def cases() -> list[tuple[str, str, str, str]]:
         (
             "strings.A2",
             "x",
-            "@property\ndef axial_stiffness(self):\n    return float('inf')",
-            "Odd.axial_stiffness returns inf",
+            "def potentials(self, string):\n    return 1.0",
+            "Odd.potentials returns 1.0",
         ),
         ("strings.A2", "x", "@property\ndef longitudinal(self):\n    return 1", "a ta.Longitudinal or None is wanted"),
-        ("strings.A2", "x", "@property\ndef phantom_partials(self):\n    return 1", "a ta.PhantomPartials or None"),
+        ("strings.A2", "x", "def potentials(self, string):\n    return [1]", "a ta.Potential is wanted"),
         ("strings.A2", "x", "def decay_rate(self, freq_rad, tension):\n    return -freq_rad", "Odd.decay_rate returns"),
         (
             "body",

@@ -63,7 +63,8 @@ def test_some_instrument_shows_it(name: str, used: dict[str, list[Plugin[Any]]])
     assert name in used
 
 
-@pytest.mark.parametrize("name", [n for n, p in PLUGINS.items() if issubclass(p, Resonator)])
+#: a gong has no stops and no tension, and refuses the first
+@pytest.mark.parametrize("name", [n for n, p in PLUGINS.items() if issubclass(p, Resonator) and n != "gong"])
 def test_strings(name: str, used: dict[str, list[Plugin[Any]]]) -> None:
     string = used[name][0]
     assert isinstance(string, Resonator)

@@ -201,32 +201,6 @@ def test_bad_drawings_are_refused_with_the_place(values: dict[str, Any], reason:
         small(**values).basis(2e4)
 
 
-def test_the_cache_is_safe_to_delete_and_to_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from tonewood.instrument.contract import array_cache
-
-    monkeypatch.setenv("TONEWOOD_CACHE", str(tmp_path / "kept"))
-    calls = []
-
-    def make() -> dict[str, np.ndarray]:
-        calls.append(1)
-        return {"x": np.arange(3.0)}
-
-    for step in range(4):
-        array_cache._RECENT.clear()
-        found = array_cache.cached_arrays({"a": 1}, make)["x"]
-        assert found.tolist() == [0.0, 1.0, 2.0]
-        (file,) = (tmp_path / "kept").iterdir()
-        if step == 1:
-            file.write_bytes(b"PK\x03\x04 damaged")
-        if step == 2:
-            file.unlink()
-            array_cache._RECENT.clear()
-            array_cache.cached_arrays({"a": 1}, make)
-    assert len(calls) == 3
-    array_cache.cached_arrays({"a": 2}, make)
-    assert len(calls) == 4
-
-
 def test_the_cache_has_arrays_of_each_blas_library_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another processor kernel rounds otherwise: arrays computed with it would change a render's last bits."""
     from tonewood.instrument.contract import array_cache

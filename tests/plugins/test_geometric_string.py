@@ -15,6 +15,8 @@ import tonewood as tw
 from tonewood.errors import BundleError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.model.assembly import assemble
+from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
+from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.stepping.kernel import KernelStepper
 from tonewood.physics.stepping.stepper import NumpyStepper
 
@@ -124,14 +126,12 @@ def test_phantom_partials_are_heard_through_the_bridge(tmp_path: Path) -> None:
 def test_what_is_left_out_is_left_out(tmp_path: Path) -> None:
     whole = made(tmp_path)
     model = assemble(whole, 48000)
-    assert [g.name for g in model.system.geometric] == ["S"]
+    assert [type(p) for p in model.system.potentials] == [GeometricStretch]
     assert "S.longitudinal.bridge" in [c.name for c in model.system.connections]
     rising = assemble(whole.replace({"effects.mode": ["tension_modulation", "second_polarization"]}), 48000)
-    assert not rising.system.geometric
-    assert [t.name for t in rising.system.tensions] == ["S"]
+    assert [type(p) for p in rising.system.potentials] == [TensionModulation]
     plain = assemble(whole.replace({"effects.mode": "none"}), 48000)
-    assert not plain.system.geometric
-    assert not plain.system.tensions
+    assert not plain.system.potentials
     assert plain.strings["S"].components == ("S.z",)
 
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 import tonewood as tw
 import tonewood.authoring as ta
 from tonewood.cli.main import run
-from tonewood.performance.effects.base import SwitchedEffect, pay
+from tonewood.performance.effects.base import SwitchedEffect
+from tonewood.performance.effects.switching import pay
 from tonewood.performance.engine.engine import Engine
 from tonewood.physics.energy.stored import gaps, stored_energy
 

@@ -72,8 +72,8 @@ def test_files_hold_what_was_saved(files: dict[str, Path], name: str) -> None:
     for key, values in wanted.items():
         assert np.array_equal(arrays[key], values)
         assert arrays[key].shape == values.shape
-    assert bool(system.rising) == (name in ("tension", "longitudinal")) == ("tensions/strings/0/0" in arrays)
-    assert bool(system.geometric) == (name == "longitudinal") == ("tensions/stretches/0/scale" in arrays)
+    assert bool(system.potentials) == (name in ("tension", "longitudinal")) == ("potentials/0/kind" in arrays)
+    assert (name == "longitudinal") == ("potentials/0/parts/0/slopes" in arrays)
     samples = arrays["samples"]
     assert samples.shape == (n, len(system.readouts))
     assert np.all(np.max(np.abs(samples), axis=0) > 0.0)

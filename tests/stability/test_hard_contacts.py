@@ -8,8 +8,8 @@ import pytest
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.coupling.law_solve import newton
 from tonewood.physics.coupling.laws import Contact
+from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.system import System
-from tonewood.physics.coupling.tension import TensionModulation
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.kernel import KernelStepper
@@ -63,7 +63,7 @@ def test_energy_over_twenty_close_points_never_rises(stiffness, exponent, height
 @pytest.mark.parametrize("height", [2e-3, 0.2])
 def test_energy_of_a_string_pulled_by_a_thousand_newtons_never_rises(height):
     bases = {"x": string({"q": 0.2}, 190), "y": string({"q": 0.2}, 190)}
-    system = System.build(bases, [], dt=DT, tensions=[TensionModulation("t", ("x", "y"), 2e4)])
+    system = System.build(bases, [], dt=DT, potentials=[TensionModulation("t", ("x", "y"), 2e4)])
     state = system.start()
     pluck(system, state, "x", height)
     pluck(system, state, "y", 0.3 * height, 0.37)
@@ -87,7 +87,7 @@ def test_the_forces_do_not_depend_on_where_the_search_began(rng):
 
 @pytest.mark.validate
 def test_energy_of_a_tension_modulated_string_falls_over_a_million_steps():
-    system = System.build({"x": string({"q": 0.2}, 20)}, [], dt=DT, tensions=[TensionModulation("t", ("x",), 2e4)])
+    system = System.build({"x": string({"q": 0.2}, 20)}, [], dt=DT, potentials=[TensionModulation("t", ("x",), 2e4)])
     state, stepper = system.start(), KernelStepper(system)
     pluck(system, state, "x", 5e-3)
     last = stored_energy(system, state).total

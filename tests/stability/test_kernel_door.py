@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tonewood import _kernel
-from tonewood.physics.coupling.phantoms import MEMORY
+from tonewood.physics.coupling.potentials.base import Kind
+from tonewood.physics.coupling.potentials.phantom import MEMORY
 
 PAD, BLOCK, CHANNELS, CAPACITY = _kernel.PADDING, _kernel.BLOCK_SIZE, 2, 4 * _kernel.PADDING
 CONNECTIONS = 2
@@ -60,8 +61,7 @@ def described(k: int = 0) -> dict[str, Any]:
             "weights": np.zeros((CHANNELS, k)), "compliance": np.eye(k) * 1e-6, "from_linear": np.zeros((k, m)),
             "to_linear": np.zeros((m, k)), "residual": np.zeros((k, k)),
         },
-        "tensions": {"strings": [], "stretches": []},
-        "phantoms": [],
+        "potentials": [],
         "shortcuts": dict.fromkeys(SHORTCUTS, True),
     }  # fmt: skip
 
@@ -79,36 +79,40 @@ def contact_ports() -> dict[str, Any]:
     return made
 
 
+def coordinates(weights: np.ndarray) -> dict[str, Any]:
+    """Coordinates of one mode, with weights of a stretch."""
+    one = np.zeros(PAD)
+    one[0] = 1.0
+    kick, velocity = np.stack([1e-3 * one] * 2), np.stack([one] * 3)
+    more = {"kick": kick, "velocity": velocity, "middle": 0.5 * velocity[:2]}
+    return {"a": weights, "reading": one, "stiffness": one.copy(), **more}
+
+
 def stretched() -> dict[str, Any]:
     """The first component is a string whose tension rises."""
     made, one = described(), np.zeros(PAD)
     one[0] = 1.0
-    made["components"][0] |= {"a": one, "half": 1e-3 * one, "reading": one.copy(), "kick": np.stack([1e-3 * one] * 2)}
-    made["components"][0]["velocity"] = np.stack([one] * 3)
-    made["tensions"] = {"strings": [(0, 10.0, [0])], "stretches": []}
+    made["components"][0] |= coordinates(one)
+    made["potentials"] = [{"kind": Kind.TENSION, "at": 0, "slots": [0], "scale": 10.0}]
     return made
 
 
 def longitudinal() -> dict[str, Any]:
     """The first two components are a string's transverse and longitudinal motion."""
-    made, one = described(), np.zeros(PAD)
-    one[0] = 1.0
+    made = described()
     for slot in (0, 1):
-        none = np.zeros(PAD)
-        made["components"][slot] |= {"a": none, "half": none, "reading": one, "kick": np.stack([1e-3 * one] * 2)}
-        made["components"][slot]["velocity"] = np.stack([one] * 3)
-    parts = [{"slot": slot, "slopes": np.full((2, 1), 0.1), "stiffness": np.ones(1)} for slot in (0, 1)]
-    stretch = {"scale": 1.0, "longitudinal": True, "parts": parts}
-    made["tensions"] = {"strings": [(0, 0.0, [0, 1])], "stretches": [stretch]}
+        made["components"][slot] |= coordinates(np.zeros(PAD))
+    parts = [{"slopes": np.full((2, 1), 0.1)} for _ in range(2)]
+    made["potentials"] = [{"kind": Kind.LONGITUDINAL, "at": 0, "slots": [0, 1], "scale": 1.0, "parts": parts}]
     return made
 
 
 def phantoms() -> dict[str, Any]:
     """The first component drives longitudinal modes whose force acts on the second one."""
     made = described()
-    parts = [{"slot": 0, "weights": np.full((3, 2), 1.0), "mirrored": np.full((3, 2), 1.0)}]
-    string = {"index": 0, "target": 1, "scale": 1e-3, "vector": np.full((2, PAD), 1e-6), "steps": np.full((2, 4), 0.1)}
-    made["phantoms"] = [string | {"parts": parts}]
+    parts = [{"weights": np.full((3, 2), 1.0), "mirrored": np.full((3, 2), 1.0)}]
+    string = {"target": 1, "scale": 1e-3, "vector": np.full((2, PAD), 1e-6), "steps": np.full((2, 4), 0.1)}
+    made["potentials"] = [{"kind": Kind.PHANTOM, "at": 0, "slots": [0], "parts": parts, **string}]
     return made
 
 
@@ -116,7 +120,7 @@ def job(k: int = 0, n: int = 40) -> list[Any]:
     injection = (0, 3, np.ones((1, 2, PAD)), np.ones((1, 5)))
     return [
         np.zeros((2, CAPACITY)), np.zeros((n, CHANNELS)), np.zeros((n, CONNECTIONS)), [injection], np.zeros((n, k)), [],
-        np.zeros(k), np.zeros(k), np.zeros(k), np.zeros((1, 4)), np.zeros((1, MEMORY)), 0,
+        np.zeros(k), np.zeros(k), np.zeros(k), np.zeros(MEMORY), 0,
     ]  # fmt: skip
 
 
@@ -204,9 +208,9 @@ def test_every_array_of_a_wrong_form_is_refused_by_its_name(which: str, path: Pa
             continue
         if path[-1] == "incidence" and np.ndim(wrong) == 2 and len(wrong) < CONNECTIONS:
             continue  # the last connections do not act on this component
-        if path[-1] == "slopes" and np.ndim(wrong) == 2 and wrong.shape[1] == 1:
-            continue  # any number of cosines
-        if path[0] == "phantoms" and path[-1] == "weights" and np.ndim(wrong) == 2 and len(wrong) == len(given):
+        if path[-1] == "slopes" and np.ndim(wrong) == 2 and wrong.shape[1] <= PAD and len(wrong):
+            continue  # any number of cosines and modes
+        if path[-1] == "weights" and len(path) > 2 and np.ndim(wrong) == 2 and len(wrong) == len(given):
             continue  # any number of modes
         if isinstance(wrong, np.ndarray) and wrong.shape == given.shape and wrong.dtype == given.dtype:
             continue
@@ -250,15 +254,20 @@ def test_what_is_written_to_is_never_a_converted_copy(argument: int, dtype: type
         (("components", 1), {"key": -1}), (("components", 1), None), (("linear",), {}), (("shortcuts",), {}),
         (("nonlinear", "kinds"), np.array([9])), (("nonlinear", "kinds"), np.array([2])),
         (("nonlinear", "kinds"), np.array([3])), (("nonlinear", "kinds"), np.array([-1])),
+        (("nonlinear", "samples"), [(0, [1.0, 0.0], [1.0] * 4)]),
+        (("nonlinear", "samples"), [(0, [0.0, np.nan], [1.0] * 4)]),
+        (("nonlinear", "samples"), [(0, [0.0, np.inf], [1.0] * 4)]), (("nonlinear", "samples"), [(0, [0.0], [])]),
         (("nonlinear", "samples"), [(0, [0.0, 1.0], [1.0])]), (("nonlinear", "samples"), [(1, [0.0, 1.0], [1.0] * 4)]),
         (("nonlinear", "functions"), [(0, [(1, 0, False)])]), (("nonlinear", "dt"), "fast"),
         (("nonlinear", "terms"), np.array([[0, 0, 2, 0]])), (("nonlinear", "terms"), np.array([[0, 0, 10**6, 0]])),
         (("nonlinear", "terms"), np.array([[0, 3, 0, 0]])), (("nonlinear", "terms"), np.array([[0, 0, -1, 0]])),
         (("nonlinear", "terms"), np.array([[0, -1, 0, 0]])), (("nonlinear", "terms"), np.array([[1, 0, 0, 0]])),
         (("nonlinear", "terms"), np.array([[0, 0, 0, 1]])), (("nonlinear", "terms"), np.array([[2**40, 0, 0, 0]])),
-        (("tensions", "strings"), [(0, 1.0, [3])]), (("tensions", "strings"), [(0, 1.0, [-1])]),
-        (("tensions", "strings"), [(-1, 1.0, [0])]), (("tensions", "strings"), [(0, 1.0, [0])]),
-        (("tensions", "stretches"), [{"scale": 1.0, "longitudinal": True, "parts": []}]),
+        (("potentials",), [{"kind": 0, "at": 0, "slots": [3], "scale": 1.0}]),
+        (("potentials",), [{"kind": 0, "at": 0, "slots": [-1], "scale": 1.0}]),
+        (("potentials",), [{"kind": 0, "at": -1, "slots": [0], "scale": 1.0}]),
+        (("potentials",), [{"kind": 0, "at": 0, "slots": [0], "scale": 1.0}]),
+        (("potentials",), [{"kind": 9, "at": 0, "slots": [0], "scale": 1.0}]),
     ],
 )  # fmt: skip
 def test_numbers_out_of_range_are_refused(path: Path, wrong: Any) -> None:
@@ -284,8 +293,8 @@ def test_injections_and_controls_that_do_not_fit_are_refused(argument: int, wron
         through(described(1), arguments)
 
 
-def test_a_state_of_the_tensions_that_is_too_small_is_refused() -> None:
-    for wrong in (np.zeros((0, 4)), np.zeros((1, 3)), np.zeros(4), np.zeros((1, 4), dtype=np.float32)):
+def test_a_state_of_the_potentials_that_is_too_small_is_refused() -> None:
+    for wrong in (np.zeros(0), np.zeros(2), np.zeros((1, 3)), np.zeros(3, dtype=np.float32)):
         arguments = job()
         arguments[9] = wrong
         with pytest.raises((TypeError, ValueError)):
@@ -293,23 +302,47 @@ def test_a_state_of_the_tensions_that_is_too_small_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
+    "places",  # of each tension: its numbers in the state, its components
+    [[(2**31 - 1, [0])], [(0, [])], [(0, [0, 0])], [(0, [0]), (3, [0])]],
+)
+def test_strings_with_rising_tension_that_do_not_fit_are_refused(places: list[Any]) -> None:
+    made = stretched()
+    made["potentials"] = [{"kind": Kind.TENSION, "at": at, "slots": slots, "scale": 10.0} for at, slots in places]
+    with pytest.raises(ValueError, match="potentials"):
+        through(made)
+
+
+def test_a_component_without_modes_and_a_part_without_modes_are_refused() -> None:
+    made = described()
+    for name in ("e", "rows", "w"):
+        made["components"][0][name] = np.ascontiguousarray(made["components"][0][name][..., :0])
+    with pytest.raises(ValueError, match="offset: the modes do not fit"):
+        through(made)
+    made = longitudinal()
+    made["potentials"][0]["parts"][0]["slopes"] = np.zeros((2, 0))
+    with pytest.raises(ValueError, match="slopes: they do not fit"):
+        through(made)
+
+
+@pytest.mark.parametrize(
     ("path", "wrong"),
     [
-        (("index",), -1), (("target",), 3), (("target",), 2), (("target",), -1), (("parts", 0, "slot"), 2),
-        (("parts", 0, "slot"), 3), (("steps",), np.zeros((33, 4))), (("steps",), np.zeros((0, 4))),
+        (("target",), 3), (("target",), 2), (("target",), -1), (("slots", 0), 2), (("slots", 0), 3), (("slots",), []),
+        (("at",), 2**31 - 1), (("parts", 0, "weights"), np.zeros((3, 0))),
+        (("steps",), np.zeros((33, 4))), (("steps",), np.zeros((0, 4))),
     ],
 )  # fmt: skip
 def test_longitudinal_forces_that_do_not_fit_are_refused(path: Path, wrong: Any) -> None:
     made = phantoms()
-    put(made["phantoms"][0], path, wrong)
-    with pytest.raises(ValueError, match="phantoms"):
+    put(made["potentials"][0], path, wrong)
+    with pytest.raises(ValueError, match="potentials"):
         through(made)
 
 
 def test_a_state_of_the_longitudinal_forces_that_is_too_small_is_refused() -> None:
-    for wrong in (np.zeros((0, MEMORY)), np.zeros((1, MEMORY - 1)), np.zeros(MEMORY)):
+    for wrong in (np.zeros(0), np.zeros(MEMORY - 1), np.zeros((1, MEMORY))):
         arguments = job()
-        arguments[10] = wrong
+        arguments[9] = wrong
         with pytest.raises((TypeError, ValueError)):
             through(phantoms(), arguments)
 
@@ -317,7 +350,7 @@ def test_a_state_of_the_longitudinal_forces_that_is_too_small_is_refused() -> No
 @pytest.mark.parametrize(("phase", "n"), [(-1, 4), (1, 64), (60, 5)])
 def test_a_run_over_the_end_of_a_window_that_it_did_not_begin_is_refused(phase: int, n: int) -> None:
     arguments = job(n=n)
-    arguments[11] = phase
+    arguments[10] = phase
     with pytest.raises(ValueError, match="phase"):
         through(stretched(), arguments)
 

@@ -17,6 +17,7 @@ import tonewood as tw
 from tonewood.errors import DamagedCacheWarning
 from tonewood.instrument.model.assembly import assemble
 from tonewood.physics.coupling.compiled import _pivots
+from tonewood.support.cache_folder import keep
 from tonewood.support.garbage import without_collecting
 
 FIRST_BLOCK = """
@@ -39,7 +40,7 @@ def first_block(cache: str) -> list[object]:
 
 def test_a_second_start_imports_no_more_than_it_needs_and_has_the_same_samples(tmp_path: Path) -> None:
     without, first, second = (first_block(cache) for cache in ("off", str(tmp_path), str(tmp_path)))
-    assert list(tmp_path.glob("*.tunings.json"))
+    assert list(tmp_path.glob("*.tunings"))
     assert second[:2] == [[], True]
     assert without[2] == first[2] == second[2]
 
@@ -53,21 +54,22 @@ def test_kept_tunings_are_read_and_follow_the_bundle(tmp_path: Path, monkeypatch
         return string.tension(0)
 
     found = tension(plain)
-    (file,) = tmp_path.glob("*.tunings.json")
-    kept = file.read_text()
+    (file,) = tmp_path.glob("*.tunings")
+    kept = file.read_bytes()
+    key = kept.split()[2].decode()
     assert tension(plain) == found
-    ((name, entry),) = json.loads(kept).items()
+    ((name, entry),) = json.loads(kept.partition(b"\n")[2]).items()
     assert entry["tension"] == found
-    file.write_text(json.dumps({name: entry | {"tension": 1.01 * found}}))
+    keep("tunings", key, json.dumps({name: entry | {"tension": 1.01 * found}}).encode())
     assert tension(plain) == 1.01 * found  # it is read
     heavier = plain.replace({"strings.*.linear_density": 1.2 * plain.resolved["strings"][name]["linear_density"]})
     assert tension(heavier) == pytest.approx(1.2 * found, rel=1e-3)  # f = sqrt(T / mu) / 2 L
-    assert len(list(tmp_path.glob("*.tunings.json"))) == 2
+    assert len(list(tmp_path.glob("*.tunings"))) == 2
     for damaged in ("{", "[]", "{}x", json.dumps({name: entry | {"modes": []}}), json.dumps({name: {"guess": 1.0}})):
-        file.write_text(damaged)
+        keep("tunings", key, damaged.encode())
         with pytest.warns(DamagedCacheWarning, match=file.name):
             assert tension(plain) == found
-    assert file.read_text() == kept
+    assert file.read_bytes() == kept
 
 
 def test_the_rows_chosen_are_those_of_a_pivoted_qr() -> None:

@@ -87,11 +87,35 @@ ComponentDescription component(const Reader& in) {
         d.contact.from_fixed = in.view("from_fixed"), d.contact.from_contact = in.view("from_contact");
         d.contact.on_rows = in.view("on_rows");
     }
-    if ((d.has_tension = in.has("a"))) {
-        d.tension.a = in.view("a"), d.tension.half = in.view("half");
-        d.tension.reading = in.view("reading"), d.tension.kick = in.view("kick");
-        d.tension.velocity = in.view("velocity");
+    if ((d.has_coordinates = in.has("reading"))) {
+        d.coordinates.reading = in.view("reading"), d.coordinates.stiffness = in.view("stiffness");
+        d.coordinates.kick = in.view("kick"), d.coordinates.velocity = in.view("velocity");
+        d.coordinates.a = in.view("a");
+        d.coordinates.middle = in.view("middle");
     }
+    return d;
+}
+
+PotentialDescription potential(const Reader& in) {
+    PotentialDescription d;
+    const auto kind = in.get<int>("kind");
+    require(kind >= 0 && kind < Potentials::n_kinds, "potentials: no kind has the number " + std::to_string(kind));
+    d.kind = Potentials::Kind(kind), d.at = in.get<std::size_t>("at"), d.slots = in.get<std::vector<int>>("slots");
+    d.scale = in.get<double>("scale");
+    if (in.has("parts"))
+        for (const Reader& part : in.each("parts")) {
+            d.parts.emplace_back();
+            if (part.has("slopes")) d.parts.back().slopes = part.view("slopes");
+            if (part.has("weights"))
+                d.parts.back().weights = part.view("weights"), d.parts.back().mirrored = part.view("mirrored");
+        }
+    if (in.has("function")) {
+        d.sizes = in.get<std::vector<int>>("sizes"), d.scratch = in.get<std::size_t>("scratch");
+        d.function = reinterpret_cast<UserPotential::Function>(in.get<std::uintptr_t>("function"));
+        d.data = reinterpret_cast<const void*>(in.get<std::uintptr_t>("data"));
+    }
+    if (in.has("target"))
+        d.target = in.get<int>("target"), d.vector = in.view("vector"), d.steps = in.view("steps");
     return d;
 }
 
@@ -107,17 +131,13 @@ std::vector<Law> laws(const Reader& in) {
     expect("nonlinear.numbers", numbers, {k, 8});
     std::vector<Law> out(k);
     for (std::size_t j = 0; j < k; ++j) {
-        const auto kind = kinds.data()[j];
-        require(kind >= Law::contact && kind <= Law::friction,
-                "nonlinear.kinds: no law has the number " + std::to_string(kind));
         const double* n = numbers.data + 8 * j;
-        out[j].kind = Law::Kind(kind);
+        out[j].kind = law_kind(kinds.data()[j]);
         std::copy_n(n, 4, out[j].a);
         out[j].loss = n[4], out[j].damping = n[5], out[j].offset = n[6], out[j].velocity = n[7];
     }
     for (auto& [j, knots, coefficients] : in.get<std::vector<Samples>>("samples")) {
-        require(j < k && knots.size() >= 2 && coefficients.size() == 4 * (knots.size() - 1),
-                "nonlinear.samples: law " + std::to_string(j) + " has the wrong shape");
+        require(j < k, "nonlinear.samples: there is no law " + std::to_string(j));
         out[j].knots = std::move(knots), out[j].coefficients = std::move(coefficients);
     }
     for (const auto& [j, functions] : in.get<std::vector<Functions>>("functions")) {
@@ -131,14 +151,6 @@ std::vector<Law> laws(const Reader& in) {
                 to[i]->plain = reinterpret_cast<double (*)(double)>(address);
             to[i]->data = reinterpret_cast<void*>(data);
         }
-    }
-    for (std::size_t j = 0; j < k; ++j) {
-        const Law& law = out[j];
-        require(law.kind != Law::sampled || !law.knots.empty(),
-                "nonlinear.samples: law " + std::to_string(j) + " is missing");
-        require(law.kind != Law::compiled || ((law.potential.plain || law.potential.with_data) &&
-                                              (law.slope.plain || law.slope.with_data)),
-                "nonlinear.functions: law " + std::to_string(j) + " is missing");
     }
     return out;
 }
@@ -172,7 +184,7 @@ void load(Kernel& kernel, nb::handle description) {
     const Reader in(description, "", owners);
     CompiledSystem system;
     for (const Reader& c : in.each("components")) system.components.push_back(component(c));
-    const Reader linear = in.inner("linear"), tensions = in.inner("tensions");
+    const Reader linear = in.inner("linear");
     LinearDescription& to = system.linear;
     to.gamma = linear.view("gamma"), to.constant = linear.view("constant"), to.weights = linear.view("weights");
     if (!linear.has("parts"))
@@ -186,24 +198,7 @@ void load(Kernel& kernel, nb::handle description) {
                   hub.view("factor"), hub.view("span"), hub.view("joined")};
     }
     system.nonlinear = nonlinear(in.inner("nonlinear"));
-    using String = std::tuple<int, double, std::vector<int>>;
-    for (auto& [index, kappa, slots] : tensions.get<std::vector<String>>("strings"))
-        system.tensions.strings.push_back({index, kappa, std::move(slots)});
-    for (const Reader& string : tensions.each("stretches")) {
-        StretchDescription d;
-        d.scale = string.get<double>("scale"), d.longitudinal = string.get<bool>("longitudinal");
-        for (const Reader& part : string.each("parts"))
-            d.parts.push_back({part.get<int>("slot"), part.view("slopes"), part.view("stiffness")});
-        system.tensions.stretches.push_back(std::move(d));
-    }
-    for (const Reader& string : in.each("phantoms")) {
-        PhantomDescription d;
-        d.index = string.get<int>("index"), d.target = string.get<int>("target"), d.scale = string.get<double>("scale");
-        d.vector = string.view("vector"), d.steps = string.view("steps");
-        for (const Reader& part : string.each("parts"))
-            d.parts.push_back({part.get<int>("slot"), part.view("weights"), part.view("mirrored")});
-        system.phantoms.push_back(std::move(d));
-    }
+    for (const Reader& p : in.each("potentials")) system.potentials.push_back(potential(p));
     system.shortcuts = shortcuts(in.inner("shortcuts"));
     kernel.load(system);
 }
@@ -222,9 +217,9 @@ void expect_shape(const char* name, const Out& a, std::initializer_list<std::siz
 std::pair<int, std::int64_t> run(Kernel& kernel, Out modes, Out out, Out forces,
                                  const std::vector<std::tuple<int, std::int64_t, In, In>>& injections, Out law_forces,
                                  const std::vector<std::pair<int, In>>& controls, Out series, Out slip, Out last_force,
-                                 Out tension, Out phantoms, int phase) {
+                                 Out potentials, int phase) {
     require(kernel.loaded(), "nothing is loaded");
-    const std::size_t n = out.ndim() ? out.shape(0) : 0, k = kernel.n_nonlinear(), n_tensions = kernel.n_tensions();
+    const std::size_t n = out.ndim() ? out.shape(0) : 0, k = kernel.n_nonlinear();
     expect_shape("modes", modes, {2, kernel.capacity()});
     expect_shape("out", out, {n, std::size_t(kernel.n_channels())});
     expect_shape("forces", forces, {n, std::size_t(kernel.n_linear())});
@@ -232,16 +227,12 @@ std::pair<int, std::int64_t> run(Kernel& kernel, Out modes, Out out, Out forces,
     expect_shape("series", series, {k});
     expect_shape("slip", slip, {k});
     expect_shape("last_force", last_force, {k});
-    if (n_tensions)
-        expect_shape("tension", tension, {std::max(n_tensions, tension.ndim() == 2 ? tension.shape(0) : 0), 4});
-    if (const std::size_t rows = kernel.n_phantoms())
-        expect_shape("phantoms", phantoms,
-                     {std::max(rows, phantoms.ndim() == 2 ? phantoms.shape(0) : 0), std::size_t(kPhantomMemory)});
+    expect_shape("potentials", potentials, {std::max(kernel.memory(), potentials.ndim() ? potentials.shape(0) : 0)});
     Job job;
     job.modes[0] = modes.data(), job.modes[1] = modes.data() + kernel.capacity();
     job.n = std::int64_t(n), job.out = out.data(), job.forces = forces.data(), job.n_channels = kernel.n_channels();
     job.law_forces = law_forces.data(), job.series = series.data(), job.slip = slip.data();
-    job.last_force = last_force.data(), job.tension = tension.data(), job.phantoms = phantoms.data(), job.phase = phase;
+    job.last_force = last_force.data(), job.potentials = potentials.data(), job.phase = phase;
     for (const auto& [connection, values] : controls) {
         require(values.ndim() == 2 && values.shape(0) == 4 && values.shape(1) == n,
                 "controls: (4, n) values are needed");
@@ -287,7 +278,7 @@ NB_MODULE(_kernel, m) {
         // arrays that are written to must be the caller's own, never converted copies
         .def("run", &run, nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg(),
              nb::arg().noconvert(), nb::arg(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(),
-             nb::arg().noconvert(), nb::arg().noconvert(), nb::arg())
+             nb::arg().noconvert(), nb::arg())
         .def("acted", &Kernel::acted)
         .def("statistics", [](const Kernel& kernel) {
             const Statistics& s = kernel.statistics();

@@ -1,4 +1,4 @@
-// Steps without a rising tension: any connections, and linear ones alone.
+// Steps without potentials: any connections, and linear ones alone.
 #pragma once
 
 #include "connection_step.hpp"
@@ -10,9 +10,9 @@ namespace {
 // Any connections: forces of the linear ones from the gaps, then the laws.
 class GeneralStep : public ConnectionStep {
 public:
-    GeneralStep(Block& block, LawForces& laws)
-        : block_(block), layout_(block.model.layout), m_(block.model.solve.m), laws_(laws),
-          y_(2 * layout_.port_rows.size()) {}
+    explicit GeneralStep(Forces& forces)
+        : block_(forces.block), layout_(block_.model.layout), m_(block_.model.solve.m), laws_(forces.laws),
+          parts_(forces.parts), y_(2 * layout_.port_rows.size()) {}
 
     bool sample(int b, double* now, double* f_out) override {
         if (!forces(b, now)) return false;
@@ -24,8 +24,8 @@ public:
     // Forces of sample b in block.f and `now`; they are not final.
     // Flattened, because compilers do not inline products that several callers use.
     __attribute__((flatten)) bool forces(int b, double* now) {
-        if (laws_.parts.on()) {
-            laws_.parts(block_.line(b), block_.f.data(), now);
+        if (parts_.on()) {
+            parts_(block_.line(b), block_.f.data(), now);
             return laws_.any() ? laws_.forces(b, block_.f.data(), now) : true;
         }
         const int n = int(layout_.port_rows.size());
@@ -48,15 +48,16 @@ private:
     const Layout& layout_;
     const int m_;
     LawForces& laws_;
+    ForcesInParts& parts_;
     Array<double> y_;  // port displacements before the step, then free ones after it
 };
 
 // The port forces of linear connections in one product. The general step follows only where a contact may touch.
 class DirectStep : public ConnectionStep {
 public:
-    DirectStep(Block& block, LawForces& laws)
-        : block_(block), layout_(block.model.layout), m_(block.model.solve.m), laws_(laws), general_(block, laws),
-          direct_(layout_), linear_laws_(block, laws) {}
+    explicit DirectStep(Forces& forces)
+        : block_(forces.block), layout_(block_.model.layout), m_(block_.model.solve.m), laws_(forces.laws),
+          cull_(forces.cull), parts_(forces.parts), general_(forces), direct_(layout_), linear_laws_(forces) {}
 
     void begin_block() override { linear_laws_.begin_block(); }
 
@@ -68,12 +69,12 @@ public:
         }
         const double* line = block_.line(b);
         const auto direct = [&] {
-            if (laws_.parts.on()) laws_.parts(line, block_.f.data(), now);
+            if (parts_.on()) parts_(line, block_.f.data(), now);
             else direct_(layout_.direct, line, now);
         };
-        const bool may_skip = !laws_.any() || laws_.cull.contact_free_so_far();
+        const bool may_skip = !laws_.any() || cull_.contact_free_so_far();
         if (may_skip) direct();
-        if (may_skip && (!laws_.any() || laws_.cull.contact_free(b, now))) {
+        if (may_skip && (!laws_.any() || cull_.contact_free(b, now))) {
             laws_.commit_contact_free();
         } else {
             if (!general_.forces(b, now)) return false;
@@ -83,7 +84,7 @@ public:
             }
             direct();  // no law acts: the same port forces as without laws
         }
-        if (laws_.parts.on()) std::copy_n(block_.f.begin(), m_, f_out);
+        if (parts_.on()) std::copy_n(block_.f.begin(), m_, f_out);
         else own_forces(layout_, now, m_, f_out);
         return true;
     }
@@ -93,6 +94,8 @@ private:
     const Layout& layout_;
     const int m_;
     LawForces& laws_;
+    BroadPhase& cull_;
+    ForcesInParts& parts_;
     GeneralStep general_;
     DirectForces direct_;
     LinearLawForces linear_laws_;

@@ -8,7 +8,7 @@
 #include "newton.hpp"
 #include "parts.hpp"
 #include "series.hpp"
-#include "rising.hpp"
+#include "../potentials/solve.hpp"
 
 namespace tonewood {
 namespace {
@@ -17,17 +17,20 @@ class LawForces {
     using Term = Nonlinear::Term;
 
 public:
-    explicit LawForces(Block& block)
-        : parts(block.model.layout), rows(block), cull(block, rows),
-          series(block.model.nonlinear, block.model.contacts), block_(block), components_(block.model.components),
-          layout_(block.model.layout), solve_(block.model.solve), nl_(block.model.nonlinear), ws_(block.model.contacts),
-          ts_(block.model.tension), reach_(block.model.nonlinear.n_contact), statistics_(block.model.statistics),
-          job_(block.job) {
+    // `potentials`: null without any.
+    LawForces(Block& block, ForcesInParts& parts, ContactRows& rows, BroadPhase& cull, Series& series,
+              PotentialSolve* potentials)
+        : block_(block), parts_(parts), rows_(rows), cull_(cull), series_(series), potentials_(potentials),
+          components_(block.model.components), layout_(block.model.layout), solve_(block.model.solve),
+          nl_(block.model.nonlinear), ws_(block.space.contacts), ts_(block.space.potentials),
+          reach_(block.model.nonlinear.n_contact), statistics_(block.space.statistics), job_(block.job) {
         if (!nl_.k) return;
+        for (const Potentials::Part& part : block.model.potentials.parts)
+            if (block.modulated(part.component)) modulated_.push_back(part.component);
         std::copy_n(job_.slip, nl_.k, ws_.slip.data());
         std::copy_n(job_.last_force, nl_.k, ws_.last_force.data());
         std::fill(ws_.is_active.begin(), ws_.is_active.end(), 0), std::fill(ws_.acted.begin(), ws_.acted.end(), 0);
-        series.begin(job_.series);
+        series_.begin(job_.series);
         ws_.gathered.clear(), ws_.previous.clear(), ws_.active.clear();
         for (int j = 0; j < nl_.k; ++j) {
             ws_.offset[j] = ws_.offset_after[j] = nl_.laws[j].offset;
@@ -41,7 +44,7 @@ public:
     // Writes the state back.
     void finish() {
         if (!nl_.k) return;
-        series.finish(job_.series);
+        series_.finish(job_.series);
         std::copy_n(ws_.slip.data(), nl_.k, job_.slip);
         std::copy_n(ws_.last_force.data(), nl_.k, job_.last_force);
     }
@@ -59,7 +62,7 @@ public:
             combine(b, f, now);
             // the forces found may close more contacts: culled ones are tested by their bound, candidates by their
             // motion
-            cull.add_candidates(b, series.find(), [&](int j) { compress(j, b); });
+            cull_.add_candidates(b, series_.find(), [&](int j) { compress(j, b); });
             if (!activate_closed([&](int j) { return compression_after(j); })) break;
         }
         return true;
@@ -76,10 +79,10 @@ public:
             if (nl_.laws[j].kind == Law::friction) ws_.slip[j] = ws_.slip_after[j];
             ws_.is_active[j] = 0;
         }
-        series.commit();
+        series_.commit();
         std::swap(ws_.previous, ws_.active);
         ws_.active.clear();
-        cull.commit();
+        cull_.commit();
         return !ws_.previous.empty();
     }
 
@@ -112,7 +115,7 @@ public:
 
     // Compressions of all candidates; laws other than contacts, and closed contacts, become active.
     void compress_candidates(int b) {
-        for (const int j : cull.candidates()) {
+        for (const int j : cull_.candidates()) {
             compress(j, b);
             if (!is_contact(j) || (ws_.old_p[j] > 0.0 && ws_.scale[j] > 0.0)) activate(j);
         }
@@ -123,15 +126,15 @@ public:
         double gap = 0.0, free = 0.0;
         for (const Term& t : nl_.terms[j]) {
             double* const at =
-                t.contact ? rows.value(t.component, t.port) + b : rows.line_of(t) + std::size_t(b) * layout_.width;
+                t.contact ? rows_.value(t.component, t.port) + b : rows_.line_of(t) + std::size_t(b) * layout_.width;
             if (t.contact && block_.modulated(t.component)) {
-                const ContactSums sums = tensions->contact(t.component, t.port);
+                const ContactSums sums = potentials_->contact(t.component, t.port);
                 at[0] = sums.now, at[1] = sums.free, reach_[std::size_t(nl_.first[t.component] + t.port)] = sums.reach;
             }
             gap += t.factor * at[0], free += t.factor * at[t.contact ? 1 : layout_.width];
         }
         free += dot(nl_.from_linear.data() + std::size_t(j) * solve_.m, ws_.f0.data(), solve_.m);
-        if (tensions) free -= moved_by_tensions(j);
+        if (potentials_) free -= moved_by_potentials(j);
         if (nl_.series[j] >= 0) {
             gap += ws_.series[nl_.place[j]];
             free -= (1 - nl_.theta) / nl_.theta * ws_.series[nl_.place[j]];
@@ -146,7 +149,7 @@ public:
         statistics_.iterations += iterations;
         statistics_.most_iterations = std::max<std::int64_t>(statistics_.most_iterations, iterations);
         for (const int j : ws_.active)
-            if (ws_.law_force[j] != 0.0) series.start(j);
+            if (ws_.law_force[j] != 0.0) series_.start(j);
         return done;
     }
 
@@ -154,7 +157,7 @@ public:
     template <class After>
     bool activate_closed(const After& compression_after) {
         const std::size_t before = n_before_ = ws_.active.size();
-        for (const int j : cull.candidates()) {
+        for (const int j : cull_.candidates()) {
             if (ws_.is_active[j] || !is_contact(j) || !(ws_.scale[j] > 0.0)) continue;
             if (compression_after(j) > 0.0) activate(j);
         }
@@ -165,13 +168,13 @@ public:
 
     // Port forces of sample b from those of the linear connections and the active laws.
     void distribute(int b, const double* f, double* now) {
-        if (parts.on()) {
-            parts.scatter(f, now);
+        if (parts_.on()) {
+            parts_.scatter(f, now);
         } else {
             std::fill_n(now, layout_.force_width, 0.0);
             add_product(layout_.scatter.data(), layout_.force_width, f, solve_.m, now);
         }
-        rows.clear_forces(b);
+        rows_.clear_forces(b);
         for (const int j : ws_.active) {
             const double force = ws_.law_force[j];
             for (const Term& t : nl_.driven[j]) now[layout_.port[t.component] + t.port] += t.factor * force;
@@ -179,8 +182,8 @@ public:
                 if (!t.contact) {
                     now[layout_.port[t.component] + t.port] += t.factor * force;
                 } else if (force != 0.0) {
-                    if (rows.load(t)) cull.port_loaded(t.component, b);
-                    rows.force(t.component, t.port)[b] += t.factor * force;
+                    if (rows_.load(t)) cull_.port_loaded(t.component, b);
+                    rows_.force(t.component, t.port)[b] += t.factor * force;
                 }
             }
         }
@@ -189,16 +192,16 @@ public:
     // Forces on contact ports of component i in sample b.
     std::vector<std::pair<int, double>> loads(int i, int b) const {
         std::vector<std::pair<int, double>> out;
-        if (!nl_.k || !rows.loads()) return out;
+        if (!nl_.k || !rows_.loads()) return out;
         for (const int p : ws_.loaded[i])
-            if (const double force = rows.force(i, p)[b]; force != 0.0) out.emplace_back(p, force);
+            if (const double force = rows_.force(i, p)[b]; force != 0.0) out.emplace_back(p, force);
         return out;
     }
 
     // Whether no law can act in sample b: no candidate, and none added by the port forces that `set` writes.
     template <class Set>
     bool idle(int b, const Set& set) {
-        if (!cull.candidates().empty()) return false;
+        if (!cull_.candidates().empty()) return false;
         set();
         return commit_alone(b, {}, nullptr);
     }
@@ -207,17 +210,17 @@ public:
     // culled contact could touch.
     bool commit_alone(int b, const std::vector<int>& laws, const double* force) {
         give_up();
-        rows.clear_forces(b);
+        rows_.clear_forces(b);
         for (std::size_t i = 0; i < laws.size(); ++i) {
             const int j = laws[i];
             ws_.law_force[j] = force[i], ws_.is_active[j] = 1;
             ws_.active.push_back(j);
-            if (ws_.law_force[j] != 0.0) series.start(j);
+            if (ws_.law_force[j] != 0.0) series_.start(j);
         }
         bound_excursions(b);
-        const std::size_t before = cull.candidates().size();
-        cull.add_candidates(b, series.find(), [](int) {});
-        if (cull.candidates().size() != before) return false;
+        const std::size_t before = cull_.candidates().size();
+        cull_.add_candidates(b, series_.find(), [](int) {});
+        if (cull_.candidates().size() != before) return false;
         statistics_.solves += !laws.empty();
         commit(b);
         return true;
@@ -227,12 +230,6 @@ public:
     void need_response(int j) {
         if (!ws_.has_response[j]) find_response(j);
     }
-
-    RisingTensions* tensions = nullptr;
-    ForcesInParts parts;  // of the linear connections, where they are solved in parts
-    ContactRows rows;
-    BroadPhase cull;
-    Series series;
 
 private:
     // No law is active yet, whatever was tried.
@@ -255,8 +252,8 @@ private:
         const std::size_t width = layout_.f_width, k = nl_.k, m = solve_.m;
         double* const answer = ws_.answer.data() + j * width;
         const double* const moved = nl_.to_linear.data() + j * width;
-        if (parts.on())
-            parts.answer(moved, answer);
+        if (parts_.on())
+            parts_.answer(moved, answer);
         else
             for (std::size_t i = 0; i < m; ++i) answer[i] = dot(solve_.g.data() + i * m, moved, int(m));
         for (std::size_t i = 0; i < k; ++i)
@@ -265,8 +262,8 @@ private:
     }
 
     bool solve() {
-        if (tensions) yield_to_tensions();
-        const double* const z = tensions ? ts_.z.data() : ws_.z.data();
+        if (potentials_) yield_to_potentials();
+        const double* const z = potentials_ ? ts_.z.data() : ws_.z.data();
         const auto find = [&] {
             int iterations = 0;
             const bool done = find_forces(nl_, ws_, z, iterations);
@@ -285,37 +282,37 @@ private:
         return p;
     }
 
-    // Part of the gap of connection i that the motion of the tensions takes off per force of active law number a:
+    // Part of the gap of connection i that the motion of the potentials takes off per force of active law number a:
     // d_i M^-1 d_a / 2.
     double yielded(int i, std::size_t a) const {
-        if (!tensions) return 0.0;
-        const std::size_t w = wide(tensions->n_strings()), laws = wide(int(ws_.active.size()));
+        if (!potentials_) return 0.0;
+        const std::size_t w = wide(potentials_->count()), laws = wide(int(ws_.active.size()));
         double sum = 0.0;
-        for (int s = 0; s < tensions->n_strings(); ++s) sum += ts_.gap[i * w + s] * ts_.solved[s * laws + a];
+        for (int s = 0; s < potentials_->count(); ++s) sum += ts_.gap[i * w + s] * ts_.solved[s * laws + a];
         return 0.5 * sum;
     }
 
-    // Gap j per psi_m of each string, d_j in ts.gap; returns the gap under the means without nonlinear connections.
-    double moved_by_tensions(int j) {
-        const Tensions& t = block_.model.tensions;
-        const std::size_t strings = t.strings.size(), w = wide(int(strings)), n = t.ports.size();
+    // Gap j per psi_m of each potential, d_j in ts.gap; returns the gap under the means without nonlinear connections.
+    double moved_by_potentials(int j) {
+        const Potentials& t = block_.model.potentials;
+        const std::size_t strings = t.two_way.size(), w = wide(int(strings)), n = t.ports.size();
         double *const gap = ts_.gap.data() + j * w, *const meets = ts_.meets.data() + std::size_t(j) * t.width;
         if (!ts_.has_meets[j]) find_meets(j);
         std::fill_n(gap, w, 0.0);
-        for (std::size_t p = 0; p < n; ++p) gap[t.ports[p].string] += meets[p] * ts_.reach[p];
+        for (std::size_t p = 0; p < n; ++p) gap[t.ports[p].potential] += meets[p] * ts_.reach[p];
         for (const Term& term : nl_.terms[j])
             if (term.contact && block_.modulated(term.component))
-                gap[tensions->string_of(term.component)] +=
+                gap[potentials_->potential_of(term.component)] +=
                     term.factor * reach_[std::size_t(nl_.first[term.component] + term.port)];
         return dot(gap, ts_.alone.data(), int(strings));
     }
 
-    // Displacement of gap j per displacement of each fixed port of the strings, the linear connections answering.
+    // Displacement of gap j per displacement of each fixed port of the potentials, the linear connections answering.
     void find_meets(int j) {
-        const Tensions& t = block_.model.tensions;
+        const Potentials& t = block_.model.potentials;
         double* const meets = ts_.meets.data() + std::size_t(j) * t.width;
-        if (parts.on()) {
-            parts.answer(nl_.from_linear.data() + std::size_t(j) * solve_.m, ts_.linear.data());
+        if (parts_.on()) {
+            parts_.answer(nl_.from_linear.data() + std::size_t(j) * solve_.m, ts_.linear.data());
             for (std::size_t p = 0; p < t.ports.size(); ++p) {
                 meets[p] = 0.0;
                 for (const Share& s : t.ports[p].shares) meets[p] -= s.factor * ts_.linear[s.connection];
@@ -326,33 +323,33 @@ private:
                                t.onto_linear.data() + p * layout_.f_width, solve_.m);
         }
         for (const Term& term : nl_.terms[j])
-            for (const Tensions::Part& part : t.parts)
+            for (const Potentials::Part& part : t.parts)
                 if (!term.contact && part.component == term.component)
                     meets[part.first_port + term.port] += term.factor;
         ts_.has_meets[j] = 1;
     }
 
-    // Gaps of the active laws per force, the tensions answering: z - d M^-1 d^T / 2.
-    void yield_to_tensions() {
-        const std::size_t w = wide(tensions->n_strings()), k = nl_.k, n = ws_.active.size(), laws = wide(int(n));
+    // Gaps of the active laws per force, the potentials answering: z - d M^-1 d^T / 2.
+    void yield_to_potentials() {
+        const std::size_t w = wide(potentials_->count()), k = nl_.k, n = ws_.active.size(), laws = wide(int(n));
         double* const solved = ts_.solved.data();  // (strings, laws)
-        for (int s = 0; s < tensions->n_strings(); ++s) {
+        for (int s = 0; s < potentials_->count(); ++s) {
             std::fill_n(solved + s * laws, laws, 0.0);
             for (std::size_t a = 0; a < n; ++a) solved[s * laws + a] = ts_.gap[ws_.active[a] * w + s];
         }
-        tensions->solve(solved, laws);
+        potentials_->solve(solved, laws);
         for (const std::size_t i : ws_.active) {
             double* const row = ts_.row.data();
             std::fill_n(row, laws, 0.0);
-            add_product(solved, int(laws), ts_.gap.data() + i * w, tensions->n_strings(), row);
+            add_product(solved, int(laws), ts_.gap.data() + i * w, potentials_->count(), row);
             for (std::size_t a = 0; a < n; ++a)
                 ts_.z[i * k + ws_.active[a]] = ws_.z[i * k + ws_.active[a]] - 0.5 * row[a];
         }
     }
 
     void bound_excursions(int b) {
-        for (const int i : block_.model.tensions.components)
-            ws_.tension_excursion[std::size_t(i) * kBlock + b] = tensions->excursion(i);
+        for (const int i : modulated_)
+            ws_.tension_excursion[std::size_t(i) * kBlock + b] = potentials_->excursion(i);
     }
 
     // Forces of the linear connections and of the ports under the nonlinear forces tried.
@@ -362,27 +359,33 @@ private:
             const double force = ws_.law_force[j], *answer = ws_.answer.data() + std::size_t(j) * layout_.f_width;
             for (int k = 0; k < layout_.f_width; ++k) f[k] -= answer[k] * force;
         }
-        if (tensions) {
+        if (potentials_) {
             const std::size_t n = ws_.active.size(), laws = wide(int(n));
-            for (int s = 0; s < tensions->n_strings(); ++s) {
+            for (int s = 0; s < potentials_->count(); ++s) {
                 double sum = 0.0;
                 for (std::size_t a = 0; a < n; ++a) sum += ts_.solved[s * laws + a] * ws_.law_force[ws_.active[a]];
                 ts_.mean[s] = ts_.alone[s] + 0.5 * sum;
             }
-            tensions->add_to_linear(f);
+            potentials_->add_to_linear(f);
             bound_excursions(b);
         }
         distribute(b, f, now);
     }
 
     Block& block_;
+    ForcesInParts& parts_;
+    ContactRows& rows_;
+    BroadPhase& cull_;
+    Series& series_;
+    PotentialSolve* const potentials_;
     const std::vector<Component>& components_;
     const Layout& layout_;
     const Solve& solve_;
     const Nonlinear& nl_;
     ContactState& ws_;
-    TensionState& ts_;
-    Array<double> reach_;  // by contact port of strings under rising tension: displacement per psi_m
+    PotentialState& ts_;
+    Array<double> reach_;          // by contact port of strings under rising tension: displacement per psi_m
+    std::vector<int> modulated_;   // components under rising tension
     Statistics& statistics_;
     const Job& job_;
     std::size_t n_before_ = 0;

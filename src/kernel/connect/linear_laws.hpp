@@ -11,7 +11,7 @@
 // blocks in which no other law can act and no control changes one of these.
 #pragma once
 
-#include "law_forces.hpp"
+#include "forces.hpp"
 
 namespace tonewood {
 namespace {
@@ -21,15 +21,16 @@ inline bool is_linear(const Law& law) { return law.kind == Law::spring && law.a[
 
 class LinearLawForces {
 public:
-    LinearLawForces(Block& block, LawForces& laws)
-        : block_(block), layout_(block.model.layout), nl_(block.model.nonlinear), ws_(block.model.contacts),
-          to_(block.model.linear_laws), laws_(laws), direct_(layout_) {}
+    explicit LinearLawForces(Forces& forces)
+        : block_(forces.block), layout_(block_.model.layout), nl_(block_.model.nonlinear), ws_(block_.space.contacts),
+          to_(block_.space.linear_laws), laws_(forces.laws), cull_(forces.cull), parts_(forces.parts),
+          direct_(layout_) {}
 
     // Decides for a block whether its candidates can be solved so.
     void begin_block() {
         on_ = false;
-        const auto& candidates = laws_.cull.candidates();
-        if (!block_.model.shortcuts.linear_laws || candidates.empty() || laws_.parts.on() || layout_.own_port.empty())
+        const auto& candidates = cull_.candidates();
+        if (!block_.model.shortcuts.linear_laws || candidates.empty() || parts_.on() || layout_.own_port.empty())
             return;
         for (const int j : candidates)
             if (!is_linear(nl_.laws[j])) return;
@@ -42,7 +43,7 @@ public:
     }
 
     // Whether none but these laws can act so far in the block.
-    bool on() const { return on_ && laws_.cull.candidates().size() == to_.laws.size(); }
+    bool on() const { return on_ && cull_.candidates().size() == to_.laws.size(); }
 
     // Finds the forces of these laws in sample b and adds their port forces to those of the linear connections.
     __attribute__((flatten)) void add(int b, double* now) {
@@ -53,14 +54,14 @@ public:
         add_product(to_.loads.data(), layout_.force_width, force_.data(), n, now);
     }
 
-    // Adds the answer of these laws to rising tensions.
-    void answer(RisingTensions& tensions, double* now) {
+    // Adds the answer of these laws to potentials.
+    void answer(PotentialSolve& potentials, double* now) {
         std::fill(change_.begin(), change_.end(), 0.0);
-        tensions.add(to_.onto_laws.data(), to_.forces.width, change_.data());
+        potentials.add(to_.onto_laws.data(), to_.forces.width, change_.data());
         for (std::size_t i = 0; i < to_.laws.size(); ++i) force_[i] += change_[i];
         add_product(to_.loads.data(), layout_.force_width, change_.data(), int(to_.laws.size()), now);
     }
-    // (ports, width): forces on the ports of strings with rising tension per displacement of one, with these laws.
+    // (ports, width): forces on the ports of potentials' components per displacement of one, with these laws.
     const double* onto_ports() const { return to_.onto_ports.data(); }
 
     // Makes the forces of sample b final, those on all ports in `now`, of the linear connections in `f`; false, with
@@ -76,7 +77,7 @@ private:
     // Whether a control keeps its connection, if it is one of these, at the law's offset and at one factor over the
     // block.
     bool is_steady(const Control& control) {
-        const auto& candidates = laws_.cull.candidates();
+        const auto& candidates = cull_.candidates();
         const auto at = std::lower_bound(candidates.begin(), candidates.end(), control.connection);
         if (at == candidates.end() || *at != control.connection) return true;
         const double *from = control.values + block_.start, *scale = from + 3 * block_.job.n;
@@ -88,7 +89,7 @@ private:
     }
 
     void derive() {
-        to_.known = true, to_.laws = laws_.cull.candidates(), to_.scale = scale_;
+        to_.known = true, to_.laws = cull_.candidates(), to_.scale = scale_;
         const std::size_t n = to_.laws.size(), m = block_.model.solve.m, ports = layout_.port_rows.size();
         const std::size_t width = layout_.force_width, f_width = layout_.f_width, w = wide(int(n));
         to_.shared.clear();
@@ -155,7 +156,7 @@ private:
             out.constant.data());
         for (std::size_t q = 0; q < n; ++q)
             solve([&](std::size_t i) { return i == q ? kept - ratio[i] : 0.0; }, to_.memory.data() + q * w);
-        const Tensions& t = block_.model.tensions;
+        const Potentials& t = block_.model.potentials;
         to_.onto_laws.assign(t.ports.size() * w, 0.0), to_.onto_ports = t.onto_ports;
         for (std::size_t p = 0; p < t.ports.size(); ++p) {
             double* const laws = to_.onto_laws.data() + p * w;
@@ -172,6 +173,8 @@ private:
     ContactState& ws_;
     LinearLaws& to_;
     LawForces& laws_;
+    const BroadPhase& cull_;
+    const ForcesInParts& parts_;
     DirectForces direct_;
     bool on_ = false;
     Array<double> scale_, rho_, force_, change_;  // factors; displacements of the residual compliances; forces; answers

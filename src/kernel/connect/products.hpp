@@ -35,6 +35,10 @@ inline void add_product(const double* __restrict matrix, int width, const double
     constexpr int lanes = Simd::width, most = kPack - 1;
     static_assert(kLane % lanes == 0);
     int k = 0;
+    if (n == 0) {  // an empty matrix has no address to count from
+        if (sum != start) std::copy_n(start, width, sum);
+        return;
+    }
     for (; k + most * lanes <= width; k += most * lanes) add_columns<most>(matrix + k, width, x, n, start + k, sum + k);
     if (most > 2 && k + 2 * lanes <= width) add_columns<2>(matrix + k, width, x, n, start + k, sum + k), k += 2 * lanes;
     for (; k < width; k += lanes) add_columns<1>(matrix + k, width, x, n, start + k, sum + k);

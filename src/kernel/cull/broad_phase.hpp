@@ -21,12 +21,12 @@ class BroadPhase {
 public:
     BroadPhase(Block& block, ContactRows& rows)
         : block_(block), rows_(rows), components_(block.model.components), layout_(block.model.layout),
-          nl_(block.model.nonlinear), ws_(block.model.contacts), job_(block.job), on_(block.model.shortcuts),
+          nl_(block.model.nonlinear), ws_(block.space.contacts), job_(block.job), on_(block.model.shortcuts),
           held_(block) {
         if (!nl_.k) return;
         int n_sums = 0;
         for (const Component& c : components_) {
-            any_modulated_ = any_modulated_ || c.tension.on;
+            any_modulated_ = any_modulated_ || c.modulated;
             sums_at_.push_back(n_sums), n_sums += c.n_ports + c.contact.n + 1;
         }
         sums_.assign(n_sums, 0.0), changed_.assign(nl_.groups.size(), 1);
@@ -43,7 +43,7 @@ public:
 
     // Finds the candidates of a block and reads their rows; the row history holds the free motion.
     void begin_block() {
-        ++block_.model.statistics.blocks;
+        ++block_.space.statistics.blocks;
         rows_.begin_block();
         sample_ = 0;
         std::fill(ws_.driven.begin(), ws_.driven.end(), 0);
@@ -351,7 +351,7 @@ private:
     }
 
     void add_candidate(int j, int b) {
-        ++block_.model.statistics.added;
+        ++block_.space.statistics.added;
         ws_.candidate[j] = 1, listed_ = false;
         only_contacts_ = only_contacts_ && nl_.only_contact_ports[j];
         ws_.candidates.insert(std::upper_bound(ws_.candidates.begin(), ws_.candidates.end(), j), j);

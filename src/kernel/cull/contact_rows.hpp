@@ -18,7 +18,7 @@ class ContactRows {
 public:
     explicit ContactRows(Block& block)
         : block_(block), components_(block.model.components), layout_(block.model.layout), nl_(block.model.nonlinear),
-          ws_(block.model.contacts) {}
+          ws_(block.space.contacts) {}
 
     // Samples 0 .. nb of contact port `port` of component i; forces on it.
     double* value(int i, int port) const { return ws_.value.data() + std::size_t(nl_.first[i] + port) * kStride; }
@@ -129,7 +129,7 @@ private:
     void read(int i, const int* list, int count) {
         const Component& c = components_[i];
         const ContactPorts& g = c.contact;
-        block_.model.statistics.rows_read += count;
+        block_.space.statistics.rows_read += count;
         const Rows rows{g.rows.data(), g.slopes.data(), count, list, value(i, 0), 1, kStride};
         const auto& inputs = block_.inputs[i];
         if (inputs.empty() && block_.nb == kBlock && g.n <= 2)

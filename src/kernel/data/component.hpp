@@ -10,7 +10,7 @@ namespace tonewood {
 
 constexpr int kBlock = 16;    // samples between two modal passes
 constexpr int kWindow = 4;    // blocks after which every mode stands in its own two numbers again
-constexpr int kResetSteps = 64;  // samples after which psi of a rising tension is put back (connect/tension.hpp)
+constexpr int kResetSteps = 64;  // samples after which psi of a rising tension is put back (potentials/solve.hpp)
 constexpr int kPadding = 16;  // modes per component are a multiple of this
 constexpr int kGranule = 32;  // modes that use the same recurrence
 constexpr int kLane = 8;      // rows and ports in `Layout` are padded to this
@@ -78,20 +78,22 @@ struct Shapes {
     Array<double> drive;              // (2, n), as its `w`
 };
 
-// A string's polarization under rising tension, in mass-normalised coordinates y (physics/coupling/tension.py).
-constexpr int kMaxTensionPorts = 32;
+// Mass-normalised coordinates y of real modes on which a potential acts (physics/coupling/potentials/coordinates.py).
+constexpr int kMaxScaledPorts = 32;
 // numbers per mode in `numbers` (one more per port) and in the state
-constexpr int kScaledNumbers = 4, kScaledState = 2;
+constexpr int kScaledNumbers = 6, kScaledState = 2;
 
-struct TensionModulation {
-    bool on = false;
-    double largest_half = 0;
-    Array<double> a, half;        // (n): weights of the stretch S; w a / 2, w the displacement per modal force
+struct Coordinates {
     Array<double> reading;        // (n): y = reading * first number of the mode
     Array<double> kick;           // (2, n): state per modal force held over a step
     Array<double> gain;           // (2, n): state per sum of row * port force, row that of the port's displacement
-    Array<double> numbers, basis; // modal/scaled_modes.hpp: tables of the pass; changes of basis
     Array<double> velocity;       // (3, n): y' per first and second number, second number per y'
+    Array<double> stiffness;      // (n): square of the frequency
+    Array<double> middle;         // (2, n): y in the middle of a step per sum of its ends, and per motion by port forces
+    Array<double> numbers, basis; // modal/scaled_modes.hpp: tables of the pass; changes of basis
+    // of strings under rising tension: (n) weights of the stretch S; w a / 2, w the displacement per modal force
+    Array<double> a, half;
+    double largest_half = 0;
 };
 
 // A port's share in a gap: port force += factor * force[connection], gap += factor * port displacement.
@@ -106,7 +108,8 @@ struct Component {
     int n_rows = 0;          // displacements of the ports (not of a driven component), then readouts
     std::size_t offset = 0;  // of this component in the state
     bool driven = false;     // receives forces and returns none
-    bool geometric = false;  // part of a string with longitudinal motion, stepped sample by sample
+    // a potential acts on it: a rising tension; any other
+    bool modulated = false, coupled = false;
     Array<double> e;         // (4, n): e00, e01, e10, e11 of x+ = E x
     Array<double> rows;      // (n_rows, 2, n)
     Array<double> w;         // (n_ports, 2, n): state per port force held over a step
@@ -123,7 +126,9 @@ struct Component {
     PortRecurrence recurrence;
     Shapes shapes;
     ContactPorts contact;
-    TensionModulation tension;
+    Coordinates coordinates;
+
+    bool by_sample() const { return modulated || coupled; }  // its modes are stepped sample by sample
 };
 
 }  // namespace tonewood

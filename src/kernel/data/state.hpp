@@ -3,8 +3,7 @@
 
 #include "laws.hpp"
 #include "layout.hpp"
-#include "phantoms.hpp"
-#include "tension.hpp"
+#include "potentials.hpp"
 
 namespace tonewood {
 
@@ -66,7 +65,7 @@ struct LinearLaws {
     PortForces forces;                      // of the laws in place of ports
     Array<double> memory;                   // (n, forces.width): the same per displacement of a residual compliance
     Array<double> loads;                    // (n, force_width): port forces per force, the linear connections answering
-    // (ports, forces.width), (ports, width): per displacement of a port of Tensions
+    // (ports, forces.width), (ports, width): per displacement of a port of Potentials
     Array<double> onto_laws, onto_ports;
 };
 
@@ -109,9 +108,8 @@ struct Job {
     double* law_forces;  // (n, k), zero beforehand
     double *series, *slip, *last_force;  // (k), moved
     std::vector<Control> controls;
-    double* tension;     // (n_tensions, 4), moved
-    double* phantoms = nullptr;  // (n_strings, kPhantomMemory), moved
-    int phase = 0;  // samples since the last multiple of kResetSteps; with tensions and above 0, n ends at the next one
+    double* potentials = nullptr;  // numbers of all potentials, moved
+    int phase = 0;  // samples since the last multiple of kResetSteps; with potentials and above 0, n ends at the next one
 };
 
 // Where a run had to stop: a component that is no longer finite, or connections whose forces were not found.
@@ -121,25 +119,29 @@ struct Fault {
     std::int64_t sample = 0;
 };
 
-// All that a run reads and moves; the block that it is in.
+// All that is loaded; a run changes nothing of it.
 struct Model {
     std::vector<Component> components;
     Layout layout;
     Solve solve;
     Nonlinear nonlinear;
-    Tensions tensions;
-    std::vector<PhantomString> phantoms;
+    Potentials potentials;
     Shortcuts shortcuts;
+};
+
+// Buffers of runs, and tables that they derive when first needed. What moves is in the job's state.
+struct Workspace {
+    std::vector<Array<double>> recurrences;  // by component: numbers of its PortRecurrence, two of which move
     ContactState contacts;
     LinearLaws linear_laws;
-    TensionState tension;
+    PotentialState potentials;
     Statistics statistics;
 };
 
 // Entry points of one instruction set's translation unit.
 struct Table {
     const char* name;
-    Fault (*run)(Model&, const Job&);
+    Fault (*run)(const Model&, Workspace&, const Job&);
     double (*fma_peak)(double seconds);  // measured multiply-adds per second
 };
 

@@ -51,7 +51,7 @@ inline void derive_bounds(Component& c) {
 // psi_m sqrt(sum g^2 / a): these forces are -psi_m g on each mode.
 inline void derive_tension_reach(Component& c) {
     ContactPorts& g = c.contact;
-    const TensionModulation& s = c.tension;
+    const Coordinates& s = c.coordinates;
     const std::size_t n = c.n;
     g.tension_reach.assign(g.n, 0.0);
     for (std::size_t r = 0; r < std::size_t(g.n); ++r) {

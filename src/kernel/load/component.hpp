@@ -187,7 +187,7 @@ inline void load_contact_ports(Component& c, const ContactPortsDescription& d, c
 
 // Derives the tables of modal/scaled_modes.hpp.
 inline void derive_scaled(Component& c, const std::string& name) {
-    TensionModulation& s = c.tension;
+    Coordinates& s = c.coordinates;
     const double *const e = c.e.data(), *const gain = s.gain.data();
     const std::size_t n = c.n, p = c.n_ports, step = kScaledNumbers + p;
     s.numbers.assign(n * step, 0.0), s.basis.assign(8 * n, 0.0);
@@ -197,8 +197,9 @@ inline void derive_scaled(Component& c, const std::string& name) {
         require(g > 0.0 && e01 != 0.0, name + "kick: mode " + std::to_string(k) + " has no compliance");
         const double root = std::sqrt(g), det = e00 * e11 - e01 * e10, tilt = gain[n + k] / g;
         double* const to = s.numbers.data() + (k / kPadding * kPadding * step + k % kPadding);
-        const double numbers[kScaledNumbers] = {s.half[k], det, (1 - e00) * (1 - e11) - e01 * e10,
-                                              e01 * tilt - e11 + det};
+        const double numbers[kScaledNumbers] = {
+            s.half[k], det, (1 - e00) * (1 - e11) - e01 * e10, e01 * tilt - e11 + det, 2 * s.middle[k],
+            2 * s.middle[n + k]};
         for (int i = 0; i < kScaledNumbers; ++i) to[i * kPadding] = numbers[i];
         for (std::size_t q = 0; q < p; ++q) to[(kScaledNumbers + q) * kPadding] = c.rows[2 * q * n + k] * root;
         const double basis[8] = {1 / root, (e00 - 1) / root, e01 / root,            // in
@@ -208,21 +209,24 @@ inline void derive_scaled(Component& c, const std::string& name) {
     }
 }
 
-inline void load_tension(Component& c, const TensionDescription& d, const std::string& name) {
+inline void load_coordinates(Component& c, const CoordinatesDescription& d, const std::string& name) {
     const std::size_t n = c.n, p = c.n_ports;
-    expect(name + "a", d.a, {n});
-    expect(name + "half", d.half, {n});
     expect(name + "reading", d.reading, {n});
+    expect(name + "stiffness", d.stiffness, {n});
     expect(name + "kick", d.kick, {2, n});
     expect(name + "velocity", d.velocity, {3, n});
-    require(!c.driven && n > 0 && p <= kMaxTensionPorts, name + "a: a driven component, or one of more than " +
-                                                             std::to_string(kMaxTensionPorts) +
-                                                             " ports, has no tension");
-    TensionModulation& s = c.tension;
-    s.a = d.a.copy(), s.half = d.half.copy(), s.reading = d.reading.copy(), s.kick = d.kick.copy(),
-    s.velocity = d.velocity.copy();
+    expect(name + "middle", d.middle, {2, n});
+    expect(name + "a", d.a, {n});
+    require(!c.driven && n > 0 && p <= kMaxScaledPorts,
+            name + "reading: no potential acts on a driven component, or on one of more than " +
+                std::to_string(kMaxScaledPorts) + " ports");
+    Coordinates& s = c.coordinates;
+    s.reading = d.reading.copy(), s.stiffness = d.stiffness.copy(), s.kick = d.kick.copy();
+    s.velocity = d.velocity.copy(), s.a = d.a.copy();
+    s.middle = d.middle.copy();
+    s.half.assign(n, 0.0), s.gain.assign(2 * n, 0.0);
+    for (std::size_t k = 0; k < n; ++k) s.half[k] = 0.5 * (s.reading[k] * s.kick[k]) * s.a[k];
     s.largest_half = *std::max_element(s.half.begin(), s.half.end());
-    s.gain.assign(2 * n, 0.0);
     for (std::size_t k = 0; k < 2 * n; ++k)
         if (const double r = s.reading[k % n]; r != 0.0) s.gain[k] = s.kick[k] / r;
     derive_scaled(c, name);
@@ -240,7 +244,7 @@ inline Component load_component(const ComponentDescription& d, std::size_t slot,
     expect(name + "w", d.w, {n_ports, 2, n});
     expect(name + "response", d.response, {kBlock, n_ports, n_rows});
     expect(name + "incidence", d.incidence, {n_connections, n_ports});
-    require(n % kPadding == 0 && d.offset % kPadding == 0 && d.offset + n >= n && d.offset + n <= capacity,
+    require(n > 0 && n % kPadding == 0 && d.offset % kPadding == 0 && d.offset + n >= n && d.offset + n <= capacity,
             name + "offset: the modes do not fit the state");
     require(d.difference.size() == d.channels.size() && n_rows == d.channels.size() + (d.driven ? 0 : n_ports),
             name + "rows: one for each port and readout is needed");
@@ -258,7 +262,7 @@ inline Component load_component(const ComponentDescription& d, std::size_t slot,
             if (const double a = d.incidence[j * n_ports + p]; a != 0.0) c.shares[p].push_back({int(j), a});
     c.channels = d.channels, c.difference.assign(d.difference.begin(), d.difference.end());
     if (d.has_contact_ports) load_contact_ports(c, d.contact, name);
-    if (d.has_tension) load_tension(c, d.tension, name);
+    if (d.has_coordinates) load_coordinates(c, d.coordinates, name);
     return c;
 }
 

@@ -71,7 +71,7 @@ inline void make_groups(std::vector<Component>& components, Nonlinear& nl) {
     }
     // no bound is known of the fixed ports of strings that are stepped sample by sample
     for (const Nonlinear::Term& t : nl.all_terms)
-        if (!t.contact && (components[t.component].tension.on || components[t.component].geometric))
+        if (!t.contact && (components[t.component].by_sample()))
             nl.contact[t.connection] = 0;
     // a contact under which nothing moves, behind the stop of a string, is in no group
     const auto is_idle = [&](int j) {
@@ -131,7 +131,7 @@ inline void make_groups(std::vector<Component>& components, Nonlinear& nl) {
                     c.contact.reach.data() + (std::size_t(c.n_ports + t.port) * (c.n_ports + c.contact.n));
                 for (int p = 0; p < c.n_ports; ++p)
                     group.sensitivity[q][p] = std::max(group.sensitivity[q][p], of_clearance * reach[p]);
-                if (c.tension.on)
+                if (c.modulated)
                     group.tension_sensitivity[q] =
                         std::max(group.tension_sensitivity[q], of_clearance * c.contact.tension_reach[t.port]);
             }

@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "../data/laws.hpp"
-#include "../data/phantoms.hpp"
+#include "../data/potentials.hpp"
 
 namespace tonewood {
 
@@ -44,11 +44,12 @@ struct ContactPortsDescription {
     View on_rows;        // (kBlock, n, rows): response of the component's rows to the contact ports
 };
 
-// A string's polarization under rising tension.
-struct TensionDescription {
-    View a, half, reading;  // (modes)
-    View kick;              // (2, modes)
-    View velocity;          // (3, modes)
+// Coordinates of a component on which a potential acts.
+struct CoordinatesDescription {
+    View reading, stiffness;  // (modes)
+    View kick, middle;        // (2, modes)
+    View velocity;            // (3, modes)
+    View a;                   // (modes) weights of the stretch under rising tension, else zero
 };
 
 struct ComponentDescription {
@@ -62,9 +63,9 @@ struct ComponentDescription {
     View response;          // (kBlock, ports, rows)
     View incidence;         // (linear connections, ports); without the last ones if these do not act here
     std::vector<int> channels, difference;  // by readout row
-    bool has_contact_ports = false, has_tension = false;
+    bool has_contact_ports = false, has_coordinates = false;
     ContactPortsDescription contact;
-    TensionDescription tension;
+    CoordinatesDescription coordinates;
 };
 
 struct LinearDescription {
@@ -94,47 +95,30 @@ struct NonlinearDescription {
     View residual;             // (k, k)
 };
 
-struct StretchDescription {
+// A potential; its arrays are those of its kind.
+struct PotentialDescription {
     struct Part {
-        int slot = 0;
-        View slopes;     // (cosines, n), or the stretch (1, n) without longitudinal motion
-        View stiffness;  // (n)
+        View slopes;             // longitudinal: (cosines, n)
+        View weights, mirrored;  // phantom: (order + 1, n), (order + 1, order)
     };
-    double scale = 0;
-    bool longitudinal = false;
-    std::vector<Part> parts;  // the longitudinal one last
-};
-
-struct TensionsDescription {
-    struct String {
-        int index;             // of its row in the state
-        double kappa;
-        std::vector<int> slots;
-    };
-    std::vector<String> strings;
-    std::vector<StretchDescription> stretches;  // by string; none where no string has longitudinal motion
-};
-
-// A string whose longitudinal motion is driven one way.
-struct PhantomDescription {
-    struct Part {
-        int slot = 0;
-        View weights;   // (order + 1, n)
-        View mirrored;  // (order + 1, order)
-    };
-    int index = 0, target = 0;
-    double scale = 0;
-    View vector;        // (2, modes of the target)
-    View steps;         // (order, 4)
-    std::vector<Part> parts;
+    Potentials::Kind kind = Potentials::tension;
+    std::size_t at = 0;          // of its numbers in the state
+    std::vector<int> slots;      // its components; longitudinal: the longitudinal one last
+    double scale = 0;            // EA/(4 L), EA L, EA
+    std::vector<Part> parts;     // by component
+    int target = 0;              // phantom: component that its force acts on, and
+    View vector, steps;          // (2, modes of the target), (order, 4)
+    std::vector<int> sizes;      // user: coordinates of each component, and a function; its C is `scale`
+    UserPotential::Function function = nullptr;
+    const void* data = nullptr;
+    std::size_t scratch = 0;
 };
 
 struct CompiledSystem {
     std::vector<ComponentDescription> components;
     LinearDescription linear;
     NonlinearDescription nonlinear;
-    TensionsDescription tensions;
-    std::vector<PhantomDescription> phantoms;
+    std::vector<PotentialDescription> potentials;
     Shortcuts shortcuts;
 };
 
@@ -153,6 +137,12 @@ inline void expect(const std::string& name, const View& a, std::initializer_list
 }
 inline void require(bool fits, const std::string& message) {
     if (!fits) throw std::invalid_argument("kernel: " + message);
+}
+
+inline Law::Kind law_kind(std::int64_t kind) {
+    require(kind >= Law::contact && kind <= Law::friction,
+            "nonlinear.kinds: no law has the number " + std::to_string(kind));
+    return Law::Kind(kind);
 }
 
 }  // namespace tonewood

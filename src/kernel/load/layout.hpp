@@ -39,7 +39,7 @@ inline Layout make_layout(const std::vector<Component>& components, const Solve&
         const int width = int(padded(c.n_rows));
         l.row[i] = l.width, l.width += width;
         if (c.n_ports == 0) continue;
-        const bool stepped = c.shapes.on && !c.contact.n && !c.geometric && !c.tension.on;
+        const bool stepped = c.shapes.on && !c.contact.n && !c.by_sample();
         if (stepped) l.stepped[i] = 1, l.sample_by_sample.push_back(int(i));
         const int lags = stepped ? 1 : kBlock;
         Array<double> response(std::size_t(lags) * c.n_ports * width, 0.0);

@@ -38,8 +38,8 @@ inline bool load_parts(const LinearDescription& d, Solve& s, const std::vector<C
         require(!d.parts.empty() && std::size_t(d.hub.slot) < components.size(),
                 "linear.hub: there is no such component, or no parts");
         const Component& c = components[d.hub.slot];
-        require(d.hub.span.ndim == 2 && d.hub.point.size() == m,
-                "linear.hub.span has 2 dimensions, point one number a connection");
+        require(d.hub.span.ndim == 2 && d.hub.point.size() == m && r > 0,
+                "linear.hub.span has 2 dimensions, point one number a connection, ports one at least");
         expect("linear.hub.factor", d.hub.factor, {m});
         expect("linear.hub.span", d.hub.span, {d.hub.span.shape[0], r});
         expect("linear.hub.joined", d.hub.joined, {r, r});

@@ -28,7 +28,8 @@ inline bool finite(const double* x, int n, int step = 1) {
 }
 
 struct Block {
-    Model& model;
+    const Model& model;
+    Workspace& space;
     const Job& job;
     std::int64_t start = 0;  // its first sample in the run
     int nb = 0;              // its samples, at most kBlock
@@ -39,8 +40,8 @@ struct Block {
     std::vector<Array<double>> input_values;  // by injection
     std::vector<int> known;                   // components on which a known force acts all the time
 
-    Block(Model& m, const Job& j)
-        : model(m), job(j), history(std::size_t(kBlock + 1) * m.layout.width),
+    Block(const Model& m, Workspace& w, const Job& j)
+        : model(m), space(w), job(j), history(std::size_t(kBlock + 1) * m.layout.width),
           forces(std::size_t(kBlock) * m.layout.force_width + kLane), f(m.layout.f_width + kLane),
           inputs(m.components.size()), input_values(j.injections.size()) {}
 
@@ -48,7 +49,7 @@ struct Block {
     double* force(int b) { return forces.data() + std::size_t(b) * model.layout.force_width; }
     double* x(int i) const { return job.modes[0] + model.components[i].offset; }
     double* y(int i) const { return job.modes[1] + model.components[i].offset; }
-    bool modulated(int i) const { return model.components[i].tension.on; }
+    bool modulated(int i) const { return model.components[i].modulated; }
 
     // Whether a known force acts on component i in the next n samples.
     bool forced(int i, std::int64_t n) const {

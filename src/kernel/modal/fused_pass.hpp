@@ -32,7 +32,7 @@ constexpr int kChunkPack = std::max(1, kPack / kChunkVectors);  // chunks side b
 
 // Where the numbers of a chunk lie: tables, modes, the forces on its component, the sums of its row.
 struct ChunkView {
-    double* numbers;
+    double* numbers;  // a copy of the component's: two of them move
     const double* basis;
     double *x, *y, *sum;
     const double* forces;
@@ -215,8 +215,8 @@ public:
         const bool whole = block_.model.shortcuts.fused_pass && block_.start + kWindow * kBlock <= block_.job.n;
         for (int i = 0; i < int(fused_.size()); ++i) {
             const Component& c = block_.model.components[i];
-            wanted_[i] = whole && !resting_[i] && !c.recurrence.chunks.empty() && c.contact.n == 0 && !c.tension.on &&
-                         !c.geometric && !block_.forced(i, kWindow * kBlock);
+            wanted_[i] = whole && !resting_[i] && !c.recurrence.chunks.empty() && c.contact.n == 0 && !c.by_sample() &&
+                         !block_.forced(i, kWindow * kBlock);
         }
         if (wanted_ != fused_) take(wanted_);
         pass<Passage::enter>();
@@ -283,15 +283,15 @@ private:
     // Adds the chunks of a component with this recurrence: whole packs of one row; the rest is left over for packs of
     // several rows.
     void add_chunks(std::size_t i, bool slow) {
-        Component& c = block_.model.components[i];
-        PortRecurrence& recurrence = c.recurrence;
+        const Component& c = block_.model.components[i];
+        const PortRecurrence& recurrence = c.recurrence;
         const double* const forces = block_.forces.data() + block_.model.layout.port[i];
         for (int row = 0; row < c.n_rows; ++row) {
             const std::size_t before = left_.size();
             for (std::size_t k = 0; k < recurrence.chunks.size(); ++k) {
                 const auto& chunk = recurrence.chunks[k];
                 if (chunk.row != row || chunk.slow != slow) continue;
-                left_.push_back({recurrence.numbers.data() + k * recurrence.step,
+                left_.push_back({block_.space.recurrences[i].data() + k * recurrence.step,
                                  recurrence.basis.data() + k * PortRecurrence::basis_step,
                                  block_.x(int(i)) + chunk.first, block_.y(int(i)) + chunk.first,
                                  sums_.data() + (sums_of_[i] + row * kRow), forces, chunk.count});

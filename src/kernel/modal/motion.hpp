@@ -27,7 +27,7 @@ inline int free_motion(Block& block, FusedPass& fused, const Resting& resting) {
     const Layout& l = block.model.layout;
     for (int i = 0; i < int(block.model.components.size()); ++i) {
         const Component& c = block.model.components[i];
-        if (c.driven || c.tension.on || c.geometric || resting[i]) continue;
+        if (c.driven || c.by_sample() || resting[i]) continue;
         const Rows rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, block.history.data() + l.row[i], l.width, 1};
         const auto& inputs = block.inputs[i];
         if (l.stepped[i]) {
@@ -63,7 +63,7 @@ inline int correct(Block& block, const ContactRows& contacts, FusedPass& fused, 
         const double* forces = block.forces.data() + l.port[i];
         auto& inputs = block.inputs[i];
         const bool recurs = inputs.empty() && block.nb == kBlock;
-        const bool moved = c.tension.on || c.geometric || l.stepped[i] || (fused[i] && !c.driven);
+        const bool moved = c.by_sample() || l.stepped[i] || (fused[i] && !c.driven);
         double* const driven = c.driven ? fused.driven_rows(i) : nullptr;
         const Ports ports{c.w.data(), c.w_slope.data(), c.n_ports, nullptr, forces, l.force_width, 1};
         const Rows rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, driven, 1, kBlock + 1};

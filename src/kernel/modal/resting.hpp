@@ -17,7 +17,7 @@ public:
         std::vector<char> may = m.layout.by_itself;
         for (const Nonlinear::Term& t : m.nonlinear.all_terms) may[t.component] = 0;
         for (int i = 0; i < int(may.size()); ++i)
-            if (may[i] && !m.components[i].tension.on && !m.components[i].geometric) candidates_.push_back(i);
+            if (may[i] && !m.components[i].by_sample()) candidates_.push_back(i);
     }
 
     bool operator[](int i) const { return rests_[i]; }

@@ -2,10 +2,10 @@
 //
 // A mode's first number x and its value u after a step without forces determine both of its numbers. The state is
 //     xi = x / sqrt(g),     v = (u - x) / sqrt(g),
-// g the mode's gain: a tension T then enters through one number, half = w a / 2. A modal force p moves the mode by
+// g the mode's gain. A modal force p moves the mode by
 //     xi+ = xi + v + p,     v+ = det v - kappa xi+ + kick p,
-// det and kappa = det(I - E) those of its matrix E. Sixteen modes lie side by side in two streams: half, det, kappa,
-// kick and a row for each port (derive_scaled in load/component.hpp); xi and v.
+// det and kappa = det(I - E) those of its matrix E. Sixteen modes lie side by side in two streams: h, det, kappa,
+// kick, p_0 and p_1 (tension_pass.hpp), and a row for each port (derive_scaled in load/component.hpp); xi and v.
 #pragma once
 
 #include "../data/state.hpp"
@@ -16,7 +16,7 @@ namespace {
 
 class ScaledModes {
 public:
-    ScaledModes(const std::vector<Component>& components, TensionState& space, const Job& job)
+    ScaledModes(const std::vector<Component>& components, PotentialState& space, const Job& job)
         : components_(components), ws_(space), job_(job), in_state_(components.size(), 0) {}
 
     // (n / 16, 2, 16)
@@ -26,7 +26,7 @@ public:
     void from_state(int i) {
         const Component& c = components_[i];
         const std::size_t n = c.n;
-        const double *const basis = c.tension.basis.data(), *const x = job_.modes[0] + c.offset,
+        const double *const basis = c.coordinates.basis.data(), *const x = job_.modes[0] + c.offset,
                 *const y = job_.modes[1] + c.offset;
         double* to = state(i);
         for (std::size_t k = 0; k < n; k += kPadding, to += kScaledState * kPadding)
@@ -45,7 +45,7 @@ public:
         in_state_[i] = 1;
         const Component& c = components_[i];
         const std::size_t n = c.n;
-        const double *const basis = c.tension.basis.data() + 3 * n, *from = state(i);
+        const double *const basis = c.coordinates.basis.data() + 3 * n, *from = state(i);
         double *const x = job_.modes[0] + c.offset, *const y = job_.modes[1] + c.offset;
         for (std::size_t k = 0; k < n; k += kPadding, from += kScaledState * kPadding)
             for (int j = 0; j < kPadding; j += S::width) {
@@ -61,7 +61,7 @@ private:
     using S = Simd;
     using V = S::V;
     const std::vector<Component>& components_;
-    TensionState& ws_;
+    PotentialState& ws_;
     const Job& job_;
     std::vector<char> in_state_;
 };

@@ -14,7 +14,7 @@ import typer
 from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
 from tonewood.cli.common import warn
 from tonewood.cli.stopping import stopping
-from tonewood.errors import OldFormatWarning
+from tonewood.errors import CacheFolderWarning, DamagedCacheWarning, OldFormatWarning
 
 # typer may carry its own copy of click: its errors are found through it
 _UsageError = typer.BadParameter.__bases__[0]
@@ -44,7 +44,7 @@ def _command(command: Callable[..., Any]) -> Callable[..., Any]:
         show = warnings.showwarning
 
         def show_in_one_line(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-            if issubclass(category, OldFormatWarning):
+            if issubclass(category, OldFormatWarning | DamagedCacheWarning | CacheFolderWarning):
                 warn([str(message)])
             else:
                 show(message, category, *place, **more)

@@ -13,6 +13,7 @@ from tonewood.errors import BundleError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.inspection.frequencies import pitch
 from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.instrument.model.tuning import CoupledMode
 from tonewood.lab.string_end import ExactString, coupled_pole
 
 Make = Callable[..., Instrument]
@@ -94,9 +95,19 @@ def test_body_resonance_makes_a_wolf(guitar: Model) -> None:
     assert quiet.wolf is None
 
 
-def test_strength_is_what_a_pluck_does(make: Make) -> None:
+def test_the_level_of_a_mode_is_that_of_its_energy() -> None:
+    """a exp(-sigma t): int a^2 exp(-2 sigma t) dt = a^2 / 2 sigma."""
+    weak, strong = CoupledMode(-8.0 + 600j, (1.0,), 1.0), CoupledMode(-2.0 + 600j, (1.0,), 3.0)
+    t = np.linspace(0.0, 8.0, 80001)
+    energies = [np.trapezoid((m.strength * np.exp(m.pole.real * t)) ** 2, t) for m in (strong, weak)]
+    assert strong.level_db(weak) == pytest.approx(10 * math.log10(energies[0] / energies[1]), abs=1e-3)
+
+
+@pytest.mark.parametrize("sigma", [None, 40.0])
+def test_strength_is_what_a_pluck_does(make: Make, sigma: float | None) -> None:
     """Amplitudes of the two strongest modes in the bridge's motion after a static pull is let go."""
-    model = assemble(make().replace({"strings.D3.note": "F#3", "body.table": "body.csv"}), 16000.0)
+    lossy = {"strings.*.loss": {"law": "sigma", "sigma0": sigma}} if sigma else {}
+    model = assemble(make().replace({"strings.D3.note": "F#3", "body.table": "body.csv"} | lossy), 16000.0)
     string = model.strings["D3"]
     tuned = string.tuned(0)
     assert tuned is not None

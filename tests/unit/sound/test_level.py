@@ -39,6 +39,8 @@ def test_what_full_scale_is_after_a_gain() -> None:
     group: Any = SimpleNamespace(full_scale=40.0, unit="Pa", gain_db=0.0)
     assert meaning([group], 20.0) == "gain +20.0 dB, 0 dBFS is 4 Pa"
     assert meaning([group, group], -6.0206) == "gain -6.0 dB, 0 dBFS is 80 Pa, 80 Pa"
+    pickup: Any = SimpleNamespace(full_scale=2.0, unit="m/s", gain_db=-20.0)  # its own gain makes it quieter
+    assert meaning([group, pickup], 20.0) == "gain +20.0 dB, 0 dBFS is 4 Pa, 2 m/s"
 
 
 def test_the_preview_finds_the_loudest_part() -> None:

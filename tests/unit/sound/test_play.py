@@ -153,3 +153,9 @@ def test_a_device_that_is_not_there_one_line(monochord: tw.Instrument, monkeypat
     monkeypatch.setitem(sys.modules, "sounddevice", fake)
     with pytest.raises(OutputError, match="cannot open the sound device: no device 99"):
         tw.play(renderer(monochord), device=99)
+
+
+def test_samples_beyond_full_scale_are_counted() -> None:
+    blocks = [np.array([[0.5], [-1.5], [1.0], [1.2]]), np.array([[0.9], [-1.0], [-3.0], [0.0]])]
+    played = tw.AudioStream(blocks, 4, fs=16000, n_channels=1).play(stream=FakeStream)
+    assert played.clipped == 3

@@ -30,7 +30,7 @@ class ThreadEffect(ta.SwitchedConnections):
     """
 
     #: shares of the slack: a thread is switched on above the first and off below the second. The energy of a string
-    #: that nobody plays would have to grow fourfold from one look to the next to reach the slack unseen
+    #: that is not played would have to grow fourfold from one look to the next to reach the slack unseen
     ON, OFF = 0.5, 0.4
     #: points of the control grid (64 samples) between two looks; the second where all threads are on, since switching
     #: one off late loses only time

@@ -322,7 +322,7 @@ class Instrument(ModalViews):
         return [path for path, entry in self.spec.provenance.items() if entry.kind == "stand_in"]
 
     def of_unknown_origin(self) -> list[str]:
-        """Return the paths of values of which nobody has said yet where they come from."""
+        """Return the paths of values without a source."""
         return [path for path, entry in self.spec.provenance.items() if entry.kind == "unknown"]
 
     def table_doubts(self) -> list[str]:

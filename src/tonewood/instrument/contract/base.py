@@ -33,7 +33,7 @@ from tonewood.instrument.contract.contract_checks import CHECKS, check_results
 from tonewood.instrument.contract.effects import BODY_MODES, OUTPUTS, SECOND_POLARIZATION, Effect
 from tonewood.instrument.contract.files import Files
 from tonewood.instrument.contract.gestures import Event, Gesture, Place
-from tonewood.physics.coupling.phantoms import PhantomPartials
+from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.coupling.system import Drive, Readout
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.views import SHOWN_TO, ModalViews
@@ -114,20 +114,52 @@ class Plugin(ABC, Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class Longitudinal:
-    """Motion along a string, stepped with the transverse one; see `tonewood.physics.coupling.geometric`.
+    """Motion along a string, stepped with the transverse one; see `tonewood.physics.coupling.potentials.longitudinal`.
 
     Attributes
     ----------
     basis : highest frequency (Hz) and stop (m from the nut) -> modes along the string with its bridge end free, made by
         `ta.string_basis` with EA as tension.
-    freq_coupled : Hz, transverse modes below it take part.
     bridge_leverage : displacement of the string's end towards the nut per displacement of the body's point, in
         addition to the projection on the inclined string.
     """
 
     basis: Callable[[float, float], ModalBasis]
-    freq_coupled: float
     bridge_leverage: float
+
+
+@dataclass(frozen=True, slots=True)
+class StringMotion:
+    """Components of a string in the system, for its potentials.
+
+    Attributes
+    ----------
+    name : of the string: that of its potential, or the beginning of it.
+    planes : components of its polarizations.
+    longitudinal : component of its longitudinal motion; None where that is not stepped.
+    end_shares : body point -> share of its displacement in that of the string's end along the string.
+    """
+
+    name: str
+    planes: tuple[str, ...]
+    longitudinal: str | None
+    end_shares: Mapping[str, float]
+
+    def onto_body(self, leverage: float = 0.0) -> tuple[tuple[str, str, float], ...]:
+        """Return (component, point, share), ...: on which a tension at the bridge acts, times the share.
+
+        Parameters
+        ----------
+        leverage : share added at the point that moves most along the string, which turns about the bridge.
+        """
+        return tuple(("body", point, share) for point, share in levered(self.end_shares, leverage).items())
+
+
+def levered(end_shares: Mapping[str, float], leverage: float) -> dict[str, float]:
+    """Return shares of body points in the motion along a string, `leverage` added to the largest one."""
+    shares = dict(end_shares)
+    shares[max(shares, key=lambda point: abs(shares[point]))] += leverage
+    return {point: share for point, share in shares.items() if abs(share) > 1e-12}
 
 
 class Resonator(Plugin[P]):
@@ -150,23 +182,23 @@ class Resonator(Plugin[P]):
         """Tension of the open string before tuning, N."""
 
     @property
-    def axial_stiffness(self) -> float:
-        """EA, N, by which the tension rises as the string stretches; 0 for a constant tension.
-
-        Where it is not 0, the bases must carry ``length`` and ``tension_part`` in their metadata, as those of
-        `ta.string_basis` do.
-        """
-        return 0.0
-
-    @property
     def longitudinal(self) -> Longitudinal | None:
-        """Longitudinal motion, where it is stepped; needs an axial stiffness."""
+        """Longitudinal motion that is a component of its own, joined to the body; a potential couples it."""
         return None
 
-    @property
-    def phantom_partials(self) -> PhantomPartials | None:
-        """Longitudinal motion that is driven one way; needs bases of `ta.string_basis`, detuned or not."""
-        return None
+    def potentials(self, string: StringMotion) -> Sequence[Potential]:
+        """Return energies that the string stores beside those of its modes; none by default.
+
+        Parameters
+        ----------
+        string : its components in the system.
+
+        Returns
+        -------
+        One potential at most for each component: `ta.TensionModulation`, `ta.GeometricStretch`,
+        `ta.DrivenLongitudinal`, or a `ta.ModalPotential` of one's own.
+        """
+        return ()
 
     @abstractmethod
     def basis(self, freq_upper: float, *, stop: float = 0.0, tension: float | None = None) -> ModalBasis:
@@ -262,6 +294,15 @@ class Body(Plugin[P], ModalViews):
     @abstractmethod
     def points(self) -> Mapping[str, BodyPoint]:
         """Return every point of the basis with its direction."""
+
+    def potentials(self, component: str) -> Sequence[Potential]:
+        """Return energies that the body stores beside those of its modes, which must then be real; none by default.
+
+        Parameters
+        ----------
+        component : of the body in the system.
+        """
+        return ()
 
     def sources(self, freq_upper: float) -> Sources | None:
         """Return volume sources of the modes of ``basis(freq_upper)``, in its order; None where they are not known."""

@@ -20,6 +20,7 @@ import numpy as np
 from tonewood.errors import TonewoodError, kind_of
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.coupling.layout import Drive, Readout
+from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.forcing import SampledForce, Segment
 
@@ -111,6 +112,13 @@ def attached(value: Any) -> None:
     for name in value.resting:
         want(name in names, name, "the name of one of its connections", "resting")
     want(isinstance(value.inputs, Mapping), value.inputs, "a mapping of name to entries", "inputs")
+
+
+def potentials(value: Any) -> None:
+    """Check energies beside those of modes."""
+    want(isinstance(value, (list, tuple)), value, "a list of ta.Potential")
+    for potential in value:
+        want(isinstance(potential, Potential), potential, "a ta.Potential", "among its potentials")
 
 
 def segments(value: Any, where: str) -> None:
@@ -240,9 +248,8 @@ CHECKS: dict[str, dict[str, Any]] = {
     "resonator": {
         "length": lambda p, v, a: number(v, "a number of metres above 0", 0.0, above=True),
         "tension": lambda p, v, a: number(v, "a number of newtons above 0", 0.0, above=True),
-        "axial_stiffness": lambda p, v, a: number(v, "a number of newtons, 0 or more,", 0.0),
         "longitudinal": _of_type(_CONTRACT, "Longitudinal"),
-        "phantom_partials": _of_type("tonewood.physics.coupling.phantoms", "PhantomPartials"),
+        "potentials": lambda p, v, a: potentials(v),
         "basis": lambda p, v, a: string_basis(v),
         "detuned": _detuned,
         "decay_rate": _decay_rate,
@@ -252,6 +259,7 @@ CHECKS: dict[str, dict[str, Any]] = {
     "body": {
         "basis": _body_basis,
         "points": lambda p, v, a: body_points(v),
+        "potentials": lambda p, v, a: potentials(v),
         "sources": _of_type("tonewood.physics.plate.radiation", "Sources"),
         "facts": lambda p, v, a: texts(v, "lines of text", some=False),
     },

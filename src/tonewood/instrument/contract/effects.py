@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, Literal
 
 #: cents per relative change of frequency
@@ -98,47 +99,15 @@ class Effect:
         return "dB" if self.kind == "additive" else "cents"
 
 
+def _second_planes(*arguments: Any) -> Any:
+    """Make the effect of second planes, whose class stands above this module."""
+    return import_module("tonewood.performance.effects.unswitched").SecondPolarizationEffect(*arguments)
+
+
 SECOND_POLARIZATION = Effect(
     "second_polarization", "motion across the first plane: two decays in one sound", "additive",
     "always, where a string has two planes", "nothing: it is stepped or not from the beginning",
-)  # fmt: skip
-#: rising tension of a string; for plugins whose strings have it
-TENSION_MODULATION = Effect(
-    "tension_modulation", "tension that rises with amplitude: glides, turning planes", "detuning",
-    "a gesture's force bends the string so far that its tension would rise by more than the budget; every gesture that "
-    "moves a mass, a bow or a finger",
-    "the string's energy, which bounds the mean rise of its tension; its partials, which bound the sidebands",
-    bound=rise_of_tension, cost=lambda n: 8.0 * n, title="rising tension",
-)  # fmt: skip
-#: longitudinal motion of a string; for plugins whose strings have it
-LONGITUDINAL = Effect(
-    "longitudinal", "motion along the string: partials at sums of transverse ones", "additive",
-    "any gesture on the string", "a bound on the phantom partials that the string's partials would "
-    "drive; without them it is linear", cost=lambda n: 60.0 * n, title="phantom partials",
-)  # fmt: skip
-#: motion along a string that the transverse one drives one way; for plugins whose strings have it
-PHANTOM_PARTIALS = Effect(
-    "phantom_partials", "motion along the string, driven one way: partials at sums of transverse ones", "additive",
-    "any gesture on the string", "a bound on the phantom partials that the string's partials would drive",
-    cost=lambda n: 2.0 * n, title="phantom partials",
-)  # fmt: skip
-#: a finger that quiets the string while it draws it; for exciters whose gestures have a `ta.Hold`
-DAMPERS = Effect(
-    "dampers", "fingers that quiet a string while they draw it", "additive", "from touch to release of each pluck",
-    "nothing: no finger is on the string otherwise", cost=nothing,
-)  # fmt: skip
-#: noises of a hand between notes; for exciters that `playing.noises` names
-FRETTING_NOISE = Effect(
-    "fretting_noise", "fingers that press a string to a stop, or leave it", "additive",
-    "a note's stop is another one than before", "nothing: no finger moves otherwise",
-)  # fmt: skip
-TOUCH_NOISE = Effect(
-    "touch_noise", "fingers that fall on a string to end a note", "additive", "each note that is damped",
-    "nothing: no finger moves otherwise",
-)  # fmt: skip
-SQUEAK = Effect(
-    "squeak", "fingers that rub the windings of a string as the hand slides", "additive",
-    "a note's stop lies far from the last one on a wound string", "nothing: no finger moves otherwise",
+    runtime=_second_planes,
 )  # fmt: skip
 BODY_MODES = Effect(
     "body_modes", "resonances of the body", "additive", "always", "nothing: all are stepped", basic=True

@@ -27,10 +27,8 @@ from tonewood.instrument.model.string_assembly import string_models
 from tonewood.instrument.model.string_stems import outputs_by_string
 from tonewood.instrument.model.strings import StringModel
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.physics.coupling.geometric import GeometricStretch
-from tonewood.physics.coupling.phantoms import DrivenLongitudinal
+from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.coupling.system import System
-from tonewood.physics.coupling.tension import TensionModulation
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.passivity.basis import check_basis
 from tonewood.support.blas import one_blas_thread
@@ -168,7 +166,6 @@ def assemble(
     _check_body(instrument, strings, body, 1.0 / fs)
     attached = [a for string in strings.values() for a in string.attached()]
     resting = {c.name: c for a in attached for c in a.connections if c.name in a.resting}
-    tensions, geometric = _stretches(strings.values(), choice)
     made = make_outputs(instrument, outputs, make_scene(strings, body_points, limit, added.forces, instrument.body))
     connections = [*_end_connections(strings.values()), *added.connections, *_attached_connections(attached, resting)]
     components = {"body": body, **added.components, **_string_components(strings.values())}
@@ -182,10 +179,8 @@ def assemble(
         made.readouts,
         dt=1.0 / fs,
         drives=made.drives,
-        tensions=tensions,
-        geometric=geometric,
+        potentials=_potentials(instrument, strings.values(), added.body, choice),
         owners=owners,
-        phantoms=_phantoms(strings.values()),
     )
     kept.save()
     inputs: dict[str, tuple[tuple[str, str, float], ...]] = {
@@ -276,46 +271,15 @@ def _attached_connections(attached: Iterable[Attached], resting: Mapping[str, Co
     return [replace(c, law=SpringDashpot()) if c.name in resting else c for a in attached for c in a.connections]
 
 
-def _stretches(
-    strings: Iterable[StringModel], choice: Choice
-) -> tuple[list[TensionModulation], list[GeometricStretch]]:
-    """Strings whose tension rises with their amplitude, of one kind: all of them are geometric where any one is."""
-    stretching = [
-        s
-        for s in strings
-        if s.resonator.axial_stiffness > 0 and not s.longitudinal and choice.keeps(s.resonator, "tension_modulation")
-    ]
-    geometric = [
-        GeometricStretch(
-            s.name,
-            tuple(p.component for p in s.polarizations),
-            s.longitudinal.component,
-            s.resonator.axial_stiffness,
-            s.longitudinal.motion.freq_coupled,
-        )
-        for s in strings
-        if s.longitudinal
-    ]
-    if geometric:  # one solve then finds all of them together
-        geometric += [GeometricStretch(s.name, s.components, None, s.resonator.axial_stiffness) for s in stretching]
-        return [], geometric
-    return [TensionModulation(s.name, s.components, s.resonator.axial_stiffness) for s in stretching], []
-
-
-def _phantoms(strings: Iterable[StringModel]) -> list[DrivenLongitudinal]:
-    """Strings whose longitudinal motion is driven one way."""
-    return [
-        DrivenLongitudinal(
-            s.name,
-            tuple(p.component for p in s.polarizations),
-            tuple(("body", point, share) for point, share in s.phantoms.ends.items()),
-            s.phantoms.motion.axial_stiffness,
-            s.phantoms.motion.freq_coupled,
-            s.phantoms.motion.loss,
-        )
-        for s in strings
-        if s.phantoms
-    ]
+def _potentials(
+    instrument: Instrument, strings: Iterable[StringModel], body: ModalBasis, choice: Choice
+) -> list[Potential]:
+    """Potentials of strings and of the body, without those that are left out by choice."""
+    own = list(instrument.body.potentials("body"))
+    if own and not body.is_real:
+        raise instrument.body.fault("stores energy beside that of its modes, which then must be real")
+    declared = [(s.resonator, p) for s in strings for p in s.potentials] + [(instrument.body, p) for p in own]
+    return [p for plugin, p in declared if not p.effect or choice.keeps(plugin, p.effect)]
 
 
 def _check_places(instrument: Instrument, strings: Mapping[str, StringModel]) -> None:

@@ -1,6 +1,6 @@
 """Tunings of open strings, kept between runs: a file per instrument and limit of modes, safe to delete at any time.
 
-The files lie in the `cache_folder`. A file's name is a hash of all that the tunings depend on: the bundle's values and
+The files lie in the `cache_folder`. A file's key is a hash of all that the tunings depend on: the bundle's values and
 other files, its plugins' sources, the computing sources (by length and time), NumPy with its BLAS library, and SciPy.
 So a render has the same samples with the file and without it. A damaged file is computed again, with a warning.
 """
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import warnings
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import version
@@ -17,12 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tonewood.errors import DamagedCacheWarning, OutputError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.model.tuning import CoupledMode, TunedStop
 from tonewood.support.blas import numpy_blas
-from tonewood.support.cache_folder import cache_folder
-from tonewood.support.whole_files import whole_file
+from tonewood.support.cache_folder import cache_folder, keep, read_kept
 
 #: packages whose sources decide on a tuning; "" for the modules beside them
 _SOURCES = ("physics", "instrument", "support", "performance/score")
@@ -38,9 +35,11 @@ class KeptTunings:
     """
 
     def __init__(self, instrument: Instrument, limit: float):
-        self.path = _path(instrument, limit)
+        self._key = _key(instrument, limit)
         #: string -> tension (N) at which its modes were first computed, and its tuning
-        self.known: dict[str, tuple[float, TunedStop]] = {} if self.path is None else _read(self.path)
+        self.known: dict[str, tuple[float, TunedStop]] = {}
+        if self._key is not None:
+            self.known = read_kept("tunings", self._key, _decoded) or {}
         self._complete = True
 
     def add(self, name: str, guess: float, tuned: TunedStop) -> None:
@@ -50,14 +49,10 @@ class KeptTunings:
 
     def save(self) -> None:
         """Write the tunings added; a file that cannot be written costs time alone."""
-        if self._complete or self.path is None:
-            return
-        try:
-            with whole_file(self.path, make_folder=True) as stream:
-                stream.write(json.dumps({name: _plain(*entry) for name, entry in self.known.items()}).encode())
-        except OutputError:
-            return
-        self._complete = True
+        if not self._complete and self._key is not None:
+            entries = {name: _plain(*entry) for name, entry in self.known.items()}
+            keep("tunings", self._key, json.dumps(entries).encode())
+            self._complete = True
 
 
 def _plain(guess: float, tuned: TunedStop) -> dict[str, object]:
@@ -66,16 +61,8 @@ def _plain(guess: float, tuned: TunedStop) -> dict[str, object]:
     return {"guess": float(guess), "freq": float(tuned.freq), "tension": float(tuned.tension), "modes": modes}
 
 
-def _read(path: Path) -> dict[str, tuple[float, TunedStop]]:
-    """Entries of a file; none where it is missing or damaged."""
-    try:
-        data = json.loads(path.read_bytes())
-        return {name: _entry(values) for name, values in data.items()}
-    except OSError:
-        return {}
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        warnings.warn(f"{path}: damaged; it is computed again", DamagedCacheWarning, stacklevel=2)
-        return {}
+def _decoded(content: bytes) -> dict[str, tuple[float, TunedStop]]:
+    return {name: _entry(values) for name, values in json.loads(content).items()}
 
 
 def _entry(values: Mapping[str, object]) -> tuple[float, TunedStop]:
@@ -93,16 +80,15 @@ def _entry(values: Mapping[str, object]) -> tuple[float, TunedStop]:
     return number(values["guess"]), TunedStop(number(values["freq"]), number(values["tension"]), tuple(modes))
 
 
-def _path(instrument: Instrument, limit: float) -> Path | None:
-    folder = cache_folder()
-    if folder is None:
+def _key(instrument: Instrument, limit: float) -> str | None:
+    """Hash of all that the tunings depend on; None where nothing is kept."""
+    if cache_folder() is None:
         return None
     try:
         parts = [instrument.content_hash, limit, _sources(), np.__version__, numpy_blas(), version("scipy")]
     except OSError:  # a file of the bundle is gone
         return None
-    text = json.dumps(parts, sort_keys=True)
-    return folder / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.tunings.json"
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
 def _stamp(path: Path) -> str:

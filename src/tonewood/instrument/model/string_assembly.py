@@ -9,14 +9,14 @@ from typing import Any
 from tonewood.errors import BundleError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.schema import StringPart
-from tonewood.instrument.contract.base import Attachment, BodyPoint, Exciter, Resonator, dot
+from tonewood.instrument.contract.base import Attachment, BodyPoint, Exciter, Resonator, dot, levered
 from tonewood.instrument.contract.directions import unit_vector
 from tonewood.instrument.contract.gestures import Fraction
 from tonewood.instrument.contract.registry import MANIFEST
 from tonewood.instrument.model.choice import Choice
 from tonewood.instrument.model.kept_tunings import KeptTunings
 from tonewood.instrument.model.stretch import inharmonicity, octave_stretch
-from tonewood.instrument.model.string_setup import LongitudinalMotion, PhantomMotion, Polarization, Stopping
+from tonewood.instrument.model.string_setup import LongitudinalMotion, Polarization, Stopping
 from tonewood.instrument.model.strings import StringModel
 from tonewood.instrument.model.tuning import body_ports
 from tonewood.physics.modal.modes import ModalBasis
@@ -139,7 +139,7 @@ def _string(
         group=next(s for s in instrument.groups.values() if name in s) if name in instrument.key_of else (),
         damper=None if damper is None else (damper.resistance, _metres(damper.from_bridge, resonator), damper.width),
         longitudinal=_longitudinal(part, name, resonator, body_points, choice),
-        phantoms=_phantoms(part, resonator, body_points, choice),
+        end_shares=_end_shares(part, body_points)[1],
         kept=kept,
     )
     shortest = string.length(string.n_stops)
@@ -199,18 +199,8 @@ def _longitudinal(
     motion = resonator.longitudinal
     if motion is None or not choice.keeps(resonator, "longitudinal"):
         return None
-    to_nut, ends = _longitudinal_ends(part, body_points, motion.bridge_leverage)
-    return LongitudinalMotion(f"{name}.longitudinal", to_nut, ends, motion)
-
-
-def _phantoms(
-    part: StringPart, resonator: Resonator[Any], body_points: Mapping[str, BodyPoint], choice: Choice
-) -> PhantomMotion | None:
-    motion = resonator.phantom_partials
-    if motion is None or not choice.keeps(resonator, "phantom_partials"):
-        return None
-    _, ends = _longitudinal_ends(part, body_points, motion.bridge_leverage)
-    return PhantomMotion(ends, motion) if ends else None
+    to_nut, end_shares = _end_shares(part, body_points)
+    return LongitudinalMotion(f"{name}.longitudinal", to_nut, levered(end_shares, motion.bridge_leverage), motion)
 
 
 def _transverse_ends(direction: Vector, ends: Sequence[str], body_points: Mapping[str, BodyPoint]) -> dict[str, float]:
@@ -219,17 +209,8 @@ def _transverse_ends(direction: Vector, ends: Sequence[str], body_points: Mappin
     return {point: factor for point, factor in shares.items() if factor != 0.0}
 
 
-def _longitudinal_ends(
-    part: StringPart, body_points: Mapping[str, BodyPoint], bridge_leverage: float
-) -> tuple[Vector, dict[str, float]]:
-    """Direction to the nut; body point -> share of its displacement in the string's end, along the string.
-
-    The share is the projection on the string's direction. The point that moves most across the string also turns about
-    the bridge, which adds the resonator's leverage.
-    """
+def _end_shares(part: StringPart, body_points: Mapping[str, BodyPoint]) -> tuple[Vector, dict[str, float]]:
+    """Direction to the nut; body point -> share of its displacement in the string's end, along the string."""
     x, y, z = unit_vector(part.axis)
-    to_nut, ends = (-x, -y, -z), part.body_points
-    shares = {point: dot(to_nut, body_points[point].direction) for point in ends}
-    most = min(ends, key=lambda point: abs(shares[point]))
-    shares[most] += bridge_leverage
-    return to_nut, {point: factor for point, factor in shares.items() if abs(factor) > 1e-12}
+    to_nut = (-x, -y, -z)
+    return to_nut, {point: dot(to_nut, body_points[point].direction) for point in part.body_points}

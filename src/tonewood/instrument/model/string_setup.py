@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 from tonewood.instrument.bundle.schema import Finger
 from tonewood.instrument.contract.base import Longitudinal
-from tonewood.physics.coupling.phantoms import PhantomPartials
 from tonewood.support.params import Vector
 
 #: cents of pitch between given and used tension from which on a render reports them; printed tensions and a compliant
@@ -50,20 +49,6 @@ class LongitudinalMotion:
     direction: Vector
     ends: Mapping[str, float]
     motion: Longitudinal
-
-
-@dataclass(frozen=True, slots=True)
-class PhantomMotion:
-    """Motion along a string that its transverse motion drives one way.
-
-    Attributes
-    ----------
-    ends : body point -> share of the tension at the bridge that acts there.
-    motion : as the resonator gives it.
-    """
-
-    ends: Mapping[str, float]
-    motion: PhantomPartials
 
 
 @dataclass(frozen=True, slots=True)

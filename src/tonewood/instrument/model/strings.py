@@ -14,16 +14,10 @@ from numpy.typing import NDArray
 from tonewood.errors import BundleError
 from tonewood.instrument.bundle.schema import Finger
 from tonewood.instrument.contract.attached import Attached, Site
-from tonewood.instrument.contract.base import Attachment, Exciter, Longitudinal, Resonator
+from tonewood.instrument.contract.base import Attachment, Exciter, Longitudinal, Resonator, StringMotion
 from tonewood.instrument.model.finger import POINT, compliance, fingertips, laid_down
 from tonewood.instrument.model.kept_tunings import KeptTunings
-from tonewood.instrument.model.string_setup import (
-    GivenTension,
-    LongitudinalMotion,
-    PhantomMotion,
-    Polarization,
-    Stopping,
-)
+from tonewood.instrument.model.string_setup import GivenTension, LongitudinalMotion, Polarization, Stopping
 from tonewood.instrument.model.tuning import StringOnBody, TunedStop, no_mode, tune
 from tonewood.physics.coupling.connections import Connection
 from tonewood.physics.modal.damper import damper_rates
@@ -52,7 +46,8 @@ class StringModel:
     polarizations : one or two, the first is the one kept when effects are left out.
     open_note : note number of the open string.
     stopping : its stops.
-    longitudinal, phantoms : its longitudinal motion, if that is stepped, or driven one way.
+    longitudinal : its longitudinal motion, if that is stepped.
+    potentials : energies that it stores beside those of its modes, those that are left out among them.
     pluck_from_bridge, pluck_width : m, place of the pluck where a gesture gives none, and how far it is spread.
     group : strings that a note on the first of them plays together; itself among them.
     touching : attachments and exciters that may add parts to it, by name.
@@ -61,6 +56,7 @@ class StringModel:
 
     Parameters
     ----------
+    end_shares : body point -> share of its displacement in that of the string's end along the string.
     scatter : stop -> cents by which the second polarization is sharper than its `detune` says.
     kept : tunings of open strings from an earlier run.
     """
@@ -83,14 +79,17 @@ class StringModel:
         scatter: Callable[[float], float] | None = None,
         touching: Mapping[str, Attachment[Any] | Exciter[Any]] | None = None,
         longitudinal: LongitudinalMotion | None = None,
-        phantoms: PhantomMotion | None = None,
+        end_shares: Mapping[str, float] | None = None,
         pluck_width: float = 0.0,
         group: tuple[str, ...] = (),
         damper: tuple[float, float, float] | None = None,
         kept: KeptTunings | None = None,
     ):
         self.name, self.resonator, self.polarizations = name, resonator, polarizations
-        self.longitudinal, self.phantoms = longitudinal, phantoms
+        self.longitudinal = longitudinal
+        planes, own = tuple(p.component for p in polarizations), longitudinal.component if longitudinal else None
+        motion = StringMotion(name, planes, own, dict(end_shares or {}))
+        self.potentials = tuple(resonator.potentials(motion))
         self.open_note, self.stopping, self.points = open_note, stopping, dict(points)
         self.pluck_from_bridge, self.pluck_width = pluck_from_bridge, pluck_width
         self.group, self.damper = group or (name,), damper

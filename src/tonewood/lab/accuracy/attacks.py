@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.lab.systems.harp_body import harp_body
-from tonewood.performance.effects.base import Moment, SwitchedEffect, Watched, switch
+from tonewood.performance.effects.base import Moment, SwitchedEffect, Watched
+from tonewood.performance.effects.switching import switch
+from tonewood.performance.effects.tension import potential
 from tonewood.performance.score.note import Note, Score
 from tonewood.physics.coupling.connections import Connection, Rigid, Term
 from tonewood.physics.coupling.laws import Contact
@@ -167,7 +169,7 @@ def stop_at_the_peak(fs: int) -> Attack:
     engine, best, at = plain.engine, 0.0, 0.0
     while engine.state.sample < 0.05 * fs:
         engine.advance(1)
-        stretch = engine.state.tension[0, 0] if engine.state.tension.size else 0.0
+        stretch = potential(engine.system, engine.state, "G2")
         if engine.state.sample > 0 and stretch > best:
             best, at = stretch, engine.state.sample / fs
     notes = [Note(0.0, at, string="G2", stop=0, force=14.0), Note(at, 0.1, string="G2", stop=5, technique="hammer_on")]

@@ -26,8 +26,8 @@ from tonewood.lab.methods.problem import Problem
 from tonewood.physics.coupling.connections import Connection
 from tonewood.physics.coupling.inverse import scaled_pinv
 from tonewood.physics.coupling.laws import Contact, HardeningSpring
+from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.system import Probe, Readout, System
-from tonewood.physics.coupling.tension import TensionModulation
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.modal.propagator import apply
 from tonewood.physics.stepping.kernel import KernelStepper, instruction_set
@@ -307,7 +307,7 @@ class OwnRun:
             [*case.problem.constraints, *laws],
             [Readout("0", "displacement", (Probe(out.component, out.point, out.factor),))],
             dt=1 / self.fs,
-            tensions=case.tensions,
+            potentials=case.tensions,
         )
         self.stepper = KernelStepper(self.system)
         self.state = self.stepper.start()

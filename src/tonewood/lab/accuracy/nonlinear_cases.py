@@ -12,7 +12,7 @@ from tonewood.lab.string_end import ExactString
 from tonewood.lab.systems import klosner_problems, string_and_body
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.coupling.laws import Contact, HardeningSpring
-from tonewood.physics.coupling.tension import TensionModulation
+from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import apply
 from tonewood.physics.modal.string_modes import string_basis

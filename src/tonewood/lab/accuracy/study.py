@@ -44,7 +44,7 @@ GROWTH = 1e-6
 
 
 def silent(share: float) -> None:
-    """Tell nobody."""
+    """Report nothing."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,44 +7,14 @@ from typing import Any
 
 from tonewood.errors import PluginError, TonewoodError, kind_of
 from tonewood.instrument.contract.base import Plugin
-from tonewood.instrument.contract.effects import (
-    DAMPERS,
-    FRETTING_NOISE,
-    LONGITUDINAL,
-    PHANTOM_PARTIALS,
-    SECOND_POLARIZATION,
-    SQUEAK,
-    TENSION_MODULATION,
-    TOUCH_NOISE,
-    Effect,
-)
+from tonewood.instrument.contract.effects import Effect
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.effects.base import RuntimeEffect, SwitchedEffect
-from tonewood.performance.effects.longitudinal import LongitudinalEffect
-from tonewood.performance.effects.phantom_partials import PhantomPartialsEffect
-from tonewood.performance.effects.tension import TensionEffect
-from tonewood.performance.effects.unswitched import (
-    ContactEffect,
-    DamperEffect,
-    GestureEffect,
-    PickupEffect,
-    SecondPolarizationEffect,
-)
+from tonewood.performance.effects.unswitched import ContactEffect, PickupEffect
 
 #: makes the runtime effect of a declared one, see `RuntimeEffect`
 Maker = Callable[[Model, Effect, Mapping[str, Plugin[Any]]], RuntimeEffect]
 
-#: of effects that are declared below the engine and so cannot name their own; `Effect.runtime` does for all others
-_BUILT_IN: Mapping[str, Maker] = {
-    TENSION_MODULATION.name: TensionEffect,
-    LONGITUDINAL.name: LongitudinalEffect,
-    PHANTOM_PARTIALS.name: PhantomPartialsEffect,
-    SECOND_POLARIZATION.name: SecondPolarizationEffect,
-    DAMPERS.name: DamperEffect,
-    FRETTING_NOISE.name: GestureEffect,
-    TOUCH_NOISE.name: GestureEffect,
-    SQUEAK.name: GestureEffect,
-}
 #: kind of plugin -> class of its effects if nothing else is said; those of strings and bodies always run
 _BY_KIND: Mapping[str, Maker] = {"connection": ContactEffect, "exciter": ContactEffect, "pickup": PickupEffect}
 
@@ -91,4 +61,4 @@ def _plugins(model: Model) -> Iterator[tuple[str, Plugin[Any]]]:
 
 
 def _maker(effect: Effect, kind: str) -> Maker:
-    return effect.runtime or _BUILT_IN.get(effect.name) or _BY_KIND.get(kind, RuntimeEffect)
+    return effect.runtime or _BY_KIND.get(kind, RuntimeEffect)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
+from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
 from tonewood.physics.coupling.system import System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import RealForm, real_form
@@ -43,7 +44,8 @@ class BridgeResponse:
     def __init__(self, model: Model):
         system = model.system
         joined = tuple(c for string in model.strings.values() for c in string.components)
-        self.components = (*joined, *(f"{p.name}.longitudinal" for p in system.phantoms))
+        phantoms = [p for p in system.potentials if isinstance(p, DrivenLongitudinal)]
+        self.components = (*joined, *(f"{p.name}.longitudinal" for p in phantoms))
         top = np.pi / system.dt
         grid = np.geomspace(_LOWEST, top, int(_PER_OCTAVE * np.log2(top / _LOWEST)))
         body, form = model.body, real_form(model.body)
@@ -56,7 +58,7 @@ class BridgeResponse:
             for term in end.terms:
                 if term.component == "body":
                     entry[i, body.index(term.point)] += term.factor
-        for i, phantom in enumerate(system.phantoms, len(ends)):
+        for i, phantom in enumerate(phantoms, len(ends)):
             for _, point, share in phantom.onto:
                 entry[i, body.index(point)] += share
         added, gaps, impedance = _added(model, 1j * self.freq_rad)

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from tonewood.instrument.contract.base import Plugin
 from tonewood.instrument.contract.effects import Effect
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.effects.base import Moment, SwitchedEffect, motion
+from tonewood.performance.effects.base import Moment, SwitchedEffect
 from tonewood.performance.effects.gesture_connections import with_laws
+from tonewood.performance.effects.switching import motion
 from tonewood.performance.player.fretting import Fretting
 from tonewood.physics.coupling.connections import Law, Rigid, SpringDashpot
 from tonewood.physics.coupling.laws import Friction

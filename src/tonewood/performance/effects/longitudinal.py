@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from tonewood.instrument.contract.effects import TENSION_MODULATION
+from tonewood.instrument.contract.effects import Effect
 from tonewood.performance.effects.base import EffectReport, Foreseen, PlannedEffect, Run, RuntimeEffect, in_decibels
+from tonewood.performance.effects.tension import TENSION_MODULATION
 from tonewood.performance.effects.usage import EffectUsage
 
 
@@ -48,3 +49,12 @@ class LongitudinalEffect(RuntimeEffect):
             PlannedEffect(self.name, name, usage.score_time(usage.spans[self.name, name]), why, None)
             for name in self.components
         ]
+
+
+#: longitudinal motion of a string; for plugins whose strings have it
+LONGITUDINAL = Effect(
+    "longitudinal", "motion along the string: partials at sums of transverse ones", "additive",
+    "any gesture on the string", "a bound on the phantom partials that the string's partials would "
+    "drive; without them it is linear", cost=lambda n: 60.0 * n, title="phantom partials",
+    runtime=LongitudinalEffect,
+)  # fmt: skip

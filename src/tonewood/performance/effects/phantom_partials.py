@@ -3,7 +3,7 @@
 They run from any gesture on a string until bounds on the missing sound (`effects.phantoms`, from the string's
 partials and the body's response) come to the budget over all strings without them: those of the strings of a key are
 added up, those of several keys in power, since their partials are at other frequencies: the sum is an estimate. Strings
-that nobody plays are in it, whatever their energy: a bass string of a piano makes phantom partials of little motion.
+that are not played are in it, whatever their energy: a bass string of a piano makes phantom partials of little motion.
 After gestures and changes of pedals motion spreads from string to string, so that looks are frequent for a while.
 
 Up to 24 strings may be in unison on a light body, which passes their motion on from one to another between two looks.
@@ -25,13 +25,15 @@ from numpy.typing import NDArray
 from tonewood.instrument.contract.base import Plugin
 from tonewood.instrument.contract.effects import Effect
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.effects.base import Moment, SwitchedEffect, Switching, Watched, motion, next_multiple
+from tonewood.performance.effects.base import Moment, SwitchedEffect, Switching, Watched, next_multiple
 from tonewood.performance.effects.bridge_response import BridgeResponse
 from tonewood.performance.effects.phantoms import Phantoms
+from tonewood.performance.effects.switching import clear_memory, motion
 from tonewood.performance.effects.usage import Bound, EffectUsage
 from tonewood.performance.player.fretting import Fretting
 from tonewood.performance.player.timeline import GRID, Timeline
-from tonewood.physics.coupling.geometric import GeometricStretch
+from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
+from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
 from tonewood.physics.coupling.system import State, System
 from tonewood.physics.modal.string_modes import string_basis
 
@@ -53,7 +55,7 @@ class PhantomPartialsEffect(SwitchedEffect):
 
     def __init__(self, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]):
         super().__init__(model, effect, plugins)
-        self._laws = {p.name: p for p in model.system.phantoms}
+        self._laws = {p.name: p for p in model.system.potentials if isinstance(p, DrivenLongitudinal)}
         self._few = len(self._laws) <= _FEW
         self._often = max(1, round(_OFTEN / (GRID * model.system.dt)))
         self._seldom = self._often * max(1, round(_SELDOM / (GRID * model.system.dt) / self._often))
@@ -120,18 +122,16 @@ class PhantomPartialsEffect(SwitchedEffect):
 
     def apply(self, system: System, on: Collection[str], frettings: Mapping[str, Fretting]) -> System:
         """Switch the forces of these strings on, and all others off."""
-        same = all((p.name in on) == is_on for p, is_on in zip(system.phantoms, system.phantoms_on, strict=True))
-        return system if same else system.with_phantoms(on)
+        return system.with_potentials(on, self._laws)
 
     def reset(self, system: System, state: State, changed: Collection[str]) -> None:
         """Clear the state of the longitudinal modes."""
-        if state.phantoms.size:
-            state.phantoms[[p.name in changed for p in system.phantoms]] = 0.0
+        clear_memory(system, state, changed)
 
     def load(self, component: str) -> float:
         """Modes that drive."""
         system = self.model.system
-        parts = (system.compiled[system.slot(c)].phantom for c in self._planes(component))
+        parts = (system.compiled[system.slot(c)].potentials.get(component) for c in self._planes(component))
         return float(sum(part.weights.shape[1] for part in parts if part is not None))
 
     def why(self, usage: EffectUsage, component: str) -> str:
@@ -148,7 +148,10 @@ class PhantomPartialsEffect(SwitchedEffect):
         like = self._alike(name)
         planes = zip(self._planes(like), self._planes(name), strict=True)
         bound = self._bound(moment.system, like, moment.frettings[name].stop)
-        level = bound.level(bound.slopes({a: motion(moment.system, moment.state, b) for a, b in planes}), peak)
+        moved = {a: motion(moment.system, moment.state, b) for a, b in planes}
+        if any(bound.parts[a].displaced.shape[1] != len(q) for a, (q, _) in moved.items()):
+            return math.inf  # a bend has moved modes over the limit: the bound is that of the string as it was
+        level = bound.level(bound.slopes(moved), peak)
         return level if math.isfinite(level) else math.inf
 
     def _alike(self, name: str) -> str:
@@ -176,9 +179,18 @@ class PhantomPartialsEffect(SwitchedEffect):
             )  # fmt: skip
             stretch = GeometricStretch(name, tuple(planes), component, law.axial_stiffness, law.freq_coupled)
             shares = {
-                c: replace(part, geometric=stretch.part(c, part.basis, np.zeros_like(part.E)))
+                c: replace(part, potentials={name: stretch.share(c, part.basis, part.dt)})
                 for c, part in compiled.items()
             }
             shares[component] = replace(compiled[planes[0]], basis=lengthwise)
             self._bounds[key] = Phantoms.of(stretch, shares, self.model.strings[name].tension(stop), self._response)
         return self._bounds[key]
+
+
+#: motion along a string that the transverse one drives one way; for plugins whose strings have it
+PHANTOM_PARTIALS = Effect(
+    "phantom_partials", "motion along the string, driven one way: partials at sums of transverse ones", "additive",
+    "any gesture on the string", "a bound on the phantom partials that the string's partials would drive",
+    cost=lambda n: 2.0 * n, title="phantom partials",
+    runtime=PhantomPartialsEffect,
+)  # fmt: skip

@@ -1,7 +1,7 @@
 """Bound on the phantom partials of a string, which are missing while its longitudinal motion is not coupled.
 
 Partials i and j of a string, of slopes C_i cos(i pi x / L) cos(w_i t + ...), put C_i C_j H_n,ij / 4 into s_n, the n-th
-cosine of the squared slope, at the frequencies w_i + w_j and |w_i - w_j| (H_n: `physics.coupling.geometric`). At such a
+cosine of the squared slope, at the frequencies w_i + w_j and |w_i - w_j| (H_n: `potentials.longitudinal`). At such a
 frequency W the n-th longitudinal mode, of W_n and decay s, answers with the strain
 
     e_n = s_n (2 i s W - W^2) / (W_n^2 - W^2 + 2 i s W)
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.performance.effects.bridge_response import BridgeResponse
-from tonewood.physics.coupling.geometric import GeometricStretch, cosine_products
+from tonewood.physics.coupling.potentials.longitudinal import GeometricShare, GeometricStretch, cosine_products
 from tonewood.physics.coupling.system import Compiled
 from tonewood.physics.modal.held_modes import HeldModes
 
@@ -48,11 +48,9 @@ class PartialSlopes:
     moving: Floats
 
     @classmethod
-    def of(cls, compiled: Compiled, held: HeldModes) -> PartialSlopes:
-        """Make them of a transverse component and its modes with the bridge held."""
-        part, n = compiled.geometric, held.n_modes
-        if part is None:
-            raise ValueError("the component is no part of a string with longitudinal motion")
+    def of(cls, part: GeometricShare, held: HeldModes) -> PartialSlopes:
+        """Make them of a transverse component's share and its modes with the bridge held."""
+        n = held.n_modes
         shapes = part.slopes @ held.vectors[:, : part.n].T
         # a held mode is one sine but for the change by bending and the bridge's ramp
         slope = np.sqrt(np.sum(shapes**2, axis=0))[:n]
@@ -93,14 +91,14 @@ class Phantoms:
         ----------
         compiled : component -> its modes as they are stepped.
         """
-        longitudinal = compiled[law.longitudinal or ""]
-        held = {name: HeldModes.of(compiled[name].basis, "bridge") for name in law.components}
+        longitudinal = compiled[law.longitudinal]
+        held = {name: HeldModes.of(compiled[name].basis, "bridge") for name in law.transverse}
         n = min(int(np.count_nonzero(h.freq_rad < 2 * np.pi * law.freq_coupled)) for h in held.values())
         freq = np.min([h.freq_rad[:n] for h in held.values()], axis=0)
         own = HeldModes.of(longitudinal.basis, "bridge")
         combined = np.stack([np.abs(np.subtract.outer(freq, freq)), np.add.outer(freq, freq)])
         audible = np.stack([~np.eye(n, dtype=bool), np.ones((n, n), dtype=bool)])
-        end = law.longitudinal or ""
+        end = law.longitudinal
         per_newton = response.heard_at(end, combined.ravel()).reshape(len(response.heard), *combined.shape)
         own_per_newton = response.heard_at(end, own.freq_rad)
         heard, moved = np.zeros((len(per_newton), n, n)), np.zeros((n, n))
@@ -118,7 +116,7 @@ class Phantoms:
             bent = 2.0 + (answer.sum(axis=0) if order else 0.0)
             heard += driven * (np.sum(per_newton * answer * audible, axis=1) + after[:, None, None] * bent)
         return cls(
-            {name: PartialSlopes.of(compiled[name], h).first(n) for name, h in held.items()},
+            {name: PartialSlopes.of(compiled[name].potentials[law.name], h).first(n) for name, h in held.items()},
             heard,
             _CENTS / tension * moved,
         )

@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.performance.effects.bridge_response import BridgeResponse
+from tonewood.physics.coupling.potentials.tension import stretch_weights
 from tonewood.physics.coupling.system import Compiled, System
-from tonewood.physics.coupling.tension import stretch_weights
 from tonewood.physics.modal.held_modes import HeldModes
 from tonewood.physics.modal.modes import ModalBasis
 

@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import accumulate, zip_longest
 from typing import Any, cast
 
@@ -27,19 +26,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.instrument.contract.base import Plugin
-from tonewood.instrument.contract.effects import Effect, Norms
+from tonewood.instrument.contract.effects import Effect, Norms, rise_of_tension
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.effects.base import Moment, SwitchedEffect, Switching, Watched, motion, next_multiple
+from tonewood.performance.effects.base import Moment, SwitchedEffect, Switching, Watched, next_multiple
 from tonewood.performance.effects.bridge_response import BridgeResponse
 from tonewood.performance.effects.phantoms import Phantoms
 from tonewood.performance.effects.sidebands import Sidebands
+from tonewood.performance.effects.switching import clear_memory, motion
 from tonewood.performance.effects.usage import Bound, EffectUsage
 from tonewood.performance.player.fretting import Fretting
 from tonewood.performance.player.gestures import places
 from tonewood.performance.player.timeline import GRID, Play, Timeline
-from tonewood.physics.coupling.geometric import GeometricShares, GeometricStretch
+from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
+from tonewood.physics.coupling.potentials.solve import active_potential
+from tonewood.physics.coupling.potentials.tension import TensionModulation, stretch_weights
 from tonewood.physics.coupling.system import Compiled, State, System
-from tonewood.physics.coupling.tension import TensionModulation, stretch_weights
 from tonewood.physics.stepping.forcing import Segment
 from tonewood.physics.stepping.motion import to_motion
 
@@ -97,16 +98,18 @@ class TensionEffect(SwitchedEffect):
         super().__init__(model, effect, plugins)
         system = model.system
         self.budget = model.choice.budget_cents
-        self._laws = {t.name: t for t in system.rising}
-        stiff = (name for name in plugins if model.strings[name].resonator.axial_stiffness > 0)
+        laws = [p for p in system.potentials if isinstance(p, TensionModulation | GeometricStretch)]
+        self._laws = {t.name: t for t in laws}
+        kinds = TensionModulation | GeometricStretch
+        stiff = (name for name in plugins if any(isinstance(p, kinds) for p in model.strings[name].potentials))
         self._strings = tuple(self._laws) if self.chosen else tuple(stiff)
         #: strings whose longitudinal motion is coupled
-        self.longitudinal = {g.name: g for g in system.stretches if g.longitudinal is not None}
+        self.longitudinal = {g.name: g for g in laws if isinstance(g, GeometricStretch)}
         # a mass that moves at a string, a hammer on its way, may give its energy to the string at the next moment
-        parts = [(i, c) for i, t in enumerate(system.rising) for c in (*t.components, *_partners(system, t))]
+        parts = [(i, c) for i, t in enumerate(laws) for c in (*t.transverse, *_partners(system, t))]
         self._slots = [system.slot(c) for _, c in parts]
         self._owner = np.array([i for i, _ in parts], dtype=np.intp)
-        self._planes = {t.name: [system.slot(c) for c in t.components] for t in system.rising}
+        self._planes = {t.name: [system.slot(c) for c in t.transverse] for t in laws}
         # computed once: tension and length, responses, bounds of strings as they are held
         self._held: dict[str, tuple[tuple[Compiled, ...], float, float]] = {}
         self._response: BridgeResponse | None = None
@@ -224,8 +227,7 @@ class TensionEffect(SwitchedEffect):
 
     def apply(self, system: System, on: Collection[str], frettings: Mapping[str, Fretting]) -> System:
         """Switch the tensions of these strings on, and all others off."""
-        same = all((t.name in on) == is_on for t, is_on in zip(system.rising, system.is_on, strict=True))
-        return system if same else system.with_tensions([t.name for t in system.rising if t.name in on])
+        return system.with_potentials([name for name in self._laws if name in on], self._laws)
 
     def cost(self, moment: Moment, component: str, on: bool) -> float:
         """Potential of a string's rising tension, J, with the sign of the switch; see the module."""
@@ -233,12 +235,11 @@ class TensionEffect(SwitchedEffect):
 
     def payers(self, component: str) -> Sequence[str]:
         """Transverse components of the string."""
-        return self._laws[component].components
+        return self._laws[component].transverse
 
     def reset(self, system: System, state: State, changed: Collection[str]) -> None:
         """Forget the additional tensions of the last steps."""
-        if state.tension.size:
-            state.tension[[t.name in changed for t in system.rising]] = 0.0
+        clear_memory(system, state, changed)
 
     def load(self, component: str) -> float:
         """Modes of the open string."""
@@ -302,7 +303,7 @@ class TensionEffect(SwitchedEffect):
             if cents[name] > self.budget or cents[name] == 0.0:  # beyond the budget, or at rest
                 alone[name] = math.inf if cents[name] else 0.0
                 continue
-            moving = {c: motion(system, state, c) for c in self._laws[name].components}
+            moving = {c: motion(system, state, c) for c in self._laws[name].transverse}
             alone[name] = self.sidebands(name, system, moment.frettings[name]).level(moving, peak)
             if name in self.longitudinal:
                 phantoms = self.phantoms(name, system, moment.frettings[name])
@@ -320,7 +321,7 @@ class TensionEffect(SwitchedEffect):
         if key not in self._sidebands:
             if len(self._sidebands) >= _KEPT:
                 del self._sidebands[next(iter(self._sidebands))]
-            compiled = {c: system.compiled[system.slot(c)] for c in self._laws[name].components}
+            compiled = {c: system.compiled[system.slot(c)] for c in self._laws[name].transverse}
             tension, length = self._tension_and_length(name, system)
             rise = self._laws[name].axial_stiffness / (4 * length * tension**2)
             self._sidebands[key] = Sidebands.of(compiled, rise, system, self._responses())
@@ -333,7 +334,7 @@ class TensionEffect(SwitchedEffect):
             if len(self._phantoms) >= _KEPT:
                 del self._phantoms[next(iter(self._phantoms))]
             law = self.longitudinal[name]
-            compiled = {c: system.compiled[system.slot(c)] for c in law.parts}
+            compiled = {c: system.compiled[system.slot(c)] for c in law.components}
             tension, _ = self._tension_and_length(name, system)
             self._phantoms[key] = Phantoms.of(law, compiled, tension, self._responses())
         return self._phantoms[key]
@@ -406,7 +407,7 @@ class TensionEffect(SwitchedEffect):
         cents = _DRAWN * self.rise(name, system, foreseen)
         if cents > self.budget or not levels:
             return Bound(cents, math.inf)
-        components = self._laws[name].components
+        components = self._laws[name].transverse
         plucked = dict.fromkeys(components, np.zeros(0))
         for component, point, factor in places(play, self.model):
             basis = system.compiled[system.slot(component)].basis
@@ -425,8 +426,7 @@ class TensionEffect(SwitchedEffect):
 
 def _partners(system: System, law: TensionModulation | GeometricStretch) -> list[str]:
     """Components that touch a string: hammers, fingers, rings."""
-    own = law.parts if isinstance(law, GeometricStretch) else law.components
-    there = [n for n in system.names if system.owners.get(n) == law.name and n not in own]
+    there = [n for n in system.names if system.owners.get(n) == law.name and n not in law.components]
     return [n for n in there if system.compiled[system.slot(n)].basis.is_real]
 
 
@@ -436,27 +436,10 @@ def potential(system: System, state: State, name: str) -> float:
     Without longitudinal motion psi^2 / 2, which is EA/(8 L) S^2 where it was off; with it, the energy of the coupling,
     which may be negative.
     """
-    index, law = next((i, t) for i, t in enumerate(system.rising) if t.name == name)
-    parts = law.parts if isinstance(law, GeometricStretch) else law.components
-    stretch = kappa = 0.0
-    shares, coordinates = [], []
-    for component in parts:
-        compiled = system.compiled[system.slot(component)]
-        x = np.asarray(system.modes_of(state, component), dtype=np.float64)
-        if compiled.tension is not None:
-            stretch += compiled.tension.stretch(x.T)
-            kappa = compiled.tension.kappa
-        if compiled.geometric is not None:
-            shares.append(compiled.geometric)
-            coordinates.append(compiled.geometric.coordinates(x.T))
-    excess = float(state.tension[index, 3]) if state.tension.size else 0.0
-    if shares:
-        return _coupled(tuple(shares)).energy(np.concatenate(coordinates)) + excess
-    return float(0.5 * (np.sqrt(kappa) * stretch + excess) ** 2)
-
-
-#: forms of strings as they are held: large, and needed again
-_coupled = lru_cache(maxsize=32)(GeometricShares)
+    active = active_potential(system, system.potential(name))
+    x = {slot: np.asarray(system.modes_of(state, system.names[slot]).T, dtype=np.float64) for slot in active.slots}
+    memory = state.potentials if state.potentials.size else system.start().potentials
+    return active.joined.stored(active.y(x), memory[active.memory])
 
 
 def largest(piece: Segment) -> float:
@@ -465,3 +448,14 @@ def largest(piece: Segment) -> float:
     extremum = -piece.c1 / (2 * piece.c2) if piece.c2 else 0.0
     times = np.array([0.0, length, extremum if 0.0 < extremum < length else 0.0])
     return float(np.max(np.abs(piece.c0 + times * (piece.c1 + times * piece.c2))))
+
+
+#: rising tension of a string; for plugins whose strings have it
+TENSION_MODULATION = Effect(
+    "tension_modulation", "tension that rises with amplitude: glides, turning planes", "detuning",
+    "a gesture's force bends the string so far that its tension would rise by more than the budget; every gesture that "
+    "moves a mass, a bow or a finger",
+    "the string's energy, which bounds the mean rise of its tension; its partials, which bound the sidebands",
+    bound=rise_of_tension, cost=lambda n: 8.0 * n, title="rising tension",
+    runtime=TensionEffect,
+)  # fmt: skip

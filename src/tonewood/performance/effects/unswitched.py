@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tonewood.instrument.contract.base import Plugin
-from tonewood.instrument.contract.effects import Effect
+from tonewood.instrument.contract.effects import Effect, nothing
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.effects.base import EffectReport, Foreseen, PlannedEffect, Run, RuntimeEffect
 from tonewood.performance.effects.usage import EffectUsage
@@ -53,7 +53,7 @@ class PickupEffect(RuntimeEffect):
         """Recorded groups will run all the time."""
         made, whole, out = self._recorded, ((0.0, foreseen.seconds),), []
         for name in self.components:
-            spans, why = (whole, "it is recorded") if name in made else ((), "nobody records it")
+            spans, why = (whole, "it is recorded") if name in made else ((), "it is not recorded")
             out.append(PlannedEffect(self.name, name, spans, why, None))
         return out
 
@@ -150,3 +150,27 @@ class ContactEffect(OccasionalEffect):
     def strings(self, usage: EffectUsage) -> list[str]:
         """Strings that have contacts with these parts."""
         return list(self._columns)
+
+
+#: a finger that quiets the string while it draws it; for exciters whose gestures have a `ta.Hold`
+DAMPERS = Effect(
+    "dampers", "fingers that quiet a string while they draw it", "additive", "from touch to release of each pluck",
+    "nothing: no finger is on the string otherwise", cost=nothing,
+    runtime=DamperEffect,
+)  # fmt: skip
+#: noises of a hand between notes; for exciters that `playing.noises` names
+FRETTING_NOISE = Effect(
+    "fretting_noise", "fingers that press a string to a stop, or leave it", "additive",
+    "a note's stop is another one than before", "nothing: no finger moves otherwise",
+    runtime=GestureEffect,
+)  # fmt: skip
+TOUCH_NOISE = Effect(
+    "touch_noise", "fingers that fall on a string to end a note", "additive", "each note that is damped",
+    "nothing: no finger moves otherwise",
+    runtime=GestureEffect,
+)  # fmt: skip
+SQUEAK = Effect(
+    "squeak", "fingers that rub the windings of a string as the hand slides", "additive",
+    "a note's stop lies far from the last one on a wound string", "nothing: no finger moves otherwise",
+    runtime=GestureEffect,
+)  # fmt: skip

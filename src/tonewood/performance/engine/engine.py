@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.effects import runtime_effects
-from tonewood.performance.effects.base import Moment, Run, SwitchedEffect, Switching, switch
+from tonewood.performance.effects.base import Moment, Run, SwitchedEffect, Switching
 from tonewood.performance.effects.gesture_connections import GestureConnections, holds_at
+from tonewood.performance.effects.switching import switch
 from tonewood.performance.effects.usage import EffectUsage
 from tonewood.performance.engine.schedule import Schedule
 from tonewood.performance.player.fretting import FrettedBases, Fretting, at_rest, bridge_forces
@@ -41,7 +42,7 @@ Floats = NDArray[np.float64]
 
 #: points of the control grid after which the engine stops at the latest
 _LONGEST = 64
-#: steps of strings with longitudinal motion that an energy budget makes again at most
+#: steps that an energy budget makes again at most where a potential acts
 _PIECE = 16
 
 
@@ -214,11 +215,11 @@ class Engine:
     def _book(self, before: State, forces: Floats) -> None:
         """Enter a run into the energy budget.
 
-        With longitudinal motion rounding grows faster: the run is stepped again from a copy, in pieces short enough.
+        Where potentials act rounding grows faster: the run is stepped again from a copy, in pieces short enough.
         """
         if (budget := self.energy_budget) is None:
             return
-        while self.system.geometric and before.sample + _PIECE < self.state.sample:
+        while self.system.resets and before.sample + _PIECE < self.state.sample:
             after = before.copy()
             _, piece = self.stepper.run(after, _PIECE, self.injections, self.controls)
             budget.follow(before, after, piece, self.injections, self.controls, self.active)

@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 ForceAtBridge = Callable[[str], float]
 
 #: compiled bases that are kept for use again, and of those of each string
-_CACHE, _WAYS = 96, 10
+_CACHE, _WAYS = 768, 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class Fretting:
 
 
 def at_rest(string: StringModel) -> Fretting:
-    """How a string is held that nobody plays: under its damper, if it has one."""
+    """Fretting of a string that is not being played: under its damper, if it has one."""
     return Fretting(damper=0.0 if string.damper is None else 1.0)
 
 

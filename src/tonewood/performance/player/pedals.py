@@ -8,15 +8,18 @@ mechanism: the one pressed farthest counts.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.player.timeline import Change
+from tonewood.performance.player.timeline import GRID, Change
 from tonewood.performance.score.note import Control
 
 SUSTAIN, SOSTENUTO, UNA_CORDA = "cc64", "cc66", "cc67"
+#: moves of a pedal times strings
+_MOST_MOVES = 1_000_000
 #: (time in s, value), in order; each value holds until the next
 Steps = list[tuple[float, float]]
 
@@ -35,10 +38,21 @@ class PedalCourses:
         keys = model.instrument.spec.keys
         moved = controls if keys is not None and keys.has_pedals else ()
         self._steps = {kind: pressed_farthest(moved, kind) for kind in (SUSTAIN, SOSTENUTO, UNA_CORDA)}
+        self.warnings: list[str] = []
+        for kind, steps in self._steps.items():
+            spacing = tick = GRID / model.fs
+            while len(kept := on_grid(steps, spacing)) * len(model.strings) > _MOST_MOVES:
+                spacing *= 2
+            if spacing > tick:
+                name = f"controller {kind[2:]} moves a pedal {len(steps)} times"
+                self.warnings.append(f"{name}: moves within {1e3 * spacing:.0f} ms are taken as one")
+            self._steps[kind] = kept
+        self._una_corda_times = [time for time, _ in self._steps[UNA_CORDA]]
 
     def una_corda(self, time: float) -> bool:
         """Whether the una corda pedal is down."""
-        return value_at(self._steps[UNA_CORDA], time) >= 0.5
+        i = bisect_right(self._una_corda_times, time)
+        return i > 0 and self._steps[UNA_CORDA][i - 1][1] >= 0.5
 
     def changes(self, pressed: Mapping[str, Sequence[tuple[float, float]]]) -> list[Change]:
         """Return how dampers move.
@@ -83,7 +97,13 @@ def damper_course(shares: Steps, lifted: Iterable[tuple[float, float]]) -> Steps
 
 
 def latched(steps: Steps, pressed: Mapping[str, Sequence[tuple[float, float]]]) -> dict[str, list[tuple[float, float]]]:
-    """Times during which the sostenuto pedal holds dampers: from its pressing on those of keys that are down then."""
+    """Times during which the sostenuto pedal holds dampers: from its pressing on those of keys that are down then.
+
+    Parameters
+    ----------
+    steps : of the pedal.
+    pressed : first string of a key -> (down, up) of the key, s, in order, one after the other.
+    """
     out: dict[str, list[tuple[float, float]]] = defaultdict(list)
     down = [(0.0, 0.0), *[(time, float(value >= 0.5)) for time, value in steps], (math.inf, 0.0)]
     began: float | None = None
@@ -92,7 +112,8 @@ def latched(steps: Steps, pressed: Mapping[str, Sequence[tuple[float, float]]]) 
             began = time
         elif after < before and began is not None:
             for leader, times in pressed.items():
-                if any(on <= began < off for on, off in times):
+                i = bisect_right(times, (began, math.inf)) - 1
+                if i >= 0 and began < times[i][1]:
                     out[leader].append((began, time))
             began = None
     return out
@@ -112,6 +133,6 @@ def pressed_farthest(controls: Sequence[Control], kind: str) -> Steps:
     return out
 
 
-def value_at(steps: Steps, time: float) -> float:
-    """The value that holds at a time; 0 before the first."""
-    return next((value for at, value in reversed(steps) if at <= time), 0.0)
+def on_grid(steps: Steps, spacing: float) -> Steps:
+    """The last of the steps in each interval of a grid (s)."""
+    return list({math.floor(time / spacing): (time, value) for time, value in steps}.values())

@@ -25,6 +25,8 @@ from tonewood.support.validation_messages import did_you_mean
 _READ_CONTROLLERS = ("cc7", "cc11", SUSTAIN)
 #: cents/s, how fast a bend follows its wheel: a string whose tension jumped would gain as much energy as tension
 BEND_RATE = 40e3
+#: bends of a score that are said to take long
+_MANY_BENDS = 2000
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,10 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
                 plays += noises(line, own, model, capo)
     if not plays:
         raise NothingPlayedError(_why_nothing(dropped), file=score.place)
-    warnings = list(score.warnings)
+    warnings = list(score.warnings) + pedals.warnings
+    n_bent = len({(c.string, c.stop, c.cents) for c in changes if c.cents is not None and c.stop is None})
+    if n_bent > _MANY_BENDS:
+        warnings.append(f"{n_bent} different bends of strings: the modes of each are computed anew, which takes long")
     if assignment.n_cut:
         warnings.append(f"{assignment.n_cut} notes end early: their string is needed again")
     if n_moved:
@@ -275,7 +280,10 @@ def _left_hand(
 
 
 def _glided(line: Sequence[Control], tick: float) -> list[Control]:
-    """Return the bends with leaps drawn out to steps, one per `tick` (s), at no more than the greatest rate."""
+    """Return the bends with leaps drawn out to steps, one per `tick` (s), at no more than the greatest rate.
+
+    Steps on the way are multiples of that rate, so that leaps there and back share the bases of their strings.
+    """
     out: list[Control] = []
     value, step = 0.0, BEND_RATE * tick
     for i, control in enumerate(line):
@@ -283,7 +291,8 @@ def _glided(line: Sequence[Control], tick: float) -> list[Control]:
         until = line[i + 1].time if i + 1 < len(line) else math.inf
         while value != control.value and time < until:
             way = control.value - value
-            value = control.value if abs(way) <= step else value + math.copysign(step, way)
+            on_grid = step * (math.floor(value / step + 1e-9) + 1 if way > 0 else math.ceil(value / step - 1e-9) - 1)
+            value = control.value if abs(way) <= step else on_grid
             out.append(Control(time, control.kind, value, control.channel))
             time += tick
     return out

@@ -6,19 +6,23 @@ tone; the bits of a slide are 1 shift, 2 legato, 4 and 8 out of the note, 16 and
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from fractions import Fraction
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
-from tonewood.performance.score.written import Curve, Measure, WrittenMusic, WrittenNote, WrittenPart, bend_curve
+from tonewood.performance.score.guitar_pro_file import bounded_reader, unknown_counted
+from tonewood.performance.score.limits import Allowance, number, whole
+from tonewood.performance.score.written import Curve, Measure, WrittenMusic, WrittenNote, WrittenPart, bend_curve, near
 from tonewood.performance.score.xml_files import member, number_of, parsed, text_of
 
 _QUARTER = 960
+#: quarter notes in a measure; parts of a whole note; notes of a tuplet; frets; bits of flags; ids in lists
+_LONGEST, _SHORTEST, _MOST_OF_TUPLET, _FRETS, _FLAGS, _MOST_REFERENCES = 1024, 4096, 1000, 99, 2**16, 300_000
+#: largest bend, quarter tones; elements of one bar, beat or note, which may be read very often
+_BENDS, _MOST_OF_ONE = 96.0, 300
 _NAMES = {"Whole": 4, "Half": 2, "Quarter": 1}
 _DYNAMICS = {"PPP": 15, "PP": 31, "P": 47, "MP": 63, "MF": 79, "F": 95, "FF": 111, "FFF": 127}
 _JUMPS = {
@@ -41,20 +45,29 @@ def read_guitar_pro(data: bytes, path: Path) -> WrittenMusic:
     ------
     ScoreError : pyguitarpro is not installed, or cannot read the file; one line.
     """
+    music = WrittenMusic(path, [], [])
     try:
-        import guitarpro
-    except ImportError:
-        raise ScoreError("Guitar Pro 3 to 5 need pyguitarpro: pip install 'tonewood[scores]'", file=path) from None
-    try:
-        song = guitarpro.parse(BytesIO(data))
-    except Exception as error:  # whatever a damaged file makes of a reader without checks
+        with unknown_counted(music.ignored):
+            song = bounded_reader(data, path).readSong()
+            _fill(music, song)
+    except Exception as error:  # whatever a damaged file makes of a reader without checks, and of its objects
+        limit = error if isinstance(error, ScoreError) else error.__cause__
+        if isinstance(limit, ScoreError):
+            raise limit from None
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ScoreError(f"damaged Guitar Pro file: {reason}", file=path) from None
-    music = WrittenMusic(path, [], [], {"title": song.title} if song.title else {})
+    return music
+
+
+def _fill(music: WrittenMusic, song: Any) -> None:
+    """Take over a song of pyguitarpro."""
+    music.metadata |= {"title": song.title} if song.title else {}
     endings = 0
     for header in song.measureHeaders:
-        numerator, denominator = header.timeSignature.numerator, header.timeSignature.denominator.value
-        measure = Measure(Fraction(4 * numerator, denominator), opens=header.isRepeatOpen)
+        over = whole(header.timeSignature.numerator, 1, 255)
+        under = whole(header.timeSignature.denominator.value, 1, 255)
+        music.ignored["time signature that cannot be read"] += over is None or under is None
+        measure = Measure(Fraction(4 * (over or 4), under or 4), opens=header.isRepeatOpen)
         measure.closes = header.repeatClose + 1 if header.repeatClose > 0 else 0
         # an ending lasts until the next one, or the end of its repeat
         endings = header.repeatAlternative or (0 if header.isRepeatOpen else endings)
@@ -65,33 +78,36 @@ def read_guitar_pro(data: bytes, path: Path) -> WrittenMusic:
                 measure.signs |= _jumps(direction.name.title().replace(" ", ""), music.ignored)
         music.measures.append(measure)
     if music.measures:
-        music.measures[0].tempos.append((Fraction(0), float(song.tempo)))
+        music.tempo(music.measures[0], Fraction(0), float(song.tempo))
     for track in song.tracks:
-        part = WrittenPart(track.name.strip(), capo=track.offset)
+        capo = whole(track.offset, 0, _FRETS)
+        music.ignored["capo that cannot be read"] += capo is None
+        part = WrittenPart(track.name.strip(), capo=capo or 0)
         if track.isPercussionTrack:
             music.ignored["note of a percussion track"] += sum(
                 len(beat.notes) for m in track.measures for v in m.voices for beat in v.beats
             )
         last: dict[int, Any] = {}
         for i, measure in enumerate(track.measures):
+            music.cells.take()
             notes: list[WrittenNote] = []
             for voice in measure.voices:
                 for beat in voice.beats:
                     at = Fraction((beat.start or measure.header.start) - measure.header.start, _QUARTER)
                     change = beat.effect.mixTableChange
                     if change is not None and change.tempo is not None and i < len(music.measures):
-                        tempo = (at, float(change.tempo.value))
-                        if tempo not in music.measures[i].tempos:
-                            music.measures[i].tempos.append(tempo)
+                        music.tempo(music.measures[i], at, float(change.tempo.value))
                     if track.isPercussionTrack:
                         continue
-                    notes += _beat(beat, at, track, last, music.ignored)
+                    music.signs.take(len(beat.notes))
+                    notes += _beat(beat, at, track, part.capo, last, music.ignored)
             part.measures.append(notes)
         music.parts.append(part)
-    return music
 
 
-def _beat(beat: Any, at: Fraction, track: Any, last: dict[int, Any], ignored: Counter[str]) -> list[WrittenNote]:
+def _beat(
+    beat: Any, at: Fraction, track: Any, capo: int, last: dict[int, Any], ignored: Counter[str]
+) -> list[WrittenNote]:
     """Notes of one beat; `last` has the note before on each string."""
     length = Fraction(beat.duration.time, _QUARTER)
     common: set[str] = set()
@@ -114,7 +130,7 @@ def _beat(beat: Any, at: Fraction, track: Any, last: dict[int, Any], ignored: Co
             ignored["note on a string that the track does not have"] += 1
             continue
         fret = before.value if kind == "tie" and before is not None else note.value
-        pitch = float(string.value + track.offset + fret)
+        pitch = float(string.value + capo + fret)
         signs = set(common)
         flags = {"palm_mute": effect.palmMute, "let_ring": effect.letRing, "vibrato": effect.vibrato}
         flags |= {"staccato": effect.staccato, "ghost": effect.ghostNote, "accent": effect.accentuatedNote}
@@ -131,7 +147,7 @@ def _beat(beat: Any, at: Fraction, track: Any, last: dict[int, Any], ignored: Co
         bend = _points(effect.bend, 50.0) if effect.bend else _points(bar, 50.0) if bar else ()
         if effect.grace is not None:
             own = ("hammer_on",) if effect.grace.transition.name == "hammer" else ()
-            grace = float(string.value + track.offset + effect.grace.fret)
+            grace = float(string.value + capo + effect.grace.fret)
             out.append(WrittenNote(at, Fraction(0), grace, note.string, effect.grace.fret, signs=()))
             signs |= set(own)
         picking, trill = effect.tremoloPicking, effect.trill
@@ -147,7 +163,7 @@ def _beat(beat: Any, at: Fraction, track: Any, last: dict[int, Any], ignored: Co
                 kind == "tie",
                 bend,
                 tremolo=Fraction(picking.duration.time, _QUARTER) if picking else None,
-                trill=float(string.value + track.offset + trill.fret) if trill else None,
+                trill=float(string.value + capo + trill.fret) if trill else None,
                 strum=place if stroke != "none" else 0,
             )
         )
@@ -178,7 +194,8 @@ def _harmonic(fret: int, pitch: float, natural: bool, signs: set[str], ignored: 
 
 
 def _points(effect: Any, unit: float) -> Curve:
-    return bend_curve([(p.position / effect.maxPosition, unit * p.value) for p in effect.points])
+    points = [(p.position / effect.maxPosition, unit * p.value) for p in effect.points]
+    return bend_curve([(share, cents) for share, cents in points if abs(cents) <= 50.0 * _BENDS])
 
 
 def read_gpif(data: bytes, path: Path) -> WrittenMusic:
@@ -189,107 +206,140 @@ def read_gpif(data: bytes, path: Path) -> WrittenMusic:
     return _Gpif(root, path).music()
 
 
+def _times(text: str) -> int:
+    """How often a measure is played up to a repeat sign, at most 32; 0 where it does not say."""
+    count = number(text, 0.0, 1e9)
+    return 0 if count is None else int(min(count, 32))
+
+
 class _Gpif:
     """Tables of a Guitar Pro 7 score, by id."""
 
     def __init__(self, root: Element, path: Path):
         self.root, self.path = root, path
-        self.ignored: Counter[str] = Counter()
+        self.references = Allowance(_MOST_REFERENCES, "bars, voices, beats and notes in lists", path)
         self.tables = {
             kind: {e.get("id", ""): e for e in root.findall(f"{kind}s/{kind}")}
             for kind in ("Bar", "Voice", "Beat", "Note", "Rhythm")
         }
+        #: element of a table -> its properties by name
+        self._properties: dict[Element, dict[str | None, Element]] = {}
+        for kind, table in self.tables.items():
+            for element in table.values():
+                if len(element) + len(element.findall("*/*")) > _MOST_OF_ONE:
+                    raise ScoreError(f"a {kind} of more than {_MOST_OF_ONE} elements", file=path)
 
     def music(self) -> WrittenMusic:
         """All tracks."""
         title = text_of(self.root, "Score/Title")
+        out = self.out = WrittenMusic(self.path, [], [], {"title": title} if title else {})
+        self.ignored = out.ignored
         bars = self.root.findall("MasterBars/MasterBar")
-        out = WrittenMusic(self.path, [self._measure(bar) for bar in bars], [], {"title": title} if title else {})
+        out.measures += [self._measure(bar) for bar in bars]
+        columns = [self._ids(bar, "Bars") for bar in bars]
         for change in self.root.findall("MasterTrack/Automations/Automation"):
             if text_of(change, "Type") == "Tempo":
-                i, share = int(number_of(change, "Bar", 0.0)), number_of(change, "Position", 0.0)
-                value = text_of(change, "Value").split()
-                if (
-                    0 <= i < len(out.measures)
-                    and value
-                    and re.fullmatch(r"\d+(\.\d+)?", value[0])
-                    and float(value[0]) > 0
-                ):
-                    at = Fraction(share).limit_denominator(960) * out.measures[i].length
-                    out.measures[i].tempos.append((at, float(value[0])))
+                self._tempo(change)
         column = 0
         for track in self.root.findall("Tracks/Track"):
             staves = track.findall("Staves/Staff") or [track]
             for staff in staves:
                 values = {p.get("name"): p for p in staff.findall("Properties/Property")}
-                tuning = [
-                    float(x) for x in text_of(values.get("Tuning"), "Pitches").split() if x.lstrip("-").isdecimal()
-                ]
-                part = WrittenPart(text_of(track, "Name"), capo=int(number_of(values.get("CapoFret"), "Fret", 0.0)))
+                pitches = text_of(values.get("Tuning"), "Pitches").split()
+                tuning = [pitch for pitch in (number(x, -128.0, 256.0) for x in pitches) if pitch is not None]
+                self.ignored["tuning of a string that cannot be read"] += len(pitches) - len(tuning)
+                capo = int(number_of(values.get("CapoFret"), "Fret", 0.0, 0.0, _FRETS))
+                part = WrittenPart(text_of(track, "Name"), capo=capo)
                 self.last: dict[int, tuple[int, Element]] = {}
-                part.measures = [self._bar(text_of(bar, "Bars").split(), column, tuning, part.capo) for bar in bars]
+                for ids in columns:
+                    out.cells.take()
+                    part.measures.append(self._bar(ids[column], tuning, capo) if column < len(ids) else [])
                 out.parts.append(part)
                 column += 1
-        out.ignored = +self.ignored
         return out
+
+    def _ids(self, element: Element | None, path: str) -> list[str]:
+        """Ids that an element lists."""
+        ids = text_of(element, path).split()
+        self.references.take(len(ids))
+        return ids
+
+    def _tempo(self, change: Element) -> None:
+        """Enter a change of tempo, if it says a measure, a place in it and a number."""
+        i = whole(text_of(change, "Bar", "0"), 0, len(self.out.measures) - 1)
+        share = number(text_of(change, "Position", "0"), 0.0, 1.0)
+        value = number(" ".join(text_of(change, "Value").split()[:1]), 0.0, 1e9)
+        if i is None or share is None or value is None:
+            self.ignored["tempo that cannot be read"] += 1
+            return
+        at = Fraction(share).limit_denominator(_QUARTER) * self.out.measures[i].length
+        self.out.tempo(self.out.measures[i], at, value)
 
     def _measure(self, bar: Element) -> Measure:
         over, _, under = text_of(bar, "Time", "4/4").partition("/")
-        good = over.isdecimal() and under.isdecimal() and int(under) > 0
-        measure = Measure(Fraction(4 * int(over), int(under)) if good else Fraction(4))
+        upper, lower = whole(over, 1, _LONGEST), whole(under, 1, _SHORTEST)
+        self.ignored["time signature that cannot be read"] += upper is None or lower is None
+        measure = Measure(Fraction(4) if upper is None or lower is None else Fraction(4 * upper, lower))
         if (repeat := bar.find("Repeat")) is not None:
             measure.opens = repeat.get("start") == "true"
-            count = repeat.get("count", "2")
-            measure.closes = min(int(count), 32) if repeat.get("end") == "true" and count.isdecimal() else 0
-        measure.endings = frozenset(int(n) for n in text_of(bar, "AlternateEndings").split() if n.isdecimal())
+            measure.closes = _times(repeat.get("count", "2")) if repeat.get("end") == "true" else 0
+        endings = [whole(n, 0, 9999) for n in self._ids(bar, "AlternateEndings")]
+        measure.endings = frozenset(n for n in endings if n is not None)
         for sign in (text_of(e, ".") for e in bar.findall("Directions/*")):
             measure.signs |= _jumps(sign, self.ignored)
         return measure
 
-    def _bar(self, bars: list[str], column: int, tuning: list[float], capo: int) -> list[WrittenNote]:
-        bar = self.tables["Bar"].get(bars[column]) if column < len(bars) else None
+    def _bar(self, number: str, tuning: list[float], capo: int) -> list[WrittenNote]:
         out: list[WrittenNote] = []
-        for voice in text_of(bar, "Voices").split():
+        for voice in self._ids(self.tables["Bar"].get(number), "Voices"):
             at = Fraction(0)
-            for number in text_of(self.tables["Voice"].get(voice), "Beats").split():
-                beat = self.tables["Beat"].get(number)
+            for beat_id in self._ids(self.tables["Voice"].get(voice), "Beats"):
+                beat = self.tables["Beat"].get(beat_id)
                 if beat is None:
                     self.ignored["beat that is not in the file"] += 1
                     continue
                 grace = beat.find("GraceNotes") is not None
                 length = Fraction(0) if grace else self._length(beat)
                 out += self._beat(beat, at, length, tuning, capo)
-                at += length
+                at = near(at + length)
         return out
+
+    def _values(self, element: Element) -> dict[str | None, Element]:
+        if element not in self._properties:
+            self._properties[element] = {p.get("name"): p for p in element.findall("Properties/Property")}
+        return self._properties[element]
 
     def _length(self, beat: Element) -> Fraction:
         reference = beat.find("Rhythm")
         rhythm = None if reference is None else self.tables["Rhythm"].get(reference.get("ref", ""))
         name = text_of(rhythm, "NoteValue", "Quarter")
-        digits = re.match(r"\d+", name)
-        length = Fraction(_NAMES[name]) if name in _NAMES else Fraction(4, int(digits[0])) if digits else Fraction(1, 2)
+        part = whole(name.rstrip("thnds"), 1, _SHORTEST)  # 16th, 32nd
+        length = Fraction(_NAMES[name]) if name in _NAMES else Fraction(4, part) if part else Fraction(1, 2)
+        self.ignored["note value that cannot be read"] += name not in (*_NAMES, "Eighth") and part is None
         dots = None if rhythm is None else rhythm.find("AugmentationDot")
-        n_dots = int(dots.get("count", "1")) if dots is not None and dots.get("count", "1").isdecimal() else 0
-        length *= 2 - Fraction(1, 2 ** min(n_dots, 4))
+        n_dots = 0 if dots is None else number(dots.get("count", "1"), 0.0, 1e9)
+        length *= 2 - Fraction(1, 2 ** int(min(n_dots or 0, 4)))
         tuplet = None if rhythm is None else rhythm.find("PrimaryTuplet")
         if tuplet is not None:
-            num = tuplet.get("num") or text_of(tuplet, "Num", "1")
-            den = tuplet.get("den") or text_of(tuplet, "Den", "1")
-            if num.isdecimal() and den.isdecimal() and int(num) > 0:
-                length *= Fraction(int(den), int(num))
+            num = whole(tuplet.get("num") or text_of(tuplet, "Num", "1"), 1, _MOST_OF_TUPLET)
+            den = whole(tuplet.get("den") or text_of(tuplet, "Den", "1"), 1, _MOST_OF_TUPLET)
+            if num is None or den is None:
+                self.ignored["tuplet that cannot be read"] += 1
+            else:
+                length *= Fraction(den, num)
         return length
 
     def _beat(self, beat: Element, at: Fraction, length: Fraction, tuning: list[float], capo: int) -> list[WrittenNote]:
-        values = {p.get("name"): p for p in beat.findall("Properties/Property")}
+        values = self._values(beat)
         common = {sign for name, sign in (("Slapped", "slap"), ("Popped", "pop")) if name in values}
         velocity = _DYNAMICS.get(text_of(beat, "Dynamic"), 79)
         strokes = {"1/2": 2, "1/4": 4, "1/8": 8}.get(text_of(beat, "Tremolo"))
         for name in ("WhammyBar", "FadeIn", "Fadding", "Rasgueado"):
             self.ignored[name.lower()] += name in values or beat.find(name) is not None
         brush = text_of(values.get("Brush"), "Direction")
-        numbers = text_of(beat, "Notes").split()
-        notes = [(n, self.tables["Note"].get(n)) for n in numbers]
-        out = [self._note(note, at, length, tuning, capo, velocity, common) for _, note in notes if note is not None]
+        notes = [self.tables["Note"].get(n) for n in self._ids(beat, "Notes")]
+        self.out.signs.take(len(notes))
+        out = [self._note(note, at, length, tuning, capo, velocity, common) for note in notes if note is not None]
         found = sorted((n for n in out if n is not None), key=lambda n: n.pitch, reverse=brush == "Up")
         return [
             WrittenNote(
@@ -319,18 +369,16 @@ class _Gpif:
         velocity: int,
         common: set[str],
     ) -> WrittenNote | None:
-        values = {p.get("name"): p for p in note.findall("Properties/Property")}
-        row, fret = (
-            int(number_of(values.get("String"), "String", -1.0)),
-            int(number_of(values.get("Fret"), "Fret", -1.0)),
-        )
+        values = self._values(note)
+        row = int(number_of(values.get("String"), "String", -1.0))
+        fret = int(number_of(values.get("Fret"), "Fret", -1.0, 0.0, _FRETS))
         if not 0 <= row < len(tuning) or fret < 0:
             self.ignored["note without string and fret"] += 1
             return None
         string, pitch, signs = len(tuning) - row, tuning[row] + capo + fret, set(common)
         switches = {"PalmMuted": "palm_mute", "Muted": "dead", "Tapped": "tapping"}
         signs |= {sign for name, sign in switches.items() if _on(values.get(name))}
-        accent = int(number_of(note, "Accent", 0.0))
+        accent = int(number_of(note, "Accent", 0.0, 0.0, _FLAGS))
         bits = {1: "staccato", 4: "marcato", 8: "accent"}
         signs |= {sign for bit, sign in bits.items() if accent & bit}
         elements = {"LetRing": "let_ring", "Vibrato": "vibrato", "AntiAccent": "ghost"}
@@ -338,16 +386,18 @@ class _Gpif:
         tie = note.find("Tie")
         tied = tie is not None and tie.get("destination") == "true"
         if (before := self.last.get(row)) is not None and not tied:
-            earlier = {p.get("name"): p for p in before[1].findall("Properties/Property")}
+            earlier = self._values(before[1])
             if _on(earlier.get("HopoOrigin")) and fret != before[0]:
                 signs.add("hammer_on" if fret > before[0] else "pull_off")
-            if int(number_of(earlier.get("Slide"), "Flags", 0.0)) & 3:
+            if int(number_of(earlier.get("Slide"), "Flags", 0.0, 0.0, _FLAGS)) & 3:
                 signs.add("slide")
-        self.ignored["slide into or out of a note"] += bool(int(number_of(values.get("Slide"), "Flags", 0.0)) & 60)
+        self.ignored["slide into or out of a note"] += bool(
+            int(number_of(values.get("Slide"), "Flags", 0.0, 0.0, _FLAGS)) & 60
+        )
         self.last[row] = fret, note
         if _on(values.get("Harmonic")):
             kind = text_of(values.get("HarmonicType"), "HType")
-            touched = round(number_of(values.get("HarmonicFret"), "HFret", float(fret)))
+            touched = round(number_of(values.get("HarmonicFret"), "HFret", float(fret), 0.0, _FRETS))
             fret, pitch = _harmonic(
                 touched if kind == "Natural" else fret,
                 tuning[row] + capo + (touched if kind == "Natural" else fret),
@@ -371,7 +421,7 @@ def _gpif_bend(values: dict[str | None, Element]) -> Curve:
         return ()
 
     def number(name: str, default: float) -> float:
-        return number_of(values.get(name), "Float", default)
+        return number_of(values.get(name), "Float", default, -50.0 * _BENDS, 50.0 * _BENDS)
 
     origin, middle, last = (number(f"Bend{n}Value", 0.0) for n in ("Origin", "Middle", "Destination"))
     points = [(number("BendOriginOffset", 0.0), origin), (number("BendDestinationOffset", 100.0), last)]

@@ -8,17 +8,17 @@ Source: MusicXML 4.0, W3C Music Notation Community Group, 2021.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
-from tonewood.performance.score.written import Curve, Measure, WrittenMusic, WrittenNote, WrittenPart, bend_curve
-from tonewood.performance.score.xml_files import as_number, member, number_of, parsed, text_of
+from tonewood.performance.score.limits import number, whole
+from tonewood.performance.score.written import Curve, Measure, WrittenMusic, WrittenNote, WrittenPart, bend_curve, near
+from tonewood.performance.score.xml_files import MOST, member, number_of, parsed, text_of
 
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
 _DYNAMICS = {"pppp": 8, "ppp": 20, "pp": 33, "p": 49, "mp": 64, "mf": 80, "f": 96, "ff": 112, "fff": 126, "ffff": 127}
@@ -38,70 +38,77 @@ _NUMBERS = {
     "alter", "bend-alter", "capo", "chromatic", "divisions", "duration", "fret", "octave", "octave-change",
     "per-minute", "string", "tremolo", "tuning-alter", "tuning-octave",
 }  # fmt: skip
-#: quarter notes per minute, and times that a measure is repeated
-_TEMPOS, _MOST_TIMES = (4.0, 2000.0), 32
-#: of the number of an ending
-_MOST_DIGITS = 4
+#: times that a measure is repeated, number of an ending, and of a line of a staff
+_MOST_TIMES, _MOST_ENDING, _MOST_LINES = 32, 9999, 1000
 
 
 def read_musicxml(data: bytes, path: Path) -> WrittenMusic:
     """Read MusicXML; raises a `ScoreError` of one line for a file that is none."""
+    pieces: Iterable[bytes] = (data,)
     if data[:2] == b"PK":
         container = parsed(member(data, "META-INF/container.xml", path), path)
         roots = [e.get("full-path", "") for e in container.iter() if _name(e) == "rootfile"]
         if not roots:
             raise ScoreError("names no score in its container", file=path)
-        data = member(data, roots[0], path)
-    root = parsed(data, path)
-    if root.tag == "score-timewise":
-        root = _partwise(root)
-    if root.tag != "score-partwise":
+        pieces = member(data, roots[0], path)
+    reader = _Reader(WrittenMusic(path, [], []))
+    root = parsed(pieces, path, reader.cell)
+    if root.tag not in ("score-partwise", "score-timewise"):
         raise ScoreError(f"is no score but <{root.tag}>", file=path)
-    names = {e.get("id"): text_of(e, "part-name") for e in root.iter("score-part")}
-    title = text_of(root, "work/work-title") or text_of(root, "movement-title")
-    music = WrittenMusic(path, [], [], {"title": title} if title else {})
-    for element in root.iter():
-        if element.tag in _NUMBERS and math.isnan(as_number(element.text or "", math.nan)):
-            music.ignored[f"{element.tag} that cannot be read"] += 1
-    for part in root.findall("part"):
-        reader = _PartReader(WrittenPart(names.get(part.get("id"), "")), music)
-        for i, measure in enumerate(part.findall("measure")):
-            reader.measure(measure, i)
-        music.parts.append(reader.part)
-    _number_endings(music.measures)
-    return music
+    return reader.music_of(root)
 
 
 def _name(element: Element) -> str:
     return element.tag.rpartition("}")[2]
 
 
-def _partwise(root: Element) -> Element:
-    """Return the score part by part."""
-    out = Element("score-partwise")
-    out.extend(e for e in root if e.tag != "measure")
-    parts: dict[str, Element] = {}
-    for measure in root.findall("measure"):
-        for part in measure.findall("part"):
-            name = part.get("id", "")
-            if name not in parts:
-                parts[name] = Element("part", {"id": name})
-                out.append(parts[name])
-            own = Element("measure", measure.attrib)
-            own.extend(part)
-            parts[name].append(own)
-    return out
+class _Reader:
+    """Reads measures as soon as they end in the file, part by part or measure by measure."""
+
+    def __init__(self, music: WrittenMusic):
+        self.music = music
+        #: element of a part, or its name in a score by measures -> its reader
+        self._parts: dict[Element | str, _PartReader] = {}
+
+    def cell(self, above: list[Element], element: Element) -> bool:
+        """Read an element if it is a measure of a part; returns whether it was."""
+        tags = above[0].tag, above[1].tag, element.tag
+        if tags == ("score-partwise", "part", "measure"):
+            self._reader(above[1]).measure(element)
+        elif tags == ("score-timewise", "measure", "part"):
+            self._reader(element.get("id", "")).measure(element)
+        else:
+            return False
+        return True
+
+    def _reader(self, part: Element | str) -> _PartReader:
+        if part not in self._parts:
+            self._parts[part] = _PartReader(WrittenPart(""), self.music)
+        return self._parts[part]
+
+    def music_of(self, root: Element) -> WrittenMusic:
+        """Return all parts, named."""
+        music = self.music
+        title = text_of(root, "work/work-title") or text_of(root, "movement-title")
+        music.metadata |= {"title": title} if title else {}
+        names = {e.get("id"): text_of(e, "part-name") for e in root.iter("score-part")}
+        if root.tag == "score-partwise":  # parts without a measure, too
+            self._parts = {part: self._reader(part) for part in root.findall("part")}
+        for part, reader in self._parts.items():
+            reader.part.name = names.get(part if isinstance(part, str) else part.get("id"), "")
+            music.parts.append(reader.part)
+        _number_endings(music.measures)
+        return music
 
 
 def _number_endings(measures: list[Measure]) -> None:
     """Let a repeat over endings be played once for each pass that they name."""
-    begin = 0
+    passes = 0  # of the measures since the repeat began
     for i, measure in enumerate(measures):
-        if measure.opens:
-            begin = i
-        if measure.closes:
-            passes = max([n for m in measures[begin : i + 2] for n in m.endings], default=0)
-            measure.closes = max(measure.closes, passes if measure.endings else 0)
+        passes = max([0 if measure.opens else passes, *measure.endings])
+        if measure.closes and measure.endings:
+            following = measures[i + 1].endings if i + 1 < len(measures) else ()
+            measure.closes = max([measure.closes, passes, *following])
 
 
 class _PartReader:
@@ -117,16 +124,20 @@ class _PartReader:
         self.vibrato = False
 
     def _quarters(self, element: Element, path: str = "duration") -> Fraction:
-        number = number_of(element, path, 0.0)
-        self.music.ignored += Counter({f"{path} below 0": number < 0})
-        return Fraction(max(number, 0.0)).limit_denominator(_MOST_DIVISIONS) / self.divisions
+        quarters = number_of(element, path, 0.0)
+        self.music.ignored[f"{path} below 0"] += quarters < 0
+        return Fraction(max(quarters, 0.0)).limit_denominator(_MOST_DIVISIONS) / self.divisions
 
-    def measure(self, element: Element, index: int) -> None:
-        """Read one measure."""
-        own = index == len(self.music.measures)
-        if own:
+    def measure(self, element: Element) -> None:
+        """Read the next measure."""
+        index = len(self.part.measures)
+        self.music.cells.take()
+        if index == len(self.music.measures):
             self.music.measures.append(Measure(Fraction(0)))
         measure = self.music.measures[index]
+        for e in element.iter():
+            if e.tag in _NUMBERS and number(e.text or "", -MOST, MOST) is None:
+                self.music.ignored[f"{e.tag} that cannot be read"] += 1
         notes: list[WrittenNote] = []
         now = longest = began = Fraction(0)
         n_chord = 0
@@ -136,14 +147,14 @@ class _PartReader:
                 chord = child.find("chord") is not None
                 if not chord:
                     began, n_chord = now, 0
-                    now += length
+                    now = near(now + length)
                 sign = self._note(child, began, length, n_chord)
                 if sign is not None:
                     notes.append(sign)
                     n_chord += 1
             elif child.tag in ("backup", "forward"):
                 step = self._quarters(child)
-                now = max(now + (step if child.tag == "forward" else -step), Fraction(0))
+                now = near(max(now + (step if child.tag == "forward" else -step), Fraction(0)))
             elif child.tag == "attributes":
                 self._attributes(child)
             elif child.tag in ("direction", "sound"):
@@ -155,8 +166,6 @@ class _PartReader:
         measure.endings = measure.endings or self.ending
         if self.ending and any(e.get("type") != "start" for e in element.iter("ending")):
             self.ending = frozenset()
-        while len(self.part.measures) < index:
-            self.part.measures.append([])
         self.part.measures.append(notes)
 
     def _attributes(self, element: Element) -> None:
@@ -168,13 +177,13 @@ class _PartReader:
         if (move := element.find("transpose")) is not None:
             self.transpose = number_of(move, "chromatic", 0.0) + 12 * number_of(move, "octave-change", 0.0)
         for staff in element.findall("staff-details"):
-            self.part.capo = int(number_of(staff, "capo", self.part.capo))
+            self.part.capo = int(number_of(staff, "capo", self.part.capo, 0.0, _MOST_LINES))
             lines = staff.findall("staff-tuning")
             for line in lines:
                 pitch = _pitch(line, "tuning-step", "tuning-alter", "tuning-octave")
                 if pitch is not None:
                     # lines count from the lowest, strings from the highest
-                    self.tuning[len(lines) + 1 - int(as_number(line.get("line", ""), 1.0))] = pitch
+                    self.tuning[len(lines) + 1 - (whole(line.get("line", ""), -_MOST_LINES, _MOST_LINES) or 1)] = pitch
 
     def _direction(self, element: Element, now: Fraction, measure: Measure) -> None:
         sound = element if element.tag == "sound" else element.find("sound")
@@ -188,21 +197,19 @@ class _PartReader:
             for name in ("tempo", "dynamics"):
                 if (said := sound.get(name)) is None:
                     continue
-                if (number := as_number(said, math.nan)) != number:
+                if (value := number(said, -MOST, MOST)) is None:
                     self.music.ignored["tempo or dynamics that is no number"] += 1
                 elif name == "tempo":
-                    bpm = number
+                    bpm = value
                 else:
-                    self.velocity = min(max(round(number * 0.9), 1), 127)
+                    self.velocity = min(max(round(value * 0.9), 1), 127)
             jumps = {"segno": "segno", "coda": "coda", "fine": "fine", "tocoda": "to_coda", "dacapo": "da_capo"}
             jumps |= {"dalsegno": "dal_segno"}
             measure.signs |= {sign for name, sign in jumps.items() if sound.get(name, "no") not in ("", "no")}
             mute = text_of(sound, "play/mute")
             self.palm = mute == "palm" if mute else self.palm
-        if bpm is not None and not _TEMPOS[0] <= bpm <= _TEMPOS[1]:
-            self.music.ignored["tempo outside 4 to 2000"] += 1
-        elif bpm is not None and (now, bpm) not in measure.tempos:
-            measure.tempos.append((now, bpm))
+        if bpm is not None:
+            self.music.tempo(measure, now, bpm)
         for kind in element.findall("direction-type/*"):
             if kind.tag == "dynamics":
                 level = next((e.tag for e in kind if e.tag in _DYNAMICS), None)
@@ -216,16 +223,15 @@ class _PartReader:
         repeat, ending = element.find("repeat"), element.find("ending")
         if ending is not None and ending.get("type") == "start":
             numbers = ending.get("number", "1").replace(",", " ").split()
-            self.ending = frozenset(int(n) for n in numbers if n.isdecimal() and len(n) <= _MOST_DIGITS) or frozenset(
-                {1}
-            )
+            self.ending = frozenset(n for n in (whole(n, 0, _MOST_ENDING) for n in numbers) if n is not None)
+            self.ending = self.ending or frozenset({1})
             measure.endings = self.ending
         if repeat is not None and repeat.get("direction") == "forward":
             measure.opens = True
         elif repeat is not None:
-            times = as_number(repeat.get("times", "2"), math.nan)
-            self.music.ignored += Counter({f"repeat times outside 1 to {_MOST_TIMES}": not 1 <= times <= _MOST_TIMES})
-            measure.closes = max(measure.closes, int(min(times, _MOST_TIMES)) if times >= 1 else 2)
+            times = number(repeat.get("times", "2"), 1, MOST)
+            self.music.ignored[f"repeat times outside 1 to {_MOST_TIMES}"] += times is None or times > _MOST_TIMES
+            measure.closes = max(measure.closes, int(min(times, _MOST_TIMES)) if times is not None else 2)
 
     def _note(self, element: Element, at: Fraction, length: Fraction, place: int) -> WrittenNote | None:
         if element.find("rest") is not None or element.find("cue") is not None:
@@ -234,8 +240,9 @@ class _PartReader:
         if pitch is None:
             self.music.ignored["unpitched note"] += 1
             return None
+        self.music.signs.take()
         signs, ignored = _signs(element)
-        self.music.ignored += ignored
+        self.music.ignored.update(ignored)
         if self.palm:
             signs.add("palm_mute")
         if text_of(element, "notehead") == "x":

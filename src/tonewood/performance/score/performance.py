@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -20,7 +21,7 @@ _IGNORED = {0xA0: "polyphonic pressure", 0xC0: "program change", 0xF0: "system e
 class _Channel:
     """State of a MIDI channel between messages; notes are indices into the performance's list."""
 
-    held: dict[int, list[int]] = field(default_factory=dict)
+    held: dict[int, deque[int]] = field(default_factory=dict)
     pedalled: dict[int, int] = field(default_factory=dict)
     pedal: bool = False
 
@@ -93,7 +94,7 @@ class ChannelReader:
     def _note_on(self, time: float, number: int, channel: _Channel, key: int, velocity: int) -> None:
         if key in channel.pedalled:
             self.ends[channel.pedalled.pop(key)] = time
-        held = channel.held.setdefault(key, [])
+        held = channel.held.setdefault(key, deque())
         if held:
             self._findings.add("key struck again before its note-off", where(number, key, time))
         if number == _PERCUSSION and not self._midi.is_member(number):
@@ -108,7 +109,7 @@ class ChannelReader:
         if not held:
             self._findings.add("note-off without a note, ignored", where(number, key, time))
             return
-        self._release(time, channel, key, held.pop(0))
+        self._release(time, channel, key, held.popleft())
 
     def _release(self, time: float, channel: _Channel, key: int, note: int) -> None:
         """Release a key: its note ends, or is left to the pedal, which holds one note per key."""

@@ -22,22 +22,33 @@ looks them up, and counts those that it lacks. Signs that nothing can follow are
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
-from collections import Counter
+from bisect import bisect_left, bisect_right
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
 
 from tonewood.errors import ScoreError
+from tonewood.performance.score.limits import MAX_CONTROLS, MAX_NOTES, MAX_TIME, Allowance
 from tonewood.performance.score.note import Control, Note, Score
+from tonewood.support.garbage import without_collecting
 
 RINGS, DEAD, STRUM = 8.0, 0.05, 0.012
 GRACE = Fraction(1, 8)
 #: Hz and cents of a vibrato, and s between two of its controls and of a bend's
 _VIBRATO, _DEPTH, _TICK = 5.5, 35.0, 0.02
-MAX_NOTES, _MOST_MEASURES = 200_000, 20_000
+#: measures that are played, those looked at on the way, and measures of all parts
+_MOST_MEASURES, _MOST_STEPS, _MOST_CELLS = 20_000, 200_000, 200_000
+#: tempo changes that are played, and notes that a grace note may be compared with in all
+_MOST_TEMPOS, _MOST_COMPARED = 100_000, 1_000_000
+#: quarter notes per minute
+_TEMPOS = (4.0, 2000.0)
+#: pitches of notes
+_PITCHES = (0.0, 140.0)
+#: denominators of times are rounded to
+_FINEST = 10**9
 #: jump that leads nowhere -> name by which it is counted
 _NOWHERE = {"dal_segno": "dal segno without a segno", "to_coda": "to coda without a coda"}
 #: (share of the note, cents), in order of the share
@@ -110,7 +121,12 @@ class WrittenPart:
 
 @dataclass
 class WrittenMusic:
-    """Content of a file of written music."""
+    """Content of a file of written music.
+
+    Attributes
+    ----------
+    signs, cells, changes : notes, measures of parts and tempo changes that may be read yet.
+    """
 
     file: Path
     measures: list[Measure]
@@ -119,20 +135,40 @@ class WrittenMusic:
     ignored: Counter[str] = field(default_factory=Counter)
     warnings: list[str] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        self.signs = Allowance(MAX_NOTES, "notes", self.file)
+        self.cells = Allowance(_MOST_CELLS, "measures of parts", self.file)
+        self.changes = Allowance(_MOST_TEMPOS, "tempo changes", self.file)
+
+    def tempo(self, measure: Measure, at: Fraction, bpm: float) -> None:
+        """Enter a change of tempo, quarter notes per minute; one out of range is counted."""
+        if not _TEMPOS[0] <= bpm <= _TEMPOS[1]:
+            self.ignored["tempo outside 4 to 2000"] += 1
+            return
+        self.changes.take()
+        measure.tempos.append((at, bpm))
+
+
+def near(time: Fraction) -> Fraction:
+    """Return a time, rounded where its denominator is beyond any that music has: sums of such would grow."""
+    return time if time.denominator <= _FINEST else time.limit_denominator(_FINEST)
+
 
 def order(measures: Sequence[Measure]) -> list[int]:
     """Measures in the order in which they are played, repeats, endings and jumps unfolded.
 
     Raises
     ------
-    ScoreError : they would go on for more than 20000 measures.
+    ScoreError : they would go on for more than 20000 measures, or ten times as many are passed over.
     """
     out: list[int] = []
     i = begin = 0
     passes, jumped = 1, False
     played: Counter[int] = Counter()
     targets = _targets(measures)
+    steps = Allowance(_MOST_STEPS, "measures, repeats unfolded, with those that are left out")
     while i < len(measures):
+        steps.take()
         measure = measures[i]
         past = i > 0 and bool(measures[i - 1].endings) and not measure.endings
         if (measure.opens or past) and begin != i:
@@ -181,15 +217,21 @@ def _targets(measures: Sequence[Measure]) -> list[dict[str, int | None]]:
 class _Clock:
     """Seconds of a time in quarter notes, with repeats unfolded."""
 
-    def __init__(self, measures: Sequence[Measure], played: Sequence[int]):
+    def __init__(self, measures: Sequence[Measure], played: Sequence[int], file: Path):
         self.starts: list[Fraction] = []
         now, bpm = Fraction(0), 120.0
         self._at, self._time, self._bpm = [Fraction(0)], [0.0], [bpm]
+        # of two tempos at one time the faster one
+        tempos = [list(dict(sorted(m.tempos)).items()) for m in measures]
+        changes = Allowance(_MOST_TEMPOS, "tempo changes, repeats unfolded", file)
         for i in played:
             self.starts.append(now)
-            for at, tempo in sorted(measures[i].tempos):
+            changes.take(len(tempos[i]))
+            for at, tempo in tempos[i]:
                 self._enter(now + at, tempo)
-            now += measures[i].length
+            now = near(now + measures[i].length)
+        if not 0.0 <= (end := self.seconds(now)) <= MAX_TIME:
+            raise ScoreError(f"{end:.6g} s of music, repeats unfolded: {MAX_TIME:.0f} s are allowed", file=file)
 
     def _enter(self, at: Fraction, bpm: float) -> None:
         self._time.append(self.seconds(at))
@@ -211,6 +253,7 @@ class _Sounding:
     sign: WrittenNote
 
 
+@without_collecting
 def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     """Play written music.
 
@@ -231,22 +274,31 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
         played = order(music.measures)
     except ScoreError as error:
         raise ScoreError(error.reason, file=music.file) from None
-    clock = _Clock(music.measures, played)
+    Allowance(_MOST_CELLS, "measures of parts, repeats unfolded", music.file).take(len(played) * len(chosen))
+    clock = _Clock(music.measures, played, music.file)
     notes: list[Note] = []
     controls: list[Control] = []
+    ignored = Counter(music.ignored)
     channels: dict[tuple[int, int], int] = {}
+    signs, strokes = (Allowance(MAX_NOTES, "notes, repeats unfolded", music.file) for _ in range(2))
+    bends = Allowance(MAX_CONTROLS, "controls of bends and vibrato", music.file)
+    compared = Allowance(_MOST_COMPARED, "notes that begin together with grace notes", music.file)
     for number in chosen:
         part = music.parts[number - 1]
-        sounding = list(_tied(part, played, clock.starts))
+        sounding = _tied(part, played, clock.starts, signs, compared)
         following = _following(sounding)
         for i, one in enumerate(sounding):
+            if not all(_PITCHES[0] <= p <= _PITCHES[1] for p in (one.sign.pitch, one.sign.trill or 0.0)):
+                ignored["note whose pitch is out of range"] += 1
+                continue
+            if not 0.0 <= clock.seconds(one.at) <= clock.seconds(one.end) <= MAX_TIME:
+                ignored["note that begins or ends beyond 6 hours"] += 1
+                continue
             channel = channels.setdefault((number, one.sign.string or 0), len(channels) % 16)
-            for note in _strokes(one, following.get(i), clock, part.capo):
-                notes.append(replace(note, channel=channel))
-            controls += _bends(one, channel, clock)
-        if len(notes) > MAX_NOTES:
-            raise ScoreError(f"{len(notes)} notes: {MAX_NOTES} are allowed", file=music.file)
-    ignored = Counter(music.ignored)
+            for note in _strokes(one, following.get(i), clock, part.capo, channel):
+                strokes.take()
+                notes.append(note)
+            controls += _bends(one, channel, clock, bends)
     for jumps in _targets(music.measures):
         ignored.update(_NOWHERE[jump] for jump, at in jumps.items() if at is None)
     warnings = list(music.warnings)
@@ -257,12 +309,15 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     return Score(notes, controls, (), warnings, music.file.stem, music.metadata, dict(+ignored), str(music.file))
 
 
-def _tied(part: WrittenPart, played: Sequence[int], starts: Sequence[Fraction]) -> Iterator[_Sounding]:
+def _tied(
+    part: WrittenPart, played: Sequence[int], starts: Sequence[Fraction], most: Allowance, compared: Allowance
+) -> list[_Sounding]:
     """Notes in order of time, ties joined and grace notes given their time."""
     out: list[_Sounding] = []
     latest: dict[tuple[int | None, float], _Sounding] = {}
     for i, start in zip(played, starts, strict=True):
         signs = part.measures[i] if i < len(part.measures) else []
+        most.take(len(signs))
         for sign in sorted(signs, key=lambda s: s.at):
             key = sign.string, sign.pitch
             before = latest.get(key)
@@ -276,14 +331,22 @@ def _tied(part: WrittenPart, played: Sequence[int], starts: Sequence[Fraction]) 
             out.append(latest[key])
     out.sort(key=lambda s: s.at)
     grace = [s for s in out if s.end == s.at]
+    together: dict[Fraction, list[_Sounding]] = defaultdict(list)
+    for s in out if grace else ():
+        if s.end > s.at:
+            together[s.at].append(s)
     for note in grace:
-        main = [s for s in out if s.at == note.at and s.end > s.at and s.sign.string in (note.sign.string, None)]
-        main = main or [s for s in out if s.at == note.at and s.end > s.at]
+        there = together[note.at]
+        compared.take(len(there))
+        main = [s for s in there if s.sign.string in (note.sign.string, None)] or there
         room = min([(s.end - s.at) / 4 for s in main], default=GRACE)
-        note.end = note.at + min(GRACE, room)
+        note.end = near(note.at + min(GRACE, room))
+        moved = {id(s) for s in main}
+        together[note.at] = [note, *(s for s in there if id(s) not in moved)]
         for s in main:
-            s.at = max(s.at, note.end)
-    yield from sorted(out, key=lambda s: s.at)
+            s.at = note.end
+            together[s.at].append(s)
+    return sorted(out, key=lambda s: s.at)
 
 
 def _following(sounding: Sequence[_Sounding]) -> dict[int, Fraction]:
@@ -298,7 +361,7 @@ def _following(sounding: Sequence[_Sounding]) -> dict[int, Fraction]:
     return out
 
 
-def _strokes(one: _Sounding, following: Fraction | None, clock: _Clock, capo: int) -> Iterator[Note]:
+def _strokes(one: _Sounding, following: Fraction | None, clock: _Clock, capo: int, channel: int) -> Iterator[Note]:
     """Play one sign: a note, or the strokes of a tremolo or trill."""
     sign, signs = one.sign, set(one.sign.signs)
     marks = tuple(sorted(signs - _PLAYED)) + (("tablature",) if sign.fret is not None else ())
@@ -313,7 +376,8 @@ def _strokes(one: _Sounding, following: Fraction | None, clock: _Clock, capo: in
         if sign.string is not None:
             end = clock.seconds(following) if following is not None else end + RINGS
     stop = None if sign.fret is None else float(sign.fret + capo)
-    note = Note(begin, max(end - begin, 0.02), note=sign.pitch, stop=stop, velocity_midi=velocity, marks=marks)
+    duration = max(end - begin, 0.02)
+    note = Note(begin, duration, note=sign.pitch, stop=stop, velocity_midi=velocity, marks=marks, channel=channel)
     stroke = sign.tremolo if sign.tremolo else Fraction(1, 8) if sign.trill is not None else None
     if stroke is None or one.at + stroke >= one.end:
         yield note
@@ -327,20 +391,21 @@ def _strokes(one: _Sounding, following: Fraction | None, clock: _Clock, capo: in
         extra: tuple[str, ...] = ()
         if sign.trill is not None and i:
             extra = ("hammer_on",) if other == (sign.trill > sign.pitch) else ("pull_off",)
-        fret = None if stop is None else stop + (pitch - sign.pitch)
+        fret = None if stop is None or stop + (pitch - sign.pitch) < 0 else stop + (pitch - sign.pitch)
         own = tuple(m for m in marks if i == 0 or m not in ("hammer_on", "pull_off", "slide"))
         yield replace(
             note, time=time, duration=max(clock.seconds(stop_at) - time, 0.02), note=pitch, stop=fret, marks=own + extra
         )
 
 
-def _bends(one: _Sounding, channel: int, clock: _Clock) -> list[Control]:
+def _bends(one: _Sounding, channel: int, clock: _Clock, most: Allowance) -> list[Control]:
     """Controls of a note's bend and vibrato, back to 0 at its end."""
     sign = one.sign
     if not sign.bend and "vibrato" not in sign.signs:
         return []
     begin, end = clock.seconds(one.at), clock.seconds(one.end)
     n = max(math.ceil((end - begin) / _TICK), 1)
+    most.take(n)
     out: list[Control] = []
     for i in range(n):
         share = i / n
@@ -357,10 +422,11 @@ def _at(curve: Curve, share: float) -> float:
     """Value of a curve between its points."""
     if not curve:
         return 0.0
-    for (a, low), (b, high) in pairwise(curve):
-        if a <= share <= b:
-            return high if b == a else low + (high - low) * (share - a) / (b - a)
-    return curve[0][1] if share < curve[0][0] else curve[-1][1]
+    if len(curve) == 1 or not curve[0][0] <= share <= curve[-1][0]:
+        return curve[0][1] if share < curve[0][0] else curve[-1][1]
+    i = max(bisect_left(curve, share, key=itemgetter(0)), 1)
+    (a, low), (b, high) = curve[i - 1 : i + 1]
+    return high if b == a else low + (high - low) * (share - a) / (b - a)
 
 
 def bend_curve(points: Sequence[tuple[float, float]]) -> Curve:

@@ -1,54 +1,157 @@
-"""XML of scores, plain or in a zip archive, without entities and within limits."""
+"""XML of scores, plain or in a zip archive: read piece by piece within limits, without a DTD of its own."""
 
 from __future__ import annotations
 
 import zipfile
 import zlib
+from collections.abc import Callable, Iterable, Iterator
 from io import BytesIO
 from pathlib import Path
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
+from typing import NoReturn
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
 
 from tonewood.errors import ScoreError
-from tonewood.support.units import number_in
+from tonewood.performance.score.limits import Allowance, number
 
-#: bytes of a file, and of a member of an archive
-MAX_BYTES = 64 * 2**20
+#: bytes of a file, and of a member of an archive, which may be so many times larger than its archive from a size on
+MAX_BYTES, _MOST_RATIO, _RATIO_FROM = 64 * 2**20, 300, 2**22
+#: files in an archive
+_MOST_MEMBERS = 10_000
+#: elements, one within the other, and characters of a text, a tag and a name
+MAX_ELEMENTS, _DEEPEST, _LONGEST = 1_000_000, 100, 2**21
+_LONGEST_NAME = 500
+#: elements, attributes and texts that are kept at a time: some 100 bytes each
+_MOST_KEPT = 2_000_000
+#: bytes that are parsed at a time
+_CHUNK = 1 << 16
 #: largest number in a score
 MOST = 1e9
+#: ways in which files of scores are compressed; others can grow without limit
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 #: raised by zipfile for a file that is no archive, or damaged
 _BROKEN_ARCHIVE = (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError, ValueError)
 
+#: (elements that are open, the root first; the element that ends) -> whether it is read and can be forgotten
+Cell = Callable[[list[Element], Element], bool]
 
-def parsed(data: bytes, path: Path) -> Element:
+
+def parsed(pieces: Iterable[bytes], path: Path, cell: Cell | None = None) -> Element:
     """Parse XML.
+
+    Parameters
+    ----------
+    pieces : of the file's bytes, in order.
+    path : for errors.
+    cell : called at the end of each child of a child of the root; the element is removed from the tree where it
+        returns True.
 
     Raises
     ------
-    ScoreError : it is not well formed, or declares entities; one line.
+    ScoreError : it is not well formed, has a DTD of its own or entities, or is beyond a limit; one line.
     """
-    head = data[:4096]
-    if b"<!ENTITY" in data[: 1 << 16]:
-        raise ScoreError("declares entities; a score needs none", file=path)
+    tree = _Tree(path, cell)
+    head = b""
     try:
-        return ElementTree.fromstring(data)
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        for piece in pieces:
+            head = head or piece[:4096]
+            tree.feed(piece)
+        return tree.close()
+    except (expat.ExpatError, ValueError, LookupError) as error:
         what = "not XML" if b"<" not in head else "damaged XML"
         raise ScoreError(f"{what}: {error}", file=path) from None
 
 
-def member(data: bytes, name: str, path: Path) -> bytes:
-    """Read a file of a zip archive.
+class _Tree:
+    """Tree of a document's elements, by the handlers of expat."""
+
+    def __init__(self, path: Path, cell: Cell | None):
+        self._path, self._cell, self._builder = path, cell, TreeBuilder()
+        self._open: list[Element] = []
+        self._elements = Allowance(MAX_ELEMENTS, "elements", path)
+        self._kept = self._kept_before = self._text = self._fed = 0
+        self._parser = parser = expat.ParserCreate(namespace_separator="}")
+        parser.buffer_text = True
+        parser.StartElementHandler, parser.EndElementHandler = self._start, self._end
+        parser.CharacterDataHandler = self._data
+        parser.StartDoctypeDeclHandler = self._doctype
+        parser.EntityDeclHandler = parser.UnparsedEntityDeclHandler = parser.ExternalEntityRefHandler = self._entity
+        parser.SkippedEntityHandler = self._entity
+
+    def feed(self, data: bytes) -> None:
+        """Parse the next bytes."""
+        for at in range(0, len(data), _CHUNK):
+            piece = data[at : at + _CHUNK]
+            self._parser.Parse(piece, False)
+            self._fed += len(piece)
+            if self._fed - self._parser.CurrentByteIndex > _LONGEST:
+                raise ScoreError(f"a tag or comment of more than {_LONGEST} bytes", file=self._path)
+
+    def close(self) -> Element:
+        """Return the root."""
+        self._parser.Parse(b"", True)
+        return self._builder.close()
+
+    def _doctype(self, name: str, system: str | None, public: str | None, internal: int) -> None:
+        """The name of a public DTD is read over: it is never fetched."""
+        if internal:
+            self._entity()
+
+    def _entity(self, *_: object) -> NoReturn:
+        raise ScoreError("declares or uses entities, or has a DTD of its own; a score needs none", file=self._path)
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        self._elements.take()
+        if len(self._open) >= _DEEPEST:
+            raise ScoreError(f"elements more than {_DEEPEST} deep", file=self._path)
+        if len(self._open) == 2:
+            self._kept_before = self._kept
+        names = [tag, *attributes]
+        if max(map(len, names)) > _LONGEST_NAME:  # with its namespace, which expat writes out in each of them
+            raise ScoreError(f"a name of more than {_LONGEST_NAME} characters", file=self._path)
+        self._keep(4 + len(attributes) + (sum(map(len, attributes.values())) >> 6) if attributes else 1)
+        self._text = 0
+        self._open.append(self._builder.start("{" + tag if "}" in tag else tag, attributes))
+
+    def _data(self, text: str) -> None:
+        self._keep(1 + (len(text) >> 6))
+        self._text += len(text)
+        if self._text > _LONGEST:
+            raise ScoreError(f"a text of more than {_LONGEST} characters", file=self._path)
+        self._builder.data(text)
+
+    def _keep(self, n: int) -> None:
+        self._kept += n
+        if self._kept > _MOST_KEPT:
+            raise ScoreError(f"more than {_MOST_KEPT} elements, attributes and texts", file=self._path)
+
+    def _end(self, tag: str) -> None:
+        self._text = 0
+        element = self._builder.end(tag)
+        self._open.pop()
+        if len(self._open) == 2 and self._cell is not None and self._cell(self._open, element):
+            del self._open[-1][-1]
+            self._kept = self._kept_before
+
+
+def member(data: bytes, name: str, path: Path) -> Iterator[bytes]:
+    """Yield the bytes of a file of a zip archive in pieces, as they are expanded.
 
     Raises
     ------
     ScoreError : the archive is damaged, the file is not in it or too large.
     """
+    most = min(MAX_BYTES, max(_MOST_RATIO * len(data), _RATIO_FROM))
     try:
-        with zipfile.ZipFile(BytesIO(data)) as archive:
-            if (size := archive.getinfo(name).file_size) > MAX_BYTES:
-                raise ScoreError(f"{name} has {size} bytes: {MAX_BYTES} are allowed", file=path)
-            return archive.read(name)
+        with _archive(data, path) as archive:
+            info = archive.getinfo(name)
+            if info.compress_type not in _METHODS:
+                raise ScoreError(f"{name} is compressed in an unusual way: deflate is allowed", file=path)
+            room = Allowance(most, f"bytes in {name}", path)
+            with archive.open(info) as file:
+                while piece := file.read(_CHUNK):
+                    room.take(len(piece))
+                    yield piece
     except KeyError:
         raise ScoreError(f"has no {name}", file=path) from None
     except _BROKEN_ARCHIVE as error:
@@ -58,10 +161,17 @@ def member(data: bytes, name: str, path: Path) -> bytes:
 def members(data: bytes, path: Path) -> list[str]:
     """Names of the files in a zip archive."""
     try:
-        with zipfile.ZipFile(BytesIO(data)) as archive:
+        with _archive(data, path) as archive:
             return archive.namelist()
     except _BROKEN_ARCHIVE as error:
         raise ScoreError(f"damaged archive: {error}", file=path) from None
+
+
+def _archive(data: bytes, path: Path) -> zipfile.ZipFile:
+    """Open an archive, its entries counted before they are read."""
+    if data.count(b"PK\x01\x02") > _MOST_MEMBERS:
+        raise ScoreError(f"more than {_MOST_MEMBERS} files in the archive", file=path)
+    return zipfile.ZipFile(BytesIO(data))
 
 
 def text_of(element: Element | None, path: str, default: str = "") -> str:
@@ -70,12 +180,7 @@ def text_of(element: Element | None, path: str, default: str = "") -> str:
     return default if found is None or found.text is None else found.text.strip()
 
 
-def number_of(element: Element | None, path: str, default: float) -> float:
-    """Number in a descendant's text; the default where there is none or it is none."""
-    return as_number(text_of(element, path), default)
-
-
-def as_number(text: str, default: float) -> float:
-    """Number that a text says; the default where it says none, or one beyond `MOST`."""
-    number = number_in(text)
-    return number if abs(number) <= MOST else default
+def number_of(element: Element | None, path: str, default: float, low: float = -MOST, high: float = MOST) -> float:
+    """Number in a descendant's text; the default where there is none, or none within bounds."""
+    value = number(text_of(element, path), low, high)
+    return default if value is None else value

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.physics.coupling.geometric import GeometricShare
-from tonewood.physics.coupling.phantoms import MEMORY, PhantomShare
-from tonewood.physics.coupling.tension import TensionShare
+from tonewood.physics.coupling.potentials.coordinates import ModalCoordinates
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import RealForm, apply, impulse_series
 
@@ -44,9 +44,7 @@ class Compiled:
     shares : (g, n_ports) these shares.
     compliance, residual : (g, g) m/N, its share of these gaps' compliance over one step, and of their residual
         compliance.
-    tension : its share of a tension, if it belongs to one.
-    geometric : its share of a string whose longitudinal motion is stepped, likewise.
-    phantom : its share of a string whose longitudinal motion is driven one way.
+    potentials : name of a potential that acts on it -> its share, what `Potential.share` returned.
     """
 
     basis: ModalBasis
@@ -64,11 +62,22 @@ class Compiled:
     shares: Floats
     compliance: Floats
     residual: Floats
-    tension: TensionShare | None = None
-    geometric: GeometricShare | None = None
-    phantom: PhantomShare | None = None
+    potentials: Mapping[str, Any] = field(default_factory=dict)
+    _joined: dict[str, tuple[tuple[Any, ...], Any]] = field(init=False, repr=False, default_factory=dict)
     _impulses: dict[str, Floats] = field(init=False, repr=False, default_factory=dict)
     _motions: dict[bytes, tuple[NDArray[np.intp], Floats]] = field(init=False, repr=False, default_factory=dict)
+
+    @cached_property
+    def coordinates(self) -> ModalCoordinates:
+        """Coordinates of its modes, which must be real."""
+        return ModalCoordinates.of(self.basis, self.dt, self.held)
+
+    def joined(self, name: str, shares: tuple[Any, ...], join: Callable[[tuple[Any, ...]], Any]) -> Any:
+        """The potential of a name joined of all its components' shares; the last result is kept with the first one."""
+        known = self._joined.get(name)
+        if known is None or any(a is not b for a, b in zip(known[0], shares, strict=True)):
+            self._joined[name] = known = shares, join(shares)
+        return known[1]
 
     def impulses(self, point: str) -> Floats:
         """`propagator.impulse_series` of a named point, kept for use again."""
@@ -150,10 +159,7 @@ class State:
     sample : steps taken since time 0.
     series : (m,) m, displacement of the residual compliance in series with nonlinear connections; empty is rest.
     slip : (m,) m/s, relative velocity of friction connections over the step before, 0 when sticking; empty is rest.
-    tension : (n_tensions, 4) mean additional tension of the last three steps, latest first, N, and psi - sqrt(kappa) S,
-        sqrt(J) (`tension`); empty is rest.
-    phantoms : (n_strings, MEMORY) of longitudinal motion that is driven one way (`phantoms`): forces that are due, N,
-        and its modes; empty is rest.
+    potentials : numbers of the potentials, one after another (`System.memory`); empty is rest.
     """
 
     modes: Floats
@@ -161,8 +167,7 @@ class State:
     sample: int = 0
     series: Floats = field(default_factory=lambda: np.zeros(0))
     slip: Floats = field(default_factory=lambda: np.zeros(0))
-    tension: Floats = field(default_factory=lambda: np.zeros((0, 4)))
-    phantoms: Floats = field(default_factory=lambda: np.zeros((0, MEMORY)))
+    potentials: Floats = field(default_factory=lambda: np.zeros(0))
 
     def copy(self) -> State:
         """Return an independent copy."""
@@ -172,15 +177,13 @@ class State:
             self.sample,
             self.series.copy(),
             self.slip.copy(),
-            self.tension.copy(),
-            self.phantoms.copy(),
+            self.potentials.copy(),
         )
 
     def restore(self, other: State) -> None:
         """Take over all of another state."""
         self.modes[:], self.forces[:], self.sample = other.modes, other.forces, other.sample
-        self.series, self.slip, self.tension = other.series.copy(), other.slip.copy(), other.tension.copy()
-        self.phantoms = other.phantoms.copy()
+        self.series, self.slip, self.potentials = other.series.copy(), other.slip.copy(), other.potentials.copy()
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tonewood.physics.coupling.c_functions import CFunction
+
 Floats = NDArray[np.float64]
 
 #: closer than this, relative to the compressions, slopes of discrete gradients are taken at the middle
@@ -264,34 +266,12 @@ class SampledPotential:
         return f, slope + (self.loss * abs(at_new) + self.damping) / dt
 
 
-class Scalar:
-    """A C function double(double) or double(double, void *) by its address.
-
-    Takes the arguments of SciPy's `LowLevelCallable`: one of these, a ctypes or cffi function pointer, a numba
-    ``cfunc``'s ``ctypes``, a PyCapsule; it is kept alive.
-
-    Raises
-    ------
-    ValueError : another signature.
-    """
+class Scalar(CFunction):
+    """A C function double(double) or double(double, void *)."""
 
     def __init__(self, function: Any):
-        from scipy import LowLevelCallable
-
-        callable_ = function if isinstance(function, LowLevelCallable) else LowLevelCallable(function)
-        signature = "".join(str(callable_.signature).split())
-        if signature not in ("double(double)", "double(double,void*)"):
-            raise ValueError(f"a user law is double(double) or double(double, void *), not {callable_.signature}")
-        self._alive = callable_
-        self.takes_data = "void" in signature
-        capsule = tuple.__getitem__(callable_, 0)  # the class hides its items behind properties
-        api = ctypes.pythonapi
-        api.PyCapsule_GetName.restype, api.PyCapsule_GetName.argtypes = ctypes.c_char_p, [ctypes.py_object]
-        api.PyCapsule_GetPointer.restype = api.PyCapsule_GetContext.restype = ctypes.c_void_p
-        api.PyCapsule_GetPointer.argtypes = [ctypes.py_object, ctypes.c_char_p]
-        api.PyCapsule_GetContext.argtypes = [ctypes.py_object]
-        self.address = int(api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule)) or 0)
-        self.data = int(api.PyCapsule_GetContext(capsule) or 0)
+        super().__init__(function, ("double(double)", "double(double,void*)"))
+        self.takes_data = "void" in self.signature
         arguments = (ctypes.c_double, ctypes.c_void_p)[: 2 if self.takes_data else 1]
         self._call: Callable[..., float] = ctypes.CFUNCTYPE(ctypes.c_double, *arguments)(self.address)
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +18,9 @@ from numpy.typing import NDArray
 from tonewood.physics.coupling.compiled import BLOCK_SIZE, PADDING, Compiled, Injection, PrescribedMotion, State
 from tonewood.physics.coupling.connections import Connection, LinearSolve, NonlinearSolve
 from tonewood.physics.coupling.elimination import Elimination, GapCompliance
-from tonewood.physics.coupling.geometric import GeometricStretch
 from tonewood.physics.coupling.laws import Friction
 from tonewood.physics.coupling.layout import Drive, Layout, Probe, Readout
-from tonewood.physics.coupling.phantoms import MEMORY, DrivenLongitudinal
-from tonewood.physics.coupling.tension import TensionModulation
+from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import apply, flow, powers, real_form
 
@@ -45,7 +45,12 @@ class System:
     """Components, connections and readouts at one step length.
 
     Build with `System.build`; exchange a component with `with_basis`, connections' laws with `with_laws`, and switch
-    tensions with `with_tensions`.
+    potentials with `with_potentials`.
+
+    Attributes
+    ----------
+    potentials : energies beside those of the modes, of any kinds.
+    on : which of them act.
     """
 
     dt: float
@@ -53,11 +58,8 @@ class System:
     compiled: tuple[Compiled, ...]
     connections: tuple[Connection, ...]
     elimination: Elimination
-    tensions: tuple[TensionModulation, ...] = ()
-    stretches: tuple[GeometricStretch, ...] = ()
-    is_on: tuple[bool, ...] = ()
-    phantoms: tuple[DrivenLongitudinal, ...] = ()
-    phantoms_on: tuple[bool, ...] = ()
+    potentials: tuple[Potential, ...] = ()
+    on: tuple[bool, ...] = ()
 
     def __repr__(self) -> str:
         modes = sum(c.basis.n_modes for c in self.compiled)
@@ -76,10 +78,8 @@ class System:
         dt: float,
         drives: Sequence[Drive] = (),
         capacities: Mapping[str, int] | None = None,
-        tensions: Sequence[TensionModulation] = (),
-        geometric: Sequence[GeometricStretch] = (),
+        potentials: Sequence[Potential] = (),
         owners: Mapping[str, str] | None = None,
-        phantoms: Sequence[DrivenLongitudinal] = (),
     ) -> System:
         """Compile.
 
@@ -87,14 +87,12 @@ class System:
         ----------
         components : name -> basis. One that `drives` name is driven one way: no connection may act on it.
         capacities : name -> modes to leave room for, where a component may later take a larger basis.
-        tensions : strings whose tension rises with their amplitude; all are on.
-        geometric : strings whose longitudinal motion is coupled to the transverse one; all are on.
+        potentials : energies beside those of the modes; all are on.
         owners : component -> string that it belongs to, of those that belong to one.
-        phantoms : strings whose longitudinal motion is driven one way; all are on.
 
         Raises
         ------
-        ValueError : a connection, probe, drive or tension names a component, point or connection that is not there.
+        ValueError : a connection, probe, drive or potential names a component, point or connection that is not there.
         """
         if not dt > 0:
             raise ValueError(f"a step is longer than {dt} s")
@@ -115,17 +113,7 @@ class System:
         for probe in (p for r in readouts for p in r.probes):
             if probe.component not in components:
                 raise ValueError(f"no component {probe.component!r} to read")
-        stretched = [name for t in tensions for name in t.components] + [name for g in geometric for name in g.parts]
-        for name in stretched:
-            if name not in components or name in driven or stretched.count(name) > 1:
-                raise ValueError(f"a tension needs two-way components of its own, not {name!r}")
-        for phantom in phantoms:
-            for name in (*phantom.components, *(name for name, _, _ in phantom.onto)):
-                if name not in components or name in driven or name in stretched:
-                    raise ValueError(f"{phantom.name}: its longitudinal motion cannot go with {name!r}")
-        if tensions and geometric:
-            both = f"{tensions[0].name} and {geometric[0].name}"
-            raise ValueError(f"{both}: where a string has longitudinal motion, all rising tensions go into `geometric`")
+        _check_potentials(potentials, components, driven)
         names, joined = tuple(components), tuple(connections)
         room = tuple(_padded(max(components[n].n_modes, (capacities or {}).get(n, 0))) for n in names)
         layout = Layout(names, room, joined, tuple(readouts), tuple(drives), dict(owners or {}))
@@ -135,11 +123,8 @@ class System:
             compiled=(),
             connections=joined,
             elimination=Elimination.of(joined, GapCompliance((), layout), dt),
-            tensions=tuple(tensions),
-            stretches=tuple(geometric),
-            is_on=(True,) * len(tensions or geometric),
-            phantoms=tuple(phantoms),
-            phantoms_on=(True,) * len(phantoms),
+            potentials=tuple(potentials),
+            on=(True,) * len(potentials),
         )
         return system.with_compiled({name: system.compile(name, components[name]) for name in names})
 
@@ -211,13 +196,13 @@ class System:
         a = self.layout.incidence[slot][gaps]
         compliance = a @ history[0, :, : len(ports)].T @ a.T
         residual = a @ basis.residual[ports][:, ports] @ a.T
-        tension = next((t.part(name, basis, self.dt, held) for t in self.tensions if name in t.components), None)
-        geometric = next((g.part(name, basis, held) for g in self.stretches if name in g.parts), None)
-        phantom = next((p.part(name, basis, self.dt) for p in self.phantoms if name in p.components), None)
+        potentials = [p for p in self.potentials if name in p.components]
+        if potentials and not basis.is_real:
+            raise ValueError(f"{potentials[0].name}: the modes of {name} must be real")
         return Compiled(
             basis, self.dt, form, ports, E, held, W, all_rows, history,
-            np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool), gaps, a, compliance, residual, tension,
-            geometric, phantom,
+            np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool), gaps, a, compliance, residual,
+            {p.name: p.share(name, basis, self.dt) for p in potentials},
         )  # fmt: skip
 
     def with_compiled(self, changes: Mapping[str, Compiled]) -> System:
@@ -245,10 +230,7 @@ class System:
 
     def _with(self, compiled: tuple[Compiled, ...], elimination: Elimination) -> System:
         # the same as `replace`, but quicker; several of these are made for every note
-        return System(
-            self.dt, self.layout, compiled, elimination.connections, elimination, self.tensions, self.stretches,
-            self.is_on, self.phantoms, self.phantoms_on,
-        )  # fmt: skip
+        return System(self.dt, self.layout, compiled, elimination.connections, elimination, self.potentials, self.on)
 
     def gaps(self, states: Sequence[Floats]) -> Floats:
         """(m,) m, gaps of all connections at states (n_modes, 2) by component slot, residual compliance at rest."""
@@ -258,36 +240,41 @@ class System:
                 total += self.incidence(i) @ np.einsum("pmx,mx->p", c.rows[: len(c.ports)], states[i])
         return total
 
-    def with_tensions(self, names: Collection[str]) -> System:
-        """Switch on the tensions of these names, and off all others.
+    def with_potentials(self, names: Collection[str], among: Collection[str] | None = None) -> System:
+        """Switch on the potentials of these names, and off all others; of those `among` these names, if given.
 
-        A string with longitudinal motion is then linear, too: its longitudinal motion is stepped, but no longer coupled
-        to the transverse one. The stored energy, EA/(8 L) S^2 without longitudinal motion, appears or vanishes with the
-        coupling: switch where it is small, or book it.
+        While a string's coupling to its longitudinal motion is off, that motion is stepped on its own. The energy that
+        a potential stores appears or vanishes with it: switch where it is small, or book it.
         """
-        known = [t.name for t in self.rising]
+        known = [p.name for p in self.potentials]
         if unknown := set(names) - set(known):
-            raise ValueError(f"no tension {sorted(unknown)}; there are {known}")
-        return replace(self, is_on=tuple(name in names for name in known))
-
-    def with_phantoms(self, names: Collection[str]) -> System:
-        """Switch on the longitudinal forces of these strings, and off all others."""
-        return replace(self, phantoms_on=tuple(p.name in names for p in self.phantoms))
-
-    @property
-    def rising(self) -> tuple[TensionModulation | GeometricStretch, ...]:
-        """Strings whose tension rises while it is on: all of one kind."""
-        return self.tensions or self.stretches
+            raise ValueError(f"no potential {sorted(unknown)}; there are {known}")
+        kept = known if among is None else among
+        pairs = zip(known, self.on, strict=True)
+        on = tuple(name in names if name in kept else is_on for name, is_on in pairs)
+        return self if on == self.on else replace(self, on=on)
 
     @property
-    def tension_on(self) -> tuple[bool, ...]:
-        """Which of `tensions` are on."""
-        return self.is_on if self.tensions else ()
+    def resets(self) -> bool:
+        """Whether a potential acts whose psi is put back every 64 steps."""
+        return any(on and not p.one_way for p, on in zip(self.potentials, self.on, strict=True))
 
     @property
-    def geometric(self) -> tuple[GeometricStretch, ...]:
-        """Strings whose longitudinal motion is coupled to the transverse one, and on."""
-        return () if self.tensions else tuple(s for s, on in zip(self.stretches, self.is_on, strict=True) if on)
+    def memory(self) -> tuple[slice, ...]:
+        """Place of each potential's numbers in `State.potentials`."""
+        ends = np.cumsum([0, *(p.memory for p in self.potentials)]).tolist()
+        return tuple(slice(*pair) for pair in pairwise(ends))
+
+    def joined(self, index: int) -> Any:
+        """Return a potential as it is stepped: `Potential.join` of its components' shares."""
+        potential = self.potentials[index]
+        parts = [self.compiled[self.slot(name)] for name in potential.components]
+        shares = tuple(part.potentials[potential.name] for part in parts)
+        return parts[0].joined(potential.name, shares, potential.join)
+
+    def potential(self, name: str) -> int:
+        """Index of a potential."""
+        return next(i for i, p in enumerate(self.potentials) if p.name == name)
 
     @property
     def offsets(self) -> tuple[int, ...]:
@@ -318,10 +305,17 @@ class System:
         """Return the state of rest."""
         m = len(self.connections)
         modes = np.zeros((2, sum(self.capacities)))
-        return State(
-            modes, np.zeros(m), 0, np.zeros(m), np.zeros(m), np.zeros((len(self.rising), 4)),
-            np.zeros((len(self.phantoms), MEMORY)),
-        )  # fmt: skip
+        return State(modes, np.zeros(m), 0, np.zeros(m), np.zeros(m), self.kept_memory(np.zeros(0)))
+
+    def kept_memory(self, memory: Floats) -> Floats:
+        """Numbers of the potentials: those given if they are of this system, zero where a potential is off."""
+        places = self.memory
+        size = places[-1].stop if places else 0
+        memory = memory if memory.size == size else np.zeros(size)
+        for place, on in zip(places, self.on, strict=True):
+            if not on:
+                memory[place] = 0.0
+        return memory
 
     def controlled(self, controls: Sequence[PrescribedMotion], start: int, n: int) -> dict[int, Floats]:
         """(4, n) offset at the beginning and the end of each step, velocity and scale, of controlled connections.
@@ -367,6 +361,17 @@ class System:
         """(m, m) m/N, ``compliance`` or ``residual`` of all components as the gaps see it."""
         gap = self.elimination.gap
         return gap.compliance if which == "compliance" else gap.residual
+
+
+def _check_potentials(potentials: Sequence[Potential], components: Collection[str], driven: Collection[str]) -> None:
+    """Refuse potentials of equal names, on components that are missing, driven one way, or of another potential."""
+    if len({p.name for p in potentials}) != len(potentials):
+        raise ValueError("two potentials have the same name")
+    own = [name for p in potentials for name in p.components]
+    for p in potentials:
+        for name in (*p.components, *p.targets):
+            if name not in components or name in driven or own.count(name) > (name in p.components):
+                raise ValueError(f"{p.name}: a potential needs two-way components of its own, not {name!r}")
 
 
 def _padded(n: int) -> int:

@@ -21,7 +21,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.physics.coupling.geometric_solve import GeometricSolve
+from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
+from tonewood.physics.coupling.potentials.solve import PotentialSolve
 from tonewood.physics.coupling.system import Compiled, Injection, PrescribedMotion, State, System
 from tonewood.physics.energy.forms import ComponentEnergy
 from tonewood.physics.energy.laws import LawEnergies
@@ -81,9 +82,12 @@ class EnergyAccount:
         self._changed = dict(self._initial)
 
     def stored(self, state: State) -> dict[str, float]:
-        """Stored energy of a state, J, by component, connection and tension."""
+        """Stored energy of a state, J, by component, connection and potential."""
         x = {name: modes[None] for name, modes in self._states(state).items()}
-        out = {name: float(values[0]) for name, values in self._of_components(x, state.tension[None]).items()}
+        out = {
+            name: float(values[0])
+            for name, values in self._of_components(x, self.system.kept_memory(state.potentials.copy())[None]).items()
+        }
         return out | self._laws.at(self._gaps(x)[0], state.series)
 
     def exchange(self, system: System) -> None:
@@ -120,25 +124,25 @@ class EnergyAccount:
         injections, controls : as the stepper was given them: the motion between the two ends is found from them anew.
         known : the forces behind the injections: their work is found from these.
 
-        The motion is made again from the forces. Where tensions rise far, its rounding errors grow within some hundred
+        The motion is made again from the forces. Where potentials act, its rounding errors grow within some hundred
         steps: follow pieces of 64 there, and of 16 with longitudinal motion.
         """
-        x, series, tension, memory = self._states(before), before.series, before.tension, before.phantoms
+        x, series, memory = self._states(before), before.series, before.potentials
         chunk = max(_CHUNK // self.interval, 1) * self.interval
         for start in range(0, len(forces), chunk):
             part, sample = forces[start : start + chunk], before.sample + start
-            again = step_again(self.system, x, tension, sample, part, injections, memory)
+            again = step_again(self.system, x, memory, sample, part, injections)
             path = again.states
             if start + chunk >= len(forces):
                 for name, end in self._states(after).items():
                     path[name][-1] = end
-                if after.tension.size:
-                    again.tension[-1] = after.tension
+                if after.potentials.size:
+                    again.memory[-1] = after.potentials
             within = self._laws.series(series, part)
             moving = self.system.controlled(controls, sample, len(part)) if controls else {}
             self._enter(sample, again, within, part, known, moving)
             x, series = {name: states[-1] for name, states in path.items()}, self._laws.spread(within[-1])
-            tension, memory = again.tension[-1], again.memory
+            memory = again.memory[-1]
 
     def trace(self) -> EnergyTrace:
         """The account so far."""
@@ -171,7 +175,8 @@ class EnergyAccount:
             if basis.is_real:
                 energy = ComponentEnergy(basis, basis.points, self.system.dt)
             else:
-                onto = [at for p in self.system.phantoms for component, at, _ in p.onto if component == name]
+                driven = (p for p in self.system.potentials if isinstance(p, DrivenLongitudinal))
+                onto = [at for p in driven for component, at, _ in p.onto if component == name]
                 points = list(dict.fromkeys([*ports, *self.driven_points.get(name, ()), *onto]))
                 index = np.array([basis.index(p) for p in points], dtype=np.intp)
                 storage = self.storages.get(name) or storage_matrix(basis.poles, basis.right[index], basis.left[index])
@@ -179,30 +184,20 @@ class EnergyAccount:
             self._energies[name] = (compiled, energy)
         return self._energies[name][1]
 
-    def _of_components(self, path: Mapping[str, Floats], tension: Floats) -> dict[str, Floats]:
-        """Stored energy (T,) of components and of the tensions that are on; `tension` (T, n_tensions, 4)."""
+    def _of_components(self, path: Mapping[str, Floats], memory: Floats) -> dict[str, Floats]:
+        """Stored energy (T,) of components and of the potentials that are on; `memory` (T, size) as in the state."""
         out = {name: self._energy_of(name).stored(x) for name, x in path.items()}
-        for t, (law, on) in enumerate(zip(self.system.tensions, self.system.tension_on, strict=True)):
-            parts = [(self.system.compiled[self.system.slot(name)].tension, path[name]) for name in law.components]
-            stretch = [(part.reading * x[..., 0]) ** 2 @ part.weights for part, x in parts if on and part is not None]
-            if stretch and parts[0][0] is not None:
-                psi = np.sqrt(parts[0][0].kappa) * np.sum(stretch, axis=0)
-                out[f"{law.name}.tension"] = 0.5 * (psi + (tension[:, t, 3] if tension.size else 0.0)) ** 2
-        if self.system.geometric:
-            solve, steps = GeometricSolve(self.system), len(next(iter(path.values())))
-            none = np.zeros((steps, 0, 2))
-            rows = tension if tension.size else np.zeros((steps, len(self.system.rising), 4))
-            states = ([path.get(name, none)[t] for name in self.system.names] for t in range(steps))
-            energies = np.array([solve.energies(x, row) for x, row in zip(states, rows, strict=True)])
-            out |= {
-                f"{law.name}.stretch": energies[:, t] for t, law in zip(solve.index, self.system.geometric, strict=True)
-            }
+        for p in PotentialSolve(self.system).active:
+            potential = self.system.potentials[p.index]
+            x = {slot: path[name] for slot, name in zip(p.slots, potential.components, strict=True)}
+            out[f"{potential.name}.{potential.label}"] = p.stored(x, memory[:, p.memory])
         return out
 
-    def _longitudinal(self, component: str, again: Path) -> Iterator[tuple[str, str, Floats]]:
-        """Yield label, point and force (T,) of the longitudinal forces that act on a component."""
-        on = [p for p, is_on in zip(self.system.phantoms, self.system.phantoms_on, strict=True) if is_on]
-        for string, force in zip(on, again.phantoms.T, strict=True):
+    def _driven(self, component: str, again: Path) -> Iterator[tuple[str, str, Floats]]:
+        """Yield label, point and force (T,) of one-way potentials that act on a component."""
+        on = [p for p, is_on in zip(self.system.potentials, self.system.on, strict=True) if is_on and p.one_way]
+        for string, force in zip(on, again.driven.T, strict=True):
+            assert isinstance(string, DrivenLongitudinal)
             for name, point, share in string.onto:
                 if name == component:
                     yield f"{string.name} longitudinal", point, share * force
@@ -234,7 +229,7 @@ class EnergyAccount:
         """Entries for the steps of one path."""
         T, dt, path, modal_forces = len(forces), self.system.dt, again.states, again.modal_forces
         stored, flows = (
-            self._of_components(path, again.tension),
+            self._of_components(path, again.memory),
             self._laws.over(self._gaps(path), series, forces, moving),
         )
         lost, supplied = dict(flows.lost), dict(flows.supplied)
@@ -243,7 +238,7 @@ class EnergyAccount:
             held = np.zeros((T, len(energy.points)))
             ports = [energy.points.index(p) for p in self.system.ports_of(name)]
             held[:, ports] = forces @ self.system.incidence(self.system.slot(name))
-            for label, point, tension in self._longitudinal(name, again):
+            for label, point, tension in self._driven(name, again):
                 column = energy.points.index(point)
                 held[:, column] += tension
                 moved = np.diff(self._displacement(name, point, x))

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.physics.coupling.geometric_solve import rising_solve
-from tonewood.physics.coupling.phantom_solve import PhantomForces
+from tonewood.physics.coupling.potentials.solve import DrivenForces, PotentialSolve
 from tonewood.physics.coupling.system import Injection, System
 
 Floats = NDArray[np.float64]
@@ -22,38 +21,34 @@ class Path:
     Attributes
     ----------
     states : name -> (T + 1, n_modes, 2).
-    modal_forces : name -> (T, n_modes), of rising tension and of longitudinal motion, for strings that have it.
-    tension : (T + 1, n_tensions, 4) rows of the state.
-    phantoms : (T, n_on) N, longitudinal forces of strings that are driven one way, over each step.
-    memory : of these forces after the last step, as in the state.
+    modal_forces : name -> (T, n_modes), of potentials, for components that have one.
+    memory : (T + 1, size) numbers of the potentials in the state.
+    driven : (T, n_on) N, forces of one-way potentials, over each step.
     """
 
     states: dict[str, Floats]
     modal_forces: dict[str, Floats]
-    tension: Floats
-    phantoms: Floats
     memory: Floats
+    driven: Floats
 
 
 def step_again(
     system: System,
     start: Mapping[str, Floats],
-    tension: Floats,
+    memory: Floats,
     sample: int,
     forces: Floats,
     injections: Sequence[Injection],
-    memory: Floats,
 ) -> Path:
     """Step the two-way components under known connection forces.
 
     Parameters
     ----------
     start : name -> (n_modes, 2).
-    tension : (n_tensions, 4) of the state at the start.
+    memory : numbers of the potentials at the start, as in the state.
     sample : absolute number of the first step.
     forces : (T, m) N, constant over each step.
     injections : state that known forces add.
-    memory : (n_strings, MEMORY) of the longitudinal forces at the start, as in the state.
     """
     names, T = list(start), len(forces)
     slots = [system.slot(name) for name in names]
@@ -79,32 +74,29 @@ def step_again(
     def by_slot(at: Floats) -> list[Floats]:
         return [at[spans[name]] if name in spans else none for name in system.names]
 
-    rising = rising_solve(system)
-    tensions = np.zeros((T + 1, len(system.rising), 4))
-    if tension.size:
-        tensions[0] = tension
-    slots_on = sorted(slot for string in rising.slots for slot in string) if rising else []
-    driven = PhantomForces(system)
-    memory, phantoms = memory.copy(), np.zeros((T, len(driven.on)))
+    solve, driven = PotentialSolve(system), DrivenForces(system)
+    memories, forces_of = np.tile(system.kept_memory(memory.copy()), (T + 1, 1)), np.zeros((T, len(driven.on)))
+    slots_on = sorted(slot for p in solve.active for slot in p.slots)
     modal_forces = {system.names[i]: np.zeros((T, system.compiled[i].basis.n_modes)) for i in slots_on}
     for t in range(T):
         x, y = path[t, :, 0], path[t, :, 1]
         path[t + 1, :, 0] += e00 * x + e01 * y
         path[t + 1, :, 1] += e10 * x + e11 * y
         before, free = by_slot(path[t]), by_slot(path[t + 1])
+        memories[t + 1] = memories[t]
         if driven.on:
-            phantoms[t] = driven.advance(before, memory)
-            for slot, vector, force in zip(driven.targets, driven.vectors, phantoms[t], strict=True):
+            forces_of[t] = driven.advance(before, memories[t + 1])
+            for slot, vector, force in zip(driven.targets, driven.vectors, forces_of[t], strict=True):
                 free[slot] += force * vector  # a view of the path
-        if rising is not None:
+        if solve.active:
             linear = system.solve
             alone = linear.constant - linear.apply(system.gaps(free) + linear.gamma * system.gaps(before))
-            over = rising.over(before, free, alone, tensions[t])
+            over = solve.over(before, free, alone, memories[t])
             mean = over.mean_under(forces[t])
         path[t + 1] += forced[t]
-        if rising is not None:
+        if solve.active:
             for slot, (q, direction, added) in over.modal.items():
                 modal_forces[system.names[slot]][t] = -direction * mean[q]
                 free[slot] += added * mean[q]
-            tensions[t + 1] = rising.carried(before, free, over, mean, tensions[t], sample + t + 1)
-    return Path({name: path[:, spans[name]] for name in names}, modal_forces, tensions, phantoms, memory)
+            memories[t + 1] = solve.carried(free, over, mean, memories[t + 1], sample + t + 1)
+    return Path({name: path[:, spans[name]] for name in names}, modal_forces, memories, forces_of)

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.physics.coupling.connections import Rigid, SpringDashpot
-from tonewood.physics.coupling.geometric_solve import rising_solve
 from tonewood.physics.coupling.inverse import scaled_pinv
 from tonewood.physics.coupling.laws import Friction
+from tonewood.physics.coupling.potentials.solve import PotentialSolve
 from tonewood.physics.coupling.system import State, System
 from tonewood.physics.stepping.motion import to_motion
 
@@ -24,21 +24,20 @@ class Energy:
     Attributes
     ----------
     modes : kinetic and potential energy of all two-way components.
-    tension : psi^2 / 2 of the strings whose rising tension is on: EA/(8 L) S^2 but for the error of the steps; of
-        strings with longitudinal motion, the energy beside that of their modes, which may be negative.
+    potentials : psi^2 / 2 - C of the potentials that are on: V but for the error of the steps; may be negative.
     connections : of springs and nonlinear potentials.
     residual : of residual compliance, of rigid joints and in series with nonlinear laws.
     """
 
     modes: float
-    tension: float
+    potentials: float
     connections: float
     residual: float
 
     @property
     def total(self) -> float:
         """All of it."""
-        return self.modes + self.tension + self.connections + self.residual
+        return self.modes + self.potentials + self.connections + self.residual
 
 
 def gaps(system: System, state: State) -> Floats:
@@ -53,7 +52,7 @@ def stored_energy(system: System, state: State) -> Energy:
     ------
     ValueError : a two-way component's modes are not real: their energy is not theirs alone to tell.
     """
-    modes = tension = springs = 0.0
+    modes = springs = 0.0
     for slot, (name, compiled) in enumerate(zip(system.names, system.compiled, strict=True)):
         if system.driven[slot]:
             continue
@@ -63,8 +62,8 @@ def stored_energy(system: System, state: State) -> Energy:
         q, velocity = to_motion(compiled.basis, x)
         modes += 0.5 * float(np.sum(velocity**2 + compiled.basis.stiffness * q**2))
     states = _states(system, state)
-    if (rising := rising_solve(system)) is not None:
-        tension += float(np.sum(rising.energies(states, state.tension)))
+    memory = system.kept_memory(state.potentials.copy())
+    potentials = float(np.sum(PotentialSolve(system).energies(states, memory)))
     gap = system.gaps(states)
     laws = [c.law for c in system.connections]
     rigid = np.array([isinstance(law, Rigid) for law in laws], dtype=bool)
@@ -82,7 +81,7 @@ def stored_energy(system: System, state: State) -> Energy:
             if not isinstance(nonlinear, Friction):
                 springs += nonlinear.energy(float(nonlinear.offset - g))
         residual += 0.5 * float(series @ scaled_pinv(system.nonlinear.residual) @ series)
-    return Energy(modes, tension, springs, residual)
+    return Energy(modes, potentials, springs, residual)
 
 
 def _states(system: System, state: State) -> list[Floats]:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from tonewood import _kernel
 from tonewood.physics.coupling.connections import LinearSolve
-from tonewood.physics.coupling.geometric import GeometricStretch
 from tonewood.physics.coupling.inverse import InverseInParts
 from tonewood.physics.coupling.laws import (
     CompiledPotential,
@@ -22,7 +21,9 @@ from tonewood.physics.coupling.laws import (
     SampledPotential,
     Scalar,
 )
-from tonewood.physics.coupling.phantom_solve import force_vector
+from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
+from tonewood.physics.coupling.potentials.solve import force_vector
+from tonewood.physics.coupling.potentials.tension import TensionShare
 from tonewood.physics.coupling.system import Compiled, System
 
 Floats = NDArray[np.float64]
@@ -112,18 +113,13 @@ def describe_component(compiled: Compiled, sets: PortSets, one_way: bool, loaded
             "from_contact": np.ascontiguousarray(response[:, contact][:, :, contact]),
             "on_rows": np.ascontiguousarray(response[:, contact][:, :, rows]),
         }
-    part = compiled.tension or compiled.geometric
-    if part is not None and not one_way:
-        none = np.zeros(compiled.basis.n_modes)
-        share = compiled.tension
-        names = (
-            ("a", share.weights if share else none),
-            ("half", share.half if share else none),
-            ("reading", part.reading),
-        )
+    if compiled.potentials and not one_way:
+        y, none = compiled.coordinates, np.zeros(compiled.basis.n_modes)
+        weights = next((p.weights for p in compiled.potentials.values() if isinstance(p, TensionShare)), none)
+        names = ("a", weights), ("reading", y.reading), ("stiffness", y.stiffness)
         out |= {name: packed(a[None, :, None])[0, 0] for name, a in names}
-        out["kick"] = packed(part.kick[None])[0]
-        out["velocity"] = packed(part.velocity.T[None])[0]
+        out["kick"] = packed(y.kick[None])[0]
+        out["velocity"], out["middle"] = packed(y.velocity.T[None])[0], packed(y.middle.T[None])[0]
     return out
 
 
@@ -151,50 +147,19 @@ def describe_linear(solve: LinearSolve, weights: Floats, port_sets: Sequence[Por
     return out
 
 
-def describe_tensions(system: System) -> Description:
-    """Describe the strings whose tension rises: (row of the state, EA/(4 L), components); their longitudinal motion."""
-    on = [t for t, is_on in enumerate(system.is_on) if is_on]
-    strings, stretches = [], []
-    for t in on:
-        law = system.rising[t]
-        slots = [system.slot(name) for name in (law.parts if isinstance(law, GeometricStretch) else law.components)]
-        first = system.compiled[slots[0]].tension
-        strings.append((t, 0.0 if first is None else first.kappa, slots))
-        if isinstance(law, GeometricStretch):
-            stretches.append(describe_stretch(system, slots))
-    return {"strings": strings, "stretches": stretches}
-
-
-def describe_phantoms(system: System) -> list[Description]:
-    """Describe the strings whose longitudinal motion is driven one way: EA, body, and their parts."""
+def describe_potentials(system: System) -> list[Description]:
+    """Describe the potentials that are on, those of a kind together: place in the state, components, and arrays."""
     out: list[Description] = []
-    for i, (string, on) in enumerate(zip(system.phantoms, system.phantoms_on, strict=True)):
-        if not on:
+    for i, (potential, memory) in enumerate(zip(system.potentials, system.memory, strict=True)):
+        if not system.on[i]:
             continue
-        shares = [(slot, system.compiled[slot].phantom) for slot in map(system.slot, string.components)]
-        parts = [{"slot": s, "weights": p.weights, "mirrored": p.mirrored} for s, p in shares if p is not None]
-        steps = next(p.steps for _, p in shares if p is not None)
-        target, vector = system.slot(string.onto[0][0]), packed(force_vector(system, string)[None])[0]
-        whole = {"index": i, "target": target, "scale": string.axial_stiffness, "vector": vector, "steps": steps}
-        out.append(whole | {"parts": parts})
-    return out
-
-
-def describe_stretch(system: System, slots: Sequence[int]) -> Description:
-    """Describe a string with longitudinal motion: EA L, whether there is such a motion, and its parts."""
-    parts = [(slot, part) for slot in slots if (part := system.compiled[slot].geometric) is not None]
-    return {
-        "scale": parts[0][1].scale,
-        "longitudinal": parts[-1][1].longitudinal,
-        "parts": [
-            {
-                "slot": slot,
-                "slopes": np.ascontiguousarray(part.slopes if part.stretch is None else part.stretch[None]),
-                "stiffness": np.ascontiguousarray(part.stiffness),
-            }
-            for slot, part in parts
-        ],
-    }
+        slots = [system.slot(name) for name in potential.components]
+        entry: Description = {"at": memory.start, "slots": slots, **system.joined(i).describe()}
+        if isinstance(potential, DrivenLongitudinal):
+            entry["target"] = system.slot(potential.targets[0])
+            entry["vector"] = packed(force_vector(system, potential)[None])[0]
+        out.append(entry)
+    return sorted(out, key=lambda entry: int(entry["kind"]))
 
 
 def law_arrays(

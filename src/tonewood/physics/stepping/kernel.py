@@ -21,7 +21,7 @@ from tonewood.errors import NumericalError, TonewoodError
 from tonewood.physics.coupling.connections import NonlinearGaps
 from tonewood.physics.coupling.inverse import Hub, InverseInParts
 from tonewood.physics.coupling.laws import NonlinearLaw
-from tonewood.physics.coupling.phantoms import MEMORY
+from tonewood.physics.coupling.potentials.base import Kind
 from tonewood.physics.coupling.system import Compiled, Injection, PrescribedMotion, State, System
 from tonewood.physics.stepping.description import (
     Description,
@@ -29,8 +29,7 @@ from tonewood.physics.stepping.description import (
     PortSets,
     describe_component,
     describe_linear,
-    describe_phantoms,
-    describe_tensions,
+    describe_potentials,
     law_arrays,
     packed,
     sort_ports,
@@ -42,8 +41,8 @@ _NONE = np.zeros(0, dtype=np.intp)
 _NO_MATRIX = np.zeros((0, 0))
 #: samples, at multiples of which a run may be cut without changing a bit
 _CUT = 64
-#: linear and nonlinear connections in use, which of these are contacts, components of geometric strings; hub, its ports
-_Use = tuple[bytes, bytes, bytes, frozenset[str], tuple[int, bytes] | None]
+#: linear and nonlinear connections in use, which of these are contacts, slots stepped sample by sample; hub, its ports
+_Use = tuple[bytes, bytes, bytes, frozenset[int], tuple[int, bytes] | None]
 #: ways in which all connections are used that are remembered
 _KEPT_PORT_SETS = 64
 #: (n, 4): nonlinear connection, component, port among its fixed or contact ports, whether it is a contact port; factors
@@ -157,19 +156,21 @@ class KernelStepper:
 
     def _describe(self, system: System, cached: frozenset[int]) -> Description:
         """Describe a system; components with a key among `cached` come without arrays."""
-        by, tensions = system.solve.by, describe_tensions(system)
+        by, potentials = system.solve.by, describe_potentials(system)
         hub = by.hub if isinstance(by, InverseInParts) else None
-        in_parts = hub is None or not any(hub.slot in slots for _, _, slots in tensions["strings"])
+        in_parts = hub is None or not any(hub.slot in p["slots"] for p in potentials if p["kind"] != Kind.PHANTOM)
         hub = hub if in_parts else None
-        port_sets, terms = self._sorted_ports(system, hub)
+        # these are stepped sample by sample: contacts on them are never left out, and have fixed ports
+        by_sample = (p["slots"] for p in potentials if p["kind"] in (Kind.LONGITUDINAL, Kind.USER))
+        coupled = frozenset(slot for slots in by_sample for slot in slots)
+        port_sets, terms = self._sorted_ports(system, hub, coupled)
         weights = system.force_weights()
         components = self._components(system, port_sets, terms)
         return {
             "components": [{"key": c["key"]} if c["key"] in cached else c for c in components],
             "linear": describe_linear(system.solve, weights, port_sets, in_parts),
             "nonlinear": self._laws_and_gaps(system, terms, np.ascontiguousarray(weights[:, self._nonlinear])),
-            "tensions": tensions,
-            "phantoms": describe_phantoms(system),
+            "potentials": potentials,
             "shortcuts": self._shortcuts,
         }
 
@@ -208,14 +209,13 @@ class KernelStepper:
             out.append(known[key])
         return out
 
-    def _sorted_ports(self, system: System, hub: Hub | None) -> tuple[list[PortSets], Terms]:
+    def _sorted_ports(self, system: System, hub: Hub | None, coupled: frozenset[int]) -> tuple[list[PortSets], Terms]:
         """Sort the ports of every component by the connections now in use.
 
         A component whose connections are used as before keeps its sets of ports: a note changes a few of hundreds.
         Where all are used as some time before (a finger comes and goes), all of it is kept.
         """
         is_contact = system.elimination.others.is_contact
-        coupled = frozenset(name for law in system.geometric for name in law.parts)
         met = None if hub is None else (hub.slot, hub.ports.tobytes())
         use = self._active.tobytes(), self._nonlinear.tobytes(), is_contact.tobytes(), coupled, met
         if use not in self._sorted_for:
@@ -225,7 +225,7 @@ class KernelStepper:
         return self._sorted_for[use]
 
     def _sort_ports(
-        self, system: System, hub: Hub | None, is_contact: NDArray[np.bool_], coupled: frozenset[str]
+        self, system: System, hub: Hub | None, is_contact: NDArray[np.bool_], coupled: frozenset[int]
     ) -> tuple[list[PortSets], Terms]:
         m = len(system.connections)
         place, law, culled = np.full(m, -1), np.full(m, -1), np.zeros(m, dtype=bool)
@@ -235,14 +235,14 @@ class KernelStepper:
         port_sets: list[PortSets] = []
         terms: list[tuple[int, int, int, bool]] = []
         factors: list[float] = []
-        for slot, (name, one_way) in enumerate(zip(system.names, system.driven, strict=True)):
+        for slot, one_way in enumerate(system.driven):
             at, shares = system.layout.touching[slot]
             ports = hub.ports if hub is not None and hub.slot == slot else None
             used = use[at]
-            way = f"{len(self._active)} {one_way or name in coupled} {name in coupled}".encode()
+            way = f"{len(self._active)} {one_way or slot in coupled} {slot in coupled}".encode()
             key = slot, used.tobytes(), way + (b"" if ports is None else ports.tobytes())
             if key not in self._port_sets:
-                self._port_sets[key] = sort_ports(shares, used, len(self._active), name in coupled, one_way, ports)
+                self._port_sets[key] = sort_ports(shares, used, len(self._active), slot in coupled, one_way, ports)
             sets, own = self._port_sets[key]
             port_sets.append(sets)
             for i, port, on_contact, factor in own:
@@ -295,7 +295,7 @@ class KernelStepper:
             raise ValueError(f"a state of {state.modes.dtype}; float64 is needed")
         s, on = self.system, self._nonlinear
         to_cut = -state.sample % _CUT
-        if 0 < to_cut < n and any(s.is_on):  # the kernel puts psi back at the ends of its windows
+        if 0 < to_cut < n and s.resets:  # the kernel puts psi back at the ends of its windows
             first = self._step(state, to_cut, injections, controls)
             kept, acted = first[2].copy(), set(self._acted)
             self._clear(first[2])
@@ -370,12 +370,7 @@ class KernelStepper:
         law_forces, solves = self._law_forces[: n * len(on)].reshape(n, len(on)), self.n_solves
         series, slip, last = state.series.take(on), state.slip.take(on), state.forces.take(on)
         active = [i for i in injections if i.start < state.sample + n and i.stop > state.sample]
-        if len(state.tension) != len(self.system.rising):
-            state.tension = np.zeros((len(self.system.rising), 4))
-        state.tension[[not is_on for is_on in self.system.is_on]] = 0.0
-        if len(state.phantoms) != len(self.system.phantoms):
-            state.phantoms = np.zeros((len(self.system.phantoms), MEMORY))
-        state.phantoms[[not is_on for is_on in self.system.phantoms_on]] = 0.0
+        state.potentials = self.system.kept_memory(state.potentials)
         slot, sample = self._kernel.run(
             state.modes,
             out,
@@ -386,8 +381,7 @@ class KernelStepper:
             series,
             slip,
             last,
-            state.tension,
-            state.phantoms,
+            state.potentials,
             state.sample % _CUT,
         )
         if slot != -1:

@@ -5,8 +5,8 @@ One step: propagate every component without connections, read the gaps, find the
     x_u = E x + injections,   g_u = sum A C x_u,   f = -G (g_u + gamma g) + G b',   x+ = x_u + W A^T f.
 
 Nonlinear connections see their gaps with the linear ones eliminated (`connections`), and their forces are found
-together (`law_solve`). The rising tension of a string, with its longitudinal motion where that is stepped, is one more
-linear force along a direction known beforehand (`tension`, `geometric`).
+together (`law_solve`). Each potential (a rising tension, a coupling to longitudinal motion) is one more linear force
+along a direction known beforehand (`potentials`).
 """
 
 from __future__ import annotations
@@ -18,12 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import NumericalError
-from tonewood.physics.coupling.geometric_solve import rising_solve
 from tonewood.physics.coupling.law_solve import FrictionBranch, Partners, find_forces, solve_branches
 from tonewood.physics.coupling.laws import Friction
-from tonewood.physics.coupling.phantom_solve import PhantomForces
+from tonewood.physics.coupling.potentials.solve import DrivenForces, PotentialSolve, PotentialsOverStep
 from tonewood.physics.coupling.system import Injection, PrescribedMotion, State, System
-from tonewood.physics.coupling.tension_solve import TensionsOverStep
 from tonewood.physics.modal.propagator import apply
 
 Floats = NDArray[np.float64]
@@ -58,8 +56,8 @@ class _Attempt:
     forces: Floats
     series: Floats
     slip: Floats
-    rising: TensionsOverStep | None
-    mean: Floats  # psi_m of the rising tensions
+    over: PotentialsOverStep | None
+    mean: Floats  # psi_m of the potentials
 
 
 class NumpyStepper:
@@ -68,8 +66,7 @@ class NumpyStepper:
     def __init__(self, system: System):
         self.system = system
         self.statistics = Statistics()
-        self._tension = rising_solve(system)
-        self._phantoms = PhantomForces(system)
+        self._potentials, self._driven = PotentialSolve(system), DrivenForces(system)
         self._careful = False
 
     def run(
@@ -97,9 +94,7 @@ class NumpyStepper:
         if s.nonlinear is not None:
             series = s.nonlinear.carried_series(series)
         slip = state.slip if state.slip.size else still.slip
-        tension = state.tension if state.tension.size else still.tension
-        memory = state.phantoms if state.phantoms.size else still.phantoms
-        memory[[not on for on in s.phantoms_on]] = 0.0
+        memory = s.kept_memory(state.potentials)
         moving = s.controlled(controls, state.sample, n)
         guess = np.asarray(state.forces, dtype=np.float64)
 
@@ -113,13 +108,13 @@ class NumpyStepper:
                     free[s.slot(injection.component)] += np.einsum(
                         "v,vmx->mx", injection.values[:, k], injection.vectors
                     )
-            due = self._phantoms.advance(x, memory)
-            for slot, vector, force in zip(self._phantoms.targets, self._phantoms.vectors, due, strict=True):
+            due = self._driven.advance(x, memory)
+            for slot, vector, force in zip(self._driven.targets, self._driven.vectors, due, strict=True):
                 free[slot] += force * vector
             self._check(free, time)  # before connections spread the fault to other components
             partners = self._partners({j: a[:, step] for j, a in moving.items()})
-            done = self._step(x, free, guess, series, slip, tension, partners, time)
-            start, x = x, done.x
+            done = self._step(x, free, guess, series, slip, memory, partners, time)
+            x = done.x
             series, slip, guess = done.series, done.slip, done.forces
             forces[step] = done.forces
             self._check(x, time)
@@ -129,15 +124,13 @@ class NumpyStepper:
                 np.add.at(out[step], compiled.readouts, value)
             out[step] += s.force_weights() @ done.forces
             # last: velocities that pay for psi are no part of the step's mean acceleration
-            if self._tension and done.rising:
-                tension = self._tension.carried(start, x, done.rising, done.mean, tension, state.sample + step + 1)
-            elif tension.size:
-                tension = np.zeros_like(tension)
+            if done.over is not None:
+                memory = self._potentials.carried(x, done.over, done.mean, memory, state.sample + step + 1)
         for i, name in enumerate(s.names):
             s.modes_of(state, name)[:] = x[i].T
         if n:
             state.forces[:] = forces[-1]
-        state.series, state.slip, state.tension, state.phantoms = series, slip, tension, memory
+        state.series, state.slip, state.potentials = series, slip, memory
         state.sample += n
         self.statistics.steps += n
         return out, forces
@@ -157,7 +150,7 @@ class NumpyStepper:
         return partners
 
     def _step(
-        self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats, tension: Floats,
+        self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats, memory: Floats,
         partners: Partners, time: float,
     ) -> _Attempt:  # fmt: skip
         """Find the forces of one step."""
@@ -172,7 +165,7 @@ class NumpyStepper:
             start = [guess]  # of the forces: those tried last
 
             def solve() -> _Attempt:
-                done = self._attempt(x, free, start[0], series, slip, tension, partners, branches)
+                done = self._attempt(x, free, start[0], series, slip, memory, partners, branches)
                 start[0] = done.forces
                 return done
 
@@ -193,7 +186,7 @@ class NumpyStepper:
             self._careful = False
 
     def _attempt(
-        self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats, tension: Floats,
+        self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats, memory: Floats,
         partners: Partners, branches: dict[int, FrictionBranch],
     ) -> _Attempt:  # fmt: skip
         """Find the forces, friction on its branches."""
@@ -201,20 +194,20 @@ class NumpyStepper:
         linear, nonlinear = s.solve, s.nonlinear
         gap, gap_free = s.gaps(x), s.gaps(free)
         f = linear.constant - linear.apply(gap_free + linear.gamma * gap)
-        rising = self._tension.over(x, free, f, tension) if self._tension else None
+        over = self._potentials.over(x, free, f, memory) if self._potentials.active else None
         mean = np.zeros(0)
-        if rising is not None:
-            mean = rising.mean(f)
-            gap_free = gap_free + rising.reach @ mean
-            f = f - linear.apply(rising.reach @ mean)
+        if over is not None:
+            mean = over.mean(f)
+            gap_free = gap_free + over.reach @ mean
+            f = f - linear.apply(over.reach @ mean)
         series, slip = series.copy(), slip.copy()
         if nonlinear is not None:
             on, Z = nonlinear.index, nonlinear.Z
             lag = (1 - nonlinear.theta) / nonlinear.theta * series[on]
             here, before = gap_free[on] + nonlinear.from_linear @ f - lag, gap[on] + series[on]
-            if rising is not None:
-                moved = rising.reach[on] - nonlinear.from_linear @ linear.apply(rising.reach)
-                answer = rising.answer(moved)
+            if over is not None:
+                moved = over.reach[on] - nonlinear.from_linear @ linear.apply(over.reach)
+                answer = over.answer(moved)
                 Z = Z + moved @ answer
             found = find_forces(
                 nonlinear.laws, Z, here, before, s.dt, partners, guess[on], branches, careful=self._careful
@@ -223,15 +216,14 @@ class NumpyStepper:
             self.statistics.iterations += found.iterations
             self.statistics.most_iterations = max(self.statistics.most_iterations, found.iterations)
             if not found.converged:
-                strings = [t.name for t in s.rising]
-                acting = [s.connections[j].name for j in on[found.forces != 0.0]] or strings
+                acting = [s.connections[j].name for j in on[found.forces != 0.0]] or [p.name for p in s.potentials]
                 names = ", ".join(acting or [s.connections[j].name for j in on])
                 raise ValueError(f"the forces of {names} were not found")
             f = f - nonlinear.answer @ found.forces
-            if rising is not None:
+            if over is not None:
                 more = answer @ found.forces
                 mean = mean + more
-                f = f - linear.apply(rising.reach @ more)
+                f = f - linear.apply(over.reach @ more)
             f[on] = found.forces
             series[on] = nonlinear.residual @ found.forces / nonlinear.theta - lag
             for i, friction in branches.items():
@@ -239,6 +231,6 @@ class NumpyStepper:
         after = [
             free[i] + np.einsum("p,pmx->mx", s.incidence(i).T @ f, c.W) for i, c in enumerate(s.compiled)
         ]  # fmt: skip
-        if rising is not None:
-            after = rising.after(after, mean)
-        return _Attempt(after, f, series, slip, rising, mean)
+        if over is not None:
+            after = over.after(after, mean)
+        return _Attempt(after, f, series, slip, over, mean)

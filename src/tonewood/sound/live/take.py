@@ -109,6 +109,22 @@ def _settings(title: str) -> dict[str, str]:
     return dict(part.split("=", 1) for part in parts if "=" in part) if heading == _HEADING else {}
 
 
+#: least and largest value of the settings of a take
+_RANGES = {"fs": (8000.0, 768000.0), "ramp": (0.0, 1.0), "spacing": (0.0, 1e6)}
+
+
+def _number(settings: dict[str, str], name: str, default: float, path: str | os.PathLike[str]) -> float:
+    """Return the number of a setting; raises a `TonewoodError` where it is none, or out of its range."""
+    text, (least, most) = settings.get(name, str(default)), _RANGES[name]
+    try:
+        if least <= (value := float(text)) <= most:
+            return value
+    except ValueError:
+        pass
+    reason = f"the take has the value {text[:40]!r}; a number from {least:g} to {most:g} is needed"
+    raise TonewoodError(reason, file=path, key=name)
+
+
 class Replay:
     """Plays a MIDI file as if it were coming in live: no note knows those that follow.
 
@@ -137,8 +153,9 @@ class Replay:
         messages, end, texts = read_messages(path)
         found = _settings(texts.get("title", ""))
         options = RenderOptions.of(options, fs, settings)
+        recorded = _number(found, "fs", options.fs, path)
         if "fs" not in options.model_fields_set and "fs" in found:
-            options = options.at(fs=int(found["fs"]))
+            options = options.at(fs=int(recorded))
         wrong = [name for name in ("lead_in", "energy") if getattr(options, name)]
         if wrong:
             raise TonewoodError("needs a score that is known before; a replay is played as it comes", key=wrong[0])
@@ -146,8 +163,8 @@ class Replay:
         ended = {name: getattr(defaults, name) for name in ("tail", "tail_level_db", "max_duration")}
         self.live = Live(
             instrument,
-            ramp=float(found.get("ramp", 5e-3)) if ramp is None else ramp,
-            spacing=int(found.get("spacing", 2)) if spacing is None else spacing,
+            ramp=_number(found, "ramp", 5e-3, path) if ramp is None else ramp,
+            spacing=int(_number(found, "spacing", 2, path)) if spacing is None else spacing,
             prepare=False,
             options=options.at(**ended),
         )
@@ -156,9 +173,8 @@ class Replay:
         self._messages = [(round(time * self.fs), (status, a, b)) for time, status, a, b in messages]
         self._end = round(end * self.fs)
         self.model, self.energy = self.live.model, None
-        recorded = int(found.get("fs", self.fs))
         self._warnings = (
-            [] if recorded == self.fs else [f"recorded at {recorded} Hz: its samples are those at that rate"]
+            [] if recorded == self.fs else [f"recorded at {recorded:.0f} Hz: its samples are those at that rate"]
         )
         self._over, self._loudest = "", 0.0
 

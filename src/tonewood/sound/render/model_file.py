@@ -2,7 +2,8 @@
 
 A file holds named arrays: first the line ``tonewood-arrays/1``, then for each array a line ``name type n0 n1 ...``
 (type ``f8`` or ``i8``, sizes in decimal; none for a single number) and right after its newline the numbers,
-little-endian, 8 bytes each, the last index fastest. ``src/embed/arrays.hpp`` reads it.
+little-endian, 8 bytes each, the last index fastest. Numbers are finite, names consist of letters, digits and ``_/.-``.
+``src/embed/arrays.hpp`` reads it.
 
 Names are the paths of `KernelStepper.describe`, ``components/0/e``. Beside these stand ``capacity`` (modes of the
 state), ``n_channels``, ``fs`` (Hz, of the steps), ``scale`` (n_channels,) from readouts to full scale, and known forces
@@ -106,6 +107,8 @@ def recorded(system: System, plucks: Sequence[Sequence[Injection]] = (), isa: st
     description = stepper.describe()
     if description["nonlinear"]["functions"]:
         raise TonewoodError("a law that is a function in memory cannot be saved", key="connections")
+    if any("function" in potential for potential in description["potentials"]):
+        raise TonewoodError("a potential that is a function in memory cannot be saved", key="potentials")
     description["capacity"] = state.modes.shape[1]
     description["n_channels"] = len(system.readouts)
     description["plucks"] = [stepper.pack_injections(pluck, state.sample) for pluck in plucks]

@@ -43,9 +43,13 @@ def of_misfit(misfit: Complexes, width: int = _MISFIT) -> Floats:
 
 
 def tied(alpha: float, step: float) -> float:
-    """Factor by which an exponential window raises the noise of a bin, since it ties neighbours to one another.
+    """Bound on the factor by which an exponential window raises the error of a fit over that of independent bins.
 
-    sqrt(x coth x) with x = alpha T / 2, T = 1 / step: the information of N tied bins is that of fewer free ones.
+    The window ties neighbouring bins to one another. In time, noise of a level sigma in all bins has the power
+    sigma^2 w^2(t) / <w^2>, w = exp(-alpha t) over T = 1 / step, and a response that has decayed before the window has
+    is met by that of the beginning, w = 1:
+
+        1 / sqrt(<w^2>) = sqrt(2 x / (1 - exp(-2 x))),   x = alpha T.
     """
-    x = 0.5 * alpha / step
-    return float(np.sqrt(x / np.tanh(x))) if x > 1e-6 else 1.0
+    x = alpha / step
+    return float(np.sqrt(2 * x / -np.expm1(-2 * x))) if x > 1e-6 else 1.0

@@ -56,8 +56,7 @@ def test_parts_exchanged_one_by_one_are_as_if_all_were_loaded(name: str) -> None
             system.readouts,
             dt=system.dt,
             drives=system.drives,
-            tensions=system.tensions,
-            geometric=system.geometric,
+            potentials=system.potentials,
         )
         same(system.solve.inverse, built.solve.inverse)
         np.testing.assert_array_equal(system.solve.on, built.solve.on)

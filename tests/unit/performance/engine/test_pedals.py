@@ -15,7 +15,7 @@ from midi_bytes import control, note, off, on, write
 from pianos import piano
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.engine.engine import Engine
-from tonewood.performance.player.pedals import damper_course, latched, pressed_farthest
+from tonewood.performance.player.pedals import damper_course, latched, on_grid, pressed_farthest
 from tonewood.performance.player.playing import perform
 from tonewood.support.units import decibel
 
@@ -240,3 +240,23 @@ def test_pedals_of_courses_without_dampers_are_reported_as_ignored() -> None:
     live = tw.Live(tw.load_instrument("twelve_string_guitar"), prepare=False, fs=8000)
     live.control(67, 1.0)
     assert sum(live.summary().ignored.values()) == 1
+
+
+def test_a_pedal_that_trembles_moves_once_per_point_of_the_grid(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+    """20,000 moves in 2 s: at most one for each 64 samples, and fewer where they would be too many for the strings."""
+    moves = [tw.Control(i * 1e-4, "cc64", float(i % 2)) for i in range(20_000)]
+    score = tw.Score([tw.Note(0.5, 1.0, note="C4", velocity_midi=80)], moves)
+    most = 2.0 * FS / 64 + 2
+    lines = perform(score, model)
+    times = {c.time for c in lines.timeline.changes if c.damper is not None and c.string.startswith("C3")}
+    assert 0.25 * most < len(times) <= most
+    assert not [w for w in lines.warnings if "pedal" in w]
+    monkeypatch.setattr("tonewood.performance.player.pedals._MOST_MOVES", 50 * len(model.strings))
+    fewer = perform(score, model)
+    times = {c.time for c in fewer.timeline.changes if c.damper is not None and c.string.startswith("C3")}
+    assert len(times) <= 50
+    assert [w for w in fewer.warnings if "controller 64 moves a pedal 20000 times: moves within" in w]
+
+
+def test_the_last_move_within_an_interval_counts() -> None:
+    assert on_grid([(0.1, 1.0), (0.9, 0.0), (1.5, 0.5), (3.0, 1.0)], 1.0) == [(0.9, 0.0), (1.5, 0.5), (3.0, 1.0)]

@@ -11,7 +11,8 @@ import pytest
 import tonewood as tw
 from tonewood.errors import ScoreError
 from tonewood.instrument.model.assembly import Model, assemble
-from tonewood.performance.player.playing import Performance, perform
+from tonewood.performance.player.playing import BEND_RATE, Performance, _glided, perform
+from tonewood.performance.player.timeline import GRID
 from tonewood.performance.score.controllers import Controllers, History
 
 
@@ -226,3 +227,20 @@ def test_a_note_that_ends_while_the_next_is_prepared_leaves_no_damper_on_it(guit
         damped = [c.time for c in made.changes if c.added_damping and c.time < second.time]
         assert all(time < second.start for time in damped)
         assert bool(damped) == (gap > 0.021)
+
+
+def test_leaps_of_a_bend_there_and_back_share_their_steps(guitar: Model) -> None:
+    """Each different bend is a set of modes to compute: a wheel thrown to and fro has as many as one throw."""
+    controls = [tw.Control(0.3 * i, "bend", 4800.0 * (-1) ** i, 0) for i in range(1, 9)]
+    line = _glided(controls, GRID / guitar.fs)
+    step = BEND_RATE * GRID / guitar.fs
+    values = [c.value for c in line]
+    assert len(set(values)) <= 2 * 4800.0 / step + 4
+    assert max(abs(b - a) for a, b in itertools.pairwise([0.0, *values])) <= step * (1 + 1e-9)
+    assert [History(line).at(0.3 * i + 0.29) for i in range(1, 9)] == [4800.0 * (-1) ** i for i in range(1, 9)]
+
+
+def test_very_many_different_bends_are_foretold(guitar: Model) -> None:
+    controls = [tw.Control(0.002 * i, "bend", 0.1 * i, 0) for i in range(2500)]
+    score = tw.Score([tw.Note(0.0, 6.0, note="E4", velocity_midi=80, channel=0)], controls)
+    assert any("different bends of strings" in line for line in perform(score, guitar).warnings)

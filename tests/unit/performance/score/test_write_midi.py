@@ -66,3 +66,11 @@ def test_what_midi_cannot_say_is_refused(tmp_path, note):
 def test_a_place_that_cannot_be_written_gives_one_line(tmp_path):
     with pytest.raises(OutputError, match="there is no folder"):
         write_midi(Score([Note(0.0, note=60)]), tmp_path / "no" / "x.mid")
+
+
+def test_a_note_without_length_ends_a_tick_after_it_begins(tmp_path):
+    """A note-off at the tick of its note-on would be taken for the end of a note before."""
+    path = tmp_path / "short.mid"
+    write_midi(Score([Note(1.0, 0.0, note=60), Note(1.0, 1e-5, note=64)]), path, bpm=60, ticks_per_beat=480)
+    notes = [(m.type, m.note, m.time) for m in mido.MidiFile(path).tracks[1] if m.type.startswith("note")]
+    assert notes == [("note_on", 60, 480), ("note_on", 64, 0), ("note_off", 60, 1), ("note_off", 64, 0)]

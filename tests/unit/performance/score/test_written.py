@@ -135,6 +135,62 @@ def test_signs_of_guitar_pro_7(tmp_path: Path) -> None:
     assert (capo.notes[0].note, capo.notes[0].stop) == (45 + 3 + 2, 5.0)
 
 
+def test_a_natural_harmonic_sounds_beyond_the_capo(tmp_path: Path) -> None:
+    natural = enabled("Harmonic") + '<Property name="HarmonicType"><HType>Natural</HType></Property>'
+    natural += '<Property name="HarmonicFret"><HFret>12</HFret></Property>'
+    (one,) = tw.read_score(gpif(tmp_path / "a.gp", [(2, 12, natural, "")], capo=3)).notes
+    assert (one.note, one.stop, set(one.marks) - {"tablature"}) == (50.0 + 3, 3.0, {"harmonic"})
+
+
+@pytest.mark.parametrize(("dots", "beats"), [(0, 1.0), (1, 1.5), (2, 1.75), (3, 1.875)])
+def test_every_dot_adds_half_of_what_the_last_one_did(tmp_path: Path, dots: int, beats: float) -> None:
+    with zipfile.ZipFile(gpif(tmp_path / "a.gp", [(1, 0, "", ""), (2, 0, "", "")])) as archive:
+        text = archive.read("Content/score.gpif").decode()
+    dot = f'<NoteValue>Quarter</NoteValue><AugmentationDot count="{dots}"/>'
+    with zipfile.ZipFile(tmp_path / "a.gp", "w") as archive:
+        archive.writestr("Content/score.gpif", text.replace("<NoteValue>Quarter</NoteValue>", dot))
+    assert [n.time for n in tw.read_score(tmp_path / "a.gp").notes] == [0.0, beats]
+
+
+def test_octaves_of_transposing_instruments_and_dotted_tempos(tmp_path: Path) -> None:
+    """A guitar's part sounds an octave below the written one; 40 dotted quarters a minute are 60 quarters."""
+    text = musicxml(note("E", 4, 4) + note("A", 4, 4)).replace(
+        "</divisions>", "</divisions><transpose><chromatic>2</chromatic><octave-change>-1</octave-change></transpose>"
+    )
+    text = text.replace(
+        "<beat-unit>quarter</beat-unit><per-minute>60", "<beat-unit>quarter</beat-unit><beat-unit-dot/><per-minute>40"
+    )
+    notes = tw.read_score(write(tmp_path / "a.xml", text)).notes[:2]
+    assert [(n.time, n.note) for n in notes] == [(0.0, 64.0 + 2 - 12), (1.0, 69.0 + 2 - 12)]
+
+
+def test_a_measure_of_guitar_pro_is_as_long_as_its_time_signature(tmp_path: Path) -> None:
+    """Two measures of 6/8 with a quarter in each: the second begins after three quarters."""
+    import guitarpro as gp
+
+    song = gp.Song(title="Study", tempo=60)
+    header = song.measureHeaders[0]
+    header.timeSignature.numerator, header.timeSignature.denominator.value = 6, 8
+    track = song.tracks[0]
+    second = gp.MeasureHeader(number=2, start=header.start + header.length)
+    song.addMeasureHeader(second)
+    track.measures.append(gp.Measure(track, second))
+    second.timeSignature.numerator, second.timeSignature.denominator.value = 6, 8
+    for measure in track.measures:
+        beat = gp.Beat(measure.voices[0], status=gp.BeatStatus.normal)
+        beat.notes.append(gp.Note(beat, value=2, string=5, type=gp.NoteType.normal))
+        measure.voices[0].beats.append(beat)
+    gp.write(song, str(tmp_path / "a.gp5"))
+    assert [n.time for n in tw.read_score(tmp_path / "a.gp5").notes] == pytest.approx([0.0, 3.0])
+
+
+def test_a_pitch_beyond_all_strings_is_no_note(tmp_path: Path) -> None:
+    """Octave 10 ends at 140 with its a flat; no higher note is played."""
+    text = musicxml(note("G", 10, 4) + note("A", 10, 4)).replace('<repeat direction="backward"/>', "")
+    score = tw.read_score(write(tmp_path / "a.xml", text))
+    assert [n.note for n in score.notes] == [139.0]
+
+
 def test_signs_of_musicxml(tmp_path: Path) -> None:
     text = musicxml(
         note("E", 4, 4, more='<slur type="start"/><articulations><staccato/><accent/></articulations>')
@@ -262,6 +318,7 @@ def test_excerpts_tempo_tracks_and_transposition(tmp_path: Path) -> None:
     for settings, line in (
         ({"tracks": [2]}, "there is no part 2; there are 1 Track 1"),
         ({"tempo": 0.0}, "0.05 to 20 are allowed"),
+        ({"tempo": 20.5}, "0.05 to 20 are allowed"),
         ({"transpose": 99}, "-48 to 48"),
         ({"start": 3.0, "stop": 2.0}, "0 <= start < stop"),
     ):
@@ -294,7 +351,10 @@ def test_files_that_cannot_be_read_are_one_line(tmp_path: Path) -> None:
         "empty.mxl": ((tmp_path / "empty.zip").read_bytes(), "has no META-INF/container.xml"),
         "page.xml": (b"<html><body/></html>", "is no score but <html>"),
         "cut.xml": (FOUR_XML[:800].encode(), "damaged XML"),
-        "bomb.xml": (b'<!DOCTYPE a [<!ENTITY b "bb">]><score-partwise>&b;</score-partwise>', "declares entities"),
+        "bomb.xml": (
+            b'<!DOCTYPE a [<!ENTITY b "bb">]><score-partwise>&b;</score-partwise>',
+            "declares or uses entities",
+        ),
     }
     for name, (data, line) in cases.items():
         (tmp_path / name).write_bytes(data)

@@ -11,8 +11,8 @@ from tonewood.physics.coupling import elimination
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.physics.coupling.inverse import MOST_IN_PART, DenseInverse, Hub, InverseInParts
 from tonewood.physics.coupling.laws import Contact, HardeningSpring
+from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.system import Probe, Readout, System
-from tonewood.physics.coupling.tension import TensionModulation
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.forcing import Segment, compile_force
 from tonewood.physics.stepping.kernel import KernelStepper, Shortcuts
@@ -106,7 +106,7 @@ def strings_on_a_body(
     out = [Readout("x", "acceleration", (Probe("body", "p0"),)), Readout("f", "force", forces=(("s0.end", 1.0),))]
     weights = np.arange(1, 12) ** 2.0
     tensions = [TensionModulation(f"T{i}", (f"s{i}",), 6e13, 1.0, {f"s{i}": weights}) for i in range(rising)]
-    return System.build(parts, joints, out, dt=DT, tensions=tensions)
+    return System.build(parts, joints, out, dt=DT, potentials=tensions)
 
 
 #: those of 16 motions or more step the body sample by sample
@@ -148,7 +148,7 @@ def test_kernel_and_twin_solve_in_parts_what_the_whole_matrix_solves(rng, case, 
     for other in found[1:]:
         for a, b in zip(other, found[0], strict=True):
             np.testing.assert_allclose(a, b, rtol=0, atol=3e-11 * np.abs(b).max())
-    without, _ = KernelStepper(system.with_tensions(())).run(start.copy(), 150, [knock(system)])
+    without, _ = KernelStepper(system.with_potentials(())).run(start.copy(), 150, [knock(system)])
     assert (np.abs(without - found[0][0]).max() > 1e-4 * np.abs(without).max()) == ("rising" in what)
 
 

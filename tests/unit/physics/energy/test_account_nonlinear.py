@@ -9,8 +9,8 @@ import pytest
 
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.physics.coupling.laws import Contact, Friction, HardeningSpring, SampledPotential
+from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.system import PrescribedMotion, System
-from tonewood.physics.coupling.tension import TensionModulation
 from tonewood.physics.energy.account import EnergyAccount, KnownForce
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.forcing import Segment, compile_force
@@ -128,7 +128,7 @@ def stretched(dt=DT):
     tension = TensionModulation("E2", ("a", "b"), 2e4, 0.65, {"a": weights, "b": weights})
     links = [Connection("joint", (Term("a", "end"), Term("body", "top", -1.0)))]
     system = System.build(
-        {"a": polarization(1), "b": polarization(2), "body": body()}, links, dt=dt, tensions=[tension]
+        {"a": polarization(1), "b": polarization(2), "body": body()}, links, dt=dt, potentials=[tension]
     )
     known = [KnownForce("pluck", p, "pluck", RAMP, time=5.3e-4, factor=f) for p, f in (("a", 20.0), ("b", 9.0))]
     return system, known
@@ -145,7 +145,7 @@ def test_rising_tension_adds_up():
 
 def test_tension_that_is_left_out_keeps_the_balance_open():
     system, known = stretched()
-    account = EnergyAccount(system.with_tensions([]), system.start(), 48)
+    account = EnergyAccount(system.with_potentials([]), system.start(), 48)
     assert followed(system, known, 120, make=NumpyStepper, account=account, block=120).worst_residual > 1e-4
 
 

@@ -33,6 +33,10 @@ def test_held_string_compliance_is_the_sum_over_sines():
     k = np.arange(1, 200_001) * np.pi / 0.65
     series = 2 / 0.65 * np.sum(np.sin(k * 0.1) * np.sin(k * 0.4) / (73.9 * k**2 + 4e-5 * k**4))
     assert held_string_compliance(0.1, 0.4, 0.65, 73.9, 4e-5) == pytest.approx(series, rel=1e-10)
+    # near an end and near each other the stiffness counts, by 1 to 60 %
+    for x, y in ((0.02, 0.02), (0.003, 0.004), (0.001, 0.0012), (0.6495, 0.649)):
+        series = 2 / 0.65 * np.sum(np.sin(k * x) * np.sin(k * y) / (73.9 * k**2 + 4e-4 * k**4))
+        assert held_string_compliance(x, y, 0.65, 73.9, 4e-4) == pytest.approx(series, rel=1e-8)
     assert held_string_compliance(0.4, 0.1, 0.65, 73.9, 0.0) == pytest.approx(0.1 * 0.25 / 0.65 / 73.9, rel=1e-14)
 
 

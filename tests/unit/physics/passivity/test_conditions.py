@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import linalg
+from scipy import linalg, optimize
 
 from random_bodies import DAMPING, body, held_step, solve, state_space
 from tonewood.errors import PassivityError
 from tonewood.physics.modal.mobility import mobility
-from tonewood.physics.passivity.conditions import TOLERANCE, check
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.passivity.basis import check_basis
+from tonewood.physics.passivity.conditions import TOLERANCE, check, signature_changes
 
 
 def real_modes(rng, n=30, n_ports=4, zeta=0.01, low=80.0, high=8000.0):
@@ -276,3 +280,49 @@ def test_solve_helper_matches_a_single_oscillator():
     pole = -0.75 + 1j * np.sqrt(2500 - 0.75**2)
     assert one.poles[0] == pytest.approx(pole)
     assert one.modes[1][0, 0] * one.modes[2][0, 0] == pytest.approx(1 / (0.2 * 2j * pole.imag))
+
+
+def test_a_negative_direct_term_is_named_with_its_size():
+    """Y -> 2 Re r l at high frequencies: where that is negative the body is active there, in a band without an end."""
+    report = check(np.array([-10 + 900j]), np.array([[1.0 + 0j]]), np.array([[-0.3 + 0.4j]]))
+    assert report.direct_min == pytest.approx(-0.6)  # re sum 2 |r| |l| = 1
+    assert any("direct term" in fault and "-0.6 " in fault for fault in report.faults)
+    assert report.violations[-1].upper_hz == np.inf
+    positive = check(np.array([-10 + 900j]), np.array([[1.0 + 0j]]), np.array([[0.3 - 0.4j]]))
+    assert not any("direct term" in fault for fault in positive.faults)
+
+
+@pytest.mark.parametrize("product", [0.3 - 0.4j, -0.2 - 0.4j, 0.4 + 0.1j])
+def test_signatures_change_where_the_mobility_of_one_port_has_no_real_part(product):
+    """Of one mode with a direct term: Re Y by its two terms, its zeros by bisection."""
+    pole = -60 + 900j
+
+    def real_part(w):
+        return (1j * w / (1j * w - pole) * product + 1j * w / (1j * w - pole.conjugate()) * np.conj(product)).real
+
+    grid = np.geomspace(1.0, 1e5, 4000)
+    at = np.flatnonzero(np.diff(np.sign(real_part(grid))))
+    crossings = [optimize.brentq(real_part, grid[i], grid[i + 1], xtol=1e-9) for i in at]
+    assert crossings
+    changes = signature_changes(np.array([pole]), np.array([[1.0 + 0j]]), np.array([[product]]))
+    for w in crossings:
+        assert np.abs(changes / w - 1).min() < 1e-6
+
+
+def test_a_band_ends_where_nothing_was_looked_for_beyond():
+    """A mode that gives energy at all frequencies, without a direct term: the band has an end, and the worst a size."""
+    report = check(np.array([-30 + 900j, -5 + 400j]), np.ones((1, 2)) + 0j, np.array([[0.5j, -0.3j]]))
+    assert report.direct_min == pytest.approx(0.0, abs=1e-12)
+    assert np.isfinite([v.upper_hz for v in report.violations]).all()
+    assert report.worst == max(v.size for v in report.violations) > 0.5
+    assert check(*real_modes(np.random.default_rng(1))).worst == 0.0
+
+
+def test_rigid_body_modes_need_real_shapes():
+    """A phase common to driving and moving turns velocities against forces: no real mass does that."""
+    free = ModalBasis.real([0.0, 300.0], [0.0, 3.0], {"p": [1.0, 0.5]})
+    assert check_basis(free, ["p"]).passive
+    for factor in (1j, np.exp(0.3j)):
+        turned = np.array([[factor, 1.0]])
+        basis = replace(free, right=free.right * turned, left=free.left * turned)
+        assert any("complex shapes" in fault for fault in check_basis(basis, ["p"]).faults)

@@ -9,7 +9,7 @@ from scipy import linalg
 from random_bodies import body, power_balance, solve
 from tonewood.errors import PassivityError
 from tonewood.physics.modal.conjugates import extend
-from tonewood.physics.passivity.storage import mechanical_storage, storage_matrix
+from tonewood.physics.passivity.storage import _of_riccati, mechanical_storage, storage_matrix
 
 
 def states_of(one, u, v):
@@ -95,3 +95,17 @@ def test_no_storage_for_a_list_that_is_not_passive():
     poles, right, left = body(1, 0.015, n_dof=12).modes
     with pytest.raises(PassivityError, match="no storage function"):
         storage_matrix(poles, right, -left)
+    # a pole that grows or stays where it is, beside one that is well: whatever the shapes
+    for odd in (3.0 + 800j, 0.0):
+        with pytest.raises(PassivityError, match="grows, or is zero"):
+            storage_matrix(np.array([-5 + 900j, odd]), np.ones((1, 2)), np.array([[0.1 - 0.5j, 0.1 - 0.5j]]))
+
+
+def test_a_port_without_stiffness_has_no_storage_function():
+    """Two modes whose static compliances cancel: H(0) = 0, while the port moves and is driven."""
+    poles = np.array([-4 + 500j, -9 + 800j])
+    products = np.array([0.02 - 1.0j, -0.02 + 1.0j])
+    compliance = -2 * (products / poles).real
+    products[1] *= -compliance[0] / compliance[1]
+    with pytest.raises(PassivityError, match="no storage function"):
+        _of_riccati(poles, np.ones((1, 2)) + 0j, products[None])

@@ -165,6 +165,21 @@ def test_a_small_box_is_a_source_in_free_air() -> None:
     assert abs(box.pressure((0.0, 0.0, 10.0), 2.0)[0, 0]) == pytest.approx(expected, rel=0.01)
 
 
+def test_the_back_of_a_box_is_heard_by_what_the_shelf_leaves() -> None:
+    """1 - H = (omega_b / 2) / (j omega + omega_b) of the back in a baffle: half of it down low, none up high."""
+    disc = piston(0.1)
+    behind = np.column_stack([disc.points, np.full(len(disc.points), -0.1)])
+    front = Sources(disc.points, disc.volumes, baffled=False)
+    box = Sources(disc.points, disc.volumes, baffled=False, behind=behind, behind_volumes=0.5 * disc.volumes)
+    alone = Sources(disc.points, 0.5 * disc.volumes)
+    omega_b = 2 * 343.0 / np.ptp(disc.points[:, 0])
+    freq = np.array([5.0, omega_b / (2 * np.pi), 20000.0])
+    back = alone.pressure((0.1, 0.2, 1.1), freq)[0]
+    share = 0.5 * omega_b / (2j * np.pi * freq + omega_b)
+    heard = box.pressure((0.1, 0.2, 1.0), freq)[0] - front.pressure((0.1, 0.2, 1.0), freq)[0]
+    np.testing.assert_allclose(heard, share * back, rtol=0.01)
+
+
 @pytest.mark.parametrize(("at", "median", "most"), [((0.2, 0.1, 1.0), 0.01, 0.1), ((0.7, 0.5, 0.8), 0.01, 0.1)])
 def test_a_bank_follows_the_rayleigh_sum(at, median: float, most: float) -> None:
     """Of a hinged plate's first modes, driven at two points: error in dB over frequency, and nothing at rest."""

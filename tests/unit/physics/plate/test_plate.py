@@ -11,9 +11,9 @@ from scipy.special import iv, ivp, jv, jvp
 
 from tonewood.instrument.contract.svg_path import svg_ring
 from tonewood.physics.plate.air import cavity_modes
-from tonewood.physics.plate.beams import Beam, torsion_constant
+from tonewood.physics.plate.beams import Beam, line, torsion_constant
 from tonewood.physics.plate.outline import area, circle, crossing, guitar_outline, inside, smooth_ring
-from tonewood.physics.plate.plate import CLAMPED, FREE, HINGED, Edge, Plate
+from tonewood.physics.plate.plate import CLAMPED, FREE, HINGED, Edge, Plate, cell_size
 from tonewood.physics.plate.wood import SPECIES, Wood
 
 NU = 0.3
@@ -171,6 +171,25 @@ def test_a_brace_shears() -> None:
         assert np.abs(modes.freq[bends] / freq - 1).min() < 1e-3
     euler = 4.730041**2 / (2 * np.pi) * np.sqrt(12e9 * 0.015**2 / 12 / 450.0) / 0.3**2
     assert expected[0] < 0.97 * euler
+
+
+@pytest.mark.parametrize("parts", [1, 4])
+def test_lines_are_integrated_exactly(parts: int) -> None:
+    """Polynomials of degree 5 along a slanted line, by three points in each part."""
+    start, stop = np.array([0.1, -0.2]), np.array([0.5, 0.1])
+    points, weights, place = line(start, stop, parts)
+    assert weights.sum() == pytest.approx(0.5)
+    np.testing.assert_allclose(points, start + place[:, None] * (stop - start))
+    for k in range(6):
+        assert weights @ place**k == pytest.approx(0.5 / (k + 1), rel=1e-12)
+
+
+def test_cells_follow_the_wavelength_across_the_grain() -> None:
+    """omega = k^2 sqrt(D / rho h): 0.23 of 2 pi / k, no more than 20 mm."""
+    h, k = 0.003, 2 * np.pi / 0.05
+    fmax = k**2 * np.sqrt(SPRUCE.stiffness()[1, 1] * h**3 / 12 / (SPRUCE.density * h)) / (2 * np.pi)
+    assert cell_size(SPRUCE, h, fmax) == pytest.approx(0.23 * 0.05, rel=1e-9)
+    assert cell_size(SPRUCE, h, 1.0) == 0.02
 
 
 def test_torsion_constant() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.physics.coupling.connections import Connection, Rigid, Term
-from tonewood.physics.coupling.geometric import GeometricStretch
+from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
 from tonewood.physics.coupling.system import Probe, Readout, State, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_modes import string_basis
@@ -61,7 +61,7 @@ def held_string(
         Readout("along", "force", forces=(("x.bridge", 1.0),)),
     ]
     stretch = [GeometricStretch("string", tuple(planes), "x", AXIAL, freq_coupled)] if coupled else []
-    return System.build(components, [*connections, *more], readouts, dt=1 / fs, geometric=stretch)
+    return System.build(components, [*connections, *more], readouts, dt=1 / fs, potentials=stretch)
 
 
 def sines(basis: ModalBasis, amplitudes: Floats) -> Floats:

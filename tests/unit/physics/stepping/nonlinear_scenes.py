@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
+from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.system import Probe, Readout, System
-from tonewood.physics.coupling.tension import TensionModulation
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_modes import string_basis
 
@@ -72,7 +72,7 @@ def modulated_guitar(n_strings=2, n_modes=50, axial_stiffness=2e4, on=True, dt=1
         Readout("a", "acceleration", (Probe("body", "b0"), Probe(f"s{n_strings - 1}a", "pluck"))),
         Readout("f", "force", (), (("joint0", 1.0),)),
     ]  # fmt: skip
-    return System.build(components, connections, readouts, dt=dt, tensions=tensions if on else [])
+    return System.build(components, connections, readouts, dt=dt, potentials=tensions if on else [])
 
 
 def drawn(system, force, angle=0.6):

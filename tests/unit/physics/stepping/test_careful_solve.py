@@ -11,8 +11,8 @@ from nonlinear_scenes import drawn, modulated_guitar
 from tonewood.errors import NumericalError
 from tonewood.physics.coupling import law_solve
 from tonewood.physics.coupling.connections import Connection, Term
-from tonewood.physics.coupling.geometric_solve import GeometricSolve
 from tonewood.physics.coupling.laws import Contact, Friction
+from tonewood.physics.coupling.potentials.solve import PotentialSolve
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.stepping.kernel import KernelStepper
 from tonewood.physics.stepping.stepper import NumpyStepper
@@ -79,15 +79,15 @@ def test_a_slack_string_loses_energy(share):
     """Compressed by `share` of the stretch by its tension at rest."""
     system = stretching()
     state = plucked(system, 5e-3, ("y", "z"))
-    string = GeometricSolve(system).strings[0]
-    parts = zip(string.parts, system.geometric[0].parts, strict=True)
-    views = [(part, system.modes_of(state, name).T) for part, name in parts]
-    motion = system.modes_of(state, system.geometric[0].longitudinal)
+    active = PotentialSolve(system).active[0]
+    string = active.joined
+    views = [system.modes_of(state, name).T for name in system.names]
+    motion = system.modes_of(state, system.potentials[0].longitudinal)
     rng = np.random.default_rng(8)
     motion[0] = rng.normal(size=len(motion[0]))
-    strain = string.strains @ np.concatenate([part.coordinates(x) for part, x in views])
+    strain = string.strains @ active.y(views)
     motion[0] *= -share * TENSION / AXIAL / strain[1]
-    y = np.concatenate([part.coordinates(x) for part, x in views])
+    y = active.y(views)
     lowest = min(
         (string.squares(y) + string.strains @ y) @ wave
         for wave in np.cos(np.outer(np.linspace(0, np.pi, 60), np.arange(len(strain))))

@@ -9,8 +9,9 @@ from nonlinear_scenes import LENGTH, TENSION, body, hang, held_string
 from tonewood import _kernel
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.laws import Contact
+from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.system import PrescribedMotion, Probe, Readout, System
-from tonewood.physics.coupling.tension import TensionModulation
+from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.modal.points import with_still_points
 from tonewood.physics.modal.string_modes import string_basis
 from tonewood.physics.stepping.forcing import Segment, compile_force
@@ -64,7 +65,7 @@ def fretted(
         Readout("f", "force", (), (("s0f2", 1.0), ("joint1", 0.5))),
     ]
     tensions = [TensionModulation(f"s{i}", (f"s{i}a", f"s{i}b"), axial_stiffness) for i in modulated]
-    return System.build(components, connections, readouts, dt=1 / rate, tensions=tensions)
+    return System.build(components, connections, readouts, dt=1 / rate, potentials=tensions)
 
 
 def plucked(system, heights, places):
@@ -94,7 +95,7 @@ def both_ways(system, state, n, isa=None, injections=(), controls=()):
         np.testing.assert_array_equal(a, b)
     np.testing.assert_array_equal(states[0].modes, states[1].modes)
     np.testing.assert_array_equal(states[0].series, states[1].series)
-    np.testing.assert_array_equal(states[0].tension, states[1].tension)
+    np.testing.assert_array_equal(states[0].potentials, states[1].potentials)
     assert steppers[0].statistics.failures == 0
     return runs[0], steppers[0].culling_statistics
 
@@ -296,16 +297,14 @@ def test_a_modulated_string_has_what_its_ports_give_it():
     bases = [system.compiled[system.slot(name)].basis for name in names]
 
     def reported():
-        energy = stretch = 0.0
+        energy = 0.0
         ports = []
         for name, basis in zip(names, bases, strict=True):
             x = system.modes_of(state, name)
             q, velocity = to_motion(basis, x)
             energy += 0.5 * np.sum(velocity**2 + basis.stiffness * q**2)
-            stretch += system.compiled[system.slot(name)].tension.stretch(x.T)
             ports.append(float(basis.right[basis.index("bridge")].real @ q))
-        kappa = system.compiled[system.slot("s0a")].tension.kappa
-        return energy, 0.5 * (kappa**0.5 * stretch + state.tension[0, 3]) ** 2, np.array(ports)
+        return energy, stored_energy(system, state).potentials, np.array(ports)
 
     number = [[c.name for c in system.connections].index(name) for name in ("joint0", "stay0")]
     before, gained, shares = reported(), [], []

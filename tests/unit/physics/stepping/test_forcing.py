@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from assembled import chain, uneven
 from tonewood.physics.coupling.system import Probe, Readout, System
 from tonewood.physics.modal.modes import ModalBasis
-from tonewood.physics.stepping.forcing import Segment, compile_force
+from tonewood.physics.stepping.forcing import SampledForce, Segment, compile_force
 from tonewood.physics.stepping.stepper import NumpyStepper
 
 DT = 1e-3
@@ -114,3 +114,25 @@ def test_shifted_coefficients_are_the_same_parabola():
     c0, c1, c2 = piece.shifted(0.25)
     for t in (0.0, 0.1, 0.6):
         assert c0 + c1 * t + c2 * t**2 == pytest.approx(1 - 2 * (t + 0.25) + 3 * (t + 0.25) ** 2)
+
+
+def test_a_sampled_force_is_straight_between_its_values():
+    force = SampledForce(2e-3, 1e-3, np.array([0.0, 3.0, -1.0, 0.0]))
+    assert force.stop == pytest.approx(5e-3)
+    t = np.array([1e-3, 2e-3, 2.25e-3, 3e-3, 3.5e-3, 4.75e-3, 5.5e-3])
+    np.testing.assert_allclose(force.at(t), [0.0, 0.0, 0.75, 3.0, 1.0, -0.25, 0.0], atol=1e-12)
+    np.testing.assert_allclose(force.rate(t + 1e-9), [0.0, 3e3, 3e3, -4e3, -4e3, 1e3, 0.0], atol=1e-6)
+    # each step has the value in its middle
+    by_step = force.by_step(7, 5, DT, time=1e-3)
+    np.testing.assert_allclose(by_step, force.at((np.arange(7, 12) + 0.5) * DT - 1e-3))
+    known = force.course(DT, time=1e-3, first=0)
+    k = np.arange(known.start, known.start + known.values.shape[1])
+    assert k[0] * DT <= 3e-3 < (k[0] + 1.5) * DT
+    assert (k[-1] + 1) * DT >= 6e-3 > (k[-1] - 0.5) * DT
+    np.testing.assert_allclose(known.values[0], force.at((k + 0.5) * DT - 1e-3), atol=1e-12)
+    assert not known.values[1:].any()
+    rest = force.after(3.2e-3)
+    late = np.linspace(4e-3, 6e-3, 21)
+    np.testing.assert_allclose(rest.at(late), force.at(late), atol=1e-12)
+    assert rest.start == pytest.approx(4e-3)
+    assert len(force.after(1.0).values) == 2

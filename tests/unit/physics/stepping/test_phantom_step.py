@@ -8,7 +8,7 @@ from geometric_scenes import AXIAL, DENSITY, LENGTH, TENSION, held_string, in_mo
 from numpy.typing import NDArray
 
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.physics.coupling.phantoms import DELAY, DrivenLongitudinal
+from tonewood.physics.coupling.potentials.phantom import DELAY, DrivenLongitudinal
 from tonewood.physics.coupling.system import Probe, Readout, System
 from tonewood.physics.energy.account import EnergyAccount
 from tonewood.physics.modal.modes import ModalBasis
@@ -33,7 +33,7 @@ def string_on_mass(
     readouts = [Readout("force", "acceleration", (Probe("mass", "top", MASS),))]
     law = DrivenLongitudinal("string", planes, (("mass", "top", 1.0),), AXIAL, freq_coupled, loss)
     components = dict.fromkeys(planes, transverse(fs=FS)) | {"mass": mass}
-    return System.build(components, [*ends, seat], readouts, dt=1 / FS, phantoms=[law])
+    return System.build(components, [*ends, seat], readouts, dt=1 / FS, potentials=[law])
 
 
 @pytest.mark.parametrize(("pair", "within"), [((5, 6), 0.03), ((6, 7), 0.03), ((11, 13), 0.1)])
@@ -88,7 +88,7 @@ def test_kernel_and_numpy_agree(moves: bool) -> None:
     peak = float(np.max(np.abs(wanted)))
     assert peak > 0.1
     assert np.max(np.abs(found - wanted)) < 1e-10 * peak
-    assert np.max(np.abs(state.phantoms - reference.phantoms)) < 1e-10 * np.max(np.abs(reference.phantoms))
+    assert np.max(np.abs(state.potentials - reference.potentials)) < 1e-10 * np.max(np.abs(reference.potentials))
 
 
 def test_the_force_grows_with_the_square() -> None:
@@ -104,12 +104,12 @@ def test_the_force_grows_with_the_square() -> None:
 
 def test_switched_off_it_has_no_force() -> None:
     """Off, samples are those of a system without it, and its memory is cleared."""
-    system = string_on_mass().with_phantoms([])
+    system = string_on_mass().with_potentials([])
     state = plucked(system, 1e-3)
-    state.phantoms[:] = 1.0
+    state.potentials[:] = 1.0
     out, _ = KernelStepper(system).run(state, 128)
     assert not np.any(out)
-    assert not np.any(state.phantoms)
+    assert not np.any(state.potentials)
 
 
 def test_its_work_is_in_the_account() -> None:

@@ -8,9 +8,10 @@ import scipy.linalg as sla
 from nonlinear_scenes import drawn, modulated_guitar
 
 from tonewood.physics.coupling.laws import Contact
+from tonewood.physics.coupling.potentials.base import MiddleOfStep
+from tonewood.physics.coupling.potentials.coordinates import pay_from_motion
+from tonewood.physics.coupling.potentials.solve import RESET_STEPS, PotentialSolve
 from tonewood.physics.coupling.system import State, System
-from tonewood.physics.coupling.tension import reset_psi
-from tonewood.physics.coupling.tension_solve import RESET_STEPS, TensionSolve
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.stepping.kernel import KernelStepper
 from tonewood.physics.stepping.stepper import NumpyStepper
@@ -31,29 +32,25 @@ def moving(height: float, steps: int) -> tuple[System, State]:
 
 
 def test_the_direction_is_the_gradient_of_psi() -> None:
-    """Against central differences of sqrt(kappa) S, where nothing moves and no tension is counted on."""
+    """Against central differences of sqrt(2 V), where nothing moves and no tension is counted on."""
     system, state = moving(1.0, 40)
-    solve, x = TensionSolve(system), states(system, state)
-    for _, part in solve.strings[0]:
-        slot = next(i for i, p in solve.strings[0] if p is part)
-        g = part.direction(x[slot], x[slot], 0.0)
-        for k in (0, 3, 11):
-            step = 1e-4 * np.abs(x[slot][:, 0]).max()
-            up, down = x[slot].copy(), x[slot].copy()
-            up[k, 0] += step / part.reading[k]
-            down[k, 0] -= step / part.reading[k]
-            wanted = np.sqrt(part.kappa) * (part.stretch(up) - part.stretch(down)) / (2 * step)
-            assert g[k] == pytest.approx(wanted, rel=1e-7)
+    active, x = PotentialSolve(system).active[0], states(system, state)
+    y = active.y(x)
+    g = active.joined.direction(MiddleOfStep(y, y, active.compliance, 0.0, 0.0))
+    step = 1e-4 * np.abs(y).max()
+    for k in (0, 3, 11, active.n - 1):
+        up, down = (np.sqrt(2 * active.joined.energy(y + sign * step * np.eye(active.n)[k])) for sign in (1, -1))
+        assert g[k] == pytest.approx((up - down) / (2 * step), rel=1e-7, abs=1e-9 * np.abs(g).max())
 
 
 @pytest.mark.parametrize("height", [0.1, 10.0, 300.0])
 def test_the_matrix_is_at_least_one_and_its_means_fulfil_the_step(height: float) -> None:
     """M >= I; psi+ - psi = g . (y+ - y) for the motion that the means make, with the linear connections' forces."""
     system, state = moving(height, 70)
-    solve, linear, x = TensionSolve(system), system.solve, states(system, state)
+    solve, linear, x = PotentialSolve(system), system.solve, states(system, state)
     free = [np.einsum("mab,mb->ma", c.E, xi) for c, xi in zip(system.compiled, x, strict=True)]
     alone = linear.constant - linear.G @ (system.gaps(free) + linear.gamma * system.gaps(x))
-    over = solve.over(x, free, alone, state.tension)
+    over = solve.over(x, free, alone, state.potentials)
     np.testing.assert_allclose(over.matrix, over.matrix.T, atol=1e-12 * np.abs(over.matrix).max())
     assert sla.eigvalsh(over.matrix).min() >= 1 - 1e-9
     mean = over.mean(alone)
@@ -64,9 +61,9 @@ def test_the_matrix_is_at_least_one_and_its_means_fulfil_the_step(height: float)
          for i, (f, c) in enumerate(zip(free, system.compiled, strict=True))],
         mean,
     )  # fmt: skip
-    psi = np.sqrt(2 * solve.energies(x, state.tension))
-    for q, string in enumerate(solve.strings):
-        way = sum(over.modal[i][1] @ (part.reading * (after[i][:, 0] - x[i][:, 0])) for i, part in string)
+    psi = np.sqrt(2 * solve.energies(x, state.potentials))
+    for q, p in enumerate(solve.active):
+        way = sum(over.modal[i][1] @ (part.reading * (after[i][:, 0] - x[i][:, 0])) for i, part, _ in p.places)
         assert 2 * (mean[q] - psi[q]) == pytest.approx(way, rel=1e-8, abs=1e-12 * psi[q])
 
 
@@ -74,33 +71,23 @@ def test_the_matrix_is_at_least_one_and_its_means_fulfil_the_step(height: float)
 def test_psi_is_put_back_at_the_cost_of_motion(share: float, left: bool) -> None:
     """Energy and displacements stay; more than a quarter of the kinetic energy is not asked for at once."""
     system, state = moving(10.0, 90)
-    solve, x = TensionSolve(system), states(system, state)
-    string = solve.strings[0]
-    parts, mine = [part for _, part in string], [x[i] for i, _ in string]
-    root = float(np.sqrt(parts[0].kappa) * sum(p.stretch(m) for p, m in zip(parts, mine, strict=True)))
-
-    def energy(excess: float) -> float:
-        modes = 0.0
-        for (slot, part), m in zip(string, mine, strict=True):
-            v = part.velocity[0] * m[:, 0] + part.velocity[1] * m[:, 1]
-            modes += 0.5 * float(v @ v + system.compiled[slot].basis.stiffness @ (part.reading * m[:, 0]) ** 2)
-        return modes + 0.5 * (root + excess) ** 2
-
-    before, places = energy(share * root), [m[:, 0].copy() for m in mine]
-    rest = reset_psi(parts, mine, share * root)
-    assert (rest != 0.0) == left
-    assert abs(rest) <= abs(share) * root
-    assert energy(rest) == pytest.approx(before, rel=1e-12)
-    for m, place in zip(mine, places, strict=True):
-        np.testing.assert_array_equal(m[:, 0], place)
+    active, x = PotentialSolve(system).active[0], states(system, state)
+    y, root = active.y(x), float(np.sqrt(2 * active.joined.energy(active.y(x))))
+    psi, kinetic = (1 + share) * root, lambda: active.energy(x)
+    before = kinetic() + 0.5 * psi * psi
+    row = active.joined.end(y, 0.0, psi, kinetic, lambda cost: active.pay(x, cost))
+    stored = active.joined.stored(y, row)
+    assert (stored == pytest.approx(0.5 * root * root, rel=1e-12)) == (not left)
+    assert kinetic() + stored == pytest.approx(before, rel=1e-12)
+    np.testing.assert_array_equal(active.y(x), y)
 
 
-def test_nothing_moves_a_string_at_rest() -> None:
+def test_nothing_moves_modes_at_rest() -> None:
     system = modulated_guitar(frets=FRETS)
-    solve, x = TensionSolve(system), states(system, system.start())
-    parts, mine = [part for _, part in solve.strings[0]], [x[i] for i, _ in solve.strings[0]]
-    assert reset_psi(parts, mine, 0.3) == 0.3
-    assert not any(m.any() for m in mine)
+    active, x = PotentialSolve(system).active[0], states(system, system.start())
+    assert active.pay(x, -0.3) == 0.0
+    assert pay_from_motion([], [], 1.0) == 0.0
+    assert not any(m.any() for m in x)
 
 
 @pytest.mark.parametrize("cuts", [(RESET_STEPS,), (17,), (64, 5, 100), (1, 63, 64)])

@@ -194,6 +194,20 @@ def test_a_replay_at_another_rate_says_so(monochord: tw.Instrument, tmp_path: Pa
         Take(47999)
 
 
+@pytest.mark.parametrize("setting", ["fs=x", "fs=1e999", "fs=7", "ramp=nan", "ramp=", "spacing=-1", "spacing=two"])
+def test_a_take_with_a_setting_that_is_no_number_is_refused_in_one_line(
+    monochord: tw.Instrument, tmp_path: Path, setting: str
+) -> None:
+    import mido
+
+    track = mido.MidiTrack([mido.MetaMessage("track_name", name=f"tonewood take; {setting}")])
+    track.append(mido.Message("note_on", note=45, velocity=90))
+    mido.MidiFile(type=0, tracks=[track]).save(tmp_path / "take.mid")
+    with pytest.raises(TonewoodError, match=setting.split("=")[0]) as caught:
+        Replay(tmp_path / "take.mid", monochord)
+    assert "\n" not in str(caught.value)
+
+
 class FakeCard:
     """Asks for a number of blocks as a sound card does, as soon as each is ready: nothing of it depends on timing."""
 

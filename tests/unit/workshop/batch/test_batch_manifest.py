@@ -69,6 +69,8 @@ def test_exclusion_takes_out_matching_subsets() -> None:
     assert not [c for c in left if c.levels == {"damping": "block", "pluck": "far"}]
     with pytest.raises(ManifestError, match="nothing is left"):
         conditions(exclude=[{"instrument": "harp"}])
+    one = {"instrument": "harp", "score": "low", "damping": "block", "pluck": "far"}
+    assert len(conditions(exclude=[one])) == 12 - 1
 
 
 def test_listed_conditions() -> None:
@@ -123,6 +125,16 @@ def test_varied_notes() -> None:
     np.testing.assert_allclose([n.time for n in got], np.maximum(np.arange(3) + later.values(3), 0.0))
 
 
+def test_varied_quantities_are_not_negative_but_angles_are() -> None:
+    notes = tuple(Note(float(i), force=0.01, angle_deg=0.0) for i in range(50))
+    force, angle = (Draw(f"note.{name}", "normal", 1.0, 3, ("a",)) for name in ("force", "angle_deg"))
+    got = vary_notes(notes, (force, angle), lambda draw, note: getattr(note, draw.note_field))
+    np.testing.assert_allclose([n.force for n in got], np.maximum(0.01 + force.values(50), 0.0))
+    np.testing.assert_allclose([n.angle_deg for n in got], angle.values(50))
+    assert min(n.force for n in got) == 0.0
+    assert min(n.angle_deg for n in got) < -1.0
+
+
 def test_inline_notes_have_the_fields_of_notes() -> None:
     assert set(NoteFields.model_fields) == {f.name for f in dataclasses.fields(Note)}
     assert NoteFields(time=1.0, string="s4").to_note() == Note(1.0, string="s4")
@@ -135,6 +147,7 @@ def test_codes_are_the_seed_s_and_tell_no_order() -> None:
     assert codes == blind_codes(1, names)
     assert not set(codes.values()) & set(blind_codes(2, names).values())
     assert {codes[n] for n in names[::-1]} == set(blind_codes(1, names[::-1]).values())
+    assert len(set(blind_codes(1, names[:19], length=1).values())) == 19  # all that there are of one letter
     order = np.argsort(np.argsort(list(codes.values())))
     assert abs(np.corrcoef(order, np.arange(500))[0, 1]) < 0.15
 

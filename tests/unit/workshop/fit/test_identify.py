@@ -106,6 +106,17 @@ def test_no_modes_at_the_ends_of_a_band_whose_noise_is_not_known():
         assert found.misfit == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.parametrize("said", [0.5, 4.0])
+def test_known_noise_is_raised_where_more_is_left_and_never_lowered(said):
+    """A coherence that promises too little noise: the level is that of the misfit, and no mode is made of the rest."""
+    truth, freq = random_body(1, seed=2, high=200.0), np.arange(70.0, 260.0, 0.5)
+    mobility, sigma = truth.noisy(freq, 0.01, 3)
+    found = identify(freq, mobility, PAIR, sigma=said * sigma)
+    assert np.median(found.problem.line.sigma / sigma) == pytest.approx(max(said, 1.0), rel=0.15)
+    inside = (found.poles.freq > freq[0]) & (found.poles.freq < freq[-1])
+    assert np.count_nonzero(inside) == 1
+
+
 def test_noise_alone_is_no_body():
     rng = np.random.default_rng(0)
     noise = rng.normal(size=(2, 800)) + 1j * rng.normal(size=(2, 800))

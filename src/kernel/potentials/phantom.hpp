@@ -1,5 +1,5 @@
-// Longitudinal motion of strings, driven one way by their transverse motion (tonewood.physics.coupling.phantoms has the
-// equations).
+// Longitudinal motion of strings, driven one way by their transverse motion (tonewood.physics.coupling.potentials.phantom
+// has the equations).
 //
 // A block's forces follow from the transverse motion of the block before: the modes that take part are stepped once
 // more under the forces found, sample by sample, from a copy that is renewed where all modes stand in their own two
@@ -20,20 +20,20 @@ class PhantomStep {
     using S = Simd;
 
 public:
-    explicit PhantomStep(Block& block) : block_(block), due_(block.model.phantoms.size() * kBlock) {
-        for (const PhantomString& string : block.model.phantoms) {
+    explicit PhantomStep(Block& block) : block_(block), due_(block.model.potentials.driven.size() * kBlock) {
+        for (const PhantomString& string : block.model.potentials.driven) {
             block_.known.push_back(string.target);
             for (const auto& part : string.parts) copies_.emplace_back(2 * part.wide);
         }
         int most = 0;
-        for (const PhantomString& string : block.model.phantoms)
+        for (const PhantomString& string : block.model.potentials.driven)
             for (const auto& part : string.parts) most = std::max(most, width(part, string.order));
         path_.assign(std::size_t(kBlock) * (most + kPadding), 0.0);
     }
 
     // A block begins: the forces that are due in it become known inputs; before its free motion is read.
     void begin_block() {
-        const auto& strings = block_.model.phantoms;
+        const auto& strings = block_.model.potentials.driven;
         const bool window = block_.start / kBlock % kWindow == 0;
         for (std::size_t q = 0, at = 0; q < strings.size(); ++q) {
             double* const due = due_.data() + q * kBlock;
@@ -51,7 +51,7 @@ public:
 
     // All forces of the block are known: finds those that are due in the next one; before the modes are moved.
     void finish_block(const ContactRows& contacts) {
-        const auto& strings = block_.model.phantoms;
+        const auto& strings = block_.model.potentials.driven;
         const int nb = block_.nb;
         for (std::size_t q = 0, at = 0; q < strings.size(); ++q) {
             const PhantomString& string = strings[q];
@@ -84,7 +84,7 @@ private:
     static constexpr int kOrder = kPhantomModes + kLane;  // s_0, and those of the modes, padded
 
     double* memory(const PhantomString& string) const {
-        return block_.job.phantoms + std::size_t(string.index) * kPhantomMemory;
+        return block_.job.potentials + string.at;
     }
     // Modes of a part in a line of the path, and room for those that are read `order` places further.
     static int width(const PhantomString::Part& part, int order) {

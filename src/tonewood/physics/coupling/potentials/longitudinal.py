@@ -13,21 +13,18 @@ Slopes in cosines, v_x = sum c_i cos(i pi x / L), make the strain a series of co
     V = EA L/2 [e_0^2 + 1/2 sum_{n = 1 .. P} e_n^2],
 
 H_n couples c_i with c_j where |i - j| = n or i + j = n. A longitudinal mode above the P-th would follow at once, and
-then its e_n is zero: it is left out together with e_n. With P = 0 and the end held, this is Kirchhoff and Carrier's
-string (`tension`): such strings are stepped here, too, where both kinds stand side by side. The squares of l_n are the
-energy of the longitudinal modes themselves, which are stepped exactly; the rest is
+then its e_n is zero: it is left out together with e_n. The squares of l_n are the energy of the longitudinal modes
+themselves, which are stepped exactly; the rest is
 U = EA L/2 sum g_n (s_n^2 + 2 s_n l_n), g_0 = 1, g_n = 1/2. U plus the energy of the modes is a sum of squares, so
 nothing can grow without limit.
 
-U is stepped by a variable of its own, as the rise of a tension is (`tension`): psi = sqrt(2 (U + C)), the shift C held
-for 64 steps, and modal forces -g psi_m along a direction g that is known before the connections answer. Whatever g is,
-the energy of the modes and psi^2 / 2 - C together do not rise. Here g is the gradient of U over the step divided by
-sqrt(2 (U + C)),
+U is stepped by psi = sqrt(2 (U + C)) (`potentials.base`), the shift C held for 64 steps. Here g is the gradient of U
+over the step divided by sqrt(2 (U + C)),
 
     grad U = EA L sum g_n [(s_n + l_n) H_n c_m  on the slopes,   s_n on the strain l_n],
 
-c_m the mean of the slopes before the step and of those free of this coupling after it, s_n the mean of both, and l_n
-the mean strain that the longitudinal modes have under s_n, the connections answering: without that answer the end of
+c_m the slopes and s_n their squares in the middle of the step (`ModalCoordinates.middle`), and l_n the strain of the
+longitudinal modes there under s_n, the connections answering: without that answer the end of
 the string would give way. C is 1e-8 EA L more than the energy of the string when C was chosen, so that modes never hold
 more than twice the energy that is there and 1e-8 EA L.
 
@@ -37,91 +34,89 @@ above a frequency that the string's maker chooses do not take part in U; they ar
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.physics.modal.modes import PAIR, ModalBasis
-from tonewood.physics.modal.propagator import apply
+from tonewood.physics.coupling.potentials.base import JoinedPotential, Kind, MiddleOfStep, Potential
+from tonewood.physics.modal.modes import ModalBasis
 
 Floats = NDArray[np.float64]
 
 #: cosines of the slope beyond the number of modes: the bridge's motion spreads a mode over its neighbours
 MORE_COSINES = 12
+#: part of EA L by which C exceeds the energy of a string: psi must not pass zero where a string at rest begins to move
+LEAST_SHIFT = 1e-8
+
+
+def cosine_slopes(name: str, component: str, basis: ModalBasis) -> tuple[Floats, Floats, float]:
+    """Return shapes as a ramp and sines (rows, n_modes), wavenumbers of their slopes' cosines (rows,), and the length.
+
+    Raises
+    ------
+    ValueError : the component was not made by `string_basis`.
+    """
+    known = basis.metadata
+    if "vec" not in known:
+        raise ValueError(f"{name}: {component} does not tell its shapes as a ramp and sines")
+    vec, length = cast(Floats, known["vec"]), cast(float, known["length"])
+    wavenumber: Floats = np.asarray(np.arange(len(vec)) * np.pi / length, dtype=np.float64)
+    wavenumber[0] = -1.0 / length
+    return vec, wavenumber, length
 
 
 @dataclass(frozen=True, eq=False)
-class GeometricStretch:
+class GeometricStretch(Potential):
     """Couples a string's polarizations with its longitudinal motion.
 
     Attributes
     ----------
     name : of the string.
-    components : its polarizations: components of real modes, made by `string_modes.string_basis`.
-    longitudinal : component of its longitudinal motion: the same, with EA in place of the tension; None is a string
-        without longitudinal motion, and all its modes take part: Kirchhoff and Carrier's.
+    transverse : its polarizations: components of real modes, made by `string_modes.string_basis`.
+    longitudinal : component of its longitudinal motion: the same, with EA in place of the tension.
     axial_stiffness : EA, N.
     freq_coupled : Hz, transverse modes below it take part.
     """
 
     name: str
-    components: tuple[str, ...]
-    longitudinal: str | None
+    transverse: tuple[str, ...]
+    longitudinal: str
     axial_stiffness: float
     freq_coupled: float = np.inf
+    label: ClassVar[str] = "stretch"
+    effect: ClassVar[str] = "longitudinal"  # type: ignore[misc]  # of this kind always
 
     def __post_init__(self) -> None:
-        if not (self.axial_stiffness > 0.0 and self.freq_coupled > 0.0 and self.components):
+        if not (self.axial_stiffness > 0.0 and self.freq_coupled > 0.0 and self.transverse):
             raise ValueError(f"{self.name}: a stretched string needs components, and EA and a frequency above 0")
 
     @property
-    def parts(self) -> tuple[str, ...]:
+    def components(self) -> tuple[str, ...]:  # type: ignore[override]  # of two attributes
         """All its components, the longitudinal one last."""
-        return self.components if self.longitudinal is None else (*self.components, self.longitudinal)
+        return (*self.transverse, self.longitudinal)
 
-    def part(self, component: str, basis: ModalBasis, held: Floats) -> GeometricShare:
-        """Arrays of one component.
-
-        Parameters
-        ----------
-        held : (n_modes, 2, 2) h phi_1(A h), the response to an input held over a step.
+    def share(self, component: str, basis: ModalBasis, dt: float) -> GeometricShare:
+        """Return the arrays of one component.
 
         Raises
         ------
         ValueError : the component was not made by `string_basis`.
         """
-        known, stretch = basis.metadata, None
-        if not basis.is_real or "vec" not in known:
-            raise ValueError(f"{self.name}: {component} does not tell its shapes as a ramp and sines")
-        vec, length = cast(Floats, known["vec"]), cast(float, known["length"])
+        vec, wavenumber, length = cosine_slopes(self.name, component, basis)
         longitudinal = component == self.longitudinal
-        if self.longitudinal is None:
-            count = basis.n_modes
-            stretch = np.asarray(known.get("stretch_part", known["tension_part"]), dtype=np.float64) / length
-            slopes = np.zeros((0, count))
-        else:
-            count = basis.n_modes if longitudinal else int(np.searchsorted(basis.natural_freq, self.freq_coupled))
-            rows = len(vec) if longitudinal else min(len(vec), count + 1 + MORE_COSINES)
-            wavenumber = np.arange(rows) * np.pi / length
-            wavenumber[0] = -1.0 / length
-            slopes = np.ascontiguousarray(wavenumber[:, None] * vec[:rows, :count])
-        pair = basis.kind == PAIR
-        kick = np.where(pair[:, None], [[0.0, -0.5]] / np.where(pair, basis.poles.imag, 1.0)[:, None], [[0.0, 1.0]])
-        _, on_first, on_second, *_, per_velocity = basis.motion
-        return GeometricShare(
-            slopes=slopes,
-            reading=np.where(pair, 2.0, 1.0),
-            kick=apply(held, kick),
-            velocity=np.stack([on_first, on_second, per_velocity]),
-            stiffness=np.asarray(basis.stiffness)[:count],
-            scale=self.axial_stiffness * length,
-            longitudinal=longitudinal,
-            stretch=stretch,
-        )
+        count = basis.n_modes if longitudinal else int(np.searchsorted(basis.natural_freq, self.freq_coupled))
+        rows = len(vec) if longitudinal else min(len(vec), count + 1 + MORE_COSINES)
+        slopes = np.ascontiguousarray(wavenumber[:rows, None] * vec[:rows, :count])
+        return GeometricShare(slopes, self.axial_stiffness * length)
+
+    def join(self, shares: Sequence[GeometricShare]) -> GeometricShares:
+        """Return the string of all its motions."""
+        return GeometricShares(tuple(shares))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,37 +126,16 @@ class GeometricShare:
     Attributes
     ----------
     slopes : (n_cosines, n) cosine coefficients of the slope (of the longitudinal component: strain) per coordinate.
-    reading : (n_modes,) coordinate y = reading times the first number of the mode.
-    kick : (n_modes, 2) state added by a unit modal force held over one step.
-    velocity : (3, n_modes) y' per first and per second number, and second number per y'.
-    stiffness : (n,) omega^2, 1 / s^2.
     scale : EA L, N m.
-    longitudinal : whether this is the longitudinal component.
-    stretch : (n,) of a string without one, in place of the slopes: s_0 = 1/2 sum stretch y^2, 1 / (kg m^2).
     """
 
     slopes: Floats
-    reading: Floats
-    kick: Floats
-    velocity: Floats
-    stiffness: Floats
     scale: float
-    longitudinal: bool
-    stretch: Floats | None = None
 
     @property
     def n(self) -> int:
         """Modes that take part: the lowest ones."""
-        return len(self.stiffness)
-
-    def coordinates(self, x: Floats) -> Floats:
-        """(n,) y of a state (n_modes, 2)."""
-        return self.reading[: self.n] * x[: self.n, 0]
-
-    def energy(self, x: Floats) -> float:
-        """Energy of these modes in a state (n_modes, 2), J."""
-        moving = (self.velocity[:2] * x.T).sum(axis=0)[: self.n]
-        return float(0.5 * (moving @ moving + self.stiffness @ self.coordinates(x) ** 2))
+        return int(self.slopes.shape[1])
 
 
 def cosine_products(n: int, n_cosines: int) -> Floats:
@@ -201,30 +175,23 @@ def cosine_gradient(w: Floats, c: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class GeometricShares:
-    """The parts of one string together: its potential U and the forces of a step.
+class GeometricShares(JoinedPotential):
+    """The parts of one string together: its potential U and the direction of a step.
 
-    Coordinates of all parts stand one after another, the longitudinal ones (if there are any) last.
+    Coordinates of all parts stand one after another, the longitudinal ones last.
     """
 
     parts: tuple[GeometricShare, ...]
 
     @cached_property
-    def sizes(self) -> NDArray[np.intp]:
-        """First coordinate of each part, and the number of all."""
-        return np.cumsum([0, *(p.n for p in self.parts)])
-
-    @property
-    def n(self) -> int:
-        """Coordinates."""
-        return int(self.sizes[-1])
+    def sizes(self) -> tuple[int, ...]:  # type: ignore[override]  # found when first wanted
+        """Coordinates of each part."""
+        return tuple(part.n for part in self.parts)
 
     @cached_property
     def strains(self) -> Floats:
         """(P + 1, n): l = strains y."""
         longitudinal = self.parts[-1]
-        if not longitudinal.longitudinal:
-            return np.zeros((1, self.n))
         return np.hstack([np.zeros((len(longitudinal.slopes), self.n - longitudinal.n)), longitudinal.slopes])
 
     @cached_property
@@ -234,19 +201,16 @@ class GeometricShares:
 
     @cached_property
     def stretching(self) -> list[tuple[slice, GeometricShare]]:
-        """Parts that stretch the string, and their places among the coordinates."""
-        ends = [slice(*ends) for ends in pairwise(self.sizes)]
-        return [(at, part) for at, part in zip(ends, self.parts, strict=True) if not part.longitudinal]
+        """Transverse parts, and their places among the coordinates."""
+        ends = [slice(*ends) for ends in pairwise([0, *np.cumsum(self.sizes).tolist()])]
+        return list(zip(ends[:-1], self.parts[:-1], strict=True))
 
     def squares(self, y: Floats) -> Floats:
         """(P + 1,) s_n of coordinates (n,)."""
         out = np.zeros(len(self.strains))
         for at, part in self.stretching:
-            if part.stretch is not None:
-                out[0] += 0.5 * part.stretch @ y[at] ** 2
-            else:
-                slopes = part.slopes @ y[at]
-                out += 0.5 * cosine_product(slopes, slopes, len(out))
+            slopes = part.slopes @ y[at]
+            out += 0.5 * cosine_product(slopes, slopes, len(out))
         return out
 
     def potential(self, s: Floats, strain: Floats) -> float:
@@ -261,8 +225,27 @@ class GeometricShares:
         """(n,) grad U, N / sqrt(kg), of coordinates y whose s_n and l_n count as given."""
         out, weights = (self.weights * s) @ self.strains, self.weights * (s + strain)
         for at, part in self.stretching:
-            if part.stretch is not None:
-                out[at] += weights[0] * part.stretch * y[at]
-            else:
-                out[at] += cosine_gradient(weights, part.slopes @ y[at]) @ part.slopes
+            out[at] += cosine_gradient(weights, part.slopes @ y[at]) @ part.slopes
         return np.asarray(out)
+
+    def shift(self, kept: float, stored: float, modes: Callable[[], float]) -> float:
+        """C, J, held while it is enough: all energy of the string, or the shortfall of U if more, and a little."""
+        if kept > 0.0 and stored + kept > 0.0:
+            return kept
+        return float(max(modes() + stored, -stored, 0.0) + LEAST_SHIFT * self.parts[-1].scale)
+
+    def fast(self, middle: Floats) -> Floats:
+        """Forces on the longitudinal modes under s_n."""
+        return -(self.weights * self.squares(middle)) @ self.strains
+
+    def direction(self, step: MiddleOfStep) -> Floats:
+        """See `JoinedPotential`."""
+        squares, strain = self.squares(step.middle), np.asarray(self.strains @ step.answered)
+        potential = self.potential(squares, strain)
+        size = np.sqrt(max(2 * (potential + step.shift), abs(potential) + step.shift))
+        return self.gradient(step.middle, squares, strain) / size if size > 0.0 else np.zeros(self.n)
+
+    def describe(self) -> dict[str, Any]:
+        """See `JoinedPotential`."""
+        parts = [{"slopes": part.slopes} for part in self.parts]
+        return {"kind": Kind.LONGITUDINAL, "scale": self.parts[-1].scale, "parts": parts}

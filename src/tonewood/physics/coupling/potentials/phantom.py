@@ -13,10 +13,9 @@ drives the longitudinal modes n, of W_n = n pi / L sqrt(EA / mu), and the strain
 and differences of frequencies, f_i + f_j where i + j = n and f_i - f_j where i - j = n: Conklin's phantom partials,
 loud near a longitudinal mode. EA sum e_n acts on the body.
 
-One way: the transverse motion does not feel the longitudinal one, nor that a tension rises
-(`physics.coupling.geometric` and `physics.coupling.tension` step these). Terms of the fourth order in the motion are
-so left out, and the force puts energy into the body that no string loses; `physics.energy.account` enters this work
-under the string's name.
+One way: the transverse motion does not feel the longitudinal one, nor that a tension rises (`potentials.longitudinal`
+and `potentials.tension` step these). Terms of the fourth order in the motion are so left out, and the force puts energy
+into the body that no string loses; `energy.account` enters this work under the string's name.
 
 The slopes are those of the modes below `freq_coupled`. With the bridge end free, mode k of an ideal string has the
 slope sin((k - 1/2) pi x / L), and s_n is a sum over pairs of modes n places apart and of pairs with j + k = n + 1.
@@ -26,13 +25,15 @@ all pairs for n = 0, 3 % for n <= 5 and 6 % for n = 15. The force acts 16 sample
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.physics.coupling.geometric import MORE_COSINES, cosine_products
+from tonewood.physics.coupling.potentials.base import Kind, Potential
+from tonewood.physics.coupling.potentials.longitudinal import MORE_COSINES, cosine_products, cosine_slopes
 from tonewood.physics.modal.modes import PAIR, ModalBasis
 
 Floats = NDArray[np.float64]
@@ -45,26 +46,8 @@ MOST_MODES = 32
 MEMORY = DELAY + 2 * MOST_MODES
 
 
-@dataclass(frozen=True, slots=True)
-class PhantomPartials:
-    """Motion along a string, driven one way by the transverse one, as a string gives it.
-
-    Attributes
-    ----------
-    axial_stiffness : EA, N.
-    freq_coupled : Hz, transverse modes below it drive.
-    loss : loss factor of longitudinal modes, 2 sigma / omega.
-    bridge_leverage : force on the body's point per tension at the bridge, besides the projection on the string.
-    """
-
-    axial_stiffness: float
-    freq_coupled: float
-    loss: float
-    bridge_leverage: float
-
-
 @dataclass(frozen=True, eq=False)
-class DrivenLongitudinal:
+class DrivenLongitudinal(Potential):
     """A string whose longitudinal modes are driven one way.
 
     Attributes
@@ -84,6 +67,9 @@ class DrivenLongitudinal:
     axial_stiffness: float
     freq_coupled: float
     loss: float
+    one_way: ClassVar[bool] = True
+    memory: ClassVar[int] = MEMORY
+    effect: ClassVar[str] = "phantom_partials"  # type: ignore[misc]  # of this kind always
 
     def __post_init__(self) -> None:
         if not (self.axial_stiffness > 0.0 and self.freq_coupled > 0.0 and 0.0 <= self.loss < 2.0 and self.components):
@@ -93,23 +79,25 @@ class DrivenLongitudinal:
         if len({component for component, _, _ in self.onto}) != 1:
             raise ValueError(f"{self.name}: its longitudinal force acts on points of one component")
 
-    def part(self, component: str, basis: ModalBasis, dt: float) -> PhantomShare:
-        """Arrays of one polarization.
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """The component that it acts on."""
+        return (self.onto[0][0],)
+
+    def share(self, component: str, basis: ModalBasis, dt: float) -> PhantomShare:
+        """Return the arrays of one polarization.
 
         Raises
         ------
         ValueError : the component was not made by `string_basis`.
         """
-        known = basis.metadata
-        if not basis.is_real or "vec" not in known:
-            raise ValueError(f"{self.name}: {component} does not tell its shapes as a ramp and sines")
-        vec, length = cast(Floats, known["vec"]), cast(float, known["length"])
-        first = np.pi / length * np.sqrt(self.axial_stiffness / cast(float, known["linear_density"]))
+        vec, wavenumber, length = cosine_slopes(self.name, component, basis)
+        density = cast(float, basis.metadata["linear_density"])
+        first = np.pi / length * np.sqrt(self.axial_stiffness / density)
         top = min(4 * np.pi * self.freq_coupled, 0.9 * np.pi / dt)
         order = int(np.clip(top / first, 1, MOST_MODES))
         n = int(np.searchsorted(basis.natural_freq, self.freq_coupled))
-        wavenumber = np.arange(min(len(vec), n + 1 + MORE_COSINES)) * np.pi / length
-        wavenumber[0] = -1.0 / length
+        wavenumber = wavenumber[: n + 1 + MORE_COSINES]
         slopes = wavenumber[:, None] * vec[: len(wavenumber), :n]
         reading = np.where(basis.kind == PAIR, 2.0, 1.0)[:n]
         weights, mirrored = np.zeros((order + 1, n)), np.zeros((order + 1, order))
@@ -123,6 +111,10 @@ class DrivenLongitudinal:
             mirrored[m, pair] *= reading[pair] * reading[m - 1 - pair]
         freq_rad = first * np.arange(1, order + 1)
         return PhantomShare(weights, mirrored, steps_of(freq_rad, 0.5 * self.loss * freq_rad, dt))
+
+    def join(self, shares: Sequence[PhantomShare]) -> PhantomShares:
+        """Return the string of all its polarizations."""
+        return PhantomShares(tuple(shares), self.axial_stiffness)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +142,36 @@ class PhantomShare:
             pair = np.arange(m)[(np.arange(m) < n) & (m - 1 - np.arange(m) < n)]
             out[m] += (self.mirrored[m, pair] * first[pair]) @ first[m - 1 - pair]
         return out
+
+
+@dataclass(frozen=True, eq=False)
+class PhantomShares:
+    """The polarizations of a string and its longitudinal modes, as they are stepped."""
+
+    shares: tuple[PhantomShare, ...]
+    axial_stiffness: float
+
+    def advance(self, states: Sequence[Floats], row: Floats) -> float:
+        """Return the force (N) over the step that begins with states (n_modes, 2) of the polarizations.
+
+        Parameters
+        ----------
+        row : (MEMORY,) of the state; moved by one sample.
+        """
+        steps = self.shares[0].steps
+        order = len(steps)
+        s = sum((p.squares(x) for p, x in zip(self.shares, states, strict=True)), np.zeros(order + 1))
+        a, moving = row[DELAY : DELAY + order], row[DELAY + MOST_MODES : DELAY + MOST_MODES + order]
+        e, force = a + s[1:], float(row[0])
+        row[: DELAY - 1] = row[1:DELAY].copy()
+        row[DELAY - 1] = self.axial_stiffness * (s[0] + e.sum())
+        a[:], moving[:] = steps[:, 0] * e + steps[:, 1] * moving - s[1:], steps[:, 2] * e + steps[:, 3] * moving
+        return force
+
+    def describe(self) -> dict[str, Any]:
+        """Return what the kernel is loaded with, as `JoinedPotential.describe`."""
+        parts = [{"weights": part.weights, "mirrored": part.mirrored} for part in self.shares]
+        return {"kind": Kind.PHANTOM, "scale": self.axial_stiffness, "steps": self.shares[0].steps, "parts": parts}
 
 
 def steps_of(freq_rad: Floats, damping_rate: Floats, dt: float) -> Floats:

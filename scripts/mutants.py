@@ -1,0 +1,166 @@
+"""Small wrong edits, and whether a test notices each: ``python scripts/mutants.py PACKAGE... [--edits 15] [--seed 1]``.
+
+Edits are drawn from the syntax of a package's sources: a sign, a factor of 2, a term or a condition dropped, < for <=,
+off by one, min for max, `not`, a conjugate dropped, arguments swapped, a constant returned. Texts, types, messages and
+limits of keys are left alone. Each edit is made in a copy of the tree, in which the tests of the package run until one
+fails; tests beyond the time limit count as noticed. `kernel` is the C++ kernel, built again for each edit, without
+optimisation and for one instruction set. Edits that no test noticed are for a person to read: one that changes nothing
+is no gap. ``--where FILE`` or ``FILE:LINE`` draws edits there alone; ``--tests PATH...`` replaces the tests.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+from small_edits import ROOT, Edit, candidates, draw
+
+#: package, a folder of the sources -> its tests; `near` puts those first that import the edited module
+LAWS, PHYSICS = "tests/analytic/test_laws_against_ode.py", "tests/unit/physics"
+TESTS = {name: [f"{PHYSICS}/{name}"] for name in ("modal", "passivity", "energy", "plate")} | {
+    "coupling": [LAWS, f"{PHYSICS}/coupling", f"{PHYSICS}/stepping"],
+    "stepping": [LAWS, f"{PHYSICS}/stepping"],
+    "instrument": ["tests/unit/instrument"],
+    "score": ["tests/unit/performance/score"],
+    "player": ["tests/unit/performance/engine"],
+    "engine": ["tests/unit/performance/engine"],
+    "effects": ["tests/effects", "tests/unit/performance/engine"],
+    "sound": ["tests/unit/sound"],
+    "fit": ["tests/unit/workshop/fit"],
+    "listening": ["tests/unit/workshop/listening"],
+    "batch": ["tests/unit/workshop/batch"],
+    "plugins": ["tests/plugins"],
+    "kernel": [LAWS, f"{PHYSICS}/stepping", f"{PHYSICS}/coupling", "tests/effects"],
+}
+#: imported once, before the package and its tests are
+LIBRARIES = """numpy scipy.linalg scipy.signal scipy.optimize scipy.integrate scipy.interpolate scipy.sparse.linalg
+scipy.special scipy.spatial scipy.stats scipy.ndimage hypothesis pydantic yaml mido matplotlib.pyplot"""
+
+
+class Copy:
+    """A copy of the tree, imported in place of the installed package."""
+
+    def __init__(self, folder: Path):
+        self.folder, self.package = folder, folder / "lib" / "tonewood"
+        listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+        files = subprocess.run(listed, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        for name in filter(None, files.split("\0")):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, folder / name)
+        self.package.mkdir(parents=True)
+        for part in [*(folder / "src/tonewood").iterdir(), folder / "plugins", folder / "instruments"]:
+            (self.package / part.name).symlink_to(part)
+        for name in ("_kernel", "_methods"):
+            shutil.copy2(str(getattr(importlib.util.find_spec(f"tonewood.{name}"), "origin", "")), self.package)
+        for name in [name for name in sys.modules if name.partition(".")[0] == "tonewood"]:
+            del sys.modules[name]  # imported to find the kernel
+        for name in LIBRARIES.split():
+            importlib.import_module(name)
+        # the finder of an editable install would come before the path
+        hook = "import sys\nsys.meta_path[:] = [f for f in sys.meta_path if 'editable' not in type(f).__module__]\n"
+        (folder / "lib" / "sitecustomize.py").write_text(hook)
+
+    def put(self, file: Path, text: str) -> None:
+        """Write a file, and remove its compiled form."""
+        (self.folder / file).write_text(text, encoding="utf-8")
+        for compiled in (self.folder / "pyc").rglob(f"{file.stem}.*.pyc"):
+            compiled.unlink()
+
+    def build(self) -> bool:
+        """Build the kernel; return whether it compiles."""
+        out = self.folder / "out"
+        options = ["-G", "Ninja", f"-DPython_EXECUTABLE={sys.executable}", "-DTONEWOOD_QUICK_BUILD=ON"]
+        subprocess.run(["cmake", "-S", self.folder, "-B", out, *options], check=True, stdout=subprocess.DEVNULL)
+        done = subprocess.run(["cmake", "--build", out, "--target", "_kernel"], capture_output=True, check=False)
+        if done.returncode == 0:
+            shutil.copy2(next(out.glob("_kernel.*")), self.package)
+        return done.returncode == 0
+
+    def near(self, file: Path, tests: list[str]) -> list[str]:
+        """Test files, those first that import the module of a file."""
+        places = [self.folder / t for t in tests]
+        files = [f for place in places for f in ([place] if place.suffix else sorted(place.rglob("test_*.py")))]
+        pattern = re.compile(rf"\b(?:from|import) [\w.]*\b{file.stem}\b")
+        first = {f: bool(pattern.search(f.read_text(encoding="utf-8"))) for f in files}
+        return [str(f.relative_to(self.folder)) for f in sorted(first, key=lambda f: not first[f])]
+
+    def fault(self, tests: list[str], limit: float) -> str:
+        """Run tests until one fails, in a fork that has the libraries already; return its name, or an empty text."""
+        said, library = self.folder / "said", str(self.package.parent)
+        if (child := os.fork()) == 0:
+            os.setsid()
+            os.chdir(self.folder)
+            sys.pycache_prefix = str(self.folder / "pyc")
+            os.environ.update(PYTHONPATH=library, PYTHONPYCACHEPREFIX=sys.pycache_prefix)
+            sys.meta_path[:] = [f for f in sys.meta_path if "editable" not in type(f).__module__]
+            sys.path[:] = [library, str(self.folder), *(p for p in sys.path if not p.startswith(str(ROOT / "s")))]
+            out = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            os.dup2(out, 1)
+            os.dup2(out, 2)
+            code = pytest.main(["-q", "-x", "--tb=no", "-p", "no:cacheprovider", *tests])
+            sys.stdout.flush()
+            os._exit(int(code))
+        end = time.monotonic() + limit
+        while (ended := os.waitpid(child, os.WNOHANG))[0] == 0:
+            time.sleep(0.1)
+            if time.monotonic() > end:
+                os.killpg(child, signal.SIGKILL)
+                os.waitpid(child, 0)
+                return f"longer than {limit:.0f} s"
+        text = said.read_text(errors="replace")
+        lines = re.findall(r"^(?:FAILED|ERROR) (.*)", text, re.M)
+        return "" if ended[1] == 0 else lines[0] if lines else " ".join(text.split()[-12:])
+
+    def judged(self, package: str, edits: list[Edit], tests: list[str], limit: float) -> int:
+        """Make edits one by one, print the verdict on each, return the number that no test noticed."""
+        if package == "kernel" and not self.build():
+            sys.exit("kernel: it does not compile without any edit")
+        if fault := self.fault(tests, 10 * limit):
+            sys.exit(f"{package}: tests fail without any edit: {fault}")
+        survivors = 0
+        for edit in edits:
+            start = time.monotonic()
+            self.put(edit.file, edit.made)
+            compiles = package != "kernel" or self.build()
+            fault = self.fault(self.near(edit.file, tests), limit) if compiles else "does not compile"
+            self.put(edit.file, edit.source)
+            survivors += not fault
+            print("noticed" if fault else "UNNOTICED", edit, flush=True)
+            print(f"    {time.monotonic() - start:.0f} s {fault}", flush=True)
+        print(f"{package}: {len(edits)} edits, {len(edits) - survivors} noticed", flush=True)
+        return survivors
+
+
+def main() -> int:
+    """Draw, make and judge edits; return 1 where one was not noticed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("packages", nargs="+", choices=TESTS, metavar="PACKAGE", help=", ".join(TESTS))
+    parser.add_argument("--edits", type=int, default=15)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--limit", type=float, default=300.0, help="s, of the tests of one edit")
+    parser.add_argument("--where", default="", help="FILE or FILE:LINE")
+    parser.add_argument("--tests", nargs="+", help="in place of the package's own")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        copy, survivors = Copy(Path(folder)), 0
+        for package in given.packages:
+            edits = [e for e in candidates(package) if f"{e.place}:".startswith(given.where)]
+            drawn = list(draw(edits, given.edits, random.Random(f"{package} {given.seed}")))
+            survivors += copy.judged(package, drawn, given.tests or TESTS[package], given.limit)
+    return min(survivors, 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

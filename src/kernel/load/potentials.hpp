@@ -1,0 +1,214 @@
+// Potentials as loaded.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+
+#include "../data/state.hpp"
+#include "description.hpp"
+
+namespace tonewood {
+
+// Coefficients of sums over a polarization's modes for each pair of its ports; see Potentials::One.
+inline void derive_pairs(const Component& c, int at, Potentials::One& string) {
+    const std::size_t step = std::size_t(kScaledNumbers + c.n_ports) * kPadding;
+    for (int p = 0; p < c.n_ports; ++p)
+        for (int q = 0; q < c.n_ports; ++q) {
+            double steady = 0.0;
+            auto& once = string.once[std::size_t(at + p) * string.n + at + q];
+            auto& twice = string.twice[std::size_t(at + p) * string.n + at + q];
+            for (int k = 0; k < c.n; ++k) {
+                const double* const numbers = c.coordinates.numbers.data() + k / kPadding * step + k % kPadding;
+                const double h = numbers[0], p1 = numbers[5 * kPadding];
+                const double rr = p1 * numbers[(kScaledNumbers + p) * kPadding] * numbers[(kScaledNumbers + q) * kPadding];
+                once[0] += h * rr, once[1] -= h * h * rr;
+                twice[0] += h * h * p1 * rr, twice[1] -= 2 * h * h * h * p1 * rr, twice[2] += h * h * h * h * p1 * rr;
+                steady += 0.5 * h * p1 * rr;
+            }
+            if (p == q) string.steady[std::size_t(at + p)] = std::sqrt(steady);
+        }
+}
+
+// Forces on the strings' ports per displacement of each, -s^T (B - B U K U^T B) s, s their shares of connections.
+inline void answer_in_parts(const Solve& solve, Potentials& t) {
+    const std::size_t n = t.ports.size(), m = solve.m, r = solve.hub.ports.size();
+    Array<double> blocks(n * m, 0.0), reach(n * r, 0.0), joined(n * r, 0.0);  // B s, U^T B s, K U^T B s
+    std::vector<std::vector<Entry>> columns(m);
+    for (const Entry& e : solve.blocks) columns[e.column].push_back(e);
+    for (std::size_t p = 0; p < n; ++p) {
+        for (const Share& s : t.ports[p].shares)
+            for (const Entry& e : columns[s.connection]) blocks[p * m + e.row] += e.value * s.factor;
+        for (std::size_t j = 0; r && j < m; ++j)
+            if (const double x = blocks[p * m + j]; x != 0.0 && solve.hub.point[j] >= 0)
+                for (std::size_t i = 0; i < r; ++i)
+                    reach[p * r + i] +=
+                        solve.hub.span[std::size_t(solve.hub.point[j]) * r + i] * solve.hub.factor[j] * x;
+        for (std::size_t i = 0; i < r; ++i)
+            for (std::size_t j = 0; j < r; ++j) joined[p * r + i] += solve.hub.joined[i * r + j] * reach[p * r + j];
+    }
+    for (std::size_t p = 0; p < n; ++p)
+        for (std::size_t q = 0; q < n; ++q) {
+            double& to = t.onto_ports[p * t.width + q];
+            for (const Share& s : t.ports[q].shares) to -= s.factor * blocks[p * m + s.connection];
+            for (std::size_t i = 0; i < r; ++i) to += reach[q * r + i] * joined[p * r + i];
+        }
+}
+
+// Numbers the potentials' components and their fixed ports, folds the answer of the linear connections to displacements of these
+// into matrices, and makes the buffers of a run.
+inline void make_potentials(const std::vector<Component>& components, const Solve& solve, const Layout& l, Potentials& t,
+                          std::size_t capacity, const Nonlinear& nl, PotentialState& ws) {
+    t.parts.clear(), t.ports.clear(), t.n_sums = 0;
+    if (t.two_way.empty()) return;
+    std::vector<int> place(components.size(), 0);
+    for (std::size_t i = 0, ports = 0; i < components.size(); ++i) {
+        place[i] = int(ports);
+        if (!components[i].driven) ports += components[i].n_ports;
+    }
+    const std::size_t count = t.two_way.size(), n_places = l.port_rows.size(), lane = padded(count);
+    for (std::size_t s = 0; s < count; ++s) {
+        Potentials::One& one = t.two_way[s];
+        one.root = 2 * std::sqrt(one.scale), one.highest = 0.0;
+        one.first = int(t.ports.size()), one.n = 0, one.first_part = int(t.parts.size());
+        for (const int i : one.components) one.n += components[i].n_ports;
+        const bool modulated = one.kind == Potentials::tension;
+        one.once.assign(modulated ? std::size_t(one.n) * one.n : 0, {}), one.steady.assign(one.n, 0.0);
+        one.twice.assign(one.once.size(), {});
+        for (const int i : one.components) {
+            const Component& c = components[i];
+            one.highest = std::max(one.highest, c.coordinates.largest_half);
+            if (modulated) derive_pairs(c, int(t.ports.size()) - one.first, one);
+            t.parts.push_back({i, int(s), int(t.ports.size()), t.n_sums});
+            t.n_sums += kSharedSums + std::size_t(kPortSums) * c.n_ports;
+            for (int p = 0; p < c.n_ports; ++p)
+                t.ports.push_back({int(s), l.row[i] + p, l.port[i] + p, place[i] + p, c.shares[p]});
+        }
+    }
+    const std::size_t n = t.ports.size(), width = padded(n);
+    t.width = int(width);
+    t.onto_ports.assign(n * width, 0.0);
+    const std::size_t of_one_matrix = l.in_parts ? 0 : n;
+    t.onto_forces.assign(of_one_matrix * l.force_width, 0.0), t.onto_linear.assign(of_one_matrix * l.f_width, 0.0);
+    if (l.in_parts) answer_in_parts(solve, t);
+    for (std::size_t p = 0; p < of_one_matrix; ++p) {
+        const std::size_t from = t.ports[p].place;
+        const double *linear = l.gather.data() + ((n_places + from) * l.f_width),
+                     *forces = l.direct.free.data() + from * l.force_width;
+        std::copy_n(linear, l.f_width, t.onto_linear.data() + p * l.f_width);
+        std::copy_n(forces, l.force_width, t.onto_forces.data() + p * l.force_width);
+        for (std::size_t q = 0; q < n; ++q) t.onto_ports[p * width + q] = forces[t.ports[q].force];
+    }
+    const std::size_t n_sums = (t.n_sums + kPadding - 1) / kPadding * kPadding, k = nl.k;
+    ws.scaled.assign(kScaledState * capacity, 0.0), ws.known.assign(capacity, 0.0);
+    ws.lanes.assign(n_sums * 8, 0.0), ws.sums.assign(n_sums, 0.0);
+    for (Array<double>* a :
+         {&ws.psi, &ws.mean, &ws.alone, &ws.own, &ws.shift, &ws.spread, &ws.bound, &ws.over})
+        a->assign(lane, 0.0);
+    for (Array<double>* a : {&ws.reach, &ws.driven, &ws.answering, &ws.pulled, &ws.answered, &ws.forces, &ws.moved}) a->assign(width, 0.0);
+    ws.stiff.assign(count * width, 0.0);
+    for (Array<double>* a : {&ws.matrix, &ws.upper}) a->assign(count * lane, 0.0);
+    ws.linear.assign(l.f_width, 0.0), ws.y.assign(padded(n_places) + 2 * kLane, 0.0);
+    ws.has_meets.assign(k, 0), ws.meets.assign(k * width, 0.0), ws.z.assign(k * k, 0.0);
+    ws.gap.assign(k * lane, 0.0), ws.solved.assign(count * padded(k), 0.0), ws.row.assign(padded(k), 0.0);
+}
+
+// The arrays of a string with longitudinal motion.
+inline Stretch load_stretch(const PotentialDescription& d, const std::vector<Component>& components,
+                            const std::string& name) {
+    require(d.slots.size() >= 2 && d.parts.size() == d.slots.size(), name + "parts: one for each component is needed");
+    Stretch out;
+    out.scale = d.scale;
+    for (std::size_t q = 0; q < d.parts.size(); ++q) {
+        const View& slopes = d.parts[q].slopes;
+        const Component& c = components[d.slots[q]];
+        const std::string at = name + "parts[" + std::to_string(q) + "].";
+        require(slopes.ndim == 2, at + "slopes has 2 dimensions");
+        const std::size_t n = slopes.shape[1], cosines = slopes.shape[0], w = padded(n);
+        require(!c.contact.n && n > 0 && n <= std::size_t(c.n) && cosines > 0, at + "slopes: they do not fit the component");
+        Stretch::Part part;
+        part.n = int(n), part.width = int(w), part.cosines = int(cosines);
+        part.cosines_width = int(padded(cosines));
+        part.slopes.assign(n * part.cosines_width, 0.0), part.back.assign(cosines * w, 0.0);
+        for (std::size_t i = 0; i < cosines; ++i)
+            for (std::size_t k = 0; k < n; ++k)
+                part.slopes[k * part.cosines_width + i] = part.back[i * w + k] = slopes[i * n + k];
+        out.parts.push_back(std::move(part));
+    }
+    out.order = out.parts.back().cosines - 1;
+    return out;
+}
+
+// The C function of a potential.
+inline UserPotential load_user(const PotentialDescription& d, const std::vector<Component>& components,
+                               const std::string& name) {
+    require(d.function, name + "function: none is given");
+    require(d.sizes.size() == d.slots.size(), name + "sizes: one for each component is needed");
+    for (std::size_t q = 0; q < d.sizes.size(); ++q)
+        require(d.sizes[q] >= 0 && d.sizes[q] <= components[d.slots[q]].n && !components[d.slots[q]].contact.n,
+                name + "sizes: they do not fit component " + std::to_string(d.slots[q]));
+    return {d.function, d.data, d.scratch, d.scale, d.sizes};
+}
+
+// A string whose longitudinal motion is driven one way.
+inline PhantomString load_phantom(const PotentialDescription& d, const std::vector<Component>& components,
+                                  const std::string& name) {
+    require(d.target >= 0 && std::size_t(d.target) < components.size() && !components[d.target].driven &&
+                !components[d.target].by_sample(),
+            name + "target: no force can act on component " + std::to_string(d.target));
+    require(d.steps.ndim == 2 && d.steps.shape[0] >= 1 && d.steps.shape[0] <= kPhantomModes,
+            name + "steps: 1 to " + std::to_string(kPhantomModes) + " modes are allowed");
+    require(d.parts.size() == d.slots.size(), name + "parts: one for each component is needed");
+    const std::size_t order = d.steps.shape[0];
+    expect(name + "steps", d.steps, {order, 4});
+    expect(name + "vector", d.vector, {2, std::size_t(components[d.target].n)});
+    PhantomString out;
+    out.at = d.at, out.target = d.target, out.order = int(order), out.scale = d.scale;
+    out.vector = d.vector.copy(), out.steps.assign(4 * kPhantomModes, 0.0);
+    for (std::size_t m = 0; m < order; ++m)
+        for (std::size_t i = 0; i < 4; ++i) out.steps[i * kPhantomModes + m] = d.steps[4 * m + i];
+    for (std::size_t q = 0; q < d.parts.size(); ++q) {
+        const auto& p = d.parts[q];
+        const int slot = d.slots[q];
+        const std::size_t n = p.weights.ndim == 2 ? p.weights.shape[1] : 0;
+        const std::size_t wide = (n + kPadding - 1) / kPadding * kPadding;
+        require(n > 0 && n <= std::size_t(components[slot].n) && !components[slot].driven &&
+                    !components[slot].by_sample(),
+                name + "parts: one does not fit component " + std::to_string(slot));
+        expect(name + "weights", p.weights, {order + 1, n});
+        expect(name + "mirrored", p.mirrored, {order + 1, order});
+        PhantomString::Part part;
+        part.slot = slot, part.wide = int(wide);
+        part.weights.assign(padded(order + 1) * wide, 0.0), part.mirrored.assign((order + 1) * kPhantomModes, 0.0);
+        for (std::size_t m = 0; m <= order; ++m) {
+            std::copy_n(p.weights.data + m * n, n, part.weights.data() + m * wide);
+            std::copy_n(p.mirrored.data + m * order, order, part.mirrored.data() + m * kPhantomModes);
+        }
+        out.parts.push_back(std::move(part));
+    }
+    return out;
+}
+
+// Marks the components of potentials, and checks what all kinds share.
+inline void mark_potentials(const std::vector<PotentialDescription>& all, std::vector<Component>& components) {
+    for (Component& c : components) c.modulated = c.coupled = false;
+    for (std::size_t s = 0; s < all.size(); ++s) {
+        const PotentialDescription& d = all[s];
+        const std::string name = "potentials[" + std::to_string(s) + "]";
+        require(d.kind >= 0 && d.kind < Potentials::n_kinds, name + ": no such kind");
+        require(d.at <= kPhantomMemory * components.size(), name + ".at: a state of so many numbers is not needed");
+        require(!d.slots.empty(), name + ": no components");
+        require(s == 0 || all[s - 1].kind <= d.kind, name + ": potentials of a kind stand together");
+        for (const int i : d.slots) {
+            require(i >= 0 && std::size_t(i) < components.size(), name + ": no component " + std::to_string(i));
+            Component& c = components[i];
+            if (d.kind == Potentials::phantom) continue;
+            require(!c.coordinates.reading.empty(),
+                    name + ": component " + std::to_string(i) + " was loaded without `reading`");
+            require(!c.by_sample(), name + ": component " + std::to_string(i) + " belongs to another potential");
+            (d.kind == Potentials::tension ? c.modulated : c.coupled) = true;
+        }
+    }
+}
+
+}  // namespace tonewood

@@ -1,0 +1,138 @@
+// Potentials whose forces on the lowest modes of their components are held as arrays: base of all kinds whose direction
+// is no simple multiple of the coordinates.
+#pragma once
+
+#include "../modal/stretch_pass.hpp"
+#include "solve.hpp"
+
+namespace tonewood {
+namespace {
+
+class ModalForces : public PotentialGroup {
+protected:
+    struct Part {
+        const PotentialPart& modes;
+        int n;                               // coordinates: the lowest modes
+        // (n, padded as modes are): coordinate per xi of modal/scaled_modes.hpp
+        Array<double> scale;
+        Array<double> middle{};              // coordinates in the middle of the step, and in the state of the run
+        Array<double> force{}, direction{};  // modal forces of the last step, and per psi_m; scaled as xi is
+    };
+
+    ModalForces(PotentialRun& run, int first, int end) : PotentialGroup(run, first, end), parts_(run.parts.size()) {}
+
+    void sum(const PotentialPart& part, double* to) override { sum_stretch_step(*part.c, part.state, to); }
+    void make(const PotentialPart& p) override {
+        const Array<double>& modal = parts_[std::size_t(&p - run_.parts.data())]->force;
+        make_stretch_step(*p.c, p.state, ws_.forces.data() + p.part->first_port, modal.data(), modal.size());
+    }
+
+    // Part q of potential s, over its lowest n modes.
+    Part& add_part(int s, std::size_t q, int n) {
+        const std::size_t index = std::size_t(t_.two_way[s].first_part) + q, wide = (n + kPadding - 1) / kPadding * kPadding;
+        const PotentialPart& modes = run_.parts[index];
+        parts_[index] = std::make_unique<Part>(Part{modes, n, Array<double>(wide, 0.0)});
+        Part& part = *parts_[index];
+        for (Array<double>* a : {&part.middle, &part.force, &part.direction}) a->assign(wide, 0.0);
+        const Coordinates& c = modes.c->coordinates;
+        for (int k = 0; k < n; ++k) part.scale[k] = c.reading[k] * std::sqrt(c.gain[k]);
+        return part;
+    }
+
+    // Coordinates of a part in the middle of a step under forces on its ports, and modal forces (scaled as xi is).
+    static void find_middle(Part& part, const double* forces, const double* modal = nullptr) {
+        const Component& c = *part.modes.c;
+        const std::size_t step = std::size_t(kScaledNumbers + c.n_ports) * kPadding, n = c.n;
+        const double *numbers = c.coordinates.numbers.data(), *state = part.modes.state;
+        const double* const m = c.coordinates.middle.data();
+        for (std::size_t k = 0; k < part.middle.size(); k += kPadding, numbers += step, state += kScaledState * kPadding)
+            for (int j = 0; j < kPadding; j += S::width) {
+                const V xi = S::load(state + j);
+                V driven = modal ? S::load(modal + k + j) : V{};
+                for (int p = 0; p < c.n_ports; ++p)
+                    driven += S::load(numbers + (kScaledNumbers + p) * kPadding + j) * forces[p];
+                V y = S::load(m + k + j) * (xi + xi + S::load(state + kPadding + j)) + S::load(m + n + k + j) * driven;
+                if (part.modes.known) y += S::load(part.modes.known + k + j) * 0.5;
+                S::store(part.middle.data() + k + j, S::load(part.scale.data() + k + j) * y);
+            }
+    }
+
+    // Displacements of a part's ports by modal forces: use(port, displacement).
+    template <class Use>
+    static void ports(const Part& part, const double* modal, const Use& use) {
+        const Component& c = *part.modes.c;
+        const std::size_t step = std::size_t(kScaledNumbers + c.n_ports) * kPadding;
+        for (int p = 0; p < c.n_ports; ++p) {
+            const double* numbers = c.coordinates.numbers.data() + (kScaledNumbers + p) * kPadding;
+            V sum{};
+            for (std::size_t k = 0; k < part.middle.size(); k += kPadding, numbers += step)
+                for (int j = 0; j < kPadding; j += S::width) sum += S::load(numbers + j) * S::load(modal + k + j);
+            use(part.modes.part->first_port + p, S::sum(sum));
+        }
+    }
+
+    // Sums of a potential's directions.
+    struct Sums {
+        double power = 0, own = 0, answered = 0;
+    };
+    // Adds those of a part whose direction is known, and writes the displacements of its ports per psi_m.
+    void add_direction(const Part& part, Sums& sums) {
+        V along{}, size{};
+        const double* state = part.modes.state + kPadding;
+        for (std::size_t k = 0; k < part.direction.size(); k += kPadding, state += kScaledState * kPadding)
+            for (int j = 0; j < kPadding; j += S::width) {
+                const V d = S::load(part.direction.data() + k + j);
+                along += d * S::load(state + j), size += d * d;
+            }
+        sums.power += S::sum(along), sums.own += S::sum(size);
+        ports(part, part.direction.data(), [&](int port, double moved) {
+            ws_.reach[port] = moved, sums.answered += ws_.answering[port] * moved;
+        });
+    }
+    void finish_direction(int s, const Sums& sums) {
+        ws_.own[s] = sums.own;
+        ws_.alone[s] = ws_.psi[s] + 0.5 * (sums.power + sums.answered);
+    }
+
+    // psi, and the forces -psi_m g on the modes, after a step.
+    void make_forces(int s, const std::vector<Part*>& parts) {
+        const double mean = ws_.mean[s];
+        ws_.psi[s] = 2 * mean - ws_.psi[s];
+        for (Part* part : parts)
+            for (std::size_t k = 0; k < part->force.size(); k += S::width)
+                S::store(part->force.data() + k, S::load(part->direction.data() + k) * -mean);
+    }
+
+    // Coordinates of a part in the state of the run.
+    void read(Part& part) const {
+        const double* const x = block_.x(part.modes.part->component);
+        for (int k = 0; k < part.n; ++k) part.middle[k] = part.modes.c->coordinates.reading[k] * x[k];
+    }
+
+    // Energy of a part's modes in the state of the run.
+    double energy_of(const Part& part) const {
+        const Component& c = *part.modes.c;
+        const int i = part.modes.part->component;
+        const double *const per = c.coordinates.velocity.data(), *const x = block_.x(i), *const y = block_.y(i);
+        double sum = 0.0;
+        for (int k = 0; k < part.n; ++k) {
+            const double v = per[k] * x[k] + per[c.n + k] * y[k], displaced = c.coordinates.reading[k] * x[k];
+            sum += 0.5 * (v * v + c.coordinates.stiffness[k] * displaced * displaced);
+        }
+        return sum;
+    }
+
+    double pay_of(const std::vector<Part*>& parts, double cost) {
+        return pay_from_motion(
+            [&](const auto& use) {
+                for (const Part* part : parts) use(part->modes.part->component, std::size_t(part->n));
+            },
+            cost);
+    }
+
+private:
+    std::vector<std::unique_ptr<Part>> parts_;  // as those of the run; none of other kinds
+};
+
+}  // namespace
+}  // namespace tonewood

@@ -1,0 +1,169 @@
+"""Potentials of one's own: V(y) and its gradient, in Python or as a C function, stepped like those of tonewood.
+
+A `PotentialEnergy` gives V and dV/dy of the coordinates y of some components' lowest modes; `ModalPotential` names
+these components. It is stepped by psi = sqrt(2 (V + C)) (`potentials.base`) with
+
+    g = dV/dy / sqrt(2 (V + C)) at y*,
+
+y* the coordinates in the middle of the step (`ModalCoordinates.middle`) under all forces but those of potentials and
+nonlinear connections. The scheme is of second order. Every 64 steps psi is put back to sqrt(2 (V + C)), and the kinetic
+energy of the modes pays for it.
+
+The energy of the modes and psi^2 / 2 - C together do not rise, whatever V is. What else V has to fulfil:
+
+====================  =================================================================================================
+bounded from below    V >= `PotentialEnergy.least`. Where it falls below, psi^2 / 2 - C stays above and parts from V:
+                      nothing grows, but the motion is no longer that of V.
+smooth                twice differentiable, and so is sqrt(V + C). A V with a quadratic minimum at `least` has a kink in
+                      sqrt(V - least): give a `scale` (J), about the energies that matter; it makes C = scale - least. A
+                      sum of squares of quadratic forms needs none. With a kink the energy still balances, but the order
+                      falls to one.
+slow against a step   no stiffer than the highest modes: the error grows with the square of h^2 V''. A stiff quadratic
+                      part belongs to the modes.
+psi near V            psi^2 / 2 - C and V part by the error of the steps, and are put back while a quarter of the
+                      kinetic energy pays for it. Where it does not, the steps are too long for this V.
+====================  =================================================================================================
+"""
+
+from __future__ import annotations
+
+import ctypes
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.errors import TonewoodError
+from tonewood.physics.coupling.c_functions import CFunction
+from tonewood.physics.coupling.potentials.base import JoinedPotential, Kind, MiddleOfStep, Potential
+from tonewood.physics.modal.modes import ModalBasis
+
+Floats = NDArray[np.float64]
+
+_DOUBLES = ctypes.POINTER(ctypes.c_double)
+#: C type of a potential: data, number of coordinates, coordinates, gradient (NULL: energy alone), scratch
+FUNCTION = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_int64, _DOUBLES, _DOUBLES, _DOUBLES)
+_SIGNATURES = tuple(
+    f"double(void*,{n},double*,double*,double*)" for n in ("long", "longlong", "int64_t", "longint", "int")
+)
+
+
+class PotentialFunction(CFunction):
+    """A C function of a potential, by its address.
+
+        double potential(const void* data, int64_t n, const double* y, double* gradient, double* scratch)
+
+    returns V (J) of n coordinates and writes dV/dy unless `gradient` is NULL. It allocates nothing and keeps nothing.
+
+    Parameters
+    ----------
+    function : argument of SciPy's `LowLevelCallable`, which may carry `data`; or a ctypes pointer of type `FUNCTION`.
+    data : array that it reads, kept alive; in place of data of a `LowLevelCallable`.
+    scratch : numbers that it may write to while it runs.
+
+    Raises
+    ------
+    ValueError : another signature.
+    """
+
+    def __init__(self, function: Any, data: NDArray[Any] | None = None, scratch: int = 0):
+        super().__init__(function, _SIGNATURES)
+        self.scratch, self._kept = scratch, data
+        if data is not None:
+            self.data = data.ctypes.data
+
+
+class PotentialEnergy(JoinedPotential):
+    """V(y) of the lowest modes of some components; see the module for what it has to fulfil.
+
+    Attributes
+    ----------
+    sizes : number of coordinates of each component, its lowest modes.
+    least : J, V is nowhere below it.
+    scale : J, added to V - least under the root of psi; 0 where sqrt(V - least) is smooth.
+    """
+
+    least: float = 0.0
+    scale: float = 0.0
+
+    @abstractmethod
+    def gradient(self, y: Floats) -> tuple[float, Floats]:
+        """V, J, and dV/dy (n,), N / sqrt(kg), at coordinates (n,), m sqrt(kg)."""
+
+    def energy(self, y: Floats) -> float:
+        """V, J; override it where it is quicker than the gradient."""
+        return self.gradient(y)[0]
+
+    def function(self) -> PotentialFunction | None:
+        """The same as a C function, at whose speed the kernel steps it; None: the kernel calls `gradient`, slowly."""
+        return None
+
+    def shift(self, kept: float, stored: float, modes: Callable[[], float]) -> float:
+        """C, J."""
+        return self.scale - self.least
+
+    def direction(self, step: MiddleOfStep) -> Floats:
+        """See `JoinedPotential`."""
+        value, gradient = self.gradient(step.middle)
+        size = np.sqrt(2 * max(value + step.shift, 0.0))
+        return gradient / size if size > 0.0 else np.zeros(len(gradient))
+
+    @cached_property
+    def c_function(self) -> PotentialFunction:
+        """`function`, or `gradient` behind a pointer."""
+        return self.function() or PotentialFunction(FUNCTION(self._called))
+
+    def _called(self, data: Any, n: int, y: Any, gradient: Any, scratch: Any) -> float:
+        at = np.ctypeslib.as_array(y, (n,)).copy()
+        if not gradient:
+            return float(self.energy(at))
+        value, slope = self.gradient(at)
+        np.ctypeslib.as_array(gradient, (n,))[:] = slope
+        return float(value)
+
+    def describe(self) -> dict[str, Any]:
+        """See `JoinedPotential`."""
+        f = self.c_function
+        calls = {"function": f.address, "data": f.data, "scratch": f.scratch}
+        return {"kind": Kind.USER, "scale": self.scale - self.least, "sizes": list(self.sizes), **calls}
+
+
+@dataclass(frozen=True, eq=False)
+class ModalPotential(Potential):
+    """A potential of one's own on some components.
+
+    Attributes
+    ----------
+    name : unique among the potentials of a system.
+    components : of real modes; each belongs to one potential at most.
+    energy : returns V of the components' modes as they are stepped; called anew when one is exchanged.
+    effect : name of the effect that may leave it out; empty: it is never left out.
+    """
+
+    name: str
+    components: tuple[str, ...]
+    energy: Callable[[Sequence[ModalBasis]], PotentialEnergy]
+    effect: str = ""
+
+    def share(self, component: str, basis: ModalBasis, dt: float) -> ModalBasis:
+        """Return the modes themselves."""
+        return basis
+
+    def join(self, shares: Sequence[ModalBasis]) -> PotentialEnergy:
+        """Return V of all components.
+
+        Raises
+        ------
+        TonewoodError : V has more coordinates than a component has modes.
+        """
+        made = self.energy(shares)
+        for component, size, basis in zip(self.components, made.sizes, shares, strict=True):
+            if not 0 <= size <= basis.n_modes:
+                raise TonewoodError(
+                    f"potential {self.name}: {component} has {basis.n_modes} modes, not {size} coordinates"
+                )
+        return made

@@ -1,0 +1,104 @@
+"""The contract's door for potentials: a body of a bundle's own that hardens, its effect, and its mistakes."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import tonewood as tw
+from tonewood.errors import TonewoodError
+from tonewood.instrument.model.assembly import assemble
+
+SOURCE = '''
+import numpy as np
+import tonewood.authoring as ta
+
+HARD = ta.Effect("hardening", "a body that hardens", "detuning", "always", "nothing")
+
+
+class BlockParameters(ta.Parameters):
+    """Of the block."""
+
+    hardness: float = ta.quantity("N/m^3", low=0.0, high=1e20, doc="of its third power")
+
+
+class Cube(ta.PotentialEnergy):
+    sizes = (1,)
+
+    def __init__(self, k):
+        self.k = k
+
+    def gradient(self, y):
+        return float(0.25 * self.k * y[0] ** 4), self.k * y**3
+
+
+class Block(ta.Body[BlockParameters]):
+    api = 1
+    Parameters = BlockParameters
+    effects = (*ta.Body.effects, HARD)
+
+    def points(self):
+        return {"top": ta.BodyPoint((0.0, 0.0, 1.0))}
+
+    def basis(self, freq_upper):
+        return ta.ModalBasis.real([900.0], [20.0], {"top": [1.0]}, modal_mass=0.02)
+
+    def potentials(self, component):
+        return [ta.ModalPotential("block", (component,), lambda bases: Cube(self.parameters.hardness), "hardening")]
+'''
+
+
+def block(folder: Path, hardness: float) -> tw.Instrument:
+    """The monochord on a block that hardens."""
+    shutil.copytree(tw.list_instruments()["monochord"], folder)
+    values = yaml.safe_load((folder / "instrument.yaml").read_text(encoding="utf-8"))
+    values["body"] = {"plugin": "block.py:Block", "hardness": hardness}
+    name = next(n for n in values["strings"] if n != "defaults")
+    for part in values["strings"].values():
+        part.pop("end", None)
+    values["strings"][name]["end"] = "body.top"
+    values["outputs"] = [{"name": "top", "plugin": "point_pickup", "quantity": "acceleration", "at": "body.top",
+                          "full_scale": 1500.0}]  # fmt: skip
+    (folder / "instrument.yaml").write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+    (folder / "block.py").write_text(SOURCE, encoding="utf-8")
+    return tw.load_instrument(folder, allow_code=True)
+
+
+SCORE = tw.Score([tw.Note(0.0, 0.2, note=45, force=8.0)])
+
+
+def test_a_body_hardens_and_its_energy_adds_up(tmp_path: Path) -> None:
+    hard = block(tmp_path / "hard", 1e15)
+    sound = tw.render(SCORE, hard, 8000, oversampling=1.0, max_duration=0.1, effects="all", energy=True)
+    assert sound.energy is not None
+    assert sound.energy.worst_residual < 1e-11
+    assert sound.energy.stored["block.potential"].max() > 0.0
+    plain = tw.render(SCORE, hard, 8000, oversampling=1.0, max_duration=0.1, effects="none").samples
+    assert np.abs(sound.samples - plain).max() > 1e-3 * np.abs(plain).max()
+
+
+def test_its_effect_leaves_it_out(tmp_path: Path) -> None:
+    hard = block(tmp_path / "hard", 1e15)
+    soft = block(tmp_path / "soft", 0.0)
+    assert [p.name for p in assemble(hard, 8000.0).system.potentials] == ["block"]
+    for mode, count in (("all", 1), ("none", 0), (["hardening"], 1)):
+        assert len(assemble(hard.replace({"effects.mode": mode}), 8000.0).system.potentials) == count
+    ways = (hard, ["second_polarization", "dampers"]), (soft, ["second_polarization", "dampers", "hardening"])
+    left_out, linear = (
+        tw.render(SCORE, made, 8000, effects=effects, oversampling=1.0, max_duration=0.05).samples
+        for made, effects in ways
+    )
+    np.testing.assert_allclose(left_out, linear, atol=1e-9 * np.abs(linear).max())
+
+
+def test_a_gradient_that_fails_ends_in_one_line(tmp_path: Path) -> None:
+    folder = tmp_path / "hard"
+    block(folder, 1e15)
+    source = (folder / "block.py").read_text(encoding="utf-8").replace("sizes = (1,)", "sizes = (2,)")
+    (folder / "block.py").write_text(source, encoding="utf-8")
+    with pytest.raises(TonewoodError, match="modes, not 2 coordinates"):
+        tw.render(SCORE, tw.load_instrument(folder, allow_code=True), 8000, max_duration=0.02, effects="all")

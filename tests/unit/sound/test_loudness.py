@@ -1,0 +1,32 @@
+"""True peaks and gains that bring a sound to a loudness: cases in which neighbours and gates decide."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import resample_poly
+
+from tonewood.sound.level.loudness import loudness, matching_gain_db, true_peak
+
+FS = 48000
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize("at", [255, 256, 257, 512])
+def test_a_true_peak_beside_a_block_s_loud_neighbour(at: int, backwards: bool) -> None:
+    """The wave overshoots before alternating samples begin: at the edge of blocks, in one that is silent itself."""
+    n = np.arange(1024 - at)
+    sound = np.concatenate([np.zeros(at), (-1.0) ** n * np.exp(-n / 60)])[:, None]
+    sound = sound[::-1] if backwards else sound
+    whole = float(np.abs(resample_poly(sound, 4, 1, axis=0)).max())
+    assert whole > 1.1
+    assert true_peak(sound) == pytest.approx(whole, rel=1e-12)
+
+
+def test_a_gain_is_found_where_the_absolute_gate_moves_with_it() -> None:
+    """Brought to -66 LUFS, the quieter half falls below -70 LUFS and counts no more: one measurement does not do."""
+    t = np.arange(6 * FS) / FS
+    tone = np.sin(2 * np.pi * 997.0 * t)
+    sound = np.concatenate([tone, 10 ** (-8 / 20) * tone])[:, None]
+    gain = matching_gain_db(sound, FS, -66.0)
+    assert loudness(sound * 10 ** (gain / 20), FS)[0] == pytest.approx(-66.0, abs=1e-3)
