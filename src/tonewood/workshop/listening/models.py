@@ -259,7 +259,7 @@ class _Cells:
         return math.sqrt(float(np.sum((self.value - means[at]) ** 2)) / free) if free > 0 else 0.0
 
 
-Results = tuple[dict[strata.Effect, strata.Estimated], dict[strata.Effect, strata.Tested]]
+Results = tuple[dict[strata.EffectName, strata.Estimated], dict[strata.EffectName, strata.Tested]]
 
 
 def _by_strata(data: _Cells, contrasts: strata.Contrasts, confidence: float, sounds: bool) -> Results:
@@ -270,14 +270,14 @@ def _by_strata(data: _Cells, contrasts: strata.Contrasts, confidence: float, sou
 
 def _by_mixed_model(
     data: _Cells, contrasts: strata.Contrasts, confidence: float
-) -> tuple[dict[strata.Effect, strata.Estimated], dict[strata.Effect, strata.Tested], str, bool, list[str]]:
+) -> tuple[dict[strata.EffectName, strata.Estimated], dict[strata.EffectName, strata.Tested], str, bool, list[str]]:
     """The mixed model of the module; random deviations of one variance for each effect."""
     from scipy.special import fdtrc, stdtr, stdtrit
 
-    codes: dict[strata.Effect, Any] = {
+    codes: dict[strata.EffectName, Any] = {
         (f,): np.array([data.levels[f].index(cell[i]) for cell in data.cells]) for i, f in enumerate(data.used)
     }
-    coded: dict[strata.Effect, Any] = {e: strata.coded(codes[e], len(data.levels[e[0]])) for e in codes}
+    coded: dict[strata.EffectName, Any] = {e: strata.coded(codes[e], len(data.levels[e[0]])) for e in codes}
     columns = {
         e: coded[e] if len(e) == 1
         else np.einsum("ki,kj->kij", coded[e[:1]], coded[e[1:]]).reshape(len(data.cells), -1)
@@ -363,11 +363,7 @@ def rank_analysis(rows: Rows, factors: Sequence[str], confidence: float = 0.95) 
             change = table[:, b] - table[:, a]
             p = float(wilcoxon(change).pvalue) if np.any(change) else 1.0
             raw.append((levels[a], levels[b], p, _rank_biserial(change)))
-        order = np.argsort([p for _, _, p, _ in raw])
-        holm, worst = np.empty(len(raw)), 0.0
-        for rank, i in enumerate(order):
-            worst = max(worst, min(1.0, (len(raw) - rank) * raw[i][2]))
-            holm[i] = worst
+        holm = strata.holm(np.array([p for _, _, p, _ in raw]))
         pairs += [RankPair(factor, a, b, len(who), p, float(q), r) for (a, b, p, r), q in zip(raw, holm, strict=True)]
     return RankAnalysis(tuple(tests), tuple(pairs), tuple(_superiorities(rows, factors, confidence)))
 

@@ -28,7 +28,7 @@ from tonewood.workshop.batch.pages import (
 )
 from tonewood.workshop.batch.seeds import generator
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest, ServedTrial
-from tonewood.workshop.listening.thresholds import Track, track_of
+from tonewood.workshop.listening.thresholds import AdaptiveTrack, track_of
 
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 #: slot of the open reference
@@ -84,7 +84,7 @@ class Session:
     def __init__(self, test: ListeningTest, seed: int):
         self.test, self.seed = test, seed
         self.answers: list[dict[str, Any]] = []
-        self.tracks: dict[int, list[Track]] = {}
+        self.tracks: dict[int, list[AdaptiveTrack]] = {}
         self.incomplete: set[int] = set()
         self._course = self._steps()
         self.step: Step | None = next(self._course, None)

@@ -38,7 +38,7 @@ _CELLS = [(f, s) for f in _FACTOR for s in _SOUND]
 
 
 @dataclass(frozen=True)
-class Rates:
+class RatingRates:
     """Shares of experiments: `coverage` of the interval of a true difference, `failed` of fits that did not converge."""
 
     experiments: int
@@ -70,7 +70,7 @@ def ratings(
 
 def rating_rates(
     random: np.random.Generator, experiments: int, listeners: int, null: str, confidence: float = 0.95
-) -> Rates:
+) -> RatingRates:
     """False alarms and coverage of the exact analysis."""
     contrasts = strata.contrasts(_CELLS, _LEVELS)
     # the shift is kept off the ends of the scale: a true difference is stated only there
@@ -87,12 +87,12 @@ def rating_rates(
         one = strata.estimated(y, contrasts.differences["factor",], confidence, sounds=False)
         parts.append([test, term, (one.low[..., 0] <= shift) & (shift <= one.high[..., 0]), cross])
     shares = [float(np.mean(np.concatenate(x))) for x in zip(*parts, strict=True)]
-    return Rates(experiments, *shares)
+    return RatingRates(experiments, *shares)
 
 
 def missing_rates(
     random: np.random.Generator, experiments: int, listeners: int, null: str, confidence: float = 0.95
-) -> Rates:
+) -> RatingRates:
     """False alarms and coverage of the mixed model: a quarter of the listeners' last third of answers is missing."""
     alpha = 1 - confidence
     rates, failed = [], 0
@@ -122,7 +122,7 @@ def missing_rates(
         )
     shares = np.mean(np.array(rates, dtype=np.float64), axis=0) if rates else np.full(4, np.nan)
     test, difference, coverage, interaction = (float(x) for x in shares)
-    return Rates(experiments, test, difference, coverage, interaction, failed / experiments)
+    return RatingRates(experiments, test, difference, coverage, interaction, failed / experiments)
 
 
 @dataclass(frozen=True)

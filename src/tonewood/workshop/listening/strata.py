@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 #: names of the factors of an effect: one for a main effect, two for an interaction
-Effect = tuple[str, ...]
+EffectName = tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,10 @@ class Contrasts:
     without : interactions that are left out because cells are empty.
     """
 
-    bases: Mapping[Effect, Array]
-    differences: Mapping[Effect, Array]
-    names: Mapping[Effect, tuple[str, ...]]
-    without: tuple[Effect, ...] = ()
+    bases: Mapping[EffectName, Array]
+    differences: Mapping[EffectName, Array]
+    names: Mapping[EffectName, tuple[str, ...]]
+    without: tuple[EffectName, ...] = ()
 
 
 def contrasts(cells: Sequence[Sequence[str]], levels: Mapping[str, Sequence[str]]) -> Contrasts:
@@ -65,18 +65,18 @@ def contrasts(cells: Sequence[Sequence[str]], levels: Mapping[str, Sequence[str]
     levels : factor -> its levels, the first being that of the reference.
     """
     where = {f: np.array([list(levels[f]).index(cell[i]) for cell in cells]) for i, f in enumerate(levels)}
-    main: dict[Effect, Array] = {(f,): coded(where[f], len(levels[f])) for f in levels}
-    pairs: dict[Effect, Array] = {}
-    without: list[Effect] = []
+    main: dict[EffectName, Array] = {(f,): coded(where[f], len(levels[f])) for f in levels}
+    pairs: dict[EffectName, Array] = {}
+    without: list[EffectName] = []
     for a, b in itertools.combinations(levels, 2):
         if len(set(zip(where[a], where[b], strict=True))) < len(levels[a]) * len(levels[b]):
             without.append((a, b))
         else:
             pairs[a, b] = np.einsum("ki,kj->kij", main[a,], main[b,]).reshape(len(cells), -1)
     columns = main | pairs
-    bases: dict[Effect, Array] = {}
-    differences: dict[Effect, Array] = {}
-    names: dict[Effect, tuple[str, ...]] = {}
+    bases: dict[EffectName, Array] = {}
+    differences: dict[EffectName, Array] = {}
+    names: dict[EffectName, tuple[str, ...]] = {}
     for effect, own in columns.items():
         others = np.hstack([np.ones((len(cells), 1)), *(x for e, x in columns.items() if e != effect)])
         free = own - others @ (np.linalg.pinv(others) @ own)
@@ -216,9 +216,10 @@ def _total(parts: list[tuple[Array, int]]) -> tuple[Array, Array]:
 
 def holm(p: Array) -> Array:
     """Adjust probabilities (..., k) of k tests for each other (S. Holm, Scand. J. Stat. 6 (1979) 65-70)."""
-    order = np.argsort(p, axis=-1, kind="stable")
-    k = p.shape[-1]
-    raised = np.minimum(np.take_along_axis(p, order, -1) * np.arange(k, 0, -1), 1.0)
-    out = np.empty_like(p)
-    np.put_along_axis(out, order, np.maximum.accumulate(raised, axis=-1), -1)
-    return out
+    flat = np.reshape(p, (-1, p.shape[-1]))
+    rows, k = np.arange(len(flat))[:, None], flat.shape[1]
+    order = np.argsort(flat, axis=1, kind="stable")
+    raised = np.minimum(flat[rows, order] * np.arange(k, 0, -1), 1.0)
+    adjusted = np.empty_like(flat)
+    adjusted[rows, order] = np.maximum.accumulate(raised, axis=1)
+    return np.asarray(adjusted.reshape(p.shape))

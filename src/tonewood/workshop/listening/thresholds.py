@@ -93,10 +93,10 @@ class Thresholds:
     correction: float | None = None
 
 
-Track = StaircaseTrack | QuestTrack
+AdaptiveTrack = StaircaseTrack | QuestTrack
 
 
-def track_of(page: StaircasePage) -> Track:
+def track_of(page: StaircasePage) -> AdaptiveTrack:
     """A new track of a page, of its method."""
     return QuestTrack(page) if page.adaptive == "quest_plus" else StaircaseTrack(page)
 
@@ -218,8 +218,8 @@ class ThresholdGrid:
         posterior = joint.sum(axis=0).reshape(len(mu), len(tau))
         mean, spread = quantile(mu, posterior.sum(axis=1), 0.5), quantile(tau, posterior.sum(axis=0), 0.5)
         tail = (1 - confidence) / 2
-        along = posterior.sum(axis=1)
-        interval = (quantile(mu, along, tail), quantile(mu, along, 1 - tail))
+        of_mean = posterior.sum(axis=1)
+        interval = (quantile(mu, of_mean, tail), quantile(mu, of_mean, 1 - tail))
         each, alone = np.empty((len(own), 3)), np.empty((len(own), 3))
         mixed = sum((w / p) @ kernel * start[..., c] for w, p, c in zip(joint, shares, near, strict=True))
         weight = joint.sum(axis=1)
