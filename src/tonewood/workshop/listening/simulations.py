@@ -39,7 +39,7 @@ _CELLS = [(f, s) for f in _FACTOR for s in _SOUND]
 
 @dataclass(frozen=True)
 class RatingRates:
-    """Shares of experiments: `coverage` of the interval of a true difference, `failed` of fits that did not converge."""
+    """Shares of experiments: false alarms, coverage of a true difference, and fits that did not converge."""
 
     experiments: int
     test: float
