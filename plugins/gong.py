@@ -9,7 +9,7 @@ those of a simply supported plate,
 Those below `freq_coupled` share the energy V of the stretched middle surface (`_gong_plate`: von Karman's equations), a
 potential that the engine steps with them; higher ones are stepped without it. `edges` is the support of the plate in
 its plane. With Numba (``pip install "tonewood[plates]"``) V is compiled; without it, NumPy computes V at every step,
-five to ten times slower.
+three to five times slower.
 
 V <= K E^2, E the energy of the modes. K is the largest V / E^2 that an ascent from several motions reaches
 (`stiffening`): an estimate, not a proven bound; random motions stay below it. At an energy E the pitch of a strong mode
@@ -23,6 +23,7 @@ thicknesses.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from importlib.util import find_spec
@@ -104,8 +105,10 @@ class PlateEnergy(ta.PotentialEnergy):
         return float(self.grid.energy(y))
 
     def function(self) -> ta.PotentialFunction | None:
-        """Return V compiled by Numba; None where it is not installed."""
+        """Return V compiled by Numba; None, with a warning, where it is not installed."""
         if find_spec("numba") is None:
+            text = 'Numba is not installed: a gong takes three to five times as long; pip install "tonewood[plates]"'
+            warnings.warn(text, stacklevel=2)
             return None
         from tonewood.plugins._gong_compiled import compiled
 

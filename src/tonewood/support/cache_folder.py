@@ -136,7 +136,7 @@ def _open_to_others(status: os.stat_result) -> str:
 
 
 def _is_own(folder: Path) -> bool:
-    """Whether a folder exists and is the user's own, and nobody else may write to it; warns where it is another's."""
+    """Whether a folder exists, belongs to the user and cannot be written by others; warns where it is another's."""
     try:
         link, status = folder.lstat(), folder.stat()  # a link, and its target
     except (OSError, ValueError):

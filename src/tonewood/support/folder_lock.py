@@ -17,7 +17,7 @@ FILE = ".tonewood.lock"
 def locked(folder: Path, use: str) -> Iterator[None]:
     """Hold the lock of a folder, whatever name or link it is reached by.
 
-    Not the file counts but the lock on it: one that a killed process left stops nobody.
+    The lock on the file counts, not the file: the file of a killed process does not block others.
 
     Parameters
     ----------

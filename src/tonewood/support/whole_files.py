@@ -67,7 +67,7 @@ class AtomicFile:
         places = _places(self._final)
         #: the file's name and the descriptor that locks it, as soon as there is one
         claimed: dict[Path, int] = {}
-        # called when nobody holds this object any more, or at the end of the program
+        # called when the last reference to this object is gone, or at the end of the program
         self.discard = weakref.finalize(self, _discard, claimed)
         try:
             last = _place(self._final, secrets.token_hex(4))

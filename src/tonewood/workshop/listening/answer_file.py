@@ -28,7 +28,7 @@ from tonewood.workshop.listening.session import Session
 
 SCHEMA = "tonewood-answers/1"
 FOLDER = ANSWERS
-#: 128 random bits: nobody finds the session of another one
+#: 128 random bits: a listener cannot guess the session of another one
 _TOKEN = re.compile(r"[0-9a-f]{32}")
 #: key of the header -> type
 _HEADER = {"sha256": str, "listener": str, "language": str, "seed": int, "started": str, "simulated": bool}
@@ -327,7 +327,7 @@ def _misfit(session: Session, record: Mapping[str, Any]) -> ListeningError | Non
         made = session.record(answer)
         for key, value in json.loads(json.dumps(made)).items():
             if key == "index" and session.incomplete:
-                continue  # nobody knows how many trials the staircase had
+                continue  # the number of trials of the staircase is unknown
             if key not in record or record[key] != value:
                 reason = f"is {record.get(key)!r}, and {value!r} in the course of this test: the file is damaged"
                 raise ListeningError(reason, key=key)
@@ -341,7 +341,7 @@ def _append(path: Path, line: bytes, *, at: int, sync: bool = True) -> None:
 
     Parameters
     ----------
-    at : length that the file must have: nobody else may have written to it.
+    at : length that the file must have: no other program may have written to it.
     sync : wait; answers of simulated listeners can be had again.
     """
     try:

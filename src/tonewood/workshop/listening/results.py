@@ -136,7 +136,8 @@ def analyse(folder: Path, *, key: Path | None = None, confidence: float = 0.95, 
     answers = every.listeners
     if not any(one.records for one in answers):
         others = sum(one.answers for one in every.left_out)
-        why = f" that can be used; {others} are left out, the first because: {every.left_out[0].reason}"
+        first = every.left_out[0].reason if every.left_out else ""
+        why = f" that can be used; {others} are left out, the first because: {first}"
         raise ListeningError(f"holds no answers{why if others else ''}", file=folder / "answers")
     table = tidy(test, opened, answers)
     finish = len(test.pages)
