@@ -6,7 +6,8 @@ somebody else, or that others may write to, is not used: a file of it decides on
 
 A file begins with a line of 4 words: ``tonewood-cache/1``, its kind, its key and the SHA-256 of the bytes that follow.
 A file whose line or hash does not fit is damaged, cut short, renamed or of another version: its content is computed
-again and written over it, with a warning. So is that of a file to which others may write. Nothing in it is ever unpickled.
+again and written over it, with a warning. So is that of a file to which others may write. Nothing
+in it is ever unpickled.
 """
 
 from __future__ import annotations

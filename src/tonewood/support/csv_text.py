@@ -19,8 +19,8 @@ def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
     """A table with a row of names; cells that a row lacks are empty.
 
     A text that begins like a formula gets an apostrophe in front, which makes it text in a spreadsheet; so does what
-    follows a semicolon, a tab or the end of a line in it, because spreadsheets may split cells there. Numbers stay as they
-    are, also those written as text.
+    follows a semicolon, a tab or the end of a line in it, because spreadsheets may split cells there. Numbers stay as
+    they are, also those written as text.
     """
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")

@@ -228,8 +228,8 @@ def resume(test: ListeningTest, token: str) -> OpenSession | None:
     Raises
     ------
     ListeningError : its answers are damaged, or were given to another definition.
-    OutputError : the file cannot be read now, a line that was cut off cannot be removed, or the disk does not confirm the
-        answers.
+    OutputError : the file cannot be read now, a line that was cut off cannot be removed, or the disk does not confirm
+        the answers.
     """
     path = test.folder / FOLDER / f"{token}.jsonl"
     try:
