@@ -187,6 +187,10 @@ def test_undamped_poles_need_positive_residues(rng):
     bad[:, 2] *= turn
     report = check(poles, right, bad)
     assert [band.worst_hz for band in report.violations] == pytest.approx([poles[2].imag / 2 / np.pi])
+    reversed_sign = left.copy()
+    reversed_sign[:, 2] *= -1  # Hermitian, but negative
+    report = check(poles, right, reversed_sign)
+    assert [band.worst_hz for band in report.violations] == pytest.approx([poles[2].imag / 2 / np.pi])
     # without damping C = 0 the complex modes are those of M and K, found to rounding
     one = body(1, 0.0, n_dof=12)
     assert check(*one.modes).passive

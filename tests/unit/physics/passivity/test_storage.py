@@ -95,6 +95,8 @@ def test_no_storage_for_a_list_that_is_not_passive():
     poles, right, left = body(1, 0.015, n_dof=12).modes
     with pytest.raises(PassivityError, match="no storage function"):
         storage_matrix(poles, right, -left)
+    with pytest.raises(PassivityError, match="undamped mode is not passive by itself"):
+        storage_matrix(np.array([500j]), np.ones((1, 1)) + 0j, np.array([[0.5j]]))
     # a pole that grows or stays where it is, beside one that is well: whatever the shapes
     for odd in (3.0 + 800j, 0.0):
         with pytest.raises(PassivityError, match="grows, or is zero"):
