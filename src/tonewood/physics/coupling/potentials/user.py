@@ -32,7 +32,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +87,8 @@ class PotentialEnergy(JoinedPotential):
     scale : J, added to V - least under the root of psi; 0 where sqrt(V - least) is smooth.
     """
 
+    #: with 1e-3 a plate at 96 kHz is no nearer to its motion than at 48
+    tolerance: ClassVar[float] = 1e-7
     least: float = 0.0
     scale: float = 0.0
 
