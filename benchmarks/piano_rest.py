@@ -1,8 +1,8 @@
-"""Time of a piano's score, and the difference that stand-ins for strings make which nobody plays.
+"""Time of a piano's score, and the error of stand-ins for strings that are not played.
 
     python benchmarks/piano_rest.py [--notes dense | --score examples/scores/prelude.mid [--pedal 1.5]]
 
-`grand_piano`, pedal up, 3 s: eight notes, or (dense) forty in two hands. Strings under dampers that nobody plays are
+`grand_piano`, pedal up, 3 s: eight notes, or (dense) forty in two hands. Damped strings that are not played are
 left out, or something simpler stands in their place:
 
 * *left out*: they neither move nor load the bridge;

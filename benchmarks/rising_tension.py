@@ -66,7 +66,7 @@ def released(height: float, times: int) -> Floats:
     lengthwise = modes(stiffness, 0.0, 2e-3, 5)
     ends = [ta.Connection(name, (ta.Term(name, "bridge"),)) for name in ("y", "z", "x")]
     stretch = GeometricStretch("string", ("y", "z"), "x", stiffness)
-    read = [ta.Readout(name, "displacement", (ta.Probe(name, "pick"),)) for name in ("y", "z")]
+    read = [ta.Readout(name, "displacement", (ta.Term(name, "pick"),)) for name in ("y", "z")]
     parts = {"y": across, "z": across, "x": lengthwise}
     system = System.build(parts, ends, read, dt=1 / (RATE * times), potentials=[stretch])
     state = system.start()

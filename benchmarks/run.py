@@ -27,7 +27,7 @@ import tonewood.authoring as ta
 from tonewood import _kernel
 from tonewood.performance.engine.engine import GRID, Engine
 from tonewood.physics.coupling.connections import Connection, Rigid, Term
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.energy.account import EnergyAccount
 from tonewood.physics.stepping.forcing import Segment, compile_force
 from tonewood.physics.stepping.kernel import KernelStepper, instruction_set
@@ -202,7 +202,7 @@ def undamped_energy(steps: int) -> Iterator[Row]:
     system = System.build(
         {"string": string_basis, "body": body},
         [Connection("joint", (Term("string", "bridge"), Term("body", "bridge", -1.0)), Rigid())],
-        [Readout("bridge", "velocity", (Probe("body", "bridge"),))],
+        [Readout("bridge", "velocity", (Term("body", "bridge"),))],
         dt=1 / FS,
     )
     stepper = KernelStepper(system)
@@ -247,7 +247,7 @@ def _child(score: Path, folder: str, *more: str) -> tuple[float, float, float]:
 
 
 def cold_start(repeats: int) -> Iterator[Row]:
-    """``tonewood render`` of one second, from the shell's return key to the file."""
+    """``tonewood render`` of one second, from the command to the file."""
     with tempfile.TemporaryDirectory() as folder:
         score = Path(folder) / "one.mid"
         tw.write_midi(tw.Score([tw.Note(0.0, 0.5, note=64, velocity_midi=80)]), score)

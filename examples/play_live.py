@@ -1,4 +1,4 @@
-"""Play on the sound card; where there is none, say so and compute the same blocks for nobody.
+"""Play on the sound card; without one, say so and compute the same blocks unheard.
 
 python examples/play_live.py
 """

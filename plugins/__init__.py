@@ -1,1 +1,1 @@
-"""The built-in plugins, found by their entry points like anybody's."""
+"""The built-in plugins, found by their entry points, as a third party's are."""

@@ -63,7 +63,7 @@ class BowParameters(Parameters):
     roll_impedance: float = quantity("N s/m", low=1e-3, high=1e4, default=4.0, doc="2 Z_R, of the string rolling")
     roll_compliance: float = quantity("m/N", low=1e-9, high=1e-2, default=2e-5, doc="C, of the string rolling")
     roll_mass: float = quantity("kg", low=1e-8, high=1e-2, default=1e-5, doc="m, of the string under the hair")
-    sustain: float = quantity("s", low=0.0, high=60.0, default=2.0, doc="of a note that nobody ends")
+    sustain: float = quantity("s", low=0.0, high=60.0, default=2.0, doc="of a note without an end")
     slide_time: float = quantity(
         "s", low=0.0, high=5.0, default=0.0, doc="in which the stop slides under the bow from that of the note before"
     )

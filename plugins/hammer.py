@@ -70,7 +70,7 @@ class HammerParameters(Parameters):
     )
     press: float = quantity("N", low=0.0, high=50.0, default=0.0, doc="with which it is held against the string")
     press_time: float = quantity("s", low=1e-4, high=1.0, default=3e-3, doc="in which that force grows and vanishes")
-    sustain: float = quantity("s", low=0.0, high=60.0, default=2.0, doc="of a press that nobody ends")
+    sustain: float = quantity("s", low=0.0, high=60.0, default=2.0, doc="of a press without an end")
     felt_width: float = quantity("m", low=0.0, high=0.1, default=0.0, doc="of the string that the felt covers")
     direction: Direction = described("in which it strikes", default="z")
 

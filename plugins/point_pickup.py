@@ -16,9 +16,9 @@ from tonewood.authoring import (
     Parameters,
     Pickup,
     PickupRows,
-    Probe,
     Readout,
     Scene,
+    Term,
     described,
     dot,
     unit_vector,
@@ -86,13 +86,13 @@ class PointPickup(Pickup[PointPickupParameters]):
                     raise self.fault(f"force can be read at {allowed}; not at {point!r}")
                 forces += [(connection, -share * dot(v, direction)) for connection, v in scene.end_forces[string]]
             return Readout(name, "force", forces=tuple(f for f in forces if f[1] != 0.0))
-        probes: list[Probe] = []
+        probes: list[Term] = []
         for point in points:
             component, _, place = point.partition(".")
             if component == "body" and place in scene.body_points:
-                probes.append(Probe("body", place, share))
+                probes.append(Term("body", place, share))
             elif point in scene.string_points:
-                probes += [Probe(c, p, share * dot(v, direction)) for c, p, v in scene.string_points[point]]
+                probes += [Term(c, p, share * dot(v, direction)) for c, p, v in scene.string_points[point]]
             else:
                 known = [f"body.{p}" for p in scene.body_points] + list(scene.string_points)
                 raise self.fault(f"there is no point {point!r}; there are {', '.join(known)}")

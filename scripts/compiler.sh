@@ -12,7 +12,7 @@ trap 'rm -rf "$work"' EXIT
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 PIP_DISABLE_PIP_VERSION_CHECK=1 MPLBACKEND=Agg
 
 tests=("$@")
-[ ${#tests[@]} -gt 0 ] || tests=(-n 2 tests/unit/{stepping,coupling} tests/stability/test_kernel_door.py)
+[ ${#tests[@]} -gt 0 ] || tests=(-n 2 tests/unit/physics/{stepping,coupling} tests/stability/test_kernel_door.py)
 CXX=$compiler pip install -q --no-deps --target "$work/built" -Cbuild-dir="$work/build" . >"$work/log" 2>&1 || { tail -50 "$work/log"; exit 1; }
 export PYTHONPATH=$work/built
 python -c "import tonewood._kernel as k; assert k.__file__.startswith('$work'), k.__file__; print(k.COMPILER)"

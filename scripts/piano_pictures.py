@@ -37,7 +37,8 @@ def strings(model: Model, path: Path) -> None:
     own = {}
     for p in found:
         r = model.strings[p.string].resonator.parameters
-        own[p.string.partition("_")[0]] = math.log(1000) / (r.loss.sigma0 + r.loss.sigma1 * (math.pi / r.length) ** 2)
+        law = r.loss.parameters
+        own[p.string.partition("_")[0]] = math.log(1000) / (law.sigma0 + law.sigma1 * (math.pi / r.length) ** 2)
     cents = np.array([stretch[p.string] for p in found])
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
     left.semilogy(numbers, list(B.values()), label="here")

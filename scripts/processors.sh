@@ -12,7 +12,7 @@ python=${PYTHON:-python}
 export MPLBACKEND=Agg
 tests=("$@")
 if [ ${#tests[@]} -eq 0 ]; then
-    tests=(-n 2 tests/unit/{modal,coupling,stepping,energy,passivity,lab} tests/analytic tests/convergence)
+    tests=(-n 2 tests/unit/physics/{modal,coupling,stepping,energy,passivity} tests/unit/lab tests/analytic tests/convergence)
 fi
 
 has() { # whether the processor has all of these flags

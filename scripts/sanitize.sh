@@ -35,7 +35,7 @@ fi
 tests=("$@")
 if [ ${#tests[@]} -eq 0 ]; then
     # whatever runs the kernel: linear, nonlinear, culled and tension-modulated contacts, geometric strings
-    mapfile -t tests < <(grep -lE 'KernelStepper|_kernel' tests/unit/{coupling,stepping,energy}/test_*.py)
+    mapfile -t tests < <(grep -lE 'KernelStepper|_kernel' tests/unit/physics/{coupling,stepping,energy}/test_*.py)
     tests+=(tests/stability/test_kernel_door.py tests/stability/test_tails.py
         tests/unit/lab/test_compiled_methods.py)
 fi

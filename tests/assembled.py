@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.physics.coupling.system import Injection, Probe, Readout
+from tonewood.physics.coupling.system import Injection, Readout
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import real_form
 
@@ -190,7 +190,7 @@ def held_force(basis, component, point, forces, dt, start=0):
 def motion_readouts(parts):
     """Displacement, then velocity, of every dof of every part."""
     return [
-        Readout(f"{quantity} {name}.n{i}", quantity, (Probe(name, f"n{i}"),))
+        Readout(f"{quantity} {name}.n{i}", quantity, (Term(name, f"n{i}"),))
         for quantity in ("displacement", "velocity")
         for name, part in parts.items()
         for i in range(part.n)

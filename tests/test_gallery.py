@@ -56,7 +56,7 @@ def test_a_command_that_fails_is_reported(gallery: ModuleType, tmp_path: Path, m
 def test_a_note_that_is_not_played_is_reported(
     gallery: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(gallery.PIECES, "monochord", [(45, 80, 0.5), (20, 80, 0.5)])
+    monkeypatch.setitem(gallery.PIECES, "monochord", [(20, 80, 0.02), (45, 80, 0.5)])
     monkeypatch.setattr(gallery, "DURATION", 0.1)
     with pytest.raises(RuntimeError, match="1 dropped"):
         gallery.make(tmp_path, "monochord")

@@ -11,6 +11,7 @@ The blocks of a page run in order, in a folder of their own that holds ``tune.mi
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
 import re
@@ -233,3 +234,26 @@ def test_the_reference_lists_every_public_name_once() -> None:
     # beside these, results that nobody makes himself
     results = {n for n in listed if n.startswith(("sound.", "performance.", "workshop.", "instrument."))}
     assert set(listed) - results == wanted
+
+
+#: first and last class of an example in docs/write_a_plugin.md -> most lines of code, blank ones not counted
+SHORT_EXAMPLES = {
+    ("EvenParameters", "EvenString"): 25,
+    ("KnockParameters", "Knock"): 25,
+    ("PowerParameters", "Power"): 15,
+    ("PairParameters", "Pair"): 20,
+    ("PinParameters", "Pin"): 35,
+}
+
+
+def test_the_guides_plugins_are_short() -> None:
+    """Parameters and plugin, docstrings included; that they run, `test_a_page_runs` checks."""
+    text = "\n".join(b.text for b in blocks(ROOT / "docs" / "write_a_plugin.md") if b.language == "python")
+    lines, classes = (
+        text.splitlines(),
+        {n.name: n for n in reversed(ast.parse(text).body) if isinstance(n, ast.ClassDef)},
+    )
+    for (first, last), most in SHORT_EXAMPLES.items():
+        parts = [c for c in classes.values() if classes[first].lineno <= c.lineno <= classes[last].lineno]
+        code = [line for c in parts for line in lines[c.lineno - 1 : c.end_lineno] if line.strip()]
+        assert 5 < len(code) <= most, (last, len(code))

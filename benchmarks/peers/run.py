@@ -34,7 +34,7 @@ from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.lab.accuracy.timing import machine
 from tonewood.physics.coupling.connections import Connection, Rigid, Term
 from tonewood.physics.coupling.potentials.tension import TensionModulation
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_modes import string_basis
 from tonewood.physics.stepping.kernel import KernelStepper
@@ -115,7 +115,7 @@ def own_modes() -> Run:
     basis = ModalBasis.real(
         2 * np.pi * np.array(MODES["freq"]), np.array(MODES["decay"]), {"out": np.array(MODES["gain"])}
     )
-    out = [Readout("out", "displacement", (Probe("modes", "out"),))]
+    out = [Readout("out", "displacement", (Term("modes", "out"),))]
     return stepped(System.build({"modes": basis}, [], out, dt=1 / FS), "modes", np.array(MODES["gain"]))
 
 
@@ -123,7 +123,7 @@ def own_tension() -> Run:
     """Let go from the shape that 2 N at 0.13 m give, its bridge end held."""
     made = string_basis(0.65, 72.0, 3.1e-3, 1.5e-4, lambda w, k: 1.0 / w, n_modes=N_MODES)
     made = made.with_places({"out": 0.1, "pluck": 0.13})
-    out = [Readout("out", "displacement", (Probe("string", "out"),))]
+    out = [Readout("out", "displacement", (Term("string", "out"),))]
     end = Connection("end", (Term("string", "bridge"),), Rigid())
     tension = TensionModulation("string", ("string",), 3e4)
     system = System.build({"string": made}, [end], out, dt=1 / FS, potentials=[tension])

@@ -16,6 +16,8 @@ Kinds of plugins and the types that they return, declared parameters, modal base
 errors; and functions that show the part at work in an instrument: `assemble`, `partials`, `pitches`.
 """
 
+from typing import Any
+
 from tonewood.errors import BundleError, PassivityError, PluginError, TonewoodError
 from tonewood.instrument.contract.array_cache import cached_arrays
 from tonewood.instrument.contract.attached import Attached, Motion, Site, loose_mass
@@ -50,13 +52,14 @@ from tonewood.instrument.contract.gestures import (
     metres,
     smooth_step,
 )
-from tonewood.instrument.contract.losses import LossLaw
+from tonewood.instrument.contract.law_field import LossLaw
+from tonewood.instrument.contract.losses import Loss, StringData
 from tonewood.instrument.contract.microphones import Microphones
 from tonewood.instrument.contract.svg_path import svg_ring
 from tonewood.instrument.inspection.frequencies import partials, pitch, pitches
 from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.performance.effects.base import Moment, RuntimeEffect, SwitchedEffect, Switching, Watched, next_multiple
-from tonewood.performance.effects.connections import SwitchedConnections
+from tonewood.performance.effects.connections import ConnectionsInReach, SwitchedConnections
 from tonewood.performance.effects.longitudinal import LONGITUDINAL
 from tonewood.performance.effects.phantom_partials import PHANTOM_PARTIALS
 from tonewood.performance.effects.tension import TENSION_MODULATION
@@ -65,7 +68,7 @@ from tonewood.performance.effects.usage import Bound
 from tonewood.physics import plate as plate
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
-from tonewood.physics.coupling.layout import Drive, Probe, Readout
+from tonewood.physics.coupling.layout import Drive, Readout
 from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
 from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
@@ -78,6 +81,7 @@ from tonewood.physics.modal.string_modes import string_basis, wavenumber
 from tonewood.physics.modal.string_transfer import retuned, string_carry, string_transfer
 from tonewood.physics.passivity.basis import check_basis, repair_basis
 from tonewood.physics.stepping.forcing import SampledForce, Segment
+from tonewood.support import moved
 from tonewood.support.params import Number, Parameters, Vector, described, quantity
 
 __all__ = [
@@ -97,6 +101,7 @@ __all__ = [
     "BundleError",
     "CompiledPotential",
     "Connection",
+    "ConnectionsInReach",
     "Contact",
     "Direction",
     "Drive",
@@ -111,6 +116,7 @@ __all__ = [
     "HardeningSpring",
     "Hold",
     "Longitudinal",
+    "Loss",
     "LossLaw",
     "Microphones",
     "ModalBasis",
@@ -130,7 +136,6 @@ __all__ = [
     "Potential",
     "PotentialEnergy",
     "PotentialFunction",
-    "Probe",
     "Readout",
     "Resonator",
     "RuntimeEffect",
@@ -140,6 +145,7 @@ __all__ = [
     "Segment",
     "Site",
     "SpringDashpot",
+    "StringData",
     "StringMotion",
     "StringPlace",
     "SwitchedConnections",
@@ -177,3 +183,7 @@ __all__ = [
     "with_damping_case",
     "with_partial_decays",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    return moved.renamed(__name__, name, {"Probe": Term})

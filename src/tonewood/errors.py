@@ -55,7 +55,9 @@ class TonewoodError(Exception):
         self.file = None if file is None else os.fspath(file)
         self.key, self.line = key, line
         place = None if line is None else f"line {line}"
-        super().__init__(": ".join(part for part in (self.file, place, self.key, self.reason) if part))
+        line_of_text = ": ".join(part for part in (self.file, place, self.key, self.reason) if part)
+        # bytes of a file's name that are no UTF-8 can be printed, and written to a report
+        super().__init__(line_of_text.encode(errors="backslashreplace").decode())
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle with the keywords, so that the line survives a worker process."""

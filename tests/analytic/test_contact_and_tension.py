@@ -11,12 +11,12 @@ from scipy.special import ellipk, gamma
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.coupling.laws import Contact, Friction
 from tonewood.physics.coupling.potentials.tension import TensionModulation
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.kernel import KernelStepper
 
-BOTH = [Readout("u", "displacement", (Probe("part", "p"),)), Readout("v", "velocity", (Probe("part", "p"),))]
+BOTH = [Readout("u", "displacement", (Term("part", "p"),)), Readout("v", "velocity", (Term("part", "p"),))]
 
 
 def bounce(rate, mass=0.01, stiffness=1e8, exponent=1.3, speed=2.0):
@@ -119,7 +119,7 @@ def steel_string(n_modes, rate, components=("part",), axial=True, damping=0.0):
         shape=lambda x: np.sin(p * x), metadata={"length": STEEL["length"], "tension_part": p**2 / STEEL["density"]},
     )  # fmt: skip
     tension = TensionModulation("string", components, STEEL["young"] * area if axial else 0.0)
-    readouts = [Readout(name, "displacement", (Probe(name, "p"),)) for name in components]
+    readouts = [Readout(name, "displacement", (Term(name, "p"),)) for name in components]
     return System.build(dict.fromkeys(components, basis), [], readouts, dt=1 / rate, potentials=[tension])
 
 

@@ -22,7 +22,7 @@ from assembled import (
     uneven,
 )
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_modes import string_basis
 from tonewood.physics.stepping.forcing import Segment, compile_force
@@ -99,7 +99,7 @@ def guitar_string(n_modes, dt):
     body = ModalBasis.real(body_omega, body_sigma, {"bridge": shapes})
     joint = Connection("joint", (Term("string", "bridge"), Term("body", "bridge", -1.0)))
     basis = basis.with_places({"pluck": 0.12})
-    readouts = [Readout("bridge", "displacement", (Probe("body", "bridge"),))]
+    readouts = [Readout("bridge", "displacement", (Term("body", "bridge"),))]
     system = System.build({"string": basis, "body": body}, [joint], readouts, dt=dt)
     omega = np.concatenate([np.sqrt(basis.stiffness), body_omega])
     sigma = np.concatenate([basis.damping_rate, body_sigma])
@@ -172,7 +172,7 @@ def test_mobility_of_an_uncoupled_point_is_that_of_its_modes():
     dt, steps = 1e-4, 1 << 16
     part = uneven(4, seed=2, zeta=0.05)
     basis = part.complex_basis()
-    system = System.build({"a": basis}, [], [Readout("v", "velocity", (Probe("a", "n3"),))], dt=dt)
+    system = System.build({"a": basis}, [], [Readout("v", "velocity", (Term("a", "n3"),))], dt=dt)
     out, _ = KernelStepper(system).run(system.start(), steps, [held_force(basis, "a", "n0", [1.0], dt)])
     freq = np.fft.rfftfreq(steps, dt)[1:400]
     # sampled response to a rectangle of one step: poles summed as geometric series
@@ -222,7 +222,7 @@ def test_free_bodies_in_collision_course_share_their_momentum():
     mass = lambda m: ModalBasis.real([0.0], [0.0], {"p": [1.0]}, modal_mass=m)  # noqa: E731
     link = Connection("c", (Term("a", "p"), Term("b", "p", -1.0)))
     # a trace of residual compliance lets the joint's ringing die; the mean velocity is exact either way
-    readouts = [Readout(n, "displacement", (Probe(n, "p"),)) for n in "ab"]
+    readouts = [Readout(n, "displacement", (Term(n, "p"),)) for n in "ab"]
     system = System.build({"a": mass(m1), "b": replace(mass(m2))}, [link], readouts, dt=1e-3)
     state = system.start()
     system.modes_of(state, "a")[1, 0] = v * np.sqrt(m1)  # mass-normalised: q' = sqrt(m) v

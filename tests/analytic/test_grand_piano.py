@@ -44,7 +44,7 @@ def test_partials_are_those_of_a_stiff_string_with_measured_inharmonicity(tmp_pa
     model = ta.assemble(piano(tmp_path / "cs", list(MEASURED_B)), 48000)
     for key, measured in MEASURED_B.items():
         string = model.strings[f"{key}_1"]
-        freq = np.array(held_partials(string.coupled(0).bases(string.tension(0))[0], 8))
+        freq = np.array(held_partials(string.tuning.coupled(0).bases(string.tension(0))[0], 8))
         n = np.arange(1, len(freq) + 1)
         slope, start = np.polyfit(n**2, (freq / n) ** 2, 1)
         assert slope / start == pytest.approx(measured, rel=0.25)
@@ -58,7 +58,7 @@ def test_partials_are_those_of_a_stiff_string_with_measured_inharmonicity(tmp_pa
 def unison(model: Model, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Poles near C4 of that many equal strings on the board, and their shares of energy per string."""
     string = model.strings["C4_1"]
-    basis = string.coupled(0).bases(string.tension(0))[0]
+    basis = string.tuning.coupled(0).bases(string.tension(0))[0]
     upper = 2500.0
     names = [f"s{i}" for i in range(count)]
     end = next(iter(string.polarizations[0].ends))
@@ -77,7 +77,7 @@ def test_unisons_decay_as_weinreich_says(middle: tw.Instrument) -> None:
     three, _ = unison(model, 3)
     assert len(three) == 3
     p = model.strings["C4_1"].resonator.parameters
-    own = p.loss.sigma0 + p.loss.sigma1 * (math.pi / p.length) ** 2
+    own = p.loss.parameters.sigma0 + p.loss.parameters.sigma1 * (math.pi / p.length) ** 2
     rates = np.sort(-three.real)
     assert rates[:2] == pytest.approx([own, own], rel=0.01)
     assert rates[2] - own == pytest.approx(3 * (-one.real - own), rel=0.1)
@@ -186,7 +186,11 @@ def test_decays_of_all_keys(grand: Model) -> None:
         end = next(iter(string.polarizations[0].ends))
         mobility = grand.body.frf(np.array([at.wanted_freq]), end, end)[0].real
         impedance = math.sqrt(at.tension * p.linear_density)
-        rate = p.loss.sigma0 + p.loss.sigma1 * (math.pi / p.length) ** 2 + 2 * at.wanted_freq * impedance * mobility * n
+        rate = (
+            p.loss.parameters.sigma0
+            + p.loss.parameters.sigma1 * (math.pi / p.length) ** 2
+            + 2 * at.wanted_freq * impedance * mobility * n
+        )
         ratios.append(math.log(1000) / rate / at.t60)
         decays[at.string.partition("_")[0]] = at.t60
     assert np.median(ratios) == pytest.approx(1.0, abs=0.03)

@@ -19,7 +19,7 @@ from assembled import chain, connect, merged, motion_readouts
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
 from tonewood.physics.coupling.potentials.tension import TensionModulation
-from tonewood.physics.coupling.system import PrescribedMotion, Probe, Readout, System
+from tonewood.physics.coupling.system import PrescribedMotion, Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import real_form
 from tonewood.physics.stepping.kernel import KernelStepper
@@ -151,7 +151,7 @@ def test_partners_that_move(make):
     assert_second_order(errors, np.abs(exact).max())
 
 
-BOTH = [Readout("u", "displacement", (Probe("part", "p"),)), Readout("v", "velocity", (Probe("part", "p"),))]
+BOTH = [Readout("u", "displacement", (Term("part", "p"),)), Readout("v", "velocity", (Term("part", "p"),))]
 
 
 def free_mass(make, law, n, dt, *, mass, start, speed, controls=()):
@@ -296,7 +296,7 @@ def test_rising_tension_is_that_of_the_kirchhoff_carrier_string(make, alone):
     connections = [
         Connection("fret", (Term("x", "p"),), contact), Connection("bow", (Term("x", "r"), Term("y", "r", 0.5)), law)
     ]  # fmt: skip
-    readouts = [Readout(name, "displacement", (Probe(name, "p"),)) for name in "xy"]
+    readouts = [Readout(name, "displacement", (Term(name, "p"),)) for name in "xy"]
     errors = []
     for k in (4, 8):  # below these rates an error of the fourth order is as large, and of the other sign
         system = System.build(

@@ -11,7 +11,8 @@ import pytest
 import scipy.linalg as sla
 
 import tonewood as tw
-from tonewood.instrument.contract.losses import Valette
+import tonewood.authoring as ta
+from tonewood.instrument.contract.registry import plugin
 from tonewood.instrument.model.assembly import assemble
 from tonewood.physics.modal.string_modes import loss_rates, string_basis
 
@@ -83,11 +84,11 @@ def test_on_a_rigid_end_every_partial_decays_by_the_law(string, law, n_modes):
 def test_a_metal_string_keeps_valettes_law():
     """A steel string of 0.43 mm: air, visco-elastic and thermo-elastic losses."""
     string = (1.002, 180.5, 1.17e-3, 3.6e-4)
-    law = Valette(law="valette", diameter=0.43e-3, delta_ve=4.5e-3, inverse_q_te=2.03e-4)
-    numbers = dict(zip(("tension", "linear_density", "bending_stiffness"), string[1:], strict=True))
-    basis = string_basis(*string, lambda w, k: law.eta(w, k, **numbers), n_modes=70)
+    law = plugin("valette").from_values({"diameter": 0.43e-3, "delta_ve": 4.5e-3, "inverse_q_te": 2.03e-4})
+    data = ta.StringData(*string[1:])
+    basis = string_basis(*string, lambda w, k: law.eta(w, k, data), n_modes=70)
     omega, k = fixed_partials(string, 69)
-    np.testing.assert_allclose(-held_poles(basis).real, omega * law.eta(omega, k, **numbers) / 2, rtol=1e-3)
+    np.testing.assert_allclose(-held_poles(basis).real, omega * law.eta(omega, k, data) / 2, rtol=1e-3)
 
 
 def dynamic_stiffness(s, string, numbers):

@@ -47,13 +47,13 @@ def test_parts_are_mixed(tonewood: Run, duo: Path, tmp_path: Path) -> None:
     found = json.loads(out)
     assert (code, found["schema"]) == (0, "tonewood-render-parts/1")
     assert found["true_peak_dbtp"] == pytest.approx(-1.0)
-    assert [(p["part"], p["gain_db"], p["notes"]) for p in found["parts"]] == [(2, -3.0, 2)]
+    assert [(p["part"], p["gain_db"], p["notes"]) for p in found["parts"]] == [(2, -3.0, 1)]
     mix, _ = sf.read(tmp_path / "mix.wav")
     stems = [sf.read(file)[0] for file in found["stems"]]
     assert np.abs(mix - sum(stems)).max() < 3 * 2**-23
     _, out, _ = tonewood(*words, "--level", "calibrated")
     assert "1 part at 16000 Hz, true peak" in out
-    assert "part 2 on monochord, -3.0 dB, pan -0.50: 2 notes, 0 dropped" in out
+    assert "part 2 on monochord, -3.0 dB, pan -0.50: 1 note, 0 dropped" in out
 
 
 @pytest.mark.parametrize(

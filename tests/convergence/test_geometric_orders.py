@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from tonewood.physics.coupling.connections import Term
 from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.modal.string_modes import string_basis
 from tonewood.physics.stepping.kernel import KernelStepper
 from tonewood.physics.stepping.motion import from_motion
@@ -28,8 +29,8 @@ def string(fs: float) -> System:
 
     across = string_basis(LENGTH, TENSION, DENSITY, 1e-4, lossy, n_modes=N_ACROSS).with_places({"pick": 0.3})
     longitudinal = string_basis(LENGTH, AXIAL, DENSITY, 0.0, lossy, n_modes=N_LONGITUDINAL)
-    readouts = [Readout("across", "displacement", (Probe("y", "pick"),)),
-                Readout("along", "displacement", (Probe("x", "bridge"),))]  # fmt: skip
+    readouts = [Readout("across", "displacement", (Term("y", "pick"),)),
+                Readout("along", "displacement", (Term("x", "bridge"),))]  # fmt: skip
     components = {"y": across, "z": across, "x": longitudinal}
     return System.build(components, [], readouts, dt=1 / fs, potentials=[GeometricStretch("s", ("y", "z"), "x", AXIAL)])
 

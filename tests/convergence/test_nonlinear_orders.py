@@ -11,7 +11,7 @@ import pytest
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
 from tonewood.physics.coupling.potentials.tension import TensionModulation
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.kernel import KernelStepper
 
@@ -45,7 +45,7 @@ def motion(law, rate, residual=0.0):
         shape=lambda x: np.sin(n * np.pi * x / LENGTH), residual=np.diag([0.0, residual]),
         metadata={"length": LENGTH, "tension_part": (n * np.pi / LENGTH) ** 2 / DENSITY},
     )  # fmt: skip
-    readouts = [Readout("u", "displacement", (Probe("string", "p"),))]
+    readouts = [Readout("u", "displacement", (Term("string", "p"),))]
     connections = [Connection("law", (Term("string", "q"),), law)] if law is not None else []
     tensions = [TensionModulation("t", ("string",), 3e4)] if law is None else []
     system = System.build({"string": basis}, connections, readouts, dt=1 / rate, potentials=tensions)

@@ -122,7 +122,7 @@ def tw_playback() -> Any:
             "from tonewood.plugins.frets import Frets",
             "is of kind connection; one of kind exciter is wanted",
         ),
-        ("hand.py", SOURCE, "there is no plugin 'hand.py'; installed: "),
+        ("hand.py", SOURCE, "there is no plugin 'hand.py' of kind exciter; installed: "),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(name: str, source: str, line: str, bundle: Path) -> None:

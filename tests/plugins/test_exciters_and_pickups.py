@@ -11,7 +11,7 @@ from tonewood.errors import BundleError
 from tonewood.instrument.contract.base import BodyPoint, Exciter, Scene
 from tonewood.instrument.contract.gestures import Event, Gesture, Place
 from tonewood.instrument.contract.registry import plugin
-from tonewood.physics.coupling.system import Probe
+from tonewood.physics.coupling.connections import Term
 
 STRING = Place("G3", 0.65)
 NOTE = Event(freq=196.0)
@@ -124,16 +124,16 @@ def test_mean_of_body_points() -> None:
     p = pickup(quantity="acceleration", at={"mean": ["body.p", "body.q"]})
     (readout,) = p.rows("x", SCENE).readouts
     assert (p.channels, p.unit, readout.quantity) == (("acceleration",), "m/s^2", "acceleration")
-    assert readout.probes == (Probe("body", "p", 0.5), Probe("body", "q", 0.5))
+    assert readout.probes == (Term("body", "p", 0.5), Term("body", "q", 0.5))
 
 
 def test_a_string_is_heard_through_both_polarizations() -> None:
     p = pickup(quantity="velocity", channels={"up": "E2.pick", "board": "body.p"})
     up, board = p.rows("x", SCENE).readouts
-    assert up.probes == (Probe("E2.z", "pick", 0.8), Probe("E2.y", "pick", -0.6))
+    assert up.probes == (Term("E2.z", "pick", 0.8), Term("E2.y", "pick", -0.6))
     assert (up.name, board.name) == ("x.up", "x.board")
     (side,) = pickup(quantity="displacement", at="E2.pick", direction="y").rows("x", SCENE).readouts
-    assert side.probes == (Probe("E2.z", "pick", 0.6), Probe("E2.y", "pick", 0.8))
+    assert side.probes == (Term("E2.z", "pick", 0.6), Term("E2.y", "pick", 0.8))
 
 
 def test_force_of_a_string_on_its_bridge() -> None:

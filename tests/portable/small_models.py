@@ -14,7 +14,7 @@ from tonewood.physics.coupling.laws import Contact, Friction, HardeningSpring, S
 from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
 from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
 from tonewood.physics.coupling.potentials.tension import TensionModulation
-from tonewood.physics.coupling.system import Injection, Probe, Readout, System
+from tonewood.physics.coupling.system import Injection, Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_modes import string_basis
 from tonewood.sound.render.model_file import recorded, save_model, write_arrays
@@ -50,7 +50,7 @@ def _strings(n: int) -> tuple[dict[str, ModalBasis], list[Connection], list[Read
     names = [f"s{i}" for i in range(n)]
     components = {name: _string(TENSION * 1.1**i) for i, name in enumerate(names)} | {"body": _body(n)}
     readouts = [
-        Readout("air", "acceleration", (Probe("body", "b0"),)),
+        Readout("air", "acceleration", (Term("body", "b0"),)),
         Readout("force", "force", (), ((f"joint_{names[-1]}", 1.0),)),
     ]
     return components, [_joint(name, f"b{i}") for i, name in enumerate(names)], readouts

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.energy.account import EnergyAccount
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_modes import string_basis
@@ -48,9 +48,9 @@ def guitar(fs=FS, *, names=tuple(STRINGS), share=0.45, eta=4e-4, zeta=0.012, res
     links = [Connection(f"{n}.end", (Term(n, "bridge"), Term("body", n, -1.0)), law or Rigid()) for n in names]
     links += [Connection(f"{n}.finger", (Term(n, "pluck"),), SpringDashpot()) for n in names]
     readouts = [
-        Readout("top", "velocity", (Probe("body", "top"),)),
+        Readout("top", "velocity", (Term("body", "top"),)),
         *(
-            Readout(f"gap {n}", "displacement", (Probe(n, "bridge"), Probe("body", n, -1.0)))
+            Readout(f"gap {n}", "displacement", (Term(n, "bridge"), Term("body", n, -1.0)))
             for n in names
         ),
     ]  # fmt: skip

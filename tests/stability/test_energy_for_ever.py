@@ -12,7 +12,7 @@ from scenes import displaced, energies, guitar
 
 from assembled import Part, held_force, poles_of, step_map
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.energy.account import EnergyAccount
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.kernel import KernelStepper
@@ -66,7 +66,7 @@ def zoo(law):
         for name, which in (("a", half), ("b", ~half))
     }
     links = [Connection(f"c{i}", (Term("a", f"p{i}"), Term("b", f"p{i}", -0.7)), law) for i in range(2)]
-    readouts = [Readout("v", "velocity", (Probe("a", "p2"),))]
+    readouts = [Readout("v", "velocity", (Term("a", "p2"),))]
     return System.build(bases, links, readouts, dt=DT)
 
 

@@ -302,13 +302,13 @@ def test_a_state_of_the_potentials_that_is_too_small_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "strings",
-    [[(3, 10.0, [0])], [(2**31 - 1, 10.0, [0])], [(0, 10.0, [])], [(0, 10.0, [0, 0])], [(0, 10.0, [0]), (1, 9.0, [0])]],
+    "places",  # of each tension: its numbers in the state, its components
+    [[(2**31 - 1, [0])], [(0, [])], [(0, [0, 0])], [(0, [0]), (3, [0])]],
 )
-def test_strings_with_rising_tension_that_do_not_fit_are_refused(strings: list[Any]) -> None:
+def test_strings_with_rising_tension_that_do_not_fit_are_refused(places: list[Any]) -> None:
     made = stretched()
-    made["tensions"]["strings"] = strings
-    with pytest.raises(ValueError, match="tensions"):
+    made["potentials"] = [{"kind": Kind.TENSION, "at": at, "slots": slots, "scale": 10.0} for at, slots in places]
+    with pytest.raises(ValueError, match="potentials"):
         through(made)
 
 
@@ -319,7 +319,7 @@ def test_a_component_without_modes_and_a_part_without_modes_are_refused() -> Non
     with pytest.raises(ValueError, match="offset: the modes do not fit"):
         through(made)
     made = longitudinal()
-    made["tensions"]["stretches"][0]["parts"][0] |= {"slopes": np.zeros((2, 0)), "stiffness": np.zeros(0)}
+    made["potentials"][0]["parts"][0]["slopes"] = np.zeros((2, 0))
     with pytest.raises(ValueError, match="slopes: they do not fit"):
         through(made)
 

@@ -9,7 +9,7 @@ from scenes import body, guitar, string
 
 from assembled import held_force, poles_of, step_map
 from tonewood.physics.coupling.connections import Connection, Term
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.stepping.kernel import KernelStepper
 
 RATES = [8000, 11025, 16000, 22050, 32000, 44100, 48000, 96000, 192000]
@@ -19,7 +19,7 @@ def instrument(fs, name="G3"):
     """One string on the body, every mode below 0.45 fs and the compliance of the others."""
     limit = 0.45 * fs
     joint = Connection("end", (Term(name, "bridge"), Term("body", name, -1.0)))
-    readouts = [Readout("top", "velocity", (Probe("body", "top"),))]
+    readouts = [Readout("top", "velocity", (Term("body", "top"),))]
     return System.build({name: string(name, limit), "body": body(limit, residual=2e-9)}, [joint], readouts, dt=1 / fs)
 
 

@@ -10,7 +10,7 @@ from assembled import held_force
 from tonewood import _kernel
 from tonewood.errors import NumericalError
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
-from tonewood.physics.coupling.system import BLOCK_SIZE, Injection, Probe, Readout, System
+from tonewood.physics.coupling.system import BLOCK_SIZE, Injection, Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.kernel import KernelStepper
 from tonewood.physics.stepping.stepper import NumpyStepper
@@ -24,7 +24,7 @@ def undamped(n=512, connected=True):
     omega = 2 * np.pi * np.linspace(20, 21_000, n)
     basis = ModalBasis.real(omega, np.zeros(n), {"p": np.ones(n)})
     finger = [Connection("finger", (Term("a", "p"),), SpringDashpot())] if connected else []
-    return System.build({"a": basis}, finger, [Readout("u", "displacement", (Probe("a", "p"),))], dt=DT)
+    return System.build({"a": basis}, finger, [Readout("u", "displacement", (Term("a", "p"),))], dt=DT)
 
 
 @pytest.mark.parametrize("isa", ISAS)

@@ -322,3 +322,35 @@ def test_the_command_line_says_so_in_one_line(folder: Path) -> None:
     open_to_all = subprocess.run(command, capture_output=True, text=True)
     assert (open_to_all.returncode, open_to_all.stdout) == (0, first.stdout)
     assert open_to_all.stderr.count("can be written to by others") == 1
+
+
+def test_files_are_the_user_s_own_to_write_whatever_the_umask(folder: Path) -> None:
+    """In a folder that others may enter, the mode of a file decides who can change it."""
+    folder.mkdir(mode=0o755)
+    before = os.umask(0)
+    try:
+        keep("words", KEY, b"words")
+    finally:
+        os.umask(before)
+    (file,) = folder.iterdir()
+    assert file.stat().st_mode & 0o777 == 0o600
+    for mode in (0o666, 0o620, 0o602):
+        file.chmod(mode)
+        with pytest.warns(DamagedCacheWarning, match="can be written to by others"):
+            assert read() is None
+        keep("words", KEY, b"words")
+        assert read() == b"words"
+
+
+def test_a_folder_in_the_place_of_a_file_leaves_no_descriptor_open(folder: Path) -> None:
+    keep("words", KEY, b"words")
+    (file,) = folder.iterdir()
+    file.unlink()
+    file.mkdir()
+    free = os.dup(0)
+    os.close(free)
+    with pytest.warns(DamagedCacheWarning, match="directory"):
+        assert read() is None
+    again = os.dup(0)
+    os.close(again)
+    assert again == free

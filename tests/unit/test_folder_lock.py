@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -49,3 +50,17 @@ def test_an_error_frees_the_lock(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="cannot be written"), locked(tmp_path / "file", "this"):
         pytest.fail("a file is no folder")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links and pipes")
+def test_what_is_no_file_is_refused_and_the_target_of_a_link_is_left_alone(tmp_path: Path) -> None:
+    target = tmp_path / "target"
+    target.write_text("another's")
+    (tmp_path / "linked").mkdir()
+    (tmp_path / "linked" / FILE).symlink_to(target)
+    (tmp_path / "piped").mkdir()
+    os.mkfifo(tmp_path / "piped" / FILE)
+    for name in ("linked", "piped"):
+        with pytest.raises(OutputError, match=FILE), locked(tmp_path / name, "use"):
+            pass
+    assert target.read_text() == "another's"

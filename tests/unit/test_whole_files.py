@@ -224,3 +224,29 @@ def test_where_files_cannot_be_locked_they_are_written_all_the_same(
     assert (tmp_path / "out.txt").read_bytes() == b"1"
     two.discard()
     assert incomplete(tmp_path) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="locks of POSIX")
+def test_a_file_that_another_writer_is_about_to_remove_is_not_written_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between its creation and its lock a file looks like a leftover: who loses the lock takes another name."""
+    import fcntl
+
+    first, others, flock = tmp_path / ".a.0.part.bin", [], fcntl.flock
+
+    def late(handle: int, how: int) -> None:
+        if not others and first.exists():
+            others.append(os.open(first, os.O_RDWR))
+            flock(others[0], how)
+        flock(handle, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    file = AtomicFile(tmp_path / "a.bin")
+    assert others
+    assert file.path != first
+    first.unlink()  # as the other writer does
+    os.close(others[0])
+    file.path.write_bytes(b"whole")
+    file.complete()
+    assert [path.name for path in tmp_path.iterdir()] == ["a.bin"]

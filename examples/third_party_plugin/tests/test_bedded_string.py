@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tonewood_plate.bedded_string import Bed
 
 import tonewood as tw
+import tonewood.authoring as ta
 
 STRING = {"plugin": "bedded_string", "length": 0.45, "tension": 60.0, "linear_density": 1.53e-3, "t60": 3.0}
 
@@ -21,7 +21,9 @@ def zither(bed: float) -> tw.Instrument:
 
 def test_the_gradient_is_that_of_the_potential() -> None:
     string = zither(1e10).resonators["A3"]
-    bed = Bed([string.basis(9000.0)] * 2, 1e10)
+    (potential,) = string.potentials(ta.StringMotion("A3", ("A3.z", "A3.y"), None, {}))
+    assert isinstance(potential, ta.ModalPotential)
+    bed = potential.energy([string.basis(9000.0)] * 2)
     y = 1e-4 * np.random.default_rng(1).normal(size=sum(bed.sizes))
     value, slope = bed.gradient(y)
     assert value > 0.0

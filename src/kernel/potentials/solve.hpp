@@ -19,7 +19,7 @@ namespace {
 
 constexpr double kPaidAtOnce = 0.25;   // of the kinetic energy, at most, where psi is put back
 constexpr double kSame = 1e-13;        // of an energy, by which two sums of it may differ
-constexpr double kKept = 1e-3;         // of V + C: excess of psi^2 / 2 up to which it is not
+constexpr double kKept = 1e-7;         // of V + C: excess of psi^2 / 2 up to which it is not
 
 class PotentialGroup;
 

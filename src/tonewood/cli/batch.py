@@ -28,6 +28,9 @@ def batch(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="print the plan and the predicted time, do nothing")
     ] = False,
+    pilot: Annotated[
+        Path | None, typer.Option(help="folder with the answers of a pilot: --dry-run takes effects and spread of it")
+    ] = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> int:
@@ -39,15 +42,18 @@ def batch(
     from tonewood.workshop.batch.runner import plan_batch, run_batch
     from tonewood.workshop.batch.workers import Workers
     from tonewood.workshop.listening.power import power_of
+    from tonewood.workshop.listening.results import analyse
 
     if jobs == 0 or jobs < -1:
         raise TonewoodError(f"is {jobs}; 1 or more are allowed, or -1", key="--jobs")
     if workers not in ("processes", "threads"):
         raise TonewoodError(f"is {workers!r}; processes or threads are allowed", key="--workers")
+    if pilot is not None and not dry_run:
+        raise TonewoodError("belongs to --dry-run", key="--pilot")
     place = Workers(jobs, "threads" if workers == "threads" else "processes", cluster)
     if dry_run:
         plan = plan_batch(manifest, output, EngineRenderer(allow_code), place, predict=True)
-        power = power_of(plan.manifest, plan.trials_of_a_pair())
+        power = power_of(plan.manifest, plan.trials_of_a_pair(), None if pilot is None else analyse(pilot))
         if as_json:
             rows = [vars(row) for row in power]
             print_json("batch-plan", {**plan.summary(), "power": rows}, ok=not plan.faults)

@@ -82,9 +82,9 @@ def check(
         "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
         "off_planes": [plane_row(p) for p in off_planes],
         "wolf_notes": [pitch_row(p) for p in wolves],
-        "table_doubts": bundle.table_doubts(),
-        "stand_ins": [{"path": path, "note": spec.provenance[path].note} for path in bundle.stand_ins()],
-        "unknown": bundle.of_unknown_origin(),
+        "table_doubts": bundle.origins.table_doubts(),
+        "stand_ins": [{"path": path, "note": spec.provenance[path].note} for path in bundle.origins.stand_ins()],
+        "unknown": bundle.origins.of_unknown_origin(),
         "provenance": dict(Counter(entry.kind for entry in spec.provenance.values())),
         "sources_used": sorted({entry.source for entry in spec.provenance.values() if entry.source}),
         "sources": {key: source.model_dump(exclude_none=True) for key, source in spec.sources.items()},
@@ -152,7 +152,7 @@ def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) ->
     from tonewood.instrument.scales import note_name
 
     string, mine = model.strings[name], [(p, m) for p, m in pairs if p.string == name]
-    given, errors = string.given_tension, law_errors(model, name)
+    given, errors = string.tuning.given, law_errors(model, name)
     return {
         "note": note_name(string.open_note),
         "stops": string.n_stops,
@@ -166,7 +166,7 @@ def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) ->
         "worst_cents": max((p.error_cents for p, _ in mine), key=abs),
         "worst_cents_mounted": max((m.error_cents for _, m in mine), key=abs),
         "loss_error": None
-        if errors[0].decay is None
+        if not errors or errors[0].decay is None
         else {"partial": errors[0].decay_partial, "relative": errors[0].decay},
         "law": [asdict(e) | {"decay_is_off": e.decay_is_off, "pitch_is_off": e.pitch_is_off} for e in errors],
     }
@@ -254,6 +254,8 @@ def _mounted_line(row: dict[str, Any]) -> str:
 
 def _law_lines(rows: list[dict[str, Any]]) -> list[str]:
     """How well a string's partials keep to its own law on a rigid end: one line, then warnings."""
+    if not rows:
+        return ["does not end on the body: its partials are compared with no law"]
     worst = max(abs(row["cents"]) for row in rows if not row["bend_cents"])
     bent = next((row for row in rows if row["bend_cents"]), None)
     if rows[0]["decay"] is None:

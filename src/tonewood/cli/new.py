@@ -32,9 +32,9 @@ def new(
         raise InterruptError from None
     files = sorted(str(path.relative_to(made.folder)) for path in made.folder.rglob("*") if path.is_file())
     if as_json:
-        unknown = made.of_unknown_origin()
+        unknown = made.origins.of_unknown_origin()
         print_json("new", {"name": made.name, "folder": str(made.folder), "files": files, "unknown": unknown})
         return
     print(f"{made.folder}: {', '.join(files)}")
-    print(f"strings {', '.join(made.resonators)}; {len(made.of_unknown_origin())} figures of unknown origin")
+    print(f"strings {', '.join(made.resonators)}; {len(made.origins.of_unknown_origin())} figures of unknown origin")
     print(f"decide where instrument.yaml says DECIDE; then: tonewood check {made.folder}")

@@ -24,7 +24,8 @@ def results(
     as_json: Json = False,
 ) -> None:
     """Write the table of answers of DIR, means, models, sensitivities and thresholds, and a report with figures."""
-    need("results", "statsmodels", "pandas", "jinja2", "matplotlib")
+    need("results", "jinja2", "matplotlib")
+    from tonewood.workshop.listening.plain import methods, summary
     from tonewood.workshop.listening.report import write_report
     from tonewood.workshop.listening.results import FOLDER, analyse, write_tables
 
@@ -33,7 +34,8 @@ def results(
     write_tables(found, place)
     page = write_report(found, place, _facts(folder))
     if as_json:
-        print_json("results", {**found.to_dict(), "report": str(page)})
+        sentences = {"summary": summary(found), "methods": methods(found)}
+        print_json("results", {**found.to_dict(), **sentences, "report": str(page)})
         return
     _print(found)
     print(f"{page}; answers.csv has one row an answer")
@@ -73,6 +75,8 @@ def _facts_of(record: Any) -> dict[str, Any] | None:
 
 
 def _print(found: PanelResults) -> None:
+    from tonewood.workshop.listening.plain import summary
+
     for page in found.pages:
         warn([f"{s.listener} is left out: {s.reason}" for s in page.screened])
     warn([f"{who} did not finish" for who in found.unfinished])
@@ -81,6 +85,8 @@ def _print(found: PanelResults) -> None:
         count = sum(one.answers for one in found.left_out)
         warn([f"{count} {'answer is' if count == 1 else 'answers are'} left out"])
     print(f"{found.test.manifest.name}: {found.who}, {100 * found.confidence:g} % intervals")
+    for line in summary(found):
+        print(f"  {line}")
     for page in found.pages:
         print(f"{page.page}. {page.heading} ({page.kind}, {page.listeners} listeners)")
         for line in _lines(page):
@@ -92,13 +98,18 @@ def _lines(page: PageResults) -> list[str]:
     for mean in (*page.cells, *page.helpers):
         bounds = "" if mean.low is None else f" [{mean.low:.2f}, {mean.high:.2f}]"
         lines.append(f"{mean.label}: {mean.mean:.2f}{bounds}")
-    if page.mixed is not None:
-        lines.append(f"mixed model: {page.mixed.formula} + {page.mixed.groups}")
-        for term in page.mixed.terms:
+    if page.linear is not None:
+        lines.append(f"{page.linear.formula}; {page.linear.method}")
+        for term in page.linear.terms:
             lines.append(
-                f"  {term.name}: {term.difference:+.2f} [{term.low:.2f}, {term.high:.2f}], p = {term.p_value:.3g}, "
+                f"  {term.name}: {term.difference:+.2f} [{term.low:.2f}, {term.high:.2f}], p = {term.p_holm:.3g}, "
                 f"d = {term.cohens_d:.2f}"
             )
+        for test in page.linear.tests:
+            lines.append(
+                f"  {test.name}: F({test.df:.1f}, {test.df2 or 0:.1f}) = {test.statistic:.2f}, p = {test.p_value:.3g}"
+            )
+        lines += [f"  {note}" for note in page.linear.notes]
     for pair in page.ranks.pairs if page.ranks is not None else ():
         lines.append(f"ranks, {pair.factor}: {pair.second} over {pair.first}: r = {pair.r:.2f}, p = {pair.p_holm:.3g}")
     for one in page.detections:

@@ -6,7 +6,8 @@ somebody else, or that others may write to, is not used: a file of it decides on
 
 A file begins with a line of 4 words: ``tonewood-cache/1``, its kind, its key and the SHA-256 of the bytes that follow.
 A file whose line or hash does not fit is damaged, cut short, renamed or of another version: its content is computed
-again and written over it, with a warning. Nothing in it is ever unpickled.
+again and written over it, with a warning. So is that of a file to which others may write. Nothing
+in it is ever unpickled.
 """
 
 from __future__ import annotations
@@ -61,8 +62,11 @@ def read_kept(kind: str, key: str, decode: Callable[[bytes], T]) -> T | None:
     try:
         # never a link; a pipe does not block
         flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-        with open(os.open(path, flags), "rb") as stream:
+        with open(path, "rb", opener=lambda name, _: os.open(name, flags)) as stream:
             status = os.fstat(stream.fileno())
+            if _others_write(status):
+                _warn_damaged(path, _open_to_others(status))
+                return None
             fits = stat.S_ISREG(status.st_mode) and _is_users(status) and status.st_size <= _MOST_BYTES
             data = stream.read() if fits else b""
     except FileNotFoundError:
@@ -95,7 +99,7 @@ def keep(kind: str, key: str, content: bytes) -> None:
             return
         if path.is_symlink() or not path.is_file():  # an `AtomicFile` would replace the target of a link
             path.unlink(missing_ok=True)
-        file = AtomicFile(path)
+        file = AtomicFile(path, mode=0o600)  # whatever the umask: who has opened it may write for ever
         try:
             with file.path.open("wb") as stream:
                 stream.write(_heading(kind, key, content) + b"\n" + content)
@@ -124,8 +128,16 @@ def _is_users(status: os.stat_result) -> bool:
     return not hasattr(os, "geteuid") or status.st_uid == os.geteuid()
 
 
+def _others_write(status: os.stat_result) -> bool:
+    return hasattr(os, "geteuid") and bool(status.st_mode & 0o022)
+
+
+def _open_to_others(status: os.stat_result) -> str:
+    return f"can be written to by others (mode {stat.S_IMODE(status.st_mode):04o})"
+
+
 def _is_own(folder: Path) -> bool:
-    """Whether a folder exists and is the user's own, and nobody else may write to it; warns where it is another's."""
+    """Whether a folder exists, belongs to the user and cannot be written by others; warns where it is another's."""
     try:
         link, status = folder.lstat(), folder.stat()  # a link, and its target
     except (OSError, ValueError):
@@ -134,8 +146,8 @@ def _is_own(folder: Path) -> bool:
         reason = "is no folder"
     elif not (_is_users(link) and _is_users(status)):
         reason = "belongs to another user"
-    elif hasattr(os, "geteuid") and status.st_mode & 0o022:
-        reason = f"can be written to by others (mode {stat.S_IMODE(status.st_mode):04o})"
+    elif _others_write(status):
+        reason = _open_to_others(status)
     else:
         return True
     advice = "nothing is kept: give TONEWOOD_CACHE a folder of your own with mode 0700, or off"

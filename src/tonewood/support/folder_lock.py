@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,7 +17,7 @@ FILE = ".tonewood.lock"
 def locked(folder: Path, use: str) -> Iterator[None]:
     """Hold the lock of a folder, whatever name or link it is reached by.
 
-    Not the file counts but the lock on it: one that a killed process left stops nobody.
+    The lock on the file counts, not the file: the file of a killed process does not block others.
 
     Parameters
     ----------
@@ -50,11 +51,15 @@ def _acquired(path: Path) -> int:
 
     Raises
     ------
-    OutputError : another process holds it.
+    OutputError : another process holds it, or it is no file.
     """
+    # its content is written over: never that of a link's target
+    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        handle = os.open(path, flags, 0o644)
         try:
+            if not stat.S_ISREG(os.fstat(handle).st_mode):
+                raise OutputError("is no file: remove it", file=path)
             if not _take(handle):
                 os.lseek(handle, 1, os.SEEK_SET)
                 holder = os.read(handle, 200).decode(errors="replace").strip() or "another process"

@@ -39,15 +39,19 @@ _MODULES = {
     "yaml_edit yaml_io yaml_parser",
     ("coupling", "physics.coupling.potentials"): "tension geometric=longitudinal phantoms=phantom tension_solve=solve",
     ("instrument", "instrument.contract"): "attached directions effects files gestures losses microphones svg_path "
-    "registry array_cache",
-    ("instrument", "instrument.bundle"): "bundle_code added json_schema keys migration new_bundle overrides schema "
+    "registry array_cache bundle_code",
+    ("instrument", "instrument.bundle"): "added json_schema keys migration new_bundle overrides schema "
     "schema_table string_sets key_schema",
     ("instrument", "instrument.model"): "assembly choice finger kept_tunings output_assembly stretch string_assembly "
     "string_setup string_stems strings tuning",
     ("instrument", "instrument.inspection"): "wolf modal_export mounted",
     ("score", "instrument"): "scales",
-    ("engine", "performance.player"): "playing live_state live_dampers pedals techniques hands variation note_events "
-    "timeline fretting gestures",
+    ("score", "performance.score"): "causal=assignment",
+    (
+        "engine",
+        "performance.player",
+    ): "playing live_state=voices live_dampers=dampers pedals=dampers techniques hands variation "
+    "note_events=strokes timeline fretting gestures live=player",
     ("engine", "performance.effects"): "costs effect_usage=usage gesture_connections",
     ("output", "sound.render"): "options render=renderer plan accuracy routing resampling energy level model_file",
     ("output", "sound.live"): "live=instrument stream play",
@@ -88,6 +92,19 @@ def attribute(package: str, name: str, home: str) -> Any:
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
     _warn(f"{package}.{name}", f"{home}.{name}", 2)
     return getattr(module, name)
+
+
+def renamed(module: str, name: str, present: dict[str, Any]) -> Any:
+    """Return the class that an old name of a module stands for, for its ``__getattr__``; until version 0.4.
+
+    Raises
+    ------
+    AttributeError : it is no such name.
+    """
+    if name not in present:
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+    _warn(f"{module}.{name}", f"{module}.{present[name].__name__}", 2)
+    return present[name]
 
 
 def _warn(old: str, new: str, frames: int) -> None:

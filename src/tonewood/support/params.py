@@ -73,16 +73,22 @@ def described(doc: str, *, default: Any = _MISSING, **options: Any) -> Any:
 
 
 def validated(
-    model: type[_P], values: Mapping[str, Any], *, key: str, error: type[BundleError] = BundleError, file: Any = None
+    model: type[_P],
+    values: Mapping[str, Any],
+    *,
+    key: str,
+    error: type[BundleError] = BundleError,
+    file: Any = None,
+    context: Mapping[str, Any] | None = None,
 ) -> _P:
-    """Check `values` against a model.
+    """Check `values` against a model; fields that read files look into `context`.
 
     Raises
     ------
     BundleError : one line for the first fault: file, dotted key (below `key`), fault and the values allowed.
     """
     try:
-        return model.model_validate(dict(values))
+        return model.model_validate(dict(values), context=context)
     except ValidationError as fault:
         where, reason = first_message(fault, model)
         raise error(reason, file=file, key=".".join(part for part in (key, where) if part)) from None

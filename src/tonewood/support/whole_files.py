@@ -11,7 +11,7 @@ import os
 import secrets
 import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -38,6 +38,7 @@ class AtomicFile:
     Parameters
     ----------
     path : name of the target; a link leads to the file that is replaced.
+    mode : of the new file, less the bits of the umask.
 
     Attributes
     ----------
@@ -50,7 +51,7 @@ class AtomicFile:
     OutputError : there is no such folder, it cannot be written to, or the name is that of a folder or a device.
     """
 
-    def __init__(self, path: str | os.PathLike[str]):
+    def __init__(self, path: str | os.PathLike[str], *, mode: int = 0o666):
         self._named = path
         try:
             self._final = Path(path).resolve()
@@ -66,11 +67,11 @@ class AtomicFile:
         places = _places(self._final)
         #: the file's name and the descriptor that locks it, as soon as there is one
         claimed: dict[Path, int] = {}
-        # called when nobody holds this object any more, or at the end of the program
+        # called when the last reference to this object is gone, or at the end of the program
         self.discard = weakref.finalize(self, _discard, claimed)
         try:
             last = _place(self._final, secrets.token_hex(4))
-            self.path = next(place for place in (*places, last) if _claim(place, claimed))
+            self.path = next(place for place in (*places, last) if _claim(place, claimed, mode))
         except OSError as fault:
             raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
         self._claimed = claimed
@@ -101,20 +102,26 @@ def _places(target: Path) -> list[Path]:
     return [_place(target, i) for i in range(_PLACES)]
 
 
-def _claim(place: Path, claimed: dict[Path, int]) -> bool:
+def _claim(place: Path, claimed: dict[Path, int], mode: int) -> bool:
     """Make and lock a file; False where another writer has it."""
     remove_leftover(place)
     try:
-        claimed[place] = lock = os.open(place, os.O_RDWR | os.O_CREAT | os.O_EXCL | _FLAGS, 0o666)
+        claimed[place] = lock = os.open(place, os.O_RDWR | os.O_CREAT | os.O_EXCL | _FLAGS, mode)
     except FileExistsError:
         return False
     if fcntl is None:
         os.close(lock)
         claimed[place] = -1
         return True
-    with suppress(OSError):  # locked by a writer that looks for leftovers, or locks are not known here
+    try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    if _is_at(place, lock):
+    except BlockingIOError:  # a writer that looks for leftovers has locked it, and is about to remove it
+        mine = False
+    except OSError:  # locks are not known here
+        mine = True
+    else:
+        mine = _is_at(place, lock)
+    if mine:
         return True
     os.close(claimed.pop(place))
     return False

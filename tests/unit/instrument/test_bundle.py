@@ -74,7 +74,7 @@ def put(values: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
         ("strings.A2.polarizations", ["x", "z"], "strings.A2.polarizations: lies along the string"),
         ("strings.A2.polarizations", ["z", "z"], "strings.A2.polarizations: lies along the string, or repeats"),
         ("strings.A2.plugin", "pluck_ramp", "strings.A2.plugin: plugin 'pluck_ramp' is of kind exciter"),
-        ("strings.A2.plugin", "no_such", "strings.A2.plugin: there is no plugin 'no_such'; installed: "),
+        ("strings.A2.plugin", "no_such", "strings.A2.plugin: there is no plugin 'no_such' of kind resonator; "),
         ("strings.A2.loss", {"law": "woodhouse"}, "strings.A2.loss.eta_f: is missing"),
         ("strings.defaults", 3, "strings.defaults: holds keys that are merged"),
         ("strings.body", {"note": "A2"}, "a string cannot be called body"),
@@ -209,14 +209,14 @@ def test_provenance_takes_the_most_exact_path(make: Make, values: dict[str, Any]
     small = make(values)
 
     def kind(path: str) -> str | None:
-        found = small.provenance(path)
+        found = small.origins.of(path)
         return found.kind if found else None
 
     assert kind("strings.A2.tension") == "published"
     assert kind("strings.A2.tilt_deg") == "authored"
     assert kind("strings.D3.tension") == "stand_in"
     assert kind("body.table") is None
-    assert small.stand_ins() == ["strings.D3"]
+    assert small.origins.stand_ins() == ["strings.D3"]
 
 
 def test_scales_of_the_bundle(make: Make, values: dict[str, Any], tmp_path: Path) -> None:
@@ -258,8 +258,8 @@ def test_an_instrument_crosses_processes_whole(make: Make) -> None:
 @pytest.mark.parametrize("name", sorted(tw.list_instruments()))
 def test_shipped_tables_are_those_of_their_provenance(name: str) -> None:
     instrument = tw.load_instrument(name)
-    assert instrument.table_doubts() == []
-    entry = instrument.provenance("body.table")
+    assert instrument.origins.table_doubts() == []
+    entry = instrument.origins.of("body.table")
     assert entry is not None
     assert entry.sha256 is not None or entry.kind in ("authored", "stand_in")
 
@@ -273,20 +273,20 @@ def test_another_table_does_not_keep_its_measurement(tmp_path: Path) -> None:
     lines = table.read_text().splitlines(keepends=True)
     table.write_text("".join([*lines[:-1], lines[-1].replace("1", "2", 1)]))
     new = hashlib.sha256(table.read_bytes()).hexdigest()
-    (line,) = tw.load_instrument(folder).table_doubts()
+    (line,) = tw.load_instrument(folder).origins.table_doubts()
     assert line.startswith(
         f"body: body.csv is not the table that its provenance calls measured (body): its SHA-256 is {new}"
     )
     manifest.write_text(manifest.read_text().replace(f",\n    sha256: {old}", ""))
-    (line,) = tw.load_instrument(folder).table_doubts()
+    (line,) = tw.load_instrument(folder).origins.table_doubts()
     assert line.startswith("body: its provenance says measured (body) without the SHA-256 of body.csv")
     manifest.write_text(manifest.read_text().replace("body: {kind: measured, source: body}", "body: {kind: authored}"))
-    assert tw.load_instrument(folder).table_doubts() == []
+    assert tw.load_instrument(folder).origins.table_doubts() == []
 
 
 def test_a_table_put_in_by_an_override_is_doubted(tmp_path: Path) -> None:
     folder = tmp_path / "mine"
     shutil.copytree(tw.list_instruments()["classical_guitar"], folder)
     (folder / "other.csv").write_bytes((folder / "body.csv").read_bytes() + b"\n")
-    (line,) = tw.load_instrument(folder).replace({"body.table": "other.csv"}).table_doubts()
+    (line,) = tw.load_instrument(folder).replace({"body.table": "other.csv"}).origins.table_doubts()
     assert "other.csv is not the table" in line

@@ -29,7 +29,7 @@ def test_a_row_is_a_key_with_its_strings_hammer_and_damper(few: tw.Instrument) -
     assert "C4_2" not in few.groups
     assert [few.spec.strings[f"C4_{i}"].cents for i in (1, 2, 3)] == [0.0, 0.6, -0.5]
     assert few.spec.strings["C4_3"].ends == ("body.C4",)
-    assert few.resonators["C4_2"].parameters.loss.sigma0 == 0.18
+    assert few.resonators["C4_2"].parameters.loss.parameters.sigma0 == 0.18
     assert few.exciter("hammer", "C4_1").parameters.mass == 0.0087
     assert few.exciter("hammer", "A0").parameters.exponent == 2.24
     assert few.exciter("hammer", "A0").parameters.loss == few.exciters["hammer"].parameters.loss
@@ -176,7 +176,9 @@ def test_keys_may_stand_beside_those_of_the_table(tmp_path: Path) -> None:
 
 
 def test_one_string_of_a_row_keeps_what_its_own_columns_leave(tmp_path: Path) -> None:
-    loss = piano(tmp_path / "own", ["C4"], {"string_2.loss.sigma0": "0.5"}).resonators["C4_2"].parameters.loss
+    loss = (
+        piano(tmp_path / "own", ["C4"], {"string_2.loss.sigma0": "0.5"}).resonators["C4_2"].parameters.loss.parameters
+    )
     assert (loss.sigma0, loss.sigma1) == (0.5, 0.00031)
 
 

@@ -67,8 +67,8 @@ def test_a_bundle_names_its_set(tmp_path):
     mine = tw.load_instrument(folder)
     assert mine.resolved["strings"]["G3"]["tension"] == 60.0
     assert mine.resolved["strings"]["E4"]["tension"] == pytest.approx(of("ej45", "E4")["tension"])
-    assert mine.provenance("strings.E4.tension").source == "strings_ej45"
-    assert mine.provenance("strings.E4.loss").kind == "unknown"
+    assert mine.origins.of("strings.E4.tension").source == "strings_ej45"
+    assert mine.origins.of("strings.E4.loss").kind == "unknown"
     lower = mine.replace({"strings.E4.note": "D4"})
     assert lower.resolved["strings"]["G3"]["tension"] == 60.0
     again = mine.replace({"strings_from": "ej46", "strings.E2.tension": 70.0})

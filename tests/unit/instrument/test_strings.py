@@ -8,9 +8,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+import tonewood as tw
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.model import string_tuning
 from tonewood.instrument.model.assembly import assemble
-from tonewood.instrument.model.strings import StringModel, held_freq
+from tonewood.instrument.model.stops import StopTable
+from tonewood.instrument.model.string_setup import Stopping
+from tonewood.instrument.model.strings import StringModel
+from tonewood.instrument.model.untuned_bases import held_freq
 
 Make = Callable[..., Instrument]
 
@@ -23,11 +28,11 @@ def string(make: Make) -> StringModel:
 def test_stops_lie_where_the_scale_puts_them(string: StringModel) -> None:
     assert string.length(12) == pytest.approx(0.325)
     assert string.length(7) == pytest.approx(0.65 * 2 ** (-7 / 12))
-    assert string.stop_freqs[12] == pytest.approx(220.0)
-    assert len(string.stop_freqs) == 13
+    assert string.tuning.freqs[12] == pytest.approx(220.0)
+    assert len(string.tuning.freqs) == 13
     for stop in (-1, 13, 0.5):
         with pytest.raises(ValueError, match="stops from 0 to 12"):
-            string.position(stop)
+            string.tuning.stops.position(stop)
 
 
 def test_any_place_on_a_continuous_string(make: Make) -> None:
@@ -90,3 +95,37 @@ def test_seat_compliance_is_at_the_bridge(make: Make) -> None:
     residual = basis.residual[basis.index("bridge")]
     assert residual[basis.index("bridge")] == pytest.approx(3e-8)
     assert residual[basis.index("pluck")] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_whole_stops_are_tuned_before_the_first_sample(monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the engine steps, the tensions of a score's stops come from the table."""
+    guitar = tw.load_instrument("classical_guitar")
+    notes = [tw.Note(0.02 * i, 0.05, string="E2", stop=i, force=1.0) for i in range(1, 5)]
+    stream = tw.Renderer(tw.Score(notes), guitar, 24000, max_duration=0.15)
+
+    def late(*args: object) -> None:
+        raise AssertionError("a string is tuned while it sounds")
+
+    monkeypatch.setattr(string_tuning, "tune", late)
+    assert sum(len(block) for block in stream.blocks(1024)) == 3600
+    with pytest.raises(AssertionError, match="tuned while it sounds"):
+        stream.model.strings["E2"].tension(9)
+
+
+def test_a_scale_is_asked_once_for_each_whole_stop() -> None:
+    """Geometry comes from a table: how often lengths and places are wanted does not matter."""
+    asked: list[float] = []
+
+    def freq(stop: float) -> float:
+        asked.append(stop)
+        return 110.0 * 2 ** (stop / 12)
+
+    stops = StopTable("A2", 0.65, Stopping(12, True, freq, "each_stop"))
+    for _ in range(3):
+        assert stops.lengths[12] == pytest.approx(0.325, rel=1e-12)
+        assert [0.65 - stops.position(i) for i in range(13)] == list(stops.lengths)
+    assert sorted(asked) == list(range(13))
+    assert stops.length(6.5) == pytest.approx(0.65 * 2 ** (-6.5 / 12), rel=1e-12)
+    for beyond in (-1, 12.5, 13):
+        with pytest.raises(ValueError, match="string A2 has stops from 0 to 12"):
+            stops.position(beyond)

@@ -77,7 +77,7 @@ def test_every_stop_within_a_cent_or_a_wolf(guitar: Model) -> None:
                 assert tuned.wolf is not None
                 # no tension does better: a little more and a little less both miss by as much or more
                 for factor in (0.99, 1.01):
-                    coupled, freq = string.coupled(stop), string.freq(stop)
+                    coupled, freq = string.tuning.coupled(stop), string.freq(stop)
                     other = coupled.modes(tuned.tension * factor, freq)[0]
                     assert abs(1200 * math.log2(other.freq / freq)) > abs(tuned.error_cents)
 
@@ -148,7 +148,7 @@ def test_without_compensation_tensions_stand(make: Make) -> None:
     string = assemble(make().replace({"tuning.compensate": "none"}), 16000.0).strings["A2"]
     assert string.tension(0) == string.tuned(0).tension == 73.9
     assert string.freq(0) == pytest.approx(110.0)
-    assert string.given_tension.held == "tension"
+    assert string.tuning.given.held == "tension"
 
 
 @pytest.mark.parametrize(
@@ -181,34 +181,34 @@ def test_a_held_tension_moves_the_pitch_and_its_stops(make: Make) -> None:
         {"strings.*.end": "body.bridge", "strings.A2.tension": 80.0, "body.points.bridge.direction": "y"}
     )
     by_pitch = assemble(free, 16000.0).strings["D3"]
-    assert by_pitch.given_tension.held == "pitch"
+    assert by_pitch.tuning.given.held == "pitch"
     held = assemble(free.replace({"tuning.hold": "tension", "strings.D3.tension": 80.0}), 16000.0).strings["D3"]
     assert held.tension(0) == 80.0
     tuned = by_pitch.tension(0)
     # bending stiffness takes no part in the ratio: it is 1e-4 of the pitch
     assert held.freq(0) / by_pitch.freq(0) == pytest.approx(math.sqrt(80.0 / tuned), rel=1e-5)
-    assert held.given_tension.cents == pytest.approx(600 * math.log2(80.0 / tuned), abs=0.02)
+    assert held.tuning.given.cents == pytest.approx(600 * math.log2(80.0 / tuned), abs=0.02)
     for stop in (1, 7, 12):
-        assert held.position(stop) == by_pitch.position(stop)
+        assert held.tuning.stops.position(stop) == by_pitch.tuning.stops.position(stop)
         assert held.freq(stop) / held.freq(0) == pytest.approx(2 ** (stop / 12))
         assert abs(held.tuned(stop).error_cents) < 0.01
-    assert "its tension of 80 N is held; it sounds" in held.given_tension.line()
+    assert "its tension of 80 N is held; it sounds" in held.tuning.given.line()
 
 
 def test_which_of_tension_and_pitch_won_is_said(make: Make) -> None:
-    given = assemble(make().replace({"strings.A2.tension": 90.0}), 16000.0).strings["A2"].given_tension
+    given = assemble(make().replace({"strings.A2.tension": 90.0}), 16000.0).strings["A2"].tuning.given
     assert given.given == 90.0
     assert given.held == "pitch"
     assert given.noticeable
     assert given.cents == pytest.approx(600 * math.log2(90.0 / given.used))
     assert "the 90 N given would sound +" in given.line()
-    assert not assemble(make(), 16000.0).strings["A2"].given_tension.noticeable
+    assert not assemble(make(), 16000.0).strings["A2"].tuning.given.noticeable
 
 
 @pytest.mark.parametrize("name", ["classical_guitar", "flamenco_guitar", "african_harp", "steel_guitar"])
 def test_no_shipped_tension_is_far_from_its_note(name: str) -> None:
     model = assemble(Instrument.load(name), 48000.0)
-    assert [s.name for s in model.strings.values() if s.given_tension.noticeable] == []
+    assert [s.name for s in model.strings.values() if s.tuning.given.noticeable] == []
 
 
 def test_each_plane_has_the_pitch_of_its_mode_in_the_eigenproblem(guitar: Model) -> None:

@@ -54,7 +54,7 @@ def test_the_share_is_that_of_two_oscillators(tmp_path: Path, values: dict[str, 
     x = np.array([-60.0, -20.0, -5.0, 5.0, 20.0, 60.0])
     # at a stop the tuned tension has taken the body's pull in; the string's own tension counts, T = rho (2 l f)^2
     tension = DENSITY * (2 * string.length(6) * FREQ) ** 2
-    found = share_curve(string.coupled(6), tension, FREQ, x)
+    found = share_curve(string.tuning.coupled(6), tension, FREQ, x)
     string_mass, rad = DENSITY * string.length(6), 2 * math.pi * FREQ
     pull = rad**2 / math.pi * math.sqrt(2 * string_mass / mass)
     for offset, share in zip(x, found, strict=True):

@@ -50,7 +50,7 @@ def test_the_dominating_pitch_jumps_over_the_note(guitar: Model) -> None:
     """It rises with the tension over two semitones about the one chosen, and leaves the note out in its only jump."""
     for name, stop in sorted(OFF[guitar.instrument.name]):
         held = guitar.strings[name]
-        string, tuned, wanted = held.coupled(stop), held.tuned(stop), held.freq(stop)
+        string, tuned, wanted = held.tuning.coupled(stop), held.tuned(stop), held.freq(stop)
         assert tuned is not None
         assert abs(dominating(string, tuned.tension, wanted) - tuned.error_cents) < 1e-6
         grid = [-100.0, -60.0, -30.0, -10.0, -3.0, -0.2, 0.2, 3.0, 10.0, 30.0, 60.0, 100.0]

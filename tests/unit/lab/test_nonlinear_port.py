@@ -11,7 +11,7 @@ from scipy.optimize import approx_fprime
 from tonewood.errors import NumericalError
 from tonewood.lab.nonlinear_port import GeneralLaw, Mounting, PortStepper, solve_ports
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.stepper import NumpyStepper
 
@@ -93,7 +93,7 @@ def test_linear_mounting_steps_as_the_linear_connection() -> None:
     free = ModalBasis.real([0.0, 5.0], [0.0, 0.0], {"p": [1.0, 1.0], "q": [1.0, -0.7]})
     terms = (Term("a", "p"), Term("b", "p", -1.0))
     held = Connection("held", (Term("a", "q"),), Rigid())
-    readout = [Readout("x", "displacement", (Probe("b", "q"),))]
+    readout = [Readout("x", "displacement", (Term("b", "q"),))]
 
     def run(law: SpringDashpot, nonlinear: dict[str, Mounting]) -> np.ndarray:
         system = System.build({"a": basis, "b": free}, [Connection("c", terms, law), held], readout, dt=0.02)
@@ -114,7 +114,7 @@ def test_residual_compliance_in_series_loses_no_energy_and_counts() -> None:
     system = System.build(
         {"mass": mass, "ground": ground},
         [Connection("c", (Term("mass", "p"), Term("ground", "p", -1.0)), SpringDashpot())],
-        [Readout("x", "displacement", (Probe("mass", "p"),)), Readout("v", "velocity", (Probe("mass", "p"),))],
+        [Readout("x", "displacement", (Term("mass", "p"),)), Readout("v", "velocity", (Term("mass", "p"),))],
         dt=0.01,
     )
     state = system.start()

@@ -59,7 +59,7 @@ def test_stems_are_the_parts_alone(duo: Path) -> None:
 def test_the_process_that_asked_warns_of_dropped_notes(duo: Path, capfd: pytest.CaptureFixture[str]) -> None:
     parts = [parse_part("1=electric_bass"), parse_part("1=electric_bass@pan0.5")]
     with pytest.warns(tw.DroppedNotesWarning, match="1 note cannot be played") as issued:
-        render_ensemble(duo, parts, workers=2, reading={"transpose": 2}, fs=8000, max_duration=0.1)
+        render_ensemble(duo, parts, workers=2, reading={"transpose": 2}, fs=8000, max_duration=0.25)
     assert len(issued) == 2
     assert capfd.readouterr().err == ""
 

@@ -76,7 +76,7 @@ def test_the_older_of_two_iterations_is_refused(monochord: tw.Instrument) -> Non
 def test_a_block_that_is_being_made_is_not_disturbed(monochord: tw.Instrument) -> None:
     """Snapshots, iterations and calls of a live instrument from another thread while a block is made."""
     shared, live, errors = renderer(monochord), tw.Live(monochord, FS, prepare=False), list[Any]()
-    advance, tick = shared.engine.advance, live.player.tick
+    advance, feed = shared.engine.advance, live.player.feed
     at_start = shared.snapshot()
 
     def during_render(points: int) -> Any:
@@ -85,18 +85,18 @@ def test_a_block_that_is_being_made_is_not_disturbed(monochord: tw.Instrument) -
         shared.engine.advance = advance  # type: ignore[method-assign]
         return advance(points)
 
-    def during_process() -> None:
+    def during_process(*arguments: Any) -> Any:
         others = (
             lambda: live.note_on(45), lambda: live.note_off(45), lambda: live.control(64, 1.0),
             lambda: live.bend(10.0), lambda: live.pressure(0.5), live.all_off, live.release_keys,
             lambda: live.process(64),
         )  # fmt: skip
         errors.extend(in_a_thread(call) for call in others)
-        live.player.tick = tick  # type: ignore[method-assign]
-        tick()
+        live.player.feed = feed  # type: ignore[method-assign]
+        return feed(*arguments)
 
     shared.engine.advance = during_render  # type: ignore[method-assign]
-    live.player.tick = during_process  # type: ignore[method-assign]
+    live.player.feed = during_process  # type: ignore[method-assign]
     next(shared.blocks(64))
     live.process(64)
     assert len(errors) == 11

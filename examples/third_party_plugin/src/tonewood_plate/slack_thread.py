@@ -23,43 +23,12 @@ class SlackThreadParameters(ta.Parameters):
     direction: ta.Direction = ta.described("in which the thread pulls", default="z")
 
 
-class ThreadEffect(ta.SwitchedConnections):
-    """Switches a string's thread on before the string can reach the end of the slack, and off well below it.
+class ThreadEffect(ta.ConnectionsInReach):
+    """Switches a string's thread on before the string can reach the end of the slack, and off well below it."""
 
-    All that moves of it is the set of strings whose thread is on, which the engine keeps.
-    """
-
-    #: shares of the slack: a thread is switched on above the first and off below the second. The energy of a string
-    #: that nobody plays would have to grow fourfold from one look to the next to reach the slack unseen
-    ON, OFF = 0.5, 0.4
-    #: points of the control grid (64 samples) between two looks; the second where all threads are on, since switching
-    #: one off late loses only time
-    LOOK, SELDOM = 16, 64
-
-    def next_watch(self, sample: int, switching: ta.Switching) -> int:
-        """Look at all strings at fixed samples, whatever is played."""
-        return ta.next_multiple(sample, self.looks(switching))
-
-    def looks(self, switching: ta.Switching) -> int:
-        """Points of the control grid between two looks."""
-        return self.LOOK if len(switching.on) < len(self.components) else self.SELDOM
-
-    def watch(self, moment: ta.Moment, switching: ta.Switching) -> ta.Watched | None:
-        """Compare a bound on the excursion at the knot with the slack; gestures switch the thread on at once."""
-        if moment.sample % (64 * self.looks(switching)) and not (moment.moved or moment.fresh):
-            return None
-        wanted = set(moment.busy) & set(self.components)
-        for string in self.components:
-            share = self.ON if string not in switching.on else self.OFF
-            excursion = self.excursion(moment.system, moment.state, string)
-            slack = [self.slack(name) for name in self.names(string)]
-            if np.any(excursion > share * np.array(slack)):
-                wanted.add(string)
-        return ta.Watched(frozenset(wanted), [(s, ta.Bound(), s not in wanted) for s in self.components])
-
-    def slack(self, connection: str) -> float:
-        """Slack of the thread of a connection ``STRING.PART.thread``, m."""
-        return float(self.plugins[connection.split(".")[1]].parameters.slack)
+    def reach(self, connection: str) -> float:
+        """Slack of the thread, m."""
+        return float(self.parameters(connection).slack)
 
 
 class SlackThread(ta.Attachment[SlackThreadParameters]):

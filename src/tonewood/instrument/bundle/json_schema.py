@@ -7,7 +7,6 @@ from typing import Any
 
 from pydantic.json_schema import models_json_schema
 
-from tonewood.instrument.bundle.bundle_code import CODE_PATTERN
 from tonewood.instrument.bundle.schema import (
     SCHEMA,
     BodyPart,
@@ -18,6 +17,7 @@ from tonewood.instrument.bundle.schema import (
     StringPart,
 )
 from tonewood.instrument.contract import registry
+from tonewood.instrument.contract.bundle_code import CODE_PATTERN
 
 _PARTS: dict[str, tuple[str, type[PluginPart]]] = {
     "BodyPart": ("body", BodyPart),

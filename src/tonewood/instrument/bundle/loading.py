@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -14,14 +12,17 @@ from typing import Any
 
 from tonewood.errors import BundleError, OldFormatWarning, PluginError, ScoreError, TonewoodError, kind_of
 from tonewood.instrument.bundle.added import body_parts
-from tonewood.instrument.bundle.bundle_code import code_hash, code_plugin, is_code
-from tonewood.instrument.bundle.keys import check_keys, groups, key_exciters, merged, with_keys
+from tonewood.instrument.bundle.identity import content_hash, plugin_hashes
+from tonewood.instrument.bundle.keys import groups, key_exciters, merged, with_keys
 from tonewood.instrument.bundle.migration import bundle_edits
+from tonewood.instrument.bundle.origins import Origins
 from tonewood.instrument.bundle.overrides import apply_overrides
-from tonewood.instrument.bundle.schema import Bundle, OutputPart, PluginPart, Provenance
+from tonewood.instrument.bundle.references import check_references
+from tonewood.instrument.bundle.schema import Bundle, OutputPart, PluginPart
 from tonewood.instrument.bundle.string_sets import with_set
 from tonewood.instrument.contract import registry
-from tonewood.instrument.contract.base import Attachment, Body, Exciter, Pickup, Plugin, Resonator
+from tonewood.instrument.contract.base import Attachment, Body, Exciter, Loss, Pickup, Plugin, Resonator
+from tonewood.instrument.contract.bundle_code import plugin_named
 from tonewood.instrument.contract.directions import polarization_vectors
 from tonewood.instrument.contract.files import Files
 from tonewood.instrument.scales import Tuning, note_number, read_tuning
@@ -30,7 +31,6 @@ from tonewood.physics.modal.views import SHOWN_TO, ModalViews
 from tonewood.support.garbage import without_collecting
 from tonewood.support.params import Vector, validated
 from tonewood.support.tables import properties_html
-from tonewood.support.validation_messages import did_you_mean
 from tonewood.support.yaml_edit import apply_edits
 from tonewood.support.yaml_io import load_yaml, located
 
@@ -81,7 +81,7 @@ class Instrument(ModalViews):
             "exciters": ", ".join(spec.exciters),
             "outputs": ", ".join(part.name for part in spec.outputs),
             "licence": spec.licence,
-            "stand-ins": ", ".join(self.stand_ins()) or "none",
+            "stand-ins": ", ".join(self.origins.stand_ins()) or "none",
         }
         return properties_html(spec.title, rows)
 
@@ -143,30 +143,25 @@ class Instrument(ModalViews):
         BundleError, PluginError : one line with file, key and reason.
         """
         root = Path(folder)
-        files = Files(root, root / registry.MANIFEST, granted)
+        files = Files(root, root / registry.MANIFEST, granted, allow_code)
         if edits := bundle_edits(values, files.manifest):
             what = f"{files.manifest}: schema: {values['schema']} is deprecated; run: tonewood migrate {root}"
             warnings.warn(what, OldFormatWarning, stacklevel=3)
             values = apply_edits(values, edits)
         rows = with_keys(values, files)
         try:
-            return cls._made_of(rows.values, files, granted, allow_code)
+            return cls._made_of(rows.values, files)
         except (BundleError, PluginError) as fault:
             raise rows.located(fault) from None
 
     @classmethod
-    def _made_of(
-        cls, values: Mapping[str, Any], files: Files, granted: frozenset[Path], allow_code: bool
-    ) -> Instrument:
+    def _made_of(cls, values: Mapping[str, Any], files: Files) -> Instrument:
         """Make one from the values of a bundle whose table of keys is expanded."""
         spec = validated(Bundle, _with_strings(_merged(values, files), files), key="", file=files.manifest)
 
         def make(part: PluginPart, kind: str, key: str) -> Plugin[Any]:
             try:
-                if is_code(part.plugin):
-                    plugin = code_plugin(part.plugin, kind, files, allowed=allow_code)
-                else:
-                    plugin = registry.plugin(part.plugin, kind)
+                plugin = plugin_named(part.plugin, kind, files)
             except PluginError as fault:
                 raise PluginError(fault.reason, file=files.manifest, key=f"{key}.plugin") from None
             return plugin.from_values(part.values, files, key)
@@ -195,10 +190,13 @@ class Instrument(ModalViews):
             **made,
             key_exciters=by_key,
             resolved=resolved,
-            granted=granted,
-            allow_code=allow_code,
+            granted=files.granted,
+            allow_code=files.allow_code,
         )
-        instrument._check()
+        points = [name for name, point in instrument.body.points().items() if point.driven]
+        check_references(spec, points, instrument.exciters, instrument.folder / registry.MANIFEST, instrument.open_note)
+        for name in strings:
+            instrument.polarizations(name)
         return instrument
 
     def replace(self, overrides: Mapping[str, Any]) -> Instrument:
@@ -227,19 +225,12 @@ class Instrument(ModalViews):
             return self
         if "keys.table" in overrides:
             raise BundleError("cannot be changed; `tonewood new` makes a bundle of your own", key="keys.table")
-        given, granted = dict(overrides), set(self.granted)
-        for key in ("tuning.scale", "tuning.keymap"):
-            value = given.get(key)
-            if not isinstance(value, str) or (not Path(value).is_absolute() and (self.folder / value).is_file()):
-                continue
-            if Path(value).is_file():
-                given[key] = str(Path(value).resolve())
-                granted.add(Path(value).resolve())
+        given, granted = _outside_files(overrides, self.folder)
         values = dict(self.resolved)
         if (strings := given.get("strings_from")) is not None:
             values = with_set(values, str(strings), over=True, file=self._files.manifest)
         values = apply_overrides(values, given, file=self._files.manifest)
-        return Instrument.from_values(values, self.folder, frozenset(granted), allow_code=self.allow_code)
+        return Instrument.from_values(values, self.folder, self.granted | granted, allow_code=self.allow_code)
 
     @property
     def name(self) -> str:
@@ -305,81 +296,27 @@ class Instrument(ModalViews):
         except ValueError as fault:
             raise self._fault(str(fault), f"strings.{string}.polarizations") from None
 
-    def provenance(self, path: str) -> Provenance | None:
-        """Return the provenance of the value at a dotted path: the most specific entry that matches."""
-        best: tuple[tuple[int, int], Provenance] | None = None
-        parts = path.split(".")
-        for pattern, entry in self.spec.provenance.items():
-            wanted = pattern.split(".")
-            if len(wanted) <= len(parts) and all(w in ("*", p) for w, p in zip(wanted, parts, strict=False)):
-                rank = (len(wanted), -wanted.count("*"))
-                if best is None or rank > best[0]:
-                    best = (rank, entry)
-        return best[1] if best else None
-
-    def stand_ins(self) -> list[str]:
-        """Return the paths of values that the bundle declares to be stand-ins."""
-        return [path for path, entry in self.spec.provenance.items() if entry.kind == "stand_in"]
-
-    def of_unknown_origin(self) -> list[str]:
-        """Return the paths of values of which nobody has said yet where they come from."""
-        return [path for path, entry in self.spec.provenance.items() if entry.kind == "unknown"]
-
-    def table_doubts(self) -> list[str]:
-        """List tables whose provenance may be that of another table, one line each.
-
-        A table is a file of the bundle that a part's key ``table`` names. Its entry of `provenance` may carry the
-        SHA-256 of the file's bytes; one that says `measured` should.
-        """
-        doubts = []
-        parts = {
-            "body": self.resolved["body"],
-            **{f"outputs.{part['name']}": part for part in self.resolved["outputs"]},
-        }
-        for kind in ("strings", "exciters", "connections"):
-            parts |= {f"{kind}.{name}": part for name, part in self.resolved[kind].items()}
-        for path, part in parts.items():
-            entry, name = self.provenance(f"{path}.table"), part.get("table")
-            if not isinstance(name, str) or entry is None:
-                continue
-            found = hashlib.sha256(self._files.path(name, f"{path}.table").read_bytes()).hexdigest()
-            says = f"{entry.kind}{f' ({entry.source})' if entry.source else ''}"
-            if entry.sha256 is not None and entry.sha256 != found:
-                doubts.append(
-                    f"{path}: {name} is not the table that its provenance calls {says}: its SHA-256 is {found}, not "
-                    f"{entry.sha256}; say where this one comes from"
-                )
-            elif entry.sha256 is None and entry.kind == "measured":
-                doubts.append(
-                    f"{path}: its provenance says {says} without the SHA-256 of {name}, so that nothing tells this "
-                    f"table from another one; if it is the one, add sha256: {found}"
-                )
-        return doubts
+    @property
+    def origins(self) -> Origins:
+        """Where its figures come from."""
+        return Origins(self.spec.provenance, self.resolved, self._files)
 
     @cached_property
     def content_hash(self) -> str:
         """SHA-256 over the resolved values, the bundle's other files, and the plugins' sources."""
-        digest = hashlib.sha256(json.dumps(self.resolved, sort_keys=True, ensure_ascii=True).encode())
-        files = (p for p in self.folder.rglob("*") if p.is_file() and "__pycache__" not in p.parts)
-        tables = (p for p in files if p.name != registry.MANIFEST)
-        for path in [*sorted(tables), *sorted(self.granted)]:
-            digest.update(path.name.encode())
-            digest.update(hashlib.sha256(path.read_bytes()).digest())
-        for name, sha256 in sorted(self.plugin_hashes.items()):
-            digest.update(f"{name}:{sha256}".encode())
-        return digest.hexdigest()
+        return content_hash(self.resolved, self.folder, self.granted, self.plugin_hashes)
 
     @property
     def plugin_hashes(self) -> dict[str, str]:
         """Plugin -> SHA-256 of its source file, as it is run; of an installed one with its distribution's version."""
-        code = {name: code_hash(type(made)) for name, made in self._made() if is_code(name)}
-        return {name: code.get(name) or registry.plugin_hash(name) for name in self.plugin_names}
+        return plugin_hashes(self._made())
 
     def _made(self) -> Iterator[tuple[str, Plugin[Any]]]:
-        """Name and plugin of every part."""
+        """Name and plugin of every part, and of the loss laws of strings."""
         spec = self.spec
         yield spec.body.plugin, self.body
         yield from ((spec.strings[name].plugin, made) for name, made in self.resonators.items())
+        yield from ((law.law, law) for made in self.resonators.values() for law in made.inner if isinstance(law, Loss))
         yield from ((spec.connections[name].plugin, made) for name, made in self.attachments.items())
         yield from ((spec.exciters[name].plugin, made) for name, made in self.exciters.items())
         yield from ((part.plugin, self.pickups[part.name]) for part in spec.outputs)
@@ -396,60 +333,18 @@ class Instrument(ModalViews):
     def _fault(self, reason: str, key: str) -> BundleError:
         return BundleError(reason, file=self._files.manifest, key=key)
 
-    def _none(self, kind: str, name: str, known: Iterable[str], key: str) -> BundleError:
-        """Error for a name that none of the `known` things of a kind has."""
-        words = list(known)
-        hint = did_you_mean(name, words)
-        return self._fault(f"there is no {kind} {name!r}; {hint}there are {', '.join(words) or 'none'}", key)
 
-    def _check(self) -> None:
-        """Check references between parts."""
-        points = {name: point for name, point in self.body.points().items() if point.driven}
-        for name, part in self.spec.strings.items():
-            for end in part.ends:
-                component, _, point = end.partition(".")
-                if component != "body" or point not in points:
-                    raise self._none("point", end, [f"body.{p}" for p in points], f"strings.{name}.end")
-            self.polarizations(name)
-            self.open_note(name)
-        for name, attached in self.spec.connections.items():
-            for string in attached.strings or ():
-                if string not in self.spec.strings:
-                    raise self._none("string", string, self.spec.strings, f"connections.{name}.strings")
-        check_keys(self.spec, self._files.manifest, self.open_note)
-        playing = self.spec.playing
-        self._parameter(playing.velocity.parameter, "playing.velocity.parameter")
-        for control, entry in playing.controls.items():
-            self._parameter(entry.parameter, f"playing.controls.{control}.parameter")
-        if playing.exciter is not None and playing.exciter not in self.exciters:
-            raise self._none("exciter", playing.exciter, self.exciters, "playing.exciter")
-        switched = [("switches", k, v) for k, v in playing.switches.items()]
-        switched += [("noises", k, v) for k, v in playing.noises.named.items()]
-        switched += [("slurs", k, v) for k, v in playing.slurs.named.items()]
-        for kind, key, wanted in [*switched, *(("keyswitches", k, v) for k, v in playing.keyswitches.items())]:
-            if wanted not in self.exciters:
-                raise self._none("exciter", wanted, self.exciters, f"playing.{kind}.{key}")
-            if kind == "keyswitches":
-                try:
-                    note_number(key)
-                except ScoreError as fault:
-                    raise self._fault(fault.reason, f"playing.{kind}.{key}") from None
-        for name, exciter in self.exciters.items():
-            if exciter.at is not None and exciter.at not in {f"body.{p}" for p in points}:
-                raise self._none("point", exciter.at, [f"body.{p}" for p in points], f"exciters.{name}.at")
-        for path, found in self.spec.provenance.items():
-            if found.source is not None and found.source not in self.spec.sources:
-                raise self._none("source", found.source, self.spec.sources, f"provenance.{path}.source")
-            if found.source is None and found.kind in ("measured", "published", "computed"):
-                raise self._fault(f"{found.kind} figures need a source", f"provenance.{path}.source")
-
-    def _parameter(self, path: str, key: str) -> None:
-        exciter, _, parameter = path.partition(".")
-        if exciter not in self.exciters:
-            raise self._none("exciter", exciter, self.exciters, key)
-        fields = self.exciters[exciter].Parameters.model_fields
-        if parameter not in fields:
-            raise self._none(f"parameter of {exciter}", parameter, fields, key)
+def _outside_files(overrides: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], frozenset[Path]]:
+    """Overrides with whole paths of a scale or keymap that is not in the folder, and these paths."""
+    given, outside = dict(overrides), set()
+    for key in ("tuning.scale", "tuning.keymap"):
+        value = given.get(key)
+        if not isinstance(value, str) or (not Path(value).is_absolute() and (folder / value).is_file()):
+            continue
+        if Path(value).is_file():
+            given[key] = str(Path(value).resolve())
+            outside.add(Path(value).resolve())
+    return given, frozenset(outside)
 
 
 def _flat(part: PluginPart, plugin: Plugin[Any]) -> dict[str, Any]:

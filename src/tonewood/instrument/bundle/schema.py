@@ -33,7 +33,7 @@ class Source(Parameters):
     text: str = described("author, title, place of publication")
     doi: str | None = described("digital object identifier", default=None)
     url: str | None = described("address, where there is no DOI", default=None)
-    licence: str = described("SPDX name, or `facts` for figures that are nobody's")
+    licence: str = described("SPDX name, or `facts` for figures without an author")
     changes: str | None = described("changes made to the data, and by whom", default=None)
 
 
@@ -42,7 +42,7 @@ class Provenance(Parameters):
 
     kind: Literal["measured", "published", "computed", "authored", "stand_in", "unknown"] = described(
         "measured on the instrument; published in a text; computed from such; authored by ear or judgement; "
-        "stand_in for figures nobody has published; unknown where nobody has said yet"
+        "stand_in for figures that are not published; unknown where no source is stated"
     )
     source: str | None = described("key of `sources`; needed if measured, published or computed", default=None)
     note: str | None = described("remark on them", default=None)

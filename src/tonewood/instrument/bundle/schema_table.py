@@ -17,6 +17,7 @@ from pydantic_core import PydanticUndefined
 
 from tonewood.instrument.bundle.schema import BodyPart, Bundle, ConnectionPart, OutputPart, PluginPart, StringPart
 from tonewood.instrument.contract import registry
+from tonewood.instrument.contract.base import Loss
 from tonewood.instrument.contract.gestures import Fraction
 
 _HEAD = "| key | value | default | meaning |\n|---|---|---|---|\n"
@@ -97,6 +98,8 @@ def _value(field: FieldInfo) -> str:
 
 def _type(annotation: Any) -> str:
     origin, args = get_origin(annotation), get_args(annotation)
+    if (origin or annotation) is Loss:
+        return "loss law: `law`, the name of one, and its keys"
     if origin is Literal:
         return ", ".join(f"`{a}`" for a in args)
     if origin in (Union, types.UnionType):

@@ -4,7 +4,9 @@ A plugin is a class with parameters and formulas. It owns nothing that moves and
 before a render it is asked for arrays (modal bases, pieces of force, rows to read), and the engine does the rest.
 
 ====================  ==================================================================================
-`Resonator`           a string: modal bases for every stop and tension, and the maps of motion between them
+`Resonator`           a string: its length, tension, mass, stiffness and loss, from which its modes at every stop and
+                      tension follow, and the maps of motion between them
+`Loss`                a law of loss for strings: one formula (`losses`)
 `Body`                the body that strings are joined to: one modal basis with named points
 `Exciter`             gestures: known forces in time, and a finger's dashpot on the string meanwhile; an exciter that
                       reacts adds masses and contacts of its own
@@ -19,153 +21,48 @@ bundle writes after ``plugin:``.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.errors import BundleError
 from tonewood.instrument.contract.attached import Attached, Site
-from tonewood.instrument.contract.contract_checks import CHECKS, check_results
 from tonewood.instrument.contract.effects import BODY_MODES, OUTPUTS, SECOND_POLARIZATION, Effect
 from tonewood.instrument.contract.files import Files
 from tonewood.instrument.contract.gestures import Event, Gesture, Place
+from tonewood.instrument.contract.losses import Loss
+from tonewood.instrument.contract.plugin import API, P, Plugin
+from tonewood.instrument.contract.string_motion import Longitudinal, StringMotion, levered
 from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.coupling.system import Drive, Readout
 from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_losses import string_detuned
+from tonewood.physics.modal.string_modes import string_basis, wavenumber
+from tonewood.physics.modal.string_transfer import string_carry, string_transfer
 from tonewood.physics.modal.views import SHOWN_TO, ModalViews
-from tonewood.support.params import Parameters, Vector, validated
-from tonewood.support.tables import properties_html
+from tonewood.support.params import Vector, validated
 
 if TYPE_CHECKING:
     from tonewood.physics.plate.radiation import Sources
 
-API = 1
+#: limit of the number of modes of a string: cost and memory grow with its square
+MOST_MODES = 3000
 
 Floats = NDArray[np.float64]
-P = TypeVar("P", bound=Parameters)
-
-
-class Plugin(ABC, Generic[P]):
-    """Base of all kinds.
-
-    Parameters
-    ----------
-    parameters : already checked against `Parameters`.
-    files : the bundle's folder, for tables.
-    key : of the part in the bundle, e.g. ``strings.E2``, for errors.
-    """
-
-    #: version of this contract the plugin was written for
-    api: ClassVar[int] = API
-    #: the kind's name, set by the base classes here
-    kind: ClassVar[str]
-    #: effects of the plugin that a render may leave out
-    effects: ClassVar[tuple[Effect, ...]] = ()
-    #: pydantic model of the keys the plugin takes in a bundle
-    Parameters: ClassVar[type[Parameters]]
-
-    def __init_subclass__(cls, **options: Any):
-        """Check the results of the methods that the class defines; see `contract_checks`."""
-        super().__init_subclass__(**options)
-        check_results(cls, CHECKS.get(getattr(cls, "kind", ""), {}), lambda plugin, reason: plugin.fault(reason))
-
-    def __init__(self, parameters: P, files: Files, key: str = ""):
-        self.parameters = parameters
-        self.files = files
-        self.key = key
-
-    @classmethod
-    def from_values(cls, values: Mapping[str, Any], files: Files | None = None, key: str = "") -> Plugin[P]:
-        """Make one from plain values, as they stand in a bundle.
-
-        Parameters
-        ----------
-        values : name of a parameter -> value.
-        files : folder of the bundle, for tables; none by default.
-        key : of the part in the bundle, for errors.
-
-        Raises
-        ------
-        BundleError : a value is unknown, missing or out of range.
-        """
-        files = files or Files(None)
-        return cls(validated(cls.Parameters, values, key=key, file=files.manifest), files, key)  # type: ignore[arg-type]  # Parameters of this very class
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.key or self.kind})"
-
-    def _repr_html_(self) -> str:
-        heading = f"{type(self).__name__}, {self.kind} {self.key}".rstrip()
-        return properties_html(heading, self.parameters.model_dump(mode="json", by_alias=True))
-
-    @property
-    def name(self) -> str:
-        """Name of the part in the bundle: the last word of its key."""
-        return self.key.rpartition(".")[2]
-
-    def fault(self, reason: str, key: str = "") -> BundleError:
-        """Return an error with this reason that names the bundle's file and the part's key, and a `key` below it."""
-        return BundleError(reason, file=self.files.manifest, key=".".join(k for k in (self.key, key) if k))
-
-
-@dataclass(frozen=True, slots=True)
-class Longitudinal:
-    """Motion along a string, stepped with the transverse one; see `tonewood.physics.coupling.potentials.longitudinal`.
-
-    Attributes
-    ----------
-    basis : highest frequency (Hz) and stop (m from the nut) -> modes along the string with its bridge end free, made by
-        `ta.string_basis` with EA as tension.
-    bridge_leverage : displacement of the string's end towards the nut per displacement of the body's point, in
-        addition to the projection on the inclined string.
-    """
-
-    basis: Callable[[float, float], ModalBasis]
-    bridge_leverage: float
-
-
-@dataclass(frozen=True, slots=True)
-class StringMotion:
-    """Components of a string in the system, for its potentials.
-
-    Attributes
-    ----------
-    name : of the string: that of its potential, or the beginning of it.
-    planes : components of its polarizations.
-    longitudinal : component of its longitudinal motion; None where that is not stepped.
-    along : body point -> share of its displacement in that of the string's end along the string.
-    """
-
-    name: str
-    planes: tuple[str, ...]
-    longitudinal: str | None
-    along: Mapping[str, float]
-
-    def onto_body(self, leverage: float = 0.0) -> tuple[tuple[str, str, float], ...]:
-        """Return (component, point, share), ...: on which a tension at the bridge acts, times the share.
-
-        Parameters
-        ----------
-        leverage : share added at the point that moves most along the string, which turns about the bridge.
-        """
-        return tuple(("body", point, share) for point, share in levered(self.along, leverage).items())
-
-
-def levered(along: Mapping[str, float], leverage: float) -> dict[str, float]:
-    """Return shares of body points in the motion along a string, `leverage` added to the largest one."""
-    shares = dict(along)
-    shares[max(shares, key=lambda point: abs(shares[point]))] += leverage
-    return {point: share for point, share in shares.items() if abs(share) > 1e-12}
 
 
 class Resonator(Plugin[P]):
     """A string in one polarization: held at the nut or a stop, moved by a body at the bridge.
 
-    Places are metres from the bridge, so that they stay true when the string is stopped.
+        mu u_tt + loss = T u_xx - EI u_xxxx + f(x, t),      u(0, t) the bridge's motion,  u(L - stop, t) = 0
+
+    A uniform string states `length`, `tension`, `linear_density`, `bending_stiffness` and `loss`; its modes and the
+    maps of motion between stops follow. A string that is not uniform overrides `basis`, `detuned` and `transfer`, all
+    three. Places are metres from the bridge, so that they stay true when the string is stopped; stops are metres from
+    the nut.
     """
 
     kind = "resonator"
@@ -180,6 +77,31 @@ class Resonator(Plugin[P]):
     @abstractmethod
     def tension(self) -> float:
         """Tension of the open string before tuning, N."""
+
+    @property
+    def linear_density(self) -> float:
+        """Mass per length, kg/m; 0 where it is not uniform and the string makes modes of its own."""
+        return 0.0
+
+    @property
+    def bending_stiffness(self) -> float:
+        """EI, N m^2; 0 for a string without stiffness."""
+        return 0.0
+
+    def loss(self, omega: Floats, k: Floats, tension: float) -> Floats:
+        """Return the loss factor eta = 2 sigma / omega of partials between fixed ends; often a `Loss` has it.
+
+        Parameters
+        ----------
+        omega : (n,) rad/s, above 0, of the partials without loss.
+        k : (n,) 1/m, their wavenumbers.
+        tension : N; the tuner and bends change it.
+
+        Returns
+        -------
+        (n,) or a single number, 0 or more.
+        """
+        raise NotImplementedError
 
     @property
     def longitudinal(self) -> Longitudinal | None:
@@ -200,9 +122,24 @@ class Resonator(Plugin[P]):
         """
         return ()
 
-    @abstractmethod
+    @classmethod
+    def left_out(cls) -> list[str]:
+        """Return what the class must define and does not: the physics of a uniform string, or modes of its own."""
+
+        def missing(names: Sequence[str]) -> list[str]:
+            return [name for name in names if getattr(cls, name) is getattr(Resonator, name)]
+
+        physics, modes = missing(_PHYSICS), missing(_MODES)
+        needed = [] if not (physics and modes) else physics if "basis" in modes else modes
+        return [*super().left_out(), *needed]
+
+    def __init__(self, parameters: P, files: Files, key: str = ""):
+        if left_out := self.left_out():  # as an abstract method of Python's would
+            raise TypeError(f"{type(self).__name__} leaves out {', '.join(left_out)}")
+        super().__init__(parameters, files, key)
+
     def basis(self, freq_upper: float, *, stop: float = 0.0, tension: float | None = None) -> ModalBasis:
-        """Return the modes of the string with its bridge end free.
+        """Return the modes of the string with its bridge end free: all below `freq_upper`, by `ta.string_basis`.
 
         Parameters
         ----------
@@ -213,16 +150,44 @@ class Resonator(Plugin[P]):
         Returns
         -------
         Mass-normalised real modes with the point ``bridge`` and a shape for every place from 0 to the speaking length.
-        """
 
-    @abstractmethod
+        Raises
+        ------
+        BundleError : more than 3000 modes, or none, lie below `freq_upper`.
+        """
+        actual, length = self.tension if tension is None else tension, self.length - stop
+        density, stiffness = self.linear_density, self.bending_stiffness
+        count = int(length / np.pi * wavenumber(2 * np.pi * freq_upper, actual, density, stiffness))
+        if count > MOST_MODES:
+            raise self.fault(f"has some {count} modes below {freq_upper:g} Hz; at most {MOST_MODES} are allowed")
+        try:
+            return string_basis(
+                length, actual, density, stiffness, lambda w, k: self.loss(w, k, actual), freq_upper=freq_upper
+            )
+        except ValueError as fault:
+            raise self.fault(str(fault)) from None
+
     def detuned(self, basis: ModalBasis, tension: float) -> ModalBasis:
-        """Return `basis` (one of this string's) at another tension: same shapes, new frequencies and losses."""
+        """Return a basis at another tension, as a bend or the tuner changes it: same shapes, by `ta.string_detuned`.
+
+            omega^2 = T a_k + EI b_k
+
+        The change of the shapes, which only bending stiffness causes, is left out: a tension raised by 50 cents raises
+        the partials of a classical guitar's strings by 0.08 to 0.2 cent less, all nearly alike. Decay rates follow
+        `loss` from the old frequency of each mode to its new one: on a classical guitar 200 cents leave those of
+        partials on a rigid end within 0.6 % of the law.
+
+        Parameters
+        ----------
+        basis : one of this string's, at any stop.
+        tension : N.
+        """
+        return string_detuned(basis, tension, self.loss)
 
     def decay_rate(self, freq_rad: Floats, tension: float) -> Floats | None:
-        """Return the law of loss, with which `tonewood check` compares; None where the bases say how they meet it.
+        """Return the law of loss, with which `tonewood check` compares; None where `loss` is not stated.
 
-        Bases of `ta.string_basis` and `ta.with_partial_decays` say so: ``loss_error`` in their metadata.
+            sigma = omega eta(omega, k, T) / 2
 
         Parameters
         ----------
@@ -233,11 +198,13 @@ class Resonator(Plugin[P]):
         -------
         (n,) 1/s, sigma of each partial.
         """
-        return None
+        if type(self).loss is Resonator.loss or not self.linear_density > 0.0:
+            return None
+        k = wavenumber(freq_rad, tension, self.linear_density, self.bending_stiffness)
+        return np.asarray(freq_rad * self.loss(freq_rad, k, tension) / 2, dtype=np.float64)
 
-    @abstractmethod
     def transfer(self, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
-        """Carry the string's motion from one stop to another.
+        """Carry the string's motion from one stop to another, by `ta.string_transfer`.
 
         Parameters
         ----------
@@ -248,17 +215,24 @@ class Resonator(Plugin[P]):
         displacement, velocity : (n_new, n_old), q_new = displacement @ q_old and q_new' = velocity @ q_old' of the
         modal coordinates q, y = sum phi q. Must keep the bridge's displacement and never raise the energy.
         """
+        return string_transfer(old, new)
 
     def carried(self, old: ModalBasis, new: ModalBasis, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-        """Return one motion carried from one stop to another; override it where that is faster.
+        """Return one motion carried from one stop to another, as `transfer` would; override it where that is faster.
 
         Parameters
         ----------
         old, new : as for `transfer`.
         q, velocity : (n_old,) coordinates and their rates.
         """
+        if type(self).transfer is Resonator.transfer:
+            return string_carry(old, new, q, velocity)
         displacement, moving = self.transfer(old, new)
         return displacement @ q, moving @ velocity
+
+
+#: what a uniform string states, and what a string of its own modes does
+_PHYSICS, _MODES = ("linear_density", "loss"), ("basis", "detuned", "transfer")
 
 
 @dataclass(frozen=True, slots=True)
@@ -471,10 +445,31 @@ class Pickup(Plugin[P]):
 
 
 #: kind -> base class; a plugin derives from exactly one of them
-KINDS: dict[str, type[Plugin[Any]]] = {c.kind: c for c in (Resonator, Body, Exciter, Attachment, Pickup)}
+KINDS: dict[str, type[Plugin[Any]]] = {c.kind: c for c in (Resonator, Loss, Body, Exciter, Attachment, Pickup)}
 
 
 def dot(a: Sequence[float], b: Sequence[float]) -> float:
     """Return the scalar product of two directions `a` and `b`; 0 if it is below 1e-12."""
     value = math.fsum(x * y for x, y in zip(a, b, strict=True))
     return 0.0 if abs(value) < 1e-12 else value
+
+
+__all__ = [
+    "API",
+    "KINDS",
+    "Attachment",
+    "Body",
+    "BodyPoint",
+    "BridgeForce",
+    "Exciter",
+    "Longitudinal",
+    "Loss",
+    "Pickup",
+    "PickupRows",
+    "Plugin",
+    "Resonator",
+    "Scene",
+    "StringMotion",
+    "dot",
+    "levered",
+]

@@ -171,7 +171,7 @@ def pickup_rows(plugin: Any, value: Any) -> None:
         want(isinstance(readout, Readout), readout, "a ta.Readout", "readouts")
         for probe in readout.probes:
             where = f"readout {readout.name!r}: probes"
-            want(all(hasattr(probe, k) for k in ("component", "point", "factor")), probe, "a ta.Probe", where)
+            want(all(hasattr(probe, k) for k in ("component", "point", "factor")), probe, "a ta.Term", where)
             number(probe.factor, "a finite factor", where=where)
         for force in readout.forces:
             where = f"readout {readout.name!r}: forces"
@@ -227,6 +227,17 @@ def _decay_rate(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
         want(fits, value, f"finite rates of shape {shape}, 0 or more,")
 
 
+def _loss_factor(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
+    omega = np.asarray(given["omega"], dtype=np.float64)
+    array = np.asarray(value)
+    want(array.dtype.kind in "fi" and array.shape in ((), omega.shape), value, f"loss factors of shape {omega.shape}")
+    wrong = np.flatnonzero(~(np.isfinite(array) & (array >= 0.0)))
+    if wrong.size:
+        i, flat = int(wrong[0]), np.broadcast_to(array, omega.shape).ravel()
+        at = f" at {omega.ravel()[i] / (2 * np.pi):.6g} Hz" if omega.size else ""
+        raise WrongResultError(f"eta = {flat[i] if omega.size else array:g}{at}; it must be 0 or more")
+
+
 def _class(module: str, name: str) -> type[Any]:
     """Class of a module that imports this one, or that only a plugin that uses it has imported."""
     found: type[Any] = getattr(sys.modules[module], name, type(None)) if module in sys.modules else type(None)
@@ -248,6 +259,9 @@ CHECKS: dict[str, dict[str, Any]] = {
     "resonator": {
         "length": lambda p, v, a: number(v, "a number of metres above 0", 0.0, above=True),
         "tension": lambda p, v, a: number(v, "a number of newtons above 0", 0.0, above=True),
+        "linear_density": lambda p, v, a: number(v, "a number of kg/m, 0 or more,", 0.0),
+        "bending_stiffness": lambda p, v, a: number(v, "a number of N m^2, 0 or more,", 0.0),
+        "loss": _loss_factor,
         "longitudinal": _of_type(_CONTRACT, "Longitudinal"),
         "potentials": lambda p, v, a: potentials(v),
         "basis": lambda p, v, a: string_basis(v),
@@ -256,6 +270,7 @@ CHECKS: dict[str, dict[str, Any]] = {
         "transfer": lambda p, v, a: pair_of_arrays(v, (a["new"].n_modes, a["old"].n_modes)),
         "carried": lambda p, v, a: pair_of_arrays(v, (a["new"].n_modes,)),
     },
+    "loss": {"eta": _loss_factor},
     "body": {
         "basis": _body_basis,
         "points": lambda p, v, a: body_points(v),

@@ -28,12 +28,20 @@ class Files:
     root : the folder, or None where there is none (parts made from values alone).
     manifest : name of the file that describes the instrument, for errors.
     granted : files outside the folder that an override names.
+    allow_code : whether plugins that lie as Python files in the folder may run.
     """
 
-    def __init__(self, root: Path | None, manifest: Path | None = None, granted: frozenset[Path] = frozenset()):
+    def __init__(
+        self,
+        root: Path | None,
+        manifest: Path | None = None,
+        granted: frozenset[Path] = frozenset(),
+        allow_code: bool = False,
+    ):
         self.root = root
         self.manifest = manifest
         self.granted = granted
+        self.allow_code = allow_code
 
     def path(self, name: str, key: str = "") -> Path:
         """File `name`, a relative path with forward slashes that stays inside the folder.

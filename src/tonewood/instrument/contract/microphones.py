@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import TypeVar
 
 from tonewood.instrument.contract.base import Pickup, PickupRows, Scene
-from tonewood.physics.coupling.layout import Drive, Probe, Readout
+from tonewood.physics.coupling.connections import Term
+from tonewood.physics.coupling.layout import Drive, Readout
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.support.params import Parameters
 
@@ -46,7 +47,7 @@ class Microphones(Pickup[P]):
         quantity : of the bank's points that is pressure.
         """
         return PickupRows(
-            readouts=tuple(Readout(f"{name}.{c}", quantity, (Probe(name, c),)) for c in self.channels),
+            readouts=tuple(Readout(f"{name}.{c}", quantity, (Term(name, c),)) for c in self.channels),
             components={name: basis},
             drives=tuple(drive for drive in drives if drive.factor != 0.0),
             body_inputs=inputs,

@@ -101,7 +101,7 @@ def plugin(name: str, kind: str | None = None) -> type[Plugin[Any]]:
     Parameters
     ----------
     name : its entry point's name.
-    kind : ``resonator``, ``body``, ``exciter`` or ``pickup``, if only that will do.
+    kind : one of `KINDS`, if only that will do.
 
     Raises
     ------
@@ -109,8 +109,9 @@ def plugin(name: str, kind: str | None = None) -> type[Plugin[Any]]:
     """
     known = entries(PLUGINS)
     if name not in known:
-        installed = f"{did_you_mean(name, known)}installed: {', '.join(known) or 'none'}"
-        raise PluginError(f"there is no plugin {name!r}; {installed}")
+        fitting = [n for n, p in list_plugins().items() if p.kind == kind] if kind else list(known)
+        installed = f"{did_you_mean(name, fitting)}installed: {', '.join(fitting) or 'none'}"
+        raise PluginError(f"there is no plugin {name!r}{f' of kind {kind}' if kind else ''}; {installed}")
     entry = known[name]
     if entry.fault:
         raise PluginError(entry.fault)
@@ -163,9 +164,8 @@ def check_plugin(found: object, who: str) -> None:
     unsaid = [key for key, field in parameters.model_fields.items() if not field.description]
     if unsaid:
         raise PluginError(f"{who}: parameter {unsaid[0]!r} does not say what it is (doc)")
-    if inspect.isabstract(found):
-        missing = ", ".join(sorted(found.__abstractmethods__))
-        raise PluginError(f"{who} leaves out {missing}")
+    if missing := found.left_out():
+        raise PluginError(f"{who} leaves out {', '.join(missing)}")
     for name in CHECKS[found.kind]:
         own, first = inspect.getattr_static(found, name), inspect.getattr_static(KINDS[found.kind], name)
         if isinstance(first, property) and inspect.isroutine(own):

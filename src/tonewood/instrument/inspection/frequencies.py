@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.instrument.model.assembly import Model
-from tonewood.instrument.model.strings import StringModel, held_freq
-from tonewood.instrument.model.tuning import CoupledMode, TunedStop
+from tonewood.instrument.model.strings import StringModel
+from tonewood.instrument.model.tuning import CoupledMode, TunedStop, ends_at_rest
+from tonewood.instrument.model.untuned_bases import held_freq
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.receptance import Joint, Ports
 from tonewood.support.units import cents, t60
@@ -184,10 +185,10 @@ def _planes(string: StringModel, stop: int, tuned: TunedStop) -> tuple[PlanePitc
     """Pitches of a string's polarizations: of each the mode, of `tuned` or near it, with most of its energy there."""
     known = [(mode.pole, mode.shares) for mode in tuned.modes]
     out = []
-    for i, (polarization, split) in enumerate(zip(string.polarizations, string.plane_cents(stop), strict=True)):
+    for i, (polarization, split) in enumerate(zip(string.polarizations, string.tuning.plane_cents(stop), strict=True)):
         own = known[:1] if i == 0 else known
         if i and max(shares[i] for _, shares in own) < 0.5:  # the tuner has looked for the first one
-            coupled = string.coupled(stop)
+            coupled = string.tuning.coupled(stop)
             joint, freq = coupled.joint(tuned.tension), held_freq(coupled.bases(tuned.tension)[i])
             pole = None if freq is None else joint.newton(2 * math.pi * freq * complex(-1e-3, 1.0))
             own = own if pole is None else [*own, (pole, tuple(float(x) for x in joint.shares(pole)))]
@@ -218,7 +219,7 @@ def partials(model: Model, string: str, stop: int = 0, *, count: int = 12) -> li
     -------
     Partials from the first on, each with frequency, cents, T60 and shares of energy.
     """
-    at, coupled = pitch(model, string, stop), model.strings[string].coupled(stop)
+    at, coupled = pitch(model, string, stop), model.strings[string].tuning.coupled(stop)
     joint = coupled.joint(at.tension)
     rigid = held_partials(coupled.bases(at.tension)[0], count)
     found = []
@@ -235,6 +236,8 @@ def partials(model: Model, string: str, stop: int = 0, *, count: int = 12) -> li
 
 def held_partials(basis: ModalBasis, count: int) -> list[float]:
     """Frequencies of a string held at the bridge, Hz, from the fundamental on, at most `count`."""
+    if ends_at_rest(basis):
+        return [float(freq) for freq in np.sort(basis.natural_freq)[:count]]
     joint = Joint([Ports.of(basis, np.eye(len(basis.points))[[basis.index("bridge")]])])
     out: list[float] = []
     last, step = 0.0, held_freq(basis) or math.inf

@@ -65,8 +65,12 @@ class Mounted:
     def pitch(self, at: Pitch) -> MountedPitch:
         """The pitch `at` of a string alone, with all others mounted."""
         rays = self._open | {at.string: _ports(self.strings[at.string], at.stop)}
-        star = Star(self._body, [ports for name in self.strings for ports in rays[name]])
         alone = at.modes[0].pole
+        if not any(np.any(ports.right) for ports in rays[at.string]):  # it does not end on the body
+            freq = alone.imag / (2 * math.pi)
+            error = cents(freq / at.wanted_freq)
+            return MountedPitch(freq, error, ((error, 1.0),), None, 0.0)
+        star = Star(self._body, [ports for name in self.strings for ports in rays[name]])
         radius = alone.imag * (ratio_of_cents(REACH_CENTS) - 1)
         zeros = star.zeros_within(1j * alone.imag, radius, starts=[alone]) or [alone]
         own = 1 + self._owner.index(at.string)
@@ -106,5 +110,5 @@ def mounted_pitches(model: Model, found: Sequence[Pitch]) -> list[MountedPitch]:
 
 def _ports(string: StringModel, stop: int) -> list[Ports]:
     """Each polarization of a string at its bridge end."""
-    bases = string.coupled(stop).bases(string.tension(stop))
+    bases = string.tuning.coupled(stop).bases(string.tension(stop))
     return [Ports.of(b, np.eye(len(b.points))[[b.index("bridge")]]) for b in bases]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.strings import StringModel
+from tonewood.instrument.model.tuning import ends_at_rest
 from tonewood.physics.modal.held_modes import HeldModes
 from tonewood.support.units import ratio_of_cents
 
@@ -60,11 +61,15 @@ class LawErrors:
 def law_errors(model: Model, name: str) -> list[LawErrors]:
     """Compare the open string, its last stop and, but of strings of keys, a bend; the first polarization.
 
+    Nothing is compared of a resonator that does not end on the body: it has no bridge at which it is held.
+
     Raises
     ------
     BundleError : the string's modes cannot be held at the bridge.
     """
     string = model.strings[name]
+    if ends_at_rest(string.tuning.coupled(0).bases(string.tension(0))[0]):
+        return []
     cases = [(0, 0.0), *([(string.n_stops, 0.0)] if string.n_stops and string.stopping.finger is None else [])]
     if name not in model.instrument.key_of:
         cases.append((0, BEND_CENTS))
@@ -73,9 +78,10 @@ def law_errors(model: Model, name: str) -> list[LawErrors]:
 
 def _compared(string: StringModel, stop: int, bend_cents: float) -> LawErrors:
     tension = string.tension(stop) * ratio_of_cents(bend_cents) ** 2
-    made = string.resonator.basis(string.freq_upper, stop=string.position(stop), tension=tension)
+    freq_upper, place = string.tuning.untuned.freq_upper, string.tuning.stops.position(stop)
+    made = string.resonator.basis(freq_upper, stop=place, tension=tension)
     try:
-        used, own = (HeldModes.of(b, "bridge") for b in (string.coupled(stop).bases(tension)[0], made))
+        used, own = (HeldModes.of(b, "bridge") for b in (string.tuning.coupled(stop).bases(tension)[0], made))
     except ValueError as fault:
         raise string.resonator.fault(f"its partials cannot be found: {fault}") from None
     # of a basis of one's own the highest partials need not have converged

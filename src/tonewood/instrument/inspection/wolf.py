@@ -119,7 +119,7 @@ def wolf_notes(model: Model, strings: Sequence[str] | None = None) -> list[WolfN
 def _of_string(model: Model, name: str, body_freq: Floats) -> list[WolfNote]:
     """Wolf notes of one string: its range of pitch is cut half-way between stops, each part swept at its stop."""
     string = model.strings[name]
-    freqs = np.array(string.stop_freqs)
+    freqs = np.array(string.tuning.freqs)
     above = 1200 * np.log2(freqs / freqs[0])
     edges = np.concatenate([[-_MARGIN_CENTS], (above[:-1] + above[1:]) / 2, [above[-1] + _MARGIN_CENTS]])
     places: list[Floats] = []
@@ -132,7 +132,7 @@ def _of_string(model: Model, name: str, body_freq: Floats) -> list[WolfNote]:
             x = np.array([low, high])
             d = np.zeros(2)
         else:
-            at = partial(share_curve, string.coupled(stop), string.tension(stop), float(freqs[stop]))
+            at = partial(share_curve, string.tuning.coupled(stop), string.tension(stop), float(freqs[stop]))
             even = np.linspace(low, high, max(2, round((high - low) / _COARSE_CENTS) + 1))
             x, d = _refined(at, np.unique(np.concatenate([even, own[(own > low) & (own < high)]])), above[stop])
         places.append(x)

@@ -159,7 +159,7 @@ def make_scene(
     bridge_forces, string_points, end_forces = list(added), {}, {}
     for name, string in strings.items():
         end_forces[name] = tuple((f"{p.component}.bridge", p.direction) for p in string.ends)
-        for point in ("bridge", "pluck", *string.points):
+        for point in ("bridge", "pluck", *string.places.points):
             string_points[f"{name}.{point}"] = tuple((p.component, point, p.direction) for p in string.polarizations)
         for p in string.ends:
             # the connection pulls the string's end by +f, and the body by -f along the polarization

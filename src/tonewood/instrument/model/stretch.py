@@ -40,10 +40,9 @@ _REFERENCE = 69.0
 
 
 def inharmonicity(resonator: Resonator[Any], freq: float) -> float:
-    """B of a string tuned to `freq` (Hz); 0 where its plugin has no bending stiffness."""
-    p = resonator.parameters
-    stiffness, density = getattr(p, "bending_stiffness", 0.0), getattr(p, "linear_density", 0.0)
-    tension = density * (2 * resonator.length * freq) ** 2
+    """B of a string tuned to `freq` (Hz); 0 where its mass is not uniform."""
+    tension = resonator.linear_density * (2 * resonator.length * freq) ** 2
+    stiffness = resonator.bending_stiffness
     return float(math.pi**2 * stiffness / (tension * resonator.length**2)) if tension > 0 else 0.0
 
 

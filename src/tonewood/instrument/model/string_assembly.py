@@ -15,10 +15,14 @@ from tonewood.instrument.contract.gestures import Fraction
 from tonewood.instrument.contract.registry import MANIFEST
 from tonewood.instrument.model.choice import Choice
 from tonewood.instrument.model.kept_tunings import KeptTunings
+from tonewood.instrument.model.stops import StopTable
 from tonewood.instrument.model.stretch import inharmonicity, octave_stretch
+from tonewood.instrument.model.string_bases import StringPlaces
 from tonewood.instrument.model.string_setup import LongitudinalMotion, Polarization, Stopping
+from tonewood.instrument.model.string_tuning import StringTuning
 from tonewood.instrument.model.strings import StringModel
 from tonewood.instrument.model.tuning import body_ports
+from tonewood.instrument.model.untuned_bases import UntunedBases
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.support.params import Vector
 from tonewood.support.units import ratio_of_cents
@@ -116,34 +120,39 @@ def _string(
         for i, direction in enumerate(instrument.polarizations(name))
         if i == 0 or choice.keeps(resonator, "second_polarization")
     )
-    points = {point: _metres(at.from_bridge, resonator) for point, at in part.points.items()}
     exciter = instrument.exciter(instrument.spec.playing.default_exciter, name)
     key = instrument.key_of.get(name)
     damper = instrument.spec.keys.entries[key].damper if instrument.spec.keys and key else None
+    resting = None if damper is None else (damper.resistance, _metres(damper.from_bridge, resonator), damper.width)
+    places = StringPlaces(
+        pluck=_metres(getattr(exciter.parameters, "from_bridge", 0.1 * resonator.length), resonator),
+        pluck_width=float(getattr(exciter.parameters, "felt_width", 0.0)),
+        points={point: _metres(at.from_bridge, resonator) for point, at in part.points.items()},
+        damper=resting,
+    )
+    untuned = UntunedBases(
+        resonator,
+        StopTable(name, resonator.length, _stopping(instrument, name, part.cents + stretch_cents)),
+        polarizations,
+        min(part.freq_upper, TUNING_ROOM * limit),
+        part.end_compliance,
+        partial(part.scatter.split, name) if part.scatter.split_cents else None,
+    )
+    ports = body_ports(body, [p.ends for p in polarizations], copies)
     string = StringModel(
         name,
-        resonator,
-        polarizations,
+        StringTuning(untuned, ports, places.pluck, kept),
+        places,
         open_note=instrument.open_note(name),
-        stopping=_stopping(instrument, name, part.cents + stretch_cents),
-        body=body_ports(body, [p.ends for p in polarizations], copies),
-        freq_upper=min(part.freq_upper, TUNING_ROOM * limit),
         freq_limit=limit,
-        end_compliance=part.end_compliance,
-        points=points,
         tilt_deg=part.tilt_deg + part.scatter.tilt(name),
-        scatter=partial(part.scatter.split, name) if part.scatter.split_cents else None,
         touching=_touching(instrument, name, choice),
-        pluck_from_bridge=_metres(getattr(exciter.parameters, "from_bridge", 0.1 * resonator.length), resonator),
-        pluck_width=float(getattr(exciter.parameters, "felt_width", 0.0)),
-        group=next(s for s in instrument.groups.values() if name in s) if name in instrument.key_of else (),
-        damper=None if damper is None else (damper.resistance, _metres(damper.from_bridge, resonator), damper.width),
         longitudinal=_longitudinal(part, name, resonator, body_points, choice),
-        along=_along(part, body_points)[1],
-        kept=kept,
+        end_shares=_end_shares(part, body_points)[1],
+        group=next(s for s in instrument.groups.values() if name in s) if name in instrument.key_of else (),
     )
     shortest = string.length(string.n_stops)
-    for point, x in points.items():
+    for point, x in places.points.items():
         if point in ("bridge", "pluck") or not 0 <= x <= shortest:
             raise BundleError(
                 f"lies {x:g} m from the bridge; places from 0 to {shortest:g} m (the last stop) are allowed, and names "
@@ -151,9 +160,9 @@ def _string(
                 file=instrument.folder / MANIFEST,
                 key=f"strings.{name}.points.{point}",
             )
-    if string.damper is not None and not 0 < string.damper[1] < shortest:
+    if resting is not None and not 0 < resting[1] < shortest:
         raise BundleError(
-            f"puts the damper of string {name} {string.damper[1]:g} m from the bridge; places between 0 and "
+            f"puts the damper of string {name} {resting[1]:g} m from the bridge; places between 0 and "
             f"{shortest:g} m are allowed",
             file=instrument.folder / MANIFEST,
             key=f"keys.entries.{key}.damper.from_bridge",
@@ -199,8 +208,8 @@ def _longitudinal(
     motion = resonator.longitudinal
     if motion is None or not choice.keeps(resonator, "longitudinal"):
         return None
-    to_nut, along = _along(part, body_points)
-    return LongitudinalMotion(f"{name}.longitudinal", to_nut, levered(along, motion.bridge_leverage), motion)
+    to_nut, end_shares = _end_shares(part, body_points)
+    return LongitudinalMotion(f"{name}.longitudinal", to_nut, levered(end_shares, motion.bridge_leverage), motion)
 
 
 def _transverse_ends(direction: Vector, ends: Sequence[str], body_points: Mapping[str, BodyPoint]) -> dict[str, float]:
@@ -209,7 +218,7 @@ def _transverse_ends(direction: Vector, ends: Sequence[str], body_points: Mappin
     return {point: factor for point, factor in shares.items() if factor != 0.0}
 
 
-def _along(part: StringPart, body_points: Mapping[str, BodyPoint]) -> tuple[Vector, dict[str, float]]:
+def _end_shares(part: StringPart, body_points: Mapping[str, BodyPoint]) -> tuple[Vector, dict[str, float]]:
     """Direction to the nut; body point -> share of its displacement in the string's end, along the string."""
     x, y, z = unit_vector(part.axis)
     to_nut = (-x, -y, -z)

@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from tonewood.instrument.model.output_assembly import OutputGroup, Outputs
-from tonewood.physics.coupling.connections import Connection
-from tonewood.physics.coupling.layout import Drive, Probe, Readout
+from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.physics.coupling.layout import Drive, Readout
 from tonewood.physics.modal.modes import ModalBasis
 
 #: stem of the parts that no string owns
@@ -83,7 +83,7 @@ def _copy(component: str, stem: str) -> str:
     return f"{component}.of_{stem}"
 
 
-def _of_stem(readout: Readout, stem: str, copied: Mapping[str, ModalBasis], owners: Mapping[str, str]) -> list[Probe]:
+def _of_stem(readout: Readout, stem: str, copied: Mapping[str, ModalBasis], owners: Mapping[str, str]) -> list[Term]:
     """Probes of a readout that belong to a stem."""
     own = [replace(p, component=_copy(p.component, stem)) for p in readout.probes if p.component in copied]
     return own + [p for p in readout.probes if p.component not in copied and owners.get(p.component, BODY) == stem]

@@ -137,8 +137,17 @@ class StringOnBody:
         return Joint([*parts, self.body])
 
     def poles(self, joint: Joint, freq: float) -> list[tuple[complex, tuple[float, ...]]]:
-        """Poles of the coupled modes near `freq` (Hz) with their shares of energy, the string-dominated one first."""
+        """Poles of the coupled modes near `freq` (Hz) with their shares of energy, the string-dominated one first.
+
+        A resonator that does not move at its bridge end keeps its own modes; only the nearest one is returned.
+        """
         target = 2 * math.pi * freq
+        first = next(bases[0] for made, bases in self._made.values() if made is joint)
+        if ends_at_rest(first):
+            own = first.poles[first.poles.imag > 0]
+            own = own[(own.imag < _NEAR * target) & (own.imag > target / _NEAR)]
+            shares = (1.0,) + joint.size * (0.0,)
+            return [(complex(own[np.argmin(np.abs(own.imag - target))]), shares)] if own.size else []
         ratio = np.abs(self.body.poles) / target
         seen = np.abs(self.body.right).max(axis=0) * np.abs(self.body.left).max(axis=0) > 0
         near = seen & (self.body.poles.imag > 0) & (ratio < _NEAR) & (ratio > 1 / _NEAR)
@@ -162,6 +171,8 @@ class StringOnBody:
         The gaps' forces under a pluck F of the first polarization are f = -M^-1 h F, h its receptance from pluck to
         bridge; near a zero of M with right and left null vectors v, w, M^-1 = v w / (w M' v (s - s_j)).
         """
+        if ends_at_rest(first):
+            return 1.0
         v, w = joint.null(s)
         slope = joint.receptance(s)[1]
         h = np.zeros(joint.size, dtype=np.complex128)
@@ -174,6 +185,11 @@ class StringOnBody:
     def body_motion(self, s: complex, force: Complexes) -> Complexes:
         """(p,) displacement of the body at its ports under port forces."""
         return np.asarray((self.body.right / (s - self.body.poles)) @ (self.body.left.T @ force))
+
+
+def ends_at_rest(basis: ModalBasis) -> bool:
+    """Whether no mode moves the bridge end: the resonator does not end on the body."""
+    return not np.any(basis.right[basis.index("bridge")])
 
 
 def tune(string: StringOnBody, freq: float, tension: float) -> TunedStop:

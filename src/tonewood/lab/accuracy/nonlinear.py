@@ -23,11 +23,11 @@ from tonewood.lab.accuracy.scheme import padded
 from tonewood.lab.accuracy.study import Attempt, Point, Tell, silent, timed
 from tonewood.lab.accuracy.timing import Task
 from tonewood.lab.methods.problem import Problem
-from tonewood.physics.coupling.connections import Connection
+from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.coupling.inverse import scaled_pinv
 from tonewood.physics.coupling.laws import Contact, HardeningSpring
 from tonewood.physics.coupling.potentials.tension import TensionModulation
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.modal.propagator import apply
 from tonewood.physics.stepping.kernel import KernelStepper, instruction_set
@@ -305,7 +305,7 @@ class OwnRun:
         self.system = System.build(
             case.problem.components,
             [*case.problem.constraints, *laws],
-            [Readout("0", "displacement", (Probe(out.component, out.point, out.factor),))],
+            [Readout("0", "displacement", (Term(out.component, out.point, out.factor),))],
             dt=1 / self.fs,
             potentials=case.tensions,
         )

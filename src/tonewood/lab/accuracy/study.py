@@ -25,7 +25,8 @@ from tonewood.lab.accuracy.scheme import Runner
 from tonewood.lab.accuracy.schemes import build
 from tonewood.lab.accuracy.timing import Task, Timing, measure
 from tonewood.lab.methods.problem import Problem
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.connections import Term
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.stepping.kernel import KernelStepper
 
 Floats = NDArray[np.float64]
@@ -44,7 +45,7 @@ GROWTH = 1e-6
 
 
 def silent(share: float) -> None:
-    """Tell nobody."""
+    """Report nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,7 +325,7 @@ def superposition_point(subject: Subject, fs: float = 48000.0) -> Attempt:
     """The coupled modes themselves, by the same stepper: exact at any rate, as long as nothing changes."""
     same = ExactMotion.of(subject.flat(), subject.start(subject.flat()))
     basis = same.basis()
-    system = System.build({"modes": basis}, (), [Readout("0", "displacement", (Probe("modes", "out0"),))], dt=1 / fs)
+    system = System.build({"modes": basis}, (), [Readout("0", "displacement", (Term("modes", "out0"),))], dt=1 / fs)
     stepper = KernelStepper(system)
     state = stepper.start()
     system.modes_of(state, "modes")[0] = 1.0

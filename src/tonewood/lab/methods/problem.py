@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tonewood.physics.coupling.connections import Connection, Rigid, Term
 from tonewood.physics.coupling.inverse import scaled_pinv
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import RealForm, real_form
 
@@ -101,8 +101,7 @@ class Problem:
     def system(self, dt: float) -> System:
         """Return the problem for the project's own stepper."""
         readouts = [
-            Readout(f"{i}", "displacement", (Probe(t.component, t.point, t.factor),))
-            for i, t in enumerate(self.outputs)
+            Readout(f"{i}", "displacement", (Term(t.component, t.point, t.factor),)) for i, t in enumerate(self.outputs)
         ]
         return System.build(self.components, self.constraints, readouts, dt=dt)
 

@@ -19,7 +19,7 @@ from tonewood.lab.row import Row
 from tonewood.lab.systems.fabre_academic import FS, JUNCTION, bases, problem, subsystems, whole
 from tonewood.lab.systems.fabre_guitar import BODY
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.modal.damping import hermitian_mass_inverse
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import basis_from_matrices
@@ -277,5 +277,5 @@ def _every_kind() -> Iterator[Row]:
 
 
 def _system_map(components: dict[str, ModalBasis], connections: tuple[Connection, ...], fs: float) -> StepMap:
-    readout = Readout("m9", "displacement", (Probe("S2", "m9"),))
+    readout = Readout("m9", "displacement", (Term("S2", "m9"),))
     return system_map(System.build(components, connections, [readout], dt=1 / fs))

@@ -34,7 +34,7 @@ from tonewood.lab.klosner_forms import (
 )
 from tonewood.lab.nonlinear_port import Mounting, PortStepper
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.physics.coupling.system import Injection, Probe, Readout, System
+from tonewood.physics.coupling.system import Injection, Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import real_modes
 from tonewood.physics.stepping.forcing import Segment, compile_force
@@ -242,8 +242,8 @@ def engine_system(problem: Problem, form: str, dt: float) -> System:
     parts = components(problem, form)
     law = Rigid() if problem.mounting is None else SpringDashpot()
     mount = Connection("mount", (Term("main", "seat", 1.0), Term("sub", "foot", -1.0)), law)
-    readouts = [Readout("seat", "displacement", (Probe("main", "seat"),))]
-    readouts += [Readout(f"dof{i}", "displacement", (Probe("sub", f"dof{i}"),)) for i in range(len(problem.sub_mass))]
+    readouts = [Readout("seat", "displacement", (Term("main", "seat"),))]
+    readouts += [Readout(f"dof{i}", "displacement", (Term("sub", f"dof{i}"),)) for i in range(len(problem.sub_mass))]
     return System.build(parts, [mount], readouts, dt=dt)
 
 

@@ -1,8 +1,8 @@
-"""Connections of attachments that are switched string by string: base class for effects of plugins."""
+"""Connections of attachments that are switched string by string: base classes for effects of plugins."""
 
 from __future__ import annotations
 
-from abc import ABC
+from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from tonewood.instrument.contract.base import Plugin
 from tonewood.instrument.contract.effects import Effect
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.effects.base import Moment, SwitchedEffect
+from tonewood.performance.effects.base import Moment, SwitchedEffect, Switching, Watched, next_multiple
 from tonewood.performance.effects.gesture_connections import with_laws
 from tonewood.performance.effects.switching import motion
+from tonewood.performance.effects.usage import Bound
 from tonewood.performance.player.fretting import Fretting
+from tonewood.performance.player.timeline import GRID
 from tonewood.physics.coupling.connections import Law, Rigid, SpringDashpot
 from tonewood.physics.coupling.laws import Friction
 from tonewood.physics.coupling.system import State, System
@@ -131,3 +133,52 @@ class SwitchedConnections(SwitchedEffect, ABC):
     def load(self, component: str) -> float:
         """Return the number of connections."""
         return float(len(self._places.get(component, ())))
+
+
+class ConnectionsInReach(SwitchedConnections):
+    """Connections whose laws have no force while the string moves little: switched on before it can reach them.
+
+    A subclass says how far that is, in `reach`. Where a bound on the string's excursion (`excursion`) stays below half
+    of the reach, the connection is off and nothing is lost; every gesture on the string switches it on. Parts with
+    masses of their own, which could come to the string while it rests, need a `watch` of their own.
+    """
+
+    #: shares of the reach: a connection is switched on above the first and off below the second. The energy of a string
+    #: that nobody plays would have to grow fourfold from one look to the next to reach it unseen
+    ON, OFF = 0.5, 0.4
+    #: points of the control grid between two looks; the second where all connections are on, since switching one off
+    #: late loses only time
+    LOOK, SELDOM = 16, 64
+
+    @abstractmethod
+    def reach(self, connection: str) -> float:
+        """Return the string's share in the gap of a connection below which its law has no force, m.
+
+        Parameters
+        ----------
+        connection : its name, ``STRING.PART.NAME``; `parameters` has those of its part.
+        """
+
+    def parameters(self, connection: str) -> Any:
+        """Return the parameters of the part that a connection belongs to."""
+        part = next(c.part for c in self.model.system.connections if c.name == connection)
+        return self.plugins[part].parameters
+
+    def next_watch(self, sample: int, switching: Switching) -> int:
+        """Look at all strings at fixed samples, whatever is played."""
+        return next_multiple(sample, self._looks(switching))
+
+    def watch(self, moment: Moment, switching: Switching) -> Watched | None:
+        """Compare bounds on the excursion with the reach; gestures switch a string's connections on at once."""
+        if moment.sample % (GRID * self._looks(switching)) and not (moment.moved or moment.fresh):
+            return None
+        wanted = set(moment.busy) & set(self.components)
+        for string in self.components:
+            share = self.ON if string not in switching.on else self.OFF
+            reach = np.array([self.reach(name) for name in self.names(string)])
+            if np.any(self.excursion(moment.system, moment.state, string) > share * reach):
+                wanted.add(string)
+        return Watched(frozenset(wanted), [(s, Bound(), s not in wanted) for s in self.components])
+
+    def _looks(self, switching: Switching) -> int:
+        return self.LOOK if len(switching.on) < len(self.components) else self.SELDOM

@@ -3,7 +3,7 @@
 They run from any gesture on a string until bounds on the missing sound (`effects.phantoms`, from the string's
 partials and the body's response) come to the budget over all strings without them: those of the strings of a key are
 added up, those of several keys in power, since their partials are at other frequencies: the sum is an estimate. Strings
-that nobody plays are in it, whatever their energy: a bass string of a piano makes phantom partials of little motion.
+that are not played are in it, whatever their energy: a bass string of a piano makes phantom partials of little motion.
 After gestures and changes of pedals motion spreads from string to string, so that looks are frequent for a while.
 
 Up to 24 strings may be in unison on a light body, which passes their motion on from one to another between two looks.

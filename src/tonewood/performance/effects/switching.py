@@ -71,6 +71,7 @@ def free_velocity(system: System, component: str, basis: ModalBasis, v: Floats) 
     """Part of a component's velocities (n_modes,) that moves none of its rigidly joined points."""
     terms = (term for c in system.connections if isinstance(c.law, Rigid) for term in c.terms)
     rows = [basis.right[basis.index(term.point)].real for term in terms if term.component == component]
+    rows = [row for row in rows if np.any(row)]  # a point at rest in all modes has no direction
     if not rows:
         return v
     directions, _ = np.linalg.qr(np.stack(rows).T)

@@ -53,7 +53,7 @@ class PickupEffect(RuntimeEffect):
         """Recorded groups will run all the time."""
         made, whole, out = self._recorded, ((0.0, foreseen.seconds),), []
         for name in self.components:
-            spans, why = (whole, "it is recorded") if name in made else ((), "nobody records it")
+            spans, why = (whole, "it is recorded") if name in made else ((), "it is not recorded")
             out.append(PlannedEffect(self.name, name, spans, why, None))
         return out
 

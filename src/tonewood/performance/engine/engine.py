@@ -102,6 +102,8 @@ class Engine:
 
     def __init__(self, model: Model, timeline: Timeline, *, energy: bool = False):
         self.model, self.timeline = model, timeline
+        for name, stops in timeline.stops.items():
+            model.strings[name].tuning.prepare(stops)
         self.effects = runtime_effects(model)
         switched = [effect for effect in self.effects if isinstance(effect, SwitchedEffect)]
         for effect in switched:

@@ -69,7 +69,7 @@ class Fretting:
 
 
 def at_rest(string: StringModel) -> Fretting:
-    """How a string is held that nobody plays: under its damper, if it has one."""
+    """Fretting of a string that is not being played: under its damper, if it has one."""
     return Fretting(damper=0.0 if string.damper is None else 1.0)
 
 

@@ -1,4 +1,4 @@
-"""Notes to actions of hands: strings, stops, bends, plucks with their forces, and the ends of notes."""
+"""A whole score to actions of hands: strings, stops, bends, plucks with their forces, and the ends of notes."""
 
 from __future__ import annotations
 
@@ -6,25 +6,33 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 from tonewood.errors import NothingPlayedError, ScoreError
-from tonewood.instrument.contract.gestures import Event, Place
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.player.hands import LET_GO_AFTER, damping, laid_on, let_go, noises, slurred
-from tonewood.performance.player.note_events import event_values, exciter_of, force_of, hurried, is_where_asked
-from tonewood.performance.player.pedals import SOSTENUTO, SUSTAIN, UNA_CORDA, PedalCourses
-from tonewood.performance.player.techniques import stop_course, touch_course, with_marks, with_techniques
+from tonewood.performance.player.dampers import SOSTENUTO, SUSTAIN, UNA_CORDA, Dampers, pedal_moves
+from tonewood.performance.player.hands import laid_on, noises, slurred
+from tonewood.performance.player.strokes import (
+    BEND_RATE,
+    beyond_capo,
+    ended,
+    event_values,
+    hurried,
+    is_where_asked,
+    stopped,
+    stroke,
+    tapped,
+    with_force,
+)
+from tonewood.performance.player.techniques import checked_technique, with_marks, with_techniques
 from tonewood.performance.player.timeline import GRID, Change, Play, Timeline
-from tonewood.performance.player.variation import Deviates, moved, touched
+from tonewood.performance.player.variation import Deviates, moved
 from tonewood.performance.score.assignment import Assigned, PlayableString, assign
-from tonewood.performance.score.controllers import Controllers, History
-from tonewood.performance.score.note import Control, Dropped, Note, Score, ignored_name, volume_factors
-from tonewood.support.validation_messages import did_you_mean
+from tonewood.performance.score.controllers import Controllers, History, loudness
+from tonewood.performance.score.note import Control, Dropped, Score, ignored_name
 
 #: volume, expression, sustain pedal
 _READ_CONTROLLERS = ("cc7", "cc11", SUSTAIN)
-#: cents/s, how fast a bend follows its wheel: a string whose tension jumped would gain as much energy as tension
-BEND_RATE = 40e3
 #: bends of a score that are said to take long
 _MANY_BENDS = 2000
 
@@ -69,13 +77,18 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
     score = with_marks(score, [n for n, e in model.exciters.items() if e.at is None], playable(model))
     if not score.notes and not score.dropped:
         raise ScoreError("has no notes to play", file=score.place)
-    notes, body_plays = _split_taps(score, model)
-    factor = dict(zip(map(id, score.notes), volume_factors(score), strict=True))
-    louder = [_with_force(n, model, factor[id(n)]) for n in notes]
-    if capo:
-        louder = [n if n.stop is None else replace(n, stop=max(n.stop - capo, 0.0)) for n in louder]
-    strings = playable(model, capo)
-    assignment = assign(louder, strings, channel_per_string=channel_per_string, tuning=model.instrument.tuning)
+    controllers = Controllers(score.controls)
+    for note in score.notes:
+        checked_technique(note.technique, model, score.place)
+    body = [tapped(note, model) for note in score.notes]
+    notes = [
+        beyond_capo(with_force(note, model, loudness(controllers.of(note))), capo)
+        for note, tap in zip(score.notes, body, strict=True)
+        if tap is None
+    ]
+    assignment = assign(
+        notes, playable(model, capo), channel_per_string=channel_per_string, tuning=model.instrument.tuning
+    )
     by_string: dict[str, list[Assigned]] = defaultdict(list)
     drawn: dict[int, Deviates] = {}
     variation = model.playing.variation
@@ -85,67 +98,131 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
             assigned = moved(assigned, deviates, variation)
             drawn[id(assigned)] = deviates
         by_string[assigned.string].append(assigned)
-    for line in by_string.values():
-        line.sort(key=lambda a: a.note.time)
-    controllers = Controllers(score.controls)
-    bends = {c: History(_glided(line, GRID / model.fs)) for c, line in _by_channel(score.controls).items()}
-    changes: list[Change] = []
-    pedals = PedalCourses(model, score.controls)
-    pressed: dict[str, list[tuple[float, float]]] = {}
-    plays = list(body_plays)
-    dropped = [*score.dropped, *assignment.dropped]
-    played: list[Assigned] = []
-    n_moved = 0
+    reader = _Reader(model, score, controllers, drawn, capo)
     for name, line in by_string.items():
-        line = slurred(line, model.playing)
-        for string in model.groups[name]:
-            own: list[Play] = []
-            for i, assigned in enumerate(line):
-                following = line[i + 1] if i + 1 < len(line) else None
-                held = line[i - 1].stop if i else float(capo)
-                event = _event(assigned, string, held, following, model, controllers, drawn.get(id(assigned)))
-                n_moved += string == name and not is_where_asked(event, assigned, model, score.place)
-                place = model.place(string, assigned.stop, una_corda=pedals.una_corda(assigned.note.time))
-                gesture = exciter_of(assigned.note, model, string).gesture(event, place)
-                exciter = assigned.note.technique or model.default_exciter
-                play = Play(assigned.note.time, gesture, string=string, exciter=exciter)
-                if i:
-                    play = replace(play, gesture=hurried(play.gesture, play.time - own[-1].stop))
-                own.append(play)
-            for assigned, play, following_play in zip(line, own, [*own[1:], None], strict=True):
-                changes += _left_hand(assigned, play, following_play, string, model, bends, capo)
-            if string == name:
-                played += line
-                pressed[name] = _presses(line, own)
-            # a hammer or bow of the first string meets the others of its key, too; known forces act on each of them
-            plays += [play for play in own if string == name or not (play.gesture.on or play.gesture.motions)]
-            if string == name:
-                plays += noises(line, own, model, capo)
+        reader.play(name, sorted(line, key=lambda a: a.note.time))
+    plays = [*(tap for tap in body if tap is not None), *reader.plays]
+    dropped = [*score.dropped, *assignment.dropped]
     if not plays:
         raise NothingPlayedError(_why_nothing(dropped), file=score.place)
-    warnings = list(score.warnings) + pedals.warnings
-    n_bent = len({(c.string, c.stop, c.cents) for c in changes if c.cents is not None and c.stop is None})
+    warnings = [*score.warnings, *reader.warnings]
+    n_bent = len({(c.string, c.stop, c.cents) for c in reader.changes if c.cents is not None and c.stop is None})
     if n_bent > _MANY_BENDS:
         warnings.append(f"{n_bent} different bends of strings: the modes of each are computed anew, which takes long")
     if assignment.n_cut:
         warnings.append(f"{assignment.n_cut} notes end early: their string is needed again")
-    if n_moved:
+    if reader.n_moved:
         warnings.append(
-            f"{n_moved} notes are played at another place than asked for: that lies within 1 % of the length of "
+            f"{reader.n_moved} notes are played at another place than asked for: that lies within 1 % of the length of "
             "its ends, or beyond the stop"
         )
     if assignment.doubled:
         warnings.append(f"{len(assignment.doubled)} notes share another voice's pluck of the same pitch")
     first = min([0.0, *(play.start for play in plays)])
-    changes = laid_on(first, model) + changes + pedals.changes(pressed)
+    changes = laid_on(first, model) + reader.changes + _damper_changes(model, reader.pedals, reader.pressed)
     if capo:
         changes += [Change(first, name, stop=capo) for name in model.strings]
     timeline = Timeline(
         sorted(changes, key=lambda c: c.time),
         sorted(plays, key=lambda p: p.start),
     )
-    played.sort(key=lambda a: a.note.time)
-    return Performance(timeline, played, sorted(dropped, key=lambda d: d.time), warnings, _ignored(score, model))
+    notes_played = sorted(reader.played, key=lambda a: a.note.time)
+    return Performance(timeline, notes_played, sorted(dropped, key=lambda d: d.time), warnings, _ignored(score, model))
+
+
+class _Reader:
+    """Plays strings whose notes are all known.
+
+    Attributes
+    ----------
+    changes, plays, played : of the strings played so far, and their notes.
+    pressed : (time, whether it goes down, first string) of keys.
+    pedals, warnings : moves of pedals, and lines about them.
+    n_moved : notes that are played at another place than asked for.
+    """
+
+    def __init__(self, model: Model, score: Score, controllers: Controllers, drawn: Mapping[int, Deviates], capo: int):
+        self._model, self._capo, self._file = model, capo, score.place
+        self._controllers, self._drawn = controllers, drawn
+        self._bends = {c: History(_glided(line, GRID / model.fs)) for c, line in _by_channel(score.controls).items()}
+        self.pedals, self.warnings = pedal_moves(model, score.controls)
+        self._una_corda = History([move for move in self.pedals if move.kind == UNA_CORDA])
+        self.changes: list[Change] = []
+        self.plays: list[Play] = []
+        self.played: list[Assigned] = []
+        self.pressed: list[tuple[float, bool, str]] = []
+        self.n_moved = 0
+
+    def play(self, name: str, line: Sequence[Assigned]) -> None:
+        """Play the notes of one key, or of one string, in the order of their times."""
+        model = self._model
+        line = slurred(line, model.playing)
+        for string in model.groups[name]:
+            own: list[Play] = []
+            for i, assigned in enumerate(line):
+                held, time = line[i - 1].stop if i else float(self._capo), assigned.note.time
+                event, play = stroke(
+                    assigned, string, model, event_values(assigned.note, model, self._controllers.of(assigned.note)),
+                    held=held, duration=self._duration(assigned, line[i + 1] if i + 1 < len(line) else None, string),
+                    una_corda=(self._una_corda.at(time) or 0.0) >= 0.5, drawn=self._drawn.get(id(assigned)),
+                )  # fmt: skip
+                self.n_moved += string == name and not is_where_asked(event, assigned, model, self._file)
+                if i:
+                    play = replace(play, gesture=hurried(play.gesture, play.time - own[-1].stop))
+                own.append(play)
+            for assigned, play, following in zip(line, own, [*own[1:], None], strict=True):
+                self.changes += self._left_hand(assigned, play, following, string)
+            # a hammer or bow of the first string meets the others of its key, too; known forces act on each of them
+            self.plays += [play for play in own if string == name or not (play.gesture.on or play.gesture.motions)]
+            if string == name:
+                self.played += line
+                self._press(name, line, own)
+                self.plays += noises(line, own, model, self._capo)
+
+    def _duration(self, assigned: Assigned, following: Assigned | None, string: str) -> float:
+        """Return for how long a gesture goes on that lasts as long as its note, s."""
+        duration, name = assigned.end - assigned.note.time, assigned.note.technique or self._model.default_exciter
+        if following is None or (following.note.technique or self._model.default_exciter) != name:
+            return duration
+        free = following.note.time - assigned.note.time - self._model.exciter(name, string).recovery
+        return min(duration, max(free, 0.5 * duration))
+
+    def _left_hand(self, assigned: Assigned, play: Play, following: Play | None, string: str) -> list[Change]:
+        """Stop the string as the pluck begins, bend it with its channel, damp it at the note's end."""
+        bends = self._bends.get(assigned.note.channel, History())
+        first, *later = stopped(assigned, play, string, self._model, assigned.cents + (bends.at(play.start) or 0.0))
+        bent = [Change(b.time, string, cents=assigned.cents + b.value) for b in bends.between(play.start, assigned.end)]
+        following_start = following.start if following else math.inf
+        if not math.isfinite(assigned.end):
+            return [first, *later, *bent]
+        return [first, *later, *bent, *ended(assigned.end, string, self._model, self._capo, following_start)]
+
+    def _press(self, name: str, line: Sequence[Assigned], plays: Sequence[Play]) -> None:
+        """Enter when a key goes down and comes up; struck again it does not come up in between."""
+        for i, (assigned, play) in enumerate(zip(line, plays, strict=True)):
+            up = min(assigned.note.key_up, plays[i + 1].start if i + 1 < len(plays) else math.inf)
+            if up > play.start:
+                self.pressed += [(play.start, True, name), (up, False, name)]
+
+
+def _damper_changes(
+    model: Model, pedals: Sequence[Control], pressed: Sequence[tuple[float, bool, str]]
+) -> list[Change]:
+    """Return how keys and pedals move dampers; at one time keys come up, then go down, then pedals move."""
+    dampers = Dampers(model)
+    events: list[tuple[float, int, Control | str]] = [(time, int(down), name) for time, down, name in pressed]
+    events += [(move.time, 2, move) for move in pedals]
+    out: list[Change] = []
+    for time, together in groupby(sorted(events, key=lambda e: e[:2]), key=lambda e: e[0]):
+        for _, kind, event in together:
+            if isinstance(event, Control):
+                dampers.control(event.kind, event.value, event.channel)
+            elif kind:
+                dampers.press(event)
+            else:
+                dampers.release(event)
+        out += dampers.moved(time)
+    return out
 
 
 def _ignored(score: Score, model: Model) -> dict[str, int]:
@@ -186,97 +263,6 @@ def playable(model: Model, capo: int = 0) -> list[PlayableString]:
         for name, s in model.strings.items()
         if name in model.groups
     ]
-
-
-def _split_taps(score: Score, model: Model) -> tuple[list[Note], list[Play]]:
-    """Notes for strings, and gestures on points of the body that `technique` names."""
-    strings, taps = [], []
-    for note in score.notes:
-        if note.technique is None or note.technique not in model.exciters:
-            if note.technique is not None:
-                names = f"{did_you_mean(note.technique, model.exciters)}there are {', '.join(model.exciters)}"
-                raise ScoreError(f"there is no technique {note.technique!r}; {names}", file=score.place)
-            strings.append(note)
-            continue
-        exciter = model.exciters[note.technique]
-        if exciter.at is None:
-            strings.append(note)
-            continue
-        force = force_of(note, model, 1.0)
-        values = {} if force is None else {"force": force}
-        taps.append(Play(note.time, exciter.gesture(Event(values), Place(exciter.at)), at=exciter.at))
-    return strings, taps
-
-
-def _with_force(note: Note, model: Model, factor: float) -> Note:
-    force = force_of(note, model, factor)
-    return note if force is None else replace(note, force=force, velocity_midi=None)
-
-
-def _presses(line: Sequence[Assigned], plays: Sequence[Play]) -> list[tuple[float, float]]:
-    """When the key of a string's notes goes down and comes up, s; struck again it does not come up in between."""
-    out = []
-    for i, (assigned, play) in enumerate(zip(line, plays, strict=True)):
-        up = assigned.note.key_up
-        out.append((play.start, min(up, plays[i + 1].start) if i + 1 < len(plays) else up))
-    return out
-
-
-def _event(
-    assigned: Assigned,
-    on: str,
-    held: float,
-    following: Assigned | None,
-    model: Model,
-    controllers: Controllers,
-    drawn: Deviates | None,
-) -> Event:
-    """Return the values that the exciter is given: the note's own, and those of controllers."""
-    note, string = assigned.note, model.strings[on]
-    name = note.technique or model.default_exciter
-    values = event_values(note, model, lambda kind: controllers.at(kind, note.channel, note.time))
-    if drawn is not None:
-        length = string.length(assigned.stop)
-        values = touched(values, model.exciter(name, on), length, drawn, model.playing.variation)
-    duration = assigned.end - note.time
-    if following is not None and (following.note.technique or model.default_exciter) == name:
-        free = following.note.time - note.time - model.exciter(name, on).recovery
-        duration = min(duration, max(free, 0.5 * duration))
-    return Event(values, string.freq(assigned.stop), duration, assigned.stop, held, string.length(held))
-
-
-def _left_hand(
-    assigned: Assigned,
-    play: Play,
-    following: Play | None,
-    name: str,
-    model: Model,
-    bends: Mapping[int | None, History],
-    capo: int,
-) -> list[Change]:
-    """Stop the string as the pluck begins, bend it with its channel, damp it at the note's end.
-
-    A note that ends while the next one on its string is prepared is ended by that: its damper would stay on the string.
-    """
-    channel = assigned.note.channel
-    line = bends.get(channel, History())
-    at_start = assigned.cents + (line.at(play.start) or 0.0)
-    course = stop_course(play, assigned.stop, model.strings[name].stopping.continuous, GRID / model.fs)
-    (begin, first), *rest = course or [(play.start, assigned.stop)]
-    out = [Change(begin, name, stop=first, cents=at_start, added_damping=0.0, touches=())]
-    out += [Change(time, name, touches=touches) for time, touches in touch_course(play, GRID / model.fs)]
-    out += [Change(time, name, stop=stop) for time, stop in rest]
-    out += [Change(b.time, name, cents=assigned.cents + b.value) for b in line.between(play.start, assigned.end)]
-    end = model.playing.note_end
-    if end.kind == "ring" or model.strings[name].damper is not None or not math.isfinite(assigned.end):
-        return out
-    free_again = following.start if following else math.inf
-    if assigned.end < free_again - 1e-3:
-        out.append(Change(assigned.end, name, added_damping=damping(end)))
-        free = assigned.end + LET_GO_AFTER * end.t60
-        if free < free_again - 0.1:
-            out.append(let_go(free, name, capo, end))
-    return out
 
 
 def _glided(line: Sequence[Control], tick: float) -> list[Control]:

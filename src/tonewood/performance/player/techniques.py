@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from tonewood.errors import ScoreError
 from tonewood.instrument.bundle.schema import Playing
 from tonewood.instrument.contract.attached import Motion
+from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.scales import note_number
 from tonewood.performance.player.timeline import Play
 from tonewood.performance.score.assignment import PlayableString
 from tonewood.performance.score.controllers import Controllers
-from tonewood.performance.score.note import Score
+from tonewood.performance.score.note import Note, Score
+from tonewood.support.validation_messages import did_you_mean
 
 #: stops of a slide are rounded to this fraction of a step
 _FINEST = 1000
@@ -37,12 +40,31 @@ def with_techniques(score: Score, playing: Playing) -> Score:
         if note.note in keys and note.string is None:
             latest[note.channel] = keys[note.note]
             continue
-        technique = note.technique or latest.get(note.channel)
-        for kind, name in playing.switches.items():
-            if note.technique is None and (controllers.at(kind, note.channel, note.time) or 0.0) >= 0.5:
-                technique = name
+        technique = technique_of(note, latest.get(note.channel), playing, controllers.of(note))
         notes.append(replace(note, technique=technique))
     return replace(score, notes=notes)
+
+
+def technique_of(note: Note, keyed: str | None, playing: Playing, latest: Callable[[str], float | None]) -> str | None:
+    """Return the technique that a note names, or that keys and controllers ask for; None for the usual one.
+
+    Parameters
+    ----------
+    keyed : technique of the last keyswitch on the note's channel.
+    latest : kind of controller -> its value on the note's channel, None before its first.
+    """
+    technique = note.technique or keyed
+    for kind, name in playing.switches.items():
+        if note.technique is None and (latest(kind) or 0.0) >= 0.5:
+            technique = name
+    return technique
+
+
+def checked_technique(name: str | None, model: Model, file: str | None = None) -> None:
+    """Refuse a technique that the instrument does not have."""
+    if name is not None and name not in model.exciters:
+        names = f"{did_you_mean(name, model.exciters)}there are {', '.join(model.exciters)}"
+        raise ScoreError(f"there is no technique {name!r}; {names}", file=file)
 
 
 #: sign -> techniques that play it, the first that the instrument has

@@ -65,6 +65,15 @@ class Timeline:
     plays: Sequence[Play]
 
     @cached_property
+    def stops(self) -> dict[str, set[float]]:
+        """String -> whole stops at which it is held; those that a slide passes are left out."""
+        stops: dict[str, set[float]] = {}
+        for change in self.changes:
+            if change.stop is not None and change.stop == int(change.stop):
+                stops.setdefault(change.string, set()).add(change.stop)
+        return stops
+
+    @cached_property
     def start(self) -> float:
         """Time of the first thing that happens, s, at most 0."""
         return min([0.0, *(c.time for c in self.changes), *(p.start for p in self.plays)])

@@ -1,27 +1,35 @@
-"""Assigns notes to strings and stops, playable by one left hand, at the least cost over the whole piece.
+"""Assigns notes to strings and stops, playable by one left hand, at the least cost over all notes known so far.
 
 The pitch, string or stop of a note gives its options; notes that begin together form a chord, whose notes go to
-different strings; `fingering` then chooses among all ways through the piece. A string holds one note at
+different strings; `fingering` then chooses among all ways through the chords. A string holds one note at
 a time: a new one ends the earlier. Voices (MIDI channels) that meet on a pitch at the same moment share one pluck, as
 a player reads them; twice the same pitch in one voice asks for two strings. A note that has no option, or is one too
 many for the strings at its moment, is dropped with a reason. A wide stretch or a long shift is never a reason: it
 only costs.
+
+`assign` knows a whole piece. `StringChooser` decides as notes come, from the place where the hand is and the notes that
+sound: of the chords in its window only those due now are final, the later ones count in the cost. A player without
+lookahead has a window of one chord. A note that sounds weighs 1 while its key is down, `PEDALLED` while only the pedal
+holds it, and 0 afterwards; it is taken to last a second more.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from tonewood.errors import ScoreError
 from tonewood.instrument.scales import Tuning, note_name
-from tonewood.performance.score.fingering import Chord, FingeringCosts, Option, finger
+from tonewood.performance.score.fingering import Chord, FingeringCosts, Option, Sounding, finger, hand_after
 from tonewood.performance.score.note import Dropped, Note
 
 CHORD_WINDOW = 0.030
 SIMULTANEOUS = 0.001
 TOLERANCE_CENTS = 50.0
+#: weight of a note that only the pedal holds
+PEDALLED = 0.5
 
 
 @dataclass(frozen=True)
@@ -125,28 +133,76 @@ def assign(
     -------
     assignment : every note is in `notes`, in `doubled` or in `dropped`.
     """
-    tuning = tuning or Tuning()
-    resolver = PlaceResolver(strings, tuning, channel_per_string)
-    dropped: list[Dropped] = []
-    playable: list[tuple[Note, list[Option]]] = []
+    resolver = PlaceResolver(strings, tuning or Tuning(), channel_per_string)
     plucks = sorted(notes, key=lambda n: n.time)
     doubled: list[Note] = []
     if not channel_per_string:
         plucks, doubled = _share_plucks(plucks)
-    for note in plucks:
-        try:
-            playable.append((note, resolver.options(note)))
-        except ScoreError as error:
-            dropped.append(_drop(note, error.reason))
-    chords = _chords(playable, len(strings), dropped)
+    chords, dropped = _chords(plucks, resolver, len(strings))
     chosen, cost = finger([_chord(chord) for chord in chords], len(strings), costs or FingeringCosts())
     pairs = [
-        (note, option)
+        (voice.note, option)
         for chord, options in zip(chords, chosen, strict=True)
-        for (note, _), option in zip(chord, options, strict=True)
+        for voice, option in zip(chord, options, strict=True)
     ]
     assigned, n_cut = _ends(pairs, strings, resolver)
-    return Assignment(assigned, tuple(doubled), tuple(sorted(dropped, key=lambda d: d.time)), n_cut, cost)
+    drops = tuple(sorted((drop for _, drop in dropped), key=lambda d: d.time))
+    return Assignment(assigned, tuple(doubled), drops, n_cut, cost)
+
+
+class StringChooser:
+    """Left hand of a player who reads as far ahead as notes are known, or not at all.
+
+    Parameters
+    ----------
+    strings, channel_per_string, tuning, costs : as for `assign`.
+
+    Attributes
+    ----------
+    hand : stop under the first finger.
+    """
+
+    def __init__(
+        self,
+        strings: Sequence[PlayableString],
+        *,
+        channel_per_string: bool = False,
+        tuning: Tuning | None = None,
+        costs: FingeringCosts | None = None,
+    ):
+        self.strings, self.hand = strings, 1.0
+        self._costs = costs or FingeringCosts()
+        self._resolver = PlaceResolver(strings, tuning or Tuning(), channel_per_string)
+
+    def assign(
+        self, notes: Sequence[Note], sounding: Mapping[str, Sounding], ahead: Sequence[Note] = ()
+    ) -> tuple[list[Assigned], list[tuple[int, Dropped]]]:
+        """Give every note of a chord a string and a stop.
+
+        Parameters
+        ----------
+        notes : that begin now, at one time.
+        sounding : string -> note that sounds on it now.
+        ahead : later notes that are known, in time order; they only count in the cost.
+
+        Returns
+        -------
+        assigned : in the order of the notes, without an end.
+        dropped : (index of the note, reason) of those that cannot be played.
+        """
+        now = notes[0].time if notes else 0.0
+        first, dropped = _chords(notes, self._resolver, len(self.strings))
+        later, _ = _chords(ahead, self._resolver, len(self.strings))
+        if not first:
+            return [], dropped
+        chords = [_chord(chord, now) for chord in (*first, *later)]
+        now_on = {i: sounding[string.name] for i, string in enumerate(self.strings) if string.name in sounding}
+        chosen, _ = finger(chords, len(self.strings), self._costs, hand=self.hand, sounding=now_on)
+        self.hand = hand_after(self.hand, chosen[0])
+        return [
+            Assigned(v.note, self.strings[o.string].name, o.stop, self._resolver.cents(v.note, o), math.inf)
+            for v, o in zip(first[0], chosen[0], strict=True)
+        ], dropped
 
 
 class PlaceResolver:
@@ -255,55 +311,72 @@ def _share_plucks(notes: Sequence[Note]) -> tuple[list[Note], list[Note]]:
     return plucks, doubled
 
 
-def _drop(note: Note, reason: str) -> Dropped:
-    return Dropped(note.time, note.note, note.channel, reason)
+class _Candidate(NamedTuple):
+    """A note that can be played: its number among the notes, and its places."""
+
+    number: int
+    note: Note
+    options: list[Option]
 
 
-_Voices = list[tuple[Note, list[Option]]]
+_Chord = list[_Candidate]
 
 
-def _chords(playable: _Voices, n_strings: int, dropped: list[Dropped]) -> list[_Voices]:
+def _chords(
+    notes: Sequence[Note], resolver: PlaceResolver, n_strings: int
+) -> tuple[list[_Chord], list[tuple[int, Dropped]]]:
     """Group notes that begin together into chords that can be played on different strings; drop the others.
 
     Notes within `SIMULTANEOUS` cannot follow one another on a string. Those that begin within `CHORD_WINDOW` are one
     chord if there are strings for all of them, else they follow.
     """
-    chords: list[_Voices] = []
+    playable: _Chord = []
+    dropped: list[tuple[int, Dropped]] = []
+
+    def drop(index: int, note: Note, reason: str) -> None:
+        dropped.append((index, Dropped(note.time, note.note, note.channel, reason)))
+
+    for i, note in enumerate(notes):
+        try:
+            playable.append(_Candidate(i, note, resolver.options(note)))
+        except ScoreError as error:
+            drop(i, note, error.reason)
+    chords: list[_Chord] = []
     matching = StringMatching(n_strings)
     first = 0
     while first < len(playable):
-        begin = playable[first][0].time
+        begin = playable[first].note.time
         last = first
-        while last < len(playable) and playable[last][0].time <= begin + SIMULTANEOUS:
+        while last < len(playable) and playable[last].note.time <= begin + SIMULTANEOUS:
             last += 1
         unit = playable[first:last]
         first = last
-        if chords and begin <= chords[-1][0][0].time + CHORD_WINDOW:
+        if chords and begin <= chords[-1][0].note.time + CHORD_WINDOW:
             joined = matching.copy()
-            if all(joined.add(options) for _, options in unit):
+            if all(joined.add(voice.options) for voice in unit):
                 matching = joined
                 chords[-1].extend(unit)
                 continue
         matching = StringMatching(n_strings)
-        kept = {i for i in by_importance(unit) if matching.add(unit[i][1])}
-        sounding = {unit[i][0].note for i in kept if unit[i][0].note is not None}
-        for i, (note, _) in enumerate(unit):
+        kept = {i for i in _by_importance(unit) if matching.add(unit[i].options)}
+        sounding = {unit[i].note.note for i in kept if unit[i].note.note is not None}
+        for i, (index, note, _) in enumerate(unit):
             if i not in kept:
                 why = f"no string is free beside the other {len(unit) - 1} notes at its moment"
                 if note.note in sounding:
                     why = "its pitch is played at its moment already, and no other string is free for it"
-                dropped.append(_drop(note, why))
+                drop(index, note, why)
         chords.append([unit[i] for i in sorted(kept)])
-    return chords
+    return chords, dropped
 
 
-def by_importance(unit: _Voices) -> list[int]:
+def _by_importance(unit: _Chord) -> list[int]:
     """Named strings first, then the loudest, then the outer voices: order in which notes get a string."""
-    by_pitch = sorted(range(len(unit)), key=lambda i: unit[i][0].note or 0.0)
+    by_pitch = sorted(range(len(unit)), key=lambda i: unit[i].note.note or 0.0)
     depth = {i: min(rank, len(unit) - 1 - rank) for rank, i in enumerate(by_pitch)}
     return sorted(
         range(len(unit)),
-        key=lambda i: (unit[i][0].string is None, -(unit[i][0].velocity_midi or 0.0), depth[i]),
+        key=lambda i: (unit[i].note.string is None, -(unit[i].note.velocity_midi or 0.0), depth[i]),
     )
 
 
@@ -338,12 +411,13 @@ class StringMatching:
         return False
 
 
-def _chord(voices: _Voices) -> Chord:
+def _chord(voices: _Chord, origin: float = 0.0) -> Chord:
+    """Chord for `fingering`, with times from an origin (s)."""
     return Chord(
-        time=voices[0][0].time,
-        ends=tuple(note.time + note.duration for note, _ in voices),
-        durations=tuple(max(note.duration, 1e-6) for note, _ in voices),
-        options=tuple(tuple(options) for _, options in voices),
+        time=voices[0].note.time - origin,
+        ends=tuple(v.note.time - origin + v.note.duration for v in voices),
+        durations=tuple(max(v.note.duration, 1e-6) for v in voices),
+        options=tuple(tuple(v.options) for v in voices),
     )
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from operator import attrgetter
 
-from tonewood.performance.score.note import Control
+from tonewood.performance.score.note import Control, Note
 
 _time = attrgetter("time")
 
@@ -56,3 +56,26 @@ class Controllers:
         """Value of a controller on a channel at a time (s), None before its first."""
         history = self._histories.get((kind, channel)) or self._histories.get((kind, None))
         return None if history is None else history.at(time)
+
+    def of(self, note: Note) -> Callable[[str], float | None]:
+        """Return the function kind -> value on a note's channel when it begins."""
+        return lambda kind: self.at(kind, note.channel, note.time)
+
+
+def loudness(latest: Callable[[str], float | None]) -> float:
+    """Factor on a note's force from its channel's volume (cc7) and expression (cc11) when it begins.
+
+        factor = (cc7 · cc11)²,   controllers from 0 to 1, 1 before the first
+
+    which is the gain of 40 lg(value/127) dB each that General MIDI asks for. A plucked string cannot follow them
+    afterwards, and a factor never exceeds 1: the instrument's range of forces holds.
+
+    Parameters
+    ----------
+    latest : kind of controller -> its value on the note's channel, None before its first.
+
+    Source: General MIDI 2 (MIDI Manufacturers Association 1999), page 8: "Gain in dB = 40 log10(cc7/127) +
+    40 log10(cc11/127)".
+    """
+    volume, expression = latest("cc7"), latest("cc11")
+    return ((1.0 if volume is None else volume) * (1.0 if expression is None else expression)) ** 2

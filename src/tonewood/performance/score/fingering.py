@@ -21,7 +21,7 @@ it; the work is then proportional to the number of chords.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import NamedTuple
@@ -111,16 +111,48 @@ class _States(NamedTuple):
     held: NDArray[np.float64]
 
 
-def finger(chords: Sequence[Chord], n_strings: int, costs: FingeringCosts) -> tuple[list[tuple[Option, ...]], float]:
+@dataclass(frozen=True, slots=True)
+class Sounding:
+    """A note on a string before the first chord: its stop, and its weight from 0 (let go) to 1 (key down)."""
+
+    stop: float
+    weight: float
+
+
+def hand_after(hand: float, chosen: Sequence[Option]) -> float:
+    """Return where the first finger is after a chord: moved no farther than its stopped notes ask for."""
+    stops = [option.stop for option in chosen if option.stop > 0]
+    if not stops:
+        return hand
+    ends = max(stops) - HAND_SPAN, min(stops)
+    return min(max(hand, min(ends)), max(ends))
+
+
+def finger(
+    chords: Sequence[Chord],
+    n_strings: int,
+    costs: FingeringCosts,
+    *,
+    hand: float = 1.0,
+    sounding: Mapping[int, Sounding] | None = None,
+) -> tuple[list[tuple[Option, ...]], float]:
     """Choose a place for every note of every chord.
+
+    Parameters
+    ----------
+    hand : stop under the first finger before the first chord.
+    sounding : string -> note on it at time 0.
 
     Returns
     -------
     chosen : per chord one option per note, on different strings.
     cost : of the whole piece, as defined above.
     """
-    silent = np.zeros((1, n_strings))
-    states = _States(np.zeros(1), np.ones(1), silent - math.inf, silent + 1.0, silent, silent)
+    stops, ends = np.zeros((1, n_strings)), np.full((1, n_strings), -math.inf)
+    for i, note in (sounding or {}).items():
+        stops[0, i], ends[0, i] = note.stop, note.weight or -math.inf
+    held = (stops > 0).astype(float)
+    states = _States(np.zeros(1), np.array([hand]), ends, np.ones((1, n_strings)), stops, held)
     steps: list[tuple[list[tuple[Option, ...]], NDArray[np.int16], NDArray[np.int16]]] = []
     for i, chord in enumerate(chords):
         ways = ways_to_play(chord, n_strings, costs)

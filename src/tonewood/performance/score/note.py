@@ -218,31 +218,3 @@ class Score:
     def duration(self) -> float:
         """End of the last note, s (0 for an empty score)."""
         return max((n.time + n.duration for n in self.notes), default=0.0)
-
-
-def volume_factors(score: Score) -> list[float]:
-    """Factor on each note's force from its channel's volume (cc7) and expression (cc11) when it begins.
-
-        factor = (cc7 · cc11)²,   controllers from 0 to 1, 1 before the first
-
-    which is the gain of 40 lg(value/127) dB each that General MIDI asks for. A plucked string cannot follow them
-    afterwards, and a factor never exceeds 1: the instrument's range of forces holds.
-
-    Returns
-    -------
-    factors : one per note of the score, in its order.
-
-    Source: General MIDI 2 (MIDI Manufacturers Association 1999), page 8: "Gain in dB = 40 log10(cc7/127) +
-    40 log10(cc11/127)".
-    """
-    value: dict[tuple[int | None, str], float] = {}
-    controls = [c for c in score.controls if c.kind in ("cc7", "cc11")]
-    factors = [1.0] * len(score.notes)
-    due = 0
-    for i in sorted(range(len(score.notes)), key=lambda i: score.notes[i].time):
-        note = score.notes[i]
-        while due < len(controls) and controls[due].time <= note.time:
-            value[controls[due].channel, controls[due].kind] = controls[due].value
-            due += 1
-        factors[i] = (value.get((note.channel, "cc7"), 1.0) * value.get((note.channel, "cc11"), 1.0)) ** 2
-    return factors

@@ -44,7 +44,13 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """Share of one point in a gap: `factor` times the displacement of ``component.point``, m."""
+    """Share of one point in a gap or in a readout: `factor` times the motion of ``component.point``.
+
+    Attributes
+    ----------
+    component, point : names.
+    factor : share of the point's motion, counted along the direction of the component or of the body's point.
+    """
 
     component: str
     point: str

@@ -5,29 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.physics.coupling.connections import Connection
+from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.support import moved
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
 
 
-@dataclass(frozen=True, slots=True)
-class Probe:
-    """Share of a point's motion in a readout.
-
-    Attributes
-    ----------
-    component, point : names.
-    factor : of the motion.
-    """
-
-    component: str
-    point: str
-    factor: float = 1.0
+def __getattr__(name: str) -> Any:
+    return moved.renamed(__name__, name, {"Probe": Term})
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +32,7 @@ class Readout:
     ----------
     name : unique in its system.
     quantity : ``displacement`` (m), ``velocity`` (m/s) or ``acceleration`` (m/s^2) of points, or ``force`` (N).
-    probes : of points.
+    probes : terms whose sum is read, where the quantity is one of points.
     forces : name of a connection, factor; where the quantity is force.
 
     Raises
@@ -51,7 +42,7 @@ class Readout:
 
     name: str
     quantity: str
-    probes: tuple[Probe, ...] = ()
+    probes: tuple[Term, ...] = ()
     forces: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.physics.coupling.compiled import BLOCK_SIZE, PADDING, Compiled, Injection, PrescribedMotion, State
-from tonewood.physics.coupling.connections import Connection, LinearSolve, NonlinearSolve
+from tonewood.physics.coupling.connections import Connection, LinearSolve, NonlinearSolve, Term
 from tonewood.physics.coupling.elimination import Elimination, GapCompliance
 from tonewood.physics.coupling.laws import Friction
-from tonewood.physics.coupling.layout import Drive, Layout, Probe, Readout
+from tonewood.physics.coupling.layout import Drive, Layout, Readout
 from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import apply, flow, powers, real_form
@@ -31,10 +31,10 @@ __all__ = [
     "Drive",
     "Injection",
     "PrescribedMotion",
-    "Probe",
     "Readout",
     "State",
     "System",
+    "Term",
 ]
 
 Floats = NDArray[np.float64]

@@ -45,7 +45,7 @@ class Wood:
     def losses(self, grain: float = 0.0) -> Floats:
         """(3, 3) Pa, imaginary part of the stiffness; positive semidefinite.
 
-        The coupling Q12 takes the geometric mean of both loss factors, which nobody has measured.
+        The coupling Q12 takes the geometric mean of both loss factors, for which no measurement is published.
         """
         factors = np.sqrt(np.array([self.loss_L, self.loss_R, self.loss_shear]))
         return _rotated(self.stiffness() * np.outer(factors, factors), grain)

@@ -15,12 +15,13 @@ from tonewood.errors import TonewoodError
 from tonewood.instrument.model.assembly import FREQ_LIMIT, assemble
 from tonewood.performance.effects.base import EffectReport
 from tonewood.performance.engine.engine import GRID, Engine
-from tonewood.performance.engine.live import LivePlayer
-from tonewood.performance.player.live_state import Voice
+from tonewood.performance.player.player import Player
 from tonewood.performance.player.timeline import Timeline
+from tonewood.performance.player.voices import Voice
 from tonewood.performance.score.note import Dropped, Note
 from tonewood.sound.files.audio import decibels
 from tonewood.sound.files.inputs import InstrumentLike, as_instrument
+from tonewood.sound.live.prepared import PreparedBases
 from tonewood.sound.render.accuracy import LEVELS
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.resampling import Resampler
@@ -137,14 +138,15 @@ class Live:
         applied = options.applied_to(self.instrument)
         self.model = assemble(applied, engine_fs, freq_limit=limit, outputs=options.outputs)
         self.engine = Engine(self.model, Timeline((), ()))
-        self.player = LivePlayer(
+        self.player = Player(
             self.model,
-            self.engine,
             ramp=ramp,
             spacing=spacing,
             channel_per_string=options.channel_per_string,
             capo=options.capo,
         )
+        self._bases = PreparedBases(self.model, self.engine.fingerboard, options.capo)
+        self.player.spare = self._bases.compile_one
         self._routing = Routing(self.model, self.fs, options.gain_db)
         self._resampler = Resampler(steps, len(self.channels))
         # frames that come out of the resampler before frame 0
@@ -155,7 +157,7 @@ class Live:
         self.frames = 0
         self._peak, self._clipped, self._seconds = 0.0, 0, 0.0
         if prepare:
-            self.player.prepare()
+            self._bases.prepare()
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -247,7 +249,7 @@ class Live:
         """
         if number not in range(128) or not 0.0 <= value <= 1.0:
             raise TonewoodError(f"controller {number} at {value!r}: 0 to 127, at values 0 to 1, are allowed")
-        self.player.control(f"cc{number}", value, channel)
+        self._control(f"cc{number}", value, channel)
 
     @alone
     def pressure(self, value: float, channel: int = 0, note: float | None = None) -> None:
@@ -268,7 +270,11 @@ class Live:
         """
         if not 0.0 <= value <= 1.0:
             raise TonewoodError(f"pressure of {value!r}: 0 to 1 is allowed")
-        self.player.control("channel_pressure" if note is None else "polyphonic_pressure", value, channel)
+        self._control("channel_pressure" if note is None else "polyphonic_pressure", value, channel)
+
+    def _control(self, kind: str, value: float, channel: int) -> None:
+        self.player.control(kind, value, channel)
+        self._bases.moved(kind, value)
 
     @alone
     def bend(self, cents: float, channel: int | None = None) -> None:
@@ -286,7 +292,7 @@ class Live:
     def all_off(self, channel: int | None = None) -> None:
         """Release all keys and pedals, of a channel or of all."""
         for at in range(16) if channel is None else (channel,):
-            for kind in {"cc64", *self.player.dampers.kinds}:
+            for kind in {"cc64", *self.player.hands.dampers.kinds}:
                 self.player.control(kind, 0.0, at)
         self.player.all_off(channel, pedalled=True)
 
@@ -325,10 +331,11 @@ class Live:
         """Step as few points of the control grid as the frames need."""
         blocks, n = [self._pending], len(self._pending)
         while n < frames:
-            self.player.tick()
             sample = self.engine.state.sample
+            actions = self.player.feed((), 0.0, sample)
+            self.engine.schedule.add(actions.changes, actions.plays)
             points = int(-(-self._resampler.samples(frames - n + self._early) // GRID))
-            sound = self.engine.advance(max(1, min(points, self.player.idle_points)))
+            sound = self.engine.advance(max(1, min(points, 1 if self._bases.waiting else self.player.idle_points)))
             sound = self._routing.delayed(self._resampler(self._routing.scaled(sound), sample))
             if self._early:
                 early = min(self._early, len(sound))

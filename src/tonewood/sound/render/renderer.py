@@ -257,7 +257,7 @@ class Renderer:
             effects=[report for effect in self.engine.effects for report in effect.report(self.engine.usage)],
             ignored=self.performance.ignored,
             zero_frame=self.zero_frame,
-            tensions=[t for s in self.model.strings.values() if (t := s.given_tension).noticeable],
+            tensions=[t for s in self.model.strings.values() if (t := s.tuning.given).noticeable],
             onset_step_dbfs=None if self._step is None or not self._step.any() else decibels(np.abs(self._step).max()),
         )
 

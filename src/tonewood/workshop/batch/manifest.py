@@ -233,6 +233,9 @@ class Manifest(Section):
     conditions: list[Levels] | None = None
     exclude: list[Levels] = Field(default_factory=list)
     repeats: int = Field(default=1, ge=1, le=1000)
+    random: list[str] = Field(
+        default_factory=list, description="factors whose levels are a sample of many: results hold for the others, too"
+    )
     vary: dict[ParameterPath, Variation] = Field(default_factory=dict)
     render: RenderSettings = RenderSettings()
     stimuli: Stimuli = Stimuli()
@@ -267,6 +270,9 @@ class Manifest(Section):
             _check_levels(row, choices, f"conditions.{index}")
             if missing := set(self.factors) - set(row):
                 raise PydanticCustomError("design", f"conditions.{index}: no level of {', '.join(sorted(missing))}")
+        for name in self.random:
+            if name not in choices:
+                raise PydanticCustomError("random", f"random: {name} is not one of {', '.join(choices)}")
         for index, page in enumerate(self.pages):
             self._check_page(page, f"pages.{index}", choices)
         for name, factor in self.factors.items():

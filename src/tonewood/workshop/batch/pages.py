@@ -191,6 +191,7 @@ class RatingScale(Section):
     high: float = 100.0
     low_label: Text = ""
     high_label: Text = ""
+    ordinal: bool = Field(default=False, description="grades have an order, but no stated distance")
 
     @model_validator(mode="after")
     def _rises(self) -> Self:
@@ -210,13 +211,14 @@ class RatingPage(SoundPage):
 
 
 class StaircasePage(Page):
-    """Just noticeable difference of one parameter: the level falls after right answers and rises after a wrong one.
+    """Just noticeable difference of one parameter: the level adapts to the answers.
 
     The parameter `path` of the test sound is given by the level x:
 
         value: x        add: r + x        percent: r (1 + x / 100)        db: r 10^(x / 20)
 
-    r is the number `reference`, or the parameter's own value. Smaller levels are harder.
+    r is the number `reference`, or the parameter's own value. Smaller levels are harder. Without `steps` the levels are
+    those of QUEST+, `trials` of them; with `steps` the level falls after right answers and rises after a wrong one.
     """
 
     type: Literal["staircase"]
@@ -225,32 +227,73 @@ class StaircasePage(Page):
     scale: Literal["value", "add", "percent", "db"] = "add"
     reference: Any = Field(default=None, description="value of the path in the reference sound; its own if left out")
     unit: Text = ""
-    start: float
-    steps: list[Annotated[float, Field(gt=0)]] = Field(min_length=1, max_length=10)
-    ratio: bool = Field(default=False, description="steps are ratios of levels, not differences")
+    start: float = Field(description="first level")
+    ratio: bool = Field(default=False, description="levels are compared by their ratios, not their differences")
     lowest: float
     highest: float
-    down: Literal[1, 2, 3] = Field(default=2, description="right answers in a row before the level falls")
-    reversals: int = Field(default=8, ge=2, le=50)
-    discard: int = Field(default=2, ge=0, le=20, description="first reversals that do not count")
-    longest: int = Field(default=80, ge=5, le=1000, description="trials of a track")
+    trials: int = Field(default=60, ge=10, le=1000, description="of a track (QUEST+)")
+    steps: list[Annotated[float, Field(gt=0)]] = Field(
+        default_factory=list, max_length=10, description="of the level (Levitt); ratios with ratio: true"
+    )
+    down: Literal[1, 2, 3] = Field(default=2, description="right answers in a row before the level falls (Levitt)")
+    reversals: int = Field(default=8, ge=2, le=50, description="of a track (Levitt)")
+    discard: int = Field(default=2, ge=0, le=20, description="first reversals that do not count (Levitt)")
+    longest: int = Field(default=80, ge=5, le=1000, description="trials of a track (Levitt)")
     tracks: int = Field(default=1, ge=1, le=8, description="interleaved")
     intervals: Literal[2, 3] = 3
     question: Text = ""
     feedback: bool = True
+    expect: float | None = Field(default=None, gt=0, description="mean threshold that is expected, a level")
     expect_sd: float | None = Field(
-        default=None, gt=0, description="standard deviation of the listeners' thresholds, levels"
+        default=None, gt=0, description="standard deviation of the listeners' thresholds: levels, or a ratio above 1"
+    )
+    expect_slope: float | None = Field(
+        default=None, gt=0, description="slope of the psychometric function, per unit of the level or of its logarithm"
+    )
+    margin: float | None = Field(
+        default=None, gt=0, description="difference of thresholds to be found: levels, or a ratio above 1"
     )
 
     @model_validator(mode="after")
     def _levels_fit(self) -> Self:
-        if not self.lowest <= self.start <= self.highest:
-            raise PydanticCustomError("staircase", "lowest <= start <= highest is wanted")
-        if self.ratio and (self.lowest <= 0 or min(self.steps) <= 1):
+        if not self.lowest <= self.start <= self.highest or self.lowest == self.highest:
+            raise PydanticCustomError("staircase", "lowest <= start <= highest is wanted, and lowest < highest")
+        if self.ratio and (self.lowest <= 0 or min(self.steps, default=2.0) <= 1):
             raise PydanticCustomError("staircase", "ratio: true needs levels above 0 and steps above 1")
         if self.reversals - self.discard < 2:
             raise PydanticCustomError("staircase", "reversals must be at least discard + 2")
+        levitt = {"down", "reversals", "discard", "longest"} & self.model_fields_set
+        if not self.steps and levitt:
+            raise PydanticCustomError("staircase", f"{min(levitt)} belongs to a staircase with steps")
+        if self.steps and "trials" in self.model_fields_set:
+            raise PydanticCustomError(
+                "staircase", "trials belongs to QUEST+, which has no steps; longest limits a track"
+            )
+        for key in ("expect_sd", "margin"):
+            if self.ratio and (value := getattr(self, key)) is not None and value <= 1:
+                raise PydanticCustomError("staircase", f"{key} is a ratio above 1 where ratio: true (1.2: 20 %)")
         return self
+
+    def __hash__(self) -> int:
+        return hash(self.model_dump_json())
+
+    @property
+    def adaptive(self) -> Literal["levitt", "quest_plus"]:
+        """The method that chooses levels."""
+        return "levitt" if self.steps else "quest_plus"
+
+    @property
+    def share(self) -> float:
+        """Share of right answers at the threshold: that which `down` right answers in a row converge to."""
+        return float(2.0 ** (-1 / self.down))
+
+    def transformed(self, level: float) -> float:
+        """u: the level, or its logarithm where ratios count."""
+        return math.log(level) if self.ratio else float(level)
+
+    def level_of(self, u: float) -> float:
+        """The level of a transformed one."""
+        return math.exp(u) if self.ratio else float(u)
 
     def value(self, level: float, own: Any) -> Any:
         """The parameter at a level.

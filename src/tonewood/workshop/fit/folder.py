@@ -19,7 +19,7 @@ from tonewood.support.whole_files import AtomicFile
 from tonewood.workshop.fit.fit import Fit
 from tonewood.workshop.fit.radiation import FittedRadiation
 
-#: value of entries that nobody has stated
+#: value of entries without a statement
 UNKNOWN = "unknown"
 
 

@@ -28,7 +28,7 @@ from tonewood.workshop.listening.session import Session
 
 SCHEMA = "tonewood-answers/1"
 FOLDER = ANSWERS
-#: 128 random bits: nobody finds the session of another one
+#: 128 random bits: a listener cannot guess the session of another one
 _TOKEN = re.compile(r"[0-9a-f]{32}")
 #: key of the header -> type
 _HEADER = {"sha256": str, "listener": str, "language": str, "seed": int, "started": str, "simulated": bool}
@@ -96,9 +96,14 @@ def read(path: Path) -> ListenerAnswers:
     ListeningError : it cannot be read, or its first line is damaged; names the line.
     """
     try:
-        raw = path.read_bytes()
+        if path.exists() and not path.is_file():  # a pipe or a device may have no end
+            raise ListeningError("is no file", file=path)
+        return _parsed(path, path.read_bytes())
     except OSError as fault:
         raise ListeningError(f"cannot be read: {fault.strerror}", file=path) from None
+
+
+def _parsed(path: Path, raw: bytes) -> ListenerAnswers:
     *whole, rest = raw.split(b"\n")
     rows: dict[int, dict[str, Any]] = {}
     left_out: list[LeftOut] = []
@@ -223,12 +228,17 @@ def resume(test: ListeningTest, token: str) -> OpenSession | None:
     Raises
     ------
     ListeningError : its answers are damaged, or were given to another definition.
-    OutputError : a line that was cut off cannot be removed, or the disk does not confirm the answers.
+    OutputError : the file cannot be read now, a line that was cut off cannot be removed, or the disk does not confirm
+        the answers.
     """
     path = test.folder / FOLDER / f"{token}.jsonl"
-    if not _TOKEN.fullmatch(token) or not path.is_file():
-        return None
-    found = read(path)
+    try:
+        if not _TOKEN.fullmatch(token) or not path.is_file():
+            return None
+        raw = path.read_bytes()
+    except OSError as fault:  # not the end of the session: the disk, or this process, may be able to later
+        raise OutputError(f"cannot be read: {fault.strerror}", file=path) from None
+    found = _parsed(path, raw)
     if found.header["sha256"] != test.sha256:
         raise ListeningError("was begun with another version of this test", file=path)
     session, kept = _replayed(test, found)
@@ -268,7 +278,7 @@ def answers_of(test: ListeningTest) -> Answers:
 
 def _lines_after_the_first(path: Path) -> int:
     try:
-        return max(path.read_bytes().count(b"\n") - 1, 0)
+        return max(path.read_bytes().count(b"\n") - 1, 0) if path.is_file() else 0
     except OSError:
         return 0
 
@@ -317,7 +327,7 @@ def _misfit(session: Session, record: Mapping[str, Any]) -> ListeningError | Non
         made = session.record(answer)
         for key, value in json.loads(json.dumps(made)).items():
             if key == "index" and session.incomplete:
-                continue  # nobody knows how many trials the staircase had
+                continue  # the number of trials of the staircase is unknown
             if key not in record or record[key] != value:
                 reason = f"is {record.get(key)!r}, and {value!r} in the course of this test: the file is damaged"
                 raise ListeningError(reason, key=key)
@@ -331,7 +341,7 @@ def _append(path: Path, line: bytes, *, at: int, sync: bool = True) -> None:
 
     Parameters
     ----------
-    at : length that the file must have: nobody else may have written to it.
+    at : length that the file must have: no other program may have written to it.
     sync : wait; answers of simulated listeners can be had again.
     """
     try:

@@ -14,8 +14,9 @@ listener's criterion k: so d' does not depend on how readily somebody says "diff
 differencing models of N. A. Macmillan & C. D. Creelman, Detection Theory, 2nd ed. (2005), chapter 9; the odd one
 out is J. E. R. Frijters, Br. J. Math. Stat. Psychol. 32 (1979) 229-241.
 
-Shares have exact (Clopper-Pearson) intervals, in which every answer counts as independent; those of d' follow from
-them. Over several listeners the listeners' shares are averaged with Student's interval.
+Shares have exact (Clopper-Pearson) intervals, in which every answer counts as independent; those of one listener's d'
+follow from them. Over several listeners the listeners' shares are averaged with Student's interval, and d' is that of
+their population (`tonewood.workshop.listening.pooling`).
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from tonewood.workshop.batch.pages import AbPage, AbxPage, AfcPage, AnyPage, StaircasePage
+from tonewood.workshop.listening import pooling
 from tonewood.workshop.listening.means import listener_means, student_interval, unique
 
 Task = Literal["more_2", "more_3", "odd_3", "abx", "same"]
@@ -154,7 +156,10 @@ def _detection(cell: dict[str, str], rows: list[Mapping[str, Any]], task: Task, 
         interval = binomtest(right, n).proportion_ci(confidence, method="exact")
         low, high = float(interval.low), float(interval.high)
         p_value = float(binomtest(right, n, CHANCE[task], alternative="greater").pvalue)
-        if task == "same":
+        of = unique([row["listener"] for row in decided])
+        if len(of) > 1:
+            d, d_low, d_high = _pooled(decided, of, task, confidence)
+        elif task == "same":
             d, d_low, d_high = _same_different(decided, confidence)
         else:
             d, d_low, d_high = (_finite(sensitivity(x, task)) for x in (share, low, high))
@@ -163,6 +168,28 @@ def _detection(cell: dict[str, str], rows: list[Mapping[str, Any]], task: Task, 
     return Detection(
         cell, len(who), right, n, len(rows) - n, share, low, high, p_value, d, d_low, d_high, mean, mean_low, mean_high
     )
+
+
+def _pooled(
+    rows: list[Mapping[str, Any]], who: list[Any], task: Task, confidence: float
+) -> tuple[float | None, float | None, float | None]:
+    """D' of the population of several listeners."""
+    where = np.array([who.index(row["listener"]) for row in rows])
+    right = np.array([bool(row["value"]) for row in rows])
+    if task != "same":
+        return pooling.pooled(np.bincount(where, right), np.bincount(where, right >= 0), shares_of(task), confidence)
+    said = np.array([row["response"] == "different" for row in rows])
+    were = said == right
+    if were.all() or not were.any():
+        return None, None, None
+    hits, different, alarms, same = (np.bincount(where, x, len(who)) for x in (said & were, were, said & ~were, ~were))
+    return pooling.pooled_same_different(hits, different, alarms, same, confidence)
+
+
+@cache
+def shares_of(task: Task) -> Any:
+    """Shares of right answers at the sensitivities of `pooling.D`."""
+    return np.array([share_right(float(d), task) for d in pooling.D])
 
 
 def _same_different(

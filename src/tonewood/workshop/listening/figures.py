@@ -11,8 +11,8 @@ from tonewood.support.plotting import COLOURS, DASHES, LINE, figure, legend, pla
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening.detection import CHANCE, task_of
 from tonewood.workshop.listening.means import CellMean, cell_means, unique
+from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.results import PageResults, PanelResults
-from tonewood.workshop.listening.thresholds import psychometric
 
 #: tracks drawn in one figure
 _TRACKS = 6

@@ -120,6 +120,11 @@ class BoundedConnection(H11Protocol):
                 min(others, key=lambda c: c._since).transport.abort()
         self._watch = self.loop.call_later(self.seconds / 4, self._look)
 
+    def on_response_complete(self) -> None:
+        """Wait for the next request from now on."""
+        self._since = time.monotonic()
+        super().on_response_complete()
+
     def connection_lost(self, exc: Exception | None) -> None:
         """End watching."""
         self._watch.cancel()

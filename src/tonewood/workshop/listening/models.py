@@ -1,72 +1,119 @@
-"""Models of ratings and comparisons: linear mixed model, rank analysis, Bradley-Terry scale.
+"""Models of ratings and comparisons: linear analysis, ranks and shares of preference, Bradley-Terry scale.
 
-*Mixed model* (statsmodels): value ~ all factors and their interactions of two, with a random intercept of each
-listener, by restricted maximum likelihood. Effects are reported as differences from the first level, in points, and as
-Cohen's d = difference / sqrt(var listener + var residual). A factor as a whole is tested by Wald's chi^2.
+*Linear analysis*: main effects over all cells and interactions of two factors. Where every listener answered every
+cell, each effect is tested against the listeners' own differences in it (`tonewood.workshop.listening.strata`). Where
+answers are missing, a mixed model is fitted (`tonewood.workshop.listening.mixed`): a random intercept of each
+listener, and a random deviation of each listener in each effect of which a listener has more answers than cells; of
+random sounds likewise. A variance that is estimated as 0 is kept at 0. Degrees of freedom are Satterthwaite's, but
+never more than the design has: those of the effect times (listeners - 1), or (sounds - 1) where these are fewer.
 
 *Rank analysis*: for each factor Friedman's test on the listeners' means of its levels, with Kendall's W as effect size,
 and Wilcoxon's signed-rank test of each pair of levels with the matched-pairs rank-biserial correlation, p by Holm. It
-asks for no normal distribution and no equal spacing of grades.
+asks for no normal distribution. *Superiority* asks for no equal spacing of grades either: the share of comparisons
+within a listener, all else equal, in which one level is rated above another (a tie counts half), with Student's
+interval of the listeners' shares. Any rising change of the scale leaves it as it is, and so does a scale that ends.
 
 *Bradley-Terry*: P(b over a) = 1 / (1 + e^(v_a - v_b)), sum v = 0, by maximum likelihood; a tie is half an answer each.
-Intervals are from the information matrix, with every answer independent.
+Answers of a listener belong together: the covariance matrix is the sandwich of the listeners' scores, n / (n - 1)
+times, with Student's t on n - 1 degrees of freedom; of a single listener it is that of independent answers.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import linalg
+from numpy.typing import NDArray
 
-from tonewood.workshop.listening.means import listener_means, unique
+from tonewood.workshop.listening import mixed, strata
+from tonewood.workshop.listening.means import listener_means, student_interval, unique
 
 Rows = Sequence[Mapping[str, Any]]
+Array = NDArray[np.float64]
+#: share of answers at an end of the scale beyond which differences of means mislead
+END_SHARE = 0.15
 
 
 @dataclass(frozen=True)
 class ModelTerm:
-    """One coefficient: difference (points), its interval, p, and Cohen's d."""
+    """One difference from the reference level, over all cells of the other factors (points).
+
+    `p_holm` is adjusted for the differences of the same effect; Cohen's d is the difference over the standard deviation
+    of answers within a cell.
+    """
 
     name: str
+    effect: tuple[str, ...]
     difference: float
     low: float
     high: float
+    df: float
     p_value: float
+    p_holm: float
     cohens_d: float
 
 
 @dataclass(frozen=True)
 class FactorTest:
-    """Test of a whole factor: statistic, degrees of freedom, p, effect size with its name."""
+    """Test of a whole factor or interaction: statistic, degrees of freedom, p, effect size with its name.
+
+    `df2` is that of an F's denominator, `p_greenhouse` the probability without the correction for small samples.
+    """
 
     name: str
     test: str
     statistic: float
-    df: int
+    df: float
     p_value: float
     effect: float | None = None
     effect_name: str = ""
+    df2: float | None = None
+    p_greenhouse: float | None = None
 
 
 @dataclass(frozen=True)
-class MixedModel:
-    """A fitted linear mixed model."""
+class LinearAnalysis:
+    """Differences of means and their tests.
+
+    Attributes
+    ----------
+    formula, method : the effects, and the analysis in words.
+    exact : whether every listener answered every cell.
+    random : factors whose levels are a sample.
+    cell_sd : standard deviation of answers within a cell, over listeners and repetitions.
+    at_ends : share of answers at the ends of the scale; None for a scale without ends.
+    """
 
     formula: str
-    groups: str
+    method: str
+    exact: bool
     answers: int
+    listeners: int
+    random: tuple[str, ...]
     terms: tuple[ModelTerm, ...]
     tests: tuple[FactorTest, ...]
-    listener_sd: float
-    residual_sd: float
-    converged: bool
+    cell_sd: float
+    at_ends: float | None
+    converged: bool = True
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Superiority:
+    """Share of comparisons in which `second` is rated above `first`, with its interval and the test against a half."""
+
+    factor: str
+    first: str
+    second: str
+    listeners: int
+    share: float
+    low: float | None
+    high: float | None
+    p_value: float
 
 
 @dataclass(frozen=True)
@@ -84,10 +131,11 @@ class RankPair:
 
 @dataclass(frozen=True)
 class RankAnalysis:
-    """Friedman's test of each factor and Wilcoxon's of each pair of its levels."""
+    """Friedman's test of each factor, Wilcoxon's of each pair of its levels, and shares of preference."""
 
     tests: tuple[FactorTest, ...]
     pairs: tuple[RankPair, ...]
+    superiority: tuple[Superiority, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -100,97 +148,187 @@ class ScaleValue:
     high: float
 
 
-def mixed_model(
-    rows: Rows, factors: Sequence[str], confidence: float, levels: Mapping[str, Sequence[str]]
-) -> MixedModel | None:
-    """Fit the mixed model; None where nothing varies, there are fewer than three listeners, or no spread to estimate.
+def linear_analysis(
+    rows: Rows,
+    factors: Sequence[str],
+    confidence: float,
+    levels: Mapping[str, Sequence[str]],
+    random: Sequence[str] = (),
+    ends: tuple[float, float] | None = None,
+) -> LinearAnalysis | None:
+    """Estimate and test differences of means; None where no fixed factor varies or listeners are fewer than three.
 
     Parameters
     ----------
+    rows : answers, with `listener`, `value` and the factors.
+    factors : columns that may vary.
     levels : factor -> its levels; differences are from the first that is there.
+    random : factors whose levels are a random sample of many (of notes, of pieces).
+    ends : of the scale.
     """
-    from pandas import Categorical, DataFrame
-    from scipy.stats import chi2, norm
-    from statsmodels.formula.api import mixedlm
-
-    used = [f for f in factors if len({row[f] for row in rows}) > 1]
-    if not used or len({row["listener"] for row in rows}) < 3:
+    used = [f for f in factors if f not in random and len({row[f] for row in rows}) > 1]
+    sampled = tuple(f for f in factors if f in random and len({row[f] for row in rows}) > 1)
+    who = unique([str(row["listener"]) for row in rows])
+    if not used or len(who) < 3:
         return None
-    columns = {name: f"f{i}" for i, name in enumerate(used)}
-    data = DataFrame(
-        {"value": [row["value"] for row in rows], "listener": [row["listener"] for row in rows]}
-        | {
-            column: Categorical(given := [str(row[name]) for row in rows], [v for v in levels[name] if v in given])
-            for name, column in columns.items()
-        }
-    )
-    formula, notes = _formula(data, columns)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        for method in ("lbfgs", "powell", "nm"):  # the first meets singular matrices where a listener's share is small
-            try:
-                fit = mixedlm(formula, data, groups=data["listener"]).fit(reml=True, method=method)
-            except linalg.LinAlgError:
-                continue
-            if np.all(np.isfinite(fit.bse_fe)):  # rounding decides which search ends where errors are known
-                break
-        else:
-            return None
-    notes += [str(w.message).splitlines()[0] for w in caught if "Convergence" in w.category.__name__]
-    variance = float(np.asarray(fit.cov_re)[0, 0])
-    if variance + float(fit.scale) <= 0:
+    given = {f: {str(row[f]) for row in rows} for f in used}
+    there = {f: [v for v in levels[f] if v in given[f]] for f in used}
+    data = _Cells(rows, used, sampled, there, who)
+    contrasts = strata.contrasts(data.cells, there)
+    notes = [f"interaction left out, it has empty cells: {' : '.join(e)}" for e in contrasts.without if len(e) > 1]
+    notes += [f"{e[0]} cannot be told from the other factors" for e in contrasts.without if len(e) == 1]
+    if not contrasts.bases:
         return None
-    spread = math.sqrt(variance + float(fit.scale))
-    z = float(norm.ppf((1 + confidence) / 2))
-    names = [n for n in fit.fe_params.index if n != "Intercept"]
-    terms = tuple(
-        ModelTerm(
-            _readable(name, columns), b := float(fit.fe_params[name]), b - z * (s := float(fit.bse_fe[name])),
-            b + z * s, float(2 * norm.sf(abs(b / s))), b / spread,
+    values = np.array([row["value"] for row in rows], dtype=np.float64)
+    cell_sd = data.cell_sd()
+    at_ends = None if ends is None else float(np.mean((values <= ends[0]) | (values >= ends[1])))
+    few = bool(sampled) and len(data.sounds) < 2
+    exact = data.complete and not few
+    if exact:
+        estimates, tests = _by_strata(data, contrasts, confidence, bool(sampled))
+        what = (
+            "Satterthwaite's quasi-F"
+            if sampled
+            else "Greenhouse-Geisser degrees of freedom as corrected by Huynh and Feldt"
         )
-        for name in names
-    )  # fmt: skip
-    index = list(fit.fe_params.index)
-    covariance = np.asarray(fit.cov_params())[: len(index), : len(index)]
-    tests = []
-    for name, column in columns.items():
-        where = [i for i, n in enumerate(index) if n.startswith(f"C({column})") and ":" not in n]
-        found = np.asarray(fit.fe_params)[where]
-        wald = float(found @ linalg.solve(covariance[np.ix_(where, where)], found))
-        tests.append(
-            FactorTest(
-                name, "Wald chi^2, at the first level of the others", wald, len(found), float(chi2.sf(wald, len(found)))
+        method = f"analysis of variance by strata, {what}; each difference against its own spread over the listeners"
+        converged = True
+    else:
+        estimates, tests, method, converged, more = _by_mixed_model(data, contrasts, confidence)
+        notes += more
+    terms = []
+    for effect, one in estimates.items():
+        adjusted = strata.holm(one.p_value)
+        terms += [
+            ModelTerm(
+                name, effect, float(one.difference[i]), float(one.low[i]), float(one.high[i]), float(one.df[i]),
+                float(one.p_value[i]), float(adjusted[i]), float(one.difference[i] / cell_sd) if cell_sd > 0 else 0.0,
             )
+            for i, name in enumerate(contrasts.names[effect])
+        ]  # fmt: skip
+    named = [
+        FactorTest(
+            " : ".join(e), "F", float(t.statistic), float(t.df1), float(t.p_value), df2=float(t.df2),
+            p_greenhouse=float(t.p_greenhouse) if exact else None,
         )
-    shown = formula
-    for name, column in columns.items():
-        shown = shown.replace(column, name)
-    return MixedModel(
-        shown, "(1 | listener)", len(rows), terms, tuple(tests), math.sqrt(max(variance, 0.0)),
-        math.sqrt(float(fit.scale)), bool(fit.converged), tuple(notes),
+        for e, t in tests.items()
+    ]  # fmt: skip
+    formula = "value ~ " + " + ".join(":".join(effect) for effect in contrasts.bases)
+    return LinearAnalysis(
+        formula, method, exact, len(rows), len(who), sampled, tuple(terms), tuple(named), cell_sd, at_ends, converged,
+        tuple(notes),
     )  # fmt: skip
 
 
-def _formula(data: Any, columns: Mapping[str, str]) -> tuple[str, list[str]]:
-    """Formula with interactions of two; without them where cells are empty."""
-    terms = [f"C({c})" for c in columns.values()]
-    pairs = list(itertools.combinations(columns.values(), 2))
-    whole = [(a, b) for a, b in pairs if len(data[[a, b]].drop_duplicates()) == data[a].nunique() * data[b].nunique()]
-    notes = [] if len(whole) == len(pairs) else ["interactions with empty cells are left out"]
-    return "value ~ " + " + ".join([*terms, *(f"C({a}):C({b})" for a, b in whole)]), notes
+class _Cells:
+    """Answers by listener, random sound and cell of the fixed factors."""
+
+    def __init__(
+        self,
+        rows: Rows,
+        used: Sequence[str],
+        sampled: Sequence[str],
+        levels: Mapping[str, Sequence[str]],
+        who: list[str],
+    ):
+        own = [tuple(str(row[f]) for f in used) for row in rows]
+        self.cells = sorted(set(own), key=lambda cell: [levels[f].index(v) for f, v in zip(used, cell, strict=True)])
+        items = [tuple(str(row[f]) for f in sampled) for row in rows]
+        self.sounds = unique(items)
+        place = {cell: i for i, cell in enumerate(self.cells)}
+        listeners = {name: i for i, name in enumerate(who)}
+        item = {name: i for i, name in enumerate(self.sounds)}
+        self.value = np.array([row["value"] for row in rows], dtype=np.float64)
+        self.cell = np.array([place[cell] for cell in own])
+        self.listener = np.array([listeners[str(row["listener"])] for row in rows])
+        self.sound = np.array([item[name] for name in items])
+        self.levels, self.used = levels, list(used)
+        shape = (len(who), len(self.sounds), len(self.cells))
+        flat = np.ravel_multi_index((self.listener, self.sound, self.cell), shape)
+        count = np.bincount(flat, minlength=math.prod(shape)).reshape(shape)
+        self.complete = bool(np.all(count > 0))
+        with np.errstate(invalid="ignore"):
+            self.means = np.bincount(flat, self.value, math.prod(shape)).reshape(shape) / count
+
+    def cell_sd(self) -> float:
+        """Standard deviation of the answers within a cell."""
+        where = self.cell * len(self.sounds) + self.sound
+        _, at, counts = np.unique(where, return_inverse=True, return_counts=True)
+        means = np.bincount(at, self.value) / counts
+        free = len(self.value) - len(counts)
+        return math.sqrt(float(np.sum((self.value - means[at]) ** 2)) / free) if free > 0 else 0.0
 
 
-def _readable(name: str, columns: Mapping[str, str]) -> str:
-    """``C(f0)[T.near]:C(f1)[T.low]`` as ``damping=near : score=low``."""
-    parts = []
-    for part in name.split(":"):
-        column, _, level = part.partition("[T.")
-        factor = next((f for f, c in columns.items() if column == f"C({c})"), column)
-        parts.append(f"{factor}={level.rstrip(']')}")
-    return " : ".join(parts)
+Results = tuple[dict[strata.EffectName, strata.Estimated], dict[strata.EffectName, strata.Tested]]
 
 
-def rank_analysis(rows: Rows, factors: Sequence[str]) -> RankAnalysis:
+def _by_strata(data: _Cells, contrasts: strata.Contrasts, confidence: float, sounds: bool) -> Results:
+    y = data.means if sounds else data.means[:, 0]
+    estimates = {e: strata.estimated(y, rows, confidence, sounds=sounds) for e, rows in contrasts.differences.items()}
+    return estimates, {e: strata.tested(y, basis, sounds=sounds) for e, basis in contrasts.bases.items()}
+
+
+def _by_mixed_model(
+    data: _Cells, contrasts: strata.Contrasts, confidence: float
+) -> tuple[dict[strata.EffectName, strata.Estimated], dict[strata.EffectName, strata.Tested], str, bool, list[str]]:
+    """The mixed model of the module; random deviations of one variance for each effect."""
+    from scipy.special import fdtrc, stdtr, stdtrit
+
+    codes: dict[strata.EffectName, Any] = {
+        (f,): np.array([data.levels[f].index(cell[i]) for cell in data.cells]) for i, f in enumerate(data.used)
+    }
+    coded: dict[strata.EffectName, Any] = {e: strata.coded(codes[e], len(data.levels[e[0]])) for e in codes}
+    columns = {
+        e: coded[e] if len(e) == 1
+        else np.einsum("ki,kj->kij", coded[e[:1]], coded[e[1:]]).reshape(len(data.cells), -1)
+        for e in contrasts.bases
+    }  # fmt: skip
+    x = np.hstack([np.ones((len(data.cells), 1)), *columns.values()])
+    one = np.ones((len(data.value), 1))
+    terms, names, limits = [], [], dict.fromkeys(columns, math.inf)
+    samples = [("listener", data.listener)] + ([("sound", data.sound)] if len(data.sounds) > 1 else [])
+    for name, of in samples:
+        terms.append(mixed.RandomTerm(one, of))
+        names.append(f"(1 | {name})")
+        size = int(of.max()) + 1
+        for effect in columns:
+            level = sum(codes[f,] * 1000**i for i, f in enumerate(effect))[data.cell]
+            groups = np.unique(of * 1000 ** (len(effect) + 1) + level, return_inverse=True)[1]
+            if groups.max() + 1 == len(data.value):
+                continue  # one answer each: the deviation is the residual's
+            terms.append(mixed.RandomTerm(one, groups))
+            names.append(f"(1 | {name}:{':'.join(effect)})")
+        for effect, own in columns.items():
+            limits[effect] = min(limits[effect], own.shape[1] * (size - 1))
+    fit = mixed.fit(data.value, x[data.cell], terms)
+    zero = [n for n, c in zip(names, fit.covariances, strict=True) if c[0, 0] == 0]
+    notes = [f"variance estimated as 0, degrees of freedom are the design's: {', '.join(zero)}"] if zero else []
+    estimates, tests, at = {}, {}, 1
+    for effect, own in columns.items():
+        k = own.shape[1]
+        select = np.zeros((k, x.shape[1]))
+        select[:, at : at + k] = np.eye(k)
+        at += k
+        sizes = [len(data.levels[f]) for f in effect]
+        steps: Any = strata.steps(sizes[0])
+        for n in sizes[1:]:
+            steps = np.kron(steps, strata.steps(n))
+        rows = steps @ select
+        value = rows @ fit.beta
+        error = np.sqrt(np.einsum("ij,jk,ik->i", rows, fit.covariance, rows))
+        df = np.maximum(np.array([min(fit.df(row), limits[effect]) for row in rows]), 1.0)
+        half = stdtrit(df, (1 + confidence) / 2) * error
+        p = 2 * stdtr(df, -np.abs(value) / error)
+        estimates[effect] = strata.Estimated(value, value - half, value + half, df, p)
+        f, df2 = fit.f_test(select)
+        df2 = max(min(df2, limits[effect]), 1.0)
+        p_value = fdtrc(k, df2, f)
+        tests[effect] = strata.Tested(f, float(k), df2, p_value, 1.0, p_value)
+    method = f"linear mixed model with {' + '.join(names)} by REML, Satterthwaite's degrees of freedom"
+    return estimates, tests, method, fit.converged, notes
+
+
+def rank_analysis(rows: Rows, factors: Sequence[str], confidence: float = 0.95) -> RankAnalysis:
     """Rank tests of each factor, on listeners who rated all its levels, in cells of the others that have all."""
     from scipy.stats import friedmanchisquare, wilcoxon
 
@@ -225,13 +363,36 @@ def rank_analysis(rows: Rows, factors: Sequence[str]) -> RankAnalysis:
             change = table[:, b] - table[:, a]
             p = float(wilcoxon(change).pvalue) if np.any(change) else 1.0
             raw.append((levels[a], levels[b], p, _rank_biserial(change)))
-        order = np.argsort([p for _, _, p, _ in raw])
-        holm, worst = np.empty(len(raw)), 0.0
-        for rank, i in enumerate(order):
-            worst = max(worst, min(1.0, (len(raw) - rank) * raw[i][2]))
-            holm[i] = worst
+        holm = strata.holm(np.array([p for _, _, p, _ in raw]))
         pairs += [RankPair(factor, a, b, len(who), p, float(q), r) for (a, b, p, r), q in zip(raw, holm, strict=True)]
-    return RankAnalysis(tuple(tests), tuple(pairs))
+    return RankAnalysis(tuple(tests), tuple(pairs), tuple(_superiorities(rows, factors, confidence)))
+
+
+def _superiorities(rows: Rows, factors: Sequence[str], confidence: float) -> list[Superiority]:
+    """Shares of preference of each pair of levels."""
+    from scipy.special import stdtr
+
+    found = []
+    for factor in factors:
+        own: dict[tuple[str, ...], dict[str, list[float]]] = {}
+        for row in rows:
+            place = (str(row["listener"]), *_cell(row, factors, factor))
+            own.setdefault(place, {}).setdefault(str(row[factor]), []).append(float(row["value"]))
+        for a, b in itertools.combinations(unique([str(row[factor]) for row in rows]), 2):
+            shares: dict[str, list[float]] = {}
+            for (who, *_), values in own.items():
+                if a in values and b in values:
+                    over = np.sign(np.subtract.outer(values[b], values[a]))
+                    shares.setdefault(who, []).append(float(0.5 + 0.5 * over.mean()))
+            each = np.array([float(np.mean(s)) for s in shares.values()])
+            if (n := len(each)) < 3:
+                continue
+            mean, low, high = student_interval(list(each), confidence)
+            error = float(each.std(ddof=1)) / math.sqrt(n)
+            p = float(2 * stdtr(n - 1, -abs(mean - 0.5) / error)) if error > 0 else float(mean == 0.5)
+            bounds = [None if x is None else float(np.clip(x, 0.0, 1.0)) for x in (low, high)]
+            found.append(Superiority(factor, a, b, n, mean, bounds[0], bounds[1], p))
+    return found
 
 
 def _cell(row: Mapping[str, Any], factors: Sequence[str], but: str) -> tuple[str, ...]:
@@ -253,6 +414,7 @@ def _rank_biserial(change: Any) -> float:
 def bradley_terry(rows: Rows, factor: str, confidence: float) -> tuple[ScaleValue, ...]:
     """Values of a factor's levels from paired comparisons; rows have ``a|b`` there, and the share of b as value."""
     from scipy.stats import norm
+    from scipy.stats import t as student
 
     pairs = [tuple(str(row[factor]).split("|")) for row in rows]
     levels = unique([level for pair in pairs for level in pair])
@@ -266,12 +428,21 @@ def bradley_terry(rows: Rows, factor: str, confidence: float) -> tuple[ScaleValu
     for _ in range(100):
         p = 1 / (1 + np.exp(-design @ value))
         information = design.T @ ((p * (1 - p))[:, None] * design) + prior * np.eye(n) + np.ones((n, n)) / n
-        step = linalg.solve(information, design.T @ (y - p) - prior * value)
+        step = np.linalg.solve(information, design.T @ (y - p) - prior * value)
         value += step
         if np.max(np.abs(step)) < 1e-10:
             break
-    covariance = linalg.inv(information) - np.ones((n, n)) / (n * (1 + prior))
-    half = float(norm.ppf((1 + confidence) / 2)) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    inverse = np.linalg.inv(information)
+    who, of = np.unique([str(row["listener"]) for row in rows], return_inverse=True)
+    if len(who) > 1:
+        scores = np.zeros((len(who), n))
+        np.add.at(scores, of, design * (y - p)[:, None])
+        covariance = len(who) / (len(who) - 1) * (inverse @ scores.T @ scores @ inverse)
+        quantile = float(student.ppf((1 + confidence) / 2, len(who) - 1))
+    else:
+        covariance = inverse - np.ones((n, n)) / (n * (1 + prior))
+        quantile = float(norm.ppf((1 + confidence) / 2))
+    half = quantile * np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return tuple(
         ScaleValue(level, float(v), float(v - h), float(v + h)) for level, v, h in zip(levels, value, half, strict=True)
     )

@@ -87,7 +87,7 @@ class RenderedPairs:
         self._thread.shutdown(wait=False, cancel_futures=True)
 
     def _future(self, page: int, level: float) -> Future[PairOfSounds]:
-        key = (page, round(level, 12))
+        key = (page, level)
         with self._lock:
             future = self._pairs.get(key)
             if future is None or (future.done() and future.exception() is not None):

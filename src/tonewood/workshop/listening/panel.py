@@ -2,9 +2,12 @@
 
 They go through the same session as a browser does and write the same files, marked ``simulated``. Their parameters:
 
-- ratings: 100 (5.0 in BS.1116; the middle of a rating scale) plus the effects of the levels heard, less those of the
-  reference, plus the listener's own deviation and a random one, within the scale; the hidden reference and anchors have
-  values of their own;
+- ratings: every sound, the hidden reference among them, is heard as the effects of its levels less those of the
+  reference (anchors: their own value less 100), plus the listener's own response to a level (`slope_sd`) and a random
+  deviation. In MUSHRA and BS.1116 the sound that is heard as best is taken for the reference and gets 100 or 5.0, the
+  others 100 plus their value and the listener's own deviation, within the scale: the hidden reference is found with the
+  probability that effects and deviations give, and at chance where there is no effect. On a rating scale values stand
+  around its middle;
 - discrimination: they find d' between two sounds, the difference of the levels' positions `d_prime`, and answer as the
   task's model says (`tonewood.workshop.listening.detection`);
 - paired comparisons: a Bradley-Terry choice by the levels' `preference`;
@@ -40,9 +43,9 @@ from tonewood.workshop.batch.seeds import generator
 from tonewood.workshop.listening.answer_file import begin
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.detection import CHANCE, share_right, task_of
+from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.session import OPEN, Session, choices
 from tonewood.workshop.listening.table import Key, read_key
-from tonewood.workshop.listening.thresholds import psychometric
 
 #: points of the scale of 100 in one grade of BS.1116
 _POINTS = 25.0
@@ -50,14 +53,16 @@ EffectSizes = dict[Name, dict[str, float]]
 
 
 class PanelThreshold(Section):
-    """Threshold of a staircase: its mean level, its standard deviation between listeners, and the slope.
+    """Threshold of a staircase: its mean level, its spread between listeners, slope and lapse rate.
 
-    For steps that are ratios the deviation is a ratio (1.2: 20 %), and the slope is per unit of ln(level).
+    `sd` is the standard deviation in levels; with ``ratio: true`` it is a ratio of 1 or more, the exponential of the
+    standard deviation of ln(level) (1.2: 20 %), the slope is per unit of ln(level), and the mean is geometric.
     """
 
     mean: float
-    sd: float = Field(default=0.0, ge=0)
+    sd: float | None = Field(default=None, ge=0, description="None: all listeners have one threshold")
     slope: float = Field(gt=0)
+    lapses: float = Field(default=0.02, ge=0, le=0.2, description="share of answers that are guesses at any level")
 
 
 class SimulatedPanel(Section):
@@ -73,6 +78,7 @@ class SimulatedPanel(Section):
     thresholds: dict[str, PanelThreshold] = Field(default_factory=dict, description="number of the page -> threshold")
     anchors: dict[str, float] = Field(default_factory=lambda: {"anchor35": 25.0, "anchor70": 55.0})
     listener_sd: float = Field(default=6.0, ge=0, description="points, of a listener's own deviation")
+    slope_sd: float = Field(default=0.0, ge=0, description="points, of a listener's own response to each level")
     residual_sd: float = Field(default=8.0, ge=0, description="points, of a single answer")
     careless: float = Field(default=0.0, ge=0, le=1, description="share of listeners who answer at random")
 
@@ -119,6 +125,7 @@ class _Listener:
 
     def __init__(self, panel: SimulatedPanel, key: Key, test: ListeningTest, random: np.random.Generator):
         self.panel, self.key, self.test, self.random = panel, key, test, random
+        self.seed = int(random.integers(2**48))
         self.own = float(random.normal(0.0, panel.listener_sd))
         self.careless = bool(random.random() < panel.careless)
         self.deviation = float(random.standard_normal())  # of thresholds
@@ -141,7 +148,8 @@ class _Listener:
         if isinstance(page, Bs1116Page):
             return given | {"ratings": self._bs1116(step.slots)}
         if isinstance(page, RatingPage):
-            effect = self._effect(self.panel.ratings, step.slots["A"]) + self._interaction(step.slots["A"])
+            code = step.slots["A"]
+            effect = self._effect(self.panel.ratings, code) + self._interaction(code) + self._response(code)
             return given | {
                 "values": {s.name: self._within((s.low + s.high) / 2 + effect, s.low, s.high) for s in page.scales}
             }
@@ -154,29 +162,47 @@ class _Listener:
             return float(self.random.uniform(low, high))
         return float(np.clip(centre + self.own + self.random.normal(0.0, self.panel.residual_sd), low, high))
 
-    def _mushra(self, slots: Mapping[str, str]) -> dict[str, float]:
-        ratings = {}
-        for slot, code in slots.items():
-            if slot == OPEN:
-                continue
+    def _heard(self, reference: str, codes: Mapping[str, str]) -> dict[str, float]:
+        """Differences from the reference as they are heard, points by slot."""
+        heard = {}
+        for slot, code in codes.items():
             role = self.key.stimuli[code].role
-            if self.careless:
-                ratings[slot] = float(self.random.uniform(0, 100))
-            elif code == slots[OPEN]:
-                ratings[slot] = 100.0
-            elif role in self.panel.anchors:
-                ratings[slot] = self._within(self.panel.anchors[role], 0, 100)
-            else:
-                ratings[slot] = self._within(100 + self._difference(self.panel.ratings, slots[OPEN], code), 0, 100)
-        return ratings
+            points = self.panel.anchors[role] - 100 if role in self.panel.anchors else self._points(reference, code)
+            heard[slot] = points + self.random.normal(0.0, self.panel.residual_sd)
+        return heard
+
+    def _points(self, reference: str, code: str) -> float:
+        """Effects of a sound less those of the reference, with this listener's own responses."""
+        return self._difference(self.panel.ratings, reference, code) + self._response(code) - self._response(reference)
+
+    def _response(self, code: str) -> float:
+        """Points of this listener's own response to the levels of a sound."""
+        if self.panel.slope_sd == 0:
+            return 0.0
+        levels = self.key.stimuli[code].levels.items()
+        return sum(
+            self.panel.slope_sd * float(generator(self.seed, "response", *at).standard_normal()) for at in levels
+        )
+
+    def _mushra(self, slots: Mapping[str, str]) -> dict[str, float]:
+        codes = {slot: code for slot, code in slots.items() if slot != OPEN}
+        if self.careless:
+            return {slot: float(self.random.uniform(0, 100)) for slot in codes}
+        heard = self._heard(slots[OPEN], codes)
+        best = max(heard, key=lambda slot: heard[slot])
+        return {
+            slot: 100.0 if slot == best else float(np.clip(100 + self.own + value, 0, 100))
+            for slot, value in heard.items()
+        }
 
     def _bs1116(self, slots: Mapping[str, str]) -> dict[str, float]:
-        (other,) = [code for code in slots.values() if code != slots[OPEN]]
-        points = self._difference(self.panel.ratings, slots[OPEN], other) + self.random.normal(
-            0.0, self.panel.residual_sd
-        )
-        grade = float(np.clip(5 + points / _POINTS, 1, 5))
-        return {slot: grade if code == other else 5.0 for slot, code in slots.items() if slot != OPEN}
+        codes = {slot: code for slot, code in slots.items() if slot != OPEN}
+        heard = self._heard(slots[OPEN], codes)
+        if self.careless:
+            heard = {slot: float(self.random.uniform(-100, 0)) for slot in codes}
+        best = max(heard, key=lambda slot: heard[slot])
+        lead = heard[best] - min(heard.values())
+        return {slot: 5.0 if slot == best else float(np.clip(5 - lead / _POINTS, 1, 5)) for slot in codes}
 
     def _judged(self, page: Any, step: Any, allowed: list[str]) -> str:
         trial = next(t for t in self.test.trials if t.id == step.trial)
@@ -198,10 +224,10 @@ class _Listener:
         assert task is not None
         if wanted is None or level is None:
             return CHANCE[task]
-        spread = math.log(wanted.sd) if page.ratio and wanted.sd > 0 else wanted.sd
-        centre = (math.log(wanted.mean) if page.ratio else wanted.mean) + spread * self.deviation
-        u = np.array(math.log(level) if page.ratio else level)
-        return float(psychometric(u, centre, wanted.slope, CHANCE[task], 2.0 ** (-1 / page.down)))
+        spread = 0.0 if wanted.sd is None else page.transformed(wanted.sd)
+        centre = page.transformed(wanted.mean) + spread * self.deviation
+        u = page.transformed(level)
+        return float(psychometric(u, centre, wanted.slope, CHANCE[task], page.share, wanted.lapses))
 
     def _choice(self, allowed: list[str], correct: str | None, share: float) -> str:
         others = [c for c in allowed if c not in (correct, "undecided")]
@@ -249,9 +275,16 @@ def _check(panel: SimulatedPanel, test: ListeningTest) -> None:
         if level not in known[factor]:
             raise ListeningError(f"{level} is not one of {', '.join(known[factor])}", key=f"{key}.{factor}")
     stairs = [str(i + 1) for i, page in enumerate(test.pages) if isinstance(page, StaircasePage)]
-    for number in panel.thresholds:
+    for number, wanted in panel.thresholds.items():
         if number not in stairs:
             raise ListeningError(f"page {number} is no staircase; {', '.join(stairs) or 'none'} is", key="thresholds")
+        page = test.pages[int(number) - 1]
+        assert isinstance(page, StaircasePage)
+        if page.ratio and (wanted.mean <= 0 or (wanted.sd is not None and wanted.sd < 1)):
+            key, value = ("mean", wanted.mean) if wanted.mean <= 0 else ("sd", wanted.sd)
+            allowed = "a level above 0" if key == "mean" else "a ratio of 1 or more (1.2: 20 %)"
+            raise ListeningError(f"is {value:g}; {allowed} is allowed, the page has ratio: true",
+                                 key=f"thresholds.{number}.{key}")  # fmt: skip
 
 
 def _now() -> str:

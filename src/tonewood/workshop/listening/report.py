@@ -12,6 +12,7 @@ from tonewood.errors import TonewoodError
 from tonewood.support.plotting import data_uri, png
 from tonewood.support.whole_files import write_whole
 from tonewood.workshop.listening.figures import figures_of
+from tonewood.workshop.listening.plain import methods, summary
 from tonewood.workshop.listening.results import PanelResults
 
 
@@ -46,6 +47,8 @@ def write_report(found: PanelResults, folder: Path, facts: dict[str, Any] | None
         title=found.test.title(found.test.manifest.language),
         pictures=pictures,
         facts=facts,
+        summary=summary(found),
+        methods=methods(found),
         version=__version__,
         style=Markup((static / "report.css").read_text("utf-8")),
     )

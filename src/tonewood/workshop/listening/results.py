@@ -23,11 +23,11 @@ from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.detection import Detection, detections, task_of
 from tonewood.workshop.listening.means import CellMean, ScreenedListener, cell_means, screen, unique
 from tonewood.workshop.listening.models import (
-    MixedModel,
+    LinearAnalysis,
     RankAnalysis,
     ScaleValue,
     bradley_terry,
-    mixed_model,
+    linear_analysis,
     rank_analysis,
 )
 from tonewood.workshop.listening.shown import kind_of_texts
@@ -50,6 +50,8 @@ class PageResults:
     per_factor, cells, helpers : means by each factor, by all, and of hidden reference and anchors.
     detections, by_listener : discrimination by cell, and by cell and listener.
     scale : Bradley-Terry values by factor.
+    everybody : the linear analysis with the listeners who were left out, if any were.
+    ordinal : whether the scale's grades have an order only.
     """
 
     page: int
@@ -62,7 +64,9 @@ class PageResults:
     per_factor: tuple[CellMean, ...] = ()
     cells: tuple[CellMean, ...] = ()
     helpers: tuple[CellMean, ...] = ()
-    mixed: MixedModel | None = None
+    linear: LinearAnalysis | None = None
+    everybody: LinearAnalysis | None = None
+    ordinal: bool = False
     ranks: RankAnalysis | None = None
     detections: tuple[Detection, ...] = ()
     by_listener: tuple[Detection, ...] = ()
@@ -136,7 +140,8 @@ def analyse(folder: Path, *, key: Path | None = None, confidence: float = 0.95, 
     answers = every.listeners
     if not any(one.records for one in answers):
         others = sum(one.answers for one in every.left_out)
-        why = f" that can be used; {others} are left out, the first because: {every.left_out[0].reason}"
+        first = every.left_out[0].reason if every.left_out else ""
+        why = f" that can be used; {others} are left out, the first because: {first}"
         raise ListeningError(f"holds no answers{why if others else ''}", file=folder / "answers")
     table = tidy(test, opened, answers)
     finish = len(test.pages)
@@ -164,21 +169,26 @@ def _page_results(
 ) -> list[PageResults]:
     language = test.manifest.language
     heading = localised(page.name, language) or test.texts(language)[f"{kind_of_texts(page)}_title"]
+    random = test.manifest.random
     base: dict[str, Any] = {"page": index + 1, "kind": page.type, "heading": heading}
     if isinstance(page, MushraPage):
         out = screen(rows) if screening else ()
         kept = [row for row in rows if row["listener"] not in {s.listener for s in out}]
         if not kept:
             raise ListeningError(f"page {index + 1}: no listener passes the screening; --no-screening keeps all")
-        return [_rated(base, kept, table, page, confidence, out)]
+        whole = _rated(base, rows, table, page, confidence, random, (0.0, 100.0)).linear if out else None
+        own = _rated(base, kept, table, page, confidence, random, (0.0, 100.0), out)
+        return [replace(own, everybody=whole)]
     if isinstance(page, Bs1116Page):
-        return [_rated(base, _difference_grades(rows), table, page, confidence)]
+        return [_rated(base, _difference_grades(rows), table, page, confidence, random, (-4.0, 4.0))]
     if isinstance(page, RatingPage):
         labels = {scale.name: localised(scale.label, language) for scale in page.scales}
+        ordinal = {scale.name for scale in page.scales if scale.ordinal}
+        limits = {scale.name: (scale.low, scale.high) for scale in page.scales}
         return [
             _rated(
-                {**base, "heading": f"{heading}: {labels[name]}"},
-                [row for row in rows if row["item"] == name], table, page, confidence,
+                {**base, "heading": f"{heading}: {labels[name]}", "ordinal": name in ordinal},
+                [row for row in rows if row["item"] == name], table, page, confidence, random, limits[name],
             )
             for name in unique([row["item"] for row in rows])
         ]  # fmt: skip
@@ -215,6 +225,8 @@ def _rated(
     table: AnswerTable,
     page: AnyPage,
     confidence: float,
+    random: Sequence[str],
+    ends: tuple[float, float] | None,
     screened: tuple[ScreenedListener, ...] = (),
 ) -> PageResults:
     sounds = [row for row in rows if row["role"] in ("sound", "reference") and row["value"] is not None]
@@ -230,8 +242,8 @@ def _rated(
         per_factor=tuple(mean for factor in used for mean in cell_means(sounds, (factor,), confidence)),
         cells=tuple(cell_means(sounds, by, confidence)),
         helpers=tuple(cell_means([row for row in rows if row["role"] != "sound"], ("role",), confidence)),
-        mixed=mixed_model(sounds, used, confidence, _levels(table, page)),
-        ranks=rank_analysis(sounds, used),
+        linear=linear_analysis(sounds, used, confidence, levels_of(table, page), random, ends),
+        ranks=rank_analysis(sounds, used, confidence),
     )
 
 
@@ -245,7 +257,7 @@ def _in_order(rows: list[dict[str, Any]], table: AnswerTable) -> list[dict[str, 
     return sorted(rows, key=place)
 
 
-def _levels(table: AnswerTable, page: AnyPage) -> dict[str, list[str]]:
+def levels_of(table: AnswerTable, page: AnyPage) -> dict[str, list[str]]:
     """Levels of each factor, that of the page's reference first."""
     reference: dict[str, str] = getattr(page, "reference", None) or {}
     return {f: sorted(levels, key=lambda level: level != reference.get(f)) for f, levels in table.levels.items()}

@@ -110,7 +110,7 @@ class ListeningServer:
             Route("/api/session", self._begin, methods=["POST"]),
             Route("/api/session/{token}", self._step, methods=["GET"]),
             Route("/api/session/{token}", self._answer, methods=["POST"]),
-            Route("/api/session/{token}/sound/{index:int}/{slot}", self._sound),
+            Route("/api/session/{token}/sound/{index}/{slot}", self._sound),
         ]
         handlers: Any = {TonewoodError: self._fault, _RefusalError: self._refuse, Exception: _mistake}
         return Guard(Starlette(routes=routes, exception_handlers=handlers), host, names)
@@ -193,7 +193,7 @@ class ListeningServer:
             step = opened.session.step
             page = opened.session.page
             tone_asked = isinstance(page, LevelPage) and slot == TONE
-            if step is None or step.index != index or not (slot in step.slots or tone_asked):
+            if step is None or str(step.index) != index or not (slot in step.slots or tone_asked):
                 return JSONResponse({"error": "the session is not at this sound"}, status_code=404)
             try:
                 if isinstance(page, LevelPage):

@@ -28,7 +28,7 @@ from tonewood.workshop.batch.pages import (
 )
 from tonewood.workshop.batch.seeds import generator
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest, ServedTrial
-from tonewood.workshop.listening.staircase import StaircaseTrack
+from tonewood.workshop.listening.thresholds import AdaptiveTrack, track_of
 
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 #: slot of the open reference
@@ -84,7 +84,7 @@ class Session:
     def __init__(self, test: ListeningTest, seed: int):
         self.test, self.seed = test, seed
         self.answers: list[dict[str, Any]] = []
-        self.tracks: dict[int, list[StaircaseTrack]] = {}
+        self.tracks: dict[int, list[AdaptiveTrack]] = {}
         self.incomplete: set[int] = set()
         self._course = self._steps()
         self.step: Step | None = next(self._course, None)
@@ -104,14 +104,14 @@ class Session:
 
     @property
     def total(self) -> int:
-        """Steps of the whole session; a staircase is counted as 40 trials a track, or as many as it had."""
+        """Steps of the whole session; a staircase with steps is counted as 40 trials a track, or as many as it had."""
         count = 0
         for index, page in enumerate(self.test.pages):
             if isinstance(page, StaircasePage):
                 tracks = self.tracks.get(index, [])
                 done = sum(len(track.levels) for track in tracks)
                 finished = bool(tracks) and all(track.done for track in tracks)
-                count += done if finished else max(done + 5, 40 * page.tracks)
+                count += done if finished else max(done + 5, (40 if page.steps else page.trials) * page.tracks)
             elif not isinstance(page, HtmlPage):
                 count += len(list(self._static(index, page)))
         return count
@@ -276,7 +276,7 @@ class Session:
 
     def _adaptive(self, number: int, page: StaircasePage) -> Iterator[dict[str, Any]]:
         """Trials of interleaved tracks, until all have ended."""
-        tracks = self.tracks[number] = [StaircaseTrack(page) for _ in range(page.tracks)]
+        tracks = self.tracks[number] = [track_of(page) for _ in range(page.tracks)]
         trial = 0
         while (running := [i for i, t in enumerate(tracks) if not t.done]) and number not in self.incomplete:
             random = generator(self.test.manifest.seed, "track", self.seed, number, trial)

@@ -1,11 +1,21 @@
-"""Thresholds of staircases: from reversals, and from a psychometric function fitted to all trials.
+"""Thresholds of staircases, of each listener and of the population, from all trials.
 
-    p(x) = g + (1 - g - l) F(b (u(x) - u(T)) + F^-1(q)),   F(v) = 1 / (1 + e^-v),   q = (P - g) / (1 - g - l)
+Listener i answers by the psychometric function of `tonewood.workshop.listening.psychometric` with threshold T_i, slope
+b_i and lapse rate l_i. In the population
 
-with the share g of right guesses, the lapse rate l = 0.02, u(x) = x (ln x where steps are ratios), and the threshold T:
-the level at which a share P = 2^(-1/down) of the answers is right, the one that the staircase converges to. T and the
-slope b maximize the likelihood on a grid; the interval of T holds all values of which the likelihood, maximized over b,
-is within chi^2(1)/2 of the maximum. Source: F. A. Wichmann & N. J. Hill, Percept. Psychophys. 63 (2001) 1293-1313.
+    u(T) ~ N(mu, tau^2),    ln b ~ N(m, 0.4^2),    l ~ Beta(1, 30) on a grid
+
+The likelihood of each listener is summed over slopes and lapses. With flat priors of mu and tau and a wide one of m
+the posterior of (mu, tau, m) is summed on a grid: the mean threshold and its
+interval are the median and percentiles of mu, those of each listener the median and percentiles of T_i. A listener with
+few trials is thereby drawn towards the others. The threshold of a listener alone, with no others, has a flat prior.
+
+Reversals of a staircase lie above the level that Levitt's argument names, the more so the larger the steps and the
+shallower the function. `reversals` is the mean of the tracks' reversals less the mean error of as many simulated
+tracks of listeners of this population.
+
+Sources: R. E. Kass & D. Steffey, J. Am. Stat. Assoc. 84 (1989) 717-726 (hierarchical models); H. H. Schuett et al.,
+Vision Res. 122 (2016) 105-123 (prior of lapses).
 """
 
 from __future__ import annotations
@@ -20,11 +30,22 @@ from numpy.typing import NDArray
 
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening.detection import CHANCE, task_of
-from tonewood.workshop.listening.means import student_interval, unique
+from tonewood.workshop.listening.means import unique
+from tonewood.workshop.listening.psychometric import psychometric
+from tonewood.workshop.listening.quest import QuestTrack
 from tonewood.workshop.listening.staircase import StaircaseTrack
 
-LAPSES = 0.02
-_SLOPES = np.geomspace(0.3, 60.0, 60)  # of the range of levels covered, in units of 1 / range
+Array = NDArray[np.float64]
+#: points of the grids: thresholds, means, standard deviations
+_POINTS, _MEANS, _SPREADS = 241, 121, 40
+#: standard deviation of ln b between listeners, and the grid of ln b
+SLOPE_SD = 0.4
+_LAPSES = np.array([0.005, 0.02, 0.05, 0.1, 0.2])
+_LAPSE_PRIOR = 30 * (1 - _LAPSES) ** 29 * np.array([0.0125, 0.0225, 0.04, 0.075, 0.1])
+#: simulated tracks from which the error of reversals is estimated
+_TRACKS = 200
+#: most rounds between slope and thresholds of the population
+_ROUNDS = 6
 
 
 @dataclass(frozen=True)
@@ -33,8 +54,9 @@ class ListenerThreshold:
 
     Attributes
     ----------
-    reversals : mean of the tracks' thresholds, from their reversals; None if no track has them.
-    threshold, low, high : of the psychometric function, with its interval; a bound that the trials do not give is None.
+    reversals : mean of the tracks' thresholds from their reversals, corrected; None if no track has them.
+    threshold, low, high : of the hierarchical fit; a bound at the end of the levels is None.
+    alone, alone_low, alone_high : of this listener's answers alone.
     slope : b, per unit of u.
     """
 
@@ -45,12 +67,19 @@ class ListenerThreshold:
     threshold: float
     low: float | None
     high: float | None
+    alone: float
+    alone_low: float | None
+    alone_high: float | None
     slope: float
 
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Thresholds of all listeners of a staircase, and their mean with Student's interval (of logarithms for ratios)."""
+    """Thresholds of all listeners of a staircase, and the mean of the population (of logarithms for ratios).
+
+    `spread` is the standard deviation between listeners (a ratio where steps are ratios), `slope` that of a typical
+    listener per unit of u, `correction` the mean error of reversals that is taken off (a ratio, or a difference).
+    """
 
     unit: str
     share: float
@@ -59,59 +88,203 @@ class Thresholds:
     low: float | None
     high: float | None
     median: float
+    spread: float
+    slope: float
+    correction: float | None = None
+
+
+AdaptiveTrack = StaircaseTrack | QuestTrack
+
+
+def track_of(page: StaircasePage) -> AdaptiveTrack:
+    """A new track of a page, of its method."""
+    return QuestTrack(page) if page.adaptive == "quest_plus" else StaircaseTrack(page)
 
 
 def thresholds(rows: Sequence[Mapping[str, Any]], page: StaircasePage, unit: str, confidence: float) -> Thresholds:
     """Thresholds from the answers to one staircase page."""
-    found = []
-    for who in unique([row["listener"] for row in rows]):
-        own = sorted((row for row in rows if row["listener"] == who), key=lambda row: row["index"])
-        tracks = [StaircaseTrack(page) for _ in range(page.tracks)]
-        for row in own:
-            tracks[int(row["track"])].answer(bool(row["right"]))
-        ends = [end for track in tracks if (end := track.threshold) is not None]
+    who = unique([row["listener"] for row in rows])
+    grid = ThresholdGrid(page)
+    tables, reversals, counts = [], [], []
+    for name in who:
+        own = sorted((row for row in rows if row["listener"] == name), key=lambda row: row["index"])
         levels = np.array([row["level"] for row in own], dtype=np.float64)
         right = np.array([bool(row["right"]) for row in own])
-        threshold, low, high, slope = fitted(levels, right, page, confidence)
-        reversals = page.mean(ends) if ends else None
-        found.append(ListenerThreshold(who, len(own), len(tracks), reversals, threshold, low, high, slope))
-    values = [math.log(one.threshold) if page.ratio else one.threshold for one in found]
+        tables.append(grid.likelihood(levels, right))
+        ends = []
+        if page.adaptive == "levitt":
+            tracks = [StaircaseTrack(page) for _ in range(page.tracks)]
+            for row in own:
+                tracks[int(row["track"])].answer(bool(row["right"]))
+            ends = [end for track in tracks if (end := track.threshold) is not None]
+        reversals.append(page.transformed(page.mean(ends)) if ends else None)
+        counts.append(len(own))
+    fit = grid.fit(np.array(tables), confidence)
+    error = _error_of_reversals(page, fit) if any(x is not None for x in reversals) else None
+    found = [
+        ListenerThreshold(
+            name, counts[i], page.tracks, None if (r := reversals[i]) is None else page.level_of(r - (error or 0.0)),
+            page.level_of(fit.listeners[i]), grid.bound(fit.intervals[i, 0]), grid.bound(fit.intervals[i, 1]),
+            page.level_of(fit.alone[i]), grid.bound(fit.alone_intervals[i, 0]), grid.bound(fit.alone_intervals[i, 1]),
+            float(fit.slopes[i]),
+        )
+        for i, name in enumerate(who)
+    ]  # fmt: skip
     middle = float(np.median([one.threshold for one in found]))
-    mean, lower, upper = student_interval(values, confidence)
-    ends_of = [None if x is None else math.exp(x) if page.ratio else x for x in (mean, lower, upper)]
-    return Thresholds(unit, 2.0 ** (-1 / page.down), tuple(found), ends_of[0] or 0.0, ends_of[1], ends_of[2], middle)
+    low, high = (grid.bound(x) if len(who) > 1 else None for x in fit.interval)
+    return Thresholds(
+        unit, page.share, tuple(found), page.level_of(fit.mean), low, high, middle,
+        math.exp(fit.spread) if page.ratio else fit.spread, fit.slope,
+        None if error is None else math.exp(error) if page.ratio else error,
+    )  # fmt: skip
 
 
-def psychometric(u: NDArray[np.float64], threshold: Any, slope: Any, guess: float, share: float) -> Any:
-    """Share of right answers at transformed levels u; see the module."""
-    q = (share - guess) / (1 - guess - LAPSES)
-    return guess + (1 - guess - LAPSES) / (1 + np.exp(-slope * (u - threshold)) * (1 - q) / q)
+@dataclass(frozen=True)
+class PopulationFit:
+    """A hierarchical fit, in transformed levels u; arrays have an entry for each listener.
+
+    Attributes
+    ----------
+    mean, interval, spread, slope : mu, its interval, tau and b of the population.
+    listeners, intervals : (n,) and (n, 2) thresholds in the population.
+    alone, alone_intervals : thresholds of each listener's answers alone.
+    slopes : (n,) of each listener.
+    """
+
+    mean: float
+    interval: tuple[float, float]
+    spread: float
+    slope: float
+    listeners: Array
+    intervals: Array
+    alone: Array
+    alone_intervals: Array
+    slopes: Array
 
 
-def fitted(
-    levels: NDArray[np.float64], right: NDArray[np.bool_], page: StaircasePage, confidence: float
-) -> tuple[float, float | None, float | None, float]:
-    """Threshold, bounds of its interval, and slope, from levels (n,) and whether each answer was right (n,)."""
-    from scipy.stats import chi2
+class ThresholdGrid:
+    """Grids on which the likelihoods of a page's answers are summed."""
 
-    u = np.log(levels) if page.ratio else levels
-    limits = [math.log(x) if page.ratio else x for x in (page.lowest, page.highest)]
+    def __init__(self, page: StaircasePage):
+        self.page = page
+        low, high = page.transformed(page.lowest), page.transformed(page.highest)
+        self.span = high - low
+        self.limits = (low, high)
+        self.u = np.linspace(low - 0.25 * self.span, high + 0.25 * self.span, _POINTS)
+        self.slopes = np.geomspace(1.5, 100.0, 22) / self.span
+        task = task_of(page)
+        assert task is not None
+        self.guess = CHANCE[task]
+
+    def likelihood(self, levels: Array, right: NDArray[np.bool_]) -> Array:
+        """Logarithm of the likelihood (thresholds, slopes) of one listener's answers, summed over lapse rates."""
+        x = np.log(levels) if self.page.ratio else levels
+        at, places = np.unique(x, return_inverse=True)
+        hits = np.bincount(places, right, len(at))
+        misses = np.bincount(places, ~right, len(at))
+        total = np.full((len(self.u), len(self.slopes)), -np.inf)
+        for lapse, weight in zip(_LAPSES, _LAPSE_PRIOR / _LAPSE_PRIOR.sum(), strict=True):
+            p = psychometric(at[:, None, None], self.u[:, None], self.slopes, self.guess, self.page.share, lapse)
+            p = np.clip(p, 1e-9, 1 - 1e-9)
+            one = np.einsum("i,ijk->jk", hits, np.log(p)) + np.einsum("i,ijk->jk", misses, np.log1p(-p))
+            total = np.logaddexp(total, one + math.log(weight))
+        return total
+
+    def fit(self, tables: Array, confidence: float) -> PopulationFit:
+        """Fit the population to likelihoods (listeners, thresholds, slopes)."""
+        like = np.exp(tables - tables.max(axis=(1, 2), keepdims=True))
+        logs = np.log(self.slopes)
+        centres = np.linspace(logs[0], logs[-1], 45)
+        weights = np.exp(-0.5 * ((logs - centres[:, None]) / SLOPE_SD) ** 2)
+        weights /= weights.sum(axis=1, keepdims=True)
+        start = like @ weights.T  # (listeners, thresholds, centres)
+        penalty = 0.5 * ((centres - math.log(10.0 / self.span)) / 1.5) ** 2
+        own, best = start.mean(axis=2), -1
+        for _ in range(_ROUNDS):  # m of greatest likelihood under the population's thresholds, and these again
+            mu, tau = self._grids(own)
+            kernel = self._kernel(mu, tau)
+            peak = np.argmax(np.sum(np.log(own @ kernel.T + 1e-300), axis=0))
+            evidence = np.sum(np.log(np.einsum("ntc,t->nc", start, kernel[peak]) + 1e-300), axis=0) - penalty
+            last, best = best, int(np.argmax(evidence))
+            if best == last:
+                break
+            own = start[..., best]
+        near = np.flatnonzero(evidence > evidence[best] - 5.0)
+        near = near[:: max(1, len(near) // 8)]
+        shares = np.array([start[..., c] @ kernel.T + 1e-300 for c in near])  # (slopes, listeners, means x spreads)
+        logs_of = np.sum(np.log(shares), axis=1) - penalty[near, None]
+        joint = np.exp(logs_of - logs_of.max())
+        joint /= joint.sum()
+        posterior = joint.sum(axis=0).reshape(len(mu), len(tau))
+        mean, spread = quantile(mu, posterior.sum(axis=1), 0.5), quantile(tau, posterior.sum(axis=0), 0.5)
+        tail = (1 - confidence) / 2
+        of_mean = posterior.sum(axis=1)
+        interval = (quantile(mu, of_mean, tail), quantile(mu, of_mean, 1 - tail))
+        each, alone = np.empty((len(own), 3)), np.empty((len(own), 3))
+        mixed = sum((w / p) @ kernel * start[..., c] for w, p, c in zip(joint, shares, near, strict=True))
+        weight = joint.sum(axis=1)
+        own = start[..., near] @ weight
+        best = int(near[int(np.argmin(np.abs(np.cumsum(weight) - 0.5)))])
+        levels = (0.5, tail, 1 - tail)
+        slopes = np.empty(len(own))
+        for i in range(len(own)):
+            each[i] = [quantile(self.u, mixed[i], q) for q in levels]
+            alone[i] = [quantile(self.u, own[i], q) for q in levels]
+            at = int(np.argmin(np.abs(self.u - each[i, 0])))
+            share = like[i, at] * weights[best]
+            slopes[i] = math.exp(float(share @ logs / share.sum()))
+        return PopulationFit(
+            mean, interval, spread, math.exp(float(centres[best])), each[:, 0], each[:, 1:], alone[:, 0], alone[:, 1:],
+            slopes,
+        )  # fmt: skip
+
+    def _grids(self, own: Array) -> tuple[Array, Array]:
+        """Grids of mu and tau for the listeners' likelihoods (listeners, thresholds)."""
+        n = len(own)
+        means = (own @ self.u) / own.sum(axis=1)
+        errors = np.sqrt(np.maximum((own @ self.u**2) / own.sum(axis=1) - means**2, 0.0))
+        step = self.u[1] - self.u[0]
+        wide = max(float(np.std(means)), float(np.median(errors)) / math.sqrt(n), 2 * step)
+        reach = (6.0 if n > 3 else 10.0) * wide * math.sqrt(max(1.0, 4.0 / n))
+        middle = float(np.median(means))
+        mu = np.linspace(max(middle - reach, self.u[0]), min(middle + reach, self.u[-1]), _MEANS)
+        return mu, np.linspace(0.25 * step, 4.0 * wide, _SPREADS)
+
+    def _normal(self, mu: Any, tau: Any) -> Array:
+        """Normal weights over the thresholds' grid that sum to 1, with the width of a step added."""
+        step = self.u[1] - self.u[0]
+        x = (self.u - np.asarray(mu)[..., None]) / np.sqrt(np.asarray(tau)[..., None] ** 2 + step**2 / 4)
+        found = np.exp(-0.5 * np.minimum(x**2, 1400.0))
+        return np.asarray(found / found.sum(axis=-1, keepdims=True))
+
+    def _kernel(self, mu: Array, tau: Array) -> Array:
+        a, b = np.meshgrid(mu, tau, indexing="ij")
+        return self._normal(a.ravel(), b.ravel())
+
+    def bound(self, u: float) -> float | None:
+        """A bound as a level; None beyond the levels that can be presented."""
+        return self.page.level_of(u) if self.limits[0] <= u <= self.limits[1] else None
+
+
+def quantile(x: Array, weights: Array, q: float) -> float:
+    """Quantile of a density given at equally spaced points."""
+    total = np.cumsum(weights)
+    centred = (total - weights / 2) / total[-1]
+    return float(np.interp(q, centred, x))
+
+
+def _error_of_reversals(page: StaircasePage, fit: PopulationFit) -> float:
+    """Mean of reversals less thresholds, over simulated tracks of listeners of a population."""
+    random = np.random.default_rng(20)
     task = task_of(page)
     assert task is not None
-    span = max(float(np.ptp(u)), 1e-9 * (limits[1] - limits[0]))
-    low, high = float(u.min()) - span, float(u.max()) + span
-    grid = np.linspace(low, high, 601)
-    slopes = _SLOPES / span
-    at, places = np.unique(u, return_inverse=True)
-    hits = np.bincount(places, right, len(at))
-    misses = np.bincount(places, ~right, len(at))
-    with np.errstate(over="ignore"):
-        p = psychometric(at[:, None, None], grid[:, None], slopes, CHANCE[task], 2.0 ** (-1 / page.down))
-    p = np.clip(p, 1e-12, 1 - 1e-12)
-    likelihood = np.tensordot(hits, np.log(p), 1) + np.tensordot(misses, np.log1p(-p), 1)
-    profile = likelihood.max(axis=1)
-    best = int(np.argmax(profile))
-    inside = np.flatnonzero(profile >= profile[best] - chi2.ppf(confidence, 1) / 2)
-    ends = [None if edge in (0, len(grid) - 1) else float(grid[edge]) for edge in (int(inside[0]), int(inside[-1]))]
-    back = [None if x is None else math.exp(x) if page.ratio else x for x in (float(grid[best]), *ends)]
-    return float(back[0] or 0.0), back[1], back[2], float(slopes[int(np.argmax(likelihood[best]))])
+    errors = []
+    for _ in range(_TRACKS):
+        own = fit.mean + fit.spread * random.standard_normal()
+        track = StaircaseTrack(page)
+        while not track.done:
+            p = psychometric(page.transformed(track.level), own, fit.slope, CHANCE[task], page.share)
+            track.answer(bool(random.random() < p))
+        if track.threshold is not None:
+            errors.append(page.transformed(track.threshold) - own)
+    return float(np.mean(errors)) if errors else 0.0

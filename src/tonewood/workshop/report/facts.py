@@ -209,10 +209,10 @@ def gather(model: Model, *, label: str = "A", changes: tuple[str, ...] = ()) -> 
         changes=changes,
         added=tuple(added_line(entry) for entry in spec.body.added),
         sources=dict(spec.sources),
-        stand_ins={path: spec.provenance[path].note or "" for path in instrument.stand_ins()},
-        unknown=tuple(instrument.of_unknown_origin()),
+        stand_ins={path: spec.provenance[path].note or "" for path in instrument.origins.stand_ins()},
+        unknown=tuple(instrument.origins.of_unknown_origin()),
         kinds=_kinds(spec.provenance),
-        table_doubts=tuple(instrument.table_doubts()),
+        table_doubts=tuple(instrument.origins.table_doubts()),
         warnings=model.warnings,
         fs=model.fs,
         body_modes=body_modes(model),
@@ -292,7 +292,7 @@ def _strings(instrument: Instrument, model: Model) -> tuple[StringRow, ...]:
     rows = []
     for name in model.groups:
         string = model.strings[name]
-        given = string.given_tension
+        given = string.tuning.given
         values: Mapping[str, Any] = instrument.resolved["strings"][name]
         density = values.get("linear_density")
         rows.append(

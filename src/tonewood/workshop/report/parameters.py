@@ -46,7 +46,11 @@ def parameters(instrument: Instrument) -> dict[str, ParameterValue]:
         inner = rest if kind == "body" else rest[1:]
         unit = _unit(Bundle, key.split("."))
         if made is not None and not unit:
-            unit = _unit(type(made).Parameters, inner)
+            part = (
+                getattr(made.parameters, inner[0], None) if inner else None
+            )  # a plugin among its parameters: a loss law
+            own, below = (part, inner[1:]) if isinstance(part, Plugin) else (made, inner)
+            unit = _unit(type(own).Parameters, below)
         if made is not None and inner == ["table"] and isinstance(value, str):
             found = hashlib.sha256(made.files.path(value, key).read_bytes()).hexdigest()
             value = f"{value} (SHA-256 {found[:12]})"

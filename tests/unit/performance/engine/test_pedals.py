@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from midi_bytes import control, note, off, on, write
 from pianos import piano
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.engine.engine import Engine
-from tonewood.performance.player.pedals import damper_course, latched, on_grid, pressed_farthest
+from tonewood.performance.player.dampers import Dampers, on_grid, pressed_farthest
 from tonewood.performance.player.playing import perform
 from tonewood.support.units import decibel
 
@@ -43,23 +44,52 @@ def courses(model: Model, notes: list[tw.Note], controls: list[tw.Control]) -> d
     return out
 
 
-def test_course_of_a_damper() -> None:
-    assert damper_course([], [(1.0, 2.0)]) == [(1.0, 0.0), (2.0, 1.0)]
-    assert damper_course([(1.5, 0.25), (3.0, 1.0)], [(1.0, 2.0)]) == [(1.0, 0.0), (2.0, 0.25), (3.0, 1.0)]
-    # a key that is down while the sostenuto pedal holds its damper, and longer
-    assert damper_course([], [(1.0, 2.0), (1.5, 4.0)]) == [(1.0, 0.0), (4.0, 1.0)]
-    assert damper_course([(0.0, 0.0)], [(1.0, 2.0)]) == [(0.0, 0.0)]
+def course(model: Model, steps: list[tuple[float, Any]], string: str = "C4_1") -> list[tuple[float, float]]:
+    """Share of a damper's loss over time; steps are (time, key that goes down or comes up, or controller)."""
+    dampers, out = Dampers(model), []
+    for time, step in steps:
+        if isinstance(step, tw.Control):
+            dampers.control(step.kind, step.value, step.channel)
+        else:
+            (dampers.press if step > 0 else dampers.release)("C4_1")
+        out += [(c.time, c.damper) for c in dampers.moved(time) if c.string == string]
+    return out
 
 
-def test_sostenuto_holds_what_is_down_when_it_is_pressed() -> None:
-    pressed = {"low": [(1.0, 2.0)], "later": [(2.5, 3.0)], "before": [(0.0, 0.9)]}
-    assert latched([(1.5, 1.0), (5.0, 0.0)], pressed) == {"low": [(1.5, 5.0)]}
-    assert latched([(1.5, 1.0)], pressed) == {"low": [(1.5, math.inf)]}
+def pedal(kind: str, value: float, channel: int | None = None) -> tw.Control:
+    return tw.Control(0.0, kind, value, channel)
 
 
-def test_the_pedal_pressed_farthest_counts() -> None:
+def test_course_of_a_damper(model: Model) -> None:
+    down, up = 1, -1
+    assert course(model, [(1.0, down), (2.0, up)]) == [(1.0, 0.0), (2.0, 1.0)]
+    half, none = pedal("cc64", 0.5), pedal("cc64", 0.0)
+    pedalled = course(model, [(1.0, down), (1.5, half), (2.0, up), (3.0, none)])
+    assert pedalled == [(1.0, 0.0), (2.0, 0.25), (3.0, 1.0)]
+    assert course(model, [(0.0, pedal("cc64", 1.0)), (1.0, down), (2.0, up)]) == [(0.0, 0.0)]
+    assert course(model, [(1.0, pedal("cc64", 1.0)), (2.0, none)], "C7_1") == []
+
+
+def test_sostenuto_holds_what_is_down_when_it_is_pressed(model: Model) -> None:
+    middle, off = pedal("cc66", 1.0), pedal("cc66", 0.0)
+    assert course(model, [(1.0, 1), (1.5, middle), (2.0, -1), (5.0, off)]) == [(1.0, 0.0), (5.0, 1.0)]
+    # a key that is down while the pedal holds its damper, and longer
+    assert course(model, [(1.0, 1), (1.5, middle), (4.0, off), (5.0, -1)]) == [(1.0, 0.0), (5.0, 1.0)]
+    # a key struck later, and one released before
+    assert course(model, [(1.5, middle), (2.5, 1), (3.0, -1)]) == [(2.5, 0.0), (3.0, 1.0)]
+    assert course(model, [(0.0, 1), (0.9, -1), (1.5, middle)]) == [(0.0, 0.0), (0.9, 1.0)]
+
+
+def test_the_pedal_pressed_farthest_counts(model: Model) -> None:
+    steps = [(0.0, pedal("cc64", 0.5, 0)), (1.0, pedal("cc64", 1.0, 1)), (2.0, pedal("cc64", 0.0, 1))]
+    assert course(model, steps) == [(0.0, 0.25), (1.0, 0.0), (2.0, 0.25)]
     controls = [tw.Control(0.0, "cc64", 0.5, 0), tw.Control(1.0, "cc64", 1.0, 1), tw.Control(2.0, "cc64", 0.0, 1)]
     assert pressed_farthest(controls, "cc64") == [(0.0, 0.5), (1.0, 1.0), (2.0, 0.5)]
+
+
+def test_a_note_struck_again_while_its_hammer_is_on_its_way_keeps_the_damper_up(model: Model) -> None:
+    notes = [tw.Note(0.1, 0.01, note=60), tw.Note(0.102, 0.5, note=60)]
+    assert [damper for _, damper in courses(model, notes, [])["C4_1"]] == [0.0, 1.0]
 
 
 def test_a_key_lifts_the_dampers_of_its_strings(model: Model) -> None:
@@ -251,7 +281,7 @@ def test_a_pedal_that_trembles_moves_once_per_point_of_the_grid(model: Model, mo
     times = {c.time for c in lines.timeline.changes if c.damper is not None and c.string.startswith("C3")}
     assert 0.25 * most < len(times) <= most
     assert not [w for w in lines.warnings if "pedal" in w]
-    monkeypatch.setattr("tonewood.performance.player.pedals._MOST_MOVES", 50 * len(model.strings))
+    monkeypatch.setattr("tonewood.performance.player.dampers._MOST_MOVES", 50 * len(model.strings))
     fewer = perform(score, model)
     times = {c.time for c in fewer.timeline.changes if c.damper is not None and c.string.startswith("C3")}
     assert len(times) <= 50

@@ -11,7 +11,8 @@ import pytest
 import tonewood as tw
 from tonewood.errors import ScoreError
 from tonewood.instrument.model.assembly import Model, assemble
-from tonewood.performance.player.playing import BEND_RATE, Performance, _glided, perform
+from tonewood.performance.player.playing import Performance, _glided, perform
+from tonewood.performance.player.strokes import BEND_RATE
 from tonewood.performance.player.timeline import GRID
 from tonewood.performance.score.controllers import Controllers, History
 

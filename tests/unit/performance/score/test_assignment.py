@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tonewood.errors import ScoreError
 from tonewood.instrument.scales import Scale, Tuning
 from tonewood.performance.score import fingering
-from tonewood.performance.score.assignment import Assignment, PlayableString, assign
+from tonewood.performance.score.assignment import Assignment, PlayableString, StringChooser, assign
 from tonewood.performance.score.fingering import Chord, FingeringCosts, Option, finger
 from tonewood.performance.score.note import Note
 
@@ -194,7 +194,9 @@ def test_a_held_finger_is_left_behind_once(stop, leaves):
     held = Chord(0.0, (4.0,), (4.0,), ((Option(0, 5.0),),))
     above = [Chord(t, (t + 1,), (1.0,), ((Option(s, float(stop + t - 1)),),)) for s, t in ((1, 1), (2, 2))]
     _, cost = finger(
-        [held, *above[: 2 if leaves else 1]], 3, FingeringCosts(position=0.0, shift=0.0, stretch=0.0, cut=1.0)
+        [held, *above[: 2 if leaves else 1]],
+        3,
+        FingeringCosts(position=0.0, shift=0.0, stretch=0.0, cut=1.0),
     )
     assert cost == (0.75 if leaves else 0.0)
 
@@ -358,3 +360,18 @@ def test_a_string_more_never_costs_more(seed):
     fewer = assign(notes, GUITAR[1:])
     assert fewer.dropped == ()
     assert assign(notes, GUITAR).cost <= fewer.cost + 1e-9
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_window_over_the_whole_piece_is_the_whole_piece(seed: int) -> None:
+    """The first chord is played as if all were known, and alone as a piece of its own."""
+    rng = np.random.default_rng(seed)
+    strings = [PlayableString.fretted(f"s{i}", note, 15) for i, note in enumerate((40, 45, 50, 55, 59, 64))]
+    keys = [float(k) for k in rng.integers(45, 75, 9)]
+    notes = [Note(0.5 * (i // 2), 0.6, note=key) for i, key in enumerate(keys)]
+    whole = assign(notes, strings).notes
+    (*first,), dropped = StringChooser(strings).assign(notes[:2], {}, notes[2:])
+    assert not dropped
+    assert [(a.string, a.stop) for a in first] == [(a.string, a.stop) for a in whole[:2]]
+    alone, _ = StringChooser(strings).assign(notes[:2], {})
+    assert [(a.string, a.stop) for a in alone] == [(a.string, a.stop) for a in assign(notes[:2], strings).notes]

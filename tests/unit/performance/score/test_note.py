@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from tonewood.errors import ScoreError
-from tonewood.performance.score.note import Control, Note, Score, volume_factors
+from tonewood.performance.score.controllers import Controllers, loudness
+from tonewood.performance.score.note import Control, Note, Score
 
 
 @pytest.mark.parametrize(
@@ -44,7 +45,15 @@ def test_duration_of_a_score_is_its_last_notes_end():
 def test_factors_follow_channel_time_and_order_of_notes():
     controls = [Control(1.0, "cc7", 0.5, 0), Control(2.0, "cc11", 0.5, 0), Control(2.0, "cc7", 1.0, 0)]
     notes = [Note(2.5, channel=0), Note(0.9, channel=0), Note(1.0, channel=0), Note(1.5, channel=1)]
-    assert volume_factors(Score(notes, controls)) == [0.25, 1.0, 0.25, 1.0]
+    latest = Controllers(controls).of
+    assert [loudness(latest(note)) for note in notes] == [0.25, 1.0, 0.25, 1.0]
+
+
+def test_a_volume_without_a_channel_holds_for_all():
+    controls = [Control(1.0, "cc7", 0.5), Control(0.5, "cc11", 0.5, 1)]
+    latest = Controllers(controls).of
+    notes = [Note(0.5, channel=0), Note(1.5, channel=0), Note(1.5, channel=1), Note(1.5)]
+    assert [loudness(latest(note)) for note in notes] == [1.0, 0.25, 0.0625, 0.25]
 
 
 @pytest.mark.parametrize(

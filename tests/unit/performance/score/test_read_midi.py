@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from smf_bytes import END, ONE_NOTE, chunk, event, header, meta, smf, tempo
 
 from tonewood.errors import ScoreError
+from tonewood.performance.score.controllers import Controllers, loudness
 from tonewood.performance.score.midi import MIN_DURATION, read_midi
-from tonewood.performance.score.note import Control, Note, Score, volume_factors
+from tonewood.performance.score.note import Control, Note, Score
 
 
 @pytest.fixture
@@ -167,7 +168,8 @@ def test_controllers_come_as_fractions_and_only_when_they_change(read):
 
 def test_volume_and_expression_are_a_factor_on_later_notes(read):
     body = ONE_NOTE + event(0, 0xB0, 7, 64) + ONE_NOTE + event(0, 0xB0, 11, 64) + ONE_NOTE
-    factors = volume_factors(read(smf(body)))
+    score = read(smf(body))
+    factors = [loudness(Controllers(score.controls).of(note)) for note in score.notes]
     # General MIDI: 40 lg(64/127) = -11.9 dB each
     assert factors == pytest.approx([1.0, 10 ** (-11.905 / 20), 10 ** (-23.81 / 20)], rel=1e-3)
 

@@ -12,7 +12,7 @@ from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashp
 from tonewood.physics.coupling.inverse import MOST_IN_PART, DenseInverse, Hub, InverseInParts
 from tonewood.physics.coupling.laws import Contact, HardeningSpring
 from tonewood.physics.coupling.potentials.tension import TensionModulation
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.forcing import Segment, compile_force
 from tonewood.physics.stepping.kernel import KernelStepper, Shortcuts
@@ -103,7 +103,7 @@ def strings_on_a_body(
     if laws:
         joints.append(Connection("rail", (Term("body", "p2"),), HardeningSpring(2e4, 1e9, damping=1.0)))
         joints.append(Connection("stop", (Term("s1", "mid"), Term("body", "p4", -1.0)), Contact(1e7, 1.5)))
-    out = [Readout("x", "acceleration", (Probe("body", "p0"),)), Readout("f", "force", forces=(("s0.end", 1.0),))]
+    out = [Readout("x", "acceleration", (Term("body", "p0"),)), Readout("f", "force", forces=(("s0.end", 1.0),))]
     weights = np.arange(1, 12) ** 2.0
     tensions = [TensionModulation(f"T{i}", (f"s{i}",), 6e13, 1.0, {f"s{i}": weights}) for i in range(rising)]
     return System.build(parts, joints, out, dt=DT, potentials=tensions)

@@ -7,7 +7,7 @@ import pytest
 
 from assembled import chain, connect, held_force_matrices, uneven
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.physics.coupling.system import BLOCK_SIZE, PADDING, Drive, Probe, Readout, System
+from tonewood.physics.coupling.system import BLOCK_SIZE, PADDING, Drive, Readout, System
 
 DT = 1e-3
 
@@ -20,9 +20,9 @@ def joined_system(**options):
         connect("spring", parts, np.array([0.5, 0, 0, 0, -2.0, 0, 1.0]), SpringDashpot(1e4, 3.0, 1e-4)),
     ]
     readouts = [
-        Readout("u", "displacement", (Probe("b", "n3", 2.0), Probe("a", "n0"))),
-        Readout("v", "velocity", (Probe("b", "n2"),)),
-        Readout("acc", "acceleration", (Probe("a", "n1", -1.0),)),
+        Readout("u", "displacement", (Term("b", "n3", 2.0), Term("a", "n0"))),
+        Readout("v", "velocity", (Term("b", "n2"),)),
+        Readout("acc", "acceleration", (Term("a", "n1", -1.0),)),
         Readout("f", "force", (), (("joint", 1.0), ("spring", -0.5))),
     ]
     return parts, System.build(bases, links, readouts, dt=DT, **options)
@@ -159,7 +159,7 @@ def test_mistakes_are_named():
         ((parts, [Connection("c", (Term("x", "n1"),))], [], {}), "connection 'c': no component 'x'"),
         ((parts, [Connection("c", (Term("a", "n7"),))], [], {}), "no point 'n7'; there are n0, n1"),
         ((parts, [ground, ground], [], {}), "same name"),
-        ((parts, [], [Readout("o", "velocity", (Probe("x", "n0"),))], {}), "no component 'x' to read"),
+        ((parts, [], [Readout("o", "velocity", (Term("x", "n0"),))], {}), "no component 'x' to read"),
         ((parts, [], [Readout("o", "force", (), (("c", 1.0),))], {}), "no connection 'c'"),
         ((parts, [ground], [], {"drives": [Drive("a", "n0", "c")]}), "'a' is driven one way"),
     ]

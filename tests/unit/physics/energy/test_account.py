@@ -12,7 +12,7 @@ from scipy.integrate import quad_vec
 
 from assembled import chain, merged, uneven
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
-from tonewood.physics.coupling.system import Drive, Probe, Readout, System
+from tonewood.physics.coupling.system import Drive, Readout, System
 from tonewood.physics.energy.account import EnergyAccount, KnownForce
 from tonewood.physics.energy.forms import ComponentEnergy
 from tonewood.physics.modal.modes import ModalBasis
@@ -108,7 +108,7 @@ def scene(*, undamped=False, residual=2e-9, dt=DT):
         Connection("finger", (Term("s1", "pluck"),), SpringDashpot(0.0, loss * 0.3)),
         Connection("idle", (Term("body", "top"),), SpringDashpot()),
     ]
-    readouts = [Readout("v", "velocity", (Probe("body", "top"),))]
+    readouts = [Readout("v", "velocity", (Term("body", "top"),))]
     system = System.build({"s0": string(40, 110.0), "s1": string(30, 147.0), "body": body}, links, readouts, dt=dt)
     known = [
         KnownForce("finger", "s0", "pluck", RAMP, time=1.23e-3),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tonewood.physics.coupling.connections import Connection, Rigid, Term
 from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
-from tonewood.physics.coupling.system import Probe, Readout, State, System
+from tonewood.physics.coupling.system import Readout, State, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_modes import string_basis
 from tonewood.physics.stepping.motion import from_motion
@@ -56,7 +56,7 @@ def held_string(
         Connection(f"{n}.bridge", (Term(n, "bridge"), *(ends or {}).get(n, ())), Rigid()) for n in (*planes, "x")
     ]
     readouts = [
-        Readout("pick", "displacement", (Probe(planes[0], "pick"),)),
+        Readout("pick", "displacement", (Term(planes[0], "pick"),)),
         Readout("across", "force", forces=((f"{planes[0]}.bridge", 1.0),)),
         Readout("along", "force", forces=(("x.bridge", 1.0),)),
     ]

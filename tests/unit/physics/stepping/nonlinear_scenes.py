@@ -6,7 +6,7 @@ import numpy as np
 
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.potentials.tension import TensionModulation
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_modes import string_basis
 
@@ -67,9 +67,9 @@ def modulated_guitar(n_strings=2, n_modes=50, axial_stiffness=2e4, on=True, dt=1
         tensions.append(TensionModulation(f"s{i}", (f"s{i}a", f"s{i}b"), axial_stiffness))
     connections += extra
     readouts = [
-        Readout("u", "displacement", (Probe("s0a", "pluck"),)),
-        Readout("v", "velocity", (Probe("s0b", "pluck"),)),
-        Readout("a", "acceleration", (Probe("body", "b0"), Probe(f"s{n_strings - 1}a", "pluck"))),
+        Readout("u", "displacement", (Term("s0a", "pluck"),)),
+        Readout("v", "velocity", (Term("s0b", "pluck"),)),
+        Readout("a", "acceleration", (Term("body", "b0"), Term(f"s{n_strings - 1}a", "pluck"))),
         Readout("f", "force", (), (("joint0", 1.0),)),
     ]  # fmt: skip
     return System.build(components, connections, readouts, dt=dt, potentials=tensions if on else [])

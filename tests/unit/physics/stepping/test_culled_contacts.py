@@ -10,7 +10,7 @@ from tonewood import _kernel
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.laws import Contact
 from tonewood.physics.coupling.potentials.tension import TensionModulation
-from tonewood.physics.coupling.system import PrescribedMotion, Probe, Readout, System
+from tonewood.physics.coupling.system import PrescribedMotion, Readout, System
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.modal.points import with_still_points
 from tonewood.physics.modal.string_modes import string_basis
@@ -61,7 +61,7 @@ def fretted(
             for k in range(FRETS)
         ]
     readouts = [
-        Readout("a", "acceleration", (Probe("body", "b0"),)),
+        Readout("a", "acceleration", (Term("body", "b0"),)),
         Readout("f", "force", (), (("s0f2", 1.0), ("joint1", 0.5))),
     ]
     tensions = [TensionModulation(f"s{i}", (f"s{i}a", f"s{i}b"), axial_stiffness) for i in modulated]

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from assembled import chain, uneven
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.connections import Term
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.forcing import SampledForce, Segment, compile_force
 from tonewood.physics.stepping.stepper import NumpyStepper
@@ -40,7 +41,7 @@ def exact(part, row, pieces, dt, steps, time=0.0):
 
 
 def compiled(basis, pieces, dt=DT, steps=STEPS, **options):
-    readouts = [Readout(p, "displacement", (Probe("a", p),)) for p in basis.points]
+    readouts = [Readout(p, "displacement", (Term("a", p),)) for p in basis.points]
     system = System.build({"a": basis}, [], readouts, dt=dt)
     return NumpyStepper(system).run(system.start(), steps, compile_force("a", basis, "n0", pieces, dt, **options))[0]
 

@@ -9,7 +9,7 @@ from assembled import chain, uneven
 from tonewood import _kernel
 from tonewood.errors import NumericalError, TonewoodError
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.physics.coupling.system import BLOCK_SIZE, Drive, Injection, Probe, Readout, System
+from tonewood.physics.coupling.system import BLOCK_SIZE, Drive, Injection, Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.forcing import Segment, compile_force
 from tonewood.physics.stepping.kernel import KernelStepper, instruction_set
@@ -53,14 +53,14 @@ def guitar(strings=3, *, modes=60, rigid_bodies=False, mics=1, residual=1e-8, co
         components[f"mic{k}"] = ModalBasis.complex(poles, right, {"in": np.ones(50), "out": np.zeros(50)})
         drives += [Drive(f"mic{k}", "in", f"c{i}", 1.0 - 0.2 * i) for i in range(strings)]
     readouts = [
-        Readout("u", "displacement", (Probe("body", "top"), Probe("s0", "bridge", -0.5))),
-        Readout("v", "velocity", (Probe("body", "b0", 2.0),)),
-        Readout("a", "acceleration", (Probe("body", "top"),)),
+        Readout("u", "displacement", (Term("body", "top"), Term("s0", "bridge", -0.5))),
+        Readout("v", "velocity", (Term("body", "b0", 2.0),)),
+        Readout("a", "acceleration", (Term("body", "top"),)),
         Readout("f", "force", (), ((connections[0].name, 1.0), (connections[-1].name, -0.3))),
-        Readout("both", "velocity", (Probe("s0", "pluck"),), ((connections[0].name, 0.01),)),
+        Readout("both", "velocity", (Term("s0", "pluck"),), ((connections[0].name, 0.01),)),
     ]
     heard = [d.component for d in drives]
-    readouts += [Readout(mic, "displacement", (Probe(mic, "out"),)) for mic in dict.fromkeys(heard)]
+    readouts += [Readout(mic, "displacement", (Term(mic, "out"),)) for mic in dict.fromkeys(heard)]
     return System.build(components, connections, readouts, dt=DT, drives=drives)
 
 
@@ -163,9 +163,9 @@ def test_small_bodies_of_every_kind(bases, rng):
         Connection("f", (Term("b", "n2"), Term("b", "n3", -1.0)), Rigid(1e-6)),
     ]
     readouts = [
-        Readout("u", "displacement", (Probe("a", "n2"), Probe("alone", "n3"))),
-        Readout("v", "velocity", (Probe("alone", "n1"), Probe("b", "n0"))),
-        Readout("acc", "acceleration", (Probe("b", "n3"), Probe("a", "n0", -2.0))),
+        Readout("u", "displacement", (Term("a", "n2"), Term("alone", "n3"))),
+        Readout("v", "velocity", (Term("alone", "n1"), Term("b", "n0"))),
+        Readout("acc", "acceleration", (Term("b", "n3"), Term("a", "n0", -2.0))),
     ]
     system = System.build(components, links, readouts, dt=5e-4)
     force = [Segment(0.0, 0.01, 1.0, 20.0), Segment(0.01, 0.0234, 0.5, 0.0, 900.0)]
@@ -246,7 +246,7 @@ def test_injections_that_reach_over_the_ends_of_a_run(overhang):
 
 def test_a_system_of_nothing_but_one_mode():
     basis = ModalBasis.real([500.0], [1.0], {"p": [1.0]})
-    system = System.build({"a": basis}, [], [Readout("u", "displacement", (Probe("a", "p"),))], dt=DT)
+    system = System.build({"a": basis}, [], [Readout("u", "displacement", (Term("a", "p"),))], dt=DT)
     state = system.start()
     state.modes[0, 0] = 1.0
     out, forces = KernelStepper(system).run(state, 100)
@@ -330,8 +330,8 @@ def harp(strings=5, motions=2, seed=8):
     left = {p: np.concatenate([none, none]) for p in ("left", "right")}
     left |= {"heave": np.concatenate([residues[0], residues[1]]), "rock": np.concatenate([residues[2], residues[3]])}
     components["mics"] = ModalBasis.complex(np.tile(poles, 2), right, left)
-    readouts = [Readout("top", "velocity", (Probe("body", "b1"),)), Readout("pull", "force", (), (("c0", 1.0),))]
-    readouts += [Readout(side, "displacement", (Probe("mics", side),)) for side in ("left", "right")]
+    readouts = [Readout("top", "velocity", (Term("body", "b1"),)), Readout("pull", "force", (), (("c0", 1.0),))]
+    readouts += [Readout(side, "displacement", (Term("mics", side),)) for side in ("left", "right")]
     return System.build(components, connections, readouts, dt=DT, drives=drives)
 
 
@@ -359,7 +359,7 @@ def test_motions_of_a_bridge_are_counted_exactly():
         system = System.build(
             {"body": ModalBasis.real(np.arange(1.0, 13) * 900, np.full(12, 9.0), points)},
             [Connection(p, (Term("body", p),), SpringDashpot(1e3, 0.1)) for p in "abcdef"],
-            [Readout("a", "displacement", (Probe("body", "a"),))],
+            [Readout("a", "displacement", (Term("body", "a"),))],
             dt=DT,
         )  # fmt: skip
         ports, span = system.compiled[0].motions(np.arange(6))

@@ -12,7 +12,7 @@ from tonewood import _kernel
 from tonewood.errors import NumericalError
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
-from tonewood.physics.coupling.system import PrescribedMotion, Probe, Readout, System
+from tonewood.physics.coupling.system import PrescribedMotion, Readout, System
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_transfer import retuned
@@ -54,9 +54,9 @@ def fretted(law, n_modes=60):
     connections.append(Connection("hold", (Term("s1", "pluck"),), SpringDashpot(100.0, 0.02)))
     connections.append(Connection("rattle", (Term("mass", "p"), Term("s0", "pluck", -1.0)), Contact(1e7, 1.5, 0.1)))
     readouts = [
-        Readout("u", "displacement", (Probe("s0", "pluck"),)),
-        Readout("v", "velocity", (Probe("s1", "bridge"),)),
-        Readout("a", "acceleration", (Probe("body", "b0"), Probe("s0", "f2"))),
+        Readout("u", "displacement", (Term("s0", "pluck"),)),
+        Readout("v", "velocity", (Term("s1", "bridge"),)),
+        Readout("a", "acceleration", (Term("body", "b0"), Term("s0", "f2"))),
         Readout("f", "force", (), (("s0f3", 1.0), ("joint1", 0.5), ("rattle", -1.0))),
     ]
     return System.build(components, connections, readouts, dt=DT)
@@ -290,7 +290,7 @@ def test_a_system_that_comes_back_takes_the_series_over_again():
     parts = {"body": body(["b0"]), "s0": held_string(37, places, damping=1.0)}
     fret = Contact(1e8, 2.3, loss=0.3, offset=-2e-4)
     joints = [Connection(f"at {place}", (Term("s0", place),), fret) for place in ("f0", "f1")]
-    readout = Readout("u", "displacement", (Probe("s0", "pluck"),))
+    readout = Readout("u", "displacement", (Term("s0", "pluck"),))
     whole = System.build(parts, joints, [readout], dt=1 / 48000)
     fewer = whole.with_laws({"at f1": Connection("at f1", (Term("s0", "f1"),), SpringDashpot())})
     state = whole.start()

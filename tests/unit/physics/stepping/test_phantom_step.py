@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.physics.coupling.potentials.phantom import DELAY, DrivenLongitudinal
-from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.energy.account import EnergyAccount
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.kernel import KernelStepper
@@ -30,7 +30,7 @@ def string_on_mass(
         for n in planes
     ]
     seat = Connection("seat", (Term("mass", "top"),), SpringDashpot(stiffness=0.0, damping=1e-9))
-    readouts = [Readout("force", "acceleration", (Probe("mass", "top", MASS),))]
+    readouts = [Readout("force", "acceleration", (Term("mass", "top", MASS),))]
     law = DrivenLongitudinal("string", planes, (("mass", "top", 1.0),), AXIAL, freq_coupled, loss)
     components = dict.fromkeys(planes, transverse(fs=FS)) | {"mass": mass}
     return System.build(components, [*ends, seat], readouts, dt=1 / FS, potentials=[law])

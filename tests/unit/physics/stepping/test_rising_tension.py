@@ -8,7 +8,7 @@ import scipy.linalg as sla
 from nonlinear_scenes import drawn, modulated_guitar
 
 from tonewood.physics.coupling.laws import Contact
-from tonewood.physics.coupling.potentials.base import Step
+from tonewood.physics.coupling.potentials.base import MiddleOfStep
 from tonewood.physics.coupling.potentials.coordinates import pay_from_motion
 from tonewood.physics.coupling.potentials.solve import RESET_STEPS, PotentialSolve
 from tonewood.physics.coupling.system import State, System
@@ -36,7 +36,7 @@ def test_the_direction_is_the_gradient_of_psi() -> None:
     system, state = moving(1.0, 40)
     active, x = PotentialSolve(system).active[0], states(system, state)
     y = active.y(x)
-    g = active.joined.direction(Step(y, y, active.compliance, 0.0, 0.0))
+    g = active.joined.direction(MiddleOfStep(y, y, active.compliance, 0.0, 0.0))
     step = 1e-4 * np.abs(y).max()
     for k in (0, 3, 11, active.n - 1):
         up, down = (np.sqrt(2 * active.joined.energy(y + sign * step * np.eye(active.n)[k])) for sign in (1, -1))

@@ -13,7 +13,7 @@ from nonlinear_scenes import drawn as drawn_guitar
 
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.coupling.laws import Contact, HardeningSpring
-from tonewood.physics.coupling.system import Drive, Probe, Readout, System
+from tonewood.physics.coupling.system import Drive, Readout, System
 from tonewood.physics.stepping.forcing import Segment, compile_force
 from tonewood.physics.stepping.kernel import KernelStepper, Shortcuts
 
@@ -43,8 +43,8 @@ def linear_guitar(extra=(), frets=True, drives=()):
     if drives:
         components["heard"] = body(["b0", "b1"])
     readouts = [
-        Readout("a", "acceleration", (Probe("body", "b0"),)),
-        Readout("u", "displacement", (Probe("s1", "pluck"),)),
+        Readout("a", "acceleration", (Term("body", "b0"),)),
+        Readout("u", "displacement", (Term("s1", "pluck"),)),
     ]
     return System.build(components, connections, readouts, dt=DT, drives=drives)
 

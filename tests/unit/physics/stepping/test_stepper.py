@@ -9,7 +9,7 @@ import scipy.linalg as sla
 from assembled import chain, connect, held_force, held_force_matrices, merged, run_exact, run_held, uneven
 from tonewood.errors import NumericalError
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.physics.coupling.system import Drive, Probe, Readout, System
+from tonewood.physics.coupling.system import Drive, Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import real_form
 from tonewood.physics.stepping.stepper import NumpyStepper
@@ -19,9 +19,7 @@ STEPS = 120
 
 def displacements(parts, quantity="displacement"):
     return [
-        Readout(f"{name}.n{i}", quantity, (Probe(name, f"n{i}"),))
-        for name, part in parts.items()
-        for i in range(part.n)
+        Readout(f"{name}.n{i}", quantity, (Term(name, f"n{i}"),)) for name, part in parts.items() for i in range(part.n)
     ]
 
 
@@ -87,7 +85,7 @@ def test_what_each_readout_means():
     dt = 1e-3
     part = uneven(3, seed=4)
     basis = part.complex_basis()
-    probes = (Probe("a", "n1", 2.0), Probe("a", "n2", -1.0))
+    probes = (Term("a", "n1", 2.0), Term("a", "n2", -1.0))
     readouts = [Readout(q, q, probes) for q in ("displacement", "velocity", "acceleration")]
     readouts.append(Readout("force", "force", (), (("spring", 3.0),)))
     spring = Connection("spring", (Term("a", "n0"),), SpringDashpot(1e4))
@@ -111,7 +109,7 @@ def test_driven_component_hears_the_force_and_gives_nothing_back(rng):
     basis, mic_basis = part.real_basis(), mic.complex_basis()
     ground = Connection("ground", (Term("a", "n2"),))
     system = System.build(
-        {"a": basis, "mic": mic_basis}, [ground], [Readout("mic", "displacement", (Probe("mic", "n2"),))],
+        {"a": basis, "mic": mic_basis}, [ground], [Readout("mic", "displacement", (Term("mic", "n2"),))],
         dt=dt, drives=[Drive("mic", "n0", "ground", -2.0)],
     )  # fmt: skip
     force = rng.normal(size=STEPS)

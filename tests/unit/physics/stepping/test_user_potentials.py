@@ -22,7 +22,7 @@ from tonewood.physics.coupling.potentials.coordinates import middle_of_step
 from tonewood.physics.coupling.potentials.solve import RESET_STEPS
 from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.potentials.user import FUNCTION, ModalPotential, PotentialEnergy, PotentialFunction
-from tonewood.physics.coupling.system import Probe, Readout, State, System
+from tonewood.physics.coupling.system import Readout, State, System
 from tonewood.physics.energy.account import EnergyAccount
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.modal.modes import ModalBasis
@@ -92,7 +92,7 @@ def random_scene(rng: np.random.Generator) -> tuple[System, State]:
     else:
         each = {name: random_potential(rng, (sizes[name],), speed) for name in names}
         potentials = [ModalPotential(name, (name,), lambda bases, v=each[name]: v) for name in names]
-    out = [Readout("o", "displacement", (Probe("a", "p"),))]
+    out = [Readout("o", "displacement", (Term("a", "p"),))]
     system = System.build(parts, chosen, out, dt=1 / 48000, potentials=potentials)
     state = system.start()
     for name, basis in parts.items():
@@ -233,7 +233,7 @@ def test_kinds_stand_side_by_side() -> None:
         TensionModulation("t", ("string",), 2e4, 0.65, weights),
     ]
     joint = Connection("joint", (Term("string", "e"), Term("plate", "p", -1.0)), SpringDashpot(1e5, 1.0))
-    out = [Readout("o", "velocity", (Probe("plate", "p"), Probe("string", "p")))]
+    out = [Readout("o", "velocity", (Term("plate", "p"), Term("string", "p")))]
     system = System.build({"plate": PLATE, "string": string}, [joint], out, dt=1 / 48000, potentials=potentials)
     runs = []
     for stepper in STEPPERS:

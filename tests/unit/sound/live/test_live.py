@@ -100,7 +100,7 @@ def test_notes_that_come_together_are_strummed_one_after_the_other(guitar: tw.In
     for note in (40, 47, 52, 56, 59, 64):
         live.note_on(note)
     live.process(4800)
-    began = sorted(line.voice.began for line in live.player._lines.values() if line.voice)
+    began = sorted(line.voice.began for line in live.player.hands.lines.values() if line.voice)
     assert np.diff(began).tolist() == [3 * GRID] * 5
     assert live.summary().notes == 6
 
@@ -179,8 +179,8 @@ def test_nothing_grows_with_time(monochord: tw.Instrument) -> None:
             "active": engine.active, "injections": engine.injections, "controls": engine.controls,
             "changes": engine.schedule._changes._entries, "plays": engine.schedule._plays._entries,
             "due": next(iter(engine.schedule._due.values())),
-            "bases": engine.fingerboard._compiled, "held": player._held, "waiting": player._waiting,
-            "ending": player._ending, "latest": player.counters.latest,
+            "bases": engine.fingerboard._compiled, "held": player.keys.held, "waiting": player.waiting,
+            "ending": player.keys.ending, "latest": player.counters.latest,
         }  # fmt: skip
         return {name: len(value) for name, value in lists.items()} | {
             "spans": sum(len(s.all) for s in engine.usage.spans.values()),

@@ -28,7 +28,7 @@ def receiver(instrument: tw.Instrument) -> MidiReceiver:
 
 def bends(midi: MidiReceiver) -> dict[int, float]:
     """Channel -> cents."""
-    return {c: v for (c, kind), v in midi.live.player._controls.items() if kind == "bend"}
+    return {c: v for (c, kind), v in midi.live.player.controls.items() if kind == "bend"}
 
 
 def register(midi: MidiReceiver, channel: int, parameter: tuple[int, int], value: int) -> None:
@@ -66,7 +66,7 @@ def test_a_zone_adds_the_masters_bend_and_passes_its_controllers_on(guitar: tw.I
     assert bends(midi)[2] == 50
     assert bends(midi)[1] == -100
     midi.receive((0xB0, 64, 127))
-    assert [midi.live.player._controls.get((c, "cc64")) for c in (0, 3, 5, 6)] == [1.0, 1.0, 1.0, None]
+    assert [midi.live.player.controls.get((c, "cc64")) for c in (0, 3, 5, 6)] == [1.0, 1.0, 1.0, None]
     register(midi, 15, (0, 6), 12)  # the upper zone takes channels from the lower
     assert midi.zones == {0: [1, 2], 15: list(range(3, 15))}
     register(midi, 0, (0, 6), 15)
@@ -118,7 +118,9 @@ def test_each_voice_of_a_zone_bends_its_own_string(guitar: tw.Instrument) -> Non
     midi.live.process(2048)
     midi.receive((0xE1, 0, 65))
     midi.live.process(2048)
-    cents = {name: f.cents for name, f in midi.live.engine.frettings.items() if midi.live.player._lines[name].voice}
+    cents = {
+        name: f.cents for name, f in midi.live.engine.frettings.items() if midi.live.player.hands.lines[name].voice
+    }
     assert sorted(cents.values()) == [0.0, 75.0]
 
 

@@ -83,10 +83,10 @@ def test_the_way_from_a_file_to_a_sound(folder, capsys):
     assert lines[0] == "# yaml-language-server: $schema=instrument.schema.json"
     assert sum(line.startswith("# DECIDE") for line in lines) >= 6
     mine = tw.load_instrument("mine")
-    assert mine.provenance("body.table").kind == "measured"
+    assert mine.origins.of("body.table").kind == "measured"
     assert "measured by A. Maker" in mine.spec.sources["measurement"].text
-    assert mine.provenance("strings.E2.length").kind == "unknown"
-    assert not mine.table_doubts()
+    assert mine.origins.of("strings.E2.length").kind == "unknown"
+    assert not mine.origins.table_doubts()
     basis = mine.body.basis(1e4)
     for point, wanted in zip(("bridge", "edge"), TRUTH.mobility(FREQ), strict=True):
         assert np.abs(basis.frf(FREQ, point, "bridge") - wanted).max() < 0.01 * np.abs(wanted).max()
@@ -207,9 +207,9 @@ def test_a_copy_takes_another_string_set(tmp_path):
     assert command("new", tmp_path / "mine", "--from", "steel_guitar", "--strings", "ej16") == 0
     mine = tw.load_instrument(tmp_path / "mine")
     assert mine.spec.strings_from == "ej16"
-    assert mine.provenance("strings.E2.tension").source == "strings_ej16"
+    assert mine.origins.of("strings.E2.tension").source == "strings_ej16"
     assert command("new", tmp_path / "again", "--from", tmp_path / "mine") == 0
-    assert tw.load_instrument(tmp_path / "again").provenance("strings.E2.tension").source == "strings_ej16"
+    assert tw.load_instrument(tmp_path / "again").origins.of("strings.E2.tension").source == "strings_ej16"
     assert mine.resolved["strings"]["B3"]["bending_stiffness"] == pytest.approx(np.pi * 2e11 * 0.406e-3**4 / 64)
 
 

@@ -242,3 +242,38 @@ def test_names_and_texts_of_listeners_are_no_formulas_and_steer_no_terminal(
         assert "\x1b" not in text
         assert "\u202e" not in text
     assert "'=cmd|'/C calc'!A0 [2J" in (tmp_path / "answers.csv").read_text()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="names of bytes, and pipes")
+def test_what_is_no_file_of_answers_stops_no_results(test: ListeningTest, tmp_path: Path) -> None:
+    """A name that is no UTF-8, a pipe, a device without an end and a folder are named, and the others count."""
+    session = opened(test)
+    folder = session.path.parent
+    (folder / os.fsdecode(b"\xff.jsonl")).write_bytes(b"{}\n")
+    os.mkfifo(folder / ("a" * 32 + ".jsonl"))
+    (folder / ("b" * 32 + ".jsonl")).symlink_to("/dev/zero")
+    (folder / ("c" * 32 + ".jsonl")).mkdir()
+    found = analyse(test.folder, screening=False)
+    write_report(found, tmp_path)
+    reasons = [one.reason for one in found.left_out]
+    assert len(reasons) == 4
+    assert sum(reason.endswith(": is no file") for reason in reasons) == 3
+    assert any("\\udcff.jsonl: no answers of a listener" in reason for reason in reasons)
+    assert found.listeners == 1
+
+
+def test_a_file_that_cannot_be_read_now_is_not_the_end_of_its_session(
+    test: ListeningTest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = opened(test, 4)
+
+    def fails(path: Path) -> bytes:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "read_bytes", fails)
+        with pytest.raises(OutputError, match="Too many open files"):
+            resume(test, session.header["token"])
+    again = resume(test, session.header["token"])
+    assert again is not None
+    assert again.session.step == session.session.step

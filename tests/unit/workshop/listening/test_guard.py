@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import http.client
 import json
 import os
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -322,3 +324,44 @@ def test_connections_that_wait_for_ever_are_closed(test: ListeningTest) -> None:
     finally:
         process.kill()
         process.wait()
+
+
+def test_a_connection_that_is_used_is_not_closed(test: ListeningTest) -> None:
+    """Requests with pauses shorter than the limit, for longer than the limit."""
+    command = [sys.executable, str(Path(__file__).parent / "serve_in_process.py"), str(test.folder), "0"]
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]), "SECONDS": "2", "CONNECTIONS": "20"
+    }  # fmt: skip
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        connection = http.client.HTTPConnection("127.0.0.1", int(process.stdout.readline()), timeout=60)
+        connection.connect()
+        used = connection.sock
+        for _ in range(12):
+            connection.request("GET", "/static/test.css")
+            assert connection.getresponse().read()
+            time.sleep(0.3)
+        assert connection.sock is used
+        connection.close()
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_the_number_of_a_step_has_any_number_of_digits(test: ListeningTest) -> None:
+    application = ListeningServer(test).application()
+    session = begun(application)
+    for index in ("9" * 5000, "00", "-0", "x", "\u0660"):
+        assert request(application, "GET", f"{session}/sound/{index}/A")[0] == 404
+
+
+def test_levels_that_differ_in_their_thirteenth_decimal_have_sounds_of_their_own(tmp_path: Path) -> None:
+    stairs = fakes.STAIRS | {"start": 4e-13, "lowest": 1e-13, "highest": 1e-12}
+    pairs = RenderedPairs(fakes.made(tmp_path, [stairs]), fakes.fakes.FakeRenderer())
+    try:
+        first, second, third = (pairs.pair(0, level) for level in (4e-13, 3e-13, 4e-13))
+        assert first is third
+        assert first is not second
+    finally:
+        pairs.close()

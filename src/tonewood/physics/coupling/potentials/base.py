@@ -24,7 +24,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any, ClassVar
 
 import numpy as np
@@ -35,8 +34,8 @@ from tonewood.physics.modal.modes import ModalBasis
 Floats = NDArray[np.float64]
 
 
-#: of V + C: excess of psi^2 / 2 up to which psi is not put back; paying for less would be no nearer, and of first order
-TOLERANCE = 1e-3
+#: of V + C: excess of psi^2 / 2 up to which psi is not put back. With 1e-3 a plate at 96 kHz is no nearer than at 48
+TOLERANCE = 1e-7
 #: of an energy, by which two sums of it may differ
 SAME = 1e-13
 
@@ -88,7 +87,7 @@ class Potential(ABC):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class MiddleOfStep:
     """What the direction of one potential over one step may depend on.
 
     Attributes
@@ -107,7 +106,7 @@ class Step:
     psi: float
 
 
-class Kind(IntEnum):
+class Kind:
     """Kinds of potentials in the kernel, in the order in which it steps them."""
 
     TENSION = 0
@@ -136,7 +135,7 @@ class JoinedPotential(ABC):
         """V, J, at coordinates (n,), m sqrt(kg)."""
 
     @abstractmethod
-    def direction(self, step: Step) -> Floats:
+    def direction(self, step: MiddleOfStep) -> Floats:
         """G (n,), sqrt(J) / (m sqrt(kg)): the gradient of psi in the middle of the step."""
 
     @abstractmethod

@@ -84,8 +84,8 @@ def middle_of_step(u: Floats) -> Floats:
     """
     c, s = np.cos(u), np.sin(u) ** 2
     K = c**5 * (1 + s * (8 / 3 + s * (73 / 15 + s * 2528 / 336)))
-    pushed = np.where(u > 1e-4, (1 - K * c) / np.maximum(2 * s, 1e-300), 1 / 6)
-    return np.stack([K / (2 * c), pushed])
+    by_force = np.where(u > 1e-4, (1 - K * c) / np.maximum(2 * s, 1e-300), 1 / 6)
+    return np.stack([K / (2 * c), by_force])
 
 
 def pay_from_motion(velocities: Sequence[Floats], states: Sequence[Floats], cost: float) -> float:

@@ -43,7 +43,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.physics.coupling.potentials.base import JoinedPotential, Kind, Potential, Step
+from tonewood.physics.coupling.potentials.base import JoinedPotential, Kind, MiddleOfStep, Potential
 from tonewood.physics.modal.modes import ModalBasis
 
 Floats = NDArray[np.float64]
@@ -80,7 +80,7 @@ class GeometricStretch(Potential):
     transverse : its polarizations: components of real modes, made by `string_modes.string_basis`.
     longitudinal : component of its longitudinal motion: the same, with EA in place of the tension.
     axial_stiffness : EA, N.
-    freq_coupled : Hz, transverse modes below it take part.
+    freq_coupled : Hz, transverse modes below it take part, the lowest at least.
     """
 
     name: str
@@ -109,7 +109,7 @@ class GeometricStretch(Potential):
         """
         vec, wavenumber, length = cosine_slopes(self.name, component, basis)
         longitudinal = component == self.longitudinal
-        count = basis.n_modes if longitudinal else int(np.searchsorted(basis.natural_freq, self.freq_coupled))
+        count = basis.n_modes if longitudinal else max(1, int(np.searchsorted(basis.natural_freq, self.freq_coupled)))
         rows = len(vec) if longitudinal else min(len(vec), count + 1 + MORE_COSINES)
         slopes = np.ascontiguousarray(wavenumber[:rows, None] * vec[:rows, :count])
         return GeometricShare(slopes, self.axial_stiffness * length)
@@ -238,7 +238,7 @@ class GeometricShares(JoinedPotential):
         """Forces on the longitudinal modes under s_n."""
         return -(self.weights * self.squares(middle)) @ self.strains
 
-    def direction(self, step: Step) -> Floats:
+    def direction(self, step: MiddleOfStep) -> Floats:
         """See `JoinedPotential`."""
         squares, strain = self.squares(step.middle), np.asarray(self.strains @ step.answered)
         potential = self.potential(squares, strain)

@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.physics.coupling.potentials.base import JoinedPotential, Step
+from tonewood.physics.coupling.potentials.base import JoinedPotential, MiddleOfStep
 from tonewood.physics.coupling.potentials.coordinates import ModalCoordinates, pay_from_motion
 from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal, PhantomShares
 from tonewood.physics.coupling.system import System
@@ -188,7 +188,7 @@ class PotentialSolve:
         for q, (p, (before, alone_y), middle) in enumerate(zip(self.active, ends, middles, strict=True)):
             shift[q], psi[q] = p.joined.begin(before, memory[p.memory], partial(p.energy, x))
             answered_y = p.middle(before, alone_y, p.y(answered)) if added else middle
-            g = p.joined.direction(Step(middle, answered_y, p.compliance, float(shift[q]), float(psi[q])))
+            g = p.joined.direction(MiddleOfStep(middle, answered_y, p.compliance, float(shift[q]), float(psi[q])))
             own[q] = g @ (p.compliance * g)
             start[q] = psi[q] + 0.5 * g @ (p.y(free) - before)
             action = p.added(-g)

@@ -22,7 +22,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.physics.coupling.potentials.base import JoinedPotential, Kind, Potential, Step
+from tonewood.physics.coupling.potentials.base import JoinedPotential, Kind, MiddleOfStep, Potential
 from tonewood.physics.modal.modes import ModalBasis
 
 Floats = NDArray[np.float64]
@@ -142,7 +142,7 @@ class JoinedTension(JoinedPotential):
         """See `JoinedPotential`."""
         return 0.5 * self.psi(y) ** 2
 
-    def direction(self, step: Step) -> Floats:
+    def direction(self, step: MiddleOfStep) -> Floats:
         """See `JoinedPotential`."""
         g, alpha = 2 * self.root * self.weights * step.middle, 0.5 * step.compliance * self.weights
         highest, tension = float(alpha.max(initial=0.0)), 2 * self.root * max(step.psi, 0.0)

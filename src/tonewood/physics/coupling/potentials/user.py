@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.physics.coupling.c_functions import CFunction
-from tonewood.physics.coupling.potentials.base import JoinedPotential, Kind, Potential, Step
+from tonewood.physics.coupling.potentials.base import JoinedPotential, Kind, MiddleOfStep, Potential
 from tonewood.physics.modal.modes import ModalBasis
 
 Floats = NDArray[np.float64]
@@ -106,7 +106,7 @@ class PotentialEnergy(JoinedPotential):
         """C, J."""
         return self.scale - self.least
 
-    def direction(self, step: Step) -> Floats:
+    def direction(self, step: MiddleOfStep) -> Floats:
         """See `JoinedPotential`."""
         value, gradient = self.gradient(step.middle)
         size = np.sqrt(2 * max(value + step.shift, 0.0))

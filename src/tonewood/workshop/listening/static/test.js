@@ -24,6 +24,12 @@ function tell(text, kind = "") { message.textContent = text; message.className =
 // The place of a session in this browser: of one test, and of the listener whom the address names.
 const place = listener => `session:${about.test}:${listener}`;
 let named = (query.get("listener") || "").trim();
+// Where a browser keeps nothing (site data are blocked), the session lasts as long as its page.
+const store = {
+  get(key) { try { return JSON.parse(localStorage.getItem(key)); } catch (fault) { return null; } },
+  set(key, value) { try { localStorage.setItem(key, JSON.stringify(value)); } catch (fault) { /* blocked or full */ } },
+  remove(key) { try { localStorage.removeItem(key); } catch (fault) { /* blocked */ } },
+};
 
 // A request, made again until the server answers: it may be down for a while, and nothing is lost.
 async function ask(address, body) {
@@ -50,13 +56,12 @@ async function begin() {
   document.title = about.title;
   document.getElementById("name").textContent = about.title;
   document.getElementById("progress").setAttribute("aria-label", texts.progress);
-  let kept = null;
-  try { kept = JSON.parse(localStorage.getItem(place(named))); } catch (fault) { /* not ours */ }
+  const kept = store.get(place(named));
   if (kept && kept.token) {
     const found = await ask("/api/session/" + kept.token);
     token = kept.token;
     if (found.status === 200) return found.data.type === "done" ? show(found.data) : welcome(found.data, kept.listener);
-    localStorage.removeItem(place(named));
+    store.remove(place(named));
     if (found.status === 410) return stopped(texts.broken);
   }
   welcome(null, named);
@@ -65,7 +70,7 @@ async function begin() {
 // Another listener begins. A session that the address named is kept for that address.
 function other() {
   named = "";
-  localStorage.removeItem(place(named));
+  store.remove(place(named));
   query.delete("listener");
   history.replaceState(null, "", location.pathname + (query.size ? "?" + query : ""));
   begin();
@@ -94,7 +99,7 @@ function welcome(kept, name) {
       const made = await ask("/api/session", { listener: listener.value, language: about.language });
       if (made.status !== 201) return stopped(made.data.error);
       token = made.data.token;
-      localStorage.setItem(place(named), JSON.stringify({ token, listener: listener.value }));
+      store.set(place(named), { token, listener: listener.value });
       kept = (await ask("/api/session/" + token)).data;
     }
     show(kept);
@@ -113,7 +118,7 @@ async function show(next) {
   document.getElementById("progress").value = step.progress;
   if (step.type === "done") {
     delete main.dataset.index;
-    if (!named) localStorage.removeItem(place(named));     // a named listener has taken the test, and does so once
+    if (!named) store.remove(place(named));     // a named listener has taken the test, and does so once
     main.replaceChildren(make("h2", { id: "done" }, texts.finish_title), make("p", {}, texts.done), otherButton());
     return;
   }

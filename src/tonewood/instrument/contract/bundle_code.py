@@ -15,6 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from tonewood.errors import BundleError, PluginError
+from tonewood.instrument.contract import registry
 from tonewood.instrument.contract.base import Plugin
 from tonewood.instrument.contract.files import Files
 from tonewood.instrument.contract.registry import check_kind, check_plugin
@@ -28,22 +29,37 @@ def is_code(name: str) -> bool:
     return re.fullmatch(CODE_PATTERN, name) is not None
 
 
-def code_plugin(name: str, kind: str, files: Files, *, allowed: bool) -> type[Plugin[Any]]:
+def plugin_named(name: str, kind: str, files: Files) -> type[Plugin[Any]]:
+    """Class of a plugin that a bundle names: an installed one, or one in the bundle's folder.
+
+    Parameters
+    ----------
+    name : of its entry point, or ``FILE.py:CLASS``, the file relative to the folder.
+    kind : that is wanted.
+    files : the folder.
+
+    Raises
+    ------
+    PluginError : there is none; it breaks the contract; it is code, and that is not allowed.
+    """
+    return _code_plugin(name, kind, files) if is_code(name) else registry.plugin(name, kind)
+
+
+def _code_plugin(name: str, kind: str, files: Files) -> type[Plugin[Any]]:
     """Class of a plugin in a bundle's folder.
 
     Parameters
     ----------
     name : ``FILE.py:CLASS``, the file relative to the folder.
     kind : that is wanted.
-    files : the folder.
-    allowed : whether the code may run.
+    files : the folder, and whether its code may run.
 
     Raises
     ------
     PluginError : code is not allowed; the file is not in the folder or cannot be run, or the class breaks the contract.
     """
     file, _, cls = name.rpartition(":")
-    if not allowed:
+    if not files.allow_code:
         raise PluginError(
             f"the bundle holds code, {file}, which could do anything that you can do; to run it, give --allow-code on "
             "the command line, or allow_code=True in Python"

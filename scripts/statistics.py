@@ -1,0 +1,136 @@
+"""Print the tables of docs/statistics.md: false alarms, coverage, thresholds, sensitivities and power, by simulation.
+
+    python scripts/statistics.py [--experiments 5000] [--staircases 200] [--missing 60] [--only ratings ...]
+
+Each number is the mean of three fixed seeds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import astuple
+from typing import Any
+
+import numpy as np
+
+from tonewood.workshop.batch.pages import StaircasePage
+from tonewood.workshop.listening import power
+from tonewood.workshop.listening import simulations as sim
+
+SEEDS = (1, 2, 3)
+BEGAN = time.monotonic()
+#: the staircase of docs/listening_tests.md, and the rule with steps
+STAIRS: dict[str, Any] = {
+    "type": "staircase", "path": "exciters.pluck.from_bridge", "scale": "percent", "start": 40.0, "ratio": True,
+    "lowest": 0.5, "highest": 80.0, "intervals": 3, "unit": "%",
+}  # fmt: skip
+LEVITT = {"steps": [2.0, 1.4, 1.2], "down": 2, "reversals": 8, "discard": 2}
+PAGES = {
+    "QUEST+, 60 trials": STAIRS,
+    "2-down staircase": STAIRS | LEVITT,
+}
+#: slope per unit of ln(level), lapse rate
+PEOPLE = {"slope 2": (2.0, 0.02), "slope 1": (1.0, 0.02), "slope 4, 4 % lapses": (4.0, 0.04)}
+
+
+def means(run: Callable[[np.random.Generator], Sequence[float]], *labels: object) -> list[float]:
+    """Mean results of three seeds, with a line of progress."""
+    rows = [run(np.random.default_rng(seed)) for seed in SEEDS]
+    print(f"{time.monotonic() - BEGAN:6.0f} s  {', '.join(map(str, labels))}", file=sys.stderr, flush=True)
+    return [float(x) for x in np.mean(np.array(rows, dtype=np.float64), axis=0)]
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table in Markdown."""
+    print("\n| " + " | ".join(head) + " |\n| " + " | ".join("---" for _ in head) + " |", flush=True)
+    for row in rows:
+        print("| " + " | ".join(row) + " |", flush=True)
+
+
+def percent(x: float) -> str:
+    """A share in percent."""
+    return f"{100 * x:.1f} %"
+
+
+def ratings(options: argparse.Namespace) -> None:
+    """Complete answers: the exact analysis."""
+    rows = []
+    for null in sim.NULLS:
+        for n in (12, 20, 40):
+            r = means(lambda g, n=n, null=null: astuple(sim.rating_rates(g, options.experiments, n, null)), null, n)  # type: ignore[misc]
+            rows.append([null, str(n), percent(r[1]), percent(r[2]), percent(r[4]), percent(r[3]), percent(r[5])])
+    table(["population", "listeners", "factor", "difference", "interaction", "coverage", "failed"], rows)
+
+
+def missing(options: argparse.Namespace) -> None:
+    """Answers missing: the mixed model."""
+    rows = []
+    for null in sim.NULLS:
+        r = means(lambda g, null=null: astuple(sim.missing_rates(g, options.missing, 12, null)), "missing", null)  # type: ignore[misc]
+        rows.append([null, percent(r[1]), percent(r[2]), percent(r[4]), percent(r[3]), percent(r[5])])
+    table(["population", "sounds", "difference", "interaction", "coverage", "failed"], rows)
+
+
+def staircases(options: argparse.Namespace) -> None:
+    """Bias and coverage of thresholds."""
+    rows = []
+    for name, page in PAGES.items():
+        for text, (slope, lapses) in PEOPLE.items():
+            own, people = StaircasePage.model_validate(page), sim.Population(5.0, 0.25, slope, 0.3, lapses)
+            r = means(
+                lambda g, own=own, people=people: astuple(sim.threshold_rates(g, options.staircases, 12, own, people)),  # type: ignore[misc]
+                name, text,
+            )  # fmt: skip
+            rows.append([name, text, f"{r[1]:.0f}", f"{100 * r[2]:+.1f} %", percent(r[3]), f"{100 * r[4]:+.1f} %",
+                         percent(r[5]), f"{100 * r[6]:.0f} %"])  # fmt: skip
+    table(["method", "listeners", "trials", "bias of the mean", "coverage", "bias of a listener", "coverage",
+           "half width of the mean's interval"], rows)  # fmt: skip
+
+
+def sensitivities(options: argparse.Namespace) -> None:
+    """Mean d' of listeners who differ."""
+    rows = []
+    for task in ("more_2", "more_3", "odd_3", "abx"):
+        for mean, sd in ((1.0, 0.5), (1.5, 0.8), (2.5, 0.8)):
+            r = means(
+                lambda g, t=task, m=mean, s=sd: sim.sensitivity_rates(g, options.staircases, 20, 20, t, m, s),  # type: ignore[misc]
+                task, mean,
+            )  # fmt: skip
+            rows.append([task, f"{mean:g} ± {sd:g}", f"{100 * r[0]:+.1f} %", f"{100 * r[1]:+.1f} %", percent(r[2])])
+    table(["task", "d' of listeners", "bias", "bias of pooled shares", "coverage"], rows)
+
+
+def powers(options: argparse.Namespace) -> None:
+    """Power promised, and power had by other simulated experiments."""
+    rows = []
+    for shift, sd in ((5.0, 8.0), (5.0, 12.0), (8.0, 12.0)):
+
+        def promised(n: int, shift: float = shift, sd: float = sd) -> float:
+            return float(power.rating_power([0.0, shift, 0.0], sd**2 / 2 * np.eye(3), n, 0.05)[0])
+
+        n = power.fewest(promised, 0.8, "")
+        had = means(lambda g, a=shift, s=sd, n=n: [sim.power_had(g, options.experiments, n, a, s)], "power", shift)  # type: ignore[misc]
+        rows.append([f"{shift:g} points, sd {sd:g}", str(n), percent(promised(n)), percent(had[0])])
+    page, people = StaircasePage.model_validate(STAIRS), sim.Population(5.0, 0.25, 2.0)
+    margin = float(np.log(1.25))
+    n = power.threshold_listeners(page, people, margin, 0.05, 0.8)
+    had = means(lambda g: [sim.excluded(g, options.staircases, n, page, people, margin)], "power", "threshold")
+    rows.append(["threshold 25 % higher", str(n), "at least 80 %", percent(had[0])])
+    table(["effect", "listeners", "power promised", "power had"], rows)
+
+
+PARTS = {"ratings": ratings, "powers": powers, "sensitivities": sensitivities, "staircases": staircases,
+         "missing": missing}  # fmt: skip
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--experiments", type=int, default=5000, help="of ratings, for each seed")
+    parser.add_argument("--staircases", type=int, default=200, help="experiments with staircases, for each seed")
+    parser.add_argument("--missing", type=int, default=60, help="experiments with missing answers, for each seed")
+    parser.add_argument("--only", nargs="*", choices=list(PARTS), default=list(PARTS))
+    chosen = parser.parse_args()
+    for part in chosen.only:
+        PARTS[part](chosen)

@@ -1,0 +1,89 @@
+"""References between the parts of a bundle: points, strings, exciters, parameters and sources that must exist."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from tonewood.errors import BundleError, ScoreError
+from tonewood.instrument.bundle.keys import check_keys
+from tonewood.instrument.bundle.schema import Bundle
+from tonewood.instrument.contract.base import Exciter
+from tonewood.instrument.scales import note_number
+from tonewood.support.validation_messages import did_you_mean
+
+
+def check_references(
+    spec: Bundle,
+    points: Collection[str],
+    exciters: Mapping[str, Exciter[Any]],
+    file: Path,
+    open_note: Callable[[str], float],
+) -> None:
+    """Check that every part which another one names is there.
+
+    Parameters
+    ----------
+    spec : all keys.
+    points : of the body, where strings may end and exciters push.
+    exciters : name -> plugin.
+    file : the manifest, for errors.
+    open_note : string -> note number of the open string.
+
+    Raises
+    ------
+    BundleError : one is not; names the key, and those that there are.
+    """
+
+    def none(kind: str, name: str, known: Iterable[str], key: str) -> BundleError:
+        """Error for a name that none of the `known` things of a kind has."""
+        words = list(known)
+        hint = did_you_mean(name, words)
+        reason = f"there is no {kind} {name!r}; {hint}there are {', '.join(words) or 'none'}"
+        return BundleError(reason, file=file, key=key)
+
+    def parameter(path: str, key: str) -> None:
+        exciter, _, name = path.partition(".")
+        if exciter not in exciters:
+            raise none("exciter", exciter, exciters, key)
+        fields = exciters[exciter].Parameters.model_fields
+        if name not in fields:
+            raise none(f"parameter of {exciter}", name, fields, key)
+
+    for name, part in spec.strings.items():
+        for end in part.ends:
+            component, _, point = end.partition(".")
+            if component != "body" or point not in points:
+                raise none("point", end, [f"body.{p}" for p in points], f"strings.{name}.end")
+        open_note(name)
+    for name, attached in spec.connections.items():
+        for string in attached.strings or ():
+            if string not in spec.strings:
+                raise none("string", string, spec.strings, f"connections.{name}.strings")
+    check_keys(spec, file, open_note)
+    playing = spec.playing
+    parameter(playing.velocity.parameter, "playing.velocity.parameter")
+    for control, entry in playing.controls.items():
+        parameter(entry.parameter, f"playing.controls.{control}.parameter")
+    if playing.exciter is not None and playing.exciter not in exciters:
+        raise none("exciter", playing.exciter, exciters, "playing.exciter")
+    switched = [("switches", k, v) for k, v in playing.switches.items()]
+    switched += [("noises", k, v) for k, v in playing.noises.named.items()]
+    switched += [("slurs", k, v) for k, v in playing.slurs.named.items()]
+    for kind, key, wanted in [*switched, *(("keyswitches", k, v) for k, v in playing.keyswitches.items())]:
+        if wanted not in exciters:
+            raise none("exciter", wanted, exciters, f"playing.{kind}.{key}")
+        if kind == "keyswitches":
+            try:
+                note_number(key)
+            except ScoreError as fault:
+                raise BundleError(fault.reason, file=file, key=f"playing.{kind}.{key}") from None
+    for name, exciter in exciters.items():
+        if exciter.at is not None and exciter.at not in {f"body.{p}" for p in points}:
+            raise none("point", exciter.at, [f"body.{p}" for p in points], f"exciters.{name}.at")
+    for path, found in spec.provenance.items():
+        if found.source is not None and found.source not in spec.sources:
+            raise none("source", found.source, spec.sources, f"provenance.{path}.source")
+        if found.source is None and found.kind in ("measured", "published", "computed"):
+            raise BundleError(f"{found.kind} figures need a source", file=file, key=f"provenance.{path}.source")

@@ -1,0 +1,63 @@
+"""Geometry of a string's stops: the pitch of each, and where on the string it lies."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from tonewood.instrument.model.string_setup import Stopping
+
+
+class StopTable:
+    """Pitch, place and length of a string at its stops; those of whole stops are computed once.
+
+    A stop lies where the ideal string sounds its pitch: x = L (1 - f_0 / f), from the nut.
+
+    Attributes
+    ----------
+    string : name, for errors.
+    open_length : L, m.
+    stopping : its stops, and how they are tuned.
+    """
+
+    def __init__(self, string: str, open_length: float, stopping: Stopping):
+        self.string, self.open_length, self.stopping = string, open_length, stopping
+
+    @property
+    def count(self) -> int:
+        """Highest stop; 0 for a string that is only played open."""
+        return self.stopping.count
+
+    @cached_property
+    def freqs(self) -> tuple[float, ...]:
+        """Pitch of the note of every whole stop from 0 (open) on, Hz."""
+        return tuple(self.stopping.freq(stop) for stop in range(self.count + 1))
+
+    @cached_property
+    def lengths(self) -> tuple[float, ...]:
+        """Speaking length at every whole stop, m."""
+        return tuple(self.length(stop) for stop in range(self.count + 1))
+
+    def freq(self, stop: float) -> float:
+        """Return the pitch of the note of a stop, Hz."""
+        whole = int(stop)
+        return self.freqs[whole] if whole == stop and 0 <= whole <= self.count else self.stopping.freq(stop)
+
+    def position(self, stop: float) -> float:
+        """Return the place of a stop, m from the nut.
+
+        Raises
+        ------
+        ValueError : the string has no such stop.
+        """
+        if not (0 <= stop <= self.count and (self.stopping.continuous or stop == int(stop))):
+            kind = "" if self.stopping.continuous else "whole "
+            raise ValueError(f"string {self.string} has {kind}stops from 0 to {self.count}, not {stop:g}")
+        return self.open_length * (1.0 - self.freqs[0] / self.freq(stop))
+
+    def length(self, stop: float) -> float:
+        """Return the speaking length at a stop, m."""
+        return self.open_length - self.position(stop)
+
+    def end(self, stop: float) -> float:
+        """Return the stop that ends the modes: 0 under a soft finger, which leaves the whole string in motion."""
+        return stop if self.stopping.finger is None else 0.0

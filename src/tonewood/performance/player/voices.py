@@ -1,0 +1,144 @@
+"""Notes from their keys to the end of their sound: voices, keys and pedal, strings, and counts."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from tonewood.instrument.contract.gestures import Event
+from tonewood.performance.player.timeline import Change, Play
+from tonewood.performance.score.assignment import Assigned
+from tonewood.performance.score.note import Dropped, Note
+
+#: dropped notes that are kept with their reasons; all are counted
+_KEPT = 100
+#: notes of one key that were struck and not released; more of them release the first
+_STRUCK = 8
+
+
+@dataclass(eq=False)
+class Voice:
+    """One note, from its key to the end of its sound.
+
+    Attributes
+    ----------
+    number : counted from 0.
+    note : as it was asked for.
+    key_down, pedalled : whether its key is held, or the pedal holds it.
+    string : on which it sounds; None before it begins, after it was ended by another one, and on the body.
+    time : s, when it is to sound; a note that came without lookahead sounds as soon as it can.
+    began : sample of its beginning.
+    """
+
+    number: int
+    note: Note
+    key_down: bool = True
+    pedalled: bool = False
+    string: str | None = None
+    time: float = -math.inf
+    began: int = 0
+    assigned: Assigned | None = None
+    play: Play | None = None
+    event: Event = field(default_factory=Event)
+
+
+@dataclass(eq=False)
+class PlayedString:
+    """One string: its voice, stop, bend, and the changes of them still to come."""
+
+    voice: Voice | None = None
+    stop: float = 0.0
+    #: cents of the stop's pitch, bent and as asked for
+    cents: float = 0.0
+    wanted: float = 0.0
+    #: (sample, change), in order
+    later: deque[tuple[int, Change]] = field(default_factory=deque)
+
+
+@dataclass(eq=False)
+class PlayerCounters:
+    """Counts of notes and events.
+
+    Attributes
+    ----------
+    notes : that began.
+    cut : notes that ended because another one needed their string.
+    dropped : reason -> notes that could not be played.
+    latest : the last of these, at most 100.
+    ignored : kind of controller -> changes of it without effect; ``playing.noises.KIND`` where a score would have it.
+    """
+
+    notes: int = 0
+    cut: int = 0
+    dropped: Counter[str] = field(default_factory=Counter)
+    latest: deque[Dropped] = field(default_factory=lambda: deque(maxlen=_KEPT))
+    ignored: Counter[str] = field(default_factory=Counter)
+
+
+class HeldKeys:
+    """Keys of all channels: which are down, which notes only the pedal holds, and which were let go.
+
+    Attributes
+    ----------
+    held : (channel, note) -> notes whose key is down, in the order in which they were struck.
+    pedalled : (channel, note) -> the note that only the pedal holds.
+    ending : notes that were let go and are to be ended.
+    falling : notes that the pedal holds, released before their dampers were off the strings for the shortest time.
+    """
+
+    def __init__(self) -> None:
+        self.held: dict[tuple[int, float], list[Voice]] = {}
+        self.pedalled: dict[tuple[int, float], Voice] = {}
+        self.ending: list[Voice] = []
+        self.falling: list[Voice] = []
+
+    def press(self, voice: Voice) -> Voice | None:
+        """Press the key of a note; returns one of it that is to be released first, where too many were struck."""
+        if (key := _key(voice)) is None:
+            return None
+        if (before := self.pedalled.pop(key, None)) is not None:
+            self.end(before)
+        held = self.held.setdefault(key, [])
+        held.append(voice)
+        return held[0] if len(held) > _STRUCK else None
+
+    def release(self, voice: Voice, *, pedal: bool) -> None:
+        """Release the key of a note, which ends unless the pedal holds it; that holds one note a key."""
+        voice.key_down = False
+        if (key := _key(voice)) is not None:
+            self.held[key].remove(voice)
+            if not self.held[key]:
+                del self.held[key]
+        if not pedal or key is None:
+            self.ending.append(voice)
+            return
+        if (before := self.pedalled.get(key)) is not None:
+            self.end(before)
+        voice.pedalled = True
+        self.pedalled[key] = voice
+        self.falling.append(voice)
+
+    def lift_pedal(self, channel: int | None) -> None:
+        """End the notes that only the pedal holds, on a channel or on all."""
+        for key in [key for key in self.pedalled if channel in (None, key[0])]:
+            self.end(self.pedalled.pop(key))
+
+    def end(self, voice: Voice) -> None:
+        """Let a note end."""
+        voice.key_down = voice.pedalled = False
+        self.ending.append(voice)
+
+    def due(self, voices: list[Voice], waits: Callable[[Voice], bool]) -> Voice | None:
+        """Take the first of `ending` or `falling` that sounds and need not wait, and those before it without sound."""
+        for voice in [voice for voice in voices if not waits(voice)]:
+            voices.remove(voice)
+            if voice.string is not None:
+                return voice
+        return None
+
+
+def _key(voice: Voice) -> tuple[int, float] | None:
+    """Channel and pitch of a note's key; None of a note that only names a string."""
+    return None if voice.note.note is None else (voice.note.channel or 0, voice.note.note)

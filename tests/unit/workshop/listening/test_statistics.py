@@ -1,0 +1,430 @@
+"""Analyses against published tables, other programs and simulated experiments."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import listening_fakes as fakes
+import numpy as np
+import pytest
+from published import DRUGS, MACHINES, RATINGS, SLEEP
+from scipy import stats
+
+from tonewood.workshop.batch.manifest import ManifestError, check_manifest
+from tonewood.workshop.batch.pages import StaircasePage
+from tonewood.workshop.listening import pooling, power, simulations, strata
+from tonewood.workshop.listening.detection import sensitivity, shares_of
+from tonewood.workshop.listening.mixed import RandomTerm, fit
+from tonewood.workshop.listening.models import bradley_terry, linear_analysis, rank_analysis
+from tonewood.workshop.listening.panel import SimulatedPanel, simulate
+from tonewood.workshop.listening.plain import methods, summary
+from tonewood.workshop.listening.quest import QuestTable, QuestTrack, table_of
+from tonewood.workshop.listening.results import analyse
+from tonewood.workshop.listening.thresholds import thresholds
+
+GUIDE = {
+    "type": "staircase", "path": "exciters.pluck.from_bridge", "scale": "percent", "start": 40.0, "ratio": True,
+    "lowest": 0.5, "highest": 80.0, "intervals": 3, "unit": "%",
+}  # fmt: skip
+LEVITT = {"steps": [2.0, 1.4, 1.2], "down": 2, "reversals": 8, "discard": 2}
+
+
+def rows_of(y: np.ndarray) -> list[dict]:
+    """Rows of an array (listeners, levels, repetitions)."""
+    return [
+        {"listener": str(i), "f": str(j), "value": float(v)}
+        for i, own in enumerate(np.atleast_3d(y))
+        for j, values in enumerate(own)
+        for v in values
+    ]
+
+
+def test_strata_are_those_of_winer_s_table() -> None:
+    """F(3, 12) = 24.76; the Stata manual (anova, repeated measures) prints epsilons .6049 and 1.0789, p .0006."""
+    contrasts = strata.contrasts([(x,) for x in "abcd"], {"drug": list("abcd")})
+    found = strata.tested(np.array(DRUGS, dtype=float), contrasts.bases["drug",], sounds=False)
+    assert round(float(found.statistic), 2) == 24.76
+    assert round(float(found.epsilon), 4) == 0.6049
+    assert round(float(found.p_greenhouse), 4) == 0.0006
+    assert (found.df1, found.df2) == (3.0, 12.0)  # 1.0789 is cut to 1
+    assert found.p_value == pytest.approx(stats.f.sf(24.7589, 3, 12), rel=1e-4)
+
+
+def test_strata_are_those_of_sums_of_squares(rng: np.random.Generator) -> None:
+    """Two crossed factors: F of each effect is its mean square over that of its interaction with listeners."""
+    y = rng.normal(0, 1, (9, 3, 4)) + rng.normal(0, 2, (9, 3, 1)) + rng.normal(0, 1, (9, 1, 4))
+    levels = {"a": list("012"), "b": list("0123")}
+    contrasts = strata.contrasts([(a, b) for a in "012" for b in "0123"], levels)
+    m = y.mean(axis=0)
+    parts = {
+        ("a",): (m.mean(1) - m.mean(), y.mean(2) - y.mean((1, 2))[:, None] - m.mean(1) + m.mean(), 4, 2),
+        ("b",): (m.mean(0) - m.mean(), y.mean(1) - y.mean((1, 2))[:, None] - m.mean(0) + m.mean(), 3, 3),
+    }
+    for effect, (own, error, times, df) in parts.items():
+        f = (9 * times * np.sum(own**2) / df) / (times * np.sum(error**2) / (df * 8))
+        found = strata.tested(y.reshape(9, 12), contrasts.bases[effect], sounds=False)
+        assert found.statistic == pytest.approx(f)
+    c = y - y.mean(2, keepdims=True) - y.mean(1, keepdims=True) + y.mean((1, 2), keepdims=True)
+    f = 9 * np.sum(c.mean(0) ** 2) / 6 / (np.sum((c - c.mean(0)) ** 2) / (6 * 8))
+    assert strata.tested(y.reshape(9, 12), contrasts.bases["a", "b"], sounds=False).statistic == pytest.approx(f)
+
+
+def test_the_machines_are_those_of_lmer() -> None:
+    """The balanced mixed model with (1 | worker/machine) has F = 20.57608 on 2 and 10 (lmerTest 3.1-3)."""
+    found = linear_analysis(rows_of(np.array(MACHINES)), ["f"], 0.95, {"f": ["0", "1", "2"]})
+    assert found is not None
+    assert found.exact
+    assert found.tests[0].statistic == pytest.approx(20.57608, rel=1e-6)
+    assert [t.difference for t in found.terms] == pytest.approx([7.966667, 13.916667], abs=1e-6)
+
+
+def test_mixed_models_are_those_of_lme4() -> None:
+    """lme4 1.1-31, lmerTest 3.1-3: sleepstudy, and ratings with crossed listeners and items."""
+    y = np.array(SLEEP).ravel()
+    subject = np.repeat(np.arange(18), 10)
+    x = np.column_stack([np.ones(180), np.tile(np.arange(10.0), 18)])
+    found = fit(y, x, [RandomTerm(x, subject)])
+    assert found.criterion == pytest.approx(1743.628272, abs=1e-6)
+    assert found.beta == pytest.approx([251.405105, 10.467286], abs=1e-6)
+    (c,) = found.covariances
+    assert np.sqrt(np.diag(c)) == pytest.approx([24.740658, 5.922138], rel=1e-5)
+    assert c[0, 1] / math.sqrt(c[0, 0] * c[1, 1]) == pytest.approx(0.065551, abs=2e-5)
+    assert found.residual_sd == pytest.approx(25.591796, rel=1e-6)
+    assert np.sqrt(np.diag(found.covariance)) == pytest.approx([6.824597, 1.545790], rel=1e-5)
+    assert [found.df(row) for row in np.eye(2)] == pytest.approx([17, 17], abs=1e-3)
+    apart = fit(y, x, [RandomTerm(x[:, :1], subject), RandomTerm(x[:, 1:], subject)])
+    assert apart.criterion == pytest.approx(1743.669294, abs=1e-6)
+    assert [found.df(row) for row in np.eye(2)] == pytest.approx([17, 17], abs=1e-3)
+    assert [apart.df(row) for row in np.eye(2)] == pytest.approx([18.156196, 18.156091], abs=1e-3)
+    alone = fit(y, x, [RandomTerm(x[:, :1], subject)])
+    assert [alone.df(row) for row in np.eye(2)] == pytest.approx([22.810199, 161], abs=1e-2)
+
+    who, item, cond, score = np.array(RATINGS).T
+    x = np.eye(3)[cond]
+    x[:, 0] = 1
+    one = np.ones((len(score), 1))
+    found = fit(score.astype(float), x, [RandomTerm(one, who), RandomTerm(one, item)])
+    assert found.criterion == pytest.approx(923.305132, abs=1e-6)
+    assert found.beta == pytest.approx([39.88, 11.986864, 20.84], abs=1e-6)
+    assert found.df(np.array([0.0, 1.0, 0.0])) == pytest.approx(117.155266, abs=1e-3)
+    f, df2 = found.f_test(np.eye(3)[1:])
+    assert (f, df2) == (pytest.approx(109.3774, abs=1e-4), pytest.approx(117.1311, abs=1e-3))
+
+
+def test_a_variance_of_zero_keeps_the_degrees_of_freedom_of_the_design() -> None:
+    """Satterthwaite claims 117; Kenward and Roger's 17.95 (pbkrtest 0.5.2) are the design's 18."""
+    rows = [{"listener": str(w), "item": str(i), "cond": str(c), "value": float(v)} for w, i, c, v in RATINGS]
+    levels = {"cond": list("012"), "item": list("01234")}
+    fixed = linear_analysis(rows, ["cond", "item"], 0.95, levels)
+    assert fixed is not None
+    assert not fixed.exact
+    cond = next(t for t in fixed.tests if t.name == "cond")
+    assert cond.df2 == pytest.approx(18.0)
+    assert any("variance estimated as 0" in note for note in fixed.notes)
+    sampled = linear_analysis(rows, ["cond", "item"], 0.95, levels, ["item"])
+    assert sampled is not None
+    assert sampled.tests[0].df2 == pytest.approx(8.0)  # two contrasts of five items
+
+
+def test_effects_are_over_all_cells() -> None:
+    """An effect at one level of the other factor only is half an effect, whichever level comes first."""
+    rng = np.random.default_rng(1)
+    rows = [
+        {"listener": str(i), "a": a, "b": b, "value": (20.0 if a + b == "yy" else 0.0) + rng.normal(0, 1e-3)}
+        for i in range(5) for a in "xy" for b in "xy"
+    ]  # fmt: skip
+    found = linear_analysis(rows, ["a", "b"], 0.95, {"a": ["x", "y"], "b": ["x", "y"]})
+    whole = {t.name: t.difference for t in found.terms}
+    assert whole["a=y"] == pytest.approx(10, abs=0.01)
+    assert whole["a=y : b=y"] == pytest.approx(20, abs=0.01)
+    part = [row for row in rows if (row["listener"], row["a"], row["b"]) != ("0", "y", "y")]
+    missing = linear_analysis(part, ["a", "b"], 0.95, {"a": ["x", "y"], "b": ["x", "y"]})
+    assert not missing.exact
+    assert {t.name: t.difference for t in missing.terms} == pytest.approx(whole, abs=0.05)
+    empty = [row for row in rows if (row["a"], row["b"]) != ("y", "y")]
+    found = linear_analysis(empty, ["a", "b"], 0.95, {"a": ["x", "y"], "b": ["x", "y"]})
+    assert found.notes == ("interaction left out, it has empty cells: a : b",)
+    assert [t.difference for t in found.terms] == pytest.approx([0, 0], abs=0.01)
+
+
+def false_alarms(random: bool, count: int) -> float:
+    """Share of experiments in which a factor without an effect is found, when sounds differ in it."""
+    rng = np.random.default_rng(4)
+    contrasts = strata.contrasts([("a",), ("b",)], {"f": ["a", "b"]})
+    y = rng.normal(0, 5, (count, 20, 6, 2)) + rng.normal(0, 5, (count, 1, 6, 2)) + rng.normal(0, 5, (count, 20, 1, 2))
+    found = strata.tested(y if random else y.mean(axis=2), contrasts.bases["f",], sounds=random)
+    return float(np.mean(found.p_value < 0.05))
+
+
+def test_sounds_are_a_sample_where_the_manifest_says_so() -> None:
+    assert false_alarms(random=False, count=1000) > 0.15
+    assert 0.04 < false_alarms(random=True, count=6000) < 0.065
+    manifest = {**fakes.fakes.manifest(**fakes.BASE), "random": ["scroe"]}
+    with pytest.raises(ManifestError, match="random: scroe is not one of instrument, score, damping, pluck"):
+        check_manifest(manifest)
+
+
+@pytest.mark.parametrize("null", simulations.NULLS)
+def test_false_alarms_and_coverage_hold(null: str) -> None:
+    """The small count: bounds are wider than those of the long tier by the standard error."""
+    found = simulations.rating_rates(np.random.default_rng(1), 3000, 12, null)
+    for share in (found.test, found.difference, found.interaction):
+        assert 0.033 < share < 0.067
+    assert 0.93 < found.coverage < 0.965
+
+
+@pytest.mark.validate
+@pytest.mark.parametrize("listeners", [12, 20, 40])
+@pytest.mark.parametrize("null", simulations.NULLS)
+def test_false_alarms_and_coverage_of_5000_experiments(null: str, listeners: int) -> None:
+    for seed in (1, 2, 3):
+        found = simulations.rating_rates(np.random.default_rng(seed), 5000, listeners, null)
+        for share in (found.test, found.difference, found.interaction):
+            assert 0.035 <= share <= 0.06 + 0.0035  # a standard error beyond, for a single seed
+        assert 0.94 <= found.coverage <= 0.97
+
+
+@pytest.mark.validate
+def test_the_mixed_model_alarms_at_most_as_often_as_it_states() -> None:
+    found = simulations.missing_rates(np.random.default_rng(1), 150, 12, "listeners differ in the factor")
+    assert max(found.test, found.difference, found.interaction) < 0.10
+    assert found.coverage > 0.91
+    assert found.failed < 0.03
+
+
+def panel(**changes) -> SimulatedPanel:
+    return SimulatedPanel.model_validate({"schema": "tonewood-panel/1", **changes})
+
+
+def test_a_panel_without_effects_rates_the_hidden_reference_like_the_others(tmp_path: Path) -> None:
+    """It gave the hidden reference 100 and the others their deviations: p was 5e-5."""
+    pages = [
+        {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}, "anchors": [3500]},
+        {"type": "bs1116", "group_by": ["pluck"], "reference": {"damping": "complex"}},
+    ]
+    test = fakes.made(tmp_path, pages)
+    simulate(test, panel(), 60, seed=5)
+    mushra, grades = analyse(tmp_path / "out", screening=False).pages
+    for term in mushra.linear.terms:
+        assert term.p_value > 1e-3
+        assert abs(term.difference) < 3
+    best = [row["role"] for row in mushra.rows if row["value"] == 100.0]
+    assert 0.2 < best.count("reference") / len(best) < 0.5  # one of three: at chance
+    values = [row["value"] for row in grades.rows]
+    assert abs(np.mean(np.sign(values))) < 0.25
+
+
+@pytest.mark.validate
+def test_panels_without_effects_find_effects_in_5_percent_of_tests(tmp_path: Path) -> None:
+    page = {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}, "anchors": [3500]}
+    test = fakes.made(tmp_path, [page])
+    alarms = []
+    for seed in range(300):
+        for old in (tmp_path / "out" / "answers").glob("*"):
+            old.unlink()
+        simulate(test, panel(slope_sd=4.0), 14, seed=seed)
+        (found,) = analyse(tmp_path / "out", screening=False).pages
+        alarms += [t.p_value < 0.05 for t in found.linear.tests]
+    assert 0.03 < np.mean(alarms) < 0.07
+
+
+def test_the_power_promised_is_had() -> None:
+    promised = power.rating_power([0.0, 5.0, 0.0], 8.0**2 / 2 * np.eye(3), 25, 0.05)[0]
+    had = simulations.power_had(np.random.default_rng(3), 3000, 25, 5.0, 8.0)
+    assert had == pytest.approx(promised, abs=0.035)
+
+
+def test_power_takes_a_pilot_s_answers(tmp_path: Path) -> None:
+    page = {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}, "expect": 10.0}
+    test = fakes.made(tmp_path, [page])
+    (stated,) = power.power_of(test.manifest, {})
+    simulate(test, panel(listener_sd=2.0, residual_sd=3.0, ratings={"damping": {"block": -30.0}}), 12, seed=1)
+    (piloted,) = power.power_of(test.manifest, {}, analyse(tmp_path / "out"))
+    assert "12 listeners of a pilot" in str(piloted)
+    assert piloted.listeners < stated.listeners
+
+
+def test_quest_plus_takes_the_levels_of_the_reference_run() -> None:
+    """Watson's example with one unknown in questplus 2023.1: 20 answers, then mean, deviation and mode."""
+    grid = np.arange(-40, 1, 1.0)
+    right = 1 - 0.02 - (1 - 0.5 - 0.02) * np.exp(-(10.0 ** (3.5 * (grid[:, None] - grid) / 20)))
+    table = QuestTable(right, np.ones(len(grid)))
+    posterior, levels = table.prior, []
+    for answer in "CCCICCICCCICCCCICICC":
+        at = int(table.best(posterior))
+        levels.append(int(grid[at]))
+        posterior = table.updated(posterior, at, answer == "C")
+    assert levels == [
+        -18,
+        -22,
+        -25,
+        -28,
+        -19,
+        -20,
+        -22,
+        -16,
+        -17,
+        -18,
+        -19,
+        -14,
+        -15,
+        -16,
+        -17,
+        -18,
+        -15,
+        -16,
+        -13,
+        -13,
+    ]
+    mean = float(posterior @ grid)
+    assert mean == pytest.approx(-15.734298, abs=1e-6)
+    assert math.sqrt(posterior @ grid**2 - mean**2) == pytest.approx(3.055088, abs=1e-6)
+    assert grid[np.argmax(posterior)] == -17
+
+
+def test_quest_plus_takes_the_levels_of_questplus(rng: np.random.Generator) -> None:
+    questplus = pytest.importorskip("questplus")
+    levels, thresholds_, slopes, lapses = (np.arange(-20, 1, 1.0), np.arange(-20, 1, 2.0), np.array([2.0, 3.5, 6.0]),
+                                           np.array([0.01, 0.05]))  # fmt: skip
+    theirs = questplus.QuestPlus(
+        stim_domain={"intensity": levels}, func="weibull", stim_scale="dB",
+        param_domain={
+            "threshold": thresholds_, "slope": slopes, "lower_asymptote": np.array([1 / 3]), "lapse_rate": lapses
+        },
+        outcome_domain={"response": ["Correct", "Incorrect"]}, stim_selection_method="min_entropy",
+        param_estimation_method="mean",
+    )  # fmt: skip
+    t, b, lapse = (x.ravel() for x in np.meshgrid(thresholds_, slopes, lapses, indexing="ij"))
+    right = 1 - lapse - (1 - 1 / 3 - lapse) * np.exp(-(10.0 ** (b * (levels[:, None] - t) / 20)))
+    table = QuestTable(right, np.ones(len(t)))
+    posterior = table.prior
+    for _ in range(30):
+        at = int(table.best(posterior))
+        assert levels[at] == theirs.next_stim["intensity"]
+        answer = bool(rng.random() < 0.75)
+        posterior = table.updated(posterior, at, answer)
+        theirs.update(stim=theirs.next_stim, outcome={"response": "Correct" if answer else "Incorrect"})
+    assert float(posterior @ t) == pytest.approx(theirs.param_estimate["threshold"], abs=1e-9)
+
+
+def test_a_track_of_quest_plus_is_that_of_many_at_once() -> None:
+    page = StaircasePage.model_validate(GUIDE)
+    (levels,), (right,) = simulations.trials(page, np.array([1.6]), np.array([2.0]), 0.02, np.random.default_rng(1))
+    track = QuestTrack(page)
+    for level, answer in zip(levels, right, strict=True):
+        assert track.level == pytest.approx(level, rel=1e-9)
+        assert track.step_after(bool(answer)) in {float(f"{math.exp(u):.10g}") for u in table_of(page)[0]}
+        track.answer(bool(answer))
+    assert track.done
+
+
+@pytest.mark.parametrize("page", [GUIDE, GUIDE | LEVITT], ids=["QUEST+", "Levitt"])
+def test_thresholds_are_without_bias(page: dict) -> None:
+    people = simulations.Population(5.0, 0.25, 2.0)
+    found = simulations.threshold_rates(np.random.default_rng(3), 25, 12, StaircasePage.model_validate(page), people)
+    assert abs(found.bias_mean) < 0.09  # the standard error is 2.5 %
+    assert found.coverage_mean >= 0.84
+    assert 0.90 < found.coverage_listener < 0.99
+
+
+@pytest.mark.validate
+@pytest.mark.parametrize("slope", [2.0, 4.0])
+def test_thresholds_of_the_guide_hold_bias_and_coverage(slope: float) -> None:
+    people = simulations.Population(5.0, 0.25, slope)
+    for seed in (1, 2, 3):
+        found = simulations.threshold_rates(
+            np.random.default_rng(seed), 400, 12, StaircasePage.model_validate(GUIDE), people
+        )
+        assert abs(found.bias_mean) <= 0.05
+        assert abs(found.bias_listener) <= 0.05
+        assert 0.93 <= found.coverage_listener <= 0.97
+        assert 0.93 - 0.011 <= found.coverage_mean <= 0.97 + 0.009  # a standard error of 400 experiments beyond
+
+
+def test_reversals_are_corrected() -> None:
+    """Their mean was 23 to 61 % too high."""
+    page, rng = StaircasePage.model_validate(GUIDE | LEVITT), np.random.default_rng(7)
+    raw, corrected = [], []
+    for _ in range(12):
+        true = math.log(5.0) + 0.25 * rng.standard_normal(12)
+        levels, right = simulations.trials(page, true, np.full(12, 1.5), 0.02, rng)
+        rows = [
+            {"listener": str(i), "index": j, "track": 0, "level": x, "right": r}
+            for i in range(12) for j, (x, r) in enumerate(zip(levels[i], right[i], strict=True))
+        ]  # fmt: skip
+        found = thresholds(rows, page, "%", 0.95)
+        for one, t in zip(found.listeners, true, strict=True):
+            if one.reversals is not None:
+                corrected.append(math.log(one.reversals) - t)
+                raw.append(corrected[-1] + math.log(found.correction))
+    assert np.mean(raw) > 0.2
+    assert abs(np.mean(corrected)) < 0.12
+
+
+def test_pooled_sensitivity_is_that_of_the_population() -> None:
+    ours, together, coverage = simulations.sensitivity_rates(np.random.default_rng(1), 150, 20, 20, "more_2", 2.5, 0.8)
+    assert abs(ours) < 0.05
+    assert together < -0.08
+    assert coverage > 0.9
+    rng = np.random.default_rng(2)
+    d, k = np.maximum(1.8 + 0.6 * rng.standard_normal(30), 0), 1.4 + 0.5 * rng.standard_normal(30)
+    hit = stats.norm.cdf((d - k) / math.sqrt(2)) + stats.norm.cdf((-d - k) / math.sqrt(2))
+    alarm = np.minimum(2 * stats.norm.cdf(-k / math.sqrt(2)), 1.0)
+    hits, alarms, n = rng.binomial(40, hit), rng.binomial(40, alarm), np.full(30, 40)
+    value, low, high = pooling.pooled_same_different(hits, n, alarms, n, 0.95)
+    assert low < 1.8 < high
+    assert value == pytest.approx(1.8, abs=0.3)
+    all_right = np.array([20.0, 20.0, 20.0, 12.0])  # the mean of single d' is infinite
+    assert pooling.pooled(all_right, np.full(4, 20.0), shares_of("more_2"), 0.95)[0] < 8
+    assert math.isinf(sensitivity(1.0, "more_2"))
+
+
+def test_shares_of_preference_do_not_depend_on_the_scale(rng: np.random.Generator) -> None:
+    y = rng.normal(60, 10, (10, 2, 3)) + np.array([0, 8])[:, None]
+    ranks = rank_analysis(rows_of(y), ("f",)).superiority[0]
+    bent = rank_analysis(rows_of(np.exp(y / 5)), ("f",)).superiority[0]
+    assert (ranks.share, ranks.p_value) == (bent.share, bent.p_value)
+    by_hand = np.mean([[[b > a for a in own[0]] for b in own[1]] for own in y])
+    assert ranks.share == pytest.approx(by_hand)
+
+
+def test_bradley_terry_counts_listeners_not_answers() -> None:
+    """Each of ten listeners gives one answer twenty times over: as sure as ten answers."""
+    rows = [{"listener": str(i), "f": "x|y", "value": float(i < 7)} for i in range(10)]
+    few, many = (bradley_terry(rows * k, "f", 0.95)[1] for k in (1, 20))
+    assert many.high - many.low == pytest.approx(few.high - few.low, rel=0.01)
+
+
+def test_the_first_lines_say_difference_certainty_and_unit(tmp_path: Path) -> None:
+    pages = [
+        {"type": "mushra", "group_by": ["damping"], "reference": {"pluck": "near"}, "anchors": [3500]},
+        fakes.STAIRS,
+        {"type": "abx", "pairs": {"pluck": ["near", "far"]}, "times": 6},
+    ]
+    test = fakes.made(tmp_path, pages)
+    heard = panel(
+        ratings={"pluck": {"far": -20.0}}, d_prime={"pluck": {"far": 2.0}},
+        thresholds={"2": {"mean": 0.25, "sd": 1.2, "slope": 4.0}},
+    )  # fmt: skip
+    simulate(test, heard, 16, seed=3)
+    found = analyse(tmp_path / "out")
+    lines = summary(found)
+    far = next(line for line in lines if "far is rated" in line)
+    assert "points below near (body.detune 1.01 and 1" in far
+    assert "just-noticeable differences" in far  # 1 % of a threshold near 0.25 %
+    times = float(far.split("1.01 and 1, ")[1].split(" just")[0])
+    assert times == pytest.approx(1.0 / found.pages[1].thresholds.mean, rel=0.05)
+    assert any("the just-noticeable difference is 0.2" in line for line in lines)
+    assert any("are told apart" in line and "d' =" in line for line in lines)
+    assert "Levitt" in methods(found)
+
+
+def test_a_scale_that_ends_is_told(tmp_path: Path) -> None:
+    scale = {"name": "dry", "label": "Dry", "low": 0.0, "high": 10.0}
+    test = fakes.made(tmp_path, [{"type": "rating", "scales": [scale, scale | {"name": "o", "ordinal": True}]}])
+    simulate(test, panel(ratings={"damping": {"block": 9.0}}, residual_sd=2.0), 12, seed=3)
+    lines = summary(analyse(tmp_path / "out"))
+    assert any("stand at an end of the scale" in line for line in lines)
+    assert any("in 9" in line and "of comparisons" in line for line in lines)
+    assert any("grades have an order" in line for line in lines)
