@@ -19,6 +19,8 @@ from tonewood.performance.score.written import Curve, Measure, WrittenMusic, Wri
 from tonewood.performance.score.xml_files import member, number_of, parsed, text_of
 
 _QUARTER = 960
+#: measures of files of versions 7 and 8
+_MOST_MEASURES = 20_000
 #: quarter notes in a measure; parts of a whole note; notes of a tuplet; frets; bits of flags; ids in lists
 _LONGEST, _SHORTEST, _MOST_OF_TUPLET, _FRETS, _FLAGS, _MOST_REFERENCES = 1024, 4096, 1000, 99, 2**16, 300_000
 #: largest bend, quarter tones; elements of one bar, beat or note, which may be read very often
@@ -246,6 +248,7 @@ class _Gpif:
         out = self.out = WrittenMusic(self.path, [], [], {"title": title} if title else {})
         self.ignored = out.ignored
         bars = self.root.findall("MasterBars/MasterBar")
+        Allowance(_MOST_MEASURES, "measures", self.path).take(len(bars))
         out.measures += [self._measure(bar) for bar in bars]
         columns = [self._ids(bar, "Bars") for bar in bars]
         for change in self.root.findall("MasterTrack/Automations/Automation"):

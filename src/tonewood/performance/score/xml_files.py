@@ -23,7 +23,7 @@ _MOST_MEMBERS = 10_000
 MAX_ELEMENTS, _DEEPEST, _LONGEST = 1_000_000, 100, 2**21
 _LONGEST_NAME = 500
 #: elements, attributes and texts that are kept at a time: some 100 bytes each
-_MOST_KEPT = 2_000_000
+_MOST_KEPT = 1_600_000
 #: bytes of an empty text
 _SHORT = sys.getsizeof("")
 #: bytes that are parsed at a time
