@@ -50,6 +50,12 @@ def test_all_columns_are_points(tmp_path: Path) -> None:
     np.testing.assert_allclose(named.basis(1000.0).frf(FREQ, "left", "b"), expected, rtol=1e-10)
 
 
+def test_a_table_without_a_point_is_one_line(tmp_path: Path) -> None:
+    body = make(tmp_path, "f_Hz,Q\n100,20\n", shapes="points", columns="all")
+    with pytest.raises(TonewoodError, match="no column is a point; there are f_Hz, Q"):
+        body.basis(1000.0)
+
+
 def test_points_or_all_columns_are_wanted(tmp_path: Path) -> None:
     table = "f_Hz,Q,p\n100,20,1\n"
     with pytest.raises(TonewoodError, match="at least one is wanted, or columns: all"):

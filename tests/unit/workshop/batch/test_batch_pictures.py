@@ -41,6 +41,11 @@ def test_an_impulse_stands_at_its_time(tmp_path: Path) -> None:
     assert bright.tolist() == list(range(630, 671))
 
 
+def test_a_silent_half_is_a_line(tmp_path: Path) -> None:
+    wave, _ = picture(tmp_path, np.repeat([0.0, 1.0], 3500))
+    assert (wave < 1.0).any(axis=-1).sum(axis=0).min() >= 1
+
+
 def test_a_waveform_spans_its_peaks(tmp_path: Path) -> None:
     """Plus and minus the peak fill all rows; half of it half of them; a constant is a line."""
     n = 100
