@@ -274,6 +274,8 @@ class Gong(ta.Resonator[GongParameters]):
         p, coupled = self.parameters, self._coupled(freq_upper)
         if not len(omega):
             return ta.ModalBasis.real(omega, omega, {"bridge": omega})
+        if not coupled:
+            raise self.fault(f"is below the lowest mode, {omega[0] / (2 * math.pi):.4g} Hz", "freq_coupled")
         return ta.ModalBasis.real(
             omega,
             p.sigma0 + p.sigma2 * omega**2,

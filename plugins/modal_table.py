@@ -215,6 +215,9 @@ class ModalTable(Body[ModalTableParameters]):
 
     def _points(self, table: Mapping[str, Floats]) -> tuple[NDArray[np.intp], dict[str, Floats]]:
         shapes = self._columns(table)
+        if not shapes:
+            listed = ", ".join(table)
+            raise self.fault(f"{self.parameters.table}: no column is a point; there are {listed}", "table")
         mass = table.get("modal_mass", np.ones(1))
         if np.any(mass <= 0):
             raise self.fault(f"{self.parameters.table}: modal masses must be above 0", "table")

@@ -37,7 +37,7 @@ TESTS = {name: [f"{PHYSICS}/{name}"] for name in ("modal", "passivity", "energy"
     "player": ["tests/unit/performance/player", "tests/unit/performance/engine"],
     "engine": ["tests/unit/performance/engine", "tests/unit/performance/player"],
     "effects": ["tests/effects", "tests/unit/performance/engine"],
-    "sound": ["tests/unit/sound"],
+    "sound": ["tests/unit/sound", "tests/unit/test_notebook.py"],
     "fit": ["tests/unit/workshop/fit"],
     "listening": ["tests/unit/workshop/listening"],
     "batch": ["tests/unit/workshop/batch"],

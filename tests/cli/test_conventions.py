@@ -60,7 +60,10 @@ def test_completion(words: str, offered: set[str]) -> None:
         (["check", "monochord", "--sett", "a=1"], "No such option: --sett. Did you mean --set? See: tonewood check -h"),
         (["check", "monochord", "--set", "string.A2.tension=3"], "there is no 'string'; did you mean strings?"),
         (["check", "monochord", "--set", "strings.A2.tensoin=3"], "did you mean tension?"),
-        (["check", "monochord", "--set", "body.plugin=modal_tabel"], "'modal_tabel'; did you mean modal_table?"),
+        (
+            ["check", "monochord", "--set", "body.plugin=modal_tabel"],
+            "'modal_tabel' of kind body; did you mean modal_table?",
+        ),
         (["check", "monochord", "--set", "strings.A2.end=body.brige"], "'body.brige'; did you mean body.bridge?"),
         (["check", "monochord", "--set", "playing.exciter=plukc"], "no exciter 'plukc'; did you mean pluck?"),
         (["modes", "classical_guitar", "--string", "e2"], "no string 'e2'; did you mean E2?"),

@@ -336,6 +336,8 @@ def test_limits_of_size_have_messages() -> None:
         large.basis(20000.0)
     with pytest.raises(BundleError, match="no stops"):
         Gong.from_values(VALUES).basis(1000.0, stop=0.1)
+    with pytest.raises(BundleError, match=r"freq_coupled: is below the lowest mode, \d"):
+        Gong.from_values({**VALUES, "freq_coupled": 20.0}).basis(1000.0)
     with pytest.raises(BundleError, match=r"polarizations: \[z\]"):
         tw.render(blow(60), small(**{"strings.gong.polarizations": ["z", "y"]}), max_duration=0.1)
 

@@ -90,6 +90,21 @@ def test_a_squeak_has_the_pitch_of_the_windings_that_pass() -> None:
     assert freq == pytest.approx(1.5 * 3000 * way / 0.2, rel=0.02)
 
 
+@pytest.mark.parametrize(("freq", "partials"), [(15_000.0, 1), (9_000.0, 2), (4_000.0, 3)])
+def test_partials_of_a_squeak_end_below_20_khz(freq: float, partials: int) -> None:
+    """Half way they are depth / k; the samples could only hold a higher one as its alias."""
+    way = OPEN * (2 ** (-2 / 12) - 2 ** (-7 / 12))
+    found = gesture("squeak", (2, 7), windings=freq * 0.05 / (1.5 * way), time=0.05, jitter=0.0, depth=0.5)
+    assert found.noise is not None
+    middle = len(found.noise.values) // 2
+    window = np.hanning(120)
+    time = found.noise.interval * np.arange(120)
+    piece = found.noise.values[middle - 60 : middle + 60] * window
+    for k in (1, 2, 3):
+        size = 2 * abs(np.exp(-2j * np.pi * k * freq * time) @ piece) / window.sum()
+        assert size == pytest.approx(0.5 / k if k <= partials else 0.0, abs=0.03)
+
+
 def test_a_plain_string_does_not_squeak() -> None:
     assert gesture("squeak", strings=("A2",)) == Gesture(())
     assert gesture("squeak", (3, 3)) == Gesture(())

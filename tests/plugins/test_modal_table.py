@@ -37,6 +37,33 @@ def test_modal_mass_and_shapes(tmp_path: Path) -> None:
     np.testing.assert_allclose(body.frf(FREQ, "left", "right"), expected, rtol=1e-10)
 
 
+def test_all_columns_are_points(tmp_path: Path) -> None:
+    """A column that a named point takes is that point, not another one of the column's name."""
+    table = "f_Hz,Q,modal_mass,a,b\n100,20,0.2,1,-0.5\n250,35,0.1,0.7,1\n"
+    body = make(tmp_path, table, shapes="points", columns="all")
+    assert list(body.points()) == ["a", "b"]
+    expected = term(100, 20) * (1 * -0.5) / 0.2 + term(250, 35) * (0.7 * 1) / 0.1
+    np.testing.assert_allclose(body.basis(1000.0).frf(FREQ, "a", "b"), expected, rtol=1e-10)
+    named = make(tmp_path, table, shapes="points", columns="all", points={"left": {"column": "a", "direction": "y"}})
+    assert set(named.points()) == {"left", "b"}
+    assert named.points()["left"].direction == (0.0, 1.0, 0.0)
+    np.testing.assert_allclose(named.basis(1000.0).frf(FREQ, "left", "b"), expected, rtol=1e-10)
+
+
+def test_a_table_without_a_point_is_one_line(tmp_path: Path) -> None:
+    body = make(tmp_path, "f_Hz,Q\n100,20\n", shapes="points", columns="all")
+    with pytest.raises(TonewoodError, match="no column is a point; there are f_Hz, Q"):
+        body.basis(1000.0)
+
+
+def test_points_or_all_columns_are_wanted(tmp_path: Path) -> None:
+    table = "f_Hz,Q,p\n100,20,1\n"
+    with pytest.raises(TonewoodError, match="at least one is wanted, or columns: all"):
+        make(tmp_path, table, shapes="points")
+    with pytest.raises(TonewoodError, match="columns: all is for shapes: points"):
+        make(tmp_path, table, shapes="residues", reference="p", columns="all")
+
+
 def test_residues_per_point(tmp_path: Path) -> None:
     body = make(
         tmp_path, "f_Hz,zeta,ref,far\n100,0.01,4,-3\n250,0.02,1,2\n",

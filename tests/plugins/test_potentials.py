@@ -102,3 +102,40 @@ def test_a_gradient_that_fails_ends_in_one_line(tmp_path: Path) -> None:
     (folder / "block.py").write_text(source, encoding="utf-8")
     with pytest.raises(TonewoodError, match="modes, not 2 coordinates"):
         tw.render(SCORE, tw.load_instrument(folder, allow_code=True), 8000, max_duration=0.02, effects="all")
+
+
+WORKS = "return float(0.25 * self.k * y[0] ** 4), self.k * y**3"
+LATE = """self.calls = getattr(self, "calls", 0) + 1
+        if self.calls > 200:
+            raise {}
+        """
+
+
+@pytest.mark.parametrize(
+    ("wrong", "line"),
+    [
+        (LATE.format('RuntimeError("one\\ntwo")') + WORKS, "Cube.gradient raises RuntimeError: one two"),
+        (LATE.format("SystemExit(0)") + WORKS, "Cube.gradient raises SystemExit: 0"),
+        ("return 1.0, np.zeros(3)", r"dV/dy has shape \(3,\), not \(1,\)"),
+        ("return 1.0, 0.0", r"dV/dy has shape \(\), not \(1,\)"),
+        ("return None", "Cube.gradient raises TypeError"),
+        ("return 1.0, 1j * y", "Cube.gradient raises TypeError"),
+        ('return 1.0, y if y[0] == 0.0 else ["a"]', "Cube.gradient raises"),
+        ('return float("nan"), y', "not finite at rest"),
+        ("return y[0] ** 2 - 5.0, 2 * y", "V = -5 J at rest is below `least` = 0 J"),
+    ],
+)
+@pytest.mark.parametrize("account", [False, True])
+def test_a_wrong_gradient_ends_in_one_line_whenever_it_goes_wrong(
+    tmp_path: Path, wrong: str, line: str, account: bool, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "hard"
+    block(folder, 1e15)
+    source = (folder / "block.py").read_text(encoding="utf-8")
+    assert WORKS in source
+    (folder / "block.py").write_text(source.replace(WORKS, wrong), encoding="utf-8")
+    instrument = tw.load_instrument(folder, allow_code=True)
+    with pytest.raises(TonewoodError, match=line) as caught:
+        tw.render(SCORE, instrument, 8000, oversampling=1.0, max_duration=0.1, effects="all", energy=account)
+    assert "\n" not in str(caught.value)
+    assert capfd.readouterr().err == ""

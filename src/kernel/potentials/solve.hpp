@@ -19,7 +19,6 @@ namespace {
 
 constexpr double kPaidAtOnce = 0.25;   // of the kinetic energy, at most, where psi is put back
 constexpr double kSame = 1e-13;        // of an energy, by which two sums of it may differ
-constexpr double kKept = 1e-7;         // of V + C: excess of psi^2 / 2 up to which it is not
 
 class PotentialGroup;
 
@@ -80,6 +79,8 @@ public:
     virtual double shift(int, double, double) { return 0.0; }
     // Takes an energy from the kinetic energy of the modes; returns the part that was paid.
     virtual double pay(int s, double cost) = 0;
+    // Of V + C: excess of psi^2 / 2 up to which psi is not put back.
+    virtual double tolerance() const { return 1e-3; }
 
     // Reads C and psi of all potentials from the state, whose numbers are the excess of psi^2 / 2 - C over V, C, and
     // psi.
@@ -100,7 +101,7 @@ public:
             const double value = energy(s);
             double excess = 0.5 * ws_.psi[s] * ws_.psi[s] - ws_.shift[s] - value;
             if (resets) {
-                if (std::abs(excess) > kKept * (value + ws_.shift[s])) excess += pay(s, -excess);
+                if (std::abs(excess) > tolerance() * (value + ws_.shift[s])) excess += pay(s, -excess);
                 ws_.shift[s] = shift(s, 0.0, value + excess);
                 ws_.psi[s] = std::sqrt(2 * std::max(value + excess + ws_.shift[s], 0.0));
             }

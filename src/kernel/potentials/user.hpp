@@ -19,6 +19,7 @@ public:
         }
     }
 
+    double tolerance() const override { return 1e-7; }
     void direct() override {
         for (int s = first_; s < end_; ++s) {
             One& one = at(s);

@@ -119,3 +119,8 @@ def test_options_alone_are_light() -> None:
     script = "import sys, tonewood.sound.render.options; print(' '.join(sys.modules))"
     loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split()
     assert not {"numpy", "scipy", "tonewood.performance.engine.engine"} & set(loaded)
+
+
+def test_the_deprecated_tail_has_the_defaults_of_its_options() -> None:
+    defaults = tw.RenderOptions()
+    assert (tw.Tail().cap, tw.Tail().level_db) == (defaults.tail, defaults.tail_level_db) == (10.0, -60.0)

@@ -85,7 +85,7 @@ def _key(instrument: Instrument, limit: float) -> str | None:
     if cache_folder() is None:
         return None
     try:
-        parts = [instrument.content_hash, limit, _sources(), np.__version__, numpy_blas(), version("scipy")]
+        parts = [instrument.content_hash, limit, _sources(), *_libraries()]
     except OSError:  # a file of the bundle is gone
         return None
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
@@ -101,3 +101,9 @@ def _sources() -> str:
     """Names, lengths and times of the source files, as a hash."""
     files = (path for room in _SOURCES for path in sorted((Path(__file__).parents[2] / room).rglob("*.py")))
     return hashlib.sha256("\n".join(_stamp(path) for path in files).encode()).hexdigest()
+
+
+@cache
+def _libraries() -> tuple[object, ...]:
+    """Versions of the libraries that compute; the same for a whole process."""
+    return np.__version__, numpy_blas(), version("scipy")

@@ -19,10 +19,14 @@ from tonewood.performance.score.written import Curve, Measure, WrittenMusic, Wri
 from tonewood.performance.score.xml_files import member, number_of, parsed, text_of
 
 _QUARTER = 960
+#: measures of files of versions 7 and 8
+_MOST_MEASURES = 20_000
 #: quarter notes in a measure; parts of a whole note; notes of a tuplet; frets; bits of flags; ids in lists
 _LONGEST, _SHORTEST, _MOST_OF_TUPLET, _FRETS, _FLAGS, _MOST_REFERENCES = 1024, 4096, 1000, 99, 2**16, 300_000
 #: largest bend, quarter tones; elements of one bar, beat or note, which may be read very often
 _BENDS, _MOST_OF_ONE = 96.0, 300
+#: elements, and texts of so many characters, that may be read again and again in all
+_MOST_READ, _CHARACTERS = 20_000_000, 16
 _NAMES = {"Whole": 4, "Half": 2, "Quarter": 1}
 _DYNAMICS = {"PPP": 15, "PP": 31, "P": 47, "MP": 63, "MF": 79, "F": 95, "FF": 111, "FFF": 127}
 _JUMPS = {
@@ -222,12 +226,21 @@ class _Gpif:
             kind: {e.get("id", ""): e for e in root.findall(f"{kind}s/{kind}")}
             for kind in ("Bar", "Voice", "Beat", "Note", "Rhythm")
         }
-        #: element of a table -> its properties by name
+        self.read = Allowance(_MOST_READ, "elements and texts read again and again", path)
+        #: element of a table -> its properties by name; what it takes to read it
         self._properties: dict[Element, dict[str | None, Element]] = {}
+        self._sizes: dict[Element, int] = {}
         for kind, table in self.tables.items():
             for element in table.values():
                 if len(element) + len(element.findall("*/*")) > _MOST_OF_ONE:
                     raise ScoreError(f"a {kind} of more than {_MOST_OF_ONE} elements", file=path)
+                self._sizes[element] = sum(1 + len(e.text or "") // _CHARACTERS for e in element.iter())
+
+    def _entry(self, kind: str, number: str) -> Element | None:
+        """Element of a table, read once more: a long one that is listed often is work without end."""
+        element = self.tables[kind].get(number)
+        self.read.take(0 if element is None else self._sizes[element])
+        return element
 
     def music(self) -> WrittenMusic:
         """All tracks."""
@@ -235,6 +248,7 @@ class _Gpif:
         out = self.out = WrittenMusic(self.path, [], [], {"title": title} if title else {})
         self.ignored = out.ignored
         bars = self.root.findall("MasterBars/MasterBar")
+        Allowance(_MOST_MEASURES, "measures", self.path).take(len(bars))
         out.measures += [self._measure(bar) for bar in bars]
         columns = [self._ids(bar, "Bars") for bar in bars]
         for change in self.root.findall("MasterTrack/Automations/Automation"):
@@ -291,10 +305,10 @@ class _Gpif:
 
     def _bar(self, number: str, tuning: list[float], capo: int) -> list[WrittenNote]:
         out: list[WrittenNote] = []
-        for voice in self._ids(self.tables["Bar"].get(number), "Voices"):
+        for voice in self._ids(self._entry("Bar", number), "Voices"):
             at = Fraction(0)
-            for beat_id in self._ids(self.tables["Voice"].get(voice), "Beats"):
-                beat = self.tables["Beat"].get(beat_id)
+            for beat_id in self._ids(self._entry("Voice", voice), "Beats"):
+                beat = self._entry("Beat", beat_id)
                 if beat is None:
                     self.ignored["beat that is not in the file"] += 1
                     continue
@@ -311,7 +325,7 @@ class _Gpif:
 
     def _length(self, beat: Element) -> Fraction:
         reference = beat.find("Rhythm")
-        rhythm = None if reference is None else self.tables["Rhythm"].get(reference.get("ref", ""))
+        rhythm = None if reference is None else self._entry("Rhythm", reference.get("ref", ""))
         name = text_of(rhythm, "NoteValue", "Quarter")
         part = whole(name.rstrip("thnds"), 1, _SHORTEST)  # 16th, 32nd
         length = Fraction(_NAMES[name]) if name in _NAMES else Fraction(4, part) if part else Fraction(1, 2)
@@ -337,8 +351,9 @@ class _Gpif:
         for name in ("WhammyBar", "FadeIn", "Fadding", "Rasgueado"):
             self.ignored[name.lower()] += name in values or beat.find(name) is not None
         brush = text_of(values.get("Brush"), "Direction")
-        notes = [self.tables["Note"].get(n) for n in self._ids(beat, "Notes")]
-        self.out.signs.take(len(notes))
+        listed = self._ids(beat, "Notes")
+        self.out.signs.take(len(listed))
+        notes = [self._entry("Note", n) for n in listed]
         out = [self._note(note, at, length, tuning, capo, velocity, common) for note in notes if note is not None]
         found = sorted((n for n in out if n is not None), key=lambda n: n.pitch, reverse=brush == "Up")
         return [

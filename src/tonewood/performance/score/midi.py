@@ -64,7 +64,7 @@ def read_midi(path: str | os.PathLike[str], *, start: float = 0.0, stop: float |
         raise ScoreError(f"excerpt from {start} s to {stop} s: 0 <= start < stop is needed", file=path)
     findings = Findings()
     midi = parse_smf(file_bytes(path, MAX_BYTES), findings, file=os.fspath(path))
-    performance = ChannelReader(findings)
+    performance = ChannelReader(findings, path)
     for messages, end in _played(midi, findings):
         performance.play(messages)
         performance.finish(end)

@@ -38,6 +38,8 @@ _NUMBERS = {
     "alter", "bend-alter", "capo", "chromatic", "divisions", "duration", "fret", "octave", "octave-change",
     "per-minute", "string", "tremolo", "tuning-alter", "tuning-octave",
 }  # fmt: skip
+#: kinds of what is left out, from which on names of signs are no longer told, and characters of a name
+_MOST_UNKNOWN, _LONGEST_SIGN = 100, 40
 #: times that a measure is repeated, number of an ending, and of a line of a staff
 _MOST_TIMES, _MOST_ENDING, _MOST_LINES = 32, 9999, 1000
 
@@ -242,7 +244,11 @@ class _PartReader:
             return None
         self.music.signs.take()
         signs, ignored = _signs(element)
-        self.music.ignored.update(ignored)
+        for name, n in ignored.items():
+            short = name[:_LONGEST_SIGN]
+            if short not in self.music.ignored and len(self.music.ignored) >= _MOST_UNKNOWN:
+                short = "other signs that are not known"
+            self.music.ignored[short] += n
         if self.palm:
             signs.add("palm_mute")
         if text_of(element, "notehead") == "x":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -29,6 +30,11 @@ class _Channel:
 class ChannelReader:
     """Plays timed messages on sixteen channels and keeps the notes and controls they make.
 
+    Parameters
+    ----------
+    findings : takes oddities.
+    file : for errors.
+
     Attributes
     ----------
     notes : (time in s, channel, key, velocity) in time order.
@@ -37,13 +43,13 @@ class ChannelReader:
     ignored : (time in s, kind) of messages without effect.
     """
 
-    def __init__(self, findings: Findings):
+    def __init__(self, findings: Findings, file: str | os.PathLike[str] | None = None):
         self.notes: list[tuple[float, int, int, int]] = []
         self.ends: list[float] = []
         self.releases: list[float] = []
         self.controls: list[Control] = []
         self.ignored: list[tuple[float, str]] = []
-        self._findings = findings
+        self._findings, self._file = findings, file
         self._latest: dict[tuple[int, str], float] = {}
         self._channels = [_Channel() for _ in range(16)]
         self._midi = MidiChannels()
@@ -182,7 +188,7 @@ class ChannelReader:
             self._latest[number, kind] = value
             self.controls.append(Control(time, kind, value, number))
             if len(self.controls) > MAX_CONTROLS:  # one message of a master channel makes sixteen
-                raise ScoreError(f"more than {MAX_CONTROLS} changes of controllers and bends")
+                raise ScoreError(f"more than {MAX_CONTROLS} changes of controllers and bends", file=self._file)
 
 
 def where(channel: int, key: int, time: float) -> str:

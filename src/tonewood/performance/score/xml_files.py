@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator
@@ -22,7 +23,9 @@ _MOST_MEMBERS = 10_000
 MAX_ELEMENTS, _DEEPEST, _LONGEST = 1_000_000, 100, 2**21
 _LONGEST_NAME = 500
 #: elements, attributes and texts that are kept at a time: some 100 bytes each
-_MOST_KEPT = 2_000_000
+_MOST_KEPT = 1_600_000
+#: bytes of an empty text
+_SHORT = sys.getsizeof("")
 #: bytes that are parsed at a time
 _CHUNK = 1 << 16
 #: largest number in a score
@@ -109,12 +112,12 @@ class _Tree:
         names = [tag, *attributes]
         if max(map(len, names)) > _LONGEST_NAME:  # with its namespace, which expat writes out in each of them
             raise ScoreError(f"a name of more than {_LONGEST_NAME} characters", file=self._path)
-        self._keep(4 + len(attributes) + (sum(map(len, attributes.values())) >> 6) if attributes else 1)
+        self._keep(4 + len(attributes) + sum(map(_extra, attributes.values())) if attributes else 1)
         self._text = 0
         self._open.append(self._builder.start("{" + tag if "}" in tag else tag, attributes))
 
     def _data(self, text: str) -> None:
-        self._keep(1 + (len(text) >> 6))
+        self._keep(1 + _extra(text))
         self._text += len(text)
         if self._text > _LONGEST:
             raise ScoreError(f"a text of more than {_LONGEST} characters", file=self._path)
@@ -132,6 +135,11 @@ class _Tree:
         if len(self._open) == 2 and self._cell is not None and self._cell(self._open, element):
             del self._open[-1][-1]
             self._kept = self._kept_before
+
+
+def _extra(text: str) -> int:
+    """64 bytes of memory that a text takes beyond a short one: up to four a character, by its widest."""
+    return sys.getsizeof(text) - _SHORT >> 6
 
 
 def member(data: bytes, name: str, path: Path) -> Iterator[bytes]:

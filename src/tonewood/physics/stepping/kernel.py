@@ -22,6 +22,7 @@ from tonewood.physics.coupling.connections import NonlinearGaps
 from tonewood.physics.coupling.inverse import Hub, InverseInParts
 from tonewood.physics.coupling.laws import NonlinearLaw
 from tonewood.physics.coupling.potentials.base import Kind
+from tonewood.physics.coupling.potentials.user import PotentialEnergy
 from tonewood.physics.coupling.system import Compiled, Injection, PrescribedMotion, State, System
 from tonewood.physics.stepping.description import (
     Description,
@@ -386,6 +387,9 @@ class KernelStepper:
         )
         if slot != -1:
             self._law_forces = np.zeros(0)
+            for i in range(len(self.system.potentials)):
+                if isinstance(potential := self.system.joined(i), PotentialEnergy):
+                    potential.raise_fault()
             t = (state.sample + sample) * self.system.dt
             if slot >= 0:
                 raise NumericalError(f"{self.system.names[slot]} is no longer finite at {t:.6f} s")

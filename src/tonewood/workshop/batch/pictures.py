@@ -51,7 +51,7 @@ def _waveform(audio: Samples) -> Pixels:
     edges = np.linspace(0, len(audio), WIDTH + 1).astype(int)[:-1]
     peak = float(np.max(np.abs(audio), initial=0.0)) or 1.0
     row = np.linspace(1.0, -1.0, WAVE_HEIGHT)[:, None] * peak
-    half = peak / (WAVE_HEIGHT - 1)  # every column shows at least its line
+    half = 1.01 * peak / (WAVE_HEIGHT - 1)  # every column shows at least a row, one that lies between two both
     pixels = np.full((WAVE_HEIGHT, WIDTH, 4), 255, dtype=np.uint8)
     for channel in audio.T:
         low, high = np.minimum.reduceat(channel, edges), np.maximum.reduceat(channel, edges)

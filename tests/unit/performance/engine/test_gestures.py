@@ -11,7 +11,7 @@ import tonewood as tw
 from tonewood.instrument.contract.attached import Motion
 from tonewood.instrument.contract.gestures import Gesture
 from tonewood.instrument.model.assembly import assemble
-from tonewood.performance.player import playing
+from tonewood.performance.player import playing, strokes
 from tonewood.performance.player.gestures import Active, courses, places, quasi_static
 from tonewood.performance.player.timeline import Play
 from tonewood.physics.stepping.forcing import SampledForce, Segment
@@ -65,8 +65,8 @@ def test_a_press_that_the_next_blow_cuts_short_lasts_half_of_its_note(monkeypatc
         durations.append(values[2])
         return made(*values)
 
-    made = playing.Event
-    monkeypatch.setattr(playing, "Event", event)
+    made = strokes.Event
+    monkeypatch.setattr(strokes, "Event", event)
     model = assemble(tw.load_instrument("clavichord"), 16000)
     recovery = model.exciter("tangent", next(iter(model.strings))).recovery
     for apart, held in ((0.1, 0.05), (0.5, 0.5 - recovery)):

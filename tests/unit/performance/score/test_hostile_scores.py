@@ -75,6 +75,38 @@ def test_lists_without_notes_are_counted_too(tmp_path: Path, monkeypatch: pytest
     refused(path, "more than 5000 bars, voices, beats and notes in lists")
 
 
+def test_names_of_signs_are_told_up_to_a_number_and_a_length(tmp_path: Path) -> None:
+    signs = "".join(f"<s{i}{'x' * 400}/>" if i % 2 else f"<s{i}/>" for i in range(3000))
+    path = tmp_path / "signs.musicxml"
+    path.write_text(parts(f"<measure>{note('C', 4, 4, more=signs)}</measure>"), encoding="utf-8")
+    ignored = tw.read_score(path).ignored
+    assert sum(ignored.values()) == 3000
+    assert len(ignored) <= 101
+    assert max(map(len, ignored)) <= 40
+
+
+def test_wide_characters_count_by_their_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(xml_files, "_MOST_KEPT", 4000)  # of some 100 bytes each
+    text = "<GPIF>" + 1900 * ("<a/>" + 62 * "x" + "\U0001f600") + "</GPIF>"
+    refused(archived(tmp_path / "wide.gp", text), "more than 4000 elements, attributes and texts")
+
+
+@pytest.mark.parametrize("place", ["<NoteValue>", "<Dynamic>", "<Notes>", "<Fret>", "<Voices>"])
+def test_long_texts_that_are_listed_often_end_while_they_are_read(tmp_path: Path, place: str) -> None:
+    n_bars, n_beats = (5000, 0) if place == "<Voices>" else (1, 5000)
+    text = f"""<GPIF><MasterBars>{"<MasterBar><Bars>0</Bars></MasterBar>" * n_bars}</MasterBars>
+    <Tracks><Track><Properties><Property name="Tuning"><Pitches>40 45</Pitches></Property></Properties></Track></Tracks>
+    <Bars><Bar id="0"><Voices>0</Voices></Bar></Bars><Voices><Voice id="0">
+    <Beats>{"0 " * n_beats}</Beats></Voice></Voices>
+    <Beats><Beat id="0"><Rhythm ref="0"/><Dynamic>F</Dynamic><Notes>0</Notes></Beat></Beats>
+    <Notes><Note id="0"><Properties><Property name="String"><String>0</String></Property>
+    <Property name="Fret"><Fret>3</Fret></Property></Properties></Note></Notes>
+    <Rhythms><Rhythm id="0"><NoteValue>64th</NoteValue></Rhythm></Rhythms></GPIF>"""
+    filler = "t" if place == "<NoteValue>" else " "
+    path = archived(tmp_path / "long.gp", text.replace(place, place + filler * 500_000))
+    refused(path, "more than 20000000 elements and texts read again and again")
+
+
 def test_an_archive_that_expands_is_left_while_it_expands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = archived(tmp_path / "elements.mxl", parts("<measure>" + "<a/>" * 1_000_000), "s.xml")
     assert path.stat().st_size < 10_000

@@ -145,6 +145,35 @@ def test_parameters_of_the_instrument_vary_once_a_repeat() -> None:
             instrument_of(replace(plain, draws=(replace(scaled, path=path),)))
 
 
+def test_own_values_are_those_of_the_resolved_bundle() -> None:
+    low, _ = conditions()
+    parameters = instrument_of(low).resolved
+    first = next(iter(parameters["strings"].values()))
+    assert ENGINE.own_value(low, "strings.A2.tilt_deg") == parameters["strings"]["A2"]["tilt_deg"]
+    assert ENGINE.own_value(low, "strings.*.loss.eta_a") == first["loss"]["eta_a"]
+    changed = replace(low, overrides={**low.overrides, "strings.A2.tilt_deg": 12.5})
+    assert ENGINE.own_value(changed, "strings.A2.tilt_deg") == 12.5
+    assert ENGINE.own_value(low, "render.fs") == low.render.fs
+    assert ENGINE.own_value(low, "strings.A2.tilt_deg.more") is None
+    assert ENGINE.own_value(low, "strings.H9.tilt_deg") is None
+
+
+def test_the_time_of_a_render_is_predicted_from_a_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a clock that gives 2 s to the assembly and 1 s to a piece of 0.25 s: 2 s + 4 s per second of sound."""
+    times = iter([10.0, 12.0, 13.0])
+
+    class Clock:
+        def perf_counter(self) -> float:
+            return next(times)
+
+    monkeypatch.setattr(rendering, "_COSTS", {})
+    monkeypatch.setattr(rendering, "time", Clock())
+    low, _ = conditions(render={"output": "bridge", "tail": {"energy_db": -40, "cap": 0.3}})
+    assert ENGINE.predict(low) == pytest.approx(2.0 + 4.0 * (0.3 + 0.5 * 0.3))
+    short = replace(low, render=low.render.model_copy(update={"max_duration": 0.1}))
+    assert ENGINE.predict(short) == pytest.approx(2.0 + 4.0 * 0.1)  # nothing is measured again
+
+
 def test_a_batch_on_a_real_instrument(tmp_path: Path) -> None:
     levels = {"low": {"scale": 1.0}, "high": {"scale": 30}, "wrong": "loud"}
     factors = {"loss": {"path": "strings.*.loss.eta_a", "levels": levels}}

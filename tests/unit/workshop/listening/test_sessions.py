@@ -135,6 +135,27 @@ def test_an_answer_that_does_not_fit_is_one_line(
     assert session.step is before
 
 
+@pytest.mark.parametrize(
+    ("down", "answers", "levels"),
+    [
+        (1, (1, 1, 0, 1), [4, 2, 1, 2]),
+        (3, (1, 1, 1, 1, 1, 1, 1), [4, 4, 4, 2, 2, 2, 1]),
+        (3, (1, 1, 0, 1, 1, 1, 1), [4, 4, 4, 8, 8, 8, 4]),
+    ],
+)
+def test_a_level_falls_after_so_many_right_answers_in_a_row(
+    test_of_all: ListeningTest, down: int, answers: tuple[int, ...], levels: list[float]
+) -> None:
+    """Steps are halves and doubles up to the first reversal; a wrong answer begins the count anew."""
+    page = next(p for p in test_of_all.pages if p.type == "staircase")
+    track = StaircaseTrack(page.model_copy(update={"down": down, "start": 4.0}))
+    for right in answers:
+        expected = track.step_after(bool(right))
+        track.answer(bool(right))
+        assert track.level == expected
+    assert track.levels == pytest.approx(levels)
+
+
 def test_levels_follow_the_rule_of_levitt(test_of_all: ListeningTest) -> None:
     page = next(p for p in test_of_all.pages if p.type == "staircase")
     page = page.model_copy(update={"reversals": 4, "discard": 2, "longest": 80})

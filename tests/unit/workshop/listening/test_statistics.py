@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import listening_fakes as fakes
@@ -243,6 +244,46 @@ def test_power_takes_a_pilot_s_answers(tmp_path: Path) -> None:
     (piloted,) = power.power_of(test.manifest, {}, analyse(tmp_path / "out"))
     assert "12 listeners of a pilot" in str(piloted)
     assert piloted.listeners < stated.listeners
+    assert stated.stated
+    unstated = fakes.made(tmp_path / "unstated", [{k: v for k, v in page.items() if k != "expect"}])
+    assert not power.power_of(unstated.manifest, {})[0].stated
+    (piloted,) = power.power_of(unstated.manifest, {}, analyse(tmp_path / "out"))
+    assert piloted.stated
+    assert float(piloted.effect.split()[0]) == pytest.approx(-30.0, abs=5.0)
+
+
+def test_power_of_a_staircase_takes_a_pilot_s_thresholds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[simulations.Population, float]] = []
+
+    def fewest(page: StaircasePage, people: simulations.Population, margin: float, *_: float) -> int:
+        asked.append((people, margin))
+        return 7
+
+    monkeypatch.setattr(power, "threshold_listeners", fewest)
+    test = fakes.made(tmp_path, [fakes.STAIRS | {"expect": 1.0, "expect_sd": 2.0, "expect_slope": 3.0, "margin": 1.3}])
+    (stated,) = power.power_of(test.manifest, {})
+    assert asked.pop() == (simulations.Population(1.0, math.log(2.0), 3.0), pytest.approx(math.log(1.3)))
+    assert "by 30 % than 1, spread between listeners 2" in str(stated)
+    simulate(test, panel(thresholds={"1": {"mean": 0.5, "sd": 1.1, "slope": 4.0}}), 4, seed=1)
+    pilot = analyse(tmp_path / "out")
+    seen = pilot.pages[0].thresholds
+    (piloted,) = power.power_of(test.manifest, {}, pilot)
+    assert asked.pop()[0] == simulations.Population(seen.mean, math.log(seen.spread), seen.slope)
+    assert f"than {seen.mean:.3g}," in str(piloted)
+    unfinished = replace(pilot, pages=(replace(pilot.pages[0], thresholds=None),))
+    (again,) = power.power_of(test.manifest, {}, unfinished)
+    assert asked.pop()[0] == simulations.Population(1.0, math.log(2.0), 3.0)
+    assert again == stated
+
+
+def test_the_best_sound_of_a_panel_gets_the_grade_of_the_reference(tmp_path: Path) -> None:
+    """BS.1116: one of two gets 5; a sound 40 points worse than the reference gets it nearly never."""
+    test = fakes.made(tmp_path, [{"type": "bs1116", "group_by": ["pluck"], "reference": {"damping": "complex"}}])
+    simulate(test, panel(residual_sd=1.0, ratings={"damping": {"block": -40.0, "proportional": -40.0}}), 4, seed=2)
+    (page,) = analyse(tmp_path / "out", screening=False).pages
+    values = [row["value"] for row in page.rows]
+    assert len(values) == 4 * 6
+    assert max(values) < 0
 
 
 def test_quest_plus_takes_the_levels_of_the_reference_run() -> None:

@@ -34,8 +34,6 @@ from tonewood.physics.modal.modes import ModalBasis
 Floats = NDArray[np.float64]
 
 
-#: of V + C: excess of psi^2 / 2 up to which psi is not put back. With 1e-3 a plate at 96 kHz is no nearer than at 48
-TOLERANCE = 1e-7
 #: of an energy, by which two sums of it may differ
 SAME = 1e-13
 
@@ -121,9 +119,12 @@ class JoinedPotential(ABC):
     Attributes
     ----------
     sizes : number of coordinates of each component, its lowest modes.
+    tolerance : of V + C: excess of psi^2 / 2 up to which psi is not put back. Where psi is put back, at which sample
+        depends on the rate, and the error of a string is no longer of order two.
     """
 
     sizes: tuple[int, ...]
+    tolerance: ClassVar[float] = 1e-3
 
     @property
     def n(self) -> int:
@@ -192,7 +193,7 @@ class JoinedPotential(ABC):
         value = self.energy(y)
         excess = 0.5 * psi * psi - shift - value
         if pay is not None:
-            if abs(excess) > TOLERANCE * (value + shift):
+            if abs(excess) > self.tolerance * (value + shift):
                 excess += pay(-excess)
             shift = self.shift(0.0, value + excess, modes)
             psi = float(np.sqrt(2 * max(value + excess + shift, 0.0)))
