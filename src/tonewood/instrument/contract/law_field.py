@@ -27,7 +27,12 @@ class _LawField:
     @staticmethod
     def __get_pydantic_core_schema__(source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         written = core_schema.plain_serializer_function_ser_schema(_written)
-        return core_schema.with_info_plain_validator_function(_read, serialization=written)
+        name = handler.field_name  # before pydantic 2.12 `info` does not know it here
+
+        def read(value: Any, info: ValidationInfo) -> Loss[Any]:
+            return _read(value, info, info.field_name or name or "")
+
+        return core_schema.with_info_plain_validator_function(read, serialization=written)
 
     @staticmethod
     def __get_pydantic_json_schema__(schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
@@ -53,13 +58,13 @@ def _branch(name: str, parameters: Any, handler: GetJsonSchemaHandler) -> dict[s
     return {**own, "title": name, "properties": {"law": law, **own.get("properties", {})}, "required": required}
 
 
-def _read(value: Any, info: ValidationInfo) -> Loss[Any]:
+def _read(value: Any, info: ValidationInfo, field: str) -> Loss[Any]:
     """Make the plugin of a law from its name and its parameters."""
     if isinstance(value, Loss):
         return value
     context = info.context or {}
     files = context.get("files") or Files(None)
-    key = ".".join(part for part in (context.get("key", ""), info.field_name) if part)
+    key = ".".join(part for part in (context.get("key", ""), field) if part)
     if not isinstance(value, Mapping):
         reason = f"is {kind_of(value)}; a mapping with the key law, the name of a loss law, is wanted"
         raise BundleError(reason, file=files.manifest, key=key)
