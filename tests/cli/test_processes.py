@@ -93,7 +93,7 @@ def signalled(n: int, number: int, folder: Path, score: Path) -> subprocess.Comp
     return subprocess.run(
         [sys.executable, "-c", SIGNALLED, str(n), str(int(number)), *words, "--max-duration", "0.1"],
         capture_output=True, text=True, check=False,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=lambda: [signal.signal(n, signal.SIG_DFL) for n in (signal.SIGINT, signal.SIGHUP)],
     )  # fmt: skip
 
 

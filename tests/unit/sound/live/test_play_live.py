@@ -137,7 +137,7 @@ def test_a_signal_keeps_the_take(tmp_path: Path, number: int, code: int) -> None
     process = subprocess.Popen(
         [sys.executable, "-c", SESSION, str(Path(__file__).parent), *words],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=lambda: [signal.signal(n, signal.SIG_DFL) for n in (signal.SIGINT, signal.SIGHUP)],
     )  # fmt: skip
     assert process.stdout is not None
     while process.stdout.readline() != "played\n":
