@@ -60,7 +60,7 @@ def ratings(options: argparse.Namespace) -> None:
     rows = []
     for null in sim.NULLS:
         for n in (12, 20, 40):
-            r = means(lambda g, n=n, null=null: astuple(sim.rating_rates(g, options.experiments, n, null)), null, n)  # type: ignore[misc]
+            r = means(lambda g, n=n, null=null: astuple(sim.rating_rates(g, options.experiments, n, null)), null, n)
             rows.append([null, str(n), percent(r[1]), percent(r[2]), percent(r[4]), percent(r[3]), percent(r[5])])
     table(["population", "listeners", "factor", "difference", "interaction", "coverage", "failed"], rows)
 
@@ -69,7 +69,7 @@ def missing(options: argparse.Namespace) -> None:
     """Answers missing: the mixed model."""
     rows = []
     for null in sim.NULLS:
-        r = means(lambda g, null=null: astuple(sim.missing_rates(g, options.missing, 12, null)), "missing", null)  # type: ignore[misc]
+        r = means(lambda g, null=null: astuple(sim.missing_rates(g, options.missing, 12, null)), "missing", null)
         rows.append([null, percent(r[1]), percent(r[2]), percent(r[4]), percent(r[3]), percent(r[5])])
     table(["population", "sounds", "difference", "interaction", "coverage", "failed"], rows)
 
@@ -81,7 +81,7 @@ def staircases(options: argparse.Namespace) -> None:
         for text, (slope, lapses) in PEOPLE.items():
             own, people = StaircasePage.model_validate(page), sim.Population(5.0, 0.25, slope, 0.3, lapses)
             r = means(
-                lambda g, own=own, people=people: astuple(sim.threshold_rates(g, options.staircases, 12, own, people)),  # type: ignore[misc]
+                lambda g, own=own, people=people: astuple(sim.threshold_rates(g, options.staircases, 12, own, people)),
                 name, text,
             )  # fmt: skip
             rows.append([name, text, f"{r[1]:.0f}", f"{100 * r[2]:+.1f} %", percent(r[3]), f"{100 * r[4]:+.1f} %",
@@ -96,7 +96,7 @@ def sensitivities(options: argparse.Namespace) -> None:
     for task in ("more_2", "more_3", "odd_3", "abx"):
         for mean, sd in ((1.0, 0.5), (1.5, 0.8), (2.5, 0.8)):
             r = means(
-                lambda g, t=task, m=mean, s=sd: sim.sensitivity_rates(g, options.staircases, 20, 20, t, m, s),  # type: ignore[misc]
+                lambda g, t=task, m=mean, s=sd: sim.sensitivity_rates(g, options.staircases, 20, 20, t, m, s),
                 task, mean,
             )  # fmt: skip
             rows.append([task, f"{mean:g} ± {sd:g}", f"{100 * r[0]:+.1f} %", f"{100 * r[1]:+.1f} %", percent(r[2])])
@@ -112,7 +112,7 @@ def powers(options: argparse.Namespace) -> None:
             return float(power.rating_power([0.0, shift, 0.0], sd**2 / 2 * np.eye(3), n, 0.05)[0])
 
         n = power.fewest(promised, 0.8, "")
-        had = means(lambda g, a=shift, s=sd, n=n: [sim.power_had(g, options.experiments, n, a, s)], "power", shift)  # type: ignore[misc]
+        had = means(lambda g, a=shift, s=sd, n=n: [sim.power_had(g, options.experiments, n, a, s)], "power", shift)
         rows.append([f"{shift:g} points, sd {sd:g}", str(n), percent(promised(n)), percent(had[0])])
     page, people = StaircasePage.model_validate(STAIRS), sim.Population(5.0, 0.25, 2.0)
     margin = float(np.log(1.25))

@@ -101,7 +101,7 @@ class Resonator(Plugin[P]):
         -------
         (n,) or a single number, 0 or more.
         """
-        raise NotImplementedError
+        raise NotImplementedError  # a string that makes its own modes needs no law
 
     @property
     def longitudinal(self) -> Longitudinal | None:

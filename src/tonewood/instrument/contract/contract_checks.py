@@ -46,7 +46,8 @@ def want(ok: object, value: object, wanted: str, where: str = "") -> None:
 def number(value: object, wanted: str, low: float = -math.inf, where: str = "", *, above: bool = False) -> None:
     """Check a finite number, `low` or more, or above it."""
     real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-    want(real and math.isfinite(value) and (value > low if above else value >= low), value, wanted, where)  # type: ignore[arg-type,operator]
+    fits = real and math.isfinite(value) and (value > low if above else value >= low)  # type: ignore[arg-type,operator]  # real
+    want(fits, value, wanted, where)
 
 
 def pair_of_arrays(value: Any, shape: tuple[int, ...]) -> None:
@@ -88,7 +89,7 @@ def string_basis(value: Any) -> None:
 def terms(value: object, where: str) -> None:
     """Check the terms of a gap."""
     want(isinstance(value, Sequence), value, "a tuple of ta.Term", where)
-    for term in value:  # type: ignore[attr-defined]
+    for term in value:  # type: ignore[attr-defined]  # a sequence, by the line above
         want(isinstance(term, Term), term, "a ta.Term", where)
         number(term.factor, "a finite factor", where=where)
 
@@ -330,7 +331,7 @@ def _checked(
             value = function(self, *args, **kwargs)
         except (TonewoodError, MemoryError):
             raise
-        except Exception as raised:
+        except Exception as raised:  # any fault of somebody's plugin is told with its class, method and key
             said = " ".join(str(raised).split())
             text = f"{who} raises {type(raised).__name__}{': ' if said else ''}{said}{_place(raised)}"
             raise fault(self, text) from raised

@@ -41,7 +41,7 @@ def _made(maker: Maker, model: Model, effect: Effect, plugins: Mapping[str, Plug
         made = maker(model, effect, plugins)
     except (TonewoodError, MemoryError):
         raise
-    except Exception as fault:
+    except Exception as fault:  # of somebody's class: told with the effect's name and key
         name = getattr(maker, "__name__", repr(maker))
         reason = f"effect {effect.name!r}: {name} raises {type(fault).__name__}: {fault}"
         raise PluginError(reason, file=first.files.manifest, key=first.key) from fault

@@ -47,7 +47,7 @@ def bounded_reader(data: bytes, path: Path) -> Any:
     version_tuple, kind = io.getVersionAndGPFile(version)
     beats, looks = Allowance(_MOST_BEATS, "beats", path), Allowance(_MOST_LOOKS, "beats between ties", path)
 
-    class Bounded(kind):  # type: ignore[valid-type, misc]
+    class Bounded(kind):  # type: ignore[valid-type, misc]  # the file's version decides on the class
         def readMeasureHeaders(self, song: Any, measureCount: int, *more: Any) -> None:
             Allowance(_MOST_HEADERS, "measures", path).take(measureCount)
             super().readMeasureHeaders(song, measureCount, *more)
