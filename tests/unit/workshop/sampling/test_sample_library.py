@@ -1,4 +1,4 @@
-"""Sample libraries: who serves which note, loudness between layers, files, and the sound of a sampler that plays them."""
+"""Sample libraries: who serves which note, loudness between layers, files, and a sampler that plays them."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_files_are_those_of_the_text(library: Library) -> None:
 
 
 def test_samples_are_the_instrument_s_notes(library: Library) -> None:
-    """Pitch by the file's spectrum; round robins differ; one gain for all, so that the loudest stays below full scale."""
+    """Pitch by the file's spectrum; round robins differ; the loudest stays below full scale."""
     peaks = []
     for r in regions(library):
         samples, _ = sf.read(library.folder / r["sample"], always_2d=True)
