@@ -88,8 +88,8 @@ _SIGNS = {
 def with_marks(score: Score, names: Collection[str], strings: Sequence[PlayableString]) -> Score:
     """Give notes the techniques that their signs ask for, and let go of frets that no string has.
 
-    Slides become notes of the technique ``slide``, harmonics of ``harmonic``; on an instrument without them the note that
-    a slide reaches is plucked, and a harmonic as a note of its pitch.
+    Slides become notes of the technique ``slide``, harmonics of ``harmonic``; on an instrument without them the note
+    that a slide reaches is plucked, and a harmonic as a note of its pitch.
 
     Parameters
     ----------
@@ -157,10 +157,10 @@ def _slid(note: Note, slides: bool, lacking: Counter[str]) -> Iterator[Note]:
         stop = None if note.stop is None else note.stop + steps
         if steps == held or (stop is not None and stop < 0):
             continue
-        own = note.marks if held is None else tuple(m for m in note.marks if m == "tablature") + ("slide",)
+        own = note.marks if held is None else ("slide", *(m for m in note.marks if m == "tablature"))
         yield replace(
-            note, time=note.time + max(time, 0.0), duration=max(until - time, _ARRIVAL), note=note.note + steps, stop=stop,
-            glides=(), marks=own, held=None,
+            note, time=note.time + max(time, 0.0), duration=max(until - time, _ARRIVAL), note=note.note + steps,
+            stop=stop, glides=(), marks=own, held=None,
         )  # fmt: skip
         held = steps
 

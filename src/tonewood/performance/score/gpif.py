@@ -14,7 +14,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
-from tonewood.performance.score.guitar_pro import DYNAMICS, FRETS, GRACES, RASGUEADOS, FEELS, jump, strummed
+from tonewood.performance.score.guitar_pro import DYNAMICS, FEELS, FRETS, GRACES, RASGUEADOS, jump, strummed
 from tonewood.performance.score.harmonics import touched
 from tonewood.performance.score.limits import Allowance, number, whole
 from tonewood.performance.score.unfolding import Measure

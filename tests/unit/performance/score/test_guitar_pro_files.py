@@ -22,7 +22,8 @@ def test_files_of_others_are_played_as_by_alphatab() -> None:
     pytest.importorskip("guitarpro")
     script = ROOT / "scripts/guitar_pro_comparison.py"
     spec = importlib.util.spec_from_file_location("guitar_pro_comparison", script)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
