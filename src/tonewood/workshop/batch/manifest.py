@@ -219,6 +219,7 @@ class Manifest(Section):
     """A whole batch."""
 
     schema_: Literal["tonewood-batch/1"] = Field(alias="schema")
+    kind: Literal["test"] = Field(default="test", description="a listening test; `dataset` has keys of its own")
     name: Name
     title: Text = ""
     language: Language = Field(default="en", description="of a listener whose own has no texts")

@@ -99,8 +99,8 @@ class QuestionnairePage(Page):
 class Return(Section):
     """Code and address by which a panel of paid listeners learns that a listener is back.
 
-    In the address ``{code}`` and ``{listener}`` are filled in; in the code ``{id}`` is the name that the results give to
-    a listener without one.
+    In the address ``{code}`` and ``{listener}`` are filled in; in the code ``{id}`` is the name under which the results
+    have a listener who gave none.
     """
 
     code: str = Field(default="", max_length=200)
@@ -130,7 +130,7 @@ class HeadphonesPage(Page):
 
     `huggins` (A. E. Milne et al., Behav. Res. Methods 53 (2021) 1551): white noise; in one interval a band at 600 Hz is
     in antiphase between the ears, which is heard as a faint pitch. `antiphase` (K. J. P. Woods et al., Atten. Percept.
-    Psychophys. 79 (2017) 2064): tones of 200 Hz; one is 6 dB softer, another in antiphase, and over loudspeakers softer.
+    Psychophys. 79 (2017) 2064): tones of 200 Hz; one is 6 dB softer, another in antiphase: over loudspeakers softer.
     """
 
     type: Literal["headphones"]

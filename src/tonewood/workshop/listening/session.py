@@ -243,7 +243,7 @@ class Session:
             yield {**self._trial(page, trial, (repetition,)), "repetition": repetition}
 
     def _checked(self, number: int, page: HeadphonesPage) -> Iterator[dict[str, Any]]:
-        """Trials of a check of headphones, until it is passed or no attempt is left; `failed` if the test ends there."""
+        """Trials of a check of headphones, until it is passed or no attempt is left; sets `failed` if the test ends."""
         for attempt in range(1, page.attempts + 1):
             before = len(self.answers)
             for k in range(page.trials):
