@@ -130,7 +130,7 @@ if __name__ == "__main__":
     print(
         f"{result['held_back']:.0f} of {result['sounds']:.0f} sounds, on strings {' and '.join(HELD_BACK)}, not "
         f"heard before: median error {100 * result['median_error']:.2f} % of the length "
-        f"({result['median_error_mm']:.1f} mm); {100 * result['beyond_2_percent']:.0f} % are off by more than 2 %; root "
-        f"mean square {100 * result['rms_error']:.1f} %, that of the others' mean "
+        f"({result['median_error_mm']:.1f} mm); {100 * result['beyond_2_percent']:.0f} % are off by more than 2 %; "
+        f"root mean square {100 * result['rms_error']:.1f} %, that of the others' mean "
         f"{100 * result['rms_error_of_the_mean']:.1f} %"
     )

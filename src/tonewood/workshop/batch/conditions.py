@@ -26,9 +26,7 @@ from tonewood.workshop.batch.manifest import Manifest, ManifestError, RenderSett
 from tonewood.workshop.batch.seeds import generator
 
 MAX_CONDITIONS = 100_000
-#: numbers of a note that may vary
-NOTE_FIELDS = ("time", "duration", "held", "note", "freq", "force", "velocity_midi", "from_bridge", "angle_deg")
-#: those that are set in the parameters of an exciter, too
+#: numbers of a note that are set in the parameters of an exciter, too
 _EXCITER_FIELDS = ("force", "from_bridge", "angle_deg", "time")
 
 

@@ -25,6 +25,11 @@ Pairs = dict[str, Literal["all"] | list[str] | list[list[str]]]
 _WEBMUSHRA = "was removed in 0.2: it was an option of webMUSHRA; `tonewood serve` has the pages now"
 _ABX = "was removed in 0.2: which of two is the reference is asked by type abx; `tonewood migrate` helps"
 
+#: of a staircase, least distance between its limits: a share of their size, or the logarithm of their ratio
+LEAST_SPAN = 1e-9
+#: of a staircase, share of the way between its limits that a track of answers of one kind goes at least
+LEAST_WAY = 0.01
+
 
 class Section(BaseModel):
     """A part of a manifest: unknown keys are refused, values are not converted."""
@@ -363,6 +368,29 @@ class StaircasePage(ListenedPage):
         for key in ("expect_sd", "margin"):
             if self.ratio and (value := getattr(self, key)) is not None and value <= 1:
                 raise PydanticCustomError("staircase", f"{key} is a ratio above 1 where ratio: true (1.2: 20 %)")
+        return self
+
+    @model_validator(mode="after")
+    def _levels_move(self) -> Self:
+        """Refuse tracks whose levels stay where they are, or that end before their reversals."""
+        span = self.transformed(self.highest) - self.transformed(self.lowest)
+        size = 1.0 if self.ratio else max(abs(self.lowest), abs(self.highest))
+        if span < LEAST_SPAN * size:
+            raise PydanticCustomError("staircase", "lowest and highest are too near to each other")
+        if not self.steps or math.isinf(span):  # a value that is not finite is refused where its path is known
+            return self
+        steps = [math.log(step) if self.ratio else step for step in self.steps]
+        if (most := max(steps) * self.longest) < LEAST_WAY * span:
+            way = f"{100 * most / span:.2g} % of the way from lowest to highest, {100 * LEAST_WAY:.0f} % at least"
+            raise PydanticCustomError("staircase", f"steps: {self.longest} (longest) of the largest go {way} is wanted")
+        for index, step in enumerate(self.steps):
+            if any(self.moved(end, by, 2 * index) == end for end, by in ((self.lowest, 1), (self.highest, -1))):
+                raise PydanticCustomError("staircase", f"steps.{index}: {step:g} is lost by rounding of the level")
+        least = 1 + self.reversals // 2 + (self.reversals + 1) // 2 * self.down
+        if self.longest < least:
+            raise PydanticCustomError(
+                "staircase", f"longest: {self.reversals} reversals take {least} trials or more (down: {self.down})"
+            )
         return self
 
     def __hash__(self) -> int:

@@ -15,8 +15,14 @@ from pydantic_core import PydanticCustomError
 
 from tonewood.performance.score.note import Note
 from tonewood.support.validation_messages import first_message
-from tonewood.workshop.batch.conditions import NOTE_FIELDS
-from tonewood.workshop.batch.manifest import ManifestError, RenderSettings, ScoreSource, Variation
+from tonewood.workshop.batch.manifest import (
+    NOTE_FIELDS,
+    ManifestError,
+    RenderSettings,
+    ScoreSource,
+    Variation,
+    check_vary,
+)
 from tonewood.workshop.batch.pages import Name, ParameterPath, Section
 
 #: fields of a note that a parameter may set
@@ -177,13 +183,6 @@ class Dataset(Section):
     def render_settings(self, changes: dict[str, Any]) -> RenderSettings:
         """The render settings with some changed, checked anew."""
         return RenderSettings.model_validate({**self.render.model_dump(), **changes})
-
-
-def check_vary(path: str) -> None:
-    """Check that a path of `vary` that names a note names one of its numbers."""
-    head, _, name = path.partition(".")
-    if head == "note" and name not in NOTE_FIELDS:
-        raise PydanticCustomError("vary", f"{path} is not one of note.{', note.'.join(NOTE_FIELDS)}")
 
 
 def midi_clock(fs: float) -> tuple[int, int] | None:

@@ -227,7 +227,7 @@ def test_the_tone_is_as_loud_as_the_sounds(everything: ListeningTest) -> None:
 
 
 def test_sounds_of_a_staircase_are_of_its_level(tmp_path: Path) -> None:
-    test = made(tmp_path, [fakes.STAIRS | {"reversals": 4, "longest": 6, "start": 4.0}])
+    test = made(tmp_path, [fakes.STAIRS | {"reversals": 4, "longest": 7, "start": 4.0}])
     port = free_port()
     client = Client(port)
     with served(test, port):
