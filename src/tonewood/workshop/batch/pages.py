@@ -22,9 +22,6 @@ Levels = dict[str, str]
 Pairs = dict[str, Literal["all"] | list[str] | list[list[str]]]
 
 
-_WEBMUSHRA = "was removed in 0.2: it was an option of webMUSHRA; `tonewood serve` has the pages now"
-_ABX = "was removed in 0.2: which of two is the reference is asked by type abx; `tonewood migrate` helps"
-
 #: of a staircase, least distance between its limits: a share of their size, or the logarithm of their ratio
 LEAST_SPAN = 1e-9
 #: of a staircase, share of the way between its limits that a track of answers of one kind goes at least
