@@ -84,7 +84,7 @@ def test_contacts_and_outputs_are_foreseen() -> None:
     low = {"connections.frets.action_first": 2e-4, "connections.frets.action_twelfth": 5e-4}
     bass = tw.load_instrument("electric_bass").replace(low)
     foreseen = tw.plan(tw.Score([tw.Note(0.2, 1, note=43, force=8.0)]), bass, FS, max_duration=0.5)
-    frets = next(e for e in foreseen.effects if e.name == "frets")
+    frets = next(e for e in foreseen.effects if (e.name, e.component) == ("frets", "G2"))
     assert frets.spans_s
     assert frets.spans_s[0][0] > 0.1
     recorded = {e.component: e.why for e in foreseen.effects if e.name == "outputs"}
