@@ -11,6 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.sound.files.audio import Audio, decibels
@@ -158,7 +160,8 @@ def make_library(
         above = max(r.volume_db for r in regions if r.decay_db is None)
         gain_db = _PEAK - decibels(measures.peak) - max(0.0, above)
         for task, raw in measures.made.values():
-            _write(raw, scratch / f"{task.name}{suffix}", gain_db)
+            scaled = np.load(raw) * 10 ** (gain_db / 20)
+            Audio(scaled, options.fs).save(scratch / f"{task.name}{suffix}", "PCM_24")
             raw.unlink()
         regions.sort(key=lambda r: (r.decay_db is not None, r.keys.centre, r.velocities.centre, r.repeat))
         _about(instrument, scratch / "README.txt")
@@ -213,8 +216,8 @@ def _rendered(instrument: Instrument, options: RenderOptions, folder: Path, task
     """Render a stroke and store it in double precision, so that one gain can be given to all."""
     key, velocity = task.keys.centre, task.velocities.centre
     stroke = (release if task.release else ringing)(instrument, options, key, velocity, task.repeat)
-    raw = folder / f"{task.name}.raw.wav"
-    Audio(stroke.samples, options.fs).save(raw, "DOUBLE")
+    raw = folder / f"{task.name}.npy"
+    np.save(raw, stroke.samples)
     return task, stroke, raw
 
 
@@ -228,13 +231,6 @@ def _enter(measures: _Measures, fs: int, task: _Task, stroke: Stroke, raw: Path)
             stroke.level_db(fs)
         )
         measures.decays.setdefault(task.keys.centre, []).append(stroke.decay_db(fs))
-
-
-def _write(raw: Path, target: Path, gain_db: float) -> None:
-    import soundfile as sf
-
-    samples, fs = sf.read(str(raw), dtype="float64", always_2d=True)
-    Audio(samples * 10 ** (gain_db / 20), int(fs)).save(target, "PCM_24")
 
 
 def _region(task: _Task, measures: _Measures, suffix: str) -> Region:
