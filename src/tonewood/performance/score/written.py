@@ -13,6 +13,8 @@ ornaments      turns and mordents in the first sixteenth of a note, shorter in n
 strum          one string after the other, `STRUM` s apart, or as late as the file says
 slides         one note whose stop moves: `Note.glides`; after a shift slide the string is struck again
 bend, vibrato  controls ``bend`` on a channel of the string's own, with the whammy bar's
+fermata        `HOLD` times as long, for all parts
+pedal          controllers of the part's channels; notes last until it comes up
 swing          the first of two notes of a value is longer than the second, as `Measure.feel` says
 accents        velocity +16 and +28, ghost notes -24
 =============  ========================================================================================================
@@ -40,6 +42,8 @@ from tonewood.performance.score.unfolding import Measure, lost_jumps, order
 from tonewood.support.garbage import without_collecting
 
 RINGS, DEAD, STRUM = 8.0, 0.05, 0.012
+#: times its length that a note under a fermata lasts
+HOLD = 1.5
 GRACE = Fraction(1, 8)
 #: Hz of a vibrato, and s between two of its controls and of a bend's
 _VIBRATO, _TICK = 5.5, 0.02
@@ -98,6 +102,7 @@ class WrittenNote:
     arrives : how the finger comes from the note before on its string: ``legato`` slides without a new stroke, ``shift``
         slides and strikes again; empty if it does not.
     slides : ``into_from_below``, ``into_from_above``, ``out_down``, ``out_up``.
+    steps : semitones down and up to the notes of an ornament; None for those of C major.
     """
 
     at: Fraction
@@ -117,15 +122,22 @@ class WrittenNote:
     partial: int = 0
     arrives: str = ""
     slides: tuple[str, ...] = ()
+    steps: tuple[int, int] | None = None
 
 
 @dataclass
 class WrittenPart:
-    """One part: its name, the notes of each measure, and the capo that its frets count from."""
+    """One part: its name, the notes of each measure, and the capo that its frets count from.
+
+    Attributes
+    ----------
+    pedals : (measure, quarter notes in it, s later, controller, its value) of moves of pedals.
+    """
 
     name: str
     measures: list[list[WrittenNote]] = field(default_factory=list)
     capo: int = 0
+    pedals: list[tuple[int, Fraction, float, str, float]] = field(default_factory=list)
 
 
 @dataclass
@@ -173,13 +185,14 @@ class _Clock:
         now, bpm = Fraction(0), 120.0
         self._at, self._time, self._bpm, self._late = [Fraction(0)], [0.0], [bpm], 0.0
         # of two tempos at one time the faster one
-        tempos = [list(dict(sorted(m.tempos)).items()) for m in measures]
+        tempos = [_tempos(m) for m in measures]
         changes = Allowance(_MOST_TEMPOS, "tempo changes, repeats unfolded", file)
         for i in played:
             self.starts.append(now)
             changes.take(len(tempos[i]))
-            for at, tempo in tempos[i]:
-                self._enter(now + at, tempo)
+            for at, tempo, slower in tempos[i]:
+                bpm = tempo or bpm
+                self._enter(now + at, bpm * slower)
             now = near(now + measures[i].length)
         if not 0.0 <= (end := self.seconds(now)) <= MAX_TIME:
             raise ScoreError(f"{end:.6g} s of music, repeats unfolded: {MAX_TIME:.0f} s are allowed", file=file)
@@ -197,6 +210,20 @@ class _Clock:
     def begin_before(self, early: Iterable[Fraction]) -> None:
         """Let all come later by the first of notes before the first measure, at most by `_BEFORE`."""
         self._late = max((-t for t in map(self.seconds, early) if t >= -_BEFORE), default=0.0)
+
+
+def _tempos(measure: Measure) -> list[tuple[Fraction, float | None, float]]:
+    """(quarter notes, tempo if it changes, factor on it) of a measure, where notes are held."""
+    changes: dict[Fraction, float | None] = dict(sorted(measure.tempos))
+    for hold in measure.holds:
+        for at in hold:
+            changes.setdefault(at, None)
+    begun = sorted(begin for begin, _ in measure.holds)
+    ended = sorted(end for _, end in measure.holds)
+    return [
+        (at, tempo, 1.0 / HOLD if bisect_right(begun, at) > bisect_right(ended, at) else 1.0)
+        for at, tempo in sorted(changes.items())
+    ]
 
 
 @dataclass
@@ -248,7 +275,7 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     ]
     clock.begin_before(one.at for _, sounding in parts_played for one in sounding if one.at < 0)
     for number, sounding in parts_played:
-        following = _following(sounding)
+        following, own = _following(sounding), list[Note]()
         for i, one in enumerate(sounding):
             if not all(_PITCHES[0] <= p <= _PITCHES[1] for p in (one.sign.pitch, one.sign.trill or 0.0)):
                 ignored["note whose pitch is out of range"] += 1
@@ -257,8 +284,11 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
                 ignored["note that begins or ends beyond 6 hours"] += 1
                 continue
             channel = channels.setdefault((number, one.sign.string or 0), len(channels) % 16)
-            notes += _strokes(one, following.get(i), clock, music.parts[number - 1].capo, channel, strokes)
+            own += _strokes(one, following.get(i), clock, music.parts[number - 1].capo, channel, strokes)
             controls += _bends(one, channel, clock, bends)
+        its = [channel for (part, _), channel in channels.items() if part == number]
+        controls += _pedalled(music.parts[number - 1], played, clock, its, own, bends)
+        notes += own
     ignored.update(lost_jumps(music.measures, tablature=music.tablature))
     warnings = list(music.warnings)
     if len(channels) > 16 and controls:
@@ -400,7 +430,8 @@ def _split(one: _Sounding, most: Allowance) -> list[tuple[Fraction, Fraction, fl
         at, shorter = one.at, min(one.end - one.at, Fraction(1))
         tone = int(sign.pitch) % 12
         for step in ornament[0]:
-            pitch = sign.pitch + (_STEP_UP[tone] if step > 0 else -_STEP_DOWN[tone] if step < 0 else 0)
+            down, up = sign.steps or (_STEP_DOWN[tone], _STEP_UP[tone])
+            pitch = sign.pitch + (up if step > 0 else -down if step < 0 else 0)
             out.append((at, at + ornament[1] * shorter, pitch, ()))
             at += ornament[1] * shorter
         return [*out, (at, one.end, sign.pitch, ())]
@@ -458,6 +489,35 @@ def _bends(one: _Sounding, channel: int, clock: _Clock, most: Allowance) -> list
             if not out or value != out[-1].value:
                 out.append(Control(begin + (end - begin) * share, "bend", value, channel))
     return [*out, Control(clock.seconds(one.end), "bend", 0.0, channel)] if out else []
+
+
+def _pedalled(
+    part: WrittenPart, played: Sequence[int], clock: _Clock, channels: Sequence[int], notes: list[Note], most: Allowance
+) -> list[Control]:
+    """Controls of a part's pedals; its notes that end under the sustain pedal last until that comes up."""
+    if not part.pedals:
+        return []
+    by_measure: dict[int, list[tuple[Fraction, float, str, float]]] = defaultdict(list)
+    for i, at, late, kind, value in part.pedals:
+        by_measure[i].append((at, late, kind, value))
+    moves: list[tuple[float, str, float]] = []
+    for i, start in zip(played, clock.starts, strict=True):
+        most.take(len(by_measure.get(i, ())) * max(len(channels), 1))
+        moves += [(clock.seconds(start + at) + late, kind, value) for at, late, kind, value in by_measure.get(i, ())]
+    moves.sort(key=itemgetter(0))
+    sustain = [(time, value >= 0.5) for time, kind, value in moves if kind == "cc64"]
+    times = [time for time, _ in sustain]
+    ups: list[float] = [math.inf] * (len(sustain) + 1)  # next time at which it is up, from each move on
+    for i in reversed(range(len(sustain))):
+        ups[i] = ups[i + 1] if sustain[i][1] else sustain[i][0]
+    last = max((n.time + n.duration for n in notes), default=0.0)
+    for i, note in enumerate(notes):
+        end = note.time + note.duration
+        k = bisect_right(times, end) - 1
+        if k >= 0 and sustain[k][1]:
+            until = max(min(ups[k], last), end)
+            notes[i] = replace(note, duration=until - note.time, held=note.duration)
+    return [Control(time, kind, value, channel) for time, kind, value in moves for channel in channels]
 
 
 def _at(curve: Curve, share: float) -> float:
