@@ -1,11 +1,12 @@
 """Magnetic pickup: the velocity of the strings over its poles, heard through its coil, controls and cable.
 
-The field of a pole magnetises a string of soft iron, which sends a flux through the coil. With the pole as a magnetic
-charge at the depth `depth` below its face, r^2 = y^2 + (h + z)^2 and h = gap + depth, the flux goes with the square of
-the field, (h / r)^4 (charges on surfaces: Horton & Moore, Am. J. Phys. 77 (2009) 144). Its rate, relative to
-that of a small motion towards the pole, is the source voltage:
+The field of a pole magnetises a string of soft iron, which sends a flux through the coil. The pole's face is a disk of
+radius a with an even magnetic charge, whose field on its axis is B(r) = 1 - r / sqrt(r^2 + a^2) (charges on surfaces:
+Horton & Moore, Am. J. Phys. 77 (2009) 144). Here r^2 = y^2 + (g + z)^2, with g the gap at rest: beside the axis the
+field is taken as that at the same distance. The flux goes with B^2, and its rate, relative to that of a small motion
+towards the pole, is the source voltage:
 
-    e = S h^5 [(h + z) z' + y y'] / r^6,        e = S z'  without `gap`
+    e = S [B B'](r) / [B B'](g) [(g + z) z' + y y'] / r,        e = S z'  without `gap`
 
 S is the sensitivity, V s/m; motion along the soundboard alone gives even harmonics only. The coil (R, L, C) feeds the
 controls, the cable and the input; with the admittance Y = 1/R_volume + 1/R_input + s (C + C_cable) + Y_tone:
@@ -34,7 +35,7 @@ from tonewood.authoring import (
 )
 
 Floats = NDArray[np.float64]
-#: quantities that are read of each string, in order; z towards the pole is negative
+#: quantities that are read of each string, in order; motion towards the pole is along -z
 _READ = (("velocity", 2), ("velocity", 1), ("displacement", 2), ("displacement", 1))
 
 
@@ -66,7 +67,7 @@ class MagneticPickupParameters(Parameters):
     gap: float | None = quantity(
         "m", low=1e-4, high=0.05, default=None, doc="string at rest to the pole's face; without it the pickup is linear"
     )
-    depth: float = quantity("m", low=0.0, high=0.05, default=2.4e-3, doc="of the magnetic charge below the pole's face")
+    radius: float = quantity("m", low=1e-4, high=0.05, default=2.4e-3, doc="of the pole's face")
 
 
 class MagneticPickup(Pickup[MagneticPickupParameters]):
@@ -101,7 +102,7 @@ class MagneticPickup(Pickup[MagneticPickupParameters]):
                 # a string without a second plane has no motion there: its first plane's point with the factor 0
                 terms = _terms(scene, point, axis) or (Term(*scene.string_points[point][0][:2], 0.0),)
                 readouts.append(Readout(f"{name}.{point}.{quantity_read}.{'xyz'[axis]}", quantity_read, terms))
-        return PickupRows(tuple(readouts), conversion=self._conversion(p.gap + p.depth))
+        return PickupRows(tuple(readouts), conversion=self._conversion(p.gap))
 
     def circuit(self) -> Circuit:
         """Return H(s) S, V s/m."""
@@ -118,24 +119,31 @@ class MagneticPickup(Pickup[MagneticPickupParameters]):
         numerator = np.trim_zeros(p.sensitivity * lag, "f")
         return Circuit(tuple(map(float, numerator)), tuple(map(float, denominator)))
 
-    def _conversion(self, height: float | None) -> Conversion:
-        if height is None:
-            return Conversion(circuit=self.circuit())
-        return Conversion(lambda readouts: induced(readouts, height), self.circuit())
+    def _conversion(self, gap: float | None) -> Conversion:
+        radius = self.parameters.radius
+        function = None if gap is None else lambda readouts: induced(readouts, gap, radius)
+        return Conversion(function, self.circuit())
 
 
-def induced(readouts: Floats, height: float) -> Floats:
+def field(r: Floats, radius: float) -> tuple[Floats, Floats]:
+    """Return B(r) and dB/dr (1/m) of a pole."""
+    span = np.sqrt(r**2 + radius**2)
+    return 1.0 - r / span, -(radius**2) / span**3
+
+
+def induced(readouts: Floats, gap: float, radius: float) -> Floats:
     """Return the velocity (n, 1), m/s, of a small motion that induces as much.
 
     Parameters
     ----------
     readouts : (n, 4 strings) velocity along z and y, displacement along z and y of each string.
-    height : m, of the string at rest above the pole's charge.
+    gap, radius : m.
     """
-    vz, vy, z, y = (readouts[:, i::4] / (1.0 if i < 2 else height) for i in range(4))
-    # a string that touches the charge would induce without bounds: it stays a tenth of the height above it
-    up = np.maximum(1.0 + z, 0.1)
-    return np.asarray(np.sum((up * vz + y * vy) / (y**2 + up**2) ** 3, axis=1, keepdims=True))
+    vz, vy, z, y = (readouts[:, i::4] for i in range(4))
+    r = np.hypot(y, gap + z)
+    rate = ((gap + z) * vz + y * vy) / np.maximum(r, 1e-9)
+    (here, slope), (rest, slope_at_rest) = field(r, radius), field(np.array(gap), radius)
+    return np.asarray(np.sum(here * slope / (rest * slope_at_rest) * rate, axis=1, keepdims=True))
 
 
 def _terms(scene: Scene, point: str, axis: int) -> tuple[Term, ...]:
