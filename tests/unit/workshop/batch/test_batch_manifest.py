@@ -191,7 +191,7 @@ def test_a_folder_beside_the_manifest_needs_no_dot(tmp_path: Path) -> None:
         ({"repeats": True}, "m.yaml: repeats: Input should be a valid integer, not True"),
         ({"schema": "tonewood-batch/2"}, "m.yaml: schema: Input should be 'tonewood-batch/1', not"),
         ({"name": "../x"}, "m.yaml: name: String should match pattern"),
-        ({"stimuly": {}}, "m.yaml: stimuly: is not a known key; did you mean stimuli? allowed: schema, name,"),
+        ({"stimuly": {}}, "m.yaml: stimuly: is not a known key; did you mean stimuli? allowed: schema, kind, name,"),
         (
             {"render": {"precision": "f64"}},
             "m.yaml: render.precision: was removed in 0.2: samples are always computed in double precision; `tonewood",
