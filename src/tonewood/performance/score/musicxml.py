@@ -19,8 +19,9 @@ from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import number, whole
+from tonewood.performance.score.score_clock import near
 from tonewood.performance.score.unfolding import Measure
-from tonewood.performance.score.written import Curve, WrittenMusic, WrittenNote, WrittenPart, bend_curve, near
+from tonewood.performance.score.written import Curve, WrittenMusic, WrittenNote, WrittenPart, bend_curve
 from tonewood.performance.score.xml_files import MOST, member, number_of, parsed, text_of
 
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
@@ -52,7 +53,7 @@ _NUMBERS = {
     "alter", "bend-alter", "capo", "chromatic", "divisions", "duration", "fret", "octave", "octave-change",
     "per-minute", "string", "tremolo", "tuning-alter", "tuning-octave",
 }  # fmt: skip
-#: kinds of what is left out, from which on names of signs are no longer told, and characters of a name
+#: kinds of what is left out, from which on names of signs are left out, and characters of a name
 _MOST_UNKNOWN, _LONGEST_SIGN = 100, 40
 #: times that a measure is repeated, number of an ending, and of a line of a staff
 _MOST_TIMES, _MOST_ENDING, _MOST_LINES = 32, 9999, 1000
@@ -258,16 +259,16 @@ class _PartReader:
     def _pedals(self, element: Element, sound: Element | None, index: int, now: Fraction) -> None:
         """Enter moves of the pedals: signs, or what their sound says, which may be between up and down."""
         moves = self.part.pedals
-        told = False
+        sounded = False
         names = {"damper-pedal": "cc64", "sostenuto-pedal": "cc66", "soft-pedal": "cc67"}
         for name, kind in names.items() if sound is not None else ():
             said = (sound.get(name, "") if sound is not None else "").strip()
             share = {"yes": 100.0, "no": 0.0}.get(said, number(said, 0.0, 100.0))
             if share is not None:
                 moves.append((index, now, 0.0, kind, share / 100.0))
-                told = True
+                sounded = True
             self.music.ignored[f"{name} that cannot be read"] += bool(said) and share is None
-        for sign in element.findall("direction-type/pedal") if not told else ():
+        for sign in element.findall("direction-type/pedal") if not sounded else ():
             how = sign.get("type", "")
             if how in ("stop", "discontinue", "change"):
                 moves.append((index, now, 0.0, "cc64", 0.0))

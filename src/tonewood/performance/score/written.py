@@ -29,7 +29,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from operator import itemgetter
@@ -38,31 +38,24 @@ from pathlib import Path
 from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import MAX_CONTROLS, MAX_NOTES, MAX_TIME, Allowance
 from tonewood.performance.score.note import Control, Note, Score
+from tonewood.performance.score.score_clock import MOST_TEMPOS, TEMPOS, ScoreClock, near
 from tonewood.performance.score.unfolding import Measure, lost_jumps, order
 from tonewood.support.garbage import without_collecting
 
 RINGS, DEAD, STRUM = 8.0, 0.05, 0.012
-#: times its length that a note under a fermata lasts
-HOLD = 1.5
 GRACE = Fraction(1, 8)
 #: Hz of a vibrato, and s between two of its controls and of a bend's
 _VIBRATO, _TICK = 5.5, 0.02
 #: cents of vibrato by sign
 _DEPTHS = {"vibrato": 35.0, "wide_vibrato": 80.0}
+#: notes that a grace note may be compared with in all
+_MOST_COMPARED = 1_000_000
 #: measures of all parts
 _MOST_CELLS = 200_000
-#: tempo changes that are played, and notes that a grace note may be compared with in all
-_MOST_TEMPOS, _MOST_COMPARED = 100_000, 1_000_000
-#: quarter notes per minute
-_TEMPOS = (4.0, 2000.0)
 #: pitches of notes
 _PITCHES = (0.0, 140.0)
-#: denominators of times are rounded to
-_FINEST = 10**9
 #: quarter notes: strokes shorter than this at the end of a tremolo belong to the one before
 _REST = Fraction(1, 96)
-#: s by which grace notes may come before the first measure: all others are then later
-_BEFORE = 2.0
 #: ornament -> steps up and down of its notes, and their lengths as shares of a quarter note
 _ORNAMENTS = {
     "turn": ((1, 0, -1), Fraction(1, 12)),
@@ -161,69 +154,15 @@ class WrittenMusic:
     def __post_init__(self) -> None:
         self.signs = Allowance(MAX_NOTES, "notes", self.file)
         self.cells = Allowance(_MOST_CELLS, "measures of parts", self.file)
-        self.changes = Allowance(_MOST_TEMPOS, "tempo changes", self.file)
+        self.changes = Allowance(MOST_TEMPOS, "tempo changes", self.file)
 
     def tempo(self, measure: Measure, at: Fraction, bpm: float) -> None:
         """Enter a change of tempo, quarter notes per minute; one out of range is counted."""
-        if not _TEMPOS[0] <= bpm <= _TEMPOS[1]:
+        if not TEMPOS[0] <= bpm <= TEMPOS[1]:
             self.ignored["tempo outside 4 to 2000"] += 1
             return
         self.changes.take()
         measure.tempos.append((at, bpm))
-
-
-def near(time: Fraction) -> Fraction:
-    """Return a time, rounded where its denominator is beyond any that music has: sums of such would grow."""
-    return time if time.denominator <= _FINEST else time.limit_denominator(_FINEST)
-
-
-class _Clock:
-    """Seconds of a time in quarter notes, with repeats unfolded."""
-
-    def __init__(self, measures: Sequence[Measure], played: Sequence[int], file: Path):
-        self.starts: list[Fraction] = []
-        now, bpm = Fraction(0), 120.0
-        self._at, self._time, self._bpm, self._late = [Fraction(0)], [0.0], [bpm], 0.0
-        # of two tempos at one time the faster one
-        tempos = [_tempos(m) for m in measures]
-        changes = Allowance(_MOST_TEMPOS, "tempo changes, repeats unfolded", file)
-        for i in played:
-            self.starts.append(now)
-            changes.take(len(tempos[i]))
-            for at, tempo, slower in tempos[i]:
-                bpm = tempo or bpm
-                self._enter(now + at, bpm * slower)
-            now = near(now + measures[i].length)
-        if not 0.0 <= (end := self.seconds(now)) <= MAX_TIME:
-            raise ScoreError(f"{end:.6g} s of music, repeats unfolded: {MAX_TIME:.0f} s are allowed", file=file)
-
-    def _enter(self, at: Fraction, bpm: float) -> None:
-        self._time.append(self.seconds(at))
-        self._at.append(at)
-        self._bpm.append(bpm)
-
-    def seconds(self, at: Fraction) -> float:
-        """Time of a quarter note, s."""
-        i = bisect_right(self._at, max(at, Fraction(0))) - 1
-        return self._late + self._time[i] + float(at - self._at[i]) * 60.0 / self._bpm[i]
-
-    def begin_before(self, early: Iterable[Fraction]) -> None:
-        """Let all come later by the first of notes before the first measure, at most by `_BEFORE`."""
-        self._late = max((-t for t in map(self.seconds, early) if t >= -_BEFORE), default=0.0)
-
-
-def _tempos(measure: Measure) -> list[tuple[Fraction, float | None, float]]:
-    """(quarter notes, tempo if it changes, factor on it) of a measure, where notes are held."""
-    changes: dict[Fraction, float | None] = dict(sorted(measure.tempos))
-    for hold in measure.holds:
-        for at in hold:
-            changes.setdefault(at, None)
-    begun = sorted(begin for begin, _ in measure.holds)
-    ended = sorted(end for _, end in measure.holds)
-    return [
-        (at, tempo, 1.0 / HOLD if bisect_right(begun, at) > bisect_right(ended, at) else 1.0)
-        for at, tempo in sorted(changes.items())
-    ]
 
 
 @dataclass
@@ -261,7 +200,7 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     except ScoreError as error:
         raise ScoreError(error.reason, file=music.file) from None
     Allowance(_MOST_CELLS, "measures of parts, repeats unfolded", music.file).take(len(played) * len(chosen))
-    clock = _Clock(music.measures, played, music.file)
+    clock = ScoreClock(music.measures, played, music.file)
     notes: list[Note] = []
     controls: list[Control] = []
     ignored = Counter(music.ignored)
@@ -385,7 +324,7 @@ def _following(sounding: Sequence[_Sounding]) -> dict[int, Fraction]:
 
 
 def _strokes(
-    one: _Sounding, following: Fraction | None, clock: _Clock, capo: int, channel: int, most: Allowance
+    one: _Sounding, following: Fraction | None, clock: ScoreClock, capo: int, channel: int, most: Allowance
 ) -> Iterator[Note]:
     """Play one sign: a note, or the notes of an ornament, a tremolo or a trill."""
     sign, signs = one.sign, set(one.sign.signs)
@@ -450,7 +389,7 @@ def _split(one: _Sounding, most: Allowance) -> list[tuple[Fraction, Fraction, fl
     return out
 
 
-def _glides(one: _Sounding, begin: float, duration: float, clock: _Clock) -> tuple[tuple[float, float], ...]:
+def _glides(one: _Sounding, begin: float, duration: float, clock: ScoreClock) -> tuple[tuple[float, float], ...]:
     """Where the stop of a note goes, see `Note.glides`."""
     sign, slides = one.sign, set(one.sign.slides)
     take = min(_SLIDE_TIME, _SLIDE_SHARE * duration)
@@ -468,7 +407,7 @@ def _glides(one: _Sounding, begin: float, duration: float, clock: _Clock) -> tup
     return tuple((min(time, duration), steps) for time, steps in out if time >= 0.0)
 
 
-def _bends(one: _Sounding, channel: int, clock: _Clock, most: Allowance) -> list[Control]:
+def _bends(one: _Sounding, channel: int, clock: ScoreClock, most: Allowance) -> list[Control]:
     """Controls of a note's bends, whammy and vibrato, back to 0 at its end."""
     out: list[Control] = []
     for i, (at, sign) in enumerate(one.bent):
@@ -492,7 +431,12 @@ def _bends(one: _Sounding, channel: int, clock: _Clock, most: Allowance) -> list
 
 
 def _pedalled(
-    part: WrittenPart, played: Sequence[int], clock: _Clock, channels: Sequence[int], notes: list[Note], most: Allowance
+    part: WrittenPart,
+    played: Sequence[int],
+    clock: ScoreClock,
+    channels: Sequence[int],
+    notes: list[Note],
+    most: Allowance,
 ) -> list[Control]:
     """Controls of a part's pedals; its notes that end under the sustain pedal last until that comes up."""
     if not part.pedals:
