@@ -45,13 +45,13 @@ class Box:
         """(3, channels) m, places of the microphones, side by side across their distance from the instrument."""
         ahead = np.array(self.towards) / np.linalg.norm(self.towards)
         across = np.cross(ahead, (0.0, 0.0, 1.0))
-        aside = _APART * (np.arange(channels) - (channels - 1) / 2)
+        offset = _APART * (np.arange(channels) - (channels - 1) / 2)
         at = np.array(self.source) + distance * ahead
-        return np.asarray(at[:, None] - np.outer(across, aside))
+        return np.asarray(at[:, None] - np.outer(across, offset))
 
 
 ROOMS = {
-    "studio": Box((6.5, 5.0, 3.0), 0.3, (2.1, 2.2, 1.1), (1.0, 0.15, 0.05), 0.5),
+    "studio": Box((6.5, 5.0, 3.0), 0.3, (2.1, 2.2, 1.1), (1.0, 0.15, 0.05), 0.7),
     "small": Box((5.2, 3.9, 2.6), 0.4, (1.3, 1.9, 1.1), (1.0, 0.1, 0.05), 0.6),
     "hall": Box((24.0, 15.0, 9.0), 1.6, (4.0, 7.1, 1.2), (1.0, 0.09, 0.02), 2.0),
 }
