@@ -1,6 +1,6 @@
 """Print the tables of docs/statistics.md: false alarms, coverage, thresholds, sensitivities and power, by simulation.
 
-    python scripts/statistics.py [--experiments 5000] [--staircases 200] [--missing 60] [--only ratings ...]
+    python scripts/statistics.py [--experiments 5000] [--staircases 200] [--sampled 200] [--only ratings ...]
 
 Each number is the mean of three fixed seeds.
 """
@@ -55,23 +55,41 @@ def percent(x: float) -> str:
     return f"{100 * x:.1f} %"
 
 
+HEAD = ["factor", "difference b", "difference c", "interaction", "coverage"]
+
+
 def ratings(options: argparse.Namespace) -> None:
-    """Complete answers: the exact analysis."""
+    """Complete answers."""
     rows = []
     for null in sim.NULLS:
         for n in (12, 20, 40):
             r = means(lambda g, n=n, null=null: astuple(sim.rating_rates(g, options.experiments, n, null)), null, n)
-            rows.append([null, str(n), percent(r[1]), percent(r[2]), percent(r[4]), percent(r[3]), percent(r[5])])
-    table(["population", "listeners", "factor", "difference", "interaction", "coverage", "failed"], rows)
+            rows.append([null, str(n), *map(percent, r)])
+    table(["population", "listeners", *HEAD], rows)
 
 
 def missing(options: argparse.Namespace) -> None:
-    """Answers missing: the mixed model."""
+    """Answers missing."""
+    for gaps in sim.GAPS:
+        print(f"\n{gaps}:")
+        rows = []
+        for null in sim.NULLS:
+            for n in (12, 20, 40):
+                case = (options.experiments, n, null, gaps)
+                r = means(lambda g, case=case: astuple(sim.rating_rates(g, *case)), gaps, null, n)
+                rows.append([null, str(n), *map(percent, r)])
+        table(["population", "listeners", *HEAD], rows)
+
+
+def sampled(options: argparse.Namespace) -> None:
+    """Answers missing, sounds a random sample: the mixed model."""
     rows = []
-    for null in sim.NULLS:
-        r = means(lambda g, null=null: astuple(sim.missing_rates(g, options.missing, 12, null)), "missing", null)
-        rows.append([null, percent(r[1]), percent(r[2]), percent(r[4]), percent(r[3]), percent(r[5])])
-    table(["population", "sounds", "difference", "interaction", "coverage", "failed"], rows)
+    for n, sounds, share in ((12, 6, 0.1), (20, 8, 0.1), (20, 8, 0.2)):
+        r = means(
+            lambda g, n=n, k=sounds, share=share: sim.sampled_rates(g, options.sampled, n, k, share), "sampled", n
+        )
+        rows.append([str(n), str(sounds), percent(share), *map(percent, r)])
+    table(["listeners", "sounds", "missing", "false alarms", "failed"], rows)
 
 
 def staircases(options: argparse.Namespace) -> None:
@@ -123,13 +141,13 @@ def powers(options: argparse.Namespace) -> None:
 
 
 PARTS = {"ratings": ratings, "powers": powers, "sensitivities": sensitivities, "staircases": staircases,
-         "missing": missing}  # fmt: skip
+         "missing": missing, "sampled": sampled}  # fmt: skip
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--experiments", type=int, default=5000, help="of ratings, for each seed")
     parser.add_argument("--staircases", type=int, default=200, help="experiments with staircases, for each seed")
-    parser.add_argument("--missing", type=int, default=60, help="experiments with missing answers, for each seed")
+    parser.add_argument("--sampled", type=int, default=200, help="experiments with random sounds, for each seed")
     parser.add_argument("--only", nargs="*", choices=list(PARTS), default=list(PARTS))
     chosen = parser.parse_args()
     for part in chosen.only:

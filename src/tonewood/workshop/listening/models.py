@@ -2,10 +2,12 @@
 
 *Linear analysis*: main effects over all cells and interactions of two factors. Where every listener answered every
 cell, each effect is tested against the listeners' own differences in it (`tonewood.workshop.listening.strata`). Where
-answers are missing, a mixed model is fitted (`tonewood.workshop.listening.mixed`): a random intercept of each
-listener, and a random deviation of each listener in each effect of which a listener has more answers than cells; of
-random sounds likewise. A variance that is estimated as 0 is kept at 0. Degrees of freedom are Satterthwaite's, but
-never more than the design has: those of the effect times (listeners - 1), or (sounds - 1) where these are fewer.
+answers are missing, the cell means that are there are fitted, and tested against the same differences between listeners
+(`tonewood.workshop.listening.incomplete`). Where answers are missing and sounds are a random sample, a mixed model is
+fitted (`tonewood.workshop.listening.mixed`): a random intercept of each listener and each sound, and a random deviation
+of each in each effect of which it has more answers than cells. A variance that is estimated as 0 is kept at 0. Degrees
+of freedom are Satterthwaite's, but never more than the design has: those of the effect times (listeners - 1), or times
+(sounds - 1) where these are fewer.
 
 *Rank analysis*: for each factor Friedman's test on the listeners' means of its levels, with Kendall's W as effect size,
 and Wilcoxon's signed-rank test of each pair of levels with the matched-pairs rank-biserial correlation, p by Holm. It
@@ -30,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.workshop.listening import mixed, strata
+from tonewood.workshop.listening.incomplete import IncompleteFit
 from tonewood.workshop.listening.means import listener_means, student_interval, unique
 
 Rows = Sequence[Mapping[str, Any]]
@@ -182,8 +185,7 @@ def linear_analysis(
     values = np.array([row["value"] for row in rows], dtype=np.float64)
     cell_sd = data.cell_sd()
     at_ends = None if ends is None else float(np.mean((values <= ends[0]) | (values >= ends[1])))
-    few = bool(sampled) and len(data.sounds) < 2
-    exact = data.complete and not few
+    exact, converged = data.complete, True
     if exact:
         estimates, tests = _by_strata(data, contrasts, confidence, bool(sampled))
         what = (
@@ -192,7 +194,17 @@ def linear_analysis(
             else "Greenhouse-Geisser degrees of freedom as corrected by Huynh and Feldt"
         )
         method = f"analysis of variance by strata, {what}; each difference against its own spread over the listeners"
-        converged = True
+    elif not sampled:
+        fit = IncompleteFit(data.means[:, 0], _design(data, contrasts))
+        estimates = {e: fit.estimated(rows, confidence) for e, rows in contrasts.differences.items()}
+        tests = {e: fit.tested(basis) for e, basis in contrasts.bases.items()}
+        method = (
+            "least squares of the listeners' cell means, some missing, with variances that are robust by clusters of "
+            "listeners (CR2) and Satterthwaite's degrees of freedom (Bell and McCaffrey 2002); F by the trace, with "
+            "degrees of freedom as corrected by Huynh and Feldt"
+        )
+        empty = int(np.sum(np.isnan(data.means)))
+        notes.append(f"{empty} of {data.means.size} cells of listeners have no answer")
     else:
         estimates, tests, method, converged, more = _by_mixed_model(data, contrasts, confidence)
         notes += more
@@ -209,7 +221,7 @@ def linear_analysis(
     named = [
         FactorTest(
             " : ".join(e), "F", float(t.statistic), float(t.df1), float(t.p_value), df2=float(t.df2),
-            p_greenhouse=float(t.p_greenhouse) if exact else None,
+            p_greenhouse=None if sampled else float(t.p_greenhouse),
         )
         for e, t in tests.items()
     ]  # fmt: skip
@@ -268,32 +280,39 @@ def _by_strata(data: _Cells, contrasts: strata.Contrasts, confidence: float, sou
     return estimates, {e: strata.tested(y, basis, sounds=sounds) for e, basis in contrasts.bases.items()}
 
 
+def _columns(data: _Cells, contrasts: strata.Contrasts) -> dict[strata.EffectName, Any]:
+    """Columns (cells, q) of each effect in the model."""
+    codes = {(f,): np.array([data.levels[f].index(cell[i]) for cell in data.cells]) for i, f in enumerate(data.used)}
+    coded: dict[strata.EffectName, Any] = {e: strata.coded(codes[e], len(data.levels[e[0]])) for e in codes}
+    return {
+        e: coded[e] if len(e) == 1
+        else np.einsum("ki,kj->kij", coded[e[:1]], coded[e[1:]]).reshape(len(data.cells), -1)
+        for e in contrasts.bases
+    }  # fmt: skip
+
+
+def _design(data: _Cells, contrasts: strata.Contrasts) -> Array:
+    """Columns (cells, p) of the model, the mean first."""
+    return np.hstack([np.ones((len(data.cells), 1)), *_columns(data, contrasts).values()])
+
+
 def _by_mixed_model(
     data: _Cells, contrasts: strata.Contrasts, confidence: float
 ) -> tuple[dict[strata.EffectName, strata.Estimated], dict[strata.EffectName, strata.Tested], str, bool, list[str]]:
     """The mixed model of the module; random deviations of one variance for each effect."""
     from scipy.special import fdtrc, stdtr, stdtrit
 
-    codes: dict[strata.EffectName, Any] = {
-        (f,): np.array([data.levels[f].index(cell[i]) for cell in data.cells]) for i, f in enumerate(data.used)
-    }
-    coded: dict[strata.EffectName, Any] = {e: strata.coded(codes[e], len(data.levels[e[0]])) for e in codes}
-    columns = {
-        e: coded[e] if len(e) == 1
-        else np.einsum("ki,kj->kij", coded[e[:1]], coded[e[1:]]).reshape(len(data.cells), -1)
-        for e in contrasts.bases
-    }  # fmt: skip
-    x = np.hstack([np.ones((len(data.cells), 1)), *columns.values()])
+    columns, x = _columns(data, contrasts), _design(data, contrasts)
     one = np.ones((len(data.value), 1))
     terms, names, limits = [], [], dict.fromkeys(columns, math.inf)
-    samples = [("listener", data.listener)] + ([("sound", data.sound)] if len(data.sounds) > 1 else [])
-    for name, of in samples:
+    for name, of in (("listener", data.listener), ("sound", data.sound)):
         terms.append(mixed.RandomTerm(one, of))
         names.append(f"(1 | {name})")
         size = int(of.max()) + 1
         for effect in columns:
-            level = sum(codes[f,] * 1000**i for i, f in enumerate(effect))[data.cell]
-            groups = np.unique(of * 1000 ** (len(effect) + 1) + level, return_inverse=True)[1]
+            levels = np.array([[cell[data.used.index(f)] for f in effect] for cell in data.cells])
+            level = np.unique(levels, axis=0, return_inverse=True)[1].ravel()[data.cell]
+            groups = np.unique(of * (level.max() + 1) + level, return_inverse=True)[1]
             if groups.max() + 1 == len(data.value):
                 continue  # one answer each: the deviation is the residual's
             terms.append(mixed.RandomTerm(one, groups))

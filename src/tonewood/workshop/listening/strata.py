@@ -144,9 +144,11 @@ def tested(y: Array, basis: Array, *, sounds: bool) -> Tested:
     basis : (cells, q) orthonormal contrasts.
     sounds : whether `y` has the axis of sounds, a random sample.
     """
+    parts, mean = _parts(y @ basis, sounds)
+    if not sounds:
+        return trace_test(mean, parts[0][0], float(parts[0][1]))
     from scipy.special import fdtrc
 
-    parts, mean = _parts(y @ basis, sounds)
     total, trace = _total(parts)
     with np.errstate(invalid="ignore", divide="ignore"):
         square = np.sum(mean**2, axis=-1)
@@ -154,20 +156,30 @@ def tested(y: Array, basis: Array, *, sounds: bool) -> Tested:
         df1 = np.where(trace > 0, trace**2 / np.sum(total**2, axis=(-2, -1)), basis.shape[-1])
         spread = sum(np.sum(v**2, axis=(-2, -1)) / f for v, f in parts)
         df2 = np.where(trace > 0, trace**2 / spread, 1.0)
-    q, n = basis.shape[-1], y.shape[-3 if sounds else -2]
+    q = basis.shape[-1]
     df1, df2 = np.clip(df1, 1.0, q), np.maximum(df2, 1.0)
-    greenhouse = fdtrc(df1, df2, statistic)
-    epsilon = df1 / q
-    if not sounds and n - 1 > q > 1:
-        df1 = np.clip((n * df1 - 2) / (n - 1 - df1), 1.0, q)
-        df2 = (n - 1) * df1
-    return Tested(statistic, df1, df2, fdtrc(df1, df2, statistic), epsilon, greenhouse)
+    p = fdtrc(df1, df2, statistic)
+    return Tested(statistic, df1, df2, p, df1 / q, p)
+
+
+def trace_test(mean: Array, v: Array, f: Any) -> Tested:
+    """F of contrasts (..., q) by the trace of their covariance matrix (..., q, q), which has f degrees of freedom."""
+    from scipy.special import fdtrc
+
+    q = mean.shape[-1]
+    trace = np.trace(v, axis1=-2, axis2=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        square = np.sum(mean**2, axis=-1)
+        statistic = np.where(trace > 0, square / trace, np.where(square > 0, np.inf, 0.0))
+        df1 = np.clip(np.where(trace > 0, trace**2 / np.sum(v**2, axis=(-2, -1)), q), 1.0, q)
+        epsilon, greenhouse = df1 / q, fdtrc(df1, f * df1, statistic)
+        if q > 1:
+            df1 = np.where(f > q, np.clip(((f + 1) * df1 - 2) / (f - df1), 1.0, q), df1)
+    return Tested(statistic, df1, f * df1, fdtrc(df1, f * df1, statistic), epsilon, greenhouse)
 
 
 def estimated(y: Array, rows: Array, confidence: float, *, sounds: bool) -> Estimated:
     """Estimate differences (rows, cells), each with its own variance; `y` and `sounds` as for `tested`."""
-    from scipy.special import stdtr, stdtrit
-
     z = (y @ rows.T)[..., None]
     z = np.moveaxis(z, -2, 0)  # differences first, each with one contrast
     parts, mean = _parts(z, sounds)
@@ -175,12 +187,18 @@ def estimated(y: Array, rows: Array, confidence: float, *, sounds: bool) -> Esti
     with np.errstate(invalid="ignore", divide="ignore"):
         spread = sum(np.sum(x**2, axis=(-2, -1)) / f for x, f in parts)
         df = np.maximum(np.where(v > 0, v**2 / spread, 1.0), 1.0)
-        value = mean[..., 0]
+    value, v, df = (np.moveaxis(x, 0, -1) for x in (mean[..., 0], v, df))
+    return t_interval(value, v, df, confidence)
+
+
+def t_interval(value: Array, v: Array, df: Array, confidence: float) -> Estimated:
+    """Intervals and t tests of differences (..., rows) with variances v and their degrees of freedom."""
+    from scipy.special import stdtr, stdtrit
+
+    with np.errstate(invalid="ignore", divide="ignore"):
         t = np.where(v > 0, np.abs(value) / np.sqrt(v), np.where(np.abs(value) > 0, np.inf, 0.0))
     half = stdtrit(df, (1 + confidence) / 2) * np.sqrt(v)
-    p = 2 * stdtr(df, -t)
-    back = [np.moveaxis(x, 0, -1) for x in (value, value - half, value + half, df, p)]
-    return Estimated(*back)
+    return Estimated(value, value - half, value + half, df, 2 * stdtr(df, -t))
 
 
 def _parts(z: Array, sounds: bool) -> tuple[list[tuple[Array, int]], Array]:
