@@ -1,6 +1,6 @@
 """Print the tables of docs/statistics.md: false alarms, coverage, thresholds, sensitivities and power, by simulation.
 
-    python scripts/statistics.py [--experiments 5000] [--staircases 200] [--sampled 200] [--only ratings ...]
+    python scripts/statistics.py [--only ratings missing ...] [--experiments 5000] [--staircases 200] ...
 
 Each number is the mean of three fixed seeds.
 """
@@ -92,6 +92,16 @@ def sampled(options: argparse.Namespace) -> None:
     table(["listeners", "sounds", "missing", "false alarms", "failed"], rows)
 
 
+def grades(options: argparse.Namespace) -> None:
+    """Odds of higher grades."""
+    rows = []
+    for cuts in sim.CUTS:
+        for n in (12, 20, 40):
+            r = means(lambda g, n=n, cuts=cuts: sim.odds_rates(g, options.grades, n, cuts), cuts, n)
+            rows.append([cuts, str(n), *map(percent, r[:4]), f"{100 * r[4]:+.1f} %"])
+    table(["scale", "listeners", "factor", "difference b", "interaction", "coverage", "bias"], rows)
+
+
 def staircases(options: argparse.Namespace) -> None:
     """Bias and coverage of thresholds."""
     rows = []
@@ -141,12 +151,13 @@ def powers(options: argparse.Namespace) -> None:
 
 
 PARTS = {"ratings": ratings, "powers": powers, "sensitivities": sensitivities, "staircases": staircases,
-         "missing": missing, "sampled": sampled}  # fmt: skip
+         "missing": missing, "sampled": sampled, "grades": grades}  # fmt: skip
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--experiments", type=int, default=5000, help="of ratings, for each seed")
     parser.add_argument("--staircases", type=int, default=200, help="experiments with staircases, for each seed")
+    parser.add_argument("--grades", type=int, default=2000, help="experiments with grades, for each seed")
     parser.add_argument("--sampled", type=int, default=200, help="experiments with random sounds, for each seed")
     parser.add_argument("--only", nargs="*", choices=list(PARTS), default=list(PARTS))
     chosen = parser.parse_args()

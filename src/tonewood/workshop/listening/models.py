@@ -32,10 +32,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.workshop.listening import mixed, strata
+from tonewood.workshop.listening.cells import Cells, Rows, cells_of
 from tonewood.workshop.listening.incomplete import IncompleteFit
 from tonewood.workshop.listening.means import listener_means, student_interval, unique
 
-Rows = Sequence[Mapping[str, Any]]
 Array = NDArray[np.float64]
 #: share of answers at an end of the scale beyond which differences of means mislead
 END_SHARE = 0.15
@@ -169,21 +169,16 @@ def linear_analysis(
     random : factors whose levels are a random sample of many (of notes, of pieces).
     ends : of the scale.
     """
-    used = [f for f in factors if f not in random and len({row[f] for row in rows}) > 1]
-    sampled = tuple(f for f in factors if f in random and len({row[f] for row in rows}) > 1)
-    who = unique([str(row["listener"]) for row in rows])
-    if not used or len(who) < 3:
+    data = cells_of(rows, factors, levels, random)
+    if data is None:
         return None
-    given = {f: {str(row[f]) for row in rows} for f in used}
-    there = {f: [v for v in levels[f] if v in given[f]] for f in used}
-    data = _Cells(rows, used, sampled, there, who)
-    contrasts = strata.contrasts(data.cells, there)
+    sampled = data.sampled
+    contrasts = strata.contrasts(data.cells, data.levels)
     notes = [f"interaction left out, it has empty cells: {' : '.join(e)}" for e in contrasts.without if len(e) > 1]
     notes += [f"{e[0]} cannot be told from the other factors" for e in contrasts.without if len(e) == 1]
     if not contrasts.bases:
         return None
-    values = np.array([row["value"] for row in rows], dtype=np.float64)
-    cell_sd = data.cell_sd()
+    values, cell_sd = data.value, data.cell_sd()
     at_ends = None if ends is None else float(np.mean((values <= ends[0]) | (values >= ends[1])))
     exact, converged = data.complete, True
     if exact:
@@ -195,7 +190,7 @@ def linear_analysis(
         )
         method = f"analysis of variance by strata, {what}; each difference against its own spread over the listeners"
     elif not sampled:
-        fit = IncompleteFit(data.means[:, 0], _design(data, contrasts))
+        fit = IncompleteFit(data.means[:, 0], data.design(contrasts))
         estimates = {e: fit.estimated(rows, confidence) for e, rows in contrasts.differences.items()}
         tests = {e: fit.tested(basis) for e, basis in contrasts.bases.items()}
         method = (
@@ -227,82 +222,27 @@ def linear_analysis(
     ]  # fmt: skip
     formula = "value ~ " + " + ".join(":".join(effect) for effect in contrasts.bases)
     return LinearAnalysis(
-        formula, method, exact, len(rows), len(who), sampled, tuple(terms), tuple(named), cell_sd, at_ends, converged,
-        tuple(notes),
+        formula, method, exact, len(rows), len(data.who), sampled, tuple(terms), tuple(named), cell_sd, at_ends,
+        converged, tuple(notes),
     )  # fmt: skip
-
-
-class _Cells:
-    """Answers by listener, random sound and cell of the fixed factors."""
-
-    def __init__(
-        self,
-        rows: Rows,
-        used: Sequence[str],
-        sampled: Sequence[str],
-        levels: Mapping[str, Sequence[str]],
-        who: list[str],
-    ):
-        own = [tuple(str(row[f]) for f in used) for row in rows]
-        self.cells = sorted(set(own), key=lambda cell: [levels[f].index(v) for f, v in zip(used, cell, strict=True)])
-        items = [tuple(str(row[f]) for f in sampled) for row in rows]
-        self.sounds = unique(items)
-        place = {cell: i for i, cell in enumerate(self.cells)}
-        listeners = {name: i for i, name in enumerate(who)}
-        item = {name: i for i, name in enumerate(self.sounds)}
-        self.value = np.array([row["value"] for row in rows], dtype=np.float64)
-        self.cell = np.array([place[cell] for cell in own])
-        self.listener = np.array([listeners[str(row["listener"])] for row in rows])
-        self.sound = np.array([item[name] for name in items])
-        self.levels, self.used = levels, list(used)
-        shape = (len(who), len(self.sounds), len(self.cells))
-        flat = np.ravel_multi_index((self.listener, self.sound, self.cell), shape)
-        count = np.bincount(flat, minlength=math.prod(shape)).reshape(shape)
-        self.complete = bool(np.all(count > 0))
-        with np.errstate(invalid="ignore"):
-            self.means = np.bincount(flat, self.value, math.prod(shape)).reshape(shape) / count
-
-    def cell_sd(self) -> float:
-        """Standard deviation of the answers within a cell."""
-        where = self.cell * len(self.sounds) + self.sound
-        _, at, counts = np.unique(where, return_inverse=True, return_counts=True)
-        means = np.bincount(at, self.value) / counts
-        free = len(self.value) - len(counts)
-        return math.sqrt(float(np.sum((self.value - means[at]) ** 2)) / free) if free > 0 else 0.0
 
 
 Results = tuple[dict[strata.EffectName, strata.Estimated], dict[strata.EffectName, strata.Tested]]
 
 
-def _by_strata(data: _Cells, contrasts: strata.Contrasts, confidence: float, sounds: bool) -> Results:
+def _by_strata(data: Cells, contrasts: strata.Contrasts, confidence: float, sounds: bool) -> Results:
     y = data.means if sounds else data.means[:, 0]
     estimates = {e: strata.estimated(y, rows, confidence, sounds=sounds) for e, rows in contrasts.differences.items()}
     return estimates, {e: strata.tested(y, basis, sounds=sounds) for e, basis in contrasts.bases.items()}
 
 
-def _columns(data: _Cells, contrasts: strata.Contrasts) -> dict[strata.EffectName, Any]:
-    """Columns (cells, q) of each effect in the model."""
-    codes = {(f,): np.array([data.levels[f].index(cell[i]) for cell in data.cells]) for i, f in enumerate(data.used)}
-    coded: dict[strata.EffectName, Any] = {e: strata.coded(codes[e], len(data.levels[e[0]])) for e in codes}
-    return {
-        e: coded[e] if len(e) == 1
-        else np.einsum("ki,kj->kij", coded[e[:1]], coded[e[1:]]).reshape(len(data.cells), -1)
-        for e in contrasts.bases
-    }  # fmt: skip
-
-
-def _design(data: _Cells, contrasts: strata.Contrasts) -> Array:
-    """Columns (cells, p) of the model, the mean first."""
-    return np.hstack([np.ones((len(data.cells), 1)), *_columns(data, contrasts).values()])
-
-
 def _by_mixed_model(
-    data: _Cells, contrasts: strata.Contrasts, confidence: float
+    data: Cells, contrasts: strata.Contrasts, confidence: float
 ) -> tuple[dict[strata.EffectName, strata.Estimated], dict[strata.EffectName, strata.Tested], str, bool, list[str]]:
     """The mixed model of the module; random deviations of one variance for each effect."""
     from scipy.special import fdtrc, stdtr, stdtrit
 
-    columns, x = _columns(data, contrasts), _design(data, contrasts)
+    columns, x = data.columns(contrasts), data.design(contrasts)
     one = np.ones((len(data.value), 1))
     terms, names, limits = [], [], dict.fromkeys(columns, math.inf)
     for name, of in (("listener", data.listener), ("sound", data.sound)):

@@ -19,6 +19,7 @@ from tonewood.workshop.listening import strata
 from tonewood.workshop.listening.detection import CHANCE, Task, sensitivity, shares_of, task_of
 from tonewood.workshop.listening.incomplete import IncompleteFit
 from tonewood.workshop.listening.models import linear_analysis
+from tonewood.workshop.listening.ordinal import fit_counts, jackknifed
 from tonewood.workshop.listening.pooling import D, pooled
 from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.quest import table_of
@@ -159,6 +160,52 @@ def sampled_rates(
         else:
             alarms += found.tests[0].p_value < 0.05
     return alarms / max(experiments - failed, 1), failed / experiments
+
+
+#: cuts between grades of the latent answers: a scale that is used in the middle, and one near its upper end
+CUTS = {"five grades": (-2.0, -0.5, 0.7, 2.0), "five grades, half of the answers the highest": (-4.0, -3.0, -1.5, 0.0)}
+
+
+def graded(random: np.random.Generator, listeners: int, cuts: str, shift: float) -> Array:
+    """Draw counts (listeners, 9 cells, grades) of two answers each.
+
+    Latent answers are logistic, with deviations of listeners of 1 and of their responses to each level of 0.7.
+
+    Parameters
+    ----------
+    random, listeners : source of the answers, and number.
+    cuts : name in `CUTS`.
+    shift : by which the second level is higher (logits of one listener).
+    """
+    latent = random.normal(0, 1, (listeners, 1, 1, 1)) + random.normal(0, 0.7, (listeners, 3, 1, 1))
+    latent = latent + np.array([0.0, shift, 0.0])[:, None, None] + random.logistic(size=(listeners, 3, 3, 2))
+    grade = np.searchsorted(CUTS[cuts], latent).reshape(listeners, 9, 2)
+    return np.stack([np.sum(grade == k, axis=-1) for k in range(5)], axis=-1).astype(np.float64)
+
+
+def odds_rates(random: np.random.Generator, experiments: int, listeners: int, cuts: str) -> tuple[float, ...]:
+    """False alarms of factor, first difference and interaction, coverage of log odds, and their bias.
+
+    The true log odds of a population are those of 40,000 listeners.
+    """
+    contrasts = strata.contrasts(_CELLS, _LEVELS)
+    x = np.hstack(list(contrasts.bases.values()))
+    first = contrasts.differences["factor",][:1]
+    many = graded(np.random.default_rng(0), 40_000, cuts, 1.0).sum(axis=0)
+    true = float((first @ x @ fit_counts(many, x)[0])[0])
+    rows = []
+    for _ in range(experiments):
+        eta, v, _ = jackknifed(graded(random, listeners, cuts, 0.0), x)
+        alarms = [
+            float(strata.trace_test(eta @ basis, basis.T @ v @ basis, listeners - 1.0).p_value) < 0.05
+            for basis in (contrasts.bases["factor",], contrasts.bases["factor", "sound"])
+        ]
+        p = strata.t_interval(first @ eta, np.diag(first @ v @ first.T), np.array([listeners - 1.0]), 0.95).p_value[0]
+        eta, v, _ = jackknifed(graded(random, listeners, cuts, 1.0), x)
+        one = strata.t_interval(first @ eta, np.diag(first @ v @ first.T), np.array([listeners - 1.0]), 0.95)
+        covered = bool(one.low[0] <= true <= one.high[0])
+        rows.append([alarms[0], p < 0.05, alarms[1], covered, one.difference[0] / true - 1])
+    return tuple(float(a) for a in np.mean(np.array(rows, dtype=np.float64), axis=0))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 import listening_fakes as fakes
 import numpy as np
 import pytest
-from published import DRUGS, MACHINES, RATINGS, SLEEP
+from published import DRUGS, HOUSING, MACHINES, RATINGS, SLEEP
 from scipy import stats
 
 from tonewood.workshop.batch.manifest import ManifestError, check_manifest
@@ -19,6 +19,7 @@ from tonewood.workshop.listening.detection import sensitivity, shares_of
 from tonewood.workshop.listening.incomplete import IncompleteFit
 from tonewood.workshop.listening.mixed import RandomTerm, fit
 from tonewood.workshop.listening.models import bradley_terry, linear_analysis, rank_analysis
+from tonewood.workshop.listening.ordinal import fit_counts, grades, ordinal_analysis
 from tonewood.workshop.listening.panel import SimulatedPanel, simulate
 from tonewood.workshop.listening.plain import methods, summary
 from tonewood.workshop.listening.quest import QuestTable, QuestTrack, table_of
@@ -43,14 +44,35 @@ def rows_of(y: np.ndarray) -> list[dict]:
 
 
 def test_strata_are_those_of_winer_s_table() -> None:
-    """F(3, 12) = 24.76; the Stata manual (anova, repeated measures) prints epsilons .6049 and 1.0789, p .0006."""
+    """F is that of its sums of squares (698.2 and 112.8), epsilon that of Box's formula of the covariance matrix."""
     contrasts = strata.contrasts([(x,) for x in "abcd"], {"drug": list("abcd")})
     found = strata.tested(np.array(DRUGS, dtype=float), contrasts.bases["drug",], sounds=False)
-    assert round(float(found.statistic), 2) == 24.76
-    assert round(float(found.epsilon), 4) == 0.6049
-    assert round(float(found.p_greenhouse), 4) == 0.0006
-    assert (found.df1, found.df2) == (3.0, 12.0)  # 1.0789 is cut to 1
-    assert found.p_value == pytest.approx(stats.f.sf(24.7589, 3, 12), rel=1e-4)
+    assert found.statistic == pytest.approx((698.2 / 3) / (112.8 / 12))
+    s = np.cov(np.transpose(DRUGS))
+    top = 16 * (np.trace(s) / 4 - s.mean()) ** 2
+    epsilon = top / (3 * (np.sum(s**2) - 8 * np.sum(s.mean(axis=1) ** 2) + 16 * s.mean() ** 2))
+    assert found.epsilon == pytest.approx(epsilon)
+    assert found.p_greenhouse == pytest.approx(stats.f.sf(found.statistic, 3 * epsilon, 12 * epsilon))
+    assert (15 * epsilon - 2) / (3 * (4 - 3 * epsilon)) > 1  # the corrected epsilon is cut to 1
+    assert (found.df1, found.df2) == (3.0, 12.0)
+    assert found.p_value == pytest.approx(stats.f.sf(found.statistic, 3, 12))
+
+
+def test_strata_are_those_of_statsmodels() -> None:
+    """AnovaRM of Winer's table and of two crossed factors."""
+    pandas = pytest.importorskip("pandas")
+    anova = pytest.importorskip("statsmodels.stats.anova")
+    rows = rows_of(np.array(DRUGS)[:, :, None])
+    theirs = anova.AnovaRM(pandas.DataFrame(rows), "value", "listener", ["f"]).fit().anova_table
+    (ours,) = linear_analysis(rows, ["f"], 0.95, {"f": list("0123")}).tests
+    assert ours.statistic == pytest.approx(theirs["F Value"].iloc[0])
+    rows = [
+        {"listener": str(i), "a": f"{j // 3}", "b": f"{j % 3}", "value": float(v)}
+        for i, own in enumerate(np.random.default_rng(2).normal(0, 1, (7, 6))) for j, v in enumerate(own)
+    ]  # fmt: skip
+    theirs = anova.AnovaRM(pandas.DataFrame(rows), "value", "listener", ["a", "b"]).fit().anova_table
+    ours = linear_analysis(rows, ["a", "b"], 0.95, {"a": list("01"), "b": list("012")}).tests
+    assert [t.statistic for t in ours] == pytest.approx(list(theirs["F Value"]))
 
 
 def test_strata_are_those_of_sums_of_squares(rng: np.random.Generator) -> None:
@@ -263,6 +285,69 @@ def test_levels_that_no_listener_shares_are_compared_between_listeners() -> None
     (term,) = found.terms
     assert term.difference == pytest.approx(np.mean(b) - np.mean(a))
     assert term.difference / (term.high - term.low) * 2 * stats.t.ppf(0.975, term.df) == pytest.approx(-welch.statistic)
+
+
+def test_variances_by_clusters_are_those_of_clubsandwich() -> None:
+    """clubSandwich 0.5.8 (R 4.2.2), CR2 of nlme's gls with corCompSymm fixed at 100 / 101: estimate, error, df."""
+    rows = [{"listener": str(w), "item": str(i), "cond": str(c), "value": float(v)} for w, i, c, v in RATINGS]
+    found = linear_analysis(rows, ["cond", "item"], 0.95, {"cond": list("012"), "item": list("01234")})
+    terms = {t.name: t for t in found.terms}
+    for name, value, error, df in (
+        ("cond=1", 11.905901661, 0.978967953, 8.779339887),
+        ("cond=2", 20.84, 1.1534682, 9.0),
+        ("item=4", -3.988054709, 1.410575728, 8.613659433),
+    ):
+        one = terms[name]
+        assert one.difference == pytest.approx(value, abs=1e-8)
+        assert one.df == pytest.approx(df, abs=1e-5)
+        # the root of the working matrix is Cholesky's there and the symmetric one here
+        assert (one.high - one.low) / 2 / stats.t.ppf(0.975, one.df) == pytest.approx(error, rel=2e-5)
+
+
+def test_odds_are_those_of_polr() -> None:
+    """The example of MASS::polr (R): coefficients and cuts as its help prints them."""
+    cont, kind, infl = (x.ravel() for x in np.meshgrid(range(2), range(4), range(3), indexing="ij"))
+    x = np.column_stack([infl == 1, infl == 2, kind == 1, kind == 2, kind == 3, cont == 1]).astype(float)
+    beta, alpha, converged = fit_counts(np.array(HOUSING, dtype=float).reshape(24, 3), x, prior=1e-9)
+    assert converged
+    printed = [0.5663937, 1.2888191, -0.5723501, -0.3661866, -1.0910149, 0.3602841]
+    assert beta == pytest.approx(printed, abs=1e-6)
+    assert alpha == pytest.approx([-0.4961353, 0.6907083], abs=1e-6)
+
+
+def test_odds_are_jackknifed_over_listeners(rng: np.random.Generator) -> None:
+    rows = [
+        {"listener": str(i), "f": "ab"[j], "value": float(np.clip(round(3 + j + own + rng.normal()), 1, 5))}
+        for i, own in enumerate(rng.normal(0, 1, 9)) for j in (0, 1) for _ in range(4)
+    ]  # fmt: skip
+    levels = {"f": ["a", "b"]}
+    (term,) = ordinal_analysis(rows, ["f"], 0.95, levels).terms
+    without = [ordinal_analysis([r for r in rows if r["listener"] != str(i)], ["f"], 0.95, levels) for i in range(9)]
+    logs = np.log([one.terms[0].ratio for one in without])
+    error = math.sqrt(8 / 9 * np.sum((logs - logs.mean()) ** 2))
+    assert math.log(term.high / term.low) / 2 == pytest.approx(stats.t.ppf(0.975, 8) * error, rel=1e-3)
+    best = [r | {"value": 5.0} if r["f"] == "b" else r for r in rows]
+    found = ordinal_analysis(best, ["f"], 0.95, levels)
+    assert not found.terms
+    assert not found.tests
+    assert found.notes[0] == "all answers to b stand at one end of the scale"
+
+
+def test_values_are_grouped_into_grades_that_keep_their_order(rng: np.random.Generator) -> None:
+    values = np.clip(rng.normal(92, 8, 500), 0, 100)
+    found = grades(values, (0.0, 100.0))
+    assert np.all(np.diff(found[np.argsort(values)]) >= 0)
+    assert 10 < found.max() < 20
+    assert set(np.flatnonzero(found == found.max())) == set(np.flatnonzero(values == 100.0))
+    assert list(grades(np.array([3.0, 1.0, 3.0, 5.0]), (1.0, 5.0))) == [1, 0, 1, 2]
+
+
+@pytest.mark.parametrize("cuts", simulations.CUTS)
+def test_odds_hold_false_alarms_and_coverage(cuts: str) -> None:
+    *alarms, coverage, bias = simulations.odds_rates(np.random.default_rng(1), 400, 20, cuts)
+    assert all(0.02 < share < 0.085 for share in alarms)  # standard error 1.1 %
+    assert coverage > 0.92
+    assert abs(bias) < 0.06
 
 
 def panel(**changes) -> SimulatedPanel:
@@ -536,7 +621,10 @@ def test_a_scale_that_ends_is_told(tmp_path: Path) -> None:
     scale = {"name": "dry", "label": "Dry", "low": 0.0, "high": 10.0}
     test = fakes.made(tmp_path, [{"type": "rating", "scales": [scale, scale | {"name": "o", "ordinal": True}]}])
     simulate(test, panel(ratings={"damping": {"block": 9.0}}, residual_sd=2.0), 12, seed=3)
-    lines = summary(analyse(tmp_path / "out"))
+    found = analyse(tmp_path / "out")
+    lines = summary(found)
     assert any("stand at an end of the scale" in line for line in lines)
     assert any("in 9" in line and "of comparisons" in line for line in lines)
     assert any("grades have an order" in line for line in lines)
+    assert any("the odds of a higher rating are" in line for line in lines)
+    assert "cumulative logit" in methods(found)
