@@ -1,6 +1,6 @@
 """Print the tables of docs/statistics.md: false alarms, coverage, thresholds, sensitivities and power, by simulation.
 
-    python scripts/statistics.py [--only ratings missing ...] [--experiments 5000] [--staircases 200] ...
+    python scripts/statistics.py [--only ratings missing ...] [--experiments 5000] [--staircases 134] ...
 
 Each number is the mean of three fixed seeds.
 """
@@ -32,8 +32,17 @@ PAGES = {
     "QUEST+, 60 trials": STAIRS,
     "2-down staircase": STAIRS | LEVITT,
 }
-#: slope per unit of ln(level), lapse rate
-PEOPLE = {"slope 2": (2.0, 0.02), "slope 1": (1.0, 0.02), "slope 4, 4 % lapses": (4.0, 0.04)}
+#: populations on which the fit was chosen, and others on which it was not: mean threshold, standard deviation of ln(level),
+#: slope per unit of ln(level), standard deviation of its logarithm, lapse rate
+PEOPLE = {
+    "A": sim.Population(5.0, 0.25, 2.0, 0.3, 0.02),
+    "B": sim.Population(5.0, 0.25, 1.0, 0.3, 0.02),
+    "C": sim.Population(5.0, 0.25, 4.0, 0.3, 0.04),
+    "D": sim.Population(2.0, 0.4, 3.0, 0.3, 0.02),
+    "E": sim.Population(5.0, 0.6, 2.5, 0.5, 0.03),
+    "F": sim.Population(8.0, 0.35, 6.0, 0.3, 0.05),
+    "G": sim.Population(12.0, 0.15, 1.5, 0.2, 0.01),
+}
 
 
 def means(run: Callable[[np.random.Generator], Sequence[float]], *labels: object) -> list[float]:
@@ -106,14 +115,15 @@ def staircases(options: argparse.Namespace) -> None:
     """Bias and coverage of thresholds."""
     rows = []
     for name, page in PAGES.items():
-        for text, (slope, lapses) in PEOPLE.items():
-            own, people = StaircasePage.model_validate(page), sim.Population(5.0, 0.25, slope, 0.3, lapses)
+        for text, people in PEOPLE.items():
+            own = StaircasePage.model_validate(page)
             r = means(
                 lambda g, own=own, people=people: astuple(sim.threshold_rates(g, options.staircases, 12, own, people)),
                 name, text,
             )  # fmt: skip
             rows.append([name, text, f"{r[1]:.0f}", f"{100 * r[2]:+.1f} %", percent(r[3]), f"{100 * r[4]:+.1f} %",
                          percent(r[5]), f"{100 * r[6]:.0f} %"])  # fmt: skip
+            print(rows[-1], file=sys.stderr, flush=True)
     table(["method", "listeners", "trials", "bias of the mean", "coverage", "bias of a listener", "coverage",
            "half width of the mean's interval"], rows)  # fmt: skip
 
@@ -124,7 +134,7 @@ def sensitivities(options: argparse.Namespace) -> None:
     for task in ("more_2", "more_3", "odd_3", "abx"):
         for mean, sd in ((1.0, 0.5), (1.5, 0.8), (2.5, 0.8)):
             r = means(
-                lambda g, t=task, m=mean, s=sd: sim.sensitivity_rates(g, options.staircases, 20, 20, t, m, s),
+                lambda g, t=task, m=mean, s=sd: sim.sensitivity_rates(g, options.sensitivities, 20, 20, t, m, s),
                 task, mean,
             )  # fmt: skip
             rows.append([task, f"{mean:g} ± {sd:g}", f"{100 * r[0]:+.1f} %", f"{100 * r[1]:+.1f} %", percent(r[2])])
@@ -156,7 +166,8 @@ PARTS = {"ratings": ratings, "powers": powers, "sensitivities": sensitivities, "
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--experiments", type=int, default=5000, help="of ratings, for each seed")
-    parser.add_argument("--staircases", type=int, default=200, help="experiments with staircases, for each seed")
+    parser.add_argument("--staircases", type=int, default=134, help="experiments with staircases, for each seed")
+    parser.add_argument("--sensitivities", type=int, default=200, help="experiments with d', for each seed")
     parser.add_argument("--grades", type=int, default=2000, help="experiments with grades, for each seed")
     parser.add_argument("--sampled", type=int, default=200, help="experiments with random sounds, for each seed")
     parser.add_argument("--only", nargs="*", choices=list(PARTS), default=list(PARTS))
