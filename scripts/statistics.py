@@ -32,8 +32,8 @@ PAGES = {
     "QUEST+, 60 trials": STAIRS,
     "2-down staircase": STAIRS | LEVITT,
 }
-#: populations on which the fit was chosen, and others on which it was not: mean threshold, standard deviation of ln(level),
-#: slope per unit of ln(level), standard deviation of its logarithm, lapse rate
+#: populations on which the fit was chosen (A to C), and others: mean threshold, standard deviation of ln(level), slope per
+#: unit of ln(level), standard deviation of its logarithm, lapse rate
 PEOPLE = {
     "A": sim.Population(5.0, 0.25, 2.0, 0.3, 0.02),
     "B": sim.Population(5.0, 0.25, 1.0, 0.3, 0.02),

@@ -191,7 +191,7 @@ class ThresholdGrid:
         return np.asarray(most + np.log(np.sum(np.exp(logs - most), axis=0)))
 
     def _answers(self, level: float) -> tuple[Array, Array]:
-        """Logarithms of the probabilities (lapse rates, thresholds, slopes) of right and wrong answers, kept by level."""
+        """Logarithms of probabilities (lapse rates, thresholds, slopes) of right and wrong answers; kept by level."""
         if level not in self._logs:
             p = psychometric(
                 level, self.u[:, None], self.slopes, self.guess, self.page.share, _LAPSES[:, None, None]
@@ -231,10 +231,7 @@ class ThresholdGrid:
         of_mean = posterior.sum(axis=1)
         interval = (quantile(mu, of_mean, tail), quantile(mu, of_mean, 1 - tail))
         each, alone = np.empty((len(own), 3)), np.empty((len(own), 3))
-        mixed: Any = np.zeros_like(own)
-        mixed[:, there] = sum(
-            (w / p) @ kernel * start[:, there, c] for w, p, c in zip(joint, shares, near, strict=True)
-        )
+        mixed = sum((w / p) @ kernel * start[..., c] for w, p, c in zip(joint, shares, near, strict=True))
         weight = joint.sum(axis=1)
         own = start[..., near] @ weight
         best = int(near[int(np.argmin(np.abs(np.cumsum(weight) - 0.5)))])
