@@ -32,8 +32,8 @@ PAGES = {
     "QUEST+, 60 trials": STAIRS,
     "2-down staircase": STAIRS | LEVITT,
 }
-#: populations on which the fit was chosen (A to C), and others: mean threshold, standard deviation of ln(level), slope per
-#: unit of ln(level), standard deviation of its logarithm, lapse rate
+#: populations on which the fit was chosen (A to C), and others: mean threshold, standard deviation of ln(level), slope
+#: per unit of ln(level), standard deviation of its logarithm, lapse rate
 PEOPLE = {
     "A": sim.Population(5.0, 0.25, 2.0, 0.3, 0.02),
     "B": sim.Population(5.0, 0.25, 1.0, 0.3, 0.02),
@@ -117,9 +117,9 @@ def staircases(options: argparse.Namespace) -> None:
     for name, page in PAGES.items():
         for text, people in PEOPLE.items():
             own = StaircasePage.model_validate(page)
+            count = options.staircases if own.adaptive == "quest_plus" else options.staircases // 2
             r = means(
-                lambda g, own=own, people=people: astuple(sim.threshold_rates(g, options.staircases, 12, own, people)),
-                name, text,
+                lambda g, case=(count, 12, own, people): astuple(sim.threshold_rates(g, *case)), name, text
             )  # fmt: skip
             rows.append([name, text, f"{r[1]:.0f}", f"{100 * r[2]:+.1f} %", percent(r[3]), f"{100 * r[4]:+.1f} %",
                          percent(r[5]), f"{100 * r[6]:.0f} %"])  # fmt: skip
@@ -166,10 +166,15 @@ PARTS = {"ratings": ratings, "powers": powers, "sensitivities": sensitivities, "
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--experiments", type=int, default=5000, help="of ratings, for each seed")
-    parser.add_argument("--staircases", type=int, default=134, help="experiments with staircases, for each seed")
+    parser.add_argument(
+        "--staircases",
+        type=int,
+        default=134,
+        help="experiments with QUEST+, for each seed; half as many by Levitt's rule",
+    )
     parser.add_argument("--sensitivities", type=int, default=200, help="experiments with d', for each seed")
-    parser.add_argument("--grades", type=int, default=2000, help="experiments with grades, for each seed")
-    parser.add_argument("--sampled", type=int, default=200, help="experiments with random sounds, for each seed")
+    parser.add_argument("--grades", type=int, default=1000, help="experiments with grades, for each seed")
+    parser.add_argument("--sampled", type=int, default=100, help="experiments with random sounds, for each seed")
     parser.add_argument("--only", nargs="*", choices=list(PARTS), default=list(PARTS))
     chosen = parser.parse_args()
     for part in chosen.only:

@@ -96,9 +96,10 @@ def _rated(found: PanelResults, page: PageResults, linear: LinearAnalysis, perce
             f"{len(page.screened)} listeners were left out by their ratings of reference and anchors; p is the larger "
             "of those without and with them, because that choice favours the reference."
         )
+    tests = linear.tests if not page.ordinal else page.odds.tests if page.odds is not None else ()
     lines += [
         f"the effect of {' depends on '.join(t.name.split(' : '))} (p {_p(t.p_value)}): see the means per cell."
-        for t in linear.tests
+        for t in tests
         if " : " in t.name and t.p_value < alpha
     ]
     return lines
