@@ -8,6 +8,7 @@ Each number is the mean of three fixed seeds.
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -91,14 +92,14 @@ def missing(options: argparse.Namespace) -> None:
 
 
 def sampled(options: argparse.Namespace) -> None:
-    """Answers missing, sounds a random sample: the mixed model."""
+    """Answers missing, sounds a random sample."""
     rows = []
-    for n, sounds, share in ((12, 6, 0.1), (20, 8, 0.1), (20, 8, 0.2)):
+    for n, sounds, share in itertools.product((12, 20, 40), (6, 12), (0.1, 0.2)):
         r = means(
             lambda g, n=n, k=sounds, share=share: sim.sampled_rates(g, options.sampled, n, k, share), "sampled", n
         )
         rows.append([str(n), str(sounds), percent(share), *map(percent, r)])
-    table(["listeners", "sounds", "missing", "false alarms", "failed"], rows)
+    table(["listeners", "sounds", "missing", "false alarms", "coverage"], rows)
 
 
 def grades(options: argparse.Namespace) -> None:
@@ -172,9 +173,9 @@ if __name__ == "__main__":
         default=134,
         help="experiments with QUEST+, for each seed; half as many by Levitt's rule",
     )
-    parser.add_argument("--sensitivities", type=int, default=200, help="experiments with d', for each seed")
+    parser.add_argument("--sensitivities", type=int, default=110, help="experiments with d', for each seed")
     parser.add_argument("--grades", type=int, default=1000, help="experiments with grades, for each seed")
-    parser.add_argument("--sampled", type=int, default=100, help="experiments with random sounds, for each seed")
+    parser.add_argument("--sampled", type=int, default=1000, help="experiments with random sounds, for each seed")
     parser.add_argument("--only", nargs="*", choices=list(PARTS), default=list(PARTS))
     chosen = parser.parse_args()
     for part in chosen.only:

@@ -3,11 +3,7 @@
 *Linear analysis*: main effects over all cells and interactions of two factors. Where every listener answered every
 cell, each effect is tested against the listeners' own differences in it (`tonewood.workshop.listening.strata`). Where
 answers are missing, the cell means that are there are fitted, and tested against the same differences between listeners
-(`tonewood.workshop.listening.incomplete`). Where answers are missing and sounds are a random sample, a mixed model is
-fitted (`tonewood.workshop.listening.mixed`): a random intercept of each listener and each sound, and a random deviation
-of each in each effect of which it has more answers than cells. A variance that is estimated as 0 is kept at 0. Degrees
-of freedom are Satterthwaite's, but never more than the design has: those of the effect times (listeners - 1), or times
-(sounds - 1) where these are fewer.
+(`tonewood.workshop.listening.incomplete`).
 
 *Rank analysis*: for each factor Friedman's test on the listeners' means of its levels, with Kendall's W as effect size,
 and Wilcoxon's signed-rank test of each pair of levels with the matched-pairs rank-biserial correlation, p by Holm. It
@@ -31,9 +27,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.workshop.listening import mixed, strata
+from tonewood.workshop.listening import strata
 from tonewood.workshop.listening.cells import Cells, Rows, cells_of
-from tonewood.workshop.listening.incomplete import IncompleteFit
+from tonewood.workshop.listening.incomplete import CrossedFit, IncompleteFit
 from tonewood.workshop.listening.means import listener_means, student_interval, unique
 
 Array = NDArray[np.float64]
@@ -101,7 +97,6 @@ class LinearAnalysis:
     tests: tuple[FactorTest, ...]
     cell_sd: float
     at_ends: float | None
-    converged: bool = True
     notes: tuple[str, ...] = ()
 
 
@@ -180,7 +175,7 @@ def linear_analysis(
         return None
     values, cell_sd = data.value, data.cell_sd()
     at_ends = None if ends is None else float(np.mean((values <= ends[0]) | (values >= ends[1])))
-    exact, converged = data.complete, True
+    exact = data.complete
     if exact:
         estimates, tests = _by_strata(data, contrasts, confidence, bool(sampled))
         what = (
@@ -189,20 +184,19 @@ def linear_analysis(
             else "Greenhouse-Geisser degrees of freedom as corrected by Huynh and Feldt"
         )
         method = f"analysis of variance by strata, {what}; each difference against its own spread over the listeners"
-    elif not sampled:
-        fit = IncompleteFit(data.means[:, 0], data.design(contrasts))
+    else:
+        design = data.design(contrasts)
+        fit = CrossedFit(data.means, design) if sampled else IncompleteFit(data.means[:, 0], design)
         estimates = {e: fit.estimated(rows, confidence) for e, rows in contrasts.differences.items()}
         tests = {e: fit.tested(basis) for e, basis in contrasts.bases.items()}
+        of = "listeners and of sounds" if sampled else "listeners"
+        what = "quasi-F" if sampled else "F by the trace, with degrees of freedom as corrected by Huynh and Feldt"
         method = (
-            "least squares of the listeners' cell means, some missing, with variances that are robust by clusters of "
-            "listeners (CR2) and Satterthwaite's degrees of freedom (Bell and McCaffrey 2002); F by the trace, with "
-            "degrees of freedom as corrected by Huynh and Feldt"
+            f"least squares of the listeners' cell means, some missing, with variances that are robust by clusters of "
+            f"{of} (CR2) and Satterthwaite's degrees of freedom (Bell and McCaffrey 2002); {what}"
         )
         empty = int(np.sum(np.isnan(data.means)))
         notes.append(f"{empty} of {data.means.size} cells of listeners have no answer")
-    else:
-        estimates, tests, method, converged, more = _by_mixed_model(data, contrasts, confidence)
-        notes += more
     terms = []
     for effect, one in estimates.items():
         adjusted = strata.holm(one.p_value)
@@ -223,7 +217,7 @@ def linear_analysis(
     formula = "value ~ " + " + ".join(":".join(effect) for effect in contrasts.bases)
     return LinearAnalysis(
         formula, method, exact, len(rows), len(data.who), sampled, tuple(terms), tuple(named), cell_sd, at_ends,
-        converged, tuple(notes),
+        tuple(notes),
     )  # fmt: skip
 
 
@@ -234,57 +228,6 @@ def _by_strata(data: Cells, contrasts: strata.Contrasts, confidence: float, soun
     y = data.means if sounds else data.means[:, 0]
     estimates = {e: strata.estimated(y, rows, confidence, sounds=sounds) for e, rows in contrasts.differences.items()}
     return estimates, {e: strata.tested(y, basis, sounds=sounds) for e, basis in contrasts.bases.items()}
-
-
-def _by_mixed_model(
-    data: Cells, contrasts: strata.Contrasts, confidence: float
-) -> tuple[dict[strata.EffectName, strata.Estimated], dict[strata.EffectName, strata.Tested], str, bool, list[str]]:
-    """The mixed model of the module; random deviations of one variance for each effect."""
-    from scipy.special import fdtrc, stdtr, stdtrit
-
-    columns, x = data.columns(contrasts), data.design(contrasts)
-    one = np.ones((len(data.value), 1))
-    terms, names, limits = [], [], dict.fromkeys(columns, math.inf)
-    for name, of in (("listener", data.listener), ("sound", data.sound)):
-        terms.append(mixed.RandomTerm(one, of))
-        names.append(f"(1 | {name})")
-        size = int(of.max()) + 1
-        for effect in columns:
-            levels = np.array([[cell[data.used.index(f)] for f in effect] for cell in data.cells])
-            level = np.unique(levels, axis=0, return_inverse=True)[1].ravel()[data.cell]
-            groups = np.unique(of * (level.max() + 1) + level, return_inverse=True)[1]
-            if groups.max() + 1 == len(data.value):
-                continue  # one answer each: the deviation is the residual's
-            terms.append(mixed.RandomTerm(one, groups))
-            names.append(f"(1 | {name}:{':'.join(effect)})")
-        for effect, own in columns.items():
-            limits[effect] = min(limits[effect], own.shape[1] * (size - 1))
-    fit = mixed.fit(data.value, x[data.cell], terms)
-    zero = [n for n, c in zip(names, fit.covariances, strict=True) if c[0, 0] == 0]
-    notes = [f"variance estimated as 0, degrees of freedom are the design's: {', '.join(zero)}"] if zero else []
-    estimates, tests, at = {}, {}, 1
-    for effect, own in columns.items():
-        k = own.shape[1]
-        select = np.zeros((k, x.shape[1]))
-        select[:, at : at + k] = np.eye(k)
-        at += k
-        sizes = [len(data.levels[f]) for f in effect]
-        steps: Any = strata.steps(sizes[0])
-        for n in sizes[1:]:
-            steps = np.kron(steps, strata.steps(n))
-        rows = steps @ select
-        value = rows @ fit.beta
-        error = np.sqrt(np.einsum("ij,jk,ik->i", rows, fit.covariance, rows))
-        df = np.maximum(np.array([min(fit.df(row), limits[effect]) for row in rows]), 1.0)
-        half = stdtrit(df, (1 + confidence) / 2) * error
-        p = 2 * stdtr(df, -np.abs(value) / error)
-        estimates[effect] = strata.Estimated(value, value - half, value + half, df, p)
-        f, df2 = fit.f_test(select)
-        df2 = max(min(df2, limits[effect]), 1.0)
-        p_value = fdtrc(k, df2, f)
-        tests[effect] = strata.Tested(f, float(k), df2, p_value, 1.0, p_value)
-    method = f"linear mixed model with {' + '.join(names)} by REML, Satterthwaite's degrees of freedom"
-    return estimates, tests, method, fit.converged, notes
 
 
 def rank_analysis(rows: Rows, factors: Sequence[str], confidence: float = 0.95) -> RankAnalysis:

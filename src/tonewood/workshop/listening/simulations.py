@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening import strata
 from tonewood.workshop.listening.detection import CHANCE, Task, sensitivity, shares_of, task_of
-from tonewood.workshop.listening.incomplete import IncompleteFit
-from tonewood.workshop.listening.models import linear_analysis
+from tonewood.workshop.listening.incomplete import CrossedFit, IncompleteFit
 from tonewood.workshop.listening.ordinal import fit_counts, jackknifed
 from tonewood.workshop.listening.pooling import D, pooled
 from tonewood.workshop.listening.psychometric import psychometric
@@ -135,31 +134,22 @@ def rating_rates(
 def sampled_rates(
     random: np.random.Generator, experiments: int, listeners: int, sounds: int, missing: float
 ) -> tuple[float, float]:
-    """False alarms of a factor of two levels where sounds are a random sample and a share of answers is missing.
+    """False alarms and coverage for a factor of two levels where sounds are a random sample and answers are missing.
 
-    Listeners and sounds differ in the factor by 5 points each, single answers by 9.
-
-    Returns
-    -------
-    alarms : share of the experiments that were analysed.
-    failed : share of fits that did not converge.
+    Listeners and sounds differ in the factor by 5 points each, single answers by 9; `missing` is a share of answers.
     """
-    alarms, failed = 0, 0
+    contrasts = strata.contrasts([("a",), ("b",)], {"factor": ["a", "b"]})
+    basis = contrasts.bases["factor",]
+    alarms, covered = 0, 0
     for _ in range(experiments):
         y = random.normal(0, 5, (listeners, 1, 2)) + random.normal(0, 5, (1, sounds, 2))
-        y = 50 + y + random.normal(0, 9, (listeners, sounds, 2))
-        there = random.random(y.shape) >= missing
-        rows = [
-            {"listener": str(i), "sound": f"s{j}", "factor": "ab"[k], "value": float(y[i, j, k])}
-            for i, j, k in np.argwhere(there)
-        ]
-        levels = {"factor": ["a", "b"], "sound": [f"s{j}" for j in range(sounds)]}
-        found = linear_analysis(rows, ["factor", "sound"], 0.95, levels, ["sound"])
-        if found is None or not found.converged:
-            failed += 1
-        else:
-            alarms += found.tests[0].p_value < 0.05
-    return alarms / max(experiments - failed, 1), failed / experiments
+        y = y + random.normal(0, 9, (listeners, sounds, 2)) + np.array([50.0, 55.0])
+        y[random.random(y.shape) < missing] = np.nan
+        fit = CrossedFit(y, np.hstack([np.ones((2, 1)), basis]))
+        one = fit.estimated(contrasts.differences["factor",], 0.95)
+        covered += bool(one.low[0] <= 5.0 <= one.high[0])
+        alarms += bool(CrossedFit(y - [0.0, 5.0], fit.x).tested(basis).p_value < 0.05)
+    return alarms / experiments, covered / experiments
 
 
 #: cuts between grades of the latent answers: a scale that is used in the middle, and one near its upper end
