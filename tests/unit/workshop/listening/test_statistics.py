@@ -116,10 +116,10 @@ def test_sleepstudy_has_the_slope_of_lme4() -> None:
         error = (one.high - one.low) / 2 / stats.t.ppf(0.975, one.df)
         assert error[0] == pytest.approx(1.545790, abs=2e-6)
         assert one.df[0] == pytest.approx(17)
-        assert one.difference[0] / error[0] == pytest.approx(6.771481, abs=1e-5)
+        assert one.difference[0] / error[0] == pytest.approx(6.771481, rel=1e-5)
     exact = strata.estimated(y, intercept, 0.95, sounds=False)
     assert exact.difference[0] == pytest.approx(251.405105, abs=1e-6)
-    assert (exact.high - exact.low)[0] / 2 / stats.t.ppf(0.975, 17) == pytest.approx(6.824597, abs=1e-5)
+    assert (exact.high - exact.low)[0] / 2 / stats.t.ppf(0.975, 17) == pytest.approx(6.824597, rel=1e-5)
 
 
 def test_answers_of_some_listeners_are_missing() -> None:
