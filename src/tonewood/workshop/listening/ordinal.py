@@ -132,8 +132,8 @@ def _scored(n: Array, total: Array, x: Array, point: Array, cuts: int) -> tuple[
     aa = np.zeros((*point.shape[:-1], cuts, cuts))
     at = np.arange(cuts)
     aa[..., at, at] = np.sum(weight * slope**2 * (1 / p[..., :-1] + 1 / p[..., 1:]), axis=-2)
-    aside = -np.sum(weight * slope[..., :-1] * slope[..., 1:] / p[..., 1:-1], axis=-2)
-    aa[..., at[:-1], at[1:]] = aa[..., at[1:], at[:-1]] = aside
+    beside = -np.sum(weight * slope[..., :-1] * slope[..., 1:] / p[..., 1:-1], axis=-2)
+    aa[..., at[:-1], at[1:]] = aa[..., at[1:], at[:-1]] = beside
     ac = -weight * slope * (f[..., 2:] - f[..., :-2])
     ab = np.swapaxes(ac, -1, -2) @ x
     bb = np.swapaxes(x * (total * np.sum(p * lean**2, axis=-1))[..., None], -1, -2) @ x
