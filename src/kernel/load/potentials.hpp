@@ -20,7 +20,7 @@ inline void derive_pairs(const Component& c, int at, Potentials::One& string) {
             auto& twice = string.twice[std::size_t(at + p) * string.n + at + q];
             for (int k = 0; k < c.n; ++k) {
                 const double* const numbers = c.coordinates.numbers.data() + k / kPadding * step + k % kPadding;
-                const double h = numbers[0], p1 = numbers[5 * kPadding];
+                const double h = c.coordinates.half[k], p1 = 2 * c.coordinates.middle[c.n + k];
                 const double rr = p1 * numbers[(kScaledNumbers + p) * kPadding] * numbers[(kScaledNumbers + q) * kPadding];
                 once[0] += h * rr, once[1] -= h * h * rr;
                 twice[0] += h * h * p1 * rr, twice[1] -= 2 * h * h * h * p1 * rr, twice[2] += h * h * h * h * p1 * rr;

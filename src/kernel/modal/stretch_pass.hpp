@@ -9,10 +9,9 @@ namespace {
 
 inline void sum_stretch_step(const Component& c, double* state, double* to) {
     by_ports(c.n_ports, [&]<int P>() {
-        using V = Pack<2>;
         const int n_ports = P < 0 ? c.n_ports : P;
         Simd::V each[kMostPorts<P>][2] = {};
-        in_scaled_pairs(c, state, [&](std::size_t, const double* at, const double* x) {
+        in_scaled_packs(c, state, [&]<class V>(std::size_t, const double* at, const double* x) {
             const V xi = V::load(x), free = xi + V::load(x + kPadding);
             for (int p = 0; p < n_ports; ++p) {
                 const V r = V::load(at + (kScaledNumbers + p) * kPadding);
@@ -28,9 +27,8 @@ inline void sum_stretch_step(const Component& c, double* state, double* to) {
 inline void make_stretch_step(const Component& c, double* state, const double* found, const double* modal,
                               std::size_t n) {
     by_ports(c.n_ports, [&]<int P>() {
-        using V = Pack<2>;
         const int n_ports = P < 0 ? c.n_ports : P;
-        in_scaled_pairs(c, state, [&](std::size_t k, const double* at, double* x) {
+        in_scaled_packs(c, state, [&]<class V>(std::size_t k, const double* at, double* x) {
             const V xi = V::load(x), v = V::load(x + kPadding);
             V force = k < n ? V::load(modal + k) : V{};
             for (int p = 0; p < n_ports; ++p)

@@ -262,7 +262,7 @@ public:
                 const double* row = part.c->contact.rows.data() + 2 * std::size_t(port) * n;
                 each_vector(part, [&](std::size_t k, V& xi, V& v, const double* at) {
                     const V modal = S::load(basis + 3 * n + k) * S::load(row + k) * force;
-                    xi += modal, v += (S::load(at + 3 * kPadding) - S::load(at + 2 * kPadding)) * modal;
+                    xi += modal, v += (S::load(at + 4 * kPadding) - S::load(at + 3 * kPadding)) * modal;
                 });
             }
             for (const Input& in : inputs) {
@@ -315,17 +315,17 @@ private:
         const int i = part.part->component;
         finish(part);
         if (part.is_read) run_.scaled.to_state(i), rows(part, part.c->n_ports, sample_);
-        const double* const basis = part.c->coordinates.basis.data();
+        const double *const basis = part.c->coordinates.basis.data(), *const middle = part.c->coordinates.middle.data();
         double* const known = ws_.known.data() + part.c->offset;
         part.known = block_.inputs[i].empty() ? nullptr : known;
         if (part.known) std::fill_n(known, part.c->n, 0.0);
         for (const Input& in : block_.inputs[i]) {
             const double value = in.values[sample_ * in.stride];
-            each_vector(part, [&](std::size_t k, V&, V& v, const double* at) {
+            each_vector(part, [&](std::size_t k, V&, V& v, const double*) {
                 const V added = S::load(basis + k) * S::load(in.vector + k) * value;
                 v += added;
                 S::store(known + k, S::load(known + k) +
-                                        (S::load(at + 5 * kPadding) - S::load(at + 4 * kPadding)) * added);
+                                        (S::load(middle + part.c->n + k) - S::load(middle + k)) * 2.0 * added);
             });
         }
         part.group->sum(part, ws_.lanes.data() + part.part->sums * Simd::width);
