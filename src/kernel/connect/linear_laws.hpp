@@ -163,7 +163,7 @@ private:
             std::copy_n(out.free.data() + t.ports[p].place * w, w, laws);
             for (std::size_t q = 0; q < t.ports.size(); ++q)
                 for (std::size_t i = 0; i < n; ++i)
-                    to_.onto_ports[p * t.width + q] += laws[i] * to_.loads[i * width + t.ports[q].force];
+                    to_.onto_ports[p * t.most * t.lanes + t.ports[q].lane] += laws[i] * to_.loads[i * width + t.ports[q].force];
         }
     }
 

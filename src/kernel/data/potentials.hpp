@@ -65,8 +65,8 @@ struct Potentials {
         std::size_t sums;  // its sums of a modal pass among all
     };
     struct Port {      // a fixed port of such a component
-        // of its displacement in a line, of its force among all ports', among two-way ports
-        int potential, line, force, place;
+        // of its displacement in a line, of its force among all ports', among two-way ports, in a row of `onto_ports`
+        int potential, line, force, place, lane;
         std::vector<Share> shares;       // of the linear connections
     };
     struct One {
@@ -91,8 +91,9 @@ struct Potentials {
     std::vector<Part> parts;            // potential by potential
     std::vector<Port> ports;            // part by part
     int width = 0;                      // ports, padded
+    int lanes = 0, most = 0;            // potentials, padded; ports of one, at most
     std::size_t n_sums = 0;
-    Array<double> onto_ports;           // (ports, width): forces on these ports per displacement of one
+    Array<double> onto_ports;           // (ports, most, lanes): forces on these ports per displacement of one
     // where the linear connections are one matrix: (ports, force_width) forces on all ports, (ports, f_width) of
     // connections
     Array<double> onto_forces, onto_linear;
@@ -111,7 +112,8 @@ struct PotentialState {
     Array<double> reach, driven, answering;
     Array<double> pulled, answered;     // (ports): displacements by fast coordinates, forces with the answer to them
     Array<double> forces, moved;        // (ports): of the last step found; displacements by psi
-    Array<double> stiff;                // (potentials, width)
+    Array<double> reach_lanes;          // (most, lanes): as a row of Potentials::onto_ports
+    Array<double> unit;                 // (2 lanes): a one in the middle
     Array<double> matrix, upper, over;  // of the equations of the means, factors (dense.hpp)
     Array<double> linear, y;            // in parts: (f_width); (two-way ports), zero but for those of these components
     // of nonlinear connections: gap per mean psi of each potential (k, potentials padded);

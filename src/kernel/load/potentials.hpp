@@ -49,7 +49,7 @@ inline void answer_in_parts(const Solve& solve, Potentials& t) {
     }
     for (std::size_t p = 0; p < n; ++p)
         for (std::size_t q = 0; q < n; ++q) {
-            double& to = t.onto_ports[p * t.width + q];
+            double& to = t.onto_ports[p * t.most * t.lanes + t.ports[q].lane];
             for (const Share& s : t.ports[q].shares) to -= s.factor * blocks[p * m + s.connection];
             for (std::size_t i = 0; i < r; ++i) to += reach[q * r + i] * joined[p * r + i];
         }
@@ -82,12 +82,15 @@ inline void make_potentials(const std::vector<Component>& components, const Solv
             t.parts.push_back({i, int(s), int(t.ports.size()), t.n_sums});
             t.n_sums += kSharedSums + std::size_t(kPortSums) * c.n_ports;
             for (int p = 0; p < c.n_ports; ++p)
-                t.ports.push_back({int(s), l.row[i] + p, l.port[i] + p, place[i] + p, c.shares[p]});
+                t.ports.push_back({int(s), l.row[i] + p, l.port[i] + p, place[i] + p,
+                                   (int(t.ports.size()) - one.first) * int(lane) + int(s), c.shares[p]});
         }
     }
     const std::size_t n = t.ports.size(), width = padded(n);
-    t.width = int(width);
-    t.onto_ports.assign(n * width, 0.0);
+    t.width = int(width), t.lanes = int(lane), t.most = 0;
+    for (const Potentials::One& one : t.two_way) t.most = std::max(t.most, one.n);
+    const std::size_t row = std::size_t(t.most) * lane;
+    t.onto_ports.assign(n * row, 0.0);
     const std::size_t of_one_matrix = l.in_parts ? 0 : n;
     t.onto_forces.assign(of_one_matrix * l.force_width, 0.0), t.onto_linear.assign(of_one_matrix * l.f_width, 0.0);
     if (l.in_parts) answer_in_parts(solve, t);
@@ -97,7 +100,7 @@ inline void make_potentials(const std::vector<Component>& components, const Solv
                      *forces = l.direct.free.data() + from * l.force_width;
         std::copy_n(linear, l.f_width, t.onto_linear.data() + p * l.f_width);
         std::copy_n(forces, l.force_width, t.onto_forces.data() + p * l.force_width);
-        for (std::size_t q = 0; q < n; ++q) t.onto_ports[p * width + q] = forces[t.ports[q].force];
+        for (std::size_t q = 0; q < n; ++q) t.onto_ports[p * row + t.ports[q].lane] = forces[t.ports[q].force];
     }
     const std::size_t n_sums = (t.n_sums + kPadding - 1) / kPadding * kPadding, k = nl.k;
     ws.scaled.assign(kScaledState * capacity, 0.0), ws.known.assign(capacity, 0.0);
@@ -105,8 +108,9 @@ inline void make_potentials(const std::vector<Component>& components, const Solv
     for (Array<double>* a :
          {&ws.psi, &ws.mean, &ws.alone, &ws.own, &ws.shift, &ws.spread, &ws.bound, &ws.over})
         a->assign(lane, 0.0);
-    for (Array<double>* a : {&ws.reach, &ws.driven, &ws.answering, &ws.pulled, &ws.answered, &ws.forces, &ws.moved}) a->assign(width, 0.0);
-    ws.stiff.assign(count * width, 0.0);
+    for (Array<double>* a : {&ws.reach, &ws.driven, &ws.answering, &ws.pulled, &ws.answered, &ws.forces, &ws.moved})
+        a->assign(width, 0.0);
+    ws.reach_lanes.assign(row, 0.0), ws.unit.assign(2 * lane, 0.0), ws.unit[lane] = 1.0;
     for (Array<double>* a : {&ws.matrix, &ws.upper}) a->assign(count * lane, 0.0);
     ws.linear.assign(l.f_width, 0.0), ws.y.assign(padded(n_places) + 2 * kLane, 0.0);
     ws.has_meets.assign(k, 0), ws.meets.assign(k * width, 0.0), ws.z.assign(k * k, 0.0);

@@ -201,32 +201,28 @@ public:
         bool pulled = false;
         for (const auto& group : groups_) pulled = group->pull() || pulled;
         if (pulled) {  // the connections answer to the fast coordinates
-            std::copy(ws_.driven.begin(), ws_.driven.end(), ws_.answered.begin());
-            add_product(t_.onto_ports.data(), t_.width, ws_.pulled.data(), n, ws_.answered.data());
+            const int width = t_.most * t_.lanes;
+            double* const answer = ws_.reach_lanes.data();
+            std::fill_n(answer, width, 0.0);
+            add_product(t_.onto_ports.data(), width, ws_.pulled.data(), n, answer);
+            for (int p = 0; p < n; ++p) ws_.answered[p] = ws_.driven[p] + answer[t_.ports[p].lane];
         }
         for (const auto& group : groups_) group->direct();
-        const int all = count();
-        const std::size_t w = wide(all);
-        for (int s = 0; s < all; ++s) {
-            const Potentials::One& one = t_.two_way[s];
-            double* const stiff = ws_.stiff.data() + std::size_t(s) * t_.width;
-            std::fill_n(stiff, t_.width, 0.0);
-            add_product(onto_ports + std::size_t(one.first) * t_.width, t_.width, ws_.reach.data() + one.first, one.n,
-                        stiff);
-            for (int q = 0; q <= s; ++q) {
-                const Potentials::One& other = t_.two_way[q];
-                double sum = 0.0;
-                for (int p = other.first; p < other.first + other.n; ++p) sum += stiff[p] * ws_.reach[p];
-                ws_.matrix[s * w + q] = 0.5 * sum + (q == s ? 1.0 + 0.5 * ws_.own[s] : 0.0);
-            }
+        make_matrix(onto_ports);
+        factorized_ = count() >= kLane;
+        if (factorized_) {
+            factorize(ws_.matrix.data(), count(), ws_.upper.data(), ws_.over.data());
+            solve_definite(ws_.matrix.data(), ws_.upper.data(), ws_.over.data(), count(), ws_.alone.data());
+        } else {
+            solve_few(ws_.matrix.data(), ws_.unit.data(), count(), ws_.alone.data());
         }
-        factorize(ws_.matrix.data(), all, ws_.upper.data(), ws_.over.data());
-        solve_definite(ws_.matrix.data(), ws_.upper.data(), ws_.over.data(), all, ws_.alone.data());
         std::copy(ws_.alone.begin(), ws_.alone.end(), ws_.mean.begin());
     }
 
     // M^-1 b in place for the columns of b (potentials, width), width a multiple of kLane.
-    void solve(double* b, std::size_t width) const {
+    void solve(double* b, std::size_t width) {
+        if (!factorized_) factorize(ws_.matrix.data(), count(), ws_.upper.data(), ws_.over.data());
+        factorized_ = true;
         solve_columns(ws_.matrix.data(), ws_.over.data(), count(), b, width);
     }
 
@@ -295,6 +291,28 @@ private:
     using S = Simd;
     using V = S::V;
 
+    // M in ws.matrix: its lower triangle, and at least that of the vectors that reach the diagonal.
+    void make_matrix(const double* onto_ports) {
+        const int all = count(), lanes = t_.lanes, width = t_.most * lanes;
+        std::fill(ws_.reach_lanes.begin(), ws_.reach_lanes.end(), 0.0);
+        for (std::size_t p = 0; p < t_.ports.size(); ++p) ws_.reach_lanes[t_.ports[p].lane] = ws_.reach[p];
+        for (int s = 0; s < all; ++s) {
+            const Potentials::One& one = t_.two_way[s];
+            const double* const unit = ws_.unit.data() + lanes - s;
+            for (int q = 0; q < (all < kLane ? all : s + 1); q += S::width) {
+                V sum{};
+                for (int m = 0; m < t_.most; ++m) {
+                    V stiff{};
+                    for (int p = one.first; p < one.first + one.n; ++p)
+                        stiff += S::load(onto_ports + std::size_t(p) * width + m * lanes + q) * ws_.reach[p];
+                    sum += stiff * S::load(ws_.reach_lanes.data() + m * lanes + q);
+                }
+                S::store(ws_.matrix.data() + s * lanes + q,
+                         sum * 0.5 + S::load(unit + q) * (1.0 + 0.5 * ws_.own[s]));
+            }
+        }
+    }
+
     const PotentialPart& part(int component) const { return run_.parts[run_.part_of[component]]; }
     double moved(std::size_t p) const { return -ws_.mean[t_.ports[p].potential] * ws_.reach[p]; }
 
@@ -358,7 +376,7 @@ private:
     PotentialState& ws_;
     ForcesInParts* const parts_;
     std::vector<std::unique_ptr<PotentialGroup>> groups_;
-    bool from_state_ = true;
+    bool from_state_ = true, factorized_ = false;  // the latter: ws.matrix holds the factors of M
     int sample_ = 0;
 };
 
