@@ -9,13 +9,18 @@ namespace tonewood {
 
 // A string with longitudinal motion (potentials/longitudinal.hpp).
 struct Stretch {
-    struct Part {  // one component's lowest n modes, those that take part
-        int n = 0, width = 0, cosines = 0, cosines_width = 0;  // widths are padded
-        Array<double> slopes, back;  // (n, cosines_width), (cosines, width): slope's cosines per coordinate
+    struct Planes {  // one or two polarizations, side by side and with the same shapes
+        int first = 0, count = 1, n = 0;  // components; lowest modes that take part, padded
+        Array<double> slopes;             // (n, points) slope at each point per coordinate
     };
     int order = 0;             // P
+    int points = 0;            // theta = (j + 1/2) pi / points, a multiple of kLane: sums over them are integrals
     double scale = 0;          // EA L
-    std::vector<Part> parts;   // the longitudinal one last
+    std::vector<int> sizes;    // modes of each component that take part, the lowest; the longitudinal one last
+    std::vector<Planes> planes;
+    Array<double> cosines;     // (P + 1, padded; points) cos(n theta)
+    int width = 0, strain_width = 0;  // modes of the longitudinal component, cosines of its strain; padded
+    Array<double> strain, back;       // (modes, strain_width), (P + 1, width): strain's cosines per coordinate
 };
 
 // A string whose longitudinal motion is driven one way (potentials/phantom.hpp).

@@ -117,29 +117,58 @@ inline void make_potentials(const std::vector<Component>& components, const Solv
     ws.gap.assign(k * lane, 0.0), ws.solved.assign(count * padded(k), 0.0), ws.row.assign(padded(k), 0.0);
 }
 
-// The arrays of a string with longitudinal motion.
+// cos(n theta) at the points of a string with longitudinal motion, for n below `count`; the other rows are zero.
+inline Array<double> cosines_at_points(std::size_t count, std::size_t points) {
+    constexpr double kPi = 3.14159265358979323846;
+    Array<double> out(padded(count) * points, 0.0);
+    for (std::size_t n = 0; n < count; ++n)
+        for (std::size_t j = 0; j < points; ++j)
+            out[n * points + j] = std::cos(kPi * double(n * (2 * j + 1) % (4 * points)) / double(2 * points));
+    return out;
+}
+
+// The arrays of a string with longitudinal motion. Products of two cosines of the slope and one of the strain are
+// integrated by as many points as that takes.
 inline Stretch load_stretch(const PotentialDescription& d, const std::vector<Component>& components,
                             const std::string& name) {
     require(d.slots.size() >= 2 && d.parts.size() == d.slots.size(), name + "parts: one for each component is needed");
     Stretch out;
     out.scale = d.scale;
-    for (std::size_t q = 0; q < d.parts.size(); ++q) {
+    const std::size_t last = d.parts.size() - 1;
+    std::size_t most = 1;
+    for (std::size_t q = 0; q <= last; ++q) {
         const View& slopes = d.parts[q].slopes;
         const Component& c = components[d.slots[q]];
         const std::string at = name + "parts[" + std::to_string(q) + "].";
         require(slopes.ndim == 2, at + "slopes has 2 dimensions");
-        const std::size_t n = slopes.shape[1], cosines = slopes.shape[0], w = padded(n);
-        require(!c.contact.n && n > 0 && n <= std::size_t(c.n) && cosines > 0, at + "slopes: they do not fit the component");
-        Stretch::Part part;
-        part.n = int(n), part.width = int(w), part.cosines = int(cosines);
-        part.cosines_width = int(padded(cosines));
-        part.slopes.assign(n * part.cosines_width, 0.0), part.back.assign(cosines * w, 0.0);
-        for (std::size_t i = 0; i < cosines; ++i)
-            for (std::size_t k = 0; k < n; ++k)
-                part.slopes[k * part.cosines_width + i] = part.back[i * w + k] = slopes[i * n + k];
-        out.parts.push_back(std::move(part));
+        require(!c.contact.n && slopes.shape[1] > 0 && slopes.shape[1] <= std::size_t(c.n) && slopes.shape[0] > 0,
+                at + "slopes: they do not fit the component");
+        out.sizes.push_back(int(slopes.shape[1]));
+        if (q < last) most = std::max(most, std::size_t(slopes.shape[0]));
     }
-    out.order = out.parts.back().cosines - 1;
+    const View& strain = d.parts[last].slopes;
+    const std::size_t cosines = strain.shape[0], modes = strain.shape[1];
+    out.order = int(cosines) - 1, out.width = int(padded(modes)), out.strain_width = int(padded(cosines));
+    out.strain.assign(modes * out.strain_width, 0.0), out.back.assign(cosines * out.width, 0.0);
+    for (std::size_t i = 0; i < cosines; ++i)
+        for (std::size_t k = 0; k < modes; ++k)
+            out.strain[k * out.strain_width + i] = out.back[i * out.width + k] = strain[i * modes + k];
+    const std::size_t points = padded((2 * (most - 1) + cosines - 1) / 2 + 1);
+    out.points = int(points), out.cosines = cosines_at_points(cosines, points);
+    const Array<double> all = cosines_at_points(most, points);
+    for (std::size_t q = 0; q < last; ++q) {
+        const View& slopes = d.parts[q].slopes;
+        const std::size_t n = slopes.shape[1];
+        Array<double> at_points(padded(n) * points, 0.0);
+        for (std::size_t i = 0; i < slopes.shape[0]; ++i)
+            for (std::size_t k = 0; k < n; ++k)
+                for (std::size_t j = 0; j < points; ++j)
+                    at_points[k * points + j] += slopes[i * n + k] * all[i * points + j];
+        if (!out.planes.empty() && out.planes.back().count == 1 && out.planes.back().slopes == at_points)
+            out.planes.back().count = 2;
+        else
+            out.planes.push_back({int(q), 1, int(padded(n)), std::move(at_points)});
+    }
     return out;
 }
 
