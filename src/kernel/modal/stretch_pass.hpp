@@ -33,7 +33,8 @@ inline void make_stretch_step(const Component& c, double* state, const double* f
             V force = k < n ? V::load(modal + k) : V{};
             for (int p = 0; p < n_ports; ++p)
                 force = mul_add(V::load(at + (kScaledNumbers + p) * kPadding), found[p], force);
-            store_scaled(at, x, xi + v + force, force, v);
+            const V next = xi + v + force;
+            next.store(x), scaled_velocity(at, next, force, v).store(x + kPadding);
         });
     });
 }

@@ -73,47 +73,53 @@ inline Direction<V> direction(const Component& component, const TensionStep& ste
     }
 }
 
-// The state after a step to the displacements `next` under modal forces, at x.
+// v after a step to the displacements `next` under modal forces.
 template <class V>
-inline void store_scaled(const double* at, double* x, const V& next, const V& modal, const V& v) {
-    next.store(x);
-    neg_mul_add(V::load(at + 3 * kPadding), next,
-                mul_add(V::load(at + 4 * kPadding), modal, V::load(at + 2 * kPadding) * v)).store(x + kPadding);
+inline V scaled_velocity(const double* at, const V& next, const V& modal, const V& v) {
+    return neg_mul_add(V::load(at + 3 * kPadding), next,
+                       mul_add(V::load(at + 4 * kPadding), modal, V::load(at + 2 * kPadding) * v));
 }
 
-template <bool Plain, int P>
-inline void make_tension_step(const Component& c, double* state, const TensionStep& made) {
-    const int n_ports = P < 0 ? c.n_ports : P;
+// Ports' forces of a step that is made.
+template <int P>
+struct PortForcesOf {
+    const int n_ports;
     double alone[kMostPorts<P>], found[kMostPorts<P>];
-    std::copy_n(made.alone, n_ports, alone), std::copy_n(made.found, n_ports, found);
-    in_scaled_packs(c, state, [&]<class V>(std::size_t k, const double* at, double* x) {
-        const V xi = V::load(x), v = V::load(x + kPadding), free = xi + v;
-        V driven{}, modal{};
-        for (int p = 0; p < n_ports; ++p) {
-            const V r = V::load(at + (kScaledNumbers + p) * kPadding);
-            driven = mul_add(r, alone[p], driven), modal = mul_add(r, found[p], modal);
-        }
-        const Direction<V> g = direction<Plain>(c, made, k, at, xi + free);
-        modal = mul_add(mul_add(g.per_force, driven, g.alone), -made.tension, modal);
-        store_scaled(at, x, free + modal, modal, v);
-    });
-}
-inline void make_tension_step(const Component& c, double* state, const TensionStep& made) {
-    by_ports(c.n_ports, [&]<int P>() {
-        if (made.plain()) make_tension_step<true, P>(c, state, made);
-        else make_tension_step<false, P>(c, state, made);
-    });
+    PortForcesOf(const Component& c, const TensionStep& made) : n_ports(P < 0 ? c.n_ports : P) {
+        std::copy_n(made.alone, n_ports, alone), std::copy_n(made.found, n_ports, found);
+    }
+};
+
+// Makes a step of modes from the k-th on: xi and v after it.
+template <bool Plain, int P, class V>
+inline void make_modes(const Component& c, const TensionStep& made, const PortForcesOf<P>& by, std::size_t k,
+                       const double* at, V& xi, V& v) {
+    const int n_ports = P < 0 ? by.n_ports : P;
+    const V free = xi + v;
+    V driven{}, modal{};
+    for (int p = 0; p < n_ports; ++p) {
+        const V r = V::load(at + (kScaledNumbers + p) * kPadding);
+        driven = mul_add(r, by.alone[p], driven), modal = mul_add(r, by.found[p], modal);
+    }
+    const Direction<V> g = direction<Plain>(c, made, k, at, xi + free);
+    modal = mul_add(mul_add(g.per_force, driven, g.alone), -made.tension, modal);
+    xi = free + modal;
+    v = scaled_velocity(at, xi, modal, v);
 }
 
 // Sums of a step as vectors, over b without f: q b v, (q b)^2, q b c of a plain step and q b^2 of another one, and for
 // each port r xi, r (xi + v), q p_1 r v, q r b, q^2 p_1 r b.
-template <bool Plain, int P>
-inline void sum_tension_step(const Component& c, double* state, const TensionStep& begun, double* to) {
+template <int P>
+struct TensionSums {
     using S = Simd;
-    const int n_ports = P < 0 ? c.n_ports : P;
+    const int n_ports;
     S::V all[kSharedSums] = {}, each[kMostPorts<P>][kPortSums] = {};
-    in_scaled_packs(c, state, [&]<class V>(std::size_t k, const double* at, const double* x) {
-        const V xi = V::load(x), v = V::load(x + kPadding), free = xi + v, twice = xi + free;
+
+    explicit TensionSums(const Component& c) : n_ports(P < 0 ? c.n_ports : P) {}
+
+    template <bool Plain, class V>
+    void add(const Component& c, const TensionStep& begun, std::size_t k, const double* at, const V& xi, const V& v) {
+        const V free = xi + v, twice = xi + free;
         const Direction<V> g = direction<Plain>(c, begun, k, at, twice);
         add_products(all[0], g.alone, v);
         add_products(all[1], g.alone, g.alone);
@@ -124,22 +130,59 @@ inline void sum_tension_step(const Component& c, double* state, const TensionSte
             if (begun.known) b = b + V::load(begun.known + k);
             add_products(all[2], g.alone, b);
         }
-        for (int p = 0; p < n_ports; ++p) {
+        for (int p = 0; p < (P < 0 ? n_ports : P); ++p) {
             const V r = V::load(at + (kScaledNumbers + p) * kPadding), moved = g.per_force * r;
             add_products(each[p][0], r, xi), add_products(each[p][1], r, free);
             add_products(each[p][2], moved, v), add_products(each[p][3], r, g.alone);
             add_products(each[p][4], moved, g.alone);
         }
-    });
-    double* out = to;
-    for (int i = 0; i < kSharedSums; ++i, out += S::width) S::store(out, all[i]);
-    for (int p = 0; p < n_ports; ++p)
-        for (int i = 0; i < kPortSums; ++i, out += S::width) S::store(out, each[p][i]);
-}
-inline void sum_tension_step(const Component& c, double* state, const TensionStep& begun, double* to) {
+    }
+    void store(double* to) const {
+        for (int i = 0; i < kSharedSums; ++i, to += S::width) S::store(to, all[i]);
+        for (int p = 0; p < (P < 0 ? n_ports : P); ++p)
+            for (int i = 0; i < kPortSums; ++i, to += S::width) S::store(to, each[p][i]);
+    }
+};
+
+inline void make_tension_step(const Component& c, double* state, const TensionStep& made) {
+    const auto make = [&]<bool Plain, int P>() {
+        const PortForcesOf<P> by(c, made);
+        in_scaled_packs(c, state, [&]<class V>(std::size_t k, const double* at, double* x) {
+            V xi = V::load(x), v = V::load(x + kPadding);
+            make_modes<Plain, P>(c, made, by, k, at, xi, v);
+            xi.store(x), v.store(x + kPadding);
+        });
+    };
     by_ports(c.n_ports, [&]<int P>() {
-        if (begun.plain()) sum_tension_step<true, P>(c, state, begun, to);
-        else sum_tension_step<false, P>(c, state, begun, to);
+        made.plain() ? make.template operator()<true, P>() : make.template operator()<false, P>();
+    });
+}
+
+inline void sum_tension_step(const Component& c, double* state, const TensionStep& begun, double* to) {
+    const auto sum = [&]<bool Plain, int P>() {
+        TensionSums<P> sums(c);
+        in_scaled_packs(c, state, [&]<class V>(std::size_t k, const double* at, const double* x) {
+            sums.template add<Plain>(c, begun, k, at, V::load(x), V::load(x + kPadding));
+        });
+        sums.store(to);
+    };
+    by_ports(c.n_ports, [&]<int P>() {
+        begun.plain() ? sum.template operator()<true, P>() : sum.template operator()<false, P>();
+    });
+}
+
+// Makes a step and sums the next one, both plain.
+inline void advance_tension(const Component& c, double* state, const TensionStep& made, double* to) {
+    by_ports(c.n_ports, [&]<int P>() {
+        const PortForcesOf<P> by(c, made);
+        TensionSums<P> sums(c);
+        in_scaled_packs(c, state, [&]<class V>(std::size_t k, const double* at, double* x) {
+            V xi = V::load(x), v = V::load(x + kPadding);
+            make_modes<true, P>(c, made, by, k, at, xi, v);
+            sums.template add<true>(c, made, k, at, xi, v);
+            xi.store(x), v.store(x + kPadding);
+        });
+        sums.store(to);
     });
 }
 

@@ -67,6 +67,8 @@ public:
     // Modal passes over a component: sums of the step that begins, lanes of which go to `to`; the step.
     virtual void sum(const PotentialPart& part, double* to) = 0;
     virtual void make(const PotentialPart& part) = 0;
+    // Both in one pass, of a component without known forces in either step; false, with nothing done, if it cannot.
+    virtual bool advance(const PotentialPart&, double*) { return false; }
     // Displacements of the ports by fast coordinates to ws.pulled; whether there are any.
     virtual bool pull() { return false; }
     // Finds ws.own, and ws.reach and the right sides of the equations in ws.alone, from the sums and ws.driven.
@@ -331,8 +333,12 @@ private:
 
     void begin(PotentialPart& part) {
         const int i = part.part->component;
-        finish(part);
+        double* const to = ws_.lanes.data() + part.part->sums * Simd::width;
+        const bool summed = part.pending && block_.inputs[i].empty() && part.group->advance(part, to);
+        if (summed) made(part);
+        else finish(part);
         if (part.is_read) run_.scaled.to_state(i), rows(part, part.c->n_ports, sample_);
+        if (summed) return;
         const double *const basis = part.c->coordinates.basis.data(), *const middle = part.c->coordinates.middle.data();
         double* const known = ws_.known.data() + part.c->offset;
         part.known = block_.inputs[i].empty() ? nullptr : known;
@@ -346,13 +352,17 @@ private:
                                         (S::load(middle + part.c->n + k) - S::load(middle + k)) * 2.0 * added);
             });
         }
-        part.group->sum(part, ws_.lanes.data() + part.part->sums * Simd::width);
+        part.group->sum(part, to);
     }
 
     // Makes the step that is still pending.
     void finish(PotentialPart& part) {
         if (!part.pending) return;
         part.group->make(part);
+        made(part);
+    }
+
+    void made(PotentialPart& part) {
         run_.scaled.invalidate(part.part->component);
         part.pending = false;
     }

@@ -47,6 +47,15 @@ public:
         make_tension_step(*part.c, part.state, made);
     }
 
+    bool advance(const PotentialPart& part, double* to) override {
+        const int s = part.part->potential;
+        if (part.known || now_[s].guard != 0.0 || then_[s].guard != 0.0) return false;
+        TensionStep made = then_[s];
+        made.alone = ws_.driven.data() + part.part->first_port, made.found = ws_.forces.data() + part.part->first_port;
+        advance_tension(*part.c, part.state, made, to);
+        return true;
+    }
+
     void direct() override {
         for (int s = first_; s < end_; ++s) direct(s);
     }
