@@ -123,7 +123,7 @@ struct PotentialState {
     Array<double> linear, y;            // in parts: (f_width); (two-way ports), zero but for those of these components
     // of nonlinear connections: gap per mean psi of each potential (k, potentials padded);
     // the same of the active laws, solved (potentials, laws padded); displacement of a
-    // gap per displacement of a port (k, width), known if has_meets; gaps per force (k, k)
+    // gap per displacement of a port (k, most, lanes), known if has_meets; gaps per force (k, k)
     std::vector<char> has_meets;
     Array<double> gap, solved, meets, z, row;
 };

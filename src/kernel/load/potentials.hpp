@@ -113,7 +113,7 @@ inline void make_potentials(const std::vector<Component>& components, const Solv
     ws.reach_lanes.assign(row, 0.0), ws.unit.assign(2 * lane, 0.0), ws.unit[lane] = 1.0;
     for (Array<double>* a : {&ws.matrix, &ws.upper}) a->assign(count * lane, 0.0);
     ws.linear.assign(l.f_width, 0.0), ws.y.assign(padded(n_places) + 2 * kLane, 0.0);
-    ws.has_meets.assign(k, 0), ws.meets.assign(k * width, 0.0), ws.z.assign(k * k, 0.0);
+    ws.has_meets.assign(k, 0), ws.meets.assign(k * row, 0.0), ws.z.assign(k * k, 0.0);
     ws.gap.assign(k * lane, 0.0), ws.solved.assign(count * padded(k), 0.0), ws.row.assign(padded(k), 0.0);
 }
 
