@@ -21,7 +21,7 @@ from typing import ClassVar
 CLOSE = 1e-4
 
 
-class Kind:
+class LawKind:
     """Kinds of laws in the kernel, one file each in ``src/kernel/connect/laws``."""
 
     CONTACT = 0
@@ -37,7 +37,7 @@ class LawArrays:
 
     Attributes
     ----------
-    kind : one of `Kind`.
+    kind : one of `LawKind`.
     numbers : four of its own.
     loss, damping : s/m, N s/m.
     samples : its knots (n + 1), and four coefficients for each of n intervals one after another.

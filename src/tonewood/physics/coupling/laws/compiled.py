@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tonewood.physics.coupling.c_functions import CFunction
-from tonewood.physics.coupling.laws.base import CLOSE, Kind, LawArrays, PotentialLaw
+from tonewood.physics.coupling.laws.base import CLOSE, LawKind, LawArrays, PotentialLaw
 
 #: nodes and weights of Gauss' rule on [-1, 1] that integrates user forces over small steps
 GAUSS = tuple((float(x), float(w)) for x, w in zip(*np.polynomial.legendre.leggauss(5), strict=True))
@@ -88,4 +88,4 @@ class CompiledPotential(PotentialLaw):
         """See `NonlinearLaw`."""
         scalars: tuple[Scalar, Scalar] = (self.potential, self.slope)
         functions = tuple((f.address, f.data, f.takes_data) for f in scalars)
-        return LawArrays(Kind.COMPILED, loss=self.loss, damping=self.damping, functions=functions)
+        return LawArrays(LawKind.COMPILED, loss=self.loss, damping=self.damping, functions=functions)

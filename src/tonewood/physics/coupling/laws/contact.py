@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from tonewood.physics.coupling.laws.base import CLOSE, Kind, LawArrays, PotentialLaw
+from tonewood.physics.coupling.laws.base import CLOSE, LawKind, LawArrays, PotentialLaw
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,4 +66,4 @@ class Contact(PotentialLaw):
 
     def describe(self) -> LawArrays:
         """See `NonlinearLaw`."""
-        return LawArrays(Kind.CONTACT, (self.stiffness, self.exponent, 0.0, 0.0), self.loss)
+        return LawArrays(LawKind.CONTACT, (self.stiffness, self.exponent, 0.0, 0.0), self.loss)

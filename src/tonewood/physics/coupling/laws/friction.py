@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
-from tonewood.physics.coupling.laws.base import Kind, LawArrays, NonlinearLaw
+from tonewood.physics.coupling.laws.base import LawKind, LawArrays, NonlinearLaw
 
 Found = TypeVar("Found")
 
@@ -65,7 +65,7 @@ class Friction(NonlinearLaw):
 
     def describe(self) -> LawArrays:
         """See `NonlinearLaw`."""
-        return LawArrays(Kind.FRICTION, (self.normal_force, self.static, self.dynamic, self.speed))
+        return LawArrays(LawKind.FRICTION, (self.normal_force, self.static, self.dynamic, self.speed))
 
     def slide(self, free: float, load: float) -> float | None:
         """Return the largest v > 0 with v + load mu(v) = free, m/s; None if there is none.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.physics.coupling.laws.base import CLOSE, Kind, LawArrays, PotentialLaw
+from tonewood.physics.coupling.laws.base import CLOSE, LawKind, LawArrays, PotentialLaw
 
 Floats = NDArray[np.float64]
 
@@ -128,4 +128,4 @@ class SampledPotential(PotentialLaw):
     def describe(self) -> LawArrays:
         """See `NonlinearLaw`."""
         samples = self.knots.tolist(), self.coefficients.reshape(-1).tolist()
-        return LawArrays(Kind.SAMPLED, loss=self.loss, damping=self.damping, samples=samples)
+        return LawArrays(LawKind.SAMPLED, loss=self.loss, damping=self.damping, samples=samples)

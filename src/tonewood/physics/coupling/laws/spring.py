@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tonewood.physics.coupling.laws.base import Kind, LawArrays, PotentialLaw
+from tonewood.physics.coupling.laws.base import LawKind, LawArrays, PotentialLaw
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,4 +50,4 @@ class HardeningSpring(PotentialLaw):
     def describe(self) -> LawArrays:
         """See `NonlinearLaw`."""
         numbers = (self.stiffness, self.cubic, self.quadratic_damping, 0.0)
-        return LawArrays(Kind.SPRING, numbers, damping=self.damping)
+        return LawArrays(LawKind.SPRING, numbers, damping=self.damping)
