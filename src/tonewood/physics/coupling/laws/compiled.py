@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tonewood.physics.coupling.c_functions import CFunction
-from tonewood.physics.coupling.laws.base import CLOSE, LawKind, LawArrays, PotentialLaw
+from tonewood.physics.coupling.laws.base import CLOSE, LawArrays, LawKind, PotentialLaw
 
 #: nodes and weights of Gauss' rule on [-1, 1] that integrates user forces over small steps
 GAUSS = tuple((float(x), float(w)) for x, w in zip(*np.polynomial.legendre.leggauss(5), strict=True))

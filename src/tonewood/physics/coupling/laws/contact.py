@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from tonewood.physics.coupling.laws.base import CLOSE, LawKind, LawArrays, PotentialLaw
+from tonewood.physics.coupling.laws.base import CLOSE, LawArrays, LawKind, PotentialLaw
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
-from tonewood.physics.coupling.laws.base import LawKind, LawArrays, NonlinearLaw
+from tonewood.physics.coupling.laws.base import LawArrays, LawKind, NonlinearLaw
 
 Found = TypeVar("Found")
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.physics.coupling.laws.base import CLOSE, LawKind, LawArrays, PotentialLaw
+from tonewood.physics.coupling.laws.base import CLOSE, LawArrays, LawKind, PotentialLaw
 
 Floats = NDArray[np.float64]
 

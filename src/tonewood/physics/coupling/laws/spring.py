@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tonewood.physics.coupling.laws.base import LawKind, LawArrays, PotentialLaw
+from tonewood.physics.coupling.laws.base import LawArrays, LawKind, PotentialLaw
 
 
 @dataclass(frozen=True, slots=True)
