@@ -41,12 +41,14 @@ class Fit:
     modes : identified, with real residues.
     body : passive, made from them; None where the responses are no body's.
     no_body : why, in one line.
+    not_driven : references that were left out, for nothing was measured where they were driven.
     """
 
     responses: Responses
     modes: Modes
     body: FittedBody | None
     no_body: str | None = None
+    not_driven: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"<Fit of {len(self.rows)} modes, {self.error_db.max():.2f} dB at most>"
@@ -136,6 +138,9 @@ class Fit:
         for end in (r.freq[0], r.freq[-1]):
             near = [row["freq_Hz"] for row in measured if abs(row["freq_Hz"] - end) < row["freq_Hz"] / row["Q"]]
             out += [f"the band ends in the peak of the mode at {f:.1f} Hz: move --band" for f in near]
+        if self.not_driven:
+            shown = ", ".join(map(repr, self.not_driven[:4]))
+            out.append(f"responses from {shown} were left out: nothing was measured where these were driven")
         if self.modes.mains:
             shown = ", ".join(f"{f:.1f}" for f in sorted(self.modes.mains)[:6])
             out.append(f"lines of a few bins, of the mains perhaps, were left out: {shown} Hz")
@@ -268,7 +273,8 @@ def fit_responses(
     ------
     TonewoodError : the responses hold no numbers to be fitted, or no mode stands out of their noise.
     """
-    r = responses.reciprocal().band(*band).checked()
+    r, not_driven = responses.reciprocal().of_driven()
+    r = r.band(*band).checked()
     no_body = r.no_body()
     sigma = None
     if r.coherence is not None and r.n_hits is not None:
@@ -289,4 +295,4 @@ def fit_responses(
     if body is not None and body.compliance.any() and sla.eigvalsh(body.compliance).min() < 0:
         values, vectors = sla.eigh(body.compliance)  # to rounding: rank one is on the edge
         body.compliance[:] = (vectors * np.maximum(values, 0)) @ vectors.T
-    return Fit(r, modes, body, no_body)
+    return Fit(r, modes, body, no_body, not_driven)

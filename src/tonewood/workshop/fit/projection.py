@@ -126,7 +126,7 @@ class Line:
         """Distance of bins, Hz; the median where it varies."""
         return float(np.median(np.diff(self.freq)))
 
-    def without(self, freq: Sequence[float]) -> Line:
+    def without(self, freq: Sequence[float] | Floats) -> Line:
         """Return the line with those bins muted that lie within a step of some frequencies, Hz."""
         near = np.any(np.abs(self.freq[:, None] - np.asarray(freq)) <= _MUTED * self.step, axis=1)
         return replace(self, sigma=np.where(near, 1e4, 1.0) * self.sigma)

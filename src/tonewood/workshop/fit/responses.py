@@ -149,6 +149,24 @@ class Responses:
         )  # fmt: skip
         return replace(self, pairs=pairs)
 
+    def of_driven(self) -> tuple[Responses, tuple[str, ...]]:
+        """Return the responses from references that were measured themselves, and the names of the other references.
+
+        All of them, where no reference was.
+        """
+        driven = {self.pairs[i][1] for i in self.driving}
+        others = tuple(name for name in self.references if name not in driven)
+        if not driven or not others:
+            return self, ()
+        kept = [i for i, (_, reference) in enumerate(self.pairs) if reference in driven]
+        return replace(
+            self,
+            mobility=self.mobility[kept],
+            pairs=tuple(self.pairs[i] for i in kept),
+            coherence=None if self.coherence is None else self.coherence[kept],
+            pressure={key: row for key, row in self.pressure.items() if key[1] in driven},
+        ), others
+
     def checked(self) -> Responses:
         """Return these responses if modes can be fitted to them.
 
