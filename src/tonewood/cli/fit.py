@@ -33,7 +33,7 @@ def fit(
         list[Path],
         typer.Argument(
             metavar="FILES",
-            help="frequency responses (.csv, .npz, .mat, .uff), or hammer hits, one a file (.wav, .csv)",
+            help="responses (.csv, .npz, .mat, .uff), or hammer hits, one a file (.wav, .csv)",
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FOLDER", help="folder to write")],
@@ -295,13 +295,13 @@ def _print(folder: FitFolder, written: list[Path]) -> None:
             sure += "" if row["mpc"] is None else f"  {row['mpc']:>5.3f}"
         else:
             sure = "  no mode of the band: stands for modes beyond it"
-        print(f"{row['freq_Hz']:>9.2f} {row['Q']:>7.1f} {mass:>{len(mass_head)}}  {sure}")
+        print(f"{row['freq_Hz']:>9.6g} {row['Q']:>7.1f} {mass:>{len(mass_head)}}  {sure}")
     for line in facts["dropped"]:
         print(f"  dropped: {line}")
     error, what = facts["error_db"], "modes" if made.body is None else "body"
     print(
-        f"misfit {facts['misfit']:.2f} times the noise; the {what}'s mobility re the measured one: {error['rms']:.2f} dB "
-        f"r.m.s., {error['95%']:.2f} in 95 % of the bins, {error['most']:.2f} at most"
+        f"misfit {facts['misfit']:.2f} times the noise; the {what}'s mobility re the measured one: "
+        f"{error['rms']:.2f} dB r.m.s., {error['95%']:.2f} in 95 % of the bins, {error['most']:.2f} at most"
     )
     if facts["radiation"] is not None:
         heard = facts["radiation"]

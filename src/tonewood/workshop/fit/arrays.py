@@ -136,9 +136,7 @@ def responses_of_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], chosen: 
     rows = {pair: row for name in names for pair, row in _pairs_of(name, likely[name])}
     coherent = [x for name, x in held.items() if "coh" in name.lower() and not np.iscomplexobj(x)]
     alike = [x for x in coherent if len(names) == 1 and x.shape == likely[names[0]].shape]
-    coherence = (
-        {pair: np.asarray(c.real, dtype=np.float64) for pair, c in _pairs_of(names[0], alike[0])} if alike else {}
-    )
+    coherence = {pair: np.asarray(c.real, dtype=np.float64) for x in alike[:1] for pair, c in _pairs_of(names[0], x)}
     forms = {form for name in names for begin, form in _FORM.items() if begin in _last(name).lower()}
     return Table(freq, rows, coherence, forms.pop() if len(forms) == 1 else None)
 
@@ -170,20 +168,22 @@ def _says_pair(name: str) -> bool:
 
 def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[str, Floats]:
     for pattern in _FREQUENCY:
-        found = [name for name, x in arrays.items() if pattern.fullmatch(_last(name)) and x.size > 1]
-        if pattern.pattern != "freq_Hz":
-            found = [name for name in found if arrays[name].dtype.kind in "iuf" and arrays[name].squeeze().ndim == 1]
+        found = [name for name, x in arrays.items() if pattern.fullmatch(_last(name))]
+        if pattern.pattern != "freq_Hz":  # a name that may mean something else
+            real = {
+                name for name, x in arrays.items() if x.dtype.kind in "iuf" and x.squeeze().ndim == 1 and x.size > 1
+            }
+            found = [name for name in found if name in real]
         if len(found) > 1:
             raise TonewoodError(f"which are the frequencies: {', '.join(found)}? Call them freq_Hz", file=path)
         if found:
-            x = arrays[found[0]].squeeze()
+            x = arrays[found[0]]
+            x = x.reshape(-1) if x.ndim == 2 and 1 in x.shape else x
             if x.dtype.kind not in "iuf" or x.ndim != 1:
                 raise TonewoodError("is no row of real numbers", file=path, key=found[0])
             if not np.all(np.isfinite(x)):
                 raise TonewoodError("holds a value that is not a finite number", file=path, key=found[0])
             return found[0], np.asarray(x, dtype=np.float64)
-    if "freq_Hz" in arrays:
-        raise TonewoodError("is no row of real numbers", file=path, key="freq_Hz")
     raise TonewoodError(f"has no array freq_Hz; there are {_shapes(arrays)}", file=path)
 
 
@@ -211,9 +211,9 @@ def _pairs_of(name: str, x: NDArray[Any]) -> list[tuple[Pair, Complexes]]:
 def _of_pairs(path: Path, freq: Floats, arrays: Mapping[str, NDArray[Any]]) -> Table:
     """Arrays named POINT:REFERENCE, whole or in parts."""
     for name, values in arrays.items():
-        part = re.search(r"_(re|im|mag|phase|coherence)$", name)
-        if values.ndim != 1 or values.dtype.kind not in ("iuf" if part else "iufc"):
-            raise TonewoodError(f"is no row of {'real' if part else 'complex'} numbers", file=path, key=name)
+        real = name.endswith(("_re", "_im", "_mag", "_phase", "_coherence"))
+        if values.ndim != 1 or values.dtype.kind not in ("iuf" if real else "iufc"):
+            raise TonewoodError(f"is no row of {'real' if real else 'complex'} numbers", file=path, key=name)
         if values.shape != freq.shape:
             raise TonewoodError(f"has the shape {values.shape}; {freq.shape} is allowed", file=path, key=name)
     rows: dict[Pair, Complexes] = {}

@@ -146,9 +146,8 @@ def _driven(path: Path, table: Table, reading: Reading) -> Table:
             )  # fmt: skip
         points = dict.fromkeys(point for point, _ in table.rows)
         if name not in points:
-            raise TonewoodError(
-                f"there is no point {name!r}; there are {', '.join(points)}", file=path, key="--driving"
-            )
+            shown = ", ".join(points)
+            raise TonewoodError(f"there is no point {name!r}; there are {shown}", file=path, key="--driving")
         names[old] = name
 
     def pair(old: Pair) -> Pair:

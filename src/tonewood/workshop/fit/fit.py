@@ -27,6 +27,8 @@ Complexes = NDArray[np.complex128]
 BINS_IN_BANDWIDTH = 3.0
 #: misfit, re the noise, above which the model does not do
 MOST_MISFIT = 1.5
+#: most modes that a warning of the same kind names a line each
+MOST_LINES = 2
 #: standard deviations of half of a central interval of 90 % of a normal distribution
 NORMAL_90 = 1.6449
 
@@ -128,9 +130,16 @@ class Fit:
         """List doubts about this body, a line each."""
         r, out = self.responses, [] if self.no_body is None else [f"no passive body: {self.no_body}"]
         step, measured = float(np.median(np.diff(r.freq))), [row for row in self.rows if row["measured"]]
-        for freq, quality in ((row["freq_Hz"], row["Q"]) for row in measured):
-            width = freq / quality + r.alpha / np.pi
-            if width < BINS_IN_BANDWIDTH * step:
+        narrow = [x for x in measured if x["freq_Hz"] / x["Q"] + r.alpha / np.pi < BINS_IN_BANDWIDTH * step]
+        if len(narrow) > MOST_LINES:
+            shown = ", ".join(f"{x['freq_Hz']:.5g}" for x in narrow)
+            out.append(
+                f"{len(narrow)} modes are narrower than {BINS_IN_BANDWIDTH:g} bins of {step:g} Hz ({shown} Hz): their Q "
+                "is uncertain; measure longer"
+            )
+        else:
+            for freq, quality in ((x["freq_Hz"], x["Q"]) for x in narrow):
+                width = freq / quality + r.alpha / np.pi
                 out.append(
                     f"mode at {freq:.1f} Hz: its bandwidth of {width:.2g} Hz (Q {quality:.0f}) holds fewer than "
                     f"{BINS_IN_BANDWIDTH:g} bins of {step:g} Hz; measure longer"
@@ -279,10 +288,10 @@ def fit_responses(
     sigma = None
     if r.coherence is not None and r.n_hits is not None:
         sigma = noise.of_coherence(r.mobility, r.coherence, r.n_hits)
-    driving = r.driving if no_body is None else ()
+    shape = Shape(r.driving, len(r.points)) if no_body is None else Shape((), len(r.pairs))
     try:
         modes = identify(
-            r.freq, r.mobility, Shape(driving, len(r.points)), sigma=sigma, alpha=r.alpha, damping=damping, keep=keep,
+            r.freq, r.mobility, shape, sigma=sigma, alpha=r.alpha, damping=damping, keep=keep,
             drop=drop, tell=tell,
         )  # fmt: skip
     except NothingFoundError:

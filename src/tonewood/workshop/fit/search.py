@@ -150,7 +150,7 @@ def _unresolved(poles: Poles, gain: Floats, line: Line) -> NDArray[np.bool_]:
     """(K,) modes that lie within the distance of two bins of one that gains more: a peak's shape, not another mode."""
     near = np.abs(poles.freq[:, None] - poles.freq) < 2 * line.step
     narrow = poles.freq / poles.quality < 2 * line.step
-    return np.asarray(np.any(near & narrow & (gain > gain[:, None]), axis=1) & narrow)
+    return np.asarray(np.any(near & narrow & (gain > gain[:, None]), axis=1))
 
 
 def mains(problem: Projection, poles: Poles) -> NDArray[np.intp]:

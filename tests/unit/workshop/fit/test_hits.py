@@ -7,7 +7,6 @@ import pytest
 import scipy.signal
 from fit_scenes import Truth
 
-from tonewood.errors import TonewoodError
 from tonewood.workshop.fit.fit import fit_responses
 from tonewood.workshop.fit.hits import is_double, responses_of_hits
 from tonewood.workshop.fit.responses import Responses, to_mobility
@@ -55,8 +54,13 @@ def test_one_window_on_both_channels_is_exact():
         held = (1 - np.exp(-s / FS)) / (s / FS)  # the force is held over samples
         return fit_responses(Responses(given.freq, given.mobility / held, given.pairs, alpha=given.alpha)).body
 
-    with pytest.raises(TonewoodError, match="--window-tau"):
-        fitted(None)
+    def no_body(tau):
+        made = responses_of_hits(force, motion, FS, window_tau=tau)
+        mobility = to_mobility(made.response, made.freq, "receptance", made.alpha)
+        return Responses(made.freq, mobility, (("a", "a"),), alpha=made.alpha).band(300.0, 900.0).no_body()
+
+    assert "--window-tau" in no_body(None)
+    assert no_body(0.1) is None
     body = fitted(0.1)
     near = [int(np.argmin(np.abs(body.freq - f))) for f in truth.freq]
     assert body.quality[near] == pytest.approx(truth.quality, rel=0.02)
