@@ -134,8 +134,8 @@ class Fit:
         if len(narrow) > MOST_LINES:
             shown = ", ".join(f"{x['freq_Hz']:.5g}" for x in narrow)
             out.append(
-                f"{len(narrow)} modes are narrower than {BINS_IN_BANDWIDTH:g} bins of {step:g} Hz ({shown} Hz): their Q "
-                "is uncertain; measure longer"
+                f"{len(narrow)} modes are narrower than {BINS_IN_BANDWIDTH:g} bins of {step:g} Hz ({shown} Hz): their "
+                "Q is uncertain; measure longer"
             )
         else:
             for freq, quality in ((x["freq_Hz"], x["Q"]) for x in narrow):

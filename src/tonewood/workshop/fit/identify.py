@@ -34,8 +34,6 @@ LEAST_NOISE = 1e-4
 _AT_NOISE, _PART = 1.25, 24
 #: Q at which a wanted mode begins, and distance (of ln f) up to which a mode is the wanted one
 _Q_WANTED, _NEAR = 50.0, 0.03
-#: chi-squared and price of viscous modes, per number measured, below which structural damping is not tried
-_SURE = 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +134,6 @@ def identify(
     kinds = {"viscous": (False,), "structural": (True,), "auto": (False, True)}[damping]
     best: tuple[float, Line, Shape, Poles, tuple[float, ...]] | None = None
     for structural in kinds:
-        if best is not None and best[0] < _SURE * 2 * line.mobility.size:
-            break  # viscous damping leaves the noise and nothing else
         kind = replace(shape, structural=structural)
         try:
             quiet, poles, lines = _ordered(line, kind, note)
@@ -157,8 +153,8 @@ def identify(
     level = np.maximum(left, least if sigma is None else level)
     line = replace(line, sigma=level).without(lines) if lines else replace(line, sigma=level)
     bent = Projection(line, shape)
-    start = _fixed(bent, pruned(bent, descend(bent, start, 6, 1e-6)[0])[0], wanted, drop)
-    found = bent.solve(start)
+    start = _fixed(bent, pruned(bent, descend(bent, start, 20, 1e-7)[0])[0], wanted, drop)
+    start, found = descend(bent, start, 20, 1e-8)
     turned = float(np.median(found.chi2[:, len(start) : 2 * len(start)].mean(axis=0)))
     real, poles = straightened(line, shape, start)
     poles = _fixed(real, poles, wanted, drop)
@@ -166,6 +162,7 @@ def identify(
         shape = replace(shape, lower=fewer.lower, upper=fewer.upper)
         real = Projection(line, replace(shape, complex=False))
         poles = _fixed(real, descend(real, poles, 8, 1e-5)[0], wanted, drop)
+    poles, _ = descend(real, poles, 20, 1e-8)
     poles = poles.damped_beyond(float(freq[0]), float(freq[-1]))
     return Modes(real, poles, real.solve(poles), (bent, start, found), iterations, lines, turned)
 
@@ -192,10 +189,11 @@ def _ordered(line: Line, shape: Shape, note: Callable[[Iteration], None]) -> tup
             line, poles = line.without(poles.freq[more]), poles.without(more.tolist())
         if not len(poles):
             continue
-        loud = _parts_above_noise(line, shape, poles)
+        fine, _ = descend(Projection(line, shape), poles, 20, 1e-6)
+        loud = _parts_above_noise(line, shape, fine)
         if best is not None and loud >= before and len(poles) > len(best[1]):
             break
-        best, before = (line, poles, lines), loud
+        best, before = (line, fine, lines), loud
         if not loud:
             break
     if best is None:

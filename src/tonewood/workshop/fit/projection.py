@@ -300,8 +300,6 @@ class Projection:
         """Standard deviations of ln w, ln zeta, (K,), and residues, (P, n), from the information matrix."""
         found = self.solve(poles, slopes=True)
         covariance = sla.pinvh(found.normal, rtol=1e-12)
-        residues = [
-            np.sqrt(np.maximum(own + np.einsum("ij,jk,ik->i", f, covariance, f), 0.0)) for f, own in found.follows
-        ]
+        variances = [own + np.einsum("ij,jk,ik->i", f, covariance, f) for f, own in found.follows]
         deviation, k = np.sqrt(np.maximum(np.diag(covariance), 0.0)), len(poles)
-        return deviation[:k], deviation[k:], np.array(residues)
+        return deviation[:k], deviation[k:], np.sqrt(np.maximum(variances, 0.0))

@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 #: damping ratios of modes that the bins and the neighbouring modes can show; least bandwidth in steps of the bins
-ZETA_LOW, ZETA_HIGH, NARROWEST = 1e-5, 0.35, 0.1
+ZETA_LOW, ZETA_HIGH, NARROWEST = 1e-5, 0.35, 0.05
 #: frequencies, re the ends of the band, up to which a pole may leave it: it stands for modes there
 BELOW, ABOVE = 0.5, 1.6
 #: standard deviations beyond which a residue's sign is taken to be known
@@ -346,4 +346,4 @@ def straightened(line: Line, shape: Shape, poles: Poles) -> tuple[Projection, Po
     real = Projection(line, replace(shape, complex=False))
     poles, _ = pruned(real, descend(real, poles, 8, 1e-5)[0])
     poles, _ = joined(real, poles)
-    return real, descend(real, poles, 4, 1e-6)[0]
+    return real, descend(real, poles, 20, 1e-7)[0]
