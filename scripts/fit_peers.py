@@ -25,6 +25,9 @@ from tonewood.workshop.fit.files import Reading, read_responses
 from tonewood.workshop.fit.fit import Fit, fit_responses
 from tonewood.workshop.fit.responses import Responses
 
+#: Hz, upper end of a band below which frequencies are multiplied for sdypy-EMA
+LOWEST = 50.0
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -62,15 +65,17 @@ def by_sdypy(r: Responses, frequencies: list[float]) -> tuple[int, float, NDArra
         contextlib.redirect_stderr(io.StringIO()),
     ):
         warnings.simplefilter("ignore")
-        step = float(np.median(np.diff(r.freq)))
-        below = round(r.freq[0] / step)  # it counts bins from 0 Hz on
+        slow = 1000 / r.freq[-1] if r.freq[-1] < LOWEST else 1.0  # its windows are in Hz
+        step = slow * float(np.median(np.diff(r.freq)))
+        below = round(slow * r.freq[0] / step)  # it counts bins from 0 Hz on
         freq = np.arange(below + r.freq.size) * step
         accelerance = np.pad(r.mobility * 2j * np.pi * r.freq, ((0, 0), (below, 0)), "edge")
         model = Model(accelerance, freq, lower=freq[below], upper=freq[-1], pol_order_high=60, frf_form="accelerance")
         model.get_poles(show_progress=False)
-        model.select_closest_poles(frequencies, f_window=20)
+        model.select_closest_poles([slow * f for f in frequencies], f_window=20)
         fitted, _ = model.get_constants(whose_poles="own", FRF_ind="all", upper_r=True, lower_r=True)
-    return len(model.nat_freq), decibels(fitted[:, below:], accelerance[:, below:]), 0.5 / np.asarray(model.nat_xi)
+    n = fitted.shape[1]
+    return len(model.nat_freq), decibels(fitted[:, below:], accelerance[:, below:n]), 0.5 / np.asarray(model.nat_xi)
 
 
 def row(measured: Measured, folder: Path) -> str | None:

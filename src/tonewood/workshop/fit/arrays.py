@@ -38,7 +38,7 @@ _LONGEST = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class ResponseTable:
     """Responses of one file.
 
     Attributes
@@ -100,7 +100,7 @@ def mat_arrays(path: Path) -> dict[str, NDArray[Any]]:
     return out
 
 
-def responses_of_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], chosen: Sequence[str] = ()) -> Table:
+def responses_of_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], chosen: Sequence[str] = ()) -> ResponseTable:
     """Responses of named arrays.
 
     Parameters
@@ -138,7 +138,7 @@ def responses_of_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], chosen: 
     alike = [x for x in coherent if len(names) == 1 and x.shape == likely[names[0]].shape]
     coherence = {pair: np.asarray(c.real, dtype=np.float64) for x in alike[:1] for pair, c in _pairs_of(names[0], x)}
     forms = {form for name in names for begin, form in _FORM.items() if begin in _last(name).lower()}
-    return Table(freq, rows, coherence, forms.pop() if len(forms) == 1 else None)
+    return ResponseTable(freq, rows, coherence, forms.pop() if len(forms) == 1 else None)
 
 
 def pair_of(path: Path, name: str) -> Pair:
@@ -208,7 +208,7 @@ def _pairs_of(name: str, x: NDArray[Any]) -> list[tuple[Pair, Complexes]]:
     ]
 
 
-def _of_pairs(path: Path, freq: Floats, arrays: Mapping[str, NDArray[Any]]) -> Table:
+def _of_pairs(path: Path, freq: Floats, arrays: Mapping[str, NDArray[Any]]) -> ResponseTable:
     """Arrays named POINT:REFERENCE, whole or in parts."""
     for name, values in arrays.items():
         real = name.endswith(("_re", "_im", "_mag", "_phase", "_coherence"))
@@ -236,4 +236,4 @@ def _of_pairs(path: Path, freq: Floats, arrays: Mapping[str, NDArray[Any]]) -> T
         for pair in rows
         if (key := f"{pair[0]}:{pair[1]}_coherence") in arrays
     }
-    return Table(freq, rows, coherence)
+    return ResponseTable(freq, rows, coherence)

@@ -26,7 +26,15 @@ from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.contract.files import Files
-from tonewood.workshop.fit.arrays import UNNAMED, Pair, Table, mat_arrays, npz_arrays, pair_of, responses_of_arrays
+from tonewood.workshop.fit.arrays import (
+    UNNAMED,
+    Pair,
+    ResponseTable,
+    mat_arrays,
+    npz_arrays,
+    pair_of,
+    responses_of_arrays,
+)
 from tonewood.workshop.fit.hits import responses_of_hits
 from tonewood.workshop.fit.responses import FORMS, Complexes, Floats, Responses, to_mobility
 
@@ -124,7 +132,7 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
     )  # fmt: skip
 
 
-def _table(kind: str, path: Path, reading: Reading) -> Table:
+def _table(kind: str, path: Path, reading: Reading) -> ResponseTable:
     if kind == "uff":
         return _uff(path)
     if kind == "csv":
@@ -132,8 +140,8 @@ def _table(kind: str, path: Path, reading: Reading) -> Table:
     return responses_of_arrays(path, npz_arrays(path) if kind == "npz" else mat_arrays(path), reading.arrays)
 
 
-def _driven(path: Path, table: Table, reading: Reading) -> Table:
-    """Table with the names of references that the command line gives."""
+def _driven(path: Path, table: ResponseTable, reading: Reading) -> ResponseTable:
+    """ResponseTable with the names of references that the command line gives."""
     names: dict[str, str] = {}
     for name, reference in reading.references:
         known = dict.fromkeys(reference for _, reference in table.rows)
@@ -189,7 +197,7 @@ def _numbers(path: Path) -> dict[str, Floats]:
     return Files(path.parent, path).table(path.name)
 
 
-def _csv(path: Path) -> Table:
+def _csv(path: Path) -> ResponseTable:
     columns = _numbers(path)
     if "freq_Hz" not in columns:
         raise TonewoodError(f"has no column freq_Hz; there are {', '.join(columns)}", file=path)
@@ -200,7 +208,7 @@ def _csv(path: Path) -> Table:
     return responses_of_arrays(path, {name: x for name, x in columns.items() if name == "freq_Hz" or ":" in name})
 
 
-def _uff(path: Path) -> Table:
+def _uff(path: Path) -> ResponseTable:
     try:
         import pyuff
     except ModuleNotFoundError:
@@ -241,7 +249,7 @@ def _uff(path: Path) -> Table:
 
     rows = {pair(x): sign(x) * unit(x) * np.asarray(x["data"], dtype=np.complex128) for x in responses}
     coherence = {pair(x): np.asarray(x["data"]).real.astype(np.float64) for x in sets if x["func_type"] == 6}
-    return Table(freq, rows, coherence, forms.pop() if len(forms) == 1 else None)
+    return ResponseTable(freq, rows, coherence, forms.pop() if len(forms) == 1 else None)
 
 
 def _uff_units(given: Any) -> tuple[float, float]:

@@ -294,6 +294,8 @@ def fit_responses(
             r.freq, r.mobility, shape, sigma=sigma, alpha=r.alpha, damping=damping, keep=keep,
             drop=drop, tell=tell,
         )  # fmt: skip
+    except LookupError as fault:
+        raise TonewoodError(str(fault), key="--drop") from None
     except NothingFoundError:
         raise TonewoodError("no mode stands out of the noise: wrong files, band or units", key="responses") from None
     body = None

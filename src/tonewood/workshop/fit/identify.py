@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +22,7 @@ from tonewood.workshop.fit.search import (
     pruned,
     sought,
     straightened,
+    without_negative,
 )  # fmt: skip
 
 Floats = NDArray[np.float64]
@@ -32,6 +34,10 @@ ALLOWED = (0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0)
 LEAST_NOISE = 1e-4
 #: misfit of a part of the band, re its noise, up to which it is noise; bins of such a part
 _AT_NOISE, _PART = 1.25, 24
+#: median chi-squared of the residues' imaginary parts, 1 by chance, above which damping surely couples modes
+TURNED = 30.0
+#: difference of two kinds of damping, chi-squared per number measured, below which real residues decide
+_CLOSE = 0.05
 #: Q at which a wanted mode begins, and distance (of ln f) up to which a mode is the wanted one
 _Q_WANTED, _NEAR = 50.0, 0.03
 
@@ -119,6 +125,7 @@ def identify(
     Raises
     ------
     NothingFoundError : no mode stands out of the noise.
+    LookupError : there is no mode where one is to be dropped.
     """
     iterations: list[Iteration] = []
 
@@ -131,22 +138,24 @@ def identify(
     least = LEAST_NOISE * np.abs(mobility)
     level = np.maximum(noise.of_neighbours(mobility) if sigma is None else sigma * together, least)
     line = replace(line, sigma=level)
+    bins = 2 * mobility.size
     kinds = {"viscous": (False,), "structural": (True,), "auto": (False, True)}[damping]
-    best: tuple[float, Line, Shape, Poles, tuple[float, ...]] | None = None
+    orders: list[tuple[Line, Shape, Poles, tuple[float, ...]]] = []
     for structural in kinds:
         kind = replace(shape, structural=structural)
-        try:
-            quiet, poles, lines = _ordered(line, kind, note)
-        except NothingFoundError:
-            continue
-        bent = Projection(quiet, kind)
-        total = bent.solve(poles).cost + bent.price * len(poles)
-        if best is None or total < best[0]:
-            best = (total, quiet, kind, poles, lines)
-    if best is None:
+        with suppress(NothingFoundError):
+            quiet, poles, muted = _ordered(line, kind, note)
+            orders.append((quiet, kind, poles, muted))
+    if not orders:
         raise NothingFoundError("no mode stands out of the noise")
-    _, line, shape, start, lines = best
+    line, shape, start, lines = min(orders, key=lambda order: _total(*order[:3]))
+    if shape.driving and len(orders) == 2 and np.ptp([_total(*order[:3]) for order in orders]) < _CLOSE * bins:
+        line, shape, start, lines = min(orders, key=lambda order: _total_of_real(*order[:3]))
     wanted = Poles.at(keep, np.full(len(keep), _Q_WANTED))
+    for f in drop:
+        if not any(abs(np.log(start.freq[i] / f)) < _reach(start, i) for i in range(len(start))):
+            near = start.freq[np.argmin(np.abs(np.log(start.freq / f)))]
+            raise LookupError(f"there is no mode at {f:g} Hz; the nearest is at {near:.5g} Hz")
     bent = Projection(line, shape)
     found = bent.solve(start)
     left = noise.of_misfit(bent.misfit(start, found.residues), bent.model(start, found.residues)) * together
@@ -156,13 +165,18 @@ def identify(
     start = _fixed(bent, pruned(bent, descend(bent, start, 20, 1e-7)[0])[0], wanted, drop)
     start, found = descend(bent, start, 20, 1e-8)
     turned = float(np.median(found.chi2[:, len(start) : 2 * len(start)].mean(axis=0)))
-    real, poles = straightened(line, shape, start)
-    poles = _fixed(real, poles, wanted, drop)
-    while (fewer := _without_idle_edges(real, poles)) != real.shape:
-        shape = replace(shape, lower=fewer.lower, upper=fewer.upper)
-        real = Projection(line, replace(shape, complex=False))
-        poles = _fixed(real, descend(real, poles, 8, 1e-5)[0], wanted, drop)
-    poles, _ = descend(real, poles, 20, 1e-8)
+    real, poles = Projection(line, replace(shape, complex=False)), start
+    # where damping couples modes, poles that real residues would move are further from the truth than those at hand
+    held = turned > TURNED and bool(shape.driving)
+    while True:
+        if held:
+            poles = without_negative(real, poles)
+        else:
+            poles = _fixed(real, straightened(line, real.shape, poles)[1], wanted, drop)
+            poles, _ = descend(real, poles, 20, 1e-8)
+        if (fewer := _without_idle_edges(real, poles)) == real.shape:
+            break
+        real = Projection(line, fewer)
     poles = poles.damped_beyond(float(freq[0]), float(freq[-1]))
     return Modes(real, poles, real.solve(poles), (bent, start, found), iterations, lines, turned)
 
@@ -201,6 +215,18 @@ def _ordered(line: Line, shape: Shape, note: Callable[[Iteration], None]) -> tup
     return best
 
 
+def _total(line: Line, shape: Shape, poles: Poles) -> float:
+    """Chi-squared and the price of the modes."""
+    problem = Projection(line, shape)
+    return problem.solve(poles).cost + problem.price * len(poles)
+
+
+def _total_of_real(line: Line, shape: Shape, poles: Poles) -> float:
+    """The same of modes with real residues, which tell kinds of damping apart where complex ones adapt."""
+    problem, real = straightened(line.thinned(), shape, poles)
+    return problem.solve(real).cost + problem.price * len(real)
+
+
 def _parts_above_noise(line: Line, shape: Shape, poles: Poles) -> int:
     """How many parts of the band, of all responses, have a misfit above the noise in most of their bins."""
     whole = Projection(line, shape)
@@ -211,9 +237,14 @@ def _parts_above_noise(line: Line, shape: Shape, poles: Poles) -> int:
     return int(np.count_nonzero(mean > np.log(_AT_NOISE) - 0.5 * np.euler_gamma))
 
 
+def _reach(poles: Poles, i: int) -> float:
+    """Distance of ln f up to which a frequency names a mode."""
+    return float(max(_NEAR, 0.5 / poles.quality[i]))
+
+
 def _fixed(problem: Projection, poles: Poles, wanted: Poles, drop: Sequence[float]) -> Poles:
     """Modes less those dropped and those whose absence nobody would see, with those wanted."""
-    gone = [int(np.argmin(np.abs(poles.log_freq - np.log(2 * np.pi * f)))) for f in drop]
+    gone = [i for i in range(len(poles)) if any(abs(np.log(poles.freq[i] / f)) < _reach(poles, i) for f in drop)]
     poles = descend(problem, poles.without(gone), 6, 1e-6)[0] if gone else poles
     while len(weak := inaudible(problem, poles, wanted.freq)):
         poles = descend(problem, poles.without(weak.tolist()), 6, 1e-6)[0]

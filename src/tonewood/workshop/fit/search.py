@@ -146,6 +146,17 @@ def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, Li
         poles, _ = descend(problem, poles.without(gone), steps, 1e-3)
 
 
+def without_negative(problem: Projection, poles: Poles) -> Poles:
+    """Leave out modes that would create energy; the others stay where they are."""
+    while True:
+        found, k = problem.solve(poles), len(poles)
+        wrong = _never_positive(found.residues[:, :k], found.chi2[:, :k], problem.shape.driving)
+        if not wrong.any() or k <= 1:
+            return poles
+        # neighbours stand in for each other: the one that gains least at a time
+        poles = poles.without([int(np.argmin(np.where(wrong, found.chi2[:, :k].sum(axis=0), np.inf)))])
+
+
 def _unresolved(poles: Poles, gain: Floats, line: Line) -> NDArray[np.bool_]:
     """(K,) modes that lie within the distance of two bins of one that gains more: a peak's shape, not another mode."""
     near = np.abs(poles.freq[:, None] - poles.freq) < 2 * line.step
