@@ -118,9 +118,11 @@ def identify(
     ----------
     freq : (N,) Hz, rising.
     mobility : (P, N) (m/s)/N on the line s = alpha + j 2 pi freq.
+    shape : rows that are driving points, number of points, and residual terms.
     sigma : (P, N) standard deviation of the complex error; None if not known.
     damping : viscous, structural, or auto: the one that needs fewer modes for a better fit.
     keep, drop : Hz, where a mode has to be, whatever it gains, and where none is wanted.
+    tell : called after each iteration of the search.
 
     Raises
     ------
