@@ -254,7 +254,7 @@ def test_what_was_left_out_and_what_it_saved(strings: list[str], said: str) -> N
 
 
 def test_plan_and_play_have_the_options_of_render(tonewood: Run, score: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = ("plan", score, "-i", "sitar", "--fs", 16000, "--json")
+    plan = ("plan", score, "-i", "classical_guitar", "--fs", 16000, "--json")
     found = json.loads(tonewood(*plan, "--max-duration", 0.1, "--lead-in", 0.05, "--outputs", "microphones")[1])
     assert found["duration_s"] == pytest.approx(0.15)
     assert [e["component"] for e in found["effects"] if e["name"] == "outputs" and e["spans_s"]] == ["microphones"]

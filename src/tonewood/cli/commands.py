@@ -16,6 +16,7 @@ COMMANDS = {
     "migrate": "migrate:migrate",
     "fit": "fit:fit",
     "new": "new:new",
+    "sample": "sample:sample",
     "batch": "batch:batch",
     "serve": "serve:serve",
     "simulate": "simulate:simulate",

@@ -38,7 +38,12 @@ class Circuit:
         return np.asarray(np.roots(self.denominator), dtype=np.complex128)
 
     def response(self, freq: Floats) -> NDArray[np.complex128]:
-        """Return H at frequencies (n,), Hz."""
+        """Return H at frequencies.
+
+        Parameters
+        ----------
+        freq : (n,) Hz.
+        """
         s = 2j * np.pi * np.asarray(freq, dtype=np.float64)
         return np.asarray(np.polyval(self.numerator, s) / np.polyval(self.denominator, s))
 

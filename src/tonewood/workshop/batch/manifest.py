@@ -66,6 +66,8 @@ class NoteFields(Section):
     technique: str | None = None
     channel: int | None = Field(default=None, ge=0, le=15)
     marks: tuple[str, ...] = ()
+    partial: int | None = Field(default=None, ge=2, le=64)
+    glides: tuple[tuple[float, float], ...] = ()
 
     def to_note(self) -> Note:
         """Convert to the score's own type."""

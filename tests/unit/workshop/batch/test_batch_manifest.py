@@ -390,3 +390,26 @@ def test_the_shortest_track_that_is_accepted_can_end(down: int, reversals: int, 
     if least > 5:
         with pytest.raises(ManifestError, match=f"take {least} trials or more"):
             check_manifest(fakes.manifest(pages=[STAIRS | levitt | {"longest": least - 1}]))
+
+
+@pytest.mark.parametrize(
+    ("scale", "reference", "level", "value"),
+    [
+        ("value", 3.0, 7.0, 7.0), ("add", 3.0, 0.5, 3.5), ("percent", 3.0, 20.0, 3.6), ("percent", None, -50.0, 0.25),
+        ("db", 3.0, 20.0, 30.0), ("db", None, -20.0, 0.05), ("add", None, -0.1, 0.4),
+    ],
+)  # fmt: skip
+def test_the_value_of_a_level(scale: str, reference: float | None, level: float, value: float) -> None:
+    """The formulas of the page; the parameter's own value is 0.5."""
+    page = check_manifest(fakes.manifest(pages=[STAIRS | {"scale": scale, "reference": reference}])).pages[0]
+    assert page.value(level, 0.5) == pytest.approx(value, rel=1e-12)
+    if scale != "value":
+        with pytest.raises(ValueError, match=f"scale: {scale} needs a number"):
+            page.model_copy(update={"reference": True}).value(level, 0.5)
+
+
+def test_what_is_not_said_of_a_midi_file() -> None:
+    source = check_manifest(
+        fakes.manifest(scores={"low": {"midi": "a.mid"}}, factors={}, pages=[{"type": "html"}])
+    ).scores["low"]
+    assert (source.start, source.stop, source.channel_per_string) == (0.0, None, False)
