@@ -1,9 +1,10 @@
 """Braces and bridges: beams on a strip of the plate, whose energies are integrals of the plate's displacement.
 
 With s along the line, n across it, (u, w) the motion of the plate's middle surface along s and out of its plane, H the
-plate's thickness, h the beam's height (below the plate), b its width and theta(s) the rotation of its section,
+plate's thickness, beta = w_s - gamma the turn of its fibres, h the beam's height (below the plate), b its width and theta(s)
+the rotation of its section,
 
-    2 U = int EA eps^2 + EI theta_s^2 + k GA (mean w_s - theta)^2 + GJ w_sn^2 ds,   eps = u_s + H/2 w_ss + h/2 theta_s
+    2 U = int EA eps^2 + EI theta_s^2 + k GA (mean w_s - theta)^2 + GJ w_sn^2 ds,   eps = u_s + H/2 beta_s + h/2 theta_s
     2 T = int m w'^2 + m (h^2/12 + e^2) (w_s'^2 + w_n'^2) ds,                       e = (H + h) / 2
 
 Plane sections stay plane but not normal (S. P. Timoshenko, Phil. Mag. 41 (1921) 744; k = 5/6 of a rectangle): wood is
@@ -87,16 +88,20 @@ def line(start: Floats, stop: Floats, parts: int, order: int = 3) -> tuple[Float
     return start + place[:, None] * (stop - start), np.tile(w * length / (2 * parts), parts), place
 
 
-def beam_matrices(grid: SplineGrid, beam: Beam, thickness: Floats | float) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
-    """Stiffness and losses of one beam in the fields (theta, u, v, w), and mass (N, N) of w.
+def beam_matrices(
+    grid: SplineGrid, smooth: SplineGrid, beam: Beam, thickness: Floats | float, shears: bool
+) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
+    """Stiffness and losses of one beam in the fields (theta, u, v, gamma_x, gamma_y, w), and mass (N, N) of w.
 
     Parameters
     ----------
+    grid, smooth : of w, and of the other fields of the plate.
     thickness : m, of the plate, or at the points of `beam_line`.
+    shears : whether the plate has the fields gamma.
 
     Returns
     -------
-    two (r + 3N, r + 3N) matrices, r = `rotations`, and one (N, N).
+    two (r + 4M + N, r + 4M + N) matrices, r = `rotations`, (r + 2M + N) without gamma, and one (N, N).
     """
     from scipy.sparse import csr_matrix, diags, eye, hstack, kron
 
@@ -108,16 +113,18 @@ def beam_matrices(grid: SplineGrid, beam: Beam, thickness: Floats | float) -> tu
     w_s, w_n = c * w_x + s * w_y, c * w_y - s * w_x
     w_ss = c * c * w_xx + 2 * c * s * w_xy + s * s * w_yy
     w_sn = c * s * (w_yy - w_xx) + (c * c - s * s) * w_xy
+    u_s = c * smooth.at(points, (1, 0)) + s * smooth.at(points, (0, 1))
     theta, theta_s = (line_functions(place, _parts(grid, beam), grid.degree, order) for order in (0, 1))
     theta_s = csr_matrix(theta_s / beam.length)
-    half = np.broadcast_to(below * thickness / 2, place.shape)
-    strain = hstack([diags(below * height / 2) @ theta_s, c * w_s, s * w_s, diags(half) @ w_ss])
-    none, still = 0.0 * w_s, 0.0 * theta
-    bend, twist = hstack([theta_s, none, none, none]), hstack([still, none, none, w_sn])
+    half = diags(np.broadcast_to(below * thickness / 2, place.shape))
+    turned_s = [-half @ (c * u_s), -half @ (s * u_s)] if shears else []
+    strain = hstack([diags(below * height / 2) @ theta_s, c * u_s, s * u_s, *turned_s, half @ w_ss])
+    others = [0.0 * u_s] * (4 if shears else 2)
+    bend, twist = hstack([theta_s, *others, 0.0 * w_s]), hstack([0.0 * theta, *others, w_sn])
     # mean over the width, in which the section stays plane
     lines = _across(grid, beam)[1]
     mean = kron(np.outer(np.ones(len(lines)), lines), eye(len(place) // len(lines)))
-    shear = hstack([-theta, none, none, csr_matrix(mean @ w_s)])
+    shear = hstack([-theta, *others, csr_matrix(mean @ w_s)])
 
     def integral(weight: Floats, operator: csr_matrix) -> csr_matrix:
         product: csr_matrix = (operator.T @ diags(weights * weight) @ operator).tocsr()
