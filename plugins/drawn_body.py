@@ -68,7 +68,13 @@ class WoodParameters(Parameters):
     density: float | None = quantity("kg/m^3", low=10.0, high=2e4, default=None, doc="mass per volume")
     loss_L: float | None = quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of E_L")
     loss_R: float | None = quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of E_R")
-    loss_shear: float | None = quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of G_LR")
+    loss_shear: float | None = quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of the shear moduli")
+    G_LT: float | None = quantity(
+        "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="shear modulus through the thickness, along the grain"
+    )
+    G_RT: float | None = quantity(
+        "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="the same across the grain: rolling shear"
+    )
 
     @model_validator(mode="after")
     def _known(self) -> WoodParameters:
@@ -87,7 +93,7 @@ class WoodParameters(Parameters):
 
     def wood(self) -> plate.Wood:
         """Constants of the species with those that are given in their place."""
-        names = ("E_L", "E_R", "G_LR", "nu_LR", "density", "loss_L", "loss_R", "loss_shear")
+        names = ("E_L", "E_R", "G_LR", "nu_LR", "density", "loss_L", "loss_R", "loss_shear", "G_LT", "G_RT")
         base = (
             plate.SPECIES[self.species].wood if self.species else plate.Wood(0.0, 0.0, 0.0, 0.0, 0.0, 0.01, 0.02, 0.02)
         )

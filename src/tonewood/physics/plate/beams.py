@@ -95,13 +95,13 @@ def beam_matrices(
 
     Parameters
     ----------
-    grid, smooth : of w, and of the other fields of the plate.
+    grid, smooth : of u, v and w, and of gamma.
     thickness : m, of the plate, or at the points of `beam_line`.
     shears : whether the plate has the fields gamma.
 
     Returns
     -------
-    two (r + 4M + N, r + 4M + N) matrices, r = `rotations`, (r + 2M + N) without gamma, and one (N, N).
+    two (r + 3N + 2M, r + 3N + 2M) matrices, r = `rotations`, M = 0 without gamma, and one (N, N).
     """
     from scipy.sparse import csr_matrix, diags, eye, hstack, kron
 
@@ -113,13 +113,13 @@ def beam_matrices(
     w_s, w_n = c * w_x + s * w_y, c * w_y - s * w_x
     w_ss = c * c * w_xx + 2 * c * s * w_xy + s * s * w_yy
     w_sn = c * s * (w_yy - w_xx) + (c * c - s * s) * w_xy
-    u_s = c * smooth.at(points, (1, 0)) + s * smooth.at(points, (0, 1))
+    gamma_s = c * smooth.at(points, (1, 0)) + s * smooth.at(points, (0, 1))
     theta, theta_s = (line_functions(place, _parts(grid, beam), grid.degree, order) for order in (0, 1))
     theta_s = csr_matrix(theta_s / beam.length)
     half = diags(np.broadcast_to(below * thickness / 2, place.shape))
-    turned_s = [-half @ (c * u_s), -half @ (s * u_s)] if shears else []
-    strain = hstack([diags(below * height / 2) @ theta_s, c * u_s, s * u_s, *turned_s, half @ w_ss])
-    others = [0.0 * u_s] * (4 if shears else 2)
+    turned_s = [-half @ (c * gamma_s), -half @ (s * gamma_s)] if shears else []
+    strain = hstack([diags(below * height / 2) @ theta_s, c * w_s, s * w_s, *turned_s, half @ w_ss])
+    others = [0.0 * w_s, 0.0 * w_s, *([0.0 * gamma_s] * len(turned_s))]
     bend, twist = hstack([theta_s, *others, 0.0 * w_s]), hstack([0.0 * theta, *others, w_sn])
     # mean over the width, in which the section stays plane
     lines = _across(grid, beam)[1]

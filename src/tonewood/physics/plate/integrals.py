@@ -46,7 +46,7 @@ def integrals(
 
     Parameters
     ----------
-    grids : of each field, the finest last; `quad` is of that one.
+    grids : of each field; their cells are those of `quad`, or twice as large.
     operator : from `Values` of each field, the rows B (..., r, n) with the functions of all fields, in their order.
     factor : of points, for all rows or for each; or a constant, a number or (r,).
     matrices : Q, each (r, r), with which the factor commutes; one sparse matrix is returned for each.
@@ -58,17 +58,18 @@ def integrals(
         if whole and not callable(factor):
             _, chosen, which = np.unique(cell % 2 @ np.array([2, 1]), return_index=True, return_inverse=True)
         for found, element in zip(
-            parts, _elements(grids, (cell[chosen], points[chosen], weights[chosen]), operator, factor, matrices),
+            parts, _elements(grids, quad.grid, (cell[chosen], points[chosen], weights[chosen]), operator, factor, matrices),
             strict=True,
         ):  # fmt: skip
             found.append(element[which])
         cells.append(cell)
     every = np.concatenate(cells)
-    return [_assembled(grids, every, np.concatenate(part)) for part in parts]
+    return [_assembled(grids, quad.grid, every, np.concatenate(part)) for part in parts]
 
 
 def _elements(
     grids: Sequence[SplineGrid],
+    finest: SplineGrid,
     group: tuple[Places, Floats, Floats],
     operator: Callable[..., Floats],
     factor: Factor | Floats | float,
@@ -80,7 +81,7 @@ def _elements(
     for first in range(0, len(cells), _CHUNK):
         some = slice(first, first + _CHUNK)
         cell, x, w = cells[some], points[some], weights[some]
-        ratios = [_ratio(grid, grids[-1]) for grid in grids]
+        ratios = [_ratio(grid, finest) for grid in grids]
         fields = [partial(g.values, cell[:, None, :] // r, x) for g, r in zip(grids, ratios, strict=True)]
         b = operator(*fields)
         f = np.asarray(factor(x) if callable(factor) else factor, dtype=np.float64)
@@ -96,7 +97,7 @@ def _ratio(grid: SplineGrid, finest: SplineGrid) -> int:
     return round(float(grid.size[0] / finest.size[0]))
 
 
-def _assembled(grids: Sequence[SplineGrid], cells: Places, elements: Floats) -> csr_matrix:
+def _assembled(grids: Sequence[SplineGrid], finest: SplineGrid, cells: Places, elements: Floats) -> csr_matrix:
     """Sum of the cells' matrices, fields in their order."""
     from scipy.sparse import bmat, csr_matrix
 
@@ -105,7 +106,7 @@ def _assembled(grids: Sequence[SplineGrid], cells: Places, elements: Floats) -> 
     for i in range(len(grids)):
         for j in range(i, len(grids)):
             part = elements[:, start[i] : start[i] + alive[i], start[j] : start[j] + alive[j]]
-            block = _block(grids[i], grids[j], grids[-1], cells, part)
+            block = _block(grids[i], grids[j], finest, cells, part)
             blocks[i][j], blocks[j][i] = block, block if i == j else block.T
     return csr_matrix(bmat(blocks, format="csr"))
 

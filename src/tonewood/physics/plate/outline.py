@@ -109,10 +109,12 @@ class Quadrature:
     Attributes
     ----------
     groups : (cells (n, 2), points (n, q, 2) in m, weights (n, q) in m^2), weights of unused points 0.
+    grid : of its cells.
     whole : (groups,) whether the cells of a group lie inside, with the same points and weights in each.
     """
 
     groups: tuple[tuple[Places, Floats, Floats], ...]
+    grid: SplineGrid
     whole: tuple[bool, ...]
 
     @property
@@ -159,7 +161,7 @@ def quadrature(grid: SplineGrid, rings: Sequence[Floats], strips: int = 4) -> Qu
         padded = np.array([np.vstack([b, np.tile([*b[0, :2], 0.0], (most - len(b), 1))]) for b in blocks])
         groups.append((np.array(list(found)), padded[..., :2], padded[..., 2]))
         same.append(False)
-    return Quadrature(tuple(groups), tuple(same))
+    return Quadrature(tuple(groups), grid, tuple(same))
 
 
 def _scan(rings: Sequence[Floats], x: float) -> Floats:

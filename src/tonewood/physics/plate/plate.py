@@ -10,8 +10,8 @@ is sought beside w: a thin plate, whose gamma vanishes, is Kirchhoff's, and noth
 makes Kirchhoff's plate, without gamma and without rotary inertia.
 
 The in-plane motion (u, v) of the plate's middle surface is solved for where there are beams, which hang beside that
-surface, and so is the rotation of each beam's sections, which bend and shear; none of these carries mass. w is sought
-on the finest grid, the smoother gamma and (u, v) on one of cells twice as large. The functions
+surface, and so is the rotation of each beam's sections, which bend and shear; none of these carries mass. gamma, which
+is smoother than w, is sought on cells twice as large. The functions
 do not know the outline: it limits the integrals, and the edge is held by springs per length, k_w (N/m^2) against w and
 k_theta (N) against the turn of the fibres across the edge. Along a free edge gamma falls off within a fraction of the
 thickness: functions of its own take that layer (`edge_layer`). Frequencies are upper bounds of those of the plate on its
@@ -170,9 +170,8 @@ class Plate:
             layout.add(f"beam {i}", rotations(self.grid, beam))
         for i, (count, *_) in enumerate(layers):
             layout.add(f"layer {i}", count)
-        for name in [*(("u", "v") if beams else ()), *(("gamma_x", "gamma_y") if wood.shears else ())]:
-            layout.add(name, self.smooth.count)
-        layout.add("w", self.grid.count)
+        for name, count in [*(self._in_plane if beams else []), *self._bending]:
+            layout.add(name, count)
         self._layout = layout
         stiffness, losses, mass = (layout.placed(part, self._bending) for part in self._plate())
         for part, loss, fields in [*self._membrane(), *self._edge(edge)]:
@@ -198,7 +197,7 @@ class Plate:
 
     @property
     def _in_plane(self) -> list[tuple[str, int]]:
-        return [("u", self.smooth.count), ("v", self.smooth.count)]
+        return [("u", self.grid.count), ("v", self.grid.count)]
 
     def thickness(self, points: Floats) -> Floats:
         """(...,) m at points (..., 2)."""
@@ -240,7 +239,7 @@ class Plate:
         """Stiffness and losses in the plane, with a trace of stiffness that holds the plate there."""
         if not self.beams:
             return []
-        grids = [self.smooth, self.smooth]
+        grids = [self.grid, self.grid]
         matrices = [self.wood.stiffness(self.grain), self.wood.losses(self.grain)]
         part, loss = integrals(grids, self.quadrature, _strain, self._given, matrices)
         extent = float(np.ptp(self.rings[0], axis=0).max())
@@ -374,7 +373,7 @@ class Plate:
         lossy = edge.loss * springs if np.isfinite(edge.k_w) and np.isfinite(edge.k_theta) else 0.0 * springs
         found = [(springs, lossy, self._bending)]
         if self.beams and edge.k_in_plane:
-            held = edge.k_in_plane * (coarse.T @ along @ coarse)
+            held = edge.k_in_plane * line_mass
             found += [(held, edge.loss * held, [field]) for field in self._in_plane]
         return found
 
