@@ -70,9 +70,9 @@ def cavity_modes(outline: Floats, depth: float, fmax: float, size: float = 0.02)
     grid = SplineGrid.over(outline, size)
     quad = quadrature(grid, [outline])
     (stiffness,) = integrals(
-        [grid], quad, lambda psi: np.stack([psi((1, 0)), psi((0, 1))], axis=-2), 1.0, [np.eye(2)]
+        1, quad, lambda psi: np.stack([psi((1, 0)), psi((0, 1))], axis=-2), 1.0, [np.eye(2)]
     )
-    (mass,) = integrals([grid], quad, displacement, 1.0, [np.eye(1)])
+    (mass,) = integrals(1, quad, displacement, 1.0, [np.eye(1)])
     diagonal = mass.diagonal()
     keep = np.flatnonzero(diagonal > 1e-9 * diagonal.max())
     scale = 1 / np.sqrt(diagonal[keep])

@@ -89,19 +89,18 @@ def line(start: Floats, stop: Floats, parts: int, order: int = 3) -> tuple[Float
 
 
 def beam_matrices(
-    grid: SplineGrid, smooth: SplineGrid, beam: Beam, thickness: Floats | float, shears: bool
+    grid: SplineGrid, beam: Beam, thickness: Floats | float, shears: bool
 ) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
     """Stiffness and losses of one beam in the fields (theta, u, v, gamma_x, gamma_y, w), and mass (N, N) of w.
 
     Parameters
     ----------
-    grid, smooth : of u, v and w, and of gamma.
     thickness : m, of the plate, or at the points of `beam_line`.
     shears : whether the plate has the fields gamma.
 
     Returns
     -------
-    two (r + 3N + 2M, r + 3N + 2M) matrices, r = `rotations`, M = 0 without gamma, and one (N, N).
+    two (r + 5N, r + 5N) matrices, r = `rotations`, (r + 3N) without gamma, and one (N, N).
     """
     from scipy.sparse import csr_matrix, diags, eye, hstack, kron
 
@@ -113,13 +112,12 @@ def beam_matrices(
     w_s, w_n = c * w_x + s * w_y, c * w_y - s * w_x
     w_ss = c * c * w_xx + 2 * c * s * w_xy + s * s * w_yy
     w_sn = c * s * (w_yy - w_xx) + (c * c - s * s) * w_xy
-    gamma_s = c * smooth.at(points, (1, 0)) + s * smooth.at(points, (0, 1))
     theta, theta_s = (line_functions(place, _parts(grid, beam), grid.degree, order) for order in (0, 1))
     theta_s = csr_matrix(theta_s / beam.length)
     half = diags(np.broadcast_to(below * thickness / 2, place.shape))
-    turned_s = [-half @ (c * gamma_s), -half @ (s * gamma_s)] if shears else []
+    turned_s = [-half @ (c * w_s), -half @ (s * w_s)] if shears else []
     strain = hstack([diags(below * height / 2) @ theta_s, c * w_s, s * w_s, *turned_s, half @ w_ss])
-    others = [0.0 * w_s, 0.0 * w_s, *([0.0 * gamma_s] * len(turned_s))]
+    others = [0.0 * w_s] * (2 + len(turned_s))
     bend, twist = hstack([theta_s, *others, 0.0 * w_s]), hstack([0.0 * theta, *others, w_sn])
     # mean over the width, in which the section stays plane
     lines = _across(grid, beam)[1]

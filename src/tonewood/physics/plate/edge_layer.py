@@ -34,10 +34,10 @@ Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
 
 #: breaks of the integrals, in units of delta; the layer ends at the last
-_BREAKS = np.array([0.0, 1.0, 3.0, 7.0, 14.0])
+_BREAKS = np.array([0.0, 1.5, 5.0, 12.0])
 #: rad, a vertex that turns by more is a corner
 _CORNER = np.radians(25.0)
-#: largest depth of a layer, of the smaller extent of its ring
+#: largest depth of a layer, as a share of the smaller extent of its ring
 _DEEPEST = 0.45
 
 
@@ -50,7 +50,6 @@ class _Side:
     points : (n + 1, 2) m.
     left : whether the plate lies to the left of it.
     delta : (n,) m, of each segment.
-    deepest : m, largest depth of the layer.
     parts, degree : number of cells of g, and its degree.
     first : number of its first function.
     """
@@ -58,7 +57,6 @@ class _Side:
     points: Floats
     left: bool
     delta: Floats
-    deepest: float
     parts: int
     degree: int
     first: int
@@ -87,7 +85,6 @@ class _Side:
 
 def layer_matrices(
     grid: SplineGrid,
-    smooth: SplineGrid,
     ring: Floats,
     outer: bool,
     wood: Wood,
@@ -99,7 +96,7 @@ def layer_matrices(
 
     Parameters
     ----------
-    grid, smooth : of w, and of gamma.
+    grid : of w and gamma.
     ring : (n, 2) m, free edge of the plate.
     outer : whether the plate lies inside of it.
     thickness : m, of points.
@@ -117,7 +114,7 @@ def layer_matrices(
         for j, row in _neighbours(sides, i, points, count):
             if j > i:  # each pair of sides once
                 near = [a + 2 * b for a, b in zip(near, row, strict=True)]
-        plate = _plate_rows(grid, smooth, points)
+        plate = _plate_rows(grid, points)
         left = [hstack([a, 0.0 * b]).tocsr() for a, b in zip(mine, plate, strict=True)]
         right = [hstack([0.5 * a, b]).tocsr() for a, b in zip(near, plate, strict=True)]
         h = thickness(points)
@@ -174,8 +171,9 @@ def _sides(
         delta = np.array([_depth(wood, grain - a, shear_factor) for a in np.arctan2(t[:, 1], t[:, 0])]) * thickness(middle)
         length = float(np.hypot(*t.T).sum())
         first = out[-1].first + out[-1].count if out else 0
-        deepest = _DEEPEST * float(np.ptp(ring, axis=0).min())
-        out.append(_Side(points, left, delta, deepest, max(2, int(np.ceil(length / grid.size.max()))), grid.degree, first))
+        # the cells resolve a wider layer by themselves
+        delta = np.minimum(delta, _DEEPEST * float(np.ptp(ring, axis=0).min()) / _BREAKS[-1])
+        out.append(_Side(points, left, delta, max(2, int(np.ceil(length / grid.size.max()))), grid.degree, first))
     return out
 
 
@@ -210,11 +208,9 @@ def _strip(side: _Side, before: float, after: float) -> tuple[Floats, Floats, Pl
     at = side.points[segment] + (s - starts[segment])[:, None] * side.tangents[segment]
     deep = delta[:, None] * d
     points = at[:, None] + deep[..., None] * side.normals[segment][:, None]
-    weights = np.where(deep < side.deepest, ws[:, None] * delta[:, None] * wd, 0.0)
-    used = weights.ravel() > 0
+    weights = ws[:, None] * delta[:, None] * wd
     n = len(d)
-    return (points.reshape(-1, 2)[used], weights.ravel()[used], np.repeat(segment, n)[used],
-            np.repeat(s / length, n)[used], np.tile(d, len(s))[used])  # fmt: skip
+    return points.reshape(-1, 2), weights.ravel(), np.repeat(segment, n), np.repeat(s / length, n), np.tile(d, len(s))
 
 
 def _rows(side: _Side, segment: Places, place: Floats, depth: Floats, count: int) -> list[csr_matrix]:
@@ -250,20 +246,20 @@ def _neighbours(sides: list[_Side], i: int, points: Floats, count: int) -> list[
         length = float(side.starts[-1])
         s = (points - corner) @ t + (0.0 if at_start else length)
         d = (points - corner) @ n / delta
-        near = (s >= 0) & (s <= length) & (d >= 0) & (d <= _BREAKS[-1]) & (d * delta < side.deepest)
+        near = (s >= 0) & (s <= length) & (d >= 0) & (d <= _BREAKS[-1])
         rows = _rows(side, np.full(len(points), end), np.clip(s / length, 0.0, 1.0), np.where(near, d, 0.0), count)
         only = diags(near.astype(np.float64))
         found.append((j, [only @ row for row in rows]))
     return found
 
 
-def _plate_rows(grid: SplineGrid, smooth: SplineGrid, points: Floats) -> list[csr_matrix]:
+def _plate_rows(grid: SplineGrid, points: Floats) -> list[csr_matrix]:
     """The same rows of the functions of gamma_x, gamma_y and w."""
-    from scipy.sparse import hstack
+    from scipy.sparse import csr_matrix, hstack
 
-    value, x, y = (smooth.at(points, order) for order in ((0, 0), (1, 0), (0, 1)))
-    w_x, w_y, w_xx, w_xy, w_yy = (grid.at(points, d) for d in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2)))
-    none, still = 0.0 * value, 0.0 * w_x
-    rows = [(-x, none, w_xx), (none, -y, w_yy), (-y, -x, 2 * w_xy), (value, none, still), (none, value, still),
-            (-value, none, w_x), (none, -value, w_y)]  # fmt: skip
+    value, x, y = (grid.at(points, order) for order in ((0, 0), (1, 0), (0, 1)))
+    xx, xy, yy = (grid.at(points, order) for order in ((2, 0), (1, 1), (0, 2)))
+    none = csr_matrix(value.shape)
+    rows = [(-x, none, xx), (none, -y, yy), (-y, -x, 2 * xy), (value, none, none), (none, value, none),
+            (-value, none, x), (none, -value, y)]  # fmt: skip
     return [hstack(row).tocsr() for row in rows]

@@ -10,8 +10,7 @@ is sought beside w: a thin plate, whose gamma vanishes, is Kirchhoff's, and noth
 makes Kirchhoff's plate, without gamma and without rotary inertia.
 
 The in-plane motion (u, v) of the plate's middle surface is solved for where there are beams, which hang beside that
-surface, and so is the rotation of each beam's sections, which bend and shear; none of these carries mass. gamma, which
-is smoother than w, is sought on cells twice as large. The functions
+surface, and so is the rotation of each beam's sections, which bend and shear; none of these carries mass. The functions
 do not know the outline: it limits the integrals, and the edge is held by springs per length, k_w (N/m^2) against w and
 k_theta (N) against the turn of the fibres across the edge. Along a free edge gamma falls off within a fraction of the
 thickness: functions of its own take that layer (`edge_layer`). Frequencies are upper bounds of those of the plate on its
@@ -34,7 +33,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.physics.plate.beams import Beam, beam_line, beam_matrices, line, rotations
+from tonewood.physics.plate.beams import Beam, beam_line, beam_matrices, rotations
 from tonewood.physics.plate.edge_layer import layer_matrices
 from tonewood.physics.plate.integrals import Values, displacement, integrals
 from tonewood.physics.plate.lanczos import lowest
@@ -53,6 +52,8 @@ Thickness = Callable[[Floats], Floats]
 
 #: functions whose energy is below this share of the largest hardly touch the plate and are left out
 _LEAST = 1e-9
+#: share of its diagonal by which the stiffness in the plane is raised, against rigid motion
+_TRACE = 1e-9
 #: shear factor of a rectangular section
 SHEAR_FACTOR = 5 / 6
 #: stiff springs that stand for a clamped or hinged edge, in units of D / size^3 and D / size
@@ -162,7 +163,6 @@ class Plate:
         self._given = thickness
         self.grain, self.shear_factor = grain, shear_factor
         self.grid = SplineGrid.over(rings[0], size, degree)
-        self.smooth = self.grid.coarser()
         self.quadrature = quadrature(self.grid, rings)
         layers = self._layers(edge)
         layout = _Layout()
@@ -179,7 +179,7 @@ class Plate:
         for i, beam in enumerate(beams):
             points, _, _ = beam_line(self.grid, beam)
             fields = [(f"beam {i}", rotations(self.grid, beam)), *self._in_plane, *self._bending]
-            part, loss, inertia = beam_matrices(self.grid, self.smooth, beam, self.thickness(points), wood.shears)
+            part, loss, inertia = beam_matrices(self.grid, beam, self.thickness(points), wood.shears)
             stiffness, losses = stiffness + layout.placed(part, fields), losses + layout.placed(loss, fields)
             mass = mass + layout.placed(inertia, [("w", self.grid.count)])
         for k, (_, part, loss, inertia, fields) in enumerate(layers):
@@ -192,7 +192,7 @@ class Plate:
 
     @property
     def _bending(self) -> list[tuple[str, int]]:
-        rotation = [(name, self.smooth.count) for name in ("gamma_x", "gamma_y")] if self.wood.shears else []
+        rotation = [(name, self.grid.count) for name in ("gamma_x", "gamma_y")] if self.wood.shears else []
         return [*rotation, ("w", self.grid.count)]
 
     @property
@@ -220,8 +220,8 @@ class Plate:
         if not wood.shears:
             cubed = (lambda x: thickness(x) ** 3 / 12) if callable(thickness) else thickness**3 / 12
             heavy = (lambda x: wood.density * thickness(x)) if callable(thickness) else wood.density * thickness
-            mass = integrals([self.grid], self.quadrature, displacement, heavy, [np.eye(1)])
-            return [*integrals([self.grid], self.quadrature, _curvature, cubed, bend), *mass]
+            mass = integrals(1, self.quadrature, displacement, heavy, [np.eye(1)])
+            return [*integrals(1, self.quadrature, _curvature, cubed, bend), *mass]
         shear = self.shear_factor * wood.transverse(grain)
         both = [_block(bend[0], shear), _block(bend[1], wood.loss_shear * shear)]
 
@@ -231,21 +231,18 @@ class Plate:
         def factor(powers: Sequence[int]) -> Thickness | Floats:
             return (lambda x: factors(thickness(x), powers)) if callable(thickness) else factors(thickness, powers)
 
-        grids = [self.smooth, self.smooth, self.grid]
-        stiffness = integrals(grids, self.quadrature, _bending, factor((3, 3, 3, 1, 1)), both)
-        return [*stiffness, *integrals(grids, self.quadrature, _motion, factor((3, 3, 1)), [wood.density * np.eye(3)])]
+        stiffness = integrals(3, self.quadrature, _bending, factor((3, 3, 3, 1, 1)), both)
+        return [*stiffness, *integrals(3, self.quadrature, _motion, factor((3, 3, 1)), [wood.density * np.eye(3)])]
 
     def _membrane(self) -> list[tuple[csr_matrix, csr_matrix, list[tuple[str, int]]]]:
         """Stiffness and losses in the plane, with a trace of stiffness that holds the plate there."""
+        from scipy.sparse import diags
+
         if not self.beams:
             return []
-        grids = [self.grid, self.grid]
         matrices = [self.wood.stiffness(self.grain), self.wood.losses(self.grain)]
-        part, loss = integrals(grids, self.quadrature, _strain, self._given, matrices)
-        extent = float(np.ptp(self.rings[0], axis=0).max())
-        weak = 1e-6 * self.wood.E_R * float(np.max(self.thickness(self.rings[0]))) / extent**2
-        (trace,) = integrals(grids, self.quadrature, _both, weak, [np.eye(2)])
-        return [(part + trace, loss, self._in_plane)]
+        part, loss = integrals(2, self.quadrature, _strain, self._given, matrices)
+        return [(part + diags(_TRACE * part.diagonal()), loss, self._in_plane)]
 
     def _layers(self, edge: Edge) -> list[tuple[int, csr_matrix, csr_matrix, csr_matrix, list[tuple[str, int]]]]:
         """Layers of gamma along free edges: the outline's where nothing holds it, and those of the holes."""
@@ -256,7 +253,7 @@ class Plate:
         found = []
         for ring, around in [(ring, k == 0) for k, ring in enumerate(self.rings) if k or outer]:
             parts = layer_matrices(
-                self.grid, self.smooth, ring, around, self.wood, self.grain, self.shear_factor, self.thickness
+                self.grid, ring, around, self.wood, self.grain, self.shear_factor, self.thickness
             )
             count = parts[0].shape[0] - known
             found.append((count, *parts, [("layer", count), *self._bending]))
@@ -355,12 +352,14 @@ class Plate:
         k_w = STIFF * rigidity / size**3 if np.isinf(edge.k_w) else edge.k_w
         k_theta = STIFF * rigidity / size if np.isinf(edge.k_theta) else edge.k_theta
         ring = refined(self.rings[0], size / 4)
-        sides = [(a, b, *line(a, b, 1)[:2]) for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True)]
-        points, weights = (np.concatenate([side[i] for side in sides]) for i in (2, 3))
-        tangent = np.repeat([(b - a) / np.hypot(*(b - a)) for a, b, _, _ in sides], 3, axis=0)
-        value, coarse = self.grid.at(points), self.smooth.at(points)
+        step = np.roll(ring, -1, axis=0) - ring
+        length = np.hypot(*step.T)
+        g, w = np.polynomial.legendre.leggauss(3)
+        points = (ring[:, None] + step[:, None] * (g[:, None] + 1) / 2).reshape(-1, 2)
+        weights, tangent = np.outer(length, w / 2).ravel(), np.repeat(step / length[:, None], 3, axis=0)
+        value = self.grid.at(points)
         w_n = diags(tangent[:, 1]) @ self.grid.at(points, (1, 0)) - diags(tangent[:, 0]) @ self.grid.at(points, (0, 1))
-        t_x, t_y, along = diags(tangent[:, 0]) @ coarse, diags(tangent[:, 1]) @ coarse, diags(weights)
+        t_x, t_y, along = diags(tangent[:, 0]) @ value, diags(tangent[:, 1]) @ value, diags(weights)
         turn = hstack([-t_y, t_x, w_n]).tocsr() if self.wood.shears else w_n
         springs = k_theta * (turn.T @ along @ turn)
         line_mass = value.T @ along @ value
@@ -383,18 +382,19 @@ class Plate:
 
         if not self.wood.shears:
             return matrix
-        none = csr_matrix((2 * self.smooth.count, 2 * self.smooth.count))
+        none = csr_matrix((2 * self.grid.count, 2 * self.grid.count))
         return csr_matrix(block_diag([none, matrix]))
 
 
 def cell_size(wood: Wood, thickness: float, fmax: float) -> float:
-    """Size of cells (m) for modes up to `fmax` (Hz): 0.23 of the wavelength across the grain, at most 20 mm.
+    """Size of cells (m) for modes up to `fmax` (Hz): 0.28 of the wavelength across the grain, at most 20 mm.
 
-    A bare plate needs no more than 0.3; braces, whose forces bend the plate sharply, converge more slowly.
+    The wavelength is that of a plate that does not shear. A bare plate needs no more; a braced one converges slowly, as
+    braces bend and shear the plate sharply.
     """
     rigidity = wood.stiffness()[1, 1] * thickness**3 / 12
     wavelength = 2 * np.pi * (rigidity / (wood.density * thickness)) ** 0.25 / np.sqrt(2 * np.pi * fmax)
-    return float(min(0.23 * wavelength, 0.02))
+    return float(min(0.28 * wavelength, 0.02))
 
 
 def _block(first: Floats, second: Floats) -> Floats:
@@ -430,9 +430,3 @@ def _strain(u: Values, v: Values) -> Floats:
     none = np.zeros_like(x)
     rows = [np.concatenate(pair, axis=-1) for pair in ((x, none), (none, y), (y, x))]
     return np.stack(rows, axis=-2)
-
-
-def _both(u: Values, v: Values) -> Floats:
-    value = u((0, 0))
-    none = np.zeros_like(value)
-    return np.stack([np.concatenate(pair, axis=-1) for pair in ((value, none), (none, value))], axis=-2)

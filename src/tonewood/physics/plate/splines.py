@@ -67,10 +67,6 @@ class SplineGrid:
         cells = np.maximum(1, np.round((high - low) / size)).astype(np.intp)
         return cls(low, (high - low) / cells, cells, degree)
 
-    def coarser(self) -> SplineGrid:
-        """Grid of cells twice as large, each of which holds four of this grid's."""
-        return SplineGrid(self.low, 2 * self.size, -(-self.cells // 2), self.degree)
-
     @property
     def count(self) -> int:
         """Number of functions, (n_x + p) (n_y + p)."""
