@@ -102,7 +102,7 @@ def beam_matrices(
     -------
     two (r + 5N, r + 5N) matrices, r = `rotations`, (r + 3N) without gamma, and one (N, N).
     """
-    from scipy.sparse import csr_matrix, diags, eye, hstack, kron
+    from scipy.sparse import csr_matrix, diags, eye, hstack, kron, vstack
 
     points, weights, place = beam_line(grid, beam)
     c, s = (beam.stop - beam.start) / beam.length
@@ -124,20 +124,18 @@ def beam_matrices(
     mean = kron(np.outer(np.ones(len(lines)), lines), eye(len(place) // len(lines)))
     shear = hstack([-theta, *others, csr_matrix(mean @ w_s)])
 
-    def integral(weight: Floats, operator: csr_matrix) -> csr_matrix:
-        product: csr_matrix = (operator.T @ diags(weights * weight) @ operator).tocsr()
-        return product
+    long = [wood.E_L * b * height, wood.E_L * b * height**3 / 12]
+    cross = [wood.G_LR * torsion_constant(b, height), _SHEAR * wood.G_LR * b * height]
+    rows = vstack([strain, bend, twist, shear]).tocsr()
 
-    stretched = integral(wood.E_L * b * height, strain) + integral(wood.E_L * b * height**3 / 12, bend)
-    turned = integral(wood.G_LR * torsion_constant(b, height), twist)
-    sheared: csr_matrix = turned + integral(_SHEAR * wood.G_LR * b * height, shear)
+    def integral(factors: list[Floats], operator: csr_matrix) -> csr_matrix:
+        return csr_matrix(operator.T @ diags(np.concatenate([weights * f for f in factors])) @ operator)
+
     m, offset = wood.density * b * height, (height + thickness) / 2
-    mass = (
-        integral(m, grid.at(points))
-        + integral(m * (height**2 / 12 + offset**2), w_s)
-        + integral(m * (height**2 / 12 + offset**2), w_n)
-    )
-    return stretched + sheared, wood.loss_L * stretched + wood.loss_shear * sheared, mass
+    turning = m * (height**2 / 12 + offset**2)
+    mass = integral([m, turning, turning], vstack([grid.at(points), w_s, w_n]).tocsr())
+    lost = [*(wood.loss_L * f for f in long), *(wood.loss_shear * f for f in cross)]
+    return integral([*long, *cross], rows), integral(lost, rows), mass
 
 
 def rotations(grid: SplineGrid, beam: Beam) -> int:

@@ -25,7 +25,7 @@ gamma beside w: R. Echter, B. Oesterle and M. Bischoff, Comput. Methods Appl. Me
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
+#: name and number of unknowns
+Field = tuple[str, int]
 #: thickness (m) at points (..., 2)
 Thickness = Callable[[Floats], Floats]
 
@@ -105,8 +107,8 @@ class PlateModes:
         return np.asarray(self.plate.operator(points, order) @ self.vectors)
 
 
-class _Layout:
-    """Places of the unknowns: rotations of beams, edge layers, u and v, gamma, and w last.
+class _Sum:
+    """A matrix of all unknowns as a sum of parts: beams' rotations, edge layers, u and v, gamma, and w last.
 
     Attributes
     ----------
@@ -114,20 +116,24 @@ class _Layout:
     slots : name -> first unknown of a field.
     """
 
-    def __init__(self) -> None:
-        self.size, self.slots = 0, dict[str, int]()
+    def __init__(self, fields: Sequence[Field]):
+        counts = [count for _, count in fields]
+        starts = np.concatenate([[0], np.cumsum(counts)])
+        self.size, self.slots = int(starts[-1]), dict(zip((name for name, _ in fields), map(int, starts), strict=False))
+        self._parts: list[tuple[Floats, Places, Places]] = []
 
-    def add(self, name: str, count: int) -> None:
-        self.slots[name] = self.size
-        self.size += count
-
-    def placed(self, part: csr_matrix, fields: Sequence[tuple[str, int]]) -> csr_matrix:
-        """Matrix of all unknowns from one of some fields (name, count), in their order there."""
-        from scipy.sparse import csr_matrix
-
+    def add(self, part: csr_matrix, fields: Sequence[Field]) -> None:
+        """Add a matrix of some fields, in their order there."""
         index = np.concatenate([self.slots[name] + np.arange(count) for name, count in fields])
         coo = part.tocoo()
-        return csr_matrix((coo.data, (index[coo.row], index[coo.col])), shape=(self.size, self.size))
+        self._parts.append((coo.data, index[coo.row], index[coo.col]))
+
+    def total(self) -> csr_matrix:
+        """The sum."""
+        from scipy.sparse import csr_matrix
+
+        data, rows, columns = (np.concatenate(arrays) for arrays in zip(*self._parts, strict=True))
+        return csr_matrix((data, (rows, columns)), shape=(self.size, self.size))
 
 
 class Plate:
@@ -165,53 +171,41 @@ class Plate:
         self.grid = SplineGrid.over(rings[0], size, degree)
         self.quadrature = quadrature(self.grid, rings)
         layers = self._layers(edge)
-        layout = _Layout()
-        for i, beam in enumerate(beams):
-            layout.add(f"beam {i}", rotations(self.grid, beam))
-        for i, (count, *_) in enumerate(layers):
-            layout.add(f"layer {i}", count)
-        for name, count in [*(self._in_plane if beams else []), *self._bending]:
-            layout.add(name, count)
-        self._layout = layout
-        stiffness, losses, mass = (layout.placed(part, self._bending) for part in self._plate())
-        for part, loss, fields in [*self._membrane(), *self._edge(edge)]:
-            stiffness, losses = stiffness + layout.placed(part, fields), losses + layout.placed(loss, fields)
-        for i, beam in enumerate(beams):
+        turns = [(f"beam {i}", rotations(self.grid, beam)) for i, beam in enumerate(beams)]
+        in_plane = self._in_plane if beams else []
+        fields = [*turns, *(fields[0] for _, _, _, fields in layers), *in_plane, *self._bending]
+        stiffness, losses, mass = sums = [_Sum(fields) for _ in range(3)]
+        for part, matrix in zip(sums, self._plate(), strict=True):
+            part.add(matrix, self._bending)
+        for *matrices, own in layers:
+            for part, matrix in zip(sums, matrices, strict=True):
+                part.add(matrix, own)
+        for matrix, lossy, own in [*self._membrane(), *self._edge(edge)]:
+            stiffness.add(matrix, own)
+            losses.add(lossy, own)
+        for turn, beam in zip(turns, beams, strict=True):
             points, _, _ = beam_line(self.grid, beam)
-            fields = [(f"beam {i}", rotations(self.grid, beam)), *self._in_plane, *self._bending]
-            part, loss, inertia = beam_matrices(self.grid, beam, self.thickness(points), wood.shears)
-            stiffness, losses = stiffness + layout.placed(part, fields), losses + layout.placed(loss, fields)
-            mass = mass + layout.placed(inertia, [("w", self.grid.count)])
-        for k, (_, part, loss, inertia, fields) in enumerate(layers):
-            named = [(f"layer {k}" if name == "layer" else name, count) for name, count in fields]
-            stiffness, losses = stiffness + layout.placed(part, named), losses + layout.placed(loss, named)
-            mass = mass + layout.placed(inertia, named)
-        keep = self._kept(stiffness.diagonal(), mass.diagonal())
-        self._keep = keep[keep >= layout.slots["w"]] - layout.slots["w"]
-        self._stiffness, self._losses, self._mass = (m.tocsr()[keep][:, keep].tocsc() for m in (stiffness, losses, mass))
+            matrix, lossy, inertia = beam_matrices(self.grid, beam, self.thickness(points), wood.shears)
+            stiffness.add(matrix, [turn, *self._in_plane, *self._bending])
+            losses.add(lossy, [turn, *self._in_plane, *self._bending])
+            mass.add(inertia, self._bending[-1:])
+        totals = [part.total() for part in sums]
+        keep = _kept(totals[0].diagonal(), totals[2].diagonal(), stiffness.slots, [*in_plane, *self._bending])
+        self._keep = keep[keep >= stiffness.slots["w"]] - stiffness.slots["w"]
+        self._stiffness, self._losses, self._mass = (m[keep][:, keep].tocsc() for m in totals)
 
     @property
-    def _bending(self) -> list[tuple[str, int]]:
+    def _bending(self) -> list[Field]:
         rotation = [(name, self.grid.count) for name in ("gamma_x", "gamma_y")] if self.wood.shears else []
         return [*rotation, ("w", self.grid.count)]
 
     @property
-    def _in_plane(self) -> list[tuple[str, int]]:
+    def _in_plane(self) -> list[Field]:
         return [("u", self.grid.count), ("v", self.grid.count)]
 
     def thickness(self, points: Floats) -> Floats:
         """(...,) m at points (..., 2)."""
         return self._given(points) if callable(self._given) else np.full(points.shape[:-1], self._given)
-
-    def _kept(self, stiffness: Floats, mass: Floats) -> Places:
-        """Unknowns whose functions touch the plate, by their energy beside that of others of their field."""
-        slots = self._layout.slots
-        keep = [np.arange(min(slots.get(name, self._layout.size) for name in ("u", "gamma_x", "w")))]
-        for name, count in [*(self._in_plane if self.beams else []), *self._bending]:
-            some = slice(slots[name], slots[name] + count)
-            share = (mass if name == "w" else stiffness)[some]
-            keep.append(slots[name] + np.flatnonzero(share > _LEAST * share.max()))
-        return np.concatenate(keep)
 
     def _plate(self) -> list[csr_matrix]:
         """Stiffness, losses and mass of the bare plate, of gamma and w."""
@@ -234,7 +228,7 @@ class Plate:
         stiffness = integrals(3, self.quadrature, _bending, factor((3, 3, 3, 1, 1)), both)
         return [*stiffness, *integrals(3, self.quadrature, _motion, factor((3, 3, 1)), [wood.density * np.eye(3)])]
 
-    def _membrane(self) -> list[tuple[csr_matrix, csr_matrix, list[tuple[str, int]]]]:
+    def _membrane(self) -> list[tuple[csr_matrix, csr_matrix, list[Field]]]:
         """Stiffness and losses in the plane, with a trace of stiffness that holds the plate there."""
         from scipy.sparse import diags
 
@@ -244,19 +238,19 @@ class Plate:
         part, loss = integrals(2, self.quadrature, _strain, self._given, matrices)
         return [(part + diags(_TRACE * part.diagonal()), loss, self._in_plane)]
 
-    def _layers(self, edge: Edge) -> list[tuple[int, csr_matrix, csr_matrix, csr_matrix, list[tuple[str, int]]]]:
+    def _layers(self, edge: Edge) -> list[tuple[csr_matrix, csr_matrix, csr_matrix, list[Field]]]:
         """Layers of gamma along free edges: the outline's where nothing holds it, and those of the holes."""
         if not self.wood.shears:
             return []
         outer = not (edge.k_w or edge.k_theta)
         known = sum(count for _, count in self._bending)
-        found = []
+        found: list[tuple[csr_matrix, csr_matrix, csr_matrix, list[Field]]] = []
         for ring, around in [(ring, k == 0) for k, ring in enumerate(self.rings) if k or outer]:
             parts = layer_matrices(
                 self.grid, ring, around, self.wood, self.grain, self.shear_factor, self.thickness
             )
-            count = parts[0].shape[0] - known
-            found.append((count, *parts, [("layer", count), *self._bending]))
+            own = (f"layer {len(found)}", parts[0].shape[0] - known)
+            found.append((*parts, [own, *self._bending]))
         return found
 
     @property
@@ -338,7 +332,7 @@ class Plate:
 
         return (diags(self._scale) @ matrix @ diags(self._scale)).tocsc()
 
-    def _edge(self, edge: Edge) -> list[tuple[csr_matrix, csr_matrix, list[tuple[str, int]]]]:
+    def _edge(self, edge: Edge) -> list[tuple[csr_matrix, csr_matrix, list[Field]]]:
         """Stiffness and losses of the springs on the outline.
 
         An edge that does not move keeps its fibres from turning along it, too: there gamma has no part along the edge.
@@ -387,14 +381,23 @@ class Plate:
 
 
 def cell_size(wood: Wood, thickness: float, fmax: float) -> float:
-    """Size of cells (m) for modes up to `fmax` (Hz): 0.28 of the wavelength across the grain, at most 20 mm.
+    """Size of cells (m) for modes up to `fmax` (Hz): 0.3 of the wavelength across the grain, at most 20 mm.
 
     The wavelength is that of a plate that does not shear. A bare plate needs no more; a braced one converges slowly, as
     braces bend and shear the plate sharply.
     """
     rigidity = wood.stiffness()[1, 1] * thickness**3 / 12
     wavelength = 2 * np.pi * (rigidity / (wood.density * thickness)) ** 0.25 / np.sqrt(2 * np.pi * fmax)
-    return float(min(0.28 * wavelength, 0.02))
+    return float(min(0.3 * wavelength, 0.02))
+
+
+def _kept(stiffness: Floats, mass: Floats, slots: Mapping[str, int], fields: Sequence[Field]) -> Places:
+    """Unknowns whose functions touch the plate, by their energy beside that of others of their field."""
+    keep = [np.arange(slots[fields[0][0]])]
+    for name, count in fields:
+        share = (mass if name == "w" else stiffness)[slots[name] : slots[name] + count]
+        keep.append(slots[name] + np.flatnonzero(share > _LEAST * share.max()))
+    return np.concatenate(keep)
 
 
 def _block(first: Floats, second: Floats) -> Floats:

