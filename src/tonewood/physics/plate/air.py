@@ -69,9 +69,7 @@ def cavity_modes(outline: Floats, depth: float, fmax: float, size: float = 0.02)
 
     grid = SplineGrid.over(outline, size)
     quad = quadrature(grid, [outline])
-    (stiffness,) = integrals(
-        1, quad, lambda psi: np.stack([psi((1, 0)), psi((0, 1))], axis=-2), 1.0, [np.eye(2)]
-    )
+    (stiffness,) = integrals(1, quad, lambda psi: np.stack([psi((1, 0)), psi((0, 1))], axis=-2), 1.0, [np.eye(2)])
     (mass,) = integrals(1, quad, displacement, 1.0, [np.eye(1)])
     diagonal = mass.diagonal()
     keep = np.flatnonzero(diagonal > 1e-9 * diagonal.max())

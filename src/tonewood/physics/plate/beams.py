@@ -1,8 +1,8 @@
 """Braces and bridges: beams on a strip of the plate, whose energies are integrals of the plate's displacement.
 
 With s along the line, n across it, (u, w) the motion of the plate's middle surface along s and out of its plane, H the
-plate's thickness, beta = w_s - gamma the turn of its fibres, h the beam's height (below the plate), b its width and theta(s)
-the rotation of its section,
+plate's thickness, beta = w_s - gamma the turn of its fibres, h the beam's height (below the plate), b its width and
+theta(s) the rotation of its section,
 
     2 U = int EA eps^2 + EI theta_s^2 + k GA (mean w_s - theta)^2 + GJ w_sn^2 ds,   eps = u_s + H/2 beta_s + h/2 theta_s
     2 T = int m w'^2 + m (h^2/12 + e^2) (w_s'^2 + w_n'^2) ds,                       e = (H + h) / 2

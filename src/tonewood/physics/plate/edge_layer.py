@@ -6,8 +6,8 @@ the edge falls off from it as exp(-d / delta), d the distance from the edge,
     delta = sqrt(h^2 G_tn / (12 k G_tz)),
 
 0.32 h of an isotropic plate. Cells are much wider; so gamma_t = g(s) exp(-d / delta) is sought besides, g a spline of
-the place s on the edge. It is Saint-Venant's correction of a strip in torsion, J = b h^3 / 3 (1 - 2 delta / b): it lowers
-the first mode of a free top 217 mm wide and 4 mm thick by 0.6 %.
+the place s on the edge. It is Saint-Venant's correction of a strip in torsion, J = b h^3 / 3 (1 - 2 delta / b): it
+lowers the first mode of a free top 217 mm wide and 4 mm thick by 0.6 %.
 
 Sides between corners have functions of their own; in a corner the layers of both sides overlap. The curvature of a side
 is left out.
@@ -108,7 +108,9 @@ def layer_matrices(
     shear = shear_factor * wood.transverse(grain)
     total: list[csr_matrix] = []
     for i, side in enumerate(sides):
-        points, weights, segment, place, depth = _strip(side, sides[i - 1].delta[-1], sides[(i + 1) % len(sides)].delta[0])
+        points, weights, segment, place, depth = _strip(
+            side, sides[i - 1].delta[-1], sides[(i + 1) % len(sides)].delta[0]
+        )
         mine = _rows(side, segment, place, depth, count)
         near = list(mine)
         for j, row in _neighbours(sides, i, points, count):
@@ -168,7 +170,9 @@ def _sides(
         number = (stop - start) % len(ring) or len(ring)
         points = ring[(start + np.arange(number + 1)) % len(ring)]
         middle, t = (points[1:] + points[:-1]) / 2, np.diff(points, axis=0)
-        delta = np.array([_depth(wood, grain - a, shear_factor) for a in np.arctan2(t[:, 1], t[:, 0])]) * thickness(middle)
+        delta = np.array([_depth(wood, grain - a, shear_factor) for a in np.arctan2(t[:, 1], t[:, 0])]) * thickness(
+            middle
+        )
         length = float(np.hypot(*t.T).sum())
         first = out[-1].first + out[-1].count if out else 0
         # the cells resolve a wider layer by themselves
@@ -235,7 +239,7 @@ def _neighbours(sides: list[_Side], i: int, points: Floats, count: int) -> list[
     """Rows of the layers of the sides that meet side i in a corner, at points of its own layer."""
     from scipy.sparse import diags
 
-    found = []
+    found: list[tuple[int, list[csr_matrix]]] = []
     if len(sides) < 2:
         return found
     for j, at_start in (((i + 1) % len(sides), True), ((i - 1) % len(sides), False)):

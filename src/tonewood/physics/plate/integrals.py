@@ -91,7 +91,7 @@ def _elements(
 
 def _assembled(grid: SplineGrid, fields: int, cells: Places, elements: Floats) -> csr_matrix:
     """Sum of the cells' matrices, fields in their order."""
-    from scipy.sparse import bmat, csr_matrix
+    from scipy.sparse import bmat
 
     blocks: list[list[Any]] = [[None] * fields for _ in range(fields)]
     spots = [slice(k * grid.alive, (k + 1) * grid.alive) for k in range(fields)]
@@ -99,7 +99,8 @@ def _assembled(grid: SplineGrid, fields: int, cells: Places, elements: Floats) -
         for j in range(i, fields):
             block = _block(grid, cells, elements[:, spots[i], spots[j]])
             blocks[i][j], blocks[j][i] = block, block if i == j else block.T
-    return csr_matrix(bmat(blocks, format="csr"))
+    whole: csr_matrix = bmat(blocks).tocsr()
+    return whole
 
 
 def _block(grid: SplineGrid, cells: Places, part: Floats) -> csr_matrix:

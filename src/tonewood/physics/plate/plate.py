@@ -1,20 +1,20 @@
-"""Modes of a braced orthotropic plate of any outline, which bends and shears, by the Rayleigh-Ritz method with B-splines.
+"""Modes of a braced orthotropic plate of any outline, which bends and shears, by the Ritz method with B-splines.
 
     2 U = int kappa^T (h^3/12) Q kappa + gamma^T k h G gamma + eps^T h Q eps dA + springs on the edge + beams
     2 T = int rho h w'^2 + rho h^3/12 |beta'|^2 dA + beams
     beta = grad w - gamma,    kappa = (beta_x,x, beta_y,y, beta_x,y + beta_y,x),    eps = (u_x, v_y, u_y + v_x)
 
 A Reissner-Mindlin plate: fibres across it stay straight and turn by beta, which differs from the slope by the shear
-strains gamma; G holds the moduli G_LT and G_RT, k = 5/6 is the shear factor of a rectangular section. Not beta but gamma
-is sought beside w: a thin plate, whose gamma vanishes, is Kirchhoff's, and nothing locks. A wood without shear moduli
+strains gamma; G holds the moduli G_LT and G_RT, k = 5/6 is the shear factor of a rectangular section. Not beta but
+gamma is sought beside w: a thin plate, whose gamma vanishes, is Kirchhoff's, and nothing locks. A wood without shear moduli
 makes Kirchhoff's plate, without gamma and without rotary inertia.
 
 The in-plane motion (u, v) of the plate's middle surface is solved for where there are beams, which hang beside that
 surface, and so is the rotation of each beam's sections, which bend and shear; none of these carries mass. The functions
 do not know the outline: it limits the integrals, and the edge is held by springs per length, k_w (N/m^2) against w and
 k_theta (N) against the turn of the fibres across the edge. Along a free edge gamma falls off within a fraction of the
-thickness: functions of its own take that layer (`edge_layer`). Frequencies are upper bounds of those of the plate on its
-springs, and move smoothly with every dimension, as nothing is meshed.
+thickness: functions of its own take that layer (`edge_layer`). Frequencies are upper bounds of those of the plate on
+its springs, and move smoothly with every dimension, as nothing is meshed.
 
 Loss factors are those of the energies: eta_k = phi_k^T K'' phi_k / omega_k^2, K'' of the imaginary parts.
 
@@ -246,9 +246,7 @@ class Plate:
         known = sum(count for _, count in self._bending)
         found: list[tuple[csr_matrix, csr_matrix, csr_matrix, list[Field]]] = []
         for ring, around in [(ring, k == 0) for k, ring in enumerate(self.rings) if k or outer]:
-            parts = layer_matrices(
-                self.grid, ring, around, self.wood, self.grain, self.shear_factor, self.thickness
-            )
+            parts = layer_matrices(self.grid, ring, around, self.wood, self.grain, self.shear_factor, self.thickness)
             own = (f"layer {len(found)}", parts[0].shape[0] - known)
             found.append((*parts, [own, *self._bending]))
         return found
@@ -330,7 +328,9 @@ class Plate:
     def _balanced(self, matrix: csc_matrix) -> csc_matrix:
         from scipy.sparse import diags
 
-        return (diags(self._scale) @ matrix @ diags(self._scale)).tocsc()
+        spread = diags(self._scale)
+        balanced: csc_matrix = (spread @ matrix @ spread).tocsc()
+        return balanced
 
     def _edge(self, edge: Edge) -> list[tuple[csr_matrix, csr_matrix, list[Field]]]:
         """Stiffness and losses of the springs on the outline.

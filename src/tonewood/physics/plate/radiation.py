@@ -18,7 +18,7 @@ calculation of diffraction about the box.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,6 +55,12 @@ class Sources:
     labels: tuple[str, ...] = ()
     behind: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     behind_volumes: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def of(self, modes: NDArray[np.bool_]) -> Sources:
+        """Return the sources of some of the modes (n_modes,)."""
+        named = tuple(label for label, one in zip(self.labels, modes, strict=True) if one) if self.labels else ()
+        behind = self.behind_volumes[:, modes] if self.behind_volumes.size else self.behind_volumes
+        return replace(self, volumes=self.volumes[:, modes], labels=named, behind_volumes=behind)
 
     @property
     def shelf(self) -> float:

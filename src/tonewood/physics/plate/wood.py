@@ -44,7 +44,9 @@ class Wood:
         """(2, 2) Pa, of the transverse shear strains (g_xz, g_yz), the grain at an angle `grain` (rad) from x."""
         c, s = np.cos(grain), np.sin(grain)
         mixed = c * s * (self.G_LT - self.G_RT)
-        return np.array([[c * c * self.G_LT + s * s * self.G_RT, mixed], [mixed, s * s * self.G_LT + c * c * self.G_RT]])
+        return np.array(
+            [[c * c * self.G_LT + s * s * self.G_RT, mixed], [mixed, s * s * self.G_LT + c * c * self.G_RT]]
+        )
 
     def stiffness(self, grain: float = 0.0) -> Floats:
         """(3, 3) Pa, of the strains (e_xx, e_yy, 2 e_xy), the grain at an angle `grain` (rad) from x.
@@ -117,7 +119,8 @@ SPECIES: dict[str, Species] = {
     "european_spruce": Species(
         _sheared(Wood(11.5e9, 0.85e9, 0.78e9, 0.37, 430.0, *_SPRUCE), "Sitka spruce"),
         _PRESETS,
-        f"E_L at the lower end of the range 12 to 17 GPa, G_LR 0.068 E_L, nu_LR, G_LT and G_RT as of Sitka spruce; {_LOSS}",
+        "E_L at the lower end of the range 12 to 17 GPa, G_LR 0.068 E_L, nu_LR, G_LT and G_RT as of Sitka spruce; "
+        + _LOSS,
     ),
     "western_red_cedar": Species(
         _sheared(Wood(8.5e9, 0.70e9, 0.74e9, 0.378, 350.0, *_SPRUCE), "western red cedar"),

@@ -80,13 +80,13 @@ def hinged(wood: Wood, size: tuple[float, float], h: float, count: int) -> np.nd
 
 
 def test_hinged_plate_has_naviers_frequencies() -> None:
-    """40 modes within 0.1 %, of a plate so thick that shear lowers them by up to a half."""
+    """40 modes within 0.1 %, of a plate so thick that shear lowers them by up to a fifth."""
     h, size = 0.008, (0.4, 0.3)
     ring = np.array([[0.0, 0.0], [0.4, 0.0], [0.4, 0.3], [0.0, 0.3]])
     expected = hinged(SITKA, size, h, 40)
     found = Plate([ring], SITKA, h, HINGED, size=0.0125).modes(count=40).freq
     assert found == pytest.approx(expected, rel=1e-3)
-    assert expected[-1] < 0.7 * hinged(replace(SITKA, G_LT=1e15, G_RT=1e15), size, h, 40)[-1]
+    assert expected[-1] < 0.8 * hinged(replace(SITKA, G_LT=1e15, G_RT=1e15), size, h, 40)[-1]
 
 
 @pytest.mark.parametrize("edge", [FREE, CLAMPED], ids=["free", "clamped"])
@@ -94,7 +94,9 @@ def test_a_thin_plate_is_kirchhoffs(edge: object) -> None:
     """h f / h tends to Kirchhoff's with h; at a ten-thousandth of the length nothing locks."""
     apart = []
     for h in (5e-3, 5e-4, 5e-5):
-        soft, rigid = (Plate([RING], wood, h, edge, size=0.03).modes(count=12).freq[3:] for wood in (SITKA, stiff(SITKA)))
+        soft, rigid = (
+            Plate([RING], wood, h, edge, size=0.03).modes(count=12).freq[3:] for wood in (SITKA, stiff(SITKA))
+        )
         apart.append(np.abs(soft / rigid - 1).max())
     assert apart[0] > 0.02
     assert apart[1] < apart[0] / 5
@@ -159,7 +161,7 @@ def fem_errors(rows: list[dict[str, str]], shear_factor: float) -> np.ndarray:
         wood = Wood(v["Ex"], v["Ey"], v["Gxy"], v["vxy"], v["rho"], G_LT=v["Gxz"], G_RT=v["Gyz"])
         ring = np.array([[0, 0], [v["L"], 0], [v["L"], v["W"]], [0, v["W"]]])
         freq = Plate([ring], wood, v["T"], FREE, size=0.03, shear_factor=shear_factor).modes(count=28).freq[3:]
-        theirs = np.array([x for k, x in v.items() if k[0] == "f" and k[1:].isdigit()])
+        theirs = np.array([x for k, x in v.items() if k[0] == "f" and k[1:].isdigit() and x > 0])
         i, j = linear_sum_assignment(np.abs(np.log(theirs[:, None] / freq)))
         found.append(freq[j] / theirs[i] - 1)
     return np.concatenate(found)
