@@ -330,8 +330,8 @@ def _print(report: dict[str, Any], ok: bool) -> None:
             warnings += line.startswith("warning")
     forces = [f and row["count"] * f for row in report["strings"].values() for f in [row["feel"]["force_on_bridge"]]]
     down = "" if None in forces else f", {sum(forces):.0f} N down on the bridge"
-    along = sum(row["count"] * row["tension"] for row in report["strings"].values())
-    print(f"  all strings: {along:.0f} N along{down}" if report["strings"] else "  a body alone, without strings")
+    tension = sum(row["count"] * row["tension"] for row in report["strings"].values())
+    print(f"  all strings: {tension:.0f} N along{down}" if report["strings"] else "  a body alone, without strings")
     for row in report["microphones"]:
         name = f"{row['output']}.{row['channel']}"
         if row["peak"]:

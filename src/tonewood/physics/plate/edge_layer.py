@@ -87,7 +87,7 @@ def layer_matrices(
     grid: SplineGrid,
     ring: Floats,
     outer: bool,
-    wood: Wood,
+    woods: tuple[Wood, Wood],
     grain: float,
     shear_factor: float,
     thickness: Callable[[Floats], Floats],
@@ -99,11 +99,13 @@ def layer_matrices(
     grid : of w and gamma.
     ring : (n, 2) m, free edge of the plate.
     outer : whether the plate lies inside of it.
+    woods : of the plate, and the one whose delta the layers have.
     thickness : m, of points.
     """
     from scipy.sparse import hstack
 
-    sides = _sides(ring, outer, grid, wood, grain, shear_factor, thickness)
+    wood, layered = woods
+    sides = _sides(ring, outer, grid, layered, grain, shear_factor, thickness)
     count = sides[-1].first + sides[-1].count
     shear = shear_factor * wood.transverse(grain)
     total: list[csr_matrix] = []

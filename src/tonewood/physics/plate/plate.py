@@ -6,8 +6,8 @@
 
 A Reissner-Mindlin plate: fibres across it stay straight and turn by beta, which differs from the slope by the shear
 strains gamma; G holds the moduli G_LT and G_RT, k = 5/6 is the shear factor of a rectangular section. Not beta but
-gamma is sought beside w: a thin plate, whose gamma vanishes, is Kirchhoff's, and nothing locks. A wood without shear moduli
-makes Kirchhoff's plate, without gamma and without rotary inertia.
+gamma is sought beside w: a thin plate, whose gamma vanishes, is Kirchhoff's, and nothing locks. A wood
+without shear moduli makes Kirchhoff's plate, without gamma and without rotary inertia.
 
 The in-plane motion (u, v) of the plate's middle surface is solved for where there are beams, which hang beside that
 surface, and so is the rotation of each beam's sections, which bend and shear; none of these carries mass. The functions
@@ -150,6 +150,7 @@ class Plate:
     size : m, of a cell; see `cell_size`.
     grain : rad, of the plate's grain from x.
     shear_factor : k.
+    layers_of : wood whose edge layers the functions have; that of the plate where left out.
     """
 
     def __init__(
@@ -164,16 +165,17 @@ class Plate:
         degree: int = 4,
         grain: float = 0.0,
         shear_factor: float = SHEAR_FACTOR,
+        layers_of: Wood | None = None,
     ):
         self.rings, self.wood, self.beams = tuple(rings), wood, tuple(beams)
-        self._given = thickness
+        self._given, self._layered = thickness, layers_of or wood
         self.grain, self.shear_factor = grain, shear_factor
         self.grid = SplineGrid.over(rings[0], size, degree)
         self.quadrature = quadrature(self.grid, rings)
         layers = self._layers(edge)
-        turns = [(f"beam {i}", rotations(self.grid, beam)) for i, beam in enumerate(beams)]
+        sections = [(f"beam {i}", rotations(self.grid, beam)) for i, beam in enumerate(beams)]
         in_plane = self._in_plane if beams else []
-        fields = [*turns, *(fields[0] for _, _, _, fields in layers), *in_plane, *self._bending]
+        fields = [*sections, *(fields[0] for _, _, _, fields in layers), *in_plane, *self._bending]
         stiffness, losses, mass = sums = [_Sum(fields) for _ in range(3)]
         for part, matrix in zip(sums, self._plate(), strict=True):
             part.add(matrix, self._bending)
@@ -183,11 +185,11 @@ class Plate:
         for matrix, lossy, own in [*self._membrane(), *self._edge(edge)]:
             stiffness.add(matrix, own)
             losses.add(lossy, own)
-        for turn, beam in zip(turns, beams, strict=True):
+        for section, beam in zip(sections, beams, strict=True):
             points, _, _ = beam_line(self.grid, beam)
             matrix, lossy, inertia = beam_matrices(self.grid, beam, self.thickness(points), wood.shears)
-            stiffness.add(matrix, [turn, *self._in_plane, *self._bending])
-            losses.add(lossy, [turn, *self._in_plane, *self._bending])
+            stiffness.add(matrix, [section, *self._in_plane, *self._bending])
+            losses.add(lossy, [section, *self._in_plane, *self._bending])
             mass.add(inertia, self._bending[-1:])
         totals = [part.total() for part in sums]
         keep = _kept(totals[0].diagonal(), totals[2].diagonal(), stiffness.slots, [*in_plane, *self._bending])
@@ -246,7 +248,8 @@ class Plate:
         known = sum(count for _, count in self._bending)
         found: list[tuple[csr_matrix, csr_matrix, csr_matrix, list[Field]]] = []
         for ring, around in [(ring, k == 0) for k, ring in enumerate(self.rings) if k or outer]:
-            parts = layer_matrices(self.grid, ring, around, self.wood, self.grain, self.shear_factor, self.thickness)
+            woods = (self.wood, self._layered)
+            parts = layer_matrices(self.grid, ring, around, woods, self.grain, self.shear_factor, self.thickness)
             own = (f"layer {len(found)}", parts[0].shape[0] - known)
             found.append((*parts, [own, *self._bending]))
         return found
@@ -278,6 +281,18 @@ class Plate:
         ------
         ValueError : neither is given.
         """
+        values, whole = self.solution(fmax, count)
+        lost = np.einsum("ij,ij->j", whole, self._losses @ whole)
+        loss = np.where(values > 1e-6, lost / np.maximum(values, 1e-6), 0.0)
+        return PlateModes(np.sqrt(values) / (2 * np.pi), loss, whole[-self.functions :], self)
+
+    def solution(self, fmax: float | None = None, count: int | None = None) -> tuple[Floats, Floats]:
+        """(n,) omega^2 and (unknowns, n) mass-normalised vectors of all unknowns; as `modes`.
+
+        Raises
+        ------
+        ValueError : neither is given.
+        """
         if count is None and fmax is None:
             raise ValueError("fmax or count is wanted")
         solve, scale = self._factored
@@ -285,11 +300,11 @@ class Plate:
         mass = self._balanced(self._mass)
         limit = (2 * np.pi * (fmax or 0.0)) ** 2
         values, vectors = lowest(solve.solve, mass, self._shift**2, count=count or 0, below=limit)
-        whole = spread * vectors
-        values = np.maximum(values, 0.0)
-        lost = np.einsum("ij,ij->j", whole, self._losses @ whole)
-        loss = np.where(values > 1e-6, lost / np.maximum(values, 1e-6), 0.0)
-        return PlateModes(np.sqrt(values) / (2 * np.pi), loss, whole[-self.functions :], self)
+        return np.maximum(values, 0.0), spread * vectors
+
+    def stored(self, vectors: Floats) -> Floats:
+        """(n, n) products v^T K v of vectors (unknowns, n) of `solution`."""
+        return np.asarray(vectors.T @ (self._stiffness @ vectors))
 
     def residual(self, loads: Floats, modes: PlateModes) -> Floats:
         """(m, m) m/N: compliance between m loads (m, functions) of all modes that `modes` leaves out.
@@ -353,14 +368,14 @@ class Plate:
         weights, tangent = np.outer(length, w / 2).ravel(), np.repeat(step / length[:, None], 3, axis=0)
         value = self.grid.at(points)
         w_n = diags(tangent[:, 1]) @ self.grid.at(points, (1, 0)) - diags(tangent[:, 0]) @ self.grid.at(points, (0, 1))
-        t_x, t_y, along = diags(tangent[:, 0]) @ value, diags(tangent[:, 1]) @ value, diags(weights)
+        t_x, t_y, weighted = diags(tangent[:, 0]) @ value, diags(tangent[:, 1]) @ value, diags(weights)
         turn = hstack([-t_y, t_x, w_n]).tocsr() if self.wood.shears else w_n
-        springs = k_theta * (turn.T @ along @ turn)
-        line_mass = value.T @ along @ value
+        springs = k_theta * (turn.T @ weighted @ turn)
+        line_mass = value.T @ weighted @ value
         rigid = self._spread(k_w * line_mass)
         if np.isinf(edge.k_w) and self.wood.shears:
             slip = hstack([t_x, t_y, csr_matrix(value.shape)]).tocsr()
-            rigid = rigid + STIFF * rigidity / size * (slip.T @ along @ slip)
+            rigid = rigid + STIFF * rigidity / size * (slip.T @ weighted @ slip)
         springs = springs + rigid
         # springs that are not finite lose nothing
         lossy = edge.loss * springs if np.isfinite(edge.k_w) and np.isfinite(edge.k_theta) else 0.0 * springs
