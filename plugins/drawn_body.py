@@ -2,9 +2,9 @@
 
 The top is an orthotropic Reissner-Mindlin plate with eccentric braces, solved by the Rayleigh-Ritz method with
 B-splines; air in cavity and hole is coupled to it, and radiation damps it (`tonewood.physics.plate`). All modes are
-real, and so the body is passive. Coordinates of the drawing: x (m) from the neck joint to the tail, y from bass to treble, z out of the
-top. A point at height H above the top's middle surface moves by w along z, -H dw/dx along x and -H dw/dy
-along y: strings across the bridge feel it rock.
+real, and so the body is passive. Coordinates of the drawing: x (m) from the neck joint to the tail, y from bass to
+treble, z out of the top. A point at height H above the top's middle surface moves by w along z, -H dw/dx along x and
+-H dw/dy along y: strings across the bridge feel it rock.
 
 Left out: arching and the strings' static load, neck and sides (mass at the edge), laps of crossing braces,
 stiffness of braces across their width, loss that rises with frequency, modes of the cavity along its depth

@@ -38,6 +38,9 @@ PAGES = {
     "ARCHITECTURE.md": "architecture.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
+    "SUPPORT.md": "support.md",
+    "SECURITY.md": "security.md",
+    "CODE_OF_CONDUCT.md": "code_of_conduct.md",
     "LICENSE": "licence.md",
     "CITATION.cff": "cite.md",
     "examples": "examples/index.md",
@@ -72,7 +75,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         elif path.is_dir():
             text = (path / "README.md").read_text(encoding="utf-8")
         else:
-            text = f"# Licence\n\n```text\n{path.read_text(encoding='utf-8')}```\n"
+            text = _licence(path)
         files.append(File.generated(config, page, content=text))
     files.append(File.generated(config, "reference/commands.md", content=_commands()))
     files.append(File.generated(config, "reference/schema.md", content=_schema()))
@@ -160,6 +163,15 @@ def _examples() -> str:
         "- [A plugin package](third_party_plugin) of a third party's: a plate as a body, and a zither on it",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _licence(path: Path) -> str:
+    return (
+        "# Licence\n\nThe code is under the MIT licence, below. Measured data of the instruments (tables under "
+        "`instruments/`) are under the Creative Commons Attribution 4.0 licence, whose text is in "
+        "`LICENSES/CC-BY-4.0.txt`: each bundle and each table names its source, its authors and the changes made.\n\n"
+        f"```text\n{path.read_text(encoding='utf-8')}```\n"
+    )
 
 
 def _cite(path: Path) -> str:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import doctest
+import importlib.util
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -18,6 +20,7 @@ import pytest
 
 import tonewood as tw
 from tonewood import authoring
+from tonewood.support import moved
 
 ROOT = Path(__file__).parents[1]
 
@@ -149,3 +152,38 @@ def test_a_wheel_renders_in_a_fresh_environment(tmp_path: Path) -> None:
     assert report["notes"] == 24
     assert report["peak_dbfs"] == pytest.approx(-1.0, abs=1e-6)  # --level peak
     assert (home / "chords.wav").stat().st_size > 1e6
+
+
+def test_the_licence_is_the_text_of_an_approved_one() -> None:
+    text = (ROOT / "LICENSE").read_text(encoding="utf-8")
+    assert text.startswith("MIT License\n")
+    assert "Permission is hereby granted, free of charge" in text
+    assert (ROOT / "LICENSES" / "CC-BY-4.0.txt").stat().st_size > 10_000
+
+
+def test_one_command_writes_the_address_of_the_project(tmp_path: Path) -> None:
+    spec = importlib.util.spec_from_file_location("project_address", ROOT / "scripts" / "project_address.py")
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    placeholder, _ = script.addresses()
+    listed = subprocess.run(["git", "grep", "-lF", placeholder], cwd=ROOT, capture_output=True, text=True, check=False)
+    named = set(listed.stdout.split()) - {"scripts/project_address.py"}
+    assert not named or named == {name for name in script.FILES if placeholder in (ROOT / name).read_text("utf-8")}
+    for name in script.FILES:
+        shutil.copy(ROOT / name, tmp_path / name)
+    source, docs = "https://forge.invalid/group/tonewood", "https://pages.invalid/tonewood"
+    assert script.write(source, docs, tmp_path)
+    assert script.addresses(tmp_path) == (source, docs)
+    assert placeholder not in "".join((tmp_path / name).read_text(encoding="utf-8") for name in script.FILES)
+    assert script.write("https://b.invalid/tonewood", "https://c.invalid/d", tmp_path)  # and once more
+    assert "forge.invalid" not in "".join((tmp_path / name).read_text(encoding="utf-8") for name in script.FILES)
+
+
+def test_every_deprecated_package_has_its_line() -> None:
+    page = (ROOT / "docs" / "deprecations.md").read_text(encoding="utf-8")
+    for package in moved._PACKAGES:
+        assert package.split(".")[0] in page
+    for _, new in moved._MODULES:
+        assert new.split(".")[0] in page

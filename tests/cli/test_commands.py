@@ -215,9 +215,9 @@ def test_unknown_commands_and_nothing_at_all(tonewood: Run) -> None:
 
 
 def test_plan_names_what_matters_and_verbose_the_rest(tonewood: Run, score: Path) -> None:
-    plan = ("plan", score, "-i", "electric_bass", "--fs", 16000, "--max-duration", 0.5)
+    plan = ("plan", score, "-i", "sitar", "--fs", 16000, "--max-duration", 0.5)
     brief, whole = (tonewood(*plan, *more)[1].splitlines()[1:] for more in ((), ("--verbose",)))
-    assert any(line.startswith("  outputs pickup: 0.50 s [0.00-0.50]") for line in whole)
+    assert any(line.startswith("  outputs bridge: 0.50 s [0.00-0.50]") for line in whole)
     assert not any("outputs" in line for line in brief)
     (rest,) = re.findall(r"^  (\d+) more always run or never act: --verbose$", brief[-1])
     names = [line.split()[0] for line in brief[:-1]]
@@ -254,7 +254,7 @@ def test_what_was_left_out_and_what_it_saved(strings: list[str], said: str) -> N
 
 
 def test_plan_and_play_have_the_options_of_render(tonewood: Run, score: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = ("plan", score, "-i", "classical_guitar", "--fs", 16000, "--json")
+    plan = ("plan", score, "-i", "sitar", "--fs", 16000, "--json")
     found = json.loads(tonewood(*plan, "--max-duration", 0.1, "--lead-in", 0.05, "--outputs", "microphones")[1])
     assert found["duration_s"] == pytest.approx(0.15)
     assert [e["component"] for e in found["effects"] if e["name"] == "outputs" and e["spans_s"]] == ["microphones"]

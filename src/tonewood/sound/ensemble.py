@@ -26,7 +26,7 @@ from tonewood.performance.score.reading import read_score
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import Renderer, Summary, warn_of_dropped_notes
 from tonewood.support.params import Parameters, described, quantity, validated
-from tonewood.support.yaml_io import parse_yaml
+from tonewood.support.yaml_io import load_yaml
 
 Floats = NDArray[np.float64]
 _PART = re.compile(r"(?P<number>\d+)=(?P<instrument>[^@=]+)(?P<rest>(@[^@]+)*)")
@@ -81,14 +81,7 @@ def read_ensemble(path: str | os.PathLike[str]) -> list[EnsemblePart]:
     BundleError : it cannot be read, or a value is not allowed; one line.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BundleError(getattr(error, "strerror", None) or str(error), file=path) from None
-    values = parse_yaml(text, file=path)
-    if not isinstance(values, dict):
-        raise BundleError("is no ensemble; it begins with `parts:`", file=path)
-    return validated(Ensemble, values, key="", file=path).parts
+    return validated(Ensemble, load_yaml(path, error=BundleError), key="", file=path).parts
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,7 @@ class StringPoint(Parameters):
     """A named place on a string, to be heard or joined."""
 
     from_bridge: StringPlace = described("m, or {fraction: of the open speaking length}")
+    width: float = quantity("m", low=0.0, high=0.2, default=0.0, doc="of the string about it whose mean it stands for")
 
 
 class StringSetEntry(Parameters):

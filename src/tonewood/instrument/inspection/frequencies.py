@@ -311,8 +311,10 @@ def microphone_responses(model: Model) -> list[MicrophoneResponse]:
     banks = {drive.component for drive in model.system.drives}
     out = []
     for group in model.outputs:
-        for channel, index in zip(group.channels, group.readouts, strict=True):
-            readout = model.system.readouts[index]
+        if group.conversion is not None:
+            continue  # its channels are no longer those of the bank
+        for channel, column in zip(group.channels, group.columns, strict=True):
+            readout = model.system.readouts[group.readouts[column]]
             probes = [probe for probe in readout.probes if probe.component in banks]
             if not probes:
                 continue

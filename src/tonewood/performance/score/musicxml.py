@@ -17,7 +17,8 @@ from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import number, whole
-from tonewood.performance.score.written import Curve, Measure, WrittenMusic, WrittenNote, WrittenPart, bend_curve, near
+from tonewood.performance.score.unfolding import Measure
+from tonewood.performance.score.written import Curve, WrittenMusic, WrittenNote, WrittenPart, bend_curve, near
 from tonewood.performance.score.xml_files import MOST, member, number_of, parsed, text_of
 
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}

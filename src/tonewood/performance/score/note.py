@@ -24,6 +24,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "from_bridge": (0.0, math.inf),
     "angle_deg": (-math.inf, math.inf),
     "channel": (0, 15),
+    "partial": (2, 64),
 }
 
 
@@ -49,6 +50,10 @@ class Note:
     channel : MIDI channel 0..15 the note came from, or None.
     marks : signs written at it, e.g. ``palm_mute``; an instrument that has a technique for one plays it so, and
         ``tablature`` lets the assignment choose where no string has the note at its `stop`.
+    partial : of a harmonic: number of the partial that a light finger leaves; `note` is its pitch, `stop` that of the
+        string under it. None of a note that is none.
+    glides : (s after `time`, semitones from `note`), ...: where the stopping finger is, without a new stroke; it begins
+        elsewhere where the first is at 0 s.
 
     Raises
     ------
@@ -69,6 +74,8 @@ class Note:
     channel: int | None = None
     marks: tuple[str, ...] = ()
     held: float | None = None
+    partial: int | None = None
+    glides: tuple[tuple[float, float], ...] = ()
 
     if TYPE_CHECKING:  # names are numbers once it is made
 
@@ -88,6 +95,8 @@ class Note:
             channel: int | None = None,
             marks: tuple[str, ...] = (),
             held: float | None = None,
+            partial: int | None = None,
+            glides: tuple[tuple[float, float], ...] = (),
         ) -> None: ...
 
     def __post_init__(self) -> None:

@@ -13,12 +13,14 @@ from tonewood.errors import ScoreError
 from tonewood.performance.score.file_bytes import file_bytes
 from tonewood.performance.score.midi import read_midi
 from tonewood.performance.score.note import Control, Note, Score
-from tonewood.performance.score.xml_files import MAX_BYTES, members
+from tonewood.performance.score.xml_files import MAX_BYTES, member, members
 
 if TYPE_CHECKING:
     from tonewood.performance.score.written import WrittenMusic
 
-FORMATS = ".mid, .musicxml, .mxl, .gp3, .gp4, .gp5, .gp"
+#: the score in an archive of Guitar Pro 7 or 8
+GPIF = "Content/score.gpif"
+FORMATS = ".mid, .musicxml, .mxl, .gp3, .gp4, .gp5, .gpx, .gp"
 
 
 def read_score(
@@ -30,7 +32,7 @@ def read_score(
     transpose: float = 0.0,
     tempo: float = 1.0,
 ) -> Score:
-    """Read a score: a MIDI file, MusicXML or MXL, Guitar Pro 3, 4, 5, 7 or 8; its bytes decide, not its name.
+    """Read a score: a MIDI file, MusicXML or MXL, Guitar Pro 3 to 8; its bytes decide, not its name.
 
     Parameters
     ----------
@@ -69,13 +71,17 @@ def read_written(path: Path) -> WrittenMusic | None:
     if data[:4] == b"MThd":
         return None
     # most scores are MIDI files: readers of the others are imported when they are needed
-    from tonewood.performance.score.guitar_pro import read_gpif, read_guitar_pro
+    from tonewood.performance.score.gpif import read_gpif
+    from tonewood.performance.score.gpx import gpx_score
+    from tonewood.performance.score.guitar_pro import read_guitar_pro
     from tonewood.performance.score.musicxml import read_musicxml
 
     if data[:2] == b"PK":
-        return read_gpif(data, path) if "Content/score.gpif" in members(data, path) else read_musicxml(data, path)
+        if GPIF in members(data, path):
+            return read_gpif(member(data, GPIF, path), path)
+        return read_musicxml(data, path)
     if data[:4] in (b"BCFZ", b"BCFS"):
-        raise ScoreError("Guitar Pro 6 is not read; saved as .gp (7) or .gp5 by Guitar Pro it is", file=path)
+        return read_gpif((gpx_score(data, path),), path)
     if data[1:20].startswith(b"FICHIER GUITAR PRO"):
         return read_guitar_pro(data, path)
     head = data[:512].lstrip(b"\xef\xbb\xbf \t\r\n")
@@ -131,6 +137,7 @@ def _moved(score: Score, semitones: float, tempo: float) -> Score:
             n,
             time=n.time / tempo,
             duration=max(n.duration / tempo, 1e-3),
+            glides=tuple((time / tempo, steps) for time, steps in n.glides),
             note=pitch,
             stop=stop,
             marks=marks,

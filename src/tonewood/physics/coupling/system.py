@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -21,6 +22,7 @@ from tonewood.physics.coupling.elimination import Elimination, GapCompliance
 from tonewood.physics.coupling.laws import Friction
 from tonewood.physics.coupling.layout import Drive, Layout, Readout
 from tonewood.physics.coupling.potentials.base import Potential
+from tonewood.physics.coupling.potentials.user import ModalPotential
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import apply, flow, powers, real_form
 
@@ -316,6 +318,21 @@ class System:
             if not on:
                 memory[place] = 0.0
         return memory
+
+    def check_potentials(self, state: State) -> None:
+        """Check that potentials of one's own are bounded from below in the motion so far.
+
+        Raises
+        ------
+        TonewoodError : the V of one has fallen below its `least`; one line.
+        """
+        for index in self._own_potentials:
+            if self.on[index]:
+                self.joined(index).check_state(state.potentials[self.memory[index]])
+
+    @cached_property
+    def _own_potentials(self) -> tuple[int, ...]:
+        return tuple(i for i, p in enumerate(self.potentials) if isinstance(p, ModalPotential))
 
     def controlled(self, controls: Sequence[PrescribedMotion], start: int, n: int) -> dict[int, Floats]:
         """(4, n) offset at the beginning and the end of each step, velocity and scale, of controlled connections.

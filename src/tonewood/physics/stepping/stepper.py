@@ -131,6 +131,7 @@ class NumpyStepper:
         if n:
             state.forces[:] = forces[-1]
         state.series, state.slip, state.potentials = series, slip, memory
+        s.check_potentials(state)
         state.sample += n
         self.statistics.steps += n
         return out, forces

@@ -94,7 +94,7 @@ class Checkpoint:
     """Snapshot of a renderer between two blocks."""
 
     engine: Snapshot
-    memory: tuple[Floats, Floats]
+    memory: tuple[Floats, ...]
     pending: Floats
     frames: int
     loudest: float
@@ -266,7 +266,7 @@ class Renderer:
         with self._reading.use:
             return Checkpoint(
                 self.engine.snapshot(),
-                (self._resampler.memory.copy(), self._routing.memory.copy()),
+                (self._resampler.memory.copy(), *self._routing.memory),
                 self._pending.copy(),
                 self._frames,
                 self._loudest,
@@ -279,7 +279,7 @@ class Renderer:
         """Restore a `checkpoint` of this renderer; the samples that follow are the same to the last bit."""
         with self._reading.use:
             self.engine.restore(checkpoint.engine)
-            self._resampler.memory, self._routing.memory = (memory.copy() for memory in checkpoint.memory)
+            self._resampler.memory, self._routing.memory = checkpoint.memory[0].copy(), checkpoint.memory[1:]
             self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
             self._loudest, self._recent, self._end = checkpoint.loudest, list(checkpoint.recent), checkpoint.end
             self._step = checkpoint.step
@@ -336,7 +336,7 @@ class Renderer:
         since_end = sample / self.model.fs - self.performance.timeline.stop
         while len(self._recent) > 1 and self._recent[0][0] <= now - _WINDOW * self.fs - _TICKS * GRID:
             self._recent.pop(0)
-        late = len(self._routing.memory) / self.fs  # sound still due of a delayed channel
+        late = self._routing.longest_delay / self.fs  # sound still due of a delayed channel
         if self._end or not self.engine.done or since_end < _WINDOW + late:
             return
         if max(p for _, p in self._recent) <= self._loudest * 10 ** (self.options.tail_level_db / 20):

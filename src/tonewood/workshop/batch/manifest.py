@@ -39,6 +39,8 @@ from tonewood.workshop.batch.pages import (
 )
 
 RESERVED = ("instrument", "score", "repeat")
+#: numbers of a note that may vary
+NOTE_FIELDS = ("time", "duration", "held", "note", "freq", "force", "velocity_midi", "from_bridge", "angle_deg")
 #: keys under ``render.tail`` -> field
 TAIL_KEYS = {"cap": "tail", "energy_db": "tail_level_db"}
 
@@ -219,6 +221,7 @@ class Manifest(Section):
     """A whole batch."""
 
     schema_: Literal["tonewood-batch/1"] = Field(alias="schema")
+    kind: Literal["test"] = Field(default="test", description="a listening test; `dataset` has keys of its own")
     name: Name
     title: Text = ""
     language: Language = Field(default="en", description="of a listener whose own has no texts")
@@ -250,6 +253,13 @@ class Manifest(Section):
             if name in RESERVED:
                 raise PydanticCustomError("factors", f"{name} is not free as the name of a factor")
         return factors
+
+    @field_validator("vary")
+    @classmethod
+    def _notes_vary(cls, vary: dict[str, Variation]) -> dict[str, Variation]:
+        for path in vary:
+            check_vary(path)
+        return vary
 
     def choices(self) -> dict[str, list[str]]:
         """Names that `group_by`, `exclude` and the like may use, with the levels of each."""
@@ -316,6 +326,13 @@ class Manifest(Section):
         names = {f"tail.{key}": field for key, field in TAIL_KEYS.items()}
         data = {**self.render.model_dump(), **{names.get(key, key): value for key, value in changes.items()}}
         return RenderSettings.model_validate(data)
+
+
+def check_vary(path: str) -> None:
+    """Check that a path of `vary` that names a note names one of its numbers."""
+    head, _, name = path.partition(".")
+    if head == "note" and name not in NOTE_FIELDS:
+        raise PydanticCustomError("vary", f"{path} is not one of note.{', note.'.join(NOTE_FIELDS)}")
 
 
 def _check_levels(row: Levels, choices: dict[str, list[str]], key: str) -> None:

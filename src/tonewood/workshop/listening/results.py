@@ -18,7 +18,7 @@ from tonewood.workshop.batch.pages import (
     StaircasePage,
     localised,
 )
-from tonewood.workshop.listening.answer_file import LeftOut, answers_of
+from tonewood.workshop.listening.answer_file import LeftOut, answers_of, withdrawn
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest, load_test
 from tonewood.workshop.listening.detection import Detection, detections, task_of
 from tonewood.workshop.listening.means import CellMean, ScreenedListener, cell_means, screen, unique
@@ -87,6 +87,8 @@ class PanelResults:
     simulated : listeners among them that are simulated.
     unfinished : listeners who did not finish.
     left_out : answers that do not count because their files are damaged, or of another version of the test.
+    not_passed : listeners whom the check of headphones stopped.
+    withdrawn : number of listeners who had their answers deleted.
     """
 
     test: ListeningTest
@@ -97,6 +99,8 @@ class PanelResults:
     unfinished: tuple[str, ...]
     left_out: tuple[LeftOut, ...]
     pages: tuple[PageResults, ...]
+    not_passed: tuple[str, ...] = ()
+    withdrawn: int = 0
 
     @property
     def who(self) -> str:
@@ -113,6 +117,8 @@ class PanelResults:
             "listeners": self.listeners,
             "simulated": self.simulated,
             "unfinished": list(self.unfinished),
+            "not_passed": list(self.not_passed),
+            "withdrawn": self.withdrawn,
             "left_out": [asdict(one) for one in self.left_out],
             "pages": [page.to_dict() for page in self.pages],
         }
@@ -145,7 +151,10 @@ def analyse(folder: Path, *, key: Path | None = None, confidence: float = 0.95, 
         raise ListeningError(f"holds no answers{why if others else ''}", file=folder / "answers")
     table = tidy(test, opened, answers)
     finish = len(test.pages)
-    unfinished = [one.listener for one in answers if not one.records or one.records[-1]["page"] != finish]
+    not_passed = [one.listener for one in answers if one.failed]
+    unfinished = [
+        one.listener for one in answers if not one.failed and (not one.records or one.records[-1]["page"] != finish)
+    ]
     pages: list[PageResults] = []
     for index, page in enumerate(test.pages):
         rows = _in_order(table.of_page(index), table)
@@ -154,7 +163,8 @@ def analyse(folder: Path, *, key: Path | None = None, confidence: float = 0.95, 
     began = [one for one in answers if one.records]
     simulated = sum(bool(one.header.get("simulated")) for one in began)
     return PanelResults(
-        test, confidence, table, len(began), simulated, tuple(unfinished), every.left_out, tuple(pages)
+        test, confidence, table, len(began), simulated, tuple(unfinished), every.left_out, tuple(pages),
+        tuple(not_passed), withdrawn(test),
     )  # fmt: skip
 
 
