@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
 #: from points (..., 2) to a factor (...,) or one for each row (..., r)
-Factor = Callable[[Floats], Floats]
+Weighting = Callable[[Floats], Floats]
 #: a derivative of a field's functions alive on cells, (..., n)
 Values = Callable[[Order], Floats]
 
@@ -38,7 +38,7 @@ def integrals(
     fields: int,
     quad: Quadrature,
     operator: Callable[..., Floats],
-    factor: Factor | Floats | float,
+    factor: Weighting | Floats | float,
     matrices: Sequence[Floats],
 ) -> list[Any]:
     """Sparse integrals of (B a)^T diag(factor) Q (B b) dA over all pairs of functions a, b.
@@ -70,7 +70,7 @@ def _elements(
     fields: int,
     group: tuple[Places, Floats, Floats],
     operator: Callable[..., Floats],
-    factor: Factor | Floats | float,
+    factor: Weighting | Floats | float,
     matrices: Sequence[Floats],
 ) -> list[Floats]:
     """(cells, n, n) matrices of each cell, for each of the matrices Q."""
