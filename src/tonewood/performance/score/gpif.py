@@ -17,8 +17,9 @@ from tonewood.errors import ScoreError
 from tonewood.performance.score.guitar_pro import DYNAMICS, FEELS, FRETS, GRACES, RASGUEADOS, jump, strummed
 from tonewood.performance.score.harmonics import touched
 from tonewood.performance.score.limits import Allowance, number, whole
+from tonewood.performance.score.score_clock import near
 from tonewood.performance.score.unfolding import Measure
-from tonewood.performance.score.written import Curve, WrittenMusic, WrittenNote, WrittenPart, bend_curve, near
+from tonewood.performance.score.written import Curve, WrittenMusic, WrittenNote, WrittenPart, bend_curve
 from tonewood.performance.score.xml_files import number_of, parsed, text_of
 
 _QUARTER = 960

@@ -46,6 +46,7 @@ class Measure:
     endings : passes in which it is played; empty for all.
     signs : ``segno``, ``coda``, ``fine``, ``to_coda``, ``da_capo``, ``dal_segno``: marks and jumps.
     feel : (note value in quarter notes, share of two of them that the first one takes); None for even ones.
+    holds : (from, to) in quarter notes, of notes under a fermata.
     """
 
     length: Fraction = Fraction(4)
@@ -55,6 +56,7 @@ class Measure:
     endings: frozenset[int] = frozenset()
     signs: set[str] = field(default_factory=set)
     feel: tuple[Fraction, Fraction] | None = None
+    holds: set[tuple[Fraction, Fraction]] = field(default_factory=set)
 
 
 def order(measures: Sequence[Measure], *, tablature: bool = False) -> list[int]:

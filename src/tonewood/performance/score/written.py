@@ -13,6 +13,8 @@ ornaments      turns and mordents in the first sixteenth of a note, shorter in n
 strum          one string after the other, `STRUM` s apart, or as late as the file says
 slides         one note whose stop moves: `Note.glides`; after a shift slide the string is struck again
 bend, vibrato  controls ``bend`` on a channel of the string's own, with the whammy bar's
+fermata        `HOLD` times as long, for all parts
+pedal          controllers of the part's channels; notes last until it comes up
 swing          the first of two notes of a value is longer than the second, as `Measure.feel` says
 accents        velocity +16 and +28, ghost notes -24
 =============  ========================================================================================================
@@ -27,7 +29,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from operator import itemgetter
@@ -36,6 +38,7 @@ from pathlib import Path
 from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import MAX_CONTROLS, MAX_NOTES, MAX_TIME, Allowance
 from tonewood.performance.score.note import Control, Note, Score
+from tonewood.performance.score.score_clock import MOST_TEMPOS, TEMPOS, ScoreClock, near
 from tonewood.performance.score.unfolding import Measure, lost_jumps, order
 from tonewood.support.garbage import without_collecting
 
@@ -45,20 +48,14 @@ GRACE = Fraction(1, 8)
 _VIBRATO, _TICK = 5.5, 0.02
 #: cents of vibrato by sign
 _DEPTHS = {"vibrato": 35.0, "wide_vibrato": 80.0}
+#: notes that a grace note may be compared with in all
+_MOST_COMPARED = 1_000_000
 #: measures of all parts
 _MOST_CELLS = 200_000
-#: tempo changes that are played, and notes that a grace note may be compared with in all
-_MOST_TEMPOS, _MOST_COMPARED = 100_000, 1_000_000
-#: quarter notes per minute
-_TEMPOS = (4.0, 2000.0)
 #: pitches of notes
 _PITCHES = (0.0, 140.0)
-#: denominators of times are rounded to
-_FINEST = 10**9
 #: quarter notes: strokes shorter than this at the end of a tremolo belong to the one before
 _REST = Fraction(1, 96)
-#: s by which grace notes may come before the first measure: all others are then later
-_BEFORE = 2.0
 #: ornament -> steps up and down of its notes, and their lengths as shares of a quarter note
 _ORNAMENTS = {
     "turn": ((1, 0, -1), Fraction(1, 12)),
@@ -98,6 +95,7 @@ class WrittenNote:
     arrives : how the finger comes from the note before on its string: ``legato`` slides without a new stroke, ``shift``
         slides and strikes again; empty if it does not.
     slides : ``into_from_below``, ``into_from_above``, ``out_down``, ``out_up``.
+    steps : semitones down and up to the notes of an ornament; None for those of C major.
     """
 
     at: Fraction
@@ -117,15 +115,22 @@ class WrittenNote:
     partial: int = 0
     arrives: str = ""
     slides: tuple[str, ...] = ()
+    steps: tuple[int, int] | None = None
 
 
 @dataclass
 class WrittenPart:
-    """One part: its name, the notes of each measure, and the capo that its frets count from."""
+    """One part: its name, the notes of each measure, and the capo that its frets count from.
+
+    Attributes
+    ----------
+    pedals : (measure, quarter notes in it, s later, controller, its value) of moves of pedals.
+    """
 
     name: str
     measures: list[list[WrittenNote]] = field(default_factory=list)
     capo: int = 0
+    pedals: list[tuple[int, Fraction, float, str, float]] = field(default_factory=list)
 
 
 @dataclass
@@ -149,54 +154,15 @@ class WrittenMusic:
     def __post_init__(self) -> None:
         self.signs = Allowance(MAX_NOTES, "notes", self.file)
         self.cells = Allowance(_MOST_CELLS, "measures of parts", self.file)
-        self.changes = Allowance(_MOST_TEMPOS, "tempo changes", self.file)
+        self.changes = Allowance(MOST_TEMPOS, "tempo changes", self.file)
 
     def tempo(self, measure: Measure, at: Fraction, bpm: float) -> None:
         """Enter a change of tempo, quarter notes per minute; one out of range is counted."""
-        if not _TEMPOS[0] <= bpm <= _TEMPOS[1]:
+        if not TEMPOS[0] <= bpm <= TEMPOS[1]:
             self.ignored["tempo outside 4 to 2000"] += 1
             return
         self.changes.take()
         measure.tempos.append((at, bpm))
-
-
-def near(time: Fraction) -> Fraction:
-    """Return a time, rounded where its denominator is beyond any that music has: sums of such would grow."""
-    return time if time.denominator <= _FINEST else time.limit_denominator(_FINEST)
-
-
-class _Clock:
-    """Seconds of a time in quarter notes, with repeats unfolded."""
-
-    def __init__(self, measures: Sequence[Measure], played: Sequence[int], file: Path):
-        self.starts: list[Fraction] = []
-        now, bpm = Fraction(0), 120.0
-        self._at, self._time, self._bpm, self._late = [Fraction(0)], [0.0], [bpm], 0.0
-        # of two tempos at one time the faster one
-        tempos = [list(dict(sorted(m.tempos)).items()) for m in measures]
-        changes = Allowance(_MOST_TEMPOS, "tempo changes, repeats unfolded", file)
-        for i in played:
-            self.starts.append(now)
-            changes.take(len(tempos[i]))
-            for at, tempo in tempos[i]:
-                self._enter(now + at, tempo)
-            now = near(now + measures[i].length)
-        if not 0.0 <= (end := self.seconds(now)) <= MAX_TIME:
-            raise ScoreError(f"{end:.6g} s of music, repeats unfolded: {MAX_TIME:.0f} s are allowed", file=file)
-
-    def _enter(self, at: Fraction, bpm: float) -> None:
-        self._time.append(self.seconds(at))
-        self._at.append(at)
-        self._bpm.append(bpm)
-
-    def seconds(self, at: Fraction) -> float:
-        """Time of a quarter note, s."""
-        i = bisect_right(self._at, max(at, Fraction(0))) - 1
-        return self._late + self._time[i] + float(at - self._at[i]) * 60.0 / self._bpm[i]
-
-    def begin_before(self, early: Iterable[Fraction]) -> None:
-        """Let all come later by the first of notes before the first measure, at most by `_BEFORE`."""
-        self._late = max((-t for t in map(self.seconds, early) if t >= -_BEFORE), default=0.0)
 
 
 @dataclass
@@ -234,7 +200,7 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     except ScoreError as error:
         raise ScoreError(error.reason, file=music.file) from None
     Allowance(_MOST_CELLS, "measures of parts, repeats unfolded", music.file).take(len(played) * len(chosen))
-    clock = _Clock(music.measures, played, music.file)
+    clock = ScoreClock(music.measures, played, music.file)
     notes: list[Note] = []
     controls: list[Control] = []
     ignored = Counter(music.ignored)
@@ -248,7 +214,7 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     ]
     clock.begin_before(one.at for _, sounding in parts_played for one in sounding if one.at < 0)
     for number, sounding in parts_played:
-        following = _following(sounding)
+        following, own = _following(sounding), list[Note]()
         for i, one in enumerate(sounding):
             if not all(_PITCHES[0] <= p <= _PITCHES[1] for p in (one.sign.pitch, one.sign.trill or 0.0)):
                 ignored["note whose pitch is out of range"] += 1
@@ -257,8 +223,11 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
                 ignored["note that begins or ends beyond 6 hours"] += 1
                 continue
             channel = channels.setdefault((number, one.sign.string or 0), len(channels) % 16)
-            notes += _strokes(one, following.get(i), clock, music.parts[number - 1].capo, channel, strokes)
+            own += _strokes(one, following.get(i), clock, music.parts[number - 1].capo, channel, strokes)
             controls += _bends(one, channel, clock, bends)
+        its = [channel for (part, _), channel in channels.items() if part == number]
+        controls += _pedalled(music.parts[number - 1], played, clock, its, own, bends)
+        notes += own
     ignored.update(lost_jumps(music.measures, tablature=music.tablature))
     warnings = list(music.warnings)
     if len(channels) > 16 and controls:
@@ -355,7 +324,7 @@ def _following(sounding: Sequence[_Sounding]) -> dict[int, Fraction]:
 
 
 def _strokes(
-    one: _Sounding, following: Fraction | None, clock: _Clock, capo: int, channel: int, most: Allowance
+    one: _Sounding, following: Fraction | None, clock: ScoreClock, capo: int, channel: int, most: Allowance
 ) -> Iterator[Note]:
     """Play one sign: a note, or the notes of an ornament, a tremolo or a trill."""
     sign, signs = one.sign, set(one.sign.signs)
@@ -400,7 +369,8 @@ def _split(one: _Sounding, most: Allowance) -> list[tuple[Fraction, Fraction, fl
         at, shorter = one.at, min(one.end - one.at, Fraction(1))
         tone = int(sign.pitch) % 12
         for step in ornament[0]:
-            pitch = sign.pitch + (_STEP_UP[tone] if step > 0 else -_STEP_DOWN[tone] if step < 0 else 0)
+            down, up = sign.steps or (_STEP_DOWN[tone], _STEP_UP[tone])
+            pitch = sign.pitch + (up if step > 0 else -down if step < 0 else 0)
             out.append((at, at + ornament[1] * shorter, pitch, ()))
             at += ornament[1] * shorter
         return [*out, (at, one.end, sign.pitch, ())]
@@ -419,7 +389,7 @@ def _split(one: _Sounding, most: Allowance) -> list[tuple[Fraction, Fraction, fl
     return out
 
 
-def _glides(one: _Sounding, begin: float, duration: float, clock: _Clock) -> tuple[tuple[float, float], ...]:
+def _glides(one: _Sounding, begin: float, duration: float, clock: ScoreClock) -> tuple[tuple[float, float], ...]:
     """Where the stop of a note goes, see `Note.glides`."""
     sign, slides = one.sign, set(one.sign.slides)
     take = min(_SLIDE_TIME, _SLIDE_SHARE * duration)
@@ -437,7 +407,7 @@ def _glides(one: _Sounding, begin: float, duration: float, clock: _Clock) -> tup
     return tuple((min(time, duration), steps) for time, steps in out if time >= 0.0)
 
 
-def _bends(one: _Sounding, channel: int, clock: _Clock, most: Allowance) -> list[Control]:
+def _bends(one: _Sounding, channel: int, clock: ScoreClock, most: Allowance) -> list[Control]:
     """Controls of a note's bends, whammy and vibrato, back to 0 at its end."""
     out: list[Control] = []
     for i, (at, sign) in enumerate(one.bent):
@@ -458,6 +428,40 @@ def _bends(one: _Sounding, channel: int, clock: _Clock, most: Allowance) -> list
             if not out or value != out[-1].value:
                 out.append(Control(begin + (end - begin) * share, "bend", value, channel))
     return [*out, Control(clock.seconds(one.end), "bend", 0.0, channel)] if out else []
+
+
+def _pedalled(
+    part: WrittenPart,
+    played: Sequence[int],
+    clock: ScoreClock,
+    channels: Sequence[int],
+    notes: list[Note],
+    most: Allowance,
+) -> list[Control]:
+    """Controls of a part's pedals; its notes that end under the sustain pedal last until that comes up."""
+    if not part.pedals:
+        return []
+    by_measure: dict[int, list[tuple[Fraction, float, str, float]]] = defaultdict(list)
+    for i, at, late, kind, value in part.pedals:
+        by_measure[i].append((at, late, kind, value))
+    moves: list[tuple[float, str, float]] = []
+    for i, start in zip(played, clock.starts, strict=True):
+        most.take(len(by_measure.get(i, ())) * max(len(channels), 1))
+        moves += [(clock.seconds(start + at) + late, kind, value) for at, late, kind, value in by_measure.get(i, ())]
+    moves.sort(key=itemgetter(0))
+    sustain = [(time, value >= 0.5) for time, kind, value in moves if kind == "cc64"]
+    times = [time for time, _ in sustain]
+    ups: list[float] = [math.inf] * (len(sustain) + 1)  # next time at which it is up, from each move on
+    for i in reversed(range(len(sustain))):
+        ups[i] = ups[i + 1] if sustain[i][1] else sustain[i][0]
+    last = max((n.time + n.duration for n in notes), default=0.0)
+    for i, note in enumerate(notes):
+        end = note.time + note.duration
+        k = bisect_right(times, end) - 1
+        if k >= 0 and sustain[k][1]:
+            until = max(min(ups[k], last), end)
+            notes[i] = replace(note, duration=until - note.time, held=note.duration)
+    return [Control(time, kind, value, channel) for time, kind, value in moves for channel in channels]
 
 
 def _at(curve: Curve, share: float) -> float:

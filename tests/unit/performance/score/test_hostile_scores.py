@@ -18,7 +18,7 @@ from tablatures import gpif, guitar_pro, musicxml, mxl, note
 import tonewood as tw
 from tonewood.errors import ScoreError
 from tonewood.performance.score import gpif as gpif_reader
-from tonewood.performance.score import guitar_pro_file, limits, written, xml_files
+from tonewood.performance.score import guitar_pro_file, limits, score_clock, written, xml_files
 from tonewood.performance.score.limits import number, whole
 from tonewood.performance.score.unfolding import Measure, order
 
@@ -257,8 +257,9 @@ def test_a_number_of_a_file_is_decimal_and_within_bounds() -> None:
 
 
 def test_repeats_tempos_and_parts_that_multiply(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("MAX_NOTES", "_MOST_TEMPOS", "_MOST_CELLS"):
+    for name in ("MAX_NOTES", "MOST_TEMPOS", "_MOST_CELLS"):
         monkeypatch.setattr(written, name, 2000)
+    monkeypatch.setattr(score_clock, "MOST_TEMPOS", 2000)
     again = '<barline location="right"><repeat direction="backward" times="32"/></barline></measure>'
     short = NOTE.replace(">4</dur", ">0.01</dur")
     tempos = "".join(f'<sound tempo="{90 + i}"/><forward><duration>1</duration></forward>' for i in range(100))
