@@ -16,6 +16,7 @@ COMMANDS = {
     "migrate": "migrate:migrate",
     "fit": "fit:fit",
     "taptone": "taptone:taptone",
+    "wood": "wood:wood",
     "new": "new:new",
     "sample": "sample:sample",
     "batch": "batch:batch",
