@@ -10,7 +10,7 @@ import pytest
 
 import tonewood as tw
 from tonewood.errors import NothingPlayedError, TonewoodError
-from tonewood.sound.ensemble import EnsemblePart, parse_part, placed, read_ensemble, render_ensemble
+from tonewood.sound.ensemble.mix import EnsemblePart, parse_part, placed, read_ensemble, render_ensemble
 
 
 @pytest.fixture(scope="module")

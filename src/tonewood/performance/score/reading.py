@@ -38,7 +38,7 @@ def read_score(
     ----------
     path : the file.
     start, stop : s, the excerpt to read, as for `read_midi`; counted at the score's own tempo.
-    tracks : parts to read, from 1; of a MIDI file channels. All where left out.
+    tracks : parts to read, from 1; of a MIDI file channels. All where left out, but channel 10, percussion.
     transpose : semitones added to every note; a fret moves with it.
     tempo : factor on the speed.
 
@@ -55,7 +55,7 @@ def read_score(
         raise ScoreError(f"transposed by {transpose!r} semitones: -48 to 48 are allowed", file=path)
     music = read_written(path)
     if music is None:
-        score = read_midi(path, start=start, stop=stop)
+        score = read_midi(path, start=start, stop=stop, percussion=tracks is not None and 10 in tracks)
         score = score if tracks is None else _channels(score, tracks)
     else:
         from tonewood.performance.score.written import performed
@@ -103,7 +103,9 @@ def _channels(score: Score, tracks: Sequence[int]) -> Score:
             raise ScoreError(f"there is no channel {track}; there are {', '.join(map(str, there))}", file=score.place)
     wanted = {track - 1 for track in tracks}
     notes = [n for n in score.notes if (n.channel or 0) in wanted]
-    return replace(score, notes=notes, controls=[c for c in score.controls if (c.channel or 0) in wanted])
+    controls = [c for c in score.controls if (c.channel or 0) in wanted]
+    parts = [part for part in score.parts if part.number in tracks]
+    return replace(score, notes=notes, controls=controls, parts=parts)
 
 
 def _excerpt(score: Score, start: float, stop: float | None) -> Score:

@@ -1,15 +1,22 @@
 """Several instruments that play the parts of one score: rendered in parallel, mixed to two channels.
 
 A part that has one channel is placed between both by its pan, and one that has two is balanced, at constant power.
+Volume (7), expression (11) and pan (10) of a part's MIDI channel act on its sound in the mix, not on its strings:
+
+    gain = (cc7 · cc11)²,   pan = part's pan + (128 cc10 - 64) / 63, between -1 and 1
+
+with the values as shares of 127, 1 before the first (General MIDI 2, MIDI Manufacturers Association 1999, pages 8 and
+9); a change takes `GLIDE` s.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import tempfile
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -22,6 +29,7 @@ from numpy.typing import NDArray
 
 from tonewood.errors import BundleError, DroppedNotesWarning, NothingPlayedError, TonewoodError
 from tonewood.instrument.model.output_assembly import pan_gains
+from tonewood.performance.score.note import Control
 from tonewood.performance.score.reading import read_score
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import Renderer, Summary, warn_of_dropped_notes
@@ -29,6 +37,10 @@ from tonewood.support.params import Parameters, described, quantity, validated
 from tonewood.support.yaml_io import load_yaml
 
 Floats = NDArray[np.float64]
+#: controllers that act on a part's sound in the mix
+MIXED = ("cc7", "cc10", "cc11")
+#: s that a change of one of them takes
+GLIDE = 0.01
 _PART = re.compile(r"(?P<number>\d+)=(?P<instrument>[^@=]+)(?P<rest>(@[^@]+)*)")
 _GAIN, _PAN = re.compile(r"([+-]?\d+(\.\d+)?)\s*dB"), re.compile(r"pan\s*([+-]?\d+(\.\d+)?)")
 
@@ -38,6 +50,8 @@ class EnsemblePart(Parameters):
 
     part: int = described("number of the part or MIDI channel, from 1", ge=1)
     instrument: str = described("name of a bundle, or path to its folder")
+    more: list[int] = described("further parts or channels for the same instrument", default=[])
+    programs: list[int] | None = described("programs of General MIDI, from 1, whose notes it plays", default=None)
     gain_db: float = quantity("dB", low=-120.0, high=60.0, default=0.0, doc="in the mix")
     pan: float = quantity("1", low=-1.0, high=1.0, default=0.0, doc="-1 left, 1 right")
     set: dict[str, Any] = described("overrides of the instrument, path: value", default={})
@@ -102,6 +116,7 @@ def render_ensemble(
     workers: int | None = None,
     progress: Callable[[str], None] | None = None,
     reading: dict[str, Any] | None = None,
+    silent: Callable[[EnsemblePart, str], None] | None = None,
     **settings: Any,
 ) -> list[Stem]:
     """Render the parts of a score, each in a process of its own.
@@ -114,6 +129,8 @@ def render_ensemble(
     workers : processes at a time; as many as there are processors, where left out; 1 renders in this one.
     progress : called with the name of an instrument when its part is done.
     reading : settings of `read_score`, without tracks.
+    silent : called with a part of which no note can be played, and the reason; it is then left out. Where it is not
+        given, that is an error.
 
     Returns
     -------
@@ -121,49 +138,96 @@ def render_ensemble(
 
     Raises
     ------
+    NothingPlayedError : no note of a part can be played, or of none.
     TonewoodError : a part or an instrument is not there, or has more than two channels; one line.
     """
     options = RenderOptions.of(options, fs, settings)
     if options.lead_in == "auto":
         raise TonewoodError("is auto; parts that begin together need a number of seconds", key="lead_in")
     jobs = [(os.fspath(score), part, options, reading or {}) for part in parts]
-    n = min(workers or os.cpu_count() or 1, len(jobs))
-    found: list[tuple[Floats, Summary]] = []
-    if n == 1:
-        for job in jobs:
-            found.append(_rendered(*job))
-            if progress is not None:
-                progress(job[1].instrument)
-    else:
-        with (
-            tempfile.TemporaryDirectory() as folder,
-            ProcessPoolExecutor(n, mp_context=get_context("spawn")) as pool,
-        ):
-            files = [os.path.join(folder, f"{i}.npy") for i in range(len(jobs))]
-            waiting = [pool.submit(_to_file, file, *job) for file, job in zip(files, jobs, strict=True)]
-            for file, job, done in zip(files, jobs, waiting, strict=True):
-                try:
-                    summary = done.result()
-                except BrokenProcessPool:
-                    raise TonewoodError(
-                        f"the process that rendered {job[1].instrument} ended: out of memory?"
-                    ) from None
-                warn_of_dropped_notes(summary.notes_dropped)
-                found.append((np.load(file), summary))
-                if progress is not None:
-                    progress(job[1].instrument)
-    longest = max(len(samples) for samples, _ in found)
+    found: list[tuple[EnsemblePart, Floats, Summary]] = []
+    for part, result in zip(parts, _all_rendered(jobs, workers, progress), strict=True):
+        if not isinstance(result, NothingPlayedError):
+            found.append((part, *result))
+        elif silent is None or len(parts) == 1:
+            raise result
+        else:
+            silent(part, result.reason)
+    if not found:
+        raise NothingPlayedError("no note of any part can be played", file=score)
+    longest = max(len(samples) for _, samples, _ in found)
     stems = []
-    for part, (samples, summary) in zip(parts, found, strict=True):
+    for part, samples, summary in found:
         out = np.zeros((longest, 2))
-        out[: len(samples)] = placed(samples, part)
+        out[: len(samples)] = samples
         stems.append(Stem(part, out, summary))
     return stems
 
 
-def placed(samples: Floats, part: EnsemblePart) -> Floats:
-    """Return a part's sound (n, 2) with its gain and pan."""
-    return samples * (10 ** (part.gain_db / 20) * np.array(pan_gains(part.pan, samples.shape[1])))
+_Job = tuple[str, EnsemblePart, RenderOptions, dict[str, Any]]
+
+
+def _all_rendered(
+    jobs: Sequence[_Job], workers: int | None, progress: Callable[[str], None] | None
+) -> Iterator[tuple[Floats, Summary] | NothingPlayedError]:
+    """Sound and summary of each part, or why none of its notes can be played."""
+    n = min(workers or os.cpu_count() or 1, len(jobs))
+    report = progress or (lambda _: None)
+    if n == 1:
+        for job in jobs:
+            try:
+                result: tuple[Floats, Summary] | NothingPlayedError = _rendered(*job)
+            except NothingPlayedError as error:
+                result = error
+            report(job[1].instrument)
+            yield result
+        return
+    with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(n, mp_context=get_context("spawn")) as pool:
+        files = [os.path.join(folder, f"{i}.npy") for i in range(len(jobs))]
+        waiting = [pool.submit(_to_file, file, *job) for file, job in zip(files, jobs, strict=True)]
+        for file, job, done in zip(files, jobs, waiting, strict=True):
+            try:
+                summary = done.result()
+            except BrokenProcessPool:
+                raise TonewoodError(f"the process that rendered {job[1].instrument} ended: out of memory?") from None
+            except NothingPlayedError as error:
+                report(job[1].instrument)
+                yield error
+                continue
+            warn_of_dropped_notes(summary.notes_dropped)
+            report(job[1].instrument)
+            yield np.load(file), summary
+
+
+def placed(samples: Floats, part: EnsemblePart, controls: Sequence[Control] = (), fs: float = 1.0) -> Floats:
+    """Return a part's sound (n, 2) with its gain and pan, and those of controllers (times in s) at a rate fs (Hz)."""
+    n_channels = samples.shape[1]
+    courses = {kind: [c for c in controls if c.kind == kind] for kind in MIXED}
+    out = samples * (10 ** (part.gain_db / 20) * np.array(pan_gains(part.pan, n_channels)))
+    if courses["cc10"]:
+        pan = np.clip(part.pan + (_course(courses["cc10"], len(out), fs, 64 / 127) * 127 - 64) / 63, -1.0, 1.0)
+        factor = 10 ** (part.gain_db / 20) * (1.0 if n_channels == 1 else math.sqrt(2.0))
+        angle = np.pi * (1.0 + pan) / 4.0
+        out = samples * factor * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    for kind in ("cc7", "cc11"):
+        if courses[kind]:
+            out *= _course(courses[kind], len(out), fs, 1.0)[:, None] ** 2
+    return out
+
+
+def _course(controls: Sequence[Control], n: int, fs: float, first: float) -> Floats:
+    """Values of a controller at each of n frames; a change begins at its time and takes `GLIDE` s."""
+    times, values, latest = [0.0], [first], first
+    for control in sorted(controls, key=lambda c: c.time):
+        if control.time <= 0.0:
+            values = [control.value]
+        else:
+            begin = max(control.time, times[-1])
+            times += [begin, begin + GLIDE]
+            values += [latest, control.value]
+        latest = control.value
+    course: Floats = np.interp(np.arange(n) / fs, times, values)
+    return course
 
 
 def _rendered(
@@ -172,15 +236,25 @@ def _rendered(
     from tonewood.instrument.bundle.loading import Instrument
 
     instrument = Instrument.load(part.instrument).replace(part.set)
+    music = read_score(score, tracks=[part.part, *part.more], **reading)
+    if part.programs is not None:
+        notes = [note for note in music.notes if (note.program or 1) in part.programs]
+        music = replace(music, notes=notes)
+    used = {*instrument.spec.playing.controls, *instrument.spec.playing.switches}
+    mixed = [c for c in music.controls if c.kind in MIXED and c.kind not in used]
+    music = replace(music, controls=[c for c in music.controls if c not in mixed] if mixed else music.controls)
     try:
-        renderer = Renderer(read_score(score, tracks=[part.part], **reading), instrument, options=options)
+        renderer = Renderer(music, instrument, options=options)
     except NothingPlayedError as error:
         raise NothingPlayedError(f"part {part.part} on {part.instrument}: {error.reason}", file=score) from None
     n = len(renderer.channels)
     if n > 2:
         raise TonewoodError(f"{part.instrument} has {n} channels; choose one or two by outputs", key="outputs")
     blocks = list(renderer.blocks(4096))
-    return np.concatenate(blocks) if blocks else np.zeros((0, n)), renderer.summary()
+    samples = np.concatenate(blocks) if blocks else np.zeros((0, n))
+    late = renderer.zero_frame / renderer.fs
+    own = [replace(c, time=c.time + late) for c in mixed if c.channel in (part.part - 1, None)]
+    return placed(samples, part, own, renderer.fs), renderer.summary()
 
 
 def _to_file(file: str, score: str, part: EnsemblePart, options: RenderOptions, reading: dict[str, Any]) -> Summary:
