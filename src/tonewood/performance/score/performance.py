@@ -14,7 +14,8 @@ from tonewood.performance.score.smf import Findings
 
 MAX_CONTROLS = 1_000_000
 _PERCUSSION = 9
-_DRUM = "note of channel 10, percussion by General MIDI, left out (--tracks 10 plucks them)"
+#: finding: how a score says that notes are left out
+DRUM = "note of channel 10, percussion by General MIDI, left out (--tracks 10 plucks them)"
 #: upper four bits of the status byte
 _IGNORED = {0xA0: "polyphonic pressure", 0xF0: "system exclusive"}
 
@@ -119,7 +120,7 @@ class ChannelReader:
     def _note_on(self, time: float, number: int, channel: _Channel, key: int, velocity: int) -> None:
         if self._is_drum(number):
             self.n_drums += 1
-            self._findings.add(_DRUM, where(number, key, time))
+            self._findings.add(DRUM, where(number, key, time))
             return
         if key in channel.pedalled:
             self.ends[channel.pedalled.pop(key)] = time

@@ -13,6 +13,7 @@ from tonewood.errors import ScoreError
 from tonewood.performance.score.file_bytes import file_bytes
 from tonewood.performance.score.midi import read_midi
 from tonewood.performance.score.note import Control, Note, Score
+from tonewood.performance.score.performance import DRUM
 from tonewood.performance.score.xml_files import MAX_BYTES, member, members
 
 if TYPE_CHECKING:
@@ -96,16 +97,18 @@ def read_written(path: Path) -> WrittenMusic | None:
 
 
 def _channels(score: Score, tracks: Sequence[int]) -> Score:
-    """Notes and controls of some channels, counted from 1."""
-    there = sorted({(n.channel or 0) + 1 for n in score.notes})
+    """Notes and controls of some channels, counted from 1; with the master of a zone of MPE those of the zone."""
+    there = sorted({(n.channel or 0) + 1 for n in score.notes} | {p.number for p in score.parts if p.programs})
     for track in tracks:
         if track not in there:
             raise ScoreError(f"there is no channel {track}; there are {', '.join(map(str, there))}", file=score.place)
-    wanted = {track - 1 for track in tracks}
+    zones = [at for part in score.parts if part.number in tracks for at in part.channels]
+    wanted = {track - 1 for track in (*tracks, *zones)}
     notes = [n for n in score.notes if (n.channel or 0) in wanted]
     controls = [c for c in score.controls if (c.channel or 0) in wanted]
     parts = [part for part in score.parts if part.number in tracks]
-    return replace(score, notes=notes, controls=controls, parts=parts)
+    warnings = [line for line in score.warnings if not line.startswith(DRUM)]
+    return replace(score, notes=notes, controls=controls, parts=parts, warnings=warnings)
 
 
 def _excerpt(score: Score, start: float, stop: float | None) -> Score:

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from tonewood.errors import BundleError, DroppedNotesWarning, NothingPlayedError, TonewoodError
 from tonewood.instrument.model.output_assembly import pan_gains
-from tonewood.performance.score.note import Control
+from tonewood.performance.score.note import Control, Score
 from tonewood.performance.score.reading import read_score
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import Renderer, Summary, warn_of_dropped_notes
@@ -50,7 +50,6 @@ class EnsemblePart(Parameters):
 
     part: int = described("number of the part or MIDI channel, from 1", ge=1)
     instrument: str = described("name of a bundle, or path to its folder")
-    more: list[int] = described("further parts or channels for the same instrument", default=[])
     programs: list[int] | None = described("programs of General MIDI, from 1, whose notes it plays", default=None)
     gain_db: float = quantity("dB", low=-120.0, high=60.0, default=0.0, doc="in the mix")
     pan: float = quantity("1", low=-1.0, high=1.0, default=0.0, doc="-1 left, 1 right")
@@ -230,23 +229,31 @@ def _course(controls: Sequence[Control], n: int, fs: float, first: float) -> Flo
     return course
 
 
+def by_programs(score: Score, programs: Sequence[int] | None) -> Score:
+    """Notes of some programs of General MIDI; a note that has none is of program 1."""
+    if programs is None:
+        return score
+    return replace(score, notes=[note for note in score.notes if (note.program or 1) in programs])
+
+
 def _rendered(
     score: str, part: EnsemblePart, options: RenderOptions, reading: dict[str, Any]
 ) -> tuple[Floats, Summary]:
     from tonewood.instrument.bundle.loading import Instrument
 
     instrument = Instrument.load(part.instrument).replace(part.set)
-    music = read_score(score, tracks=[part.part, *part.more], **reading)
-    if part.programs is not None:
-        notes = [note for note in music.notes if (note.program or 1) in part.programs]
-        music = replace(music, notes=notes)
+    music = read_score(score, tracks=[part.part], **reading)
+    music = by_programs(music, part.programs)
     used = {*instrument.spec.playing.controls, *instrument.spec.playing.switches}
     mixed = [c for c in music.controls if c.kind in MIXED and c.kind not in used]
     music = replace(music, controls=[c for c in music.controls if c not in mixed] if mixed else music.controls)
+    where = f"part {part.part} on {part.instrument}"
+    if not music.notes:
+        raise NothingPlayedError(f"{where}: there are no notes to play", file=score)
     try:
         renderer = Renderer(music, instrument, options=options)
     except NothingPlayedError as error:
-        raise NothingPlayedError(f"part {part.part} on {part.instrument}: {error.reason}", file=score) from None
+        raise NothingPlayedError(f"{where}: {error.reason}", file=score) from None
     n = len(renderer.channels)
     if n > 2:
         raise TonewoodError(f"{part.instrument} has {n} channels; choose one or two by outputs", key="outputs")

@@ -99,8 +99,7 @@ def choose_players(
                 lines.append(f"{where}: {counted(n, 'note')} left out, no instrument plays program {named}")
                 continue
             some = sorted(programs) if len(by_instrument) > 1 else None
-            more = list(part.channels)
-            players.append(EnsemblePart(part=part.number, more=more, instrument=instrument, programs=some))
+            players.append(EnsemblePart(part=part.number, instrument=instrument, programs=some))
     if not players:
         why = f": {lines[0]}" if lines else ""
         raise TonewoodError(f"no part has an instrument{why}; choose one by -i, --part or --programs", file=file)

@@ -84,7 +84,7 @@ READABLE = {  # name: (bytes, keys that must come out, word of the warning or No
     "note-off alone": (smf(event(0, 0x80, 60, 64) + ONE_NOTE), [60], "note-off without a note"),
     "note never ended": (smf(ONE_NOTE + event(0, 0x90, 64, 80) + event(480, 0xB0, 1, 0)), [60, 64], "never ended"),
     "padding after the last track": (smf(ONE_NOTE) + b"\0" * 11, [60], None),
-    "percussion channel": (smf(event(0, 0x99, 36, 80) + event(480, 0x89, 36, 0)), [36], "percussion"),
+    "percussion channel": (smf(event(0, 0x99, 36, 80) + event(480, 0x89, 36, 0) + ONE_NOTE), [60], "percussion"),
 }
 
 
