@@ -17,7 +17,7 @@ _PERCUSSION = 9
 #: finding: how a score says that notes are left out
 DRUM = "note of channel 10, percussion by General MIDI, left out (--tracks 10 plucks them)"
 #: upper four bits of the status byte
-_IGNORED = {0xA0: "polyphonic pressure", 0xF0: "system exclusive"}
+_IGNORED = {0xA0: "polyphonic pressure", 0xC0: "program change", 0xF0: "system exclusive"}
 
 
 @dataclass
@@ -95,6 +95,7 @@ class ChannelReader:
                 case 0xC0:
                     for at in self._midi.reached(number):
                         self._channels[at].program = a + 1
+                    self.ignored.append((time, _IGNORED[0xC0]))  # by an instrument that is given
                 case 0xD0:
                     for at in self._midi.reached(number):
                         self._control(time, at, "channel_pressure", a / 127)

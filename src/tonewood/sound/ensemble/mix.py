@@ -244,6 +244,8 @@ def _rendered(
     instrument = Instrument.load(part.instrument).replace(part.set)
     music = read_score(score, tracks=[part.part], **reading)
     music = by_programs(music, part.programs)
+    if part.programs is not None:
+        music = replace(music, ignored={k: n for k, n in music.ignored.items() if k != "program change"})
     used = {*instrument.spec.playing.controls, *instrument.spec.playing.switches}
     mixed = [c for c in music.controls if c.kind in MIXED and c.kind not in used]
     music = replace(music, controls=[c for c in music.controls if c not in mixed] if mixed else music.controls)

@@ -98,8 +98,7 @@ def choose_players(
                 n = sum(programs.values())
                 lines.append(f"{where}: {counted(n, 'note')} left out, no instrument plays program {named}")
                 continue
-            some = sorted(programs) if len(by_instrument) > 1 else None
-            players.append(EnsemblePart(part=part.number, instrument=instrument, programs=some))
+            players.append(EnsemblePart(part=part.number, instrument=instrument, programs=sorted(programs)))
     if not players:
         why = f": {lines[0]}" if lines else ""
         raise TonewoodError(f"no part has an instrument{why}; choose one by -i, --part or --programs", file=file)
