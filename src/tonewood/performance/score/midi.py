@@ -26,7 +26,7 @@ from pathlib import Path
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.file_bytes import file_bytes
-from tonewood.performance.score.note import Control, Note, Score, ScorePart
+from tonewood.performance.score.note import Beats, Control, Note, Score, ScorePart
 from tonewood.performance.score.performance import ChannelReader, where
 from tonewood.performance.score.smf import Findings, MidiFile, Track, parse_smf
 from tonewood.support.whole_files import whole_file
@@ -85,8 +85,19 @@ def read_midi(
     ignored = Counter(kind for time, kind in performance.ignored if start <= time < until)
     return Score(
         notes, controls, warnings=warnings, name=path.stem, metadata=_texts(midi), ignored=ignored, file=str(path),
-        parts=_parts(notes, performance),
+        parts=_parts(notes, performance), beats=_beats(midi) if start == 0.0 else None,
     )  # fmt: skip
+
+
+def _beats(midi: MidiFile) -> Beats | None:
+    """Quarter notes of a file whose tracks sound together and whose ticks divide them."""
+    if midi.format == 2 or midi.tick_s is not None:
+        return None
+    seconds, unit = _clock(midi, midi.tracks), midi.ticks_per_quarter
+    changes = dict(sorted(chain.from_iterable(t.tempos for t in midi.tracks), key=itemgetter(0)))
+    tempos = [(seconds(tick), tick / unit, 60e6 / tempo) for tick, tempo in sorted({0: 500_000, **changes}.items())]
+    signs = {tick: 4.0 * over / under for t in midi.tracks for tick, over, under in t.meters}
+    return Beats(tempos, [(tick / unit, length) for tick, length in sorted({0: 4.0, **signs}.items())])
 
 
 def _parts(notes: Sequence[Note], performance: ChannelReader) -> tuple[ScorePart, ...]:

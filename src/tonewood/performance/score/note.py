@@ -182,6 +182,33 @@ class Dropped:
 
 
 @dataclass(frozen=True)
+class Beats:
+    """Quarter notes and measures of a score.
+
+    Attributes
+    ----------
+    tempos : (s, quarter notes, quarter notes per minute) from which on a tempo holds, in order of time.
+    meters : (quarter notes, length in them) of measures: from the first on, one after the other.
+    """
+
+    tempos: Sequence[tuple[float, float, float]] = ((0.0, 0.0, 120.0),)
+    meters: Sequence[tuple[float, float]] = ((0.0, 4.0),)
+
+    def quarter(self, time: float) -> float:
+        """Quarter notes from the beginning at a time, s."""
+        at, began, bpm = next((t for t in reversed(self.tempos) if t[0] <= time), self.tempos[0])
+        return began + (time - at) * bpm / 60.0
+
+    def measures(self, end: float) -> list[float]:
+        """Quarter notes at which measures begin, and the end of the last one, which is at `end` or later."""
+        out = [0.0]
+        for (_, length), (until, _) in zip(self.meters, [*self.meters[1:], (math.inf, 0.0)], strict=True):
+            while out[-1] < min(until, end) - 1e-6:
+                out.append(min(out[-1] + length, until))
+        return out
+
+
+@dataclass(frozen=True)
 class ScorePart:
     """A part of a file: what `read_score` takes under its number.
 
@@ -215,6 +242,7 @@ class Score:
     ignored : kind of a message or mark -> how many of them were ignored while reading.
     file : path that it was read from, as it was given; None of a score that was made otherwise.
     parts : of the file, as far as they were read.
+    beats : None of a score without them.
 
     Raises
     ------
@@ -230,6 +258,7 @@ class Score:
     ignored: Mapping[str, int] = field(default_factory=dict)
     file: str | None = None
     parts: Sequence[ScorePart] = ()
+    beats: Beats | None = None
 
     @property
     def place(self) -> str:

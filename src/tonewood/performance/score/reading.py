@@ -63,6 +63,7 @@ def read_score(
 
         score = performed(music, tracks)
         score = score if not start and stop is None else _excerpt(score, start, stop)
+        score = replace(score, beats=None) if start else score
     return score if transpose == 0.0 and tempo == 1.0 else _moved(score, transpose, tempo)
 
 
@@ -152,4 +153,6 @@ def _moved(score: Score, semitones: float, tempo: float) -> Score:
     def control(c: Control) -> Control:
         return replace(c, time=c.time / tempo)
 
-    return replace(score, notes=[note(n) for n in score.notes], controls=[control(c) for c in score.controls])
+    beats = score.beats and replace(score.beats, tempos=[(t / tempo, q, b * tempo) for t, q, b in score.beats.tempos])
+    notes, controls = [note(n) for n in score.notes], [control(c) for c in score.controls]
+    return replace(score, notes=notes, controls=controls, beats=beats)

@@ -240,8 +240,10 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
         warnings.append("more than 16 strings: bends of some are those of others, too; choose fewer --tracks")
     notes.sort(key=lambda n: n.time)
     controls.sort(key=lambda c: c.time)
-    its_file = str(music.file)
-    return Score(notes, controls, (), warnings, music.file.stem, music.metadata, dict(+ignored), its_file, about)
+    beats = clock.beats(music.measures, played)
+    return Score(
+        notes, controls, (), warnings, music.file.stem, music.metadata, dict(+ignored), str(music.file), about, beats
+    )
 
 
 def _sounding(
