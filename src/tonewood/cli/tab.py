@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
@@ -58,9 +59,8 @@ def tab(
     from tonewood.support.whole_files import whole_file
 
     if output is not None and output.suffix.lower() not in (".musicxml", ".xml", ".txt"):
-        raise OutputError(
-            f"{output.suffix or 'a name without an ending'} is not written; .musicxml or .txt are", file=output
-        )
+        given = output.suffix or "a name without an ending"
+        raise OutputError(f"{given} is not written; .musicxml or .txt are", file=output)
     if output is None and not as_json:
         raise TonewoodError("Missing option '--output' / '-o', or --json")
     length = _meter(meter)
@@ -101,10 +101,11 @@ def tab(
     warn_of_dropped(dropped)
     n = sum(len(chord) for _, chord in found.chords)
     hands = [chord[0].hand for _, chord in found.chords]
-    shifts = sum(a != b for a, b in zip(hands, hands[1:], strict=False))
+    shifts = sum(a != b for a, b in pairwise(hands))
     print(
         f"{output}: {counted(n, 'note')} on {counted(len(lines), 'string')}, {len(dropped)} dropped, "
-        f"{counted(len(found.measures) - 1, 'measure')}, positions {min(hands)} to {max(hands)}, {counted(shifts, 'shift')}"
+        f"{counted(len(found.measures) - 1, 'measure')}, positions {min(hands)} to {max(hands)}, "
+        f"{counted(shifts, 'shift')}"
     )
     if performance.ignored:
         print(f"  without effect: {', '.join(f'{n} {kind}' for kind, n in performance.ignored.items())}")

@@ -45,7 +45,8 @@ class Findings:
 
 @dataclass
 class Track:
-    """One MTrk chunk: messages (tick, status, data 1, data 2), tempos (tick, µs per quarter), meters (tick, upper and lower number), texts.
+    """One MTrk chunk: messages (tick, status, data 1, data 2), tempos (tick, µs per quarter), texts,
+    and meters (tick, upper and lower number).
 
     System exclusive messages stand among the others without their data.
     """

@@ -1,8 +1,8 @@
 """Tablature: notes that have their strings and stops, on a grid of measures, as MusicXML 4.0 or as text.
 
-Onsets go to sixteenths, thirty-seconds or triplets of their quarter note, whichever is nearest. A chord is written until the
-next one begins, at most for `LONGEST` quarter notes: tablature leaves to the player how long a string rings. The hand is
-that of `fingering`, the finger of a note its distance from the hand.
+Onsets go to sixteenths, thirty-seconds or triplets of their quarter note, whichever is nearest. A chord is written until
+the next one begins, at most for `LONGEST` quarter notes: tablature leaves to the player how long a string rings. The
+hand is that of `fingering`, the finger of a note its distance from the hand.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _PLAIN = {
 _TRIPLET = {16: ("quarter", 0), 12: ("eighth", 1), 8: ("eighth", 0), 4: ("16th", 0)}
 _STEPS = ("C", "C", "D", "D", "E", "F", "F", "G", "G", "A", "A", "B")
 _SHARP = (0, 1, 0, 1, 0, 0, 1, 0, 1, 0, 1, 0)
-_HEAD = b"""<?xml version="1.0" encoding="UTF-8"?>
+_HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <!DOCTYPE score-partwise PUBLIC "-//Recordare//DTD MusicXML 4.0 Partwise//EN" "http://www.musicxml.org/dtds/partwise.dtd">
 """
 #: characters of a line of text
@@ -185,7 +185,7 @@ def musicxml(tab: Tablature) -> bytes:
             _chord(measure, max(tick, begin), at, k, tab)
         _rest(measure, at, end, tab)
     ET.indent(root)
-    return _HEAD + ET.tostring(root, encoding="utf-8") + b"\n"
+    return (_HEAD + ET.tostring(root, encoding="unicode") + "\n").encode()
 
 
 def _until(tab: Tablature, k: int) -> int:
