@@ -1,8 +1,8 @@
 """Tablature: notes that have their strings and stops, on a grid of measures, as MusicXML 4.0 or as text.
 
-Onsets go to sixteenths, thirty-seconds or triplets of their quarter note, whichever is nearest. A chord is written until
-the next one begins, at most for `LONGEST` quarter notes: tablature leaves to the player how long a string rings. The
-hand is that of `fingering`, the finger of a note its distance from the hand.
+Onsets go to sixteenths, thirty-seconds or triplets of their quarter note, whichever is nearest. A chord is written
+until the next one begins, at most for `LONGEST` quarter notes: tablature leaves to the player how long a string rings.
+The hand is that of `fingering`, the finger of a note its distance from the hand.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from xml.etree import ElementTree as ET
 
 from tonewood.instrument.scales import note_name
@@ -108,7 +109,8 @@ def tablature(
         chords.append((tick, [_placed(a, line, capo, hand) for line, a in chord.items()]))
     last = max((tick for tick, _ in chords), default=0) + TICKS
     measures = [round(m * TICKS) for m in beats.measures(last / TICKS)]
-    tempos = [(max(round(at * TICKS), 0), bpm) for _, at, bpm in beats.tempos]
+    by_tick = {max(round(at * TICKS), 0): bpm for _, at, bpm in beats.tempos}
+    tempos = [item for before, item in pairwise([(-1, 0.0), *sorted(by_tick.items())]) if item[1] != before[1]]
     return Tablature(title, lines, capo, chords, triplets, measures, tempos)
 
 
