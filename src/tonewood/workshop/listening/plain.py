@@ -51,11 +51,15 @@ def _rated(found: PanelResults, page: PageResults, linear: LinearAnalysis, perce
     bent = page.ordinal or (linear.at_ends or 0.0) > END_SHARE
     lines = []
     if page.ordinal:
-        lines.append("grades have an order but no stated distance: shares of comparisons are reported, not points.")
+        lines.append(
+            "grades have an order but no stated distance: odds of higher grades and shares of comparisons are "
+            "reported, not points."
+        )
     elif bent:
         lines.append(
             f"{100 * (linear.at_ends or 0):.0f} % of the answers stand at an end of the scale, where differences in "
-            "points are pulled together: shares of comparisons are reported, too, and interactions may be the scale's."
+            "points are pulled together and interactions may be the scale's: odds of higher ratings and shares of "
+            "comparisons are reported, too."
         )
     for term in linear.terms:
         if len(term.effect) > 1:
@@ -84,15 +88,18 @@ def _rated(found: PanelResults, page: PageResults, linear: LinearAnalysis, perce
             rate = f"{100 * share.share:.0f} % of comparisons{bounds} (p {_p(share.p_value)})"
             own = f"{level} is rated above {first} in {rate}"
             text = own + varied if page.ordinal else f"{text}; {own}"
+        if bent and (odds := _odds(page, term.name, percent)) is not None:
+            text += odds
         lines.append(text + ".")
     if page.everybody is not None:
         lines.append(
             f"{len(page.screened)} listeners were left out by their ratings of reference and anchors; p is the larger "
             "of those without and with them, because that choice favours the reference."
         )
+    tests = linear.tests if not page.ordinal else page.odds.tests if page.odds is not None else ()
     lines += [
         f"the effect of {' depends on '.join(t.name.split(' : '))} (p {_p(t.p_value)}): see the means per cell."
-        for t in linear.tests
+        for t in tests
         if " : " in t.name and t.p_value < alpha
     ]
     return lines
@@ -118,6 +125,15 @@ def _superiority(page: PageResults, factor: str, first: str, level: str) -> Supe
             high = None if one.low is None else 1 - one.low
             return Superiority(factor, first, level, one.listeners, 1 - one.share, low, high, one.p_value)
     return None
+
+
+def _odds(page: PageResults, name: str, percent: str) -> str | None:
+    """The ratio of odds of a difference in words."""
+    term = next((t for t in page.odds.terms if t.name == name), None) if page.odds is not None else None
+    if term is None:
+        return None
+    bounds = f"{percent} interval {_number(term.low)} to {_number(term.high)}"
+    return f"; the odds of a higher rating are {_number(term.ratio)} times as large ({bounds}, p {_p(term.p_holm)})"
 
 
 def _detected(found: PanelResults, page: PageResults, one: Detection, percent: str) -> str:
@@ -232,6 +248,12 @@ def methods(found: PanelResults) -> str:
         parts.append(
             f"Ratings were analysed by {one[0]}; main effects are over all cells of the other factors, p values of "
             f"differences are adjusted by Holm within an effect.{sampled}"
+        )
+    if any(page.odds is not None for page in found.pages):
+        parts.append(
+            "Grades without stated distances, and ratings of which many stand at an end of the scale, were also "
+            "analysed by a cumulative logit model with proportional odds (McCullagh 1980), its covariance matrix by "
+            "the jackknife over listeners; ratios are of the odds of a higher grade."
         )
     if any(page.screened for page in found.pages):
         parts.append(

@@ -23,6 +23,7 @@ from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.detection import Detection, detections, task_of
 from tonewood.workshop.listening.means import CellMean, ScreenedListener, cell_means, screen, unique
 from tonewood.workshop.listening.models import (
+    END_SHARE,
     LinearAnalysis,
     RankAnalysis,
     ScaleValue,
@@ -30,6 +31,7 @@ from tonewood.workshop.listening.models import (
     linear_analysis,
     rank_analysis,
 )
+from tonewood.workshop.listening.ordinal import OrdinalAnalysis, ordinal_analysis
 from tonewood.workshop.listening.shown import kind_of_texts
 from tonewood.workshop.listening.table import VERSUS, AnswerTable, read_key, tidy
 from tonewood.workshop.listening.thresholds import Thresholds, thresholds
@@ -52,6 +54,7 @@ class PageResults:
     scale : Bradley-Terry values by factor.
     everybody : the linear analysis with the listeners who were left out, if any were.
     ordinal : whether the scale's grades have an order only.
+    odds : the cumulative logit model, where `ordinal` or many answers stand at an end of the scale.
     """
 
     page: int
@@ -67,6 +70,7 @@ class PageResults:
     linear: LinearAnalysis | None = None
     everybody: LinearAnalysis | None = None
     ordinal: bool = False
+    odds: OrdinalAnalysis | None = None
     ranks: RankAnalysis | None = None
     detections: tuple[Detection, ...] = ()
     by_listener: tuple[Detection, ...] = ()
@@ -243,6 +247,9 @@ def _rated(
     reference = getattr(page, "reference", {})  # its factors are the question: they come first
     used = _used(sounds, sorted(table.factors, key=lambda factor: factor not in reference))
     by = used or ("type",)
+    levels = levels_of(table, page)
+    linear = linear_analysis(sounds, used, confidence, levels, random, ends)
+    bent = base.get("ordinal", False) or (linear is not None and (linear.at_ends or 0.0) > END_SHARE)
     return PageResults(
         **base,
         listeners=_count(rows),
@@ -252,7 +259,8 @@ def _rated(
         per_factor=tuple(mean for factor in used for mean in cell_means(sounds, (factor,), confidence)),
         cells=tuple(cell_means(sounds, by, confidence)),
         helpers=tuple(cell_means([row for row in rows if row["role"] != "sound"], ("role",), confidence)),
-        linear=linear_analysis(sounds, used, confidence, levels_of(table, page), random, ends),
+        linear=linear,
+        odds=ordinal_analysis(sounds, used, confidence, levels, random, ends) if bent else None,
         ranks=rank_analysis(sounds, used, confidence),
     )
 
