@@ -16,6 +16,7 @@ COMMANDS = {
     "schema": "schema:schema",
     "migrate": "migrate:migrate",
     "fit": "fit:fit",
+    "taptone": "taptone:taptone",
     "new": "new:new",
     "sample": "sample:sample",
     "batch": "batch:batch",
