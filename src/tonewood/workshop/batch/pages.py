@@ -207,6 +207,11 @@ class RatedPage(SwitchedPage):
     expect_sd: float | None = Field(
         default=None, gt=0, description="standard deviation of the listeners' differences, points"
     )
+    expect_sound_sd: float | None = Field(
+        default=None,
+        gt=0,
+        description="standard deviation of the differences of random sounds, points",
+    )
     removed: ClassVar[dict[str, str]] = dict.fromkeys(
         ("show_waveform", "looping", "switch_back"),
         "was removed in 0.2: it was an option of webMUSHRA; the keys are waveform, loop and switch",
@@ -300,7 +305,14 @@ class RatingPage(SwitchedPage):
     scales: list[RatingScale] = Field(min_length=1, max_length=12)
     times: int = Field(default=1, ge=1, le=1000, description="trials of each sound")
     expect: float | None = Field(default=None, gt=0, description="difference of means to be found, points of the scale")
-    expect_sd: float | None = Field(default=None, gt=0)
+    expect_sd: float | None = Field(
+        default=None, gt=0, description="standard deviation of the listeners' differences, points"
+    )
+    expect_sound_sd: float | None = Field(
+        default=None,
+        gt=0,
+        description="standard deviation of the differences of random sounds, points",
+    )
 
 
 class StaircasePage(ListenedPage):
