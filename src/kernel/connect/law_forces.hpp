@@ -5,7 +5,7 @@
 #pragma once
 
 #include "../cull/broad_phase.hpp"
-#include "newton.hpp"
+#include "laws/solve.hpp"
 #include "parts.hpp"
 #include "series.hpp"
 #include "../potentials/solve.hpp"
@@ -76,7 +76,7 @@ public:
         for (const int j : ws_.active) {
             forces[j] = ws_.last_force[j] = ws_.law_force[j];
             ws_.acted[j] = ws_.acted[j] || forces[j] != 0.0;
-            if (nl_.laws[j].kind == Law::friction) ws_.slip[j] = ws_.slip_after[j];
+            if (!nl_.laws[j].has_potential()) ws_.slip[j] = ws_.slip_after[j];
             ws_.is_active[j] = 0;
         }
         series_.commit();
@@ -238,7 +238,7 @@ private:
         ws_.active.clear();
     }
 
-    bool is_contact(int j) const { return nl_.laws[j].kind == Law::contact; }
+    bool is_contact(int j) const { return nl_.laws[j].one_sided(); }
 
     void activate(int j) {
         need_response(j);
@@ -295,11 +295,15 @@ private:
     // Gap j per psi_m of each potential, d_j in ts.gap; returns the gap under the means without nonlinear connections.
     double moved_by_potentials(int j) {
         const Potentials& t = block_.model.potentials;
-        const std::size_t strings = t.two_way.size(), w = wide(int(strings)), n = t.ports.size();
-        double *const gap = ts_.gap.data() + j * w, *const meets = ts_.meets.data() + std::size_t(j) * t.width;
+        const std::size_t strings = t.two_way.size(), w = wide(int(strings));
+        double *const gap = ts_.gap.data() + j * w, *const meets = ts_.meets.data() + std::size_t(j) * t.most * w;
         if (!ts_.has_meets[j]) find_meets(j);
-        std::fill_n(gap, w, 0.0);
-        for (std::size_t p = 0; p < n; ++p) gap[t.ports[p].potential] += meets[p] * ts_.reach[p];
+        for (std::size_t s = 0; s < w; s += Simd::width) {
+            Simd::V sum{};
+            for (std::size_t m = s; m < t.most * w; m += w)
+                sum += Simd::load(meets + m) * Simd::load(ts_.reach_lanes.data() + m);
+            Simd::store(gap + s, sum);
+        }
         for (const Term& term : nl_.terms[j])
             if (term.contact && block_.modulated(term.component))
                 gap[potentials_->potential_of(term.component)] +=
@@ -310,22 +314,22 @@ private:
     // Displacement of gap j per displacement of each fixed port of the potentials, the linear connections answering.
     void find_meets(int j) {
         const Potentials& t = block_.model.potentials;
-        double* const meets = ts_.meets.data() + std::size_t(j) * t.width;
+        double* const meets = ts_.meets.data() + std::size_t(j) * t.most * t.lanes;
         if (parts_.on()) {
             parts_.answer(nl_.from_linear.data() + std::size_t(j) * solve_.m, ts_.linear.data());
             for (std::size_t p = 0; p < t.ports.size(); ++p) {
-                meets[p] = 0.0;
-                for (const Share& s : t.ports[p].shares) meets[p] -= s.factor * ts_.linear[s.connection];
+                double& meet = meets[t.ports[p].lane] = 0.0;
+                for (const Share& s : t.ports[p].shares) meet -= s.factor * ts_.linear[s.connection];
             }
         } else {
             for (std::size_t p = 0; p < t.ports.size(); ++p)
-                meets[p] = dot(nl_.from_linear.data() + std::size_t(j) * solve_.m,
+                meets[t.ports[p].lane] = dot(nl_.from_linear.data() + std::size_t(j) * solve_.m,
                                t.onto_linear.data() + p * layout_.f_width, solve_.m);
         }
         for (const Term& term : nl_.terms[j])
             for (const Potentials::Part& part : t.parts)
                 if (!term.contact && part.component == term.component)
-                    meets[part.first_port + term.port] += term.factor;
+                    meets[t.ports[part.first_port + term.port].lane] += term.factor;
         ts_.has_meets[j] = 1;
     }
 

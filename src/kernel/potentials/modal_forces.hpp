@@ -22,9 +22,10 @@ protected:
     ModalForces(PotentialRun& run, int first, int end) : PotentialGroup(run, first, end), parts_(run.parts.size()) {}
 
     void sum(const PotentialPart& part, double* to) override { sum_stretch_step(*part.c, part.state, to); }
-    void make(const PotentialPart& p) override {
-        const Array<double>& modal = parts_[std::size_t(&p - run_.parts.data())]->force;
-        make_stretch_step(*p.c, p.state, ws_.forces.data() + p.part->first_port, modal.data(), modal.size());
+    void make(const PotentialPart& part) override { make(part, nullptr); }
+    bool advance(const PotentialPart& part, double* to) override {
+        if (!part.known) make(part, to);
+        return !part.known;
     }
 
     // Part q of potential s, over its lowest n modes.
@@ -131,6 +132,12 @@ protected:
     }
 
 private:
+    // `to`: of the sums of the next step; null for none.
+    void make(const PotentialPart& p, double* to) {
+        const Array<double>& modal = parts_[std::size_t(&p - run_.parts.data())]->force;
+        make_stretch_step(*p.c, p.state, ws_.forces.data() + p.part->first_port, modal.data(), modal.size(), to);
+    }
+
     std::vector<std::unique_ptr<Part>> parts_;  // as those of the run; none of other kinds
 };
 

@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from tonewood.sound.live.take import Replay
     from tonewood.sound.render.level import LevelName
     from tonewood.sound.render.renderer import Renderer, Summary
-    from tonewood.sound.room import Room
 
 
 @takes_render_options(without=["energy"])
@@ -84,12 +83,6 @@ def render(
     limiter: Annotated[
         bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS by a look-ahead limiter")
     ] = False,
-    room: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ROOM", help="small, hall, or a sound file with an impulse response: a room, not measured"
-        ),
-    ] = None,
     energy: Annotated[
         list[Path] | None,
         typer.Option(
@@ -139,7 +132,7 @@ def render(
             "--set": settings,
             "--strings": strings,
         }
-        used |= {"--room": room, "--limiter": limiter, "--live": live, "--tracks": tracks, "--allow-code": allow_code}
+        used |= {"--limiter": limiter, "--live": live, "--tracks": tracks, "--allow-code": allow_code}
         for option, value in used.items():
             if value:
                 raise TonewoodError("is for one instrument; with --part or --ensemble it is not allowed", key=option)
@@ -162,8 +155,6 @@ def render(
     if stems_by == "string" and (stems is None or live or limiter):
         reason = "is for --stems without --live and --limiter, which strings have in common"
         raise TonewoodError(reason, key="--stems-by")
-    if stems is not None and room is not None:
-        raise TonewoodError("a room mixes the outputs; with --room it is not allowed", key="--stems")
     if stems is not None and not stems.parent.exists():
         raise TonewoodError(f"there is no folder {stems.parent}", key="--stems")
     if stems is not None:
@@ -179,14 +170,9 @@ def render(
             renderer = Renderer(read_score(score, **given), bundle, options=options.at(energy=bool(energy)))
     by_string = assembled(bundle, options, by_string=True) if stems_by == "string" else None
     files = [] if stems is None else stem_files(stems, [g.name for g in (by_string or renderer.model).outputs], output)
-    about = None
-    if room is not None:
-        from tonewood.sound.room import Room, room_response
-
-        about = Room(room_response(room, fs, len(renderer.channels)))
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
-    clipped, peak, gain = _write(renderer, output, subtype, block, wanted, target, hold, about)
+    clipped, peak, gain = _write(renderer, output, subtype, block, wanted, target, hold)
     try:
         if by_string is not None:
             again = Renderer(read_score(score, **given), bundle, options=options, model=by_string)
@@ -213,7 +199,7 @@ def render(
         warnings.append(f"{output} is silent: its peak of {decibel(peak):.0f} dBFS is below its smallest step")
     if as_json:
         report = _report(renderer, output, clipped, peak, loaded - began, warnings)
-        print_json("render", report | {"level": wanted, "gain_db": gain, "room": room}, ok=not silent)
+        print_json("render", report | {"level": wanted, "gain_db": gain}, ok=not silent)
         if silent:
             raise typer.Exit(1)
         return
@@ -226,8 +212,8 @@ def render(
         f"{summary.realtime_factor:.1f} x real time; ended: {summary.end}"
     )
     print(f"  level {wanted}: {meaning(renderer.model.outputs, gain)}")
-    if room is not None:
-        print(f"  room {room}: not measured")
+    if summary.room is not None:
+        print(f"  room {summary.room}")
     if summary.ignored:
         print(f"  without effect: {', '.join(f'{n} {kind}' for kind, n in summary.ignored.items())}")
     for tension in summary.tensions:
@@ -267,7 +253,6 @@ def _write(
     level: LevelName,
     target: float,
     limiter: Limiter | None,
-    room: Room | None,
 ) -> tuple[int, float, float]:
     """Stream to the file; unless calibrated, through a scratch file of full precision beside it.
 
@@ -281,7 +266,7 @@ def _write(
 
     channels, fs = len(renderer.channels), renderer.fs
     frames = math.ceil(renderer.expected_duration * fs)
-    sound = renderer.blocks(block) if room is None else room.process(renderer.blocks(block))
+    sound = renderer.blocks(block)
     with progress("rendering", renderer.expected_duration) as advance:
         if level == "calibrated":
             remove_leftovers(output.with_suffix(".rf64"))  # of a scratch file
@@ -393,6 +378,7 @@ def _report(
         "tensions": [{**asdict(t), "cents": t.cents} for t in s.tensions],
         "zero_frame": s.zero_frame,
         "onset_step_dbfs": s.onset_step_dbfs,
+        "room": s.room,
         "warnings": warnings,
         "energy": None if account is None else account.balance(),
         "effects": [asdict(e) for e in s.effects],

@@ -398,6 +398,17 @@ class Effects(Parameters):
     budget_cents: float = quantity("cents", low=0.0, high=100.0, default=0.5, doc="for effects that change pitch")
 
 
+class Preset(Parameters):
+    """Options of a render under one name; those that a user gives come first."""
+
+    outputs: list[Name] | None = described("output groups; the instrument's first where left out", default=None)
+    room: str | None = described("studio, small, hall; none where left out", default=None)
+    room_distance: float | None = quantity("m", low=0.1, high=60.0, default=None, doc="of the microphones in it")
+    room_mix_db: float = quantity("dB", low=-100.0, high=40.0, default=0.0, doc="of the room's own sound")
+    humanize: int | None = described("seed of human variation; none where left out", default=None, ge=0)
+    noises: bool = described("noises of the hands between notes", default=False, strict=True)
+
+
 class Bundle(Parameters):
     """An instrument."""
 
@@ -424,6 +435,7 @@ class Bundle(Parameters):
         "groups of channels; the first is the default", min_length=1, max_length=MOST_PARTS
     )
     effects: Effects = described("effects that may be left out", default=Effects())
+    presets: dict[Name, Preset] = described("name -> options of a render; besides dry, studio, stage", default={})
     oversampling: Literal[1, 2, 4] = described(
         "steps per sample at standard accuracy: more where something lies on a string while it sounds", default=1
     )

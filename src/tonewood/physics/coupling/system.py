@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from tonewood.physics.coupling.compiled import BLOCK_SIZE, PADDING, Compiled, Injection, PrescribedMotion, State
 from tonewood.physics.coupling.connections import Connection, LinearSolve, NonlinearSolve, Term
 from tonewood.physics.coupling.elimination import Elimination, GapCompliance
-from tonewood.physics.coupling.laws import Friction
 from tonewood.physics.coupling.layout import Drive, Layout, Readout
 from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.coupling.potentials.user import ModalPotential
@@ -349,7 +348,7 @@ class System:
             j = self._nonlinear_place(control.connection)
             if j not in out:
                 law = self.nonlinear.laws[j] if self.nonlinear else None
-                still = law.velocity if isinstance(law, Friction) else 0.0
+                still = law.velocity if law else 0.0
                 out[j] = np.repeat([[law.offset if law else 0.0]] * 2 + [[still], [1.0]], n, axis=1)
             here, there = slice(first - start, last - start), slice(first - control.start, last - control.start)
             if control.offset is not None:

@@ -141,6 +141,10 @@ class RenderSettings(RenderOptions):
         if not isinstance(values, Mapping):
             return values
         out = dict(values)
+        for key in ("preset", "room", "room_distance", "room_mix_db"):
+            if out.get(key) != cls.model_fields[key].default and key in out:
+                text = f"{key}: is for single renders; here `outputs`, `humanize`, `noises` and stimuli.room say it"
+                raise PydanticCustomError("room", text)
         if "output" in out and "outputs" not in out and (one := out.pop("output")) is not None:
             out["outputs"] = [one]
         if isinstance(tail := out.get("tail"), Mapping):
