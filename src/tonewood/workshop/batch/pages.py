@@ -198,20 +198,23 @@ class SwitchedPage(TrialPage):
         return "off" if self.plays is not None else self.loop
 
 
-class RatedPage(SwitchedPage):
-    """Sounds against a reference."""
+class PointsPage(SwitchedPage):
+    """Sounds on a scale of points."""
 
-    waveform: bool = Field(default=False, description="show the waveform of the reference")
-    reference: Levels = Field(min_length=1)
     expect: float | None = Field(default=None, gt=0, description="difference of means to be found, points of the scale")
     expect_sd: float | None = Field(
         default=None, gt=0, description="standard deviation of the listeners' differences, points"
     )
     expect_sound_sd: float | None = Field(
-        default=None,
-        gt=0,
-        description="standard deviation of the differences of random sounds, points",
+        default=None, gt=0, description="standard deviation of the differences of random sounds, points"
     )
+
+
+class RatedPage(PointsPage):
+    """Sounds against a reference."""
+
+    waveform: bool = Field(default=False, description="show the waveform of the reference")
+    reference: Levels = Field(min_length=1)
     removed: ClassVar[dict[str, str]] = dict.fromkeys(
         ("show_waveform", "looping", "switch_back"),
         "was removed in 0.2: it was an option of webMUSHRA; the keys are waveform, loop and switch",
@@ -297,22 +300,13 @@ class RatingScale(Section):
         return self
 
 
-class RatingPage(SwitchedPage):
+class RatingPage(PointsPage):
     """One sound on one or more scales."""
 
     type: Literal["rating"]
     waveform: bool = Field(default=False, description="show the waveform of the sound")
     scales: list[RatingScale] = Field(min_length=1, max_length=12)
     times: int = Field(default=1, ge=1, le=1000, description="trials of each sound")
-    expect: float | None = Field(default=None, gt=0, description="difference of means to be found, points of the scale")
-    expect_sd: float | None = Field(
-        default=None, gt=0, description="standard deviation of the listeners' differences, points"
-    )
-    expect_sound_sd: float | None = Field(
-        default=None,
-        gt=0,
-        description="standard deviation of the differences of random sounds, points",
-    )
 
 
 class StaircasePage(ListenedPage):
