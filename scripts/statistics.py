@@ -118,7 +118,7 @@ def staircases(options: argparse.Namespace) -> None:
     for name, page in PAGES.items():
         for text, people in PEOPLE.items():
             own = StaircasePage.model_validate(page)
-            count = options.staircases if own.adaptive == "quest_plus" else options.staircases // 2
+            count = options.staircases if own.adaptive == "quest_plus" else int(0.3 * options.staircases)
             r = means(
                 lambda g, case=(count, 12, own, people): astuple(sim.threshold_rates(g, *case)), name, text
             )  # fmt: skip
@@ -183,11 +183,11 @@ if __name__ == "__main__":
         "--staircases",
         type=int,
         default=134,
-        help="experiments with QUEST+, for each seed; half as many by Levitt's rule",
+        help="experiments with QUEST+, for each seed; 0.3 of them by Levitt's rule",
     )
     parser.add_argument("--sensitivities", type=int, default=110, help="experiments with d', for each seed")
-    parser.add_argument("--grades", type=int, default=1000, help="experiments with grades, for each seed")
-    parser.add_argument("--sampled", type=int, default=1000, help="experiments with random sounds, for each seed")
+    parser.add_argument("--grades", type=int, default=200, help="experiments with grades, for each seed")
+    parser.add_argument("--sampled", type=int, default=200, help="experiments with random sounds, for each seed")
     parser.add_argument("--only", nargs="*", choices=list(PARTS), default=list(PARTS))
     chosen = parser.parse_args()
     for part in chosen.only:

@@ -202,18 +202,14 @@ class PointsPage(SwitchedPage):
     """Sounds on a scale of points."""
 
     expect: float | None = Field(default=None, gt=0, description="difference of means to be found, points of the scale")
-    expect_sd: float | None = Field(
-        default=None, gt=0, description="standard deviation of the listeners' differences, points"
-    )
-    expect_sound_sd: float | None = Field(
-        default=None, gt=0, description="standard deviation of the differences of random sounds, points"
-    )
+    expect_sd: float | None = Field(default=None, gt=0, description="standard deviation of listeners' differences")
+    expect_sound_sd: float | None = Field(default=None, gt=0, description="standard deviation of sounds' differences")
+    waveform: bool = Field(default=False, description="show the waveform of the reference, or of the sound")
 
 
 class RatedPage(PointsPage):
     """Sounds against a reference."""
 
-    waveform: bool = Field(default=False, description="show the waveform of the reference")
     reference: Levels = Field(min_length=1)
     removed: ClassVar[dict[str, str]] = dict.fromkeys(
         ("show_waveform", "looping", "switch_back"),
@@ -304,7 +300,6 @@ class RatingPage(PointsPage):
     """One sound on one or more scales."""
 
     type: Literal["rating"]
-    waveform: bool = Field(default=False, description="show the waveform of the sound")
     scales: list[RatingScale] = Field(min_length=1, max_length=12)
     times: int = Field(default=1, ge=1, le=1000, description="trials of each sound")
 
