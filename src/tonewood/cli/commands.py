@@ -15,6 +15,7 @@ COMMANDS = {
     "schema": "schema:schema",
     "migrate": "migrate:migrate",
     "fit": "fit:fit",
+    "taptone": "taptone:taptone",
     "new": "new:new",
     "sample": "sample:sample",
     "batch": "batch:batch",
