@@ -49,7 +49,7 @@ TESTS = {name: [f"{PHYSICS}/{name}"] for name in ("modal", "passivity", "energy"
     "dataset": ["tests/unit/workshop/dataset"],
     "sampling": ["tests/unit/workshop/sampling"],
     "report": ["tests/unit/workshop/report", "tests/unit/test_notebook.py"],
-    "lab": ["tests/unit/lab"],
+    "lab": ["tests/unit/lab", "tests/analytic/test_chinnakonda.py"],
     "cli": ["tests/cli"],
     "support": [*sorted(str(f.relative_to(ROOT)) for f in (ROOT / "tests/unit").glob("test_*.py")), "tests/cli"],
     "plugins": ["tests/plugins"],

@@ -8,6 +8,7 @@ COMMANDS = {
     "play": "play:play",
     "list": "listing:list_installed",
     "plan": "plan:plan",
+    "tab": "tab:tab",
     "check": "check:check",
     "modes": "modes:modes",
     "compare": "compare:compare",

@@ -68,6 +68,7 @@ class NoteFields(Section):
     marks: tuple[str, ...] = ()
     partial: int | None = Field(default=None, ge=2, le=64)
     glides: tuple[tuple[float, float], ...] = ()
+    program: int | None = Field(default=None, ge=1, le=128)
 
     def to_note(self) -> Note:
         """Convert to the score's own type."""
