@@ -171,7 +171,7 @@ def test_intervals_hold_the_truth_of_200_boards(rectangle: Rectangle) -> None:
 @pytest.mark.skipif(not PLATES.is_dir(), reason="other people's plates are not here")
 @pytest.mark.parametrize("name", ["2L", "2R"])
 def test_measured_plates_of_others(name: str) -> None:
-    """Peaks within 1.2 %, all but one within 1 %; E_L and G_LR within two combined standard deviations of the authors' (3 % and 5 %)."""
+    """Peaks within 1.2 %, all but one within 1 %; E_L, G_LR within two standard deviations (the authors: 3, 5 %)."""
     row = next(r for r in csv.DictReader((PLATES / "plates.csv").open()) if r["plate"] == name)
     size = [1e-3 * float(row[k]) for k in ("length_mm", "width_mm", "thickness_mm")]
     mass = 1e-3 * float(row["mass_g"])
