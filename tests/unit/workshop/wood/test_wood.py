@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from tonewood.workshop.wood.rectangle import Rectangle
 from tonewood.workshop.wood.stick import bar_freq, estimate_stick
 from tonewood.workshop.wood.thickness import gore_thickness, panel_freq, thickness_for
 
-PLATES = Path(__file__).parents[4].parent / "shared" / "plates"
+PLATES = Path(os.environ.get("TONEWOOD_PLATES", Path(__file__).parents[4].parent / "shared/plates"))
 SIZE = (0.58, 0.217, 4.7e-3)
 
 
