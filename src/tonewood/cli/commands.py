@@ -17,6 +17,7 @@ COMMANDS = {
     "fit": "fit:fit",
     "new": "new:new",
     "sample": "sample:sample",
+    "desk": "desk:desk",
     "batch": "batch:batch",
     "serve": "serve:serve",
     "simulate": "simulate:simulate",
