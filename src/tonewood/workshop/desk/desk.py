@@ -335,6 +335,7 @@ class Desk:
                 "serial": self.serial,
                 "heard": playback.serial,
                 "changes": [{"path": path, "value": value} for path, value in session.design.changes.items()],
+                "added": session.instrument.resolved["body"]["added"],
                 "undo": session.can_undo,
                 "redo": session.can_redo,
                 "snapshots": [
@@ -384,6 +385,11 @@ class Desk:
             "worst": meter.worst,
             "making": None if self._exact.busy is None else round(time.monotonic() - self._exact.busy.since, 1),
         }
+
+    def points(self) -> list[str]:
+        """Return points of the body on which a mass can be put."""
+        points = self.session.instrument.body.points()
+        return [name for name, point in points.items() if point.driven]
 
     def groups(self) -> list[str]:
         """Return names of the groups of knobs."""

@@ -3,7 +3,7 @@
     GET  /                  the page; /static/... its scripts and style
     GET  /api/state         the design and all that is said about it
     POST /api/act           one act: {act, ...} -> state
-    GET  /api/groups, /api/knobs/GROUP
+    GET  /api/points, /api/groups, /api/knobs/GROUP
     GET  /api/view/KIND?argument=..&of=start
     GET  /api/moments?since=FRAME
     GET  /api/stream        the sound without end: blocks of a head and of (n, 2) little-endian single precision
@@ -75,6 +75,7 @@ class DeskServer:
             Route("/static/{name}", self._static),
             Route("/api/state", self._with(lambda request: self.desk.state())),
             Route("/api/act", self._act, methods=["POST"]),
+            Route("/api/points", self._with(lambda request: self.desk.points())),
             Route("/api/groups", self._with(lambda request: self.desk.groups())),
             Route("/api/knobs/{group}", self._with(lambda request: self.desk.knobs(request.path_params["group"]))),
             Route("/api/view/{kind}", self._with(self._view)),
