@@ -255,7 +255,7 @@ class DrawnBody(Body[DrawnBodyParameters]):
 
     api = 1
     Parameters = DrawnBodyParameters
-    preview = MappingProxyType({"fmax": 1000.0})
+    preview = MappingProxyType({"fmax": 1000.0, "cell": 0.03})
 
     def points(self) -> Mapping[str, BodyPoint]:
         """Every point with its direction and place."""

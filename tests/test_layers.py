@@ -35,8 +35,8 @@ LAYERS = (
     {"sound/files"},
     {"sound/render"},
     {"sound/live", "sound/ensemble"},
-    {"workshop/batch", "workshop/fit", "workshop/report", "lab"},
-    {"workshop/listening", "workshop/dataset", "workshop/sampling"},
+    {"workshop/batch", "workshop/fit", "workshop/report", "workshop/web", "lab"},
+    {"workshop/desk", "workshop/listening", "workshop/dataset", "workshop/sampling"},
     {"cli"},
     {"__init__", "__main__"},
 )

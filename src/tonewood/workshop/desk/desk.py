@@ -124,7 +124,8 @@ class Desk:
                 self._by_hands(take, design)
                 return
         wanted = Wanted(design.instrument, design.changes, self.serial, self._ready)
-        if known is not None and (coarse := previewed(design.instrument, known.instrument)) is not None:
+        coarse = previewed(design.instrument, None if known is None else known.instrument)
+        if coarse is not None:
             self._quick.want(Wanted(coarse[0], design.changes, self.serial, self._ready, coarse[1]))
         self._exact.want(wanted)
 
@@ -231,8 +232,8 @@ class Desk:
         """File of the phrase, as a command names it."""
         return self._given if self._asked["kind"] == "file" and self._given is not None else self._file
 
-    def key(self, note: float | str, velocity: float, *, on: bool) -> str:
-        """Press or release a key; returns why a note cannot be played, or an empty text.
+    def key(self, note: float | str, velocity: float, *, on: bool) -> None:
+        """Press or release a key; `state` tells of notes that cannot be played.
 
         Parameters
         ----------
@@ -253,15 +254,12 @@ class Desk:
             live = Live(take.model.instrument, options=options, model=take.model, prepare=False)
             self.playback.exchange_live(live)
         if live is None:
-            return ""
+            return
         with self.playback.lock:
-            dropped = sum(live.summary().dropped.values()) if on else 0
             if on:
                 live.note_on(note, velocity)
             else:
                 live.note_off(note)
-            summary = live.summary()
-        return summary.latest_dropped[-1].reason if sum(summary.dropped.values()) > dropped and on else ""
 
     def compare(self, name: str | None, *, blind: bool = False) -> None:
         """Put the design beside another one, at one loudness; None ends that.
@@ -349,7 +347,7 @@ class Desk:
                 "modes": None if self._model is None else self._model.n_modes,
                 "warnings": [] if self._model is None else list(self._model.warnings),
                 "channels": [] if take is None else list(take.renderer.channels),
-                "dropped": [] if take is None else [d.reason for d in take.renderer.dropped[:3]],
+                "dropped": self._dropped(),
                 "playing": playback.playing,
                 "loop": playback.loop,
                 "phrase": self._asked,
@@ -360,6 +358,12 @@ class Desk:
                 "pair": None if pair is None else _pair(pair),
                 "command": self.command(),
             }
+
+    def _dropped(self) -> list[str]:
+        """Reasons for which notes of the phrase, and the last key, are not played."""
+        take, live = self.playback.take, self.playback.live
+        keys = [] if live is None else [d.reason for d in live.player.counters.latest][-1:]
+        return keys + ([] if take is None else [d.reason for d in take.renderer.dropped[:3]])
 
     def moments(self, since: int) -> dict[str, Any]:
         """Return what rings: moments of energy after a frame, effects that run, load.
@@ -404,7 +408,7 @@ class Desk:
         """
         design, out = self.session.design, []
         start = {knob.path: knob.value for knob in knobs(self.session.start.instrument, group)}
-        for knob in knobs(design.instrument, group):
+        for knob in knobs(design.instrument, group, self.session.start.instrument):
             shown = asdict(knob) | {"start_value": start.get(knob.path)}
             if knob.kind == "factor" and isinstance(changed := design.changes.get(knob.path), Mapping):
                 shown["value"] = changed.get("scale", 1.0)

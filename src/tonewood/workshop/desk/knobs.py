@@ -79,21 +79,27 @@ def _many(part: Any) -> bool:
     return isinstance(part, Mapping) and any(isinstance(inner, Mapping) for inner in part.values())
 
 
-def knobs(instrument: Instrument, group: str) -> list[Knob]:
+def knobs(instrument: Instrument, group: str, about: Instrument | None = None) -> list[Knob]:
     """Knobs of one group of an instrument; none where there is no such group.
 
     Parameters
     ----------
     instrument : whose values they show.
     group : one of `groups`.
+    about : in the middle of whose values the knobs stand; the instrument itself where left out.
     """
+    middle = dict(flattened(_under((about or instrument).resolved, group), group))
+    named = groups(instrument)
+    if group not in named:
+        return []
     if group == ALL:
         return list(_factors(instrument))
-    taken = [other for other in groups(instrument) if other.startswith(f"{group}.")]
+    taken = [other for other in named if other.startswith(f"{group}.")]
     return [
         knob
         for path, value in flattened(_under(instrument.resolved, group), group)
-        if not any(path.startswith(f"{other}.") for other in taken) and (knob := _knob(instrument, path, group, value))
+        if not any(path.startswith(f"{other}.") for other in taken)
+        and (knob := _knob(instrument, path, group, value, middle.get(path, value)))
     ]
 
 
@@ -130,7 +136,7 @@ def _is_whole(field: FieldInfo | None) -> bool:
     return field is not None and int in alternatives(field.annotation)
 
 
-def _knob(instrument: Instrument, path: str, group: str, value: Any) -> Knob | None:
+def _knob(instrument: Instrument, path: str, group: str, value: Any, middle: Any) -> Knob | None:
     label = path.removeprefix(f"{group}.").replace(".", " ")
     if label in ("plugin", "name") or path == "schema":
         return None
@@ -145,7 +151,9 @@ def _knob(instrument: Instrument, path: str, group: str, value: Any) -> Knob | N
     elif words and (value in words or value is None):
         kind = "choice"
     low, high = _limits(field)
-    start, stop, log = span(float(value), low, high) if kind == "number" else (0.0, 0.0, False)
+    start, stop, log = 0.0, 0.0, False
+    if kind == "number":
+        start, stop, log = span(float(middle if _is_number(middle) else value), low, high)
     unit = str(extra.get("unit", ""))
     return Knob(
         path=path, label=label, kind=kind, value=value, low=low, high=high, start=start, stop=stop, log=log,

@@ -128,7 +128,7 @@ class Kept:
         return made
 
 
-def previewed(instrument: Instrument, before: Instrument) -> tuple[Instrument, str] | None:
+def previewed(instrument: Instrument, before: Instrument | None) -> tuple[Instrument, str] | None:
     """Return the instrument with a coarse basis of its body, and words on it; None where the body needs none.
 
     The body's plugin declares the values of a coarse basis (`Body.preview`). Nothing is previewed where the body is
@@ -137,10 +137,10 @@ def previewed(instrument: Instrument, before: Instrument) -> tuple[Instrument, s
     Parameters
     ----------
     instrument : that is wanted.
-    before : whose body is known.
+    before : whose body is known; None where none is.
     """
     coarse = {k: v for k, v in type(instrument.body).preview.items() if instrument.resolved["body"].get(k) != v}
-    if not coarse or instrument.resolved["body"] == before.resolved["body"]:
+    if not coarse or (before is not None and instrument.resolved["body"] == before.resolved["body"]):
         return None
     words = ", ".join(f"{key} {value:g}" for key, value in coarse.items())
     return instrument.replace({f"body.{k}": v for k, v in coarse.items()}), f"preview: body with {words}"

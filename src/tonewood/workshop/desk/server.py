@@ -203,8 +203,8 @@ def _loop(desk: Desk, given: dict[str, Any]) -> None:
     desk.playback.loop = bool(given["on"])
 
 
-def _key(desk: Desk, given: dict[str, Any]) -> str:
-    return desk.key(given["note"], float(given.get("velocity", 80)), on=bool(given["on"]))
+def _key(desk: Desk, given: dict[str, Any]) -> None:
+    desk.key(given["note"], float(given.get("velocity", 80)), on=bool(given["on"]))
 
 
 def _compare(desk: Desk, given: dict[str, Any]) -> None:

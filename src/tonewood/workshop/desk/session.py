@@ -236,7 +236,7 @@ class Session:
             with suppress(OSError):
                 shutil.rmtree(target)
             if isinstance(fault, OSError):
-                raise OutputError(f"cannot be made: {fault.strerror}", file=target) from None
+                raise OutputError(f"cannot be made: {fault.strerror or fault}", file=target) from None
             raise
 
     def _values(self, name: str) -> dict[str, Any]:

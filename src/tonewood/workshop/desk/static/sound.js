@@ -38,9 +38,10 @@ export class Sound {
   #told(data) {
     if (data.serial !== undefined) {
       this.serial = data.serial;
+      this.when = performance.now();
       for (const [serial, began] of this.waits) {
         if (serial > data.serial) continue;
-        this.toSound = performance.now() - began + 1000 * (this.context.outputLatency || 0);
+        this.#timed(began);
         this.waits.delete(serial);
       }
     } else if (data.recorded) this.recorded?.push(data.recorded);
@@ -49,8 +50,13 @@ export class Sound {
 
   // Begin the clock of a change: stopped when its serial is heard.
   changed(serial, began) {
-    if (this.on && serial > this.serial) this.waits.set(serial, began);
+    if (serial > this.serial) this.waits.set(serial, began);
+    else if (serial === this.serial && this.when > began) this.#timed(began); // heard before the reply came
     if (this.waits.size > 50) this.waits.clear();
+  }
+
+  #timed(began) {
+    this.toSound = this.when - began + 1000 * (this.context.outputLatency || 0);
   }
 
   get latency() {

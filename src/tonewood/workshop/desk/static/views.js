@@ -160,6 +160,7 @@ export function spectrogram(canvas, analyser, fs) {
     canvas.height = height;
     canvas.style.height = `${canvas.dataset.height}px`;
   }
+  if (!width) return;
   const pen = canvas.getContext("2d", { willReadFrequently: true });
   const bins = new Float32Array(analyser.frequencyBinCount);
   analyser.getFloatFrequencyData(bins);
