@@ -324,8 +324,7 @@ class Desk:
         """Return all that the page shows besides knobs and pictures."""
         with self.lock:
             session, playback, take = self.session, self.playback, self.playback.take
-            busy = self._exact.busy
-            pair = playback.pair
+            busy, pair, seen = self._exact.busy, playback.pair, self._seen
             waited = time.monotonic() - busy.since if busy is not None else 0.0
             return {
                 "name": session.instrument.name,
@@ -344,8 +343,8 @@ class Desk:
                 "making": round(waited, 1) if busy is not None else None,
                 "preview": "" if take is None else take.preview,
                 "fault": self.fault,
-                "modes": None if self._model is None else self._model.n_modes,
-                "warnings": [] if self._model is None else list(self._model.warnings),
+                "modes": None if seen is None else seen.n_modes,
+                "warnings": [] if seen is None else list(seen.warnings),
                 "channels": [] if take is None else list(take.renderer.channels),
                 "dropped": self._dropped(),
                 "playing": playback.playing,
@@ -415,6 +414,12 @@ class Desk:
             out.append(shown)
         return out
 
+    @property
+    def _seen(self) -> Model | None:
+        """The model of the pictures: of the preview that is heard, else the exact one."""
+        take = self.playback.take
+        return take.model if take is not None and take.preview else self._model
+
     def view(self, kind: str, argument: str = "", *, of_start: bool = False) -> Any:
         """Return a view of the design's exact model, computed where it is not kept.
 
@@ -430,11 +435,13 @@ class Desk:
         """
         if kind == "drawing":
             return views.drawing(self.session.instrument)
-        design = self._model
+        design = self._seen
         if design is None:
             raise TonewoodError("there is no model yet: wait for the first sound")
         with self._view_lock:
-            model = self._start_model() if of_start else design
+            # of a body that is drawn the start's model takes long: the first preview stands for it until it is known
+            known = self._start is not None or self._model is not None
+            model = (self._start_model() if known else design) if of_start else design
             key = (kind, argument, of_start)
             found = self._views.get(key)
             if found is not None and found[0] is model:
@@ -469,13 +476,14 @@ class Desk:
         if kind == "strings":
             return views.strings(model)
         if kind == "wolves":
-            found, start = self._wolves(model), self._wolves(self._start_model())
+            start_model = model if self._model is None else self._start_model()
+            found, start = self._wolves(model), self._wolves(start_model)
             shown = {"wolves": [asdict(w) for w in found], "start": [asdict(w) for w in start]}
             return {**shown, "neck": views.neck(model), "words": views.wolf_words(start, found)}
         if kind == "force":
             return views.force(model.instrument, argument or next(iter(model.groups)), self.options)
         if kind == "differences":
-            return views.differences(model, self._start_model())
+            return [] if self._model is None else views.differences(model, self._start_model())
         known = "mobility, shape, strings, wolves, force, drawing, differences"
         raise TonewoodError(f"is {kind!r}; {known} are allowed", key="view")
 

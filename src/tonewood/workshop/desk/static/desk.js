@@ -393,18 +393,18 @@ function show(next) {
     const ends = next.pair ? [...(next.pair.blind ? [element("button", { textContent: "Reveal", onclick: () => act("reveal") })] : []), element("button", { textContent: "End", onclick: () => act("compare", { name: null }) })] : [];
     $("pair").replaceChildren(...(next.pair?.names.map(row) ?? []), ...ends);
   }
-  const ready = next.making === null && next.modes !== null;
-  if (ready && (before === null || before.making !== null || before.modes === null || before.serial !== next.serial)) later();
+  const sees = (s) => JSON.stringify([s?.heard, s?.preview, s?.making === null, s?.modes]);
+  if (next.modes !== null && (next.preview || next.making === null) && sees(before) !== sees(next)) later(!next.preview && before?.preview);
   status();
 }
 
 // Pictures follow when the hand has rested for a moment.
 let resting = 0;
-function later() {
+function later(exact) {
   clearTimeout(resting);
-  resting = setTimeout(showModel, before_first() ? 0 : 250);
+  if (exact && !state.changes.length) seen.start = seen.startStrings = null;
+  resting = setTimeout(showModel, seen.mobility === null ? 0 : 250);
 }
-const before_first = () => seen.mobility === null;
 
 let load = null;
 function status() {
