@@ -221,6 +221,8 @@ def _commands() -> str:
         hints = get_type_hints(command, include_extras=True)
         arguments, options = [], []
         for parameter in inspect.signature(command).parameters.values():
+            if parameter.name == "context":
+                continue
             info = hints[parameter.name].__metadata__[0]
             required = parameter.default is parameter.empty
             default = "required" if required else f"`{parameter.default}`"

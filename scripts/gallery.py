@@ -87,7 +87,7 @@ PAIRS: dict[str, Pair] = {
             "30 g on the bridge": ("--set", "body.added=[{at: bridge_middle, mass: 0.030}]"),
         },
     ),
-    "room": Pair("classical_guitar", {"without a room": (), "in a small one": ("--room", "small")}),
+    "room": Pair("classical_guitar", {"dry": (), "in a studio": ("--preset", "studio")}),
     "stretch": Pair("gong", {"a plate that stretches": ("--effects", "all"), "a linear one": ("--effects", "none")}),
 }
 

@@ -36,7 +36,8 @@ LAYERS = (
     {"sound/render"},
     {"sound/live", "sound/ensemble"},
     {"workshop/batch", "workshop/fit", "workshop/report", "workshop/web", "lab"},
-    {"workshop/desk", "workshop/listening", "workshop/dataset", "workshop/sampling"},
+    {"workshop/desk", "workshop/listening", "workshop/dataset", "workshop/sampling", "workshop/taps"},
+    {"workshop/wood"},
     {"cli"},
     {"__init__", "__main__"},
 )

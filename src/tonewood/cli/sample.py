@@ -13,7 +13,21 @@ from tonewood.errors import TonewoodError
 from tonewood.sound.render.options import RenderOptions
 
 
-@takes_render_options(without=["max_duration", "tail", "lead_in", "channel_per_string", "capo", "energy", "gain_db"])
+@takes_render_options(
+    without=[
+        "max_duration",
+        "tail",
+        "lead_in",
+        "channel_per_string",
+        "capo",
+        "energy",
+        "gain_db",
+        "preset",
+        "room",
+        "room_distance",
+        "room_mix_db",
+    ]
+)
 def sample(
     instrument: BundleName,
     output: Annotated[

@@ -24,6 +24,7 @@ from tonewood.performance.player.timeline import GRID, Change, Timeline
 from tonewood.performance.score.note import Dropped
 from tonewood.sound.files.inputs import InstrumentLike, ScoreLike, as_instrument, as_score
 from tonewood.sound.render.options import RenderOptions
+from tonewood.sound.render.presets import with_preset
 from tonewood.sound.render.renderer import Renderer
 
 #: the sketch is made at this share of the sampling rate, but at no less than this
@@ -86,7 +87,7 @@ def plan(
     TonewoodError : something is out of range; one line.
     """
     score, instrument = as_score(score), as_instrument(instrument)
-    options = RenderOptions.of(options, fs, settings)
+    options = with_preset(RenderOptions.of(options, fs, settings), instrument.spec).at(room=None)  # takes no time
     low = max(options.fs // _SKETCH, min(_LEAST_FS, options.fs))
     sketched = options.at(fs=low, accuracy="standard", oversampling=None, freq_limit=None)
     # imports and caches of the first time belong to no second of sound

@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import accumulate, pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.instrument.contract.conversion import Converter
 from tonewood.instrument.model.assembly import Model
+from tonewood.instrument.model.output_assembly import OutputGroup
 
 Floats = NDArray[np.float64]
 #: of the delays, then of every converter
 Memory = tuple[Floats, ...]
+
+
+def columns_of(outputs: Sequence[OutputGroup], *, in_room: bool) -> list[list[int]]:
+    """Channel of the dry sound for each channel, an entry per output group.
+
+    In a room a group of one channel becomes two: two microphones hear it.
+    """
+    edges = accumulate((len(group.channels) for group in outputs), initial=0)
+    groups = [list(range(first, last)) for first, last in pairwise(edges)]
+    return [2 * group if in_room and len(group) == 1 else group for group in groups]
 
 
 class Routing:

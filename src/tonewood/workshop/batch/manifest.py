@@ -68,6 +68,7 @@ class NoteFields(Section):
     marks: tuple[str, ...] = ()
     partial: int | None = Field(default=None, ge=2, le=64)
     glides: tuple[tuple[float, float], ...] = ()
+    program: int | None = Field(default=None, ge=1, le=128)
 
     def to_note(self) -> Note:
         """Convert to the score's own type."""
@@ -141,6 +142,10 @@ class RenderSettings(RenderOptions):
         if not isinstance(values, Mapping):
             return values
         out = dict(values)
+        for key in ("preset", "room", "room_distance", "room_mix_db"):
+            if out.get(key) != cls.model_fields[key].default and key in out:
+                text = f"{key}: is for single renders; here `outputs`, `humanize`, `noises` and stimuli.room say it"
+                raise PydanticCustomError("room", text)
         if "output" in out and "outputs" not in out and (one := out.pop("output")) is not None:
             out["outputs"] = [one]
         if isinstance(tail := out.get("tail"), Mapping):
