@@ -37,7 +37,7 @@ def desk(
     from tonewood.instrument.bundle.overrides import parse_assignment
     from tonewood.workshop.desk.desk import Desk
     from tonewood.workshop.desk.server import DeskServer
-    from tonewood.workshop.desk.session import Session
+    from tonewood.workshop.desk.session import DeskSession
     from tonewood.workshop.web.guard import BoundedConnection
 
     allow("--port", port, 0, 65535, "")
@@ -45,7 +45,7 @@ def desk(
     if folder is not None and not folder.is_dir():
         raise TonewoodError(f"there is no folder {folder}", key="--folder")
     changes = {} if strings is None else {"strings_from": strings}
-    session = Session(instrument, changes | dict(map(parse_assignment, settings or [])), allow_code=allow_code)
+    session = DeskSession(instrument, changes | dict(map(parse_assignment, settings or [])), allow_code=allow_code)
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listening:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

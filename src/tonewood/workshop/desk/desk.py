@@ -22,11 +22,11 @@ from tonewood.sound.render.options import RenderOptions
 from tonewood.support.units import decibel
 from tonewood.workshop.desk import views
 from tonewood.workshop.desk.knobs import groups, knobs, same_strings_and_body
-from tonewood.workshop.desk.models import Kept, Maker, Wanted, previewed
+from tonewood.workshop.desk.models import KeptModels, ModelMaker, Wanted, previewed
 from tonewood.workshop.desk.phrase import LONGEST, phrase, phrase_of_file
-from tonewood.workshop.desk.playback import Pair, Playback
-from tonewood.workshop.desk.session import Design, Session
-from tonewood.workshop.desk.take import Take, with_hands
+from tonewood.workshop.desk.playback import ComparedTakes, DeskSound
+from tonewood.workshop.desk.session import Design, DeskSession
+from tonewood.workshop.desk.take import PhraseTake, with_hands
 
 #: s of ringing after the last note; dBFS of the loudest sample of the phrase on the start design
 TAIL, _PEAK = 3.0, -4.0
@@ -52,7 +52,7 @@ class Desk:
     """
 
     def __init__(
-        self, session: Session, *, score: Path | None = None, fs: int = 48000, folder: Path | None = None
+        self, session: DeskSession, *, score: Path | None = None, fs: int = 48000, folder: Path | None = None
     ) -> None:
         self.session, self.lock = session, threading.RLock()
         self._temporary = None if folder is not None else tempfile.TemporaryDirectory(prefix="tonewood-desk-")
@@ -61,13 +61,13 @@ class Desk:
         self._asked: dict[str, Any] = {"kind": "file" if score else "chord", "notes": "", "velocity": 80}
         self.score: Score = self._phrase()
         self.options = RenderOptions(fs=fs, tail=TAIL, max_duration=LONGEST)
-        self.playback = Playback(fs)
+        self.playback = DeskSound(fs)
         self._gain: float | None = None
         self.serial, self.words, self.fault = 0, "", ""
-        self._kept = Kept()
-        self._exact = Maker(self.options, self._failed, self._kept)
-        self._quick = Maker(self.options, self._failed, self._kept)
-        self._other = Maker(self.options, self._failed, self._kept)
+        self._kept = KeptModels()
+        self._exact = ModelMaker(self.options, self._failed, self._kept)
+        self._quick = ModelMaker(self.options, self._failed, self._kept)
+        self._other = ModelMaker(self.options, self._failed, self._kept)
         #: model of the design as far as it is known, and whether it is exact
         self._model: Model | None = None
         self._start: Model | None = None
@@ -87,7 +87,7 @@ class Desk:
 
     # -- the design -----------------------------------------------------------------------------------------------
 
-    def change(self, act: Callable[[Session], None]) -> int:
+    def change(self, act: Callable[[DeskSession], None]) -> int:
         """Change the session, and let the design be heard as soon as it can.
 
         Parameters
@@ -132,13 +132,15 @@ class Desk:
     def _applied(self, design: Design) -> Any:
         return self.options.applied_to(design.instrument)
 
-    def _by_hands(self, take: Take, design: Design) -> None:
+    def _by_hands(self, take: PhraseTake, design: Design) -> None:
         """Play on with other hands."""
         with self.playback.lock:
             forked = None
             if self.playback.playing and not take.ended and not take.preview:
                 forked = take.forked(self.playback.at, design.instrument, dict(design.changes))
-            fresh = Take(self.score, with_hands(take.model, design.instrument), take.options, dict(design.changes))
+            fresh = PhraseTake(
+                self.score, with_hands(take.model, design.instrument), take.options, dict(design.changes)
+            )
             if forked is not None:
                 self.playback.fork(*forked, self.serial)
                 self.playback.following = fresh
@@ -152,7 +154,7 @@ class Desk:
                 return
             options = self._leveled(model)
             score = self.score
-        take = Take(score, model, options, dict(wanted.changes), wanted.preview)
+        take = PhraseTake(score, model, options, dict(wanted.changes), wanted.preview)
         playback = self.playback
         goes_on = playback.take is not None and bool(playback.take.preview) and playback.playing
         goes_on = goes_on and playback.serial == wanted.serial
@@ -176,7 +178,7 @@ class Desk:
     def _leveled(self, model: Model) -> RenderOptions:
         """Options with the gain of the phrase, found once: that of the first model that plays it."""
         if self._gain is None:
-            trial = Take(self.score, model, self.options, {})
+            trial = PhraseTake(self.score, model, self.options, {})
             peak = float(abs(trial.sound()).max(initial=0.0))
             self._gain = round(_PEAK - decibel(peak), 1) if peak > 0 else 0.0
         return self.options.at(gain_db=self._gain)
@@ -205,7 +207,7 @@ class Desk:
             try:
                 score = self._phrase()
                 if self._model is not None:
-                    Take(score, self._model, self.options, {})
+                    PhraseTake(score, self._model, self.options, {})
             except TonewoodError:
                 self._asked = before
                 self._phrase()
@@ -214,7 +216,7 @@ class Desk:
             self.serial += 1
             self.playback.compare(None)
             if self._model is not None:
-                take = Take(score, self._model, self._leveled(self._model), dict(self.session.design.changes))
+                take = PhraseTake(score, self._model, self._leveled(self._model), dict(self.session.design.changes))
                 self.playback.swap(take, serial=self.serial)
 
     def _phrase(self) -> Score:
@@ -287,8 +289,8 @@ class Desk:
 
         def use(theirs: Model, wanted: Wanted) -> None:
             options = self._leveled(model)
-            a = Take(score, model, options, dict(design.changes))
-            b = Take(score, theirs, options, dict(other.changes))
+            a = PhraseTake(score, model, options, dict(design.changes))
+            b = PhraseTake(score, theirs, options, dict(other.changes))
             louder = a.loudness() - b.loudness()
             gains = (10 ** (-max(louder, 0.0) / 20), 10 ** (min(louder, 0.0) / 20))
             order = (0, 1) if not blind or secrets.randbelow(2) else (1, 0)
@@ -296,7 +298,7 @@ class Desk:
                 if self.serial != serial:
                     return
                 self._compared = "" if blind else f"A is {louder:+.1f} LU from {name or 'the start'}, taken out"
-                pair = Pair((a, b), gains, ("this design", name or "the start"), blind=blind, order=order)
+                pair = ComparedTakes((a, b), gains, ("this design", name or "the start"), blind=blind, order=order)
                 self.playback.compare(pair)
 
         self._other.want(Wanted(other.instrument, other.changes, serial, use))
@@ -488,7 +490,7 @@ class Desk:
         raise TonewoodError(f"is {kind!r}; {known} are allowed", key="view")
 
 
-def _pair(pair: Pair) -> dict[str, Any]:
+def _pair(pair: ComparedTakes) -> dict[str, Any]:
     names = ["X", "Y"] if pair.blind else [f"{'AB'[i]}: {pair.names[i]}" for i in pair.order]
     return {"names": names, "which": pair.order.index(pair.which), "blind": pair.blind}
 

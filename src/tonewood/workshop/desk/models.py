@@ -40,7 +40,7 @@ class Wanted:
     since: float = field(default_factory=time.monotonic)
 
 
-class Maker:
+class ModelMaker:
     """A thread that makes models, the newest wanted one next.
 
     Parameters
@@ -50,7 +50,7 @@ class Maker:
     kept : models by their values, shared.
     """
 
-    def __init__(self, options: RenderOptions, fault: Callable[[Wanted, str], None], kept: Kept):
+    def __init__(self, options: RenderOptions, fault: Callable[[Wanted, str], None], kept: KeptModels):
         self._options, self._fault, self._kept = options, fault, kept
         self._next: Wanted | None = None
         self._closed = False
@@ -100,7 +100,7 @@ class Maker:
                 self._fault(wanted, f"{type(fault).__name__}: {fault}")
 
 
-class Kept:
+class KeptModels:
     """The last models, by the values that they were made of."""
 
     def __init__(self) -> None:

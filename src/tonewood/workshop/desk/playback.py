@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.sound.live.instrument import Live
-from tonewood.workshop.desk.take import Take
+from tonewood.workshop.desk.take import PhraseTake
 
 Singles = NDArray[np.float32]
 
@@ -24,14 +24,14 @@ _WHOLE = 1 << 30
 class _Fading:
     """A sound that is taken out."""
 
-    source: Take | Live
+    source: PhraseTake | Live
     at: int
     gain: float
     done: int = 0
 
 
 @dataclass(eq=False)
-class Pair:
+class ComparedTakes:
     """Two takes of one loudness.
 
     Attributes
@@ -42,7 +42,7 @@ class Pair:
     blind : whether the page calls them X and Y; `order` is that of X and Y.
     """
 
-    takes: tuple[Take, Take]
+    takes: tuple[PhraseTake, PhraseTake]
     gains: tuple[float, float]
     names: tuple[str, str]
     which: int = 0
@@ -60,7 +60,7 @@ class Meter:
     reported: dict[str, float] = field(default_factory=dict)
 
 
-class Playback:
+class DeskSound:
     """All that sounds.
 
     Parameters
@@ -75,20 +75,20 @@ class Playback:
 
     def __init__(self, fs: int):
         self.fs, self.lock = fs, threading.RLock()
-        self.take: Take | None = None
+        self.take: PhraseTake | None = None
         #: take that follows when the phrase begins again
-        self.following: Take | None = None
+        self.following: PhraseTake | None = None
         self.at, self.playing, self.loop, self.serial = 0, False, True, 0
-        self.pair: Pair | None = None
+        self.pair: ComparedTakes | None = None
         self.live: Live | None = None
         self.meter = Meter()
         self._fading: list[_Fading] = []
         #: frames of B that were faded in after A; from the beginning of a phrase nothing is
         self._fade_in = _WHOLE
         #: take that goes on from a frame of this one, and serial of its change
-        self._joins: tuple[Take, int, int] | None = None
+        self._joins: tuple[PhraseTake, int, int] | None = None
 
-    def swap(self, take: Take, at: int = 0, *, serial: int | None = None) -> None:
+    def swap(self, take: PhraseTake, at: int = 0, *, serial: int | None = None) -> None:
         """Let another take be heard, from a frame on; from the beginning it is not faded in.
 
         Parameters
@@ -104,7 +104,7 @@ class Playback:
             self.at, self._joins, self._fade_in = at, None, 0 if at else _WHOLE
             self.serial = self.serial if serial is None else serial
 
-    def compare(self, pair: Pair | None) -> None:
+    def compare(self, pair: ComparedTakes | None) -> None:
         """Let two takes be switched, at the same frame of both; None ends that."""
         with self.lock:
             self.pair = pair
@@ -119,10 +119,10 @@ class Playback:
                 self.pair.which = which
                 self._fade_in = 0
 
-    def _fade_out(self, source: Take | Live, at: int, gain: float) -> None:
+    def _fade_out(self, source: PhraseTake | Live, at: int, gain: float) -> None:
         self._fading = [*self._fading[-3:], _Fading(source, at, gain)]
 
-    def fork(self, take: Take, at: int, serial: int) -> None:
+    def fork(self, take: PhraseTake, at: int, serial: int) -> None:
         """Let a take go on that another one was up to a frame: exactly there, without a fade."""
         with self.lock:
             self._joins = (take, at, serial)
@@ -158,7 +158,7 @@ class Playback:
             if self.live is not None:
                 self.live.all_off()
 
-    def _heard(self) -> tuple[Take, float]:
+    def _heard(self) -> tuple[PhraseTake, float]:
         assert self.take is not None
         if self.pair is None:
             return self.take, 1.0

@@ -33,7 +33,7 @@ from starlette.routing import Route
 
 from tonewood.errors import TonewoodError
 from tonewood.workshop.desk.desk import Desk
-from tonewood.workshop.desk.session import Session, known_set
+from tonewood.workshop.desk.session import DeskSession, known_set
 from tonewood.workshop.web.guard import Guard
 from tonewood.workshop.web.requests import RefusalError, json_body, mistake, refuse
 
@@ -172,11 +172,11 @@ class DeskServer:
             yield head + block.astype("<f4").tobytes()
 
 
-def _set(session: Session, given: dict[str, Any]) -> None:
+def _set(session: DeskSession, given: dict[str, Any]) -> None:
     session.set(str(given["path"]), given["value"], dragging=bool(given.get("dragging")))
 
 
-def _changes(use: Callable[[Session, dict[str, Any]], None]) -> Callable[[Desk, dict[str, Any]], str | None]:
+def _changes(use: Callable[[DeskSession, dict[str, Any]], None]) -> Callable[[Desk, dict[str, Any]], str | None]:
     """An act on the session that may change the design."""
 
     def act(desk: Desk, given: dict[str, Any]) -> None:

@@ -32,7 +32,7 @@ class Design:
     instrument: Instrument
 
 
-class Session:
+class DeskSession:
     """Changes of one instrument.
 
     Parameters

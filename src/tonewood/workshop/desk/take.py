@@ -28,7 +28,7 @@ _APART, _KEPT = 2048, 16
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class Ringing:
     """What rings at a frame: J in each string, in the body; J that have left as sound so far, where that is known."""
 
     frame: int
@@ -37,14 +37,14 @@ class Moment:
     sound: float | None
 
 
-class Take:
+class PhraseTake:
     """A phrase on one model.
 
     Parameters
     ----------
     score : the phrase.
     model : that is stepped.
-    options : of the render, as `Session.command` states them.
+    options : of the render, as `DeskSession.command` states them.
     design : changes that made the model's instrument, for the page.
     preview : words on how the model differs from the design; empty where it does not.
     """
@@ -59,7 +59,7 @@ class Take:
         #: frames rendered; whether that is all; frames that another take rendered
         self.frames, self.ended, self.foreign = 0, False, 0
         self._checkpoints: deque[tuple[int, Checkpoint]] = deque(maxlen=_KEPT)
-        self.moments: deque[Moment] = deque(maxlen=2048)
+        self.moments: deque[Ringing] = deque(maxlen=2048)
         self._heard = 0.0
 
     @property
@@ -98,7 +98,7 @@ class Take:
         """LUFS of the loudest 0.4 s of the whole phrase."""
         return loudest(self.sound().astype(np.float64), self.fs, BLOCK)
 
-    def forked(self, frame: int, instrument: Instrument, design: dict[str, Any]) -> tuple[Take, int] | None:
+    def forked(self, frame: int, instrument: Instrument, design: dict[str, Any]) -> tuple[PhraseTake, int] | None:
         """Go on with other hands while strings and body ring on.
 
         Parameters
@@ -116,18 +116,18 @@ class Take:
         if found is None:
             return None
         at, checkpoint = found
-        other = Take(self.score, with_hands(self.model, instrument), self.options, design, self.preview)
+        other = PhraseTake(self.score, with_hands(self.model, instrument), self.options, design, self.preview)
         other.renderer.take_over(checkpoint)
         other._sound = self._sound.copy()
         other.frames = other.foreign = at
         other._heard, other.moments = self._heard, self.moments.copy()
         return other, at
 
-    def again(self) -> Take:
+    def again(self) -> PhraseTake:
         """Return a take of the same model from the beginning; this one, where it was rendered from there."""
         if not self.foreign:
             return self
-        return Take(self.score, self.model, self.options, self.design, self.preview)
+        return PhraseTake(self.score, self.model, self.options, self.design, self.preview)
 
     def _observe(self) -> None:
         moment = stored(self.renderer.engine, self.frames)
@@ -167,7 +167,7 @@ def with_hands(model: Model, instrument: Instrument) -> Model:
     return replace(model, instrument=own, exciters=own.exciters, default_exciter=own.spec.playing.default_exciter)
 
 
-def stored(engine: Engine, frame: int) -> Moment:
+def stored(engine: Engine, frame: int) -> Ringing:
     """Return the energy of the modes of every string and of the body now.
 
     E = (q'^2 + omega^2 q^2) / 2 summed over a component's modes; `sound` is the power sum 2 sigma s E over the body's
@@ -194,4 +194,4 @@ def stored(engine: Engine, frame: int) -> Moment:
                 power = float(np.sum(2 * basis.damping_rate * share * energy))
         elif (owner := system.owners.get(name)) in strings:
             strings[str(owner)] += float(energy.sum())
-    return Moment(frame, strings, body, power)
+    return Ringing(frame, strings, body, power)

@@ -22,7 +22,7 @@ from tonewood.workshop.desk import models
 from tonewood.workshop.desk.desk import TAIL, Desk
 from tonewood.workshop.desk.phrase import LONGEST
 from tonewood.workshop.desk.server import DeskServer
-from tonewood.workshop.desk.session import Session
+from tonewood.workshop.desk.session import DeskSession
 
 HOST = (b"host", b"127.0.0.1:8137")
 
@@ -76,7 +76,7 @@ def until(true: Callable[[], Any], seconds: float = 120.0) -> Any:
 
 @pytest.fixture
 def desk() -> Iterator[Desk]:
-    made = Desk(Session("monochord"))
+    made = Desk(DeskSession("monochord"))
     until(lambda: made.playback.take)
     yield made
     made.close()
@@ -91,7 +91,7 @@ def heard(desk: Desk, frames: int) -> np.ndarray[Any, np.dtype[np.float32]]:
     return np.concatenate([desk.playback.read(512)[0] for _ in range(-(-frames // 512))])[:frames]
 
 
-def offline(desk: Desk, session: Session) -> np.ndarray[Any, np.dtype[np.float32]]:
+def offline(desk: Desk, session: DeskSession) -> np.ndarray[Any, np.dtype[np.float32]]:
     """The render of a command line, in single precision."""
     options = RenderOptions(fs=48000, tail=TAIL, max_duration=LONGEST, gain_db=desk.state()["gain_db"])
     found = tw.render(desk.phrase_file, session.instrument, options=options).samples

@@ -15,18 +15,18 @@ from tonewood.instrument.bundle.overrides import parse_assignment
 from tonewood.instrument.contract.base import Body
 from tonewood.workshop.desk.knobs import acts_at_once, groups, knobs, same_strings_and_body, span
 from tonewood.workshop.desk.phrase import phrase
-from tonewood.workshop.desk.session import MOST_CHANGES, MOST_SNAPSHOTS, Session, assignment
+from tonewood.workshop.desk.session import MOST_CHANGES, MOST_SNAPSHOTS, DeskSession, assignment
 from tonewood.workshop.desk.views import mobility, shape, wolf_words
 
 TENSION = "strings.A2.tension"
 
 
-def changed(session: Session) -> dict[str, object]:
+def changed(session: DeskSession) -> dict[str, object]:
     return dict(session.design.changes)
 
 
 def test_changes_are_undone_and_redone_in_their_order() -> None:
-    session = Session("monochord")
+    session = DeskSession("monochord")
     start = session.instrument.resolved
     session.set(TENSION, 80.0)
     session.set("exciters.pluck.from_bridge", 0.1)
@@ -47,7 +47,7 @@ def test_changes_are_undone_and_redone_in_their_order() -> None:
 
 
 def test_one_movement_of_a_knob_is_one_change() -> None:
-    session = Session("monochord")
+    session = DeskSession("monochord")
     for value in (70.0, 71.0, 72.0):
         session.set(TENSION, value, dragging=True)
     session.set(TENSION, 75.0)
@@ -62,7 +62,7 @@ def test_one_movement_of_a_knob_is_one_change() -> None:
     [(TENSION, -1.0), (TENSION, "high"), ("strings.A2.tenson", 1.0), ("strings.E9.tension", 1.0), ("keys.table", "x")],
 )
 def test_what_is_not_allowed_changes_nothing(path: str, value: object) -> None:
-    session = Session("monochord")
+    session = DeskSession("monochord")
     session.set(TENSION, 80.0)
     design = session.design
     with pytest.raises(TonewoodError):
@@ -73,7 +73,7 @@ def test_what_is_not_allowed_changes_nothing(path: str, value: object) -> None:
 
 
 def test_history_and_designs_are_bounded() -> None:
-    session = Session("monochord")
+    session = DeskSession("monochord")
     for i in range(MOST_CHANGES + 20):
         session.set(TENSION, 70.0 + 0.001 * i)
     undone = 0
@@ -91,7 +91,7 @@ def test_history_and_designs_are_bounded() -> None:
 
 
 def test_a_design_is_kept_and_recalled() -> None:
-    session = Session("monochord", {TENSION: 77.0})
+    session = DeskSession("monochord", {TENSION: 77.0})
     session.set(TENSION, 80.0)
     session.keep("stiff")
     session.reset(TENSION)
@@ -113,7 +113,7 @@ def test_an_assignment_is_read_again_as_it_was(value: object) -> None:
 
 
 def test_a_saved_bundle_is_the_design(tmp_path: Path) -> None:
-    session = Session("classical_guitar")
+    session = DeskSession("classical_guitar")
     session.set("strings_from", "ej45")
     session.set("strings.*.length", {"scale": 1.02})
     session.set("body.added", [{"at": "bridge_middle", "mass": 0.01}])
@@ -136,15 +136,15 @@ def test_a_saved_bundle_is_the_design(tmp_path: Path) -> None:
 def test_the_command_renders_the_samples_heard(tmp_path: Path) -> None:
     from tonewood.sound.render.options import RenderOptions
     from tonewood.sound.render.renderer import assembled
-    from tonewood.workshop.desk.take import Take
+    from tonewood.workshop.desk.take import PhraseTake
 
-    session = Session("monochord")
+    session = DeskSession("monochord")
     session.set(TENSION, 80.0)
     session.set("exciters.pluck.from_bridge", 0.05)
     file, wav = tmp_path / "phrase.mid", tmp_path / "out.wav"
     score = phrase("notes", session.instrument, file, notes="A2 E3", velocity=90)
     options = RenderOptions(fs=48000, tail=0.5, max_duration=60.0, gain_db=-7.3)
-    heard = Take(score, assembled(session.instrument, options), options, {}).sound()
+    heard = PhraseTake(score, assembled(session.instrument, options), options, {}).sound()
     words = shlex.split(session.command(str(file), str(wav), -7.3, 0.5))
     with pytest.raises(SystemExit) as ended:
         run(words[1:])
