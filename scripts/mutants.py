@@ -4,7 +4,7 @@ Edits are drawn from the syntax of a package's sources: a sign, a factor of 2, a
 off by one, min for max, `not`, a conjugate dropped, arguments swapped, a constant returned. Texts, types, messages and
 limits of keys are left alone. Each edit is made in a copy of the tree, in which those test files of the package that
 call the edited function run until a test fails. Tests beyond the time limit decide nothing; tests that fail without any
-edit do not run; a package whose tests do not come to their end without any edit is left out. `kernel` is the C++ kernel,
+edit do not run; a package whose tests do not end without any edit is left out. `kernel` is the C++ kernel,
 built again for each edit, without optimisation and for one instruction set. Edits that no test noticed are for a person
 to read: one that changes nothing is no gap. ``--where FILE`` or ``FILE:LINE`` draws edits there alone; ``--tests
 PATH...`` replaces the tests.
