@@ -41,7 +41,12 @@ TESTS = {name: [f"{PHYSICS}/{name}"] for name in ("modal", "passivity", "energy"
     "instrument": ["tests/unit/instrument"],
     "score": ["tests/unit/performance/score"],
     "player": ["tests/unit/performance/player", "tests/unit/performance/engine", "tests/plugins/test_hand_noises.py"],
-    "engine": ["tests/unit/performance/engine", "tests/unit/performance/player", "tests/effects/test_switching.py"],
+    "engine": [
+        "tests/plugins/test_broken_plugins.py",
+        "tests/unit/performance/engine",
+        "tests/unit/performance/player",
+        "tests/effects/test_switching.py",
+    ],
     "effects": ["tests/effects", "tests/unit/performance/engine"],
     "sound": ["tests/unit/sound", "tests/unit/test_notebook.py"],
     "fit": ["tests/unit/workshop/fit"],
