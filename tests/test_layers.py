@@ -35,7 +35,7 @@ LAYERS = (
     {"sound/files"},
     {"sound/render"},
     {"sound/live", "sound/ensemble"},
-    {"workshop/batch", "workshop/fit", "workshop/report", "lab"},
+    {"workshop/batch", "workshop/design", "workshop/fit", "workshop/report", "lab"},
     {"workshop/listening", "workshop/dataset", "workshop/sampling", "workshop/taps"},
     {"cli"},
     {"__init__", "__main__"},
