@@ -36,7 +36,9 @@ def design(
             "below the path, +-0.02:0.02 is added to them; may be given again",
         ),
     ] = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="write the design as a bundle to FOLDER")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="write the design as a bundle to FOLDER")
+    ] = None,
     strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
@@ -70,7 +72,9 @@ def design(
         return 0 if found.ok else 1
     for line in lines(found):
         print(line)
-    print("for render and compare: " + " ".join(f"--set {path}={value:.6g}" for path, value in _overrides(found).items()))
+    print(
+        "for render and compare: " + " ".join(f"--set {path}={value:.6g}" for path, value in _overrides(found).items())
+    )
     if output is not None:
         print(f"bundle: {output}")
     return 0 if found.ok else 1

@@ -166,7 +166,12 @@ class BodyModes:
 
 
 def named_modes(freq: Floats, kinetic: Floats, top: Floats) -> dict[str, int]:
-    """Numbers of A0 and T1, by the rule of `BodyModes.named`, from (n,) Hz, (3, n) shares and (n,) volumes of the top."""
+    """Numbers of A0 and T1, by the rule of `BodyModes.named`.
+
+    Parameters
+    ----------
+    freq, kinetic, top : (n,) Hz, (3, n) shares of the energy, (n,) volumes displaced by the top.
+    """
     if not freq.all():
         return {}
     low = np.flatnonzero((freq < 400.0) & (kinetic[2] < 0.5))

@@ -19,6 +19,7 @@ calculation of diffraction about the box.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -105,7 +106,7 @@ class Sources:
         from scipy.spatial.distance import cdist
 
         omega = 2 * np.pi * np.asarray(freq, dtype=np.float64)
-        kind = np.float64 if exact else np.float32
+        kind: Any = np.float64 if exact else np.float32
         points, volumes = self.points, self.volumes.astype(kind)
         out = np.zeros(len(omega))
         for first in range(0, len(points), _ROWS):  # half of the symmetric sum, in blocks that a cache holds

@@ -21,15 +21,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.physics.modal.mode_changes import ModeChange, mode_change
 from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED, Cavity, cavity_modes, hole_loss
-from tonewood.physics.plate.body import BodyDrawing, made_plate, mouth_of, named_modes, opening_of, point_loads
+from tonewood.physics.plate.body import BodyDrawing, cell_of, made_plate, mouth_of, named_modes, opening_of, point_loads
 from tonewood.physics.plate.lanczos import lowest
-from tonewood.physics.plate.plate import Plate
+from tonewood.physics.plate.mode_changes import ModeChange, mode_change
 from tonewood.physics.plate.radiation import Sources, gathered_sources
 
 if TYPE_CHECKING:
-    from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import SuperLU
 
 Floats = NDArray[np.float64]
@@ -134,7 +132,7 @@ class WholeBody:
         for i, plate in enumerate(self.plates):
             points, weights = plate.quadrature.points, plate.quadrature.weights
             swept = np.vstack([weights, weights * cavity.shapes(points).T]) @ plate.operator(points)
-            rows[:, : plates] += self._placed(i, swept, plates)
+            rows[:, :plates] += self._placed(i, swept, plates)
         mass = kappa / (2 * np.pi * cavity.freq) ** 2
         if self.mouth is not None and self.opening is not None:
             rows[0, plates] = 1.0
@@ -162,7 +160,7 @@ class WholeBody:
     @property
     def shift(self) -> float:
         """s^2 of `solve`, 1/s^2."""
-        return self.plates[0].shift**2
+        return self.plates[0].shift ** 2
 
     @cached_property
     def _factors(self) -> tuple[SuperLU, Floats, Floats, Floats]:
@@ -240,11 +238,9 @@ class WholeBody:
 
 def with_cells(drawing: BodyDrawing, fmax: float) -> BodyDrawing:
     """Return a drawing whose plates have cells of a fixed size, those for modes up to `fmax` (Hz)."""
-    from tonewood.physics.plate.body import cell_of
-
-    made = replace(drawing, fmax=fmax)
-    plates = {"top": made.top} | ({"back": made.back} if made.back else {})
-    return replace(made, **{k: replace(p, size=cell_of(made.outline, p, fmax)) for k, p in plates.items()})
+    top = replace(drawing.top, size=cell_of(drawing.outline, drawing.top, fmax))
+    back = drawing.back and replace(drawing.back, size=cell_of(drawing.outline, drawing.back, fmax))
+    return replace(drawing, fmax=fmax, top=top, back=back)
 
 
 @dataclass(frozen=True, eq=False)

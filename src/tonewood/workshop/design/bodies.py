@@ -2,7 +2,7 @@
 
 A drawn body is `tonewood.physics.plate.whole_body` on a grid of cells that does not change, coarser than that of a full
 computation; a measured one is its table of modes with the lumps of `body.added`, by
-`tonewood.physics.modal.mode_changes.lump_change`.
+`tonewood.physics.modal.lump_changes.lump_change`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tonewood.errors import BundleError, TonewoodError
 from tonewood.instrument.bundle.added import body_parts, point_factor
 from tonewood.instrument.bundle.loading import Instrument
-from tonewood.physics.modal.mode_changes import lump_change
+from tonewood.physics.modal.lump_changes import lump_change
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.views import SHOWN_TO
 from tonewood.physics.plate.body import BodyDrawing
@@ -27,6 +27,9 @@ from tonewood.workshop.design.task import Free
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+
+#: point, its factor, rates of mass, damping and stiffness of a lump, and whether it has a mass
+Rate = tuple[str, float, tuple[float, float, float], bool]
 
 #: step of a derivative, re the parameter's range
 STEP = 1e-5
@@ -44,7 +47,7 @@ class DesignBody(Protocol):
         """Return, to first order, those at parameter i less and more a step, and the step; about the last `at`."""
 
 
-def changed(instrument: Instrument, free: Sequence[Free], values: Sequence[float]) -> Instrument:
+def changed(instrument: Instrument, free: Sequence[Free], values: Sequence[float] | Floats) -> Instrument:
     """Return the instrument with values of the parameters."""
     overrides: dict[str, Any] = {}
     for parameter, value in zip(free, values, strict=True):
@@ -81,7 +84,7 @@ class DrawnDesign:
         self._cells = with_cells(_drawing(instrument), self._below)
         self._values: Floats = np.zeros(0)
 
-    def _body(self, values: Sequence[float]) -> WholeBody:
+    def _body(self, values: Sequence[float] | Floats) -> WholeBody:
         made = changed(self._instrument, self._free, values)
         drawing = replace(_drawing(made), fmax=self._below)
         drawing = replace(drawing, top=replace(drawing.top, size=self._cells.top.size))
@@ -170,12 +173,15 @@ class TabledResonances:
         return value if change is None else np.asarray(value + change(omega))
 
 
-def _mobility(basis: ModalBasis, omega: Floats, read: Sequence[str], driven: Sequence[str]) -> Complexes:
+def _mobility(
+    basis: ModalBasis, omega: Floats, read: Sequence[str], driven: Sequence[str], whole: bool = True
+) -> Complexes:
+    """(f, r, d) mobility between points; without the residual compliance where not `whole`."""
     from tonewood.physics.modal.mobility import mobility
 
     rows, columns = [basis.index(p) for p in read], [basis.index(p) for p in driven]
-    whole = mobility(basis.poles, basis.right, basis.left, omega)[:, rows][:, :, columns]
-    return np.asarray(whole + 1j * omega[:, None, None] * basis.residual[np.ix_(rows, columns)])
+    modes = mobility(basis.poles, basis.right, basis.left, omega)[:, rows][:, :, columns]
+    return np.asarray(modes + whole * 1j * omega[:, None, None] * basis.residual[np.ix_(rows, columns)])
 
 
 class MeasuredDesign:
@@ -201,8 +207,9 @@ class MeasuredDesign:
         rates = self._rates(i)
         poles = np.zeros(len(self._kept), dtype=np.complex128)
         residues = np.zeros((len(self._whole.points), len(self._kept)), dtype=np.complex128)
-        for name, factor, lump in rates:
-            moved, turned = lump_change(self._whole, self._whole.index(name), [factor**2 * x for x in lump])
+        for name, factor, lump, massive in rates:
+            scaled = [factor**2 * x for x in lump]
+            moved, turned = lump_change(self._whole, self._whole.index(name), scaled, massive)
             poles, residues = poles + moved[self._kept], residues + turned[:, self._kept]
         now_poles, now = self._whole.poles[self._kept], (self._whole.right * self._whole.left)[:, self._kept]
 
@@ -212,7 +219,7 @@ class MeasuredDesign:
 
         return beside(-step), beside(step), step
 
-    def _rates(self, i: int) -> list[tuple[str, float, tuple[float, float, float]]]:
+    def _rates(self, i: int) -> list[Rate]:
         """Point, factor and rates of mass, damping and stiffness of each lump that parameter i changes."""
         free, found = self._free[i], []
         for path, base in zip(free.paths, free.base, strict=True):
@@ -222,19 +229,19 @@ class MeasuredDesign:
             entry = self._made.spec.body.added[int(number)]
             rate = base if free.kind == "x" else 1.0
             lump = (rate * (key == "mass"), rate * (key == "damping"), rate * (key == "stiffness"))
-            found.append((entry.at, point_factor(int(number), entry, self._points), lump))
+            found.append((entry.at, point_factor(int(number), entry, self._points), lump, entry.mass > 0))
         return found
 
-    def _change(self, point: int, rates: Sequence[tuple[str, float, tuple[float, float, float]]], by: float) -> Any:
+    def _change(self, point: int, rates: Sequence[Rate], by: float) -> Any:
         """Change of a point's mobility, -Y_pa Y_ap (i omega m' + d' + k' / i omega) for each lump."""
 
         def change(omega: Floats) -> Complexes:
             total = np.zeros(len(omega), dtype=np.complex128)
-            for name, factor, (m, d, k) in rates:
+            for name, factor, (m, d, k), massive in rates:
                 own = [self._whole.points[point]]
                 z = factor**2 * (1j * omega * m + d + k / (1j * omega))
-                to = _mobility(self._whole, omega, own, [name])[:, 0, 0]
-                back = _mobility(self._whole, omega, [name], own)[:, 0, 0]
+                to = _mobility(self._whole, omega, own, [name], massive)[:, 0, 0]
+                back = _mobility(self._whole, omega, [name], own, massive)[:, 0, 0]
                 total -= to * z * back
             return by * total
 

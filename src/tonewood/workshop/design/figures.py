@@ -81,7 +81,7 @@ class DrawnResonances:
 
     @property
     def mass(self) -> float | None:
-        """kg."""
+        """Kg."""
         return self.modes.mass
 
     @property

@@ -65,7 +65,10 @@ class Design:
 
 
 def find_design(
-    instrument: Instrument, targets: Sequence[Target], free: Sequence[Free], tell: Callable[[str], None] = lambda s: None
+    instrument: Instrument,
+    targets: Sequence[Target],
+    free: Sequence[Free],
+    tell: Callable[[str], None] = lambda s: None,
 ) -> Design:
     """Search the nearest design that reaches the targets.
 
@@ -94,7 +97,14 @@ def find_design(
         else:
             break
     return Design(
-        tuple(targets), tuple(free), before, values, given, reached, search.rates(values), changed(instrument, free, values)
+        tuple(targets),
+        tuple(free),
+        before,
+        values,
+        given,
+        reached,
+        search.rates(values),
+        changed(instrument, free, values),
     )
 
 

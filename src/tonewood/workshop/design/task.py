@@ -1,12 +1,12 @@
 """What is wanted of a design, and what may change for it: lines of a YAML file or of the command line.
 
-    targets:                                  free:
-      - T1 = 200                                body.thickness: 2.0e-3 .. 3.0e-3       # the value itself
-      - A0 <= 100                               body.braces.fan_*.height: x 0.7 .. 1.4  # all of them by one factor
-      - mode 3 >= 290                           body.braces.bar_low.*.0: + -0.02 .. 0.02  # moved by one distance, m
-      - mobility saddle_E2 80..1000 >= -30
-      - no wolf F3..A3
-      - mass <= 0.200
+targets:                                  free:
+- T1 = 200                                body.thickness: 2.0e-3 .. 3.0e-3       # the value itself
+- A0 <= 100                               body.braces.fan_*.height: x 0.7 .. 1.4  # all of them by one factor
+- mode 3 >= 290                           body.braces.bar_low.*.0: + -0.02 .. 0.02  # moved by one distance, m
+- mobility saddle_E2 80..1000 >= -30
+- no wolf F3..A3
+- mass <= 0.200
 """
 
 from __future__ import annotations
@@ -213,7 +213,9 @@ def parse_free(lines: Mapping[str, str], instrument: Instrument) -> list[Free]:
         if not chosen:
             hint = did_you_mean(path, leaves)
             raise TonewoodError(f"leads to no number of the body; {hint}see `tonewood schema`", key=path)
-        made = Free(path, tuple(chosen), tuple(chosen.values()), match["kind"], float(match["low"]), float(match["high"]))
+        made = Free(
+            path, tuple(chosen), tuple(chosen.values()), match["kind"], float(match["low"]), float(match["high"])
+        )
         if not made.kind and len(set(made.base)) > 1:
             raise TonewoodError("are several numbers: x LOW .. HIGH or + LOW .. HIGH keep their differences", key=path)
         for other in found:

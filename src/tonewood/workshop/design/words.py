@@ -109,7 +109,7 @@ def lines(design: Design) -> Sequence[str]:
     if not design.ok:
         missed = [t.text for t, off in zip(design.targets, design.off, strict=True) if abs(off) > t.tolerance]
         out.append(
-            f"these targets cannot be reached within these bounds: {'; '.join(missed)}. The design above is the nearest: "
-            "widen a bound that is named, free another parameter, or give up what it trades with"
+            f"these targets cannot be reached within these bounds: {'; '.join(missed)}. The design above is the "
+            "nearest: widen a bound that is named, free another parameter, or give up what it trades with"
         )
     return out
