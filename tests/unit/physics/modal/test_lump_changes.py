@@ -16,7 +16,7 @@ def body(residual=0.0):
     return ModalBasis.real(omega, 0.01 * omega, shapes, residual=residual * np.eye(2))
 
 
-@pytest.mark.parametrize("step", [1e-4, 1e-5, 1e-6])
+@pytest.mark.parametrize("step", [1e-3, 3e-4, 1e-4])
 @pytest.mark.parametrize("kind", ["mass", "damping", "stiffness"])
 def test_lumps_on_a_table_of_modes(step, kind):
     lump = {"mass": 0.02, "damping": 0.5, "stiffness": 3e3}
