@@ -172,7 +172,7 @@ class _Search:
             values = self.low + span * x
             now, rates = self.figures_at(values), self.rates(values) * span
             rows = [
-                _slope(t, float(f)) / t.weight * row if t.off(float(f)) else 0.0 * row
+                slope(t, float(f)) / t.weight * row if t.off(float(f)) else 0.0 * row
                 for t, f, row in zip(self.targets, now, rates, strict=True)
             ]
             return np.vstack([*rows, LEAST * np.eye(len(span))])
@@ -223,8 +223,8 @@ def _value(parameter: Free, instrument: Instrument) -> float:
     return {"": now, "x": now / base if base else 1.0, "+": now - base}[parameter.kind]
 
 
-def _slope(target: Target, figure: float) -> float:
-    """Derivative of `Target.off`."""
+def slope(target: Target, figure: float) -> float:
+    """Derivative of `Target.off` with respect to the figure."""
     if target.kind == "freq":
         return float(1200 / np.log(2) / figure)
     return 100 / target.value if target.kind == "mass" else 1.0

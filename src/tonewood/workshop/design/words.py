@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.workshop.design.search import Design
+from tonewood.workshop.design.search import Design, slope
 from tonewood.workshop.design.task import Free, Target
 
 Floats = NDArray[np.float64]
@@ -55,10 +55,7 @@ def at_bounds(design: Design) -> list[str]:
 def effects(design: Design) -> Floats:
     """(t, n) change of each figure, in the unit of its target's error, by a tenth of each parameter's range."""
     span = np.array([p.high - p.low for p in design.free])
-    unit = [
-        {"freq": 1200 / np.log(2) / f, "mass": 100 / t.value}.get(t.kind, 1.0)
-        for t, f in zip(design.targets, design.reached, strict=True)
-    ]
+    unit = [slope(t, float(f)) for t, f in zip(design.targets, design.reached, strict=True)]
     return np.asarray(np.array(unit)[:, None] * design.rates * span / 10)
 
 
