@@ -32,6 +32,8 @@ from tonewood.workshop.desk.take import PhraseTake, with_hands
 TAIL, _PEAK = 3.0, -4.0
 #: views that are kept
 _MOST_VIEWS = 24
+#: s without a change after which the exact model is begun: one that has been begun slows the next preview down
+_REST = 0.7
 #: frames that are rendered before a take is heard
 _READY = 4096
 
@@ -75,7 +77,8 @@ class Desk:
         self._views: dict[tuple[str, str, bool], tuple[Model, Any]] = {}
         self._view_lock = threading.Lock()
         self._compared = ""
-        self.began = time.monotonic()
+        #: exact model that follows a preview
+        self._then: Wanted | None = None
         self._make(session.design)
 
     def close(self) -> None:
@@ -119,15 +122,38 @@ class Desk:
         if same and known is not None and take is not None:
             self._quick.forget()
             self._exact.forget()
-            if not self._exact.busy:
+            if not self._busy:
                 self._model = with_hands(known, design.instrument)
                 self._by_hands(take, design)
                 return
         wanted = Wanted(design.instrument, design.changes, self.serial, self._ready)
         coarse = previewed(design.instrument, None if known is None else known.instrument)
-        if coarse is not None:
-            self._quick.want(Wanted(coarse[0], design.changes, self.serial, self._ready, coarse[1]))
-        self._exact.want(wanted)
+        if coarse is None:
+            self._then = None
+            self._exact.want(wanted)
+            return
+        # the exact model follows: beside it the preview would take twice as long
+        self._exact.forget()
+        self._then = wanted
+        self._quick.want(Wanted(coarse[0], design.changes, self.serial, self._ready, coarse[1]))
+
+    @property
+    def _busy(self) -> Wanted | None:
+        """The model that is made or waits, the newest."""
+        return self._quick.busy or self._exact.busy or self._then
+
+    def _go_on(self, wanted: Wanted) -> None:
+        """After a preview make the exact model of the same design, once the hand has rested."""
+        if wanted.preview and wanted.serial == self.serial:
+            timer = threading.Timer(_REST, self._follow, (wanted.serial,))
+            timer.daemon = True
+            timer.start()
+
+    def _follow(self, serial: int) -> None:
+        with self.lock:
+            if self._then is not None and self._then.serial == serial == self.serial:
+                self._exact.want(self._then)
+                self._then = None
 
     def _applied(self, design: Design) -> Any:
         return self.options.applied_to(design.instrument)
@@ -149,6 +175,13 @@ class Desk:
 
     def _ready(self, model: Model, wanted: Wanted) -> None:
         """Let a model be heard that has been made."""
+        try:
+            self._hear(model, wanted)
+        finally:
+            with self.lock:
+                self._go_on(wanted)
+
+    def _hear(self, model: Model, wanted: Wanted) -> None:
         with self.lock:
             if wanted.serial != self.serial or (wanted.preview and self._exact_known(wanted)):
                 return
@@ -185,6 +218,7 @@ class Desk:
 
     def _failed(self, wanted: Wanted, reason: str) -> None:
         with self.lock:
+            self._go_on(wanted)
             if wanted.serial == self.serial:
                 self.fault = f"no model of this design: {reason}. The sound is still that of the design before."
 
@@ -282,7 +316,7 @@ class Desk:
                 return
             other = self.session.snapshot(name)
             model, design = self._model, self.session.design
-            if model is None or self._exact.busy is not None:
+            if model is None or self._busy is not None:
                 raise TonewoodError("the model of this design is not ready yet: try again when it is")
             self._compared = f"both are brought to one loudness: {name or 'the start'} is made"
             serial, score = self.serial, self.score
@@ -326,7 +360,7 @@ class Desk:
         """Return all that the page shows besides knobs and pictures."""
         with self.lock:
             session, playback, take = self.session, self.playback, self.playback.take
-            busy, pair, seen = self._exact.busy, playback.pair, self._seen
+            busy, pair, seen = self._busy, playback.pair, self._seen
             waited = time.monotonic() - busy.since if busy is not None else 0.0
             return {
                 "name": session.instrument.name,
@@ -388,7 +422,7 @@ class Desk:
             "seconds": seconds,
             "load": meter.load,
             "worst": meter.worst,
-            "making": None if self._exact.busy is None else round(time.monotonic() - self._exact.busy.since, 1),
+            "making": None if self._busy is None else round(time.monotonic() - self._busy.since, 1),
         }
 
     def points(self) -> list[str]:
