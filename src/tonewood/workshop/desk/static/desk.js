@@ -284,7 +284,7 @@ async function showModel() {
     seen.start ??= await view("mobility", "", "start");
     options($("mobility_string"), Object.keys(seen.mobility.db));
     drawMobility();
-    const strongest = seen.mobility.modes.filter((m) => m.mass).sort((a, b) => (a.mass * a.freq) / a.q - (b.mass * b.freq) / b.q).slice(0, 10).sort((a, b) => a.freq - b.freq);
+    const strongest = seen.mobility.modes.filter((m) => m.mass && m.freq < seen.mobility.freq.at(-1)).sort((a, b) => (a.mass * a.freq) / a.q - (b.mass * b.freq) / b.q).slice(0, 10).sort((a, b) => a.freq - b.freq);
     $("peaks").replaceChildren(...strongest.map((m) => element("button", { textContent: `${m.freq.toFixed(0)} Hz`, onclick: () => showShape(m.freq) })));
     if (strongest.length) await showShape(seen.shape?.freq ?? strongest[0].freq);
   });
