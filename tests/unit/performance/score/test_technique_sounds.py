@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -46,7 +45,8 @@ class Played:
         self.score = tw.read_score(path)
         options = OPTIONS.at(max_duration=self.score.duration + 0.1)
         renderer = tw.Renderer(self.score, bass[0], options=options, model=bass[1])
-        self.sound: Floats = np.concatenate(list(renderer.blocks()))[:, 0]
+        sound = np.concatenate(list(renderer.blocks()))[:, 0]
+        self.sound: Floats = np.append(sound, np.zeros(FS))  # it may end early, decayed
         self.performance = renderer.performance
 
     def part(self, begin: float, end: float) -> Floats:
@@ -54,7 +54,7 @@ class Played:
 
     def level(self, begin: float, end: float) -> float:
         """dB."""
-        return 10 * float(np.log10(np.mean(self.part(begin, end) ** 2)))
+        return 10 * float(np.log10(np.mean(self.part(begin, end) ** 2) + 1e-30))
 
     def spectrum(self, begin: float, end: float) -> tuple[Floats, Floats]:
         x = self.part(begin, end)
@@ -123,7 +123,9 @@ def test_bends_and_the_bar_follow_their_curves(bass: tuple[tw.Instrument, object
     )  # fmt: skip
     for beat, (times, cents) in enumerate(curves):
         time, heard = played.pitch(beat + 0.12, beat + 0.9, 2 * G2)
-        assert heard == pytest.approx(np.interp(time - beat, times, cents), abs=12.0)
+        off = np.abs(heard - np.interp(time - beat, times, cents))
+        assert np.quantile(off, 0.9) < 12.0
+        assert off.max() < 30.0
 
 
 def test_vibrato_by_depth_and_rate(bass: tuple[tw.Instrument, object], tmp_path: Path) -> None:
@@ -188,31 +190,30 @@ def test_dead_and_muted_notes_decay_fast(bass: tuple[tw.Instrument, object], tmp
     rows = [(HIGHEST, 5, "", ""), (HIGHEST, 5, enabled("PalmMuted"), ""), (HIGHEST, 5, enabled("Muted"), "")]
     played = Played(bass, tmp_path / "a.gp", rows)
     rings, muted, dead = (t60(played, beat + 0.05, beat + 0.2) for beat in range(3))
-    assert rings > 1.0
-    assert 0.1 < muted < 0.6 * rings
-    assert dead < 0.5 * muted
-    assert dead < 0.3
+    assert rings > 3.0
+    assert 0.3 < muted < 1.0
+    assert dead < 0.25
 
 
-@pytest.mark.parametrize(("direction", "order"), [("Down", (0, 1, 2, 3)), ("Up", (3, 2, 1, 0))])
+@pytest.mark.parametrize(("direction", "order"), [("Down", ("E1", "G2")), ("Up", ("G2", "E1"))])
 def test_brushes_spread_their_strings(
-    bass: tuple[tw.Instrument, object], tmp_path: Path, direction: str, order: tuple[int, ...]
+    bass: tuple[tw.Instrument, object], tmp_path: Path, direction: str, order: tuple[str, str]
 ) -> None:
     """A brush downwards begins with the lowest string; 240 of 960 parts of a quarter note, here a second."""
-    rows = [(string, 2, "", "") for string in range(4)]
     chord = '<Beat id="0">' + value("Brush", "Direction", direction).join(("<Properties>", "</Properties>"))
     chord += '<XProperties><XProperty id="687935489"><Int>240</Int></XProperty></XProperties>'
     played = Played(
-        bass, tmp_path / "a.gp", rows, ('<Beat id="0">', chord), ("<Notes>0</Notes>", "<Notes>0 1 2 3</Notes>"),
-        ("<Beats>0 1 2 3</Beats>", "<Beats>0</Beats>"),
+        bass, tmp_path / "a.gp", [(0, 2, "", ""), (HIGHEST, 2, "", "")], ('<Beat id="0">', chord),
+        ("<Notes>0</Notes>", "<Notes>0 1</Notes>"), ("<Beats>0 1</Beats>", "<Beats>0</Beats>"),
     )  # fmt: skip
-    assert onsets(played, 0.0, 1.0) == pytest.approx([0.0, 0.08, 0.16, 0.24], abs=0.011)
-    freqs = [440.0 * 2 ** ((open_ + 2 - 69) / 12) for open_ in STRINGS]
+    assert onsets(played, 0.0, 1.0) == pytest.approx([0.0, 0.25], abs=0.005)
+    freqs = {"E1": 440.0 * 2 ** ((30 - 69) / 12), "G2": 440.0 * 2 ** ((45 - 69) / 12)}
 
-    def strength(string: int, begin: float) -> float:
-        """Of the fundamental of a string in a window of 0.1 s."""
-        freq, level = played.spectrum(begin, begin + 0.1)
-        return float(level[np.argmin(np.abs(freq - freqs[string]))])
+    def rise(string: str) -> float:
+        """Of the fundamental of a string from the time before the second stroke to that after it."""
+        before, after = (played.spectrum(at, at + 0.2) for at in (0.01, 0.27))
+        early, late = (level[np.argmin(np.abs(freq - freqs[string]))] for freq, level in (before, after))
+        return float(late / early)
 
-    rises = [next(t for t in np.arange(0.0, 0.4, 0.01) if strength(s, t) > 0.5 * strength(s, 0.45)) for s in order]
-    assert all(b - a > 0.02 for a, b in itertools.pairwise(rises))
+    assert rise(order[0]) < 1.5
+    assert rise(order[1]) > 3.0
