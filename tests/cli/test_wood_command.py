@@ -35,7 +35,8 @@ def test_the_command_from_a_table_to_a_drawn_body(tonewood: Run, tmp_path: Path,
     )
     assert code == 0
     assert "E_L" in out
-    assert "75.0 Hz bare and clamped" in out
+    assert "75.0 Hz, bare and clamped at its outline" in out
+    assert "Gore and Gilet's target of a classical top" in out
     text = (tmp_path / "w.yaml").read_text(encoding="utf-8")
     values = dict(line.strip().split(": ") for line in text.splitlines() if line.startswith("  "))
     assert float(values["E_L"]) == pytest.approx(rectangle.nominal.E_L, rel=0.02)

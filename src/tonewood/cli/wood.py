@@ -121,25 +121,27 @@ def _stick(sizes: dict[str, float], mass: float, peaks: list[BoardPeak], ratio: 
 
 def _tops(
     solution: Board | Stick, outline: tuple[float, float, float, float] | None, stiffness: float | None
-) -> list[dict[str, float]]:
+) -> list[dict[str, Any]]:
     """Thickness and lowest frequency of tops of this board."""
     from tonewood.physics.plate.outline import guitar_outline
     from tonewood.workshop.wood.board import Board
-    from tonewood.workshop.wood.thickness import panel_freq, thickness_for
+    from tonewood.workshop.wood.thickness import TARGETS, gore_thickness, panel_freq, thickness_for
 
     if outline is None or not isinstance(solution, Board):
         return []
-    ring = guitar_outline(*outline)
+    wood, ring, (length, _, _, lower) = solution.wood, guitar_outline(*outline), outline
+    here = "bare and clamped at its outline"
     if stiffness is not None:
-        h = thickness_for(solution.wood, ring, stiffness)
-        return [{"thickness_m": h, "freq_Hz": stiffness}]
-    return [
-        {"thickness_m": h, "freq_Hz": panel_freq(solution.wood, ring, h)}
-        for h in (2.0e-3, 2.25e-3, 2.5e-3, 2.75e-3, 3e-3)
-    ]
+        tops = [(thickness_for(wood, ring, stiffness), stiffness, here)]
+    else:
+        tops = [(1e-3 * h, panel_freq(wood, ring, 1e-3 * h), here) for h in (2.0, 2.5, 3.0)]
+    for name, freq in TARGETS.items():
+        kind = f"Gore and Gilet's target of a {name.replace('_', ' ')}, a clamped rectangle"
+        tops.append((gore_thickness(wood, length, lower, freq), freq, kind))
+    return [{"thickness_m": h, "freq_Hz": freq, "of": kind} for h, freq, kind in tops]
 
 
-def _report(solution: Board | Stick, density: float, tops: list[dict[str, float]]) -> dict[str, Any]:
+def _report(solution: Board | Stick, density: float, tops: list[dict[str, Any]]) -> dict[str, Any]:
     from tonewood.workshop.wood.board import Board
 
     warnings = []
@@ -183,7 +185,7 @@ def _print(report: dict[str, Any]) -> None:
     if report["modes_without_peak_Hz"]:
         print("modes without a peak: " + ", ".join(f"{f:.0f}" for f in report["modes_without_peak_Hz"]) + " Hz")
     for top in report["tops"]:
-        print(f"top of {1e3 * top['thickness_m']:.2f} mm: {top['freq_Hz']:.1f} Hz bare and clamped at its outline")
+        print(f"{1e3 * top['thickness_m']:.2f} mm: {top['freq_Hz']:.1f} Hz, {top['of']}")
     print("intervals are of 90 %; Poisson's ratio and the shear through the thickness lean on those of the species")
     if "written" in report:
         print(f"written: {report['written']}")

@@ -1,8 +1,9 @@
 """Thickness at which a top of a given outline has a wanted stiffness.
 
 The lowest frequency of the bare top, clamped at its outline, stands for the stiffness: a stiff or a light top has a
-high one. It is the kind of target that T. Gore and G. Gilet (Contemporary Acoustic Guitar, 2011) call a panel's
-vibrational stiffness. Their book's formula, of a rectangle, was not at hand, and none of their figures is built in.
+high one. T. Gore and G. Gilet (Contemporary Acoustic Guitar Design and Build, 2011, Eq. 4.5-7) call it a panel's
+vibrational stiffness and take Rayleigh's quotient of a clamped rectangle for it; their formula and targets are here as
+public programs quote them, for the book was not at hand.
 """
 
 from __future__ import annotations
@@ -15,6 +16,10 @@ from tonewood.physics.plate.wood import Wood
 
 Floats = NDArray[np.float64]
 
+#: Hz, targets of Gore and Gilet for panels without braces
+TARGETS = {"classical_top": 60.0, "steel_string_top": 75.0, "classical_back": 50.0, "steel_string_back": 55.0}
+#: their Poisson's ratio nu_RL, and nu_LR nu_RL
+_NU_RL, _PRODUCT = 0.05, 0.02
 #: m, thinnest and thickest top
 THINNEST, THICKEST = 5e-4, 2e-2
 
@@ -47,3 +52,19 @@ def thickness_for(wood: Wood, outline: Floats, freq: float) -> float:
         if abs(h / last - 1) < 1e-5:
             break
     return h
+
+
+def gore_thickness(wood: Wood, length: float, width: float, freq: float) -> float:
+    """Thickness (m) at which Rayleigh's quotient of a clamped rectangle is a frequency (Hz).
+
+    h = pi f a^2 sqrt(12 (1 - n) rho / 126 / (E_L + r^2 E_R + r (4 nu_RL E_L / 7 + 8 (1 - n) G_LR / 7))), r = (a / b)^2,
+
+    n = nu_LR nu_RL, of the shape w = x^2 (a - x)^2 y^2 (b - y)^2: a plate that does not shear, a few percent too stiff.
+
+    Parameters
+    ----------
+    length, width : m, a and b: of the body and of its lower bout.
+    """
+    ratio, free = (length / width) ** 2, 1 - _PRODUCT
+    rigid = wood.E_L + ratio**2 * wood.E_R + ratio * (4 * _NU_RL * wood.E_L / 7 + 8 * free * wood.G_LR / 7)
+    return float(np.pi * freq * length**2 * np.sqrt(12 * free * wood.density / 126 / rigid))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +17,9 @@ from tonewood.workshop.taps.strongest import strongest
 from tonewood.workshop.wood.board import estimate_board, typical
 from tonewood.workshop.wood.rectangle import Rectangle
 from tonewood.workshop.wood.stick import bar_freq, estimate_stick
-from tonewood.workshop.wood.thickness import panel_freq, thickness_for
+from tonewood.workshop.wood.thickness import gore_thickness, panel_freq, thickness_for
 
-PLATES = Path(__file__).parents[4].parent / "shared" / "plates"
+PLATES = Path(os.environ.get("TONEWOOD_PLATES", Path(__file__).parents[4].parent / "shared/plates"))
 SIZE = (0.58, 0.217, 4.7e-3)
 
 
@@ -125,6 +126,13 @@ def test_a_clamped_circle_s_thickness() -> None:
     assert thickness_for(disc, circle(a), closed) == pytest.approx(h, rel=3e-3)
     with pytest.raises(ValueError, match=r"0\.5 to 20 mm are allowed"):
         thickness_for(disc, circle(a), 1e4)
+
+
+def test_gore_and_gilet_s_panel_is_a_clamped_rectangle() -> None:
+    """Rayleigh's quotient is above the frequency of the plate itself, by less than 3 %."""
+    wood, (a, b) = SPECIES["sitka_spruce"].wood, (0.49, 0.39)
+    ring = np.array([[0.0, 0.0], [a, 0.0], [a, b], [0.0, b]])
+    assert 0.97 * 75 < panel_freq(wood, ring, gore_thickness(wood, a, b, 75.0)) < 75
 
 
 def test_peaks_of_taps_are_those_of_their_poles(rng: np.random.Generator) -> None:
