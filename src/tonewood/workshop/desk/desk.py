@@ -14,13 +14,13 @@ from typing import Any
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.string_sets import string_sets
-from tonewood.instrument.inspection.wolf import WolfNote, wolf_notes
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.score.note import Score
 from tonewood.sound.live.instrument import Live
 from tonewood.sound.render.options import RenderOptions
 from tonewood.support.units import decibel
 from tonewood.workshop.desk import views
+from tonewood.workshop.desk.kept_views import KeptViews
 from tonewood.workshop.desk.knobs import groups, knobs, same_strings_and_body
 from tonewood.workshop.desk.models import KeptModels, ModelMaker, Wanted, previewed
 from tonewood.workshop.desk.phrase import LONGEST, phrase, phrase_of_file
@@ -30,8 +30,6 @@ from tonewood.workshop.desk.take import PhraseTake, with_hands
 
 #: s of ringing after the last note; dBFS of the loudest sample of the phrase on the start design
 TAIL, _PEAK = 3.0, -4.0
-#: views that are kept
-_MOST_VIEWS = 24
 #: s without a change after which the exact model is begun: one that has been begun slows the next preview down
 _REST = 0.7
 #: frames that are rendered before a take is heard
@@ -72,10 +70,7 @@ class Desk:
         self._other = ModelMaker(self.options, self._failed, self._kept)
         #: model of the design as far as it is known, and whether it is exact
         self._model: Model | None = None
-        self._start: Model | None = None
-        self._start_wolves: list[WolfNote] | None = None
-        self._views: dict[tuple[str, str, bool], tuple[Model, Any]] = {}
-        self._view_lock = threading.Lock()
+        self._views = KeptViews(session.start.instrument, self.options, self._kept)
         self._compared = ""
         #: exact model that follows a preview
         self._then: Wanted | None = None
@@ -474,63 +469,9 @@ class Desk:
         design = self._seen
         if design is None:
             raise TonewoodError("there is no model yet: wait for the first sound")
-        with self._view_lock:
-            # of a body that is drawn the start's model takes long: the first preview stands for it until it is known
-            known = self._start is not None or self._model is not None
-            model = (self._start_model() if known else design) if of_start else design
-            key = (kind, argument, of_start)
-            found = self._views.get(key)
-            if found is not None and found[0] is model:
-                return found[1]
-            made = self._viewed(model, kind, argument)
-            self._views[key] = (model, made)
-            for old in [k for k, (of, _) in self._views.items() if of is not design and of is not self._start]:
-                del self._views[old]
-            while len(self._views) > _MOST_VIEWS:
-                del self._views[next(iter(self._views))]
-            return made
-
-    def _start_model(self) -> Model:
-        """The exact model of the start, kept as long as the desk."""
-        if self._start is None:
-            self._start = self._kept.model(self.session.start.instrument, self.options)
-        return self._start
-
-    def _wolves(self, model: Model) -> list[WolfNote]:
-        """Wolf notes of a model, those of the start kept."""
-        if model is not self._start:
-            return wolf_notes(model)
-        if self._start_wolves is None:
-            self._start_wolves = wolf_notes(model)
-        return self._start_wolves
-
-    def _viewed(self, model: Model, kind: str, argument: str) -> Any:
-        if kind == "mobility":
-            return views.mobility(model)
-        if kind == "shape":
-            return views.shape(model, _number(argument))
-        if kind == "strings":
-            return views.strings(model)
-        if kind == "wolves":
-            start_model = model if self._model is None else self._start_model()
-            found, start = self._wolves(model), self._wolves(start_model)
-            shown = {"wolves": [asdict(w) for w in found], "start": [asdict(w) for w in start]}
-            return {**shown, "neck": views.neck(model), "words": views.wolf_words(start, found)}
-        if kind == "force":
-            return views.force(model.instrument, argument or next(iter(model.groups)), self.options)
-        if kind == "differences":
-            return [] if self._model is None else views.differences(model, self._start_model())
-        known = "mobility, shape, strings, wolves, force, drawing, differences"
-        raise TonewoodError(f"is {kind!r}; {known} are allowed", key="view")
+        return self._views.view(design, kind, argument, of_start=of_start, exact=self._model is not None)
 
 
 def _pair(pair: ComparedTakes) -> dict[str, Any]:
     names = ["X", "Y"] if pair.blind else [f"{'AB'[i]}: {pair.names[i]}" for i in pair.order]
     return {"names": names, "which": pair.order.index(pair.which), "blind": pair.blind}
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise TonewoodError(f"is {text!r}; a frequency in Hz is allowed", key="shape") from None
