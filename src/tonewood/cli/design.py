@@ -12,7 +12,7 @@ from tonewood.cli.common import AllowCode, BundleName, Json, Overrides, StringSe
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
-    from tonewood.workshop.design.search import Design
+    from tonewood.workshop.design.search import FoundDesign
 
 
 def design(
@@ -80,14 +80,14 @@ def design(
     return 0 if found.ok else 1
 
 
-def _overrides(found: Design) -> dict[str, float]:
+def _overrides(found: FoundDesign) -> dict[str, float]:
     out: dict[str, float] = {}
     for parameter, value in zip(found.free, found.values, strict=True):
         out |= parameter.overrides(float(value))
     return out
 
 
-def _report(found: Design, output: Path | None) -> dict[str, Any]:
+def _report(found: FoundDesign, output: Path | None) -> dict[str, Any]:
     from tonewood.workshop.design.words import at_bounds, trades
 
     return {

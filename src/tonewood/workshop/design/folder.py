@@ -14,7 +14,7 @@ from tonewood.errors import BundleError, OutputError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.contract.registry import MANIFEST
 from tonewood.support.whole_files import write_whole
-from tonewood.workshop.design.search import Design
+from tonewood.workshop.design.search import FoundDesign
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
@@ -35,7 +35,7 @@ def check_folder(folder: Path) -> None:
         raise OutputError(f"there is no folder {str(folder.parent)!r}", file=folder)
 
 
-def write_design(design: Design, folder: Path) -> Instrument:
+def write_design(design: FoundDesign, folder: Path) -> Instrument:
     """Write a bundle that `render` and `compare` take.
 
     Raises

@@ -32,7 +32,7 @@ _EVALUATIONS = 12
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class FoundDesign:
     """A design and what it reaches.
 
     Attributes
@@ -69,7 +69,7 @@ def find_design(
     targets: Sequence[Target],
     free: Sequence[Free],
     tell: Callable[[str], None] = lambda s: None,
-) -> Design:
+) -> FoundDesign:
     """Search the nearest design that reaches the targets.
 
     Parameters
@@ -96,7 +96,7 @@ def find_design(
             values = search.run(values)
         else:
             break
-    return Design(
+    return FoundDesign(
         tuple(targets),
         tuple(free),
         before,

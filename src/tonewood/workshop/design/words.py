@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.workshop.design.search import Design, slope
+from tonewood.workshop.design.search import FoundDesign, slope
 from tonewood.workshop.design.task import Free, Target
 
 Floats = NDArray[np.float64]
@@ -41,7 +41,7 @@ def off_words(target: Target, off: float) -> str:
     return f"MISSED by {off:+.3g} {target.unit}"
 
 
-def at_bounds(design: Design) -> list[str]:
+def at_bounds(design: FoundDesign) -> list[str]:
     """Parameters that stand at a bound."""
     out = []
     for parameter, value in zip(design.free, design.values, strict=True):
@@ -52,14 +52,14 @@ def at_bounds(design: Design) -> list[str]:
     return out
 
 
-def effects(design: Design) -> Floats:
+def effects(design: FoundDesign) -> Floats:
     """(t, n) change of each figure, in the unit of its target's error, by a tenth of each parameter's range."""
     span = np.array([p.high - p.low for p in design.free])
     unit = [slope(t, float(f)) for t, f in zip(design.targets, design.reached, strict=True)]
     return np.asarray(np.array(unit)[:, None] * design.rates * span / 10)
 
 
-def trades(design: Design) -> list[str]:
+def trades(design: FoundDesign) -> list[str]:
     """Pairs of targets that the parameters only move together or against one another."""
     scaled = effects(design) / np.array([t.weight for t in design.targets])[:, None]
     size = np.linalg.norm(scaled, axis=1)
@@ -85,7 +85,7 @@ def _named(target: Target) -> str:
     )
 
 
-def lines(design: Design) -> Sequence[str]:
+def lines(design: FoundDesign) -> Sequence[str]:
     """The whole report."""
     out = ["parameters: now, designed (bounds)"]
     for parameter, before, value in zip(design.free, design.before, design.values, strict=True):
