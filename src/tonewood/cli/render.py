@@ -172,9 +172,9 @@ def render(
     with dropped_notes_listed():
         renderer: Renderer | Replay
         if live:
-            if given != reading(0.0, None, 0.0, 1.0, None):
-                raise TonewoodError("repeats a take as it was: no excerpt, tracks, tempo", key="--live")
-            renderer = Replay(score, bundle, options=options.at(energy=bool(energy)))
+            if given != reading(0.0, None, 0.0, 1.0, tracks):
+                raise TonewoodError("repeats a take as it was: no excerpt, transposition, tempo", key="--live")
+            renderer = Replay(score, bundle, options=options.at(energy=bool(energy)), channels=given["tracks"])
         else:
             music = read_score(score, **given)
             renderer = Renderer(music, bundle, options=options.at(energy=bool(energy)))
