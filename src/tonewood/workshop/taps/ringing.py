@@ -25,6 +25,8 @@ NORMAL_90 = 1.6449
 _ROWS, _ENERGY = 4, 0.999
 #: Q below which a pole is background; dB below the strongest at which a peak is none
 _LEAST_Q, _WEAKEST = 4.0, -50.0
+#: error of linear modes, re what was recorded: supports slip, and damping depends on amplitude
+LEAST_ERROR = 0.1
 #: chi-squared of the two numbers of a mode in one tap above which it is seen there
 _SEEN = 18.4
 #: fewest bins of a band
@@ -86,7 +88,7 @@ def ringing(taps: Sequence[Floats], fs: float, band: tuple[float, float] = (50.0
     rows = _combined(spectra)
     shape = Shape((), len(rows))
     try:
-        modes = identify(freq, rows, shape, damping="viscous")
+        modes = identify(freq, rows, shape, damping="viscous", least_error=LEAST_ERROR)
     except NothingFoundError:
         raise TonewoodError(
             "nothing that rings stands out of the noise: tap harder, nearer to the microphone", key="taps"

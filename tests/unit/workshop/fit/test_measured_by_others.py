@@ -101,6 +101,28 @@ def test_coherences_that_are_no_numbers_are_refused_in_one_line():
         fit_responses(Responses(FREQ, mobility(), pairs, np.full((3, FREQ.size), np.nan), 5))
 
 
+@pytest.mark.parametrize(("factor", "each"), [(3.0, False), (3.0, True), (0.0, False), (30j, False)])
+def test_single_bins_that_are_wrong_are_left_out_and_make_no_mode(factor, each):
+    """Twelve bins of all responses, or six of each, at three times their size, at 0, or at thirty times, turned."""
+    rows, rng, wrong = mobility(relative=1e-3, additive=1e-4), np.random.default_rng(5), np.zeros((3, FREQ.size), bool)
+    for row in wrong if each else [wrong]:
+        row[..., rng.integers(0, FREQ.size, 6 if each else 12)] = True
+    rows[wrong] *= factor
+    fit = fit_responses(Responses(FREQ, rows, tuple((p, "p0") for p in NAMES)))
+    assert [row["freq_Hz"] for row in measured(fit)] == pytest.approx(NATURAL, rel=1e-3)
+    assert [row["Q"] for row in measured(fit)] == pytest.approx([30.0] * 3, rel=0.03)
+    assert [row["mass_kg"] for row in measured(fit)] == pytest.approx(MASS, rel=0.03)
+    assert set(fit.outliers) <= set(FREQ[wrong.any(axis=0)])
+    assert any("disagree with their neighbours" in line for line in fit.warnings)
+
+
+def test_a_body_lighter_than_any_is_a_matter_of_units():
+    rows = 1e3 * mobility(relative=1e-3)
+    fit = fit_responses(Responses(FREQ, rows, tuple((p, "p0") for p in NAMES)))
+    assert any("mm/s read as m/s (--scale 1e-3)" in line for line in fit.warnings)
+    assert not any("mm/s" in line for line in fit_responses(Responses(FREQ, 1e-3 * rows, fit.responses.pairs)).warnings)
+
+
 @pytest.mark.parametrize("kind", ["g per N", "complex64", "two close modes", "exponential window", "bins missing"])
 def test_other_peoples_arrays_are_three_modes(tmp_path, kind):
     """Units by --scale, short numbers, modes within 1.5 %, a window known to the fit, bins that are no numbers."""
