@@ -27,6 +27,8 @@ Complexes = NDArray[np.complex128]
 BINS_IN_BANDWIDTH = 3.0
 #: misfit, re the noise, above which the model does not do
 MOST_MISFIT = 1.5
+#: Hz, upper end of a band below which frequencies were hardly meant in Hz
+LEAST_TOP = 20.0
 #: kg, medians of modal masses that a plate, a bar or a guitar has
 LEAST_MASS, MOST_MASS = 1e-3, 1e3
 #: most modes that a warning of the same kind names a line each
@@ -47,6 +49,7 @@ class Fit:
     no_body : why, in one line.
     not_driven : references that were left out, for nothing was measured where they were driven.
     outliers : Hz, bins that were left out, for they disagree with their neighbours.
+    empty : number of bins that were left out, for a response holds no finite number there.
     """
 
     responses: Responses
@@ -55,6 +58,7 @@ class Fit:
     no_body: str | None = None
     not_driven: tuple[str, ...] = ()
     outliers: tuple[float, ...] = ()
+    empty: int = 0
 
     def __repr__(self) -> str:
         return f"<Fit of {len(self.rows)} modes, {self.error_db.max():.2f} dB at most>"
@@ -165,6 +169,10 @@ class Fit:
                 f"the misfit is {self.modes.misfit:.2f} times the noise: the body is not linear, the records leak, or "
                 "the noise was taken for too small"
             )
+        if r.freq[-1] < LEAST_TOP:
+            out.append(f"the responses end at {r.freq[-1]:.3g} Hz: kHz read as Hz, perhaps; freq_Hz is in Hz")
+        if self.empty:
+            out.append(f"{self.empty} bins without a finite number were left out")
         masses = [row["mass_kg"] for row in measured if row["mass_kg"]]
         if masses and not LEAST_MASS < float(np.median(masses)) < MOST_MASS:
             side = "less" if np.median(masses) < 1 else "more"
@@ -299,6 +307,8 @@ def fit_responses(
     TonewoodError : the responses hold no numbers to be fitted, or no mode stands out of their noise.
     """
     r, not_driven = responses.reciprocal().of_driven()
+    some = (r.freq > 0) & (r.freq >= (band[0] or 0.0)) & (r.freq <= (band[1] or np.inf))
+    empty = int(np.count_nonzero(some & ~np.isfinite(r.mobility).all(axis=0)))
     r, outliers = r.band(*band).checked().without_outliers()
     no_body = r.no_body()
     sigma = None
@@ -325,4 +335,4 @@ def fit_responses(
     if body is not None and body.compliance.any() and sla.eigvalsh(body.compliance).min() < 0:
         values, vectors = sla.eigh(body.compliance)  # to rounding: rank one is on the edge
         body.compliance[:] = (vectors * np.maximum(values, 0)) @ vectors.T
-    return Fit(r, modes, body, no_body, not_driven, outliers)
+    return Fit(r, modes, body, no_body, not_driven, outliers, empty)

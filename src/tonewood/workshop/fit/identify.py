@@ -189,7 +189,8 @@ def _ordered(
     line: Line, shape: Shape, least_error: float, note: Callable[[Iteration], None]
 ) -> tuple[Line, Poles, tuple[float, ...]]:
     """Modes, as many as it takes until the misfit is noise; the line with muted bins, and their frequencies."""
-    size, poles, lines = np.abs(line.mobility), Poles.none(), ()
+    size, poles = np.abs(line.mobility), Poles.none()
+    lines: tuple[float, ...] = ()
     best: tuple[Line, Poles, tuple[float, ...]] | None = None
     before = np.inf
     floor = float(np.median(line.sigma / np.maximum(size, 1e-300)))

@@ -116,6 +116,14 @@ def test_single_bins_that_are_wrong_are_left_out_and_make_no_mode(factor, each):
     assert any("disagree with their neighbours" in line for line in fit.warnings)
 
 
+def test_bins_without_numbers_and_frequencies_in_khz_are_said():
+    rows, pairs = mobility(relative=1e-3), tuple((p, "p0") for p in NAMES)
+    rows[:, 100:105] = np.nan
+    fit = fit_responses(Responses(1e-3 * FREQ, rows, pairs))
+    assert any("kHz read as Hz, perhaps" in line for line in fit.warnings)
+    assert "5 bins without a finite number were left out" in fit.warnings
+
+
 def test_a_body_lighter_than_any_is_a_matter_of_units():
     rows = 1e3 * mobility(relative=1e-3)
     fit = fit_responses(Responses(FREQ, rows, tuple((p, "p0") for p in NAMES)))
@@ -166,6 +174,29 @@ def test_directions_of_a_universal_file_turn_signs(tmp_path):
     assert read.pairs == (("1+3", "1+3"), ("2+3", "1+3"), ("3+1", "1+3"))
     assert np.allclose(read.mobility, rows, rtol=1e-9)
     assert read.no_body() is None
+
+
+@pytest.mark.parametrize("binary", [0, 1])
+def test_a_universal_file_that_was_cut_off_says_where(tmp_path, binary):
+    pyuff = pytest.importorskip("pyuff")
+    universal, path = pyuff.UFF(str(tmp_path / "a.uff")), tmp_path / "a.uff"
+    for node, row in enumerate(mobility(), start=1):
+        universal.write_sets(
+            pyuff.prepare_58(
+                func_type=4, rsp_node=node, rsp_dir=3, ref_node=1, ref_dir=3, rsp_ent_name="NONE", ref_ent_name="NONE",
+                data=row, x=FREQ, binary=binary, id1="", id2="", id3="", id4="", id5="", load_case_id=0,
+                abscissa_spacing=1, abscissa_spec_data_type=18, ordinate_spec_data_type=11, orddenom_spec_data_type=13,
+            ),
+            mode="add",
+        )  # fmt: skip
+    whole = path.read_bytes()
+    assert len(read_responses([path], Reading()).pairs) == 3
+    for kept, said in ((0.55, "data set 2 (response at node 2 to node 1)"), (0.97, "data set 3 (response at node 3")):
+        path.write_bytes(whole[: int(kept * len(whole))])
+        with pytest.raises(TonewoodError, match="is cut off") as fault:
+            read_responses([path], Reading())
+        assert said in str(fault.value)
+        assert "\n" not in str(fault.value)
 
 
 def test_arrays_of_any_name_in_mat_and_npz(tmp_path):
