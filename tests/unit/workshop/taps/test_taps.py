@@ -234,7 +234,8 @@ def test_plates_that_others_measured(name):
     """
     taps = plate(name)
     found = np.array([peak.freq for peak in ringing(taps.analysed(), 48000, (40.0, 700.0))])
-    wanted = [peak.freq for peak in strongest(taps.samples, 48000, (40.0, 700.0))]
+    peaks = strongest(taps.samples, 48000, (40.0, 700.0))
+    wanted = [peak.freq for peak in peaks if abs(peak.freq / 50 - 1) > 5e-3]  # hum of the mains is in 2R
     assert [float(np.abs(found / f - 1).min()) for f in wanted] == pytest.approx([0.0] * len(wanted), abs=0.01)
     assert len(found) <= len(wanted) + 7
     if name == "2L":
