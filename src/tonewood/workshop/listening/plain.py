@@ -67,8 +67,8 @@ def _rated(found: PanelResults, page: PageResults, linear: LinearAnalysis, perce
         )
     if page.everybody is not None:
         lines.append(
-            f"{counted(len(page.screened), 'listener')} left out by the ratings of reference and anchors; p is the larger "
-            "of those without and with them, because that choice favours the reference."
+            f"{counted(len(page.screened), 'listener')} left out by the ratings of reference and anchors; p is the "
+            "larger of those without and with them, because that choice favours the reference."
         )
     tests = linear.tests if not page.ordinal else page.odds.tests if page.odds is not None else ()
     lines += [
