@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +15,7 @@ from tonewood.cli.common import Advance, AllowCode, Json, need, print_json, prog
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from tonewood.workshop.batch.runner import BatchPlan, Report
     from tonewood.workshop.listening.power import PowerRow
@@ -81,20 +82,52 @@ def batch(
     return 0 if report.ok else 1
 
 
-class _Bars(ExitStack):
-    """One progress bar after another, a stage each."""
+#: s between two lines of progress in a log
+_LOG_EVERY = 15.0
 
-    def __init__(self) -> None:
+
+class _Bars(ExitStack):
+    """One progress bar after another, a stage each; where there is no terminal, lines for a log.
+
+    Parameters
+    ----------
+    clock : time, s.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self.stage = ""
         self.advance: Advance | None = None
+        self.clock = clock
+        self.began = self.told = clock()
+        self.logs = not sys.stderr.isatty()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
+        if self.logs:
+            self._log(stage, done, total)
+            return
         if stage != self.stage:
             self.pop_all().close()
             self.stage, self.advance = stage, self.enter_context(progress(f"{stage} ({total})", total))
         if self.advance is not None:
             self.advance(done)
+
+    def _log(self, stage: str, done: int, total: int) -> None:
+        """Print a line at most every `_LOG_EVERY` seconds, and one at the end of a stage that took longer."""
+        now = self.clock()
+        if stage != self.stage:
+            self.stage, self.began, self.told = stage, now, now
+        ends = done == total and self.told > self.began
+        if now - self.told < _LOG_EVERY and not ends:
+            return
+        self.told = now
+        left = (now - self.began) * (total - done) / max(done, 1)
+        rest = f"{now - self.began:.0f} s" if ends else f"about {left:.0f} s to go"
+        print(
+            f"tonewood: {stage}: {done} of {total} ({100 * done / max(total, 1):.0f} %), {rest}",
+            file=sys.stderr,
+            flush=True,
+        )
 
 
 def _print_plan(plan: BatchPlan) -> None:

@@ -7,19 +7,20 @@ conditions are the crossed or listed levels; `tonewood.workshop.batch.conditions
 
 from __future__ import annotations
 
+import copy
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
-from tonewood.errors import TonewoodError
+from tonewood.errors import TonewoodError, together
 from tonewood.performance.score.note import Note
 from tonewood.sound.render.options import RenderOptions
 from tonewood.support.params import described, quantity
-from tonewood.support.validation_messages import first_message
+from tonewood.support.validation_messages import all_messages, first_message
 from tonewood.support.yaml_io import load_yaml
 from tonewood.workshop.batch.pages import (
     TRIALS,
@@ -46,7 +47,18 @@ TAIL_KEYS = {"cap": "tail", "energy_db": "tail_level_db"}
 
 
 class ManifestError(TonewoodError):
-    """A manifest cannot be used."""
+    """A manifest cannot be used; its line counts pages from 1, as a plan does, and `key` from 0."""
+
+    @staticmethod
+    def shown_key(key: str) -> str:
+        """Return a key with its page counted from 1: ``page 2.reference``."""
+        head, _, rest = key.partition(".")
+        number, dot, inner = rest.partition(".")
+        return f"page {int(number) + 1}{dot}{inner}" if head == "pages" and number.isdecimal() else key
+
+
+#: dotted key of a manifest -> its fault
+Misfit = tuple[str, str]
 
 
 class NoteFields(Section):
@@ -219,7 +231,10 @@ class Output(Section):
 
     blind: bool = Field(default=True, description="the audition page shows codes until it is unblinded")
     key: Annotated[str, Field(pattern=r"^[\w.-]+\.json$")] = "key.json"
-    formats: list[Literal["test", "html", "csv", "json"]] = Field(default=["test", "html", "csv", "json"])
+    formats: list[Literal["test", "html", "csv", "json", "parquet"]] = Field(default=["test", "html", "csv", "json"])
+    pictures: bool = Field(
+        default=False, description="waveform, spectrogram and differences of every sound, for the audition page"
+    )
     page_order: Literal["seeded", "listed", "per_listener"] = "per_listener"
 
 
@@ -252,21 +267,6 @@ class Manifest(Section):
     power: Power = Power()
     output: Output = Output()
 
-    @field_validator("factors")
-    @classmethod
-    def _names_are_free(cls, factors: dict[str, Factor]) -> dict[str, Factor]:
-        for name in factors:
-            if name in RESERVED:
-                raise PydanticCustomError("factors", f"{name} is not free as the name of a factor")
-        return factors
-
-    @field_validator("vary")
-    @classmethod
-    def _notes_vary(cls, vary: dict[str, Variation]) -> dict[str, Variation]:
-        for path in vary:
-            check_vary(path)
-        return vary
-
     def choices(self) -> dict[str, list[str]]:
         """Names that `group_by`, `exclude` and the like may use, with the levels of each."""
         return {
@@ -275,57 +275,66 @@ class Manifest(Section):
             **{name: list(factor.levels) for name, factor in self.factors.items()},
         }
 
-    @model_validator(mode="after")
-    def _names_exist(self) -> Self:
-        if (self.design == "listed") != (self.conditions is not None):
-            raise PydanticCustomError("design", "design: listed and conditions belong together")
+    def misfits(self, replaced: Collection[int] = ()) -> Iterator[Misfit]:
+        """Names that are not there and parts that do not fit together, in the manifest's order.
+
+        Parameters
+        ----------
+        replaced : pages (from 0) that stand for faulty ones: nothing is said of them.
+        """
         choices = self.choices()
-        for index, row in enumerate(self.exclude):
-            _check_levels(row, choices, f"exclude.{index}")
+        yield from (
+            ("factors", f"{name} is not free as the name of a factor") for name in self.factors if name in RESERVED
+        )
+        for name, factor in self.factors.items():
+            yield from self._misfits_of_render(name, factor)
+        if (self.design == "listed") != (self.conditions is not None):
+            yield "design", "listed and conditions belong together"
         for index, row in enumerate(self.conditions or []):
-            _check_levels(row, choices, f"conditions.{index}")
+            yield from _misfits_of_levels(row, choices, f"conditions.{index}")
             if missing := set(self.factors) - set(row):
-                raise PydanticCustomError("design", f"conditions.{index}: no level of {', '.join(sorted(missing))}")
+                yield f"conditions.{index}", f"no level of {', '.join(sorted(missing))}"
+        for index, row in enumerate(self.exclude):
+            yield from _misfits_of_levels(row, choices, f"exclude.{index}")
         for name in self.random:
             if name not in choices:
-                raise PydanticCustomError("random", f"random: {name} is not one of {', '.join(choices)}")
+                yield "random", f"{name} is not one of {', '.join(choices)}"
+        yield from misfits_of_vary(self.vary)
         for index, page in enumerate(self.pages):
-            self._check_page(page, f"pages.{index}", choices)
-        for name, factor in self.factors.items():
-            self._check_render_levels(name, factor)
-        return self
+            if not isinstance(page, TrainingPage) or page.page - 1 not in replaced:
+                yield from self._misfits_of_page(page, f"pages.{index}", choices)
 
-    def _check_page(self, page: Any, key: str, choices: dict[str, list[str]]) -> None:
+    def _misfits_of_page(self, page: Any, key: str, choices: dict[str, list[str]]) -> Iterator[Misfit]:
         for name in page.group_by if isinstance(page, SoundPage) else ():
             if name not in choices and name != "repeat":
-                allowed = ", ".join([*choices, "repeat"])
-                raise PydanticCustomError("page", f"{key}.group_by: {name} is not one of {allowed}")
+                yield f"{key}.group_by", f"{name} is not one of {', '.join([*choices, 'repeat'])}"
         if isinstance(page, PairPage):
             for factor, pairs in page.pairs.items():
-                _check_levels({factor: choices.get(factor, [""])[0]}, choices, f"{key}.pairs")
+                if factor not in choices:
+                    yield from _misfits_of_levels({factor: ""}, choices, f"{key}.pairs")
+                    continue
                 for pair in as_pairs(pairs, choices[factor]):
                     if len(pair) != 2 or pair[0] == pair[1]:
-                        raise PydanticCustomError("page", f"{key}.pairs: a pair is two different levels")
+                        yield f"{key}.pairs", "a pair is two different levels"
                     for level in pair:
-                        _check_levels({factor: level}, choices, f"{key}.pairs")
+                        yield from _misfits_of_levels({factor: level}, choices, f"{key}.pairs")
         elif isinstance(page, StaircasePage):
-            _check_levels(page.of, choices, f"{key}.of")
+            yield from _misfits_of_levels(page.of, choices, f"{key}.of")
         elif isinstance(page, TrainingPage):
             trained = self.pages[page.page - 1] if page.page <= len(self.pages) else None
             if not isinstance(trained, TRIALS):
-                raise PydanticCustomError("page", f"{key}.page: {page.page} is no page with trials")
+                yield f"{key}.page", f"{page.page} is no page with trials"
         elif (reference := getattr(page, "reference", None)) is not None:
-            _check_levels(reference, choices, f"{key}.reference")
+            yield from _misfits_of_levels(reference, choices, f"{key}.reference")
 
-    def _check_render_levels(self, name: str, factor: Factor) -> None:
+    def _misfits_of_render(self, name: str, factor: Factor) -> Iterator[Misfit]:
         if not factor.path.startswith("render."):
             return
         for level, value in factor.levels.items():
             try:
                 self.render_settings({factor.path.removeprefix("render."): value})
             except ValidationError as error:
-                reason = first_message(error, RenderSettings)[1]
-                raise PydanticCustomError("factor", f"factors.{name}.levels.{level}: {reason}") from None
+                yield f"factors.{name}.levels.{level}", first_message(error, RenderSettings)[1]
 
     def render_settings(self, changes: dict[str, Any]) -> RenderSettings:
         """The render settings with some changed, checked anew."""
@@ -334,19 +343,20 @@ class Manifest(Section):
         return RenderSettings.model_validate(data)
 
 
-def check_vary(path: str) -> None:
-    """Check that a path of `vary` that names a note names one of its numbers."""
-    head, _, name = path.partition(".")
-    if head == "note" and name not in NOTE_FIELDS:
-        raise PydanticCustomError("vary", f"{path} is not one of note.{', note.'.join(NOTE_FIELDS)}")
+def misfits_of_vary(vary: Mapping[str, Variation]) -> Iterator[Misfit]:
+    """Paths of `vary` that name a note, but none of its numbers."""
+    for path in vary:
+        head, _, name = path.partition(".")
+        if head == "note" and name not in NOTE_FIELDS:
+            yield f"vary.{path}", f"is not one of note.{', note.'.join(NOTE_FIELDS)}"
 
 
-def _check_levels(row: Levels, choices: dict[str, list[str]], key: str) -> None:
+def _misfits_of_levels(row: Levels, choices: dict[str, list[str]], key: str) -> Iterator[Misfit]:
     for name, level in row.items():
         if name not in choices:
-            raise PydanticCustomError("levels", f"{key}: {name} is not one of {', '.join(choices)}")
-        if level not in choices[name]:
-            raise PydanticCustomError("levels", f"{key}.{name}: {level} is not one of {', '.join(choices[name])}")
+            yield key, f"{name} is not one of {', '.join(choices)}"
+        elif level not in choices[name]:
+            yield f"{key}.{name}", f"{level} is not one of {', '.join(choices[name])}"
 
 
 def load_manifest(path: str | os.PathLike[str]) -> Manifest:
@@ -355,7 +365,7 @@ def load_manifest(path: str | os.PathLike[str]) -> Manifest:
     Raises
     ------
     ManifestError
-        One line: file, dotted key, fault and the values allowed.
+        A line for each fault: file, key, fault and the values allowed.
     """
     return check_manifest(load_yaml(path, error=ManifestError), file=Path(path))
 
@@ -363,10 +373,51 @@ def load_manifest(path: str | os.PathLike[str]) -> Manifest:
 def check_manifest(data: dict[str, Any], *, file: Path | None = None) -> Manifest:
     """As `load_manifest`, from plain data."""
     try:
-        return Manifest.model_validate(data)
+        manifest = Manifest.model_validate(data)
+        found = list(manifest.misfits())
     except ValidationError as error:
-        key, reason = first_message(error, Manifest)
-        raise ManifestError(reason, file=file, key=key) from None
+        found = all_messages(error, Manifest)
+        found += _misfits_besides(data, [key for key, _ in found])
+        raise_misfits(found, file)
+    raise_misfits(found, file)
+    return manifest
+
+
+def raise_misfits(found: Iterable[Misfit], file: Path | None) -> None:
+    """Raise all faults of a manifest as one ManifestError, if there are any."""
+    faults = [ManifestError(reason, file=file, key=key) for key, reason in dict.fromkeys(found)]
+    if faults:
+        raise together(faults)
+
+
+#: values that fit, in place of those of required keys that do not
+_STAND_INS: dict[str, Any] = {
+    "schema": "tonewood-batch/1", "name": "name", "seed": 0, "instruments": {"i": "i"}, "scores": {"s": {"midi": "s"}},
+}  # fmt: skip
+
+
+def _misfits_besides(data: dict[str, Any], keys: Sequence[str]) -> list[Misfit]:
+    """What else is wrong with a manifest whose values at `keys` are faulty: its misfits with others in their place."""
+    whole, replaced = copy.deepcopy(data), set()
+    for top, _, rest in (key.partition(".") for key in keys):
+        inner = rest.partition(".")[0]
+        section = whole.get(top)
+        if top == "pages" and inner.isdecimal() and isinstance(section, list):
+            section[int(inner)] = {"type": "instructions"}
+            replaced.add(int(inner))
+        elif top == "factors" and isinstance(section, dict) and isinstance(factor := section.get(inner), dict):
+            levels = factor.get("levels")
+            section[inner] = {"path": "p", "levels": levels if isinstance(levels, dict) else {}}
+        elif top in ("instruments", "scores") and isinstance(section, dict) and inner in section:
+            section[inner] = _STAND_INS[top][top[0]]
+        elif top in _STAND_INS:
+            whole[top] = _STAND_INS[top]
+        else:
+            whole.pop(top, None)
+    try:
+        return list(Manifest.model_validate(whole).misfits(replaced))
+    except ValidationError:
+        return []
 
 
 def manifest_schema() -> dict[str, Any]:

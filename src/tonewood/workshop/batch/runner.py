@@ -19,7 +19,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tonewood.errors import NumericalError, OutputError, TonewoodError
+from tonewood.errors import NumericalError, OutputError, TonewoodError, together
 from tonewood.support.folder_lock import locked
 from tonewood.support.whole_files import remove
 from tonewood.workshop.batch import audition, definition, records
@@ -180,17 +180,7 @@ def plan_batch(
         The manifest cannot be used, or no condition can be resolved.
     """
     manifest = load_manifest(manifest_path)
-    try:
-        conditions = expand(manifest, manifest_path.parent)
-        groups, notes = lay_out(manifest, conditions)
-        levels = definition.staircase_levels(manifest, manifest_path.parent, renderer.own_value)
-        if (room := manifest.stimuli.room) is not None:
-            try:
-                room_response(manifest_path.parent / room, manifest.stimuli)
-            except StimulusError as fault:
-                raise ManifestError(f"{room}: {fault.reason}", key="stimuli.room") from None
-    except ManifestError as fault:
-        raise ManifestError(fault.reason, file=manifest_path, key=fault.key) from None
+    conditions, groups, notes, levels = _laid_out(manifest, manifest_path, renderer)
     keys: dict[str, str] = {}
     identities: dict[str, dict[str, Any]] = {}
     faults: list[Fault] = []
@@ -249,6 +239,33 @@ def plan_batch(
     )
     _check_answers(plan, folder)
     return plan
+
+
+def _laid_out(
+    manifest: Manifest, path: Path, renderer: StimulusRenderer
+) -> tuple[tuple[Condition, ...], tuple[Group, ...], list[str], list[definition.StaircaseLevel]]:
+    """Conditions, groups, notes and levels of staircases; raises all faults of them together."""
+    faults: list[TonewoodError] = []
+
+    def kept(function: Callable[[], Any]) -> Any:
+        try:
+            return function()
+        except ManifestError as fault:
+            faults.append(fault)
+
+    settings = manifest.stimuli
+    conditions = kept(lambda: expand(manifest, path.parent))
+    if conditions is not None:
+        laid = kept(lambda: lay_out(manifest, conditions))
+        levels = kept(lambda: definition.staircase_levels(manifest, path.parent, renderer.own_value))
+    if settings.room is not None:
+        try:
+            room_response(path.parent / settings.room, settings)
+        except StimulusError as fault:
+            faults.append(ManifestError(f"{settings.room}: {fault.reason}", key="stimuli.room"))
+    if faults:
+        raise together(faults, file=path)
+    return conditions, *laid, levels
 
 
 def _check_answers(plan: BatchPlan, folder: Path) -> None:
@@ -319,14 +336,14 @@ def _run(
         workers.local(),
         room=plan.room,
         seed=manifest.seed,
-        pictures="html" in manifest.output.formats,
+        pictures=manifest.output.pictures,
         advance=_Counter(progress, "files", 2 * sum(len(g.stimuli) for g in groups)),
     )
     groups, lost_too = _complete(groups, {f.code for f in files}, manifest)
     heard = {s.code for g in groups for s in g.stimuli}
     files = [f for f in files if f.code in heard]
     unrendered = [Fault(name, f.reason, f.detail) for name, key in plan.keys.items() if (f := failed.get(key))]
-    levels = {f"{x.condition.name} ({x.key})": keys.get(x.condition.name) for x in plan.levels}
+    levels = {f"{x.condition.name} ({ManifestError.shown_key(x.key)})": keys.get(x.condition.name) for x in plan.levels}
     faults = (*plan.faults, *unrendered, *silent, *level_faults(levels, store, manifest.stimuli, plan.room))
     notes = (*plan.notes, *lost, *lowered, *lost_too)
     _write_records(plan, groups, files, renders, faults, notes, folder, workers.local())
@@ -430,14 +447,15 @@ def _write_records(
     manifest, formats = plan.manifest, plan.manifest.output.formats
     by_code = {f.code: f for f in files}
     conditions = {c.name: c for c in plan.conditions}
-    _remove_strangers(folder, set(by_code))
+    _remove_strangers(folder, set(by_code), pictures=manifest.output.pictures)
     rows = records.file_records(files, conditions, plan.identities, renders)
     if "test" in formats:
         drops = {f.group: f.page_drop_db for f in files}
         made = definition.definition_of(manifest, groups, by_code, plan.source, drops)
         records.write_json(folder / definition.FILE, made)
     if "html" in formats:
-        _draw_differences(groups, by_code, folder, workers)
+        if manifest.output.pictures:
+            _draw_differences(groups, by_code, folder, workers)
         audition.write_audition(folder, manifest, groups, by_code, conditions)
     if "csv" in formats:
         records.write_csv(folder / records.RECORD_CSV, rows)
@@ -479,12 +497,14 @@ def _draw(task: tuple[Path, dict[str, Path], str]) -> None:
     write_differences(path, sounds, soundfile.info(next(iter(files.values()))).samplerate, heading)
 
 
-def _remove_strangers(folder: Path, codes: set[str]) -> None:
+def _remove_strangers(folder: Path, codes: set[str], *, pictures: bool) -> None:
     """Remove sounds and pictures an earlier run made under codes that are no longer in use."""
-    for place in (folder / SOUNDS, folder / PICTURES):
+    for place, used in ((folder / SOUNDS, codes), (folder / PICTURES, codes if pictures else set())):
         for path in place.glob("*.*"):
-            if _CODE_FILE.fullmatch(path.name) and path.stem not in codes:
+            if _CODE_FILE.fullmatch(path.name) and path.stem not in used:
                 remove(path)
+    for path in () if pictures else (folder / PICTURES).glob("differences*.png"):
+        remove(path)
 
 
 class _Counter:

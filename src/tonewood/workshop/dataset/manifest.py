@@ -7,21 +7,23 @@ of every note (``note.``); its values are listed, or drawn from a range.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from tonewood.performance.score.note import Note
-from tonewood.support.validation_messages import first_message
+from tonewood.support.validation_messages import all_messages, first_message
 from tonewood.workshop.batch.manifest import (
     NOTE_FIELDS,
-    ManifestError,
+    Misfit,
     RenderSettings,
     ScoreSource,
     Variation,
-    check_vary,
+    misfits_of_vary,
+    raise_misfits,
 )
 from tonewood.workshop.batch.pages import Name, ParameterPath, Section
 
@@ -137,48 +139,36 @@ class Dataset(Section):
     render: RenderSettings = RenderSettings()
     sounds: Sounds = Sounds()
 
-    @field_validator("vary")
-    @classmethod
-    def _notes_vary(cls, vary: dict[str, Variation]) -> dict[str, Variation]:
-        for path in vary:
-            check_vary(path)
-        return vary
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def misfits(self) -> Iterator[Misfit]:
+        """Parts that do not fit together."""
         if not self.scores and self.folder is None:
-            raise PydanticCustomError("dataset", "scores: give scores, or a folder of MIDI files")
-        if self.sampling == "grid":
-            if self.size is not None:
-                raise PydanticCustomError("dataset", "size: a grid has as many sounds as its parameters have values")
-            missing = [n for n, p in self.parameters.items() if p.values is None and p.steps is None]
-            if missing:
-                raise PydanticCustomError("dataset", f"parameters.{missing[0]}.steps: is missing; a grid needs it")
-        elif self.size is None:
-            raise PydanticCustomError("dataset", f"size: is missing; sampling: {self.sampling} needs it")
-        elif steps := [n for n, p in self.parameters.items() if p.steps is not None]:
-            raise PydanticCustomError("dataset", f"parameters.{steps[0]}.steps: belongs to sampling: grid")
+            yield "scores", "give scores, or a folder of MIDI files"
+        yield from misfits_of_vary(self.vary)
+        for name, parameter in self.parameters.items():
+            if self.sampling == "grid" and parameter.values is None and parameter.steps is None:
+                yield f"parameters.{name}.steps", "is missing; a grid needs it"
+            if self.sampling != "grid" and parameter.steps is not None:
+                yield f"parameters.{name}.steps", "belongs to sampling: grid"
+            if parameter.path.startswith("render."):
+                yield from self._misfits_of_render(name, parameter)
+        if self.sampling == "grid" and self.size is not None:
+            yield "size", "a grid has as many sounds as its parameters have values"
+        if self.sampling != "grid" and self.size is None:
+            yield "size", f"is missing; sampling: {self.sampling} needs it"
         paths = [p.path for p in self.parameters.values()]
         if double := {path for path in paths if paths.count(path) > 1}:
-            raise PydanticCustomError("dataset", f"parameters: {min(double)} stands there twice")
+            yield "parameters", f"{min(double)} stands there twice"
         if "midi" in self.sounds.labels and midi_clock(self.render.fs) is None:
-            raise PydanticCustomError(
-                "dataset", f"sounds.labels: MIDI has no tick of one sample at {self.render.fs} Hz; take [jams]"
-            )
-        for name, parameter in self.parameters.items():
-            if parameter.path.startswith("render."):
-                self._check_render(name, parameter)
-        return self
+            yield "sounds.labels", f"MIDI has no tick of one sample at {self.render.fs} Hz; take [jams]"
 
-    def _check_render(self, name: str, parameter: Parameter) -> None:
+    def _misfits_of_render(self, name: str, parameter: Parameter) -> Iterator[Misfit]:
         if parameter.path == "render.fs":
-            raise PydanticCustomError("dataset", f"parameters.{name}.path: all sounds of a data set have one rate")
+            yield f"parameters.{name}.path", "all sounds of a data set have one rate"
         for value in parameter.values or parameter.range or ():
             try:
                 self.render_settings({parameter.path.removeprefix("render."): value})
             except ValidationError as error:
-                reason = first_message(error, RenderSettings)[1]
-                raise PydanticCustomError("dataset", f"parameters.{name}: {value!r}: {reason}") from None
+                yield f"parameters.{name}", f"{value!r}: {first_message(error, RenderSettings)[1]}"
 
     def render_settings(self, changes: dict[str, Any]) -> RenderSettings:
         """The render settings with some changed, checked anew."""
@@ -198,10 +188,12 @@ def check_dataset(data: dict[str, Any], *, file: Path | None = None) -> Dataset:
 
     Raises
     ------
-    ManifestError : one line: file, dotted key, fault and the values allowed.
+    ManifestError : a line for each fault: file, dotted key, fault and the values allowed.
     """
     try:
-        return Dataset.model_validate(data)
+        dataset = Dataset.model_validate(data)
     except ValidationError as error:
-        key, reason = first_message(error, Dataset)
-        raise ManifestError(reason, file=file, key=key) from None
+        raise_misfits(all_messages(error, Dataset), file)
+        raise
+    raise_misfits(dataset.misfits(), file)
+    return dataset

@@ -222,45 +222,45 @@ def test_a_folder_beside_the_manifest_needs_no_dot(tmp_path: Path) -> None:
         ({"design": "listed"}, "m.yaml: design: listed and conditions belong together"),
         ({"design": "listed", "conditions": [{"pluck": "far"}]}, "m.yaml: conditions.0: no level of damping"),
         ({"vary": {"note.force": {}}}, "m.yaml: vary.note.force: give exactly one of normal_db"),
-        ({"pages": [{"type": "musra"}]}, "m.yaml: pages.0.type: musra is not one of 'consent', 'instructions',"),
-        ({"pages": [{"name": "x"}]}, "m.yaml: pages.0.type: is missing"),
+        ({"pages": [{"type": "musra"}]}, "m.yaml: page 1.type: musra is not one of 'consent', 'instructions',"),
+        ({"pages": [{"name": "x"}]}, "m.yaml: page 1.type: is missing"),
         ({"pages": []}, "m.yaml: pages: List should have at least 1 item"),
-        ({"pages": [{"type": "html", "anchors": [3500]}]}, "m.yaml: pages.0: anchors are made from a reference"),
+        ({"pages": [{"type": "html", "anchors": [3500]}]}, "m.yaml: page 1: anchors are made from a reference"),
         (
             {"pages": [{"type": "mushra", "reference": {"damping": "x"}}]},
-            "m.yaml: pages.0.reference.damping: x is not one of complex, proportional, block",
+            "m.yaml: page 1.reference.damping: x is not one of complex, proportional, block",
         ),
         (
             {"pages": [{"type": "mushra", "reference": {"damping": "block"}, "anchors": [3000]}]},
-            "m.yaml: pages.0.anchors.0: Input should be 3500 or 7000, not 3000",
+            "m.yaml: page 1.anchors.0: Input should be 3500 or 7000, not 3000",
         ),
         (
             {"pages": [{"type": "html", "group_by": ["scor"]}]},
-            "m.yaml: pages.0.group_by: scor is not one of instrument, score, damping, pluck, repeat",
+            "m.yaml: page 1.group_by: scor is not one of instrument, score, damping, pluck, repeat",
         ),
-        ({"pages": [{"type": "abx", "pairs": {"dampng": "all"}}]}, "m.yaml: pages.0.pairs: dampng is not one of instr"),
+        ({"pages": [{"type": "abx", "pairs": {"dampng": "all"}}]}, "m.yaml: page 1.pairs: dampng is not one of instr"),
         (
             {"pages": [{"type": "paired_comparison", "pairs": {"damping": "all"}, "question": "?", "unforced": "no"}]},
-            "m.yaml: pages.0.unforced: was removed in 0.2: which of two is the reference is asked by type abx;",
+            "m.yaml: page 1.unforced: was removed in 0.2: which of two is the reference is asked by type abx;",
         ),
         (
             {"pages": [{"type": "paired_comparison", "pairs": {"damping": "all"}}]},
-            "m.yaml: pages.0.question: is missing",
+            "m.yaml: page 1.question: is missing",
         ),
-        ({"pages": [{"type": "training", "page": 1}]}, "m.yaml: pages.0.page: 1 is no page with trials"),
+        ({"pages": [{"type": "training", "page": 1}]}, "m.yaml: page 1.page: 1 is no page with trials"),
         (
             {"pages": [{"type": "instructions", "name": {"deutsch!": "x"}}]},
-            "m.yaml: pages.0.name",
+            "m.yaml: page 1.name",
         ),
         (
             {"pages": [STAIRS | {"start": 2.0}]},
-            "m.yaml: pages.0: lowest <= start <= highest is wanted",
+            "m.yaml: page 1: lowest <= start <= highest is wanted",
         ),
-        ({"pages": [STAIRS | {"of": {"damping": "x"}}]}, "m.yaml: pages.0.of.damping: x is not one of complex,"),
+        ({"pages": [STAIRS | {"of": {"damping": "x"}}]}, "m.yaml: page 1.of.damping: x is not one of complex,"),
         ({"stimuli": {"loudness": {"short": "ungated_400ms"}}}, "m.yaml: stimuli.loudness.short: was removed in 0.2"),
         (
             {"pages": [{"type": "abx", "pairs": {"damping": ["block"]}}]},
-            "m.yaml: pages.0.pairs: a pair is two different levels",
+            "m.yaml: page 1.pairs: a pair is two different levels",
         ),
     ],
 )
@@ -337,7 +337,7 @@ def test_the_audition_takes_what_is_on_no_other_page() -> None:
 
 def test_pages_that_cannot_be() -> None:
     mushra = {"type": "mushra", "group_by": ["score"], "reference": {"damping": "complex"}}
-    with pytest.raises(ManifestError, match=r"pages\.0\.reference: .*names 2 conditions on page1\.score=low"):
+    with pytest.raises(ManifestError, match=r"page 1\.reference: .*names 2 conditions on page1\.score=low"):
         groups_of(pages=[mushra])
     only = mushra | {"reference": {"damping": "complex", "pluck": "near"}}
     with pytest.raises(ManifestError, match="names 0 conditions"):
