@@ -67,8 +67,9 @@ def write_audition(
     data = {"sets": sets, "blind": manifest.output.blind, "pictures": PICTURES if manifest.output.pictures else ""}
     assets = package_files("tonewood.workshop.batch")
     page, script = ((assets / f"audition.{kind}").read_text("utf-8") for kind in ("html", "js"))
+    caption = CAPTION if manifest.output.pictures else NO_PICTURES
     for mark, text in (
-        ("{{title}}", escape(title)), ("{{caption}}", escape(CAPTION if manifest.output.pictures else NO_PICTURES)), ("{{count}}", str(len(files))),
+        ("{{title}}", escape(title)), ("{{caption}}", escape(caption)), ("{{count}}", str(len(files))),
         ("{{data}}", _json(data)), ("{{script}}", script),
     ):  # fmt: skip
         page = page.replace(mark, text)

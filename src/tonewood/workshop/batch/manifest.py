@@ -64,22 +64,22 @@ Misfit = tuple[str, str]
 class NoteFields(Section):
     """One inline note: the fields of `tonewood.Note`."""
 
-    time: float = Field(ge=0, le=3600)
-    duration: float = Field(default=1.0, gt=0, le=3600)
-    held: float | None = Field(default=None, ge=0)
-    note: float | None = Field(default=None, ge=0, le=127)
-    freq: float | None = Field(default=None, gt=0)
-    force: float | None = Field(default=None, ge=0)
-    velocity_midi: float | None = Field(default=None, ge=0, le=127)
-    string: str | None = None
-    stop: int | None = Field(default=None, ge=0)
-    from_bridge: float | None = Field(default=None, gt=0)
-    angle_deg: float | None = None
-    technique: str | None = None
-    channel: int | None = Field(default=None, ge=0, le=15)
-    marks: tuple[str, ...] = ()
-    partial: int | None = Field(default=None, ge=2, le=64)
-    glides: tuple[tuple[float, float], ...] = ()
+    time: float = Field(ge=0, le=3600, description="s from the beginning of the score")
+    duration: float = Field(default=1.0, gt=0, le=3600, description="s")
+    held: float | None = Field(default=None, ge=0, description="s that the finger stays; the duration if left out")
+    note: float | None = Field(default=None, ge=0, le=127, description="MIDI note number, may be fractional")
+    freq: float | None = Field(default=None, gt=0, description="Hz, instead of a note")
+    force: float | None = Field(default=None, ge=0, description="N")
+    velocity_midi: float | None = Field(default=None, ge=0, le=127, description="MIDI velocity, instead of a force")
+    string: str | None = Field(default=None, description="name of the string")
+    stop: int | None = Field(default=None, ge=0, description="fret or stop on that string")
+    from_bridge: float | None = Field(default=None, gt=0, description="m, place of the gesture")
+    angle_deg: float | None = Field(default=None, description="direction of the gesture")
+    technique: str | None = Field(default=None, description="name of an exciter")
+    channel: int | None = Field(default=None, ge=0, le=15, description="MIDI channel, from 0")
+    marks: tuple[str, ...] = Field(default=(), description="signs of the notation")
+    partial: int | None = Field(default=None, ge=2, le=64, description="number of a harmonic")
+    glides: tuple[tuple[float, float], ...] = Field(default=(), description="(s, semitones) from the note's beginning")
 
     def to_note(self) -> Note:
         """Convert to the score's own type."""
@@ -89,11 +89,13 @@ class NoteFields(Section):
 class ScoreSource(Section):
     """A phrase written inline, or an excerpt of a MIDI file (path relative to the manifest)."""
 
-    phrase: list[NoteFields] | None = Field(default=None, min_length=1, max_length=10_000)
-    midi: str | None = None
-    start: float = Field(default=0.0, ge=0)
-    stop: float | None = Field(default=None, gt=0)
-    channel_per_string: bool = False
+    phrase: list[NoteFields] | None = Field(
+        default=None, min_length=1, max_length=10_000, description="notes written here"
+    )
+    midi: str | None = Field(default=None, description="MIDI file, relative to the manifest")
+    start: float = Field(default=0.0, ge=0, description="s of the file at which the excerpt begins")
+    stop: float | None = Field(default=None, gt=0, description="s of the file at which it ends")
+    channel_per_string: bool = Field(default=False, description="MIDI channel 1 plays the first string, and so on")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -109,8 +111,10 @@ class ScoreSource(Section):
 class Factor(Section):
     """A parameter and its named levels; a level is a value, ``{scale: x}`` or ``{fraction: x}``."""
 
-    path: ParameterPath
-    levels: dict[Name, Any] = Field(min_length=1, max_length=1000)
+    path: ParameterPath = Field(description="parameter of the bundle, or of the render (render.)")
+    levels: dict[Name, Any] = Field(
+        min_length=1, max_length=1000, description="name -> value, {scale: x} or {fraction: x}"
+    )
 
 
 class Variation(Section):
@@ -171,14 +175,16 @@ class RenderSettings(RenderOptions):
 class Fade(Section):
     """Raised-cosine fades, s."""
 
-    in_: float = Field(default=0.002, ge=0, le=5, alias="in")
-    out: float = Field(default=0.050, ge=0, le=5)
+    in_: float = Field(default=0.002, ge=0, le=5, alias="in", description="s, at the beginning")
+    out: float = Field(default=0.050, ge=0, le=5, description="s, at the end")
 
 
 class Onset(Section):
     """Alignment: the onset of every sound stands at the same sample; see `tonewood.workshop.batch.trimming`."""
 
-    align: Literal["detected", "score"] = "detected"
+    align: Literal["detected", "score"] = Field(
+        default="detected", description="the first loud sample, or score time 0, is put at `at`"
+    )
     level_db: float = Field(default=-40.0, ge=-100, le=-3, description="re the sound's peak, of the first sample")
     at: float = Field(default=0.010, ge=0, le=10, description="s from the beginning of the file")
 
@@ -193,10 +199,10 @@ class Trim(Section):
 class Loudness(Section):
     """One gain per file, from its loudness; see `tonewood.workshop.batch.stimuli`."""
 
-    method: Literal["bs1770_gated", "loudest", "none"] = "bs1770_gated"
+    method: Literal["bs1770_gated", "loudest", "none"] = Field(default="bs1770_gated", description="what is made equal")
     window: float = Field(default=0.1, ge=0.01, le=3.0, description="s, of loudest")
-    target_lufs: float = Field(default=-23.0, ge=-60, le=-5)
-    true_peak_dbtp: float = Field(default=-1.0, ge=-30, le=-0.1)
+    target_lufs: float = Field(default=-23.0, ge=-60, le=-5, description="LUFS")
+    true_peak_dbtp: float = Field(default=-1.0, ge=-30, le=-0.1, description="dBTP, limit of a page's sounds")
     removed: ClassVar[dict[str, str]] = {
         "short": "was removed in 0.2: a sound shorter than 400 ms is always measured over one block",
         "on_clash": "was removed in 0.2: a page is always lowered as a whole",
@@ -207,65 +213,83 @@ class Stimuli(Section):
     """Properties of all sound files of the batch."""
 
     fs: int = Field(default=48000, ge=8000, le=192000, description="Hz; renders at another rate are resampled")
-    channels: int = Field(default=1, ge=1, le=2)
-    downmix: Literal["mean", "first"] = "mean"
-    subtype: Literal["PCM_16", "PCM_24"] = "PCM_16"
+    channels: int = Field(default=1, ge=1, le=2, description="of the files")
+    downmix: Literal["mean", "first"] = Field(default="mean", description="mean of all channels, or the first alone")
+    subtype: Literal["PCM_16", "PCM_24"] = Field(default="PCM_16", description="bits of a sample")
     room: str | None = Field(default=None, description="impulse response (WAV): of a room, or binaural with 2 channels")
-    onset: Onset = Onset()
-    trim: Trim = Trim()
-    duration: Literal["page_max"] | Annotated[float, Field(gt=0, le=600)] = "page_max"
+    onset: Onset = Field(default=Onset(), description="alignment of beginnings")
+    trim: Trim = Field(default=Trim(), description="where sounds end")
+    duration: Literal["page_max"] | Annotated[float, Field(gt=0, le=600)] = Field(
+        default="page_max", description="s of every file, or that of the page's longest sound"
+    )
     longest: float = Field(default=12.0, gt=0, le=600, description="s, limit of page_max")
-    fade: Fade = Fade()
-    loudness: Loudness = Loudness()
+    fade: Fade = Field(default=Fade(), description="at both ends")
+    loudness: Loudness = Field(default=Loudness(), description="gain of each sound")
 
 
 class Power(Section):
     """Probabilities of the errors that `--dry-run` plans the number of listeners for."""
 
-    alpha: float = Field(default=0.05, gt=0, lt=0.5)
-    power: float = Field(default=0.8, ge=0.5, lt=1)
+    alpha: float = Field(default=0.05, gt=0, lt=0.5, description="probability of a false alarm")
+    power: float = Field(default=0.8, ge=0.5, lt=1, description="probability of finding what is expected")
 
 
 class Output(Section):
     """Files that are written, and the order of the pages."""
 
     blind: bool = Field(default=True, description="the audition page shows codes until it is unblinded")
-    key: Annotated[str, Field(pattern=r"^[\w.-]+\.json$")] = "key.json"
-    formats: list[Literal["test", "html", "csv", "json", "parquet"]] = Field(default=["test", "html", "csv", "json"])
+    key: Annotated[str, Field(pattern=r"^[\w.-]+\.json$")] = Field(
+        default="key.json", description="file of codes and conditions"
+    )
+    formats: list[Literal["test", "html", "csv", "json", "parquet"]] = Field(
+        default=["test", "html", "csv", "json"],
+        description="test.json, audition.html, and the record as CSV, JSON and Parquet",
+    )
     pictures: bool = Field(
         default=False, description="waveform, spectrogram and differences of every sound, for the audition page"
     )
-    page_order: Literal["seeded", "listed", "per_listener"] = "per_listener"
+    page_order: Literal["seeded", "listed", "per_listener"] = Field(
+        default="per_listener",
+        description="order of trials: another one for each listener, one random order, or as listed",
+    )
 
 
 class Manifest(Section):
     """A whole batch."""
 
-    schema_: Literal["tonewood-batch/1"] = Field(alias="schema")
+    schema_: Literal["tonewood-batch/1"] = Field(alias="schema", description="of this file")
     kind: Literal["test"] = Field(default="test", description="a listening test; `dataset` has keys of its own")
-    name: Name
-    title: Text = ""
+    name: Name = Field(description="of the test")
+    title: Text = Field(default="", description="that listeners see")
     language: Language = Field(default="en", description="of a listener whose own has no texts")
     texts: dict[Language, dict[str, str]] = Field(
         default_factory=dict, description="words of the pages of one's own: language -> key -> text"
     )
-    seed: int = Field(ge=0, lt=2**63)
-    instruments: dict[Name, str] = Field(min_length=1)
-    scores: dict[Name, ScoreSource] = Field(min_length=1)
-    factors: dict[Name, Factor] = Field(default_factory=dict)
-    design: Literal["crossed", "listed"] = "crossed"
-    conditions: list[Levels] | None = None
-    exclude: list[Levels] = Field(default_factory=list)
-    repeats: int = Field(default=1, ge=1, le=1000)
+    seed: int = Field(ge=0, lt=2**63, description="of every random choice")
+    instruments: dict[Name, str] = Field(
+        min_length=1, description="name -> installed instrument, or folder relative to the manifest"
+    )
+    scores: dict[Name, ScoreSource] = Field(min_length=1, description="name -> music")
+    factors: dict[Name, Factor] = Field(default_factory=dict, description="name -> parameter and its levels")
+    design: Literal["crossed", "listed"] = Field(
+        default="crossed", description="all combinations of levels, or those of `conditions`"
+    )
+    conditions: list[Levels] | None = Field(default=None, description="levels of each condition, of design listed")
+    exclude: list[Levels] = Field(
+        default_factory=list, description="conditions with any of these sets of levels are left out"
+    )
+    repeats: int = Field(default=1, ge=1, le=1000, description="times that each condition is rendered")
     random: list[str] = Field(
         default_factory=list, description="factors whose levels are a sample of many: results hold for the others, too"
     )
-    vary: dict[ParameterPath, Variation] = Field(default_factory=dict)
-    render: RenderSettings = RenderSettings()
-    stimuli: Stimuli = Stimuli()
-    pages: list[AnyPage] = Field(default=[HtmlPage(type="html")], min_length=1)
-    power: Power = Power()
-    output: Output = Output()
+    vary: dict[ParameterPath, Variation] = Field(default_factory=dict, description="path -> human variation")
+    render: RenderSettings = Field(default=RenderSettings(), description="settings of all renders")
+    stimuli: Stimuli = Field(default=Stimuli(), description="what is done to sounds")
+    pages: list[AnyPage] = Field(
+        default=[HtmlPage(type="html")], min_length=1, description="that listeners see, in order"
+    )
+    power: Power = Field(default=Power(), description="for counting listeners")
+    output: Output = Field(default=Output(), description="files that are written")
 
     def choices(self) -> dict[str, list[str]]:
         """Names that `group_by`, `exclude` and the like may use, with the levels of each."""

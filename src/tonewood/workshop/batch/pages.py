@@ -44,20 +44,20 @@ class Page(Section):
 class ConsentPage(Page):
     """Information on the test and a box that must be ticked to go on."""
 
-    type: Literal["consent"]
+    type: Literal["consent"] = Field(description="this word")
     agree: Text = Field(default="", description="words beside the box")
 
 
 class InstructionsPage(Page):
     """A page to read."""
 
-    type: Literal["instructions"]
+    type: Literal["instructions"] = Field(description="this word")
 
 
 class LevelPage(Page):
     """Level setting: a tone as loud as the stimuli, by which the playback level is set and not changed again."""
 
-    type: Literal["level"]
+    type: Literal["level"] = Field(description="this word")
     freq: float = Field(default=1000.0, ge=50, le=10000, description="Hz, of the tone")
     spl_db: float | None = Field(default=None, ge=20, le=100, description="dB SPL that the tone is to have at the ear")
     measured: bool = Field(default=False, description="ask for the sound pressure level that was measured")
@@ -66,21 +66,21 @@ class LevelPage(Page):
 class TrainingPage(Page):
     """Trials of another page before it begins, with the right answer shown; they do not count."""
 
-    type: Literal["training"]
+    type: Literal["training"] = Field(description="this word")
     page: int = Field(ge=1, description="number of the page that is trained, counted from 1")
-    trials: int = Field(default=2, ge=1, le=100)
+    trials: int = Field(default=2, ge=1, le=100, description="of that page")
 
 
 class Question(Section):
     """One question of a questionnaire."""
 
-    name: Name
-    label: Text
-    kind: Literal["text", "number", "choice", "scale"] = "text"
-    choices: dict[Name, Text] | None = None
-    low: float = 1.0
-    high: float = 5.0
-    optional: bool = False
+    name: Name = Field(description="column of the table of answers")
+    label: Text = Field(description="words of the question")
+    kind: Literal["text", "number", "choice", "scale"] = Field(default="text", description="how it is answered")
+    choices: dict[Name, Text] | None = Field(default=None, description="name -> words, of kind choice")
+    low: float = Field(default=1.0, description="least number, or left end of a scale")
+    high: float = Field(default=5.0, description="greatest number, or right end of a scale")
+    optional: bool = Field(default=False, description="may be left out")
 
     @model_validator(mode="after")
     def _has_choices(self) -> Self:
@@ -94,8 +94,8 @@ class Question(Section):
 class QuestionnairePage(Page):
     """Questions on the listener, or on the test."""
 
-    type: Literal["questionnaire"]
-    questions: list[Question] = Field(min_length=1, max_length=100)
+    type: Literal["questionnaire"] = Field(description="this word")
+    questions: list[Question] = Field(min_length=1, max_length=100, description="in the order shown")
 
 
 class Return(Section):
@@ -105,8 +105,10 @@ class Return(Section):
     have a listener who gave none.
     """
 
-    code: str = Field(default="", max_length=200)
-    address: Annotated[str, Field(pattern=r"^https?://\S+$", max_length=1000)] | None = None
+    code: str = Field(default="", max_length=200, description="shown to the listener")
+    address: Annotated[str, Field(pattern=r"^https?://\S+$", max_length=1000)] | None = Field(
+        default=None, description="link back to the panel"
+    )
 
     @model_validator(mode="after")
     def _can_be_filled_in(self) -> Self:
@@ -123,7 +125,7 @@ class Return(Section):
 class FinishPage(Page):
     """The last page; one is added where a manifest has none."""
 
-    type: Literal["finish"]
+    type: Literal["finish"] = Field(description="this word")
     back: Return | None = Field(default=None, description="code and address shown when the answers are saved")
 
 
@@ -135,9 +137,9 @@ class HeadphonesPage(Page):
     Psychophys. 79 (2017) 2064): tones of 200 Hz; one is 6 dB softer, another in antiphase: over loudspeakers softer.
     """
 
-    type: Literal["headphones"]
-    method: Literal["huggins", "antiphase"] = "huggins"
-    trials: int = Field(default=6, ge=1, le=60)
+    type: Literal["headphones"] = Field(description="this word")
+    method: Literal["huggins", "antiphase"] = Field(default="huggins", description="sounds of the check")
+    trials: int = Field(default=6, ge=1, le=60, description="of one attempt")
     right: int | None = Field(default=None, ge=1, description="right answers to pass; all, of antiphase all but one")
     attempts: int = Field(default=2, ge=1, le=10, description="how often the check may be taken")
     failed: Literal["stop", "go_on"] = Field(default="stop", description="what follows for listeners who do not pass")
@@ -202,7 +204,7 @@ class RatedPage(SwitchedPage):
     """Sounds against a reference."""
 
     waveform: bool = Field(default=False, description="show the waveform of the reference")
-    reference: Levels = Field(min_length=1)
+    reference: Levels = Field(min_length=1, description="levels of the one sound that is the reference")
     expect: float | None = Field(default=None, gt=0, description="difference of means to be found, points of the scale")
     expect_sd: float | None = Field(
         default=None, gt=0, description="standard deviation of the listeners' differences, points"
@@ -216,21 +218,25 @@ class RatedPage(SwitchedPage):
 class MushraPage(RatedPage):
     """Several sounds against a reference on a scale of 0 to 100 (BS.1534)."""
 
-    type: Literal["mushra"]
-    anchors: list[Literal[3500, 7000]] = Field(default_factory=list, max_length=2)
+    type: Literal["mushra"] = Field(description="this word")
+    anchors: list[Literal[3500, 7000]] = Field(
+        default_factory=list, max_length=2, description="Hz, cutoffs of low-pass filtered copies of the reference"
+    )
     strict: bool = Field(default=True, description="refuse more signals on a page than BS.1534 allows")
 
 
 class Bs1116Page(RatedPage):
     """One sound and the hidden reference against the open reference, grades 1 to 5 (BS.1116)."""
 
-    type: Literal["bs1116"]
+    type: Literal["bs1116"] = Field(description="this word")
 
 
 class PairPage(TrialPage):
     """Pairs of levels of one factor, all else equal; `times` trials each."""
 
-    pairs: Pairs = Field(min_length=1, max_length=1)
+    pairs: Pairs = Field(
+        min_length=1, max_length=1, description="one factor: two of its levels, a list of such pairs, or all"
+    )
     times: int = Field(default=1, ge=1, le=1000, description="trials of each pair")
     expect: float | None = Field(default=None, gt=0, lt=1, description="share of answers beyond guessing")
     feedback: bool = Field(default=False, description="show whether an answer was right")
@@ -239,23 +245,23 @@ class PairPage(TrialPage):
 class AbxPage(PairPage, SwitchedPage):
     """Which of A and B is X?"""
 
-    type: Literal["abx"]
+    type: Literal["abx"] = Field(description="this word")
     unforced: bool = Field(default=False, description="allow the answer that no difference is heard")
 
 
 class AbPage(PairPage, SwitchedPage):
     """Are A and B the same? Every second trial has one sound twice."""
 
-    type: Literal["ab"]
+    type: Literal["ab"] = Field(description="this word")
 
 
 class PairedPage(PairPage, SwitchedPage):
     """Which of two has more of something, or is preferred?"""
 
-    type: Literal["paired_comparison"]
-    question: Text
+    type: Literal["paired_comparison"] = Field(description="this word")
+    question: Text = Field(description="which of the two ...?")
     tie: bool = Field(default=False, description="allow the answer that both are equal")
-    feedback: Literal[False] = False
+    feedback: Literal[False] = Field(default=False, description="there is no right answer")
     removed: ClassVar[dict[str, str]] = dict.fromkeys(
         ("unforced", "both_orders", "show_waveform", "looping"),
         "was removed in 0.2: which of two is the reference is asked by type abx; `tonewood migrate` helps",
@@ -269,20 +275,20 @@ class AfcPage(PairPage):
     With one ("which decays longer?") they point at the interval that has the pair's second level.
     """
 
-    type: Literal["afc"]
-    intervals: Literal[2, 3] = 3
-    question: Text = ""
+    type: Literal["afc"] = Field(description="this word")
+    intervals: Literal[2, 3] = Field(default=3, description="number of sounds, one after the other")
+    question: Text = Field(default="", description="which interval has more of it; empty: which differs")
 
 
 class RatingScale(Section):
     """A scale from `low` to `high` with words at its ends."""
 
-    name: Name
-    label: Text
-    low: float = 0.0
-    high: float = 100.0
-    low_label: Text = ""
-    high_label: Text = ""
+    name: Name = Field(description="column of the table of answers")
+    label: Text = Field(description="words of the scale")
+    low: float = Field(default=0.0, description="number at the left end")
+    high: float = Field(default=100.0, description="number at the right end")
+    low_label: Text = Field(default="", description="words at the left end")
+    high_label: Text = Field(default="", description="words at the right end")
     ordinal: bool = Field(default=False, description="grades have an order, but no stated distance")
 
     @model_validator(mode="after")
@@ -295,12 +301,14 @@ class RatingScale(Section):
 class RatingPage(SwitchedPage):
     """One sound on one or more scales."""
 
-    type: Literal["rating"]
+    type: Literal["rating"] = Field(description="this word")
     waveform: bool = Field(default=False, description="show the waveform of the sound")
-    scales: list[RatingScale] = Field(min_length=1, max_length=12)
+    scales: list[RatingScale] = Field(min_length=1, max_length=12, description="in the order shown")
     times: int = Field(default=1, ge=1, le=1000, description="trials of each sound")
     expect: float | None = Field(default=None, gt=0, description="difference of means to be found, points of the scale")
-    expect_sd: float | None = Field(default=None, gt=0)
+    expect_sd: float | None = Field(
+        default=None, gt=0, description="standard deviation of the listeners' differences, points"
+    )
 
 
 class StaircasePage(ListenedPage):
@@ -314,16 +322,20 @@ class StaircasePage(ListenedPage):
     those of QUEST+, `trials` of them; with `steps` the level falls after right answers and rises after a wrong one.
     """
 
-    type: Literal["staircase"]
-    path: ParameterPath
+    type: Literal["staircase"] = Field(description="this word")
+    path: ParameterPath = Field(
+        description="parameter of the bundle, or of the render (render.), that the level changes"
+    )
     of: Levels = Field(default_factory=dict, description="levels of the one condition that is changed")
-    scale: Literal["value", "add", "percent", "db"] = "add"
+    scale: Literal["value", "add", "percent", "db"] = Field(
+        default="add", description="how a level gives the value, see above"
+    )
     reference: Any = Field(default=None, description="value of the path in the reference sound; its own if left out")
-    unit: Text = ""
+    unit: Text = Field(default="", description="of the level, for tables")
     start: float = Field(description="first level")
     ratio: bool = Field(default=False, description="levels are compared by their ratios, not their differences")
-    lowest: float
-    highest: float
+    lowest: float = Field(description="least level")
+    highest: float = Field(description="greatest level")
     trials: int = Field(default=60, ge=10, le=1000, description="of a track (QUEST+)")
     steps: list[Annotated[float, Field(gt=0)]] = Field(
         default_factory=list, max_length=10, description="of the level (Levitt); ratios with ratio: true"
@@ -333,9 +345,9 @@ class StaircasePage(ListenedPage):
     discard: int = Field(default=2, ge=0, le=20, description="first reversals that do not count (Levitt)")
     longest: int = Field(default=80, ge=5, le=1000, description="trials of a track (Levitt)")
     tracks: int = Field(default=1, ge=1, le=8, description="interleaved")
-    intervals: Literal[2, 3] = 3
-    question: Text = ""
-    feedback: bool = True
+    intervals: Literal[2, 3] = Field(default=3, description="number of sounds, one after the other")
+    question: Text = Field(default="", description="which interval has more of it; empty: which differs")
+    feedback: bool = Field(default=True, description="show whether an answer was right")
     expect: float | None = Field(default=None, gt=0, description="mean threshold that is expected, a level")
     expect_sd: float | None = Field(
         default=None, gt=0, description="standard deviation of the listeners' thresholds: levels, or a ratio above 1"
@@ -448,9 +460,13 @@ class StaircasePage(ListenedPage):
 class HtmlPage(SoundPage):
     """A page only of the audition file; anchors are written as files."""
 
-    type: Literal["html"]
-    reference: Levels | None = None
-    anchors: list[Literal[3500, 7000]] = Field(default_factory=list, max_length=2)
+    type: Literal["html"] = Field(description="this word")
+    reference: Levels | None = Field(
+        default=None, description="levels of the sound that the anchors are made of, and the others compared with"
+    )
+    anchors: list[Literal[3500, 7000]] = Field(
+        default_factory=list, max_length=2, description="Hz, cutoffs of low-pass filtered copies of the reference"
+    )
 
     @model_validator(mode="after")
     def _anchored(self) -> Self:

@@ -40,10 +40,14 @@ Range = tuple[float, float]
 class Parameter(Section):
     """A parameter and its values: `values`, or one range."""
 
-    path: ParameterPath
-    values: list[Any] | None = Field(default=None, min_length=1, max_length=100_000)
-    uniform: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
-    log_uniform: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
+    path: ParameterPath = Field(description="note.FIELD, render.OPTION, or a parameter of the bundle")
+    values: list[Any] | None = Field(default=None, min_length=1, max_length=100_000, description="to choose from")
+    uniform: Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
+        default=None, description="[low, high]"
+    )
+    log_uniform: Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
+        default=None, description="[low, high], uniform in the logarithm"
+    )
     steps: int | None = Field(
         default=None, ge=2, le=100_000, description="values of a range in a grid, its ends among them"
     )
@@ -110,7 +114,7 @@ class Parameter(Section):
 class Sounds(Section):
     """Files of the sounds."""
 
-    subtype: Literal["PCM_16", "PCM_24"] = "PCM_24"
+    subtype: Literal["PCM_16", "PCM_24"] = Field(default="PCM_24", description="bits of a sample")
     level: Literal["calibrated", "peak"] = Field(
         default="calibrated", description="the instrument's full scale, with render.gain_db; or each to -1 dBFS"
     )
@@ -123,21 +127,29 @@ class Sounds(Section):
 class Dataset(Section):
     """A whole data set."""
 
-    schema_: Literal["tonewood-batch/1"] = Field(alias="schema")
-    kind: Literal["dataset"]
-    name: Name
-    title: str = ""
+    schema_: Literal["tonewood-batch/1"] = Field(alias="schema", description="of this file")
+    kind: Literal["dataset"] = Field(description="a data set; `test` is a listening test")
+    name: Name = Field(description="of the set")
+    title: str = Field(default="", description="kept in the record")
     licence: str = Field(default="", description="of the sounds, an SPDX name; the instruments' own are listed besides")
-    seed: int = Field(ge=0, lt=2**63)
-    instruments: dict[Name, str] = Field(min_length=1)
-    scores: dict[Name, ScoreSource] = Field(default_factory=dict)
+    seed: int = Field(ge=0, lt=2**63, description="of every random choice")
+    instruments: dict[Name, str] = Field(
+        min_length=1, description="name -> installed instrument, or folder relative to the manifest"
+    )
+    scores: dict[Name, ScoreSource] = Field(default_factory=dict, description="name -> music")
     folder: str | None = Field(default=None, description="of MIDI files, each a score, folders below it included")
-    parameters: dict[Name, Parameter] = Field(default_factory=dict)
-    sampling: Literal["grid", "random", "sobol"] = "grid"
+    parameters: dict[Name, Parameter] = Field(
+        default_factory=dict, description="name -> what varies from sound to sound"
+    )
+    sampling: Literal["grid", "random", "sobol"] = Field(
+        default="grid", description="all combinations, independent draws, or a scrambled Sobol sequence"
+    )
     size: int | None = Field(default=None, ge=1, description="sounds of each instrument and score; of a grid all")
-    vary: dict[ParameterPath, Variation] = Field(default_factory=dict)
-    render: RenderSettings = RenderSettings()
-    sounds: Sounds = Sounds()
+    vary: dict[ParameterPath, Variation] = Field(
+        default_factory=dict, description="path -> variation from note to note"
+    )
+    render: RenderSettings = Field(default=RenderSettings(), description="settings of all renders")
+    sounds: Sounds = Field(default=Sounds(), description="files of the sounds")
 
     def misfits(self) -> Iterator[Misfit]:
         """Parts that do not fit together."""
@@ -197,3 +209,8 @@ def check_dataset(data: dict[str, Any], *, file: Path | None = None) -> Dataset:
         raise
     raise_misfits(dataset.misfits(), file)
     return dataset
+
+
+def dataset_schema() -> dict[str, Any]:
+    """JSON schema of the manifest of a data set, for editors."""
+    return Dataset.model_json_schema(by_alias=True)

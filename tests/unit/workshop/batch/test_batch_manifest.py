@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import pickle
+import re
 from pathlib import Path
 
 import batch_fakes as fakes
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 
 from tonewood.performance.score.note import Note
+from tonewood.support.yaml_io import located
 from tonewood.workshop.batch.conditions import Draw, expand, vary_notes
 from tonewood.workshop.batch.layout import lay_out
 from tonewood.workshop.batch.manifest import (
@@ -19,7 +22,9 @@ from tonewood.workshop.batch.manifest import (
     load_manifest,
     manifest_schema,
 )
+from tonewood.workshop.batch.runner import plan_batch
 from tonewood.workshop.batch.seeds import blind_codes
+from tonewood.workshop.dataset.manifest import dataset_schema
 from tonewood.workshop.listening.staircase import StaircaseTrack
 
 STAIRS = {
@@ -269,6 +274,67 @@ def test_faults_are_one_line(changes, line: str) -> None:
         check_manifest(fakes.manifest(**changes), file=Path("m.yaml"))
     assert str(caught.value).startswith(line), str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_all_faults_are_told_at_once_with_their_lines(tmp_path: Path) -> None:
+    """Faults of values, of names beside them, and pages counted from 1."""
+    text = """\
+schema: tonewood-batch/1
+name: many
+seed: x
+instruments: {harp: african_harp}
+scores:
+  low: {phrase: [{time: 0.0, freq: 110.0}]}
+factors:
+  damping: {path: body.t60, levels: {a: 0.5, b: 0.4}}
+exclude:
+  - {dampng: a}
+repeats: 0
+pages:
+  - {type: consent}
+  - {type: mushra, reference: {damping: c}}
+  - type: abx
+    pairs: {damping: all}
+    time: 3
+  - {type: training, page: 3}
+  - {type: training, page: 1}
+"""
+    path = tmp_path / "m.yaml"
+    path.write_text(text)
+    with pytest.raises(ManifestError) as caught:
+        load_manifest(path)
+    found = [(f.line, str(f).removeprefix(f"{path}: line {f.line}: ")) for f in located(caught.value).all]
+    assert [line for line, _ in found] == [3, 10, 11, 14, 17, 19]
+    assert [fault.partition(": ")[0] for _, fault in found] == [
+        "seed", "exclude.0", "repeats", "page 2.reference.damping", "page 3.time", "page 5.page",
+    ]  # fmt: skip
+    assert "did you mean times?" in found[4][1]
+
+
+def test_faults_of_the_layout_are_told_together(tmp_path: Path) -> None:
+    mushra = {"type": "mushra", "reference": {"damping": "complex"}}
+    path = fakes.write(tmp_path, fakes.manifest(pages=[mushra, {"type": "html"}, mushra], stimuli={"room": "no.wav"}))
+    with pytest.raises(ManifestError) as caught:
+        plan_batch(path, tmp_path / "out", fakes.FakeRenderer())
+    assert [fault.key for fault in caught.value.all] == ["pages.0.reference", "pages.2.reference", "stimuli.room"]
+    assert all(fault.file == str(path) for fault in caught.value.all)
+    assert pickle.loads(pickle.dumps(caught.value)).also[1].key == "stimuli.room"
+
+
+def test_every_key_of_every_page_is_in_the_reference_and_in_the_schema() -> None:
+    """Mended by `python scripts/manifest_tables.py > docs/reference/manifest.md`."""
+    text = (Path(__file__).parents[4] / "docs" / "reference" / "manifest.md").read_text("utf-8")
+    sections = dict(re.findall(r"^###? (.+?)\n(.*?)(?=^##|\Z)", text, re.DOTALL | re.MULTILINE))
+    tables = {name: re.findall(r"^\| `(\w+)` \|.*\| (.*) \|$", table, re.MULTILINE) for name, table in sections.items()}
+    for schema, title in ((manifest_schema(), "A listening test"), (dataset_schema(), "A data set")):
+        models = {title: schema}
+        for name, model in schema["$defs"].items():
+            kind = model.get("properties", {}).get("type", {}).get("const")
+            models[kind or name] = model
+        for name, model in models.items():
+            assert {key for key, _ in tables[name]} == set(model["properties"]), name
+            assert not [key for key, meaning in tables[name] if meaning in ("", "None")], name
+    assert {"mushra", "staircase", "headphones", "finish"} <= tables.keys()
 
 
 def test_too_many_conditions() -> None:
