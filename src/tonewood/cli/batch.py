@@ -33,6 +33,10 @@ def batch(
     pilot: Annotated[
         Path | None, typer.Option(help="folder with the answers of a pilot: --dry-run takes effects and spread of it")
     ] = None,
+    exports: Annotated[
+        list[str] | None,
+        typer.Option("--export", help="write the test for webmushra, jspsych, psychopy, or as bids; repeatable"),
+    ] = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> int:
@@ -45,6 +49,7 @@ def batch(
     from tonewood.workshop.batch.rendering import EngineRenderer
     from tonewood.workshop.batch.runner import plan_batch, run_batch
     from tonewood.workshop.batch.workers import Workers
+    from tonewood.workshop.exchange.export import check_programs, export
     from tonewood.workshop.listening.power import power_of
     from tonewood.workshop.listening.results import analyse
 
@@ -54,11 +59,17 @@ def batch(
         raise TonewoodError(f"is {workers!r}; processes or threads are allowed", key="--workers")
     if pilot is not None and not dry_run:
         raise TonewoodError("belongs to --dry-run", key="--pilot")
+    programs = exports or []
+    check_programs(programs)
+    if programs and dry_run:
+        raise TonewoodError("writes files, --dry-run none", key="--export")
     place = Workers(jobs, "threads" if workers == "threads" else "processes", cluster)
     data = load_yaml(manifest, error=ManifestError)
     if data.get("kind") == "dataset":
         if pilot is not None:
             raise TonewoodError("belongs to listening tests", key="--pilot")
+        if programs:
+            raise TonewoodError("belongs to listening tests", key="--export")
         if dry_run:
             return dataset.planned(data, manifest, output, allow_code, as_json, place.count)
         with _Bars() as bars:
@@ -78,7 +89,15 @@ def batch(
             report = run_batch(manifest, output, EngineRenderer(allow_code), place, bars)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("finished renders are kept, run it again to go on") from None
-    print_json("batch-report", report.summary(), ok=report.ok) if as_json else _print_report(report)
+    exported = export(output, programs) if programs else []
+    if as_json:
+        places = [{"folder": str(one.folder), "notes": list(one.notes)} for one in exported]
+        print_json("batch-report", {**report.summary(), "exports": places}, ok=report.ok)
+    else:
+        _print_report(report)
+        for one in exported:
+            print(one.folder)
+            warn(list(one.notes))
     return 0 if report.ok else 1
 
 

@@ -459,6 +459,8 @@ def _write_records(
         audition.write_audition(folder, manifest, groups, by_code, conditions)
     if "csv" in formats:
         records.write_csv(folder / records.RECORD_CSV, rows)
+    if "parquet" in formats:
+        records.write_table(folder / records.RECORD_PARQUET, rows)
     if "json" in formats:
         record = records.batch_record(manifest, rows, faults, notes)
         if plan.room is not None:
