@@ -37,6 +37,7 @@ LAYERS = (
     {"sound/live", "sound/ensemble"},
     {"workshop/batch", "workshop/fit", "workshop/report", "lab"},
     {"workshop/listening", "workshop/dataset", "workshop/sampling"},
+    {"workshop/exchange"},
     {"cli"},
     {"__init__", "__main__"},
 )

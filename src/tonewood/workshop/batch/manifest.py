@@ -261,6 +261,7 @@ class Manifest(Section):
     kind: Literal["test"] = Field(default="test", description="a listening test; `dataset` has keys of its own")
     name: Name = Field(description="of the test")
     title: Text = Field(default="", description="that listeners see")
+    licence: str = Field(default="", description="of the sounds, an SPDX name, for the data sheet")
     language: Language = Field(default="en", description="of a listener whose own has no texts")
     texts: dict[Language, dict[str, str]] = Field(
         default_factory=dict, description="words of the pages of one's own: language -> key -> text"

@@ -24,9 +24,10 @@ from tonewood.support.folder_lock import locked
 from tonewood.support.whole_files import remove
 from tonewood.workshop.batch import audition, definition, records
 from tonewood.workshop.batch.conditions import Condition, expand
+from tonewood.workshop.batch.data_sheet import Subject, write_data_sheet
 from tonewood.workshop.batch.layout import Group, lay_out
 from tonewood.workshop.batch.manifest import Manifest, ManifestError, load_manifest
-from tonewood.workshop.batch.pages import HtmlPage, PairPage, as_pairs
+from tonewood.workshop.batch.pages import HtmlPage, PairPage, as_pairs, localised
 from tonewood.workshop.batch.pictures import write_differences
 from tonewood.workshop.batch.production import (
     PICTURES,
@@ -466,7 +467,23 @@ def _write_records(
         if plan.room is not None:
             record["room_sha256"] = hashlib.sha256(plan.room.read_bytes()).hexdigest()
         records.write_json(folder / records.RECORD_JSON, record)
+    write_data_sheet(folder, _subject(manifest, files), [plan.identities[key] for key in renders])
     records.write_json(folder / manifest.output.key, records.key_of(manifest, groups, conditions))
+
+
+def _subject(manifest: Manifest, files: Sequence[SoundFile]) -> Subject:
+    settings = manifest.stimuli
+    loudness = [f.lufs for f in files if f.lufs is not None]
+    facts = {
+        "format": f"WAV, {settings.fs} Hz, {settings.channels} channels, {settings.subtype}",
+        "length": f"{sum(f.frames for f in files) / settings.fs:.1f} s in all",
+        "loudness": f"{settings.loudness.method}, {settings.loudness.target_lufs:g} LUFS",
+    }
+    if loudness:
+        facts["measured"] = f"{min(loudness):.1f} to {max(loudness):.1f} LUFS (BS.1770)"
+    data = manifest.model_dump(mode="json", by_alias=True, exclude_none=True)
+    title = localised(manifest.title, manifest.language)
+    return Subject(manifest.name, title, manifest.licence, data, facts, {f.code: f.sha256 for f in files})
 
 
 #: sounds in one figure of differences

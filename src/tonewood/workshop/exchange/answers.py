@@ -2,8 +2,8 @@
 
 The plain table (CSV, the first row names the columns) has a row a rating, with `listener`, `page`, `trial`, `stimulus`
 (a blind code), `item` (a scale, where a page has several) and `value`; or a row an answer, with `listener`, `page`,
-`trial`, a column for each slot (A, B, X, 1, 2, 3, reference) that holds a code, and `response` (A, same, 2, ...). Columns
-`repetition` and `seconds` may stand beside. The tables of the exports for jsPsych and PsychoPy are such tables.
+`trial`, a column for each slot (A, B, X, 1, 2, 3, reference) that holds a code, and `response` (A, same, 2, ...).
+Columns `repetition` and `seconds` may stand beside. The tables of the exports for jsPsych and PsychoPy are such tables.
 """
 
 from __future__ import annotations
@@ -95,9 +95,17 @@ def read_answers(path: Path, test: ListeningTest) -> Imported:
                 _take_plain(test, row, trials, given.setdefault(who, {}))
         except ListeningError as fault:
             left_out.append(LeftOut(str(ListeningError(fault.reason, file=path, line=line, key=fault.key))))
-    listeners = []
+    listeners: list[ListenerAnswers] = []
     for who in dict.fromkeys([*given, *spoken]):
-        records = [_record(test, one, index) for index, one in enumerate(given.get(who, {}).values())]
+        kept = []
+        for one in given.get(who, {}).values():
+            graded = {code for code, _ in one.ratings}
+            if isinstance(test.pages[one.page], Bs1116Page) and 0 < len(graded) < 2:
+                reason = f"{who} has no grade of both sounds of trial {one.trial.id}"
+                left_out.append(LeftOut(str(ListeningError(reason, file=path))))
+            elif graded or one.choice is not None:
+                kept.append(one)
+        records = [_record(test, one, index) for index, one in enumerate(kept)]
         records += [{**record, "index": len(records) + i} for i, record in enumerate(spoken.get(who, []))]
         if records:
             header = {"listener": who, "token": who, "simulated": False, "started": "", "language": ""}

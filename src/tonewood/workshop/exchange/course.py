@@ -95,7 +95,7 @@ def shown_pages(test: ListeningTest) -> list[dict[str, Any]]:
     return found
 
 
-def _scales(test: ListeningTest, page: TrialPage) -> list[dict[str, Any]]:
+def _scales(test: ListeningTest, page: AnyPage) -> list[dict[str, Any]]:
     language = test.manifest.language
     if isinstance(page, RatingPage):
         return [
@@ -114,9 +114,9 @@ def _scales(test: ListeningTest, page: TrialPage) -> list[dict[str, Any]]:
 
 
 def course(test: ListeningTest, number: int) -> list[dict[str, Any]]:
-    """Trials of the listener `number` (from 0) as plain data, in their order: page, trial, repetition, slots, choices."""
+    """Trials of the listener `number` (from 0) in their order: page, trial, repetition, slots, choices."""
     session = Session(test, seed=number, place=number)
-    found = []
+    found: list[dict[str, Any]] = []
     for index, page in enumerate(test.manifest.pages):
         if not isinstance(page, TrialPage) or isinstance(page, StaircasePage):
             continue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from html import escape
 from importlib.resources import files as package_files
 from pathlib import Path
 from typing import Any
@@ -54,8 +55,6 @@ def write(test: ListeningTest, folder: Path) -> Exported:
     ------
     OutputError : a file cannot be written.
     """
-    from html import escape
-
     language = test.manifest.language
     courses = [course(test, number) for number in range(COURSES)]
     texts = test.texts(language)
@@ -66,8 +65,8 @@ def write(test: ListeningTest, folder: Path) -> Exported:
         "texts": {
             key: texts[key]
             for key in (
-                "play", "stop", "reference", "send", "next", "listener", "start", "finish_title", "answer", "choice_same",
-                "choice_different", "choice_undecided", "choice_tie", "optional", "begin_text",
+                "play", "stop", "reference", "send", "next", "finish_title", "answer", "choice_same",
+                "choice_different", "choice_undecided", "choice_tie",
             )
         },
     }  # fmt: skip

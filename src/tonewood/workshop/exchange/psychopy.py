@@ -171,7 +171,12 @@ def _trial_page(routines: ET.Element, flow: ET.Element, page: dict[str, Any], ro
 
 def _component(routine: ET.Element, kind: str, name: str, params: dict[str, Any]) -> None:
     element = ET.SubElement(routine, f"{kind}Component", name=name, plugin="None")
-    common = {"name": (name, "code"), "startType": "time (s)", "startVal": ("0.0", "code"), "stopVal": ("", "code")}
+    common: dict[str, Any] = {
+        "name": (name, "code"),
+        "startType": "time (s)",
+        "startVal": ("0.0", "code"),
+        "stopVal": ("", "code"),
+    }
     _params(element, {**common, **params})
 
 

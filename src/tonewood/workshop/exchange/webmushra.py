@@ -1,8 +1,8 @@
 """A configuration for webMUSHRA: its pages of type consent, generic, mushra, bs1116 and paired_comparison.
 
 Keys are those of webMUSHRA's documentation for experimenters (doc/experimenter.md) and of its configs/default.yaml
-(``questionnaire``). Identifiers of conditions are blind codes; anchors are sounds like others. The file was checked against
-these keys; webMUSHRA itself was not run on it.
+(``questionnaire``). Identifiers of conditions are blind codes; anchors are sounds like others. The file was checked
+against these keys; webMUSHRA itself was not run on it.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def write(test: ListeningTest, folder: Path) -> Exported:
 
 def _config(test: ListeningTest, sounds: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
     pages: list[Any] = []
-    questions = [{"type": "text", "label": "Your number or name", "name": "listener"}]
+    questions: list[dict[str, Any]] = [{"type": "text", "label": "Your number or name", "name": "listener"}]
     for index, page in enumerate(test.manifest.pages):
         title, content = words(test, page)
         base = {"id": f"page{index + 1}", "name": escape(title), "content": _html(content)}
@@ -94,7 +94,9 @@ def _config(test: ListeningTest, sounds: str, rows: list[dict[str, Any]]) -> dic
     }  # fmt: skip
 
 
-def _trial(page: RatedPage | AbxPage, base: dict[str, Any], row: dict[str, Any], sounds: str) -> dict[str, Any]:
+def _trial(
+    page: MushraPage | Bs1116Page | AbxPage, base: dict[str, Any], row: dict[str, Any], sounds: str
+) -> dict[str, Any]:
     slots = row["slots"]
     reference = slots["X"] if isinstance(page, AbxPage) else slots["reference"]
     others = sorted(set(slots.values()) - {reference})

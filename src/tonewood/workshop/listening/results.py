@@ -159,10 +159,10 @@ def analyse(
     every = answers_of(test)
     answers = (*every.listeners, *others)
     if not any(one.records for one in answers):
-        others = sum(one.answers for one in every.left_out)
+        damaged = sum(one.answers for one in every.left_out)
         first = every.left_out[0].reason if every.left_out else ""
-        why = f" that can be used; {others} are left out, the first because: {first}"
-        raise ListeningError(f"holds no answers{why if others else ''}", file=folder / "answers")
+        why = f" that can be used; {damaged} are left out, the first because: {first}"
+        raise ListeningError(f"holds no answers{why if damaged else ''}", file=folder / "answers")
     table = tidy(test, opened, answers)
     finish = len(test.pages)
     not_passed = [one.listener for one in answers if one.failed]
