@@ -118,7 +118,7 @@ def staircases(options: argparse.Namespace) -> None:
     for name, page in PAGES.items():
         for text, people in PEOPLE.items():
             own = StaircasePage.model_validate(page)
-            count = options.staircases if own.adaptive == "quest_plus" else options.staircases // 2
+            count = options.staircases if own.adaptive == "quest_plus" else int(0.3 * options.staircases)
             r = means(
                 lambda g, case=(count, 12, own, people): astuple(sim.threshold_rates(g, *case)), name, text
             )  # fmt: skip
@@ -153,6 +153,18 @@ def powers(options: argparse.Namespace) -> None:
         n = power.fewest(promised, 0.8, "")
         had = means(lambda g, a=shift, s=sd, n=n: [sim.power_had(g, options.experiments, n, a, s)], "power", shift)
         rows.append([f"{shift:g} points, sd {sd:g}", str(n), percent(promised(n)), percent(had[0])])
+    for sounds in (6, 12):
+        own, spread = power.stated_spread(12.0, 5.0, sounds, 2)
+
+        def of_sounds(n: int, own: Any = own, spread: power.SoundSpread = spread) -> float:
+            return float(power.rating_power([0.0, 8.0], own, n, 0.05, sampled=spread)[0])
+
+        n = power.fewest(of_sounds, 0.8, "")
+        had = means(
+            lambda g, n=n, m=sounds: [sim.power_had_by_sounds(g, options.experiments // 5, n, m, 8.0, 12.0, 5.0)],
+            "power of sounds", sounds,
+        )  # fmt: skip
+        rows.append([f"8 points, sd 12; {sounds} random sounds, sd 5", str(n), percent(of_sounds(n)), percent(had[0])])
     page, people = StaircasePage.model_validate(STAIRS), sim.Population(5.0, 0.25, 2.0)
     margin = float(np.log(1.25))
     n = power.threshold_listeners(page, people, margin, 0.05, 0.8)
@@ -171,11 +183,11 @@ if __name__ == "__main__":
         "--staircases",
         type=int,
         default=134,
-        help="experiments with QUEST+, for each seed; half as many by Levitt's rule",
+        help="experiments with QUEST+, for each seed; 0.3 of them by Levitt's rule",
     )
     parser.add_argument("--sensitivities", type=int, default=110, help="experiments with d', for each seed")
-    parser.add_argument("--grades", type=int, default=1000, help="experiments with grades, for each seed")
-    parser.add_argument("--sampled", type=int, default=1000, help="experiments with random sounds, for each seed")
+    parser.add_argument("--grades", type=int, default=200, help="experiments with grades, for each seed")
+    parser.add_argument("--sampled", type=int, default=200, help="experiments with random sounds, for each seed")
     parser.add_argument("--only", nargs="*", choices=list(PARTS), default=list(PARTS))
     chosen = parser.parse_args()
     for part in chosen.only:

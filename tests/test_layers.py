@@ -36,8 +36,8 @@ LAYERS = (
     {"sound/render"},
     {"sound/live", "sound/ensemble"},
     {"workshop/batch", "workshop/fit", "workshop/report", "lab"},
-    {"workshop/listening", "workshop/dataset", "workshop/sampling"},
-    {"workshop/exchange"},
+    {"workshop/listening", "workshop/dataset", "workshop/sampling", "workshop/taps"},
+    {"workshop/exchange", "workshop/wood"},
     {"cli"},
     {"__init__", "__main__"},
 )

@@ -124,6 +124,7 @@ def test_motion_that_grows_ends_in_an_error(tmp_path: Path) -> None:
         excess(289, tmp_path)
 
 
+@pytest.mark.validate
 def test_a_bend_that_moves_modes_over_the_limit_keeps_them_on() -> None:
     """The bound of a string is that of its modes as it was; bent by octaves the string has fewer of them."""
     controls = [tw.Control(0.05 + 0.01 * i, "bend", 4800.0 if i < 25 else -4800.0, 0) for i in range(50)]

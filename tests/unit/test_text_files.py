@@ -10,7 +10,7 @@ import pytest
 from tonewood.errors import BundleError, TonewoodError
 from tonewood.instrument.contract.files import Files
 from tonewood.instrument.scales import read_scl
-from tonewood.sound.ensemble import read_ensemble
+from tonewood.sound.ensemble.mix import read_ensemble
 from tonewood.support.text_files import decoded
 from tonewood.support.yaml_io import load_yaml
 from tonewood.workshop.batch.manifest import ManifestError, load_manifest

@@ -11,15 +11,17 @@ namespace tonewood {
 struct Stretch {
     struct Planes {  // one or two polarizations, side by side and with the same shapes
         int first = 0, count = 1, n = 0;  // components; lowest modes that take part, padded
-        Array<double> slopes;             // (n, points) slope at each point per coordinate
+        Array<double> slopes, pulls;      // (n, points) slope at each point per coordinate; (points, n) its transpose
     };
     int order = 0;             // P
     int points = 0;            // theta = (j + 1/2) pi / points, a multiple of kLane: sums over them are integrals
     double scale = 0;          // EA L
     std::vector<int> sizes;    // modes of each component that take part, the lowest; the longitudinal one last
     std::vector<Planes> planes;
-    Array<double> cosines;     // (P + 1, padded; points) cos(n theta)
+    Array<double> project;     // (points, strain_width): s_n per squared slope at each point
+    Array<double> spread;      // (P + 1, points): pull per slope at each point, of s_n + l_n
     int width = 0, strain_width = 0;  // modes of the longitudinal component, cosines of its strain; padded
+    Array<double> weights;            // (strain_width): EA L g_n
     Array<double> strain, back;       // (modes, strain_width), (P + 1, width): strain's cosines per coordinate
 };
 

@@ -117,10 +117,10 @@ inline void make_potentials(const std::vector<Component>& components, const Solv
     ws.gap.assign(k * lane, 0.0), ws.solved.assign(count * padded(k), 0.0), ws.row.assign(padded(k), 0.0);
 }
 
-// cos(n theta) at the points of a string with longitudinal motion, for n below `count`; the other rows are zero.
+// (count, points) cos(n theta) at the points of a string with longitudinal motion.
 inline Array<double> cosines_at_points(std::size_t count, std::size_t points) {
     constexpr double kPi = 3.14159265358979323846;
-    Array<double> out(padded(count) * points, 0.0);
+    Array<double> out(count * points);
     for (std::size_t n = 0; n < count; ++n)
         for (std::size_t j = 0; j < points; ++j)
             out[n * points + j] = std::cos(kPi * double(n * (2 * j + 1) % (4 * points)) / double(2 * points));
@@ -154,8 +154,16 @@ inline Stretch load_stretch(const PotentialDescription& d, const std::vector<Com
         for (std::size_t k = 0; k < modes; ++k)
             out.strain[k * out.strain_width + i] = out.back[i * out.width + k] = strain[i * modes + k];
     const std::size_t points = padded((2 * (most - 1) + cosines - 1) / 2 + 1);
-    out.points = int(points), out.cosines = cosines_at_points(cosines, points);
-    const Array<double> all = cosines_at_points(most, points);
+    const Array<double> all = cosines_at_points(std::max(most, cosines), points);
+    out.points = int(points), out.weights.assign(out.strain_width, 0.0);
+    out.project.assign(points * out.strain_width, 0.0), out.spread.assign(cosines * points, 0.0);
+    for (std::size_t i = 0; i < cosines; ++i) {
+        out.weights[i] = out.scale * (i == 0 ? 1.0 : 0.5);
+        for (std::size_t j = 0; j < points; ++j) {
+            out.project[j * out.strain_width + i] = all[i * points + j] * (i == 0 ? 0.5 : 1.0) / double(points);
+            out.spread[i * points + j] = all[i * points + j] * out.scale / double(points);
+        }
+    }
     for (std::size_t q = 0; q < last; ++q) {
         const View& slopes = d.parts[q].slopes;
         const std::size_t n = slopes.shape[1];
@@ -167,7 +175,12 @@ inline Stretch load_stretch(const PotentialDescription& d, const std::vector<Com
         if (!out.planes.empty() && out.planes.back().count == 1 && out.planes.back().slopes == at_points)
             out.planes.back().count = 2;
         else
-            out.planes.push_back({int(q), 1, int(padded(n)), std::move(at_points)});
+            out.planes.push_back({int(q), 1, int(padded(n)), std::move(at_points), {}});
+    }
+    for (Stretch::Planes& planes : out.planes) {
+        planes.pulls.resize(planes.slopes.size());
+        for (std::size_t k = 0, n = std::size_t(planes.n); k < n; ++k)
+            for (std::size_t j = 0; j < points; ++j) planes.pulls[j * n + k] = planes.slopes[k * points + j];
     }
     return out;
 }

@@ -39,15 +39,15 @@ inline void sum_stretch_step(const Component& c, double* state, double* to) {
     });
 }
 
-// Makes a step under forces `found` on the ports and `modal` on the lowest n modes (a multiple of kPadding), scaled as xi
-// is; the sums of the next step go to `to` unless it is null.
-inline void make_stretch_step(const Component& c, double* state, const double* found, const double* modal,
-                              std::size_t n, double* to) {
+// Makes a step under forces `found` on the ports and `size` times `direction` on the lowest n modes (a multiple of
+// kPadding), scaled as xi is; the sums of the next step go to `to` unless it is null.
+inline void make_stretch_step(const Component& c, double* state, const double* found, const double* direction,
+                              std::size_t n, double size, double* to) {
     const auto make = [&]<int P, bool Sums>() {
         PortSums<P> sums(c);
         in_scaled_packs(c, state, [&]<class V>(std::size_t k, const double* at, double* x) {
             const V xi = V::load(x), v = V::load(x + kPadding);
-            V force = k < n ? V::load(modal + k) : V{};
+            V force = k < n ? V::load(direction + k) * size : V{};
             for (int p = 0; p < (P < 0 ? c.n_ports : P); ++p)
                 force = mul_add(V::load(at + (kScaledNumbers + p) * kPadding), found[p], force);
             const V next = xi + v + force, later = scaled_velocity(at, next, force, v);

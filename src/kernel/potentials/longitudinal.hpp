@@ -40,20 +40,12 @@ public:
         for (int s = first_; s < end_; ++s) strain(s), direct(s);
     }
 
-    void end_step() override {
-        for (int s = first_; s < end_; ++s) make_forces(s, at(s).parts);
-    }
-
     double energy(int s) override {
         String& string = at(s);
-        const Stretch& g = string.given;
         for (Part* part : string.parts) read(*part);
         find_squares(string);
         find_strain(string);
-        double sum = 0.0;
-        for (int n = 0; n <= g.order; ++n)
-            sum += weight(g, n) * string.squares[n] * (0.5 * string.squares[n] + string.strain[n]);
-        return sum;
+        return stored(string);
     }
 
     // All energy of the string, or the shortfall of U if that is more, and a little; held while it is enough.
@@ -74,8 +66,19 @@ private:
         Array<double> at_points{};            // sums of squared slopes, later tensions
     };
 
+    // U of s_n and l_n; s_n + l_n in `tension`.
+    static double stored(String& string) {
+        const Stretch& g = string.given;
+        V sum{};
+        for (int n = 0; n < g.strain_width; n += S::width) {
+            const V square = S::load(string.squares.data() + n), strain = S::load(string.strain.data() + n);
+            sum += S::load(g.weights.data() + n) * square * (square * 0.5 + strain);
+            S::store(string.tension.data() + n, square + strain);
+        }
+        return S::sum(sum);
+    }
+
     String& at(int s) { return strings_[std::size_t(s - first_)]; }
-    static double weight(const Stretch& g, int n) { return g.scale * (n == 0 ? 1.0 : 0.5); }
 
     // s_n of the step, and the displacements of the ports by the longitudinal modes under it.
     void stretch(int s) {
@@ -84,7 +87,8 @@ private:
         for (std::size_t q = 0; q + 1 < string.parts.size(); ++q)
             find_middle(*string.parts[q], ws_.driven.data() + string.parts[q]->modes.part->first_port);
         find_squares(string);
-        for (int n = 0; n <= g.order; ++n) string.stretching[n] = weight(g, n) * string.squares[n];
+        for (int n = 0; n < g.strain_width; n += S::width)
+            S::store(string.stretching.data() + n, S::load(g.weights.data() + n) * S::load(string.squares.data() + n));
         Part& part = *string.parts.back();
         std::fill(part.force.begin(), part.force.end(), 0.0);
         add_product(g.back.data(), g.width, string.stretching.data(), g.order + 1, part.force.data());
@@ -110,14 +114,7 @@ private:
 
     void direct(int s) {
         String& string = at(s);
-        const Stretch& g = string.given;
-        double stored = 0.0;
-        for (int n = 0; n <= g.order; ++n) {
-            const double square = string.squares[n], strain = string.strain[n];
-            stored += weight(g, n) * square * (0.5 * square + strain);
-            string.tension[n] = square + strain;
-        }
-        const double C = ws_.shift[s], size = std::sqrt(std::max(2 * (stored + C), std::abs(stored) + C));
+        const double U = stored(string), C = ws_.shift[s], size = std::sqrt(std::max(2 * (U + C), std::abs(U) + C));
         const double per = size > 0.0 ? 1 / size : 0.0;
         find_gradient(string);
         Sums sums;
@@ -153,15 +150,13 @@ private:
             double* slopes[Count];
             for (int p = 0; p < Count; ++p)
                 y[p] = parts[p]->middle.data(), slopes[p] = string.slopes[planes.first + p].data();
-            multiply_columns<Count>(planes.slopes.data(), g.points, planes.n, y, slopes);
+            multiply_planes<Count>(planes.slopes.data(), g.points, planes.n, y, slopes);
             for (int j = 0; j < g.points; j += S::width)
                 for (int p = 0; p < Count; ++p)
                     S::store(all + j, S::load(all + j) + S::load(slopes[p] + j) * S::load(slopes[p] + j));
         });
-        const double* const sums[] = {all};
-        double* const to[] = {string.squares.data()};
-        multiply_rows<1>(g.cosines.data(), g.points, g.strain_width, sums, to);
-        for (int n = 0; n <= g.order; ++n) string.squares[n] *= (n == 0 ? 0.5 : 1.0) / g.points;
+        std::fill(string.squares.begin(), string.squares.end(), 0.0);
+        add_product(g.project.data(), g.strain_width, all, g.points, string.squares.data());
     }
 
     // The transverse gradient in `direction`, per coordinate: the tension at each point pulls the slope there.
@@ -170,18 +165,17 @@ private:
         double* const tension = string.at_points.data();
         const double* const parts_of[] = {string.tension.data()};
         double* const to_points[] = {tension};
-        multiply_columns<1>(g.cosines.data(), g.points, g.order + 1, parts_of, to_points);
-        const double scale = g.scale / g.points;
+        multiply_planes<1>(g.spread.data(), g.points, g.order + 1, parts_of, to_points);
         by_planes(string, [&]<int Count>(const Stretch::Planes& planes, Part* const* parts) {
             const double* forces[Count];
             double* to[Count];
             for (int p = 0; p < Count; ++p) {
                 double* const slopes = string.slopes[planes.first + p].data();
                 for (int j = 0; j < g.points; j += S::width)
-                    S::store(slopes + j, S::load(slopes + j) * (S::load(tension + j) * scale));
+                    S::store(slopes + j, S::load(slopes + j) * S::load(tension + j));
                 forces[p] = slopes, to[p] = parts[p]->direction.data();
             }
-            multiply_rows<Count>(planes.slopes.data(), g.points, planes.n, forces, to);
+            multiply_planes<Count>(planes.pulls.data(), planes.n, g.points, forces, to);
         });
     }
 

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from tonewood.performance.effects.base import EffectReport
-    from tonewood.sound.ensemble import EnsemblePart
+    from tonewood.sound.ensemble.mix import EnsemblePart
     from tonewood.sound.level.limiter import Limiter
     from tonewood.sound.live.take import Replay
     from tonewood.sound.render.level import LevelName
@@ -65,6 +65,10 @@ def render(
         ),
     ] = None,
     ensemble: Annotated[Path | None, typer.Option(help="YAML file of parts, in place of --part")] = None,
+    programs: Annotated[
+        Path | None,
+        typer.Option(help="YAML table of programs and their instruments, for a SCORE without -i, --part, --ensemble"),
+    ] = None,
     stems: Annotated[
         Path | None, typer.Option(help="folder for one file a part, or of one instrument one an output group")
     ] = None,
@@ -98,7 +102,7 @@ def render(
     allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> None:
-    """Render SCORE on an instrument to a sound file."""
+    """Render SCORE on an instrument to a sound file; without one, each part on the instrument of its program."""
     began = time.perf_counter()
     from tonewood.cli.stems import check_stem_folder, stem_files, write_output_stems, write_string_stems
     from tonewood.performance.score.reading import read_score
@@ -124,18 +128,21 @@ def render(
         check_energy_file(path)
     given = reading(start, stop, transpose, tempo, tracks)
     target = PEAK if normalize is None else normalize
-    if part or ensemble is not None:
-        players = _players(part or (), ensemble)
+    if programs is not None and (instrument is not None or part or ensemble is not None):
+        raise TonewoodError("is for a score without -i, --part and --ensemble", key="--programs")
+    if instrument is None or part or ensemble is not None:
         used: dict[str, object] = {
             "--instrument": instrument,
             "--energy": energy,
             "--set": settings,
             "--strings": strings,
         }
-        used |= {"--limiter": limiter, "--live": live, "--tracks": tracks, "--allow-code": allow_code}
+        used |= {"--limiter": limiter, "--live": live, "--allow-code": allow_code}
+        used["--tracks"] = tracks if part or ensemble is not None else None
         for option, value in used.items():
             if value:
-                raise TonewoodError("is for one instrument; with --part or --ensemble it is not allowed", key=option)
+                raise TonewoodError("is for one instrument, chosen by -i", key=option)
+        players, left_out = _players(score, given, part or (), ensemble, programs)
         del given["tracks"]
         from tonewood.cli.ensemble import render_parts
         from tonewood.support.whole_files import AtomicFile
@@ -145,11 +152,9 @@ def render(
             check_stem_folder(stems, parents=True)
         render_parts(
             score, players, output, options, reading=given, subtype=subtype, level=wanted, target=target,
-            stems=stems, as_json=as_json,
+            stems=stems, as_json=as_json, left_out=left_out,
         )  # fmt: skip
         return
-    if instrument is None:
-        raise TonewoodError("Missing option '--instrument' / '-i', or --part or --ensemble for several")
     if stems_by not in ("output", "string"):
         raise TonewoodError(f"is {stems_by!r}; output, string are allowed", key="--stems-by")
     if stems_by == "string" and (stems is None or live or limiter):
@@ -236,13 +241,21 @@ def render(
         raise typer.Exit(1)
 
 
-def _players(parts: Sequence[str], ensemble: Path | None) -> list[EnsemblePart]:
-    """Parts and their instruments, from the command line or a file."""
-    from tonewood.sound.ensemble import parse_part, read_ensemble
+def _players(
+    score: Path, given: dict[str, Any], parts: Sequence[str], ensemble: Path | None, programs: Path | None
+) -> tuple[list[EnsemblePart], list[str] | None]:
+    """Parts and their instruments, from the command line, a file, or by their programs; then also lines to print."""
+    from tonewood.performance.score.reading import read_score
+    from tonewood.sound.ensemble.mix import parse_part, read_ensemble
+    from tonewood.sound.ensemble.programs import choose_players, read_programs
 
     if parts and ensemble is not None:
         raise TonewoodError("one of --part and --ensemble is allowed", key="--ensemble")
-    return [parse_part(text) for text in parts] if ensemble is None else read_ensemble(ensemble)
+    if parts or ensemble is not None:
+        return ([parse_part(text) for text in parts] if ensemble is None else read_ensemble(ensemble)), None
+    table = read_programs(programs)
+    music = read_score(score, **given)
+    return choose_players(music.parts, table, score)
 
 
 def _write(

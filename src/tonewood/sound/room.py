@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, rfft
 
 from tonewood.errors import TonewoodError
 
@@ -183,7 +182,7 @@ class Room:
         parts = -(-len(responses) // _PART)
         padded = np.zeros((parts * _PART, channels))
         padded[: len(responses)] = responses
-        self._responses = rfft(padded.reshape(parts, _PART, channels), 2 * _PART, axis=1)
+        self._responses = np.fft.rfft(padded.reshape(parts, _PART, channels), 2 * _PART, axis=1)
         self._length = len(responses)
         dry = max(self._sources) + 1
         self._spectra = np.zeros((parts, _PART + 1, dry), dtype=np.complex128)
@@ -213,7 +212,7 @@ class Room:
 
     def _part(self, sound: Floats) -> Floats:
         self._spectra = np.roll(self._spectra, 1, axis=0)
-        self._spectra[0] = rfft(sound, 2 * _PART, axis=0)
-        both = irfft(np.sum(self._spectra[:, :, self._sources] * self._responses, axis=0), 2 * _PART, axis=0)
+        self._spectra[0] = np.fft.rfft(sound, 2 * _PART, axis=0)
+        both = np.fft.irfft(np.sum(self._spectra[:, :, self._sources] * self._responses, axis=0), 2 * _PART, axis=0)
         done, self._rest = both[:_PART] + self._rest, both[_PART:]
         return np.asarray(done)

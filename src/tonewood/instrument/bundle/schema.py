@@ -409,8 +409,12 @@ class Preset(Parameters):
     noises: bool = described("noises of the hands between notes", default=False, strict=True)
 
 
+#: keys of a bundle without strings, where it leaves them out
+_BODY_ALONE: dict[str, Any] = {"licence": "not stated", "sources": {}, "strings": {}, "exciters": {}, "outputs": []}
+
+
 class Bundle(Parameters):
-    """An instrument."""
+    """An instrument, or a body alone: then `name` and `body` are enough."""
 
     schema_: Literal["tonewood-instrument/2"] = Field(alias="schema", description="version of this format")
     name: Name = described("as it is called on the command line")
@@ -421,7 +425,7 @@ class Bundle(Parameters):
     provenance: dict[str, Provenance] = described("dotted path, * for one level -> kind of figures", default={})
     body: BodyPart = described("part that the strings are joined to")
     strings: dict[Name, StringPart] = described(
-        "name -> string, from bass to treble", min_length=1, max_length=MOST_STRINGS
+        "name -> string, from bass to treble; none of a body alone", max_length=MOST_STRINGS
     )
     strings_from: str | None = described(
         "named string set, for values that `strings` leaves out; `tonewood list` has their names", default=None
@@ -429,11 +433,9 @@ class Bundle(Parameters):
     keys: Keys | None = described("strings that one note plays together, their hammers and dampers", default=None)
     stops: Stops = described("frets", default=Stops())
     tuning: TuningSettings = described("pitch", default=TuningSettings())
-    exciters: dict[Name, PluginPart] = described("name -> way of playing", min_length=1, max_length=MOST_PARTS)
+    exciters: dict[Name, PluginPart] = described("name -> way of playing", max_length=MOST_PARTS)
     playing: Playing = described("from notes to gestures", default=Playing())
-    outputs: list[OutputPart] = described(
-        "groups of channels; the first is the default", min_length=1, max_length=MOST_PARTS
-    )
+    outputs: list[OutputPart] = described("groups of channels; the first is the default", max_length=MOST_PARTS)
     effects: Effects = described("effects that may be left out", default=Effects())
     presets: dict[Name, Preset] = described("name -> options of a render; besides dry, studio, stage", default={})
     oversampling: Literal[1, 2, 4] = described(
@@ -449,6 +451,20 @@ class Bundle(Parameters):
     connections: dict[Name, ConnectionPart] = described(
         "name -> part that touches strings besides the body", default={}
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _alone(cls, values: Any) -> Any:
+        """Fill in what a body without strings has no need of."""
+        if not isinstance(values, dict) or values.get("strings") or values.get("keys"):
+            return values
+        return {"title": values.get("name"), **_BODY_ALONE, **values}
+
+    @model_validator(mode="after")
+    def _played(self) -> Bundle:
+        if self.strings and not (self.exciters and self.outputs):
+            raise ValueError(f"strings need {'outputs' if self.exciters else 'exciters'}: at least one is wanted")
+        return self
 
     @field_validator("draft_oversampling")
     @classmethod

@@ -263,8 +263,11 @@ def bridge_mobility(
 
     Returns
     -------
-    string -> (n,), along the body point's direction; a string on a rigid end is left out.
+    string -> (n,), along the body point's direction; a string on a rigid end is left out. Of a body without strings,
+    point -> (n,).
     """
+    if not model.strings:
+        return {point: model.body.frf(freq, point, point) for point in model.body_points}
     out: dict[str, Complexes] = {}
     for name in model.groups if strings is None else strings:
         string = model.strings[name]

@@ -123,7 +123,8 @@ class _Gpif:
         self.drums = text_of(track, "InstrumentSet/Type") == "drumKit" or (
             midi is not None and midi.get("table") == "Percussion"
         )
-        part = WrittenPart(text_of(track, "Name"), capo=self.capo)
+        named = text_of(track, "Sounds/Sound/MIDI/Program") or text_of(midi, "Program")
+        part = self.part = WrittenPart(text_of(track, "Name"), capo=self.capo, program=_program(named))
         #: string -> fret and element of the last note on it
         self.last: dict[int, tuple[int, Element]] = {}
         for i, ids in enumerate(columns):
@@ -237,6 +238,7 @@ class _Gpif:
         self.out.signs.take(len(listed))
         if self.drums:
             self.ignored["note of a percussion track"] += len(listed)
+            self.part.n_drums += len(listed)
             return []
         for name, counted in _UNPLAYED.items():
             self.ignored[counted] += name in values or beat.find(name) is not None
@@ -331,6 +333,12 @@ class _Gpif:
         if ornament in _ORNAMENTS:
             signs.add(_ORNAMENTS[ornament])
         return signs
+
+
+def _program(text: str) -> int | None:
+    """Program of General MIDI, from 1, of one that is counted from 0."""
+    found = whole(text, 0, 127)
+    return None if found is None else found + 1
 
 
 def _on(value: Element | None) -> bool:

@@ -135,7 +135,8 @@ class _Track:
     def part(self) -> WrittenPart:
         """Return its measures."""
         track, music = self.track, self.music
-        part = WrittenPart(track.name.strip(), capo=self.capo)
+        instrument = whole(track.channel.instrument, 0, 127)
+        part = WrittenPart(track.name.strip(), capo=self.capo, program=None if instrument is None else instrument + 1)
         for i, measure in enumerate(track.measures):
             music.cells.take()
             notes: list[WrittenNote] = []
@@ -146,6 +147,7 @@ class _Track:
                     music.tempo(music.measures[i], at, float(change.tempo.value))
                 if track.isPercussionTrack:
                     self.ignored["note of a percussion track"] += len(beat.notes)
+                    part.n_drums += len(beat.notes)
                     continue
                 music.signs.take(len(beat.notes))
                 notes += self._beat(beat, at)

@@ -53,6 +53,7 @@ _NUMBERS = {
     "alter", "bend-alter", "capo", "chromatic", "divisions", "duration", "fret", "octave", "octave-change",
     "per-minute", "string", "tremolo", "tuning-alter", "tuning-octave",
 }  # fmt: skip
+_PROGRAM = "midi-instrument/midi-program"
 #: kinds of what is left out, from which on names of signs are left out, and characters of a name
 _MOST_UNKNOWN, _LONGEST_SIGN = 100, 40
 #: times that a measure is repeated, number of an ending, and of a line of a staff
@@ -111,12 +112,14 @@ class _Reader:
         names = {e.get("id"): text_of(e, "part-name") for e in root.iter("score-part")}
         if root.tag == "score-partwise":  # parts without a measure, too
             self._parts = {part: self._reader(part) for part in root.findall("part")}
+        programs = {e.get("id"): whole(text_of(e, _PROGRAM), 1, 128) for e in root.iter("score-part")}
         starts = [Fraction(0)]
         for measure in music.measures:
             starts.append(near(starts[-1] + measure.length))
         for part, reader in self._parts.items():
             reader.hairpins(starts)
-            reader.part.name = names.get(part if isinstance(part, str) else part.get("id"), "")
+            number = part if isinstance(part, str) else part.get("id")
+            reader.part.name, reader.part.program = names.get(number, ""), programs.get(number)
             music.parts.append(reader.part)
         _number_endings(music.measures)
         return music
@@ -337,6 +340,7 @@ class _PartReader:
         pitch = _pitch(element.find("pitch"), "step", "alter", "octave")
         if pitch is None:
             self.music.ignored["unpitched note"] += 1
+            self.part.n_drums += 1
             return None
         self.music.signs.take()
         signs, ignored = _signs(element)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import MAX_TIME, Allowance
+from tonewood.performance.score.note import Beats
 from tonewood.performance.score.unfolding import Measure
 
 #: times its length that a note under a fermata lasts
@@ -57,6 +58,12 @@ class ScoreClock:
         """Time of a quarter note, s."""
         i = bisect_right(self._at, max(at, Fraction(0))) - 1
         return self._late + self._time[i] + float(at - self._at[i]) * 60.0 / self._bpm[i]
+
+    def beats(self, measures: Sequence[Measure], played: Sequence[int]) -> Beats:
+        """Tempos and measures as a score has them."""
+        tempos = [(self._late + t, float(at), bpm) for t, at, bpm in zip(self._time, self._at, self._bpm, strict=True)]
+        meters = [(float(at), float(measures[i].length)) for at, i in zip(self.starts, played, strict=True)]
+        return Beats(tempos, [m for m in meters if m[1] > 0] or [(0.0, 4.0)])
 
     def begin_before(self, early: Iterable[Fraction]) -> None:
         """Let all come later by the first of notes before the first measure, at most by `_BEFORE`."""

@@ -37,7 +37,7 @@ from pathlib import Path
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import MAX_CONTROLS, MAX_NOTES, MAX_TIME, Allowance
-from tonewood.performance.score.note import Control, Note, Score
+from tonewood.performance.score.note import Control, Note, Score, ScorePart
 from tonewood.performance.score.score_clock import MOST_TEMPOS, TEMPOS, ScoreClock, near
 from tonewood.performance.score.unfolding import Measure, lost_jumps, order
 from tonewood.support.garbage import without_collecting
@@ -124,12 +124,15 @@ class WrittenPart:
 
     Attributes
     ----------
+    program, n_drums : see `ScorePart`.
     pedals : (measure, quarter notes in it, s later, controller, its value) of moves of pedals.
     """
 
     name: str
     measures: list[list[WrittenNote]] = field(default_factory=list)
     capo: int = 0
+    program: int | None = None
+    n_drums: int = 0
     pedals: list[tuple[int, Fraction, float, str, float]] = field(default_factory=list)
 
 
@@ -208,6 +211,7 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     signs, strokes = (Allowance(MAX_NOTES, "notes, repeats unfolded", music.file) for _ in range(2))
     bends = Allowance(MAX_CONTROLS, "controls of bends and vibrato", music.file)
     compared = Allowance(_MOST_COMPARED, "notes that begin together with grace notes", music.file)
+    about: list[ScorePart] = []
     parts_played = [
         (number, _graced(_sounding(music, music.parts[number - 1], played, clock.starts, signs), compared))
         for number in chosen
@@ -223,18 +227,23 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
                 ignored["note that begins or ends beyond 6 hours"] += 1
                 continue
             channel = channels.setdefault((number, one.sign.string or 0), len(channels) % 16)
-            own += _strokes(one, following.get(i), clock, music.parts[number - 1].capo, channel, strokes)
+            own += _strokes(one, following.get(i), clock, music.parts[number - 1], channel, strokes)
             controls += _bends(one, channel, clock, bends)
         its = [channel for (part, _), channel in channels.items() if part == number]
         controls += _pedalled(music.parts[number - 1], played, clock, its, own, bends)
         notes += own
+        part = music.parts[number - 1]
+        about.append(ScorePart(number, part.name, (), {part.program: len(own)} if own else {}, part.n_drums))
     ignored.update(lost_jumps(music.measures, tablature=music.tablature))
     warnings = list(music.warnings)
     if len(channels) > 16 and controls:
         warnings.append("more than 16 strings: bends of some are those of others, too; choose fewer --tracks")
     notes.sort(key=lambda n: n.time)
     controls.sort(key=lambda c: c.time)
-    return Score(notes, controls, (), warnings, music.file.stem, music.metadata, dict(+ignored), str(music.file))
+    beats = clock.beats(music.measures, played)
+    return Score(
+        notes, controls, (), warnings, music.file.stem, music.metadata, dict(+ignored), str(music.file), about, beats
+    )
 
 
 def _sounding(
@@ -324,7 +333,7 @@ def _following(sounding: Sequence[_Sounding]) -> dict[int, Fraction]:
 
 
 def _strokes(
-    one: _Sounding, following: Fraction | None, clock: ScoreClock, capo: int, channel: int, most: Allowance
+    one: _Sounding, following: Fraction | None, clock: ScoreClock, part: WrittenPart, channel: int, most: Allowance
 ) -> Iterator[Note]:
     """Play one sign: a note, or the notes of an ornament, a tremolo or a trill."""
     sign, signs = one.sign, set(one.sign.signs)
@@ -340,11 +349,11 @@ def _strokes(
         end = begin + RINGS if following is None and sign.string is None else end
         if sign.string is not None:
             end = clock.seconds(following) if following is not None else end + RINGS
-    stop = None if sign.fret is None else float(sign.fret + capo)
+    stop = None if sign.fret is None else float(sign.fret + part.capo)
     duration = max(end - begin, 0.02)
     note = Note(
         begin, duration, note=sign.pitch, stop=stop, velocity_midi=velocity, marks=marks, channel=channel,
-        partial=sign.partial or None, glides=_glides(one, begin, duration, clock),
+        partial=sign.partial or None, glides=_glides(one, begin, duration, clock), program=part.program,
     )  # fmt: skip
     notes = _split(one, most)
     if len(notes) < 2:

@@ -80,6 +80,7 @@ class NoteFields(Section):
     marks: tuple[str, ...] = Field(default=(), description="signs of the notation")
     partial: int | None = Field(default=None, ge=2, le=64, description="number of a harmonic")
     glides: tuple[tuple[float, float], ...] = Field(default=(), description="(s, semitones) from the note's beginning")
+    program: int | None = Field(default=None, ge=1, le=128, description="General MIDI program, from 1")
 
     def to_note(self) -> Note:
         """Convert to the score's own type."""

@@ -200,15 +200,19 @@ class SwitchedPage(TrialPage):
         return "off" if self.plays is not None else self.loop
 
 
-class RatedPage(SwitchedPage):
+class PointsPage(SwitchedPage):
+    """Sounds on a scale of points."""
+
+    expect: float | None = Field(default=None, gt=0, description="difference of means to be found, points of the scale")
+    expect_sd: float | None = Field(default=None, gt=0, description="standard deviation of listeners' differences")
+    expect_sound_sd: float | None = Field(default=None, gt=0, description="standard deviation of sounds' differences")
+    waveform: bool = Field(default=False, description="show the waveform of the reference, or of the sound")
+
+
+class RatedPage(PointsPage):
     """Sounds against a reference."""
 
-    waveform: bool = Field(default=False, description="show the waveform of the reference")
     reference: Levels = Field(min_length=1, description="levels of the one sound that is the reference")
-    expect: float | None = Field(default=None, gt=0, description="difference of means to be found, points of the scale")
-    expect_sd: float | None = Field(
-        default=None, gt=0, description="standard deviation of the listeners' differences, points"
-    )
     removed: ClassVar[dict[str, str]] = dict.fromkeys(
         ("show_waveform", "looping", "switch_back"),
         "was removed in 0.2: it was an option of webMUSHRA; the keys are waveform, loop and switch",
@@ -298,17 +302,12 @@ class RatingScale(Section):
         return self
 
 
-class RatingPage(SwitchedPage):
+class RatingPage(PointsPage):
     """One sound on one or more scales."""
 
     type: Literal["rating"] = Field(description="this word")
-    waveform: bool = Field(default=False, description="show the waveform of the sound")
     scales: list[RatingScale] = Field(min_length=1, max_length=12, description="in the order shown")
     times: int = Field(default=1, ge=1, le=1000, description="trials of each sound")
-    expect: float | None = Field(default=None, gt=0, description="difference of means to be found, points of the scale")
-    expect_sd: float | None = Field(
-        default=None, gt=0, description="standard deviation of the listeners' differences, points"
-    )
 
 
 class StaircasePage(ListenedPage):

@@ -297,7 +297,10 @@ def fit_responses(
     except LookupError as fault:
         raise TonewoodError(str(fault), key="--drop") from None
     except NothingFoundError:
-        raise TonewoodError("no mode stands out of the noise: wrong files, band or units", key="responses") from None
+        raise TonewoodError(
+            "no mode stands out of the noise: wrong files, band or units, or imaginary parts of the other sign "
+            "(a file for exp(-jwt): take the conjugate)", key="responses",
+        ) from None  # fmt: skip
     body = None
     if no_body is None:
         body = passive_body(modes, r.pairs)

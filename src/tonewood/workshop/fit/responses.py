@@ -23,6 +23,8 @@ MOST_NEGATIVE = 0.05
 FEWEST_BINS = 32
 #: coherence below which a response is more noise than motion; bins of its running median
 LEAST_COHERENCE, _COHERENCE = 0.5, 31
+#: energy before the hit re that after it, above which time runs backwards
+_BEFORE = 4.0
 #: kg that a body of an instrument weighs as felt at a point
 LIGHTEST, HEAVIEST = 1e-5, 1e4
 
@@ -172,7 +174,7 @@ class Responses:
 
         Raises
         ------
-        TonewoodError : values are not finite, or all are 0, or frequencies do not rise.
+        TonewoodError : values are not finite or all 0, frequencies do not rise, or the body rings before the hit.
         """
         if not np.all(np.isfinite(self.mobility)):
             raise TonewoodError("responses hold values that are not finite numbers", key="responses")
@@ -181,6 +183,18 @@ class Responses:
         for (point, reference), row in zip(self.pairs, self.mobility, strict=True):
             if np.count_nonzero(row) < FEWEST_BINS:
                 raise TonewoodError(f"the response {point}:{reference} is 0 in nearly all bins", key="responses")
+        if self.n_hits is not None and self.coherence is not None and not np.all(np.isfinite(self.coherence)):
+            raise TonewoodError(
+                "coherences hold values that are not finite numbers; without --hits they are not used", key="--hits"
+            )
+        # of exp(jwt) the second half of the period is the time before the hit
+        power = np.square(np.abs(np.fft.ifft(self.mobility, axis=1))).sum(axis=0)
+        half = power.size // 2
+        if power[half:].sum() > _BEFORE * power[:half].sum():
+            raise TonewoodError(
+                "the body rings before it is struck: imaginary parts of the other sign (a file for exp(-jwt): take the "
+                "conjugate), or force and response exchanged", key="responses",
+            )  # fmt: skip
         return self
 
     def no_body(self) -> str | None:

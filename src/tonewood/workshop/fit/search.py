@@ -126,7 +126,12 @@ def _around(problem: Projection, poles: Poles, residues: Floats, mine: NDArray[n
 
 
 def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, LinearFit]:
-    """Take modes away that gain less than their price, or whose residue at a driving point is negative."""
+    """Take modes away that gain less than their price, or whose residue at a driving point is negative.
+
+    Raises
+    ------
+    NothingFoundError : all are such.
+    """
     while True:
         found = problem.solve(poles)
         k = len(poles)
@@ -143,6 +148,8 @@ def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, Li
             # neighbours stand in for each other: one of them at a time
             if all(abs(poles.log_freq[i] - poles.log_freq[j]) > 4 * (zeta[i] + zeta[j]) for j in gone):
                 gone.append(int(i))
+        if len(gone) == k:
+            raise NothingFoundError("no mode that is passive stands out of the noise")
         poles, _ = descend(problem, poles.without(gone), steps, 1e-3)
 
 

@@ -9,7 +9,9 @@ answers are missing, the cell means that are there are fitted, and tested agains
 and Wilcoxon's signed-rank test of each pair of levels with the matched-pairs rank-biserial correlation, p by Holm. It
 asks for no normal distribution. *Superiority* asks for no equal spacing of grades either: the share of comparisons
 within a listener, all else equal, in which one level is rated above another (a tie counts half), with Student's
-interval of the listeners' shares. Any rising change of the scale leaves it as it is, and so does a scale that ends.
+interval of the listeners' shares. Where all n listeners have the same share, an unseen part of the listeners of up to
+1 - (alpha / 2)^(1 / n) may have any other (Clopper and Pearson's bound), and p is that of the sign test. Any rising
+change of the scale leaves the share as it is, and so does a scale that ends.
 
 *Bradley-Terry*: P(b over a) = 1 / (1 + e^(v_a - v_b)), sum v = 0, by maximum likelihood; a tie is half an answer each.
 Answers of a listener belong together: the covariance matrix is the sandwich of the listeners' scores, n / (n - 1)
@@ -102,16 +104,20 @@ class LinearAnalysis:
 
 @dataclass(frozen=True)
 class Superiority:
-    """Share of comparisons in which `second` is rated above `first`, with its interval and the test against a half."""
+    """Share of comparisons in which `second` is rated above `first`, with its interval and the test against a half.
+
+    `p_holm` is adjusted for the pairs of the same factor.
+    """
 
     factor: str
     first: str
     second: str
     listeners: int
     share: float
-    low: float | None
-    high: float | None
+    low: float
+    high: float
     p_value: float
+    p_holm: float
 
 
 @dataclass(frozen=True)
@@ -272,29 +278,40 @@ def rank_analysis(rows: Rows, factors: Sequence[str], confidence: float = 0.95) 
 
 def _superiorities(rows: Rows, factors: Sequence[str], confidence: float) -> list[Superiority]:
     """Shares of preference of each pair of levels."""
-    from scipy.special import stdtr
-
     found = []
     for factor in factors:
         own: dict[tuple[str, ...], dict[str, list[float]]] = {}
         for row in rows:
             place = (str(row["listener"]), *_cell(row, factors, factor))
             own.setdefault(place, {}).setdefault(str(row[factor]), []).append(float(row["value"]))
+        pairs = []
         for a, b in itertools.combinations(unique([str(row[factor]) for row in rows]), 2):
             shares: dict[str, list[float]] = {}
             for (who, *_), values in own.items():
                 if a in values and b in values:
                     over = np.sign(np.subtract.outer(values[b], values[a]))
                     shares.setdefault(who, []).append(float(0.5 + 0.5 * over.mean()))
-            each = np.array([float(np.mean(s)) for s in shares.values()])
-            if (n := len(each)) < 3:
-                continue
-            mean, low, high = student_interval(list(each), confidence)
-            error = float(each.std(ddof=1)) / math.sqrt(n)
-            p = float(2 * stdtr(n - 1, -abs(mean - 0.5) / error)) if error > 0 else float(mean == 0.5)
-            bounds = [None if x is None else float(np.clip(x, 0.0, 1.0)) for x in (low, high)]
-            found.append(Superiority(factor, a, b, n, mean, bounds[0], bounds[1], p))
+            if len(shares) >= 3:
+                each = np.array([np.mean(s) for s in shares.values()])
+                pairs.append((a, b, len(each), *share_interval(each, confidence)))
+        adjusted = strata.holm(np.array([pair[-1] for pair in pairs]))
+        found += [Superiority(factor, *pair, float(p)) for pair, p in zip(pairs, adjusted, strict=True)]
     return found
+
+
+def share_interval(shares: Array, confidence: float) -> tuple[float, float, float, float]:
+    """Mean of listeners' shares (n,), its interval, and p against a half."""
+    from scipy.special import stdtr
+
+    n, mean = len(shares), float(np.mean(shares))
+    if np.ptp(shares) == 0:
+        unseen = 1 - ((1 - confidence) / 2) ** (1 / n)
+        p = 1.0 if mean == 0.5 else 2 * 0.5**n
+        return mean, mean * (1 - unseen), mean + unseen * (1 - mean), p
+    _, low, high = student_interval(list(shares), confidence)
+    error = float(shares.std(ddof=1)) / math.sqrt(n)
+    p = float(2 * stdtr(n - 1, -abs(mean - 0.5) / error))
+    return mean, max(float(low or 0.0), 0.0), min(float(high or 0.0), 1.0), p
 
 
 def _cell(row: Mapping[str, Any], factors: Sequence[str], but: str) -> tuple[str, ...]:

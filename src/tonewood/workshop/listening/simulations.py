@@ -338,6 +338,29 @@ def power_had(random: np.random.Generator, experiments: int, listeners: int, shi
     return float(np.mean(strata.holm(p)[:, 0] < 0.05))
 
 
+def power_had_by_sounds(
+    random: np.random.Generator, experiments: int, listeners: int, sounds: int, shift: float, sd: float, sound_sd: float
+) -> float:
+    """Share of experiments, drawn answer by answer, in which the report finds one of two levels; sounds are a sample.
+
+    Parameters
+    ----------
+    random : source of the answers.
+    experiments, listeners, sounds : numbers of them.
+    shift : points by which the second level is higher.
+    sd : standard deviation of the listeners' differences, half of whose variance is that of single answers.
+    sound_sd : standard deviation of the sounds' differences.
+    """
+    rows = strata.contrasts([("a",), ("b",)], {"factor": ["a", "b"]}).differences["factor",]
+    found = 0.0
+    for _ in range(experiments):
+        y = np.array([50.0, 50.0 + shift]) + random.normal(0, sd / 2, (listeners, 1, 2))
+        y = y + random.normal(0, sound_sd / np.sqrt(2), (1, sounds, 2)) + random.normal(0, 6, (listeners, 1, 1))
+        y = y + random.normal(0, sd / 2 * np.sqrt(sounds), (listeners, sounds, 2))
+        found += float(strata.estimated(y, rows, 0.95, sounds=True).p_value[0] < 0.05)
+    return found / experiments
+
+
 def excluded(
     random: np.random.Generator,
     experiments: int,

@@ -52,6 +52,19 @@ def test_entries_are_taken_once_and_in_order(seed: int, monkeypatch: pytest.Monk
         waiting = waiting[len(wanted) :]
 
 
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
+def test_a_schedule_is_over_when_the_last_of_its_gestures_is(model: Model, order: tuple[int, int, int]) -> None:
+    """Whatever is added last: the gesture of a late note, of an early one, or a change before both."""
+    notes = [tw.Note(time, 0.1, string="E2", stop=0, force=2.0) for time in (0.2, 0.6)]
+    early, late = (list(perform(tw.Score([note]), model).timeline.plays)[-1] for note in notes)
+    schedule, parts = Schedule(1 / FS, list(model.strings)), [early, late, Change(0.4, "E2")]
+    for i in order:
+        part = parts[i]
+        schedule.add([part], []) if isinstance(part, Change) else schedule.add([], [part])
+    assert late.stop > early.stop
+    assert schedule.stop == max(late.stop, 0.4)
+
+
 def test_changes_that_are_added_before_anything_was_taken_are_all_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(schedules, "_FORGET", 4)
     schedule = Schedule(1.0, ["a"])
@@ -78,13 +91,15 @@ def test_the_time_until_silence_goes_on_as_the_sound_has_fallen(model: Model, le
     stepped.tail_level = -60.0
     stepped.advance(math.ceil(0.25 * FS / GRID) + 1)
     since = stepped.state.sample / FS - 0.25
-    stepped.peak = np.array([3.0, 0.0, 5.0])[: len(stepped.peak)] if len(stepped.peak) > 1 else np.array([3.0])
+    # quiet in its unit, and silent at a second place
+    stepped.peak = np.array([0.03, 0.0, 0.05])[: len(stepped.peak)] if len(stepped.peak) > 1 else np.array([0.03])
     stepped.recent = stepped.peak * 10 ** (level / 20)
     assert stepped._until("E2") == pytest.approx(since * share, abs=1e-9)
     stepped.recent = np.zeros_like(stepped.peak)
     assert stepped._until("E2") == 0.0
-    stepped.recent = 2.0 * stepped.peak  # louder than ever: nothing has decayed
-    assert stepped._until("E2") == math.inf
+    for factor in (1.0, 1.05, 2.0):  # as loud as ever, or louder: nothing has decayed
+        stepped.recent = factor * stepped.peak
+        assert stepped._until("E2") == math.inf
     stepped.recent, stepped.tail_level = 0.01 * stepped.peak, -math.inf
     assert stepped._until("E2") == math.inf
 

@@ -87,6 +87,44 @@ def test_a_sensor_beside_the_hammer_is_the_first_cause_named():
     assert [row["freq_Hz"] for row in measured(fit)] == pytest.approx(NATURAL, rel=1e-3)
 
 
+def test_the_conjugate_of_a_response_is_refused_in_one_line():
+    """Files for exp(-jwt): real parts are those of a body, but nothing that decays turns the phase so."""
+    pairs = tuple((p, "p0") for p in NAMES)
+    with pytest.raises(TonewoodError, match="imaginary parts of the other sign") as fault:
+        fit_responses(Responses(FREQ, mobility(relative=1e-3).conj(), pairs))
+    assert "\n" not in str(fault.value)
+
+
+def test_coherences_that_are_no_numbers_are_refused_in_one_line():
+    pairs = tuple((p, "p0") for p in NAMES)
+    with pytest.raises(TonewoodError, match="without --hits they are not used"):
+        fit_responses(Responses(FREQ, mobility(), pairs, np.full((3, FREQ.size), np.nan), 5))
+
+
+@pytest.mark.parametrize("kind", ["g per N", "complex64", "two close modes", "exponential window", "bins missing"])
+def test_other_peoples_arrays_are_three_modes(tmp_path, kind):
+    """Units by --scale, short numbers, modes within 1.5 %, a window known to the fit, bins that are no numbers."""
+    natural, alpha, reading = NATURAL.copy(), 0.0, Reading("mobility")
+    if kind == "two close modes":
+        natural[0] = 193.0
+    if kind == "exponential window":
+        alpha, reading = 10.0, Reading("mobility", window_tau=0.1)
+    s, w = alpha + 1j * TAU * FREQ, TAU * natural[:, None]
+    rng, clean = np.random.default_rng(4), (SHAPES * SHAPES[0] / MASS) @ (s / (s * s + w * s / 30 + w * w))
+    rows = clean * (1 + 1e-3 * (rng.normal(size=clean.shape) + 1j * rng.normal(size=clean.shape)))
+    if kind == "g per N":
+        rows, reading = rows * 2j * np.pi * FREQ / 9.80665, Reading("accelerance", scale=9.80665)
+    if kind == "complex64":
+        rows = rows.astype(np.complex64)
+    if kind == "bins missing":
+        rows[:, 100:105] = np.nan
+    np.savez(tmp_path / "a.npz", freq_Hz=FREQ, **{f"{p}:p0": row for p, row in zip(NAMES, rows, strict=True)})
+    found = measured(fit_responses(read_responses([tmp_path / "a.npz"], reading)))
+    assert [row["freq_Hz"] for row in found] == pytest.approx(natural, rel=1e-3)
+    assert [row["Q"] for row in found] == pytest.approx([30.0] * 3, rel=0.03)
+    assert [row["mass_kg"] for row in found] == pytest.approx(MASS, rel=0.03)
+
+
 def test_directions_of_a_universal_file_turn_signs(tmp_path):
     """Sensor upside down (-Z) on the node that was struck in +Z: the same driving point with the other sign."""
     pyuff = pytest.importorskip("pyuff")

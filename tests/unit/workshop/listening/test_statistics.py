@@ -14,7 +14,7 @@ from scipy import stats
 
 from tonewood.workshop.batch.manifest import ManifestError, check_manifest
 from tonewood.workshop.batch.pages import StaircasePage
-from tonewood.workshop.listening import pooling, power, simulations, strata
+from tonewood.workshop.listening import models, pooling, power, simulations, strata
 from tonewood.workshop.listening.detection import sensitivity, shares_of
 from tonewood.workshop.listening.incomplete import CrossedFit, IncompleteFit
 from tonewood.workshop.listening.models import bradley_terry, linear_analysis, rank_analysis
@@ -397,6 +397,48 @@ def test_the_power_promised_is_had() -> None:
     assert had == pytest.approx(promised, abs=0.035)
 
 
+def test_power_is_that_of_student_s_t() -> None:
+    """Differences of two levels: of listeners, or of random sounds where listeners hardly differ."""
+    mean, sd, n = 5.0, 8.0, 20
+    at = stats.t.ppf(0.975, n - 1)
+    law = stats.nct(n - 1, mean / sd * math.sqrt(n))
+    true = law.sf(at) + law.cdf(-at)
+    wide, narrow = sd**2 / 2 * np.eye(2), 1e-4 * np.eye(2)
+    assert power.rating_power([0.0, mean], wide, n, 0.05)[0] == pytest.approx(true, abs=0.025)
+    sounds = power.SoundSpread(n, wide, np.zeros((2, 2)))
+    assert power.rating_power([0.0, mean], narrow, 60, 0.05, sampled=sounds)[0] == pytest.approx(true, abs=0.025)
+
+
+def test_power_of_random_sounds_is_had(tmp_path: Path) -> None:
+    """Six sounds, which differ in the effect: the power is that of the quasi-F, whatever the number of listeners."""
+    own, spread = power.stated_spread(12.0, 5.0, 6, 2)
+    promised = power.rating_power([0.0, 8.0], own, 20, 0.05, sampled=spread)[0]
+    had = simulations.power_had_by_sounds(np.random.default_rng(3), 1500, 20, 6, 8.0, 12.0, 5.0)
+    assert had == pytest.approx(promised, abs=0.04)
+    page = {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}, "expect": 10.0}
+    fixed = fakes.made(tmp_path, [page])
+    factor = next(f for f, x in fixed.manifest.choices().items() if f != "damping" and len(x) > 1)
+    few = []
+    for spread in (1.5, 30.0):
+        pages = [fixed.manifest.pages[0].model_copy(update={"expect_sound_sd": spread})]
+        few += power.power_of(fixed.manifest.model_copy(update={"random": [factor], "pages": pages}), {})
+    (whole,) = power.power_of(fixed.manifest, {})
+    assert few[0].listeners > whole.listeners
+    assert "random sounds with sd 1.5" in str(few[0])
+    row = few[1]
+    assert row.listeners is None
+    assert "no number of listeners is enough for 10 points" in str(row)
+
+
+def test_a_pilot_s_spread_is_of_listeners_sounds_and_pairs() -> None:
+    rng = np.random.default_rng(6)
+    y = rng.normal(0, 6, (400, 1, 2)) + rng.normal(0, 3, (1, 400, 2)) + rng.normal(0, 9, (400, 400, 2))
+    listeners, sounds = power._pilot_spread(y, 5)
+    for found, sd in ((listeners, 6.0), (sounds.sounds, 3.0), (sounds.pairs, 9.0)):
+        assert np.sqrt(np.diag(found)) == pytest.approx([sd, sd], rel=0.12)
+    assert sounds.count == 5
+
+
 def test_power_takes_a_pilot_s_answers(tmp_path: Path) -> None:
     page = {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}, "expect": 10.0}
     test = fakes.made(tmp_path, [page])
@@ -587,6 +629,7 @@ def test_shares_of_preference_do_not_depend_on_the_scale(rng: np.random.Generato
     ranks = rank_analysis(rows_of(y), ("f",)).superiority[0]
     bent = rank_analysis(rows_of(np.exp(y / 5)), ("f",)).superiority[0]
     assert (ranks.share, ranks.p_value) == (bent.share, bent.p_value)
+    assert models.share_interval(np.zeros(14), 0.95) == pytest.approx((0, 0, stats.beta.ppf(0.975, 1, 14), 2.0**-13))
     by_hand = np.mean([[[b > a for a in own[0]] for b in own[1]] for own in y])
     assert ranks.share == pytest.approx(by_hand)
 
@@ -613,9 +656,9 @@ def test_the_first_lines_say_difference_certainty_and_unit(tmp_path: Path) -> No
     found = analyse(tmp_path / "out")
     lines = summary(found)
     far = next(line for line in lines if "far is rated" in line)
-    assert "points below near (body.detune 1.01 and 1" in far
+    assert "points below near (body.detune 1.01 against 1" in far
     assert "just-noticeable differences" in far  # 1 % of a threshold near 0.25 %
-    times = float(far.split("1.01 and 1, ")[1].split(" just")[0])
+    times = float(far.split("1.01 against 1, ")[1].split(" just")[0])
     assert times == pytest.approx(1.0 / found.pages[1].thresholds.mean, rel=0.05)
     assert any("the just-noticeable difference is 0.2" in line for line in lines)
     assert any("are told apart" in line and "d' =" in line for line in lines)
