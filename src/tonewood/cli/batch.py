@@ -17,7 +17,8 @@ from tonewood.errors import TonewoodError
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from tonewood.workshop.batch.runner import BatchPlan, Report
+    from tonewood.workshop.batch.plan import BatchPlan
+    from tonewood.workshop.batch.runner import Report
     from tonewood.workshop.listening.power import PowerRow
 
 

@@ -22,19 +22,21 @@ from tonewood.sound.render.options import RenderOptions
 from tonewood.support.params import described, quantity
 from tonewood.support.validation_messages import all_messages, first_message
 from tonewood.support.yaml_io import load_yaml
+from tonewood.workshop.batch.page_parts import (
+    Language,
+    Levels,
+    Name,
+    ParameterPath,
+    Section,
+    Text,
+)
 from tonewood.workshop.batch.pages import (
     TRIALS,
     AnyPage,
     HtmlPage,
-    Language,
-    Levels,
-    Name,
     PairPage,
-    ParameterPath,
-    Section,
     SoundPage,
     StaircasePage,
-    Text,
     TrainingPage,
     as_pairs,
 )

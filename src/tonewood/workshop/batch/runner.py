@@ -7,31 +7,26 @@ and the others are rendered; pages and pairs without one of their sounds are lef
 
 from __future__ import annotations
 
-import hashlib
 import json
-import re
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from tonewood.errors import NumericalError, OutputError, TonewoodError, together
 from tonewood.support.folder_lock import locked
-from tonewood.support.whole_files import remove
-from tonewood.workshop.batch import audition, definition, records
+from tonewood.workshop.batch import definition
 from tonewood.workshop.batch.conditions import Condition, expand
-from tonewood.workshop.batch.data_sheet import Subject, write_data_sheet
 from tonewood.workshop.batch.layout import Group, lay_out
 from tonewood.workshop.batch.manifest import Manifest, ManifestError, load_manifest
-from tonewood.workshop.batch.pages import HtmlPage, PairPage, as_pairs, localised
-from tonewood.workshop.batch.pictures import write_differences
+from tonewood.workshop.batch.outputs import write_outputs
+from tonewood.workshop.batch.pages import HtmlPage
+from tonewood.workshop.batch.plan import BatchPlan, StimulusRenderer
 from tonewood.workshop.batch.production import (
-    PICTURES,
-    SOUNDS,
     Fault,
     SoundFile,
     level_faults,
@@ -44,88 +39,7 @@ from tonewood.workshop.batch.workers import Workers
 
 WORK = "work"
 _FILE_SECONDS = 0.1  # to measure, write and draw one sound file
-_CODE_FILE = re.compile(r"[b-df-hj-np-tv-xz]{6}\.(wav|png)")
 Progress = Callable[[str, int, int], None]
-
-
-class StimulusRenderer(Protocol):
-    """Renders conditions. It is pickled into workers; every call depends on its condition alone."""
-
-    def identity(self, condition: Condition) -> dict[str, Any]:
-        """Everything that decides the samples, JSON-ready: parameters, hashes, version, instruction set."""
-
-    def render(self, condition: Condition) -> Rendered:
-        """The sound itself."""
-
-    def own_value(self, condition: Condition, path: str) -> Any:
-        """Value of a parameter of the instrument or the render (``render.``); raises a TonewoodError without one."""
-
-    def predict(self, condition: Condition) -> float:
-        """About how long `render` will take, s."""
-
-
-@dataclass(frozen=True)
-class BatchPlan:
-    """The work of a batch, before anything is rendered.
-
-    Attributes
-    ----------
-    source : the manifest's folder.
-    conditions, groups : of the manifest, those that could be resolved.
-    levels : of staircases, rendered beforehand.
-    keys : content key by condition name.
-    todo : one condition for each key that is not rendered yet.
-    seconds : predicted time of rendering those and of writing the files with the workers given, s; None if not asked.
-    faults : conditions that could not be resolved.
-    """
-
-    manifest: Manifest
-    source: Path
-    conditions: tuple[Condition, ...]
-    levels: tuple[definition.StaircaseLevel, ...]
-    groups: tuple[Group, ...]
-    keys: dict[str, str]
-    identities: dict[str, dict[str, Any]]
-    todo: tuple[Condition, ...]
-    seconds: float | None
-    faults: tuple[Fault, ...]
-    notes: tuple[str, ...]
-
-    @property
-    def room(self) -> Path | None:
-        """File of the impulse response that all sounds are convolved with."""
-        return None if self.manifest.stimuli.room is None else self.source / self.manifest.stimuli.room
-
-    @property
-    def n_files(self) -> int:
-        """Sound files that will be written."""
-        return sum(len(g.stimuli) for g in self.groups)
-
-    def trials_of_a_pair(self) -> dict[int, int]:
-        """Trials that a listener gets on each page (from 0) of pairs, of one pair of levels."""
-        found: dict[int, int] = {}
-        for index, page in enumerate(self.manifest.pages):
-            if isinstance(page, PairPage):
-                (factor, pairs), *_ = page.pairs.items()
-                count = len(as_pairs(pairs, self.manifest.choices()[factor]))
-                trials = sum(len(g.trials) for g in self.groups if g.page == index)
-                trials = min(trials, page.subset or trials)
-                found[index] = page.times * max(1, trials // count)
-        return found
-
-    def summary(self) -> dict[str, Any]:
-        """The plan as JSON-ready data."""
-        return {
-            "name": self.manifest.name,
-            "conditions": [c.name for c in self.conditions],
-            "to_render": len(self.todo),
-            "rendered": len(set(self.keys.values())) - len(self.todo),
-            "files": self.n_files,
-            "trials": sum(len(g.trials) for g in self.groups),
-            "predicted_seconds": None if self.seconds is None else round(self.seconds, 3),
-            "failed": [{"name": f.name, "reason": f.reason} for f in self.faults],
-            "notes": list(self.notes),
-        }
 
 
 @dataclass(frozen=True)
@@ -347,7 +261,7 @@ def _run(
     levels = {f"{x.condition.name} ({ManifestError.shown_key(x.key)})": keys.get(x.condition.name) for x in plan.levels}
     faults = (*plan.faults, *unrendered, *silent, *level_faults(levels, store, manifest.stimuli, plan.room))
     notes = (*plan.notes, *lost, *lowered, *lost_too)
-    _write_records(plan, groups, files, renders, faults, notes, folder, workers.local())
+    write_outputs(plan, groups, files, renders, faults, notes, folder, workers.local())
     return Report(
         name=manifest.name,
         folder=folder,
@@ -433,97 +347,6 @@ def _complete(groups: Sequence[Group], there: set[str], manifest: Manifest) -> t
             stimuli = tuple(s for s in group.stimuli if s.code in here)
             kept.append(replace(group, stimuli=stimuli, trials=trials))
     return kept, notes
-
-
-def _write_records(
-    plan: BatchPlan,
-    groups: Sequence[Group],
-    files: Sequence[SoundFile],
-    renders: dict[str, dict[str, Any]],
-    faults: Sequence[Fault],
-    notes: Sequence[str],
-    folder: Path,
-    workers: Workers,
-) -> None:
-    manifest, formats = plan.manifest, plan.manifest.output.formats
-    by_code = {f.code: f for f in files}
-    conditions = {c.name: c for c in plan.conditions}
-    _remove_strangers(folder, set(by_code), pictures=manifest.output.pictures)
-    rows = records.file_records(files, conditions, plan.identities, renders)
-    if "test" in formats:
-        drops = {f.group: f.page_drop_db for f in files}
-        made = definition.definition_of(manifest, groups, by_code, plan.source, drops)
-        records.write_json(folder / definition.FILE, made)
-    if "html" in formats:
-        if manifest.output.pictures:
-            _draw_differences(groups, by_code, folder, workers)
-        audition.write_audition(folder, manifest, groups, by_code, conditions)
-    if "csv" in formats:
-        records.write_csv(folder / records.RECORD_CSV, rows)
-    if "parquet" in formats:
-        records.write_table(folder / records.RECORD_PARQUET, rows)
-    if "json" in formats:
-        record = records.batch_record(manifest, rows, faults, notes)
-        if plan.room is not None:
-            record["room_sha256"] = hashlib.sha256(plan.room.read_bytes()).hexdigest()
-        records.write_json(folder / records.RECORD_JSON, record)
-    write_data_sheet(folder, _subject(manifest, files), [plan.identities[key] for key in renders])
-    records.write_json(folder / manifest.output.key, records.key_of(manifest, groups, conditions))
-
-
-def _subject(manifest: Manifest, files: Sequence[SoundFile]) -> Subject:
-    settings = manifest.stimuli
-    loudness = [f.lufs for f in files if f.lufs is not None]
-    facts = {
-        "format": f"WAV, {settings.fs} Hz, {settings.channels} channels, {settings.subtype}",
-        "length": f"{sum(f.frames for f in files) / settings.fs:.1f} s in all",
-        "loudness": f"{settings.loudness.method}, {settings.loudness.target_lufs:g} LUFS",
-    }
-    if loudness:
-        facts["measured"] = f"{min(loudness):.1f} to {max(loudness):.1f} LUFS (BS.1770)"
-    data = manifest.model_dump(mode="json", by_alias=True, exclude_none=True)
-    title = localised(manifest.title, manifest.language)
-    return Subject(manifest.name, title, manifest.licence, data, facts, {f.code: f.sha256 for f in files})
-
-
-#: sounds in one figure of differences
-_MOST_DIFFERENCES = 13
-
-
-def _draw_differences(groups: Sequence[Group], files: Mapping[str, SoundFile], folder: Path, workers: Workers) -> None:
-    """One figure a group: how its sounds differ from the reference, or from the first."""
-    shown = [g for g in groups if any(s.code in files for s in g.stimuli)]
-    tasks = []
-    for number, group in enumerate(shown, start=1):
-        references = [t.reference for t in group.trials if t.reference is not None]
-        present = sorted((s for s in group.stimuli if s.code in files), key=lambda s: s.code not in references[:1])
-        path = folder / PICTURES / f"differences{number}.png"
-        if 1 < len(present) <= _MOST_DIFFERENCES:
-            labels = [s.condition + ("" if s.role == "sound" else f" ({s.role})") for s in present]
-            sounds = {label: folder / files[s.code].file for label, s in zip(labels, present, strict=True)}
-            tasks.append((path, sounds, group.name))
-        else:
-            remove(path)
-    for _ in workers.each(_draw, tasks) if tasks else ():
-        pass
-
-
-def _draw(task: tuple[Path, dict[str, Path], str]) -> None:
-    import soundfile
-
-    path, files, heading = task
-    sounds = {label: soundfile.read(file, always_2d=True)[0] for label, file in files.items()}
-    write_differences(path, sounds, soundfile.info(next(iter(files.values()))).samplerate, heading)
-
-
-def _remove_strangers(folder: Path, codes: set[str], *, pictures: bool) -> None:
-    """Remove sounds and pictures an earlier run made under codes that are no longer in use."""
-    for place, used in ((folder / SOUNDS, codes), (folder / PICTURES, codes if pictures else set())):
-        for path in place.glob("*.*"):
-            if _CODE_FILE.fullmatch(path.name) and path.stem not in used:
-                remove(path)
-    for path in () if pictures else (folder / PICTURES).glob("differences*.png"):
-        remove(path)
 
 
 class _Counter:
