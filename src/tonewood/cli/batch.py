@@ -119,7 +119,7 @@ class _Bars(ExitStack):
         self.stage = ""
         self.advance: Advance | None = None
         self.clock = clock
-        self.began = self.told = clock()
+        self.began = self.last_line = clock()
         self.logs = not sys.stderr.isatty()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
@@ -136,11 +136,11 @@ class _Bars(ExitStack):
         """Print a line at most every `_LOG_EVERY` seconds, and one at the end of a stage that took longer."""
         now = self.clock()
         if stage != self.stage:
-            self.stage, self.began, self.told = stage, now, now
-        ends = done == total and self.told > self.began
-        if now - self.told < _LOG_EVERY and not ends:
+            self.stage, self.began, self.last_line = stage, now, now
+        ends = done == total and self.last_line > self.began
+        if now - self.last_line < _LOG_EVERY and not ends:
             return
-        self.told = now
+        self.last_line = now
         left = (now - self.began) * (total - done) / max(done, 1)
         rest = f"{now - self.began:.0f} s" if ends else f"about {left:.0f} s to go"
         print(

@@ -8,6 +8,7 @@ the true-peak limit is lowered as a whole.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -29,6 +30,11 @@ from tonewood.workshop.batch.workers import Workers
 
 SOUNDS = "stimuli"
 PICTURES = "pictures"
+#: s of noise in a trial
+_TRIAL = 4
+#: time of a file re that of a trial: reading the render, resampling, fades, writing
+_FILE_SHARE = 1.5
+_PICTURE_SECONDS = 0.15
 _CUTOFF = {role: cutoff for cutoff, role in ANCHOR_ROLES.items()}
 
 
@@ -284,6 +290,22 @@ def _write(task: tuple[_Job, int, float, float, Path, bool]) -> SoundFile:
         true_peak_dbtp=_finite(found.true_peak_dbtp),
         sha256=st.samples_sha256(samples),
     )
+
+
+def seconds_of_a_file(settings: Stimuli, *, pictures: bool) -> float:
+    """Time to measure and write one sound file, s, from trials on noise: it follows the machine and its load."""
+    noise = np.random.default_rng(0).standard_normal((_TRIAL * settings.fs, settings.channels)) * 0.01
+
+    def trial() -> float:
+        began = time.perf_counter()
+        heard = noise * 10.0 ** (st.level_gain_db(noise, settings.fs, *level_settings(settings.loudness)) / 20.0)
+        st.true_peak(heard)
+        st.quantised(heard, settings.subtype, np.random.default_rng(0))
+        st.measured(heard, settings.fs)
+        return time.perf_counter() - began
+
+    trial()  # imports
+    return 0.5 * (trial() + trial()) * _FILE_SHARE + (_PICTURE_SECONDS if pictures else 0.0)
 
 
 def write_wav(path: Path, samples: Any, fs: int, subtype: str) -> None:

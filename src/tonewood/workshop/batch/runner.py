@@ -32,13 +32,13 @@ from tonewood.workshop.batch.production import (
     level_faults,
     make_files,
     room_response,
+    seconds_of_a_file,
 )
 from tonewood.workshop.batch.stimuli import StimulusError
 from tonewood.workshop.batch.store import Rendered, Store, content_key
 from tonewood.workshop.batch.workers import Workers
 
 WORK = "work"
-_FILE_SECONDS = 0.1  # to measure, write and draw one sound file
 Progress = Callable[[str, int, int], None]
 
 
@@ -132,7 +132,9 @@ def plan_batch(
         )
     seconds = None
     if predict:
-        seconds = _FILE_SECONDS * sum(len(g.stimuli) for g in groups)
+        seconds = seconds_of_a_file(manifest.stimuli, pictures=manifest.output.pictures) * sum(
+            len(g.stimuli) for g in groups
+        )
         for condition in todo.values():
             try:
                 seconds += renderer.predict(condition)
