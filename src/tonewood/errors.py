@@ -7,7 +7,10 @@ with code 2 (1 where every note was dropped). A programming mistake is not one o
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
 
 #: characters of a reason; a damaged file may be quoted, but not at length
 _LONGEST = 800

@@ -32,7 +32,7 @@ from tonewood.workshop.batch.production import (
     level_faults,
     make_files,
     room_response,
-    seconds_of_a_file,
+    trial_of_a_file,
 )
 from tonewood.workshop.batch.stimuli import StimulusError
 from tonewood.workshop.batch.store import Rendered, Store, content_key
@@ -132,15 +132,15 @@ def plan_batch(
         )
     seconds = None
     if predict:
-        seconds = seconds_of_a_file(manifest.stimuli, pictures=manifest.output.pictures) * sum(
-            len(g.stimuli) for g in groups
-        )
+        file, start = trial_of_a_file(manifest.stimuli, pictures=manifest.output.pictures)
+        seconds = file * sum(len(g.stimuli) for g in groups)
         for condition in todo.values():
             try:
                 seconds += renderer.predict(condition)
             except TonewoodError as fault:
                 faults.append(Fault(condition.name, str(fault)))
-        seconds /= 1 if workers is None else workers.count
+        if workers is not None and workers.count > 1:
+            seconds = seconds / workers.count + (start if workers.backend == "processes" else 0.0)
     plan = BatchPlan(
         manifest,
         manifest_path.parent,
