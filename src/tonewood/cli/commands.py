@@ -20,6 +20,7 @@ COMMANDS = {
     "wood": "wood:wood",
     "new": "new:new",
     "sample": "sample:sample",
+    "desk": "desk:desk",
     "batch": "batch:batch",
     "serve": "serve:serve",
     "simulate": "simulate:simulate",
