@@ -37,7 +37,7 @@ LAYERS = (
     {"sound/live", "sound/ensemble"},
     {"workshop/batch", "workshop/design", "workshop/fit", "workshop/report", "workshop/web", "lab"},
     {"workshop/desk", "workshop/listening", "workshop/dataset", "workshop/sampling", "workshop/taps"},
-    {"workshop/wood"},
+    {"workshop/exchange", "workshop/wood"},
     {"cli"},
     {"__init__", "__main__"},
 )
