@@ -40,11 +40,11 @@ class Source(Parameters):
 class Provenance(Parameters):
     """Kind and source of figures."""
 
-    kind: Literal["measured", "published", "computed", "authored", "stand_in", "unknown"] = described(
-        "measured on the instrument; published in a text; computed from such; authored by ear or judgement; "
-        "stand_in for figures that are not published; unknown where no source is stated"
+    kind: Literal["measured", "estimated", "published", "computed", "authored", "stand_in", "unknown"] = described(
+        "measured on the instrument; estimated from its recorded sound; published in a text; computed from such; "
+        "authored by ear or judgement; stand_in for figures that are not published; unknown where no source is stated"
     )
-    source: str | None = described("key of `sources`; needed if measured, published or computed", default=None)
+    source: str | None = described("key of `sources`; needed if measured, estimated, published or computed", default=None)
     note: str | None = described("remark on them", default=None)
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = described(
         "SHA-256 of the bytes of the table that these figures are; `check` tells when it is another", default=None
@@ -372,6 +372,16 @@ class Playing(Parameters):
         return self.exciter or self.velocity.exciter
 
 
+class EqualizerBand(Parameters):
+    """A band of an output's equalizer: a bell, or a first-order shelf. `tonewood.sound.equalizer` has the equations."""
+
+    freq: float = quantity("Hz", low=1.0, high=1e5, doc="middle")
+    gain_db: float = quantity("dB", low=-60.0, high=60.0, doc="of a bell in its middle; of a shelf far above it")
+    q: float | None = quantity(
+        "1", low=0.05, high=100.0, default=None, doc="quality of a bell; a shelf, half of whose gain is at `freq`, without"
+    )
+
+
 class OutputPart(PluginPart):
     """A group of output channels, made by a pickup plugin."""
 
@@ -386,6 +396,7 @@ class OutputPart(PluginPart):
         doc="-1 left to 1 right, at constant power: one channel becomes two, two are balanced",
     )
     delay: float = quantity("s", low=0.0, high=0.1, default=0.0, doc="of its channels, to the nearest frame")
+    equalizer: list[EqualizerBand] = described("gain of its channels over frequency", default=[], max_length=MOST_PARTS)
     note: str | None = described("meaning and limits of this output", default=None)
 
 

@@ -32,6 +32,7 @@ class OutputGroup:
     note : for the user, one line.
     gain_db, pan : dB, and -1 (left) to 1 (right); None where it is not placed.
     delay : s.
+    equalizer : middle (Hz), gain (dB) and quality of each band, None for a shelf.
     """
 
     name: str
@@ -44,6 +45,7 @@ class OutputGroup:
     gain_db: float = 0.0
     pan: float | None = None
     delay: float = 0.0
+    equalizer: tuple[tuple[float, float, float | None], ...] = ()
 
     @property
     def gains(self) -> tuple[float, ...]:
@@ -145,6 +147,7 @@ def _group(instrument: Instrument, part: OutputPart, rows: PickupRows, first: in
         gain_db=part.gain_db,
         pan=part.pan,
         delay=part.delay,
+        equalizer=tuple((band.freq, band.gain_db, band.q) for band in part.equalizer),
     )
 
 

@@ -94,7 +94,7 @@ class Checkpoint:
     """Snapshot of a renderer between two blocks."""
 
     engine: Snapshot
-    memory: tuple[Floats, Floats]
+    memory: tuple[Floats, ...]
     pending: Floats
     frames: int
     loudest: float
@@ -266,7 +266,7 @@ class Renderer:
         with self._reading.use:
             return Checkpoint(
                 self.engine.snapshot(),
-                (self._resampler.memory.copy(), self._routing.memory.copy()),
+                (self._resampler.memory.copy(), self._routing.memory.copy(), self._routing.equalizer.memory.copy()),
                 self._pending.copy(),
                 self._frames,
                 self._loudest,
@@ -279,7 +279,8 @@ class Renderer:
         """Restore a `checkpoint` of this renderer; the samples that follow are the same to the last bit."""
         with self._reading.use:
             self.engine.restore(checkpoint.engine)
-            self._resampler.memory, self._routing.memory = (memory.copy() for memory in checkpoint.memory)
+            memories = (memory.copy() for memory in checkpoint.memory)
+            self._resampler.memory, self._routing.memory, self._routing.equalizer.memory = memories
             self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
             self._loudest, self._recent, self._end = checkpoint.loudest, list(checkpoint.recent), checkpoint.end
             self._step = checkpoint.step
@@ -299,7 +300,7 @@ class Renderer:
             spans = pieces = 1 if self.options.energy else max(1, int(min(_TAIL_SPANS, left)))
         began = time.perf_counter()
         sound = self._resampler(self._routing.scaled(self.engine.advance(max(spans, 1) * _TICKS)), sample)
-        sound = self._routing.delayed(sound)
+        sound = self._routing.finished(sound)
         self._seconds += time.perf_counter() - began
         unheard = max(0, -first - self.zero_frame)
         sound = self._begun(sound, first + self.zero_frame)

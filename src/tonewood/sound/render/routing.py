@@ -1,4 +1,4 @@
-"""From a model's readouts to the channels of a sound: gain, pan and delay of each output."""
+"""From a model's readouts to the channels of a sound: gain, pan, equalizer and delay of each output."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
+from tonewood.sound.equalizer import Equalizer
 
 Floats = NDArray[np.float64]
 
 
 class Routing:
-    """Scales readouts to full scale, gives them to channels, and delays these by whole frames.
+    """Scales readouts to full scale, gives them to channels, filters these by the equalizer of their output, and delays them by whole frames.
 
     Parameters
     ----------
@@ -24,6 +25,7 @@ class Routing:
     channels : names, ``GROUP.CHANNEL`` where there are several groups.
     scale : (n_channels,) 1 per unit of each readout.
     delays : (n_channels,) frames, the nearest to those of the outputs.
+    equalizer : of the channels.
     memory : (longest delay, n_channels) the latest frames that came in.
     """
 
@@ -36,6 +38,7 @@ class Routing:
         self._columns: slice | list[int] = slice(None) if self.whole else columns
         gain = 10 ** (gain_db / 20)
         self.scale = np.array([gain * factor / group.full_scale for group in groups for factor in group.gains])
+        self.equalizer = Equalizer([group.equalizer for group in groups for _ in group.channels], fs)
         self.delays = [round(group.delay * fs) for group in groups for _ in group.channels]
         self.memory: Floats = np.zeros((max(self.delays, default=0), len(columns)))
 
@@ -43,9 +46,9 @@ class Routing:
         """(n, n_channels) from (n, n_readouts), at the engine's rate."""
         return np.asarray(readouts[:, self._columns] * self.scale)
 
-    def delayed(self, sound: Floats) -> Floats:
-        """(n, n_channels) frames, each channel as late as its output says; the last ones stay in `memory`."""
-        longest = len(self.memory)
+    def finished(self, sound: Floats) -> Floats:
+        """(n, n_channels) frames behind their equalizers, each channel as late as its output says; the last ones stay in `memory`."""
+        sound, longest = self.equalizer(sound), len(self.memory)
         if not longest:
             return sound
         whole = np.concatenate([self.memory, sound])
