@@ -131,7 +131,8 @@ def estimate(
     before = distance(zip(recorded, begun.main, strict=True))
     tested = [_tested(search, notes, recorded, begun, fold, iterations) for fold in folds]
     figures = search.fit(notes, recorded, begun, iterations)
-    final = search.render(figures, notes)
+    final = search.render(figures, notes, all_outputs=True)
+    figures = search.with_gains(figures, recorded, final, search.outputs[1:])
     main = search.outputs[0]
     rng = np.random.default_rng(1)
     numbered = [(p.recording.note, a) for p, a in zip(notes, recorded, strict=True)]
@@ -221,7 +222,7 @@ def _tested(
         {name: tuple(rows[i] for i in fitted) for name, rows in begun.analyses.items()},
     )
     figures = search.fit([notes[i] for i in fitted], [recorded[i] for i in fitted], start, iterations)
-    found = search.render(figures, [notes[i] for i in rest], all_outputs=False)
+    found = search.render(figures, [notes[i] for i in rest])
     target = [recorded[i] for i in rest]
     return Half(
         fitted, rest, distance(zip(target, (begun.main[i] for i in rest), strict=True)),

@@ -79,7 +79,7 @@ class Search:
         """The instrument with these figures."""
         return self.stage.instrument.replace(figures.overrides(self.stage.instrument))
 
-    def render(self, figures: Figures, notes: Sequence[Played], *, all_outputs: bool = True) -> Rendered:
+    def render(self, figures: Figures, notes: Sequence[Played], *, all_outputs: bool = False) -> Rendered:
         """Render notes with these figures, on all outputs or on the first one."""
         outputs = self.outputs if all_outputs else self.outputs[:1]
         return rendered(self.instrument(figures), notes, outputs, self._advance)
@@ -109,12 +109,16 @@ class Search:
         out = with_laws(figures, values, bending, self.stage)
         out = replace(out, place=self._place(figures, notes, recorded, now.main))
         out = replace(out, split=_split(figures.split, recorded, now.main))
-        gains = {
-            name: figures.gains[name] + gain.curve(gain.differences(recorded, now.analyses[name]))
-            for name in figures.gains
-            if name in now.analyses
+        return self.with_gains(out, recorded, now, self.outputs[:1])
+
+    def with_gains(
+        self, figures: Figures, recorded: Sequence[NoteAnalysis], now: Rendered, outputs: Sequence[str]
+    ) -> Figures:
+        """Figures with the gains of some outputs moved."""
+        moved = {
+            name: figures.gains[name] + gain.curve(gain.differences(recorded, now.analyses[name])) for name in outputs
         }
-        return replace(out, gains={**figures.gains, **gains})
+        return replace(figures, gains={**figures.gains, **moved})
 
     def _strings(
         self, figures: Figures, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], now: Sequence[NoteAnalysis]
@@ -167,4 +171,4 @@ def seconds(notes: Sequence[Played], folds: Sequence[Sequence[int]], iterations:
     """Seconds of sound that a whole estimate renders."""
     whole = seconds_of(notes)
     parts = sum(seconds_of([notes[i] for i in fold]) for fold in folds)
-    return whole * (2 + iterations - 1) + parts * (iterations - 1) + whole * (len(folds) > 0)
+    return whole * (1 + iterations + (len(folds) > 0)) + parts * (iterations - 1)
