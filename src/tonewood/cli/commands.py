@@ -15,6 +15,7 @@ COMMANDS = {
     "schema": "schema:schema",
     "migrate": "migrate:migrate",
     "fit": "fit:fit",
+    "estimate": "estimate:estimate",
     "new": "new:new",
     "batch": "batch:batch",
     "serve": "serve:serve",

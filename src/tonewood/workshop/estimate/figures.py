@@ -50,7 +50,7 @@ class Figures:
                 if self.bending[lead] > 0:
                     out[f"strings.{name}.bending_stiffness"] = _rounded(self.bending[lead])
                 if self.split is not None:
-                    out[f"strings.{name}.scatter.split_cents"] = _rounded(self.split)
+                    out[f"strings.{name}.{split_key(instrument)}"] = _rounded(self.split)
         if self.place is not None:
             exciter = instrument.spec.playing.default_exciter
             out[f"exciters.{exciter}.from_bridge"] = _place(instrument, self.place)
@@ -77,14 +77,10 @@ def figures_of(stage: Stage) -> Figures:
         law = Law.of(loss, StringData(played.tension, played.linear_density, stiffness))
         if law.names:
             laws[lead], bending[lead] = law, stiffness
-    splits = [
-        float(part["scatter"]["split_cents"]) for part in instrument.resolved["strings"].values()
-        if len(part.get("polarizations") or ()) > 1
-    ]  # fmt: skip
     none = np.zeros(len(gain.KNOTS))
     return Figures(
         laws, bending, _place_now(instrument), {part.name: none for part in instrument.spec.outputs},
-        float(np.median(splits)) if splits and len(splits) == len(instrument.resolved["strings"]) else None,
+        _split_now(instrument),
     )  # fmt: skip
 
 
@@ -135,6 +131,21 @@ def _place_now(instrument: Instrument) -> float | None:
     if isinstance(value, Mapping):
         return float(value["fraction"])
     return None if value is None else float(value)
+
+
+def split_key(instrument: Instrument) -> str:
+    """Key of a string for the splitting of its polarizations: the scatter over stops, where there is one."""
+    scattered = any(part["scatter"]["split_cents"] > 0 for part in instrument.resolved["strings"].values())
+    return "scatter.split_cents" if scattered else "split_cents"
+
+
+def _split_now(instrument: Instrument) -> float | None:
+    """Cents, median over the strings; None where strings move in one plane or are tuned together as a key."""
+    strings = instrument.resolved["strings"].values()
+    if instrument.spec.keys is not None or any(len(part.get("polarizations") or ()) < 2 for part in strings):
+        return None
+    scattered = split_key(instrument) != "split_cents"
+    return float(np.median([part["scatter"]["split_cents"] if scattered else part["split_cents"] for part in strings]))
 
 
 def _place(instrument: Instrument, value: float) -> Any:

@@ -1,0 +1,128 @@
+"""``tonewood estimate`` and ``tonewood distance``: instruments from recordings of single notes, and how near they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tonewood.cli.commands import InterruptError
+from tonewood.cli.common import AllowCode, Json, load, print_json, progress, warn
+from tonewood.errors import OutputError, TonewoodError
+
+if TYPE_CHECKING:
+    from tonewood.workshop.estimate.distance import Distance
+    from tonewood.workshop.estimate.estimate import Estimate
+
+Table = Annotated[
+    Path | None, typer.Option(help="CSV: file, note, string, stop, dynamic, place (m); FOLDER/notes.csv if it is there")
+]
+Transpose = Annotated[int, typer.Option(help="semitones added to the notes of names and table")]
+
+
+def estimate(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="sound files, one a note: A3.flac, 57.wav, E4_pp.wav")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="NAME", help="folder of the instrument that is made")],
+    source: Annotated[
+        str, typer.Option("--from", metavar="INSTRUMENT", help="name or folder of the instrument to begin with")
+    ],
+    table: Table = None,
+    transpose: Transpose = 0,
+    iterations: Annotated[int, typer.Option(help="of the search, 1 to 10")] = 3,
+    page: Annotated[Path | None, typer.Option(help="write the report to this file, .html")] = None,
+    title: Annotated[str | None, typer.Option(help="the instrument recorded, for the sources")] = None,
+    recorded_by: Annotated[str | None, typer.Option(help="who recorded it, for the sources; unknown otherwise")] = None,
+    licence: Annotated[str | None, typer.Option(help="SPDX name of the recordings' licence; unknown otherwise")] = None,
+    url: Annotated[str | None, typer.Option(help="address of the recordings, for the sources")] = None,
+    allow_code: AllowCode = False,
+    as_json: Json = False,
+) -> None:
+    """Estimate an instrument from recordings of single notes: strings, place of the pluck, gain of each output.
+
+    The same analysis is made of recorded and of rendered notes, and figures are moved until both agree. Every other note
+    is held back once, to tell how far the others are met. Writes a bundle NAME; body and exciters stay as they are.
+    """
+    from tonewood.workshop.estimate.bundle import UNKNOWN, Origin, write_bundle
+    from tonewood.workshop.estimate.estimate import estimate as estimated
+    from tonewood.workshop.estimate.recordings import read_folder
+
+    _check(output, iterations, page)
+    instrument = load(source, None, allow_code)
+    recordings = read_folder(folder, table=table, transpose=transpose)
+    try:
+        with progress("estimating", 1.0) as advance:
+            found = estimated(recordings, instrument, iterations=iterations, advance=advance)
+        origin = Origin(title or UNKNOWN, recorded_by or UNKNOWN, licence or UNKNOWN, url)
+        made = write_bundle(found, output, source, origin, allow_code=allow_code)
+    except KeyboardInterrupt:
+        raise InterruptError from None
+    if as_json:
+        from tonewood.workshop.estimate.as_json import to_json
+
+        print_json("estimate", {"name": made.name, "folder": str(output), **to_json(found)})
+        return
+    warn(found.warnings)
+    _print(found)
+    print(f"{output}: plays at once; its body is that of {found.begun_with.name}")
+
+
+def _check(output: Path, iterations: int, page: Path | None) -> None:
+    """Refuse before any work what could not be written."""
+    if output.exists() or output.is_symlink():
+        raise OutputError("is there already; give another name", file=output)
+    if not output.absolute().parent.is_dir():
+        raise OutputError(f"there is no folder {str(output.parent)!r}", file=output)
+    if not 1 <= iterations <= 10:
+        raise TonewoodError(f"is {iterations}; 1 to 10 are allowed", key="--iterations")
+    if page is not None:
+        if page.suffix.lower() not in (".html", ".htm"):
+            raise TonewoodError(f"is {page.name!r}; a name ending in .html is allowed", key="--page")
+        if not page.absolute().parent.is_dir():
+            raise OutputError(f"there is no folder {str(page.parent)!r}", file=page)
+
+
+def _print(found: Estimate) -> None:
+    """Figures with their intervals, and distances."""
+    from tonewood.workshop.estimate import laws
+
+    for line in found.moved:
+        print(line)
+    stated = " ".join(f"{f / 1000:g}" for f in laws.STATED)
+    print(f"string   notes   B re begun with   decay rate, 1/s, at {stated} kHz (90 %)")
+    for name, law in found.figures.laws.items():
+        interval = found.intervals.get(name)
+        if interval is None and len(found.figures.laws) > 12:
+            continue
+        count = sum(p.string == name for p in found.notes)
+        b = found.figures.bending[name] / found.start.bending[name] if found.start.bending[name] > 0 else float("nan")
+        rates = law.rate(laws.STATED)
+        shown = "  ".join(
+            f"{r:.2f}" if interval is None else f"{r:.2f} +-{100 * s:.0f} %"
+            for r, s in zip(rates, laws.STATED * 0 if interval is None else interval.spread, strict=True)
+        )
+        told = "" if found.figures.estimated.get(name) else "  (from the neighbouring strings)"
+        print(f"{name:8s} {count:5d}   {b:15.3f}   {shown}{told}")
+    if found.figures.place is not None and found.start.place is not None:
+        scatter = "" if found.places is None else f"; notes scatter by {1000 * found.places.scatter:.0f} mm"
+        print(f"place of the pluck: {found.figures.place:.4g}, was {found.start.place:.4g}{scatter}")
+    if found.figures.split is not None:
+        print(f"splitting of the polarizations: {found.figures.split:.2g} cents, was {found.start.split:.2g}")
+    columns: dict[str, Distance] = {"before": found.before, "after": found.after}
+    for i, half in enumerate(found.halves, 1):
+        columns |= {f"held back {i}: before": half.before, "after" + " " * i: half.after}
+    columns |= {name: row for name, row in found.scale.items() if row.notes}
+    print_distances(columns)
+
+
+def print_distances(columns: dict[str, Distance]) -> None:
+    """A table of distances, a column each."""
+    from tonewood.workshop.estimate.distance import Distance
+
+    width = max(len(label) for label in Distance.LABELS.values())
+    widths = [max(len(name.rstrip()), 7) for name in columns]
+    print(" " * width + "  " + "  ".join(f"{n.rstrip():>{w}}" for n, w in zip(columns, widths, strict=True)))
+    for key, label in Distance.LABELS.items():
+        cells = [f"{getattr(d, key):.2f}".replace("nan", "-") for d in columns.values()]
+        print(f"{label:{width}}  " + "  ".join(f"{c:>{w}}" for c, w in zip(cells, widths, strict=True)))
+    print(f"{'notes':{width}}  " + "  ".join(f"{d.notes:>{w}}" for d, w in zip(columns.values(), widths, strict=True)))
