@@ -13,8 +13,11 @@ card takes a block every block / fs seconds; `ahead` blocks may be ready. Block 
 from __future__ import annotations
 
 import argparse
+import cProfile
 import gc
+import pstats
 import tracemalloc
+from pathlib import Path
 from time import thread_time
 
 import numpy as np
@@ -71,6 +74,24 @@ class RandomPlayer:
             live.bend(60.0 * np.sin(2 * np.pi * 5 * live.time) if live.time % 10.0 < 3.0 else 0.0)
 
 
+def trace(instrument: str, block: int, worst: int) -> None:
+    """Play again up to a block, and print which functions took its time."""
+    live = tw.Live(instrument)
+    player, length = RandomPlayer(live, 1), block / live.fs
+    for _ in range(worst):
+        player.before(length)
+        live.process(block)
+    profile = cProfile.Profile()
+    profile.enable()
+    player.before(length)
+    live.process(block)
+    profile.disable()
+    print(f"  the worst block, number {worst}, with the profiler's own cost:")
+    found = pstats.Stats(profile).stats.items()  # type: ignore[attr-defined]
+    for (file, _, name), (_, calls, own, whole, _) in sorted(found, key=lambda item: -item[1][3])[:16]:
+        print(f"    {1e3 * whole:6.2f} ms, own {1e3 * own:5.2f}, {calls:4d} x {Path(file).name}:{name}")
+
+
 def play(instrument: str, minutes: float, block: int) -> tuple[tw.Live, RandomPlayer, np.ndarray, list[float]]:
     """Play; returns the cost of each block in s, and the memory at the beginning and after each tenth in MB."""
     live = tw.Live(instrument)
@@ -98,6 +119,7 @@ def main() -> None:
     parser.add_argument("--block", type=int, default=128)
     parser.add_argument("--ahead", type=int, default=4)
     parser.add_argument("--runs", type=int, default=1, help="the same blocks again; of each the least cost counts")
+    parser.add_argument("--trace", action="store_true", help="which functions took the time of the worst block")
     given = parser.parse_args()
     gc.disable()  # as a session does: playing makes no cycles
     runs = [play(given.instrument, given.minutes, given.block) for _ in range(given.runs)]
@@ -112,6 +134,8 @@ def main() -> None:
         f"  load {100 * costs.mean() / length:.0f} %; block: median {shares[0]:.2f} ms, 99 % {shares[1]:.2f}, ", end=""
     )
     print(f"99.9 % {shares[2]:.2f}, worst {shares[3]:.2f} ms")
+    if given.trace:
+        trace(given.instrument, given.block, int(costs.argmax()))
     for ahead in sorted({1, 2, 3, 4, given.ahead}):
         late, least = late_blocks(costs, length, ahead)
         latency = (ahead + 2) * length + live.latency

@@ -1,13 +1,13 @@
 """A body from its drawing: outline, wood, braces, bridge, soundhole and cavity give modes; nothing is measured.
 
-The top is an orthotropic Kirchhoff plate with eccentric braces, solved by the Rayleigh-Ritz method with B-splines; air
-in cavity and hole is coupled to it, and radiation damps it (`tonewood.physics.plate`). All modes are real, and so the
-body is passive. Coordinates of the drawing: x (m) from the neck joint to the tail, y from bass to treble, z out of the
-top. A point at height H above the top's middle surface moves by w along z, -H dw/dx along x and -H dw/dy
-along y: strings across the bridge feel it rock.
+The top is an orthotropic Reissner-Mindlin plate with eccentric braces, solved by the Rayleigh-Ritz method with
+B-splines; air in cavity and hole is coupled to it, and radiation damps it (`tonewood.physics.plate`). All modes are
+real, and so the body is passive. Coordinates of the drawing: x (m) from the neck joint to the tail, y from bass to
+treble, z out of the top. A point at height H above the top's middle surface moves by w along z, -H dw/dx along x and
+-H dw/dy along y: strings across the bridge feel it rock.
 
-Left out: arching and the strings' static load, neck and sides (mass at the edge), laps of crossing braces, shear of the
-plate, stiffness of braces across their width, loss that rises with frequency, modes of the cavity along its depth
+Left out: arching and the strings' static load, neck and sides (mass at the edge), laps of crossing braces,
+stiffness of braces across their width, loss that rises with frequency, modes of the cavity along its depth
 (above 1.8 kHz at 95 mm), diffraction about the box. Modes above `fmax` keep their static compliance alone.
 """
 
@@ -68,7 +68,13 @@ class WoodParameters(Parameters):
     density: float | None = quantity("kg/m^3", low=10.0, high=2e4, default=None, doc="mass per volume")
     loss_L: float | None = quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of E_L")
     loss_R: float | None = quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of E_R")
-    loss_shear: float | None = quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of G_LR")
+    loss_shear: float | None = quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of the shear moduli")
+    G_LT: float | None = quantity(
+        "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="shear modulus through the thickness, along the grain"
+    )
+    G_RT: float | None = quantity(
+        "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="the same across the grain: rolling shear"
+    )
 
     @model_validator(mode="after")
     def _known(self) -> WoodParameters:
@@ -78,6 +84,8 @@ class WoodParameters(Parameters):
         missing = [k for k in ("E_L", "E_R", "G_LR", "nu_LR", "density") if k not in given]
         if self.species is None and missing:
             raise ValueError(f"a species, or {missing[0]} too, is wanted")
+        if self.species is None and (self.G_LT is None) != (self.G_RT is None):
+            raise ValueError("G_LT and G_RT are wanted together, or neither: the plate then does not shear")
         made = self.wood()
         if made.E_R * made.nu_LR**2 >= made.E_L:
             raise ValueError(
@@ -87,7 +95,7 @@ class WoodParameters(Parameters):
 
     def wood(self) -> plate.Wood:
         """Constants of the species with those that are given in their place."""
-        names = ("E_L", "E_R", "G_LR", "nu_LR", "density", "loss_L", "loss_R", "loss_shear")
+        names = ("E_L", "E_R", "G_LR", "nu_LR", "density", "loss_L", "loss_R", "loss_shear", "G_LT", "G_RT")
         base = (
             plate.SPECIES[self.species].wood if self.species else plate.Wood(0.0, 0.0, 0.0, 0.0, 0.0, 0.01, 0.02, 0.02)
         )
@@ -246,7 +254,11 @@ class DrawnBodyParameters(PlateParameters):
     saddle_height: float = quantity(
         "m", low=0.0, high=0.2, default=0.01, doc="of strings above the top's middle surface"
     )
-    points: dict[str, PlatePoint] = described("name -> place and direction", min_length=1, max_length=256)
+    points: dict[str, PlatePoint] = described(
+        "name -> place and direction; `corner`, a place near the first point of the outline, where left out",
+        default={},
+        max_length=256,
+    )
 
 
 class DrawnBody(Body[DrawnBodyParameters]):
@@ -259,8 +271,17 @@ class DrawnBody(Body[DrawnBodyParameters]):
         """Every point with its direction and place."""
         return {
             name: BodyPoint(unit_vector(p.direction), {"x": p.at[0], "y": p.at[1]}, driven=p.driven)
-            for name, p in self.parameters.points.items()
+            for name, p in self._places.items()
         }
+
+    @cached_property
+    def _places(self) -> Mapping[str, PlatePoint]:
+        """Points of the drawing, or one near a corner of the outline, where every mode of a free plate moves."""
+        if self.parameters.points:
+            return self.parameters.points
+        ring = self._outline()
+        x, y = ring[0] + 0.04 * (ring.mean(axis=0) - ring[0])
+        return {"corner": PlatePoint(at=(float(x), float(y)))}
 
     def basis(self, freq_upper: float) -> ModalBasis:
         """Modes below `freq_upper` (Hz) and `fmax`.
@@ -271,7 +292,7 @@ class DrawnBody(Body[DrawnBodyParameters]):
         """
         modes = self.modes_below(freq_upper)
         omega = 2 * np.pi * modes.freq
-        shapes = dict(zip(self.parameters.points, modes.shapes, strict=True))
+        shapes = dict(zip(self._places, modes.shapes, strict=True))
         heard = np.divide(modes.radiation_loss, modes.loss, out=np.zeros(len(omega)), where=modes.loss > 0)
         return ModalBasis.real(
             omega, modes.loss * omega / 2, shapes, residual=modes.residual, metadata={"radiated": heard}
@@ -327,13 +348,21 @@ class DrawnBody(Body[DrawnBodyParameters]):
             + " ".join(f"{f:.0f}" for f in modes.vacuum_freq[:5])
             + " Hz",
         ]
-        place = next(iter(self.parameters.points))
+        place = next(iter(self._places))
+        flexible = modes.freq > 0
+        if not flexible.all():
+            lines.append(
+                f"{np.count_nonzero(~flexible)} of these are rigid-body motion at 0 Hz: nothing holds the body"
+            )
         kept = float(modes.residual[0, 0])
-        whole = kept + float(((modes.shapes[0] / (2 * np.pi * modes.freq)) ** 2).sum())
+        whole = kept + float(((modes.shapes[0, flexible] / (2 * np.pi * modes.freq[flexible])) ** 2).sum())
         lines.append(
             f"modes above {self.parameters.fmax:g} Hz are not stepped; their static compliance is kept, "
             f"{100 * kept / whole:.2g} % of that at {place}"
         )
+        for name, wood in self._woods():
+            if not wood.shears:
+                lines.append(f"{name} gives no G_LT and G_RT: the plate does not shear, and its modes are too high")
         if len(modes.cavity_freq):
             rigid = " ".join(f"{f:.0f}" for f in modes.cavity_freq[:5])
             lines.append(f"cavity with rigid walls {rigid} Hz")
@@ -346,6 +375,12 @@ class DrawnBody(Body[DrawnBodyParameters]):
             share = modes.radiation_loss[named["T1"]] / modes.loss[named["T1"]]
             lines.append(f"{100 * share:.0f} % of the loss of T1 is radiated")
         return lines
+
+    def _woods(self) -> list[tuple[str, plate.Wood]]:
+        """Key and wood of each plate."""
+        p = self.parameters
+        backs = [] if isinstance(p.back, str) else [("back.wood", p.back.wood.wood())]
+        return [("wood", p.wood.wood()), *backs]
 
     def _on_other_edges(self) -> tuple[float, float]:
         """T1 (Hz) on a hinged and on a clamped edge; 0 where there is none."""
@@ -373,7 +408,7 @@ class DrawnBody(Body[DrawnBodyParameters]):
         rings = [outline] if hole is None else [outline, hole]
         beams = {f"braces.{name}": b for name, b in p.braces.items()} | ({"bridge": p.bridge} if p.bridge else {})
         top = self._plate(p, rings, beams, above="bridge")
-        for name, point in p.points.items():
+        for name, point in self._places.items():
             if not plate.inside([point.at], rings)[0]:
                 raise self.fault(f"{_shown(point.at)} is not on the top", f"points.{name}.at")
         back = None
@@ -381,7 +416,7 @@ class DrawnBody(Body[DrawnBodyParameters]):
             if p.air is None:
                 raise self.fault("a back needs air in front of it", "back")
             back = self._plate(p.back, [outline], {f"back.braces.{n}": b for n, b in p.back.braces.items()})
-        every = list(p.points.values())
+        every = list(self._places.values())
         air = p.air or Air(depth=1e-3)
         return plate.BodyDrawing(
             outline=outline,

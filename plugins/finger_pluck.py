@@ -20,8 +20,9 @@ Work of all these forces is counted as that of the gesture. While it draws the s
 by a dashpot, which dissipates only.
 
 So notes neither scale with their force (the slip is faster at a higher one, the random part another) nor superpose
-(the dashpot acts on all that the string does). With `linear` they do both: every note has the course of the force that
-the bundle's `force` has, times the ratio of the note's force to it, and there is no dashpot.
+(the dashpot acts on all that the string does). With `linear` they do both under one course of stops (a stop, a slide
+and the end of a note act on all that sounds, but depend on no force): every note has the course of the force that the
+bundle's `force` has, times the ratio of the note's force to it, and there is no dashpot.
 
 Sources: G. Cuzzucoli and V. Lombardo, A physical model of the classical guitar, including the player's touch, Computer
 Music Journal 23(2), 1999 (phases of a pluck; finger as mass, spring, dashpot); D. Chadefaux, J.-L. Le Carrou and
@@ -94,7 +95,8 @@ class FingerPluckParameters(Parameters):
     seed: int = described("of the random part", default=0, ge=0)
     hold_dashpot: float = quantity("N s/m", low=0.0, high=100.0, default=0.5, doc="damping of the finger on the string")
     linear: bool = described(
-        "notes scale with their force and superpose: the slip is that of the bundle's `force`, without `hold_dashpot`",
+        "notes scale with their force and superpose at fixed stops: the slip is that of the bundle's `force`, "
+        "without `hold_dashpot`",
         default=False,
         strict=True,
     )

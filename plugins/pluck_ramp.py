@@ -36,7 +36,7 @@ class PluckParameters(Parameters):
     ramp_time: float = quantity("s", low=1e-3, high=5.0, default=0.02, doc="time in which the force grows")
     release_time: float = quantity("s", low=0.0, high=0.05, default=2e-4, doc="time in which the force vanishes")
     hold_dashpot: float = quantity("N s/m", low=0.0, high=100.0, default=0.5, doc="damping of the finger on the string")
-    linear: bool = described("notes superpose: there is no `hold_dashpot`", default=False, strict=True)
+    linear: bool = described("notes superpose at fixed stops: there is no `hold_dashpot`", default=False, strict=True)
 
 
 class PluckRamp(Exciter[PluckParameters]):

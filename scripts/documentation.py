@@ -92,8 +92,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, files: Files, **_: Any) -> str:
-    """Turn links to files of the repository into links to pages."""
+    """Turn links to files of the repository into links to pages; put sounds where a page names them."""
     here = page.file.src_uri
+    markdown = gallery.with_players(markdown)
 
     def turned(link: re.Match[str]) -> str:
         target = _place(_repository_path(here, link[2]), files)
@@ -220,6 +221,8 @@ def _commands() -> str:
         hints = get_type_hints(command, include_extras=True)
         arguments, options = [], []
         for parameter in inspect.signature(command).parameters.values():
+            if parameter.name == "context":
+                continue
             info = hints[parameter.name].__metadata__[0]
             required = parameter.default is parameter.empty
             default = "required" if required else f"`{parameter.default}`"

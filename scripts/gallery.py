@@ -1,18 +1,24 @@
 """A few seconds of every shipped instrument: score, sound, picture, and the command that makes the sound again.
 
+Pages of the documentation show a pair of sounds to switch between where they say ``<!-- sounds: NAME -->``.
+
 python scripts/gallery.py FOLDER
 """
 
 from __future__ import annotations
 
 import atexit
+import base64
 import io
+import re
 import shutil
 import sys
 import tempfile
 from contextlib import redirect_stdout
 from functools import cache
+from importlib.resources import files as package_files
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import soundfile as sf
@@ -20,6 +26,7 @@ from matplotlib.figure import Figure
 
 import tonewood as tw
 from tonewood.cli.main import run
+from tonewood.sound.level.loudness import matching_gain_db
 
 SCORES = Path(__file__).resolve().parents[1] / "examples" / "scores"
 #: s, of every sound
@@ -37,8 +44,8 @@ PIECES: dict[str, str | list[tuple[int, int, float]]] = {
     "african_harp": "pentatonic",
     "monochord": [(45, 80, 0.8), (52, 80, 0.8), (57, 90, 0.8), (61, 100, 1.6)],
     "electric_bass": [  # keys below the instrument's range choose the technique: pluck, palm, slap, pop
-        *((12, 1, 0.0), (48, 80, 0.8), (16, 1, 0.0), (48, 100, 0.8)),
-        *((19, 1, 0.0), (48, 90, 0.8), (21, 1, 0.0), (55, 100, 1.6)),
+        *((12, 1, 0.0), (33, 80, 0.8), (14, 1, 0.0), (33, 100, 0.8)),
+        *((17, 1, 0.0), (28, 90, 0.8), (18, 1, 0.0), (43, 100, 1.6)),
     ],
     "tanpura": [(48, 70, 2.0), (48, 100, 2.0)],
     "sitar": [(50, 90, 0.8), (54, 90, 0.8), (57, 90, 0.8), (62, 90, 1.6)],
@@ -52,9 +59,42 @@ PIECES: dict[str, str | list[tuple[int, int, float]]] = {
 }
 
 
-def command(name: str) -> list[str]:
+class Pair(NamedTuple):
+    """Two renders of one score.
+
+    Attributes
+    ----------
+    instrument : plays its piece of the gallery.
+    options : label -> options of ``tonewood render``.
+    """
+
+    instrument: str
+    options: dict[str, tuple[str, ...]]
+
+
+PAIRS: dict[str, Pair] = {
+    "place": Pair(
+        "classical_guitar",
+        {
+            "plucked 3 cm from the bridge": ("--set", "exciters.pluck.from_bridge=0.03"),
+            "plucked 18 cm from it": ("--set", "exciters.pluck.from_bridge=0.18"),
+        },
+    ),
+    "bridge": Pair(
+        "classical_guitar",
+        {
+            "as measured": (),
+            "30 g on the bridge": ("--set", "body.added=[{at: bridge_middle, mass: 0.030}]"),
+        },
+    ),
+    "room": Pair("classical_guitar", {"dry": (), "in a studio": ("--preset", "studio")}),
+    "stretch": Pair("gong", {"a plate that stretches": ("--effects", "all"), "a linear one": ("--effects", "none")}),
+}
+
+
+def command(name: str, options: tuple[str, ...] = ()) -> list[str]:
     """The command that renders an instrument's score beside it."""
-    return ["render", f"{name}.mid", "-i", name, "-o", f"{name}.wav", "--max-duration", f"{DURATION:g}"]
+    return ["render", f"{name}.mid", "-i", name, "-o", f"{name}.wav", "--max-duration", f"{DURATION:g}", *options]
 
 
 def score(name: str) -> tw.Score:
@@ -73,29 +113,67 @@ def score(name: str) -> tw.Score:
 def make(folder: Path, name: str) -> tuple[Path, Path, Path]:
     """Write ``NAME.mid``, ``NAME.ogg`` and ``NAME.png``; returns their paths."""
     midi, sound, picture = (folder / f"{name}.{suffix}" for suffix in ("mid", "ogg", "png"))
+    mono, fs = _rendered(folder, name, midi, ())
+    mono *= 0.7 / np.max(np.abs(mono))  # a level that is alike for all of them
+    _compress(sound, mono, fs)
+    _draw(mono, fs, picture)
+    return midi, sound, picture
+
+
+def _rendered(folder: Path, name: str, midi: Path, options: tuple[str, ...]) -> tuple[np.ndarray, int]:
+    """One channel of the sound that the command makes."""
     tw.write_midi(score(name), midi)
     wav = folder / f"{name}.wav"
-    given = [str(folder / word) if word in (midi.name, wav.name) else word for word in command(name)]
+    words = [str(folder / word) if word in (midi.name, wav.name) else word for word in command(name, options)]
     try:
         with redirect_stdout(io.StringIO()) as said:
-            run(given)
+            run(words)
     except SystemExit as ended:
         if ended.code:
-            raise RuntimeError(f"tonewood {' '.join(given)} ended with exit code {ended.code}") from None
+            raise RuntimeError(f"tonewood {' '.join(words)} ended with exit code {ended.code}") from None
     if " 0 dropped" not in said.getvalue():
         raise RuntimeError(f"{name} cannot play all of its score: {said.getvalue()}")
     samples, fs = sf.read(str(wav), always_2d=True)
     wav.unlink()
-    # one channel, at a level that is alike for all of them
-    mono = samples.mean(axis=1)
-    mono *= 0.7 / np.max(np.abs(mono))
-    with sf.SoundFile(str(sound), "w", fs, 1, format="OGG", subtype="VORBIS", compression_level=0.8) as file:
+    return samples.mean(axis=1), fs
+
+
+def _compress(path: Path, mono: np.ndarray, fs: int) -> None:
+    with sf.SoundFile(str(path), "w", fs, 1, format="OGG", subtype="VORBIS", compression_level=0.8) as file:
         for start in range(0, len(mono), 4096):
             file.write(mono[start : start + 4096])
-    if sound.stat().st_size > LARGEST:
-        raise RuntimeError(f"{sound} has {sound.stat().st_size} bytes; {LARGEST} are allowed")
-    _draw(mono, fs, picture)
-    return midi, sound, picture
+    if path.stat().st_size > LARGEST:
+        raise RuntimeError(f"{path} has {path.stat().st_size} bytes; {LARGEST} are allowed")
+
+
+@cache
+def player(name: str) -> str:
+    """A pair of sounds at one loudness to switch between, as HTML that needs no other file."""
+    pair = PAIRS[name]
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        sounds = [
+            _rendered(folder, pair.instrument, folder / f"{pair.instrument}.mid", o) for o in pair.options.values()
+        ]
+        sounds = [(mono * 10 ** (matching_gain_db(mono[:, None], fs, -20.0) / 20), fs) for mono, fs in sounds]
+        peak = max(float(np.max(np.abs(mono))) for mono, _ in sounds)
+        buttons, players = [], []
+        for label, (mono, fs) in zip(pair.options, sounds, strict=True):
+            _compress(folder / "sound.ogg", mono * min(1.0, 0.9 / peak), fs)
+            data = base64.b64encode((folder / "sound.ogg").read_bytes()).decode()
+            buttons.append(f'<button type="button" data-sound>{label}</button>')
+            players.append(
+                f'<audio controls preload="none" aria-label="{label}" src="data:audio/ogg;base64,{data}"></audio>'
+            )
+    choice = f'<div class="player" hidden><button type="button" data-play>Play</button>{"".join(buttons)}</div>'
+    return f'<div class="sounds">{choice}{"".join(players)}</div>'
+
+
+def with_players(markdown: str) -> str:
+    """A page with players in the place of their names."""
+    shown, count = re.subn(r"^<!-- sounds: (\w+) -->$", lambda m: player(m[1]), markdown, flags=re.MULTILINE)
+    script = (package_files("tonewood.workshop.report") / "page.js").read_text(encoding="utf-8")
+    return f"{shown}\n\n<script>\n{script}</script>\n" if count else markdown
 
 
 def _draw(sound: np.ndarray, fs: int, path: Path) -> None:

@@ -55,6 +55,26 @@ def drawn(path: Path = ROOT / "docs" / "images" / "drawn_guitar.png") -> None:
     smaller.save(path, optimize=True)
 
 
+def heavier(path: Path = ROOT / "docs" / "images" / "heavier.png") -> None:
+    """Mobility of the classical guitar's bridge, as measured and with a mass on it."""
+    freq = np.geomspace(60.0, 5000.0, 3000)
+    guitar = tw.load_instrument("classical_guitar")
+    heavy = guitar.replace({"body.added": [{"at": "bridge_middle", "mass": 0.030}]})
+    curves = {}
+    for label, instrument in (("as measured", guitar), ("30 g on the bridge", heavy)):
+        curves[label] = bridge_mobility(assemble(instrument, 48000), freq)["E4"]
+    made, axes = figure(1, heights=[4.0])
+    draw_mobility(axes[0, 0], freq, curves)
+    axes[0, 0].set_xlabel("frequency, Hz")
+    title(axes[0, 0], "mobility of the bridge under E4")
+    legend(axes[0, 0], loc="upper right")
+    made.savefig(path, dpi=80)
+    with Image.open(path) as picture:
+        few_colours = picture.convert("RGB").quantize(64)
+    few_colours.save(path, optimize=True)
+
+
 if __name__ == "__main__":
     main()
     drawn()
+    heavier()

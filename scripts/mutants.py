@@ -2,10 +2,11 @@
 
 Edits are drawn from the syntax of a package's sources: a sign, a factor of 2, a term or a condition dropped, < for <=,
 off by one, min for max, `not`, a conjugate dropped, arguments swapped, a constant returned. Texts, types, messages and
-limits of keys are left alone. Each edit is made in a copy of the tree, in which the tests of the package run until one
-fails; tests beyond the time limit count as noticed. `kernel` is the C++ kernel, built again for each edit, without
-optimisation and for one instruction set. Edits that no test noticed are for a person to read: one that changes nothing
-is no gap. ``--where FILE`` or ``FILE:LINE`` draws edits there alone; ``--tests PATH...`` replaces the tests.
+limits of keys are left alone. Each edit is made in a copy of the tree, in which those test files of the package that
+call the edited function run until a test fails; tests beyond the time limit count as noticed, tests that fail without
+any edit do not run. `kernel` is the C++ kernel, built again for each edit, without optimisation and for one instruction
+set. Edits that no test noticed are for a person to read: one that changes nothing is no gap. ``--where FILE`` or
+``FILE:LINE`` draws edits there alone; ``--tests PATH...`` replaces the tests.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import importlib.util
+import json
 import os
 import random
 import re
@@ -21,26 +23,35 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from types import FrameType
 
 import pytest
 from small_edits import ROOT, Edit, candidates, draw
 
-#: package, a folder of the sources -> its tests; `near` puts those first that import the edited module
+#: package, a folder of the sources -> its tests; `near` keeps those that call what is edited
 LAWS, PHYSICS = "tests/analytic/test_laws_against_ode.py", "tests/unit/physics"
 TESTS = {name: [f"{PHYSICS}/{name}"] for name in ("modal", "passivity", "energy", "plate")} | {
     "coupling": [LAWS, f"{PHYSICS}/coupling", f"{PHYSICS}/stepping"],
     "stepping": [LAWS, f"{PHYSICS}/stepping"],
     "instrument": ["tests/unit/instrument"],
     "score": ["tests/unit/performance/score"],
-    "player": ["tests/unit/performance/player", "tests/unit/performance/engine"],
-    "engine": ["tests/unit/performance/engine", "tests/unit/performance/player"],
+    "player": ["tests/unit/performance/player", "tests/unit/performance/engine", "tests/plugins/test_hand_noises.py"],
+    "engine": ["tests/unit/performance/engine", "tests/unit/performance/player", "tests/effects/test_switching.py"],
     "effects": ["tests/effects", "tests/unit/performance/engine"],
     "sound": ["tests/unit/sound", "tests/unit/test_notebook.py"],
     "fit": ["tests/unit/workshop/fit"],
     "listening": ["tests/unit/workshop/listening"],
     "batch": ["tests/unit/workshop/batch"],
+    "dataset": ["tests/unit/workshop/dataset"],
+    "sampling": ["tests/unit/workshop/sampling"],
+    "report": ["tests/unit/workshop/report", "tests/unit/test_notebook.py"],
+    "lab": ["tests/unit/lab", "tests/analytic/test_chinnakonda.py"],
+    "cli": ["tests/cli"],
+    "support": [*sorted(str(f.relative_to(ROOT)) for f in (ROOT / "tests/unit").glob("test_*.py")), "tests/cli"],
     "plugins": ["tests/plugins"],
     "kernel": [LAWS, f"{PHYSICS}/stepping", f"{PHYSICS}/coupling", "tests/effects"],
 }
@@ -49,11 +60,41 @@ LIBRARIES = """numpy scipy.linalg scipy.signal scipy.optimize scipy.integrate sc
 scipy.special scipy.spatial scipy.stats scipy.ndimage hypothesis pydantic yaml mido matplotlib.pyplot"""
 
 
+class Called:
+    """A plugin of pytest: functions of the package that the tests of each file call, and how long these take, s."""
+
+    def __init__(self, out: Path):
+        self.out, self.calls, self.now = out, dict[str, set[tuple[str, int]]](), set[tuple[str, int]]()
+        self.seconds: dict[str, float] = {}
+
+    def trace(self, frame: FrameType, *_: object) -> None:
+        """Note a call."""
+        if "/tonewood/" in (name := frame.f_code.co_filename):
+            self.now.add((name, frame.f_code.co_firstlineno))
+
+    def pytest_runtest_protocol(self, item: pytest.Item) -> None:
+        """Turn to the file of a test."""
+        self.now = self.calls.setdefault(item.location[0], set())
+        sys.settrace(self.trace)
+        threading.settrace(self.trace)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Add the time of a test."""
+        file = report.location[0]
+        self.seconds[file] = self.seconds.get(file, 0.0) + report.duration
+
+    def pytest_sessionfinish(self) -> None:
+        """Write both."""
+        sys.settrace(None)
+        calls = {file: sorted({(os.path.realpath(n), at) for n, at in seen}) for file, seen in self.calls.items()}
+        self.out.write_text(json.dumps([calls, self.seconds]))
+
+
 class Copy:
     """A copy of the tree, imported in place of the installed package."""
 
     def __init__(self, folder: Path):
-        self.folder, self.package = folder, folder / "lib" / "tonewood"
+        self.folder, self.package, self.left_out = folder, folder / "lib" / "tonewood", list[str]()
         listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
         files = subprocess.run(listed, cwd=ROOT, capture_output=True, text=True, check=True).stdout
         for name in filter(None, files.split("\0")):
@@ -88,16 +129,24 @@ class Copy:
             shutil.copy2(next(out.glob("_kernel.*")), self.package)
         return done.returncode == 0
 
-    def near(self, file: Path, tests: list[str]) -> list[str]:
-        """Test files, those first that import the module of a file."""
-        places = [self.folder / t for t in tests]
-        files = [f for place in places for f in ([place] if place.suffix else sorted(place.rglob("test_*.py")))]
-        pattern = re.compile(rf"\b(?:from|import) [\w.]*\b{file.stem}\b")
-        first = {f: bool(pattern.search(f.read_text(encoding="utf-8"))) for f in files}
-        return [str(f.relative_to(self.folder)) for f in sorted(first, key=lambda f: not first[f])]
+    def near(self, edit: Edit, tests: list[str]) -> list[str]:
+        """Test files that call the edited function, or start processes; all, of an edit outside functions."""
+        if not (self.folder / "called").exists():
+            return tests
+        calls, seconds = json.loads((self.folder / "called").read_text())
+        known = [str((self.folder / edit.file).resolve()), edit.function]
+        files = [f for f, seen in calls.items() if not edit.function or known in seen]
+        texts = {f: (self.folder / f).read_text(encoding="utf-8") for f in calls}
+        files = files or list(calls)
+        files += [f for f, text in texts.items() if f not in files and re.search("subprocess|Popen|_in_process", text)]
+        pattern = re.compile(rf"\b(?:from|import) [\w.]*\b{edit.file.stem}\b")
+        return sorted(files, key=lambda f: (f not in calls, not pattern.search(texts[f]), seconds[f]))
 
-    def fault(self, tests: list[str], limit: float) -> str:
-        """Run tests until one fails, in a fork that has the libraries already; return its name, or an empty text."""
+    def fault(self, tests: list[str], limit: float, plugins: Sequence[object] = ()) -> str:
+        """Run tests until one fails, in a fork that has the libraries already; return its name, or an empty text.
+
+        With plugins all tests run, and what fails is left out from then on.
+        """
         said, library = self.folder / "said", str(self.package.parent)
         if (child := os.fork()) == 0:
             os.setsid()
@@ -109,7 +158,8 @@ class Copy:
             out = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
             os.dup2(out, 1)
             os.dup2(out, 2)
-            code = pytest.main(["-q", "-x", "--tb=no", "-p", "no:cacheprovider", *tests])
+            how = ["--tb=no"] if plugins else ["-x", "--tb=no", *(f"--deselect={name}" for name in self.left_out)]
+            code = pytest.main(["-q", *how, "-p", "no:cacheprovider", *tests], plugins=plugins)
             sys.stdout.flush()
             os._exit(int(code))
         end = time.monotonic() + limit
@@ -121,20 +171,23 @@ class Copy:
                 return f"longer than {limit:.0f} s"
         text = said.read_text(errors="replace")
         lines = re.findall(r"^(?:FAILED|ERROR) (.*)", text, re.M)
+        if plugins:
+            self.left_out = [line.split(" - ")[0] for line in lines]
         return "" if ended[1] == 0 else lines[0] if lines else " ".join(text.split()[-12:])
 
     def judged(self, package: str, edits: list[Edit], tests: list[str], limit: float) -> int:
         """Make edits one by one, print the verdict on each, return the number that no test noticed."""
         if package == "kernel" and not self.build():
             sys.exit("kernel: it does not compile without any edit")
-        if fault := self.fault(tests, 10 * limit):
-            sys.exit(f"{package}: tests fail without any edit: {fault}")
+        (self.folder / "called").unlink(missing_ok=True)
+        if fault := self.fault(tests, 10 * limit, [Called(self.folder / "called")]):
+            print(f"{package}: fail without any edit: {self.left_out or fault}", flush=True)
         survivors = 0
         for edit in edits:
             start = time.monotonic()
             self.put(edit.file, edit.made)
             compiles = package != "kernel" or self.build()
-            fault = self.fault(self.near(edit.file, tests), limit) if compiles else "does not compile"
+            fault = self.fault(self.near(edit, tests), limit) if compiles else "does not compile"
             self.put(edit.file, edit.source)
             survivors += not fault
             print("noticed" if fault else "UNNOTICED", edit, flush=True)

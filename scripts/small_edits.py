@@ -53,6 +53,15 @@ class Edit:
         """File and line."""
         return f"{self.file}:{self.source.count(chr(10), 0, self.start) + 1}"
 
+    @property
+    def function(self) -> int:
+        """First line of the innermost function that it is in the body of; 0 in none."""
+        line, found = self.source.count("\n", 0, self.start) + 1, 0
+        for node in ast.walk(ast.parse(self.source)) if self.file.suffix == ".py" else ():
+            if isinstance(node, ast.FunctionDef) and node.body[0].lineno <= line <= (node.end_lineno or 0):
+                found = max(found, min([node.lineno, *(d.lineno for d in node.decorator_list)]))
+        return found
+
     def __str__(self) -> str:
         first, last = self.source.rfind("\n", 0, self.start) + 1, self.source.find("\n", self.stop)
         old = " ".join(self.source[self.start : self.stop].split())

@@ -1,6 +1,6 @@
 """Print the tables of docs/statistics.md: false alarms, coverage, thresholds, sensitivities and power, by simulation.
 
-    python scripts/statistics.py [--experiments 5000] [--staircases 200] [--missing 60] [--only ratings ...]
+    python scripts/statistics.py [--only ratings missing ...] [--experiments 5000] [--staircases 134] ...
 
 Each number is the mean of three fixed seeds.
 """
@@ -8,6 +8,7 @@ Each number is the mean of three fixed seeds.
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -32,8 +33,17 @@ PAGES = {
     "QUEST+, 60 trials": STAIRS,
     "2-down staircase": STAIRS | LEVITT,
 }
-#: slope per unit of ln(level), lapse rate
-PEOPLE = {"slope 2": (2.0, 0.02), "slope 1": (1.0, 0.02), "slope 4, 4 % lapses": (4.0, 0.04)}
+#: populations on which the fit was chosen (A to C), and others: mean threshold, standard deviation of ln(level), slope
+#: per unit of ln(level), standard deviation of its logarithm, lapse rate
+PEOPLE = {
+    "A": sim.Population(5.0, 0.25, 2.0, 0.3, 0.02),
+    "B": sim.Population(5.0, 0.25, 1.0, 0.3, 0.02),
+    "C": sim.Population(5.0, 0.25, 4.0, 0.3, 0.04),
+    "D": sim.Population(2.0, 0.4, 3.0, 0.3, 0.02),
+    "E": sim.Population(5.0, 0.6, 2.5, 0.5, 0.03),
+    "F": sim.Population(8.0, 0.35, 6.0, 0.3, 0.05),
+    "G": sim.Population(12.0, 0.15, 1.5, 0.2, 0.01),
+}
 
 
 def means(run: Callable[[np.random.Generator], Sequence[float]], *labels: object) -> list[float]:
@@ -55,37 +65,66 @@ def percent(x: float) -> str:
     return f"{100 * x:.1f} %"
 
 
+HEAD = ["factor", "difference b", "difference c", "interaction", "coverage"]
+
+
 def ratings(options: argparse.Namespace) -> None:
-    """Complete answers: the exact analysis."""
+    """Complete answers."""
     rows = []
     for null in sim.NULLS:
         for n in (12, 20, 40):
             r = means(lambda g, n=n, null=null: astuple(sim.rating_rates(g, options.experiments, n, null)), null, n)
-            rows.append([null, str(n), percent(r[1]), percent(r[2]), percent(r[4]), percent(r[3]), percent(r[5])])
-    table(["population", "listeners", "factor", "difference", "interaction", "coverage", "failed"], rows)
+            rows.append([null, str(n), *map(percent, r)])
+    table(["population", "listeners", *HEAD], rows)
 
 
 def missing(options: argparse.Namespace) -> None:
-    """Answers missing: the mixed model."""
+    """Answers missing."""
+    for gaps in sim.GAPS:
+        print(f"\n{gaps}:")
+        rows = []
+        for null in sim.NULLS:
+            for n in (12, 20, 40):
+                case = (options.experiments, n, null, gaps)
+                r = means(lambda g, case=case: astuple(sim.rating_rates(g, *case)), gaps, null, n)
+                rows.append([null, str(n), *map(percent, r)])
+        table(["population", "listeners", *HEAD], rows)
+
+
+def sampled(options: argparse.Namespace) -> None:
+    """Answers missing, sounds a random sample."""
     rows = []
-    for null in sim.NULLS:
-        r = means(lambda g, null=null: astuple(sim.missing_rates(g, options.missing, 12, null)), "missing", null)
-        rows.append([null, percent(r[1]), percent(r[2]), percent(r[4]), percent(r[3]), percent(r[5])])
-    table(["population", "sounds", "difference", "interaction", "coverage", "failed"], rows)
+    for n, sounds, share in itertools.product((12, 20, 40), (6, 12), (0.1, 0.2)):
+        r = means(
+            lambda g, n=n, k=sounds, share=share: sim.sampled_rates(g, options.sampled, n, k, share), "sampled", n
+        )
+        rows.append([str(n), str(sounds), percent(share), *map(percent, r)])
+    table(["listeners", "sounds", "missing", "false alarms", "coverage"], rows)
+
+
+def grades(options: argparse.Namespace) -> None:
+    """Odds of higher grades."""
+    rows = []
+    for cuts in sim.CUTS:
+        for n in (12, 20, 40):
+            r = means(lambda g, n=n, cuts=cuts: sim.odds_rates(g, options.grades, n, cuts), cuts, n)
+            rows.append([cuts, str(n), *map(percent, r[:4]), f"{100 * r[4]:+.1f} %"])
+    table(["scale", "listeners", "factor", "difference b", "interaction", "coverage", "bias"], rows)
 
 
 def staircases(options: argparse.Namespace) -> None:
     """Bias and coverage of thresholds."""
     rows = []
     for name, page in PAGES.items():
-        for text, (slope, lapses) in PEOPLE.items():
-            own, people = StaircasePage.model_validate(page), sim.Population(5.0, 0.25, slope, 0.3, lapses)
+        for text, people in PEOPLE.items():
+            own = StaircasePage.model_validate(page)
+            count = options.staircases if own.adaptive == "quest_plus" else int(0.3 * options.staircases)
             r = means(
-                lambda g, own=own, people=people: astuple(sim.threshold_rates(g, options.staircases, 12, own, people)),
-                name, text,
+                lambda g, case=(count, 12, own, people): astuple(sim.threshold_rates(g, *case)), name, text
             )  # fmt: skip
             rows.append([name, text, f"{r[1]:.0f}", f"{100 * r[2]:+.1f} %", percent(r[3]), f"{100 * r[4]:+.1f} %",
                          percent(r[5]), f"{100 * r[6]:.0f} %"])  # fmt: skip
+            print(rows[-1], file=sys.stderr, flush=True)
     table(["method", "listeners", "trials", "bias of the mean", "coverage", "bias of a listener", "coverage",
            "half width of the mean's interval"], rows)  # fmt: skip
 
@@ -96,7 +135,7 @@ def sensitivities(options: argparse.Namespace) -> None:
     for task in ("more_2", "more_3", "odd_3", "abx"):
         for mean, sd in ((1.0, 0.5), (1.5, 0.8), (2.5, 0.8)):
             r = means(
-                lambda g, t=task, m=mean, s=sd: sim.sensitivity_rates(g, options.staircases, 20, 20, t, m, s),
+                lambda g, t=task, m=mean, s=sd: sim.sensitivity_rates(g, options.sensitivities, 20, 20, t, m, s),
                 task, mean,
             )  # fmt: skip
             rows.append([task, f"{mean:g} ± {sd:g}", f"{100 * r[0]:+.1f} %", f"{100 * r[1]:+.1f} %", percent(r[2])])
@@ -114,6 +153,18 @@ def powers(options: argparse.Namespace) -> None:
         n = power.fewest(promised, 0.8, "")
         had = means(lambda g, a=shift, s=sd, n=n: [sim.power_had(g, options.experiments, n, a, s)], "power", shift)
         rows.append([f"{shift:g} points, sd {sd:g}", str(n), percent(promised(n)), percent(had[0])])
+    for sounds in (6, 12):
+        own, spread = power.stated_spread(12.0, 5.0, sounds, 2)
+
+        def of_sounds(n: int, own: Any = own, spread: power.SoundSpread = spread) -> float:
+            return float(power.rating_power([0.0, 8.0], own, n, 0.05, sampled=spread)[0])
+
+        n = power.fewest(of_sounds, 0.8, "")
+        had = means(
+            lambda g, n=n, m=sounds: [sim.power_had_by_sounds(g, options.experiments // 5, n, m, 8.0, 12.0, 5.0)],
+            "power of sounds", sounds,
+        )  # fmt: skip
+        rows.append([f"8 points, sd 12; {sounds} random sounds, sd 5", str(n), percent(of_sounds(n)), percent(had[0])])
     page, people = StaircasePage.model_validate(STAIRS), sim.Population(5.0, 0.25, 2.0)
     margin = float(np.log(1.25))
     n = power.threshold_listeners(page, people, margin, 0.05, 0.8)
@@ -123,13 +174,20 @@ def powers(options: argparse.Namespace) -> None:
 
 
 PARTS = {"ratings": ratings, "powers": powers, "sensitivities": sensitivities, "staircases": staircases,
-         "missing": missing}  # fmt: skip
+         "missing": missing, "sampled": sampled, "grades": grades}  # fmt: skip
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--experiments", type=int, default=5000, help="of ratings, for each seed")
-    parser.add_argument("--staircases", type=int, default=200, help="experiments with staircases, for each seed")
-    parser.add_argument("--missing", type=int, default=60, help="experiments with missing answers, for each seed")
+    parser.add_argument(
+        "--staircases",
+        type=int,
+        default=134,
+        help="experiments with QUEST+, for each seed; 0.3 of them by Levitt's rule",
+    )
+    parser.add_argument("--sensitivities", type=int, default=110, help="experiments with d', for each seed")
+    parser.add_argument("--grades", type=int, default=200, help="experiments with grades, for each seed")
+    parser.add_argument("--sampled", type=int, default=200, help="experiments with random sounds, for each seed")
     parser.add_argument("--only", nargs="*", choices=list(PARTS), default=list(PARTS))
     chosen = parser.parse_args()
     for part in chosen.only:

@@ -156,3 +156,13 @@ def test_osc_server() -> None:
     assert live.summary().notes == 1
     assert len(instrument.refused) == 3
     assert "no address /volume" in instrument.refused
+
+
+@pytest.mark.validate
+def test_place_of_pluck(tmp_path: Path) -> None:
+    """Held-back strings: the dips of the partials give the place to a few tenths of a percent of the length."""
+    pytest.importorskip("pyarrow")
+    found = example("place_of_pluck").main(tmp_path, 128, 1)
+    assert found["held_back"] > 30
+    assert found["median_error"] < 0.005
+    assert found["rms_error"] < found["rms_error_of_the_mean"]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import io
+import re
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -11,6 +14,7 @@ import pytest
 import soundfile as sf
 
 import tonewood as tw
+from tonewood.sound.level.loudness import loudness
 
 pytest.importorskip("soundfile", minversion="0.13", reason="older ones cannot set the compression")
 ROOT = Path(__file__).parents[1]
@@ -48,7 +52,7 @@ def test_a_sound_of_it(gallery: ModuleType, tmp_path: Path) -> None:
 
 
 def test_a_command_that_fails_is_reported(gallery: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gallery, "command", lambda name: ["render", f"{name}.mid", "-i", "none", "-o", f"{name}.wav"])
+    monkeypatch.setattr(gallery, "command", lambda name, options=(): ["render", f"{name}.mid", "-i", "none"])
     with pytest.raises(RuntimeError, match="exit code 2"):
         gallery.make(tmp_path, "monochord")
 
@@ -60,3 +64,26 @@ def test_a_note_that_is_not_played_is_reported(
     monkeypatch.setattr(gallery, "DURATION", 0.1)
     with pytest.raises(RuntimeError, match="1 dropped"):
         gallery.make(tmp_path, "monochord")
+
+
+def test_a_page_holds_the_sounds_that_it_names(gallery: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two players at one loudness, in the page itself; a page without names stays as it is."""
+    place = gallery.PAIRS["place"]
+    monkeypatch.setattr(gallery, "DURATION", 0.6)
+    page = gallery.with_players("before\n\n<!-- sounds: place -->\n\nafter\n")
+    sounds = [base64.b64decode(data) for data in re.findall(r'src="data:audio/ogg;base64,([^"]+)"', page)]
+    assert len(sounds) == len(place.options) == 2
+    (x, fs), (y, _) = (sf.read(io.BytesIO(sound), always_2d=True) for sound in sounds)
+    assert abs(loudness(x, fs)[0] - loudness(y, fs)[0]) < 0.5
+    assert np.max(np.abs(x)) <= 1.0
+    assert "data-sound" in page
+    assert gallery.with_players("no sounds") == "no sounds"
+
+
+def test_pages_name_sounds_that_are_there(gallery: ModuleType) -> None:
+    named = {
+        name
+        for page in (ROOT / "docs").rglob("*.md")
+        for name in re.findall(r"<!-- sounds: (\w+) -->", page.read_text(encoding="utf-8"))
+    }
+    assert named <= set(gallery.PAIRS)

@@ -36,7 +36,7 @@ LAYERS = (
     {"sound/render"},
     {"sound/live", "sound/ensemble"},
     {"workshop/batch", "workshop/fit", "workshop/report", "workshop/estimate", "lab"},
-    {"workshop/listening"},
+    {"workshop/listening", "workshop/dataset", "workshop/sampling", "workshop/taps"},
     {"cli"},
     {"__init__", "__main__"},
 )

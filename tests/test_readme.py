@@ -1,4 +1,4 @@
-"""The README is true: its commands and instruments are there."""
+"""The first pages are true: their commands and instruments are there, and the README is short."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from tonewood.cli.commands import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+OVERVIEW = (ROOT / "docs" / "overview.md").read_text(encoding="utf-8")
 
 
 def test_every_command_is_named() -> None:
-    assert set(re.findall(r"`tonewood ([a-z]+)[ `]", README)) == set(COMMANDS)
+    assert set(re.findall(r"`tonewood ([a-z]+)[ `]", OVERVIEW)) == set(COMMANDS)
 
 
 def test_every_instrument_is_named() -> None:
-    table = README.partition("## What is in it")[2].partition("##")[0]
+    table = OVERVIEW.partition("## Instruments")[2].partition("##")[0]
     named = {name for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)}
     assert named == {p.parent.name for p in (ROOT / "instruments").glob("*/instrument.yaml")}
 
@@ -40,3 +41,9 @@ def test_the_first_commands_are_those_of_continuous_integration() -> None:
     score = re.search(r"tonewood render (\S+) -i classical_guitar", README)
     assert score is not None
     assert (ROOT / score[1]).is_file()
+
+
+def test_the_readme_fits_on_two_screens() -> None:
+    lines = README.splitlines()
+    assert len(lines) <= 90
+    assert sum(len(line.split()) for line in lines if not line.startswith("|")) < 700

@@ -1,11 +1,14 @@
 """Other people's programs on stated scenes, beside this project, in one run.
 
-    python benchmarks/peers/run.py [--seconds 10] [--rounds 5] [--python PATH] [--ness COMMAND] [--siconos COMMAND]
+    python benchmarks/peers/run.py [--seconds 10] [--rounds 5] [--python PATH] [--sav FOLDER]
+        [--ness COMMAND] [--siconos COMMAND]
 
 Whatever is installed is timed: Csound, Faust with a C++ compiler, FluidSynth with a sound font, and STK with its
 headers (Debian: csound faust fluidsynth fluid-soundfont-gm libstk-dev); jaxdiffmodal and genny with the interpreter
-`--python` (pip install genny jax einops jaxtyping opt_einsum tabulate; pip install --no-deps jaxdiffmodal). A COMMAND
-makes ``{seconds}`` seconds of sound: NESS and Siconos have no common form, so you state which scene it plays.
+`--python` (pip install genny jax einops jaxtyping opt_einsum tabulate; pip install --no-deps jaxdiffmodal); IRCAM's SAV
+strings from `--sav`, the folder ``src/processor`` of Ircam-RnD/SAV-string-simulations, which needs Eigen (Debian:
+libeigen3-dev, or its headers in `--eigen`). A COMMAND makes ``{seconds}`` seconds of sound: NESS and Siconos have no
+common form, so you state which scene it plays.
 
 Processor time per second of sound at 48 kHz, median of interleaved rounds, lowest and highest in brackets. Start-up and
 compilation are left out: programs that do not tell their own time are run for two lengths, and the difference counts.
@@ -37,6 +40,7 @@ from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_modes import string_basis
+from tonewood.physics.stepping.forcing import Segment, compile_force
 from tonewood.physics.stepping.kernel import KernelStepper
 
 HERE, FS, N_MODES = Path(__file__).parent, 48000, 64
@@ -48,10 +52,16 @@ MODES = {
     "gain": (1 / NUMBERS).tolist(),
 }
 CHORD = (40, 45, 50, 55, 59, 64)
+#: strings between fixed ends, of one steel wire: Hz; m, N, kg/m, N m^2; pushed by N for s
+STRINGS = (82.41, 110.0, 146.83, 196.0, 246.94, 329.63)
+LENGTH, AXIAL, DENSITY, BENDING, FORCE, PULSE = 0.65, 52841.59, 2.1136636e-3, 1.1109944e-3, 1.0, 1.5e-3
+#: points of IRCAM's strings at 48 kHz: as many modes
+POINTS = (101, 98, 92, 84, 74, 61)
 #: scene -> in words
 SCENES = {
     "modes": f"{N_MODES} modes that nothing couples, under one impulse",
     "tension": f"one string of {N_MODES} modes whose tension rises",
+    "strings": "six strings between fixed ends whose tension rises, in one plane, pushed by 1 N",
     "chord": "the six open strings of a guitar, struck together",
 }
 #: installed as none of these, FluidSynth is left out
@@ -132,6 +142,35 @@ def own_tension() -> Run:
     return stepped(system, "string", 2.0 * (pluck - bridge * (held @ pluck) / (held @ bridge)))
 
 
+def tension_of(freq: float) -> float:
+    """Tension of one of `STRINGS`, N: f = sqrt(T / mu) / (2 L) sqrt(1 + beta), beta = pi^2 EI / (T L^2)."""
+    return DENSITY * (2 * LENGTH * freq) ** 2 - np.pi**2 * BENDING / LENGTH**2
+
+
+def own_strings(rate: float, modes: Sequence[int]) -> Run:
+    """`STRINGS` of so many modes each, damped at 0.5 / s."""
+    components, ends, outs, tensions = {}, [], [], []
+    for number_, (freq, n) in enumerate(zip(STRINGS, modes, strict=True)):
+        name = f"string {number_}"
+        made = string_basis(LENGTH, tension_of(freq), DENSITY, BENDING, lambda w, k: 1.0 / w, n_modes=n)
+        components[name] = made.with_places({"pluck": 0.2 * LENGTH, "out": 0.9 * LENGTH})
+        ends.append(Connection(f"end {number_}", (Term(name, "bridge"),), Rigid()))
+        outs.append(Readout(name, "displacement", (Term(name, "out"),)))
+        tensions.append(TensionModulation(name, (name,), AXIAL))
+    system = System.build(components, ends, outs, dt=1 / rate, potentials=tensions)
+    pieces = [Segment(0.0, PULSE, 0.0, 4 * FORCE / PULSE, -4 * FORCE / PULSE**2)]
+
+    def run(seconds: float) -> float:
+        forces = [f for name, b in components.items() for f in compile_force(name, b, "pluck", pieces, system.dt)]
+        stepper, state = KernelStepper(system), system.start()
+        began = time.thread_time()
+        stepper.run(state, round(rate * PULSE) + 1, forces)
+        stepper.run(state, round(rate * seconds))
+        return time.thread_time() - began
+
+    return run
+
+
 def own_chord(seconds: float) -> float:
     score = tw.Score([tw.Note(0.0, 3600.0, note=n) for n in CHORD])
     renderer = tw.Renderer(score, tw.load_instrument("classical_guitar"), FS, max_duration=seconds)
@@ -145,8 +184,13 @@ def own() -> list[Peer]:
     return [
         Peer("modes", "tonewood", "", "", own_modes()),
         Peer("tension", "tonewood", "", "", own_tension()),
+        Peer("strings", "tonewood", "", "", own_strings(FS, POINTS)),
+        Peer("strings", "tonewood, a quarter of the modes", "", "error still half of IRCAM's",
+             own_strings(FS, [n // 4 for n in POINTS])),
+        Peer("strings", "tonewood, the same at 24 kHz", "", "error still half of IRCAM's",
+             own_strings(FS / 2, [n // 4 for n in POINTS])),
         Peer("chord", "tonewood", "1542 coupled modes: two planes, body, two microphones", "", own_chord),
-    ]
+    ]  # fmt: skip
 
 
 # ---- others ----
@@ -204,6 +248,26 @@ def stk(folder: Path) -> list[Peer]:
         Peer("chord", "STK, StifKarp", "six stiff strings", "delay lines with filters; one plane, no body or coupling",
              lambda seconds: printed([str(program), f"{seconds:g}"]))
     ]  # fmt: skip
+
+
+def sav(folder: Path, sources: str | None, eigen: str) -> list[Peer]:
+    compiler = next((c for name in reversed(COMPILERS) if (c := shutil.which(name)) is not None), None)
+    if compiler is None or sources is None:
+        return []
+    program = folder / "sav_strings"
+    flags = ["-std=c++17", "-O3", "-march=native", "-ffast-math", f"-I{eigen}", f"-I{sources}"]
+    files = [str(HERE / "sav_strings.cpp"), str(Path(sources) / "StringProcessor.cpp")]
+    subprocess.run([compiler, *flags, *files, "-o", str(program)], check=True)
+    strings = [f"{x:.12g}" for f in STRINGS for x in (f, np.pi**2 * BENDING / (tension_of(f) * LENGTH**2))]
+
+    def run(mode: int) -> Run:
+        return lambda seconds: printed([str(program), f"{seconds:g}", str(mode), f"{FORCE:g}", *strings])
+
+    same = "strings of Kirchhoff and Carrier, loss, push; 64-bit samples"
+    return [
+        Peer("strings", "IRCAM's SAV strings", same, "finite differences, 510 points; -ffast-math", run(1)),
+        Peer("strings", "the same, geometrically exact to fourth order", "", "another potential", run(2)),
+    ]
 
 
 def fluidsynth(folder: Path) -> list[Peer]:
@@ -278,6 +342,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0, help="of sound per run")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--python", help="interpreter that has jaxdiffmodal or genny")
+    parser.add_argument("--sav", metavar="FOLDER", help="src/processor of Ircam-RnD/SAV-string-simulations")
+    parser.add_argument("--eigen", metavar="FOLDER", default="/usr/include/eigen3", help="headers of Eigen")
     parser.add_argument("--ness", metavar="COMMAND", help="with {seconds} in it")
     parser.add_argument("--siconos", metavar="COMMAND", help="with {seconds} in it")
     options = parser.parse_args()
@@ -285,6 +351,7 @@ def main() -> None:
         folder = Path(name)
         peers = [
             *own(), *csound(folder), *faust(folder), *stk(folder), *fluidsynth(folder),
+            *sav(folder, options.sav, options.eigen),
             *python_peers(options.python), *given_commands({"NESS": options.ness, "Siconos": options.siconos}),
         ]  # fmt: skip
         spent: dict[int, list[float]] = {id(p): [] for p in peers}

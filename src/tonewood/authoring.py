@@ -36,6 +36,7 @@ from tonewood.instrument.contract.base import (
     StringMotion,
     dot,
 )
+from tonewood.instrument.contract.conversion import Circuit, Conversion
 from tonewood.instrument.contract.directions import Direction, unit_vector
 from tonewood.instrument.contract.effects import (
     Effect,
@@ -99,10 +100,12 @@ __all__ = [
     "Bound",
     "BridgeForce",
     "BundleError",
+    "Circuit",
     "CompiledPotential",
     "Connection",
     "ConnectionsInReach",
     "Contact",
+    "Conversion",
     "Direction",
     "Drive",
     "DrivenLongitudinal",

@@ -25,6 +25,7 @@ from tonewood.lab.systems.chinnakonda_problems import (
     STIFF_DAMPING,
     STIFF_START,
     basis_of,
+    damped_chain,
     driven_error,
     sampled_forces,
     stiff_system,
@@ -241,6 +242,16 @@ def test_indices_vanish_for_proportional_damping_and_grow_with_it() -> None:
     assert parts == sorted(parts)
     with pytest.raises(ValueError, match="oscillates"):
         phase_rotation(two_masses(HEAVY))
+
+
+def test_the_chain_has_the_frequencies_of_a_chain_between_walls() -> None:
+    """w_j = 2 sqrt(k / m) sin(j pi / (2 (n + 1))); its dashpot takes 20 N s/m times the third speed squared."""
+    chain, n = damped_chain(), 12
+    assert np.array_equal(chain.K, chain.K.T)
+    expected = 2 * np.sqrt(1000.0) * np.sin(np.arange(1, n + 1) * np.pi / (2 * (n + 1)))
+    np.testing.assert_allclose(np.sqrt(np.linalg.eigvalsh(chain.K)), expected, rtol=1e-12)
+    speed = np.arange(1.0, n + 1)
+    assert speed @ chain.C @ speed == pytest.approx(20.0 * 3.0**2)
 
 
 def test_reduction_changes_the_indices() -> None:

@@ -32,15 +32,15 @@ def test_list_names_what_is_installed(tonewood: Run) -> None:
 
 
 def test_check_counts_the_modes_that_a_render_steps(tonewood: Run) -> None:
-    """By default a render has the first output group; the README names the count of its example."""
+    """By default a render has the first output group; a page of the documentation names the count."""
     guitar = tw.load_instrument("classical_guitar")
     report = json.loads(tonewood("check", "classical_guitar", "--json")[1])
     for outputs, key in ((None, "n_modes"), (tuple(guitar.pickups), "n_modes_all_outputs")):
         model = tw.Renderer(tw.Score([tw.Note(0.0, 0.1, note=64)]), guitar, outputs=outputs).model
         assert report[key] == model.n_modes
     assert "  1542 modes (1594 with all outputs) at 48000 Hz" in tonewood("check", "classical_guitar")[1]
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    assert "`classical_guitar`, the one above, is 1542 modes" in readme
+    page = (Path(__file__).parents[2] / "docs" / "cost.md").read_text(encoding="utf-8")
+    assert "`classical_guitar` is 1542 modes" in page
 
 
 def test_check_tells_pitch_wolf_notes_stand_ins_and_sources(tonewood: Run) -> None:

@@ -61,8 +61,10 @@ def test_parts_are_mixed(tonewood: Run, duo: Path, tmp_path: Path) -> None:
     [
         (("--part", "7=monochord"), "there is no channel 7; there are 1, 2"),
         (("--part", "1=monochord", "-i", "monochord"), "--instrument: is for one instrument"),
-        (("--ensemble", "none.yaml"), "none.yaml: No such file"),
-        ((), "Missing option '--instrument'"),
+        (("--ensemble", "none.yaml"), "none.yaml: cannot be read: No such file or directory"),
+        (("--set", "name=a"), "--set: is for one instrument, chosen by -i"),
+        (("-i", "monochord", "--programs", "a.yaml"), "--programs: is for a score without -i"),
+        (("--programs", "none.yaml"), "none.yaml: cannot be read: No such file or directory"),
         (("-i", "monochord", "--tracks", "one"), "--tracks: is 'one'; numbers from 1"),
         (("-i", "monochord", "--tempo", "0"), "a tempo of 0.0 times the score's: 0.05 to 20 are allowed"),
         (("-i", "monochord", "--live", "--start", "1"), "--live: repeats a take as it was"),

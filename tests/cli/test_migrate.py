@@ -132,7 +132,7 @@ def test_a_factor_of_precision_is_left_to_its_author(tmp_path: Path, migrate: Ru
         (b"schema: tonewood-key/1\n", "schema: neither a bundle (tonewood-instrument/N) nor a batch manifest"),
         (b"name: x\n", "schema: neither a bundle"),
         (b"schema: [1\n", "line 2:"),
-        (b"\xff\n", "byte 0 is not UTF-8"),
+        (b"\xff\n", "byte 0 (line 1) is not UTF-8"),
     ],
 )
 def test_other_files_are_one_line_and_nothing_is_written(

@@ -12,6 +12,8 @@ from effect_scenes import TENSION, duet, sound
 
 import tonewood as tw
 from tonewood.cli.main import run as run_and_exit
+from tonewood.performance.player.timeline import Change, Timeline
+from tonewood.sound.render import plan as planning
 
 SCALE = Path(__file__).parents[2] / "examples" / "scores" / "scale.mid"
 NOTES = [
@@ -53,6 +55,38 @@ def test_a_wide_budget_leaves_the_tension_out() -> None:
     assert all(e.seconds < 0.6 for e in foreseen.effects if e.name == "tension_modulation")
 
 
+def test_very_many_bends_are_counted_and_not_played(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plan of them would take as long as the render; each is taken to need 0.01 s here, and none is stepped."""
+    controls = [tw.Control(0.002 * i, "bend", 0.1 * i, 0) for i in range(1, 1001)]
+    note = tw.Note(0.0, 3.0, note=64, force=3.0, channel=0)
+    score, few = tw.Score([note], controls), tw.Score([note], controls[:500])
+    monkeypatch.setattr(planning, "seconds_per_bend", lambda model, bends: 0.01)
+    exchanges = []
+    summary = tw.Renderer.summary
+    monkeypatch.setattr(tw.Renderer, "summary", lambda self: exchanges.append(self.engine.counters) or summary(self))
+    # a point of the grid is 64 samples, 2.7 ms: some bends share one
+    foreseen = tw.plan(score, duet(), FS, max_duration=0.4)
+    points = {int(control.time * FS // 64) for control in controls if control.time < 0.4}
+    assert foreseen.bends == pytest.approx(len(points), abs=2)
+    assert foreseen.bends_s == pytest.approx(0.01 * foreseen.bends)
+    assert foreseen.predicted_s > foreseen.bends_s
+    assert max(counters.exchanges for counters in exchanges) < 10
+    foreseen = tw.plan(few, duet(), FS, max_duration=0.4)
+    assert (foreseen.bends, foreseen.bends_s) == (0, 0.0)
+    assert max(counters.exchanges for counters in exchanges) > 50
+
+
+def test_the_time_of_a_bend_is_that_of_exchanging_its_strings() -> None:
+    """Each point of the grid that has bends is exchanged once, however many strings are bent at it."""
+    model = tw.Renderer(tw.Score(NOTES), duet(), FS).model
+    bends = {3 + 5 * i: [Change(0.1, name, cents=float(i)) for name in ("B3", "E4")] for i in range(100)}
+    assert planning.seconds_per_bend(model, bends) > 0
+    line = planning.bends_by_point(Timeline([change for point in bends.values() for change in point], ()), FS)
+    assert list(line) == [int(0.1 * FS // 64)]
+    still = [Change(0.1, "B3", stop=2.0, cents=1.0), Change(0.1, "E4", damper=0.0)]
+    assert planning.bends_by_point(Timeline(still, ()), FS) == {}
+
+
 def test_choices_are_reported() -> None:
     everything = tw.plan(tw.Score(NOTES), duet(), FS, max_duration=0.3, effects="all")
     rises = [e for e in everything.effects if e.name == "tension_modulation"]
@@ -84,7 +118,7 @@ def test_contacts_and_outputs_are_foreseen() -> None:
     low = {"connections.frets.action_first": 2e-4, "connections.frets.action_twelfth": 5e-4}
     bass = tw.load_instrument("electric_bass").replace(low)
     foreseen = tw.plan(tw.Score([tw.Note(0.2, 1, note=43, force=8.0)]), bass, FS, max_duration=0.5)
-    frets = next(e for e in foreseen.effects if e.name == "frets")
+    frets = next(e for e in foreseen.effects if (e.name, e.component) == ("frets", "G2"))
     assert frets.spans_s
     assert frets.spans_s[0][0] > 0.1
     recorded = {e.component: e.why for e in foreseen.effects if e.name == "outputs"}

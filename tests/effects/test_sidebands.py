@@ -123,3 +123,21 @@ def test_the_bound_is_cubic_and_grows_by_what_is_pulled() -> None:
     assert found.level(double, peak) == pytest.approx(8 * level, rel=1e-9)
     pulled = {c: 1e-6 * np.ones_like(q) for c, (q, _) in motion.items()}
     assert found.level(motion, peak, pulled) > level
+
+
+def test_a_pluck_at_rest_has_the_bound_of_its_shape() -> None:
+    """A string at rest that will be released is as one that has its displacement already, at rest as well."""
+    name = "B3"
+    model = assemble(guitar("classical_guitar", (name,), mode="all"), FS)
+    found, motion = bounds(model, name, model.system.start())
+    peak = np.ones(len(model.system.readouts))
+    rng = np.random.default_rng(2)
+    drawn = {c: 1e-5 * rng.standard_normal(len(q)) for c, (q, _) in motion.items()}
+    rest = {c: (0.0 * q, 0.0 * v) for c, (q, v) in motion.items()}
+    assert found.level(rest, peak) == 0.0
+    foreseen = found.level(rest, peak, plucked=drawn)
+    still = {c: (drawn[c], 0.0 * v) for c, (_, v) in motion.items()}
+    # what a switch would do to the force of the bridge now is no part of what is foreseen
+    assert 0.0 < foreseen <= found.level(still, peak) * (1 + 1e-12)
+    twice = found.level(rest, peak, plucked={c: 2 * q for c, q in drawn.items()})
+    assert twice == pytest.approx(8 * foreseen, rel=1e-9)  # rise with the square, times the partial

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from scene import instrument, play
 
-from tonewood.physics.coupling import law_solve
-from tonewood.physics.coupling.law_solve import FrictionBranch, solve_branches
-from tonewood.physics.coupling.laws import Friction
+from tonewood.physics.coupling.laws import friction as friction_module
+from tonewood.physics.coupling.laws.friction import Friction, FrictionBranch, solve_branches
 
 STATIC = {"plectrum": 1.0, "bow": 0.8}
 STRING: dict[str, Any] = {
@@ -88,7 +87,7 @@ def test_branches_meet_the_curve(monkeypatch: pytest.MonkeyPatch, before: float,
     """Velocity v = c + m f + n f^3 of all else: the friction found sticks within its limit or lies on its curve,
     by changing branches or, without patience, by halving alone.
     """
-    monkeypatch.setattr(law_solve, "PATIENCE", patience)
+    monkeypatch.setattr(friction_module, "PATIENCE", patience)
     law, m, n = Friction(1.0, 0.8, 0.2, 0.1), 0.4, 0.5
     found = []
     for c in np.linspace(-1.0, 1.0, 81):

@@ -18,7 +18,9 @@ FINGER = {"plugin": "finger_pluck", "from_bridge": 0.1}
 RAMP = {"plugin": "pluck_ramp", "from_bridge": 0.1}
 
 
-def two_strings(folder: Path, pluck: dict[str, Any]) -> Instrument:
+def two_strings(
+    folder: Path, pluck: dict[str, Any], stops: dict[str, Any] | None = None, **exciters: dict[str, Any]
+) -> Instrument:
     """Two strings a fifth apart on one soft mode, so that each moves the other."""
     string = {
         "plugin": "stiff_string", "note": "A2", "length": 0.65, "tension": 73.9, "linear_density": 3.61e-3,
@@ -27,7 +29,8 @@ def two_strings(folder: Path, pluck: dict[str, Any]) -> Instrument:
     played = instrument(
         folder,
         strings={"S": string, "T": {**string, "note": "E3", "linear_density": 1.6e-3}},
-        exciters={"pluck": pluck},
+        exciters={"pluck": pluck, **exciters},
+        **({} if stops is None else {"stops": stops}),
         playing={"velocity": {"parameter": "pluck.force", "low": 0.1, "high": 5.0}},
         tuning={},
     )
@@ -63,6 +66,49 @@ def test_notes_scale_and_superpose(tmp_path: Path, pluck: dict[str, Any], effect
     assert np.array_equal(sound(played, notes(2.0), effects), 2 * together)
     assert level(sound(played, notes(0.3), effects) - 0.3 * together, together) < -240.0
     assert level(sum(sound(played, [note], effects) for note in notes()) - together, together) < -240.0
+
+
+COURSES = {
+    "stops": [
+        ("S", 0.0, 0.12, 0.0, None),
+        ("S", 0.12, 0.2, 5.0, None),
+        ("T", 0.2, 0.3, 2.0, None),
+        ("S", 0.32, 0.2, 3, None),
+    ],
+    "fractions": [("S", 0.0, 0.2, 1.5, None), ("T", 0.1, 0.4, 0.25, None), ("S", 0.25, 0.3, 6.75, None)],
+    "slides": [("S", 0.0, 0.2, 2.5, None), ("S", 0.2, 0.2, 7.25, "slide"), ("S", 0.42, 0.2, 0.5, "slide")],
+}
+
+
+@pytest.mark.parametrize("course", COURSES)
+@pytest.mark.parametrize("pluck", [FINGER, RAMP], ids=["finger", "ramp"])
+def test_under_one_course_of_stops_they_scale_and_superpose(tmp_path: Path, pluck: dict[str, Any], course: str) -> None:
+    """A change of stop acts on all that sounds, and depends on no force: a note of force 0 keeps its stop alone."""
+    played = two_strings(
+        tmp_path, {**pluck, "linear": True}, stops={"kind": "continuous", "count": 12},
+        slide={"plugin": "left_hand", "action": "slide", "time": 0.1},
+    )  # fmt: skip
+    rows = COURSES[course]
+    forces = [1.7, 0.4, 3.1, 0.9][: len(rows)]
+
+    def heard(factors: Sequence[float]) -> np.ndarray:
+        return sound(played, [
+            tw.Note(time, duration, string=string, stop=stop, technique=technique, force=force * factor)
+            for (string, time, duration, stop, technique), force, factor in zip(rows, forces, factors, strict=True)
+        ])  # fmt: skip
+
+    ones = [1.0] * len(forces)
+    together = heard(ones)
+    assert level(heard([0.3 * one for one in ones]) - 0.3 * together, together) < -200.0
+    parts = [heard([float(i == j) for j in range(len(forces))]) for i in range(len(forces))]
+    assert level(sum(parts) - together, together) < -200.0
+    # each for itself, the string is held elsewhere: another sound
+    alone = sum(
+        sound(played, [tw.Note(t, d, string=name, stop=stop, technique=technique, force=force)])
+        for (name, t, d, stop, technique), force in zip(rows, forces, strict=True)
+        if technique is None
+    )
+    assert level(alone - together, together) > -40.0
 
 
 def test_without_it_they_do_not(tmp_path: Path) -> None:

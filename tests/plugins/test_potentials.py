@@ -123,6 +123,9 @@ LATE = """self.calls = getattr(self, "calls", 0) + 1
         ('return 1.0, y if y[0] == 0.0 else ["a"]', "Cube.gradient raises"),
         ('return float("nan"), y', "not finite at rest"),
         ("return y[0] ** 2 - 5.0, 2 * y", "V = -5 J at rest is below `least` = 0 J"),
+        # unbounded, but not at rest
+        ("return float(-0.25e10 * y[0] ** 4), -1e10 * y**3", r"Cube: V = -\S+ J is below `least` = 0 J in the motion"),
+        ("return float(1e10 * y[0] ** 3), 3e10 * y**2", r"Cube: V = -\S+ J is below `least` = 0 J in the motion"),
     ],
 )
 @pytest.mark.parametrize("account", [False, True])

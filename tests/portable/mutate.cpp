@@ -115,11 +115,11 @@ private:
         if (raw.type == "i8") {
             std::int64_t x;
             std::memcpy(&x, at, 8);
-            const std::int64_t far = std::numeric_limits<std::int64_t>::min();
+            const std::int64_t far = std::numeric_limits<std::int64_t>::min(), near = 1 << 30;
             const std::int64_t y = one_of<std::int64_t>(
                 {-1, 0, 1, 2, 3, 7, 16, 32, 100, 1 << 20, 1LL << 31, (1LL << 31) - 1, 1LL << 40, 1LL << 62, far, ~far,
                  std::int64_t(arrays.size()), std::int64_t(below(50)), std::int64_t(below(50))});
-            x = below(3) == 0 ? x + one_of<std::int64_t>({-16, -1, 1, 16}) % 17 * (std::abs(x) < 1 << 30) : y;
+            x = below(3) == 0 ? x + one_of<std::int64_t>({-16, -1, 1, 16}) * (-near < x && x < near) : y;
             std::memcpy(at, &x, 8);
         } else {
             double x;

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tonewood.physics.coupling.connections import Connection, Term
-from tonewood.physics.coupling.law_solve import newton
 from tonewood.physics.coupling.laws import Contact
+from tonewood.physics.coupling.laws.solve import newton
 from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.system import System
 from tonewood.physics.energy.stored import stored_energy

@@ -148,6 +148,22 @@ def test_a_file_of_another_key_kind_or_version_is_not_read(folder: Path) -> None
     assert read() == b"words"
 
 
+def test_nobody_changes_the_arrays_of_the_next_caller(folder: Path) -> None:
+    """Neither those just computed, nor those read, nor by way of the maker's own, nor the table of names."""
+    own = np.arange(3.0)
+    for made in (array_cache.cached_arrays({"x": 2}, lambda: {"a": own, "b": np.eye(2)}), again(), again()):
+        for array in made.values():
+            with pytest.raises(ValueError, match="read-only"):
+                array[...] = 0.0
+        made.clear()
+    own[:] = -1.0
+    assert np.array_equal(array_cache.cached_arrays({"x": 1}, arrays)["a"], arrays()["a"])
+    array_cache._RECENT.clear()
+    first = array_cache.cached_arrays({"x": 3}, lambda: {"a": own})
+    own[:] = 7.0
+    assert first["a"].tolist() == [-1.0, -1.0, -1.0]
+
+
 def test_functions_that_compute_something_else_of_the_same_inputs_have_files_of_their_own(folder: Path) -> None:
     def doubled() -> dict[str, np.ndarray]:
         return {"a": 2 * arrays()["a"]}
@@ -354,3 +370,23 @@ def test_a_folder_in_the_place_of_a_file_leaves_no_descriptor_open(folder: Path)
     again = os.dup(0)
     os.close(again)
     assert again == free
+
+
+def test_a_file_that_another_process_writes_meanwhile_is_not_removed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It comes between a look at its place and whatever follows, which happens once in some thousand times."""
+    keep("words", "0" * 64, b"elsewhere")
+    path, look, removed = folder / f"{KEY[:32]}.words", Path.lstat, []
+
+    def lstat(self: Path) -> os.stat_result:
+        if self == path and not path.exists():
+            path.write_bytes(b"of another process")
+            raise FileNotFoundError
+        return look(self)
+
+    monkeypatch.setattr(Path, "lstat", lstat)
+    monkeypatch.setattr(Path, "is_file", lambda self: False)
+    monkeypatch.setattr(Path, "unlink", lambda self, missing_ok=False: removed.append(self))
+    keep("words", KEY, b"words")
+    assert path not in removed

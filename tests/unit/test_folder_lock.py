@@ -64,3 +64,44 @@ def test_what_is_no_file_is_refused_and_the_target_of_a_link_is_left_alone(tmp_p
         with pytest.raises(OutputError, match=FILE), locked(tmp_path / name, "use"):
             pass
     assert target.read_text() == "another's"
+
+
+@pytest.mark.skipif(not hasattr(os, "O_DIRECTORY"), reason="folders that can be locked")
+def test_a_lock_holds_when_its_file_is_removed_or_replaced(tmp_path: Path) -> None:
+    process = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "held\n"
+        (tmp_path / FILE).unlink()
+        with pytest.raises(OutputError, match="is in use by another process"), locked(tmp_path, "this"):
+            pytest.fail("two processes hold one lock")
+        (tmp_path / FILE).write_text(" a stranger's")
+        with pytest.raises(OutputError, match="is in use by a stranger's"), locked(tmp_path, "this"):
+            pytest.fail("two processes hold one lock")
+    finally:
+        process.kill()
+        process.wait()
+    with locked(tmp_path, "this"):
+        pass
+    with locked(tmp_path, "this"):
+        (tmp_path / FILE).unlink()
+        (tmp_path / FILE).write_text("another's")
+    assert (tmp_path / FILE).read_text() == "another's"
+
+
+@pytest.mark.skipif(not hasattr(os, "O_DIRECTORY"), reason="folders that can be locked")
+def test_where_no_folder_can_be_locked_the_file_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on network disks, on which a lock needs a file that is open for writing."""
+    import fcntl
+
+    lock = fcntl.flock
+
+    def flock(handle: int, operation: int) -> None:
+        if os.path.samestat(os.fstat(handle), tmp_path.stat()):
+            raise OSError(9, "Bad file descriptor")
+        lock(handle, operation)
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    with locked(tmp_path, "this"), pytest.raises(OutputError, match="is in use by this"), locked(tmp_path, "that"):
+        pytest.fail("two holders of one lock")
+    assert list(tmp_path.iterdir()) == []

@@ -78,7 +78,7 @@ def test_files(tmp_path) -> None:
     with pytest.raises(BundleError, match="longer than the 50 bytes"):
         load_yaml(good, max_bytes=50, error=BundleError)
     good.write_bytes(b"a: \xff\n")
-    with pytest.raises(TonewoodError, match="byte 3 is not UTF-8"):
+    with pytest.raises(TonewoodError, match=r"byte 3 \(line 1\) is not UTF-8"):
         load_yaml(good)
     with pytest.raises(TonewoodError, match="cannot be read"):
         load_yaml(tmp_path / "absent.yaml")

@@ -41,6 +41,30 @@ inline void solve_definite(const double* lower, const double* upper, const doubl
     for (int k = n - 1; k >= 0; --k) subtract(lower + k * w, b[k] *= over[k], 0, k);
 }
 
+// Solves a x = b in place, a (n, kLane) symmetric and positive definite, n below kLane: a is eliminated beside b in rows of kLane
+// numbers, which takes no square roots and reads no vector that was written number by number. `unit` (2 kLane) has a
+// one in the middle.
+inline void solve_few(const double* a, const double* unit, int n, double* b) {
+    using S = Simd;
+    alignas(64) double rows[kLane * kLane];
+    double over[kLane];
+    for (int i = 0; i < n; ++i)
+        for (int k = 0; k < kLane; k += S::width)
+            S::store(rows + i * kLane + k, S::load(a + i * kLane + k) + S::load(unit + kLane - n + k) * b[i]);
+    for (int j = 0; j < n; ++j) {
+        const double* const row = rows + j * kLane;
+        over[j] = 1 / row[j];
+        for (int i = 0; i < n; ++i) {
+            if (i == j) continue;
+            double* const other = rows + i * kLane;
+            const double factor = other[j] * over[j];
+            for (int k = j / S::width * S::width; k < kLane; k += S::width)
+                S::store(other + k, S::load(other + k) - S::load(row + k) * factor);
+        }
+    }
+    for (int i = 0; i < n; ++i) b[i] = rows[i * kLane + n] * over[i];
+}
+
 // Solves a X = B in place for all columns of B (n, width) at once, width a multiple of kLane.
 inline void solve_columns(const double* lower, const double* over, int n, double* b, std::size_t width) {
     using S = Simd;

@@ -5,10 +5,10 @@
 #pragma once
 
 #include "../cull/broad_phase.hpp"
-#include "newton.hpp"
+#include "laws/solve.hpp"
+#include "laws_under_potentials.hpp"
 #include "parts.hpp"
 #include "series.hpp"
-#include "../potentials/solve.hpp"
 
 namespace tonewood {
 namespace {
@@ -20,13 +20,10 @@ public:
     // `potentials`: null without any.
     LawForces(Block& block, ForcesInParts& parts, ContactRows& rows, BroadPhase& cull, Series& series,
               PotentialSolve* potentials)
-        : block_(block), parts_(parts), rows_(rows), cull_(cull), series_(series), potentials_(potentials),
-          components_(block.model.components), layout_(block.model.layout), solve_(block.model.solve),
-          nl_(block.model.nonlinear), ws_(block.space.contacts), ts_(block.space.potentials),
-          reach_(block.model.nonlinear.n_contact), statistics_(block.space.statistics), job_(block.job) {
+        : block_(block), parts_(parts), rows_(rows), cull_(cull), series_(series),
+          potentials_(block, parts, potentials), layout_(block.model.layout), solve_(block.model.solve),
+          nl_(block.model.nonlinear), ws_(block.space.contacts), statistics_(block.space.statistics), job_(block.job) {
         if (!nl_.k) return;
-        for (const Potentials::Part& part : block.model.potentials.parts)
-            if (block.modulated(part.component)) modulated_.push_back(part.component);
         std::copy_n(job_.slip, nl_.k, ws_.slip.data());
         std::copy_n(job_.last_force, nl_.k, ws_.last_force.data());
         std::fill(ws_.is_active.begin(), ws_.is_active.end(), 0), std::fill(ws_.acted.begin(), ws_.acted.end(), 0);
@@ -76,7 +73,7 @@ public:
         for (const int j : ws_.active) {
             forces[j] = ws_.last_force[j] = ws_.law_force[j];
             ws_.acted[j] = ws_.acted[j] || forces[j] != 0.0;
-            if (nl_.laws[j].kind == Law::friction) ws_.slip[j] = ws_.slip_after[j];
+            if (!nl_.laws[j].has_potential()) ws_.slip[j] = ws_.slip_after[j];
             ws_.is_active[j] = 0;
         }
         series_.commit();
@@ -127,14 +124,11 @@ public:
         for (const Term& t : nl_.terms[j]) {
             double* const at =
                 t.contact ? rows_.value(t.component, t.port) + b : rows_.line_of(t) + std::size_t(b) * layout_.width;
-            if (t.contact && block_.modulated(t.component)) {
-                const ContactSums sums = potentials_->contact(t.component, t.port);
-                at[0] = sums.now, at[1] = sums.free, reach_[std::size_t(nl_.first[t.component] + t.port)] = sums.reach;
-            }
+            if (potentials_.on()) potentials_.displace(t, at);
             gap += t.factor * at[0], free += t.factor * at[t.contact ? 1 : layout_.width];
         }
         free += dot(nl_.from_linear.data() + std::size_t(j) * solve_.m, ws_.f0.data(), solve_.m);
-        if (potentials_) free -= moved_by_potentials(j);
+        if (potentials_.on()) free -= potentials_.moved(j);
         if (nl_.series[j] >= 0) {
             gap += ws_.series[nl_.place[j]];
             free -= (1 - nl_.theta) / nl_.theta * ws_.series[nl_.place[j]];
@@ -217,7 +211,7 @@ public:
             ws_.active.push_back(j);
             if (ws_.law_force[j] != 0.0) series_.start(j);
         }
-        bound_excursions(b);
+        potentials_.bound_excursions(b);
         const std::size_t before = cull_.candidates().size();
         cull_.add_candidates(b, series_.find(), [](int) {});
         if (cull_.candidates().size() != before) return false;
@@ -238,7 +232,7 @@ private:
         ws_.active.clear();
     }
 
-    bool is_contact(int j) const { return nl_.laws[j].kind == Law::contact; }
+    bool is_contact(int j) const { return nl_.laws[j].one_sided(); }
 
     void activate(int j) {
         need_response(j);
@@ -262,8 +256,7 @@ private:
     }
 
     bool solve() {
-        if (potentials_) yield_to_potentials();
-        const double* const z = potentials_ ? ts_.z.data() : ws_.z.data();
+        const double* const z = potentials_.on() ? potentials_.yield() : ws_.z.data();
         const auto find = [&] {
             int iterations = 0;
             const bool done = find_forces(nl_, ws_, z, iterations);
@@ -277,79 +270,11 @@ private:
     // Compression of j after the step under the forces found.
     double compression_after(int j) const {
         double p = ws_.free_p[j];
-        for (std::size_t q = 0; q < n_before_; ++q)
-            p -= (ws_.z[std::size_t(j) * nl_.k + ws_.active[q]] - yielded(j, q)) * ws_.law_force[ws_.active[q]];
+        for (std::size_t q = 0; q < n_before_; ++q) {
+            const double yielded = potentials_.on() ? potentials_.yielded(j, q) : 0.0;
+            p -= (ws_.z[std::size_t(j) * nl_.k + ws_.active[q]] - yielded) * ws_.law_force[ws_.active[q]];
+        }
         return p;
-    }
-
-    // Part of the gap of connection i that the motion of the potentials takes off per force of active law number a:
-    // d_i M^-1 d_a / 2.
-    double yielded(int i, std::size_t a) const {
-        if (!potentials_) return 0.0;
-        const std::size_t w = wide(potentials_->count()), laws = wide(int(ws_.active.size()));
-        double sum = 0.0;
-        for (int s = 0; s < potentials_->count(); ++s) sum += ts_.gap[i * w + s] * ts_.solved[s * laws + a];
-        return 0.5 * sum;
-    }
-
-    // Gap j per psi_m of each potential, d_j in ts.gap; returns the gap under the means without nonlinear connections.
-    double moved_by_potentials(int j) {
-        const Potentials& t = block_.model.potentials;
-        const std::size_t strings = t.two_way.size(), w = wide(int(strings)), n = t.ports.size();
-        double *const gap = ts_.gap.data() + j * w, *const meets = ts_.meets.data() + std::size_t(j) * t.width;
-        if (!ts_.has_meets[j]) find_meets(j);
-        std::fill_n(gap, w, 0.0);
-        for (std::size_t p = 0; p < n; ++p) gap[t.ports[p].potential] += meets[p] * ts_.reach[p];
-        for (const Term& term : nl_.terms[j])
-            if (term.contact && block_.modulated(term.component))
-                gap[potentials_->potential_of(term.component)] +=
-                    term.factor * reach_[std::size_t(nl_.first[term.component] + term.port)];
-        return dot(gap, ts_.alone.data(), int(strings));
-    }
-
-    // Displacement of gap j per displacement of each fixed port of the potentials, the linear connections answering.
-    void find_meets(int j) {
-        const Potentials& t = block_.model.potentials;
-        double* const meets = ts_.meets.data() + std::size_t(j) * t.width;
-        if (parts_.on()) {
-            parts_.answer(nl_.from_linear.data() + std::size_t(j) * solve_.m, ts_.linear.data());
-            for (std::size_t p = 0; p < t.ports.size(); ++p) {
-                meets[p] = 0.0;
-                for (const Share& s : t.ports[p].shares) meets[p] -= s.factor * ts_.linear[s.connection];
-            }
-        } else {
-            for (std::size_t p = 0; p < t.ports.size(); ++p)
-                meets[p] = dot(nl_.from_linear.data() + std::size_t(j) * solve_.m,
-                               t.onto_linear.data() + p * layout_.f_width, solve_.m);
-        }
-        for (const Term& term : nl_.terms[j])
-            for (const Potentials::Part& part : t.parts)
-                if (!term.contact && part.component == term.component)
-                    meets[part.first_port + term.port] += term.factor;
-        ts_.has_meets[j] = 1;
-    }
-
-    // Gaps of the active laws per force, the potentials answering: z - d M^-1 d^T / 2.
-    void yield_to_potentials() {
-        const std::size_t w = wide(potentials_->count()), k = nl_.k, n = ws_.active.size(), laws = wide(int(n));
-        double* const solved = ts_.solved.data();  // (strings, laws)
-        for (int s = 0; s < potentials_->count(); ++s) {
-            std::fill_n(solved + s * laws, laws, 0.0);
-            for (std::size_t a = 0; a < n; ++a) solved[s * laws + a] = ts_.gap[ws_.active[a] * w + s];
-        }
-        potentials_->solve(solved, laws);
-        for (const std::size_t i : ws_.active) {
-            double* const row = ts_.row.data();
-            std::fill_n(row, laws, 0.0);
-            add_product(solved, int(laws), ts_.gap.data() + i * w, potentials_->count(), row);
-            for (std::size_t a = 0; a < n; ++a)
-                ts_.z[i * k + ws_.active[a]] = ws_.z[i * k + ws_.active[a]] - 0.5 * row[a];
-        }
-    }
-
-    void bound_excursions(int b) {
-        for (const int i : modulated_)
-            ws_.tension_excursion[std::size_t(i) * kBlock + b] = potentials_->excursion(i);
     }
 
     // Forces of the linear connections and of the ports under the nonlinear forces tried.
@@ -359,16 +284,7 @@ private:
             const double force = ws_.law_force[j], *answer = ws_.answer.data() + std::size_t(j) * layout_.f_width;
             for (int k = 0; k < layout_.f_width; ++k) f[k] -= answer[k] * force;
         }
-        if (potentials_) {
-            const std::size_t n = ws_.active.size(), laws = wide(int(n));
-            for (int s = 0; s < potentials_->count(); ++s) {
-                double sum = 0.0;
-                for (std::size_t a = 0; a < n; ++a) sum += ts_.solved[s * laws + a] * ws_.law_force[ws_.active[a]];
-                ts_.mean[s] = ts_.alone[s] + 0.5 * sum;
-            }
-            potentials_->add_to_linear(f);
-            bound_excursions(b);
-        }
+        if (potentials_.on()) potentials_.add_means(b, f);
         distribute(b, f, now);
     }
 
@@ -377,15 +293,11 @@ private:
     ContactRows& rows_;
     BroadPhase& cull_;
     Series& series_;
-    PotentialSolve* const potentials_;
-    const std::vector<Component>& components_;
+    LawsUnderPotentials potentials_;
     const Layout& layout_;
     const Solve& solve_;
     const Nonlinear& nl_;
     ContactState& ws_;
-    PotentialState& ts_;
-    Array<double> reach_;          // by contact port of strings under rising tension: displacement per psi_m
-    std::vector<int> modulated_;   // components under rising tension
     Statistics& statistics_;
     const Job& job_;
     std::size_t n_before_ = 0;

@@ -16,9 +16,6 @@
 namespace tonewood {
 namespace {
 
-// Whether a law's force is linear in its compressions.
-inline bool is_linear(const Law& law) { return law.kind == Law::spring && law.a[1] == 0.0 && law.a[2] == 0.0; }
-
 class LinearLawForces {
 public:
     explicit LinearLawForces(Forces& forces)
@@ -119,7 +116,7 @@ private:
         Array<double> slope(n), ratio(n), z(n * w, 0.0);
         for (std::size_t i = 0; i < n; ++i) {
             const Law& law = nl_.laws[to_.laws[i]];
-            const double spring = 0.5 * law.a[0], dashpot = law.damping / nl_.dt;
+            const auto [spring, dashpot] = linear_law(law, nl_.dt);
             slope[i] = (spring + dashpot) * scale_[i];
             ratio[i] = spring + dashpot > 0.0 ? (spring - dashpot) / (spring + dashpot) : 0.0;
             for (std::size_t q = 0; q < n; ++q) z[i * w + q] = mutual(ws_.z.data(), nl_.k, to_.laws[i], to_.laws[q]);
@@ -163,7 +160,7 @@ private:
             std::copy_n(out.free.data() + t.ports[p].place * w, w, laws);
             for (std::size_t q = 0; q < t.ports.size(); ++q)
                 for (std::size_t i = 0; i < n; ++i)
-                    to_.onto_ports[p * t.width + q] += laws[i] * to_.loads[i * width + t.ports[q].force];
+                    to_.onto_ports[p * t.most * t.lanes + t.ports[q].lane] += laws[i] * to_.loads[i * width + t.ports[q].force];
         }
     }
 

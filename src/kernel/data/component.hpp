@@ -81,9 +81,10 @@ struct Shapes {
 // Mass-normalised coordinates y of real modes on which a potential acts (physics/coupling/potentials/coordinates.py).
 constexpr int kMaxScaledPorts = 32;
 // numbers per mode in `numbers` (one more per port) and in the state
-constexpr int kScaledNumbers = 6, kScaledState = 2;
+constexpr int kScaledNumbers = 5, kScaledState = 2;
 
 struct Coordinates {
+    std::size_t n = 0;            // modes without the padding at the end
     Array<double> reading;        // (n): y = reading * first number of the mode
     Array<double> kick;           // (2, n): state per modal force held over a step
     Array<double> gain;           // (2, n): state per sum of row * port force, row that of the port's displacement
@@ -93,7 +94,7 @@ struct Coordinates {
     Array<double> numbers, basis; // modal/scaled_modes.hpp: tables of the pass; changes of basis
     // of strings under rising tension: (n) weights of the stretch S; w a / 2, w the displacement per modal force
     Array<double> a, half;
-    double largest_half = 0;
+    double largest_half = 0, largest_first = 0;  // of half and p_0
 };
 
 // A port's share in a gap: port force += factor * force[connection], gap += factor * port displacement.

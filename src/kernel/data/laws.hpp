@@ -20,6 +20,8 @@ struct Law {
         double operator()(double x) const { return plain ? plain(x) : with_data(x, data); }
         bool operator==(const Function&) const = default;
     } potential, slope;
+    bool one_sided() const { return kind == contact; }       // pushes from a clearance on: may be culled
+    bool has_potential() const { return kind != friction; }  // else solved on its branches
     bool operator==(const Law&) const = default;
 };
 

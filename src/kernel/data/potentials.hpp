@@ -9,13 +9,20 @@ namespace tonewood {
 
 // A string with longitudinal motion (potentials/longitudinal.hpp).
 struct Stretch {
-    struct Part {  // one component's lowest n modes, those that take part
-        int n = 0, width = 0, cosines = 0, cosines_width = 0;  // widths are padded
-        Array<double> slopes, back;  // (n, cosines_width), (cosines, width): slope's cosines per coordinate
+    struct Planes {  // one or two polarizations, side by side and with the same shapes
+        int first = 0, count = 1, n = 0;  // components; lowest modes that take part, padded
+        Array<double> slopes, pulls;      // (n, points) slope at each point per coordinate; (points, n) its transpose
     };
     int order = 0;             // P
+    int points = 0;            // theta = (j + 1/2) pi / points, a multiple of kLane: sums over them are integrals
     double scale = 0;          // EA L
-    std::vector<Part> parts;   // the longitudinal one last
+    std::vector<int> sizes;    // modes of each component that take part, the lowest; the longitudinal one last
+    std::vector<Planes> planes;
+    Array<double> project;     // (points, strain_width): s_n per squared slope at each point
+    Array<double> spread;      // (P + 1, points): pull per slope at each point, of s_n + l_n
+    int width = 0, strain_width = 0;  // modes of the longitudinal component, cosines of its strain; padded
+    Array<double> weights;            // (strain_width): EA L g_n
+    Array<double> strain, back;       // (modes, strain_width), (P + 1, width): strain's cosines per coordinate
 };
 
 // A string whose longitudinal motion is driven one way (potentials/phantom.hpp).
@@ -65,8 +72,8 @@ struct Potentials {
         std::size_t sums;  // its sums of a modal pass among all
     };
     struct Port {      // a fixed port of such a component
-        // of its displacement in a line, of its force among all ports', among two-way ports
-        int potential, line, force, place;
+        // of its displacement in a line, of its force among all ports', among two-way ports, in a row of `onto_ports`
+        int potential, line, force, place, lane;
         std::vector<Share> shares;       // of the linear connections
     };
     struct One {
@@ -91,8 +98,9 @@ struct Potentials {
     std::vector<Part> parts;            // potential by potential
     std::vector<Port> ports;            // part by part
     int width = 0;                      // ports, padded
+    int lanes = 0, most = 0;            // potentials, padded; ports of one, at most
     std::size_t n_sums = 0;
-    Array<double> onto_ports;           // (ports, width): forces on these ports per displacement of one
+    Array<double> onto_ports;           // (ports, most, lanes): forces on these ports per displacement of one
     // where the linear connections are one matrix: (ports, force_width) forces on all ports, (ports, f_width) of
     // connections
     Array<double> onto_forces, onto_linear;
@@ -111,12 +119,13 @@ struct PotentialState {
     Array<double> reach, driven, answering;
     Array<double> pulled, answered;     // (ports): displacements by fast coordinates, forces with the answer to them
     Array<double> forces, moved;        // (ports): of the last step found; displacements by psi
-    Array<double> stiff;                // (potentials, width)
+    Array<double> reach_lanes;          // (most, lanes): as a row of Potentials::onto_ports
+    Array<double> unit;                 // (2 lanes): a one in the middle
     Array<double> matrix, upper, over;  // of the equations of the means, factors (dense.hpp)
     Array<double> linear, y;            // in parts: (f_width); (two-way ports), zero but for those of these components
     // of nonlinear connections: gap per mean psi of each potential (k, potentials padded);
     // the same of the active laws, solved (potentials, laws padded); displacement of a
-    // gap per displacement of a port (k, width), known if has_meets; gaps per force (k, k)
+    // gap per displacement of a port (k, most, lanes), known if has_meets; gaps per force (k, k)
     std::vector<char> has_meets;
     Array<double> gap, solved, meets, z, row;
 };

@@ -65,7 +65,7 @@ struct LinearLaws {
     PortForces forces;                      // of the laws in place of ports
     Array<double> memory;                   // (n, forces.width): the same per displacement of a residual compliance
     Array<double> loads;                    // (n, force_width): port forces per force, the linear connections answering
-    // (ports, forces.width), (ports, width): per displacement of a port of Potentials
+    // (ports, forces.width); as that of Potentials: per displacement of a port of Potentials
     Array<double> onto_laws, onto_ports;
 };
 

@@ -198,8 +198,9 @@ inline void derive_scaled(Component& c, const std::string& name) {
         const double root = std::sqrt(g), det = e00 * e11 - e01 * e10, tilt = gain[n + k] / g;
         double* const to = s.numbers.data() + (k / kPadding * kPadding * step + k % kPadding);
         const double numbers[kScaledNumbers] = {
-            s.half[k], det, (1 - e00) * (1 - e11) - e01 * e10, e01 * tilt - e11 + det, 2 * s.middle[k],
-            2 * s.middle[n + k]};
+            2 * s.half[k] * s.middle[k], 2 * s.half[k] * s.middle[n + k], det, (1 - e00) * (1 - e11) - e01 * e10,
+            e01 * tilt - e11 + det};
+        s.n = k + 1, s.largest_first = std::max(s.largest_first, 2 * s.middle[k]);
         for (int i = 0; i < kScaledNumbers; ++i) to[i * kPadding] = numbers[i];
         for (std::size_t q = 0; q < p; ++q) to[(kScaledNumbers + q) * kPadding] = c.rows[2 * q * n + k] * root;
         const double basis[8] = {1 / root, (e00 - 1) / root, e01 / root,            // in

@@ -58,7 +58,7 @@ inline void make_groups(std::vector<Component>& components, Nonlinear& nl) {
     for (const Nonlinear::Term& t : nl.all_terms) {
         const Component& c = components[t.component];
         if (t.port >= (t.contact ? c.contact.n : c.n_ports) ||
-            (t.contact && nl.laws[t.connection].kind != Law::contact))
+            (t.contact && !nl.laws[t.connection].one_sided()))
             throw std::invalid_argument("kernel: nonlinear.terms: connection " + std::to_string(t.connection) +
                                         " has no such port, or is no contact");
         (c.driven ? nl.driven : nl.terms)[t.connection].push_back(t);
@@ -66,7 +66,7 @@ inline void make_groups(std::vector<Component>& components, Nonlinear& nl) {
     }
     for (int j = 0; j < nl.k; ++j) {
         nl.gap[j] = -nl.laws[j].offset;
-        nl.only_contact_ports[j] = nl.laws[j].kind == Law::contact;
+        nl.only_contact_ports[j] = nl.laws[j].one_sided();
         for (const Nonlinear::Term& t : nl.terms[j]) nl.only_contact_ports[j] &= t.contact;
     }
     // no bound is known of the fixed ports of strings that are stepped sample by sample

@@ -20,7 +20,7 @@ inline void derive_pairs(const Component& c, int at, Potentials::One& string) {
             auto& twice = string.twice[std::size_t(at + p) * string.n + at + q];
             for (int k = 0; k < c.n; ++k) {
                 const double* const numbers = c.coordinates.numbers.data() + k / kPadding * step + k % kPadding;
-                const double h = numbers[0], p1 = numbers[5 * kPadding];
+                const double h = c.coordinates.half[k], p1 = 2 * c.coordinates.middle[c.n + k];
                 const double rr = p1 * numbers[(kScaledNumbers + p) * kPadding] * numbers[(kScaledNumbers + q) * kPadding];
                 once[0] += h * rr, once[1] -= h * h * rr;
                 twice[0] += h * h * p1 * rr, twice[1] -= 2 * h * h * h * p1 * rr, twice[2] += h * h * h * h * p1 * rr;
@@ -49,7 +49,7 @@ inline void answer_in_parts(const Solve& solve, Potentials& t) {
     }
     for (std::size_t p = 0; p < n; ++p)
         for (std::size_t q = 0; q < n; ++q) {
-            double& to = t.onto_ports[p * t.width + q];
+            double& to = t.onto_ports[p * t.most * t.lanes + t.ports[q].lane];
             for (const Share& s : t.ports[q].shares) to -= s.factor * blocks[p * m + s.connection];
             for (std::size_t i = 0; i < r; ++i) to += reach[q * r + i] * joined[p * r + i];
         }
@@ -82,12 +82,15 @@ inline void make_potentials(const std::vector<Component>& components, const Solv
             t.parts.push_back({i, int(s), int(t.ports.size()), t.n_sums});
             t.n_sums += kSharedSums + std::size_t(kPortSums) * c.n_ports;
             for (int p = 0; p < c.n_ports; ++p)
-                t.ports.push_back({int(s), l.row[i] + p, l.port[i] + p, place[i] + p, c.shares[p]});
+                t.ports.push_back({int(s), l.row[i] + p, l.port[i] + p, place[i] + p,
+                                   (int(t.ports.size()) - one.first) * int(lane) + int(s), c.shares[p]});
         }
     }
     const std::size_t n = t.ports.size(), width = padded(n);
-    t.width = int(width);
-    t.onto_ports.assign(n * width, 0.0);
+    t.width = int(width), t.lanes = int(lane), t.most = 0;
+    for (const Potentials::One& one : t.two_way) t.most = std::max(t.most, one.n);
+    const std::size_t row = std::size_t(t.most) * lane;
+    t.onto_ports.assign(n * row, 0.0);
     const std::size_t of_one_matrix = l.in_parts ? 0 : n;
     t.onto_forces.assign(of_one_matrix * l.force_width, 0.0), t.onto_linear.assign(of_one_matrix * l.f_width, 0.0);
     if (l.in_parts) answer_in_parts(solve, t);
@@ -97,7 +100,7 @@ inline void make_potentials(const std::vector<Component>& components, const Solv
                      *forces = l.direct.free.data() + from * l.force_width;
         std::copy_n(linear, l.f_width, t.onto_linear.data() + p * l.f_width);
         std::copy_n(forces, l.force_width, t.onto_forces.data() + p * l.force_width);
-        for (std::size_t q = 0; q < n; ++q) t.onto_ports[p * width + q] = forces[t.ports[q].force];
+        for (std::size_t q = 0; q < n; ++q) t.onto_ports[p * row + t.ports[q].lane] = forces[t.ports[q].force];
     }
     const std::size_t n_sums = (t.n_sums + kPadding - 1) / kPadding * kPadding, k = nl.k;
     ws.scaled.assign(kScaledState * capacity, 0.0), ws.known.assign(capacity, 0.0);
@@ -105,37 +108,80 @@ inline void make_potentials(const std::vector<Component>& components, const Solv
     for (Array<double>* a :
          {&ws.psi, &ws.mean, &ws.alone, &ws.own, &ws.shift, &ws.spread, &ws.bound, &ws.over})
         a->assign(lane, 0.0);
-    for (Array<double>* a : {&ws.reach, &ws.driven, &ws.answering, &ws.pulled, &ws.answered, &ws.forces, &ws.moved}) a->assign(width, 0.0);
-    ws.stiff.assign(count * width, 0.0);
+    for (Array<double>* a : {&ws.reach, &ws.driven, &ws.answering, &ws.pulled, &ws.answered, &ws.forces, &ws.moved})
+        a->assign(width, 0.0);
+    ws.reach_lanes.assign(row, 0.0), ws.unit.assign(2 * lane, 0.0), ws.unit[lane] = 1.0;
     for (Array<double>* a : {&ws.matrix, &ws.upper}) a->assign(count * lane, 0.0);
     ws.linear.assign(l.f_width, 0.0), ws.y.assign(padded(n_places) + 2 * kLane, 0.0);
-    ws.has_meets.assign(k, 0), ws.meets.assign(k * width, 0.0), ws.z.assign(k * k, 0.0);
+    ws.has_meets.assign(k, 0), ws.meets.assign(k * row, 0.0), ws.z.assign(k * k, 0.0);
     ws.gap.assign(k * lane, 0.0), ws.solved.assign(count * padded(k), 0.0), ws.row.assign(padded(k), 0.0);
 }
 
-// The arrays of a string with longitudinal motion.
+// (count, points) cos(n theta) at the points of a string with longitudinal motion.
+inline Array<double> cosines_at_points(std::size_t count, std::size_t points) {
+    constexpr double kPi = 3.14159265358979323846;
+    Array<double> out(count * points);
+    for (std::size_t n = 0; n < count; ++n)
+        for (std::size_t j = 0; j < points; ++j)
+            out[n * points + j] = std::cos(kPi * double(n * (2 * j + 1) % (4 * points)) / double(2 * points));
+    return out;
+}
+
+// The arrays of a string with longitudinal motion. Products of two cosines of the slope and one of the strain are
+// integrated by as many points as that takes.
 inline Stretch load_stretch(const PotentialDescription& d, const std::vector<Component>& components,
                             const std::string& name) {
     require(d.slots.size() >= 2 && d.parts.size() == d.slots.size(), name + "parts: one for each component is needed");
     Stretch out;
     out.scale = d.scale;
-    for (std::size_t q = 0; q < d.parts.size(); ++q) {
+    const std::size_t last = d.parts.size() - 1;
+    std::size_t most = 1;
+    for (std::size_t q = 0; q <= last; ++q) {
         const View& slopes = d.parts[q].slopes;
         const Component& c = components[d.slots[q]];
         const std::string at = name + "parts[" + std::to_string(q) + "].";
         require(slopes.ndim == 2, at + "slopes has 2 dimensions");
-        const std::size_t n = slopes.shape[1], cosines = slopes.shape[0], w = padded(n);
-        require(!c.contact.n && n > 0 && n <= std::size_t(c.n) && cosines > 0, at + "slopes: they do not fit the component");
-        Stretch::Part part;
-        part.n = int(n), part.width = int(w), part.cosines = int(cosines);
-        part.cosines_width = int(padded(cosines));
-        part.slopes.assign(n * part.cosines_width, 0.0), part.back.assign(cosines * w, 0.0);
-        for (std::size_t i = 0; i < cosines; ++i)
-            for (std::size_t k = 0; k < n; ++k)
-                part.slopes[k * part.cosines_width + i] = part.back[i * w + k] = slopes[i * n + k];
-        out.parts.push_back(std::move(part));
+        require(!c.contact.n && slopes.shape[1] > 0 && slopes.shape[1] <= std::size_t(c.n) && slopes.shape[0] > 0,
+                at + "slopes: they do not fit the component");
+        out.sizes.push_back(int(slopes.shape[1]));
+        if (q < last) most = std::max(most, std::size_t(slopes.shape[0]));
     }
-    out.order = out.parts.back().cosines - 1;
+    const View& strain = d.parts[last].slopes;
+    const std::size_t cosines = strain.shape[0], modes = strain.shape[1];
+    out.order = int(cosines) - 1, out.width = int(padded(modes)), out.strain_width = int(padded(cosines));
+    out.strain.assign(modes * out.strain_width, 0.0), out.back.assign(cosines * out.width, 0.0);
+    for (std::size_t i = 0; i < cosines; ++i)
+        for (std::size_t k = 0; k < modes; ++k)
+            out.strain[k * out.strain_width + i] = out.back[i * out.width + k] = strain[i * modes + k];
+    const std::size_t points = padded((2 * (most - 1) + cosines - 1) / 2 + 1);
+    const Array<double> all = cosines_at_points(std::max(most, cosines), points);
+    out.points = int(points), out.weights.assign(out.strain_width, 0.0);
+    out.project.assign(points * out.strain_width, 0.0), out.spread.assign(cosines * points, 0.0);
+    for (std::size_t i = 0; i < cosines; ++i) {
+        out.weights[i] = out.scale * (i == 0 ? 1.0 : 0.5);
+        for (std::size_t j = 0; j < points; ++j) {
+            out.project[j * out.strain_width + i] = all[i * points + j] * (i == 0 ? 0.5 : 1.0) / double(points);
+            out.spread[i * points + j] = all[i * points + j] * out.scale / double(points);
+        }
+    }
+    for (std::size_t q = 0; q < last; ++q) {
+        const View& slopes = d.parts[q].slopes;
+        const std::size_t n = slopes.shape[1];
+        Array<double> at_points(padded(n) * points, 0.0);
+        for (std::size_t i = 0; i < slopes.shape[0]; ++i)
+            for (std::size_t k = 0; k < n; ++k)
+                for (std::size_t j = 0; j < points; ++j)
+                    at_points[k * points + j] += slopes[i * n + k] * all[i * points + j];
+        if (!out.planes.empty() && out.planes.back().count == 1 && out.planes.back().slopes == at_points)
+            out.planes.back().count = 2;
+        else
+            out.planes.push_back({int(q), 1, int(padded(n)), std::move(at_points), {}});
+    }
+    for (Stretch::Planes& planes : out.planes) {
+        planes.pulls.resize(planes.slopes.size());
+        for (std::size_t k = 0, n = std::size_t(planes.n); k < n; ++k)
+            for (std::size_t j = 0; j < points; ++j) planes.pulls[j * n + k] = planes.slopes[k * points + j];
+    }
     return out;
 }
 

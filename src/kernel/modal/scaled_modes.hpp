@@ -4,8 +4,8 @@
 //     xi = x / sqrt(g),     v = (u - x) / sqrt(g),
 // g the mode's gain. A modal force p moves the mode by
 //     xi+ = xi + v + p,     v+ = det v - kappa xi+ + kick p,
-// det and kappa = det(I - E) those of its matrix E. Sixteen modes lie side by side in two streams: h, det, kappa,
-// kick, p_0 and p_1 (tension_pass.hpp), and a row for each port (derive_scaled in load/component.hpp); xi and v.
+// det and kappa = det(I - E) those of its matrix E. Sixteen modes lie side by side in two streams: h p_0 and
+// h p_1 (tension_pass.hpp), det, kappa, kick, and a row for each port (derive_scaled in load/component.hpp); xi and v.
 #pragma once
 
 #include "../data/state.hpp"

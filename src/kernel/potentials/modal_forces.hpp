@@ -13,18 +13,24 @@ protected:
     struct Part {
         const PotentialPart& modes;
         int n;                               // coordinates: the lowest modes
-        // (n, padded as modes are): coordinate per xi of modal/scaled_modes.hpp
-        Array<double> scale;
+        // (n, padded as modes are): coordinate per xi of modal/scaled_modes.hpp; in the middle of the step per 2 xi + v,
+        // and per modal force; (ports, padded n) per force on a port
+        Array<double> scale, begun{}, driven{}, by_port{};
         Array<double> middle{};              // coordinates in the middle of the step, and in the state of the run
-        Array<double> force{}, direction{};  // modal forces of the last step, and per psi_m; scaled as xi is
+        Array<double> force{}, direction{};  // modal forces on fast coordinates, and per psi_m; scaled as xi is
     };
 
     ModalForces(PotentialRun& run, int first, int end) : PotentialGroup(run, first, end), parts_(run.parts.size()) {}
 
+    void end_step() override {
+        for (int s = first_; s < end_; ++s) ws_.psi[s] = 2 * ws_.mean[s] - ws_.psi[s];
+    }
+
     void sum(const PotentialPart& part, double* to) override { sum_stretch_step(*part.c, part.state, to); }
-    void make(const PotentialPart& p) override {
-        const Array<double>& modal = parts_[std::size_t(&p - run_.parts.data())]->force;
-        make_stretch_step(*p.c, p.state, ws_.forces.data() + p.part->first_port, modal.data(), modal.size());
+    void make(const PotentialPart& part) override { make(part, nullptr); }
+    bool advance(const PotentialPart& part, double* to) override {
+        if (!part.known) make(part, to);
+        return !part.known;
     }
 
     // Part q of potential s, over its lowest n modes.
@@ -33,27 +39,34 @@ protected:
         const PotentialPart& modes = run_.parts[index];
         parts_[index] = std::make_unique<Part>(Part{modes, n, Array<double>(wide, 0.0)});
         Part& part = *parts_[index];
-        for (Array<double>* a : {&part.middle, &part.force, &part.direction}) a->assign(wide, 0.0);
+        for (Array<double>* a : {&part.middle, &part.force, &part.direction, &part.begun, &part.driven})
+            a->assign(wide, 0.0);
         const Coordinates& c = modes.c->coordinates;
-        for (int k = 0; k < n; ++k) part.scale[k] = c.reading[k] * std::sqrt(c.gain[k]);
+        const std::size_t ports = std::size_t(modes.c->n_ports), step = (kScaledNumbers + ports) * kPadding;
+        part.by_port.assign(ports * wide, 0.0);
+        for (std::size_t k = 0; k < std::size_t(n); ++k) {
+            part.scale[k] = c.reading[k] * std::sqrt(c.gain[k]);
+            part.begun[k] = part.scale[k] * c.middle[k];
+            part.driven[k] = part.scale[k] * c.middle[std::size_t(modes.c->n) + k];
+            const double* const rows = c.numbers.data() + k / kPadding * step + kScaledNumbers * kPadding + k % kPadding;
+            for (std::size_t p = 0; p < ports; ++p) part.by_port[p * wide + k] = part.driven[k] * rows[p * kPadding];
+        }
         return part;
     }
 
     // Coordinates of a part in the middle of a step under forces on its ports, and modal forces (scaled as xi is).
     static void find_middle(Part& part, const double* forces, const double* modal = nullptr) {
-        const Component& c = *part.modes.c;
-        const std::size_t step = std::size_t(kScaledNumbers + c.n_ports) * kPadding, n = c.n;
-        const double *numbers = c.coordinates.numbers.data(), *state = part.modes.state;
-        const double* const m = c.coordinates.middle.data();
-        for (std::size_t k = 0; k < part.middle.size(); k += kPadding, numbers += step, state += kScaledState * kPadding)
-            for (int j = 0; j < kPadding; j += S::width) {
-                const V xi = S::load(state + j);
-                V driven = modal ? S::load(modal + k + j) : V{};
-                for (int p = 0; p < c.n_ports; ++p)
-                    driven += S::load(numbers + (kScaledNumbers + p) * kPadding + j) * forces[p];
-                V y = S::load(m + k + j) * (xi + xi + S::load(state + kPadding + j)) + S::load(m + n + k + j) * driven;
-                if (part.modes.known) y += S::load(part.modes.known + k + j) * 0.5;
-                S::store(part.middle.data() + k + j, S::load(part.scale.data() + k + j) * y);
+        const std::size_t wide = part.middle.size();
+        const double *state = part.modes.state, *const known = part.modes.known;
+        const int n_ports = part.modes.c->n_ports;
+        for (std::size_t k = 0; k < wide; k += kPadding, state += kScaledState * kPadding)
+            for (std::size_t i = k; i < k + kPadding; i += S::width) {
+                const V xi = S::load(state + i - k);
+                V y = S::load(part.begun.data() + i) * (xi + xi + S::load(state + kPadding + i - k));
+                for (int p = 0; p < n_ports; ++p) y += S::load(part.by_port.data() + p * wide + i) * forces[p];
+                if (modal) y += S::load(part.driven.data() + i) * S::load(modal + i);
+                if (known) y += S::load(part.scale.data() + i) * S::load(known + i) * 0.5;
+                S::store(part.middle.data() + i, y);
             }
     }
 
@@ -94,15 +107,6 @@ protected:
         ws_.alone[s] = ws_.psi[s] + 0.5 * (sums.power + sums.answered);
     }
 
-    // psi, and the forces -psi_m g on the modes, after a step.
-    void make_forces(int s, const std::vector<Part*>& parts) {
-        const double mean = ws_.mean[s];
-        ws_.psi[s] = 2 * mean - ws_.psi[s];
-        for (Part* part : parts)
-            for (std::size_t k = 0; k < part->force.size(); k += S::width)
-                S::store(part->force.data() + k, S::load(part->direction.data() + k) * -mean);
-    }
-
     // Coordinates of a part in the state of the run.
     void read(Part& part) const {
         const double* const x = block_.x(part.modes.part->component);
@@ -131,6 +135,13 @@ protected:
     }
 
 private:
+    // `to`: of the sums of the next step; null for none.
+    void make(const PotentialPart& p, double* to) {
+        const Array<double>& direction = parts_[std::size_t(&p - run_.parts.data())]->direction;
+        make_stretch_step(*p.c, p.state, ws_.forces.data() + p.part->first_port, direction.data(), direction.size(),
+                          -ws_.mean[p.part->potential], to);
+    }
+
     std::vector<std::unique_ptr<Part>> parts_;  // as those of the run; none of other kinds
 };
 

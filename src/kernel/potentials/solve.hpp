@@ -67,6 +67,8 @@ public:
     // Modal passes over a component: sums of the step that begins, lanes of which go to `to`; the step.
     virtual void sum(const PotentialPart& part, double* to) = 0;
     virtual void make(const PotentialPart& part) = 0;
+    // Both in one pass, of a component without known forces in either step; false, with nothing done, if it cannot.
+    virtual bool advance(const PotentialPart&, double*) { return false; }
     // Displacements of the ports by fast coordinates to ws.pulled; whether there are any.
     virtual bool pull() { return false; }
     // Finds ws.own, and ws.reach and the right sides of the equations in ws.alone, from the sums and ws.driven.
@@ -201,32 +203,28 @@ public:
         bool pulled = false;
         for (const auto& group : groups_) pulled = group->pull() || pulled;
         if (pulled) {  // the connections answer to the fast coordinates
-            std::copy(ws_.driven.begin(), ws_.driven.end(), ws_.answered.begin());
-            add_product(t_.onto_ports.data(), t_.width, ws_.pulled.data(), n, ws_.answered.data());
+            const int width = t_.most * t_.lanes;
+            double* const answer = ws_.reach_lanes.data();
+            std::fill_n(answer, width, 0.0);
+            add_product(t_.onto_ports.data(), width, ws_.pulled.data(), n, answer);
+            for (int p = 0; p < n; ++p) ws_.answered[p] = ws_.driven[p] + answer[t_.ports[p].lane];
         }
         for (const auto& group : groups_) group->direct();
-        const int all = count();
-        const std::size_t w = wide(all);
-        for (int s = 0; s < all; ++s) {
-            const Potentials::One& one = t_.two_way[s];
-            double* const stiff = ws_.stiff.data() + std::size_t(s) * t_.width;
-            std::fill_n(stiff, t_.width, 0.0);
-            add_product(onto_ports + std::size_t(one.first) * t_.width, t_.width, ws_.reach.data() + one.first, one.n,
-                        stiff);
-            for (int q = 0; q <= s; ++q) {
-                const Potentials::One& other = t_.two_way[q];
-                double sum = 0.0;
-                for (int p = other.first; p < other.first + other.n; ++p) sum += stiff[p] * ws_.reach[p];
-                ws_.matrix[s * w + q] = 0.5 * sum + (q == s ? 1.0 + 0.5 * ws_.own[s] : 0.0);
-            }
+        make_matrix(onto_ports);
+        factorized_ = count() >= kLane;
+        if (factorized_) {
+            factorize(ws_.matrix.data(), count(), ws_.upper.data(), ws_.over.data());
+            solve_definite(ws_.matrix.data(), ws_.upper.data(), ws_.over.data(), count(), ws_.alone.data());
+        } else {
+            solve_few(ws_.matrix.data(), ws_.unit.data(), count(), ws_.alone.data());
         }
-        factorize(ws_.matrix.data(), all, ws_.upper.data(), ws_.over.data());
-        solve_definite(ws_.matrix.data(), ws_.upper.data(), ws_.over.data(), all, ws_.alone.data());
         std::copy(ws_.alone.begin(), ws_.alone.end(), ws_.mean.begin());
     }
 
     // M^-1 b in place for the columns of b (potentials, width), width a multiple of kLane.
-    void solve(double* b, std::size_t width) const {
+    void solve(double* b, std::size_t width) {
+        if (!factorized_) factorize(ws_.matrix.data(), count(), ws_.upper.data(), ws_.over.data());
+        factorized_ = true;
         solve_columns(ws_.matrix.data(), ws_.over.data(), count(), b, width);
     }
 
@@ -262,7 +260,7 @@ public:
                 const double* row = part.c->contact.rows.data() + 2 * std::size_t(port) * n;
                 each_vector(part, [&](std::size_t k, V& xi, V& v, const double* at) {
                     const V modal = S::load(basis + 3 * n + k) * S::load(row + k) * force;
-                    xi += modal, v += (S::load(at + 3 * kPadding) - S::load(at + 2 * kPadding)) * modal;
+                    xi += modal, v += (S::load(at + 4 * kPadding) - S::load(at + 3 * kPadding)) * modal;
                 });
             }
             for (const Input& in : inputs) {
@@ -295,6 +293,28 @@ private:
     using S = Simd;
     using V = S::V;
 
+    // M in ws.matrix: its lower triangle, and at least that of the vectors that reach the diagonal.
+    void make_matrix(const double* onto_ports) {
+        const int all = count(), lanes = t_.lanes, width = t_.most * lanes;
+        std::fill(ws_.reach_lanes.begin(), ws_.reach_lanes.end(), 0.0);
+        for (std::size_t p = 0; p < t_.ports.size(); ++p) ws_.reach_lanes[t_.ports[p].lane] = ws_.reach[p];
+        for (int s = 0; s < all; ++s) {
+            const Potentials::One& one = t_.two_way[s];
+            const double* const unit = ws_.unit.data() + lanes - s;
+            for (int q = 0; q < (all < kLane ? all : s + 1); q += S::width) {
+                V sum{};
+                for (int m = 0; m < t_.most; ++m) {
+                    V stiff{};
+                    for (int p = one.first; p < one.first + one.n; ++p)
+                        stiff += S::load(onto_ports + std::size_t(p) * width + m * lanes + q) * ws_.reach[p];
+                    sum += stiff * S::load(ws_.reach_lanes.data() + m * lanes + q);
+                }
+                S::store(ws_.matrix.data() + s * lanes + q,
+                         sum * 0.5 + S::load(unit + q) * (1.0 + 0.5 * ws_.own[s]));
+            }
+        }
+    }
+
     const PotentialPart& part(int component) const { return run_.parts[run_.part_of[component]]; }
     double moved(std::size_t p) const { return -ws_.mean[t_.ports[p].potential] * ws_.reach[p]; }
 
@@ -313,28 +333,36 @@ private:
 
     void begin(PotentialPart& part) {
         const int i = part.part->component;
-        finish(part);
+        double* const to = ws_.lanes.data() + part.part->sums * Simd::width;
+        const bool summed = part.pending && block_.inputs[i].empty() && part.group->advance(part, to);
+        if (summed) made(part);
+        else finish(part);
         if (part.is_read) run_.scaled.to_state(i), rows(part, part.c->n_ports, sample_);
-        const double* const basis = part.c->coordinates.basis.data();
+        if (summed) return;
+        const double *const basis = part.c->coordinates.basis.data(), *const middle = part.c->coordinates.middle.data();
         double* const known = ws_.known.data() + part.c->offset;
         part.known = block_.inputs[i].empty() ? nullptr : known;
         if (part.known) std::fill_n(known, part.c->n, 0.0);
         for (const Input& in : block_.inputs[i]) {
             const double value = in.values[sample_ * in.stride];
-            each_vector(part, [&](std::size_t k, V&, V& v, const double* at) {
+            each_vector(part, [&](std::size_t k, V&, V& v, const double*) {
                 const V added = S::load(basis + k) * S::load(in.vector + k) * value;
                 v += added;
                 S::store(known + k, S::load(known + k) +
-                                        (S::load(at + 5 * kPadding) - S::load(at + 4 * kPadding)) * added);
+                                        (S::load(middle + part.c->n + k) - S::load(middle + k)) * 2.0 * added);
             });
         }
-        part.group->sum(part, ws_.lanes.data() + part.part->sums * Simd::width);
+        part.group->sum(part, to);
     }
 
     // Makes the step that is still pending.
     void finish(PotentialPart& part) {
         if (!part.pending) return;
         part.group->make(part);
+        made(part);
+    }
+
+    void made(PotentialPart& part) {
         run_.scaled.invalidate(part.part->component);
         part.pending = false;
     }
@@ -358,7 +386,7 @@ private:
     PotentialState& ws_;
     ForcesInParts* const parts_;
     std::vector<std::unique_ptr<PotentialGroup>> groups_;
-    bool from_state_ = true;
+    bool from_state_ = true, factorized_ = false;  // the latter: ws.matrix holds the factors of M
     int sample_ = 0;
 };
 

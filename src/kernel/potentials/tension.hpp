@@ -19,9 +19,10 @@ public:
     ContactSums contact(int i, int port) const override {
         const PotentialPart& part = run_.parts[run_.part_of[i]];
         const int s = part.part->potential;
-        TensionMade begun = now_[s];
+        TensionStep begun = now_[s];
         begun.alone = ws_.driven.data() + part.part->first_port, begun.known = part.known;
-        ContactSums out = contact_sums(*part.c, part.state, port, begun);
+        ContactSums out = begun.plain() ? contact_sums<true>(*part.c, part.state, port, begun)
+                                        : contact_sums<false>(*part.c, part.state, port, begun);
         out.reach *= t_.two_way[s].root;
         return out;
     }
@@ -35,16 +36,24 @@ public:
         }
     }
     void sum(const PotentialPart& part, double* to) override {
-        const double guard = now_[part.part->potential].guard;
-        if (part.known) sum_tension_step<true>(*part.c, part.state, guard, part.known, to);
-        else sum_tension_step<false>(*part.c, part.state, guard, nullptr, to);
+        TensionStep begun = now_[part.part->potential];
+        begun.known = part.known;
+        sum_tension_step(*part.c, part.state, begun, to);
     }
     void make(const PotentialPart& part) override {
-        TensionMade made = then_[part.part->potential];
+        TensionStep made = then_[part.part->potential];
         made.alone = ws_.driven.data() + part.part->first_port, made.found = ws_.forces.data() + part.part->first_port;
         made.known = part.known;
-        if (made.known) make_tension_step<true>(*part.c, part.state, made);
-        else make_tension_step<false>(*part.c, part.state, made);
+        make_tension_step(*part.c, part.state, made);
+    }
+
+    bool advance(const PotentialPart& part, double* to) override {
+        const int s = part.part->potential;
+        if (part.known || now_[s].guard != 0.0 || then_[s].guard != 0.0) return false;
+        TensionStep made = then_[s];
+        made.alone = ws_.driven.data() + part.part->first_port, made.found = ws_.forces.data() + part.part->first_port;
+        advance_tension(*part.c, part.state, made, to);
+        return true;
     }
 
     void direct() override {
@@ -83,7 +92,10 @@ private:
         for (int i = string.first_part; i < string.first_part + int(string.components.size()); ++i) {
             const Potentials::Part& part = t_.parts[i];
             const double* sum = ws_.sums.data() + part.sums;
-            power += sum[0], own += sum[1], spread += sum[2];
+            power += sum[0], own += sum[1];
+            // of a plain step without p_0: at most so much
+            const bool plain = T == 0.0 && !run_.parts[i].known;
+            spread += sum[2] * (plain ? components_[part.component].coordinates.largest_first : 1.0);
             sum += kSharedSums;
             const int first = part.first_port - string.first, end = first + components_[part.component].n_ports;
             for (int p = first; p < end; ++p, sum += kPortSums) {
@@ -117,7 +129,7 @@ private:
         return sum;
     }
 
-    std::vector<TensionMade> now_ = std::vector<TensionMade>(t_.two_way.size()), then_ = now_;  // by string
+    std::vector<TensionStep> now_ = std::vector<TensionStep>(t_.two_way.size()), then_ = now_;  // by string
 };
 
 }  // namespace

@@ -42,10 +42,6 @@ public:
         }
     }
 
-    void end_step() override {
-        for (int s = first_; s < end_; ++s) make_forces(s, at(s).parts);
-    }
-
     double energy(int s) override {
         One& one = at(s);
         double* y = one.y.data();

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tonewood.cli import dataset
 from tonewood.cli.common import Advance, AllowCode, Json, need, print_json, progress, warn
 from tonewood.errors import TonewoodError
 
@@ -34,10 +35,12 @@ def batch(
     allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> int:
-    """Render all conditions of MANIFEST and write stimuli, pages, key and records."""
+    """Render all conditions of MANIFEST and write stimuli, pages, key and records; or a data set, in shards."""
     need("batch", "joblib", "pyloudnorm", "matplotlib")
     if cluster is not None:
         need("cluster", "dask", "distributed")
+    from tonewood.support.yaml_io import load_yaml
+    from tonewood.workshop.batch.manifest import ManifestError
     from tonewood.workshop.batch.rendering import EngineRenderer
     from tonewood.workshop.batch.runner import plan_batch, run_batch
     from tonewood.workshop.batch.workers import Workers
@@ -51,6 +54,14 @@ def batch(
     if pilot is not None and not dry_run:
         raise TonewoodError("belongs to --dry-run", key="--pilot")
     place = Workers(jobs, "threads" if workers == "threads" else "processes", cluster)
+    data = load_yaml(manifest, error=ManifestError)
+    if data.get("kind") == "dataset":
+        if pilot is not None:
+            raise TonewoodError("belongs to listening tests", key="--pilot")
+        if dry_run:
+            return dataset.planned(data, manifest, output, allow_code, as_json, place.count)
+        with _Bars() as bars:
+            return dataset.made(data, manifest, output, place, allow_code, as_json, bars)
     if dry_run:
         plan = plan_batch(manifest, output, EngineRenderer(allow_code), place, predict=True)
         power = power_of(plan.manifest, plan.trials_of_a_pair(), None if pilot is None else analyse(pilot))

@@ -54,7 +54,7 @@ def check(
 
     render_options({"fs": fs})
     bundle = load(instrument, settings, allow_code, strings)
-    model = assemble(bundle, fs, outputs=tuple(bundle.pickups))
+    model = assemble(bundle, fs, outputs=tuple(bundle.pickups), alone=True)
     check_transfers(model)
     try_parts(model)
     body = _body(model)
@@ -100,6 +100,8 @@ def check(
 def _modes_of_other_outputs(model: Model) -> list[int]:
     """Modes of each bank that only other outputs than the default one hear."""
     system = model.system
+    if not model.outputs:
+        return []
     heard = {probe.component for i in model.outputs[0].readouts for probe in system.readouts[i].probes}
     others = {drive.component for drive in system.drives} - heard
     return [system.compiled[system.slot(name)].basis.n_modes for name in sorted(others)]
@@ -328,9 +330,8 @@ def _print(report: dict[str, Any], ok: bool) -> None:
             warnings += line.startswith("warning")
     forces = [f and row["count"] * f for row in report["strings"].values() for f in [row["feel"]["force_on_bridge"]]]
     down = "" if None in forces else f", {sum(forces):.0f} N down on the bridge"
-    print(
-        f"  all strings: {sum(row['count'] * row['tension'] for row in report['strings'].values()):.0f} N along{down}"
-    )
+    tension = sum(row["count"] * row["tension"] for row in report["strings"].values())
+    print(f"  all strings: {tension:.0f} N along{down}" if report["strings"] else "  a body alone, without strings")
     for row in report["microphones"]:
         name = f"{row['output']}.{row['channel']}"
         if row["peak"]:

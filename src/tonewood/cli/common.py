@@ -144,7 +144,9 @@ def load(name: str, overrides: list[str] | None, allow_code: bool, strings: str 
     """Load an instrument, put a string set on and apply ``--set``."""
     from tonewood.instrument.bundle.loading import Instrument
     from tonewood.instrument.bundle.overrides import parse_assignment
+    from tonewood.support.stages import listen, on_terminal
 
+    listen(on_terminal())
     instrument = Instrument.load(name, allow_code=allow_code)
     changes = {} if strings is None else {"strings_from": strings}
     return instrument.replace(changes | dict(map(parse_assignment, overrides or [])))

@@ -170,7 +170,7 @@ def _print(found: Comparison) -> None:
 
     first, *others = found.instruments
     for facts in found.instruments:
-        print(facts.heading)
+        print(facts.heading + ("" if facts.strings else ", a body without strings"))
         warn([f"{facts.label}: {line}" for line in facts.warnings])
         warn([f"{facts.label} does not play {note}: {reason}" for note, reason in facts.missing_tones.items()])
     for i, facts in enumerate(others, 1):
@@ -183,7 +183,8 @@ def _print(found: Comparison) -> None:
                 f"  {a.freq:>9.2f} to {b.freq:>9.2f} Hz {cents(b.freq / a.freq):>+8.1f} cents, "
                 f"Q {a.q:.1f} to {b.q:.1f}, mass {a.mass:.3g} to {b.mass:.3g} kg"
             )
-    print("wolf notes, the worst first: severity, breadth (cents), depth")
+    if any(facts.strings for facts in found.instruments):
+        print("wolf notes, the worst first: severity, breadth (cents), depth")
     for wolves in found.wolves[:_SHOWN]:
         for facts, wolf in zip(found.instruments, wolves.wolves, strict=True):
             if wolf is not None:

@@ -1,4 +1,4 @@
-"""``tonewood render --part`` and ``--ensemble``: the parts of a score on several instruments, mixed."""
+"""``tonewood render`` with parts, an ensemble or no instrument: the parts of a score on several instruments, mixed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tonewood.support.units import counted, decibel
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from tonewood.sound.ensemble import EnsemblePart
+    from tonewood.sound.ensemble.mix import EnsemblePart
     from tonewood.sound.render.level import LevelName
     from tonewood.sound.render.options import RenderOptions
 
@@ -35,17 +35,22 @@ def render_parts(
     target: float,
     stems: Path | None,
     as_json: bool,
+    left_out: list[str] | None,
 ) -> None:
-    """Render and mix; the mix is brought to its level by its true peak."""
-    from tonewood.sound.ensemble import render_ensemble
+    """Render and mix; the mix is brought to its level by its true peak.
+
+    `left_out` are lines on parts without an instrument, where the programs of the score chose them, else None.
+    """
+    from tonewood.sound.ensemble.mix import render_ensemble
     from tonewood.sound.files.audio import Audio
     from tonewood.sound.level.loudness import loudness, matching_gain_db, true_peak
     from tonewood.sound.render.level import LOUDNESS
     from tonewood.sound.render.renderer import SILENT
 
     began = time.perf_counter()
+    lines = list(left_out or ())
     names = [f"{part.part:02d}_" + re.sub(r"\W+", "_", Path(part.instrument).name) for part in parts]
-    files = [] if stems is None else stem_files(stems, names, output)
+    planned = [] if stems is None else stem_files(stems, names, output)
     with progress("rendering", len(parts)) as advance:
         done = [0]
 
@@ -54,7 +59,10 @@ def render_parts(
             advance(done[0])
 
         with dropped_notes_listed():
-            rendered = render_ensemble(score, parts, options=options, progress=one_more, reading=dict(reading))
+            rendered = render_ensemble(
+                score, parts, options=options, progress=one_more, reading=dict(reading),
+                silent=None if left_out is None else lambda _, why: lines.append(f"{why}, left out"),
+            )  # fmt: skip
     fs = options.fs
     mix = np.sum([stem.samples for stem in rendered], axis=0)
     peak = true_peak(mix)
@@ -66,7 +74,10 @@ def render_parts(
     factor = 10 ** (gain / 20)
     silent = peak <= SILENT
     clipped = Audio(mix * factor, fs, ("left", "right")).save(output, subtype)
+    files: list[Path] = []
     if stems is not None:
+        sounding = {id(stem.part) for stem in rendered}
+        files = [file for part, file in zip(parts, planned, strict=True) if id(part) in sounding]
         make_stem_folder(stems, parents=True)
         for stem, file in zip(rendered, files, strict=True):
             Audio(stem.samples * factor, fs, ("left", "right")).save(file, subtype)
@@ -76,7 +87,8 @@ def render_parts(
     said = {
         "output": str(output), "fs": fs, "frames": len(mix), "duration_s": len(mix) / fs, "level": level,
         "gain_db": gain, "true_peak_dbtp": decibel(peak) + gain if peak > 0 else None, "loudness_lufs": lufs,
-        "clipped": clipped, "render_s": time.perf_counter() - began, "stems": [str(file) for file in files],
+        "clipped": clipped, "left_out": lines,
+        "render_s": time.perf_counter() - began, "stems": [str(file) for file in files],
         "parts": [
             {
                 **stem.part.model_dump(), "notes": stem.summary.notes, "midi_ignored": dict(stem.summary.ignored),
@@ -95,6 +107,7 @@ def render_parts(
         if silent:
             raise typer.Exit(1)
         return
+    warn(lines)
     for stem in rendered:
         where = f"part {stem.part.part}: "
         warn_of_kinds([where + line for line in stem.summary.warnings])

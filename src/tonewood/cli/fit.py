@@ -32,7 +32,8 @@ def fit(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILES", help="frequency responses (.csv, .npz, .uff), or hammer hits, one a file (.wav, .csv)"
+            metavar="FILES",
+            help="responses (.csv, .npz, .mat, .uff), or hammer hits, one a file (.wav, .csv)",
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FOLDER", help="folder to write")],
@@ -40,15 +41,28 @@ def fit(
         str | None, typer.Option(help="quantity measured: accelerance, mobility or receptance, per N")
     ] = None,
     scale: Annotated[
-        float, typer.Option(help="SI units per unit of the responses: 9.80665 for g/N; 1 for m/s^2, m/s or m per N")
+        float, typer.Option(help="SI units per unit of the responses: 9.80665 for g/N; -1 turns the sign")
     ] = 1.0,
     band: Annotated[
         tuple[float, float] | None, typer.Option(metavar="LOW HIGH", help="Hz, part of the data that is fitted")
     ] = None,
     driving: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME[=BEGIN]", help="WAV: point struck in all files, or those whose names begin so"),
+        typer.Option(
+            metavar="NAME[=BEGIN]",
+            help="point that was driven: in all files, in WAV files whose names begin so, or called so as a reference",
+        ),
     ] = None,
+    array: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help=".npz, .mat: array that holds responses; repeatable")
+    ] = None,
+    damping: Annotated[
+        str, typer.Option(help="viscous, structural (hysteretic), or auto: the one that fits with fewer modes")
+    ] = "auto",
+    keep: Annotated[
+        str | None, typer.Option(metavar="HZ,...", help="frequencies where a mode has to be, whatever it gains")
+    ] = None,
+    drop: Annotated[str | None, typer.Option(metavar="HZ,...", help="frequencies of modes that are not wanted")] = None,
     points: Annotated[
         str | None, typer.Option(metavar="NAMES", help="WAV: points of channels 2 on, by commas; NAME_Pa: microphone")
     ] = None,
@@ -73,9 +87,10 @@ def fit(
     licence: Annotated[str | None, typer.Option(help="SPDX name of the data's licence; unknown otherwise")] = None,
     as_json: Json = False,
 ) -> None:
-    """Fit the modes of a passive body to measured responses, some of them where it was driven.
+    """Fit modes to measured responses, and a passive body to those of which one was measured where it was driven.
 
     Writes body.csv, body.yaml, fit.json, fit.png and, with microphones, radiation.csv; `tonewood new` reads the folder.
+    Where no passive body has such responses: modes.csv, fit.json and fit.png, and a warning that says why.
     """
     from tonewood.workshop.fit.files import Reading, read_responses
     from tonewood.workshop.fit.fit import fit_responses
@@ -83,22 +98,26 @@ def fit(
     from tonewood.workshop.fit.radiation import fit_radiation
 
     _check_options(form, estimator, scale, window_tau, hits, band)
+    if damping not in ("viscous", "structural", "auto"):
+        raise TonewoodError(f"is {damping!r}; viscous, structural, auto are allowed", key="--damping")
+    kept, dropped = _frequencies("--keep", keep), _frequencies("--drop", drop)
     _check_folder(output)
     reading = Reading(
         form=form, n_hits=hits, window_tau=window_tau, points=tuple(_words(points)), references=_references(driving),
-        sensitivity=_numbers(sensitivity), estimator=estimator, scale=scale,
+        sensitivity=_numbers(sensitivity), estimator=estimator, scale=scale, arrays=tuple(array or ()),
     )  # fmt: skip
     responses, places = _named(read_responses(files, reading), point or [])
     draw = _figure()
     tell = _teller()
     try:
-        made = fit_responses(responses, band=band or (None, None), tell=tell)
+        made = fit_responses(responses, band=band or (None, None), damping=damping, keep=kept, drop=dropped, tell=tell)
         places_u = {name: place.u for name, place in places.items() if place.u is not None}
-        radiation = fit_radiation(made.responses, made.body, places_u, tell=tell)
+        radiation = None if made.body is None else fit_radiation(made.responses, made.body, places_u, tell=tell)
         origin = Origin(title or UNKNOWN, measured_by or UNKNOWN, licence or UNKNOWN)
         settings = {
             "form": form, "scale": scale, "band": band, "window_tau": window_tau, "hits": hits, "estimator": estimator,
             "driving": driving, "points": points, "sensitivity": sensitivity, "point": point,
+            "array": array, "damping": damping, "keep": keep, "drop": drop,
         }  # fmt: skip
         folder = FitFolder(made, radiation, places, origin, settings)
         written = folder.write(output, draw)
@@ -131,7 +150,7 @@ def _check_options(
         raise TonewoodError(f"is {form!r}; {', '.join(FORMS)} are allowed", key="--form")
     if estimator not in ("H1", "H2"):
         raise TonewoodError(f"is {estimator!r}; H1, H2 are allowed", key="--estimator")
-    allow("--scale", scale, 1e-9, 1e9, "")
+    allow("--scale", abs(scale), 1e-9, 1e9, "")
     if window_tau is not None:
         allow("--window-tau", window_tau, 1e-4, 1e3, "s")
     if hits is not None:
@@ -165,6 +184,14 @@ def _numbers(text: str | None) -> tuple[float, ...]:
                 f"{word} is not allowed: a value at full scale other than 0 is needed", key="--sensitivity"
             )
     return tuple(out)
+
+
+def _frequencies(key: str, text: str | None) -> tuple[float, ...]:
+    values = tuple(number_in(word) for word in _words(text))
+    for word, value in zip(_words(text), values, strict=True):
+        if not 0 < value < math.inf:
+            raise TonewoodError(f"{word!r} is no frequency; numbers above 0 by commas are allowed", key=key)
+    return values
 
 
 def _references(given: list[str] | None) -> tuple[tuple[str, str], ...]:
@@ -254,29 +281,34 @@ def _print(folder: FitFolder, written: list[Path]) -> None:
     facts, r = folder.facts(), made.responses
     kept = "" if r.kept is None else f", {r.kept[0]} of {r.kept[1]} hits kept"
     pairs = ", ".join(f"{point}:{reference}" for point, reference in r.pairs)
-    print(f"{pairs}: {r.freq[0]:g} to {r.freq[-1]:g} Hz in steps of {r.freq[1] - r.freq[0]:g} Hz{kept}")
+    print(f"{pairs}: {r.freq[0]:g} to {r.freq[-1]:g} Hz in steps of {facts['step_Hz']:g} Hz{kept}")
     found = ", ".join(f"{len(iteration.freq)} ({iteration.misfit:.3g})" for iteration in made.modes.iterations)
     print(f"modes found iteration by iteration, and misfit re noise: {found}")
-    print(f"     f/Hz       Q   mass at {made.body.points[0]}/kg  +-cents   +-Q    without it")
+    loss = "structural (hysteretic), Q = 1/eta" if made.modes.structural else "viscous"
+    print(f"damping taken for {loss}")
+    mass_head = "" if made.body is None else f"mass at {made.body.points[0]}/kg"
+    print(f"     f/Hz       Q   {mass_head}  +-cents   +-Q    without it   MPC")
     for row in facts["modes"]:
         mass = "" if row["mass_kg"] is None else f"{row['mass_kg']:.3g}"
         if row["measured"]:
             sure = f"{row['sd_cents']:>8.2g} {100 * row['sd_Q']:>5.2g} % {row['without_db']:>8.1f} dB"
+            sure += "" if row["mpc"] is None else f"  {row['mpc']:>5.3f}"
         else:
-            sure = "  beyond the band: stands for modes there"
-        print(f"{row['freq_Hz']:>9.2f} {row['Q']:>7.1f} {mass:>{15 + len(made.body.points[0])}}  {sure}")
+            sure = "  no mode of the band: stands for modes beyond it"
+        print(f"{row['freq_Hz']:>9.6g} {row['Q']:>7.1f} {mass:>{len(mass_head)}}  {sure}")
     for line in facts["dropped"]:
         print(f"  dropped: {line}")
-    error = facts["error_db"]
+    error, what = facts["error_db"], "modes" if made.body is None else "body"
     print(
-        f"misfit {facts['misfit']:.2f} times the noise; the body's mobility re the measured one: {error['rms']:.2f} dB "
-        f"r.m.s., {error['95%']:.2f} in 95 % of the bins, {error['most']:.2f} at most"
+        f"misfit {facts['misfit']:.2f} times the noise; the {what}'s mobility re the measured one: "
+        f"{error['rms']:.2f} dB r.m.s., {error['95%']:.2f} in 95 % of the bins, {error['most']:.2f} at most"
     )
     if facts["radiation"] is not None:
         heard = facts["radiation"]
         channels = ", ".join(heard["channels"])
         print(f"microphones {channels}: {heard['modes']} modes, {heard['error_db_rms']:.2f} dB r.m.s. off")
-    print("passive by construction (real modes)")
+    if made.body is not None:
+        print("passive by construction (real modes)")
     print(f"measured by {folder.origin.measured_by}: say who by --measured-by" if folder.origin.measured_by == "unknown"
           else f"measured by {folder.origin.measured_by}")  # fmt: skip
     print(f"written: {', '.join(str(path) for path in written)}")

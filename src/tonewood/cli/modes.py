@@ -53,9 +53,9 @@ def modes(
 
     render_options({"fs": fs})
     bundle = load(instrument, settings, allow_code, strings)
-    model = assemble(bundle, fs)
+    model = assemble(bundle, fs, alone=True)
     if string is not None and string not in model.strings:
-        known = f"{did_you_mean(string, model.strings)}there are {', '.join(model.strings)}"
+        known = f"{did_you_mean(string, model.strings)}there are {', '.join(model.strings) or 'none: a body alone'}"
         raise TonewoodError(f"there is no string {string!r}; {known}", key="--string")
     if count < 1:
         raise TonewoodError(f"is {count}; 1 or more is allowed", key="--count")
@@ -134,8 +134,8 @@ def _body_modes(bundle: Instrument) -> list[dict[str, Any]]:
     if sources is None:
         return []
     basis = bundle.body.basis(SHOWN_TO)
-    rows = zip(basis.natural_freq, basis.damping_ratio, sources.labels, strict=False)
-    return [{"freq": float(f), "q": float(0.5 / z), "kind": kind} for f, z, kind in list(rows)[:_LISTED]]
+    rows = [row for row in zip(basis.natural_freq, basis.damping_ratio, sources.labels, strict=False) if row[0] > 0]
+    return [{"freq": float(f), "q": float(0.5 / z), "kind": kind} for f, z, kind in rows[:_LISTED]]
 
 
 def _plot(model: Model, names: list[str], path: Path) -> None:
@@ -150,10 +150,10 @@ def _plot(model: Model, names: list[str], path: Path) -> None:
     found = bridge_mobility(model, freq, names)
     if not found:
         raise OutputError("no string of this instrument ends on a body that moves: there is no mobility", file=path)
-    marks = [model.strings[name].freq() for name in found]
+    marks = [model.strings[name].freq() for name in names]
     heading, sources = model.instrument.spec.title, model.instrument.body.sources(SHOWN_TO)
     if sources is None or not len(sources.areas):
-        save(mobility_figure(freq, found, heading=heading, marks=marks, of="bridge at"), path)
+        save(mobility_figure(freq, found, heading=heading, marks=marks, of="bridge at" if names else "body at"), path)
         return
     basis = model.instrument.body.basis(SHOWN_TO)
     made, axes = figure(1 + _LISTED // COLUMNS, COLUMNS, heights=[5.0, *[3.6] * (_LISTED // COLUMNS)])
@@ -166,6 +166,7 @@ def _plot(model: Model, names: list[str], path: Path) -> None:
     whole.grid(which="both", color="0.9", lw=0.8)
     draw_mobility(whole, freq, found)
     title(whole, heading)
-    legend(whole, title="bridge at", ncols=2)
-    draw_shapes(axes[1:].ravel(), sources, basis.natural_freq, 0.5 / basis.damping_ratio)
+    legend(whole, title="bridge at" if names else "body at", ncols=2)
+    moves = basis.natural_freq > 0
+    draw_shapes(axes[1:].ravel(), sources.of(moves), basis.natural_freq[moves], 0.5 / basis.damping_ratio[moves])
     save(made, path)

@@ -18,7 +18,7 @@ from tonewood.support.units import number_in
 from tonewood.support.validation_messages import unit_of
 
 #: options whose names leave out the unit; their help texts state it
-_NAMES = {"gain_db": "--gain", "tail_level_db": "--tail-level"}
+_NAMES = {"gain_db": "--gain", "tail_level_db": "--tail-level", "room_mix_db": "--room-mix"}
 
 
 def option_name(field: str) -> str:
@@ -37,11 +37,15 @@ def takes_render_options(without: Collection[str] = ()) -> Callable[[Callable[..
 
     def decorated(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
-        def wrapped(**given: Any) -> Any:
-            options = render_options({name: given.pop(name) for name in fields})
-            return command(**given, options=options)
+        def wrapped(context: typer.Context, **given: Any) -> Any:
+            values = {name: given.pop(name) for name in fields}
+            # a preset stands in for options that are left out, and only for these
+            source = context.get_parameter_source
+            values = {name: value for name, value in values.items() if getattr(source(name), "name", "") != "DEFAULT"}
+            return command(**given, options=render_options(values))
 
-        parameters: list[inspect.Parameter] = []
+        keyword = inspect.Parameter.POSITIONAL_OR_KEYWORD
+        parameters = [inspect.Parameter("context", keyword, annotation=typer.Context)]
         for parameter in inspect.signature(command, eval_str=True).parameters.values():
             whole = parameter.name == "options"
             parameters += [_parameter(*item) for item in fields.items()] if whole else [parameter]

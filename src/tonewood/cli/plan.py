@@ -86,6 +86,8 @@ def plan(
         return
     warn_of_dropped([drop for drop in found.notes_dropped if drop.time < found.duration_s])
     print(f"{found.duration_s:.2f} s of sound in about {found.predicted_s:.1f} s of computing")
+    if found.bends:
+        print(f"  strings are bent at {found.bends} points in time: {found.bends_s:.1f} s of it")
     if verbose:
         for effect in found.effects:
             shown = f"{effect.seconds:.2f} s{_when(effect)}{_cost([effect])}"

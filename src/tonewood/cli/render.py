@@ -44,12 +44,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from tonewood.performance.effects.base import EffectReport
-    from tonewood.sound.ensemble import EnsemblePart
+    from tonewood.sound.ensemble.mix import EnsemblePart
     from tonewood.sound.level.limiter import Limiter
     from tonewood.sound.live.take import Replay
     from tonewood.sound.render.level import LevelName
     from tonewood.sound.render.renderer import Renderer, Summary
-    from tonewood.sound.room import Room
 
 
 @takes_render_options(without=["energy"])
@@ -66,6 +65,10 @@ def render(
         ),
     ] = None,
     ensemble: Annotated[Path | None, typer.Option(help="YAML file of parts, in place of --part")] = None,
+    programs: Annotated[
+        Path | None,
+        typer.Option(help="YAML table of programs and their instruments, for a SCORE without -i, --part, --ensemble"),
+    ] = None,
     stems: Annotated[
         Path | None, typer.Option(help="folder for one file a part, or of one instrument one an output group")
     ] = None,
@@ -84,12 +87,6 @@ def render(
     limiter: Annotated[
         bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS by a look-ahead limiter")
     ] = False,
-    room: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ROOM", help="small, hall, or a sound file with an impulse response: a room, not measured"
-        ),
-    ] = None,
     energy: Annotated[
         list[Path] | None,
         typer.Option(
@@ -105,7 +102,7 @@ def render(
     allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> None:
-    """Render SCORE on an instrument to a sound file."""
+    """Render SCORE on an instrument to a sound file; without one, each part on the instrument of its program."""
     began = time.perf_counter()
     from tonewood.cli.stems import check_stem_folder, stem_files, write_output_stems, write_string_stems
     from tonewood.performance.score.reading import read_score
@@ -131,18 +128,21 @@ def render(
         check_energy_file(path)
     given = reading(start, stop, transpose, tempo, tracks)
     target = PEAK if normalize is None else normalize
-    if part or ensemble is not None:
-        players = _players(part or (), ensemble)
+    if programs is not None and (instrument is not None or part or ensemble is not None):
+        raise TonewoodError("is for a score without -i, --part and --ensemble", key="--programs")
+    if instrument is None or part or ensemble is not None:
         used: dict[str, object] = {
             "--instrument": instrument,
             "--energy": energy,
             "--set": settings,
             "--strings": strings,
         }
-        used |= {"--room": room, "--limiter": limiter, "--live": live, "--tracks": tracks, "--allow-code": allow_code}
+        used |= {"--limiter": limiter, "--live": live, "--allow-code": allow_code}
+        used["--tracks"] = tracks if part or ensemble is not None else None
         for option, value in used.items():
             if value:
-                raise TonewoodError("is for one instrument; with --part or --ensemble it is not allowed", key=option)
+                raise TonewoodError("is for one instrument, chosen by -i", key=option)
+        players, left_out = _players(score, given, part or (), ensemble, programs)
         del given["tracks"]
         from tonewood.cli.ensemble import render_parts
         from tonewood.support.whole_files import AtomicFile
@@ -152,18 +152,14 @@ def render(
             check_stem_folder(stems, parents=True)
         render_parts(
             score, players, output, options, reading=given, subtype=subtype, level=wanted, target=target,
-            stems=stems, as_json=as_json,
+            stems=stems, as_json=as_json, left_out=left_out,
         )  # fmt: skip
         return
-    if instrument is None:
-        raise TonewoodError("Missing option '--instrument' / '-i', or --part or --ensemble for several")
     if stems_by not in ("output", "string"):
         raise TonewoodError(f"is {stems_by!r}; output, string are allowed", key="--stems-by")
     if stems_by == "string" and (stems is None or live or limiter):
         reason = "is for --stems without --live and --limiter, which strings have in common"
         raise TonewoodError(reason, key="--stems-by")
-    if stems is not None and room is not None:
-        raise TonewoodError("a room mixes the outputs; with --room it is not allowed", key="--stems")
     if stems is not None and not stems.parent.exists():
         raise TonewoodError(f"there is no folder {stems.parent}", key="--stems")
     if stems is not None:
@@ -179,14 +175,9 @@ def render(
             renderer = Renderer(read_score(score, **given), bundle, options=options.at(energy=bool(energy)))
     by_string = assembled(bundle, options, by_string=True) if stems_by == "string" else None
     files = [] if stems is None else stem_files(stems, [g.name for g in (by_string or renderer.model).outputs], output)
-    about = None
-    if room is not None:
-        from tonewood.sound.room import Room, room_response
-
-        about = Room(room_response(room, fs, len(renderer.channels)))
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
-    clipped, peak, gain = _write(renderer, output, subtype, block, wanted, target, hold, about)
+    clipped, peak, gain = _write(renderer, output, subtype, block, wanted, target, hold)
     try:
         if by_string is not None:
             again = Renderer(read_score(score, **given), bundle, options=options, model=by_string)
@@ -213,7 +204,7 @@ def render(
         warnings.append(f"{output} is silent: its peak of {decibel(peak):.0f} dBFS is below its smallest step")
     if as_json:
         report = _report(renderer, output, clipped, peak, loaded - began, warnings)
-        print_json("render", report | {"level": wanted, "gain_db": gain, "room": room}, ok=not silent)
+        print_json("render", report | {"level": wanted, "gain_db": gain}, ok=not silent)
         if silent:
             raise typer.Exit(1)
         return
@@ -226,8 +217,8 @@ def render(
         f"{summary.realtime_factor:.1f} x real time; ended: {summary.end}"
     )
     print(f"  level {wanted}: {meaning(renderer.model.outputs, gain)}")
-    if room is not None:
-        print(f"  room {room}: not measured")
+    if summary.room is not None:
+        print(f"  room {summary.room}")
     if summary.ignored:
         print(f"  without effect: {', '.join(f'{n} {kind}' for kind, n in summary.ignored.items())}")
     for tension in summary.tensions:
@@ -250,13 +241,21 @@ def render(
         raise typer.Exit(1)
 
 
-def _players(parts: Sequence[str], ensemble: Path | None) -> list[EnsemblePart]:
-    """Parts and their instruments, from the command line or a file."""
-    from tonewood.sound.ensemble import parse_part, read_ensemble
+def _players(
+    score: Path, given: dict[str, Any], parts: Sequence[str], ensemble: Path | None, programs: Path | None
+) -> tuple[list[EnsemblePart], list[str] | None]:
+    """Parts and their instruments, from the command line, a file, or by their programs; then also lines to print."""
+    from tonewood.performance.score.reading import read_score
+    from tonewood.sound.ensemble.mix import parse_part, read_ensemble
+    from tonewood.sound.ensemble.programs import choose_players, read_programs
 
     if parts and ensemble is not None:
         raise TonewoodError("one of --part and --ensemble is allowed", key="--ensemble")
-    return [parse_part(text) for text in parts] if ensemble is None else read_ensemble(ensemble)
+    if parts or ensemble is not None:
+        return ([parse_part(text) for text in parts] if ensemble is None else read_ensemble(ensemble)), None
+    table = read_programs(programs)
+    music = read_score(score, **given)
+    return choose_players(music.parts, table, score)
 
 
 def _write(
@@ -267,7 +266,6 @@ def _write(
     level: LevelName,
     target: float,
     limiter: Limiter | None,
-    room: Room | None,
 ) -> tuple[int, float, float]:
     """Stream to the file; unless calibrated, through a scratch file of full precision beside it.
 
@@ -281,7 +279,7 @@ def _write(
 
     channels, fs = len(renderer.channels), renderer.fs
     frames = math.ceil(renderer.expected_duration * fs)
-    sound = renderer.blocks(block) if room is None else room.process(renderer.blocks(block))
+    sound = renderer.blocks(block)
     with progress("rendering", renderer.expected_duration) as advance:
         if level == "calibrated":
             remove_leftovers(output.with_suffix(".rf64"))  # of a scratch file
@@ -393,6 +391,7 @@ def _report(
         "tensions": [{**asdict(t), "cents": t.cents} for t in s.tensions],
         "zero_frame": s.zero_frame,
         "onset_step_dbfs": s.onset_step_dbfs,
+        "room": s.room,
         "warnings": warnings,
         "energy": None if account is None else account.balance(),
         "effects": [asdict(e) for e in s.effects],

@@ -80,6 +80,9 @@ def _print(found: PanelResults) -> None:
     for page in found.pages:
         warn([f"{s.listener} is left out: {s.reason}" for s in page.screened])
     warn([f"{who} did not finish" for who in found.unfinished])
+    warn([f"{who} did not pass the check of headphones" for who in found.not_passed])
+    if found.withdrawn:
+        warn([f"{found.withdrawn} withdrew; their answers were deleted"])
     warn([f"left out: {one.reason}" for one in found.left_out])
     if found.left_out:
         count = sum(one.answers for one in found.left_out)

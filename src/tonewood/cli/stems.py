@@ -78,11 +78,13 @@ def write_output_stems(output: Path, files: Sequence[Path], subtype: str, render
     import soundfile as sf
 
     from tonewood.sound.files.audio import SoundWriter
+    from tonewood.sound.render.routing import columns_of
 
     make_stem_folder(files[0].parent)
     first = 0
-    for group, file in zip(renderer.model.outputs, files, strict=True):
-        n = len(group.channels)
+    columns = columns_of(renderer.model.outputs, in_room=renderer.options.room is not None)
+    for group, file in zip(columns, files, strict=True):
+        n = len(group)
         with (
             sf.SoundFile(output) as source,
             SoundWriter(file, renderer.fs, n, subtype, frames=source.frames) as writer,
@@ -106,12 +108,12 @@ def write_string_stems(renderer: Renderer, files: Sequence[Path], subtype: str, 
     from tonewood.sound.files.audio import SoundWriter
 
     make_stem_folder(files[0].parent)
-    groups = renderer.model.outputs
-    edges = np.cumsum([0, *(len(group.channels) for group in groups)])
+    groups = renderer.columns
+    edges = np.cumsum([0, *map(len, groups)])
     written, factor = 0, 10 ** (gain_db / 20)
     with ExitStack() as stack:
         writers = [
-            stack.enter_context(SoundWriter(file, renderer.fs, len(group.channels), subtype, frames=frames))
+            stack.enter_context(SoundWriter(file, renderer.fs, len(group), subtype, frames=frames))
             for file, group in zip(files, groups, strict=True)
         ]
 

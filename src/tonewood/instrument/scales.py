@@ -11,11 +11,13 @@ from __future__ import annotations
 import math
 import os
 import re
+from codecs import BOM_UTF8
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from tonewood.errors import ScoreError
+from tonewood.support.text_files import decoded, other_encoding
 
 A4_KEY = 69
 A4_FREQ = 440.0
@@ -270,8 +272,10 @@ def _lines(path: str | os.PathLike[str]) -> Iterator[tuple[int, str]]:
         raise ScoreError(error.strerror or str(error), file=path) from None
     if len(raw) > MAX_FILE_BYTES:
         raise ScoreError(f"larger than {MAX_FILE_BYTES} bytes, which no scale needs", file=path)
+    if reason := other_encoding(raw):
+        raise ScoreError(reason, file=path)
     try:
-        text = raw.decode("utf-8-sig")
+        text = decoded(raw, file=path, error=ScoreError) if raw.startswith(BOM_UTF8) else raw.decode()
     except UnicodeDecodeError:
         text = raw.decode("latin-1")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")

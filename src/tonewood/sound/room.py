@@ -1,13 +1,15 @@
-"""A room about the instrument: each channel convolved with an impulse response. Never measured with the instrument.
+"""A room about the instrument: impulse responses, and their convolution with a sound; not measured with it.
 
-``small`` and ``hall`` are boxes whose image sources `pyroomacoustics` sums (J. B. Allen and D. A. Berkley, J. Acoust.
-Soc. Am. 65 (1979) 943), with one absorption for all walls after Sabine. A sound file holds a response of its own.
-Either begins with its direct sound, which has a gain of 1: the room only adds.
+``studio``, ``small`` and ``hall`` are boxes whose image sources `pyroomacoustics` sums (J. B. Allen and D. A. Berkley,
+J. Acoust. Soc. Am. 65 (1979) 943), with one absorption for all walls after Sabine. A sound file holds a response of
+its own. Either begins with its direct sound, which has a gain of 1: the room only adds. In a box the distance decides
+about the reverberation re the direct sound: both are equally strong where 16 pi d^2 is the room's absorption,
+0.161 V / T60 after Sabine, thus at d = 0.057 sqrt(V / T60) (m, m^3, s).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,56 +29,99 @@ class Box:
     ----------
     size : m, length, width, height.
     t60 : s, after Sabine.
-    source, listener : m, of the instrument and of the middle between the channels.
+    source : m, place of the instrument.
+    towards : direction from the instrument to the microphones.
+    distance : m, of the microphones where none is asked for.
     """
 
     size: tuple[float, float, float]
     t60: float
     source: tuple[float, float, float]
-    listener: tuple[float, float, float]
+    towards: tuple[float, float, float]
+    distance: float
+
+    def places(self, distance: float, channels: int) -> Floats:
+        """(3, channels) m, places of the microphones, side by side across their distance from the instrument."""
+        ahead = np.array(self.towards) / np.linalg.norm(self.towards)
+        across = np.cross(ahead, (0.0, 0.0, 1.0))
+        offset = _APART * (np.arange(channels) - (channels - 1) / 2)
+        at = np.array(self.source) + distance * ahead
+        return np.asarray(at[:, None] - np.outer(across, offset))
 
 
 ROOMS = {
-    "small": Box((5.2, 3.9, 2.6), 0.4, (1.3, 1.9, 1.1), (3.4, 2.1, 1.2)),
-    "hall": Box((24.0, 15.0, 9.0), 1.6, (4.0, 7.1, 1.2), (12.0, 7.8, 1.4)),
+    "studio": Box((6.5, 5.0, 3.0), 0.3, (2.1, 2.2, 1.1), (1.0, 0.15, 0.05), 0.7),
+    "small": Box((5.2, 3.9, 2.6), 0.4, (1.3, 1.9, 1.1), (1.0, 0.1, 0.05), 0.6),
+    "hall": Box((24.0, 15.0, 9.0), 1.6, (4.0, 7.1, 1.2), (1.0, 0.09, 0.02), 2.0),
 }
-#: m between the listeners' places of neighbouring channels
-_APART = 0.3
+#: m between neighbouring microphones; least from a wall
+_APART, _FROM_WALL = 0.3, 0.3
 #: s, longest response of a file
 _LONGEST = 20.0
+#: frames of a part of the convolution
+_PART = 1024
+#: s after the direct sound between which the mix's gain sets in
+_DIRECT = (1e-3, 2.5e-3)
 
 
-def room_response(room: str, fs: int, channels: int) -> Floats:
+def room_response(room: str, fs: int, channels: int, *, distance: float | None = None, mix_db: float = 0.0) -> Floats:
     """(n, channels) impulse responses, the direct sound first, of gain 1.
 
     Parameters
     ----------
-    room : ``small``, ``hall``, or the name of a sound file with one channel or one for each of `channels`.
+    room : ``studio``, ``small``, ``hall``, or a sound file with one channel or one for each of `channels`.
+    distance : m, from the instrument to the microphones in a box; the box's own where left out.
+    mix_db : dB, gain of everything later than the direct sound.
 
     Raises
     ------
-    TonewoodError : pyroomacoustics is not installed; the file cannot be read or is silent.
+    TonewoodError : pyroomacoustics is not installed; the file cannot be read or is silent; the microphones would stand
+        in a wall, or a distance is asked for in a file's room.
     """
     if room in ROOMS:
-        return _begun(_boxed(ROOMS[room], fs, channels), fs)
-    return _begun(_read(room, fs, channels), fs)
+        responses = _boxed(ROOMS[room], fs, channels, distance)
+    elif distance is not None:
+        raise TonewoodError(f"is for {', '.join(ROOMS)}; the response of a file has its own", key="room_distance")
+    else:
+        responses = _read(room, fs, channels)
+    responses = _begun(responses, fs)
+    return responses if mix_db == 0.0 else responses * _after_direct(responses, fs, 10 ** (mix_db / 20))
 
 
-def _boxed(box: Box, fs: int, channels: int) -> Floats:
+def reverberation_db(responses: Floats, fs: int) -> float:
+    """Energy later than the direct sound re that of the direct sound, dB, of all channels."""
+    late = _after_direct(responses, fs, 0.0)
+    direct = float(np.sum((responses * late) ** 2))
+    whole = float(np.sum(responses**2))
+    return 10 * float(np.log10(max(whole - direct, 1e-30) / direct))
+
+
+def _after_direct(responses: Floats, fs: int, gain: float) -> Floats:
+    """(n, channels) factors: 1 for the direct sound of each channel, `gain` after it."""
+    time = np.arange(len(responses))[:, None] / fs - np.abs(responses).argmax(axis=0) / fs
+    begin, end = _DIRECT
+    share = np.clip((time - begin) / (end - begin), 0.0, 1.0)
+    return np.asarray(1.0 + (gain - 1.0) * 0.5 * (1.0 - np.cos(np.pi * share)))
+
+
+def _boxed(box: Box, fs: int, channels: int, distance: float | None) -> Floats:
+    places = box.places(box.distance if distance is None else distance, channels)
+    size = np.array(box.size)[:, None]
+    if np.any(places < _FROM_WALL) or np.any(places > size - _FROM_WALL):
+        farthest = max(d for d in np.arange(0.1, 60.0, 0.1) if np.all(box.places(d, 2) <= size - _FROM_WALL))
+        raise TonewoodError(f"is {distance:g} m; 0.1 to {farthest:.1f} m are allowed in this room", key="room_distance")
     try:
         import pyroomacoustics as pra
     except ImportError:
-        raise TonewoodError("needs pyroomacoustics: pip install 'tonewood[room]'", key="--room") from None
+        raise TonewoodError("needs pyroomacoustics: pip install 'tonewood[room]'", key="room") from None
     absorption, order = pra.inverse_sabine(box.t60, box.size)
     shoebox = pra.ShoeBox(box.size, fs=fs, materials=pra.Material(absorption), max_order=order)
     shoebox.add_source(box.source)
-    x, y, z = box.listener
-    places = [(x, y + _APART * (c - (channels - 1) / 2), z) for c in range(channels)]
-    shoebox.add_microphone_array(np.array(places).T)
+    shoebox.add_microphone_array(places)
     shoebox.compute_rir()
-    found = [np.asarray(shoebox.rir[c][0], dtype=np.float64) for c in range(channels)]
-    out = np.zeros((max(map(len, found)), channels))
-    for c, response in enumerate(found):
+    responses = [np.asarray(shoebox.rir[c][0], dtype=np.float64) for c in range(channels)]
+    out = np.zeros((max(map(len, responses)), channels))
+    for c, response in enumerate(responses):
         out[: len(response), c] = response
     return out
 
@@ -88,7 +133,7 @@ def _read(name: str, fs: int, channels: int) -> Floats:
 
     if not Path(name).is_file():
         known = ", ".join(ROOMS)
-        raise TonewoodError(f"is {name!r}; {known} or the name of a sound file are allowed", key="--room")
+        raise TonewoodError(f"is {name!r}; {known} or the name of a sound file are allowed", key="room")
     try:
         given, rate = sf.read(name, dtype="float64", always_2d=True)
     except sf.LibsndfileError as fault:
@@ -109,32 +154,65 @@ def _begun(responses: Floats, fs: int) -> Floats:
     """Responses from half a millisecond before the earliest direct sound on; the loudest channel's has a gain of 1."""
     largest = np.abs(responses).max(axis=0)
     if not np.all(largest > 0):
-        raise TonewoodError("the response is silent", key="--room")
+        raise TonewoodError("the response is silent", key="room")
     direct = int(np.abs(responses).argmax(axis=0).min())
     first = max(0, direct - round(0.5e-3 * fs))
     return np.asarray(responses[first:] / largest.max())
 
 
 class Room:
-    """Convolve blocks of sound with impulse responses by overlap-add; the tail follows the last block.
+    """Convolve a sound with impulse responses; the samples do not depend on its pieces, to the last bit.
+
+    The convolution is partitioned (W. G. Gardner, J. Audio Eng. Soc. 43 (1995) 127): the sound that comes out is up
+    to 1023 frames shorter than what went in, until the last piece brings the rest and the reverberation.
 
     Parameters
     ----------
     responses : (n, channels).
+    sources : channel of the dry sound for each of the channels; the same numbers where left out.
+
+    Attributes
+    ----------
+    memory : arrays that hold all that moves, for snapshots.
     """
 
-    def __init__(self, responses: Floats):
-        self._responses = responses
+    def __init__(self, responses: Floats, sources: Sequence[int] | None = None):
+        channels = responses.shape[1]
+        self._sources = list(range(channels)) if sources is None else list(sources)
+        parts = -(-len(responses) // _PART)
+        padded = np.zeros((parts * _PART, channels))
+        padded[: len(responses)] = responses
+        self._responses = np.fft.rfft(padded.reshape(parts, _PART, channels), 2 * _PART, axis=1)
+        self._length = len(responses)
+        dry = max(self._sources) + 1
+        self._spectra = np.zeros((parts, _PART + 1, dry), dtype=np.complex128)
+        self._rest, self._waiting = np.zeros((_PART, channels)), np.zeros((0, dry))
 
-    def process(self, blocks: Iterable[Floats]) -> Iterator[Floats]:
-        """Yield the blocks (m, channels) with the room's sound, and its reverberation after them."""
-        from scipy.signal import fftconvolve
+    @property
+    def memory(self) -> tuple[NDArray[np.complex128], Floats, Floats]:
+        """Copies of spectra of earlier parts, sound that is still due, and sound that waits for a part to be full."""
+        return self._spectra.copy(), self._rest.copy(), self._waiting.copy()
 
-        rest = np.zeros((0, self._responses.shape[1]))
-        for block in blocks:
-            sound = fftconvolve(block, self._responses, axes=0)
-            sound[: len(rest)] += rest
-            yield sound[: len(block)]
-            rest = sound[len(block) :]
-        if len(rest):
-            yield rest
+    @memory.setter
+    def memory(self, arrays: tuple[NDArray[np.complex128], Floats, Floats]) -> None:
+        spectra, rest, waiting = arrays
+        self._spectra, self._rest, self._waiting = spectra.copy(), rest.copy(), waiting.copy()
+
+    def add(self, sound: Floats, *, last: bool = False) -> Floats:
+        """Take a piece (m, dry channels) and return the sound (k, channels) that is complete."""
+        waiting = np.concatenate([self._waiting, sound])
+        due = len(waiting) + self._length - 1
+        if last:
+            waiting = np.concatenate([waiting, np.zeros((-due % _PART + due - len(waiting), waiting.shape[1]))])
+        whole = len(waiting) // _PART
+        out = [self._part(waiting[i * _PART : (i + 1) * _PART]) for i in range(whole)]
+        self._waiting = waiting[whole * _PART :]
+        done = np.concatenate(out) if out else np.zeros((0, self._rest.shape[1]))
+        return done[:due] if last else done
+
+    def _part(self, sound: Floats) -> Floats:
+        self._spectra = np.roll(self._spectra, 1, axis=0)
+        self._spectra[0] = np.fft.rfft(sound, 2 * _PART, axis=0)
+        both = np.fft.irfft(np.sum(self._spectra[:, :, self._sources] * self._responses, axis=0), 2 * _PART, axis=0)
+        done, self._rest = both[:_PART] + self._rest, both[_PART:]
+        return np.asarray(done)

@@ -17,6 +17,7 @@ import os
 import stat
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -97,8 +98,10 @@ def keep(kind: str, key: str, content: bytes) -> None:
         path = _path(folder, kind, key)
         if not _is_own(folder):
             return
-        if path.is_symlink() or not path.is_file():  # an `AtomicFile` would replace the target of a link
-            path.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):
+            # an `AtomicFile` would replace the target of a link. One look: another process may write the file meanwhile
+            if not stat.S_ISREG(path.lstat().st_mode):
+                path.unlink()
         file = AtomicFile(path, mode=0o600)  # whatever the umask: who has opened it may write for ever
         try:
             with file.path.open("wb") as stream:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from tonewood.errors import OutputError
@@ -17,7 +17,9 @@ FILE = ".tonewood.lock"
 def locked(folder: Path, use: str) -> Iterator[None]:
     """Hold the lock of a folder, whatever name or link it is reached by.
 
-    The lock on the file counts, not the file: the file of a killed process does not block others.
+    Two locks are taken: on the folder, which holds when somebody removes the file, and on the file `.tonewood.lock` in
+    it, which names the holder and holds where a system locks no folders (Windows, some network disks). The locks count,
+    not the file: the file of a killed process does not block others.
 
     Parameters
     ----------
@@ -29,21 +31,58 @@ def locked(folder: Path, use: str) -> Iterator[None]:
     OutputError : another process holds the lock, or the folder cannot be written to.
     """
     path = folder / FILE
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handle = _acquired(path)
-    except OSError as fault:
-        raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
-    try:
+    with ExitStack() as held:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            _lock_folder(folder, held)
+            handle = _acquired(path)
+        except OSError as fault:
+            raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
+        held.callback(os.close, handle)
+        held.callback(_remove, path, handle)
         os.ftruncate(handle, 0)
         os.lseek(handle, 1, os.SEEK_SET)  # Windows locks the first byte for readers, too
         with suppress(OSError):  # on a full disk the name is missing, the lock holds
             os.write(handle, f"{use}, process {os.getpid()}\n".encode())
         yield
-    finally:
-        with suppress(OSError):
+
+
+def _lock_folder(folder: Path, held: ExitStack) -> None:
+    """Take the lock of the folder itself, where the system has one, until `held` ends.
+
+    Raises
+    ------
+    OutputError : another process holds it.
+    """
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    held.callback(os.close, handle)
+    try:
+        free = _take(handle)
+    except OSError:  # its file system locks files alone
+        return
+    if not free:
+        try:
+            holder = _holder((folder / FILE).read_bytes())
+        except OSError:
+            holder = _holder(b"")
+        raise _in_use(folder, holder)
+
+
+def _holder(content: bytes) -> str:
+    return content[1:201].decode(errors="replace").strip() or "another process"
+
+
+def _in_use(folder: Path, holder: str) -> OutputError:
+    return OutputError(f"is in use by {holder}: stop it first, or take another folder", file=folder)
+
+
+def _remove(path: Path, handle: int) -> None:
+    """Remove the file of a lock, unless it is another one by now."""
+    with suppress(OSError):
+        if os.path.samestat(os.fstat(handle), path.lstat()):
             path.unlink()
-        os.close(handle)
 
 
 def _acquired(path: Path) -> int:
@@ -62,8 +101,7 @@ def _acquired(path: Path) -> int:
                 raise OutputError("is no file: remove it", file=path)
             if not _take(handle):
                 os.lseek(handle, 1, os.SEEK_SET)
-                holder = os.read(handle, 200).decode(errors="replace").strip() or "another process"
-                raise OutputError(f"is in use by {holder}: stop it first, or take another folder", file=path.parent)
+                raise _in_use(path.parent, _holder(b"\0" + os.read(handle, 200)))
             with suppress(FileNotFoundError):  # the holder before may have removed the file since it was opened
                 if os.path.samestat(os.fstat(handle), path.stat()):
                     return handle

@@ -38,6 +38,7 @@ _MODULES = {
     ): "blas cache_folder garbage params plotting scipy_linalg tables units validation_messages whole_files "
     "yaml_edit yaml_io yaml_parser",
     ("coupling", "physics.coupling.potentials"): "tension geometric=longitudinal phantoms=phantom tension_solve=solve",
+    ("coupling", "physics.coupling.laws"): "law_solve=solve",
     ("instrument", "instrument.contract"): "attached directions effects files gestures losses microphones svg_path "
     "registry array_cache bundle_code",
     ("instrument", "instrument.bundle"): "added json_schema keys migration new_bundle overrides schema "

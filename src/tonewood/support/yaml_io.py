@@ -13,6 +13,7 @@ from typing import Any
 
 from tonewood.errors import TonewoodError
 from tonewood.support.cache_folder import cache_folder, keep, read_kept
+from tonewood.support.text_files import decoded
 
 MAX_BYTES = 1_000_000
 
@@ -46,11 +47,7 @@ def load_yaml(
         raise error(f"cannot be read: {fault.strerror}", file=path) from None
     if len(raw) > max_bytes:
         raise error(f"longer than the {max_bytes} bytes allowed", file=path)
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError as fault:
-        raise error(f"byte {fault.start} is not UTF-8", file=path) from None
-    return _parsed(text, path, error)
+    return _parsed(decoded(raw, file=path, error=error), path, error)
 
 
 def _parsed(text: str, path: str | os.PathLike[str], error: type[TonewoodError]) -> dict[str, Any]:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import mido
 import numpy as np
 import pytest
 
 import tonewood as tw
 from tonewood.errors import NothingPlayedError, TonewoodError
-from tonewood.sound.ensemble import EnsemblePart, parse_part, placed, read_ensemble, render_ensemble
+from tonewood.performance.score.note import ScorePart
+from tonewood.sound.ensemble.mix import EnsemblePart, by_programs, parse_part, placed, read_ensemble, render_ensemble
+from tonewood.sound.ensemble.programs import choose_players, read_programs
 
 
 @pytest.fixture(scope="module")
@@ -79,3 +82,93 @@ def test_wrong_parts_are_one_line(duo: Path, tmp_path: Path) -> None:
         render_ensemble(duo, [parse_part("1=clavichord")], workers=1)
     with pytest.raises(TonewoodError, match="lead_in: is auto"):
         render_ensemble(duo, [parse_part("1=monochord")], lead_in="auto")
+
+
+def test_parts_that_no_instrument_was_chosen_for_go_by_their_programs(tmp_path: Path) -> None:
+    """A table from General MIDI 1: 25 nylon guitar, 34 electric bass, 57 trumpet; channel 10 is percussion."""
+    path = tmp_path / "band.mid"
+    channels = {0: (24, 60), 1: (33, 33), 2: (56, 72), 3: (None, 60), 9: (0, 36)}
+    save(path, [(channel, program, key, {}) for channel, (program, key) in channels.items()])
+    score = tw.read_score(path)
+    assert [(p.number, dict(p.programs), p.n_drums) for p in score.parts] == [
+        (1, {25: 1}, 0), (2, {34: 1}, 0), (3, {57: 1}, 0), (4, {None: 1}, 0), (10, {}, 1),
+    ]  # fmt: skip
+    players, lines = choose_players(score.parts, read_programs())
+    assert [(p.part, p.instrument) for p in players] == [
+        (1, "classical_guitar"), (2, "electric_bass"), (4, "grand_piano"),
+    ]  # fmt: skip
+    assert lines == [
+        "part 3: 1 note left out, no instrument plays program 57",
+        "part 4 names no program: program 1, as General MIDI has it",
+        "part 10: 1 note of percussion, left out",
+    ]
+    with pytest.raises(TonewoodError, match="no part has an instrument: part 3: 1 note left out"):
+        choose_players(score.parts[2:3], read_programs(), path)
+    assert [n.note for n in tw.read_score(path, tracks=[10]).notes] == [36]
+
+
+def test_a_channel_that_changes_its_program_is_divided(tmp_path: Path) -> None:
+    notes = [ScorePart(2, "Strings", programs={41: 3, 25: 2, 26: 1, None: 4})]
+    players, lines = choose_players(notes, {1: "sitar", 25: "monochord", 26: "monochord"})
+    assert [(p.instrument, p.programs) for p in players] == [("monochord", [25, 26]), ("sitar", [1])]
+    assert "part 2 (Strings): 3 notes left out, no instrument plays program 41" in lines
+    score = tw.Score([tw.Note(0.0, 0.2, note="A2"), tw.Note(0.2, 0.2, note="A2", program=25)])
+    assert len(by_programs(score, [1]).notes) == len(by_programs(score, [25]).notes) == 1
+
+
+def test_a_table_of_programs(tmp_path: Path) -> None:
+    table = read_programs()
+    assert (table[25], table[34], table.get(57), table.get(128)) == ("classical_guitar", "electric_bass", None, None)
+    file = tmp_path / "table.yaml"
+    file.write_text('programs: {"1-2": monochord, "9": null}\n', encoding="utf-8")
+    assert read_programs(file) == {1: "monochord", 2: "monochord"}
+    wrong = {
+        '{"2-1": a}': "is no program", '{"129": a}': "is no program", "{guitar: a}": "is no program",
+        '{"1-4": a, "3": b}': "program 3 stands there twice", "{}": "programs",
+    }  # fmt: skip
+    for text, reason in wrong.items():
+        file.write_text(f"programs: {text}\n", encoding="utf-8")
+        with pytest.raises(TonewoodError, match=reason):
+            read_programs(file)
+
+
+def test_volume_expression_and_pan_act_in_the_mix(tmp_path: Path) -> None:
+    """General MIDI 2: 40 lg(value/127) dB, and a pan of 1 is left, 64 the middle, 127 right."""
+    plain, mixed = tmp_path / "a.mid", tmp_path / "b.mid"
+    save(plain, [(0, 0, 45, {})])
+    save(mixed, [(0, 0, 45, {7: 64, 11: 100, 10: 127})])
+    part, options = [parse_part("1=monochord")], {"fs": 16000, "max_duration": 0.3}
+    (alone,), (low,) = (render_ensemble(p, part, workers=1, **options) for p in (plain, mixed))
+    wanted = alone.samples[:, :1] * np.sqrt(2) * (64 / 127 * 100 / 127) ** 2
+    assert np.allclose(low.samples, np.concatenate([0 * wanted, wanted], axis=1), atol=1e-12 * np.abs(wanted).max())
+    assert low.summary.ignored == alone.summary.ignored
+    out = placed(np.ones((400, 1)), part[0], [tw.Control(0.1, "cc7", 0.5), tw.Control(0.2, "cc7", 0.0)], 1000.0)
+    assert out[[50, 150, 399], 0] == pytest.approx(np.sqrt(0.5) * np.array([1.0, 0.25, 0.0]))
+
+
+def test_a_zone_of_mpe_is_one_part(tmp_path: Path) -> None:
+    path = tmp_path / "mpe.mid"
+    zone = [mido.Message("control_change", control=c, value=v) for c, v in ((101, 0), (100, 6), (6, 3))]
+    save(path, [(1, None, 45, {}), (3, None, 57, {})], [*zone, mido.Message("program_change", program=25)])
+    (part,) = tw.read_score(path).parts
+    assert (part.number, part.channels, dict(part.programs)) == (1, (2, 4), {26: 2})
+    (player,), lines = choose_players([part], {26: "steel_guitar"})
+    assert (player.part, lines) == (1, [])
+    (stem,) = render_ensemble(path, [player], workers=1, fs=8000, max_duration=0.1)
+    assert stem.summary.notes == 2
+
+
+def save(path: Path, channels: list[tuple[int, int | None, int, dict[int, int]]], head: Any = ()) -> None:
+    """A MIDI file of one note a channel: (channel from 0, program from 0, key, controllers)."""
+    file = mido.MidiFile()
+    file.tracks.append(mido.MidiTrack(head))
+    for channel, program, key, controllers in channels:
+        track = mido.MidiTrack()
+        if program is not None:
+            track.append(mido.Message("program_change", channel=channel, program=program))
+        for number, value in controllers.items():
+            track.append(mido.Message("control_change", channel=channel, control=number, value=value))
+        track.append(mido.Message("note_on", channel=channel, note=key, velocity=90))
+        track.append(mido.Message("note_off", channel=channel, note=key, time=200))
+        file.tracks.append(track)
+    file.save(path)

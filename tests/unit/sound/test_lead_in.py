@@ -95,3 +95,13 @@ def test_a_snapshot_within_the_smoothing_goes_on_alike() -> None:
 def test_other_lead_ins_are_refused(lead_in: float | str) -> None:
     with pytest.raises(tw.TonewoodError, match=r"lead_in: is .*; auto or 0 to 60 s are allowed"):
         tw.Renderer(AT_ONCE, tw.load_instrument("monochord"), FS, lead_in=lead_in)
+
+
+def test_the_expected_duration_is_the_last_event_the_tail_and_the_lead_in_or_the_limit() -> None:
+    score = tw.Score([tw.Note(1.0, 0.5, note=45)])
+    free = tw.Renderer(score, "monochord", FS, tail=2.0)
+    assert free.expected_duration == pytest.approx(3.0, abs=0.01)  # it rings on: its end is no event
+    assert tw.Renderer(score, "monochord", FS, tail=2.0, max_duration=0.7).expected_duration == pytest.approx(0.7)
+    assert tw.Renderer(score, "monochord", FS, tail=2.0, max_duration=9.0).expected_duration == free.expected_duration
+    led = tw.Renderer(score, "monochord", FS, tail=2.0, max_duration=0.7, lead_in=0.25)
+    assert led.expected_duration == pytest.approx(0.95)

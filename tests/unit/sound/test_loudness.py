@@ -30,3 +30,13 @@ def test_a_gain_is_found_where_the_absolute_gate_moves_with_it() -> None:
     sound = np.concatenate([tone, 10 ** (-8 / 20) * tone])[:, None]
     gain = matching_gain_db(sound, FS, -66.0)
     assert loudness(sound * 10 ** (gain / 20), FS)[0] == pytest.approx(-66.0, abs=1e-3)
+
+
+def test_a_true_peak_among_stretches_with_silence_between() -> None:
+    """Several stretches may hold the peak: the largest of their oversampled waves counts, wherever it is."""
+    burst = (-1.0) ** np.arange(200) * np.sin(np.pi * np.arange(200) / 400)
+    for gains in ([0.98, 1.0, 0.97], [1.0, 0.98, 0.97], [0.97, 0.98, 1.0]):
+        sound = np.concatenate([np.concatenate([gain * burst, np.zeros(2000)]) for gain in gains])[:, None]
+        whole = float(np.abs(resample_poly(sound, 4, 1, axis=0)).max())
+        assert whole > 1.05
+        assert true_peak(sound) == pytest.approx(whole, rel=1e-12)

@@ -9,16 +9,47 @@ import pytest
 import soundfile as sf
 
 from tonewood.errors import TonewoodError
-from tonewood.sound.room import ROOMS, Room, room_response
+from tonewood.sound.room import ROOMS, Room, reverberation_db, room_response
 
 
-def test_blocks_are_convolved(rng: np.random.Generator) -> None:
-    """Whatever the size of the blocks, tail included."""
-    sound, responses = rng.normal(size=(700, 2)), rng.normal(size=(333, 2))
-    expected = np.column_stack([np.convolve(sound[:, c], responses[:, c]) for c in range(2)])
-    for size in (64, 333, 700, 1000):
-        blocks = [sound[i : i + size] for i in range(0, 700, size)]
-        assert np.concatenate(list(Room(responses).process(blocks))) == pytest.approx(expected, abs=1e-10)
+def test_pieces_are_convolved(rng: np.random.Generator) -> None:
+    """By definition, tail included; to the last bit whatever the pieces; a channel may be heard twice."""
+    sound, responses = rng.normal(size=(4700, 2)), rng.normal(size=(2333, 3))
+    sources = (0, 1, 1)
+    expected = np.column_stack([np.convolve(sound[:, k], responses[:, c]) for c, k in enumerate(sources)])
+    whole = Room(responses, sources).add(sound, last=True)
+    assert whole == pytest.approx(expected, abs=1e-10)
+    for size in (64, 1024, 3000):
+        room = Room(responses, sources)
+        pieces = [sound[i : i + size] for i in range(0, 4700, size)]
+        out = [room.add(piece) for piece in pieces[:-1]]
+        kept = room.memory
+        out.append(room.add(pieces[-1], last=True))
+        assert np.array_equal(np.concatenate(out), whole)
+        room.memory = kept
+        assert np.array_equal(room.add(pieces[-1], last=True), out[-1])
+
+
+@pytest.mark.parametrize("name", ROOMS)
+@pytest.mark.parametrize("distance", [0.5, 1.0])
+def test_the_distance_sets_the_room_s_share(name: str, distance: float) -> None:
+    """Diffuse field: 16 pi d^2 over the absorption area, with Sabine's 0.161 V / T60; boxes are not diffuse."""
+    pytest.importorskip("pyroomacoustics")
+    box = ROOMS[name]
+    response = room_response(name, 16000, 2, distance=distance)
+    diffuse = 10 * np.log10(16 * np.pi * distance**2 * box.t60 / (0.161 * np.prod(box.size)))
+    assert reverberation_db(response, 16000) == pytest.approx(diffuse, abs=3.0)
+    softer = room_response(name, 16000, 2, distance=distance, mix_db=-6.0)
+    assert reverberation_db(softer, 16000) == pytest.approx(reverberation_db(response, 16000) - 6.0, abs=0.3)
+    assert np.abs(softer).max() == 1.0
+
+
+def test_microphones_stand_in_the_room(tmp_path: Path) -> None:
+    with pytest.raises(TonewoodError, match=r"is 9 m; 0\.1 to [\d.]+ m are allowed in this room"):
+        room_response("small", 16000, 2, distance=9.0)
+    sf.write(tmp_path / "room.wav", np.eye(1, 100)[0], 16000)
+    with pytest.raises(TonewoodError, match="the response of a file has its own"):
+        room_response(str(tmp_path / "room.wav"), 16000, 2, distance=1.0)
 
 
 @pytest.mark.parametrize("name", ROOMS)
@@ -49,7 +80,7 @@ def test_a_file_is_a_room(tmp_path: Path) -> None:
 
 
 def test_rooms_that_are_none(tmp_path: Path) -> None:
-    with pytest.raises(TonewoodError, match="'cellar'; small, hall or the name of a sound file"):
+    with pytest.raises(TonewoodError, match="'cellar'; studio, small, hall or the name of a sound file"):
         room_response("cellar", 48000, 2)
     sf.write(tmp_path / "three.wav", np.ones((10, 3)), 48000)
     with pytest.raises(TonewoodError, match="has 3 channels; 1 or 2 are allowed"):

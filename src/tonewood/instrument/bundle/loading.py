@@ -89,7 +89,8 @@ class Instrument(ModalViews):
         """Modes of the body with the parts added to it, and the point that each string ends on."""
         body, manifest = self.body.basis(SHOWN_TO), self._files.manifest
         whole = body_parts(self.spec.body.added, body, self.body.points(), manifest).body
-        return whole, {name: part.body_points[0] for name, part in self.spec.strings.items()}
+        ends = {name: part.body_points[0] for name, part in self.spec.strings.items()}
+        return whole, ends or {name: name for name in self.body.points()}
 
     def _view_title(self) -> str:
         return self.spec.title

@@ -63,7 +63,8 @@ def check_references(
                 raise none("string", string, spec.strings, f"connections.{name}.strings")
     check_keys(spec, file, open_note)
     playing = spec.playing
-    parameter(playing.velocity.parameter, "playing.velocity.parameter")
+    if spec.strings:
+        parameter(playing.velocity.parameter, "playing.velocity.parameter")
     for control, entry in playing.controls.items():
         parameter(entry.parameter, f"playing.controls.{control}.parameter")
     if playing.exciter is not None and playing.exciter not in exciters:

@@ -89,6 +89,7 @@ class StringPoint(Parameters):
     """A named place on a string, to be heard or joined."""
 
     from_bridge: StringPlace = described("m, or {fraction: of the open speaking length}")
+    width: float = quantity("m", low=0.0, high=0.2, default=0.0, doc="of the string about it whose mean it stands for")
 
 
 class StringSetEntry(Parameters):
@@ -408,8 +409,23 @@ class Effects(Parameters):
     budget_cents: float = quantity("cents", low=0.0, high=100.0, default=0.5, doc="for effects that change pitch")
 
 
+class Preset(Parameters):
+    """Options of a render under one name; those that a user gives come first."""
+
+    outputs: list[Name] | None = described("output groups; the instrument's first where left out", default=None)
+    room: str | None = described("studio, small, hall; none where left out", default=None)
+    room_distance: float | None = quantity("m", low=0.1, high=60.0, default=None, doc="of the microphones in it")
+    room_mix_db: float = quantity("dB", low=-100.0, high=40.0, default=0.0, doc="of the room's own sound")
+    humanize: int | None = described("seed of human variation; none where left out", default=None, ge=0)
+    noises: bool = described("noises of the hands between notes", default=False, strict=True)
+
+
+#: keys of a bundle without strings, where it leaves them out
+_BODY_ALONE: dict[str, Any] = {"licence": "not stated", "sources": {}, "strings": {}, "exciters": {}, "outputs": []}
+
+
 class Bundle(Parameters):
-    """An instrument."""
+    """An instrument, or a body alone: then `name` and `body` are enough."""
 
     schema_: Literal["tonewood-instrument/2"] = Field(alias="schema", description="version of this format")
     name: Name = described("as it is called on the command line")
@@ -420,7 +436,7 @@ class Bundle(Parameters):
     provenance: dict[str, Provenance] = described("dotted path, * for one level -> kind of figures", default={})
     body: BodyPart = described("part that the strings are joined to")
     strings: dict[Name, StringPart] = described(
-        "name -> string, from bass to treble", min_length=1, max_length=MOST_STRINGS
+        "name -> string, from bass to treble; none of a body alone", max_length=MOST_STRINGS
     )
     strings_from: str | None = described(
         "named string set, for values that `strings` leaves out; `tonewood list` has their names", default=None
@@ -428,12 +444,11 @@ class Bundle(Parameters):
     keys: Keys | None = described("strings that one note plays together, their hammers and dampers", default=None)
     stops: Stops = described("frets", default=Stops())
     tuning: TuningSettings = described("pitch", default=TuningSettings())
-    exciters: dict[Name, PluginPart] = described("name -> way of playing", min_length=1, max_length=MOST_PARTS)
+    exciters: dict[Name, PluginPart] = described("name -> way of playing", max_length=MOST_PARTS)
     playing: Playing = described("from notes to gestures", default=Playing())
-    outputs: list[OutputPart] = described(
-        "groups of channels; the first is the default", min_length=1, max_length=MOST_PARTS
-    )
+    outputs: list[OutputPart] = described("groups of channels; the first is the default", max_length=MOST_PARTS)
     effects: Effects = described("effects that may be left out", default=Effects())
+    presets: dict[Name, Preset] = described("name -> options of a render; besides dry, studio, stage", default={})
     oversampling: Literal[1, 2, 4] = described(
         "steps per sample at standard accuracy: more where something lies on a string while it sounds", default=1
     )
@@ -447,6 +462,20 @@ class Bundle(Parameters):
     connections: dict[Name, ConnectionPart] = described(
         "name -> part that touches strings besides the body", default={}
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _alone(cls, values: Any) -> Any:
+        """Fill in what a body without strings has no need of."""
+        if not isinstance(values, dict) or values.get("strings") or values.get("keys"):
+            return values
+        return {"title": values.get("name"), **_BODY_ALONE, **values}
+
+    @model_validator(mode="after")
+    def _played(self) -> Bundle:
+        if self.strings and not (self.exciters and self.outputs):
+            raise ValueError(f"strings need {'outputs' if self.exciters else 'exciters'}: at least one is wanted")
+        return self
 
     @field_validator("draft_oversampling")
     @classmethod

@@ -34,7 +34,9 @@ _MOST_RECENT = 16
 def cached_arrays(
     inputs: Mapping[str, Any], make: Callable[[], Mapping[str, NDArray[Any]]], package: str = "physics"
 ) -> Arrays:
-    """Return the arrays of `make`, computed once for the same inputs.
+    """Return the arrays of `make`, computed once for the same inputs; they cannot be written to.
+
+    Every caller with the same inputs gets the same arrays: take a copy of one that you change.
 
     Parameters
     ----------
@@ -50,17 +52,19 @@ def cached_arrays(
     digest.update(_sources(package).encode() + _origin(make))
     key = digest.hexdigest()
     if key in _RECENT:
-        return _RECENT[key]
-    found = read_kept("arrays", key, _decoded)
-    if found is None:
-        found = dict(make())
+        return dict(_RECENT[key])
+    arrays = read_kept("arrays", key, _decoded)
+    if arrays is None:
+        arrays = {name: np.array(array) for name, array in make().items()}  # `make` may keep its own
         content = io.BytesIO()
-        np.savez_compressed(content, **cast(Any, found))
+        np.savez_compressed(content, **cast(Any, arrays))
         keep("arrays", key, content.getvalue())
+    for array in arrays.values():
+        array.setflags(write=False)
     while len(_RECENT) >= _MOST_RECENT:
         del _RECENT[next(iter(_RECENT))]
-    _RECENT[key] = found
-    return found
+    _RECENT[key] = arrays
+    return dict(arrays)
 
 
 def _decoded(content: bytes) -> Arrays:

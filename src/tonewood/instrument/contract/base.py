@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.instrument.contract.attached import Attached, Site
+from tonewood.instrument.contract.conversion import Conversion
 from tonewood.instrument.contract.effects import BODY_MODES, OUTPUTS, SECOND_POLARIZATION, Effect
 from tonewood.instrument.contract.files import Files
 from tonewood.instrument.contract.gestures import Event, Gesture, Place
@@ -405,16 +406,18 @@ class PickupRows:
 
     Attributes
     ----------
-    readouts : one per channel, in order.
+    readouts : one per channel, in order; any number where the conversion has a function.
     components : one-way components of its own, short name -> basis.
     drives : forces of connections that drive these components.
     body_inputs : body point -> (component, point, factor): inputs that a known force on that point drives, too.
+    conversion : of readouts to channels, outside of the step; None: channels are readouts.
     """
 
     readouts: tuple[Readout, ...]
     components: Mapping[str, ModalBasis] = field(default_factory=dict)
     drives: tuple[Drive, ...] = ()
     body_inputs: Mapping[str, tuple[tuple[str, str, float], ...]] = field(default_factory=dict)
+    conversion: Conversion | None = None
 
 
 class Pickup(Plugin[P]):

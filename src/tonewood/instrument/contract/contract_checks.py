@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from tonewood.errors import TonewoodError, kind_of
+from tonewood.instrument.contract.conversion import Conversion
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.coupling.layout import Drive, Readout
 from tonewood.physics.coupling.potentials.base import Potential
@@ -180,10 +181,22 @@ def pickup_rows(plugin: Any, value: Any) -> None:
             number(force[1], "a finite factor", where=where)
         empty = "probes" if readout.quantity != "force" else "forces"
         want(getattr(readout, empty), f"a readout {readout.name!r} without {empty}", f"a {readout.quantity} of some")
-    if len(value.readouts) != len(plugin.channels):
+    conversion, n = value.conversion, len(value.readouts)
+    want(conversion is None or isinstance(conversion, Conversion), conversion, "a ta.Conversion or None", "conversion")
+    if conversion is not None and conversion.function is not None:
+        rest = conversion.function(np.zeros((1, n)))
+        shape = (1, len(plugin.channels))
+        want(
+            np.shape(rest) == shape and not np.any(rest), rest, f"zeros of shape {shape} at rest", "conversion.function"
+        )
+    elif n != len(plugin.channels):
         raise WrongResultError(
             f"{len(value.readouts)} readouts; one for each of its {len(plugin.channels)} channels is wanted"
         )
+    if conversion is not None and conversion.circuit is not None:
+        circuit = conversion.circuit
+        proper = len(circuit.numerator) <= len(circuit.denominator) and bool(np.all(circuit.poles.real < 0))
+        want(proper, circuit.denominator, "a stable and proper circuit", "conversion.circuit")
     for name, own in value.components.items():
         basis(own, where=f"components[{name!r}]")
     for drive in value.drives:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import BundleError
+from tonewood.support.text_files import decoded
 from tonewood.support.units import number_in
 
 Floats = NDArray[np.float64]
@@ -106,9 +107,7 @@ class Files:
         if path.stat().st_size > MAX_TABLE:
             raise BundleError(f"longer than the {MAX_TABLE} bytes allowed", file=shown)
         try:
-            text = path.read_text(encoding="utf-8-sig")
-        except UnicodeDecodeError as fault:
-            raise BundleError(f"byte {fault.start} is not UTF-8", file=shown) from None
+            text = decoded(path.read_bytes(), file=shown, error=BundleError)
         except OSError as fault:
             raise BundleError(f"cannot be read: {fault.strerror}", file=shown) from None
         header: list[str] = []

@@ -263,8 +263,11 @@ def bridge_mobility(
 
     Returns
     -------
-    string -> (n,), along the body point's direction; a string on a rigid end is left out.
+    string -> (n,), along the body point's direction; a string on a rigid end is left out. Of a body without strings,
+    point -> (n,).
     """
+    if not model.strings:
+        return {point: model.body.frf(freq, point, point) for point in model.body_points}
     out: dict[str, Complexes] = {}
     for name in model.groups if strings is None else strings:
         string = model.strings[name]
@@ -308,8 +311,10 @@ def microphone_responses(model: Model) -> list[MicrophoneResponse]:
     banks = {drive.component for drive in model.system.drives}
     out = []
     for group in model.outputs:
-        for channel, index in zip(group.channels, group.readouts, strict=True):
-            readout = model.system.readouts[index]
+        if group.conversion is not None:
+            continue  # its channels are no longer those of the bank
+        for channel, column in zip(group.channels, group.columns, strict=True):
+            readout = model.system.readouts[group.readouts[column]]
             probes = [probe for probe in readout.probes if probe.component in banks]
             if not probes:
                 continue

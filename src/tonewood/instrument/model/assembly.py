@@ -141,6 +141,7 @@ def assemble(
     freq_limit: float | None = None,
     outputs: Sequence[str] | None = None,
     by_string: bool = False,
+    alone: bool = False,
 ) -> Model:
     """Make the model of an instrument at a sampling rate.
 
@@ -149,13 +150,20 @@ def assemble(
     fs : Hz.
     freq_limit : Hz, no mode is stepped above it; 0.45 fs.
     outputs : names of output groups; the bundle's first where left out.
+    alone : whether a body without strings is taken, to be looked at; nothing can be played on it.
     by_string : whether each group is split into the shares of all strings, ``GROUP.STRING``, and ``GROUP.body``.
 
     Raises
     ------
-    BundleError, PassivityError : a table is missing or wrong, a body (a plugin's own too) would create energy where
+    BundleError, PassivityError : there are no strings; a table is missing or wrong, a body would create energy where
         strings end or exciters push, a string has no mode below the limit; one line.
     """
+    if not (alone or instrument.spec.strings):
+        raise BundleError(
+            "there are none, and so nothing can be played; `tonewood modes`, `compare` and `report` take a body alone",
+            file=instrument.folder / MANIFEST,
+            key="strings",
+        )
     limit = FREQ_LIMIT * fs if freq_limit is None else freq_limit
     choice = Choice.of(instrument.spec.effects, declared(instrument.plugins))
     body, body_points = instrument.body.basis(limit), instrument.body.points()

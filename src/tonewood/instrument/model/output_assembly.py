@@ -11,6 +11,7 @@ from tonewood.errors import BundleError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.schema import OutputPart
 from tonewood.instrument.contract.base import Body, BodyPoint, BridgeForce, PickupRows, Scene
+from tonewood.instrument.contract.conversion import Conversion
 from tonewood.instrument.contract.registry import MANIFEST
 from tonewood.instrument.model.strings import StringModel
 from tonewood.physics.coupling.layout import Drive, Readout
@@ -27,6 +28,8 @@ class OutputGroup:
     name : of the group.
     channels : names, in order.
     readouts : their places among the system's readouts.
+    columns : of each channel, its place among those that the conversion makes of the readouts.
+    conversion : of readouts to channels; None: they are the same.
     quantity, unit : quantity read, and its unit.
     full_scale : value at 0 dBFS, in `unit`, before gain and pan.
     note : for the user, one line.
@@ -46,11 +49,13 @@ class OutputGroup:
     pan: float | None = None
     delay: float = 0.0
     equalizer: tuple[tuple[float, float, float | None], ...] = ()
+    columns: tuple[int, ...] = ()
+    conversion: Conversion | None = None
 
     @property
     def gains(self) -> tuple[float, ...]:
         """Factor of each channel by gain and pan."""
-        alone = len(set(self.readouts)) == 1
+        alone = len(set(self.columns)) == 1
         places = (1.0,) * len(self.channels) if self.pan is None else pan_gains(self.pan, 1 if alone else 2)
         return tuple(10 ** (self.gain_db / 20) * place for place in places)
 
@@ -129,17 +134,17 @@ def make_outputs(instrument: Instrument, wanted: Sequence[str] | None, scene: Sc
 
 def _group(instrument: Instrument, part: OutputPart, rows: PickupRows, first: int) -> OutputGroup:
     pickup = instrument.pickups[part.name]
-    channels, readouts = pickup.channels, tuple(range(first, first + len(rows.readouts)))
+    channels, columns = pickup.channels, tuple(range(len(pickup.channels)))
     if part.pan is not None:
         if len(channels) > 2:
             reason = f"is for outputs of one or two channels; {part.name} has {len(channels)}"
             raise BundleError(reason, file=instrument.folder / MANIFEST, key=f"outputs.{part.name}.pan")
         if len(channels) == 1:
-            channels, readouts = ("left", "right"), readouts * 2
+            channels, columns = ("left", "right"), (0, 0)
     return OutputGroup(
         name=part.name,
         channels=channels,
-        readouts=readouts,
+        readouts=tuple(range(first, first + len(rows.readouts))),
         quantity="pressure" if pickup.unit == "Pa" else rows.readouts[0].quantity,
         unit=pickup.unit,
         full_scale=part.full_scale,
@@ -148,6 +153,8 @@ def _group(instrument: Instrument, part: OutputPart, rows: PickupRows, first: in
         pan=part.pan,
         delay=part.delay,
         equalizer=tuple((band.freq, band.gain_db, band.q) for band in part.equalizer),
+        columns=columns,
+        conversion=rows.conversion,
     )
 
 

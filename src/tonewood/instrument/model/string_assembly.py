@@ -128,6 +128,7 @@ def _string(
         pluck=_metres(getattr(exciter.parameters, "from_bridge", 0.1 * resonator.length), resonator),
         pluck_width=float(getattr(exciter.parameters, "felt_width", 0.0)),
         points={point: _metres(at.from_bridge, resonator) for point, at in part.points.items()},
+        widths={point: at.width for point, at in part.points.items() if at.width},
         damper=resting,
     )
     untuned = UntunedBases(

@@ -33,12 +33,14 @@ class StringPlaces:
     ----------
     pluck, pluck_width : of the pluck where a gesture gives none, and how far it is spread.
     points : those that the bundle names.
+    widths : name of a point -> width (m) of the string about it whose mean it stands for.
     damper : resistance (N s/m), place and width (m) of the felt that rests on it; None without one.
     """
 
     pluck: float
     pluck_width: float = 0.0
     points: Mapping[str, float] = field(default_factory=dict)
+    widths: Mapping[str, float] = field(default_factory=dict)
     damper: tuple[float, float, float] | None = None
 
 
@@ -95,7 +97,7 @@ class StringBases:
             if basis.points != placed.points or not (whole or np.all(basis.natural_freq < self._limit)):
                 # modes above the limit leave their compliance at points that are read afterwards
                 basis = untuned.resonator.detuned(base, own)
-                basis = with_points(basis if whole else below(basis, self._limit), here, beyond, width)
+                basis = with_points(basis if whole else below(basis, self._limit), here, beyond, self._widths(width))
             out[polarization.component] = basis
         if self._longitudinal:
             out[self._longitudinal.component] = self._lengthwise_basis(end, self._longitudinal.motion)
@@ -139,8 +141,12 @@ class StringBases:
         if key not in self._placed:
             if len(self._placed) >= _PLACED:
                 del self._placed[next(iter(self._placed))]
-            self._placed[key] = with_points(self.tuning.base(end), here, beyond, width)
+            self._placed[key] = with_points(self.tuning.base(end), here, beyond, self._widths(width))
         return self._placed[key]
+
+    def _widths(self, pluck: float) -> dict[str, float]:
+        """Return the widths (m) of points that stand for a mean, that of the pluck among them."""
+        return {**self.places.widths, **({"pluck": pluck} if pluck else {})}
 
     def _lengthwise_basis(self, stop: float, motion: Longitudinal) -> ModalBasis:
         """Longitudinal modes at a stop, kept; bends do not change them."""

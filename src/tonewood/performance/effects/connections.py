@@ -19,8 +19,8 @@ from tonewood.performance.effects.switching import motion
 from tonewood.performance.effects.usage import Bound
 from tonewood.performance.player.fretting import Fretting
 from tonewood.performance.player.timeline import GRID
-from tonewood.physics.coupling.connections import Law, Rigid, SpringDashpot
-from tonewood.physics.coupling.laws import Friction
+from tonewood.physics.coupling.connections import Law, SpringDashpot
+from tonewood.physics.coupling.laws import PotentialLaw
 from tonewood.physics.coupling.system import State, System
 from tonewood.physics.energy.stored import gaps
 
@@ -116,7 +116,7 @@ class SwitchedConnections(SwitchedEffect, ABC):
         for j, law in zip(self._places[component], laws, strict=True):
             if isinstance(law, SpringDashpot):
                 total += 0.5 * law.stiffness * float(gap[j] - law.offset) ** 2
-            elif not isinstance(law, (Friction, Rigid)):
+            elif isinstance(law, PotentialLaw):
                 total += law.energy(law.offset - float(gap[j]))
         return total if on else -total
 

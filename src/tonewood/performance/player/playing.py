@@ -108,7 +108,10 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
     warnings = [*score.warnings, *reader.warnings]
     n_bent = len({(c.string, c.stop, c.cents) for c in reader.changes if c.cents is not None and c.stop is None})
     if n_bent > _MANY_BENDS:
-        warnings.append(f"{n_bent} different bends of strings: the modes of each are computed anew, which takes long")
+        warnings.append(
+            f"{n_bent} different bends of strings: the modes of each are computed anew, which takes long; "
+            "`tonewood plan` says how long"
+        )
     if assignment.n_cut:
         warnings.append(f"{assignment.n_cut} notes end early: their string is needed again")
     if reader.n_moved:

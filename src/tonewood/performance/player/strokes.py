@@ -16,6 +16,7 @@ from tonewood.performance.player.techniques import stop_course, touch_course
 from tonewood.performance.player.timeline import GRID, Change, Play
 from tonewood.performance.player.variation import Deviates, touched
 from tonewood.performance.score.assignment import Assigned
+from tonewood.performance.score.harmonics import middle_node
 from tonewood.performance.score.note import Note
 from tonewood.physics.stepping.forcing import Segment
 
@@ -159,6 +160,8 @@ def stroke(
     exciter = exciter_of(note, model, string)
     if drawn is not None:
         values = touched(values, exciter, course.length(assigned.stop), drawn, model.playing.variation)
+    if note.partial is not None and "touch" in type(exciter.parameters).model_fields:
+        values = {**values, "touch": course.length(assigned.stop) * (1.0 - middle_node(note.partial))}
     event = Event(values, course.freq(assigned.stop), duration, assigned.stop, held, course.length(held))
     gesture = exciter.gesture(event, model.place(string, assigned.stop, una_corda=una_corda))
     return event, Play(note.time, gesture, string=string, exciter=note.technique or model.default_exciter)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,9 +17,12 @@ from tonewood.instrument.scales import note_number
 from tonewood.performance.player.timeline import Play
 from tonewood.performance.score.assignment import PlayableString
 from tonewood.performance.score.controllers import Controllers
+from tonewood.performance.score.harmonics import interval
 from tonewood.performance.score.note import Note, Score
 from tonewood.support.validation_messages import did_you_mean
 
+#: s that a slide's end is heard before the note ends, or its string is struck again
+_ARRIVAL = 0.03
 #: stops of a slide are rounded to this fraction of a step
 _FINEST = 1000
 
@@ -85,6 +88,9 @@ _SIGNS = {
 def with_marks(score: Score, names: Collection[str], strings: Sequence[PlayableString]) -> Score:
     """Give notes the techniques that their signs ask for, and let go of frets that no string has.
 
+    Slides become notes of the technique ``slide``, harmonics of ``harmonic``; on an instrument without them the note
+    that a slide reaches is plucked, and a harmonic as a note of its pitch.
+
     Parameters
     ----------
     names : techniques of the instrument.
@@ -95,25 +101,68 @@ def with_marks(score: Score, names: Collection[str], strings: Sequence[PlayableS
     The score; `Score.ignored` counts signs that the instrument has no technique for, and notes of a tablature that are
     fingered elsewhere.
     """
-    if not any(note.marks for note in score.notes):
+    if not any(note.marks or note.glides or note.partial for note in score.notes):
         return score
     lacking: Counter[str] = Counter()
     places = {(string.pitch_at(stop), stop) for string in strings for stop in map(float, range(len(string.pitches)))}
     notes = []
-    for note in score.notes:
-        technique = note.technique
-        for mark in note.marks:
-            found = next((name for name in _SIGNS.get(mark, ()) if name in names), None)
-            if mark == "tablature":
-                if (note.note, note.stop) not in places and not any(string.continuous for string in strings):
-                    lacking["note of the tablature, fingered elsewhere"] += 1
-                    note = replace(note, stop=None)
-            elif found is None:
-                lacking[f"{mark.replace('_', ' ')}, plucked as any note"] += 1
-            else:
-                technique = technique or found
-        notes.append(replace(note, technique=technique))
+    for written in score.notes:
+        for note in _slid(_touched(written, names, lacking), "slide" in names, lacking):
+            technique = note.technique
+            for mark in note.marks:
+                found = next((name for name in _SIGNS.get(mark, ()) if name in names), None)
+                if mark == "tablature":
+                    if (_stopped(note), note.stop) not in places and not any(string.continuous for string in strings):
+                        lacking["note of the tablature, fingered elsewhere"] += 1
+                        note = replace(note, stop=None)
+                elif found is None:
+                    lacking[f"{mark.replace('_', ' ')}, plucked as any note"] += 1
+                else:
+                    technique = technique or found
+            notes.append(replace(note, note=_stopped(note), technique=technique))
     return replace(score, notes=notes, ignored=dict(Counter(score.ignored) + lacking))
+
+
+def _stopped(note: Note) -> float | None:
+    """Pitch of the string under a harmonic, or of the note."""
+    return note.note if note.note is None or note.partial is None else note.note - interval(note.partial)
+
+
+def _touched(note: Note, names: Collection[str], lacking: Counter[str]) -> Note:
+    """A harmonic by its technique, or a note of its pitch wherever a string has it."""
+    if note.partial is None:
+        return note
+    if "harmonic" in names:
+        return replace(note, technique=note.technique or "harmonic")
+    lacking["harmonic, plucked as a note of its pitch"] += 1
+    return replace(note, partial=None, stop=None, marks=tuple(m for m in note.marks if m != "tablature"))
+
+
+def _slid(note: Note, slides: bool, lacking: Counter[str]) -> Iterator[Note]:
+    """A note, and one for each place that its stop slides to."""
+    if not note.glides or note.note is None:
+        yield note
+        return
+    at_end = note.duration - _ARRIVAL
+    points = [(min(time, at_end), steps) for time, steps in note.glides]
+    if not slides:
+        inner = [(t, s) for t, s in points if 0.0 < t < at_end]
+        into = points[0][0] <= 0.0
+        lacking["slide into or out of a note, plucked as any note"] += len(inner) - into < len(points) - 2 * into
+        points = [(0.0, 0.0), *inner[into:]]
+    elif points[0][0] > 0.0:
+        points = [(0.0, 0.0), *points]
+    held = None
+    for (time, steps), until in zip(points, [*(t for t, _ in points[1:]), note.duration], strict=True):
+        stop = None if note.stop is None else note.stop + steps
+        if steps == held or (stop is not None and stop < 0):
+            continue
+        own = note.marks if held is None else ("slide", *(m for m in note.marks if m == "tablature"))
+        yield replace(
+            note, time=note.time + max(time, 0.0), duration=max(until - time, _ARRIVAL), note=note.note + steps,
+            stop=stop, glides=(), marks=own, held=None,
+        )  # fmt: skip
+        held = steps
 
 
 def stop_course(play: Play, stop: float, continuous: bool, tick: float) -> list[tuple[float, float]]:

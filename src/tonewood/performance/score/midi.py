@@ -9,7 +9,8 @@ Decisions where the format leaves a choice, or files are often wrong:
   sounds longer.
 - Silence longer than `LONG_GAP` is reported; `MAX_SILENCE` of it in all is refused, and so is a piece beyond
   `MAX_TIME`. An excerpt (`start`, `stop`) is judged by itself, so it is always a way out.
-- Programs, pressure on single keys and system exclusive messages have no effect; they are counted in `Score.ignored`.
+- Notes of channel 10 are percussion by General MIDI: left out, and counted, unless they are asked for.
+- Pressure on single keys and system exclusive messages have no effect; they are counted in `Score.ignored`.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from pathlib import Path
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.file_bytes import file_bytes
-from tonewood.performance.score.note import Control, Note, Score
+from tonewood.performance.score.note import Beats, Control, Note, Score, ScorePart
 from tonewood.performance.score.performance import ChannelReader, where
 from tonewood.performance.score.smf import Findings, MidiFile, Track, parse_smf
 from tonewood.support.whole_files import whole_file
@@ -37,9 +38,13 @@ MAX_DURATION = 600.0
 LONG_GAP = 60.0
 MAX_SILENCE = 900.0
 MAX_TIME = 6 * 3600.0
+#: channel of percussion, from 0
+_DRUMS = 9
 
 
-def read_midi(path: str | os.PathLike[str], *, start: float = 0.0, stop: float | None = None) -> Score:
+def read_midi(
+    path: str | os.PathLike[str], *, start: float = 0.0, stop: float | None = None, percussion: bool = False
+) -> Score:
     """Read a Standard MIDI File (format 0, 1, 2, or in a RIFF RMID wrapper).
 
     Parameters
@@ -47,11 +52,12 @@ def read_midi(path: str | os.PathLike[str], *, start: float = 0.0, stop: float |
     path : the file.
     start, stop : s, the excerpt to read: notes that begin in it, ended at `stop`, with times counted from `start`
         and every controller at the value it has there.
+    percussion : read notes of channel 10, which General MIDI gives to percussion, as pitches.
 
     Returns
     -------
-    score : notes with `time`, `duration` (sustain pedal included), `note`, `velocity_midi`, `channel`; controls
-        ``bend`` in cents (range by registered parameter 0) and ``ccN`` from 0 to 1, per channel, only changes;
+    score : notes with `time`, `duration` (sustain pedal included), `note`, `velocity_midi`, `channel`, `program`;
+        controls ``bend`` in cents (range by registered parameter 0) and ``ccN`` from 0 to 1, per channel, only changes;
         one warning per kind of oddity.
 
     Raises
@@ -64,7 +70,7 @@ def read_midi(path: str | os.PathLike[str], *, start: float = 0.0, stop: float |
         raise ScoreError(f"excerpt from {start} s to {stop} s: 0 <= start < stop is needed", file=path)
     findings = Findings()
     midi = parse_smf(file_bytes(path, MAX_BYTES), findings, file=os.fspath(path))
-    performance = ChannelReader(findings, path)
+    performance = ChannelReader(findings, path, percussion=percussion)
     for messages, end in _played(midi, findings):
         performance.play(messages)
         performance.finish(end)
@@ -78,7 +84,39 @@ def read_midi(path: str | os.PathLike[str], *, start: float = 0.0, stop: float |
     until = math.inf if stop is None else stop
     ignored = Counter(kind for time, kind in performance.ignored if start <= time < until)
     return Score(
-        notes, controls, warnings=warnings, name=path.stem, metadata=_texts(midi), ignored=ignored, file=str(path)
+        notes, controls, warnings=warnings, name=path.stem, metadata=_texts(midi), ignored=ignored, file=str(path),
+        parts=_parts(notes, performance), beats=_beats(midi) if start == 0.0 else None,
+    )  # fmt: skip
+
+
+def _beats(midi: MidiFile) -> Beats | None:
+    """Quarter notes of a file whose tracks sound together and whose ticks divide them."""
+    if midi.format == 2 or midi.tick_s is not None:
+        return None
+    seconds, unit = _clock(midi, midi.tracks), midi.ticks_per_quarter
+    changes = dict(sorted(chain.from_iterable(t.tempos for t in midi.tracks), key=itemgetter(0)))
+    tempos = [(seconds(tick), tick / unit, 60e6 / tempo) for tick, tempo in sorted({0: 500_000, **changes}.items())]
+    signs = {tick: 4.0 * over / under for t in midi.tracks for tick, over, under in t.meters}
+    return Beats(tempos, [(tick / unit, length) for tick, length in sorted({0: 4.0, **signs}.items())])
+
+
+def _parts(notes: Sequence[Note], performance: ChannelReader) -> tuple[ScorePart, ...]:
+    """Channels that have notes; those of a zone of MPE are one part, named by its master."""
+    master = {member: of for of, members in performance.zones.items() for member in members}
+    found: dict[int, dict[int, Counter[int | None]]] = {}
+    for note in notes:
+        at = note.channel or 0
+        found.setdefault(master.get(at, at), {}).setdefault(at, Counter())[note.program] += 1
+    if performance.n_drums:
+        found.setdefault(_DRUMS, {})
+    return tuple(
+        ScorePart(
+            number + 1,
+            channels=tuple(at + 1 for at in sorted(by_channel) if at != number),
+            programs=sum(by_channel.values(), Counter()),
+            n_drums=performance.n_drums if number == _DRUMS else 0,
+        )
+        for number, by_channel in sorted(found.items())
     )
 
 
@@ -163,8 +201,8 @@ def _excerpt(
 ) -> tuple[tuple[Note, ...], tuple[Control, ...]]:
     stop = math.inf if stop is None else stop
     notes = []
-    timed = zip(performance.notes, performance.ends, performance.releases, strict=True)
-    for (time, channel, key, velocity), end, release in timed:
+    timed = zip(performance.notes, performance.ends, performance.releases, performance.programs, strict=True)
+    for (time, channel, key, velocity), end, release, program in timed:
         if not start <= time < stop:
             if time < start < end:
                 findings.add("note begun before the excerpt, left out", where(channel, key, time))
@@ -176,7 +214,11 @@ def _excerpt(
             findings.add(f"note longer than {MAX_DURATION:.0f} s, shortened to it", where(channel, key, time))
         duration = min(max(min(end, stop) - time, MIN_DURATION), MAX_DURATION)
         held = max(release - time, MIN_DURATION) if release < min(end, stop) else None
-        notes.append(Note(time - start, duration, note=key, velocity_midi=velocity, channel=channel, held=held))
+        notes.append(
+            Note(
+                time - start, duration, note=key, velocity_midi=velocity, channel=channel, held=held, program=program
+            )
+        )  # fmt: skip
     before = {(c.kind, c.channel): replace(c, time=0.0) for c in performance.controls if c.time < start}
     within = [replace(c, time=c.time - start) for c in performance.controls if start <= c.time < stop]
     return tuple(notes), (*before.values(), *within)

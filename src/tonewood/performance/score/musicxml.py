@@ -8,6 +8,8 @@ Source: MusicXML 4.0, W3C Music Notation Community Group, 2021.
 
 from __future__ import annotations
 
+import re
+from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -17,7 +19,9 @@ from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import number, whole
-from tonewood.performance.score.written import Curve, Measure, WrittenMusic, WrittenNote, WrittenPart, bend_curve, near
+from tonewood.performance.score.score_clock import near
+from tonewood.performance.score.unfolding import Measure
+from tonewood.performance.score.written import Curve, WrittenMusic, WrittenNote, WrittenPart, bend_curve
 from tonewood.performance.score.xml_files import MOST, member, number_of, parsed, text_of
 
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
@@ -25,12 +29,23 @@ _DYNAMICS = {"pppp": 8, "ppp": 20, "pp": 33, "p": 49, "mp": 64, "mf": 80, "f": 9
 _UNITS = {"whole": 4.0, "half": 2.0, "quarter": 1.0, "eighth": 0.5, "16th": 0.25, "32nd": 0.125}
 _SIGNS = {
     "staccato": "staccato", "staccatissimo": "staccato", "accent": "accent", "strong-accent": "marcato",
-    "harmonic": "harmonic", "tap": "tapping", "wavy-line": "vibrato", "inverted-mordent": "", "fingering": "",
+    "harmonic": "harmonic", "tap": "tapping", "wavy-line": "vibrato", "fingering": "",
+    "turn": "turn", "delayed-turn": "turn", "inverted-turn": "inverted_turn", "delayed-inverted-turn": "inverted_turn",
+    "mordent": "mordent", "inverted-mordent": "inverted_mordent",
     "string": "", "fret": "", "hammer-on": "", "pull-off": "", "bend": "", "pluck": "", "up-bow": "", "down-bow": "",
     "trill-mark": "", "tremolo": "", "accidental-mark": "", "slur": "", "tied": "", "tuplet": "", "tenuto": "",
     "thumb-position": "", "open-string": "", "breath-mark": "", "slide": "", "glissando": "", "arpeggiate": "",
     "dynamics": "", "palm-mute": "palm_mute", "fermata": "", "golpe": "golpe",
 }  # fmt: skip
+#: letters in the order in which sharps are written, and semitones from each letter to the next one up
+_SHARPS, _LETTERS = "FCGDAEB", "CDEFGAB"
+#: a tempo in words: a sign for its note value, if any, and quarter notes of that
+_TEMPO_WORDS = re.compile(r"([♩♪qehw\U0001d15d-\U0001d160]?)(\.?)\s*=\s*(?:ca?\.\s*)?(\d+(?:\.\d+)?)")
+_GLYPHS = {"♪": 0.5, "e": 0.5, "\U0001d160": 0.5, "h": 2.0, "\U0001d15e": 2.0, "w": 4.0, "\U0001d15d": 4.0}
+#: velocity that a hairpin adds or takes where no dynamics follow, and quarter notes after its end in which they may
+_HAIRPIN, _HAIRPIN_ENDS = 16, Fraction(1)
+#: s for which a pedal is up where it changes
+_PEDAL_UP = 0.06
 #: durations per quarter note; others are damaged
 _MOST_DIVISIONS = 16384
 #: elements whose text is a number
@@ -38,7 +53,8 @@ _NUMBERS = {
     "alter", "bend-alter", "capo", "chromatic", "divisions", "duration", "fret", "octave", "octave-change",
     "per-minute", "string", "tremolo", "tuning-alter", "tuning-octave",
 }  # fmt: skip
-#: kinds of what is left out, from which on names of signs are no longer told, and characters of a name
+_PROGRAM = "midi-instrument/midi-program"
+#: kinds of what is left out, from which on names of signs are left out, and characters of a name
 _MOST_UNKNOWN, _LONGEST_SIGN = 100, 40
 #: times that a measure is repeated, number of an ending, and of a line of a staff
 _MOST_TIMES, _MOST_ENDING, _MOST_LINES = 32, 9999, 1000
@@ -96,8 +112,14 @@ class _Reader:
         names = {e.get("id"): text_of(e, "part-name") for e in root.iter("score-part")}
         if root.tag == "score-partwise":  # parts without a measure, too
             self._parts = {part: self._reader(part) for part in root.findall("part")}
+        programs = {e.get("id"): whole(text_of(e, _PROGRAM), 1, 128) for e in root.iter("score-part")}
+        starts = [Fraction(0)]
+        for measure in music.measures:
+            starts.append(near(starts[-1] + measure.length))
         for part, reader in self._parts.items():
-            reader.part.name = names.get(part if isinstance(part, str) else part.get("id"), "")
+            reader.hairpins(starts)
+            number = part if isinstance(part, str) else part.get("id")
+            reader.part.name, reader.part.program = names.get(number, ""), programs.get(number)
             music.parts.append(reader.part)
         _number_endings(music.measures)
         return music
@@ -121,9 +143,12 @@ class _PartReader:
         self.divisions, self.transpose, self.velocity = 1, 0.0, 80
         self.tuning: dict[int, float] = {}
         self.ending: frozenset[int] = frozenset()
-        #: voice or string -> mark that the next note of a slide, hammer-on or pull-off gets
         self.palm = False
-        self.vibrato = False
+        self.fifths = 0
+        self.feel: tuple[Fraction, Fraction] | None = None
+        #: (measure, quarter notes, velocity) of dynamics, and (measure, quarter notes, kind) of ends of hairpins
+        self.levels: list[tuple[int, Fraction, int]] = []
+        self.wedges: list[tuple[int, Fraction, str]] = []
 
     def _quarters(self, element: Element, path: str = "duration") -> Fraction:
         quarters = number_of(element, path, 0.0)
@@ -164,6 +189,8 @@ class _PartReader:
             elif child.tag == "barline":
                 self._barline(child, measure)
             longest = max(longest, now)
+        _from_lowest(notes)
+        measure.feel = measure.feel or self.feel
         measure.length = max(measure.length, longest)
         measure.endings = measure.endings or self.ending
         if self.ending and any(e.get("type") != "start" for e in element.iter("ending")):
@@ -176,6 +203,7 @@ class _PartReader:
             self.divisions = max(int(divisions), 1)
         elif divisions:
             self.music.ignored[f"divisions outside 1 to {_MOST_DIVISIONS}"] += 1
+        self.fifths = int(number_of(element, "key/fifths", self.fifths, -7.0, 7.0))
         if (move := element.find("transpose")) is not None:
             self.transpose = number_of(move, "chromatic", 0.0) + 12 * number_of(move, "octave-change", 0.0)
         for staff in element.findall("staff-details"):
@@ -189,12 +217,8 @@ class _PartReader:
 
     def _direction(self, element: Element, now: Fraction, measure: Measure) -> None:
         sound = element if element.tag == "sound" else element.find("sound")
-        bpm = None
-        metronome = element.find("direction-type/metronome")
-        if metronome is not None:
-            unit = _UNITS.get(text_of(metronome, "beat-unit"), 1.0)
-            unit *= 1.5 if metronome.find("beat-unit-dot") is not None else 1.0
-            bpm = number_of(metronome, "per-minute", 0.0) * unit or None
+        bpm = _written_tempo(element)
+        before = self.velocity
         if sound is not None:
             for name in ("tempo", "dynamics"):
                 if (said := sound.get(name)) is None:
@@ -210,16 +234,91 @@ class _PartReader:
             measure.signs |= {sign for name, sign in jumps.items() if sound.get(name, "no") not in ("", "no")}
             mute = text_of(sound, "play/mute")
             self.palm = mute == "palm" if mute else self.palm
+            if (feel := sound.find("swing")) is not None:
+                self._feel(feel)
         if bpm is not None:
             self.music.tempo(measure, now, bpm)
+        index, dynamics = len(self.part.measures), sound is not None and "dynamics" in sound.attrib
         for kind in element.findall("direction-type/*"):
             if kind.tag == "dynamics":
                 level = next((e.tag for e in kind if e.tag in _DYNAMICS), None)
-                self.velocity = (
-                    _DYNAMICS[level] if level and (sound is None or "dynamics" not in sound.attrib) else self.velocity
-                )
-            elif kind.tag in ("wedge", "pedal", "harp-pedals", "scordatura"):
-                self.music.ignored[kind.tag] += kind.get("type") != "stop"
+                self.velocity = _DYNAMICS[level] if level and not dynamics else self.velocity
+                dynamics = dynamics or level is not None
+            elif kind.tag == "wedge":
+                self.wedges.append((index, now, kind.get("type", "")))
+            elif kind.tag in ("harp-pedals", "scordatura"):
+                self.music.ignored[kind.tag] += 1
+        if dynamics or self.velocity != before:
+            self.levels.append((index, now, self.velocity))
+        self._pedals(element, sound, index, now)
+
+    def _feel(self, element: Element) -> None:
+        """How long the first of two notes is, from here on."""
+        unit = Fraction(1, 4) if text_of(element, "swing-type") == "16th" else Fraction(1, 2)
+        first, second = (whole(text_of(element, name), 1, 99) for name in ("first", "second"))
+        self.feel = (unit, Fraction(first, first + second)) if first and second else None
+        self.music.ignored["swing that cannot be read"] += self.feel is None and element.find("straight") is None
+
+    def _pedals(self, element: Element, sound: Element | None, index: int, now: Fraction) -> None:
+        """Enter moves of the pedals: signs, or what their sound says, which may be between up and down."""
+        moves = self.part.pedals
+        sounded = False
+        names = {"damper-pedal": "cc64", "sostenuto-pedal": "cc66", "soft-pedal": "cc67"}
+        for name, kind in names.items() if sound is not None else ():
+            said = (sound.get(name, "") if sound is not None else "").strip()
+            share = {"yes": 100.0, "no": 0.0}.get(said, number(said, 0.0, 100.0))
+            if share is not None:
+                moves.append((index, now, 0.0, kind, share / 100.0))
+                sounded = True
+            self.music.ignored[f"{name} that cannot be read"] += bool(said) and share is None
+        for sign in element.findall("direction-type/pedal") if not sounded else ():
+            how = sign.get("type", "")
+            if how in ("stop", "discontinue", "change"):
+                moves.append((index, now, 0.0, "cc64", 0.0))
+                if how == "stop":
+                    moves.append((index, now, 0.0, "cc66", 0.0))
+            if how in ("start", "resume", "change"):
+                moves.append((index, now, _PEDAL_UP if how == "change" else 0.0, "cc64", 1.0))
+            elif how == "sostenuto":
+                moves.append((index, now, 0.0, "cc66", 1.0))
+
+    def hairpins(self, starts: list[Fraction]) -> None:
+        """Let notes grow and fade between dynamics; after a hairpin without any that follow they keep its end.
+
+        Parameters
+        ----------
+        starts : quarter notes at which measures begin.
+        """
+        levels = sorted((starts[i] + at, velocity) for i, at, velocity in self.levels)
+        times = [time for time, _ in levels]
+        ramps: list[tuple[Fraction, Fraction, Fraction, int, int]] = []  # begin, end, until, velocities
+        begun: tuple[Fraction, bool] | None = None
+        for i, at, kind in self.wedges:
+            if kind in ("crescendo", "diminuendo"):
+                begun = starts[i] + at, kind == "crescendo"
+            elif kind == "stop" and begun is not None:
+                (begin, up), end = begun, starts[i] + at
+                n = bisect_right(times, begin)
+                before = levels[n - 1][1] if n else 80
+                if ramps and ramps[-1][1] >= (times[n - 1] if n else 0):
+                    before = ramps[-1][4]
+                k = max(bisect_left(times, end), n)
+                after = levels[k][1] if k < len(levels) and times[k] <= end + _HAIRPIN_ENDS else before
+                if after == before or (after > before) != up:
+                    after = min(max(before + (_HAIRPIN if up else -_HAIRPIN), 1), 127)
+                until = times[k] if k < len(levels) else starts[-1] + 1
+                ramps.append((begin, max(end, begin), until, before, after))
+                begun = None
+        self.music.ignored["hairpin without an end"] += begun is not None
+        begins = [ramp[0] for ramp in ramps]
+        for i, signs in enumerate(self.part.measures if ramps else ()):
+            for k, sign in enumerate(signs):
+                time = starts[i] + sign.at
+                n = bisect_right(begins, time)
+                if n and time < ramps[n - 1][2]:
+                    begin, end, _, low, high = ramps[n - 1]
+                    share = float((time - begin) / (end - begin)) if time < end else 1.0
+                    signs[k] = replace(sign, velocity=round(low + (high - low) * share))
 
     def _barline(self, element: Element, measure: Measure) -> None:
         repeat, ending = element.find("repeat"), element.find("ending")
@@ -241,6 +340,7 @@ class _PartReader:
         pitch = _pitch(element.find("pitch"), "step", "alter", "octave")
         if pitch is None:
             self.music.ignored["unpitched note"] += 1
+            self.part.n_drums += 1
             return None
         self.music.signs.take()
         signs, ignored = _signs(element)
@@ -260,15 +360,34 @@ class _PartReader:
         note = WrittenNote(
             at, length, pitch + self.transpose, velocity=self.velocity, signs=tuple(sorted(signs)),
             tied="stop" in ties, bend=_bend(technical),
-            strum=place if element.find("notations/arpeggiate") is not None else 0,
+            strum=_strum(element.find("notations/arpeggiate"), place), steps=self._steps(element),
         )  # fmt: skip
+        if element.find("notations/fermata") is not None and length:
+            self.music.measures[len(self.part.measures)].holds.add((at, at + length))
         ornaments = element.find("notations/ornaments")
         if ornaments is not None and ornaments.find("trill-mark") is not None:
-            note = replace(note, trill=note.pitch + 2)
+            up = self._steps(element)[1]
+            note = replace(note, trill=note.pitch + up, signs=tuple(s for s in note.signs if s != "vibrato"))
         strokes = number_of(ornaments, "tremolo", 0.0)
         if 0 < strokes <= 5:
             note = replace(note, tremolo=Fraction(1, 2 ** int(strokes)))
         return self._placed(note, technical)
+
+    def _steps(self, element: Element) -> tuple[int, int]:
+        """Semitones down and up to the neighbours of a note in its key, or by an accidental at its ornament."""
+        letter = text_of(element, "pitch/step")
+        own = _STEPS[letter] + round(number_of(element, "pitch/alter", 0.0))
+        out = []
+        for way in (-1, 1):
+            other = _LETTERS[(_LETTERS.index(letter) + way) % 7]
+            place = _SHARPS.index(other)
+            alter = (self.fifths > place) - (-self.fifths > 6 - place)
+            for mark in element.findall("notations/ornaments/accidental-mark"):
+                if (mark.get("placement") == "below") == (way < 0):
+                    alter = {"sharp": 1, "natural": 0, "flat": -1}.get((mark.text or "").strip(), alter)
+            step = (_STEPS[other] + alter - own) * way % 12
+            out.append(step if 0 < step < 5 else 2)
+        return out[0], out[1]
 
     def _placed(self, note: WrittenNote, technical: Element | None) -> WrittenNote:
         """The note with its string and fret, if its pitch is there."""
@@ -284,6 +403,36 @@ class _PartReader:
                 return replace(note, string=int(string))
             fret = found[0]
         return replace(note, string=int(string), fret=int(fret))
+
+
+def _strum(arpeggiate: Element | None, place: int) -> int:
+    """Place of a note of an arpeggio; below 0 counted from its highest note, which comes first."""
+    return 0 if arpeggiate is None else -place if arpeggiate.get("direction") == "down" else place
+
+
+def _from_lowest(notes: list[WrittenNote]) -> None:
+    """Count the places of arpeggios that go down from 0."""
+    lowest: Counter[Fraction] = Counter()
+    for note in notes:
+        lowest[note.at] = min(lowest[note.at], note.strum)
+    for i, note in enumerate(notes):
+        if lowest[note.at] < 0:
+            notes[i] = replace(note, strum=note.strum - lowest[note.at])
+
+
+def _written_tempo(element: Element) -> float | None:
+    """Quarter notes a minute of a metronome mark, or of words in which a number stands."""
+    metronome = element.find("direction-type/metronome")
+    if metronome is not None:
+        unit = _UNITS.get(text_of(metronome, "beat-unit"), 1.0)
+        unit *= 1.5 if metronome.find("beat-unit-dot") is not None else 1.0
+        said = re.search(r"\d+(\.\d+)?", text_of(metronome, "per-minute")[:40])
+        return (number(said.group(0), 0.0, MOST) or 0.0) * unit or None if said else None
+    for words in element.findall("direction-type/words"):
+        if (found := _TEMPO_WORDS.search((words.text or "")[:200])) is not None:
+            glyph, dot, beats = found.groups()
+            return (number(beats, 0.0, MOST) or 0.0) * _GLYPHS.get(glyph, 1.0) * (1.5 if dot else 1.0) or None
+    return None
 
 
 def _pitch(element: Element | None, step: str, alter: str, octave: str) -> float | None:

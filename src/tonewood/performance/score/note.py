@@ -24,6 +24,8 @@ _RANGES: dict[str, tuple[float, float]] = {
     "from_bridge": (0.0, math.inf),
     "angle_deg": (-math.inf, math.inf),
     "channel": (0, 15),
+    "partial": (2, 64),
+    "program": (1, 128),
 }
 
 
@@ -49,6 +51,11 @@ class Note:
     channel : MIDI channel 0..15 the note came from, or None.
     marks : signs written at it, e.g. ``palm_mute``; an instrument that has a technique for one plays it so, and
         ``tablature`` lets the assignment choose where no string has the note at its `stop`.
+    partial : of a harmonic: number of the partial that a light finger leaves; `note` is its pitch, `stop` that of the
+        string under it. None of a note that is none.
+    glides : (s after `time`, semitones from `note`), ...: where the stopping finger is, without a new stroke; it begins
+        elsewhere where the first is at 0 s.
+    program : of General MIDI, from 1, that its channel or part has; None where the file names none.
 
     Raises
     ------
@@ -69,6 +76,9 @@ class Note:
     channel: int | None = None
     marks: tuple[str, ...] = ()
     held: float | None = None
+    partial: int | None = None
+    glides: tuple[tuple[float, float], ...] = ()
+    program: int | None = None
 
     if TYPE_CHECKING:  # names are numbers once it is made
 
@@ -88,6 +98,9 @@ class Note:
             channel: int | None = None,
             marks: tuple[str, ...] = (),
             held: float | None = None,
+            partial: int | None = None,
+            glides: tuple[tuple[float, float], ...] = (),
+            program: int | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -169,6 +182,53 @@ class Dropped:
 
 
 @dataclass(frozen=True)
+class Beats:
+    """Quarter notes and measures of a score.
+
+    Attributes
+    ----------
+    tempos : (s, quarter notes, quarter notes per minute) from which on a tempo holds, in order of time.
+    meters : (quarter notes, length in them) of measures: from the first on, one after the other.
+    """
+
+    tempos: Sequence[tuple[float, float, float]] = ((0.0, 0.0, 120.0),)
+    meters: Sequence[tuple[float, float]] = ((0.0, 4.0),)
+
+    def quarter(self, time: float) -> float:
+        """Quarter notes from the beginning at a time, s."""
+        at, began, bpm = next((t for t in reversed(self.tempos) if t[0] <= time), self.tempos[0])
+        return began + (time - at) * bpm / 60.0
+
+    def measures(self, end: float) -> list[float]:
+        """Quarter notes at which measures begin, and the end of the last one, which is at `end` or later."""
+        out = [0.0]
+        for (_, length), (until, _) in zip(self.meters, [*self.meters[1:], (math.inf, 0.0)], strict=True):
+            while out[-1] < min(until, end) - 1e-6:
+                out.append(min(out[-1] + length, until))
+        return out
+
+
+@dataclass(frozen=True)
+class ScorePart:
+    """A part of a file: what `read_score` takes under its number.
+
+    Attributes
+    ----------
+    number : of the part, or the MIDI channel, from 1.
+    name : empty where it has none.
+    channels : other MIDI channels, from 1, that belong to it: those of a zone of MPE.
+    programs : program of General MIDI, from 1, or None where the file names none -> number of its notes.
+    n_drums : notes of percussion, which are not read.
+    """
+
+    number: int
+    name: str = ""
+    channels: tuple[int, ...] = ()
+    programs: Mapping[int | None, int] = field(default_factory=dict)
+    n_drums: int = 0
+
+
+@dataclass(frozen=True)
 class Score:
     """Notes and controls in time order.
 
@@ -181,6 +241,8 @@ class Score:
     metadata : texts of the file, such as its title.
     ignored : kind of a message or mark -> how many of them were ignored while reading.
     file : path that it was read from, as it was given; None of a score that was made otherwise.
+    parts : of the file, as far as they were read.
+    beats : None of a score without them.
 
     Raises
     ------
@@ -195,6 +257,8 @@ class Score:
     metadata: dict[str, str] = field(default_factory=dict)
     ignored: Mapping[str, int] = field(default_factory=dict)
     file: str | None = None
+    parts: Sequence[ScorePart] = ()
+    beats: Beats | None = None
 
     @property
     def place(self) -> str:

@@ -14,6 +14,8 @@ from tonewood.performance.score.smf import Findings
 
 MAX_CONTROLS = 1_000_000
 _PERCUSSION = 9
+#: finding: how a score says that notes are left out
+DRUM = "note of channel 10, percussion by General MIDI, left out (--tracks 10 plucks them)"
 #: upper four bits of the status byte
 _IGNORED = {0xA0: "polyphonic pressure", 0xC0: "program change", 0xF0: "system exclusive"}
 
@@ -25,6 +27,7 @@ class _Channel:
     held: dict[int, deque[int]] = field(default_factory=dict)
     pedalled: dict[int, int] = field(default_factory=dict)
     pedal: bool = False
+    program: int | None = None
 
 
 class ChannelReader:
@@ -34,16 +37,22 @@ class ChannelReader:
     ----------
     findings : takes oddities.
     file : for errors.
+    percussion : whether notes of channel 10 are read.
 
     Attributes
     ----------
     notes : (time in s, channel, key, velocity) in time order.
+    programs : of General MIDI, from 1, one per note; None before the first of its channel.
+    n_drums : notes of channel 10 that were left out.
     ends, releases : s, one per note: when it ends, and when its key is released.
     controls : ``bend`` in cents, ``ccN`` from 0 to 1; only changes.
     ignored : (time in s, kind) of messages without effect.
     """
 
-    def __init__(self, findings: Findings, file: str | os.PathLike[str] | None = None):
+    def __init__(self, findings: Findings, file: str | os.PathLike[str] | None = None, *, percussion: bool = False):
+        self.programs: list[int | None] = []
+        self.n_drums = 0
+        self._percussion = percussion
         self.notes: list[tuple[float, int, int, int]] = []
         self.ends: list[float] = []
         self.releases: list[float] = []
@@ -53,6 +62,11 @@ class ChannelReader:
         self._latest: dict[tuple[int, str], float] = {}
         self._channels = [_Channel() for _ in range(16)]
         self._midi = MidiChannels()
+
+    @property
+    def zones(self) -> dict[int, list[int]]:
+        """Master channel -> member channels, of zones of MPE at the end."""
+        return self._midi.zones
 
     def play(self, messages: Iterable[tuple[float, int, int, int]]) -> None:
         """Take messages (time in s, status, data 1, data 2) in time order.
@@ -78,6 +92,10 @@ class ChannelReader:
                 case 0xE0:
                     self._midi.wheel(number, a, b)
                     self._bend(time)
+                case 0xC0:
+                    for at in self._midi.reached(number):
+                        self._channels[at].program = a + 1
+                    self.ignored.append((time, _IGNORED[0xC0]))  # by an instrument that is given
                 case 0xD0:
                     for at in self._midi.reached(number):
                         self._control(time, at, "channel_pressure", a / 127)
@@ -97,21 +115,29 @@ class ChannelReader:
             self._silence(time, channel)
             channel.pedal = False
 
+    def _is_drum(self, number: int) -> bool:
+        return number == _PERCUSSION and not self._percussion and not self._midi.is_member(number)
+
     def _note_on(self, time: float, number: int, channel: _Channel, key: int, velocity: int) -> None:
+        if self._is_drum(number):
+            self.n_drums += 1
+            self._findings.add(DRUM, where(number, key, time))
+            return
         if key in channel.pedalled:
             self.ends[channel.pedalled.pop(key)] = time
         held = channel.held.setdefault(key, deque())
         if held:
             self._findings.add("key struck again before its note-off", where(number, key, time))
-        if number == _PERCUSSION and not self._midi.is_member(number):
-            self._findings.add("channel 10, percussion by General MIDI, is read as pitches")
         held.append(len(self.notes))
         self.notes.append((time, number, key, velocity))
         self.ends.append(time)
         self.releases.append(time)
+        self.programs.append(channel.program)
 
     def _note_off(self, time: float, number: int, channel: _Channel, key: int) -> None:
         held = channel.held.get(key)
+        if not held and self._is_drum(number):
+            return
         if not held:
             self._findings.add("note-off without a note, ignored", where(number, key, time))
             return

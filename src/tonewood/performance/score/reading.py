@@ -13,12 +13,15 @@ from tonewood.errors import ScoreError
 from tonewood.performance.score.file_bytes import file_bytes
 from tonewood.performance.score.midi import read_midi
 from tonewood.performance.score.note import Control, Note, Score
-from tonewood.performance.score.xml_files import MAX_BYTES, members
+from tonewood.performance.score.performance import DRUM
+from tonewood.performance.score.xml_files import MAX_BYTES, member, members
 
 if TYPE_CHECKING:
     from tonewood.performance.score.written import WrittenMusic
 
-FORMATS = ".mid, .musicxml, .mxl, .gp3, .gp4, .gp5, .gp"
+#: the score in an archive of Guitar Pro 7 or 8
+GPIF = "Content/score.gpif"
+FORMATS = ".mid, .musicxml, .mxl, .gp3, .gp4, .gp5, .gpx, .gp"
 
 
 def read_score(
@@ -30,13 +33,13 @@ def read_score(
     transpose: float = 0.0,
     tempo: float = 1.0,
 ) -> Score:
-    """Read a score: a MIDI file, MusicXML or MXL, Guitar Pro 3, 4, 5, 7 or 8; its bytes decide, not its name.
+    """Read a score: a MIDI file, MusicXML or MXL, Guitar Pro 3 to 8; its bytes decide, not its name.
 
     Parameters
     ----------
     path : the file.
     start, stop : s, the excerpt to read, as for `read_midi`; counted at the score's own tempo.
-    tracks : parts to read, from 1; of a MIDI file channels. All where left out.
+    tracks : parts to read, from 1; of a MIDI file channels. All where left out, but channel 10, percussion.
     transpose : semitones added to every note; a fret moves with it.
     tempo : factor on the speed.
 
@@ -53,13 +56,14 @@ def read_score(
         raise ScoreError(f"transposed by {transpose!r} semitones: -48 to 48 are allowed", file=path)
     music = read_written(path)
     if music is None:
-        score = read_midi(path, start=start, stop=stop)
+        score = read_midi(path, start=start, stop=stop, percussion=tracks is not None and 10 in tracks)
         score = score if tracks is None else _channels(score, tracks)
     else:
         from tonewood.performance.score.written import performed
 
         score = performed(music, tracks)
         score = score if not start and stop is None else _excerpt(score, start, stop)
+        score = replace(score, beats=None) if start else score
     return score if transpose == 0.0 and tempo == 1.0 else _moved(score, transpose, tempo)
 
 
@@ -69,13 +73,17 @@ def read_written(path: Path) -> WrittenMusic | None:
     if data[:4] == b"MThd":
         return None
     # most scores are MIDI files: readers of the others are imported when they are needed
-    from tonewood.performance.score.guitar_pro import read_gpif, read_guitar_pro
+    from tonewood.performance.score.gpif import read_gpif
+    from tonewood.performance.score.gpx import gpx_score
+    from tonewood.performance.score.guitar_pro import read_guitar_pro
     from tonewood.performance.score.musicxml import read_musicxml
 
     if data[:2] == b"PK":
-        return read_gpif(data, path) if "Content/score.gpif" in members(data, path) else read_musicxml(data, path)
+        if GPIF in members(data, path):
+            return read_gpif(member(data, GPIF, path), path)
+        return read_musicxml(data, path)
     if data[:4] in (b"BCFZ", b"BCFS"):
-        raise ScoreError("Guitar Pro 6 is not read; saved as .gp (7) or .gp5 by Guitar Pro it is", file=path)
+        return read_gpif((gpx_score(data, path),), path)
     if data[1:20].startswith(b"FICHIER GUITAR PRO"):
         return read_guitar_pro(data, path)
     head = data[:512].lstrip(b"\xef\xbb\xbf \t\r\n")
@@ -90,14 +98,18 @@ def read_written(path: Path) -> WrittenMusic | None:
 
 
 def _channels(score: Score, tracks: Sequence[int]) -> Score:
-    """Notes and controls of some channels, counted from 1."""
-    there = sorted({(n.channel or 0) + 1 for n in score.notes})
+    """Notes and controls of some channels, counted from 1; with the master of a zone of MPE those of the zone."""
+    there = sorted({(n.channel or 0) + 1 for n in score.notes} | {p.number for p in score.parts if p.programs})
     for track in tracks:
         if track not in there:
             raise ScoreError(f"there is no channel {track}; there are {', '.join(map(str, there))}", file=score.place)
-    wanted = {track - 1 for track in tracks}
+    zones = [at for part in score.parts if part.number in tracks for at in part.channels]
+    wanted = {track - 1 for track in (*tracks, *zones)}
     notes = [n for n in score.notes if (n.channel or 0) in wanted]
-    return replace(score, notes=notes, controls=[c for c in score.controls if (c.channel or 0) in wanted])
+    controls = [c for c in score.controls if (c.channel or 0) in wanted]
+    parts = [part for part in score.parts if part.number in tracks]
+    warnings = [line for line in score.warnings if not line.startswith(DRUM)]
+    return replace(score, notes=notes, controls=controls, parts=parts, warnings=warnings)
 
 
 def _excerpt(score: Score, start: float, stop: float | None) -> Score:
@@ -131,6 +143,7 @@ def _moved(score: Score, semitones: float, tempo: float) -> Score:
             n,
             time=n.time / tempo,
             duration=max(n.duration / tempo, 1e-3),
+            glides=tuple((time / tempo, steps) for time, steps in n.glides),
             note=pitch,
             stop=stop,
             marks=marks,
@@ -140,4 +153,6 @@ def _moved(score: Score, semitones: float, tempo: float) -> Score:
     def control(c: Control) -> Control:
         return replace(c, time=c.time / tempo)
 
-    return replace(score, notes=[note(n) for n in score.notes], controls=[control(c) for c in score.controls])
+    beats = score.beats and replace(score.beats, tempos=[(t / tempo, q, b * tempo) for t, q, b in score.beats.tempos])
+    notes, controls = [note(n) for n in score.notes], [control(c) for c in score.controls]
+    return replace(score, notes=notes, controls=controls, beats=beats)

@@ -45,13 +45,15 @@ class Findings:
 
 @dataclass
 class Track:
-    """One MTrk chunk: messages (tick, status, data 1, data 2), tempos (tick, µs per quarter), texts.
+    """One MTrk chunk: messages (tick, status, data 1, data 2), tempos (tick, µs per quarter), texts,
+    and meters (tick, upper and lower number).
 
     System exclusive messages stand among the others without their data.
     """
 
     messages: list[tuple[int, int, int, int]] = field(default_factory=list)
     tempos: list[tuple[int, int]] = field(default_factory=list)
+    meters: list[tuple[int, int, int]] = field(default_factory=list)
     texts: dict[str, str] = field(default_factory=dict)
     end: int = 0
 
@@ -268,6 +270,8 @@ def _read_meta(data: bytes, pos: int, limit: int, tick: int, label: str, track: 
             track.tempos.append((tick, tempo))
         else:
             findings.add("tempo event without a valid tempo, ignored", f"{label}, tick {tick}")
+    elif kind == 0x58 and length >= 2 and data[start] and data[start + 1] <= 6:
+        track.meters.append((tick, data[start], 2 ** data[start + 1]))
     elif kind in _TEXTS:
         track.texts.setdefault(_TEXTS[kind], _clean_text(data[start : min(pos, start + 200)]))
     return pos

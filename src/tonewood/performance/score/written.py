@@ -9,8 +9,13 @@ let ring       lasts until the next note on its string, without a string `RINGS`
 staccato       half of its length; a dead note `DEAD` s
 grace note     takes `GRACE` of a quarter note, at most a quarter of it, from the note that follows it
 tremolo        strokes of the written length; a trill alternates by hammer-ons and pull-offs
-strum          one string after the other, `STRUM` s apart
-bend, vibrato  controls ``bend`` on a channel of the string's own
+ornaments      turns and mordents in the first sixteenth of a note, shorter in notes below a quarter
+strum          one string after the other, `STRUM` s apart, or as late as the file says
+slides         one note whose stop moves: `Note.glides`; after a shift slide the string is struck again
+bend, vibrato  controls ``bend`` on a channel of the string's own, with the whammy bar's
+fermata        `HOLD` times as long, for all parts
+pedal          controllers of the part's channels; notes last until it comes up
+swing          the first of two notes of a value is longer than the second, as `Measure.feel` says
 accents        velocity +16 and +28, ghost notes -24
 =============  ========================================================================================================
 
@@ -32,30 +37,41 @@ from pathlib import Path
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import MAX_CONTROLS, MAX_NOTES, MAX_TIME, Allowance
-from tonewood.performance.score.note import Control, Note, Score
+from tonewood.performance.score.note import Control, Note, Score, ScorePart
+from tonewood.performance.score.score_clock import MOST_TEMPOS, TEMPOS, ScoreClock, near
+from tonewood.performance.score.unfolding import Measure, lost_jumps, order
 from tonewood.support.garbage import without_collecting
 
 RINGS, DEAD, STRUM = 8.0, 0.05, 0.012
 GRACE = Fraction(1, 8)
-#: Hz and cents of a vibrato, and s between two of its controls and of a bend's
-_VIBRATO, _DEPTH, _TICK = 5.5, 35.0, 0.02
-#: measures that are played, those looked at on the way, and measures of all parts
-_MOST_MEASURES, _MOST_STEPS, _MOST_CELLS = 20_000, 200_000, 200_000
-#: tempo changes that are played, and notes that a grace note may be compared with in all
-_MOST_TEMPOS, _MOST_COMPARED = 100_000, 1_000_000
-#: quarter notes per minute
-_TEMPOS = (4.0, 2000.0)
+#: Hz of a vibrato, and s between two of its controls and of a bend's
+_VIBRATO, _TICK = 5.5, 0.02
+#: cents of vibrato by sign
+_DEPTHS = {"vibrato": 35.0, "wide_vibrato": 80.0}
+#: notes that a grace note may be compared with in all
+_MOST_COMPARED = 1_000_000
+#: measures of all parts
+_MOST_CELLS = 200_000
 #: pitches of notes
 _PITCHES = (0.0, 140.0)
-#: denominators of times are rounded to
-_FINEST = 10**9
-#: jump that leads nowhere -> name by which it is counted
-_NOWHERE = {"dal_segno": "dal segno without a segno", "to_coda": "to coda without a coda"}
+#: quarter notes: strokes shorter than this at the end of a tremolo belong to the one before
+_REST = Fraction(1, 96)
+#: ornament -> steps up and down of its notes, and their lengths as shares of a quarter note
+_ORNAMENTS = {
+    "turn": ((1, 0, -1), Fraction(1, 12)),
+    "inverted_turn": ((-1, 0, 1), Fraction(1, 12)),
+    "mordent": ((0, -1), Fraction(1, 8)),
+    "inverted_mordent": ((0, 1), Fraction(1, 8)),
+}
+#: semitones to the next step of C major, or its neighbour on a black key, up and down from each pitch class
+_STEP_UP, _STEP_DOWN = (2, 2, 2, 1, 1, 2, 2, 2, 2, 2, 1, 1), (1,) * 12
+#: semitones of a slide into or out of a note, and the most s and the share of the note that it takes
+_SLIDE, _SLIDE_TIME, _SLIDE_SHARE = 2.0, 0.15, 0.4
 #: (share of the note, cents), in order of the share
 Curve = tuple[tuple[float, float], ...]
 _VELOCITIES = {"accent": 16, "marcato": 28, "ghost": -24}
 #: signs that are played here; all others become marks
-_PLAYED = {"let_ring", "staccato", "dead", "vibrato", *_VELOCITIES}
+_PLAYED = {"let_ring", "staccato", "dead", *_DEPTHS, *_VELOCITIES, *_ORNAMENTS}
 
 
 @dataclass(frozen=True)
@@ -71,9 +87,15 @@ class WrittenNote:
     velocity : 1 to 127.
     signs : names of techniques and articulations, e.g. ``palm_mute``.
     tied : continues the note before it of this pitch (and string).
-    bend : course of a bend.
+    bend, whammy : course of a bend, and of the bar that bends all strings.
     tremolo, trill : quarter notes of one stroke, and MIDI number of the other note.
     strum : place among the notes struck one after the other, 0 for the first.
+    delay : quarter notes by which it is struck later, and is shorter, than written.
+    partial : see `Note.partial`; 0 of a note that is no harmonic.
+    arrives : how the finger comes from the note before on its string: ``legato`` slides without a new stroke, ``shift``
+        slides and strikes again; empty if it does not.
+    slides : ``into_from_below``, ``into_from_above``, ``out_down``, ``out_up``.
+    steps : semitones down and up to the notes of an ornament; None for those of C major.
     """
 
     at: Fraction
@@ -88,35 +110,30 @@ class WrittenNote:
     tremolo: Fraction | None = None
     trill: float | None = None
     strum: int = 0
-
-
-@dataclass
-class Measure:
-    """A measure of all parts: its length in quarter notes, tempo changes (at, bpm), repeats and jumps.
-
-    Attributes
-    ----------
-    opens : a repeat begins here.
-    closes : how often it is played up to here, 0 for no repeat sign.
-    endings : passes in which it is played; empty for all.
-    signs : ``segno``, ``coda``, ``fine``, ``to_coda``, ``da_capo``, ``dal_segno``: marks and jumps.
-    """
-
-    length: Fraction = Fraction(4)
-    tempos: list[tuple[Fraction, float]] = field(default_factory=list)
-    opens: bool = False
-    closes: int = 0
-    endings: frozenset[int] = frozenset()
-    signs: set[str] = field(default_factory=set)
+    whammy: Curve = ()
+    delay: Fraction = Fraction(0)
+    partial: int = 0
+    arrives: str = ""
+    slides: tuple[str, ...] = ()
+    steps: tuple[int, int] | None = None
 
 
 @dataclass
 class WrittenPart:
-    """One part: its name, the notes of each measure, and the capo that its frets count from."""
+    """One part: its name, the notes of each measure, and the capo that its frets count from.
+
+    Attributes
+    ----------
+    program, n_drums : see `ScorePart`.
+    pedals : (measure, quarter notes in it, s later, controller, its value) of moves of pedals.
+    """
 
     name: str
     measures: list[list[WrittenNote]] = field(default_factory=list)
     capo: int = 0
+    program: int | None = None
+    n_drums: int = 0
+    pedals: list[tuple[int, Fraction, float, str, float]] = field(default_factory=list)
 
 
 @dataclass
@@ -125,6 +142,7 @@ class WrittenMusic:
 
     Attributes
     ----------
+    tablature : repeats are by the custom of Guitar Pro, see `tonewood.performance.score.unfolding`.
     signs, cells, changes : notes, measures of parts and tempo changes that may be read yet.
     """
 
@@ -134,123 +152,33 @@ class WrittenMusic:
     metadata: dict[str, str] = field(default_factory=dict)
     ignored: Counter[str] = field(default_factory=Counter)
     warnings: list[str] = field(default_factory=list)
+    tablature: bool = False
 
     def __post_init__(self) -> None:
         self.signs = Allowance(MAX_NOTES, "notes", self.file)
         self.cells = Allowance(_MOST_CELLS, "measures of parts", self.file)
-        self.changes = Allowance(_MOST_TEMPOS, "tempo changes", self.file)
+        self.changes = Allowance(MOST_TEMPOS, "tempo changes", self.file)
 
     def tempo(self, measure: Measure, at: Fraction, bpm: float) -> None:
         """Enter a change of tempo, quarter notes per minute; one out of range is counted."""
-        if not _TEMPOS[0] <= bpm <= _TEMPOS[1]:
+        if not TEMPOS[0] <= bpm <= TEMPOS[1]:
             self.ignored["tempo outside 4 to 2000"] += 1
             return
         self.changes.take()
         measure.tempos.append((at, bpm))
 
 
-def near(time: Fraction) -> Fraction:
-    """Return a time, rounded where its denominator is beyond any that music has: sums of such would grow."""
-    return time if time.denominator <= _FINEST else time.limit_denominator(_FINEST)
-
-
-def order(measures: Sequence[Measure]) -> list[int]:
-    """Measures in the order in which they are played, repeats, endings and jumps unfolded.
-
-    Raises
-    ------
-    ScoreError : they would go on for more than 20000 measures, or ten times as many are passed over.
-    """
-    out: list[int] = []
-    i = begin = 0
-    passes, jumped = 1, False
-    played: Counter[int] = Counter()
-    targets = _targets(measures)
-    steps = Allowance(_MOST_STEPS, "measures, repeats unfolded, with those that are left out")
-    while i < len(measures):
-        steps.take()
-        measure = measures[i]
-        past = i > 0 and bool(measures[i - 1].endings) and not measure.endings
-        if (measure.opens or past) and begin != i:
-            begin, passes = i, 1
-        if not measure.endings or passes in measure.endings:
-            out.append(i)
-            if len(out) > _MOST_MEASURES:
-                raise ScoreError(f"more than {_MOST_MEASURES} measures, repeats unfolded")
-            if jumped and "fine" in measure.signs:
-                break
-            if jumped and "to_coda" in measure.signs:
-                coda = targets[i]["to_coda"]
-                if coda is not None:
-                    i, jumped, begin, passes = coda, False, coda, 1
-                    continue
-            if measure.closes > 1 and not jumped and played[i] < measure.closes - 1:
-                played[i] += 1
-                passes += 1
-                i = begin
-                continue
-            back = [j for jump, j in targets[i].items() if jump != "to_coda" and j is not None]
-            if not jumped and back:
-                i = back[0]
-                jumped, begin, passes = True, i, 1
-                continue
-            if measure.closes:
-                begin, passes = i + 1, 1
-        i += 1
-    return out
-
-
-def _targets(measures: Sequence[Measure]) -> list[dict[str, int | None]]:
-    """Jumps in each measure -> the measure each leads to: the first segno so far, the next coda; None without one."""
-    out: list[dict[str, int | None]] = [{} for _ in measures]
-    segno = coda = None
-    for i, measure in enumerate(measures):
-        segno = i if segno is None and "segno" in measure.signs else segno
-        out[i] = {jump: at for jump, at in (("dal_segno", segno), ("da_capo", 0)) if jump in measure.signs}
-    for i, measure in reversed(list(enumerate(measures))):
-        if "to_coda" in measure.signs:
-            out[i]["to_coda"] = coda
-        coda = i if "coda" in measure.signs else coda
-    return out
-
-
-class _Clock:
-    """Seconds of a time in quarter notes, with repeats unfolded."""
-
-    def __init__(self, measures: Sequence[Measure], played: Sequence[int], file: Path):
-        self.starts: list[Fraction] = []
-        now, bpm = Fraction(0), 120.0
-        self._at, self._time, self._bpm = [Fraction(0)], [0.0], [bpm]
-        # of two tempos at one time the faster one
-        tempos = [list(dict(sorted(m.tempos)).items()) for m in measures]
-        changes = Allowance(_MOST_TEMPOS, "tempo changes, repeats unfolded", file)
-        for i in played:
-            self.starts.append(now)
-            changes.take(len(tempos[i]))
-            for at, tempo in tempos[i]:
-                self._enter(now + at, tempo)
-            now = near(now + measures[i].length)
-        if not 0.0 <= (end := self.seconds(now)) <= MAX_TIME:
-            raise ScoreError(f"{end:.6g} s of music, repeats unfolded: {MAX_TIME:.0f} s are allowed", file=file)
-
-    def _enter(self, at: Fraction, bpm: float) -> None:
-        self._time.append(self.seconds(at))
-        self._at.append(at)
-        self._bpm.append(bpm)
-
-    def seconds(self, at: Fraction) -> float:
-        """Time of a quarter note, s."""
-        i = bisect_right(self._at, at) - 1
-        return self._time[i] + float(at - self._at[i]) * 60.0 / self._bpm[i]
-
-
 @dataclass
 class _Sounding:
-    """A note with its time in quarter notes from the beginning."""
+    """A note with its time in quarter notes from the beginning, notes that are tied to it, and where its stop goes."""
 
     at: Fraction
     end: Fraction
     sign: WrittenNote
+    #: (quarter note, written note that is bent from there on)
+    bent: list[tuple[Fraction, WrittenNote]] = field(default_factory=list)
+    #: (quarter note, MIDI number) of the stop's arrivals
+    glides: list[tuple[Fraction, float]] = field(default_factory=list)
 
 
 @without_collecting
@@ -271,11 +199,11 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
             names = ", ".join(f"{i} {p.name}".strip() for i, p in enumerate(music.parts, 1))
             raise ScoreError(f"there is no part {number}; there are {names}", file=music.file)
     try:
-        played = order(music.measures)
+        played = order(music.measures, tablature=music.tablature)
     except ScoreError as error:
         raise ScoreError(error.reason, file=music.file) from None
     Allowance(_MOST_CELLS, "measures of parts, repeats unfolded", music.file).take(len(played) * len(chosen))
-    clock = _Clock(music.measures, played, music.file)
+    clock = ScoreClock(music.measures, played, music.file)
     notes: list[Note] = []
     controls: list[Control] = []
     ignored = Counter(music.ignored)
@@ -283,10 +211,14 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     signs, strokes = (Allowance(MAX_NOTES, "notes, repeats unfolded", music.file) for _ in range(2))
     bends = Allowance(MAX_CONTROLS, "controls of bends and vibrato", music.file)
     compared = Allowance(_MOST_COMPARED, "notes that begin together with grace notes", music.file)
-    for number in chosen:
-        part = music.parts[number - 1]
-        sounding = _tied(part, played, clock.starts, signs, compared)
-        following = _following(sounding)
+    about: list[ScorePart] = []
+    parts_played = [
+        (number, _graced(_sounding(music, music.parts[number - 1], played, clock.starts, signs), compared))
+        for number in chosen
+    ]
+    clock.begin_before(one.at for _, sounding in parts_played for one in sounding if one.at < 0)
+    for number, sounding in parts_played:
+        following, own = _following(sounding), list[Note]()
         for i, one in enumerate(sounding):
             if not all(_PITCHES[0] <= p <= _PITCHES[1] for p in (one.sign.pitch, one.sign.trill or 0.0)):
                 ignored["note whose pitch is out of range"] += 1
@@ -295,40 +227,79 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
                 ignored["note that begins or ends beyond 6 hours"] += 1
                 continue
             channel = channels.setdefault((number, one.sign.string or 0), len(channels) % 16)
-            for note in _strokes(one, following.get(i), clock, part.capo, channel):
-                strokes.take()
-                notes.append(note)
+            own += _strokes(one, following.get(i), clock, music.parts[number - 1], channel, strokes)
             controls += _bends(one, channel, clock, bends)
-    for jumps in _targets(music.measures):
-        ignored.update(_NOWHERE[jump] for jump, at in jumps.items() if at is None)
+        its = [channel for (part, _), channel in channels.items() if part == number]
+        controls += _pedalled(music.parts[number - 1], played, clock, its, own, bends)
+        notes += own
+        part = music.parts[number - 1]
+        about.append(ScorePart(number, part.name, (), {part.program: len(own)} if own else {}, part.n_drums))
+    ignored.update(lost_jumps(music.measures, tablature=music.tablature))
     warnings = list(music.warnings)
     if len(channels) > 16 and controls:
         warnings.append("more than 16 strings: bends of some are those of others, too; choose fewer --tracks")
     notes.sort(key=lambda n: n.time)
     controls.sort(key=lambda c: c.time)
-    return Score(notes, controls, (), warnings, music.file.stem, music.metadata, dict(+ignored), str(music.file))
+    beats = clock.beats(music.measures, played)
+    return Score(
+        notes, controls, (), warnings, music.file.stem, music.metadata, dict(+ignored), str(music.file), about, beats
+    )
 
 
-def _tied(
-    part: WrittenPart, played: Sequence[int], starts: Sequence[Fraction], most: Allowance, compared: Allowance
+def _sounding(
+    music: WrittenMusic, part: WrittenPart, played: Sequence[int], starts: Sequence[Fraction], most: Allowance
 ) -> list[_Sounding]:
-    """Notes in order of time, ties joined and grace notes given their time."""
+    """Notes with their times, ties and slides joined."""
     out: list[_Sounding] = []
     latest: dict[tuple[int | None, float], _Sounding] = {}
+    on_string: dict[int, _Sounding] = {}
     for i, start in zip(played, starts, strict=True):
         signs = part.measures[i] if i < len(part.measures) else []
         most.take(len(signs))
+        feel = music.measures[i].feel
         for sign in sorted(signs, key=lambda s: s.at):
+            at, end = _swung(sign, feel)
+            at, end = start + at, start + end
             key = sign.string, sign.pitch
             before = latest.get(key)
-            at = start + sign.at
+            if music.tablature and sign.string is not None:
+                before = on_string.get(sign.string)  # a harmonic's sound goes on where the tied note is none
             if sign.tied and before is not None and before.end >= at - Fraction(1, 64):
-                before.end = at + sign.length
-                if sign.bend:
-                    before.sign = replace(before.sign, bend=before.sign.bend or sign.bend)
+                before.end = end
+                before.bent.append((at, sign))
                 continue
-            latest[key] = _Sounding(at, at + sign.length, sign)
-            out.append(latest[key])
+            last = on_string.get(sign.string) if sign.string is not None else None
+            if sign.arrives and last is not None and last.end >= at - Fraction(1, 64) and last.at < at:
+                last.glides.append((at, sign.pitch))
+                if sign.arrives == "legato" and _is_plain(sign):
+                    last.end = end
+                    last.bent.append((at, sign))
+                    latest[key] = last
+                    continue
+            one = latest[key] = _Sounding(at, end, sign, [(at, sign)])
+            if sign.string is not None:
+                on_string[sign.string] = one
+            out.append(one)
+    return out
+
+
+def _swung(sign: WrittenNote, feel: tuple[Fraction, Fraction] | None) -> tuple[Fraction, Fraction]:
+    """Beginning and end of a note in its measure; one of the value that swings moves by its place in the pair."""
+    begin, end = sign.at, sign.at + sign.length
+    if feel is None or sign.length != feel[0] or sign.at % feel[0]:
+        return begin, end
+    later = 2 * feel[0] * feel[1] - feel[0]
+    return (begin + later, end) if sign.at % (2 * feel[0]) else (begin, end + later)
+
+
+def _is_plain(sign: WrittenNote) -> bool:
+    """Whether a note that a slide reaches is not struck for another reason."""
+    struck = sign.tremolo is not None or sign.trill is not None or sign.partial
+    return not struck and not {"dead", *_ORNAMENTS} & set(sign.signs)
+
+
+def _graced(out: list[_Sounding], compared: Allowance) -> list[_Sounding]:
+    """Notes in order of time, grace notes without a length given theirs."""
     out.sort(key=lambda s: s.at)
     grace = [s for s in out if s.end == s.at]
     together: dict[Fraction, list[_Sounding]] = defaultdict(list)
@@ -361,12 +332,15 @@ def _following(sounding: Sequence[_Sounding]) -> dict[int, Fraction]:
     return out
 
 
-def _strokes(one: _Sounding, following: Fraction | None, clock: _Clock, capo: int, channel: int) -> Iterator[Note]:
-    """Play one sign: a note, or the strokes of a tremolo or trill."""
+def _strokes(
+    one: _Sounding, following: Fraction | None, clock: ScoreClock, part: WrittenPart, channel: int, most: Allowance
+) -> Iterator[Note]:
+    """Play one sign: a note, or the notes of an ornament, a tremolo or a trill."""
     sign, signs = one.sign, set(one.sign.signs)
     marks = tuple(sorted(signs - _PLAYED)) + (("tablature",) if sign.fret is not None else ())
     velocity = min(max(sign.velocity + sum(_VELOCITIES.get(s, 0) for s in signs), 1), 127)
-    begin, end = clock.seconds(one.at) + STRUM * sign.strum, clock.seconds(one.end)
+    late = min(sign.delay, (one.end - one.at) / 2)
+    begin, end = clock.seconds(one.at + late) + STRUM * sign.strum, clock.seconds(one.end)
     if "dead" in signs:
         marks, end = (*marks, "dead_note"), begin + DEAD
     elif "staccato" in signs:
@@ -375,47 +349,128 @@ def _strokes(one: _Sounding, following: Fraction | None, clock: _Clock, capo: in
         end = begin + RINGS if following is None and sign.string is None else end
         if sign.string is not None:
             end = clock.seconds(following) if following is not None else end + RINGS
-    stop = None if sign.fret is None else float(sign.fret + capo)
+    stop = None if sign.fret is None else float(sign.fret + part.capo)
     duration = max(end - begin, 0.02)
-    note = Note(begin, duration, note=sign.pitch, stop=stop, velocity_midi=velocity, marks=marks, channel=channel)
-    stroke = sign.tremolo if sign.tremolo else Fraction(1, 8) if sign.trill is not None else None
-    if stroke is None or one.at + stroke >= one.end:
+    note = Note(
+        begin, duration, note=sign.pitch, stop=stop, velocity_midi=velocity, marks=marks, channel=channel,
+        partial=sign.partial or None, glides=_glides(one, begin, duration, clock), program=part.program,
+    )  # fmt: skip
+    notes = _split(one, most)
+    if len(notes) < 2:
         yield note
         return
-    n = math.ceil((one.end - one.at) / stroke)
-    for i in range(n):
-        start, stop_at = one.at + i * stroke, min(one.at + (i + 1) * stroke, one.end)
-        time = clock.seconds(start)
-        other = sign.trill is not None and i % 2 == 1
-        pitch = sign.trill if other and sign.trill is not None else sign.pitch
-        extra: tuple[str, ...] = ()
-        if sign.trill is not None and i:
-            extra = ("hammer_on",) if other == (sign.trill > sign.pitch) else ("pull_off",)
+    for i, (at, until, pitch, extra) in enumerate(notes):
+        time = begin if i == 0 else clock.seconds(at)
         fret = None if stop is None or stop + (pitch - sign.pitch) < 0 else stop + (pitch - sign.pitch)
         own = tuple(m for m in marks if i == 0 or m not in ("hammer_on", "pull_off", "slide"))
         yield replace(
-            note, time=time, duration=max(clock.seconds(stop_at) - time, 0.02), note=pitch, stop=fret, marks=own + extra
-        )
+            note, time=time, duration=max(clock.seconds(until) - time, 0.02), note=pitch, stop=fret, marks=own + extra,
+            glides=(),
+        )  # fmt: skip
 
 
-def _bends(one: _Sounding, channel: int, clock: _Clock, most: Allowance) -> list[Control]:
-    """Controls of a note's bend and vibrato, back to 0 at its end."""
+def _split(one: _Sounding, most: Allowance) -> list[tuple[Fraction, Fraction, float, tuple[str, ...]]]:
+    """(beginning, end, pitch, marks) of each note that a sign is played as, in quarter notes."""
     sign = one.sign
-    if not sign.bend and "vibrato" not in sign.signs:
+    ornament = next((_ORNAMENTS[s] for s in sign.signs if s in _ORNAMENTS), None)
+    out: list[tuple[Fraction, Fraction, float, tuple[str, ...]]] = []
+    if ornament is not None:
+        at, shorter = one.at, min(one.end - one.at, Fraction(1))
+        tone = int(sign.pitch) % 12
+        for step in ornament[0]:
+            down, up = sign.steps or (_STEP_DOWN[tone], _STEP_UP[tone])
+            pitch = sign.pitch + (up if step > 0 else -down if step < 0 else 0)
+            out.append((at, at + ornament[1] * shorter, pitch, ()))
+            at += ornament[1] * shorter
+        return [*out, (at, one.end, sign.pitch, ())]
+    stroke = sign.tremolo if sign.tremolo else Fraction(1, 8) if sign.trill is not None else None
+    n = 1 if stroke is None else math.ceil((one.end - one.at - _REST) / stroke)
+    most.take(max(n, 1))
+    if stroke is None:
         return []
-    begin, end = clock.seconds(one.at), clock.seconds(one.end)
-    n = max(math.ceil((end - begin) / _TICK), 1)
-    most.take(n)
-    out: list[Control] = []
     for i in range(n):
-        share = i / n
-        cents = _at(sign.bend, share)
-        if "vibrato" in sign.signs:
-            cents += _DEPTH * math.sin(math.pi * _VIBRATO * (end - begin) * share) ** 2
-        value = float(round(cents))
-        if not out or value != out[-1].value:
-            out.append(Control(begin + (end - begin) * share, "bend", value, channel))
-    return [*out, Control(end, "bend", 0.0, channel)]
+        other = sign.trill is not None and i % 2 == 1
+        extra: tuple[str, ...] = ()
+        if sign.trill is not None and i:
+            extra = ("hammer_on",) if other == (sign.trill > sign.pitch) else ("pull_off",)
+        pitch = sign.trill if other and sign.trill is not None else sign.pitch
+        out.append((one.at + i * stroke, min(one.at + (i + 1) * stroke, one.end), pitch, extra))
+    return out
+
+
+def _glides(one: _Sounding, begin: float, duration: float, clock: ScoreClock) -> tuple[tuple[float, float], ...]:
+    """Where the stop of a note goes, see `Note.glides`."""
+    sign, slides = one.sign, set(one.sign.slides)
+    take = min(_SLIDE_TIME, _SLIDE_SHARE * duration)
+    frets = _SLIDE if sign.fret is None else min(_SLIDE, float(sign.fret))
+    out: list[tuple[float, float]] = []
+    if slides & {"into_from_below", "into_from_above"}:
+        out += [(0.0, -frets if "into_from_below" in slides else _SLIDE), (take, 0.0)]
+    out += [(clock.seconds(at) - begin, pitch - sign.pitch) for at, pitch in one.glides]
+    for _, last in one.bent[1:]:
+        slides |= {s for s in last.slides if s.startswith("out")}
+    reached = out[-1][1] if out else 0.0
+    if "out_down" in slides or "out_up" in slides:
+        down = -min(_SLIDE, sign.fret + reached) if sign.fret is not None else -_SLIDE
+        out.append((duration, reached + (_SLIDE if "out_up" in slides else down)))
+    return tuple((min(time, duration), steps) for time, steps in out if time >= 0.0)
+
+
+def _bends(one: _Sounding, channel: int, clock: ScoreClock, most: Allowance) -> list[Control]:
+    """Controls of a note's bends, whammy and vibrato, back to 0 at its end."""
+    out: list[Control] = []
+    for i, (at, sign) in enumerate(one.bent):
+        depth = sum(_DEPTHS.get(name, 0.0) for name in sign.signs)
+        if not (sign.bend or sign.whammy or depth):
+            if out:
+                out.append(Control(clock.seconds(at), "bend", 0.0, channel))
+            continue
+        begin = clock.seconds(max(at, one.at))
+        end = clock.seconds(one.bent[i + 1][0] if i + 1 < len(one.bent) else one.end)
+        n = max(math.ceil((end - begin) / _TICK), 1)
+        most.take(n)
+        for k in range(n):
+            share = k / n
+            cents = _at(sign.bend, share) + _at(sign.whammy, share)
+            cents += depth * math.sin(math.pi * _VIBRATO * (end - begin) * share) ** 2
+            value = float(round(cents))
+            if not out or value != out[-1].value:
+                out.append(Control(begin + (end - begin) * share, "bend", value, channel))
+    return [*out, Control(clock.seconds(one.end), "bend", 0.0, channel)] if out else []
+
+
+def _pedalled(
+    part: WrittenPart,
+    played: Sequence[int],
+    clock: ScoreClock,
+    channels: Sequence[int],
+    notes: list[Note],
+    most: Allowance,
+) -> list[Control]:
+    """Controls of a part's pedals; its notes that end under the sustain pedal last until that comes up."""
+    if not part.pedals:
+        return []
+    by_measure: dict[int, list[tuple[Fraction, float, str, float]]] = defaultdict(list)
+    for i, at, late, kind, value in part.pedals:
+        by_measure[i].append((at, late, kind, value))
+    moves: list[tuple[float, str, float]] = []
+    for i, start in zip(played, clock.starts, strict=True):
+        most.take(len(by_measure.get(i, ())) * max(len(channels), 1))
+        moves += [(clock.seconds(start + at) + late, kind, value) for at, late, kind, value in by_measure.get(i, ())]
+    moves.sort(key=itemgetter(0))
+    sustain = [(time, value >= 0.5) for time, kind, value in moves if kind == "cc64"]
+    times = [time for time, _ in sustain]
+    ups: list[float] = [math.inf] * (len(sustain) + 1)  # next time at which it is up, from each move on
+    for i in reversed(range(len(sustain))):
+        ups[i] = ups[i + 1] if sustain[i][1] else sustain[i][0]
+    last = max((n.time + n.duration for n in notes), default=0.0)
+    for i, note in enumerate(notes):
+        end = note.time + note.duration
+        k = bisect_right(times, end) - 1
+        if k >= 0 and sustain[k][1]:
+            until = max(min(ups[k], last), end)
+            notes[i] = replace(note, duration=until - note.time, held=note.duration)
+    return [Control(time, kind, value, channel) for time, kind, value in moves for channel in channels]
 
 
 def _at(curve: Curve, share: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import zipfile
 import zlib
@@ -53,27 +54,35 @@ def parsed(pieces: Iterable[bytes], path: Path, cell: Cell | None = None) -> Ele
     ------
     ScoreError : it is not well formed, has a DTD of its own or entities, or is beyond a limit; one line.
     """
-    tree = _Tree(path, cell)
+    tree: _Tree | None = None
     head = b""
     try:
         for piece in pieces:
-            head = head or piece[:4096]
+            if tree is None:
+                head = piece[:4096]
+                tree = _Tree(path, cell, _encoding(head))
             tree.feed(piece)
-        return tree.close()
+        return (tree or _Tree(path, cell, None)).close()
     except (expat.ExpatError, ValueError, LookupError) as error:
         what = "not XML" if b"<" not in head else "damaged XML"
         raise ScoreError(f"{what}: {error}", file=path) from None
 
 
+def _encoding(head: bytes) -> str | None:
+    """UTF-8 where a document of single bytes declares UTF-16; None where its declaration holds."""
+    declared = re.match(rb"(?:\xef\xbb\xbf)?<\?xml[^>]{0,100}encoding\s*=\s*[\"']utf-?16", head, re.IGNORECASE)
+    return "utf-8" if declared else None
+
+
 class _Tree:
     """Tree of a document's elements, by the handlers of expat."""
 
-    def __init__(self, path: Path, cell: Cell | None):
+    def __init__(self, path: Path, cell: Cell | None, encoding: str | None):
         self._path, self._cell, self._builder = path, cell, TreeBuilder()
         self._open: list[Element] = []
         self._elements = Allowance(MAX_ELEMENTS, "elements", path)
         self._kept = self._kept_before = self._text = self._fed = 0
-        self._parser = parser = expat.ParserCreate(namespace_separator="}")
+        self._parser = parser = expat.ParserCreate(encoding, "}")
         parser.buffer_text = True
         parser.StartElementHandler, parser.EndElementHandler = self._start, self._end
         parser.CharacterDataHandler = self._data

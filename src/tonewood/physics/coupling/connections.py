@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.physics.coupling.inverse import DenseInverse, InverseInParts, scaled_pinv
-from tonewood.physics.coupling.laws import Contact, NonlinearLaw
+from tonewood.physics.coupling.laws import NonlinearLaw
 
 Floats = NDArray[np.float64]
 
@@ -271,7 +271,7 @@ class NonlinearLaws:
     @cached_property
     def is_contact(self) -> NDArray[np.bool_]:
         """(k,) which of them push one way only, from a clearance on."""
-        return np.array([isinstance(law, Contact) for law in self.laws], dtype=bool)
+        return np.array([law.one_sided for law in self.laws], dtype=bool)
 
     def changed(self, laws: Mapping[int, Law], dt: float) -> NonlinearLaws:
         """Return these laws with others at some places; itself if no nonlinear law is concerned."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -18,9 +19,9 @@ from numpy.typing import NDArray
 from tonewood.physics.coupling.compiled import BLOCK_SIZE, PADDING, Compiled, Injection, PrescribedMotion, State
 from tonewood.physics.coupling.connections import Connection, LinearSolve, NonlinearSolve, Term
 from tonewood.physics.coupling.elimination import Elimination, GapCompliance
-from tonewood.physics.coupling.laws import Friction
 from tonewood.physics.coupling.layout import Drive, Layout, Readout
 from tonewood.physics.coupling.potentials.base import Potential
+from tonewood.physics.coupling.potentials.user import ModalPotential
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import apply, flow, powers, real_form
 
@@ -317,6 +318,21 @@ class System:
                 memory[place] = 0.0
         return memory
 
+    def check_potentials(self, state: State) -> None:
+        """Check that potentials of one's own are bounded from below in the motion so far.
+
+        Raises
+        ------
+        TonewoodError : the V of one has fallen below its `least`; one line.
+        """
+        for index in self._own_potentials:
+            if self.on[index]:
+                self.joined(index).check_state(state.potentials[self.memory[index]])
+
+    @cached_property
+    def _own_potentials(self) -> tuple[int, ...]:
+        return tuple(i for i, p in enumerate(self.potentials) if isinstance(p, ModalPotential))
+
     def controlled(self, controls: Sequence[PrescribedMotion], start: int, n: int) -> dict[int, Floats]:
         """(4, n) offset at the beginning and the end of each step, velocity and scale, of controlled connections.
 
@@ -332,7 +348,7 @@ class System:
             j = self._nonlinear_place(control.connection)
             if j not in out:
                 law = self.nonlinear.laws[j] if self.nonlinear else None
-                still = law.velocity if isinstance(law, Friction) else 0.0
+                still = law.velocity if law else 0.0
                 out[j] = np.repeat([[law.offset if law else 0.0]] * 2 + [[still], [1.0]], n, axis=1)
             here, there = slice(first - start, last - start), slice(first - control.start, last - control.start)
             if control.offset is not None:

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.physics.coupling.connections import Rigid, SpringDashpot
 from tonewood.physics.coupling.inverse import scaled_pinv
-from tonewood.physics.coupling.laws import Contact, Friction, NonlinearLaw
+from tonewood.physics.coupling.laws import NonlinearLaw, PotentialLaw
 from tonewood.physics.coupling.system import System
 
 Floats = NDArray[np.float64]
@@ -54,7 +55,7 @@ class LawEnergies:
         solve = self._solve = system.nonlinear
         self._on = solve.index if solve else np.zeros(0, dtype=np.intp)
         self._laws: tuple[NonlinearLaw, ...] = solve.laws if solve else ()
-        self._elastic = [_without_losses(law) for law in self._laws]
+        self._elastic = {k: _without_losses(law) for k, law in enumerate(self._laws) if isinstance(law, PotentialLaw)}
         self._residual = solve.residual if solve else np.zeros((0, 0))
         self._theta = solve.theta if solve else 0.5
         self._in_series = np.flatnonzero(np.diag(self._residual) > 0)
@@ -89,7 +90,7 @@ class LawEnergies:
 
     def moved(self, moving: Mapping[int, Floats]) -> list[str]:
         """Names of the connections with a potential whose partners are moved."""
-        return [self._names[self._on[k]] for k in moving if not isinstance(self._laws[k], Friction)]
+        return [self._names[self._on[k]] for k in moving if k in self._elastic]
 
     def at(self, gaps: Floats, start: Floats) -> dict[str, float]:
         """Stored energy of one instant: gaps (m,) and series displacements (m,), partners where their laws say."""
@@ -132,7 +133,7 @@ class LawEnergies:
     ) -> None:
         T, dt = len(forces), self._dt
         f = forces[:, self._on[k]]
-        if isinstance(law, Friction):
+        if not isinstance(law, PotentialLaw):  # friction
             partner = np.full(T, law.velocity) if moved is None else moved[2]
             slip = np.diff(gap) / dt - partner
             flows.lost[name] = np.abs(f * slip) * dt
@@ -147,12 +148,12 @@ class LawEnergies:
             return
         old, new = begin - gap[:-1], end - gap[1:]
         # a contact that is open at both ends of a step has nothing to tell
-        busy = np.flatnonzero((old > 0) | (new > 0)) if isinstance(law, Contact) else np.arange(T)
+        busy = np.flatnonzero((old > 0) | (new > 0)) if law.one_sided else np.arange(T)
         before, after, lost = -scale * rest, -scale * rest, np.zeros(T)
         for t in busy:
             a, b = float(old[t]), float(new[t])
             before[t], after[t] = scale[t] * (law.energy(a) - rest), scale[t] * (law.energy(b) - rest)
-            extra = law.force(b, a, dt)[0] - self._elastic[k].force(b, a, dt)[0]  # type: ignore[union-attr]  # friction stores nothing and does not come here
+            extra = law.force(b, a, dt)[0] - self._elastic[k].force(b, a, dt)[0]
             lost[t] = scale[t] * extra * (b - a)
         flows.stored[name] = np.concatenate([before[:1], after])
         flows.lost[name] = lost
@@ -162,9 +163,10 @@ class LawEnergies:
             flows.supplied[name][1:] += before[1:] - after[:-1]
 
 
-def _without_losses(law: NonlinearLaw) -> NonlinearLaw:
-    there = {f.name for f in fields(law)}
-    return replace(law, **{name: 0.0 for name in _LOSSES if name in there})  # type: ignore[arg-type]  # only fields it has
+def _without_losses(law: PotentialLaw) -> PotentialLaw:
+    known: Any = law  # a dataclass
+    there = {f.name for f in fields(known)}
+    return cast(PotentialLaw, replace(known, **{name: 0.0 for name in _LOSSES if name in there}))
 
 
 def _inverse(compliance: Floats, among: NDArray[np.intp]) -> Floats:

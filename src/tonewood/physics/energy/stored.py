@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tonewood.physics.coupling.connections import Rigid, SpringDashpot
 from tonewood.physics.coupling.inverse import scaled_pinv
-from tonewood.physics.coupling.laws import Friction
+from tonewood.physics.coupling.laws import PotentialLaw
 from tonewood.physics.coupling.potentials.solve import PotentialSolve
 from tonewood.physics.coupling.system import State, System
 from tonewood.physics.stepping.motion import to_motion
@@ -67,7 +67,7 @@ def stored_energy(system: System, state: State) -> Energy:
     gap = system.gaps(states)
     laws = [c.law for c in system.connections]
     rigid = np.array([isinstance(law, Rigid) for law in laws], dtype=bool)
-    offset = np.array([0.0 if isinstance(law, Friction) else law.offset for law in laws])
+    offset = np.array([law.offset for law in laws])
     R = system.gap_matrix("residual")[np.ix_(rigid, rigid)]
     bent = (gap - offset)[rigid]
     residual = 0.5 * float(bent @ scaled_pinv(R) @ bent) if R.any() else 0.0
@@ -78,7 +78,7 @@ def stored_energy(system: System, state: State) -> Energy:
         on = system.nonlinear.index
         series = state.series[on] if state.series.size else np.zeros(len(on))
         for nonlinear, g in zip(system.nonlinear.laws, gap[on] + series, strict=True):
-            if not isinstance(nonlinear, Friction):
+            if isinstance(nonlinear, PotentialLaw):
                 springs += nonlinear.energy(float(nonlinear.offset - g))
         residual += 0.5 * float(series @ scaled_pinv(system.nonlinear.residual) @ series)
     return Energy(modes, potentials, springs, residual)

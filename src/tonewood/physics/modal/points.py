@@ -12,10 +12,14 @@ from tonewood.physics.modal.modes import PAIR, ModalBasis
 from tonewood.physics.modal.string_transfer import retuned
 
 
-def with_points(basis: ModalBasis, places: Mapping[str, float], still: Sequence[str], width: float) -> ModalBasis:
-    """Return a basis with points at places (m), points that do not move, and ``pluck`` as a mean over a width (m)."""
+def with_points(
+    basis: ModalBasis, places: Mapping[str, float], still: Sequence[str], widths: Mapping[str, float]
+) -> ModalBasis:
+    """Return a basis with points at places (m), points that do not move, and some as means over their widths (m)."""
     basis = with_still_points(basis.with_places(places), still)
-    return spread(basis, "pluck", width) if width else basis
+    for point, width in widths.items():
+        basis = spread(basis, point, width)
+    return basis
 
 
 def with_still_points(basis: ModalBasis, names: Sequence[str]) -> ModalBasis:

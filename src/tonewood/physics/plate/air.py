@@ -28,8 +28,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.physics.plate.integrals import displacement, integrals
 from tonewood.physics.plate.outline import quadrature
-from tonewood.physics.plate.plate import displacement, integrals
 from tonewood.physics.plate.splines import SplineGrid
 
 Floats = NDArray[np.float64]
@@ -69,11 +69,8 @@ def cavity_modes(outline: Floats, depth: float, fmax: float, size: float = 0.02)
 
     grid = SplineGrid.over(outline, size)
     quad = quadrature(grid, [outline])
-    one = lambda x: np.ones(x.shape[:-1])  # noqa: E731
-    (stiffness,) = integrals(
-        grid, quad, lambda values: np.stack([values((1, 0)), values((0, 1))], axis=-2), one, [np.eye(2)]
-    )
-    (mass,) = integrals(grid, quad, displacement, one, [np.eye(1)])
+    (stiffness,) = integrals(1, quad, lambda psi: np.stack([psi((1, 0)), psi((0, 1))], axis=-2), 1.0, [np.eye(2)])
+    (mass,) = integrals(1, quad, displacement, 1.0, [np.eye(1)])
     diagonal = mass.diagonal()
     keep = np.flatnonzero(diagonal > 1e-9 * diagonal.max())
     scale = 1 / np.sqrt(diagonal[keep])

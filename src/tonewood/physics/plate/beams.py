@@ -1,9 +1,10 @@
 """Braces and bridges: beams on a strip of the plate, whose energies are integrals of the plate's displacement.
 
 With s along the line, n across it, (u, w) the motion of the plate's middle surface along s and out of its plane, H the
-plate's thickness, h the beam's height (below the plate), b its width and theta(s) the rotation of its section,
+plate's thickness, beta = w_s - gamma the turn of its fibres, h the beam's height (below the plate), b its width and
+theta(s) the rotation of its section,
 
-    2 U = int EA eps^2 + EI theta_s^2 + k GA (mean w_s - theta)^2 + GJ w_sn^2 ds,   eps = u_s + H/2 w_ss + h/2 theta_s
+    2 U = int EA eps^2 + EI theta_s^2 + k GA (mean w_s - theta)^2 + GJ w_sn^2 ds,   eps = u_s + H/2 beta_s + h/2 theta_s
     2 T = int m w'^2 + m (h^2/12 + e^2) (w_s'^2 + w_n'^2) ds,                       e = (H + h) / 2
 
 Plane sections stay plane but not normal (S. P. Timoshenko, Phil. Mag. 41 (1921) 744; k = 5/6 of a rectangle): wood is
@@ -87,18 +88,21 @@ def line(start: Floats, stop: Floats, parts: int, order: int = 3) -> tuple[Float
     return start + place[:, None] * (stop - start), np.tile(w * length / (2 * parts), parts), place
 
 
-def beam_matrices(grid: SplineGrid, beam: Beam, thickness: Floats | float) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
-    """Stiffness and losses of one beam in the fields (theta, u, v, w), and mass (N, N) of w.
+def beam_matrices(
+    grid: SplineGrid, beam: Beam, thickness: Floats | float, shears: bool
+) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
+    """Stiffness and losses of one beam in the fields (theta, u, v, gamma_x, gamma_y, w), and mass (N, N) of w.
 
     Parameters
     ----------
     thickness : m, of the plate, or at the points of `beam_line`.
+    shears : whether the plate has the fields gamma.
 
     Returns
     -------
-    two (r + 3N, r + 3N) matrices, r = `rotations`, and one (N, N).
+    two (r + 5N, r + 5N) matrices, r = `rotations`, (r + 3N) without gamma, and one (N, N).
     """
-    from scipy.sparse import csr_matrix, diags, eye, hstack, kron
+    from scipy.sparse import csr_matrix, diags, eye, hstack, kron, vstack
 
     points, weights, place = beam_line(grid, beam)
     c, s = (beam.stop - beam.start) / beam.length
@@ -110,29 +114,28 @@ def beam_matrices(grid: SplineGrid, beam: Beam, thickness: Floats | float) -> tu
     w_sn = c * s * (w_yy - w_xx) + (c * c - s * s) * w_xy
     theta, theta_s = (line_functions(place, _parts(grid, beam), grid.degree, order) for order in (0, 1))
     theta_s = csr_matrix(theta_s / beam.length)
-    half = np.broadcast_to(below * thickness / 2, place.shape)
-    strain = hstack([diags(below * height / 2) @ theta_s, c * w_s, s * w_s, diags(half) @ w_ss])
-    none, still = 0.0 * w_s, 0.0 * theta
-    bend, twist = hstack([theta_s, none, none, none]), hstack([still, none, none, w_sn])
+    half = diags(np.broadcast_to(below * thickness / 2, place.shape))
+    turned_s = [-half @ (c * w_s), -half @ (s * w_s)] if shears else []
+    strain = hstack([diags(below * height / 2) @ theta_s, c * w_s, s * w_s, *turned_s, half @ w_ss])
+    others = [0.0 * w_s] * (2 + len(turned_s))
+    bend, twist = hstack([theta_s, *others, 0.0 * w_s]), hstack([0.0 * theta, *others, w_sn])
     # mean over the width, in which the section stays plane
     lines = _across(grid, beam)[1]
     mean = kron(np.outer(np.ones(len(lines)), lines), eye(len(place) // len(lines)))
-    shear = hstack([-theta, none, none, csr_matrix(mean @ w_s)])
+    shear = hstack([-theta, *others, csr_matrix(mean @ w_s)])
 
-    def integral(weight: Floats, operator: csr_matrix) -> csr_matrix:
-        product: csr_matrix = (operator.T @ diags(weights * weight) @ operator).tocsr()
-        return product
+    long = [wood.E_L * b * height, wood.E_L * b * height**3 / 12]
+    cross = [wood.G_LR * torsion_constant(b, height), _SHEAR * wood.G_LR * b * height]
+    rows = vstack([strain, bend, twist, shear]).tocsr()
 
-    stretched = integral(wood.E_L * b * height, strain) + integral(wood.E_L * b * height**3 / 12, bend)
-    turned = integral(wood.G_LR * torsion_constant(b, height), twist)
-    sheared: csr_matrix = turned + integral(_SHEAR * wood.G_LR * b * height, shear)
+    def integral(factors: list[Floats], operator: csr_matrix) -> csr_matrix:
+        return csr_matrix(operator.T @ diags(np.concatenate([weights * f for f in factors])) @ operator)
+
     m, offset = wood.density * b * height, (height + thickness) / 2
-    mass = (
-        integral(m, grid.at(points))
-        + integral(m * (height**2 / 12 + offset**2), w_s)
-        + integral(m * (height**2 / 12 + offset**2), w_n)
-    )
-    return stretched + sheared, wood.loss_L * stretched + wood.loss_shear * sheared, mass
+    turning = m * (height**2 / 12 + offset**2)
+    mass = integral([m, turning, turning], vstack([grid.at(points), w_s, w_n]).tocsr())
+    lost = [*(wood.loss_L * f for f in long), *(wood.loss_shear * f for f in cross)]
+    return integral([*long, *cross], rows), integral(lost, rows), mass
 
 
 def rotations(grid: SplineGrid, beam: Beam) -> int:

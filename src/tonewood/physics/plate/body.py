@@ -14,7 +14,7 @@ points is R_pp - R_pv (I / kappa + R_vv)^-1 R_vp. Static compliances so do not d
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -27,11 +27,14 @@ from tonewood.physics.plate.plate import CLAMPED, Edge, Plate, PlateModes, Thick
 from tonewood.physics.plate.radiation import Sources, gathered_sources
 from tonewood.physics.plate.splines import SplineGrid
 from tonewood.physics.plate.wood import Wood
+from tonewood.support.stages import stages
 
 Floats = NDArray[np.float64]
 
 #: coefficients of a plate's displacements
 MOST_UNKNOWNS = 25_000
+#: frequencies below this share of the fourth are of rigid-body motion
+_RIGID = 1e-2
 #: m, squares in which a plate's motion is gathered for its sound and its pictures
 SOURCE_SIZE = 0.01
 
@@ -109,7 +112,7 @@ class BodyModes:
     volumes : (m, n) m^3 per unit of each mode's coordinate.
     hole_from : (1,) number of squares of the top.
     back_sources, back_volumes : the same of the back; empty where it is rigid.
-    vacuum_freq : (k,) Hz, of the top without air.
+    vacuum_freq : (k,) Hz, of the top without air, without rigid-body motion.
     cavity_freq : (l,) Hz, of the cavity with rigid walls.
     masses : (2,) kg, of top and back with their beams.
     """
@@ -151,8 +154,10 @@ class BodyModes:
 
         Both are modes below 400 Hz in which the cavity's own modes hold less than half of the kinetic energy: A0, where
         there is a hole, the one in whose air there is most of it, T1 the one above A0 with the largest volume displaced
-        by the top, over frequency squared.
+        by the top, over frequency squared. A free plate has neither.
         """
+        if not self.freq.all():
+            return {}
         low = np.flatnonzero((self.freq < 400.0) & (self.kinetic[2] < 0.5))
         found = {}
         if low.size and self.kinetic[1, low].max() > 0:
@@ -177,20 +182,27 @@ def body_modes(drawing: BodyDrawing) -> BodyModes:
     ------
     ValueError : a plate would need more than `MOST_UNKNOWNS` unknowns.
     """
+    with stages("modes of the body", 6 if drawing.back is not None else 4) as begin:
+        return _body_modes(drawing, begin)
+
+
+def _body_modes(drawing: BodyDrawing, begin: Callable[[str], None]) -> BodyModes:
     rings = [drawing.outline] if drawing.hole is None else [drawing.outline, drawing.hole]
-    top = _solved(rings, drawing.top, drawing.fmax)
-    back = None if drawing.back is None else _solved([drawing.outline], drawing.back, drawing.fmax)
+    top = _solved(rings, drawing.top, drawing.fmax, begin, "top")
+    back = None if drawing.back is None else _solved([drawing.outline], drawing.back, drawing.fmax, begin, "back")
     plates = [top] if back is None else [top, back]
     wood = np.concatenate([p.loss for p in plates]) + drawing.extra_loss
     faces = [_face(p) for p in plates]
     mouth = None if drawing.hole is None else _mouth(drawing.hole)
     loads = _loads(top.plate, drawing)
+    begin("air")
     coupled, cavity_freq, (residual, lever) = _with_air(drawing, plates, faces, mouth, loads)
     n = len(top.freq)
     few = coupled.freq <= drawing.fmax
     keep = np.flatnonzero(few)
     shapes = loads @ top.vectors @ coupled.plates[:n] + lever @ coupled.pressure
     residual = residual + (shapes[:, ~few] / (2 * np.pi * coupled.freq[~few]) ** 2) @ shapes[:, ~few].T
+    freq, alone = _without_rounding(coupled.freq[keep]), _without_rounding(top.freq)
     points, areas, squares = gathered_sources(*faces[0], SOURCE_SIZE)
     volumes, hole_from = squares @ coupled.plates[:n, keep], len(points)
     if mouth is not None and drawing.depth > 0:
@@ -201,17 +213,18 @@ def body_modes(drawing: BodyDrawing) -> BodyModes:
     if back is not None:
         back_points, _, squares = gathered_sources(*faces[1], SOURCE_SIZE)
         back_volumes = squares @ coupled.plates[n:, keep]
-    resistance = Sources(points, volumes, drawing.baffled).resistance(coupled.freq[keep])
+    begin("radiation")
+    resistance = Sources(points, volumes, drawing.baffled).resistance(freq)
     if back is not None:
-        resistance = resistance + Sources(back_points, back_volumes, drawing.baffled).resistance(coupled.freq[keep])
-    omega = 2 * np.pi * coupled.freq[keep]
+        resistance = resistance + Sources(back_points, back_volumes, drawing.baffled).resistance(freq)
+    omega = 2 * np.pi * freq
     radiated = np.where(omega > 0, resistance / np.where(omega > 0, omega, 1.0), 0.0)
     stored = coupled.stored[:, keep]
     rubbed = np.zeros(len(keep))
     if (hole := _hole(drawing, mouth)) is not None:
         rubbed = hole_loss(coupled.freq[keep], coupled.hole[keep], *hole)
     return BodyModes(
-        freq=coupled.freq[keep],
+        freq=freq,
         loss=wood @ stored + drawing.air_loss * np.maximum(1 - stored.sum(axis=0), 0.0) + radiated + rubbed,
         radiation_loss=radiated,
         kinetic=coupled.kinetic[:, keep],
@@ -223,10 +236,16 @@ def body_modes(drawing: BodyDrawing) -> BodyModes:
         hole_from=np.array([float(hole_from)]),
         back_sources=back_points,
         back_volumes=back_volumes,
-        vacuum_freq=top.freq,
+        vacuum_freq=alone[alone > 0],
         cavity_freq=cavity_freq,
         masses=np.array([top.plate.mass, 0.0 if back is None else back.plate.mass]),
     )
+
+
+def _without_rounding(freq: Floats) -> Floats:
+    """Frequencies, exactly 0 for the rigid-body modes of a body that nothing holds."""
+    flexible = freq[3] if len(freq) > 3 else 0.0
+    return np.where(freq < _RIGID * flexible, 0.0, freq)
 
 
 def first_modes(drawing: BodyDrawing, edges: Sequence[Edge], fmax: float = 1500.0) -> list[dict[str, float]]:
@@ -244,7 +263,7 @@ def first_modes(drawing: BodyDrawing, edges: Sequence[Edge], fmax: float = 1500.
 def _plate(rings: Sequence[Floats], drawn: PlateDrawing, fmax: float) -> Plate:
     typical = drawn.thickness if not callable(drawn.thickness) else float(np.mean(drawn.thickness(rings[0])))
     size = drawn.size or cell_size(drawn.wood, typical, fmax)
-    unknowns = area(rings[0]) / size**2 * (3 if drawn.beams else 1)
+    unknowns = area(rings[0]) / size**2 * ((3 if drawn.beams else 1) + (2 if drawn.wood.shears else 0))
     if unknowns > MOST_UNKNOWNS:
         raise ValueError(
             f"modes to {fmax:g} Hz need cells of {1e3 * size:.2g} mm, some {unknowns:.0f} unknowns, of which "
@@ -253,8 +272,17 @@ def _plate(rings: Sequence[Floats], drawn: PlateDrawing, fmax: float) -> Plate:
     return Plate(rings, drawn.wood, drawn.thickness, drawn.edge, drawn.beams, size=size, grain=drawn.grain)
 
 
-def _solved(rings: Sequence[Floats], drawn: PlateDrawing, fmax: float) -> PlateModes:
-    return _plate(rings, drawn, fmax).modes(fmax)
+def _solved(
+    rings: Sequence[Floats],
+    drawn: PlateDrawing,
+    fmax: float,
+    begin: Callable[[str], None] = lambda stage: None,
+    name: str = "",
+) -> PlateModes:
+    begin(f"matrices of the {name}")
+    made = _plate(rings, drawn, fmax)
+    begin(f"vibration of the {name}")
+    return made.modes(fmax)
 
 
 def _face(modes: PlateModes) -> tuple[Floats, Floats, Floats]:

@@ -109,9 +109,13 @@ class Quadrature:
     Attributes
     ----------
     groups : (cells (n, 2), points (n, q, 2) in m, weights (n, q) in m^2), weights of unused points 0.
+    grid : of its cells.
+    whole : (groups,) whether the cells of a group lie inside, with the same points and weights in each.
     """
 
     groups: tuple[tuple[Places, Floats, Floats], ...]
+    grid: SplineGrid
+    whole: tuple[bool, ...]
 
     @property
     def points(self) -> Floats:
@@ -139,6 +143,7 @@ def quadrature(grid: SplineGrid, rings: Sequence[Floats], strips: int = 4) -> Qu
     points = grid.low + grid.size * (whole[:, None, :] + tensor)
     weights = np.tile(np.outer(w, w).ravel() * grid.size.prod(), (len(whole), 1))
     groups = [(whole, points, weights)] if len(whole) else []
+    same = [True] * len(groups)
     found: dict[tuple[int, int], list[Floats]] = {}
     places = [((s + a) / strips, b / strips) for s in range(strips) for a, b in zip(g, w, strict=True)]
     for i in np.flatnonzero(cut.any(axis=1)):
@@ -155,7 +160,8 @@ def quadrature(grid: SplineGrid, rings: Sequence[Floats], strips: int = 4) -> Qu
         most = max(map(len, blocks))
         padded = np.array([np.vstack([b, np.tile([*b[0, :2], 0.0], (most - len(b), 1))]) for b in blocks])
         groups.append((np.array(list(found)), padded[..., :2], padded[..., 2]))
-    return Quadrature(tuple(groups))
+        same.append(False)
+    return Quadrature(tuple(groups), grid, tuple(same))
 
 
 def _scan(rings: Sequence[Floats], x: float) -> Floats:

@@ -1,33 +1,43 @@
-"""Modes of a braced orthotropic Kirchhoff plate of any outline by the Rayleigh-Ritz method with B-splines.
+"""Modes of a braced orthotropic plate of any outline, which bends and shears, by the Ritz method with B-splines.
 
-    2 U = int kappa^T (h^3/12) Q kappa + eps^T h Q eps dA + springs on the edge + beams
-    2 T = int rho h w'^2 dA + beams
-    kappa = (w_xx, w_yy, 2 w_xy),    eps = (u_x, v_y, u_y + v_x)
+    2 U = int kappa^T (h^3/12) Q kappa + gamma^T k h G gamma + eps^T h Q eps dA + springs on the edge + beams
+    2 T = int rho h w'^2 + rho h^3/12 |beta'|^2 dA + beams
+    beta = grad w - gamma,    kappa = (beta_x,x, beta_y,y, beta_x,y + beta_y,x),    eps = (u_x, v_y, u_y + v_x)
+
+A Reissner-Mindlin plate: fibres across it stay straight and turn by beta, which differs from the slope by the shear
+strains gamma; G holds the moduli G_LT and G_RT, k = 5/6 is the shear factor of a rectangular section. Not beta but
+gamma is sought beside w: a thin plate, whose gamma vanishes, is Kirchhoff's, and nothing locks. A wood
+without shear moduli makes Kirchhoff's plate, without gamma and without rotary inertia.
 
 The in-plane motion (u, v) of the plate's middle surface is solved for where there are beams, which hang beside that
 surface, and so is the rotation of each beam's sections, which bend and shear; none of these carries mass. The functions
 do not know the outline: it limits the integrals, and the edge is held by springs per length, k_w (N/m^2) against w and
-k_theta (N) against its slope across the edge. Frequencies are upper bounds of those of the plate on its springs, and
-move smoothly with every dimension, as nothing is meshed.
+k_theta (N) against the turn of the fibres across the edge. Along a free edge gamma falls off within a fraction of the
+thickness: functions of its own take that layer (`edge_layer`). Frequencies are upper bounds of those of the plate on
+its springs, and move smoothly with every dimension, as nothing is meshed.
 
 Loss factors are those of the energies: eta_k = phi_k^T K'' phi_k / omega_k^2, K'' of the imaginary parts.
 
-Method: K. Höllig, Finite Element Methods with B-Splines (SIAM, 2003), chapters 3 and 4, without its weight function:
-springs hold the edge instead.
+Sources: K. Höllig, Finite Element Methods with B-Splines (SIAM, 2003), chapters 3 and 4, without its weight function:
+springs hold the edge instead. R. D. Mindlin, J. Appl. Mech. 18 (1951) 31; E. Reissner, J. Appl. Mech. 12 (1945) A69.
+gamma beside w: R. Echter, B. Oesterle and M. Bischoff, Comput. Methods Appl. Mech. Eng. 254 (2013) 170.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.physics.plate.beams import Beam, beam_line, beam_matrices, line, rotations
-from tonewood.physics.plate.outline import Quadrature, quadrature, refined
+from tonewood.physics.plate.beams import Beam, beam_line, beam_matrices, rotations
+from tonewood.physics.plate.edge_layer import layer_matrices
+from tonewood.physics.plate.integrals import Values, displacement, integrals
+from tonewood.physics.plate.lanczos import lowest
+from tonewood.physics.plate.outline import quadrature, refined
 from tonewood.physics.plate.splines import Order, SplineGrid
 from tonewood.physics.plate.wood import Wood
 
@@ -36,13 +46,18 @@ if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
 
 Floats = NDArray[np.float64]
+Places = NDArray[np.intp]
+#: name and number of unknowns
+Field = tuple[str, int]
 #: thickness (m) at points (..., 2)
 Thickness = Callable[[Floats], Floats]
 
-#: functions whose mass is below this share of the largest hardly touch the plate and are left out
-_LEAST_MASS = 1e-9
-#: cells that are integrated at a time
-_CHUNK = 96
+#: functions whose energy is below this share of the largest hardly touch the plate and are left out
+_LEAST = 1e-9
+#: share of its diagonal by which the stiffness in the plane is raised, against rigid motion
+_TRACE = 1e-9
+#: shear factor of a rectangular section
+SHEAR_FACTOR = 5 / 6
 #: stiff springs that stand for a clamped or hinged edge, in units of D / size^3 and D / size
 STIFF = 1e4
 #: s of the shift -s^2 of the eigenproblem in units of sqrt(D_R / rho h) / S: below 0, as free plates have zero modes
@@ -56,7 +71,7 @@ class Edge:
     Attributes
     ----------
     k_w : N/m^2, against displacement; infinite for an edge that does not move.
-    k_theta : N, against the slope across the edge; infinite for an edge that does not turn.
+    k_theta : N, against the turn across the edge; infinite for an edge that does not turn.
     k_in_plane : N/m^2, against displacement in the plate's plane.
     loss : loss factor of the springs.
     """
@@ -92,6 +107,35 @@ class PlateModes:
         return np.asarray(self.plate.operator(points, order) @ self.vectors)
 
 
+class _Sum:
+    """A matrix of all unknowns as a sum of parts: beams' rotations, edge layers, u and v, gamma, and w last.
+
+    Attributes
+    ----------
+    size : number of all.
+    slots : name -> first unknown of a field.
+    """
+
+    def __init__(self, fields: Sequence[Field]):
+        counts = [count for _, count in fields]
+        starts = np.concatenate([[0], np.cumsum(counts)])
+        self.size, self.slots = int(starts[-1]), dict(zip((name for name, _ in fields), map(int, starts), strict=False))
+        self._parts: list[tuple[Floats, Places, Places]] = []
+
+    def add(self, part: csr_matrix, fields: Sequence[Field]) -> None:
+        """Add a matrix of some fields, in their order there."""
+        index = np.concatenate([self.slots[name] + np.arange(count) for name, count in fields])
+        coo = part.tocoo()
+        self._parts.append((coo.data, index[coo.row], index[coo.col]))
+
+    def total(self) -> csr_matrix:
+        """The sum."""
+        from scipy.sparse import csr_matrix
+
+        data, rows, columns = (np.concatenate(arrays) for arrays in zip(*self._parts, strict=True))
+        return csr_matrix((data, (rows, columns)), shape=(self.size, self.size))
+
+
 class Plate:
     """A plate's matrices.
 
@@ -105,6 +149,8 @@ class Plate:
     beams : braces and bridge.
     size : m, of a cell; see `cell_size`.
     grain : rad, of the plate's grain from x.
+    shear_factor : k.
+    layers_of : wood whose edge layers the functions have; that of the plate where left out.
     """
 
     def __init__(
@@ -118,54 +164,106 @@ class Plate:
         size: float,
         degree: int = 4,
         grain: float = 0.0,
+        shear_factor: float = SHEAR_FACTOR,
+        layers_of: Wood | None = None,
     ):
-        from scipy.sparse import csr_matrix
-
         self.rings, self.wood, self.beams = tuple(rings), wood, tuple(beams)
-        self.thickness: Thickness = thickness if callable(thickness) else _constant(thickness)
-        self.grid = grid = SplineGrid.over(rings[0], size, degree)
-        self.quadrature = quad = quadrature(grid, rings)
-        bending = [wood.stiffness(grain), wood.losses(grain)]
-        stiffness = integrals(grid, quad, _curvature, lambda x: self.thickness(x) ** 3 / 12, bending)
-        (mass,) = integrals(grid, quad, displacement, lambda x: wood.density * self.thickness(x), [np.eye(1)])
-        self.fields = 3 if beams else 1
-        if beams:
-            membrane = integrals(grid, quad, _strain, self.thickness, bending)
-            stiffness = [_stacked(m, b) for m, b in zip(membrane, stiffness, strict=True)]
-        stiffness = [inner + outer for inner, outer in zip(stiffness, self._edge(edge, quad), strict=True)]
-        counts = [rotations(grid, beam) for beam in beams]
-        before = sum(counts)
-        stiffness = [_stacked(csr_matrix((before, before)), matrix) for matrix in stiffness]
-        for i, beam in enumerate(beams):
-            points, _, _ = beam_line(grid, beam)
-            *own, inertia = beam_matrices(grid, beam, self.thickness(points))
-            unknowns = np.concatenate(
-                [np.arange(counts[i]) + sum(counts[:i]), np.arange(before, stiffness[0].shape[0])]
-            )
-            place = csr_matrix(
-                (np.ones(len(unknowns)), (unknowns, np.arange(len(unknowns)))), (stiffness[0].shape[0], len(unknowns))
-            )
-            stiffness = [whole + place @ part @ place.T for whole, part in zip(stiffness, own, strict=True)]
-            mass = mass + inertia
-        diagonal = mass.diagonal()
-        self._keep = np.flatnonzero(diagonal > _LEAST_MASS * diagonal.max())
-        # unknowns without mass: rotations of beams, and the motion in the plane
-        self._massless = before + (self.fields - 1) * len(self._keep)
-        every = np.concatenate([np.arange(before), *(before + self._keep + i * grid.count for i in range(self.fields))])
-        self._stiffness: csc_matrix = stiffness[0].tocsr()[every][:, every].tocsc()
-        self._losses: csc_matrix = stiffness[1].tocsr()[every][:, every].tocsc()
-        self._mass: csc_matrix = mass.tocsr()[self._keep][:, self._keep].tocsc()
+        self._given, self._layered = thickness, layers_of or wood
+        self.grain, self.shear_factor = grain, shear_factor
+        self.grid = SplineGrid.over(rings[0], size, degree)
+        self.quadrature = quadrature(self.grid, rings)
+        layers = self._layers(edge)
+        sections = [(f"beam {i}", rotations(self.grid, beam)) for i, beam in enumerate(beams)]
+        in_plane = self._in_plane if beams else []
+        fields = [*sections, *(fields[0] for _, _, _, fields in layers), *in_plane, *self._bending]
+        stiffness, losses, mass = sums = [_Sum(fields) for _ in range(3)]
+        for part, matrix in zip(sums, self._plate(), strict=True):
+            part.add(matrix, self._bending)
+        for *matrices, own in layers:
+            for part, matrix in zip(sums, matrices, strict=True):
+                part.add(matrix, own)
+        for matrix, lossy, own in [*self._membrane(), *self._edge(edge)]:
+            stiffness.add(matrix, own)
+            losses.add(lossy, own)
+        for section, beam in zip(sections, beams, strict=True):
+            points, _, _ = beam_line(self.grid, beam)
+            matrix, lossy, inertia = beam_matrices(self.grid, beam, self.thickness(points), wood.shears)
+            stiffness.add(matrix, [section, *self._in_plane, *self._bending])
+            losses.add(lossy, [section, *self._in_plane, *self._bending])
+            mass.add(inertia, self._bending[-1:])
+        totals = [part.total() for part in sums]
+        keep = _kept(totals[0].diagonal(), totals[2].diagonal(), stiffness.slots, [*in_plane, *self._bending])
+        self._keep = keep[keep >= stiffness.slots["w"]] - stiffness.slots["w"]
+        self._stiffness, self._losses, self._mass = (m[keep][:, keep].tocsc() for m in totals)
+
+    @property
+    def _bending(self) -> list[Field]:
+        rotation = [(name, self.grid.count) for name in ("gamma_x", "gamma_y")] if self.wood.shears else []
+        return [*rotation, ("w", self.grid.count)]
+
+    @property
+    def _in_plane(self) -> list[Field]:
+        return [("u", self.grid.count), ("v", self.grid.count)]
+
+    def thickness(self, points: Floats) -> Floats:
+        """(...,) m at points (..., 2)."""
+        return self._given(points) if callable(self._given) else np.full(points.shape[:-1], self._given)
+
+    def _plate(self) -> list[csr_matrix]:
+        """Stiffness, losses and mass of the bare plate, of gamma and w."""
+        wood, grain, thickness = self.wood, self.grain, self._given
+        bend = [wood.stiffness(grain), wood.losses(grain)]
+        if not wood.shears:
+            cubed = (lambda x: thickness(x) ** 3 / 12) if callable(thickness) else thickness**3 / 12
+            heavy = (lambda x: wood.density * thickness(x)) if callable(thickness) else wood.density * thickness
+            mass = integrals(1, self.quadrature, displacement, heavy, [np.eye(1)])
+            return [*integrals(1, self.quadrature, _curvature, cubed, bend), *mass]
+        shear = self.shear_factor * wood.transverse(grain)
+        both = [_block(bend[0], shear), _block(bend[1], wood.loss_shear * shear)]
+
+        def factors(h: Floats | float, powers: Sequence[int]) -> Floats:
+            return np.stack([np.asarray(h) ** 3 / 12 if n == 3 else np.asarray(h) for n in powers], axis=-1)
+
+        def factor(powers: Sequence[int]) -> Thickness | Floats:
+            return (lambda x: factors(thickness(x), powers)) if callable(thickness) else factors(thickness, powers)
+
+        stiffness = integrals(3, self.quadrature, _bending, factor((3, 3, 3, 1, 1)), both)
+        return [*stiffness, *integrals(3, self.quadrature, _motion, factor((3, 3, 1)), [wood.density * np.eye(3)])]
+
+    def _membrane(self) -> list[tuple[csr_matrix, csr_matrix, list[Field]]]:
+        """Stiffness and losses in the plane, with a trace of stiffness that holds the plate there."""
+        from scipy.sparse import diags
+
+        if not self.beams:
+            return []
+        matrices = [self.wood.stiffness(self.grain), self.wood.losses(self.grain)]
+        part, loss = integrals(2, self.quadrature, _strain, self._given, matrices)
+        return [(part + diags(_TRACE * part.diagonal()), loss, self._in_plane)]
+
+    def _layers(self, edge: Edge) -> list[tuple[csr_matrix, csr_matrix, csr_matrix, list[Field]]]:
+        """Layers of gamma along free edges: the outline's where nothing holds it, and those of the holes."""
+        if not self.wood.shears:
+            return []
+        outer = not (edge.k_w or edge.k_theta)
+        known = sum(count for _, count in self._bending)
+        found: list[tuple[csr_matrix, csr_matrix, csr_matrix, list[Field]]] = []
+        for ring, around in [(ring, k == 0) for k, ring in enumerate(self.rings) if k or outer]:
+            woods = (self.wood, self._layered)
+            parts = layer_matrices(self.grid, ring, around, woods, self.grain, self.shear_factor, self.thickness)
+            own = (f"layer {len(found)}", parts[0].shape[0] - known)
+            found.append((*parts, [own, *self._bending]))
+        return found
 
     @property
     def functions(self) -> int:
-        """Number of functions of each field."""
+        """Number of functions of w."""
         return len(self._keep)
 
     @property
     def mass(self) -> float:
         """Mass with its beams, kg."""
         one = np.ones(self.functions)  # the functions add up to 1 everywhere
-        return float(one @ (self._mass @ one))
+        return float(one @ (self._mass[-self.functions :, -self.functions :] @ one))
 
     @property
     def area(self) -> float:
@@ -183,22 +281,30 @@ class Plate:
         ------
         ValueError : neither is given.
         """
-        if count is None:
-            if fmax is None:
-                raise ValueError("fmax or count is wanted")
-            count = int(1.15 * self.expected(fmax)) + 15
-            while (found := self._solved(count)).freq[-1] < fmax and count < self.functions // 2:
-                count = int(1.4 * count)
-            few = found.freq <= fmax
-            return PlateModes(found.freq[few], found.loss[few], found.vectors[:, few], self)
-        return self._solved(count)
+        values, whole = self.solution(fmax, count)
+        lost = np.einsum("ij,ij->j", whole, self._losses @ whole)
+        loss = np.where(values > 1e-6, lost / np.maximum(values, 1e-6), 0.0)
+        return PlateModes(np.sqrt(values) / (2 * np.pi), loss, whole[-self.functions :], self)
 
-    def expected(self, freq: float) -> float:
-        """Modes below a frequency (Hz) of the plate without beams: S/2 sqrt(rho h / sqrt(D_L D_R)) f."""
-        h = float(np.mean(self.thickness(self.quadrature.points)))
-        q = self.wood.stiffness()
-        rigidity = np.sqrt(q[0, 0] * q[1, 1]) * h**3 / 12
-        return float(self.area / 2 * np.sqrt(self.wood.density * h / rigidity) * freq)
+    def solution(self, fmax: float | None = None, count: int | None = None) -> tuple[Floats, Floats]:
+        """(n,) omega^2 and (unknowns, n) mass-normalised vectors of all unknowns; as `modes`.
+
+        Raises
+        ------
+        ValueError : neither is given.
+        """
+        if count is None and fmax is None:
+            raise ValueError("fmax or count is wanted")
+        solve, scale = self._factored
+        spread = scale[:, None]
+        mass = self._balanced(self._mass)
+        limit = (2 * np.pi * (fmax or 0.0)) ** 2
+        values, vectors = lowest(solve.solve, mass, self._shift**2, count=count or 0, below=limit)
+        return np.maximum(values, 0.0), spread * vectors
+
+    def stored(self, vectors: Floats) -> Floats:
+        """(n, n) products v^T K v of vectors (unknowns, n) of `solution`."""
+        return np.asarray(vectors.T @ (self._stiffness @ vectors))
 
     def residual(self, loads: Floats, modes: PlateModes) -> Floats:
         """(m, m) m/N: compliance between m loads (m, functions) of all modes that `modes` leaves out.
@@ -206,13 +312,12 @@ class Plate:
         The difference of two sums over modes of phi phi^T (1 / (omega^2 + s^2) + s^2 / (omega^2 + s^2)^2): all of them
         from the factored stiffness, less those that are kept. It is 1 / omega^2 but for (s / omega)^4, s the shift.
         """
-        n, before = self.functions, self._massless
         solve, scale = self._factored
-        rhs = np.zeros((before + n, len(loads)))
-        rhs[before:] = loads.T
-        moved = (scale[:, None] * solve.solve(scale[:, None] * rhs))[before:]
+        rhs = np.zeros((self._stiffness.shape[0], len(loads)))
+        rhs[-self.functions :] = loads.T
+        moved = scale[:, None] * solve.solve(scale[:, None] * rhs)
         kept, soft = loads @ modes.vectors, 1 / ((2 * np.pi * modes.freq) ** 2 + self._shift**2)
-        rest = loads @ moved + self._shift**2 * (moved.T @ (self._mass @ moved))
+        rest = loads @ moved[-self.functions :] + self._shift**2 * (moved.T @ (self._mass @ moved))
         rest = rest - (kept * (soft + self._shift**2 * soft**2)) @ kept.T
         return np.asarray(0.5 * (rest + rest.T))
 
@@ -225,156 +330,121 @@ class Plate:
     @cached_property
     def _factored(self) -> tuple[SuperLU, Floats]:
         """Factors of D (K + s^2 M) D, and D, which gives it a diagonal of ones."""
-        from scipy.sparse import diags
         from scipy.sparse.linalg import splu
 
-        shifted = self._stiffness + self._shift**2 * self._full_mass()
-        scale = 1.0 / np.sqrt(shifted.diagonal())
-        balanced = (diags(scale) @ shifted @ diags(scale)).tocsc()
         options = {"SymmetricMode": True}
-        return splu(balanced, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options), scale
+        balanced = self._balanced(self._stiffness + self._shift**2 * self._mass)
+        return splu(balanced, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options), self._scale
 
-    def _full_mass(self) -> csc_matrix:
-        from scipy.sparse import block_diag, csc_matrix
+    @cached_property
+    def _scale(self) -> Floats:
+        return np.asarray(1.0 / np.sqrt((self._stiffness + self._shift**2 * self._mass).diagonal()))
 
-        if not self._massless:
-            return self._mass
-        return csc_matrix(block_diag([csc_matrix((self._massless, self._massless)), self._mass]))
-
-    def _solved(self, count: int) -> PlateModes:
+    def _balanced(self, matrix: csc_matrix) -> csc_matrix:
         from scipy.sparse import diags
-        from scipy.sparse.linalg import LinearOperator, eigsh
 
-        solve, scale = self._factored
-        spread = diags(scale)
-        k, m = (spread @ self._stiffness @ spread).tocsc(), (spread @ self._full_mass() @ spread).tocsc()
-        inverse = LinearOperator(k.shape, matvec=solve.solve, dtype=np.float64)
-        # in the range of the mass matrix; a fixed start makes the result repeatable
-        start = solve.solve(m @ np.cos(np.arange(k.shape[0], dtype=np.float64) ** 2))
-        count = min(count, self.functions - 2)
-        values, vectors = eigsh(
-            k,
-            count,
-            m,
-            sigma=-(self._shift**2),
-            OPinv=inverse,
-            v0=start,
-            ncv=min(self.functions - 1, int(1.6 * count) + 30),
-        )
-        order = np.argsort(values)
-        values, whole = values[order], scale[:, None] * vectors[:, order]
-        shapes = whole[-self.functions :]
-        norm = np.sqrt(np.einsum("ij,ij->j", shapes, self._mass @ shapes))
-        whole, shapes = whole / norm, shapes / norm
-        values = np.maximum(values, 0.0)
-        lost = np.einsum("ij,ij->j", whole, self._losses @ whole)
-        loss = np.where(values > 1e-6, lost / np.maximum(values, 1e-6), 0.0)
-        return PlateModes(np.sqrt(values) / (2 * np.pi), loss, shapes, self)
+        spread = diags(self._scale)
+        balanced: csc_matrix = (spread @ matrix @ spread).tocsc()
+        return balanced
 
-    def _edge(self, edge: Edge, quad: Quadrature) -> list[csr_matrix]:
-        """Stiffness and losses of the springs on the outline; a trace of stiffness holds the plate in its plane."""
-        from scipy.sparse import csr_matrix, diags
+    def _edge(self, edge: Edge) -> list[tuple[csr_matrix, csr_matrix, list[Field]]]:
+        """Stiffness and losses of the springs on the outline.
 
-        grid, size = self.grid, float(self.grid.size.max())
+        An edge that does not move keeps its fibres from turning along it, too: there gamma has no part along the edge.
+        """
+        from scipy.sparse import csr_matrix, diags, hstack
+
+        if not (edge.k_w or edge.k_theta or edge.k_in_plane):
+            return []
+        size = float(self.grid.size.max())
         rigidity = self.wood.stiffness()[0, 0] * float(np.max(self.thickness(self.rings[0]))) ** 3 / 12
         k_w = STIFF * rigidity / size**3 if np.isinf(edge.k_w) else edge.k_w
         k_theta = STIFF * rigidity / size if np.isinf(edge.k_theta) else edge.k_theta
-        none = csr_matrix((grid.count, grid.count))
-        springs, held = none, none
-        if k_w or k_theta or edge.k_in_plane:
-            ring = refined(self.rings[0], size / 4)
-            sides = [(a, b, *line(a, b, 1)[:2]) for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True)]
-            points, weights = (np.concatenate([side[i] for side in sides]) for i in (2, 3))
-            tangent = np.repeat([(b - a) / np.hypot(*(b - a)) for a, b, _, _ in sides], 3, axis=0)
-            value = grid.at(points)
-            slope = diags(tangent[:, 1]) @ grid.at(points, (1, 0)) - diags(tangent[:, 0]) @ grid.at(points, (0, 1))
-            line_mass = value.T @ diags(weights) @ value
-            springs = k_w * line_mass + k_theta * (slope.T @ diags(weights) @ slope)
-            # springs that are not finite lose nothing
+        ring = refined(self.rings[0], size / 4)
+        step = np.roll(ring, -1, axis=0) - ring
+        length = np.hypot(*step.T)
+        g, w = np.polynomial.legendre.leggauss(3)
+        points = (ring[:, None] + step[:, None] * (g[:, None] + 1) / 2).reshape(-1, 2)
+        weights, tangent = np.outer(length, w / 2).ravel(), np.repeat(step / length[:, None], 3, axis=0)
+        value = self.grid.at(points)
+        w_n = diags(tangent[:, 1]) @ self.grid.at(points, (1, 0)) - diags(tangent[:, 0]) @ self.grid.at(points, (0, 1))
+        t_x, t_y, weighted = diags(tangent[:, 0]) @ value, diags(tangent[:, 1]) @ value, diags(weights)
+        turn = hstack([-t_y, t_x, w_n]).tocsr() if self.wood.shears else w_n
+        springs = k_theta * (turn.T @ weighted @ turn)
+        line_mass = value.T @ weighted @ value
+        rigid = self._spread(k_w * line_mass)
+        if np.isinf(edge.k_w) and self.wood.shears:
+            slip = hstack([t_x, t_y, csr_matrix(value.shape)]).tocsr()
+            rigid = rigid + STIFF * rigidity / size * (slip.T @ weighted @ slip)
+        springs = springs + rigid
+        # springs that are not finite lose nothing
+        lossy = edge.loss * springs if np.isfinite(edge.k_w) and np.isfinite(edge.k_theta) else 0.0 * springs
+        found = [(springs, lossy, self._bending)]
+        if self.beams and edge.k_in_plane:
             held = edge.k_in_plane * line_mass
-        lossy = edge.loss * springs if np.isfinite(edge.k_w) and np.isfinite(edge.k_theta) else none
-        if self.fields == 1:
-            return [springs.tocsr(), lossy.tocsr()]
-        extent = float(np.ptp(self.rings[0], axis=0).max())
-        weak = 1e-6 * self.wood.E_R * float(np.max(self.thickness(self.rings[0]))) / extent**2
-        (trace,) = integrals(grid, quad, displacement, _constant(weak), [np.eye(1)])
-        return [_stacked(_twice(held + trace), springs), _stacked(_twice(edge.loss * held), lossy)]
+            found += [(held, edge.loss * held, [field]) for field in self._in_plane]
+        return found
+
+    def _spread(self, matrix: csr_matrix) -> csr_matrix:
+        """Matrix of gamma and w from one of w."""
+        from scipy.sparse import block_diag, csr_matrix
+
+        if not self.wood.shears:
+            return matrix
+        none = csr_matrix((2 * self.grid.count, 2 * self.grid.count))
+        return csr_matrix(block_diag([none, matrix]))
 
 
 def cell_size(wood: Wood, thickness: float, fmax: float) -> float:
-    """Size of cells (m) for modes up to `fmax` (Hz): 0.23 of the wavelength across the grain, at most 20 mm.
+    """Size of cells (m) for modes up to `fmax` (Hz): 0.3 of the wavelength across the grain, at most 20 mm.
 
-    A bare plate needs no more than 0.3; braces, whose forces bend the plate sharply, converge more slowly.
+    The wavelength is that of a plate that does not shear. A bare plate needs no more; a braced one converges slowly, as
+    braces bend and shear the plate sharply.
     """
     rigidity = wood.stiffness()[1, 1] * thickness**3 / 12
     wavelength = 2 * np.pi * (rigidity / (wood.density * thickness)) ** 0.25 / np.sqrt(2 * np.pi * fmax)
-    return float(min(0.23 * wavelength, 0.02))
+    return float(min(0.3 * wavelength, 0.02))
 
 
-def _constant(value: float) -> Thickness:
-    return lambda x: np.full(x.shape[:-1], value)
+def _kept(stiffness: Floats, mass: Floats, slots: Mapping[str, int], fields: Sequence[Field]) -> Places:
+    """Unknowns whose functions touch the plate, by their energy beside that of others of their field."""
+    keep = [np.arange(slots[fields[0][0]])]
+    for name, count in fields:
+        share = (mass if name == "w" else stiffness)[slots[name] : slots[name] + count]
+        keep.append(slots[name] + np.flatnonzero(share > _LEAST * share.max()))
+    return np.concatenate(keep)
 
 
-def _curvature(values: Callable[[Order], Floats]) -> Floats:
-    return np.stack([values((2, 0)), values((0, 2)), 2 * values((1, 1))], axis=-2)
+def _block(first: Floats, second: Floats) -> Floats:
+    n = len(first)
+    out = np.zeros((n + len(second), n + len(second)))
+    out[:n, :n], out[n:, n:] = first, second
+    return out
 
 
-def _strain(values: Callable[[Order], Floats]) -> Floats:
-    x, y = values((1, 0)), values((0, 1))
+def _curvature(w: Values) -> Floats:
+    return np.stack([w((2, 0)), w((0, 2)), 2 * w((1, 1))], axis=-2)
+
+
+def _bending(gamma_x: Values, gamma_y: Values, w: Values) -> Floats:
+    """Rows kappa and gamma of the functions of gamma_x, gamma_y and w."""
+    x, y, value = gamma_x((1, 0)), gamma_x((0, 1)), gamma_x((0, 0))
+    none, still = np.zeros_like(x), np.zeros_like(w((0, 0)))
+    rows = [(-x, none, w((2, 0))), (none, -y, w((0, 2))), (-y, -x, 2 * w((1, 1))), (value, none, still),
+            (none, value, still)]  # fmt: skip
+    return np.stack([np.concatenate(row, axis=-1) for row in rows], axis=-2)
+
+
+def _motion(gamma_x: Values, gamma_y: Values, w: Values) -> Floats:
+    """Rows beta and w of the same."""
+    value = gamma_x((0, 0))
+    none = np.zeros_like(value)
+    rows = [(-value, none, w((1, 0))), (none, -value, w((0, 1))), (none, none, w((0, 0)))]
+    return np.stack([np.concatenate(row, axis=-1) for row in rows], axis=-2)
+
+
+def _strain(u: Values, v: Values) -> Floats:
+    x, y = u((1, 0)), u((0, 1))
     none = np.zeros_like(x)
     rows = [np.concatenate(pair, axis=-1) for pair in ((x, none), (none, y), (y, x))]
     return np.stack(rows, axis=-2)
-
-
-def displacement(values: Callable[[Order], Floats]) -> Floats:
-    """Rows of w for `integrals`."""
-    return values((0, 0))[..., None, :]
-
-
-def integrals(
-    grid: SplineGrid,
-    quad: Quadrature,
-    operator: Callable[[Callable[[Order], Floats]], Floats],
-    factor: Thickness,
-    matrices: Sequence[Floats],
-) -> list[Any]:
-    """Sparse integrals of factor (B a)^T Q (B b) dA over all pairs of functions a, b.
-
-    Parameters
-    ----------
-    operator : from a function that gives derivatives of the functions alive on cells, the rows B (..., r, n) there.
-    factor : of points.
-    matrices : Q, each (r, r); one sparse matrix is returned for each.
-    """
-    from scipy.sparse import csr_matrix
-
-    rows: list[NDArray[np.intp]] = []
-    columns: list[NDArray[np.intp]] = []
-    data: list[list[Floats]] = [[] for _ in matrices]
-    count = grid.count
-    for cells, points, weights in quad.groups:
-        for first in range(0, len(cells), _CHUNK):
-            some = slice(first, first + _CHUNK)
-            cell, x, w = cells[some], points[some], weights[some]
-            b = operator(partial(grid.values, cell[:, None, :], x))
-            n = b.shape[-1] // grid.alive
-            index = np.concatenate([grid.index(cell) + i * count for i in range(n)], axis=-1)
-            count_all = n * count
-            weighted = b * (w * factor(x))[..., None, None]
-            flat = b.reshape(len(cell), -1, b.shape[-1]).transpose(0, 2, 1)
-            rows.append(np.repeat(index, index.shape[1], axis=1).ravel())
-            columns.append(np.tile(index, (1, index.shape[1])).ravel())
-            for found, matrix in zip(data, matrices, strict=True):
-                found.append((flat @ (matrix @ weighted).reshape(flat.shape[0], -1, flat.shape[1])).ravel())
-    where = (np.concatenate(rows), np.concatenate(columns))
-    return [csr_matrix((np.concatenate(d), where), shape=(count_all, count_all)) for d in data]
-
-
-def _stacked(in_plane: csr_matrix, normal: csr_matrix) -> csr_matrix:
-    from scipy.sparse import block_diag, csr_matrix
-
-    return csr_matrix(block_diag([in_plane, normal]))
-
-
-def _twice(matrix: csr_matrix) -> csr_matrix:
-    return _stacked(matrix, matrix)

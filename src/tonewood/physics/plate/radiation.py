@@ -18,7 +18,7 @@ calculation of diffraction about the box.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +27,9 @@ from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+
+#: rows of a block of distances between sources
+_ROWS = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +55,12 @@ class Sources:
     labels: tuple[str, ...] = ()
     behind: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     behind_volumes: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def of(self, modes: NDArray[np.bool_]) -> Sources:
+        """Return the sources of some of the modes (n_modes,)."""
+        named = tuple(label for label, one in zip(self.labels, modes, strict=True) if one) if self.labels else ()
+        behind = self.behind_volumes[:, modes] if self.behind_volumes.size else self.behind_volumes
+        return replace(self, volumes=self.volumes[:, modes], labels=named, behind_volumes=behind)
 
     @property
     def shelf(self) -> float:
@@ -95,14 +104,19 @@ class Sources:
         from scipy.spatial.distance import cdist
 
         omega = 2 * np.pi * np.asarray(freq, dtype=np.float64)
-        apart = np.maximum(cdist(self.points, self.points), 1e-9).astype(np.float32)
-        volumes = self.volumes.astype(np.float32)
-        out = np.empty(len(omega))
-        for k, w in enumerate(omega):  # single precision: its error is below 1e-6 of the resistance of a piston
-            angle = apart * np.float32(w / SOUND_SPEED)
-            kernel = np.sin(angle)
-            np.divide(kernel, angle, out=kernel)
-            out[k] = w**2 * max(float(volumes[:, k] @ (kernel @ volumes[:, k])), 0.0)
+        points, volumes = self.points, self.volumes.astype(np.float32)
+        out = np.zeros(len(omega))
+        for first in range(0, len(points), _ROWS):  # half of the symmetric sum, in blocks that a cache holds
+            some = slice(first, first + _ROWS)
+            apart = np.maximum(cdist(points[some], points[first:]), 1e-9).astype(np.float32)
+            twice = np.full(apart.shape[1], 2.0, dtype=np.float32)
+            twice[: len(apart)] = 1.0
+            for k, w in enumerate(omega):  # single precision: its error is below 1e-6 of the resistance of a piston
+                angle = apart * np.float32(w / SOUND_SPEED)
+                kernel = np.sin(angle)
+                np.divide(kernel, angle, out=kernel, where=angle > 0)
+                out[k] += float(volumes[some, k] @ (kernel @ (twice * volumes[first:, k])))
+        out = omega**2 * np.maximum(out, 0.0)
         out *= AIR_DENSITY / (2 * np.pi * SOUND_SPEED)
         square = (omega / self.shelf) ** 2
         return np.asarray(out if self.baffled else out * (0.5 + square) / (1 + square))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Wood:
-    """An orthotropic material in plane stress.
+    """An orthotropic material in plane stress, which shears through its thickness.
 
     Attributes
     ----------
@@ -20,7 +20,8 @@ class Wood:
     G_LR : Pa, shear modulus in the plate's plane.
     nu_LR : Poisson's ratio, contraction across the grain under tension along it.
     density : kg/m^3.
-    loss_L, loss_R, loss_shear : loss factors of E_L, E_R and G_LR.
+    loss_L, loss_R, loss_shear : loss factors of E_L, E_R and of every shear modulus.
+    G_LT, G_RT : Pa, shear moduli through the thickness of a quarter-sawn plate; infinite for one that does not shear.
     """
 
     E_L: float
@@ -31,6 +32,21 @@ class Wood:
     loss_L: float = 0.0
     loss_R: float = 0.0
     loss_shear: float = 0.0
+    G_LT: float = float("inf")
+    G_RT: float = float("inf")
+
+    @property
+    def shears(self) -> bool:
+        """Whether both shear moduli through the thickness are finite."""
+        return bool(np.isfinite(self.G_LT) and np.isfinite(self.G_RT))
+
+    def transverse(self, grain: float = 0.0) -> Floats:
+        """(2, 2) Pa, of the transverse shear strains (g_xz, g_yz), the grain at an angle `grain` (rad) from x."""
+        c, s = np.cos(grain), np.sin(grain)
+        mixed = c * s * (self.G_LT - self.G_RT)
+        return np.array(
+            [[c * c * self.G_LT + s * s * self.G_RT, mixed], [mixed, s * s * self.G_LT + c * c * self.G_RT]]
+        )
 
     def stiffness(self, grain: float = 0.0) -> Floats:
         """(3, 3) Pa, of the strains (e_xx, e_yy, 2 e_xy), the grain at an angle `grain` (rad) from x.
@@ -80,23 +96,53 @@ _PRESETS = "presets of a luthiers' calculator, quoted without their source; the 
 _SPRUCE, _HARD = (0.0075, 0.020, 0.018), (0.010, 0.022, 0.020)
 _LOSS = "loss factors are typical ones"
 
+#: G_LT / E_L and G_RT / E_L: Wood Handbook (Forest Products Laboratory), table 5-1, as quoted in public files
+_RATIOS = {
+    "Sitka spruce": (0.061, 0.003), "Engelmann spruce": (0.120, 0.010), "western red cedar": (0.086, 0.005),
+    "Honduras mahogany": (0.086, 0.028), "walnut": (0.062, 0.021),
+}  # fmt: skip
+
+
+def _sheared(wood: Wood, like: str) -> Wood:
+    """Wood with the shear moduli through its thickness in the ratios of a species of the Handbook."""
+    long, rolling = _RATIOS[like]
+    return replace(wood, G_LT=long * wood.E_L, G_RT=rolling * wood.E_L)
+
+
 SPECIES: dict[str, Species] = {
-    "sitka_spruce": Species(Wood(13.0e9, 0.90e9, 1.50e9, 0.372, 440.0, *_SPRUCE), _HANDBOOK, _LOSS),
-    "engelmann_spruce": Species(Wood(9.79e9, 1.25e9, 1.21e9, 0.422, 350.0, *_SPRUCE), _HANDBOOK, _LOSS),
+    "sitka_spruce": Species(
+        _sheared(Wood(13.0e9, 0.90e9, 1.50e9, 0.372, 440.0, *_SPRUCE), "Sitka spruce"), _HANDBOOK, _LOSS
+    ),
+    "engelmann_spruce": Species(
+        _sheared(Wood(9.79e9, 1.25e9, 1.21e9, 0.422, 350.0, *_SPRUCE), "Engelmann spruce"), _HANDBOOK, _LOSS
+    ),
     "european_spruce": Species(
-        Wood(11.5e9, 0.85e9, 0.78e9, 0.37, 430.0, *_SPRUCE),
+        _sheared(Wood(11.5e9, 0.85e9, 0.78e9, 0.37, 430.0, *_SPRUCE), "Sitka spruce"),
         _PRESETS,
-        f"E_L at the lower end of the range 12 to 17 GPa, G_LR 0.068 E_L, nu_LR of Sitka spruce; {_LOSS}",
+        "E_L at the lower end of the range 12 to 17 GPa, G_LR 0.068 E_L, nu_LR, G_LT and G_RT as of Sitka spruce; "
+        + _LOSS,
     ),
     "western_red_cedar": Species(
-        Wood(8.5e9, 0.70e9, 0.74e9, 0.378, 350.0, *_SPRUCE), _PRESETS, f"G_LR 0.087 E_L, nu_LR of softwoods; {_LOSS}"
+        _sheared(Wood(8.5e9, 0.70e9, 0.74e9, 0.378, 350.0, *_SPRUCE), "western red cedar"),
+        _PRESETS,
+        f"G_LR 0.087 E_L, nu_LR of softwoods; {_LOSS}",
     ),
-    "maple": Species(Wood(12.6e9, 2.2e9, 1.63e9, 0.424, 600.0, *_HARD), _HANDBOOK, _LOSS),
-    "mahogany": Species(Wood(10.1e9, 1.5e9, 1.32e9, 0.300, 545.0, *_HARD), _HANDBOOK, _LOSS),
+    "maple": Species(
+        _sheared(Wood(12.6e9, 2.2e9, 1.63e9, 0.424, 600.0, *_HARD), "walnut"),
+        _HANDBOOK,
+        f"G_LT and G_RT as of walnut, as nobody measured the G_RT of maple; {_LOSS}",
+    ),
+    "mahogany": Species(
+        _sheared(Wood(10.1e9, 1.5e9, 1.32e9, 0.300, 545.0, *_HARD), "Honduras mahogany"), _HANDBOOK, _LOSS
+    ),
     "indian_rosewood": Species(
-        Wood(12.8e9, 0.90e9, 1.0e9, 0.36, 830.0, *_HARD), _PRESETS, f"G_LR 0.08 E_L, nu_LR of hardwoods; {_LOSS}"
+        _sheared(Wood(12.8e9, 0.90e9, 1.0e9, 0.36, 830.0, *_HARD), "walnut"),
+        _PRESETS,
+        f"G_LR 0.08 E_L, nu_LR of hardwoods, G_LT and G_RT as of walnut; {_LOSS}",
     ),
     "brazilian_rosewood": Species(
-        Wood(14.0e9, 1.0e9, 1.1e9, 0.36, 880.0, *_HARD), _PRESETS, f"G_LR 0.08 E_L, nu_LR of hardwoods; {_LOSS}"
+        _sheared(Wood(14.0e9, 1.0e9, 1.1e9, 0.36, 880.0, *_HARD), "walnut"),
+        _PRESETS,
+        f"G_LR 0.08 E_L, nu_LR of hardwoods, G_LT and G_RT as of walnut; {_LOSS}",
     ),
 }

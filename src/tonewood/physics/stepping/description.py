@@ -12,15 +12,7 @@ from numpy.typing import NDArray
 from tonewood import _kernel
 from tonewood.physics.coupling.connections import LinearSolve
 from tonewood.physics.coupling.inverse import InverseInParts
-from tonewood.physics.coupling.laws import (
-    CompiledPotential,
-    Contact,
-    Friction,
-    HardeningSpring,
-    NonlinearLaw,
-    SampledPotential,
-    Scalar,
-)
+from tonewood.physics.coupling.laws import NonlinearLaw
 from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
 from tonewood.physics.coupling.potentials.solve import force_vector
 from tonewood.physics.coupling.potentials.tension import TensionShare
@@ -179,22 +171,14 @@ def law_arrays(
     for name in ("samples", "functions"):
         out[name] = [entry for entry in out[name] if entry[0] not in set(changed)]
     for j in changed:
-        match law := laws[j]:
-            case Contact():
-                kind, numbers = 0, [law.stiffness, law.exponent, 0.0, 0.0, law.loss, 0.0]
-            case HardeningSpring():
-                kind, numbers = 1, [law.stiffness, law.cubic, law.quadratic_damping, 0.0, 0.0, law.damping]
-            case SampledPotential():
-                kind, numbers = 2, [0.0, 0.0, 0.0, 0.0, law.loss, law.damping]
-                out["samples"].append((j, law.knots.tolist(), law.coefficients.reshape(-1).tolist()))
-            case CompiledPotential():
-                kind, numbers = 3, [0.0, 0.0, 0.0, 0.0, law.loss, law.damping]
-                scalars: tuple[Scalar, Scalar] = (law.potential, law.slope)
-                out["functions"].append((j, [(f.address, f.data, f.takes_data) for f in scalars]))
-            case Friction():
-                kind, numbers = 4, [law.normal_force, law.static, law.dynamic, law.speed, 0.0, 0.0]
-        velocity = law.velocity if isinstance(law, Friction) else 0.0
-        out["kinds"][j], out["numbers"][j] = kind, [*numbers, law.offset, velocity]
+        law, data = laws[j], laws[j].describe()
+        out["kinds"][j] = data.kind
+        own = *data.numbers, data.loss, data.damping
+        out["numbers"][j] = [*own, law.offset, law.velocity]
+        if data.samples is not None:
+            out["samples"].append((j, *data.samples))
+        if data.functions:
+            out["functions"].append((j, list(data.functions)))
     return out
 
 

@@ -394,6 +394,7 @@ class KernelStepper:
             if slot >= 0:
                 raise NumericalError(f"{self.system.names[slot]} is no longer finite at {t:.6f} s")
             return int(sample)
+        self.system.check_potentials(state)
         solved = self.n_solves > solves
         self._acted = self._kernel.acted() if solved else []
         if n:

@@ -5,7 +5,7 @@ One step: propagate every component without connections, read the gaps, find the
     x_u = E x + injections,   g_u = sum A C x_u,   f = -G (g_u + gamma g) + G b',   x+ = x_u + W A^T f.
 
 Nonlinear connections see their gaps with the linear ones eliminated (`connections`), and their forces are found
-together (`law_solve`). Each potential (a rising tension, a coupling to longitudinal motion) is one more linear force
+together (`laws.solve`). Each potential (a rising tension, a coupling to longitudinal motion) is one more linear force
 along a direction known beforehand (`potentials`).
 """
 
@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import NumericalError
-from tonewood.physics.coupling.law_solve import FrictionBranch, Partners, find_forces, solve_branches
-from tonewood.physics.coupling.laws import Friction
+from tonewood.physics.coupling.laws.friction import Friction, FrictionBranch, solve_branches
+from tonewood.physics.coupling.laws.solve import Partners, find_forces
 from tonewood.physics.coupling.potentials.solve import DrivenForces, PotentialSolve, PotentialsOverStep
 from tonewood.physics.coupling.system import Injection, PrescribedMotion, State, System
 from tonewood.physics.modal.propagator import apply
@@ -131,6 +131,7 @@ class NumpyStepper:
         if n:
             state.forces[:] = forces[-1]
         state.series, state.slip, state.potentials = series, slip, memory
+        s.check_potentials(state)
         state.sample += n
         self.statistics.steps += n
         return out, forces
@@ -143,7 +144,7 @@ class NumpyStepper:
     def _partners(self, moving: dict[int, Floats]) -> Partners:
         laws = self.system.nonlinear.laws if self.system.nonlinear else ()
         offset = np.array([law.offset for law in laws])
-        velocity = np.array([law.velocity if isinstance(law, Friction) else 0.0 for law in laws])
+        velocity = np.array([law.velocity for law in laws])
         partners = Partners(offset, offset.copy(), velocity, np.ones(len(laws)))
         for j, values in moving.items():
             partners.offset[j], partners.offset_after[j], partners.velocity[j], partners.scale[j] = values

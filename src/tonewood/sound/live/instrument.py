@@ -24,6 +24,7 @@ from tonewood.sound.files.inputs import InstrumentLike, as_instrument
 from tonewood.sound.live.prepared import PreparedBases
 from tonewood.sound.render.accuracy import LEVELS
 from tonewood.sound.render.options import RenderOptions
+from tonewood.sound.render.presets import with_preset
 from tonewood.sound.render.resampling import Resampler
 from tonewood.sound.render.routing import Routing
 from tonewood.support.blas import one_blas_thread
@@ -32,7 +33,7 @@ from tonewood.support.one_user import OneUser, alone
 Floats = NDArray[np.float64]
 
 #: options of a render that need its end or its past
-_NOT_LIVE = ("tail", "tail_level_db", "max_duration", "lead_in", "energy")
+_NOT_LIVE = ("tail", "tail_level_db", "max_duration", "lead_in", "energy", "room")
 #: frames between two times that lists of the past are emptied
 _FORGET = 1 << 16
 #: s, shortest and longest preparation of a pluck
@@ -130,6 +131,7 @@ class Live:
             raise TonewoodError(f"is {spacing!r}; 0 to 64 control intervals are allowed", key="spacing")
         self.fs, self.ramp = options.fs, ramp
         self.instrument = as_instrument(instrument)
+        self.options = options = with_preset(options, self.instrument.spec).at(room=None)  # a preset's room is left out
         steps = LEVELS[options.accuracy].oversampling(self.instrument.spec)
         if options.oversampling is not None:
             steps = Fraction(options.oversampling)

@@ -12,6 +12,11 @@ from typing import Any, Protocol
 from tonewood.errors import TonewoodError
 from tonewood.support.validation_messages import did_you_mean
 
+_REMEDY = (
+    "on Linux the ALSA sequencer is needed (modprobe snd-seq), or a JACK server and "
+    "MIDO_BACKEND=mido.backends.rtmidi/UNIX_JACK; --keyboard plays with the computer's keys"
+)
+
 
 class EventSource(Protocol):
     """Gives the MIDI messages that have come since it was asked last."""
@@ -40,7 +45,7 @@ def midi_inputs() -> list[str]:
     except ImportError as error:
         raise TonewoodError(f"MIDI inputs need {error.name or 'python-rtmidi'}: pip install 'tonewood[live]'") from None
     except (OSError, RuntimeError) as error:  # rtmidi's errors are RuntimeErrors
-        raise TonewoodError(f"MIDI inputs cannot be listed: {str(error).strip()}", key="--midi-in") from None
+        raise TonewoodError(f"MIDI inputs cannot be listed: {str(error).strip()}; {_REMEDY}", key="--midi-in") from None
 
 
 @contextmanager

@@ -156,7 +156,7 @@ class Replay:
         recorded = _number(found, "fs", options.fs, path)
         if "fs" not in options.model_fields_set and "fs" in found:
             options = options.at(fs=int(recorded))
-        wrong = [name for name in ("lead_in", "energy") if getattr(options, name)]
+        wrong = [name for name in ("lead_in", "energy", "room") if getattr(options, name)]
         if wrong:
             raise TonewoodError("needs a score that is known before; a replay is played as it comes", key=wrong[0])
         defaults = RenderOptions()

@@ -88,8 +88,8 @@ def save_model(
     system = engine.system.with_compiled(changes)
     plucks = [forces(play, model, system, 0) for play in plays]
     routing = Routing(model, float(system.dt) ** -1)
-    if not routing.whole or any(routing.delays) or routing.equalizer:
-        reason = "channels in another order than the readouts, a single one with a pan, delays or an equalizer cannot be saved"
+    if not routing.plain:
+        reason = "a circuit, delays, an equalizer, a single channel with a pan, or channels in another order cannot be saved"
         raise TonewoodError(reason, key="outputs")
     more = {"fs": float(system.dt) ** -1, "scale": routing.scale}
     write_arrays(path, recorded(system, plucks) | flat(more))

@@ -99,6 +99,17 @@ class RenderOptions(Parameters):
     noises: bool | None = described(
         "noises of the hands between notes, see playing.noises; default: the instrument's", default=None, strict=True
     )
+    preset: str | None = described(
+        "dry, studio, stage or one of the bundle's: options under one name; single ones come first", default=None
+    )
+    room: str | None = described(
+        "studio, small, hall, or a sound file with an impulse response: a room, not measured; one channel becomes two",
+        default=None,
+    )
+    room_distance: float | None = quantity(
+        "m", low=0.1, high=60.0, default=None, doc="from the instrument to the microphones; default: the room's"
+    )
+    room_mix_db: float = quantity("dB", low=-100.0, high=40.0, default=0.0, doc="gain of the room re its own level")
     energy: bool = described("keep an account of energy; many times slower, with the same samples", default=False)
 
     if not TYPE_CHECKING:  # checkers read the fields

@@ -27,8 +27,10 @@ from tonewood.sound.files.audio import Audio, decibels
 from tonewood.sound.files.inputs import InstrumentLike, ScoreLike, as_instrument, as_score
 from tonewood.sound.render.accuracy import LEVELS
 from tonewood.sound.render.options import RenderOptions
+from tonewood.sound.render.presets import with_preset
 from tonewood.sound.render.resampling import Resampler
-from tonewood.sound.render.routing import Routing
+from tonewood.sound.render.routing import Routing, columns_of
+from tonewood.sound.room import Room, reverberation_db, room_response
 from tonewood.support.blas import one_blas_thread
 from tonewood.support.garbage import without_collecting
 from tonewood.support.one_user import OneReader
@@ -69,6 +71,7 @@ class Summary:
     zero_frame : frame of score time 0: the lead-in's length.
     tensions : strings whose given and used tension differ noticeably.
     onset_step_dbfs : largest sample at the first frame before it was smoothed; None if nothing sounded before it.
+    room : the room and the level of its own sound; None without one.
     """
 
     frames: int
@@ -87,6 +90,7 @@ class Summary:
     zero_frame: int = 0
     tensions: Sequence[GivenTension] = ()
     onset_step_dbfs: float | None = None
+    room: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +99,12 @@ class Checkpoint:
 
     engine: Snapshot
     memory: tuple[Floats, ...]
+    room: tuple[NDArray[np.complex128], Floats, Floats] | None
     pending: Floats
+    made: int
     frames: int
     loudest: float
+    peak: float
     recent: tuple[tuple[int, float], ...]
     end: str
     step: Floats | None
@@ -108,6 +115,7 @@ def assembled(instrument: Instrument, options: RenderOptions, *, by_string: bool
 
     With `by_string` its outputs are split into the shares of all strings; see `assemble`.
     """
+    options = with_preset(options, instrument.spec)
     engine_fs = float(_steps(instrument, options) * options.fs)
     limit = None if options.freq_limit is None else min(options.freq_limit, FREQ_LIMIT * engine_fs)
     return assemble(
@@ -159,7 +167,7 @@ class Renderer:
         **settings: Any,
     ):
         score, instrument = as_score(score), as_instrument(instrument)
-        self.options = options = RenderOptions.of(options, fs, settings)
+        self.options = options = with_preset(RenderOptions.of(options, fs, settings), instrument.spec)
         self.fs = options.fs
         steps = _steps(instrument, options)
         self.model = assembled(instrument, options) if model is None else model
@@ -176,16 +184,32 @@ class Renderer:
         self.zero_frame = math.ceil(-earliest * self.fs) if auto else round(float(options.lead_in) * self.fs)
         # the first frame out of the resampler, which looks ahead; silence before it where the lead-in is longer
         first = self._resampler.frame(self.engine.state.sample)
-        self._pending = np.zeros((max(0, first + self.zero_frame), n_channels))
+        self._pending = np.zeros((max(0, first + self.zero_frame), len(self.channels)))
         #: value of the first frame where earlier sound was discarded; None until that frame is computed
         self._step: Floats | None = None if earliest * self.fs < -self.zero_frame else np.zeros(n_channels)
         n = round(_SMOOTHING * self.fs)
         self._fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(n) / n)
-        self._frames, self._seconds, self._loudest = 0, 0.0, 0.0
+        self._room: Room | None = None
+        self._about_room: str | None = None
+        if options.room is not None:
+            self._room, self._about_room = self._set_in_room()
+        self._made, self._frames, self._seconds, self._loudest, self._peak = len(self._pending), 0, 0.0, 0.0, 0.0
         self._recent: list[tuple[int, float]] = []
         self._end = ""
         self._reading = OneReader("renderer")
         warn_of_dropped_notes(self.dropped)
+
+    def _set_in_room(self) -> tuple[Room, str]:
+        """The room, each output group with microphones of its own place, and a line about it."""
+        options, groups = self.options, self.columns
+        name, distance, mix = str(options.room), options.room_distance, options.room_mix_db
+        by_width = {
+            n: room_response(name, self.fs, n, distance=distance, mix_db=mix) for n in {len(group) for group in groups}
+        }
+        responses = np.concatenate([by_width[len(group)] for group in groups], axis=1)
+        level = reverberation_db(by_width[len(groups[0])], self.fs)
+        room = Room(responses, [c for group in groups for c in group])
+        return room, f"{name}, not measured: its own sound is {level:+.1f} dB re the direct sound"
 
     @property
     def dropped(self) -> tuple[Dropped, ...]:
@@ -195,7 +219,20 @@ class Renderer:
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the output channels."""
-        return self._routing.channels
+        names, out = self._routing.channels, []
+        for group in self.columns:
+            doubled = len(set(group)) < len(group)
+            out += (
+                [f"{names[c]}_{side}" for c, side in zip(group, ("left", "right"), strict=True)]
+                if doubled
+                else [names[c] for c in group]
+            )
+        return tuple(out)
+
+    @property
+    def columns(self) -> list[list[int]]:
+        """Dry channel of each channel, an entry per output group."""
+        return columns_of(self.model.outputs, in_room=self.options.room is not None)
 
     @property
     def energy(self) -> EnergyTrace | None:
@@ -251,13 +288,14 @@ class Renderer:
             n_modes=self.model.n_modes,
             notes=sum(play.time < until for play in self.performance.timeline.plays),
             notes_dropped=[drop for drop in self.performance.dropped if drop.time < until],
-            peak_dbfs=decibels(self._loudest),
+            peak_dbfs=decibels(self._peak),
             end=self._end or "not ended",
-            warnings=[*self.model.warnings, *self.performance.warnings, *silence(self._loudest, ended=bool(self._end))],
+            warnings=[*self.model.warnings, *self.performance.warnings, *silence(self._peak, ended=bool(self._end))],
             effects=[report for effect in self.engine.effects for report in effect.report(self.engine.usage)],
             ignored=self.performance.ignored,
             zero_frame=self.zero_frame,
             tensions=[t for s in self.model.strings.values() if (t := s.tuning.given).noticeable],
+            room=self._about_room,
             onset_step_dbfs=None if self._step is None or not self._step.any() else decibels(np.abs(self._step).max()),
         )
 
@@ -266,10 +304,13 @@ class Renderer:
         with self._reading.use:
             return Checkpoint(
                 self.engine.snapshot(),
-                (self._resampler.memory.copy(), self._routing.memory.copy(), self._routing.equalizer.memory.copy()),
+                (self._resampler.memory.copy(), *self._routing.memory),
+                None if self._room is None else self._room.memory,
                 self._pending.copy(),
+                self._made,
                 self._frames,
                 self._loudest,
+                self._peak,
                 tuple(self._recent),
                 self._end,
                 self._step,
@@ -279,10 +320,12 @@ class Renderer:
         """Restore a `checkpoint` of this renderer; the samples that follow are the same to the last bit."""
         with self._reading.use:
             self.engine.restore(checkpoint.engine)
-            memories = (memory.copy() for memory in checkpoint.memory)
-            self._resampler.memory, self._routing.memory, self._routing.equalizer.memory = memories
-            self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
+            self._resampler.memory, self._routing.memory = checkpoint.memory[0].copy(), checkpoint.memory[1:]
+            if self._room is not None and checkpoint.room is not None:
+                self._room.memory = checkpoint.room
+            self._pending, self._made, self._frames = checkpoint.pending.copy(), checkpoint.made, checkpoint.frames
             self._loudest, self._recent, self._end = checkpoint.loudest, list(checkpoint.recent), checkpoint.end
+            self._peak = checkpoint.peak
             self._step = checkpoint.step
 
     def _fill(self, frames: int) -> None:
@@ -316,6 +359,12 @@ class Renderer:
             if self._end:
                 break
         sound = sound[:start]
+        if self._room is not None:
+            sound = self._room.add(sound, last=bool(self._end))
+            if longest is not None:  # the reverberation ends with the render, too
+                sound = sound[: max(0, self.zero_frame + round(longest * self.fs) - self._made)]
+        self._made += len(sound)
+        self._peak = max(self._peak, float(np.max(np.abs(sound), initial=0.0)))
         self._pending = np.concatenate([self._pending, sound]) if len(self._pending) else sound
 
     def _begun(self, sound: Floats, first: int) -> Floats:
@@ -337,7 +386,7 @@ class Renderer:
         since_end = sample / self.model.fs - self.performance.timeline.stop
         while len(self._recent) > 1 and self._recent[0][0] <= now - _WINDOW * self.fs - _TICKS * GRID:
             self._recent.pop(0)
-        late = len(self._routing.memory) / self.fs  # sound still due of a delayed channel
+        late = self._routing.longest_delay / self.fs  # sound still due of a delayed channel
         if self._end or not self.engine.done or since_end < _WINDOW + late:
             return
         if max(p for _, p in self._recent) <= self._loudest * 10 ** (self.options.tail_level_db / 20):

@@ -26,7 +26,8 @@ from tonewood.workshop.batch.manifest import Manifest, ManifestError, RenderSett
 from tonewood.workshop.batch.seeds import generator
 
 MAX_CONDITIONS = 100_000
-NOTE_FIELDS = ("force", "from_bridge", "angle_deg", "time")
+#: numbers of a note that are set in the parameters of an exciter, too
+_EXCITER_FIELDS = ("force", "from_bridge", "angle_deg", "time")
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,10 @@ class Draw:
         where force and place are set.
         """
         head, _, last = self.path.rpartition(".")
-        of_notes = head == "note" or (head.count(".") == 1 and head.startswith("exciters."))
-        return last if of_notes and last in NOTE_FIELDS else None
+        if head == "note":
+            return last
+        of_notes = head.count(".") == 1 and head.startswith("exciters.")
+        return last if of_notes and last in _EXCITER_FIELDS else None
 
     def values(self, n: int) -> NDArray[np.float64]:
         """The first `n` draws, shape (n,): factors for ``normal_db``, else amounts to add."""
@@ -78,6 +81,7 @@ class Condition:
     midi : absolute path, start, stop (s or None), channel_per_string of a MIDI excerpt, or None.
     midi_sha256 : of the MIDI file's bytes.
     draws : the human variation of this repeat.
+    note_changes : field of `tonewood.Note` -> value for every note of the score.
     """
 
     name: str
@@ -94,6 +98,7 @@ class Condition:
     draws: tuple[Draw, ...] = ()
     seed: int = 0
     all_levels: dict[str, str] = field(default_factory=dict)
+    note_changes: dict[str, Any] = field(default_factory=dict)
 
     def asked(self) -> dict[str, Any]:
         """Everything of the manifest that decides the samples, as JSON-ready data (no names, no places)."""
@@ -105,6 +110,7 @@ class Condition:
             "midi_sha256": self.midi_sha256,
             "draws": [dataclasses.asdict(d) for d in self.draws],
             "seed": self.seed,
+            **({"note_changes": self.note_changes} if self.note_changes else {}),
         }
 
 
@@ -157,8 +163,10 @@ def vary_notes(
             value = base(draw, notes[i])
             if value is not None:
                 changed: dict[str, Any] = {name: draw.applied(value, float(drawn))}
-                if name != "angle_deg":
+                if name not in ("angle_deg", "note"):
                     changed[name] = max(changed[name], 0.0)
+                if name == "velocity_midi":
+                    changed[name] = min(changed[name], 127.0)
                 varied[i] = dataclasses.replace(varied[i], **changed)
     return tuple(sorted(varied, key=lambda note: note.time))
 
@@ -201,7 +209,7 @@ def _condition(
         repeat=repeat,
         levels=levels,
         all_levels={**place, "repeat": str(repeat)},
-        bundle=_bundle(manifest.instruments[instrument], folder),
+        bundle=bundle_of(manifest.instruments[instrument], folder),
         overrides={p: v for p, v in values.items() if not p.startswith("render.")},
         render=manifest.render_settings(settings),
         draws=tuple(_draw(path, law, manifest.seed, labels) for path, law in manifest.vary.items()),
@@ -215,7 +223,7 @@ def _draw(path: str, variation: Variation, seed: int, labels: tuple[str, ...]) -
     return Draw(path=path, law=law, spread=float(spread), seed=seed, labels=labels)
 
 
-def _bundle(value: str, folder: Path) -> str:
+def bundle_of(value: str, folder: Path) -> str:
     """Name of an installed instrument, or a folder relative to the manifest's."""
     beside = folder / value
     if "/" in value or "\\" in value or (value not in entries(INSTRUMENTS) and beside.is_dir()):

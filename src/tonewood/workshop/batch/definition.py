@@ -105,7 +105,8 @@ def staircase_levels(manifest: Manifest, folder: Path, own: Callable[[Condition,
 
     Raises
     ------
-    ManifestError : a staircase changes no condition or several, or a level does not fit; names the page and the key.
+    ManifestError : a staircase changes no condition or several, a level does not fit, or levels change nothing; names
+        the page and the key.
     """
     conditions = None
     found = []
@@ -118,6 +119,7 @@ def staircase_levels(manifest: Manifest, folder: Path, own: Callable[[Condition,
             base = own(condition, page.path)
         except TonewoodError as fault:
             raise ManifestError(str(fault), key=f"pages.{index}.path") from None
+        values = {}
         for name in ("reference", "start", "lowest", "highest"):
             key = f"pages.{index}.{name}"
             if name == "reference":
@@ -135,10 +137,13 @@ def staircase_levels(manifest: Manifest, folder: Path, own: Callable[[Condition,
             same = name == "reference" and page.reference is None
             level = condition if same else with_value(manifest, condition, page.path, value)
             try:
-                own(level, page.path)
+                values[name] = own(level, page.path)
             except TonewoodError as fault:
                 raise ManifestError(f"the level cannot be rendered: {fault}", key=key) from None
             found.append(StaircaseLevel(key, level))
+        if values["lowest"] == values["highest"]:
+            reason = f"{page.path} is {values['lowest']} at the lowest and at the highest level: levels change nothing"
+            raise ManifestError(reason, key=f"pages.{index}.scale")
     return found
 
 

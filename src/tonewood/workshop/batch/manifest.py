@@ -39,6 +39,8 @@ from tonewood.workshop.batch.pages import (
 )
 
 RESERVED = ("instrument", "score", "repeat")
+#: numbers of a note that may vary
+NOTE_FIELDS = ("time", "duration", "held", "note", "freq", "force", "velocity_midi", "from_bridge", "angle_deg")
 #: keys under ``render.tail`` -> field
 TAIL_KEYS = {"cap": "tail", "energy_db": "tail_level_db"}
 
@@ -64,6 +66,9 @@ class NoteFields(Section):
     technique: str | None = None
     channel: int | None = Field(default=None, ge=0, le=15)
     marks: tuple[str, ...] = ()
+    partial: int | None = Field(default=None, ge=2, le=64)
+    glides: tuple[tuple[float, float], ...] = ()
+    program: int | None = Field(default=None, ge=1, le=128)
 
     def to_note(self) -> Note:
         """Convert to the score's own type."""
@@ -137,6 +142,10 @@ class RenderSettings(RenderOptions):
         if not isinstance(values, Mapping):
             return values
         out = dict(values)
+        for key in ("preset", "room", "room_distance", "room_mix_db"):
+            if out.get(key) != cls.model_fields[key].default and key in out:
+                text = f"{key}: is for single renders; here `outputs`, `humanize`, `noises` and stimuli.room say it"
+                raise PydanticCustomError("room", text)
         if "output" in out and "outputs" not in out and (one := out.pop("output")) is not None:
             out["outputs"] = [one]
         if isinstance(tail := out.get("tail"), Mapping):
@@ -219,6 +228,7 @@ class Manifest(Section):
     """A whole batch."""
 
     schema_: Literal["tonewood-batch/1"] = Field(alias="schema")
+    kind: Literal["test"] = Field(default="test", description="a listening test; `dataset` has keys of its own")
     name: Name
     title: Text = ""
     language: Language = Field(default="en", description="of a listener whose own has no texts")
@@ -250,6 +260,13 @@ class Manifest(Section):
             if name in RESERVED:
                 raise PydanticCustomError("factors", f"{name} is not free as the name of a factor")
         return factors
+
+    @field_validator("vary")
+    @classmethod
+    def _notes_vary(cls, vary: dict[str, Variation]) -> dict[str, Variation]:
+        for path in vary:
+            check_vary(path)
+        return vary
 
     def choices(self) -> dict[str, list[str]]:
         """Names that `group_by`, `exclude` and the like may use, with the levels of each."""
@@ -316,6 +333,13 @@ class Manifest(Section):
         names = {f"tail.{key}": field for key, field in TAIL_KEYS.items()}
         data = {**self.render.model_dump(), **{names.get(key, key): value for key, value in changes.items()}}
         return RenderSettings.model_validate(data)
+
+
+def check_vary(path: str) -> None:
+    """Check that a path of `vary` that names a note names one of its numbers."""
+    head, _, name = path.partition(".")
+    if head == "note" and name not in NOTE_FIELDS:
+        raise PydanticCustomError("vary", f"{path} is not one of note.{', note.'.join(NOTE_FIELDS)}")
 
 
 def _check_levels(row: Levels, choices: dict[str, list[str]], key: str) -> None:

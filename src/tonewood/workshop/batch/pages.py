@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import string
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -21,8 +22,10 @@ Levels = dict[str, str]
 Pairs = dict[str, Literal["all"] | list[str] | list[list[str]]]
 
 
-_WEBMUSHRA = "was removed in 0.2: it was an option of webMUSHRA; `tonewood serve` has the pages now"
-_ABX = "was removed in 0.2: which of two is the reference is asked by type abx; `tonewood migrate` helps"
+#: of a staircase, least distance between its limits: a share of their size, or the logarithm of their ratio
+LEAST_SPAN = 1e-9
+#: of a staircase, share of the way between its limits that a track of answers of one kind goes at least
+LEAST_WAY = 0.01
 
 
 class Section(BaseModel):
@@ -95,10 +98,68 @@ class QuestionnairePage(Page):
     questions: list[Question] = Field(min_length=1, max_length=100)
 
 
+class Return(Section):
+    """Code and address by which a panel of paid listeners learns that a listener is back.
+
+    In the address ``{code}`` and ``{listener}`` are filled in; in the code ``{id}`` is the name under which the results
+    have a listener who gave none.
+    """
+
+    code: str = Field(default="", max_length=200)
+    address: Annotated[str, Field(pattern=r"^https?://\S+$", max_length=1000)] | None = None
+
+    @model_validator(mode="after")
+    def _can_be_filled_in(self) -> Self:
+        for text, names in ((self.code, {"id"}), (self.address or "", {"code", "listener"})):
+            try:
+                found = {name for _, name, _, _ in string.Formatter().parse(text) if name is not None}
+            except ValueError as fault:
+                raise PydanticCustomError("return", f"{text}: {fault}") from None
+            if unknown := found - names:
+                raise PydanticCustomError("return", f"{{{min(unknown)}}} is not one of {', '.join(sorted(names))}")
+        return self
+
+
 class FinishPage(Page):
     """The last page; one is added where a manifest has none."""
 
     type: Literal["finish"]
+    back: Return | None = Field(default=None, description="code and address shown when the answers are saved")
+
+
+class HeadphonesPage(Page):
+    """A check that headphones are worn: six trials of three intervals that loudspeakers in a room make alike.
+
+    `huggins` (A. E. Milne et al., Behav. Res. Methods 53 (2021) 1551): white noise; in one interval a band at 600 Hz is
+    in antiphase between the ears, which is heard as a faint pitch. `antiphase` (K. J. P. Woods et al., Atten. Percept.
+    Psychophys. 79 (2017) 2064): tones of 200 Hz; one is 6 dB softer, another in antiphase: over loudspeakers softer.
+    """
+
+    type: Literal["headphones"]
+    method: Literal["huggins", "antiphase"] = "huggins"
+    trials: int = Field(default=6, ge=1, le=60)
+    right: int | None = Field(default=None, ge=1, description="right answers to pass; all, of antiphase all but one")
+    attempts: int = Field(default=2, ge=1, le=10, description="how often the check may be taken")
+    failed: Literal["stop", "go_on"] = Field(default="stop", description="what follows for listeners who do not pass")
+    back: Return | None = Field(default=None, description="code and address for listeners who are stopped")
+
+    @property
+    def needed(self) -> int:
+        """Right answers that pass."""
+        return self.right or (self.trials if self.method == "huggins" else max(self.trials - 1, 1))
+
+    @model_validator(mode="after")
+    def _can_be_passed(self) -> Self:
+        if self.right is not None and self.right > self.trials:
+            raise PydanticCustomError("headphones", f"right is {self.right}, there are {self.trials} trials")
+        return self
+
+
+class ListenedPage(Page):
+    """A page whose sounds listeners play."""
+
+    listen: float = Field(default=0.5, ge=0, le=1, description="share of each sound that must be heard first")
+    plays: int | None = Field(default=None, ge=1, le=1000, description="most times that a sound may be played")
 
 
 class SoundPage(Page):
@@ -107,17 +168,52 @@ class SoundPage(Page):
     group_by: list[str] = Field(default_factory=list, description="factors that stay the same on one page")
 
 
-class RatedPage(SoundPage):
+class TrialPage(SoundPage, ListenedPage):
+    """Sounds that listeners compare or rate, trial by trial."""
+
+    subset: int | None = Field(
+        default=None, ge=1, description="trials that one listener gets, all equally often over the listeners"
+    )
+
+
+class SwitchedPage(TrialPage):
+    """A page on which listeners switch between sounds."""
+
+    switch: Literal["continue", "restart"] = Field(
+        default="continue", description="where a sound begins that is switched to"
+    )
+    loop: Literal["off", "whole", "region"] = Field(
+        default="whole", description="sounds may be repeated: not, as a whole, or a region that listeners choose"
+    )
+
+    @model_validator(mode="after")
+    def _loops_are_not_counted(self) -> Self:
+        if self.plays is not None and "loop" in self.model_fields_set and self.loop != "off":
+            raise PydanticCustomError("page", "a loop repeats a sound without end: plays allows loop: off only")
+        return self
+
+    @property
+    def loops(self) -> str:
+        """How sounds may be repeated; not at all where plays are limited."""
+        return "off" if self.plays is not None else self.loop
+
+
+class PointsPage(SwitchedPage):
+    """Sounds on a scale of points."""
+
+    expect: float | None = Field(default=None, gt=0, description="difference of means to be found, points of the scale")
+    expect_sd: float | None = Field(default=None, gt=0, description="standard deviation of listeners' differences")
+    expect_sound_sd: float | None = Field(default=None, gt=0, description="standard deviation of sounds' differences")
+    waveform: bool = Field(default=False, description="show the waveform of the reference, or of the sound")
+
+
+class RatedPage(PointsPage):
     """Sounds against a reference."""
 
     reference: Levels = Field(min_length=1)
-    expect: float | None = Field(default=None, gt=0, description="difference of means to be found, points of the scale")
-    expect_sd: float | None = Field(
-        default=None, gt=0, description="standard deviation of the listeners' differences, points"
-    )
     removed: ClassVar[dict[str, str]] = dict.fromkeys(
         ("show_waveform", "looping", "switch_back"),
-        "was removed in 0.2: it was an option of webMUSHRA; `tonewood serve` has the pages now",
+        "was removed in 0.2: it was an option of webMUSHRA; the keys are waveform, loop and switch",
     )
 
 
@@ -135,7 +231,7 @@ class Bs1116Page(RatedPage):
     type: Literal["bs1116"]
 
 
-class PairPage(SoundPage):
+class PairPage(TrialPage):
     """Pairs of levels of one factor, all else equal; `times` trials each."""
 
     pairs: Pairs = Field(min_length=1, max_length=1)
@@ -144,20 +240,20 @@ class PairPage(SoundPage):
     feedback: bool = Field(default=False, description="show whether an answer was right")
 
 
-class AbxPage(PairPage):
+class AbxPage(PairPage, SwitchedPage):
     """Which of A and B is X?"""
 
     type: Literal["abx"]
     unforced: bool = Field(default=False, description="allow the answer that no difference is heard")
 
 
-class AbPage(PairPage):
+class AbPage(PairPage, SwitchedPage):
     """Are A and B the same? Every second trial has one sound twice."""
 
     type: Literal["ab"]
 
 
-class PairedPage(PairPage):
+class PairedPage(PairPage, SwitchedPage):
     """Which of two has more of something, or is preferred?"""
 
     type: Literal["paired_comparison"]
@@ -200,17 +296,15 @@ class RatingScale(Section):
         return self
 
 
-class RatingPage(SoundPage):
+class RatingPage(PointsPage):
     """One sound on one or more scales."""
 
     type: Literal["rating"]
     scales: list[RatingScale] = Field(min_length=1, max_length=12)
     times: int = Field(default=1, ge=1, le=1000, description="trials of each sound")
-    expect: float | None = Field(default=None, gt=0, description="difference of means to be found, points of the scale")
-    expect_sd: float | None = Field(default=None, gt=0)
 
 
-class StaircasePage(Page):
+class StaircasePage(ListenedPage):
     """Just noticeable difference of one parameter: the level adapts to the answers.
 
     The parameter `path` of the test sound is given by the level x:
@@ -272,6 +366,29 @@ class StaircasePage(Page):
         for key in ("expect_sd", "margin"):
             if self.ratio and (value := getattr(self, key)) is not None and value <= 1:
                 raise PydanticCustomError("staircase", f"{key} is a ratio above 1 where ratio: true (1.2: 20 %)")
+        return self
+
+    @model_validator(mode="after")
+    def _levels_move(self) -> Self:
+        """Refuse tracks whose levels stay where they are, or that end before their reversals."""
+        span = self.transformed(self.highest) - self.transformed(self.lowest)
+        size = 1.0 if self.ratio else max(abs(self.lowest), abs(self.highest))
+        if span < LEAST_SPAN * size:
+            raise PydanticCustomError("staircase", "lowest and highest are too near to each other")
+        if not self.steps or math.isinf(span):  # a value that is not finite is refused where its path is known
+            return self
+        steps = [math.log(step) if self.ratio else step for step in self.steps]
+        if (most := max(steps) * self.longest) < LEAST_WAY * span:
+            way = f"{100 * most / span:.2g} % of the way from lowest to highest, {100 * LEAST_WAY:.0f} % at least"
+            raise PydanticCustomError("staircase", f"steps: {self.longest} (longest) of the largest go {way} is wanted")
+        for index, step in enumerate(self.steps):
+            if any(self.moved(end, by, 2 * index) == end for end, by in ((self.lowest, 1), (self.highest, -1))):
+                raise PydanticCustomError("staircase", f"steps.{index}: {step:g} is lost by rounding of the level")
+        least = 1 + self.reversals // 2 + (self.reversals + 1) // 2 * self.down
+        if self.longest < least:
+            raise PydanticCustomError(
+                "staircase", f"longest: {self.reversals} reversals take {least} trials or more (down: {self.down})"
+            )
         return self
 
     def __hash__(self) -> int:
@@ -347,6 +464,7 @@ AnyPage = Annotated[
     ConsentPage
     | InstructionsPage
     | LevelPage
+    | HeadphonesPage
     | TrainingPage
     | QuestionnairePage
     | MushraPage

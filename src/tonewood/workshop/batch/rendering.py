@@ -95,7 +95,7 @@ class EngineRenderer:
         kind = (condition.bundle, settings.fs, *how)
         if kind not in _COSTS:
             began = time.perf_counter()
-            renderer = self._renderer(condition, max_duration=_PIECE)
+            renderer = self.renderer(condition, max_duration=_PIECE)
             ready = time.perf_counter()
             for _ in renderer.blocks():
                 pass
@@ -112,21 +112,27 @@ class EngineRenderer:
         TonewoodError
             A score cannot be read or played, or the render went wrong.
         """
-        renderer = self._renderer(condition)
+        renderer = self.renderer(condition)
         samples = np.concatenate(list(renderer.blocks(4096)))
         info = _plain(asdict(renderer.summary())) | {"channels": list(renderer.channels)}
         if renderer.energy is not None:
             info["energy"] = renderer.energy.balance()
         return Rendered(samples, renderer.fs, info)
 
-    def _renderer(self, condition: Condition, max_duration: float | None = None) -> Renderer:
+    def renderer(self, condition: Condition, max_duration: float | None = None, *, by_string: bool = False) -> Renderer:
+        """The renderer of a condition, with its human variation; `by_string` splits its outputs as `assembled` does.
+
+        Raises
+        ------
+        TonewoodError : a score cannot be read or played, or an override does not fit.
+        """
         instrument = instrument_of(condition, self.allow_code)
         options = condition.render.at(channel_per_string=_channel_per_string(condition))
         return Renderer(
             _varied(_score(condition), instrument, condition),
             instrument,
             options=options if max_duration is None else options.at(max_duration=max_duration),
-            model=_MODELS.of(instrument, options),
+            model=_MODELS.of(instrument, options, by_string=by_string),
         )
 
 
@@ -170,15 +176,15 @@ class ModelCache:
         self.most = most
         self._models: OrderedDict[str, Model] = OrderedDict()
 
-    def of(self, instrument: Instrument, options: RenderOptions) -> Model:
+    def of(self, instrument: Instrument, options: RenderOptions, *, by_string: bool = False) -> Model:
         """The model of an instrument with the options of a render, made if it is not among the last ones."""
         decides = {
             name: getattr(options, name)
             for name in ("fs", "accuracy", "oversampling", "freq_limit", "outputs", "humanize", "noises", "effects")
         }
-        changes = json.dumps({**decides, **options.effect_changes}, sort_keys=True, default=str)
+        changes = json.dumps({**decides, **options.effect_changes, "by_string": by_string}, sort_keys=True, default=str)
         key = f"{instrument.content_hash} {changes}"
-        model = self._models.pop(key, None) or assembled(instrument, options)
+        model = self._models.pop(key, None) or assembled(instrument, options, by_string=by_string)
         self._models[key] = model
         while len(self._models) > self.most:
             self._models.popitem(last=False)
@@ -216,9 +222,13 @@ def computed_with() -> dict[str, Any]:
 
 def _score(condition: Condition) -> Score:
     if condition.notes is not None:
-        return Score(condition.notes, name=condition.score)
-    midi = condition.midi or {}
-    return read_midi(midi["path"], start=midi["start"], stop=midi["stop"])
+        score = Score(condition.notes, name=condition.score)
+    else:
+        midi = condition.midi or {}
+        score = read_midi(midi["path"], start=midi["start"], stop=midi["stop"])
+    if not condition.note_changes:
+        return score
+    return replace(score, notes=tuple(replace(note, **condition.note_changes) for note in score.notes))
 
 
 def _channel_per_string(condition: Condition) -> bool:
@@ -251,6 +261,8 @@ class _Base:
         given = getattr(note, name)
         if given is not None:
             return float(given)
+        if name not in ("force", "from_bridge", "angle_deg"):  # the instrument has no value of its own
+            return None
         if name == "force" and note.velocity_midi is not None:
             return self.velocity.value(note.velocity_midi)
         value = self.instrument.resolved["exciters"].get(exciter, {}).get(name)

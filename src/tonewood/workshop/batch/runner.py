@@ -108,6 +108,7 @@ class BatchPlan:
                 (factor, pairs), *_ = page.pairs.items()
                 count = len(as_pairs(pairs, self.manifest.choices()[factor]))
                 trials = sum(len(g.trials) for g in self.groups if g.page == index)
+                trials = min(trials, page.subset or trials)
                 found[index] = page.times * max(1, trials // count)
         return found
 

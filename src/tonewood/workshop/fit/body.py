@@ -27,6 +27,8 @@ Complexes = NDArray[np.complex128]
 _CLEAR = 3.0
 #: the row that stands for modes below the band: at this share of its lowest frequency, and with this Q
 _LOWER_SHARE, _LOWER_Q = 1 / 8, 5.0
+#: a pole that is damped more is background, no mode
+LEAST_QUALITY = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +119,9 @@ def passive_body(modes: Modes, pairs: tuple[tuple[str, str], ...]) -> FittedBody
         np.array([row[3] for row in rows]),
         np.array([row[4] for row in rows]),
         np.array([row[5] for row in rows]),
-        (freq_all >= band[0]) & (freq_all <= band[-1]) & np.array([np.isfinite(row[3]) for row in rows], dtype=bool),
+        (freq_all >= band[0])
+        & (freq_all <= band[-1])
+        & np.array([np.isfinite(row[3]) and row[1] >= LEAST_QUALITY for row in rows], dtype=bool),
         tuple(dropped),
     )
 

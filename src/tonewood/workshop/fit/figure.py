@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tonewood.support.plotting import COLOURS, LINE, figure, frequency_axis, legend_above, log_axis, plain, save
+from tonewood.workshop.fit.stability import stability
 
 if TYPE_CHECKING:
     from tonewood.workshop.fit.fit import Fit
@@ -19,14 +20,16 @@ _APART = 40.0
 def draw_fit(fit: Fit, path: Path) -> None:
     """Draw a fit into a .png, .pdf or .svg file.
 
-    From the top: mobility measured (grey) and of the body, dB re 1 (m/s)/N; their difference in dB; coherence where it
-    was measured; one standard deviation of frequency and of Q of each mode within the band; poles after each
-    iteration of the search, the stability chart of this method.
+    From the top: mobility measured (grey) and fitted, dB re 1 (m/s)/N; their difference in dB; coherence where it
+    was measured; one standard deviation of frequency and of Q of each mode within the band; the stability chart, dots
+    for poles that the order before had, too, and a line for each mode that was kept.
     """
-    r, body = fit.responses, fit.body
-    heights = [5.0, 2.2, *([1.8] if r.coherence is not None else []), 2.2, 2.2, 2.4]
+    r = fit.responses
+    sure = [row for row in fit.rows if row["measured"] and row["sd_cents"] is not None]
+    freq, cents, error = (np.array([row[key] for row in sure]) for key in ("freq_Hz", "sd_cents", "sd_Q"))
+    heights = [5.0, 2.2, *([1.8] if r.coherence is not None else []), 2.2, 2.2, 4.0]
     made, grid = figure(len(heights), heights=heights, sharex=True)
-    top, off, *middle, spread, quality, iterations = axes = list(grid[:, 0])
+    top, off, *middle, spread, quality, chart = axes = list(grid[:, 0])
     top.plot([], [], color="0.65", lw=2 * LINE, label="measured")
     for i, (point, reference) in enumerate(r.pairs):
         shift, colour = -_APART * i, COLOURS[i % len(COLOURS)]
@@ -42,21 +45,20 @@ def draw_fit(fit: Fit, path: Path) -> None:
         for i, row in enumerate(r.coherence):
             axis.plot(r.freq, row, color=COLOURS[i % len(COLOURS)], lw=0.5 * LINE)
         axis.set(ylabel="coherence", ylim=(0, 1.02))
-    sure = body.measured
-    spread.plot(body.freq[sure], body.cents[sure], "o", color=COLOURS[0], ms=6)
+    spread.plot(freq, cents, "o", color=COLOURS[0], ms=6)
     spread.set_ylabel("s.d. of f\ncents")
     log_axis(spread)
-    quality.plot(body.freq[sure], 100 * body.quality_error[sure], "o", color=COLOURS[0], ms=6)
+    quality.plot(freq, 100 * error, "o", color=COLOURS[0], ms=6)
     quality.set_ylabel("s.d. of Q\n%")
     log_axis(quality)
-    for number, found in enumerate(fit.modes.iterations, 1):
-        iterations.plot(found.freq, np.full(len(found.freq), number), "|", color="0.3", ms=9)
-    last = len(fit.modes.iterations) + 1
-    iterations.plot(body.freq[sure], np.full(np.count_nonzero(sure), last), "|", color=COLOURS[0], ms=12, mew=2.5)
-    iterations.set(ylabel="iteration", ylim=(0.4, last + 0.6))
+    stable = stability(r.freq, r.mobility)
+    chart.vlines(freq, 0, stable.order.max(initial=0) + 2, color=COLOURS[0], lw=0.5 * LINE)
+    chart.plot(stable.freq[~stable.stable], stable.order[~stable.stable], ".", color="0.75", ms=3)
+    chart.plot(stable.freq[stable.stable], stable.order[stable.stable], ".", color="0.1", ms=6)
+    chart.set(ylabel="order,\nstability")
     for axis in axes:
         frequency_axis(axis, float(r.freq[0]), float(r.freq[-1]))
-        axis.set_xlabel("frequency, Hz" if axis is iterations else "")
+        axis.set_xlabel("frequency, Hz" if axis is chart else "")
     top.set_ylabel("mobility\ndB re 1 (m/s)/N")
     legend_above(made, top)
     save(made, path)

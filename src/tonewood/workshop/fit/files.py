@@ -1,12 +1,12 @@
-"""Files of measured responses: frequency responses as CSV, npz or UFF58, and hammer hits as WAV or CSV.
+"""Files of measured responses: frequency responses as CSV, npz, MATLAB or UFF58, and hammer hits as WAV or CSV.
 
 ===============  =====================================================================================================
 CSV responses    ``freq_Hz`` and for each pair ``POINT:REFERENCE_re, _im`` or ``_mag, _phase`` (degrees); optionally
                  ``POINT:REFERENCE_coherence``
-npz responses    ``freq_Hz`` and ``POINT:REFERENCE`` (complex); optionally ``POINT:REFERENCE_coherence``
+npz, mat         the same names, or ``POINT:REFERENCE`` (complex), or arrays of any name: see `arrays`
 UFF58            data sets 58 with func_type 4 (responses) and 6 (coherence), and 164 (units); points are named node and
-                 direction, as ``12+3``
-CSV hits         ``time_s, REFERENCE_force`` and a column per point; a file a hit
+                 direction, as ``12+3``; a direction with a minus turns the sign of its data
+CSV hits         ``time_s, REFERENCE_force`` (N) and a column per point (m/s^2, m/s or m); a file a hit
 WAV hits         channel 1 the force, the others the points in order; a file a hit, scaled by `sensitivity`
 ===============  =====================================================================================================
 
@@ -16,8 +16,6 @@ A name ending in ``_Pa`` in place of a point is a microphone.
 from __future__ import annotations
 
 import hashlib
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,6 +26,15 @@ from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.contract.files import Files
+from tonewood.workshop.fit.arrays import (
+    UNNAMED,
+    Pair,
+    ResponseTable,
+    mat_arrays,
+    npz_arrays,
+    pair_of,
+    responses_of_arrays,
+)
 from tonewood.workshop.fit.hits import responses_of_hits
 from tonewood.workshop.fit.responses import FORMS, Complexes, Floats, Responses, to_mobility
 
@@ -37,8 +44,8 @@ _LONGEST = 64
 _ORDINATES = {8: "receptance", 11: "mobility", 12: "accelerance"}
 _PRESSURE, _FORCES = 15, (0, 13)
 _MICROPHONE = "_Pa"
-
-Pair = tuple[str, str]
+#: what UFF calls the places of response and force
+_ENDS = ("rsp", "ref")
 
 
 @dataclass(frozen=True)
@@ -51,9 +58,10 @@ class Reading:
     n_hits : hits that were averaged, for the noise from a coherence.
     window_tau : s, of an exponential window: taken for hits, already in the data for responses.
     points : names of the responses of WAV channels 2 onwards.
-    references : of WAV files: (point that the hammer struck, beginning of the names of its files).
+    references : (point that was driven, beginning of the names of its WAV files, or the reference that it is).
     sensitivity : N at full scale of channel 1, then m, m/s, m/s^2 or Pa at full scale of each other channel.
     estimator : H1 or H2, of hits.
+    arrays : names of the arrays that hold responses, of npz and MATLAB files.
     scale : SI units per unit of the data, of responses that are no pressures: 9.80665 where they are in g/N.
     """
 
@@ -65,6 +73,7 @@ class Reading:
     sensitivity: tuple[float, ...] = ()
     estimator: str = "H1"
     scale: float = 1.0
+    arrays: tuple[str, ...] = ()
 
 
 def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
@@ -94,9 +103,7 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
     kind = kinds.pop()
     if kind == "hits":
         return _of_hits(paths, reading, hashes)
-    if reading.references:
-        raise TonewoodError("frequency responses name their references themselves", file=paths[0], key="--driving")
-    tables = [_TABLES[kind](path) for path in paths]
+    tables = [_driven(path, _table(kind, path, reading), reading) for path in paths]
     freq = tables[0].freq
     for path, table in zip(paths, tables, strict=True):
         if len(table.freq) != len(freq) or not np.allclose(table.freq, freq, rtol=1e-9, atol=0):
@@ -125,12 +132,37 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _Table:
-    freq: Floats
-    rows: Mapping[Pair, Complexes]
-    coherence: Mapping[Pair, Floats]
-    form: str | None = None
+def _table(kind: str, path: Path, reading: Reading) -> ResponseTable:
+    if kind == "uff":
+        return _uff(path)
+    if kind == "csv":
+        return _csv(path)
+    return responses_of_arrays(path, npz_arrays(path) if kind == "npz" else mat_arrays(path), reading.arrays)
+
+
+def _driven(path: Path, table: ResponseTable, reading: Reading) -> ResponseTable:
+    """ResponseTable with the names of references that the command line gives."""
+    names: dict[str, str] = {}
+    for name, reference in reading.references:
+        known = dict.fromkeys(reference for _, reference in table.rows)
+        old = reference or UNNAMED
+        if old not in known:
+            raise TonewoodError(
+                "frequency responses name their references themselves" if not reference
+                else f"there is no reference {reference!r}; there are {', '.join(known)}",
+                file=path, key="--driving",
+            )  # fmt: skip
+        points = dict.fromkeys(point for point, _ in table.rows)
+        if name not in points:
+            shown = ", ".join(points)
+            raise TonewoodError(f"there is no point {name!r}; there are {shown}", file=path, key="--driving")
+        names[old] = name
+
+    def pair(old: Pair) -> Pair:
+        return old[0], names.get(old[1], old[1])
+
+    rows = {pair(key): row for key, row in table.rows.items()}
+    return replace(table, rows=rows, coherence={pair(key): row for key, row in table.coherence.items()})
 
 
 def _hash(path: Path) -> str:
@@ -146,18 +178,11 @@ def _kind(path: Path) -> str:
         return "hits"
     if suffix == ".csv":
         return "hits" if "time_s" in _numbers(path) else "csv"
-    if suffix == ".npz":
-        return "npz"
+    if suffix in (".npz", ".mat"):
+        return suffix[1:]
     if suffix in (".uff", ".unv", ".u58", ".58"):
         return "uff"
-    raise TonewoodError("is of no kind that is read; .csv, .npz, .uff, .unv and .wav are allowed", file=path)
-
-
-def _pair(path: Path, name: str) -> Pair:
-    point, colon, reference = name.partition(":")
-    if not (point and colon and reference):
-        raise TonewoodError("is no name of a response; POINT:REFERENCE is allowed", file=path, key=name)
-    return point, reference
+    raise TonewoodError("is of no kind that is read; .csv, .npz, .mat, .uff, .unv and .wav are allowed", file=path)
 
 
 def _split(rows: Mapping[Pair, Complexes]) -> tuple[dict[Pair, Complexes], dict[Pair, Complexes]]:
@@ -172,53 +197,18 @@ def _numbers(path: Path) -> dict[str, Floats]:
     return Files(path.parent, path).table(path.name)
 
 
-def _csv(path: Path) -> _Table:
+def _csv(path: Path) -> ResponseTable:
     columns = _numbers(path)
     if "freq_Hz" not in columns:
         raise TonewoodError(f"has no column freq_Hz; there are {', '.join(columns)}", file=path)
-    rows: dict[Pair, Complexes] = {}
-    for name, values in columns.items():
-        stem, _, part = name.rpartition("_")
-        other = {"re": "im", "mag": "phase"}.get(part)
-        if other is None:
-            continue
-        if f"{stem}_{other}" not in columns:
-            raise TonewoodError(f"has no column {stem}_{other} beside {name}", file=path)
-        second = columns[f"{stem}_{other}"]
-        turn = values + 1j * second if part == "re" else values * np.exp(1j * np.deg2rad(second))
-        rows[_pair(path, stem)] = np.asarray(turn, dtype=np.complex128)
-    coherence = {pair: columns[key] for pair in rows if (key := f"{pair[0]}:{pair[1]}_coherence") in columns}
-    return _Table(columns["freq_Hz"], rows, coherence)
+    parts = ("_re", "_im", "_mag", "_phase")
+    for name in columns:
+        if name.endswith(parts):
+            pair_of(path, name)
+    return responses_of_arrays(path, {name: x for name, x in columns.items() if name == "freq_Hz" or ":" in name})
 
 
-def _npz(path: Path) -> _Table:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    # an archive that is damaged, encrypted, or of a later version raises any of these
-    except (OSError, ValueError, EOFError, RuntimeError, AttributeError, zipfile.BadZipFile, zlib.error) as fault:
-        raise TonewoodError(f"is no npz file of arrays: {fault}", file=path) from None
-    for name, values in arrays.items():
-        real = name == "freq_Hz" or name.endswith("_coherence")
-        if values.ndim != 1 or values.dtype.kind not in ("iuf" if real else "iufc"):
-            raise TonewoodError(f"is no row of {'real' if real else 'complex'} numbers", file=path, key=name)
-    if "freq_Hz" not in arrays:
-        raise TonewoodError(f"has no array freq_Hz; there are {', '.join(arrays)}", file=path)
-    freq = np.asarray(arrays.pop("freq_Hz"), dtype=np.float64)
-    if not np.all(np.isfinite(freq)):
-        raise TonewoodError("holds a value that is not a finite number", file=path, key="freq_Hz")
-    rows, coherence = {}, {}
-    for name, values in arrays.items():
-        if values.shape != freq.shape:
-            raise TonewoodError(f"has the shape {values.shape}; {freq.shape} is allowed", file=path, key=name)
-        if name.endswith("_coherence"):
-            coherence[_pair(path, name.removesuffix("_coherence"))] = np.asarray(values, dtype=np.float64)
-        else:
-            rows[_pair(path, name)] = np.asarray(values, dtype=np.complex128)
-    return _Table(freq, rows, coherence)
-
-
-def _uff(path: Path) -> _Table:
+def _uff(path: Path) -> ResponseTable:
     try:
         import pyuff
     except ModuleNotFoundError:
@@ -231,9 +221,18 @@ def _uff(path: Path) -> _Table:
 
     def pair(x: Mapping[str, Any]) -> Pair:
         heard = _MICROPHONE if int(x["ordinate_spec_data_type"]) == _PRESSURE else ""
-        return f"{int(x['rsp_node'])}{int(x['rsp_dir']):+d}{heard}", f"{int(x['ref_node'])}{int(x['ref_dir']):+d}"
+        ends = [(str(x[f"{end}_ent_name"]).strip(), int(x[f"{end}_node"]), abs(int(x[f"{end}_dir"]))) for end in _ENDS]
+        if ends[0][:2] == ends[1][:2] and not ends[1][2]:  # no direction is stated where it was driven
+            ends[1] = ends[0]
+        point, reference = (f"{name + '.' if parts > 1 else ''}{node}+{axis}" for name, node, axis in ends)
+        return point + heard, reference
+
+    def sign(x: Mapping[str, Any]) -> float:
+        heard = int(x["ordinate_spec_data_type"]) == _PRESSURE
+        return float(np.prod([-1.0 for end in _ENDS[heard:] if int(x[f"{end}_dir"]) < 0]))
 
     responses = [x for x in sets if x["func_type"] == 4]
+    parts = len({str(x[f"{end}_ent_name"]).strip() for x in responses for end in _ENDS})
     if not responses:
         raise TonewoodError("holds no frequency response (data set 58, function type 4)", file=path)
     ordinates = {int(x["ordinate_spec_data_type"]) for x in responses} - {_PRESSURE}
@@ -248,9 +247,9 @@ def _uff(path: Path) -> _Table:
     def unit(x: Mapping[str, Any]) -> float:
         return per_force if int(x["ordinate_spec_data_type"]) == _PRESSURE else per_force / per_length
 
-    rows = {pair(x): unit(x) * np.asarray(x["data"], dtype=np.complex128) for x in responses}
+    rows = {pair(x): sign(x) * unit(x) * np.asarray(x["data"], dtype=np.complex128) for x in responses}
     coherence = {pair(x): np.asarray(x["data"]).real.astype(np.float64) for x in sets if x["func_type"] == 6}
-    return _Table(freq, rows, coherence, forms.pop() if len(forms) == 1 else None)
+    return ResponseTable(freq, rows, coherence, forms.pop() if len(forms) == 1 else None)
 
 
 def _uff_units(given: Any) -> tuple[float, float]:
@@ -259,9 +258,6 @@ def _uff_units(given: Any) -> tuple[float, float]:
         if x["type"] == 164:
             return float(x["force"]), float(x["length"])
     return 1.0, 1.0
-
-
-_TABLES = {"csv": _csv, "npz": _npz, "uff": _uff}
 
 
 def _of_hits(paths: Sequence[Path], reading: Reading, hashes: Mapping[str, str]) -> Responses:

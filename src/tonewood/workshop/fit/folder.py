@@ -1,6 +1,7 @@
 """The folder of a fit: tables, the parts of a bundle that are known from them, facts, and the figure.
 
-``body.csv``, ``radiation.csv`` (with microphones), ``body.yaml``, ``fit.json``, ``fit.png``. All are written, or none.
+``body.csv``, ``radiation.csv`` (with microphones), ``body.yaml``, ``fit.json``, ``fit.png``; ``modes.csv`` in place of
+the first three where responses are no passive body's. All are written, or none.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from tonewood.workshop.fit.radiation import FittedRadiation
 
 #: value of entries without a statement
 UNKNOWN = "unknown"
+#: files that a fit may write, besides its figure
+_ALL = frozenset({"body.csv", "modes.csv", "radiation.csv", "body.yaml", "fit.json"})
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,7 @@ class FitFolder:
     def parts(self) -> str:
         """Return the keys of an ``instrument.yaml`` that the measurement tells: sources, provenance, body, outputs."""
         r, body, origin = self.fit.responses, self.fit.body, self.origin
+        assert body is not None, self.fit.no_body
         files = ", ".join(f"{name} (SHA-256 {sha256})" for name, sha256 in r.files.items()) or UNKNOWN
         band = f"{r.freq[0]:g} to {r.freq[-1]:g} Hz"
         hits = "" if r.kept is None else f", {r.kept[0]} of {r.kept[1]} hits"
@@ -153,10 +157,12 @@ class FitFolder:
         ------
         OutputError : the folder cannot be made or written to.
         """
-        texts = {"body.csv": self.fit.table()}
+        body = self.fit.body is not None
+        texts = {"body.csv" if body else "modes.csv": self.fit.table()}
         if self.radiation is not None:
             texts["radiation.csv"] = self.radiation.table()
-        texts["body.yaml"] = self.parts()
+        if body:
+            texts["body.yaml"] = self.parts()
         texts["fit.json"] = json.dumps(self.facts(), indent=1, allow_nan=False) + "\n"
         new = not folder.exists()
         try:
@@ -176,6 +182,8 @@ class FitFolder:
                     draw(self.fit, file.path)
                 for file in files:
                     file.complete()
+                for name in _ALL.difference(texts):  # of another fit
+                    (folder / name).unlink(missing_ok=True)
         except OSError as fault:
             raise OutputError(f"cannot be written: {fault.strerror or fault}", file=folder) from None
         finally:

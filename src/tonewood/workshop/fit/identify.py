@@ -1,8 +1,9 @@
-"""Real modes of a band from responses: noise, search, and modes without the phases that noise and damping gave them."""
+"""Real modes of a band from responses: noise, order, damping, and modes without the phases that noise gave them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,14 +12,34 @@ from numpy.typing import NDArray
 from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.fit import noise
 from tonewood.workshop.fit.projection import Line, LinearFit, Poles, Projection, Shape
-from tonewood.workshop.fit.search import DOUBT, Iteration, sought, straightened
+from tonewood.workshop.fit.search import (
+    DOUBT,
+    Iteration,
+    NothingFoundError,
+    descend,
+    inaudible,
+    mains,
+    pruned,
+    sought,
+    straightened,
+    without_negative,
+)  # fmt: skip
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-
+#: errors of a model, re the response, that the order search allows for, one after the other
+ALLOWED = (0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0)
+#: least noise re the response: nobody measures better, and arithmetic of data made without noise is no measurement
+LEAST_NOISE = 1e-4
+#: misfit of a part of the band, re its noise, up to which it is noise; bins of such a part
+_AT_NOISE, _PART = 1.25, 24
 #: median chi-squared of the residues' imaginary parts, 1 by chance, above which damping surely couples modes
 TURNED = 30.0
+#: difference of two kinds of damping, chi-squared per number measured, below which real residues decide
+_CLOSE = 0.05
+#: Q at which a wanted mode begins, and distance (of ln f) up to which a mode is the wanted one
+_Q_WANTED, _NEAR = 50.0, 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,26 +51,47 @@ class Modes:
     problem : real residues on all bins, with the noise that was taken.
     poles : sorted.
     solution : residues (P, K + edges).
-    bent : poles found with complex residues, before these were made real, and their problem.
+    bent : the same of complex residues: what the responses say before a passive body is asked for.
     iterations : of the search, in order.
+    mains : Hz, lines of one or two bins that are no modes and were muted.
     turned : median chi-squared of the residues' imaginary parts; 1 by chance.
     """
 
     problem: Projection
     poles: Poles
     solution: LinearFit
-    bent: tuple[Projection, Poles]
+    bent: tuple[Projection, Poles, LinearFit]
     iterations: list[Iteration]
-    turned: float
+    mains: tuple[float, ...] = ()
+    turned: float = 1.0
 
     @property
     def misfit(self) -> float:
-        """Chi-squared per number measured: 1 where the model leaves the noise and nothing else."""
-        return self.solution.cost / self.problem.size
+        """Chi-squared per number measured, of complex residues: 1 where these leave the noise and nothing else."""
+        problem, _, solution = self.bent
+        return float(solution.cost / problem.size)
+
+    @property
+    def structural(self) -> bool:
+        """Whether damping was taken for structural, else for viscous."""
+        return self.problem.shape.structural
 
     def model(self) -> Complexes:
         """(P, N) mobility."""
         return self.problem.model(self.poles, self.solution.residues)
+
+    @property
+    def complexity(self) -> Floats:
+        """(K,) of the bent poles: modal phase collinearity (Pappa, Elliott, Schenk 1993), 1 where all are in phase.
+
+            MPC = ((S_xx - S_yy)^2 + 4 S_xy^2) / (S_xx + S_yy)^2,
+
+        S of the residues' real and imaginary parts over the responses; 1 of one response alone.
+        """
+        _, poles, solution = self.bent
+        x, y = np.split(solution.residues[:, : 2 * len(poles)], 2, axis=1)
+        xx, yy, xy = (x * x).sum(axis=0), (y * y).sum(axis=0), (x * y).sum(axis=0)
+        return np.asarray(((xx - yy) ** 2 + 4 * xy**2) / (xx + yy) ** 2)
 
 
 @one_blas_thread
@@ -60,22 +102,32 @@ def identify(
     *,
     sigma: Floats | None = None,
     alpha: float = 0.0,
+    damping: str = "auto",
+    keep: Sequence[float] = (),
+    drop: Sequence[float] = (),
     tell: Callable[[Iteration], None] = lambda iteration: None,
 ) -> Modes:
     """Identify the modes of a band.
 
-    Known noise is raised where a first fit leaves more: leakage and nonlinearity must not become modes. Unknown noise
-    is taken from second differences first, then from the misfit of a fit.
+    The order search allows for an error of the model of 30 % of the response first, then for less and less, and stops
+    when the misfit is the noise's, or when more modes do not bring it nearer: leakage, nonlinearity and channels
+    out of phase must not become modes. Noise that is not known is taken from fourth differences of bins, then from
+    the misfit; known noise is raised where the misfit is larger.
 
     Parameters
     ----------
-    freq : (N,) Hz, evenly spaced.
+    freq : (N,) Hz, rising.
     mobility : (P, N) (m/s)/N on the line s = alpha + j 2 pi freq.
+    shape : rows that are driving points, number of points, and residual terms.
     sigma : (P, N) standard deviation of the complex error; None if not known.
+    damping : viscous, structural, or auto: the one that needs fewer modes for a better fit.
+    keep, drop : Hz, where a mode has to be, whatever it gains, and where none is wanted.
+    tell : called after each iteration of the search.
 
     Raises
     ------
     NothingFoundError : no mode stands out of the noise.
+    LookupError : there is no mode where one is to be dropped.
     """
     iterations: list[Iteration] = []
 
@@ -83,37 +135,125 @@ def identify(
         iterations.append(iteration)
         tell(iteration)
 
-    together = noise.tied(alpha, float(freq[1] - freq[0]))
-    level = noise.of_neighbours(mobility) if sigma is None else sigma * together
-    start: Poles | None = None
-    for last in (False, True):
-        problem, start = sought(Line(freq, mobility, level, alpha), shape, start, note)
-        if last:
-            break
-        residues = problem.solve(start).residues
-        whole = Projection(Line(freq, mobility, level, alpha), shape)
-        left = noise.of_misfit(whole.misfit(start, residues)) * together
-        level = left if sigma is None else np.maximum(level, left)
-    assert start is not None
-    line = Line(freq, mobility, level, alpha)
-    found = problem.solve(start)
+    line = Line(freq, mobility, np.ones_like(mobility, dtype=np.float64), alpha)
+    together = noise.tied(alpha, line.step)
+    least = LEAST_NOISE * np.abs(mobility)
+    level = np.maximum(noise.of_neighbours(mobility) if sigma is None else sigma * together, least)
+    line = replace(line, sigma=level)
+    bins = 2 * mobility.size
+    kinds = {"viscous": (False,), "structural": (True,), "auto": (False, True)}[damping]
+    orders: list[tuple[Line, Shape, Poles, tuple[float, ...]]] = []
+    for structural in kinds:
+        kind = replace(shape, structural=structural)
+        with suppress(NothingFoundError):
+            quiet, poles, muted = _ordered(line, kind, note)
+            orders.append((quiet, kind, poles, muted))
+    if not orders:
+        raise NothingFoundError("no mode stands out of the noise")
+    line, shape, start, lines = min(orders, key=lambda order: _total(*order[:3]))
+    if shape.driving and len(orders) == 2 and np.ptp([_total(*order[:3]) for order in orders]) < _CLOSE * bins:
+        line, shape, start, lines = min(orders, key=lambda order: _total_of_real(*order[:3]))
+    wanted = Poles.at(keep, np.full(len(keep), _Q_WANTED))
+    for f in drop:
+        if not any(abs(np.log(start.freq[i] / f)) < _reach(start, i) for i in range(len(start))):
+            near = start.freq[np.argmin(np.abs(np.log(start.freq / f)))]
+            raise LookupError(f"there is no mode at {f:g} Hz; the nearest is at {near:.5g} Hz")
+    bent = Projection(line, shape)
+    found = bent.solve(start)
+    left = noise.of_misfit(bent.misfit(start, found.residues), bent.model(start, found.residues)) * together
+    level = np.maximum(left, least if sigma is None else level)
+    line = replace(line, sigma=level).without(lines) if lines else replace(line, sigma=level)
+    bent = Projection(line, shape)
+    start = _fixed(bent, pruned(bent, descend(bent, start, 20, 1e-7)[0])[0], wanted, drop)
+    start, found = descend(bent, start, 20, 1e-8)
     turned = float(np.median(found.chi2[:, len(start) : 2 * len(start)].mean(axis=0)))
-    if turned < TURNED:
-        # complex residues may stand for modes of their own: real ones that explain as much
-        straight, more = sought(line, replace(shape, complex=False), start, note)
-        if _akaike(straight, more) < _akaike(problem, start):
-            start = more
-    real, poles = straightened(line, shape, start)
-    while (fewer := _without_idle_edges(real, poles)) != real.shape:
-        # a residual term that is no passive body's, or none: modes near the band are sought in its place
-        cost = real.solve(poles).cost
-        shape = replace(shape, lower=fewer.lower, upper=fewer.upper)
-        real, poles = straightened(line, shape, poles)
-        if real.solve(poles).cost > cost + real.price:
-            _, more = sought(line, replace(shape, complex=False), poles, note)
-            real, poles = straightened(line, shape, more)
+    real, poles = Projection(line, replace(shape, complex=False)), start
+    # where damping couples modes, poles that real residues would move are further from the truth than those at hand
+    held = turned > TURNED and bool(shape.driving)
+    while True:
+        if held:
+            poles = without_negative(real, poles)
+        else:
+            poles = _fixed(real, straightened(line, real.shape, poles)[1], wanted, drop)
+            poles, _ = descend(real, poles, 20, 1e-8)
+        if (fewer := _without_idle_edges(real, poles)) == real.shape:
+            break
+        real = Projection(line, fewer)
     poles = poles.damped_beyond(float(freq[0]), float(freq[-1]))
-    return Modes(real, poles, real.solve(poles), (problem, start), iterations, turned)
+    return Modes(real, poles, real.solve(poles), (bent, start, found), iterations, lines, turned)
+
+
+def _ordered(line: Line, shape: Shape, note: Callable[[Iteration], None]) -> tuple[Line, Poles, tuple[float, ...]]:
+    """Modes, as many as it takes until the misfit is noise; the line with muted bins, and their frequencies."""
+    size, poles, lines = np.abs(line.mobility), Poles.none(), ()
+    best: tuple[Line, Poles, tuple[float, ...]] | None = None
+    before = np.inf
+    floor = float(np.median(line.sigma / np.maximum(size, 1e-300)))
+    for allowed in ALLOWED:
+        if 0 < allowed < 0.3 * floor:
+            continue
+        while True:
+            level = replace(line, sigma=np.hypot(line.sigma, allowed * size))
+            try:
+                problem, poles = sought(level, shape, poles if len(poles) else None, note)
+            except NothingFoundError:
+                break
+            more = mains(problem, poles)
+            if not more.size:
+                break
+            lines = (*lines, *poles.freq[more].tolist())
+            line, poles = line.without(poles.freq[more]), poles.without(more.tolist())
+        if not len(poles):
+            continue
+        fine, _ = descend(Projection(line, shape), poles, 20, 1e-6)
+        loud = _parts_above_noise(line, shape, fine)
+        if best is not None and loud >= before and len(poles) > len(best[1]):
+            break
+        best, before = (line, fine, lines), loud
+        if not loud:
+            break
+    if best is None:
+        raise NothingFoundError("no mode stands out of the noise")
+    return best
+
+
+def _total(line: Line, shape: Shape, poles: Poles) -> float:
+    """Chi-squared and the price of the modes."""
+    problem = Projection(line, shape)
+    return problem.solve(poles).cost + problem.price * len(poles)
+
+
+def _total_of_real(line: Line, shape: Shape, poles: Poles) -> float:
+    """The same of modes with real residues, which tell kinds of damping apart where complex ones adapt."""
+    problem, real = straightened(line.thinned(), shape, poles)
+    return problem.solve(real).cost + problem.price * len(real)
+
+
+def _parts_above_noise(line: Line, shape: Shape, poles: Poles) -> int:
+    """How many parts of the band, of all responses, have a misfit above the noise in most of their bins."""
+    whole = Projection(line, shape)
+    ratio = np.log(np.abs(whole.misfit(poles, whole.solve(poles).residues)) / line.sigma + 1e-300)
+    starts = np.arange(0, ratio.shape[1], _PART)
+    mean = np.add.reduceat(np.clip(ratio, -5, 5), starts, axis=1) / np.diff(np.append(starts, ratio.shape[1]))
+    # of complex Gaussian noise ln |e| / sigma is half of Euler's constant below 0
+    return int(np.count_nonzero(mean > np.log(_AT_NOISE) - 0.5 * np.euler_gamma))
+
+
+def _reach(poles: Poles, i: int) -> float:
+    """Distance of ln f up to which a frequency names a mode."""
+    return float(max(_NEAR, 0.5 / poles.quality[i]))
+
+
+def _fixed(problem: Projection, poles: Poles, wanted: Poles, drop: Sequence[float]) -> Poles:
+    """Modes less those dropped and those whose absence nobody would see, with those wanted."""
+    gone = [i for i in range(len(poles)) if any(abs(np.log(poles.freq[i] / f)) < _reach(poles, i) for f in drop)]
+    poles = descend(problem, poles.without(gone), 6, 1e-6)[0] if gone else poles
+    while len(weak := inaudible(problem, poles, wanted.freq)):
+        poles = descend(problem, poles.without(weak.tolist()), 6, 1e-6)[0]
+    missing = [f for f in wanted.freq if not len(poles) or np.abs(np.log(poles.freq / f)).min() > _NEAR]
+    if missing:
+        poles = descend(problem, poles.joined(Poles.at(missing, [_Q_WANTED] * len(missing))), 12, 1e-6)[0]
+    return poles
 
 
 def _without_idle_edges(problem: Projection, poles: Poles) -> Shape:
@@ -125,9 +265,3 @@ def _without_idle_edges(problem: Projection, poles: Poles) -> Shape:
     kept = (np.any(ratio > DOUBT, axis=0) & np.all(ratio > -DOUBT, axis=0))[len(poles) :].tolist()
     lower = bool(shape.lower and kept[0])
     return replace(shape, lower=lower, upper=bool(shape.upper and kept[-1]))
-
-
-def _akaike(problem: Projection, poles: Poles) -> float:
-    """Akaike's criterion: chi-squared and twice the parameters. BIC would take coupled damping for modes."""
-    each = 2 + (1 + problem.shape.complex) * problem.shape.free
-    return problem.solve(poles).cost + 2 * each * len(poles)

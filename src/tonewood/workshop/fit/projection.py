@@ -4,15 +4,16 @@ The mobility at point i under a force at j, on the line s = alpha + j w (alpha =
 
     Y_ij(s) = sum_k (A_ijk s + B_ijk w_k) / (s^2 + 2 zeta_k w_k s + w_k^2) + E_ij w_0 / s + C_ij s / w_0
 
-A real mode has B = 0. B is allowed while modes are sought: damping that couples modes turns residues by some degrees,
-and with B = 0 a search answers that by modes that are not there. E stands for modes below the
-band (a mass), C for those above it (a compliance).
+with viscous damping, and with s^2 + w_k^2 (1 + 2 j zeta_k) below the fraction where damping is structural (hysteretic):
+its loss does not rise with frequency. A real mode has B = 0. B is allowed while modes are sought: damping that couples
+modes turns residues by some degrees, and with B = 0 a search answers that by modes that are not there. E stands for
+modes below the band (a mass), C for those above it (a compliance).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +25,8 @@ Complexes = NDArray[np.complex128]
 
 #: relative ridge of normal equations whose columns have unit length
 _RIDGE = 1e-12
+#: steps around a line of the mains within which bins are muted
+_MUTED = 1.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,18 +121,29 @@ class Line:
         part = slice(first, stop)
         return Line(self.freq[part], self.mobility[:, part] - without, self.sigma[:, part], self.alpha, half)
 
+    @property
+    def step(self) -> float:
+        """Distance of bins, Hz; the median where it varies."""
+        return float(np.median(np.diff(self.freq)))
+
+    def without(self, freq: Sequence[float] | Floats) -> Line:
+        """Return the line with those bins muted that lie within a step of some frequencies, Hz."""
+        near = np.any(np.abs(self.freq[:, None] - np.asarray(freq)) <= _MUTED * self.step, axis=1)
+        return replace(self, sigma=np.where(near, 1e4, 1.0) * self.sigma)
+
     def thinned(self, resolution: float = 400.0) -> Line:
         """Weighted means of neighbouring bins, as many as lie within freq / resolution: modes up high are wide."""
-        step = self.freq[1] - self.freq[0]
+        step = np.gradient(self.freq)
         first, edges = 0, []
         while first < self.freq.size:
             edges.append(first)
-            first += max(1, int(self.freq[first] / (resolution * step)))
+            first += max(1, int(self.freq[first] / (resolution * step[first])))
         count, weight = np.diff(np.append(edges, self.freq.size)), 1 / self.sigma**2
         total = np.add.reduceat(weight, edges, axis=1)
         mean = np.add.reduceat(self.mobility * weight, edges, axis=1) / total
-        half = step * np.sqrt((count**2 - 1) / 12)
         centre = np.add.reduceat(self.freq, edges) / count
+        apart = (self.freq - np.repeat(centre, count)) ** 2
+        half = np.sqrt(np.add.reduceat(apart, edges) / count)
         return Line(centre, np.asarray(mean, dtype=np.complex128), total**-0.5, self.alpha, half)
 
 
@@ -143,6 +157,7 @@ class Shape:
     free : independent entries of a mode's shape: as many as there are points, whatever the number of references.
     complex : whether B is allowed.
     lower, upper : whether E and C are.
+    structural : whether damping is structural, else viscous.
     """
 
     driving: tuple[int, ...]
@@ -150,6 +165,7 @@ class Shape:
     complex: bool = True
     lower: bool = True
     upper: bool = True
+    structural: bool = False
 
 
 @dataclass(eq=False)
@@ -173,14 +189,14 @@ class LinearFit:
     follows: list[tuple[Floats, Floats]] = field(default_factory=list)
 
 
-def _columns(s: Complexes, poles: Poles) -> tuple[Complexes, Complexes, Complexes]:
-    """(K, N) of h = s / (s^2 + 2 zeta w s + w^2), dh/dln w, dh/dln zeta."""
+def _columns(s: Complexes, poles: Poles, structural: bool) -> tuple[Complexes, Complexes, Complexes]:
+    """(K, N) of h = s / (s^2 + loss + w^2), dh/dln w, dh/dln zeta; the loss is 2 zeta w s or 2j zeta w^2."""
     w, zeta = np.exp(poles.log_freq)[:, None], np.exp(poles.log_zeta)[:, None]
-    loss = 2 * zeta * w * s
+    loss = 2j * zeta * w * w + 0 * s if structural else 2 * zeta * w * s
     per = 1 / (s * s + loss + w * w)
     h = s * per
     turned = h * per
-    return h, -turned * (loss + 2 * w * w), -turned * loss
+    return h, -turned * ((1 + structural) * loss + 2 * w * w), -turned * loss
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,10 +240,11 @@ class Projection:
         """Columns of the residues, (K or 2K, N), and their slopes in ln w and ln zeta."""
         s, half = self.line.s, self.line.half_width
         if half is None or not half.any():
-            h, by_freq, by_zeta = _columns(s, poles)
+            h, by_freq, by_zeta = _columns(s, poles, self.shape.structural)
         else:
             off = 2j * np.pi * half
-            pair = zip(_columns(s + off, poles), _columns(s - off, poles), strict=True)
+            structural = self.shape.structural
+            pair = zip(_columns(s + off, poles, structural), _columns(s - off, poles, structural), strict=True)
             h, by_freq, by_zeta = (0.5 * (a + b) for a, b in pair)
         if not self.shape.complex:
             return h, [(by_freq, by_zeta)]
@@ -283,6 +300,6 @@ class Projection:
         """Standard deviations of ln w, ln zeta, (K,), and residues, (P, n), from the information matrix."""
         found = self.solve(poles, slopes=True)
         covariance = sla.pinvh(found.normal, rtol=1e-12)
-        residues = [np.sqrt(own + np.einsum("ij,jk,ik->i", f, covariance, f)) for f, own in found.follows]
+        variances = [own + np.einsum("ij,jk,ik->i", f, covariance, f) for f, own in found.follows]
         deviation, k = np.sqrt(np.maximum(np.diag(covariance), 0.0)), len(poles)
-        return deviation[:k], deviation[k:], np.array(residues)
+        return deviation[:k], deviation[k:], np.sqrt(np.maximum(variances, 0.0))

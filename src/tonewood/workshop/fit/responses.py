@@ -23,6 +23,10 @@ MOST_NEGATIVE = 0.05
 FEWEST_BINS = 32
 #: coherence below which a response is more noise than motion; bins of its running median
 LEAST_COHERENCE, _COHERENCE = 0.5, 31
+#: energy before the hit re that after it, above which time runs backwards
+_BEFORE = 4.0
+#: kg that a body of an instrument weighs as felt at a point
+LIGHTEST, HEAVIEST = 1e-5, 1e4
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +35,7 @@ class Responses:
 
     Attributes
     ----------
-    freq : (N,) Hz, rising, evenly spaced.
+    freq : (N,) Hz, rising.
     mobility : (P, N) (m/s)/N, velocity at a point over force at a reference.
     pairs : (point, reference) of each row.
     coherence : (P, N), or None.
@@ -79,7 +83,7 @@ class Responses:
         return tuple(i for i, (point, reference) in enumerate(self.pairs) if point == reference)
 
     def band(self, low: float | None, high: float | None) -> Responses:
-        """Return the part between two frequencies, without 0 Hz.
+        """Return the part between two frequencies, without 0 Hz and without bins that hold no finite number.
 
         Parameters
         ----------
@@ -91,6 +95,9 @@ class Responses:
         """
         first = max(low or 0.0, 0.0)
         inside = (self.freq >= first) & (self.freq > 0) & (self.freq <= (high or np.inf))
+        inside &= np.all(np.isfinite(self.mobility), axis=0)
+        for row in self.pressure.values():
+            inside &= np.isfinite(row)
         if np.count_nonzero(inside) < FEWEST_BINS:
             raise TonewoodError(
                 f"{np.count_nonzero(inside)} bins lie between {first:g} and {high or self.freq[-1]:g} Hz; "
@@ -128,46 +135,98 @@ class Responses:
         }
         return replace(self, pairs=pairs, pressure=pressure)
 
+    def reciprocal(self) -> Responses:
+        """Return these responses with point and reference exchanged where that makes a driven point the reference.
+
+        Y_ij = Y_ji: a hammer that goes from point to point beside one sensor tells the same as a sensor that does.
+        """
+        driven = {point for point, reference in self.pairs if point == reference}
+        heard = list(dict.fromkeys(point for point, _ in self.pairs))
+        # without any driving point the sensor that stayed is the reference of all
+        fixed = set(heard) if not driven and len(heard) < len(self.references) else driven
+        pairs = tuple(
+            (reference, point) if point in fixed and reference not in fixed and (reference, point) not in self.pairs
+            else (point, reference)
+            for point, reference in self.pairs
+        )  # fmt: skip
+        return replace(self, pairs=pairs)
+
+    def of_driven(self) -> tuple[Responses, tuple[str, ...]]:
+        """Return the responses from references that were measured themselves, and the names of the other references.
+
+        All of them, where no reference was.
+        """
+        driven = {self.pairs[i][1] for i in self.driving}
+        others = tuple(name for name in self.references if name not in driven)
+        if not driven or not others:
+            return self, ()
+        kept = [i for i, (_, reference) in enumerate(self.pairs) if reference in driven]
+        return replace(
+            self,
+            mobility=self.mobility[kept],
+            pairs=tuple(self.pairs[i] for i in kept),
+            coherence=None if self.coherence is None else self.coherence[kept],
+            pressure={key: row for key, row in self.pressure.items() if key[1] in driven},
+        ), others
+
     def checked(self) -> Responses:
-        """Return these responses if a passive body can have them.
+        """Return these responses if modes can be fitted to them.
 
         Raises
         ------
-        TonewoodError : values are not finite, bins are not evenly spaced, no driving point is among them, or one gives
-            energy back over more of the band than noise explains: a sign, a delay, or another form than was said; or
-            is incoherent over most of it.
+        TonewoodError : values are not finite or all 0, frequencies do not rise, or the body rings before the hit.
         """
         if not np.all(np.isfinite(self.mobility)):
             raise TonewoodError("responses hold values that are not finite numbers", key="responses")
-        step = np.diff(self.freq)
-        if np.any(step <= 0) or step.max() > 1.01 * step.min():
-            raise TonewoodError("bins are not evenly spaced; a constant step in Hz is allowed", key="freq_Hz")
-        for reference in self.references:
-            if (reference, reference) not in self.pairs:
-                raise TonewoodError(
-                    f"nothing was measured at {reference!r}, where the body was driven: shapes have no scale",
-                    key="responses",
-                )
+        if np.any(np.diff(self.freq) <= 0):
+            raise TonewoodError("frequencies do not rise from bin to bin", key="freq_Hz")
+        for (point, reference), row in zip(self.pairs, self.mobility, strict=True):
+            if np.count_nonzero(row) < FEWEST_BINS:
+                raise TonewoodError(f"the response {point}:{reference} is 0 in nearly all bins", key="responses")
+        if self.n_hits is not None and self.coherence is not None and not np.all(np.isfinite(self.coherence)):
+            raise TonewoodError(
+                "coherences hold values that are not finite numbers; without --hits they are not used", key="--hits"
+            )
+        # of exp(jwt) the second half of the period is the time before the hit
+        power = np.square(np.abs(np.fft.ifft(self.mobility, axis=1))).sum(axis=0)
+        half = power.size // 2
+        if power[half:].sum() > _BEFORE * power[:half].sum():
+            raise TonewoodError(
+                "the body rings before it is struck: imaginary parts of the other sign (a file for exp(-jwt): take the "
+                "conjugate), or force and response exchanged", key="responses",
+            )  # fmt: skip
+        return self
+
+    def no_body(self) -> str | None:
+        """Return why no passive body can have these responses, in one line that says what to look for, or None."""
+        if not self.driving:
+            return (
+                "no driving point: " + self._not_driven() + "; a passive body needs a response where it was driven "
+                "(--driving NAME says which point that was)"
+            )
         for i in self.driving:
+            name = self.pairs[i][0]
             clear = 2 * noise.of_neighbours(self.mobility[i : i + 1])[0]
             negative = float(np.mean(self.mobility[i].real < -clear))
             if negative > MOST_NEGATIVE:
-                raise TonewoodError(
-                    f"the driving-point mobility of {self.pairs[i][0]!r} has a negative real part over {negative:.0%} "
-                    "of the band: a channel's sign, --form or a delay between channels is wrong, or hits were cut off "
-                    "while they rang (--window-tau)",
-                    key="responses",
+                return (
+                    f"the driving-point mobility of {name!r} has a negative real part over {negative:.0%} of the band; "
+                    "likely causes: the sensor did not stand where the hammer struck, a channel's sign is wrong "
+                    "(--scale -1), --form is wrong, a delay between channels, or hits were cut off while they rang "
+                    "(--window-tau)"
                 )
-            self._weighed(i)
-            ranges = self.incoherent(i)
-            if sum(high - low for low, high in ranges) > 0.5 * (self.freq[-1] - self.freq[0]):
-                shown = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in ranges[:3])
-                raise TonewoodError(
-                    f"the coherence at {self.pairs[i][0]!r} is below {LEAST_COHERENCE:g} over most of the band "
-                    f"({shown} Hz): the hammer did not reach there, or the channels are not of one measurement",
-                    key="--band",
+            size = float(np.median(np.abs(self.mobility[i])))
+            apparent = 1.0 / (2 * np.pi * np.sqrt(self.freq[0] * self.freq[-1]) * max(size, 1e-300))
+            if not LIGHTEST < apparent < HEAVIEST:
+                return (
+                    f"the median mobility of {name!r} is {size:.3g} (m/s)/N, that of {apparent:.3g} kg in the middle "
+                    f"of the band; {LIGHTEST:g} to {HEAVIEST:g} kg are a body: check units, --scale and --sensitivity"
                 )
-        return self
+        return None
+
+    def _not_driven(self) -> str:
+        references = ", ".join(repr(name) for name in self.references[:3])
+        return f"the sensor did not stand where the hammer struck ({references})"
 
     def incoherent(self, i: int) -> list[tuple[float, float]]:
         """Return the parts of the band, Hz, in which the coherence of response `i` (running median) is too low."""
@@ -176,17 +235,6 @@ class Responses:
         low = median_filter(self.coherence[i], size=min(_COHERENCE, self.freq.size), mode="mirror") < LEAST_COHERENCE
         edges = np.flatnonzero(np.diff(np.concatenate([[False], low, [False]]).astype(np.int8)))
         return [(float(self.freq[a]), float(self.freq[b - 1])) for a, b in edges.reshape(-1, 2)]
-
-    def _weighed(self, i: int) -> None:
-        """No body of an instrument weighs less than 10 mg or more than 10 t as felt at a point."""
-        size = float(np.median(np.abs(self.mobility[i])))
-        apparent = 1.0 / (2 * np.pi * np.sqrt(self.freq[0] * self.freq[-1]) * max(size, 1e-300))
-        if not 1e-5 < apparent < 1e4:
-            raise TonewoodError(
-                f"the median mobility of {self.pairs[i][0]!r} is {size:.3g} (m/s)/N, that of {apparent:.3g} kg in the "
-                "middle of the band; 1e-5 to 1e4 kg are allowed: check units and --sensitivity",
-                key="responses",
-            )
 
 
 def to_mobility(response: Complexes, freq: Floats, form: str, alpha: float = 0.0) -> Complexes:

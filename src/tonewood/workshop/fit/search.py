@@ -8,7 +8,7 @@ joined. See `projection` for the model and the price.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,12 +21,14 @@ from tonewood.workshop.fit.projection import Line, LinearFit, Poles, Projection,
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-#: damping ratios of modes that the bins and the neighbouring modes can show
-ZETA_LOW, ZETA_HIGH = 1e-5, 0.35
+#: damping ratios of modes that the bins and the neighbouring modes can show; least bandwidth in steps of the bins
+ZETA_LOW, ZETA_HIGH, NARROWEST = 1e-5, 0.35, 0.05
 #: frequencies, re the ends of the band, up to which a pole may leave it: it stands for modes there
 BELOW, ABOVE = 0.5, 1.6
 #: standard deviations beyond which a residue's sign is taken to be known
 DOUBT = 3.0
+#: dB by which a mode has to change the fit
+CHANGE = 0.05
 #: Q of the matched filters
 _QUALITIES = (3, 6, 12, 25, 50, 100, 200, 400, 800)
 #: modes added in an iteration, and most iterations
@@ -60,6 +62,7 @@ def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tupl
     """Move poles downhill until a step gains less than `enough` of the cost, at most `most` steps."""
     band = problem.line.freq
     low, high = np.log(2 * np.pi * band[0] * BELOW), np.log(2 * np.pi * band[-1] * ABOVE)
+    least = np.log(np.maximum(ZETA_LOW, 0.5 * NARROWEST * problem.line.step / poles.freq))
     k, damping = len(poles), 1e-3
     found = problem.solve(poles, slopes=True)
     for _ in range(most):
@@ -72,7 +75,7 @@ def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tupl
             zeta = np.exp(poles.log_zeta)
             moved = Poles(
                 np.clip(poles.log_freq + np.clip(step[:k], -zeta, zeta), low, high),
-                np.clip(poles.log_zeta + np.clip(step[k:], -0.3, 0.3), np.log(ZETA_LOW), np.log(ZETA_HIGH)),
+                np.clip(poles.log_zeta + np.clip(step[k:], -0.3, 0.3), least, np.log(ZETA_HIGH)),
             )
             # the normal equations are as dear as the cost twice over: they are made at once, for a step is mostly taken
             there = problem.solve(moved, slopes=True)
@@ -123,13 +126,19 @@ def _around(problem: Projection, poles: Poles, residues: Floats, mine: NDArray[n
 
 
 def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, LinearFit]:
-    """Take modes away that gain less than their price, or whose residue at a driving point is negative."""
+    """Take modes away that gain less than their price, or whose residue at a driving point is negative.
+
+    Raises
+    ------
+    NothingFoundError : all are such.
+    """
     while True:
         found = problem.solve(poles)
         k = len(poles)
         n = (1 + problem.shape.complex) * k
         gain = found.chi2[:, :n].reshape(-1, k).sum(axis=0)
         wrong = _never_positive(found.residues[:, :k], found.chi2[:, :k], problem.shape.driving)
+        wrong |= _unresolved(poles, gain, problem.line)
         weak = np.flatnonzero(wrong | (gain < problem.price))
         if not weak.size or k <= 1:
             return poles, found
@@ -139,7 +148,75 @@ def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, Li
             # neighbours stand in for each other: one of them at a time
             if all(abs(poles.log_freq[i] - poles.log_freq[j]) > 4 * (zeta[i] + zeta[j]) for j in gone):
                 gone.append(int(i))
+        if len(gone) == k:
+            raise NothingFoundError("no mode that is passive stands out of the noise")
         poles, _ = descend(problem, poles.without(gone), steps, 1e-3)
+
+
+def without_negative(problem: Projection, poles: Poles) -> Poles:
+    """Leave out modes that would create energy; the others stay where they are."""
+    while True:
+        found, k = problem.solve(poles), len(poles)
+        wrong = _never_positive(found.residues[:, :k], found.chi2[:, :k], problem.shape.driving)
+        if not wrong.any() or k <= 1:
+            return poles
+        # neighbours stand in for each other: the one that gains least at a time
+        poles = poles.without([int(np.argmin(np.where(wrong, found.chi2[:, :k].sum(axis=0), np.inf)))])
+
+
+def _unresolved(poles: Poles, gain: Floats, line: Line) -> NDArray[np.bool_]:
+    """(K,) modes that lie within the distance of two bins of one that gains more: a peak's shape, not another mode."""
+    near = np.abs(poles.freq[:, None] - poles.freq) < 2 * line.step
+    narrow = poles.freq / poles.quality < 2 * line.step
+    return np.asarray(np.any(near & narrow & (gain > gain[:, None]), axis=1))
+
+
+def mains(problem: Projection, poles: Poles) -> NDArray[np.intp]:
+    """Return which modes a few bins alone show: lines of the mains and the like.
+
+    A mode narrower than two steps has to be worth its price in the bins beside its four best.
+    """
+    line, found = problem.line, problem.solve(poles)
+    k, step = len(poles), np.gradient(line.freq)
+    weight, misfit = np.sqrt(2) / line.sigma, problem.misfit(poles, found.residues)
+    columns, out = problem.columns(poles)[0], []
+    for i in np.flatnonzero(poles.freq / poles.quality < 2 * np.interp(poles.freq, line.freq, step)):
+        if not line.freq[0] < poles.freq[i] < line.freq[-1]:
+            continue
+        rows = [i + m * k for m in range(1 + problem.shape.complex)]
+        own = found.residues[:, rows] @ columns[rows]
+        gain = ((np.abs(misfit + own) ** 2 - np.abs(misfit) ** 2) * weight**2).sum(axis=0)
+        if np.sort(gain)[:-4].sum() < problem.price:
+            out.append(i)
+    return np.array(out, dtype=np.intp)
+
+
+def inaudible(problem: Projection, poles: Poles, wanted: Floats) -> NDArray[np.intp]:
+    """Return the mode, if any, without which the fit changes least, and by less than 0.05 dB.
+
+    The others' residues adapt; compared are the r.m.s. levels of data re model within two bandwidths, and ten bins at
+    least, of the mode, at the response where it matters most.
+    """
+    line, full = problem.line, problem.solve(poles)
+    level = np.abs(line.mobility)
+    best = _decibels(level, problem.model(poles, full.residues))
+    found: tuple[float, int] = (CHANGE, -1)
+    for i in range(len(poles) if len(poles) > 1 else 0):
+        if wanted.size and np.abs(np.log(wanted / poles.freq[i])).min() < 0.03:
+            continue
+        fewer = poles.without([i])
+        without = _decibels(level, problem.model(fewer, problem.solve(fewer).residues))
+        reach = 2 * poles.freq[i] / poles.quality[i] + 5 * line.step
+        near = np.abs(line.freq - poles.freq[i]) <= reach
+        if not near.any():  # beyond the band: it stands for modes there
+            near = np.ones_like(near)
+        change = np.sqrt(np.mean(without[:, near] ** 2, axis=1)) - np.sqrt(np.mean(best[:, near] ** 2, axis=1))
+        found = min(found, (float(change.max()), i))
+    return np.array([found[1]] if found[1] >= 0 else [], dtype=np.intp)
+
+
+def _decibels(level: Floats, model: Complexes) -> Floats:
+    return np.asarray(20 * np.log10(np.maximum(np.abs(model), 1e-300) / np.maximum(level, 1e-300)))
 
 
 def _never_positive(residues: Floats, chi2: Floats, driving: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -205,13 +282,11 @@ class MatchedFilters:
 
     @cached_property
     def _grid(self) -> tuple[Floats, Floats]:
-        freq = self.problem.line.freq
-        step = float(np.median(np.diff(freq)))
-        at, quality = [], []
+        freq, at, quality = self.problem.line.freq, [], []
         for q in _QUALITIES:
             # a resonance narrower than two bins cannot be distinguished from a wider one
             f = np.exp(np.arange(np.log(freq[0]), np.log(freq[-1]), 0.3 / q))
-            f = f[f / q > 0.5 * step]
+            f = f[f / q > 0.5 * np.interp(f, freq, np.gradient(freq))]
             at.append(f)
             quality.append(np.full(len(f), float(q)))
         return np.concatenate(at), np.concatenate(quality)
@@ -220,15 +295,14 @@ class MatchedFilters:
     def _filters(self) -> tuple[list[sp.csr_array], Floats]:
         """Conjugate whitened resonances of each response, (grid, N), and their squared lengths, (P, grid)."""
         line, (at, quality) = self.problem.line, self._grid
-        step = float(np.median(np.diff(line.freq)))
-        reach = 6 * at / quality + 3 * step
+        reach = 6 * at / quality + 3 * np.interp(at, line.freq, np.gradient(line.freq))
         first = np.searchsorted(line.freq, at - reach)
         count = np.searchsorted(line.freq, at + reach) - first
         row = np.repeat(np.arange(at.size), count)
         starts = np.concatenate([[0], np.cumsum(count)])
         bins = np.arange(starts[-1]) - np.repeat(starts[:-1], count) + np.repeat(first, count)
         s, w, q = line.s[bins], 2 * np.pi * at[row], quality[row]
-        resonance = s / (s * s + w / q * s + w * w)
+        resonance = s / (s * s + (1j * w * w / q if self.problem.shape.structural else w / q * s) + w * w)
         filters, lengths = [], []
         for sigma in line.sigma:
             values = resonance.conj() * (np.sqrt(2) / sigma[bins])
@@ -287,7 +361,7 @@ def sought(
 
 def straightened(line: Line, shape: Shape, poles: Poles) -> tuple[Projection, Poles]:
     """Real residues to poles found with complex ones, on all bins: the nearest real modes. None is added."""
-    real = Projection(line, Shape(shape.driving, shape.free, False, shape.lower, shape.upper))
+    real = Projection(line, replace(shape, complex=False))
     poles, _ = pruned(real, descend(real, poles, 8, 1e-5)[0])
     poles, _ = joined(real, poles)
-    return real, descend(real, poles, 4, 1e-6)[0]
+    return real, descend(real, poles, 20, 1e-7)[0]

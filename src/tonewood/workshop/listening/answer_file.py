@@ -7,6 +7,8 @@ shown again.
 
 The analysis reads on past damage: a line that is no answer of this course is left out and reported, the others count.
 A session with such a line is not continued.
+
+A listener may withdraw: the file is deleted, and ``withdrawn.log`` keeps the time and the number of answers, no more.
 """
 
 from __future__ import annotations
@@ -23,11 +25,14 @@ from typing import Any
 from tonewood.errors import OutputError
 from tonewood.support.whole_files import remove
 from tonewood.workshop.batch.definition import ANSWERS
+from tonewood.workshop.batch.pages import TrialPage
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.session import Session
 
 SCHEMA = "tonewood-answers/1"
 FOLDER = ANSWERS
+#: one line for each listener who withdrew
+WITHDRAWN = "withdrawn.log"
 #: 128 random bits: a listener cannot guess the session of another one
 _TOKEN = re.compile(r"[0-9a-f]{32}")
 #: key of the header -> type
@@ -54,6 +59,7 @@ class ListenerAnswers:
     length : bytes of whole lines.
     torn : number of the last line if it was cut off, else 0.
     left_out : lines that are no answers.
+    failed : whether a check of headphones ended the test.
     """
 
     path: Path
@@ -63,6 +69,7 @@ class ListenerAnswers:
     length: int
     torn: int
     left_out: tuple[LeftOut, ...] = ()
+    failed: bool = False
 
     @property
     def listener(self) -> str:
@@ -120,6 +127,10 @@ def _parsed(path: Path, raw: bytes) -> ListenerAnswers:
     for key, kind in _HEADER.items():
         if type(header.get(key)) is not kind:
             raise ListeningError(f"{header.get(key)!r} is no {kind.__name__}", file=path, line=1, key=key)
+    try:
+        place_of(header)
+    except ListeningError as fault:
+        raise ListeningError(fault.reason, file=path, line=1, key="place") from None
     if header["token"] != path.stem:
         raise ListeningError("is the file of another session: its name is not its token", file=path, key="token")
     torn = len(whole) + 1 if rest else 0
@@ -177,10 +188,82 @@ class OpenSession:
         return record
 
 
+def free_place(test: ListeningTest) -> int:
+    """The least place that no listener holds: of those who withdrew or did not pass a check, it is given again.
+
+    Only pages with `subset` need places; without them it is 0.
+    """
+    if not any(isinstance(page, TrialPage) and page.subset is not None for page in test.pages):
+        return 0
+    taken = set()
+    for path in (test.folder / FOLDER).glob("*.jsonl"):
+        try:
+            found = read(path)
+            at_check = bool(found.records) and found.records[-1].get("type") == "headphones"
+            if at_check and _replayed(test, found)[0].failed is not None:
+                continue
+            taken.add(place_of(found.header))
+        except (ListeningError, LookupError, TypeError):  # the analysis reports it
+            continue
+    return next(k for k in range(len(taken) + 1) if k not in taken)
+
+
+def place_of(header: Mapping[str, Any]) -> int:
+    """Place of a listener; 0 in files of earlier versions, which had none.
+
+    Raises
+    ------
+    ListeningError : it is no such number.
+    """
+    place = header.get("place", 0)
+    if type(place) is not int or not 0 <= place < 2**31:
+        raise ListeningError(f"{place!r} is no number of a listener", key="place")
+    return place
+
+
+def withdraw(test: ListeningTest, token: str, *, now: str) -> bool:
+    """Delete the answers of a session, damaged or not; returns whether there were any.
+
+    Raises
+    ------
+    OutputError : the file cannot be removed.
+    """
+    path = test.folder / FOLDER / f"{token}.jsonl"
+    try:
+        if not _TOKEN.fullmatch(token) or not path.is_file():
+            return False
+        line = json.dumps({"time": now, "answers": _lines_after_the_first(path)}) + "\n"
+        path.unlink()
+        _sync(path.parent)
+        with (path.parent / WITHDRAWN).open("ab") as stream:
+            stream.write(line.encode())
+    except OSError as fault:
+        raise OutputError(f"cannot be removed: {fault.strerror}", file=path) from None
+    return True
+
+
+def withdrawn(test: ListeningTest) -> int:
+    """Number of listeners who withdrew."""
+    try:
+        return (test.folder / FOLDER / WITHDRAWN).read_bytes().count(b"\n")
+    except OSError:
+        return 0
+
+
+def exported(opened: OpenSession) -> dict[str, Any]:
+    """What a listener gave, for the listener: no code, level or right answer is in it."""
+    kept = ("page", "type", "training", "repetition", "answer", "time")
+    header = {key: opened.header[key] for key in ("test", "listener", "language", "started")}
+    return {
+        **header,
+        "answers": [{key: record[key] for key in kept if key in record} for record in opened.session.answers],
+    }
+
+
 def begin(
     test: ListeningTest, *, language: str, listener: str, started: str, seed: int | None = None, simulated: bool = False
 ) -> OpenSession:
-    """Begin a session: make its file.
+    """Begin a session: make its file. Two calls at one time would give one place twice.
 
     Raises
     ------
@@ -196,6 +279,7 @@ def begin(
         "listener": printable(listener),
         "language": language,
         "seed": own_seed,
+        "place": free_place(test),
         "started": started,
         "simulated": simulated,
     }
@@ -213,7 +297,7 @@ def begin(
         _sync(path.parent)
     except OSError as fault:
         raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
-    return OpenSession(Session(test, own_seed), header, path, len(line))
+    return OpenSession(Session(test, own_seed, place_of(header)), header, path, len(line))
 
 
 def clear_parts(test: ListeningTest) -> None:
@@ -288,14 +372,15 @@ def _replayed(test: ListeningTest, found: ListenerAnswers) -> tuple[Session, Lis
 
     A record that does not fit is left out. One that fits a later step is taken there: the answers between are missing.
     """
-    session = Session(test, found.header["seed"])
+    seed, place = found.header["seed"], found.header.get("place", 0)
+    session = Session(test, seed, place)
     history: list[dict[str, Any] | None] = []  # None: passed over
     kept: list[tuple[int, dict[str, Any]]] = []
     left_out = list(found.left_out)
     for line, record in zip(found.lines, found.records, strict=True):
         fault = _misfit(session, record)
         if fault is not None:
-            ahead = Session(test, found.header["seed"])
+            ahead = Session(test, seed, place)
             for old in history:
                 ahead.pass_over() if old is None else ahead.take(old)
             skipped = 0
@@ -315,7 +400,11 @@ def _replayed(test: ListeningTest, found: ListenerAnswers) -> tuple[Session, Lis
         history.append(made)
         kept.append((line, record))
     return session, replace(
-        found, records=[record for _, record in kept], lines=[line for line, _ in kept], left_out=tuple(left_out)
+        found,
+        records=[record for _, record in kept],
+        lines=[line for line, _ in kept],
+        left_out=tuple(left_out),
+        failed=session.failed is not None,
     )
 
 

@@ -2,16 +2,16 @@
 
 *Linear analysis*: main effects over all cells and interactions of two factors. Where every listener answered every
 cell, each effect is tested against the listeners' own differences in it (`tonewood.workshop.listening.strata`). Where
-answers are missing, a mixed model is fitted (`tonewood.workshop.listening.mixed`): a random intercept of each
-listener, and a random deviation of each listener in each effect of which a listener has more answers than cells; of
-random sounds likewise. A variance that is estimated as 0 is kept at 0. Degrees of freedom are Satterthwaite's, but
-never more than the design has: those of the effect times (listeners - 1), or (sounds - 1) where these are fewer.
+answers are missing, the cell means that are there are fitted, and tested against the same differences between listeners
+(`tonewood.workshop.listening.incomplete`).
 
 *Rank analysis*: for each factor Friedman's test on the listeners' means of its levels, with Kendall's W as effect size,
 and Wilcoxon's signed-rank test of each pair of levels with the matched-pairs rank-biserial correlation, p by Holm. It
 asks for no normal distribution. *Superiority* asks for no equal spacing of grades either: the share of comparisons
 within a listener, all else equal, in which one level is rated above another (a tie counts half), with Student's
-interval of the listeners' shares. Any rising change of the scale leaves it as it is, and so does a scale that ends.
+interval of the listeners' shares. Where all n listeners have the same share, an unseen part of the listeners of up to
+1 - (alpha / 2)^(1 / n) may have any other (Clopper and Pearson's bound), and p is that of the sign test. Any rising
+change of the scale leaves the share as it is, and so does a scale that ends.
 
 *Bradley-Terry*: P(b over a) = 1 / (1 + e^(v_a - v_b)), sum v = 0, by maximum likelihood; a tie is half an answer each.
 Answers of a listener belong together: the covariance matrix is the sandwich of the listeners' scores, n / (n - 1)
@@ -29,10 +29,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.workshop.listening import mixed, strata
+from tonewood.workshop.listening import strata
+from tonewood.workshop.listening.cells import Cells, Rows, cells_of
+from tonewood.workshop.listening.incomplete import CrossedFit, IncompleteFit
 from tonewood.workshop.listening.means import listener_means, student_interval, unique
 
-Rows = Sequence[Mapping[str, Any]]
 Array = NDArray[np.float64]
 #: share of answers at an end of the scale beyond which differences of means mislead
 END_SHARE = 0.15
@@ -98,22 +99,25 @@ class LinearAnalysis:
     tests: tuple[FactorTest, ...]
     cell_sd: float
     at_ends: float | None
-    converged: bool = True
     notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Superiority:
-    """Share of comparisons in which `second` is rated above `first`, with its interval and the test against a half."""
+    """Share of comparisons in which `second` is rated above `first`, with its interval and the test against a half.
+
+    `p_holm` is adjusted for the pairs of the same factor.
+    """
 
     factor: str
     first: str
     second: str
     listeners: int
     share: float
-    low: float | None
-    high: float | None
+    low: float
+    high: float
     p_value: float
+    p_holm: float
 
 
 @dataclass(frozen=True)
@@ -166,24 +170,18 @@ def linear_analysis(
     random : factors whose levels are a random sample of many (of notes, of pieces).
     ends : of the scale.
     """
-    used = [f for f in factors if f not in random and len({row[f] for row in rows}) > 1]
-    sampled = tuple(f for f in factors if f in random and len({row[f] for row in rows}) > 1)
-    who = unique([str(row["listener"]) for row in rows])
-    if not used or len(who) < 3:
+    data = cells_of(rows, factors, levels, random)
+    if data is None:
         return None
-    given = {f: {str(row[f]) for row in rows} for f in used}
-    there = {f: [v for v in levels[f] if v in given[f]] for f in used}
-    data = _Cells(rows, used, sampled, there, who)
-    contrasts = strata.contrasts(data.cells, there)
+    sampled = data.sampled
+    contrasts = strata.contrasts(data.cells, data.levels)
     notes = [f"interaction left out, it has empty cells: {' : '.join(e)}" for e in contrasts.without if len(e) > 1]
     notes += [f"{e[0]} cannot be told from the other factors" for e in contrasts.without if len(e) == 1]
     if not contrasts.bases:
         return None
-    values = np.array([row["value"] for row in rows], dtype=np.float64)
-    cell_sd = data.cell_sd()
+    values, cell_sd = data.value, data.cell_sd()
     at_ends = None if ends is None else float(np.mean((values <= ends[0]) | (values >= ends[1])))
-    few = bool(sampled) and len(data.sounds) < 2
-    exact = data.complete and not few
+    exact = data.complete
     if exact:
         estimates, tests = _by_strata(data, contrasts, confidence, bool(sampled))
         what = (
@@ -192,10 +190,19 @@ def linear_analysis(
             else "Greenhouse-Geisser degrees of freedom as corrected by Huynh and Feldt"
         )
         method = f"analysis of variance by strata, {what}; each difference against its own spread over the listeners"
-        converged = True
     else:
-        estimates, tests, method, converged, more = _by_mixed_model(data, contrasts, confidence)
-        notes += more
+        design = data.design(contrasts)
+        fit = CrossedFit(data.means, design) if sampled else IncompleteFit(data.means[:, 0], design)
+        estimates = {e: fit.estimated(rows, confidence) for e, rows in contrasts.differences.items()}
+        tests = {e: fit.tested(basis) for e, basis in contrasts.bases.items()}
+        of = "listeners and of sounds" if sampled else "listeners"
+        what = "quasi-F" if sampled else "F by the trace, with degrees of freedom as corrected by Huynh and Feldt"
+        method = (
+            f"least squares of the listeners' cell means, some missing, with variances that are robust by clusters of "
+            f"{of} (CR2) and Satterthwaite's degrees of freedom (Bell and McCaffrey 2002); {what}"
+        )
+        empty = int(np.sum(np.isnan(data.means)))
+        notes.append(f"{empty} of {data.means.size} cells of listeners have no answer")
     terms = []
     for effect, one in estimates.items():
         adjusted = strata.holm(one.p_value)
@@ -209,123 +216,24 @@ def linear_analysis(
     named = [
         FactorTest(
             " : ".join(e), "F", float(t.statistic), float(t.df1), float(t.p_value), df2=float(t.df2),
-            p_greenhouse=float(t.p_greenhouse) if exact else None,
+            p_greenhouse=None if sampled else float(t.p_greenhouse),
         )
         for e, t in tests.items()
     ]  # fmt: skip
     formula = "value ~ " + " + ".join(":".join(effect) for effect in contrasts.bases)
     return LinearAnalysis(
-        formula, method, exact, len(rows), len(who), sampled, tuple(terms), tuple(named), cell_sd, at_ends, converged,
+        formula, method, exact, len(rows), len(data.who), sampled, tuple(terms), tuple(named), cell_sd, at_ends,
         tuple(notes),
     )  # fmt: skip
-
-
-class _Cells:
-    """Answers by listener, random sound and cell of the fixed factors."""
-
-    def __init__(
-        self,
-        rows: Rows,
-        used: Sequence[str],
-        sampled: Sequence[str],
-        levels: Mapping[str, Sequence[str]],
-        who: list[str],
-    ):
-        own = [tuple(str(row[f]) for f in used) for row in rows]
-        self.cells = sorted(set(own), key=lambda cell: [levels[f].index(v) for f, v in zip(used, cell, strict=True)])
-        items = [tuple(str(row[f]) for f in sampled) for row in rows]
-        self.sounds = unique(items)
-        place = {cell: i for i, cell in enumerate(self.cells)}
-        listeners = {name: i for i, name in enumerate(who)}
-        item = {name: i for i, name in enumerate(self.sounds)}
-        self.value = np.array([row["value"] for row in rows], dtype=np.float64)
-        self.cell = np.array([place[cell] for cell in own])
-        self.listener = np.array([listeners[str(row["listener"])] for row in rows])
-        self.sound = np.array([item[name] for name in items])
-        self.levels, self.used = levels, list(used)
-        shape = (len(who), len(self.sounds), len(self.cells))
-        flat = np.ravel_multi_index((self.listener, self.sound, self.cell), shape)
-        count = np.bincount(flat, minlength=math.prod(shape)).reshape(shape)
-        self.complete = bool(np.all(count > 0))
-        with np.errstate(invalid="ignore"):
-            self.means = np.bincount(flat, self.value, math.prod(shape)).reshape(shape) / count
-
-    def cell_sd(self) -> float:
-        """Standard deviation of the answers within a cell."""
-        where = self.cell * len(self.sounds) + self.sound
-        _, at, counts = np.unique(where, return_inverse=True, return_counts=True)
-        means = np.bincount(at, self.value) / counts
-        free = len(self.value) - len(counts)
-        return math.sqrt(float(np.sum((self.value - means[at]) ** 2)) / free) if free > 0 else 0.0
 
 
 Results = tuple[dict[strata.EffectName, strata.Estimated], dict[strata.EffectName, strata.Tested]]
 
 
-def _by_strata(data: _Cells, contrasts: strata.Contrasts, confidence: float, sounds: bool) -> Results:
+def _by_strata(data: Cells, contrasts: strata.Contrasts, confidence: float, sounds: bool) -> Results:
     y = data.means if sounds else data.means[:, 0]
     estimates = {e: strata.estimated(y, rows, confidence, sounds=sounds) for e, rows in contrasts.differences.items()}
     return estimates, {e: strata.tested(y, basis, sounds=sounds) for e, basis in contrasts.bases.items()}
-
-
-def _by_mixed_model(
-    data: _Cells, contrasts: strata.Contrasts, confidence: float
-) -> tuple[dict[strata.EffectName, strata.Estimated], dict[strata.EffectName, strata.Tested], str, bool, list[str]]:
-    """The mixed model of the module; random deviations of one variance for each effect."""
-    from scipy.special import fdtrc, stdtr, stdtrit
-
-    codes: dict[strata.EffectName, Any] = {
-        (f,): np.array([data.levels[f].index(cell[i]) for cell in data.cells]) for i, f in enumerate(data.used)
-    }
-    coded: dict[strata.EffectName, Any] = {e: strata.coded(codes[e], len(data.levels[e[0]])) for e in codes}
-    columns = {
-        e: coded[e] if len(e) == 1
-        else np.einsum("ki,kj->kij", coded[e[:1]], coded[e[1:]]).reshape(len(data.cells), -1)
-        for e in contrasts.bases
-    }  # fmt: skip
-    x = np.hstack([np.ones((len(data.cells), 1)), *columns.values()])
-    one = np.ones((len(data.value), 1))
-    terms, names, limits = [], [], dict.fromkeys(columns, math.inf)
-    samples = [("listener", data.listener)] + ([("sound", data.sound)] if len(data.sounds) > 1 else [])
-    for name, of in samples:
-        terms.append(mixed.RandomTerm(one, of))
-        names.append(f"(1 | {name})")
-        size = int(of.max()) + 1
-        for effect in columns:
-            level = sum(codes[f,] * 1000**i for i, f in enumerate(effect))[data.cell]
-            groups = np.unique(of * 1000 ** (len(effect) + 1) + level, return_inverse=True)[1]
-            if groups.max() + 1 == len(data.value):
-                continue  # one answer each: the deviation is the residual's
-            terms.append(mixed.RandomTerm(one, groups))
-            names.append(f"(1 | {name}:{':'.join(effect)})")
-        for effect, own in columns.items():
-            limits[effect] = min(limits[effect], own.shape[1] * (size - 1))
-    fit = mixed.fit(data.value, x[data.cell], terms)
-    zero = [n for n, c in zip(names, fit.covariances, strict=True) if c[0, 0] == 0]
-    notes = [f"variance estimated as 0, degrees of freedom are the design's: {', '.join(zero)}"] if zero else []
-    estimates, tests, at = {}, {}, 1
-    for effect, own in columns.items():
-        k = own.shape[1]
-        select = np.zeros((k, x.shape[1]))
-        select[:, at : at + k] = np.eye(k)
-        at += k
-        sizes = [len(data.levels[f]) for f in effect]
-        steps: Any = strata.steps(sizes[0])
-        for n in sizes[1:]:
-            steps = np.kron(steps, strata.steps(n))
-        rows = steps @ select
-        value = rows @ fit.beta
-        error = np.sqrt(np.einsum("ij,jk,ik->i", rows, fit.covariance, rows))
-        df = np.maximum(np.array([min(fit.df(row), limits[effect]) for row in rows]), 1.0)
-        half = stdtrit(df, (1 + confidence) / 2) * error
-        p = 2 * stdtr(df, -np.abs(value) / error)
-        estimates[effect] = strata.Estimated(value, value - half, value + half, df, p)
-        f, df2 = fit.f_test(select)
-        df2 = max(min(df2, limits[effect]), 1.0)
-        p_value = fdtrc(k, df2, f)
-        tests[effect] = strata.Tested(f, float(k), df2, p_value, 1.0, p_value)
-    method = f"linear mixed model with {' + '.join(names)} by REML, Satterthwaite's degrees of freedom"
-    return estimates, tests, method, fit.converged, notes
 
 
 def rank_analysis(rows: Rows, factors: Sequence[str], confidence: float = 0.95) -> RankAnalysis:
@@ -370,29 +278,40 @@ def rank_analysis(rows: Rows, factors: Sequence[str], confidence: float = 0.95) 
 
 def _superiorities(rows: Rows, factors: Sequence[str], confidence: float) -> list[Superiority]:
     """Shares of preference of each pair of levels."""
-    from scipy.special import stdtr
-
     found = []
     for factor in factors:
         own: dict[tuple[str, ...], dict[str, list[float]]] = {}
         for row in rows:
             place = (str(row["listener"]), *_cell(row, factors, factor))
             own.setdefault(place, {}).setdefault(str(row[factor]), []).append(float(row["value"]))
+        pairs = []
         for a, b in itertools.combinations(unique([str(row[factor]) for row in rows]), 2):
             shares: dict[str, list[float]] = {}
             for (who, *_), values in own.items():
                 if a in values and b in values:
                     over = np.sign(np.subtract.outer(values[b], values[a]))
                     shares.setdefault(who, []).append(float(0.5 + 0.5 * over.mean()))
-            each = np.array([float(np.mean(s)) for s in shares.values()])
-            if (n := len(each)) < 3:
-                continue
-            mean, low, high = student_interval(list(each), confidence)
-            error = float(each.std(ddof=1)) / math.sqrt(n)
-            p = float(2 * stdtr(n - 1, -abs(mean - 0.5) / error)) if error > 0 else float(mean == 0.5)
-            bounds = [None if x is None else float(np.clip(x, 0.0, 1.0)) for x in (low, high)]
-            found.append(Superiority(factor, a, b, n, mean, bounds[0], bounds[1], p))
+            if len(shares) >= 3:
+                each = np.array([np.mean(s) for s in shares.values()])
+                pairs.append((a, b, len(each), *share_interval(each, confidence)))
+        adjusted = strata.holm(np.array([pair[-1] for pair in pairs]))
+        found += [Superiority(factor, *pair, float(p)) for pair, p in zip(pairs, adjusted, strict=True)]
     return found
+
+
+def share_interval(shares: Array, confidence: float) -> tuple[float, float, float, float]:
+    """Mean of listeners' shares (n,), its interval, and p against a half."""
+    from scipy.special import stdtr
+
+    n, mean = len(shares), float(np.mean(shares))
+    if np.ptp(shares) == 0:
+        unseen = 1 - ((1 - confidence) / 2) ** (1 / n)
+        p = 1.0 if mean == 0.5 else 2 * 0.5**n
+        return mean, mean * (1 - unseen), mean + unseen * (1 - mean), p
+    _, low, high = student_interval(list(shares), confidence)
+    error = float(shares.std(ddof=1)) / math.sqrt(n)
+    p = float(2 * stdtr(n - 1, -abs(mean - 0.5) / error))
+    return mean, max(float(low or 0.0), 0.0), min(float(high or 0.0), 1.0), p
 
 
 def _cell(row: Mapping[str, Any], factors: Sequence[str], but: str) -> tuple[str, ...]:

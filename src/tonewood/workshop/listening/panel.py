@@ -31,6 +31,7 @@ from tonewood.support.yaml_io import load_yaml
 from tonewood.workshop.batch.pages import (
     AbPage,
     Bs1116Page,
+    HeadphonesPage,
     MushraPage,
     Name,
     PairedPage,
@@ -141,6 +142,8 @@ class _Listener:
             return given | {
                 "choice": self._choice(choices(page, step), step.correct, self._detects(page, number, step.level))
             }
+        if isinstance(page, HeadphonesPage):
+            return given | {"choice": step.correct}
         if allowed := choices(page, step):
             return given | {"choice": self._judged(page, step, allowed)}
         if isinstance(page, MushraPage):

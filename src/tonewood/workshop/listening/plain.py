@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from tonewood.workshop.batch.pages import PairedPage, StaircasePage
@@ -48,54 +49,64 @@ def _of_page(found: PanelResults, page: PageResults) -> list[str]:
 
 def _rated(found: PanelResults, page: PageResults, linear: LinearAnalysis, percent: str) -> list[str]:
     alpha = 1 - found.confidence
+    differences = [_difference(found, page, linear, term) for term in linear.terms if len(term.effect) == 1]
+    # differences that are found come first
+    lines = [text + "." for p, text in sorted(differences, key=lambda one: one[0] >= alpha)]
     bent = page.ordinal or (linear.at_ends or 0.0) > END_SHARE
-    lines = []
     if page.ordinal:
-        lines.append("grades have an order but no stated distance: shares of comparisons are reported, not points.")
+        lines.append(
+            "grades have an order but no stated distance: odds of higher grades and shares of comparisons are "
+            "reported, not points."
+        )
     elif bent:
         lines.append(
             f"{100 * (linear.at_ends or 0):.0f} % of the answers stand at an end of the scale, where differences in "
-            "points are pulled together: shares of comparisons are reported, too, and interactions may be the scale's."
+            "points are pulled together and interactions may be the scale's: odds of higher ratings and shares of "
+            "comparisons are reported, too."
         )
-    for term in linear.terms:
-        if len(term.effect) > 1:
-            continue
-        first = _first_level(linear, page, term)
-        level = term.name.partition("=")[2]
-        p = max([term.p_holm, *(t.p_holm for t in page.everybody.terms if t.name == term.name)]
-                if page.everybody is not None else [term.p_holm])  # fmt: skip
-        varied = _in_unit(found, term.effect[0], first, level)
-        interval = f"{percent} interval {_number(term.low)} to {_number(term.high)}"
-        if p < alpha:
-            way = "above" if term.difference > 0 else "below"
-            text = f"{level} is rated {abs(term.difference):.3g} points {way} {first}{varied} ({interval}, p {_p(p)})"
-        else:
-            most = max(abs(term.low), abs(term.high))
-            text = (
-                f"no difference between {level} and {first}{varied} is shown ({_number(term.difference)} points, "
-                f"{interval}, p {_p(p)}); differences beyond {most:.3g} points are unlikely"
-            )
-        if bent and (share := _superiority(page, term.effect[0], first, level)) is not None:
-            bounds = (
-                ""
-                if share.low is None or share.high is None
-                else f", {100 * share.low:.0f} to {100 * share.high:.0f} %"
-            )
-            rate = f"{100 * share.share:.0f} % of comparisons{bounds} (p {_p(share.p_value)})"
-            own = f"{level} is rated above {first} in {rate}"
-            text = own + varied if page.ordinal else f"{text}; {own}"
-        lines.append(text + ".")
     if page.everybody is not None:
         lines.append(
             f"{len(page.screened)} listeners were left out by their ratings of reference and anchors; p is the larger "
             "of those without and with them, because that choice favours the reference."
         )
+    tests = linear.tests if not page.ordinal else page.odds.tests if page.odds is not None else ()
     lines += [
         f"the effect of {' depends on '.join(t.name.split(' : '))} (p {_p(t.p_value)}): see the means per cell."
-        for t in linear.tests
+        for t in tests
         if " : " in t.name and t.p_value < alpha
     ]
     return lines
+
+
+def _difference(found: PanelResults, page: PageResults, linear: LinearAnalysis, term: ModelTerm) -> tuple[float, str]:
+    """Probability of a difference, adjusted for those of the same factor, and the difference in words."""
+    percent, alpha = f"{100 * found.confidence:g} %", 1 - found.confidence
+    first, level = _first_level(linear, page, term), term.name.partition("=")[2]
+    varied = _in_unit(found, term.effect[0], first, level)
+    odds = _odds(page, term.name, percent)
+    share = _superiority(page, term.effect[0], first, level)
+    rated = "" if share is None else (
+        f"{level} is rated above {first} in {100 * share.share:.0f} % of comparisons ({percent} interval "
+        f"{100 * share.low:.0f} to {100 * share.high:.0f} %, p {_p(share.p_holm)})"
+    )  # fmt: skip
+    if page.ordinal and share is not None:
+        shown = "" if share.p_holm < alpha else f"no difference between {level} and {first} is shown: "
+        return share.p_holm, f"{shown}{rated}{f' ({varied})' if varied else ''}{odds}"
+    p = max([term.p_holm, *(t.p_holm for t in page.everybody.terms if t.name == term.name)]
+            if page.everybody is not None else [term.p_holm])  # fmt: skip
+    interval = f"{percent} interval {_number(term.low)} to {_number(term.high)}, p {_p(p)}"
+    about = f"{varied}; " if varied else ""
+    if p < alpha:
+        way = "above" if term.difference > 0 else "below"
+        text = f"{level} is rated {abs(term.difference):.3g} points {way} {first} ({about}{interval})"
+    else:
+        most = max(abs(term.low), abs(term.high))
+        text = (
+            f"no difference between {level} and {first} is shown ({about}{_number(term.difference)} points, "
+            f"{interval}); one of more than {most:.3g} points is unlikely"
+        )
+    bent = (linear.at_ends or 0.0) > END_SHARE
+    return p, text + (f"; {rated}{odds}" if bent and rated else odds)
 
 
 def _first_level(linear: LinearAnalysis, page: PageResults, term: ModelTerm) -> str:
@@ -114,10 +125,17 @@ def _superiority(page: PageResults, factor: str, first: str, level: str) -> Supe
         if (one.first, one.second) == (first, level):
             return one
         if (one.first, one.second) == (level, first):
-            low = None if one.high is None else 1 - one.high
-            high = None if one.low is None else 1 - one.low
-            return Superiority(factor, first, level, one.listeners, 1 - one.share, low, high, one.p_value)
+            return replace(one, first=first, second=level, share=1 - one.share, low=1 - one.high, high=1 - one.low)
     return None
+
+
+def _odds(page: PageResults, name: str, percent: str) -> str:
+    """The ratio of odds of a difference in words; nothing where it is not stated."""
+    term = next((t for t in page.odds.terms if t.name == name), None) if page.odds is not None else None
+    if term is None:
+        return ""
+    bounds = f"{percent} interval {_number(term.low)} to {_number(term.high)}"
+    return f"; the odds of a higher rating are {_number(term.ratio)} times as large ({bounds}, p {_p(term.p_holm)})"
 
 
 def _detected(found: PanelResults, page: PageResults, one: Detection, percent: str) -> str:
@@ -128,6 +146,7 @@ def _detected(found: PanelResults, page: PageResults, one: Detection, percent: s
     task = task_of(own)
     pair = next(((k, *v.split(VERSUS)) for k, v in one.cell.items() if VERSUS in v), None)
     varied = _in_unit(found, *pair) if pair is not None and len(pair) == 3 else ""
+    varied = f" ({varied})" if varied else ""
     share = f"{one.right} of {one.answers} answers, {100 * one.share:.0f} %"
     if one.p_value >= 1 - found.confidence:
         bound = "" if one.d_high is None else f"; d' is at most {one.d_high:.2g}"
@@ -162,7 +181,8 @@ def _threshold(found: PanelResults, page: PageResults, percent: str) -> str:
         f"; listeners differ by a factor of {fit.spread:.2f}" if own.ratio
         else f"; standard deviation {fit.spread:.2g}{unit}"
     )  # fmt: skip
-    return f"the just-noticeable difference is {fit.mean:.3g}{unit}{varied} ({interval}{spread})."
+    share = f"at {100 * fit.share:.1f} % right answers"
+    return f"the just-noticeable difference is {fit.mean:.3g}{unit}{varied}, {share} ({interval}{spread})."
 
 
 def _in_unit(found: PanelResults, factor: str, first: str, second: str) -> str:
@@ -173,7 +193,7 @@ def _in_unit(found: PanelResults, factor: str, first: str, second: str) -> str:
     a, b = own.levels[first], own.levels[second]
     if _scalar(a) is None or _scalar(b) is None:
         return ""
-    text = f"{own.path} {_value(b)} and {_value(a)}"
+    text = f"{own.path} {_value(b)} against {_value(a)}"
     for page in found.pages:
         stairs = found.test.pages[page.page - 1]
         if page.thresholds is None or not isinstance(stairs, StaircasePage) or stairs.path != own.path:
@@ -181,7 +201,7 @@ def _in_unit(found: PanelResults, factor: str, first: str, second: str) -> str:
         if (x := _as_level(stairs, a, b)) is not None and page.thresholds.mean > 0:
             text += f", {abs(x) / page.thresholds.mean:.2g} just-noticeable differences"
         break
-    return f" ({text})"
+    return text
 
 
 def _scalar(value: Any) -> float | None:
@@ -232,6 +252,12 @@ def methods(found: PanelResults) -> str:
         parts.append(
             f"Ratings were analysed by {one[0]}; main effects are over all cells of the other factors, p values of "
             f"differences are adjusted by Holm within an effect.{sampled}"
+        )
+    if any(page.odds is not None for page in found.pages):
+        parts.append(
+            "Grades without stated distances, and ratings of which many stand at an end of the scale, were also "
+            "analysed by a cumulative logit model with proportional odds (McCullagh 1980), its covariance matrix by "
+            "the jackknife over listeners; ratios are of the odds of a higher grade."
         )
     if any(page.screened for page in found.pages):
         parts.append(

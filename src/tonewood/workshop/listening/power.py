@@ -2,7 +2,8 @@
 
 *Ratings*: the listeners' means of the levels of the factor in question are drawn with the spread that the page expects,
 or with the covariances of a pilot's answers, and analysed by `tonewood.workshop.listening.strata`; the effect counts as
-found where the report says so: p by Holm below alpha. *Paired comparisons*: listeners' choices, tested by the
+found where the report says so: p by Holm below alpha. Where sounds are a random sample, they are drawn, too, and the
+analysis is the quasi-F of listeners and sounds. *Paired comparisons*: listeners' choices, tested by the
 Bradley-Terry interval. *Right answers*: the exact binomial test of the report, one-sided, whose power is a sum and
 needs no simulation. *Staircases*: listeners take it trial by trial; power is the share of experiments in which the
 interval of the mean threshold excludes a threshold that is `margin` away.
@@ -11,8 +12,8 @@ interval of the mean threshold excludes a threshold that is `margin` away.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from tonewood.workshop.batch.manifest import Manifest
 from tonewood.workshop.batch.pages import (
+    AnyPage,
     Bs1116Page,
     MushraPage,
     PairPage,
@@ -47,18 +49,27 @@ _SHARE = 0.70
 _STEEPNESS = 10.0
 
 
+class TooManyListenersError(ListeningError):
+    """No number of listeners up to `MOST` is enough."""
+
+
 @dataclass(frozen=True)
 class PowerRow:
-    """Listeners that one page needs, with the effect in words; `stated` is False where it is this module's default."""
+    """Listeners that one page needs, with the effect in words; `stated` is False where it is this module's default.
+
+    `listeners` is None where no number up to `MOST` is enough.
+    """
 
     page: int
     name: str
     effect: str
-    listeners: int
+    listeners: int | None
     stated: bool
 
     def __str__(self) -> str:
         default = "" if self.stated else " (not stated by the page)"
+        if self.listeners is None:
+            return f"page {self.page}, {self.name}: {self.effect}{default}"
         return f"page {self.page}, {self.name}: {self.listeners} listeners for {self.effect}{default}"
 
 
@@ -67,21 +78,42 @@ def fewest(power_with: Callable[[int], float], power: float, effect: str) -> int
 
     Raises
     ------
-    ListeningError : more than `MOST` are needed.
+    TooManyListenersError : more than `MOST` are needed.
     """
     low, high = 2, 4
     while power_with(high) < power:
         low, high = high, 2 * high
         if high > MOST:
-            raise ListeningError(f"more than {MOST} listeners would be needed for {effect}")
+            raise TooManyListenersError(f"more than {MOST} listeners would be needed for {effect}")
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if power_with(middle) >= power else (middle, high)
     return high
 
 
+@dataclass(frozen=True)
+class SoundSpread:
+    """A random sample of sounds.
+
+    Attributes
+    ----------
+    count : number of sounds.
+    sounds : covariance (levels, levels) of the sounds' own means of the levels, the same for all listeners.
+    pairs : that of the answers of one listener to one sound, beyond both.
+    """
+
+    count: int
+    sounds: Array
+    pairs: Array
+
+
 def rating_power(
-    effects: Sequence[float] | Array, covariance: Array, listeners: int, alpha: float, seed: int = 1
+    effects: Sequence[float] | Array,
+    covariance: Array,
+    listeners: int,
+    alpha: float,
+    seed: int = 1,
+    sampled: SoundSpread | None = None,
 ) -> Array:
     """Share of simulated experiments in which the report finds each level's difference from the first.
 
@@ -91,20 +123,45 @@ def rating_power(
     covariance : (levels, levels) of the listeners' means of the levels.
     listeners, alpha : of the experiment, and of its tests.
     seed : of the draws.
+    sampled : the sounds, where the manifest's `random` names them.
 
     Returns
     -------
     shares : (levels - 1,).
     """
-    names = [str(i) for i in range(len(effects))]
-    contrasts = strata.contrasts([(name,) for name in names], {"factor": names})
+    k = len(effects)
+    names = [str(i) for i in range(k)]
+    rows = strata.contrasts([(name,) for name in names], {"factor": names}).differences["factor",]
+    random = np.random.default_rng([seed, listeners])
+    most = max(1, 4_000_000 // (listeners * k * (1 if sampled is None else sampled.count)))
+    count, found = max(200, min(EXPERIMENTS, most)), np.zeros(k - 1)
+    for begin in range(0, count, most):
+        n = min(most, count - begin)
+        if sampled is None:
+            y = np.asarray(effects) + _draws(random, covariance, n, listeners)
+        else:
+            y = np.asarray(effects) + _draws(random, covariance, n, listeners, 1)
+            y = y + _draws(random, sampled.sounds, n, 1, sampled.count)
+            y = y + _draws(random, sampled.pairs, n, listeners, sampled.count)
+        p = strata.estimated(y, rows, 1 - alpha, sounds=sampled is not None).p_value
+        found += (strata.holm(p) < alpha).sum(axis=0)
+    return found / count
+
+
+def stated_spread(sd: float, sound_sd: float, sounds: int, levels: int) -> tuple[Array, SoundSpread]:
+    """Covariances of differences with standard deviations `sd` (listeners) and `sound_sd` (random sounds).
+
+    Half of the variance of a listener's difference is that of single answers, of one to each sound.
+    """
+    one = np.eye(levels)
+    return sd**2 / 4 * one, SoundSpread(sounds, sound_sd**2 / 2 * one, sounds * sd**2 / 4 * one)
+
+
+def _draws(random: np.random.Generator, covariance: Array, *shape: int) -> Array:
+    """Normal numbers (*shape, levels) of a covariance matrix, whose negative eigenvalues are taken as 0."""
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    random = np.random.default_rng([seed, listeners])
-    count = max(200, min(EXPERIMENTS, 4_000_000 // (listeners * len(effects))))
-    y = np.asarray(effects) + random.standard_normal((count, listeners, len(effects))) @ root.T
-    p = strata.estimated(y, contrasts.differences["factor",], 1 - alpha, sounds=False).p_value
-    return np.asarray((strata.holm(p) < alpha).mean(axis=0))
+    return np.asarray(random.standard_normal((*shape, len(covariance))) @ root.T)
 
 
 def choice_power(share: float, each: int, listeners: int, alpha: float, seed: int = 1) -> float:
@@ -132,7 +189,7 @@ def threshold_listeners(
 
     Raises
     ------
-    ListeningError : more than `MOST` are needed.
+    TooManyListenersError : more than `MOST` are needed.
     """
     random = np.random.default_rng(seed)
     pool, grid, centre = 200, ThresholdGrid(page), page.transformed(people.mean)
@@ -148,7 +205,7 @@ def threshold_listeners(
         if np.mean([not low <= centre + margin <= high for low, high in intervals]) >= power:
             return n
         n = max(n + 1, math.ceil(1.15 * n))
-    raise ListeningError(f"more than {MOST} listeners would be needed for a margin of {margin:g}")
+    raise TooManyListenersError(f"more than {MOST} listeners would be needed for a margin of {margin:g}")
 
 
 def answers_for_share(share: float, chance: float, alpha: float, power: float) -> int:
@@ -158,7 +215,8 @@ def answers_for_share(share: float, chance: float, alpha: float, power: float) -
 
     Raises
     ------
-    ListeningError : more than `MOST` are needed, or the share is not above guessing.
+    TooManyListenersError : more than `MOST` are needed.
+    ListeningError : the share is not above guessing.
     """
     import numpy as np
     from scipy.stats import binom
@@ -170,7 +228,7 @@ def answers_for_share(share: float, chance: float, alpha: float, power: float) -
     short = np.flatnonzero(binom.sf(fewest - 1, n, share) < power)
     last = int(short[-1]) + 2 if short.size else 1
     if last > MOST:
-        raise ListeningError(f"more than {MOST} answers would be needed for a share of {share:g}")
+        raise TooManyListenersError(f"more than {MOST} answers would be needed for a share of {share:g}")
     return last
 
 
@@ -184,33 +242,44 @@ def power_of(manifest: Manifest, trials: dict[int, int], pilot: PanelResults | N
     pilot : results of listeners who took the same pages; their spread, and their effects where a page expects none,
         take the place of the stated ones.
     """
-    alpha, power = manifest.power.alpha, manifest.power.power
     rows = []
     for index, page in enumerate(manifest.pages):
         name = localised(getattr(page, "name", ""), manifest.language) or page.type
         number = index + 1
         own = next((p for p in pilot.pages if p.page == number), None) if pilot is not None else None
-        if isinstance(page, (MushraPage, Bs1116Page, RatingPage)):
-            rows.append(_rated(manifest, page, number, name, own))
-        elif isinstance(page, PairPage):
-            task = task_of(page)
-            chance = 0.5 if task is None else CHANCE[task]
-            seen = _share_of(own)
-            share = page.expect or (seen if seen is not None else _SHARE)
-            each = max(trials.get(index, 1), 1)
-            text = f"{100 * share:.0f} % {'chosen' if task is None else 'right'}"
-            if task is None:
-                n = fewest(lambda k, s=share, e=each: choice_power(s, e, k, alpha), power, text)  # type: ignore[misc]
-                text += f": {n * each} answers, {each} a listener"
-            else:
-                answers = answers_for_share(share, chance, alpha, power)
-                n = math.ceil(answers / each)
-                d = "" if task == "same" else f", d' = {sensitivity(share, task):.2f}"
-                text += f"{d}: {answers} answers, {each} a listener"
-            rows.append(PowerRow(number, name, text, n, page.expect is not None or seen is not None))
-        elif isinstance(page, StaircasePage) and (page.expect_sd is not None or own is not None):
-            rows.append(_staircase(page, number, name, own, alpha, power))
+        try:
+            row = _row(manifest, page, number, name, own, max(trials.get(index, 1), 1))
+        except TooManyListenersError as fault:
+            row = PowerRow(number, name, str(fault), None, getattr(page, "expect", None) is not None or own is not None)
+        rows += [] if row is None else [row]
     return rows
+
+
+def _row(
+    manifest: Manifest, page: AnyPage, number: int, name: str, own: PageResults | None, each: int
+) -> PowerRow | None:
+    """Listeners that a page needs; None where nothing is tested."""
+    alpha, power = manifest.power.alpha, manifest.power.power
+    if isinstance(page, (MushraPage, Bs1116Page, RatingPage)):
+        return _rated(manifest, page, number, name, own)
+    if isinstance(page, StaircasePage):
+        stated = page.expect_sd is not None or own is not None
+        return _staircase(page, number, name, own, alpha, power) if stated else None
+    if not isinstance(page, PairPage):
+        return None
+    task = task_of(page)
+    seen = _share_of(own)
+    share = page.expect or (seen if seen is not None else _SHARE)
+    text = f"{100 * share:.0f} % {'chosen' if task is None else 'right'}"
+    if task is None:
+        n = fewest(lambda k: choice_power(share, each, k, alpha), power, text)
+        text += f": {n * each} answers, {each} a listener"
+    else:
+        answers = answers_for_share(share, CHANCE[task], alpha, power)
+        n = math.ceil(answers / each)
+        d = "" if task == "same" else f", d' = {sensitivity(share, task):.2f}"
+        text += f"{d}: {answers} answers, {each} a listener"
+    return PowerRow(number, name, text, n, page.expect is not None or seen is not None)
 
 
 def _rated(
@@ -221,37 +290,81 @@ def _rated(
     effect = page.expect or _EFFECT.get(page.type, 0.1 * width)
     sd = page.expect_sd or _SD.get(page.type, 0.15 * width)
     reference = getattr(page, "reference", None) or {}
-    varied = [f for f, levels in manifest.choices().items() if f not in page.group_by and len(levels) > 1]
+    choices, sounds = manifest.choices(), _sounds(manifest)
+    varied = [f for f, levels in choices.items() if f not in (*page.group_by, *manifest.random) and len(levels) > 1]
     varied.sort(key=lambda f: f not in reference)
-    k = len(manifest.choices()[varied[0]]) if varied else 2
+    k = len(choices[varied[0]]) if varied else 2
     effects, covariance = np.zeros(k), sd**2 / 2 * np.eye(k)
-    text = f"{effect:g} points, sd {sd:g}"
-    pilot = None if own is None or not own.factors else _listener_levels(own, reference.get(own.factors[0]))
-    if pilot is not None and pilot.shape[0] > 2:
-        covariance, k = np.atleast_2d(np.cov(pilot, rowvar=False)), pilot.shape[1]
+    text, sampled = f"{effect:g} points, sd {sd:g}", None
+    if sounds > 1:
+        sound_sd = page.expect_sound_sd or sd
+        covariance, sampled = stated_spread(sd, sound_sd, sounds, k)
+        text += f", {sounds} random sounds with sd {sound_sd:g}"
+    pilot = None if own is None else _pilot_means(own, reference, manifest.random)
+    if pilot is not None:
+        covariance, sampled = _pilot_spread(pilot, sounds)
+        k = pilot.shape[2]
         effects = np.zeros(k)
         if page.expect is None:
-            effects = pilot.mean(axis=0) - pilot.mean(axis=0)[0]
+            means = pilot.mean(axis=(0, 1))
+            effects = means - means[0]
             effect = float(effects[np.argmax(np.abs(effects))])
         text = f"{effect:.3g} points, spread of {len(pilot)} listeners of a pilot"
+        text += f" and {sounds} random sounds" if sampled is not None else ""
     at = int(np.argmax(np.abs(effects[1:]))) if np.any(effects) else 0
     if not np.any(effects):
         effects[1] = effect
     text += f", {k} levels" if k > 2 else ""
-    n = fewest(lambda m: float(rating_power(effects, covariance, m, alpha)[at]), power, text)
+    if sampled is not None:  # the sounds alone, heard without error
+        alone = replace(sampled, pairs=np.zeros((k, k)))
+        if rating_power(effects, np.zeros((k, k)), 50, alpha, sampled=alone)[at] < power:
+            raise TooManyListenersError(f"no number of listeners is enough for {text}; more sounds are needed")
+    n = fewest(lambda m: float(rating_power(effects, covariance, m, alpha, sampled=sampled)[at]), power, text)
     return PowerRow(number, name, text, n, page.expect is not None or pilot is not None)
 
 
-def _listener_levels(own: PageResults, first: str | None) -> Array:
-    """Means (listeners, levels) of the levels of a page's first factor, of listeners who have all."""
+def _sounds(manifest: Manifest) -> int:
+    """Number of random sounds: combinations of the levels of the factors that are a sample."""
+    if manifest.conditions is not None:
+        return len({tuple(row.get(f) for f in manifest.random) for row in manifest.conditions})
+    choices = manifest.choices()
+    return math.prod(len(choices[f]) for f in manifest.random)
+
+
+def _pilot_means(own: PageResults, reference: Mapping[str, str], random: Sequence[str]) -> Array | None:
+    """Means (listeners, random sounds, levels) of the levels of a page's first factor, of listeners who have all.
+
+    None with fewer than three such listeners or two levels.
+    """
+    factor = next((f for f in own.factors if f not in random), None)
+    if factor is None:
+        return None
+    sampled = [f for f in random if f in own.factors]
     rows = [row for row in own.rows if row["role"] in ("sound", "reference") and row["value"] is not None]
-    factor = own.factors[0]
+    first = reference.get(factor)
     levels = sorted(unique([str(row[factor]) for row in rows]), key=lambda level: level != first)
-    values: dict[Any, list[list[float]]] = {}
+    sounds = unique([tuple(str(row[f]) for f in sampled) for row in rows])
+    values: dict[Any, dict[tuple[int, int], list[float]]] = {}
     for row in rows:
-        of = values.setdefault(row["listener"], [[] for _ in levels])
-        of[levels.index(str(row[factor]))].append(float(row["value"]))
-    return np.array([[np.mean(x) for x in of] for of in values.values() if all(of)])
+        cell = sounds.index(tuple(str(row[f]) for f in sampled)), levels.index(str(row[factor]))
+        values.setdefault(row["listener"], {}).setdefault(cell, []).append(float(row["value"]))
+    cells = [(i, j) for i in range(len(sounds)) for j in range(len(levels))]
+    means = [[np.mean(of[cell]) for cell in cells] for of in values.values() if len(of) == len(cells)]
+    if len(means) < 3 or len(levels) < 2:
+        return None
+    return np.array(means).reshape(len(means), len(sounds), len(levels))
+
+
+def _pilot_spread(pilot: Array, count: int) -> tuple[Array, SoundSpread | None]:
+    """Covariances of listeners, and of `count` random sounds, from means (listeners, sounds, levels)."""
+    n, m, _ = pilot.shape
+    listeners = np.cov(pilot.mean(axis=1), rowvar=False)
+    if m < 2 or count < 2:
+        return listeners, None
+    rest = pilot - pilot.mean(axis=1, keepdims=True) - pilot.mean(axis=0, keepdims=True) + pilot.mean(axis=(0, 1))
+    pairs = np.einsum("nmi,nmj->ij", rest, rest) / ((n - 1) * (m - 1))
+    sounds = np.cov(pilot.mean(axis=0), rowvar=False)
+    return listeners - pairs / m, SoundSpread(count, sounds - pairs / n, pairs)
 
 
 def _share_of(own: PageResults | None) -> float | None:

@@ -41,7 +41,7 @@ def write_report(found: PanelResults, folder: Path, facts: dict[str, Any] | None
             pictures.setdefault(number, []).append((name, data_uri(content, "image/png")))
     static = files("tonewood.workshop.listening") / "static"
     environment = Environment(autoescape=True, undefined=StrictUndefined)
-    environment.filters |= {"n": number_text, "p": p_text}
+    environment.filters |= {"n": number_text, "p": p_text, "g": lambda x: f"{x:.3g}"}
     text = environment.from_string((static / "report.html").read_text("utf-8")).render(
         found=found,
         title=found.test.title(found.test.manifest.language),

@@ -18,11 +18,12 @@ from tonewood.workshop.batch.pages import (
     StaircasePage,
     localised,
 )
-from tonewood.workshop.listening.answer_file import LeftOut, answers_of
+from tonewood.workshop.listening.answer_file import LeftOut, answers_of, withdrawn
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest, load_test
 from tonewood.workshop.listening.detection import Detection, detections, task_of
 from tonewood.workshop.listening.means import CellMean, ScreenedListener, cell_means, screen, unique
 from tonewood.workshop.listening.models import (
+    END_SHARE,
     LinearAnalysis,
     RankAnalysis,
     ScaleValue,
@@ -30,6 +31,7 @@ from tonewood.workshop.listening.models import (
     linear_analysis,
     rank_analysis,
 )
+from tonewood.workshop.listening.ordinal import OrdinalAnalysis, ordinal_analysis
 from tonewood.workshop.listening.shown import kind_of_texts
 from tonewood.workshop.listening.table import VERSUS, AnswerTable, read_key, tidy
 from tonewood.workshop.listening.thresholds import Thresholds, thresholds
@@ -52,6 +54,7 @@ class PageResults:
     scale : Bradley-Terry values by factor.
     everybody : the linear analysis with the listeners who were left out, if any were.
     ordinal : whether the scale's grades have an order only.
+    odds : the cumulative logit model, where `ordinal` or many answers stand at an end of the scale.
     """
 
     page: int
@@ -67,6 +70,7 @@ class PageResults:
     linear: LinearAnalysis | None = None
     everybody: LinearAnalysis | None = None
     ordinal: bool = False
+    odds: OrdinalAnalysis | None = None
     ranks: RankAnalysis | None = None
     detections: tuple[Detection, ...] = ()
     by_listener: tuple[Detection, ...] = ()
@@ -87,6 +91,8 @@ class PanelResults:
     simulated : listeners among them that are simulated.
     unfinished : listeners who did not finish.
     left_out : answers that do not count because their files are damaged, or of another version of the test.
+    not_passed : listeners whom the check of headphones stopped.
+    withdrawn : number of listeners who had their answers deleted.
     """
 
     test: ListeningTest
@@ -97,6 +103,8 @@ class PanelResults:
     unfinished: tuple[str, ...]
     left_out: tuple[LeftOut, ...]
     pages: tuple[PageResults, ...]
+    not_passed: tuple[str, ...] = ()
+    withdrawn: int = 0
 
     @property
     def who(self) -> str:
@@ -113,6 +121,8 @@ class PanelResults:
             "listeners": self.listeners,
             "simulated": self.simulated,
             "unfinished": list(self.unfinished),
+            "not_passed": list(self.not_passed),
+            "withdrawn": self.withdrawn,
             "left_out": [asdict(one) for one in self.left_out],
             "pages": [page.to_dict() for page in self.pages],
         }
@@ -145,7 +155,10 @@ def analyse(folder: Path, *, key: Path | None = None, confidence: float = 0.95, 
         raise ListeningError(f"holds no answers{why if others else ''}", file=folder / "answers")
     table = tidy(test, opened, answers)
     finish = len(test.pages)
-    unfinished = [one.listener for one in answers if not one.records or one.records[-1]["page"] != finish]
+    not_passed = [one.listener for one in answers if one.failed]
+    unfinished = [
+        one.listener for one in answers if not one.failed and (not one.records or one.records[-1]["page"] != finish)
+    ]
     pages: list[PageResults] = []
     for index, page in enumerate(test.pages):
         rows = _in_order(table.of_page(index), table)
@@ -154,7 +167,8 @@ def analyse(folder: Path, *, key: Path | None = None, confidence: float = 0.95, 
     began = [one for one in answers if one.records]
     simulated = sum(bool(one.header.get("simulated")) for one in began)
     return PanelResults(
-        test, confidence, table, len(began), simulated, tuple(unfinished), every.left_out, tuple(pages)
+        test, confidence, table, len(began), simulated, tuple(unfinished), every.left_out, tuple(pages),
+        tuple(not_passed), withdrawn(test),
     )  # fmt: skip
 
 
@@ -233,6 +247,9 @@ def _rated(
     reference = getattr(page, "reference", {})  # its factors are the question: they come first
     used = _used(sounds, sorted(table.factors, key=lambda factor: factor not in reference))
     by = used or ("type",)
+    levels = levels_of(table, page)
+    linear = linear_analysis(sounds, used, confidence, levels, random, ends)
+    bent = base.get("ordinal", False) or (linear is not None and (linear.at_ends or 0.0) > END_SHARE)
     return PageResults(
         **base,
         listeners=_count(rows),
@@ -242,7 +259,8 @@ def _rated(
         per_factor=tuple(mean for factor in used for mean in cell_means(sounds, (factor,), confidence)),
         cells=tuple(cell_means(sounds, by, confidence)),
         helpers=tuple(cell_means([row for row in rows if row["role"] != "sound"], ("role",), confidence)),
-        linear=linear_analysis(sounds, used, confidence, levels_of(table, page), random, ends),
+        linear=linear,
+        odds=ordinal_analysis(sounds, used, confidence, levels, random, ends) if bent else None,
         ranks=rank_analysis(sounds, used, confidence),
     )
 

@@ -9,6 +9,8 @@ address to the disk. Two slots with one sound have replies with the same headers
     GET  /api/session/TOKEN             the step
     POST /api/session/TOKEN             the answer: {index, ...} -> {feedback, step}
     GET  /api/session/TOKEN/sound/INDEX/SLOT
+    GET  /api/session/TOKEN/data        what the listener gave so far
+    DELETE /api/session/TOKEN           withdraw: these answers are deleted
 """
 
 from __future__ import annotations
@@ -36,11 +38,12 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from tonewood.errors import TonewoodError
-from tonewood.workshop.batch.pages import LevelPage, StaircasePage
+from tonewood.workshop.batch.pages import HeadphonesPage, LevelPage, StaircasePage
 from tonewood.workshop.batch.production import encoded_wav
 from tonewood.workshop.batch.stimuli import quantised
-from tonewood.workshop.listening.answer_file import FOLDER, OpenSession, begin, resume
+from tonewood.workshop.listening.answer_file import FOLDER, OpenSession, begin, exported, resume, withdraw
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
+from tonewood.workshop.listening.headphones import interval
 from tonewood.workshop.listening.http_guard import SECONDS, Guard
 from tonewood.workshop.listening.on_demand import PairSource
 from tonewood.workshop.listening.session import Step
@@ -93,6 +96,7 @@ class ListeningServer:
         self.test, self.pairs = test, pairs
         self._entries: OrderedDict[str, _Entry] = OrderedDict()
         self._lock = threading.Lock()
+        self._beginning = threading.Lock()
         self._begun = len(list((test.folder / FOLDER).glob("*.jsonl")))
         self._said: set[str] = set()
 
@@ -110,6 +114,8 @@ class ListeningServer:
             Route("/api/session", self._begin, methods=["POST"]),
             Route("/api/session/{token}", self._step, methods=["GET"]),
             Route("/api/session/{token}", self._answer, methods=["POST"]),
+            Route("/api/session/{token}", self._withdraw, methods=["DELETE"]),
+            Route("/api/session/{token}/data", self._data),
             Route("/api/session/{token}/sound/{index}/{slot}", self._sound),
         ]
         handlers: Any = {TonewoodError: self._fault, _RefusalError: self._refuse, Exception: _mistake}
@@ -148,7 +154,8 @@ class ListeningServer:
                     raise _RefusalError(429, f"{_MOST_SESSIONS} sessions of this test were begun, no more are allowed")
                 self._begun += 1
             try:
-                opened = begin(self.test, language=language, listener=listener, started=_now())
+                with self._beginning:
+                    opened = begin(self.test, language=language, listener=listener, started=_now())
             except BaseException:
                 with self._lock:
                     self._begun -= 1
@@ -186,6 +193,27 @@ class ListeningServer:
 
         return await self._with_session(request, take)
 
+    async def _data(self, request: Request) -> Response:
+        def give(opened: OpenSession, _: _Entry) -> Response:
+            headers = {"Content-Disposition": 'attachment; filename="answers.json"'}
+            return JSONResponse(exported(opened), headers=headers)
+
+        return await self._with_session(request, give)
+
+    async def _withdraw(self, request: Request) -> Response:
+        token = request.path_params["token"]
+
+        def work() -> Response:
+            with self._entry(token) as entry, entry.lock:
+                entry.opened = None
+                if not withdraw(self.test, token, now=_now()):
+                    return JSONResponse({"error": "there is no such session"}, status_code=404)
+                with self._lock:
+                    self._begun -= 1
+                return JSONResponse({"withdrawn": True})
+
+        return await run_in_threadpool(work)
+
     async def _sound(self, request: Request) -> Response:
         index, slot = request.path_params["index"], request.path_params["slot"]
 
@@ -196,6 +224,8 @@ class ListeningServer:
             if step is None or str(step.index) != index or not (slot in step.slots or tone_asked):
                 return JSONResponse({"error": "the session is not at this sound"}, status_code=404)
             try:
+                if isinstance(page, HeadphonesPage):
+                    return Response(interval(self.test, page, opened.session, slot), media_type="audio/wav")
                 if isinstance(page, LevelPage):
                     return Response(tone(self.test, page), media_type="audio/wav")
                 if step.level is not None and self.pairs is not None:
@@ -223,7 +253,8 @@ class ListeningServer:
                 self.pairs.expect(page, tracks[step.track or 0].step_after(right))
 
     def _shown(self, opened: OpenSession) -> dict[str, Any]:
-        return shown(self.test, opened.session, opened.language)
+        name, own = str(opened.header["listener"]), str(opened.header["token"])[:8]
+        return shown(self.test, opened.session, opened.language, name or own, own)
 
     async def _with_session(self, request: Request, use: Callable[[OpenSession, _Entry], Response]) -> Response:
         token = request.path_params["token"]

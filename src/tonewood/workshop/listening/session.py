@@ -1,7 +1,7 @@
 """The course of a test for one listener: which step comes next, and whether an answer fits it.
 
-A session is a function of the definition, the listener's seed and the answers so far, and of nothing else. A server
-that was killed reads the answers back and goes on at the same step, with the same sounds in the same order.
+A session is a function of the definition, the listener's seed and place, and the answers so far, and of nothing else. A
+server that was killed reads the answers back and goes on at the same step, with the same sounds in the same order.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from tonewood.workshop.batch.pages import (
     AfcPage,
     AnyPage,
     Bs1116Page,
+    HeadphonesPage,
     HtmlPage,
+    ListenedPage,
     MushraPage,
     PairedPage,
     PairPage,
@@ -25,6 +27,7 @@ from tonewood.workshop.batch.pages import (
     RatingPage,
     StaircasePage,
     TrainingPage,
+    TrialPage,
 )
 from tonewood.workshop.batch.seeds import generator
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest, ServedTrial
@@ -35,6 +38,8 @@ LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 OPEN = "reference"
 #: sounds of a staircase, in the place of codes
 STANDARD, CHANGED = "standard", "changed"
+#: intervals of a check of headphones, in the place of codes: the one to be found is `CHANGED`
+INTERVALS = ("1", "2", "3")
 #: seconds on one page that a browser may state: ten years, for pages that stay open
 _LONGEST = 3.2e8
 
@@ -73,16 +78,19 @@ class Session:
     ----------
     test : the definition.
     seed : the listener's; it decides orders and right answers.
+    place : number of the listener, from 0; it decides which trials of a `subset` are theirs.
 
     Attributes
     ----------
     step : the one to answer; None after the last.
+    failed : the page (from 0) of the check of headphones that ended the test, or None.
     answers : records of the answers taken.
     incomplete : staircases (pages from 0) of which a trial was passed over.
     """
 
-    def __init__(self, test: ListeningTest, seed: int):
-        self.test, self.seed = test, seed
+    def __init__(self, test: ListeningTest, seed: int, place: int = 0):
+        self.test, self.seed, self.place = test, seed, place
+        self.failed: int | None = None
         self.answers: list[dict[str, Any]] = []
         self.tracks: dict[int, list[AdaptiveTrack]] = {}
         self.incomplete: set[int] = set()
@@ -112,6 +120,8 @@ class Session:
                 done = sum(len(track.levels) for track in tracks)
                 finished = bool(tracks) and all(track.done for track in tracks)
                 count += done if finished else max(done + 5, (40 if page.steps else page.trials) * page.tracks)
+            elif isinstance(page, HeadphonesPage):
+                count += max(page.trials, sum(record["page"] == index + 1 for record in self.answers))
             elif not isinstance(page, HtmlPage):
                 count += len(list(self._static(index, page)))
         return count
@@ -186,7 +196,7 @@ class Session:
         if type(index) is not int or not 0 <= index < len(self.answers):
             return False
         record = self.answers[index]
-        course = Session(self.test, self.seed)
+        course = Session(self.test, self.seed, self.place)
         for earlier in self.answers[:index]:
             course.take(earlier)
         try:
@@ -197,10 +207,17 @@ class Session:
     def _steps(self) -> Iterator[Step]:
         index = 0
         for number, page in enumerate(self.test.pages):
-            steps = self._adaptive(number, page) if isinstance(page, StaircasePage) else self._static(number, page)
+            if isinstance(page, StaircasePage):
+                steps = self._adaptive(number, page)
+            elif isinstance(page, HeadphonesPage):
+                steps = self._checked(number, page)
+            else:
+                steps = self._static(number, page)
             for fields in steps:
                 yield Step(index=index, page=number, **fields)
                 index += 1
+            if self.failed is not None:
+                return
 
     def _static(self, number: int, page: AnyPage) -> Iterator[dict[str, Any]]:
         """Fields of the steps of a page whose number is known before it begins."""
@@ -222,8 +239,38 @@ class Session:
         if not isinstance(page, (MushraPage, Bs1116Page, PairPage, RatingPage)):
             yield {}
             return
-        for trial, repetition in self._ordered(number, trials, getattr(page, "times", 1)):
+        for trial, repetition in self._ordered(number, self._own(number, trials), getattr(page, "times", 1)):
             yield {**self._trial(page, trial, (repetition,)), "repetition": repetition}
+
+    def _checked(self, number: int, page: HeadphonesPage) -> Iterator[dict[str, Any]]:
+        """Trials of a check of headphones, until it is passed or no attempt is left; sets `failed` if the test ends."""
+        for attempt in range(1, page.attempts + 1):
+            before = len(self.answers)
+            for k in range(page.trials):
+                random = generator(self.test.manifest.seed, "headphones", self.seed, number, attempt, k)
+                found = int(random.integers(len(INTERVALS)))
+                slots = {slot: CHANGED if i == found else STANDARD for i, slot in enumerate(INTERVALS)}
+                yield {"slots": slots, "correct": INTERVALS[found], "repetition": (attempt - 1) * page.trials + k + 1}
+            taken = self.answers[before:]
+            # answers that a damaged file lost do not end a test that went on
+            if len(taken) < page.trials or sum(bool(record["right"]) for record in taken) >= page.needed:
+                return
+        if page.failed == "stop":
+            self.failed = number
+
+    def _own(self, number: int, trials: list[ServedTrial]) -> list[ServedTrial]:
+        """The listener's trials of a page with `subset`, in the manifest's order.
+
+        Listeners take turns on one circle of trials, `subset` each. After n / gcd(n, subset) listeners all n trials
+        were given equally often; then the circle is drawn anew, so that other trials meet.
+        """
+        page, n = self.test.pages[number], len(trials)
+        size = page.subset if isinstance(page, TrialPage) else None
+        if size is None or size >= n:
+            return trials
+        turn, place = divmod(self.place, n // math.gcd(n, size))
+        circle = generator(self.test.manifest.seed, "subset", number, turn).permutation(n)
+        return [trials[i] for i in sorted(circle[(place * size + k) % n] for k in range(size))]
 
     def _ordered(self, number: int, trials: list[ServedTrial], times: int) -> list[tuple[ServedTrial, int]]:
         """Trials with their repetitions: all of them once, in random order, then again in another."""
@@ -294,7 +341,7 @@ def choices(page: AnyPage, step: Step) -> list[str]:
         return ["A", "B", *(["undecided"] if page.unforced else [])]
     if isinstance(page, PairedPage):
         return ["A", "B", *(["tie"] if page.tie else [])]
-    if isinstance(page, (AfcPage, StaircasePage)):
+    if isinstance(page, (AfcPage, StaircasePage, HeadphonesPage)):
         return [slot for slot in step.slots if slot != OPEN]
     return []
 
@@ -309,11 +356,13 @@ def checked(page: AnyPage, step: Step, given: Mapping[str, Any]) -> dict[str, An
     found: dict[str, Any] = {
         "seconds": _number(given.get("seconds", 0.0), "seconds", 0.0, _LONGEST),
         "plays": {
-            slot: int(_number(count, f"plays.{slot}", 0, 1e6))
+            slot: int(_number(count, f"plays.{slot}", 0, _most_plays(page)))
             for slot, count in _mapping(given.get("plays", {}), "plays").items()
             if slot in step.slots
         },
     }
+    if (shares := given.get("heard")) is not None:
+        found["heard"] = _heard(page, step, _mapping(shares, "heard"))
     if comment := given.get("comment"):
         found["comment"] = _text(comment, "comment")[:2000]
     if allowed := choices(page, step):
@@ -343,6 +392,28 @@ def checked(page: AnyPage, step: Step, given: Mapping[str, Any]) -> dict[str, An
         found["agreed"] = True
     elif page.type == "level" and page.measured:
         found["spl_db"] = _number(given.get("spl_db"), "spl_db", 0.0, 130.0)
+    return found
+
+
+def _most_plays(page: AnyPage) -> float:
+    """Most times that a sound may be played."""
+    return page.plays if isinstance(page, ListenedPage) and page.plays is not None else 1e6
+
+
+def share_wanted(page: AnyPage) -> float:
+    """Share of each sound that must be heard before the answer."""
+    if isinstance(page, ListenedPage):
+        return page.listen
+    return 0.5 if isinstance(page, HeadphonesPage) else 0.0
+
+
+def _heard(page: AnyPage, step: Step, shares: Mapping[str, Any]) -> dict[str, float]:
+    """Share of each sound that was heard, as the browser measured it; it must be as large as the page wants it."""
+    least, found = share_wanted(page), {}
+    for slot in step.slots:
+        found[slot] = share = _number(shares.get(slot), f"heard.{slot}", 0.0, 1.0)
+        if share < least:
+            raise ListeningError(f"{share:.0%} of the sound was heard, {least:.0%} are wanted", key=f"heard.{slot}")
     return found
 
 

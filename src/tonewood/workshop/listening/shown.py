@@ -3,35 +3,49 @@
 from __future__ import annotations
 
 from typing import Any
+from urllib.parse import quote
 
 from tonewood.workshop.batch.pages import (
     AfcPage,
     AnyPage,
+    FinishPage,
+    HeadphonesPage,
     LevelPage,
+    ListenedPage,
     PairedPage,
     QuestionnairePage,
     RatingPage,
     StaircasePage,
+    SwitchedPage,
     Text,
     localised,
 )
 from tonewood.workshop.listening.definition import ListeningTest
-from tonewood.workshop.listening.session import OPEN, Session, Step, choices
+from tonewood.workshop.listening.session import OPEN, Session, Step, choices, share_wanted
 
 
-def shown(test: ListeningTest, session: Session, language: str) -> dict[str, Any]:
-    """The step of a session; ``{"type": "done"}`` after the last one."""
+def shown(test: ListeningTest, session: Session, language: str, listener: str = "", own: str = "") -> dict[str, Any]:
+    """The step of a session; ``{"type": "done"}`` after the last one, ``{"type": "failed"}`` after a check not passed.
+
+    Parameters
+    ----------
+    test, session : what is shown.
+    language : of the texts.
+    listener : name given by the listener or the address; own name of the session, if there is none.
+    own : name that the results give to a listener without a name.
+    """
     step, page = session.step, session.page
     if step is None or page is None:
-        return {"type": "done", "index": len(session.answers), "progress": 1.0}
+        kind = "done" if session.failed is None else "failed"
+        return {"type": kind, "index": len(session.answers), "progress": 1.0, **_back(test, session, listener, own)}
     words = test.texts(language)
 
     def text(value: Text) -> str:
         return localised(value, language)
 
-    own = test.pages[step.page]
+    manifest_page = test.pages[step.page]
     kind = kind_of_texts(page)
-    content = [paragraph for part in (own, page) if (paragraph := text(part.content))]
+    content = [paragraph for part in (manifest_page, page) if (paragraph := text(part.content))]
     default = words.get(f"{kind}_text", "")
     found: dict[str, Any] = {
         "type": page.type,
@@ -45,16 +59,39 @@ def shown(test: ListeningTest, session: Session, language: str) -> dict[str, Any
         "choices": [
             {"value": choice, "label": words.get(f"choice_{choice}", choice)} for choice in choices(page, step)
         ],
-        "sequence": isinstance(page, (AfcPage, StaircasePage)),
+        "sequence": isinstance(page, (AfcPage, StaircasePage, HeadphonesPage)),
+        "listen": share_wanted(page),
+        "plays": page.plays if isinstance(page, ListenedPage) else None,
+        "loop": page.loops if isinstance(page, SwitchedPage) else "off",
+        "restart": isinstance(page, SwitchedPage) and page.switch == "restart",
+        "waveform": bool(getattr(page, "waveform", False)),
         "last": page.type == "finish",
     }
     return found | _details(test, page, step, text, words)
+
+
+def _back(test: ListeningTest, session: Session, listener: str, own: str) -> dict[str, Any]:
+    """Code and address for a listener who has finished, or did not pass a check."""
+    if session.failed is not None:
+        ends: AnyPage | None = test.pages[session.failed]
+    else:
+        ends = next((page for page in test.pages if isinstance(page, FinishPage)), None)
+    back = ends.back if isinstance(ends, (FinishPage, HeadphonesPage)) else None
+    if back is None:
+        return {}
+    code = back.code.format(id=own)
+    filled = None
+    if back.address is not None:
+        filled = back.address.format(code=quote(code, safe=""), listener=quote(listener, safe=""))
+    return {"code": code, "address": filled}
 
 
 def kind_of_texts(page: AnyPage) -> str:
     """Key of a page's built-in texts: forced choices differ by their question."""
     if isinstance(page, (AfcPage, StaircasePage)):
         return "afc_question" if page.question else f"afc_{page.intervals}"
+    if isinstance(page, HeadphonesPage):
+        return f"headphones_{page.method}"
     return page.type
 
 

@@ -7,7 +7,7 @@ of staircases are drawn trial by trial. `tonewood.workshop.listening.power` coun
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening import strata
 from tonewood.workshop.listening.detection import CHANCE, Task, sensitivity, shares_of, task_of
-from tonewood.workshop.listening.models import linear_analysis
+from tonewood.workshop.listening.incomplete import CrossedFit, IncompleteFit
+from tonewood.workshop.listening.ordinal import fit_counts, jackknifed
 from tonewood.workshop.listening.pooling import D, pooled
 from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.quest import table_of
@@ -32,6 +33,14 @@ NULLS = {
     "unequal variance": {"own": (2.0, 6.0, 12.0), "residual": (4.0, 9.0, 14.0), "mean": 50.0},
     "ratings at the ceiling": {"own": (5.0, 5.0, 5.0), "residual": (9.0, 9.0, 9.0), "mean": 95.0},
 }
+#: which answers are missing: a share of all; a third of every fourth listener's; three of nine sounds of each listener
+GAPS: dict[str, float | str] = {
+    "5 % at random": 0.05,
+    "10 % at random": 0.1,
+    "20 % at random": 0.2,
+    "a third of every fourth listener's": "third",
+    "sets of six of nine sounds": "sets",
+}
 _FACTOR, _SOUND = ("a", "b", "c"), ("s0", "s1", "s2")
 _LEVELS = {"factor": list(_FACTOR), "sound": list(_SOUND)}
 _CELLS = [(f, s) for f in _FACTOR for s in _SOUND]
@@ -39,14 +48,13 @@ _CELLS = [(f, s) for f in _FACTOR for s in _SOUND]
 
 @dataclass(frozen=True)
 class RatingRates:
-    """Shares of experiments: false alarms, coverage of a true difference, and fits that did not converge."""
+    """Shares of experiments: false alarms of factor, two differences, interaction; coverage of the first difference."""
 
-    experiments: int
     test: float
     difference: float
-    coverage: float
+    other: float
     interaction: float
-    failed: float = 0.0
+    coverage: float
 
 
 def ratings(
@@ -68,61 +76,126 @@ def ratings(
     return np.asarray(answers.reshape(*shape, 9, repetitions))
 
 
+def without(random: np.random.Generator, answers: Array, gaps: str) -> Array:
+    """Cell means (experiments, listeners, 9) of the answers that are left, NaN where none is.
+
+    Parameters
+    ----------
+    random : decides which answers are missing.
+    answers : (experiments, listeners, 9, repetitions).
+    gaps : name in `GAPS`.
+    """
+    law, shape = GAPS[gaps], answers.shape
+    if isinstance(law, float):
+        gone = random.random(shape) < law
+    elif law == "sets":
+        gone = np.argsort(random.random(shape[:3]), axis=-1)[..., None] < np.array([3] * shape[3])
+    else:
+        each = shape[2] * shape[3]
+        gone = np.argsort(random.random((*shape[:2], each)), axis=-1) < each // 3
+        gone[:, np.arange(shape[1]) % 4 != 0] = False
+        gone = gone.reshape(shape)
+    count = np.sum(~gone, axis=-1)
+    return np.where(count > 0, np.sum(answers, axis=-1, where=~gone) / np.maximum(count, 1), np.nan)
+
+
 def rating_rates(
-    random: np.random.Generator, experiments: int, listeners: int, null: str, confidence: float = 0.95
+    random: np.random.Generator, experiments: int, listeners: int, null: str, gaps: str = "", confidence: float = 0.95
 ) -> RatingRates:
-    """False alarms and coverage of the exact analysis."""
+    """False alarms and coverage of the analysis of complete answers, or of those that `gaps` leaves."""
     contrasts = strata.contrasts(_CELLS, _LEVELS)
+    design = np.hstack([np.ones((9, 1)), *contrasts.bases.values()])
     # the shift is kept off the ends of the scale: a true difference is stated only there
     shift = 5.0 if null != "ratings at the ceiling" else 0.0
     alpha = 1 - confidence
+
+    def analysed(y: Array) -> tuple[Callable[[Array], strata.Tested], Callable[[Array], strata.Estimated]]:
+        if not gaps:
+            means = y.mean(axis=-1)
+            return (
+                lambda basis: strata.tested(means, basis, sounds=False),
+                lambda rows: strata.estimated(means, rows, confidence, sounds=False),
+            )
+        fit = IncompleteFit(without(random, y, gaps), design)
+        return fit.tested, lambda rows: fit.estimated(rows, confidence)
+
     parts = []
-    for begin in range(0, experiments, 1000):
-        n = min(1000, experiments - begin)
-        y = ratings(random, n, listeners, null).mean(axis=-1)
-        test = strata.tested(y, contrasts.bases["factor",], sounds=False).p_value < alpha
-        cross = strata.tested(y, contrasts.bases["factor", "sound"], sounds=False).p_value < alpha
-        term = strata.estimated(y, contrasts.differences["factor",], confidence, sounds=False).p_value[..., 0] < alpha
-        y = ratings(random, n, listeners, null, shift).mean(axis=-1)
-        one = strata.estimated(y, contrasts.differences["factor",], confidence, sounds=False)
-        parts.append([test, term, (one.low[..., 0] <= shift) & (shift <= one.high[..., 0]), cross])
-    shares = [float(np.mean(np.concatenate(x))) for x in zip(*parts, strict=True)]
-    return RatingRates(experiments, *shares)
+    for begin in range(0, experiments, 500):
+        n = min(500, experiments - begin)
+        tested, estimated = analysed(ratings(random, n, listeners, null))
+        main, cross = (tested(contrasts.bases[e]).p_value < alpha for e in (("factor",), ("factor", "sound")))
+        terms = estimated(contrasts.differences["factor",]).p_value < alpha
+        one = analysed(ratings(random, n, listeners, null, shift))[1](contrasts.differences["factor",])
+        covered = (one.low[:, 0] <= shift) & (shift <= one.high[:, 0])
+        parts.append([main, terms[:, 0], terms[:, 1], cross, covered])
+    return RatingRates(*(float(np.mean(np.concatenate(x))) for x in zip(*parts, strict=True)))
 
 
-def missing_rates(
-    random: np.random.Generator, experiments: int, listeners: int, null: str, confidence: float = 0.95
-) -> RatingRates:
-    """False alarms and coverage of the mixed model: a quarter of the listeners' last third of answers is missing."""
-    alpha = 1 - confidence
-    rates, failed = [], 0
-    shift = 5.0 if null != "ratings at the ceiling" else 0.0
+def sampled_rates(
+    random: np.random.Generator, experiments: int, listeners: int, sounds: int, missing: float
+) -> tuple[float, float]:
+    """False alarms and coverage for a factor of two levels where sounds are a random sample and answers are missing.
+
+    Listeners and sounds differ in the factor by 5 points each, single answers by 9; `missing` is a share of answers.
+    """
+    contrasts = strata.contrasts([("a",), ("b",)], {"factor": ["a", "b"]})
+    basis = contrasts.bases["factor",]
+    alarms, covered = 0, 0
     for _ in range(experiments):
-        y = ratings(random, 1, listeners, null, shift)[0]
-        rows = [
-            {"listener": f"l{i}", "factor": f, "sound": s, "value": float(value)}
-            for i in range(listeners)
-            for k, (f, s) in enumerate(_CELLS)
-            for value in y[i, k]
+        y = random.normal(0, 5, (listeners, 1, 2)) + random.normal(0, 5, (1, sounds, 2))
+        y = y + random.normal(0, 9, (listeners, sounds, 2)) + np.array([50.0, 55.0])
+        y[random.random(y.shape) < missing] = np.nan
+        fit = CrossedFit(y, np.hstack([np.ones((2, 1)), basis]))
+        one = fit.estimated(contrasts.differences["factor",], 0.95)
+        covered += bool(one.low[0] <= 5.0 <= one.high[0])
+        alarms += bool(CrossedFit(y - [0.0, 5.0], fit.x).tested(basis).p_value < 0.05)
+    return alarms / experiments, covered / experiments
+
+
+#: cuts between grades of the latent answers: a scale that is used in the middle, and one near its upper end
+CUTS = {"five grades": (-2.0, -0.5, 0.7, 2.0), "five grades, half of the answers the highest": (-4.0, -3.0, -1.5, 0.0)}
+
+
+def graded(random: np.random.Generator, listeners: int, cuts: str, shift: float) -> Array:
+    """Draw counts (listeners, 9 cells, grades) of two answers each.
+
+    Latent answers are logistic, with deviations of listeners of 1 and of their responses to each level of 0.7.
+
+    Parameters
+    ----------
+    random, listeners : source of the answers, and number.
+    cuts : name in `CUTS`.
+    shift : by which the second level is higher (logits of one listener).
+    """
+    latent = random.normal(0, 1, (listeners, 1, 1, 1)) + random.normal(0, 0.7, (listeners, 3, 1, 1))
+    latent = latent + np.array([0.0, shift, 0.0])[:, None, None] + random.logistic(size=(listeners, 3, 3, 2))
+    grade = np.searchsorted(CUTS[cuts], latent).reshape(listeners, 9, 2)
+    return np.stack([np.sum(grade == k, axis=-1) for k in range(5)], axis=-1).astype(np.float64)
+
+
+def odds_rates(random: np.random.Generator, experiments: int, listeners: int, cuts: str) -> tuple[float, ...]:
+    """False alarms of factor, first difference and interaction, coverage of log odds, and their bias.
+
+    The true log odds of a population are those of 40,000 listeners.
+    """
+    contrasts = strata.contrasts(_CELLS, _LEVELS)
+    x = np.hstack(list(contrasts.bases.values()))
+    first = contrasts.differences["factor",][:1]
+    many = graded(np.random.default_rng(0), 40_000, cuts, 1.0).sum(axis=0)
+    true = float((first @ x @ fit_counts(many, x)[0])[0])
+    rows = []
+    for _ in range(experiments):
+        eta, v, _ = jackknifed(graded(random, listeners, cuts, 0.0), x)
+        alarms = [
+            float(strata.trace_test(eta @ basis, basis.T @ v @ basis, listeners - 1.0).p_value) < 0.05
+            for basis in (contrasts.bases["factor",], contrasts.bases["factor", "sound"])
         ]
-        kept = np.ones(len(rows), dtype=bool)
-        for i in range(0, listeners, 4):
-            kept[random.permutation(18)[:6] + 18 * i] = False
-        rows = [row for row, keep in zip(rows, kept, strict=True) if keep]
-        found = linear_analysis(rows, ["factor", "sound"], confidence, _LEVELS)
-        if found is None or not found.converged:
-            failed += 1
-            continue
-        term = next(t for t in found.terms if t.name == "factor=b")
-        other = next(t for t in found.terms if t.name == "factor=c")
-        sounds = next(t for t in found.tests if t.name == "sound")
-        cross = next(t for t in found.tests if ":" in t.name)
-        rates.append(
-            [sounds.p_value < alpha, other.p_value < alpha, term.low <= shift <= term.high, cross.p_value < alpha]
-        )
-    shares = np.mean(np.array(rates, dtype=np.float64), axis=0) if rates else np.full(4, np.nan)
-    test, difference, coverage, interaction = (float(x) for x in shares)
-    return RatingRates(experiments, test, difference, coverage, interaction, failed / experiments)
+        p = strata.t_interval(first @ eta, np.diag(first @ v @ first.T), np.array([listeners - 1.0]), 0.95).p_value[0]
+        eta, v, _ = jackknifed(graded(random, listeners, cuts, 1.0), x)
+        one = strata.t_interval(first @ eta, np.diag(first @ v @ first.T), np.array([listeners - 1.0]), 0.95)
+        covered = bool(one.low[0] <= true <= one.high[0])
+        rows.append([alarms[0], p < 0.05, alarms[1], covered, one.difference[0] / true - 1])
+    return tuple(float(a) for a in np.mean(np.array(rows, dtype=np.float64), axis=0))
 
 
 @dataclass(frozen=True)
@@ -263,6 +336,29 @@ def power_had(random: np.random.Generator, experiments: int, listeners: int, shi
         y.reshape(experiments, listeners, 9), contrasts.differences["factor",], 0.95, sounds=False
     ).p_value
     return float(np.mean(strata.holm(p)[:, 0] < 0.05))
+
+
+def power_had_by_sounds(
+    random: np.random.Generator, experiments: int, listeners: int, sounds: int, shift: float, sd: float, sound_sd: float
+) -> float:
+    """Share of experiments, drawn answer by answer, in which the report finds one of two levels; sounds are a sample.
+
+    Parameters
+    ----------
+    random : source of the answers.
+    experiments, listeners, sounds : numbers of them.
+    shift : points by which the second level is higher.
+    sd : standard deviation of the listeners' differences, half of whose variance is that of single answers.
+    sound_sd : standard deviation of the sounds' differences.
+    """
+    rows = strata.contrasts([("a",), ("b",)], {"factor": ["a", "b"]}).differences["factor",]
+    found = 0.0
+    for _ in range(experiments):
+        y = np.array([50.0, 50.0 + shift]) + random.normal(0, sd / 2, (listeners, 1, 2))
+        y = y + random.normal(0, sound_sd / np.sqrt(2), (1, sounds, 2)) + random.normal(0, 6, (listeners, 1, 1))
+        y = y + random.normal(0, sd / 2 * np.sqrt(sounds), (listeners, sounds, 2))
+        found += float(strata.estimated(y, rows, 0.95, sounds=True).p_value[0] < 0.05)
+    return found / experiments
 
 
 def excluded(

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 #: names of the factors of an effect: one for a main effect, two for an interaction
 EffectName = tuple[str, ...]
+#: covariance matrices (..., q, q) with their degrees of freedom
+Parts = list[tuple[Array, Any]]
 
 
 @dataclass(frozen=True)
@@ -144,46 +146,74 @@ def tested(y: Array, basis: Array, *, sounds: bool) -> Tested:
     basis : (cells, q) orthonormal contrasts.
     sounds : whether `y` has the axis of sounds, a random sample.
     """
+    parts, mean = _parts(y @ basis, sounds)
+    if not sounds:
+        return trace_test(mean, parts[0][0], float(parts[0][1]))
+    return quasi_test(parts, mean)
+
+
+def quasi_test(parts: Parts, mean: Array) -> Tested:
+    """Satterthwaite's quasi-F of contrasts (..., q); `parts` are covariance matrices with their degrees of freedom."""
     from scipy.special import fdtrc
 
-    parts, mean = _parts(y @ basis, sounds)
     total, trace = _total(parts)
+    q = mean.shape[-1]
     with np.errstate(invalid="ignore", divide="ignore"):
         square = np.sum(mean**2, axis=-1)
         statistic = np.where(trace > 0, square / trace, np.where(square > 0, np.inf, 0.0))
-        df1 = np.where(trace > 0, trace**2 / np.sum(total**2, axis=(-2, -1)), basis.shape[-1])
+        df1 = np.where(trace > 0, trace**2 / np.sum(total**2, axis=(-2, -1)), q)
         spread = sum(np.sum(v**2, axis=(-2, -1)) / f for v, f in parts)
         df2 = np.where(trace > 0, trace**2 / spread, 1.0)
-    q, n = basis.shape[-1], y.shape[-3 if sounds else -2]
     df1, df2 = np.clip(df1, 1.0, q), np.maximum(df2, 1.0)
-    greenhouse = fdtrc(df1, df2, statistic)
-    epsilon = df1 / q
-    if not sounds and n - 1 > q > 1:
-        df1 = np.clip((n * df1 - 2) / (n - 1 - df1), 1.0, q)
-        df2 = (n - 1) * df1
-    return Tested(statistic, df1, df2, fdtrc(df1, df2, statistic), epsilon, greenhouse)
+    p = fdtrc(df1, df2, statistic)
+    return Tested(statistic, df1, df2, p, df1 / q, p)
+
+
+def trace_test(mean: Array, v: Array, f: Any) -> Tested:
+    """F of contrasts (..., q) by the trace of their covariance matrix (..., q, q), which has f degrees of freedom."""
+    from scipy.special import fdtrc
+
+    q = mean.shape[-1]
+    trace = np.trace(v, axis1=-2, axis2=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        square = np.sum(mean**2, axis=-1)
+        statistic = np.where(trace > 0, square / trace, np.where(square > 0, np.inf, 0.0))
+        df1 = np.clip(np.where(trace > 0, trace**2 / np.sum(v**2, axis=(-2, -1)), q), 1.0, q)
+        epsilon, greenhouse = df1 / q, fdtrc(df1, f * df1, statistic)
+        if q > 1:
+            df1 = np.where(f > q, np.clip(((f + 1) * df1 - 2) / (f - df1), 1.0, q), df1)
+    return Tested(statistic, df1, f * df1, fdtrc(df1, f * df1, statistic), epsilon, greenhouse)
 
 
 def estimated(y: Array, rows: Array, confidence: float, *, sounds: bool) -> Estimated:
     """Estimate differences (rows, cells), each with its own variance; `y` and `sounds` as for `tested`."""
-    from scipy.special import stdtr, stdtrit
-
     z = (y @ rows.T)[..., None]
     z = np.moveaxis(z, -2, 0)  # differences first, each with one contrast
     parts, mean = _parts(z, sounds)
+    one = quasi_interval(parts, mean, confidence)
+    return Estimated(*(np.moveaxis(x, 0, -1) for x in astuple(one)))
+
+
+def quasi_interval(parts: Parts, mean: Array, confidence: float) -> Estimated:
+    """Intervals of differences (..., 1), of variances that are sums of parts (..., 1, 1)."""
     _, v = _total(parts)
     with np.errstate(invalid="ignore", divide="ignore"):
         spread = sum(np.sum(x**2, axis=(-2, -1)) / f for x, f in parts)
         df = np.maximum(np.where(v > 0, v**2 / spread, 1.0), 1.0)
-        value = mean[..., 0]
+    return t_interval(mean[..., 0], v, df, confidence)
+
+
+def t_interval(value: Array, v: Array, df: Array, confidence: float) -> Estimated:
+    """Intervals and t tests of differences (..., rows) with variances v and their degrees of freedom."""
+    from scipy.special import stdtr, stdtrit
+
+    with np.errstate(invalid="ignore", divide="ignore"):
         t = np.where(v > 0, np.abs(value) / np.sqrt(v), np.where(np.abs(value) > 0, np.inf, 0.0))
     half = stdtrit(df, (1 + confidence) / 2) * np.sqrt(v)
-    p = 2 * stdtr(df, -t)
-    back = [np.moveaxis(x, 0, -1) for x in (value, value - half, value + half, df, p)]
-    return Estimated(*back)
+    return Estimated(value, value - half, value + half, df, 2 * stdtr(df, -t))
 
 
-def _parts(z: Array, sounds: bool) -> tuple[list[tuple[Array, int]], Array]:
+def _parts(z: Array, sounds: bool) -> tuple[Parts, Array]:
     """Covariance matrices (..., q, q) of the mean with their degrees of freedom and signs, and the mean (..., q)."""
     if not sounds:
         n = z.shape[-2]
@@ -202,7 +232,7 @@ def _parts(z: Array, sounds: bool) -> tuple[list[tuple[Array, int]], Array]:
     ], mean
 
 
-def _total(parts: list[tuple[Array, int]]) -> tuple[Array, Array]:
+def _total(parts: Parts) -> tuple[Array, Array]:
     """V and its trace; with two samples never less than that of either alone, which the true one exceeds."""
     traces = [np.trace(v, axis1=-2, axis2=-1) for v, _ in parts]
     if len(parts) == 1:

@@ -2,7 +2,8 @@
 
 A page of several ratings gives a row for each. Columns besides the factors: listener, simulated, page, type, trial,
 index, repetition, training, stimulus (code), role (sound, reference, anchor35, anchor70), item (scale or question),
-value (a number), response (as given), right, level and track of a staircase, seconds, plays, time. In a pair the factor
+value (a number), response (as given), right, level and track of a staircase, seconds, plays (of all sounds), heard (the
+least share of a sound that was heard), time. In a pair the factor
 that differs reads ``a|b``; its value is 1 where the second level was chosen, or the answer was right, 0 where not, 0.5
 for a tie.
 """
@@ -32,7 +33,7 @@ from tonewood.workshop.listening.session import OPEN
 VERSUS = "|"
 COLUMNS = (
     "listener", "simulated", "page", "type", "trial", "index", "repetition", "training", "stimulus", "role", "item",
-    "value", "response", "right", "level", "track", "seconds", "plays", "time",
+    "value", "response", "right", "level", "track", "seconds", "plays", "heard", "time",
 )  # fmt: skip
 
 
@@ -135,6 +136,7 @@ def tidy(test: ListeningTest, key: Key, answers: Sequence[ListenerAnswers]) -> A
                 **{k: record.get(k) for k in ("right", "level", "track")},
                 "seconds": record["answer"].get("seconds"),
                 "plays": sum(record["answer"].get("plays", {}).values()),
+                "heard": min(record["answer"].get("heard", {}).values(), default=None),
             }
             for fields in _rows(test, key, factors, trials, record):
                 rows.append({**dict.fromkeys((*COLUMNS, *factors)), **base, **fields})
@@ -163,6 +165,8 @@ def _rows(
         for name, value in answer["values"].items():
             number = value if isinstance(value, (int, float)) else None
             yield {"item": name, "value": number, "response": value}
+    elif record["type"] == "headphones":
+        yield {"item": "headphones", "value": float(record["right"]), "response": answer["choice"]}
     elif record["trial"] in trials:
         trial = trials[record["trial"]]
         first, second = _sound(key, trial.reference or ""), _sound(key, trial.stimuli[0])

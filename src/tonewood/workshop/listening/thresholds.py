@@ -175,6 +175,7 @@ class ThresholdGrid:
         task = task_of(page)
         assert task is not None
         self.guess = CHANCE[task]
+        self._logs: dict[float, tuple[Array, Array]] = {}
 
     def likelihood(self, levels: Array, right: NDArray[np.bool_]) -> Array:
         """Logarithm of the likelihood (thresholds, slopes) of one listener's answers, summed over lapse rates."""
@@ -182,13 +183,22 @@ class ThresholdGrid:
         at, places = np.unique(x, return_inverse=True)
         hits = np.bincount(places, right, len(at))
         misses = np.bincount(places, ~right, len(at))
-        total = np.full((len(self.u), len(self.slopes)), -np.inf)
-        for lapse, weight in zip(_LAPSES, _LAPSE_PRIOR / _LAPSE_PRIOR.sum(), strict=True):
-            p = psychometric(at[:, None, None], self.u[:, None], self.slopes, self.guess, self.page.share, lapse)
+        logs = np.log(_LAPSE_PRIOR / _LAPSE_PRIOR.sum())[:, None, None]
+        for level, hit, miss in zip(at, hits, misses, strict=True):
+            right_of, wrong_of = self._answers(float(level))
+            logs = logs + hit * right_of + miss * wrong_of
+        most = logs.max(axis=0)
+        return np.asarray(most + np.log(np.sum(np.exp(logs - most), axis=0)))
+
+    def _answers(self, level: float) -> tuple[Array, Array]:
+        """Logarithms of probabilities (lapse rates, thresholds, slopes) of right and wrong answers; kept by level."""
+        if level not in self._logs:
+            p = psychometric(
+                level, self.u[:, None], self.slopes, self.guess, self.page.share, _LAPSES[:, None, None]
+            )  # fmt: skip
             p = np.clip(p, 1e-9, 1 - 1e-9)
-            one = np.einsum("i,ijk->jk", hits, np.log(p)) + np.einsum("i,ijk->jk", misses, np.log1p(-p))
-            total = np.logaddexp(total, one + math.log(weight))
-        return total
+            self._logs[level] = np.log(p), np.log1p(-p)
+        return self._logs[level]
 
     def fit(self, tables: Array, confidence: float) -> PopulationFit:
         """Fit the population to likelihoods (listeners, thresholds, slopes)."""

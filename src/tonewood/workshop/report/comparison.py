@@ -23,6 +23,8 @@ T = TypeVar("T")
 
 #: cents between two modes, and decades between their residues, that alone make them different ones
 _REACH_CENTS, _REACH_DECADES = 400.0, 1.5
+#: places from which on a shape is a whole surface's; cents between two modes of such that alone make them different
+_SURFACE, _WIDE_CENTS = 60, 3600.0
 #: labels of instruments
 LABELS = "ABCDEF"
 #: open strings of a report that are played
@@ -128,7 +130,9 @@ def compare(
     """
     if not 1 <= len(candidates) <= len(LABELS):
         raise TonewoodError(f"{len(candidates)} instruments; 1 to {len(LABELS)} are allowed")
-    models = [assemble(candidate.instrument, fs) for candidate in candidates]
+    models = [assemble(candidate.instrument, fs, alone=True) for candidate in candidates]
+    if notes and not all(model.strings for model in models):
+        raise TonewoodError("a body without strings plays none", key="--notes")
     names = list(dict.fromkeys(notes or ()))
     for name in names:
         faults = [fault for model in models if (fault := _fault(model, name))]
@@ -166,6 +170,8 @@ def default_notes(found: Sequence[InstrumentFacts], models: Sequence[Model]) -> 
     names: list[str] = []
     for facts, model in zip(found, models, strict=True):
         strings = list(model.groups)
+        if not strings:
+            return []
         if len(found) > 1:
             strings = [strings[0], strings[-1]]
         elif len(strings) > _MOST_OPEN:
@@ -238,6 +244,8 @@ def _unlike(a: BodyMode, b: BodyMode) -> float:
     if a.freq <= 0 or b.freq <= 0:
         return 0.0 if a.freq == b.freq else 1.0
     alike = abs(np.vdot(a.shape, b.shape)) ** 2 if a.shape.shape == b.shape.shape and a.shape.any() else 1.0
+    if a.shape.shape == b.shape.shape and len(a.shape) > _SURFACE:  # whole surfaces: the shape says which mode it is
+        return abs(cents(b.freq / a.freq)) / _WIDE_CENTS + 1.0 - float(alike)
     size = abs(math.log10(b.residue / a.residue)) if a.residue > 0 and b.residue > 0 else 0.0
     return abs(cents(b.freq / a.freq)) / _REACH_CENTS + size / _REACH_DECADES + 1.0 - float(alike)
 

@@ -50,7 +50,7 @@ class BodyMode:
     freq : natural frequency, Hz; q, t60 : quality factor and decay time (s).
     residue : mean of phi^2 over the strings' ends, 1/kg.
     mass : 1 / residue, kg; infinite where no string's end moves.
-    shape : (n_strings,) displacement at the strings' ends, of norm 1.
+    shape : (n_strings,) displacement at the strings' ends, of a body alone over its whole surface if known, of norm 1.
     """
 
     freq: float
@@ -233,25 +233,29 @@ def frequencies(body: ModalBasis, fs: float) -> Floats:
     """Frequencies at which mobility is stated, Hz: equally spaced in their logarithm, and the body's own."""
     top = min(_HIGH, 0.45 * fs)
     even = np.geomspace(_LOW, top, int(_PER_DECADE * np.log10(top / _LOW)))
-    own = body.natural_freq
-    near = [own * (1 + x * np.minimum(body.damping_ratio, 1.0)) for x in (-1.0, 0.0, 1.0)]
+    own = body.natural_freq[body.natural_freq > 0]
+    near = [own * (1 + x * np.minimum(body.damping_ratio[body.natural_freq > 0], 1.0)) for x in (-1.0, 0.0, 1.0)]
     every = np.concatenate([even, *near])
     return np.unique(every[(every >= _LOW) & (every <= top)])
 
 
 def body_modes(model: Model) -> tuple[BodyMode, ...]:
-    """Modes of the body at the points where strings end, by frequency."""
+    """Modes of the body at the points where strings end, of a body alone at all of its points, by frequency."""
     body = model.body
     points = [
         max(ends, key=lambda p: abs(ends[p]))
         for s in (model.strings[name] for name in model.groups)
         if (ends := s.polarizations[0].ends)
-    ]
+    ] or ([] if model.strings else list(model.body_points))
     rows = [body.index(point) for point in points]
+    surface = None if model.strings else model.instrument.body.sources(model.fs / 2)
+    whole = surface is not None and surface.volumes.shape[1] == body.n_modes and not model.instrument.spec.body.added
     mean = np.mean([body.residues(point) for point in points], axis=0) if points else np.zeros(body.n_modes)
     out = []
     for k in np.argsort(body.natural_freq):
-        shape = body.right[rows, k]
+        if not model.strings and not body.natural_freq[k]:
+            continue  # rigid-body motion
+        shape = surface.volumes[:, k] if whole and surface is not None else body.right[rows, k]
         norm = float(np.sqrt(np.sum(np.abs(shape) ** 2)))
         sigma, omega = float(body.damping_rate[k]), float(np.sqrt(body.stiffness[k]))
         out.append(

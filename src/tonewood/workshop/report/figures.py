@@ -90,7 +90,9 @@ def shapes_pictures(found: Comparison) -> list[Picture]:
         if facts.surface is None or not len(facts.surface.areas):
             continue
         basis, heading = facts.surface_modes, facts.heading if len(found.instruments) > 1 else ""
-        drawn = shapes_figure(facts.surface, basis.natural_freq, 0.5 / basis.damping_ratio, heading=heading)
+        moves = basis.natural_freq > 0
+        q = 0.5 / basis.damping_ratio[moves]
+        drawn = shapes_figure(facts.surface.of(moves), basis.natural_freq[moves], q, heading=heading)
         made.append(Picture(data_uri(png(drawn, 60), "image/png"), f"First modes of the body of {facts.name}"))
     return made
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -91,3 +92,26 @@ def gpif(path: Path, notes: list[tuple[int, int, str, str]], rhythm: int = 0, ca
 
 def enabled(name: str) -> str:
     return f'<Property name="{name}"><Enable/></Property>'
+
+
+def gpx_system(score: bytes) -> bytes:
+    """File system of Guitar Pro 6 with a score: a sector that describes it, and its own from the third on."""
+    n = -(-len(score) // 0x1000)
+    entry = bytearray(0x1000)
+    struct.pack_into("<i127s", entry, 0, 2, b"score.gpif")
+    struct.pack_into("<i", entry, 0x8C, len(score))
+    struct.pack_into(f"<{n + 1}i", entry, 0x94, *range(2, n + 2), 0)
+    return b"BCFS" + bytes(0x1000) + bytes(entry) + score.ljust(n * 0x1000, b"\0")
+
+
+def gpx_bits(*parts: bytes | tuple[int, int]) -> bytes:
+    """Bits of a compressed file: bytes as they are, (back, size) as references of 15 bits."""
+    bits = ""
+    for part in parts:
+        if isinstance(part, bytes):
+            for i in range(0, len(part), 3):
+                piece = part[i : i + 3]
+                bits += "0" + f"{len(piece):02b}"[::-1] + "".join(f"{b:08b}" for b in piece)
+        else:
+            bits += "1" + "1111" + "".join(f"{n:015b}"[::-1] for n in part)
+    return bytes(int(bits[i : i + 8].ljust(8, "0"), 2) for i in range(0, len(bits), 8))

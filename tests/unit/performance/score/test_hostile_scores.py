@@ -17,10 +17,10 @@ from tablatures import gpif, guitar_pro, musicxml, mxl, note
 
 import tonewood as tw
 from tonewood.errors import ScoreError
-from tonewood.performance.score import guitar_pro as guitar_pro_reader
-from tonewood.performance.score import guitar_pro_file, limits, written, xml_files
+from tonewood.performance.score import gpif as gpif_reader
+from tonewood.performance.score import guitar_pro_file, limits, score_clock, written, xml_files
 from tonewood.performance.score.limits import number, whole
-from tonewood.performance.score.written import Measure, order
+from tonewood.performance.score.unfolding import Measure, order
 
 MB = 2**20
 NOTE = note("C", 4, 4)
@@ -56,8 +56,8 @@ def test_lists_that_multiply_end_while_they_are_read(
     tmp_path: Path, times: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     built = []
-    note_of = guitar_pro_reader.WrittenNote
-    monkeypatch.setattr(guitar_pro_reader, "WrittenNote", lambda *a, **k: built.append(a) or note_of(*a, **k))
+    replace = gpif_reader.replace
+    monkeypatch.setattr(gpif_reader, "replace", lambda *a, **k: built.append(a) or replace(*a, **k))
     monkeypatch.setattr(written, "MAX_NOTES", 5000)
     text = gpif_text(tmp_path)
     for kind, n in times.items():
@@ -69,7 +69,7 @@ def test_lists_that_multiply_end_while_they_are_read(
 
 
 def test_lists_without_notes_are_counted_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guitar_pro_reader, "_MOST_REFERENCES", 5000)
+    monkeypatch.setattr(gpif_reader, "_MOST_REFERENCES", 5000)
     text = gpif_text(tmp_path).replace("<Voices>0", "<Voices>" + "0 " * 1000).replace("<Notes>0<", "<Notes><")
     path = archived(tmp_path / "rests.gp", text.replace("<Beats>0", "<Beats>" + "0 " * 1000))
     refused(path, "more than 5000 bars, voices, beats and notes in lists")
@@ -257,8 +257,9 @@ def test_a_number_of_a_file_is_decimal_and_within_bounds() -> None:
 
 
 def test_repeats_tempos_and_parts_that_multiply(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("MAX_NOTES", "_MOST_TEMPOS", "_MOST_CELLS"):
+    for name in ("MAX_NOTES", "MOST_TEMPOS", "_MOST_CELLS"):
         monkeypatch.setattr(written, name, 2000)
+    monkeypatch.setattr(score_clock, "MOST_TEMPOS", 2000)
     again = '<barline location="right"><repeat direction="backward" times="32"/></barline></measure>'
     short = NOTE.replace(">4</dur", ">0.01</dur")
     tempos = "".join(f'<sound tempo="{90 + i}"/><forward><duration>1</duration></forward>' for i in range(100))

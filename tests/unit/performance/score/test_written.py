@@ -13,7 +13,8 @@ from tablatures import enabled, gpif, guitar_pro, musicxml, mxl, note
 
 import tonewood as tw
 from tonewood.errors import ScoreError
-from tonewood.performance.score.written import Measure, WrittenMusic, WrittenNote, WrittenPart, order, performed
+from tonewood.performance.score.unfolding import Measure, order
+from tonewood.performance.score.written import WrittenMusic, WrittenNote, WrittenPart, performed
 
 FOUR = [(0.0, 40.0, 0.0), (1.0, 47.0, 2.0), (2.0, 55.0, 5.0), (3.0, 62.0, 7.0)]
 
@@ -124,13 +125,15 @@ def test_signs_of_guitar_pro_7(tmp_path: Path) -> None:
         (3, 4, into, ""), (4, 1, enabled("Muted"), ""),
     ]  # fmt: skip
     score = tw.read_score(gpif(tmp_path / "a.gp", notes, rhythm=1))
-    assert [n.time for n in score.notes] == pytest.approx([i / 3 for i in range(6)])
+    assert [n.time for n in score.notes] == pytest.approx([i / 3 for i in (0, 1, 2, 3, 5)])
     marks = [set(n.marks) - {"tablature"} for n in score.notes]
-    assert marks == [set(), {"hammer_on", "palm_mute"}, {"harmonic"}, set(), {"slide"}, {"dead_note"}]
-    assert (score.notes[2].note, score.notes[2].stop) == (50.0, 0.0)  # the open string, touched at its middle
-    assert score.notes[3].duration == pytest.approx(1 / 3)  # rings until its string is played again
-    assert score.notes[5].duration == pytest.approx(0.05)
-    assert score.ignored == {"slide into or out of a note": 1}
+    assert marks == [set(), {"hammer_on", "palm_mute"}, set(), set(), {"dead_note"}]
+    harmonic, slid = score.notes[2:4]
+    assert (harmonic.note, harmonic.stop, harmonic.partial) == (62.0, 0.0, 2)  # the open string, touched at its middle
+    # one stroke, whose finger slides two frets up
+    assert (slid.note, slid.duration, slid.glides) == (57.0, 2 / 3 + 8.0, ((pytest.approx(1 / 3), 2.0),))
+    assert score.notes[4].duration == pytest.approx(0.05)
+    assert score.ignored == {}
     capo = tw.read_score(gpif(tmp_path / "b.gp", notes[:1], capo=3))
     assert (capo.notes[0].note, capo.notes[0].stop) == (45 + 3 + 2, 5.0)
 
@@ -139,7 +142,7 @@ def test_a_natural_harmonic_sounds_beyond_the_capo(tmp_path: Path) -> None:
     natural = enabled("Harmonic") + '<Property name="HarmonicType"><HType>Natural</HType></Property>'
     natural += '<Property name="HarmonicFret"><HFret>12</HFret></Property>'
     (one,) = tw.read_score(gpif(tmp_path / "a.gp", [(2, 12, natural, "")], capo=3)).notes
-    assert (one.note, one.stop, set(one.marks) - {"tablature"}) == (50.0 + 3, 3.0, {"harmonic"})
+    assert (one.note, one.stop, one.partial) == (50.0 + 3 + 12, 3.0, 2)
 
 
 @pytest.mark.parametrize(("dots", "beats"), [(0, 1.0), (1, 1.5), (2, 1.75), (3, 1.875)])
@@ -274,7 +277,7 @@ def test_jumps_that_lead_nowhere_are_counted(
         ("Da Capo", 8, {}),
         ("Da Capo al Fine", 8, {}),
         ("Da Segno al Coda", 4, {"dal segno without a segno": 1}),
-        ("Da Double Coda", 4, {"direction that is not known": 1}),
+        ("Da Double Coda", 4, {"to double coda without a double coda": 1}),
     ],
 )
 def test_directions_of_guitar_pro_are_followed_or_counted(
@@ -344,7 +347,8 @@ def test_files_that_cannot_be_read_are_one_line(tmp_path: Path) -> None:
         pass
     good = guitar_pro(tmp_path / "good.gp5").read_bytes()
     cases = {
-        "six.gpx": (b"BCFZ1234", "Guitar Pro 6 is not read"),
+        "six.gpx": (b"BCFZ1234", "damaged Guitar Pro 6 file"),
+        "system.gpx": (b"BCFS" + bytes(0x3000), "has no score.gpif"),
         "tune.abc": (b"X:1\nK:C\nCDE", "ABC is not read; converted it is: by abc2midi"),
         "cut.gp5": (good[: len(good) // 2], "damaged Guitar Pro file"),
         "cut.mxl": (b"PK\x03\x04 and so on", "damaged archive"),

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tonewood.physics.coupling import law_solve
-from tonewood.physics.coupling.law_solve import FrictionBranch, Partners, find_forces, solve_branches
 from tonewood.physics.coupling.laws import Contact, Friction
+from tonewood.physics.coupling.laws import friction as friction_module
+from tonewood.physics.coupling.laws import solve as solve_module
+from tonewood.physics.coupling.laws.friction import FrictionBranch, solve_branches
+from tonewood.physics.coupling.laws.solve import Partners, find_forces
 
 DT = 1e-4
 LAWS = (
@@ -46,7 +48,7 @@ def assert_solved(Z, free, gap, partners, f):
 @pytest.mark.parametrize("seed", range(12))
 def test_forces_fulfil_every_law(seed, careful, monkeypatch):
     if careful:
-        monkeypatch.setattr(law_solve, "FEW_SWEEPS", 1)  # so that Newton's method on the friction forces is needed
+        monkeypatch.setattr(solve_module, "FEW_SWEEPS", 1)  # so that Newton's method on the friction forces is needed
     Z, free, gap, partners = drawn(seed)
     branches = {j: FrictionBranch(law, partners.scale[j], 0.0) for j, law in enumerate(LAWS) if j in (1, 3)}
     guess = [np.zeros(4)]
@@ -84,7 +86,7 @@ def test_halving_ends_where_the_curve_meets_the_rest_of_the_step(free, load, tur
     """Of one gap alone, whose meeting is the root of a quadratic; below the limit of sticking, at rest."""
     law = Friction(2.0, 0.8, 0.3, 0.1)
     friction = FrictionBranch(law, 0.5, 0.0)
-    law_solve._halve(friction, lambda: friction.meet(turned * free, load / 1.0 if load else 1e-12))
+    friction_module._halve(friction, lambda: friction.meet(turned * free, load / 1.0 if load else 1e-12))
     if free <= load * law.static:
         assert friction.velocity == 0.0
     else:

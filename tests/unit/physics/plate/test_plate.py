@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg as sla
@@ -20,7 +22,8 @@ NU = 0.3
 #: D = 1 and rho h = 1 at h = 1
 UNIT = Wood(12 * (1 - NU**2), 12 * (1 - NU**2), 6 * (1 - NU), NU, 1.0)
 SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-SPRUCE = SPECIES["european_spruce"].wood
+#: that does not shear through its thickness: Kirchhoff's plate, whose closed forms these tests have
+SPRUCE = replace(SPECIES["european_spruce"].wood, G_LT=np.inf, G_RT=np.inf)
 
 
 def numbers(rings, edge, count, size=0.125, **more):
@@ -185,10 +188,10 @@ def test_lines_are_integrated_exactly(parts: int) -> None:
 
 
 def test_cells_follow_the_wavelength_across_the_grain() -> None:
-    """omega = k^2 sqrt(D / rho h): 0.23 of 2 pi / k, no more than 20 mm."""
+    """omega = k^2 sqrt(D / rho h): 0.3 of 2 pi / k, no more than 20 mm."""
     h, k = 0.003, 2 * np.pi / 0.05
     fmax = k**2 * np.sqrt(SPRUCE.stiffness()[1, 1] * h**3 / 12 / (SPRUCE.density * h)) / (2 * np.pi)
-    assert cell_size(SPRUCE, h, fmax) == pytest.approx(0.23 * 0.05, rel=1e-9)
+    assert cell_size(SPRUCE, h, fmax) == pytest.approx(0.3 * 0.05, rel=1e-9)
     assert cell_size(SPRUCE, h, 1.0) == 0.02
 
 

@@ -9,9 +9,8 @@ from geometric_scenes import held_string as stretching_string
 from nonlinear_scenes import drawn, modulated_guitar
 
 from tonewood.errors import NumericalError
-from tonewood.physics.coupling import law_solve
 from tonewood.physics.coupling.connections import Connection, Term
-from tonewood.physics.coupling.laws import Contact, Friction
+from tonewood.physics.coupling.laws import Contact, Friction, solve
 from tonewood.physics.coupling.potentials.solve import PotentialSolve
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.stepping.kernel import KernelStepper
@@ -60,8 +59,8 @@ def test_steps_that_the_kernel_loses_are_made_again(monkeypatch):
 def test_friction_by_newton_is_that_of_going_from_law_to_law(monkeypatch):
     system = modulated_guitar(frets=SOFT, extra=BOWS)
     expected, forces, before = run(system, drawn(system, 5.0), 40)
-    monkeypatch.setattr(law_solve, "MAX_SWEEPS", 2)
-    monkeypatch.setattr(law_solve, "FEW_SWEEPS", 2)
+    monkeypatch.setattr(solve, "MAX_SWEEPS", 2)
+    monkeypatch.setattr(solve, "FEW_SWEEPS", 2)
     out, found, statistics = run(system, drawn(system, 5.0), 40)
     assert before.redone == 0
     assert statistics.redone > 10
@@ -105,7 +104,7 @@ def test_a_slack_string_loses_energy(share):
 def test_a_step_that_cannot_be_found_is_refused_in_one_line(monkeypatch, make):
     """And the error names string and time."""
     system = modulated_guitar(frets=SOFT)
-    monkeypatch.setattr(law_solve, "newton", lambda laws, Z, free, old, dt, scale, guess, noise: (guess, 1, False))
+    monkeypatch.setattr(solve, "newton", lambda laws, Z, free, old, dt, scale, guess, noise: (guess, 1, False))
     if make is KernelStepper:
         monkeypatch.setattr(KernelStepper, "_run", lambda *_: 0)
     made, state = make(system), drawn(system, 5.0)

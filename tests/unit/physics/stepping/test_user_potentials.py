@@ -206,15 +206,50 @@ class Fourth(PotentialEnergy):
         return None if self.pointer is None else PotentialFunction(self.pointer, data=self.stiffness, scratch=6)
 
 
-def test_a_c_function_gives_the_samples_of_the_python_one(tmp_path: Path) -> None:
+@pytest.fixture
+def fourth(tmp_path: Path) -> object:
+    """Pointer to the C function."""
     if (compiler := shutil.which("cc")) is None:
         pytest.skip("needs cc")
     (tmp_path / "fourth.c").write_text(SOURCE)
     library = tmp_path / "fourth.so"
     subprocess.run([compiler, "-O2", "-shared", "-fPIC", tmp_path / "fourth.c", "-o", library], check=True)
-    pointer = ctypes.cast(ctypes.CDLL(str(library)).fourth, FUNCTION)
+    return ctypes.cast(ctypes.CDLL(str(library)).fourth, FUNCTION)
+
+
+@pytest.mark.parametrize("kind", STEPPERS)
+@pytest.mark.parametrize("in_c", [False, True])
+def test_a_potential_that_is_unbounded_below_ends_the_run(fourth: object, kind: type, in_c: bool) -> None:
+    """V = -k/4 sum y^4 is 0 J at rest, and nowhere above."""
+    for stiffness, ends in ((1e12, False), (-1e12, True)):
+        system = plate(48000, Fourth(stiffness, fourth if in_c else None))
+        state = system.start()
+        system.modes_of(state, "plate")[:] = from_motion(PLATE, np.zeros(6), 0.3 * np.ones(6))
+        if not ends:
+            kind(system).run(state, 70)
+            continue
+        with pytest.raises(TonewoodError, match=r"Fourth: V = -\S+ J is below `least` = 0 J in the motion"):
+            kind(system).run(state, 70)
+
+
+def test_rounding_of_a_potential_is_no_fault() -> None:
+    """V may be below `least` by 1e-12 J, and by 1e-9 of the energies at hand."""
+    energy = Fourth(1.0)
+    energy.check_bound(-0.9e-12)
+    energy.check_bound(-0.9e-9, 1.0)
+    energy.least, energy.scale = -2.0, 3.0
+    energy.check_bound(-2.0 - 4.9e-9)
+    energy.check_state(np.array([2.0 + 1e-9, 5.0, np.sqrt(10.0)]))
+    for value, scale in ((-2.0 - 5.1e-9, 0.0), (-2.0 - 1.1e-7, 100.0)):
+        with pytest.raises(TonewoodError, match="below `least` = -2 J"):
+            energy.check_bound(value, scale)
+    with pytest.raises(TonewoodError, match=r"V = -2\.1 J"):
+        energy.check_state(np.array([2.1, 5.0, np.sqrt(10.0)]))
+
+
+def test_a_c_function_gives_the_samples_of_the_python_one(fourth: object) -> None:
     found = []
-    for energy in (Fourth(1e12), Fourth(1e12, pointer)):
+    for energy in (Fourth(1e12), Fourth(1e12, fourth)):
         system = plate(48000, energy)
         state = system.start()
         system.modes_of(state, "plate")[:] = from_motion(PLATE, np.zeros(6), 0.3 * np.ones(6))

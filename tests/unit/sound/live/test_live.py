@@ -168,6 +168,20 @@ def test_techniques_by_keyswitch_name_and_on_the_body(guitar: tw.Instrument) -> 
         live.note_on("A2", technique="palms")
 
 
+def test_the_peak_is_the_largest_of_both_signs(monochord: tw.Instrument) -> None:
+    """Also of a first block whose samples are all of one sign, or whose largest is negative."""
+    live, largest = tw.Live(monochord, prepare=False), 0.0
+    signs = set()
+    live.note_on(45, 127)
+    for _ in range(60):
+        block = live.process(16)
+        largest = max(largest, float(np.abs(block).max()))
+        signs.add(block.max() < -block.min())
+        if largest > 0:
+            assert live.summary().peak_dbfs == pytest.approx(20 * np.log10(largest))
+    assert signs == {True, False}
+
+
 def test_nothing_grows_with_time(monochord: tw.Instrument) -> None:
     """Lists and tables of the engine after 120 notes, and after twice as many."""
     live = tw.Live(monochord, fs=8000, accuracy="draft")

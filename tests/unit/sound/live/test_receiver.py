@@ -346,6 +346,15 @@ def test_without_rtmidi_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
         MidiInput()
 
 
+def test_without_a_sequencer_one_line_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing() -> list[str]:
+        raise OSError("MidiInAlsa::initialize: error creating ALSA sequencer client object.")
+
+    monkeypatch.setattr(mido, "get_input_names", nothing)
+    with pytest.raises(TonewoodError, match=r"ALSA sequencer client.*modprobe snd-seq.*JACK.*MIDO_BACKEND.*--keyboard"):
+        MidiInput()
+
+
 def test_the_computers_keys(guitar: tw.Instrument) -> None:
     typed, clock = [""], [0.0]
 

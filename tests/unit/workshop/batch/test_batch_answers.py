@@ -123,10 +123,28 @@ def test_levels_that_are_silent_or_not_finite_are_reported(tmp_path: Path) -> No
     path = fakes.write(tmp_path, fakes.manifest(**SMALL | {"pages": [STAIRS]}))
     report = run_batch(path, tmp_path / "out", Silent())
     assert [fault.name.rpartition("(")[2] for fault in report.faults] == ["pages.0.lowest)"]
-    for change in ({"scale": "db", "reference": 0.1, "highest": 1e6}, {"scale": "percent", "highest": float("inf")}):
+    for change in (
+        {"scale": "db", "reference": 0.1, "highest": 1e6, "steps": [1e3]},
+        {"scale": "percent", "highest": float("inf")},
+    ):
         fakes.write(tmp_path, fakes.manifest(**SMALL | {"pages": [STAIRS | change]}))
         with pytest.raises(ManifestError, match=r"pages\.0\.highest"):
             plan_batch(path, tmp_path / "out", FakeRenderer())
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"scale": "percent", "reference": 0.0},
+        {"scale": "db", "reference": 0},
+        {"scale": "add", "reference": 1e20},
+        {"scale": "percent", "reference": 0.0, "steps": []},
+    ],
+)
+def test_levels_that_leave_the_parameter_where_it_is_are_refused(tmp_path: Path, change: dict[str, Any]) -> None:
+    path = fakes.write(tmp_path, fakes.manifest(**SMALL | {"pages": [STAIRS | change]}))
+    with pytest.raises(ManifestError, match=r"pages\.0\.scale: .* is .* at the lowest and at the highest level"):
+        plan_batch(path, tmp_path / "out", FakeRenderer())
 
 
 def test_levels_are_in_the_store_when_the_first_listener_comes(tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ def test_a_kept_model_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_few_models_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[str] = []
 
-    def assembled(instrument: Any, options: Any) -> str:
+    def assembled(instrument: Any, options: Any, *, by_string: bool) -> str:
         made.append(instrument.content_hash)
         return "a model"
 

@@ -20,6 +20,7 @@ from tonewood.workshop.batch.manifest import (
     manifest_schema,
 )
 from tonewood.workshop.batch.seeds import blind_codes
+from tonewood.workshop.listening.staircase import StaircaseTrack
 
 STAIRS = {
     "type": "staircase", "path": "body.t60", "start": 0.5, "lowest": 0.1, "highest": 1.0, "steps": [0.1],
@@ -190,7 +191,7 @@ def test_a_folder_beside_the_manifest_needs_no_dot(tmp_path: Path) -> None:
         ({"repeats": True}, "m.yaml: repeats: Input should be a valid integer, not True"),
         ({"schema": "tonewood-batch/2"}, "m.yaml: schema: Input should be 'tonewood-batch/1', not"),
         ({"name": "../x"}, "m.yaml: name: String should match pattern"),
-        ({"stimuly": {}}, "m.yaml: stimuly: is not a known key; did you mean stimuli? allowed: schema, name,"),
+        ({"stimuly": {}}, "m.yaml: stimuly: is not a known key; did you mean stimuli? allowed: schema, kind, name,"),
         (
             {"render": {"precision": "f64"}},
             "m.yaml: render.precision: was removed in 0.2: samples are always computed in double precision; `tonewood",
@@ -350,3 +351,65 @@ def test_pages_that_cannot_be() -> None:
     with pytest.raises(ManifestError, match=r"13 signals on page1.* at most 12 \(BS\.1534\), or strict: false"):
         groups_of(factors=many, pages=[crowded])
     assert groups_of(factors=many, pages=[crowded | {"strict": False}])[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"steps": [1e-30]}, "of the largest go 8.9e-27 % of the way"),
+        ({"steps": [1e-4]}, "of the largest go 0.89 % of the way"),
+        ({"steps": [0.1, 1e-17]}, "steps.1: 1e-17 is lost by rounding"),
+        ({"steps": [0.1, 0.1, 1e-17]}, "steps.2: 1e-17 is lost by rounding"),
+        ({"steps": [1.0000000000000002], "ratio": True}, "of the way from lowest to highest, 1 % at least"),
+        ({"steps": [1.0], "start": 3e16, "lowest": 2e16, "highest": 4e16}, "of the way"),
+        ({"start": 0.5, "lowest": 0.5, "highest": 0.5 + 1e-15}, "too near"),
+        ({"steps": [], "start": 1e16, "lowest": 1e16, "highest": 1e16 + 2}, "too near"),
+        ({"steps": [], "start": 1.0, "lowest": 1.0, "highest": 1.0 + 1e-15, "ratio": True}, "too near"),
+        ({"longest": 8}, "8 reversals take 13 trials or more (down: 2)"),
+        ({"reversals": 9, "discard": 0, "down": 3, "longest": 19}, "9 reversals take 20 trials or more (down: 3)"),
+    ],
+)
+def test_staircases_that_cannot_move_or_end_are_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(ManifestError) as caught:
+        check_manifest(fakes.manifest(pages=[STAIRS | change]))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("down", "reversals", "least"), [(1, 2, 3), (2, 8, 13), (3, 9, 20), (3, 4, 9)])
+def test_the_shortest_track_that_is_accepted_can_end(down: int, reversals: int, least: int) -> None:
+    """The shortest track by trying all answers: wrong, then right `down` times, then wrong, and so on."""
+    levitt = {"down": down, "reversals": reversals, "discard": 0, "longest": max(least, 5)}
+    page = check_manifest(fakes.manifest(pages=[STAIRS | levitt])).pages[0]
+    track = StaircaseTrack(page)
+    while not track.done:
+        run = 1 if len(track.reversal_levels) % 2 == 0 and track.levels else 0
+        track.answer(right=bool(run))
+    assert track.converged
+    assert len(track.levels) == least
+    if least > 5:
+        with pytest.raises(ManifestError, match=f"take {least} trials or more"):
+            check_manifest(fakes.manifest(pages=[STAIRS | levitt | {"longest": least - 1}]))
+
+
+@pytest.mark.parametrize(
+    ("scale", "reference", "level", "value"),
+    [
+        ("value", 3.0, 7.0, 7.0), ("add", 3.0, 0.5, 3.5), ("percent", 3.0, 20.0, 3.6), ("percent", None, -50.0, 0.25),
+        ("db", 3.0, 20.0, 30.0), ("db", None, -20.0, 0.05), ("add", None, -0.1, 0.4),
+    ],
+)  # fmt: skip
+def test_the_value_of_a_level(scale: str, reference: float | None, level: float, value: float) -> None:
+    """The formulas of the page; the parameter's own value is 0.5."""
+    page = check_manifest(fakes.manifest(pages=[STAIRS | {"scale": scale, "reference": reference}])).pages[0]
+    assert page.value(level, 0.5) == pytest.approx(value, rel=1e-12)
+    if scale != "value":
+        with pytest.raises(ValueError, match=f"scale: {scale} needs a number"):
+            page.model_copy(update={"reference": True}).value(level, 0.5)
+
+
+def test_what_is_not_said_of_a_midi_file() -> None:
+    source = check_manifest(
+        fakes.manifest(scores={"low": {"midi": "a.mid"}}, factors={}, pages=[{"type": "html"}])
+    ).scores["low"]
+    assert (source.start, source.stop, source.channel_per_string) == (0.0, None, False)

@@ -57,3 +57,44 @@ def test_a_waveform_spans_its_peaks(tmp_path: Path) -> None:
     assert set(ink[: WIDTH // 4]) <= {1, 2, 3}
     assert set(ink[WIDTH // 4 : WIDTH // 2]) <= {WAVE_HEIGHT // 2, WAVE_HEIGHT // 2 + 1, WAVE_HEIGHT // 2 + 2}
     assert set(ink[WIDTH // 2 :]) == {WAVE_HEIGHT}
+
+
+def test_levels_of_third_octaves_and_of_blocks_are_those_of_the_signal() -> None:
+    """A sine has all its energy, A^2 N^2 / 4 of the transform, in its own band; blocks of it are at A^2 / 2."""
+    fs, n, amplitude = 48000, 48000, 0.25
+    tones = 1000.0 * 2.0 ** (np.arange(-9, 10, 3) / 3)
+    centres = 1000.0 * 2.0 ** (np.arange(-13, 13) / 3)
+    for freq in np.rint(tones):
+        sine = amplitude * np.sin(2 * np.pi * freq * np.arange(n) / fs)
+        bands = pictures._band_levels(sine, fs, centres)
+        assert bands.max() == pytest.approx(20 * np.log10(amplitude * n / 2), abs=1e-6)
+        assert centres[bands.argmax()] == pytest.approx(freq, rel=0.01)
+        assert np.sort(bands)[-2] <= bands.max() - 100.0
+    edge = 1000.0 * 2 ** (1 / 6)  # between the bands of 1000 and 1260 Hz
+    for freq, band in ((0.99 * edge, 13), (1.01 * edge, 14)):
+        assert pictures._band_levels(np.sin(2 * np.pi * round(freq) * np.arange(n) / fs), fs, centres).argmax() == band
+    sound = np.stack([np.full(1000, 0.1), np.full(1000, 0.3)], axis=1)
+    sound[500:] = 0.0
+    np.testing.assert_allclose(pictures._levels(sound, 250), [10 * np.log10(0.05)] * 2 + [-120.0] * 2, atol=1e-9)
+
+
+def test_a_picture_of_differences_shows_bands_and_times_that_differ(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sound of twice the level is +6 dB in every band and at every time, and silence is not drawn."""
+    axes: list[object] = []
+    figure = pictures.figure
+    monkeypatch.setattr(pictures, "figure", lambda *a, **k: axes.append(figure(*a, **k)) or axes[-1])
+    fs = 16000
+    low, high = (np.sin(2 * np.pi * freq * np.arange(fs) / fs)[:, None] for freq in (500.0, 4000.0))
+    first = (low + high) * (np.arange(fs) < 0.75 * fs)[:, None]
+    pictures.write_differences(tmp_path / "d.png", {"a": first, "b": low + 2 * high, "c": 2 * first}, fs, "heading")
+    top, bottom = axes[0][1][:, 0]  # type: ignore[index]
+    b, c, *_ = (np.asarray(line.get_xydata()) for line in top.get_lines())
+    assert dict(zip(np.rint(b[:, 0]), np.round(b[:, 1], 1), strict=True))[4000.0] == pytest.approx(6.0, abs=2.6)
+    np.testing.assert_allclose(c[:, 1], 20 * np.log10(2.0), atol=1e-9)
+    assert c[:, 0].max() < fs / 2
+    later = np.asarray(bottom.get_lines()[1].get_xydata())
+    np.testing.assert_allclose(later[:, 1], 20 * np.log10(2.0), atol=1e-9)
+    assert later[:, 0].max() == pytest.approx(0.73, abs=0.021)  # silent from 0.75 s on
+    assert (tmp_path / "d.png").stat().st_size > 0

@@ -125,10 +125,11 @@ def test_points_get_names_directions_and_places(folder):
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        (["--form", "accelerance"], "negative real part over"),
         (["--form", "speed"], "--form: is 'speed'; receptance, mobility, accelerance are allowed"),
         (["--form", "mobility", "--band", "300", "310"], "--band: 11 bins lie between 300 and 310 Hz"),
-        (["--form", "mobility", "--scale", "1e8"], "1e-5 to 1e4 kg are allowed"),
+        (["--form", "mobility", "--damping", "none"], "--damping: is 'none'; viscous, structural, auto are allowed"),
+        (["--form", "mobility", "--keep", "200,x"], "--keep: 'x' is no frequency"),
+        (["--form", "mobility", "--drop", "-3"], "--drop: '-3' is no frequency"),
         (["--form", "mobility", "--point", "bridge=Q"], "'Q' cannot be the name of a point"),
         (["--form", "mobility", "--point", "bridge=edge"], "two points would be called 'edge'"),
         (["--form", "mobility", "--point", "bridge=b:q"], "the directions x, y, z are allowed"),
@@ -148,7 +149,7 @@ def test_what_is_wrong_is_reported_in_one_line_and_nothing_is_written(folder, ca
 
 
 def test_incoherent_bands(folder, capsys):
-    """A hammer that reaches to 450 Hz: a warning if that is a part of the band, a refusal if it is most of it."""
+    """A hammer that reaches to 450 Hz: a warning that says where it does not."""
     write_table(folder / "c.csv", names=("bridge",), microphone=False)
     header, *rows = (folder / "c.csv").read_text().splitlines()
     rows = [f"{row},{0.999 if float(row.split(',')[0]) < 450 else 0.2}" for row in rows]
@@ -157,9 +158,6 @@ def test_incoherent_bands(folder, capsys):
     warned = capsys.readouterr().err
     assert "the coherence at bridge is low: 450 to 599 Hz" in warned
     assert "the coherences were not used: --hits" in warned
-    assert command("fit", "c.csv", "-o", "other", "--form", "mobility", "--band", "400", "600") == 2
-    refused = capsys.readouterr().err
-    assert "--band: the coherence at 'bridge' is below 0.5 over most of the band (450 to 599 Hz)" in refused
 
 
 def test_an_instrument_is_not_written_over(folder, capsys):

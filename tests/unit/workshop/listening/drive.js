@@ -22,11 +22,17 @@
     if (radio) click(radio);
     if (step.sequence) {
       click(main.querySelector("button.sequence"));
-      while (Object.values(sounds.plays).some(count => count === 0)) await wait(20);
+      while (!step.slots.every(enough)) await wait(20);
     } else {
-      for (const button of main.querySelectorAll("button.sound")) { click(button); await wait(20); }
+      for (const button of main.querySelectorAll("button.sound")) {
+        click(button);
+        for (let k = 0; k < 300 && step.type !== "level" && !enough(button.dataset.slot); k++) {
+          if (!sounds.sources) click(button);
+          await wait(20);
+        }
+      }
     }
-    const choice = main.querySelector("button.choice");
+    const choice = main.querySelector(".choice input");
     if (choice) click(choice);
     click(next);
   }

@@ -3,7 +3,9 @@
 SLEEP: average reaction time (ms) of 18 subjects on days 0 to 9 of sleep deprivation, G. Belenky et al., J. Sleep Res.
 12 (2003) 1-12, as in the R package lme4. MACHINES: productivity scores of 6 workers on 3 machines, 3 times each, J. C.
 Pinheiro & D. M. Bates, Mixed-Effects Models in S and S-PLUS (2000), table 1.3. DRUGS: reaction times of 5 persons
-under 4 drugs, B. J. Winer, Statistical Principles in Experimental Design, 2nd ed. (1971), table 4.3-1.
+under 4 drugs, B. J. Winer, Statistical Principles in Experimental Design (1971), table 4.3, as NCSS's manual prints it
+(chapter 214). HOUSING: satisfaction of 1681 inhabitants, M. Madsen, Scand. J. Stat. 3 (1976) 97-106, as in the R
+package MASS.
 """
 
 SLEEP = (
@@ -36,6 +38,13 @@ MACHINES = (
     ((46.4, 44.8, 49.2), (43.7, 44.2, 43), (62, 61.4, 60.5)),
 )
 DRUGS = ((30, 28, 16, 34), (14, 18, 10, 22), (24, 20, 18, 30), (38, 34, 20, 44), (26, 28, 14, 30))
+#: people by contact, type of dwelling, influence and satisfaction (low, medium, high)
+HOUSING = (
+    (21, 21, 28), (34, 22, 36), (10, 11, 36), (61, 23, 17), (43, 35, 40), (26, 18, 54),
+    (13, 9, 10), (8, 8, 12), (6, 7, 9), (18, 6, 7), (15, 13, 13), (7, 5, 11),
+    (14, 19, 37), (17, 23, 40), (3, 5, 23), (78, 46, 43), (48, 45, 86), (15, 25, 62),
+    (20, 23, 20), (10, 22, 24), (7, 10, 21), (57, 23, 13), (31, 21, 13), (5, 6, 13),
+)  # fmt: skip
 #: ratings of 10 listeners, 5 items, 3 conditions, some missing: (listener, item, condition, score)
 RATINGS = (
     (0, 0, 0, 36),

@@ -1,7 +1,7 @@
 """Serve a test with sounds of the fake renderer: FOLDER PORT [SCRIPT].
 
-With a script (drive, listeners, stopped) the page runs it; its requests for /static/said-WORDS are kept in ``said``.
-With `stopped` no sound of a staircase can be made.
+With a script (drive, listeners, blocked, stopped) the page runs it; its requests for /static/said-WORDS are kept in
+``said``. With `stopped` no sound of a staircase can be made.
 """
 
 from __future__ import annotations

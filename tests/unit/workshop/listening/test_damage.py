@@ -28,7 +28,7 @@ PAGES = [
     {"type": "training", "page": 3, "trials": 2},
     {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}},
     {"type": "abx", "pairs": {"damping": ["complex", "block"]}},
-    fakes.STAIRS | {"reversals": 4, "longest": 6},
+    fakes.STAIRS | {"reversals": 4, "longest": 7},
     {"type": "rating", "scales": [{"name": "bright", "label": "Brightness"}]},
 ]
 

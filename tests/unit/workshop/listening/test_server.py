@@ -227,7 +227,7 @@ def test_the_tone_is_as_loud_as_the_sounds(everything: ListeningTest) -> None:
 
 
 def test_sounds_of_a_staircase_are_of_its_level(tmp_path: Path) -> None:
-    test = made(tmp_path, [fakes.STAIRS | {"reversals": 4, "longest": 6, "start": 4.0}])
+    test = made(tmp_path, [fakes.STAIRS | {"reversals": 4, "longest": 7, "start": 4.0}])
     port = free_port()
     client = Client(port)
     with served(test, port):
@@ -362,6 +362,24 @@ def test_the_address_decides_whose_session_it_is(tmp_path: Path) -> None:
     assert words[4]["after"] == {"address": "", "name": ""}
     assert words[6]["offers"]
     assert sorted(a.listener for a in answers_of(test).listeners if a.records) == ["P03"]
+
+
+@pytest.mark.validate
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+@pytest.mark.parametrize("blocked", [True, False])
+def test_a_test_is_taken_where_the_browser_keeps_nothing(tmp_path: Path, blocked: bool) -> None:
+    """With site data blocked, as a user may set it, the script's access to the store is an error."""
+    test = made(tmp_path, [{"type": "instructions"}, {"type": "instructions", "name": "second"}, {"type": "html"}])
+    port, profile = free_port(), tmp_path / "profile"
+    settings = {"profile": {"default_content_setting_values": {"cookies": 2 if blocked else 1}}}
+    (profile / "Default").mkdir(parents=True)
+    (profile / "Default" / "Preferences").write_text(json.dumps(settings))
+    with served(test, port, "blocked"), opened(f"http://127.0.0.1:{port}/?listener=P01", profile):
+        begun, ended = said(test, 2)
+    assert begun == {"fault": "SecurityError" if blocked else ""}
+    assert ended == {"words": "", "offers": True}
+    (one,) = answers_of(test).listeners
+    assert (one.listener, one.records[-1]["type"]) == ("P01", "finish")
 
 
 @pytest.mark.validate

@@ -191,6 +191,21 @@ def test_players_are_level_matched(found: Comparison) -> None:
     assert all(fs == FS and 0.01 < np.abs(x).max() < 0.95 and len(x) == FS for x, fs in sounds)
 
 
+def test_gains_leave_a_decibel_under_full_scale(found: Comparison) -> None:
+    """Sines are brought to -20 LUFS each; a click that would pass -1 dB re full scale lowers all by the same."""
+    tone = found.instruments[0].tones["A2"]
+    sine = np.sin(2 * np.pi * 997.0 * np.arange(2 * tone.fs) / tone.fs)[:, None]
+    loud, soft = replace(tone, samples=0.5 * sine), replace(tone, samples=0.05 * sine)
+    gains = matched_gains_db([loud, soft])
+    assert gains[1] - gains[0] == pytest.approx(20.0, abs=0.01)
+    assert 20 * math.log10(0.5) + gains[0] == pytest.approx(-20.0 + 3.01, abs=0.05)  # BS.1770: a full sine, -3.01 LUFS
+    click = 0.001 * sine
+    click[5000] = 0.3
+    with_click = matched_gains_db([loud, replace(tone, samples=click)])
+    assert gains[0] - with_click[0] > 3.0
+    assert 20 * math.log10(0.3) + with_click[1] == pytest.approx(-1.0, abs=0.3)
+
+
 def test_json_is_plain(found: Comparison) -> None:
     text = json.dumps(to_json(found), allow_nan=False)
     assert json.loads(text)["schema"] == "tonewood-compare/1"

@@ -13,7 +13,8 @@ The energy of the modes and psi^2 / 2 - C together do not rise, whatever V is. W
 
 ====================  =================================================================================================
 bounded from below    V >= `PotentialEnergy.least`. Where it falls below, psi^2 / 2 - C stays above and parts from V:
-                      nothing grows, but the motion is no longer that of V.
+                      nothing grows, but the motion is no longer that of V. A render ends there: of V in Python at the
+                      first coordinates where it is asked for, of a C function where V is below at the end of a run.
 smooth                twice differentiable, and so is sqrt(V + C). A V with a quadratic minimum at `least` has a kink in
                       sqrt(V - least): give a `scale` (J), about the energies that matter; it makes C = scale - least. A
                       sum of squares of quadratic forms needs none. With a kink the energy still balances, but the order
@@ -50,6 +51,8 @@ FUNCTION = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_int64, _D
 _SIGNATURES = tuple(
     f"double(void*,{n},double*,double*,double*)" for n in ("long", "longlong", "int64_t", "longint", "int")
 )
+#: J, and share of the energies at hand, by which V may be below `least`: rounding
+_ROUNDING, _SHARE = 1e-12, 1e-9
 
 
 class PotentialFunction(CFunction):
@@ -108,7 +111,18 @@ class PotentialEnergy(JoinedPotential):
 
         Raises
         ------
-        TonewoodError : it raises, or returns anything but a number and n numbers; one line.
+        TonewoodError : it raises, returns anything but a number and n numbers, or V is below `least`; one line.
+        """
+        value, slope = self.called(y)
+        self.check_bound(value, float(np.abs(slope @ y)))
+        return value, slope
+
+    def called(self, y: Floats) -> tuple[float, Floats]:
+        """As `checked`, for any V.
+
+        Raises
+        ------
+        TonewoodError : `gradient` raises, or returns anything but a number and n numbers; one line.
         """
         name = f"{type(self).__name__}.gradient"
         try:
@@ -121,6 +135,29 @@ class PotentialEnergy(JoinedPotential):
         if slope.shape != (self.n,):
             raise TonewoodError(f"{name}: dV/dy has shape {slope.shape}, not ({self.n},)")
         return value, slope
+
+    def check_bound(self, value: float, scale: float = 0.0) -> None:
+        """Refuse a V below `least` by more than rounding.
+
+        Parameters
+        ----------
+        value : V, J.
+        scale : J, of which 1e-9 count as rounding, beside that of `least` and `scale`.
+
+        Raises
+        ------
+        TonewoodError : it is below; one line.
+        """
+        if value < self.least - _ROUNDING - _SHARE * (abs(self.least) + self.scale + scale):
+            raise TonewoodError(
+                f"{type(self).__name__}: V = {value:.6g} J is below `least` = {self.least:g} J in the motion: V must "
+                "be bounded from below"
+            )
+
+    def check_state(self, row: Floats) -> None:
+        """As `check_bound`, of V at the end of a run: `row` are its numbers in the state."""
+        excess, shift, psi = row
+        self.check_bound(float(0.5 * psi * psi - shift - excess), float(psi * psi + abs(shift)))
 
     def function(self) -> PotentialFunction | None:
         """The same as a C function, at whose speed the kernel steps it; None: the kernel calls `gradient`, slowly."""
@@ -145,7 +182,9 @@ class PotentialEnergy(JoinedPotential):
         at = np.ctypeslib.as_array(y, (n,)).copy()
         try:
             if not gradient:
-                return float(self.energy(at))
+                value = float(self.energy(at))
+                self.check_bound(value)
+                return value
             value, np.ctypeslib.as_array(gradient, (n,))[:] = self.checked(at)
         except BaseException as error:  # raised again by `raise_fault`; what is not finite ends the kernel's run
             vars(self)["fault"] = self.fault or error
@@ -200,7 +239,7 @@ class ModalPotential(Potential):
                 raise TonewoodError(
                     f"potential {self.name}: {component} has {basis.n_modes} modes, not {size} coordinates"
                 )
-        value, slope = made.checked(np.zeros(made.n))
+        value, slope = made.called(np.zeros(made.n))
         if not (np.isfinite(value) and np.all(np.isfinite(slope))):
             raise TonewoodError(f"potential {self.name}: V or dV/dy is not finite at rest")
         if value < made.least - SAME * abs(made.least):

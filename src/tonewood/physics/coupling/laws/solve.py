@@ -6,151 +6,28 @@ Laws with a potential see p = offset - g and are solved together by Newton's met
     r = f(p) - f,   p = p_u - Z f,      df = r - s (I + s Z s)^-1 s Z r,   s = sqrt(df/dp),
 
 which never inverts Z, made safe by a search along the step: the slope of the convex function behind the equation,
-(Z df) . (f - f(p)), must have shrunk or turned. Friction is solved gap by gap, exactly, in between.
-
-Friction's curve falls, and a gap that slides under one force of a contact, or one tension of its string, may stick
-under the next, and so on for ever. So each friction law keeps to a branch of its curve (`FrictionBranch`) until all
-else is found; then `solve_branches` changes a branch that the motion contradicts. At a given velocity the rest of the
-step is a monotone problem, with one solution, and the force it asks of friction rises with that velocity; where
-friction cannot stick, its curve is met on the way to the velocity without friction. Where changing branches goes on for
-too long, halving that interval finds the meeting.
+(Z df) . (f - f(p)), must have shrunk or turned. Friction is solved gap by gap, exactly, in between
+(`laws.friction`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.physics.coupling.laws import Friction, NonlinearLaw, PotentialLaw
+from tonewood.physics.coupling.laws.base import NonlinearLaw, PotentialLaw
+from tonewood.physics.coupling.laws.friction import FrictionBranch
 
 Floats = NDArray[np.float64]
-Found = TypeVar("Found")
 
 #: of the displacement that the forces make, and of the gaps themselves (rounding)
 TOLERANCE, ROUNDING = 1e-12, 4e-16
 MAX_ITERATIONS, MAX_SWEEPS = 100, 200
 #: before friction forces are found by Newton's method where going from law to law does not end
 FEW_SWEEPS = 10
-#: changes of each friction law's branch before its velocity is halved for
-PATIENCE = 4
-
-
-#: where on its curve friction is held while all else is found: to be seen, sticking, sliding either way, at a velocity
-#: given
-Branch = Literal["open", "stuck", "ahead", "behind", "held"]
-
-
-@dataclass(eq=False)
-class FrictionBranch:
-    """A friction law during one step.
-
-    Attributes
-    ----------
-    law : of the connection.
-    scale : factor on its force.
-    slip : m/s, relative velocity in the step before.
-    branch : where it is held.
-    held : m/s, velocity on the branch "held".
-    free, load, velocity, force : results of the last solve: m/s without this force; m/s that a friction coefficient
-        of 1 takes; m/s; N.
-    """
-
-    law: Friction
-    scale: float
-    slip: float
-    branch: Branch = "open"
-    held: float = 0.0
-    free: float = 0.0
-    load: float = 0.0
-    velocity: float = 0.0
-    force: float = 0.0
-
-    def meet(self, free: float, mobility: float) -> None:
-        """Velocity and force at a velocity without friction (m/s), and m/s that a newton makes."""
-        self.free, self.load = free, mobility * self.law.normal_force * self.scale
-        match self.branch:
-            case "open":
-                self.velocity = self.law.velocity_after(free, self.load, self.slip)
-                self.branch = "ahead" if self.velocity > 0 else "behind" if self.velocity < 0 else "stuck"
-            case "stuck":
-                self.velocity = 0.0
-            case "ahead":
-                self.velocity = self.law.slide_on(free, self.load)
-            case "behind":
-                self.velocity = -self.law.slide_on(-free, self.load)
-            case "held":
-                self.velocity = self.held
-        self.force = (self.velocity - free) / mobility if mobility > 0 else 0.0
-
-    def follows(self) -> float:
-        """Derivative of the velocity with that without friction."""
-        if self.branch not in ("ahead", "behind") or self.velocity == 0.0:
-            return 0.0
-        v, law = abs(self.velocity), self.law
-        if law.slide(abs(self.free) if self.free * self.velocity > 0 else -abs(self.free), self.load) is None:
-            return 0.0
-        falls = self.load * (law.static - law.dynamic) * law.speed / (law.speed + v) ** 2
-        return 1.0 / (1.0 - falls) if falls < 1.0 else 0.0
-
-    def changes(self) -> bool:
-        """Goes over to the branch that is its own under the motion found; False if it is there."""
-        may_stick = abs(self.free) <= self.load * self.law.static
-        if self.branch == "held" or (self.branch == "stuck" and may_stick):
-            return False
-        side = 1.0 if self.branch == "ahead" else -1.0
-        if self.branch != "stuck" and self.law.slide(side * self.free, self.load) is not None:
-            return False
-        before = self.branch
-        self.branch = "stuck" if may_stick else "ahead" if self.free > 0 else "behind"
-        return self.branch != before
-
-
-def solve_branches(branches: Sequence[FrictionBranch], solve: Callable[[], Found]) -> Found:
-    """Call `solve`, which finds all else with friction on its branches, until each is on its own; see the module.
-
-    Raises
-    ------
-    ValueError : they are not found.
-    """
-    for iteration in range((PATIENCE + 1) * len(branches) + 1):
-        found = solve()
-        changed = next((friction for friction in branches if friction.changes()), None)
-        if changed is None:
-            return found
-        if iteration >= PATIENCE * len(branches):
-            _halve(changed, solve)
-    raise ValueError("friction finds no branch")
-
-
-def _halve(friction: FrictionBranch, solve: Callable[[], object]) -> None:
-    """Hold friction at the velocity where its curve meets the force that the rest of the step asks for."""
-    law, pressed = friction.law, friction.law.normal_force * friction.scale
-
-    def hold(v: float) -> None:
-        friction.branch, friction.held = "held", v
-        solve()
-
-    hold(0.0)
-    if abs(friction.force) <= pressed * law.static:
-        return
-    side = 1.0 if friction.force < 0 else -1.0
-    low, high, bracketed = 0.0, abs(friction.free), False
-    for _ in range(200):
-        v = 0.5 * (low + high) if bracketed else high
-        if v == low or (bracketed and v == high):
-            break
-        hold(side * v)
-        coefficient = law.dynamic + (law.static - law.dynamic) / (1 + v / law.speed)
-        if side * friction.force + pressed * coefficient < 0:
-            low, high = v, high if bracketed else 2 * v
-        else:
-            high, bracketed = v, True
-    if not bracketed:
-        raise ValueError("friction finds no branch")
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +71,8 @@ def find_forces(
     branches : of the friction laws, by connection; open ones are decided.
     careful : friction forces are found by Newton's method, damped, where going from law to law does not end.
     """
-    stored = np.array([j for j, law in enumerate(laws) if not isinstance(law, Friction)], dtype=np.intp)
-    potentials = [law for law in laws if not isinstance(law, Friction)]
+    stored = np.array([j for j, law in enumerate(laws) if isinstance(law, PotentialLaw)], dtype=np.intp)
+    potentials = [law for law in laws if isinstance(law, PotentialLaw)]
     f, iterations, converged = guess.copy(), 0, True
     sliding = list(branches)
     careful = careful and bool(sliding) and len(laws) > 1

@@ -1,10 +1,11 @@
-// Forces of the active nonlinear connections over one step; see tonewood.physics.coupling.law_solve.
+// Forces of the active nonlinear connections over one step; see tonewood.physics.coupling.laws.solve.
 #pragma once
 
 #include <cmath>
 
-#include "dense.hpp"
-#include "laws.hpp"
+#include "../dense.hpp"
+#include "friction.hpp"
+#include "kinds.hpp"
 
 namespace tonewood {
 namespace {
@@ -114,7 +115,7 @@ inline bool find_forces(const Nonlinear& nl, ContactState& ws, const double* z, 
     ws.stored.clear(), ws.sliding.clear();
     double noise = 0.0;
     for (const int j : ws.active) {
-        (nl.laws[j].kind == Law::friction ? ws.sliding : ws.stored).push_back(j);
+        (nl.laws[j].has_potential() ? ws.stored : ws.sliding).push_back(j);
         noise = std::max(noise, kRounding * ws.size[j]);
     }
     const int n_stored = int(ws.stored.size());
@@ -136,21 +137,7 @@ inline bool find_forces(const Nonlinear& nl, ContactState& ws, const double* z, 
                 if (i != j) p -= z[std::size_t(j) * k + i] * f[i];
             const double mobility = z[std::size_t(j) * k + j] / nl.dt;
             const double without = -(p - ws.old_p[j]) / nl.dt - ws.velocity[j];
-            const double load = mobility * law.a[0] * ws.scale[j];
-            Branch& branch = ws.branch[j];
-            double v = 0.0;
-            switch (branch) {
-                case Branch::open:
-                    v = velocity_after(law, without, load, ws.slip[j]);
-                    branch = v == 0.0 ? Branch::stuck : v > 0.0 ? Branch::ahead : Branch::behind;
-                    break;
-                case Branch::stuck: break;
-                case Branch::ahead: v = slide_on(law, without, load); break;
-                case Branch::behind: v = -slide_on(law, -without, load); break;
-                case Branch::held: v = ws.held[j];
-            }
-            ws.slip_after[j] = v, ws.without[j] = without, ws.load[j] = load;
-            f[j] = mobility > 0.0 ? (v - without) / mobility : 0.0;
+            meet_friction(law, ws, j, without, mobility);
         }
         if (n_stored) {
             for (int i = 0; i < n_stored; ++i) {
@@ -175,69 +162,6 @@ inline bool find_forces(const Nonlinear& nl, ContactState& ws, const double* z, 
         if (moved <= kTolerance * made + noise) return true;
     }
     return false;
-}
-
-// Finds a friction law whose branch does not fit the motion found and moves it to the branch that does; -1 if there is
-// none.
-inline int wrong_branch(const Nonlinear& nl, ContactState& ws) {
-    for (const int j : ws.sliding) {
-        const double free = ws.without[j], load = ws.load[j];
-        const Branch branch = ws.branch[j];
-        const bool may_stick = std::abs(free) <= load * nl.laws[j].a[1];
-        if (branch == Branch::held || (branch == Branch::stuck && may_stick)) continue;
-        if (branch != Branch::stuck && slide(nl.laws[j], branch == Branch::ahead ? free : -free, load) > 0.0) continue;
-        const Branch next = may_stick ? Branch::stuck : free > 0.0 ? Branch::ahead : Branch::behind;
-        if (next == branch) continue;
-        ws.branch[j] = next;
-        return j;
-    }
-    return -1;
-}
-
-// Bisects the velocity of friction j where its curve meets the force that the rest of the step needs.
-template <class Solve>
-bool bisect(const Nonlinear& nl, ContactState& ws, int j, const Solve& solve) {
-    const Law& law = nl.laws[j];
-    const double load = law.a[0] * ws.scale[j], fixed = law.a[1], moving = law.a[2];
-    const auto hold = [&](double v) {
-        ws.branch[j] = Branch::held, ws.held[j] = v;
-        return solve();
-    };
-    if (!hold(0.0)) return false;
-    const double force = ws.law_force[j];
-    if (std::abs(force) <= load * fixed) return true;
-    const double side = force < 0.0 ? 1.0 : -1.0;
-    double low = 0.0, high = std::abs(ws.without[j]);
-    bool bracketed = false;
-    for (int iteration = 0; iteration < 200; ++iteration) {
-        const double v = bracketed ? 0.5 * (low + high) : high;
-        if (v == low || (bracketed && v == high)) break;
-        if (!hold(side * v)) return false;
-        const bool is_short = side * ws.law_force[j] + load * (moving + (fixed - moving) / (1 + v / law.a[3])) < 0.0;
-        bracketed = bracketed || !is_short;
-        (is_short ? low : high) = v;
-        if (!bracketed) high = 2 * v;
-    }
-    return bracketed;
-}
-
-// A step with friction: solve() finds everything else with friction on given branches. Branches that changed within the
-// iteration could alternate for ever, so each is kept until everything else is found and is then tested. At a given
-// velocity the rest is a monotone problem whose force on friction rises with that velocity; where sticking is
-// impossible the curve is met before the velocity without friction, and bisection finds it where changing branches does
-// not.
-template <class Solve>
-bool converge_branches(const Nonlinear& nl, ContactState& ws, const Solve& solve) {
-    for (const int j : ws.active) ws.branch[j] = Branch::open;
-    const int patience = 4;
-    for (int iteration = 0;; ++iteration) {
-        if (!solve()) return false;
-        const int j = wrong_branch(nl, ws);
-        if (j < 0) return true;
-        const int n = int(ws.sliding.size());
-        if (iteration >= (patience + 1) * n) return false;
-        if (iteration >= patience * n && !bisect(nl, ws, j, solve)) return false;
-    }
 }
 
 }  // namespace

@@ -1,0 +1,52 @@
+// Products of one matrix with the vectors of one or two planes of motion at once: each number of the matrix is loaded once.
+#pragma once
+
+#include <utility>
+
+#include "../modal/pass.hpp"
+
+namespace tonewood {
+namespace {
+
+// B vectors of columns of to[p] = matrix^T x[p]. Where these are few, two partial sums each break the chain of additions.
+template <int Planes, int B>
+inline void plane_columns(const double* matrix, int width, int n, const double* const* x, double* const* to, int at) {
+    using S = Simd;
+    constexpr int split = Planes * B < 8 ? 2 : 1;
+    S::V sum[split][Planes][B] = {};
+    const double* row = matrix + at;
+    const auto add = [&](int part, int k) {
+        for (int j = 0; j < B; ++j) {
+            const S::V here = S::load(row + j * S::width);
+            for (int p = 0; p < Planes; ++p) sum[part][p][j] += here * x[p][k];
+        }
+        row += width;
+    };
+    int k = 0;
+    for (; k + split <= n; k += split)
+        for (int part = 0; part < split; ++part) add(part, k + part);
+    for (; k < n; ++k) add(0, k);
+    for (int p = 0; p < Planes; ++p)
+        for (int j = 0; j < B; ++j)
+            S::store(to[p] + at + j * S::width, split == 2 ? sum[0][p][j] + sum[split - 1][p][j] : sum[0][p][j]);
+}
+
+// to[p] = matrix^T x[p]: matrix (n, width), width a multiple of kLane.
+template <int Planes>
+inline void multiply_planes(const double* matrix, int width, int n, const double* const* x, double* const* to) {
+    constexpr int lanes = Simd::width, most = kPack > 2 ? 6 : kPack;  // as many as the registers hold
+    int at = 0, left = width / lanes;
+    const auto columns = [&]<int B>(std::integral_constant<int, B>) {
+        plane_columns<Planes, B>(matrix, width, n, x, to, at);
+        at += B * lanes, left -= B;
+    };
+    while (left > most) columns(std::integral_constant<int, most - most / 3>{});
+    const auto rest = [&]<int... B>(std::integer_sequence<int, B...>) {
+        const int wanted = left;
+        (void)((wanted == B + 1 && (columns(std::integral_constant<int, B + 1>{}), true)) || ...);
+    };
+    rest(std::make_integer_sequence<int, most>{});
+}
+
+}  // namespace
+}  // namespace tonewood

@@ -1,0 +1,121 @@
+"""``tonewood tab``: the fingering of a score on an instrument, as tablature."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tonewood.cli.common import (
+    AllowCode,
+    InstrumentName,
+    Json,
+    Overrides,
+    ScorePath,
+    StringSetName,
+    Tracks,
+    Transpose,
+    dropped_notes_listed,
+    load,
+    print_json,
+    reading,
+    warn_of_dropped,
+    warn_of_kinds,
+)
+from tonewood.errors import OutputError, TonewoodError
+from tonewood.sound.render.options import RenderOptions
+from tonewood.support.units import counted
+
+#: strings that a tablature has at most
+_MOST = 24
+
+
+def tab(
+    score: ScorePath,
+    instrument: InstrumentName,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="tablature: .musicxml (MuseScore and others) or .txt")
+    ] = None,
+    transpose: Transpose = 0.0,
+    tracks: Tracks = None,
+    capo: Annotated[int, typer.Option(help="stop of a capo, 0 for none; frets are counted from it")] = 0,
+    meter: Annotated[
+        str | None, typer.Option(metavar="N/M", help="measures of this length, e.g. 3/4, in place of the score's")
+    ] = None,
+    strings: StringSetName = None,
+    settings: Overrides = None,
+    allow_code: AllowCode = False,
+    as_json: Json = False,
+) -> None:
+    """Write the strings, stops and fingers with which SCORE would be played on an instrument, without sound."""
+    from tonewood.performance.player.playing import perform, playable
+    from tonewood.performance.score.note import Beats
+    from tonewood.performance.score.reading import read_score
+    from tonewood.performance.score.tablature import musicxml, tablature, text
+    from tonewood.sound.render.renderer import assembled
+    from tonewood.support.whole_files import whole_file
+
+    if output is not None and output.suffix.lower() not in (".musicxml", ".xml", ".txt"):
+        given = output.suffix or "a name without an ending"
+        raise OutputError(f"{given} is not written; .musicxml or .txt are", file=output)
+    if output is None and not as_json:
+        raise TonewoodError("Missing option '--output' / '-o', or --json")
+    length = _meter(meter)
+    music = read_score(score, **reading(0.0, None, transpose, 1.0, tracks))
+    bundle = load(instrument, settings, allow_code, strings)
+    model = assembled(bundle, RenderOptions())
+    lines = playable(model, capo)
+    if not any(len(line.pitches) > 1 for line in lines):
+        raise TonewoodError(f"{bundle.name} has no stops: tablature is for strings that fingers stop")
+    if len(lines) > _MOST:
+        raise TonewoodError(f"{bundle.name} has {len(lines)} strings: tablature has up to {_MOST}")
+    with dropped_notes_listed():
+        performance = perform(music, model, capo=capo)
+    beats = music.beats or Beats()
+    if length is not None:
+        beats = Beats(beats.tempos, [(0.0, length)])
+    title = music.metadata.get("title", music.name)
+    found = tablature(performance.notes, lines, beats, title=title, capo=capo)
+    if output is not None:
+        with whole_file(output) as stream:
+            stream.write(text(found).encode() if output.suffix.lower() == ".txt" else musicxml(found))
+    dropped = performance.dropped
+    if as_json:
+        rows = [
+            {
+                "time_s": p.note.note.time, "duration_s": p.note.note.duration, "note": p.note.note.note,
+                "string": p.note.string, "stop": p.note.stop, "fret": p.fret, "finger": p.finger, "hand": p.hand,
+                "measure": sum(m <= tick for m in found.measures),
+            }
+            for tick, chord in found.chords
+            for p in chord
+        ]  # fmt: skip
+        lost = [{"time_s": d.time, "note": d.note, "channel": d.channel, "reason": d.reason} for d in dropped]
+        report = {"output": None if output is None else str(output), "capo": capo, "notes": rows, "notes_dropped": lost}
+        print_json("tab", report | {"warnings": list(performance.warnings), "ignored": dict(performance.ignored)})
+        return
+    warn_of_kinds(performance.warnings)
+    warn_of_dropped(dropped)
+    n = sum(len(chord) for _, chord in found.chords)
+    hands = [chord[0].hand for _, chord in found.chords]
+    shifts = sum(a != b for a, b in pairwise(hands))
+    print(
+        f"{output}: {counted(n, 'note')} on {counted(len(lines), 'string')}, {len(dropped)} dropped, "
+        f"{counted(len(found.measures) - 1, 'measure')}, positions {min(hands)} to {max(hands)}, "
+        f"{counted(shifts, 'shift')}"
+    )
+    if performance.ignored:
+        print(f"  without effect: {', '.join(f'{n} {kind}' for kind, n in performance.ignored.items())}")
+
+
+def _meter(text: str | None) -> float | None:
+    """Length of a measure in quarter notes."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d{1,2})/(1|2|4|8|16|32)", text.strip())
+    if found is None or not int(found[1]):
+        raise TonewoodError(f"is {text!r}; N/M such as 3/4 or 6/8 is allowed", key="--meter")
+    return 4.0 * int(found[1]) / int(found[2])

@@ -1,0 +1,1 @@
+"""Parts of a score on instruments of their own: chosen by program, rendered, mixed."""

@@ -1,0 +1,1 @@
+"""Data sets: many renders with their labels, in shards."""

@@ -1,0 +1,239 @@
+"""Named arrays of .npz and .mat files, and columns of .csv files, as frequency responses.
+
+Names that say all: ``freq_Hz`` and ``POINT:REFERENCE`` (complex), or its parts ``_re, _im`` or ``_mag, _phase``
+(degrees), and ``POINT:REFERENCE_coherence``; MATLAB's names take ``__`` for the colon. Of other files the vector of
+frequencies and the array of responses are recognised, or named (`chosen`): a response (N,), a column each (N, P), or
+(N, P, R) with a column for each of R references.
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.errors import TonewoodError
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Pair = tuple[str, str]
+
+#: reference of responses whose file does not say where the body was driven
+UNNAMED = "unnamed"
+_FREQUENCY = (re.compile("freq_Hz"), re.compile("freq.*", re.I), re.compile("f|hz|f_hz|xf", re.I))
+_RESPONSE = re.compile(r"(h|hf|frf|tf|y|recep|mobil|accel|inert|transfer)", re.I)
+_NO_RESPONSE = re.compile(r"(spec|psd|csd|corr|coh|cross|auto)", re.I)
+_FORM = {"recep": "receptance", "mobil": "mobility", "accel": "accelerance", "inert": "accelerance"}
+#: bins that an array of responses has at least
+_FEWEST = 8
+#: characters of another library's message that are shown
+_LONGEST = 64
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseTable:
+    """Responses of one file.
+
+    Attributes
+    ----------
+    freq : (N,) Hz.
+    rows : (point, reference) -> (N,).
+    coherence : of the same pairs, where it is there.
+    form : receptance, mobility or accelerance where the file says so.
+    """
+
+    freq: Floats
+    rows: Mapping[Pair, Complexes]
+    coherence: Mapping[Pair, Floats]
+    form: str | None = None
+
+
+def npz_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Arrays of an npz file.
+
+    Raises
+    ------
+    TonewoodError : it is none.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    # an archive that is damaged, encrypted, or of a later version raises any of these
+    except (OSError, ValueError, EOFError, RuntimeError, AttributeError, zipfile.BadZipFile, zlib.error) as fault:
+        raise TonewoodError(f"is no npz file of arrays: {fault}", file=path) from None
+
+
+def mat_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Numeric arrays of a MATLAB file of version 7 or earlier; fields of structs as STRUCT.FIELD.
+
+    Raises
+    ------
+    TonewoodError : it is none, or of version 7.3.
+    """
+    from scipy.io import loadmat
+
+    try:
+        content = loadmat(str(path), squeeze_me=True, struct_as_record=False)
+    except NotImplementedError:
+        raise TonewoodError("is of MATLAB's version 7.3; save it with -v7", file=path) from None
+    except Exception as fault:  # the reader raises exceptions of every kind on damaged files
+        raise TonewoodError(f"is no MATLAB file: {str(fault).splitlines()[0][:_LONGEST]}", file=path) from None
+    out: dict[str, NDArray[Any]] = {}
+
+    def put(name: str, value: object) -> None:
+        if hasattr(value, "_fieldnames"):
+            for field in value._fieldnames:
+                put(f"{name}.{field}" if name else field, getattr(value, field))
+        elif (array := np.asarray(value)).dtype.kind in "iufc":
+            out[name] = array
+
+    for name, value in content.items():
+        if not name.startswith("__"):
+            put(name, value)
+    return out
+
+
+def responses_of_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], chosen: Sequence[str] = ()) -> ResponseTable:
+    """Responses of named arrays.
+
+    Parameters
+    ----------
+    path : of the file, for messages.
+    arrays : name -> array.
+    chosen : names of the arrays that hold responses; those recognised where empty.
+
+    Raises
+    ------
+    TonewoodError : no frequencies or responses are among them, or it is not clear which they are.
+    """
+    key, freq = _frequencies(path, arrays)
+    named = {name.replace("__", ":", 1): x for name, x in arrays.items() if name != key and _says_pair(name)}
+    if named and not chosen:
+        return _of_pairs(path, freq, named)
+    held = {name: _by_bins(x, freq.size) for name, x in arrays.items() if name != key and freq.size in x.shape}
+    likely = {name: x for name, x in held.items() if np.iscomplexobj(x)}
+    for name in chosen:
+        if name not in likely:
+            shown = ", ".join(likely) or "none is there"
+            raise TonewoodError(f"{name!r} is no complex array of {freq.size} bins; {shown}", file=path, key="--array")
+    names = list(chosen) or [n for n in likely if _RESPONSE.match(_last(n)) and not _NO_RESPONSE.search(_last(n))]
+    names = names or list(likely)
+    if not names:
+        raise TonewoodError(
+            f"holds no complex array of {freq.size} bins, as many as {key} has; there are {_shapes(arrays)}", file=path
+        )
+    if len(names) > 1 and not chosen:
+        raise TonewoodError(
+            f"which array holds responses is not clear: {', '.join(names)}; name it", file=path, key="--array"
+        )
+    rows = {pair: row for name in names for pair, row in _pairs_of(name, likely[name])}
+    coherent = [x for name, x in held.items() if "coh" in name.lower() and not np.iscomplexobj(x)]
+    alike = [x for x in coherent if len(names) == 1 and x.shape == likely[names[0]].shape]
+    coherence = {pair: np.asarray(c.real, dtype=np.float64) for x in alike[:1] for pair, c in _pairs_of(names[0], x)}
+    forms = {form for name in names for begin, form in _FORM.items() if begin in _last(name).lower()}
+    return ResponseTable(freq, rows, coherence, forms.pop() if len(forms) == 1 else None)
+
+
+def pair_of(path: Path, name: str) -> Pair:
+    """Return point and reference of POINT:REFERENCE.
+
+    Raises
+    ------
+    TonewoodError : it is no such name.
+    """
+    point, colon, reference = name.partition(":")
+    if not (point and colon and reference):
+        raise TonewoodError("is no name of a response; POINT:REFERENCE is allowed", file=path, key=name)
+    return point, reference
+
+
+def _last(name: str) -> str:
+    return name.rpartition(".")[2]
+
+
+def _shapes(arrays: Mapping[str, NDArray[Any]]) -> str:
+    return ", ".join(f"{name} {'x'.join(map(str, x.shape)) or '1'}" for name, x in list(arrays.items())[:12])
+
+
+def _says_pair(name: str) -> bool:
+    return ":" in name or "__" in name.strip("_")
+
+
+def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[str, Floats]:
+    for pattern in _FREQUENCY:
+        found = [name for name, x in arrays.items() if pattern.fullmatch(_last(name))]
+        if pattern.pattern != "freq_Hz":  # a name that may mean something else
+            real = {
+                name for name, x in arrays.items() if x.dtype.kind in "iuf" and x.squeeze().ndim == 1 and x.size > 1
+            }
+            found = [name for name in found if name in real]
+        if len(found) > 1:
+            raise TonewoodError(f"which are the frequencies: {', '.join(found)}? Call them freq_Hz", file=path)
+        if found:
+            x = arrays[found[0]]
+            x = x.reshape(-1) if x.ndim == 2 and 1 in x.shape else x
+            if x.dtype.kind not in "iuf" or x.ndim != 1:
+                raise TonewoodError("is no row of real numbers", file=path, key=found[0])
+            if not np.all(np.isfinite(x)):
+                raise TonewoodError("holds a value that is not a finite number", file=path, key=found[0])
+            return found[0], np.asarray(x, dtype=np.float64)
+    raise TonewoodError(f"has no array freq_Hz; there are {_shapes(arrays)}", file=path)
+
+
+def _by_bins(x: NDArray[Any], n_bins: int) -> NDArray[Any]:
+    """Array with the bins first, at most three axes: bins, points, references."""
+    x = np.moveaxis(x, x.shape.index(n_bins), 0)
+    return x.reshape(*x.shape[:2], -1).squeeze() if x.ndim > 3 else x
+
+
+def _pairs_of(name: str, x: NDArray[Any]) -> list[tuple[Pair, Complexes]]:
+    stem = re.sub(r"\W", "_", _last(name))
+    x = np.asarray(x, dtype=np.complex128)
+    if x.ndim == 1:
+        return [((stem, UNNAMED), x)]
+    if x.ndim == 2:
+        return [((f"{stem}_{p + 1}", UNNAMED), x[:, p]) for p in range(x.shape[1])]
+    square = x.shape[1] == x.shape[2]  # point p is where reference p was driven
+    return [
+        ((f"{stem}_{p + 1}", f"{stem}_{r + 1}" if square else f"{UNNAMED}_{r + 1}"), x[:, p, r])
+        for p in range(x.shape[1])
+        for r in range(x.shape[2])
+    ]
+
+
+def _of_pairs(path: Path, freq: Floats, arrays: Mapping[str, NDArray[Any]]) -> ResponseTable:
+    """Arrays named POINT:REFERENCE, whole or in parts."""
+    for name, values in arrays.items():
+        real = name.endswith(("_re", "_im", "_mag", "_phase", "_coherence"))
+        if values.ndim != 1 or values.dtype.kind not in ("iuf" if real else "iufc"):
+            raise TonewoodError(f"is no row of {'real' if real else 'complex'} numbers", file=path, key=name)
+        if values.shape != freq.shape:
+            raise TonewoodError(f"has the shape {values.shape}; {freq.shape} is allowed", file=path, key=name)
+    rows: dict[Pair, Complexes] = {}
+    for name, values in arrays.items():
+        stem, _, part = name.rpartition("_")
+        if part == "coherence" and ":" in stem:
+            continue
+        other = {"re": "im", "im": "re", "mag": "phase", "phase": "mag"}.get(part) if ":" in stem else None
+        if other is None:
+            rows[pair_of(path, name)] = np.asarray(values, dtype=np.complex128)
+            continue
+        if f"{stem}_{other}" not in arrays:
+            raise TonewoodError(f"has no column {stem}_{other} beside {name}", file=path)
+        second = arrays[f"{stem}_{other}"]
+        if part in ("re", "mag"):
+            turned = values + 1j * second if part == "re" else values * np.exp(1j * np.deg2rad(second))
+            rows[pair_of(path, stem)] = np.asarray(turned, dtype=np.complex128)
+    coherence = {
+        pair: np.asarray(arrays[key], dtype=np.float64)
+        for pair in rows
+        if (key := f"{pair[0]}:{pair[1]}_coherence") in arrays
+    }
+    return ResponseTable(freq, rows, coherence)

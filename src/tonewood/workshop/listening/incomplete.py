@@ -1,0 +1,183 @@
+"""Analysis of repeated measures with missing answers: effects tested against the listeners' own differences in them.
+
+The means of the cells that listener i answered, y_i, are modelled as X_i beta and fitted by least squares after a share
+theta_i of their mean is taken off each,
+
+    theta_i = 1 - 1 / sqrt(1 + 100 k_i),     k_i cells answered,
+
+so that comparisons within a listener count, and comparisons between listeners only where nothing else tells. This is
+generalized least squares for a variance of the listeners' levels that is 100 times that of a cell mean. The covariance
+matrix of K^T beta needs no model of the listeners' own differences: it is the sum of squares of the listeners' scores,
+each corrected for the fit's own pull (CR2),
+
+    V = sum_i s_i s_i^T,     s_i = K^T Q X_i^T (I - X_i Q X_i^T)^(-1/2) e_i,     Q = (sum_i X_i^T X_i)^-1
+
+with residuals e_i. Its degrees of freedom f are those of Satterthwaite under equal variances: with M the covariance
+matrix of all s_i, f = (tr M)^2 / tr M^2 for one contrast, and that over q_e = (tr K^T Q K)^2 / tr (K^T Q K)^2 for
+several. A difference has t = K^T beta / sqrt V on f degrees of freedom; an effect F = |K^T beta|^2 / tr V, with the
+degrees of freedom of `tonewood.workshop.listening.strata`, f in the place of listeners - 1. Where every listener
+answered every cell all results are those of that module.
+
+Sources: R. M. Bell & D. F. McCaffrey, Surv. Methodol. 28 (2002) 169-181; J. E. Pustejovsky & E. Tipton, J. Bus. Econ.
+Stat. 36 (2018) 672-683 (CR2, degrees of freedom); E. Brunner, H. Dette & A. Munk, J. Am. Stat. Assoc. 92 (1997)
+1494-1502 (F by the trace).
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.workshop.listening.strata import (
+    Estimated,
+    Parts,
+    Tested,
+    quasi_interval,
+    quasi_test,
+    t_interval,
+    trace_test,
+)
+
+Array = NDArray[np.float64]
+#: variance of the listeners' levels that the weights assume, in units of that of a cell mean
+_LEVELS = 100.0
+#: eigenvalue of I - H below which a listener alone decides a coefficient
+_ALONE = 1e-9
+
+
+class Clusters:
+    """Corrected scores of clusters, and the degrees of freedom of the covariance matrices that they give.
+
+    Parameters
+    ----------
+    design : (..., clusters, rows, p) columns, 0 where a row has no answer.
+    residuals : (..., clusters, rows), 0 likewise.
+    inverse : (..., p, p), Q.
+    """
+
+    def __init__(self, design: Array, residuals: Array, inverse: Array):
+        turned = np.swapaxes(design, -1, -2)
+        hat = design @ inverse[..., None, :, :] @ turned
+        values, vectors = np.linalg.eigh(np.eye(design.shape[-2]) - hat)
+        root = np.where(values > _ALONE, 1 / np.sqrt(np.maximum(values, _ALONE)), 0.0)
+        corrected = (vectors * root[..., None, :]) @ (np.swapaxes(vectors, -1, -2) @ design)
+        back = np.swapaxes(corrected, -1, -2)
+        self.inverse = inverse
+        self.scores = (back @ residuals[..., None])[..., 0]
+        self.squares, self.products = back @ corrected, back @ design
+
+    def covariance(self, rows: Array) -> tuple[Array, Array]:
+        """Covariance matrix V (..., q, q) of K^T beta for K^T (q, p), and its degrees of freedom f."""
+        weights = rows @ self.inverse
+        scores = self.scores @ np.swapaxes(weights, -1, -2)
+        d = weights[..., None, :, :] @ self.squares @ np.swapaxes(weights, -1, -2)[..., None, :, :]
+        r = weights[..., None, :, :] @ self.products
+        ruled = r @ self.inverse[..., None, :, :] @ np.swapaxes(r, -1, -2)
+        total = self.inverse @ np.einsum("...nqa,...nqb->...ab", r, r, optimize=True)
+        trace = np.trace(d - ruled, axis1=-2, axis2=-1).sum(axis=-1)
+        square = np.sum(d * (d - 2 * ruled), axis=(-3, -2, -1)) + np.sum(
+            total * np.swapaxes(total, -1, -2), axis=(-2, -1)
+        )
+        model = weights @ np.swapaxes(rows, -1, -2)
+        size = np.trace(model, axis1=-2, axis2=-1) ** 2 / np.sum(model**2, axis=(-2, -1))
+        return np.swapaxes(scores, -1, -2) @ scores, np.maximum(trace**2 / np.maximum(square, 1e-300) / size, 1.0)
+
+
+class IncompleteFit:
+    """Least squares fit of incomplete cell means, for any number of experiments at once.
+
+    Parameters
+    ----------
+    y : (..., listeners, cells) means of the listeners' answers, NaN where one is missing.
+    x : (cells, p) columns of the model, of full rank over the answers.
+    """
+
+    def __init__(self, y: Array, x: Array):
+        there = ~np.isnan(y)
+        count = there.sum(axis=-1)
+        theta = 1 - 1 / np.sqrt(1 + _LEVELS * count)
+        share = (theta / np.maximum(count, 1))[..., None]
+        own = np.where(there, y, 0.0)
+        own = np.where(there, own - share * own.sum(axis=-1, keepdims=True), 0.0)
+        design: Any = there[..., None] * x
+        design = there[..., None] * (design - share[..., None] * design.sum(axis=-2, keepdims=True))
+        inverse = np.linalg.inv((np.swapaxes(design, -1, -2) @ design).sum(axis=-3))
+        self.x = x
+        self.beta = np.einsum("...pq,...ncq,...nc->...p", inverse, design, own, optimize=True)
+        self.clusters = Clusters(design, own - (design @ self.beta[..., None, :, None])[..., 0], inverse)
+
+    def tested(self, basis: Array) -> Tested:
+        """Test an effect of orthonormal contrasts (cells, q) of the modelled cell means."""
+        rows = basis.T @ self.x
+        return trace_test(self.beta @ rows.T, *self.clusters.covariance(rows))
+
+    def estimated(self, differences: Array, confidence: float) -> Estimated:
+        """Estimate differences (rows, cells) of the modelled cell means, each with its own variance."""
+        rows = differences @ self.x
+        each = [self.clusters.covariance(row[None]) for row in rows]
+        v, df = (np.stack(x, axis=-1) for x in ([v[..., 0, 0] for v, _ in each], [f for _, f in each]))
+        return t_interval(self.beta @ rows.T, v, df, confidence)
+
+
+class CrossedFit:
+    """The same where sounds are a random sample, too: levels of listeners and of sounds are taken off.
+
+    With A, B and D the covariance matrices by clusters of n listeners, of m sounds and of their N pairs,
+
+        C = (D - a A - b B) / (1 - a - b),     a = (n - 1) / (N - 1),     b = (m - 1) / (N - 1),     V = A + B - C.
+
+    C is that of answers within a pair: where no answer is missing V is that of the quasi-F. With fewer than n + m pairs
+    C is not known, and V = A + B, which is too large.
+
+    Parameters
+    ----------
+    y : (listeners, sounds, cells) means, NaN where one is missing.
+    x : (cells, p) columns of the model.
+    """
+
+    def __init__(self, y: Array, x: Array):
+        who, sound, cell = np.nonzero(~np.isnan(y))
+        pair = np.unique(who * y.shape[1] + sound, return_inverse=True)[1]
+        levels = np.hstack([np.eye(y.shape[0])[who], np.eye(y.shape[1])[sound]])
+        data = np.column_stack([x[cell], y[who, sound, cell]])
+        left = data - levels @ np.linalg.solve(levels.T @ levels + np.eye(levels.shape[1]) / _LEVELS, levels.T @ data)
+        design, own = left[:, :-1], left[:, -1]
+        inverse = np.linalg.inv(design.T @ data[:, :-1])
+        self.x, self.beta = x, inverse @ design.T @ data[:, -1]
+        residuals = own - design @ self.beta
+        self.clusters = [_clusters(design, np.asarray(residuals), np.asarray(inverse), of) for of in (who, sound, pair)]
+        self.counts = tuple(int(of.max()) + 1 for of in (who, sound, pair))
+
+    def _parts(self, rows: Array) -> Parts:
+        (a, fa), (b, fb), (d, _) = (one.covariance(rows) for one in self.clusters)
+        n, m, pairs = self.counts
+        if pairs < n + m:
+            return [(a, fa), (b, fb), (np.zeros_like(a), 1.0)]
+        of_a, of_b = (n - 1) / (pairs - 1), (m - 1) / (pairs - 1)
+        c = (d - of_a * a - of_b * b) / (1 - of_a - of_b)
+        return [(a, fa), (b, fb), (c, pairs - n - m + 1)]
+
+    def tested(self, basis: Array) -> Tested:
+        """Test an effect of orthonormal contrasts (cells, q) of the modelled cell means."""
+        rows = basis.T @ self.x
+        return quasi_test(self._parts(rows), rows @ self.beta)
+
+    def estimated(self, differences: Array, confidence: float) -> Estimated:
+        """Estimate differences (rows, cells) of the modelled cell means, each with its own variance."""
+        each = [
+            quasi_interval(self._parts(row[None]), row[None] @ self.beta, confidence) for row in differences @ self.x
+        ]
+        return Estimated(*(np.array(x) for x in zip(*map(astuple, each), strict=True)))
+
+
+def _clusters(design: Array, residuals: Array, inverse: Array, of: NDArray[np.int_]) -> Clusters:
+    """Scores by clusters of rows, each filled up with rows of 0."""
+    order = np.argsort(of, kind="stable")
+    count = np.bincount(of)
+    place = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
+    x, e = np.zeros((len(count), count.max(), design.shape[1])), np.zeros((len(count), count.max()))
+    x[of[order], place], e[of[order], place] = design[order], residuals[order]
+    return Clusters(x, e, inverse)

@@ -1,0 +1,63 @@
+"""Harmonics and slides of written music: which notes are played, and at which pitch they sound."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import tonewood as tw
+from tonewood.performance.player.techniques import with_marks
+from tonewood.performance.score.assignment import PlayableString
+from tonewood.performance.score.harmonics import interval
+
+FS = 22050
+STRING = [PlayableString("A2", tuple(45.0 + i for i in range(20)), False)]
+
+
+def tablature(**values: Any) -> tw.Note:
+    values = {"time": 0.1, "duration": 1.2, "stop": 0.0, "velocity_midi": 80.0, "marks": ("tablature",)} | values
+    return tw.Note(**values)
+
+
+@pytest.mark.parametrize(("partial", "stop"), [(2, 0), (3, 0), (4, 0), (5, 0), (3, 2)])
+def test_a_harmonic_sounds_its_partial_and_the_multiples(partial: int, stop: int) -> None:
+    """A finger on a node of the n-th partial leaves partials n, 2n, ... of the string, and damps all others."""
+    note = tablature(note=45.0 + stop + interval(partial), stop=float(stop), partial=partial)
+    renderer = tw.Renderer(tw.Score([note]), "steel_guitar", fs=FS)
+    assert [(a.string, a.stop, a.note.technique) for a in renderer.performance.notes] == [("A2", stop, "harmonic")]
+    sound = np.concatenate(list(renderer.blocks())).reshape(-1, len(renderer.channels))[:, 0]
+    sound = sound[FS // 2 : 5 * FS // 4]
+    level = np.abs(np.fft.rfft(sound * np.hanning(len(sound)), 8 * len(sound)))
+    freq = np.fft.rfftfreq(8 * len(sound), 1 / FS)
+    f0 = 440.0 * 2 ** ((45 + stop - 69) / 12)
+    heard = [float(level[np.abs(freq / f0 - k) < 0.05 * min(k, 4)].max()) for k in range(1, 11)]
+    kept, damped = (max(x for k, x in enumerate(heard, 1) if (k % partial == 0) is there) for there in (True, False))
+    assert kept > 10 ** (10 / 20) * damped
+
+
+def test_a_harmonic_without_its_technique_is_plucked_at_its_pitch() -> None:
+    notes = [tablature(note=57.0, partial=2), tablature(time=2.0, note=64.0, partial=3)]
+    played = with_marks(tw.Score(notes), ["pluck"], STRING)
+    assert [(n.note, n.stop, n.partial, n.technique) for n in played.notes] == [
+        (57.0, None, None, None),
+        (64.0, None, None, None),
+    ]
+    assert played.ignored == {"harmonic, plucked as a note of its pitch": 2}
+
+
+def test_slides_move_one_finger() -> None:
+    """Into a note from two frets below, on to another fret, and out of it: one stroke, and slides that reach places."""
+    note = tablature(note=50.0, stop=5.0, glides=((0.0, -2.0), (0.2, 0.0), (0.6, 4.0), (1.2, 2.0)))
+    played = with_marks(tw.Score([note]), ["pluck", "slide"], STRING)
+    assert [(round(n.time, 3), n.note, n.stop, n.technique) for n in played.notes] == [
+        (0.1, 48.0, 3.0, None), (0.3, 50.0, 5.0, "slide"), (0.7, 54.0, 9.0, "slide"), (1.27, 52.0, 7.0, "slide"),
+    ]  # fmt: skip
+    assert played.ignored == {}
+    # without a technique of sliding the fret that is reached within the note is plucked
+    plucked = with_marks(tw.Score([note]), ["pluck"], STRING)
+    assert [(round(n.time, 3), n.note, n.stop) for n in plucked.notes] == [(0.1, 50.0, 5.0), (0.7, 54.0, 9.0)]
+    assert plucked.ignored == {
+        "slide into or out of a note, plucked as any note": 1, "slide, plucked as any note": 1,
+    }  # fmt: skip

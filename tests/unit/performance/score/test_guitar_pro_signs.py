@@ -1,0 +1,215 @@
+"""Signs of Guitar Pro: against what alphaTab (2026) plays of files, and closed forms of harmonics."""
+
+from __future__ import annotations
+
+import math
+import struct
+import zipfile
+from pathlib import Path
+
+import pytest
+from tablatures import enabled, gpif, gpx_bits, gpx_system
+
+import tonewood as tw
+from tonewood.errors import ScoreError
+from tonewood.performance.score.gpx import gpx_score
+from tonewood.performance.score.harmonics import interval, partial_at
+from tonewood.performance.score.unfolding import Measure, order
+
+NOTES = [(0, 0, "", ""), (1, 2, "", ""), (2, 5, "", ""), (3, 7, "", "")]
+
+
+def edited(path: Path, *changes: tuple[str, str], notes: list[tuple[int, int, str, str]] = NOTES) -> tw.Score:
+    """A score of Guitar Pro 7 with texts replaced by others."""
+    with zipfile.ZipFile(gpif(path, notes)) as archive:
+        text = archive.read("Content/score.gpif").decode()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("Content/score.gpif", text)
+    return tw.read_score(path)
+
+
+def value(name: str, kind: str, number: object) -> str:
+    return f'<Property name="{name}"><{kind}>{number}</{kind}></Property>'
+
+
+def harmonic(kind: str, fret: float) -> str:
+    return enabled("Harmonic") + value("HarmonicType", "HType", kind) + value("HarmonicFret", "HFret", fret)
+
+
+def test_guitar_pro_6_is_read_plain_and_compressed(tmp_path: Path) -> None:
+    path = gpif(tmp_path / "a.gp", NOTES)
+    with zipfile.ZipFile(path) as archive:
+        system = gpx_system(archive.read("Content/score.gpif"))
+    expected = tw.read_score(path).notes
+    (tmp_path / "plain.gpx").write_bytes(system)
+    # the empty first sector by references that double what is there
+    bits = gpx_bits(system[:4], system[4:8], (4, 4), *((2**i, 2**i) for i in range(3, 12)), system[4 + 0x1000 :])
+    (tmp_path / "packed.gpx").write_bytes(b"BCFZ" + struct.pack("<i", len(system)) + bits)
+    for name in ("plain.gpx", "packed.gpx"):
+        assert tw.read_score(tmp_path / name).notes == expected
+    (tmp_path / "cut.gpx").write_bytes(system[:-0x1000])
+    with pytest.raises(ScoreError, match=r"score.gpif ends early"):
+        tw.read_score(tmp_path / "cut.gpx")
+
+
+@pytest.mark.parametrize(
+    ("data", "line"),
+    [
+        (struct.pack("<i", 100) + gpx_bits((5, 5)), "bytes before its beginning"),
+        (struct.pack("<i", 2**30), "bytes, expanded"),
+        (struct.pack("<i", 8) + gpx_bits(b"ABCDEFGH"), "no file system"),
+        (b"", "ends early"),
+    ],
+)
+def test_a_damaged_container_is_one_line(data: bytes, line: str) -> None:
+    with pytest.raises(ScoreError, match=line):
+        gpx_score(b"BCFZ" + data, Path("a.gpx"))
+
+
+def test_nodes_of_a_string_leave_their_partials() -> None:
+    """A touch at the fret over k/n leaves the n-th partial, n times the string's frequency."""
+    for n in range(2, 9):
+        for k in range(1, n):
+            if math.gcd(k, n) == 1:
+                assert partial_at(-12 * math.log2(1 - k / n)) == n
+    assert [interval(n) for n in range(2, 9)] == [12, 19, 24, 28, 31, 34, 36]
+    # the frets that players name
+    named = {12: 2, 7: 3, 19: 3, 5: 4, 24: 4, 4: 5, 9: 5, 16: 5, 3.2: 6, 2.7: 7, 5.8: 7, 9.6: 7, 14.7: 7, 8.2: 8, 17: 8}
+    assert {fret: partial_at(fret) for fret in named} == named
+    assert [partial_at(fret) for fret in (1, 11, 13, 18)] == [None] * 4
+
+
+def test_harmonics_sound_at_their_pitch(tmp_path: Path) -> None:
+    """Natural ones over the open string, others over the fret; one at no node is plucked as written."""
+    notes = [
+        (1, 7, harmonic("Natural", 7), ""), (1, 2, harmonic("Artificial", 12), ""), (1, 2, harmonic("Pinch", 5), ""),
+        (1, 2, harmonic("Tap", 7), ""), (1, 11, harmonic("Natural", 11), ""),
+    ]  # fmt: skip
+    score = edited(tmp_path / "a.gp", notes=notes)
+    assert [(n.note, n.stop, n.partial) for n in score.notes] == [
+        (45 + 19, 0.0, 3), (47 + 12, 2.0, 2), (47 + 24, 2.0, 4), (47 + 19, 2.0, 3), (56, 11.0, None),
+    ]  # fmt: skip
+    assert score.ignored == {"harmonic that touches no node, plucked as a note": 1}
+
+
+@pytest.mark.parametrize(
+    ("bars", "played"),
+    [
+        # opens, closes, endings of each measure -> measures as alphaTab plays them
+        ([(1, 0, ()), (0, 4, ()), (0, 0, ())], [0, 1, 0, 1, 0, 1, 0, 1, 2]),
+        ([(0, 2, ()), (0, 0, (1, 2)), (0, 2, ())], [0, 0, 1, 2, 0, 0, 1, 2]),
+        # a repeat sign in a measure that the second pass skips ends the repeat
+        ([(1, 0, ()), (0, 2, (1,)), (0, 0, ())], [0, 1, 0, 2]),
+        ([(1, 0, ()), (0, 2, (1, 2, 3)), (0, 2, (4,)), (0, 0, (1, 2, 3, 5))], [0, 1, 0, 1, 0, 1, 0, 1, 3]),
+        # an ending lasts until the next one
+        ([(1, 0, ()), (0, 0, (1, 3)), (0, 0, (2,)), (0, 4, ()), (0, 0, ())], [0, 1, 0, 2, 3, 0, 1, 0, 4]),
+        # a repeat in a repeat
+        ([(1, 0, ()), (1, 2, ()), (0, 2, ()), (0, 0, ())], [0, 1, 1, 2, 0, 1, 1, 2, 3]),
+        # one that is never closed
+        ([(1, 0, ()), (0, 0, ()), (1, 2, ())], [0, 1, 2, 2]),
+    ],
+)
+def test_repeats_as_guitar_pro_has_them(bars: list[tuple[int, int, tuple[int, ...]]], played: list[int]) -> None:
+    measures = [Measure(opens=bool(o), closes=c, endings=frozenset(e)) for o, c, e in bars]
+    assert order(measures, tablature=True) == played
+
+
+def test_jumps_name_what_they_obey() -> None:
+    def names(*signs: set[str]) -> str:
+        return "".join("abcdefgh"[i] for i in order([Measure(signs=s) for s in signs], tablature=True))
+
+    assert names(set(), {"fine"}, {"da_capo_al_fine"}, set()) == "abcab"
+    assert names(set(), {"fine"}, {"da_capo"}, set()) == "abcabcd"
+    assert names({"segno"}, {"to_coda"}, {"dal_segno_al_coda"}, {"coda"}) == "abcabd"
+    assert names({"segno"}, {"to_coda"}, {"dal_segno_al_double_coda"}, {"coda"}) == "abcabcd"
+    double = [{"segno_segno"}, {"to_double_coda"}, {"dal_segno_segno_al_double_coda"}, set(), {"double_coda"}]
+    assert names(*double) == "abcabe"
+    # of two segnos the one before; a coda before its sign, where there is none after it
+    assert names({"segno"}, {"segno"}, {"dal_segno"}) == "abcbc"
+    assert names({"coda"}, {"to_coda"}, {"da_capo_al_coda"}) == "abcab" + "abc"
+
+
+def test_similes_anacruses_and_drums(tmp_path: Path) -> None:
+    """A measure of % is the one before it; an upbeat is as long as its beats; drums are counted."""
+    bars = "<Bars>0</Bars></MasterBar>"
+    more = bars + "<MasterBar><Time>4/4</Time><Bars>1</Bars></MasterBar>" * 2
+    simile = '<Bars><Bar id="1"><Voices>-1</Voices><SimileMark>Simple</SimileMark></Bar>'
+    notes = NOTES[:2]
+    score = edited(tmp_path / "a.gp", (bars, more), ("<Bars><Bar ", simile + "<Bar "), notes=notes)
+    assert [(n.time, n.note) for n in score.notes] == [
+        (4.0 * i + j, p) for i in range(3) for j, p in ((0, 40), (1, 47))
+    ]
+    begins = ("<MasterTrack>", "<MasterTrack><Anacrusis/>")
+    upbeat = edited(tmp_path / "b.gp", (bars, more), ("<Bars><Bar ", simile + "<Bar "), begins, notes=notes)
+    assert [n.time for n in upbeat.notes] == [0.0, 1.0, 2.0, 3.0, 6.0, 7.0]
+    kit = ("<Name>Guitar", "<InstrumentSet><Type>drumKit</Type></InstrumentSet><Name>Guitar")
+    drums = edited(tmp_path / "c.gp", kit, notes=notes)
+    assert (len(drums.notes), drums.ignored) == (0, {"note of a percussion track": 2})
+
+
+def test_grace_notes_before_and_on_the_beat(tmp_path: Path) -> None:
+    """One takes a 32nd, each of two a 64th; before the first beat they let all begin later."""
+    second, third = '<Beat id="1">', '<Beat id="2">'
+    for where, times in (("BeforeBeat", [0.0, 0.9375, 0.96875, 1.0]), ("OnBeat", [0.0, 1.0, 1.0625, 1.125])):
+        grace = f"<GraceNotes>{where}</GraceNotes>"
+        score = edited(tmp_path / "a.gp", (second, second + grace), (third, third + grace))
+        assert [n.time for n in score.notes] == pytest.approx(times if where == "OnBeat" else [0.0, 0.875, 0.9375, 1.0])
+    first = '<Beat id="0">'
+    score = edited(tmp_path / "b.gp", (first, first + "<GraceNotes>BeforeBeat</GraceNotes>"))
+    assert [n.time for n in score.notes] == pytest.approx([0.0, 0.125, 1.125, 2.125])
+
+
+def test_strums_rasgueados_and_dead_slaps(tmp_path: Path) -> None:
+    chord = ("<Beats>0 1 2 3</Beats>", "<Beats>0</Beats>"), ("<Notes>0</Notes>", "<Notes>0 1 2 3</Notes>{}")
+    brush = '<XProperties><XProperty id="687935489"><Int>480</Int></XProperty></XProperties><Properties>'
+    brush += '<Property name="Brush"><Direction>{}</Direction></Property></Properties>'
+    up, down = (
+        edited(tmp_path / "a.gp", chord[0], (chord[1][0], chord[1][1].format(brush.format(way)))).notes
+        for way in ("Up", "Down")
+    )
+    assert [n.note for n in down] == [40, 47, 55, 62]
+    assert [n.note for n in up] == [62, 55, 47, 40]
+    assert [n.time for n in down] == pytest.approx([0, 0.5 / 3, 1 / 3, 0.5])
+    finger = '<Properties><Property name="Rasgueado"><Rasgueado>mii_2</Rasgueado></Property></Properties>'
+    many = edited(tmp_path / "b.gp", chord[0], (chord[1][0], chord[1][1].format(finger))).notes
+    # three strokes in an anapaest of a quarter note, each spread over a quarter of itself
+    assert [n.time for n in many[::4]] == pytest.approx([0.0, 0.25, 0.5])
+    assert [n.note for n in many[8:]] == [62, 55, 47, 40]
+    slap = edited(tmp_path / "c.gp", ("<Notes>0</Notes>", "<Notes/><DeadSlapped/>"))
+    assert [(n.note, "dead_note" in n.marks) for n in slap.notes[:6]] == [(p, True) for p in (40, 45, 50, 55, 59, 64)]
+
+
+def test_whammy_ornaments_trills_and_slides(tmp_path: Path) -> None:
+    first = '<Beat id="0">'
+    whammy = '<Whammy originValue="0" middleValue="-50" middleOffset1="50" middleOffset2="50" destinationValue="0" '
+    score = edited(tmp_path / "a.gp", (first, f'{first}{whammy} destinationOffset="100"/>'))
+    bent = {round(c.time, 2): c.value for c in score.controls}
+    assert (bent[0.5], bent[0.24], min(bent.values())) == (-100.0, -48.0, -100.0)
+    older = "".join(
+        value(f"WhammyBar{name}", "Float", number)
+        for name, number in (("MiddleValue", -50), ("MiddleOffset1", 50), ("MiddleOffset2", 50))
+    )
+    older = f'{first}<Properties><Property name="WhammyBar"><Enable/></Property>{older}</Properties>'
+    assert edited(tmp_path / "b.gp", (first, older)).controls == score.controls
+    notes = [
+        (2, 2, "", "<Ornament>Turn</Ornament>"), (2, 2, "", "<Trill>54</Trill>"),
+        (2, 2, value("Slide", "Flags", 16 + 8), ""), (2, 2, value("Slide", "Flags", 64), ""),
+    ]  # fmt: skip
+    signs = edited(tmp_path / "c.gp", notes=notes)
+    # E turns over F and D sharp in a sixteenth, then E trills with F sharp in sixteenths
+    assert [n.note for n in signs.notes[:8]] == [53, 52, 51, 52, 52, 54, 52, 54]
+    assert [n.time for n in signs.notes[:8]] == pytest.approx([0, 1 / 12, 1 / 6, 0.25, 1, 1.25, 1.5, 1.75])
+    # from two frets below, and two frets up and away
+    assert signs.notes[8].glides == ((0.0, -2.0), (0.15, 0.0), (1.0, 2.0))
+    assert signs.ignored == {"pick slide": 1}
+
+
+def test_swing_moves_the_second_of_two(tmp_path: Path) -> None:
+    eighths = ("<NoteValue>Quarter</NoteValue>", "<NoteValue>Eighth</NoteValue>")
+    for feel, late in (("Triplet8th", 2 / 3), ("Dotted8th", 3 / 4), ("Scottish8th", 1 / 4)):
+        swung = ("<Time>4/4</Time>", f"<Time>4/4</Time><TripletFeel>{feel}</TripletFeel>")
+        score = edited(tmp_path / "a.gp", eighths, swung)
+        assert [n.time for n in score.notes] == pytest.approx([0, late, 1, 1 + late])

@@ -1,0 +1,133 @@
+"""Signs of MusicXML that change loudness, time and pedals: against what the standard says of each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from tablatures import note
+
+import tonewood as tw
+from tonewood.errors import ScoreError
+
+
+def read(tmp_path: Path, *measures: str) -> tw.Score:
+    """A score in quarter notes at 60 a minute, four divisions to each."""
+    start = '<attributes><divisions>4</divisions></attributes><direction><sound tempo="60"/></direction>'
+    bars = "".join(f"<measure>{start if i == 0 else ''}{m}</measure>" for i, m in enumerate(measures))
+    path = tmp_path / "a.musicxml"
+    path.write_text(f'<score-partwise><part id="P">{bars}</part></score-partwise>', encoding="utf-8")
+    return tw.read_score(path)
+
+
+def sign(inside: str, more: str = "") -> str:
+    return f"<direction><direction-type>{inside}</direction-type>{more}</direction>"
+
+
+def plain(*steps: str, duration: int = 4) -> str:
+    return "".join(note(step, 4, duration) for step in steps)
+
+
+def test_hairpins_lead_to_the_dynamics_after_them(tmp_path: Path) -> None:
+    """From p (49) to f (96) over four quarters, then to the end by the usual step; the last level stays."""
+    p, f = (sign(f"<dynamics><{d}/></dynamics>") for d in "pf")
+    grows, fades, ends = (sign(f'<wedge type="{t}"/>') for t in ("crescendo", "diminuendo", "stop"))
+    score = read(tmp_path, p + grows + plain(*"CDEF") + ends, f + plain("C") + fades + plain(*"DE") + ends + plain("F"))
+    assert [n.velocity_midi for n in score.notes] == [49, 61, 72, 84, 96, 96, 88, 80]
+    assert score.ignored == {}
+    alone = read(tmp_path, grows + plain(*"CD") + ends + plain("E"), sign('<wedge type="crescendo"/>') + plain("C"))
+    assert [n.velocity_midi for n in alone.notes] == [80, 88, 96, 96]
+    assert alone.ignored == {"hairpin without an end": 1}
+
+
+def test_pedals_hold_notes_and_move_controllers(tmp_path: Path) -> None:
+    down, change, up = (sign(f'<pedal type="{t}"/>') for t in ("start", "change", "stop"))
+    score = read(tmp_path, down + plain(*"CD") + change + plain(*"EF") + up)
+    moves = [(c.time, c.kind, c.value) for c in score.controls if c.kind == "cc64"]
+    assert moves == [(0, "cc64", 1), (2, "cc64", 0), (pytest.approx(2.06), "cc64", 1), (4, "cc64", 0)]
+    assert [(n.duration, n.held) for n in score.notes] == [(2.0, 1.0), (1.0, None), (2.0, 1.0), (1.0, None)]
+    half = read(tmp_path, '<sound damper-pedal="40"/>' + plain("C") + '<sound soft-pedal="yes"/>' + plain("D"))
+    assert [(c.time, c.kind, c.value) for c in half.controls] == [(0.0, "cc64", 0.4), (1.0, "cc67", 1.0)]
+    assert [n.held for n in half.notes] == [None, None]
+    wrong = read(tmp_path, '<sound damper-pedal="deep"/>' + plain("C"))
+    assert wrong.ignored == {"damper-pedal that cannot be read": 1}
+
+
+@pytest.mark.parametrize(
+    ("fifths", "ornament", "pitches"),
+    [
+        (0, "<turn/>", [65, 64, 62, 64]),
+        (2, "<turn/>", [66, 64, 62, 64]),
+        (0, "<inverted-turn/>", [62, 64, 65, 64]),
+        (0, "<mordent/>", [64, 62, 64]),
+        (-3, "<inverted-mordent/>", [64, 65, 64]),
+        (0, '<mordent/><accidental-mark placement="below">sharp</accidental-mark>', [64, 63, 64]),
+        (0, "<trill-mark/>", [64, 65] * 4),
+        (1, "<trill-mark/><wavy-line type='start'/>", [64, 66] * 4),
+    ],
+)
+def test_ornaments_take_their_notes_from_the_key(
+    tmp_path: Path, fifths: int, ornament: str, pitches: list[int]
+) -> None:
+    key = f"<attributes><key><fifths>{fifths}</fifths></key></attributes>"
+    score = read(tmp_path, key + note("E", 4, 4, more=f"<ornaments>{ornament}</ornaments>"))
+    assert [n.note for n in score.notes] == pitches
+    assert score.ignored == {}
+
+
+def test_arpeggios_go_up_and_down(tmp_path: Path) -> None:
+    for way, order in (("", [60, 64, 67]), (' direction="down"', [67, 64, 60])):
+        chord = "".join(
+            note(step, 4, 4, more=f"<arpeggiate{way}/>", before="<chord/>" if step != "C" else "") for step in "CEG"
+        )
+        score = read(tmp_path, chord)
+        assert [n.note for n in score.notes] == order
+        assert [n.time for n in score.notes] == pytest.approx([0.0, 0.012, 0.024])
+
+
+def test_a_fermata_holds_all(tmp_path: Path) -> None:
+    """A held quarter lasts half as long again; a tempo within it, and the tempo after it, stay those of the score."""
+    score = read(
+        tmp_path,
+        plain("C") + note("D", 4, 4, more="<fermata/>") + plain("E") + '<sound tempo="120"/>' + plain("F", "G"),
+    )
+    assert [n.time for n in score.notes] == pytest.approx([0, 1, 2.5, 3.5, 4.0])
+    assert score.notes[1].duration == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize(
+    ("mark", "quarter"),
+    [
+        ("<metronome><beat-unit>half</beat-unit><per-minute>60</per-minute></metronome>", 0.5),
+        ("<metronome><beat-unit>quarter</beat-unit><per-minute>ca. 120</per-minute></metronome>", 0.5),
+        ("<words>Allegro (♩ = 120)</words>", 0.5),
+        ("<words>♩. = 40</words>", 1.0),
+        ("<words>h=90</words>", 1 / 3),
+        ("<words>Andante</words>", 1.0),
+        ("<words>Capo = open</words>", 1.0),
+    ],
+)
+def test_tempos_stand_in_marks_and_words(tmp_path: Path, mark: str, quarter: float) -> None:
+    score = read(tmp_path, sign(mark) + plain("C", "D"))
+    assert score.notes[1].time == pytest.approx(quarter)
+
+
+def test_swing_lasts_until_it_is_straight(tmp_path: Path) -> None:
+    swing = "<sound><swing><first>2</first><second>1</second></swing></sound>"
+    straight = "<sound><swing><straight/></swing></sound>"
+    pair = plain("C", "D", duration=2)
+    score = read(tmp_path, swing + pair, pair, straight + pair)
+    assert [n.time for n in score.notes] == pytest.approx([0, 2 / 3, 1, 1 + 2 / 3, 2, 2.5])
+
+
+def test_bytes_that_declare_another_encoding(tmp_path: Path) -> None:
+    """A file in UTF-8 whose first line says UTF-16 is read as what it is."""
+    text = f'<score-partwise><part id="P"><measure>{plain("C")}</measure></part></score-partwise>'
+    path = tmp_path / "a.xml"
+    path.write_bytes(f'<?xml version="1.0" encoding="UTF-16"?>{text}'.encode())
+    assert [n.note for n in tw.read_score(path).notes] == [60]
+    path.write_bytes(f'<?xml version="1.0" encoding="UTF-16"?>{text}'.encode("utf-16"))
+    assert [n.note for n in tw.read_score(path).notes] == [60]
+    path.write_bytes(f'<?xml version="1.0" encoding="KOI-99"?>{text}'.encode())
+    with pytest.raises(ScoreError, match="damaged XML"):
+        tw.read_score(path)

@@ -1,0 +1,104 @@
+"""Tablature: read again it has the notes that went in; measures are full; a piece known by heart has its frets."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from fractions import Fraction
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+import tonewood as tw
+from tonewood.performance.score.assignment import PlayableString, assign
+from tonewood.performance.score.note import Beats
+from tonewood.performance.score.tablature import TICKS, Tablature, musicxml, tablature, text
+
+OPEN = {"E2": 40, "A2": 45, "D3": 50, "G3": 55, "B3": 59, "E4": 64}
+GUITAR = [PlayableString.fretted(name, pitch, 19) for name, pitch in OPEN.items()]
+ROMANCE = Path(__file__).parents[4] / "examples/scores/romance.mid"
+
+
+def tab_of(notes: list[tw.Note], beats: Beats | None = None) -> Tablature:
+    return tablature(assign(notes, GUITAR).notes, GUITAR, beats or Beats(), title="A & B")
+
+
+def read_again(tab: Tablature, path: Path) -> list[tuple[Fraction, float, float]]:
+    """(quarter note, pitch, stop) of each note, by the reader of MusicXML."""
+    path.write_bytes(musicxml(tab))
+    score = tw.read_score(path)
+    assert score.ignored == {}
+    assert score.beats is not None
+    beats = [(Fraction(score.beats.quarter(n.time)).limit_denominator(96), n) for n in score.notes]
+    return sorted((at, float(n.note or 0), float(n.stop or 0)) for at, n in beats)
+
+
+def test_romance_has_the_frets_that_guitarists_play(tmp_path: Path) -> None:
+    """Its melody lies on the first string at 7 7 7, 7 5 3, 3 2 0 over the open second and third."""
+    music = tw.read_score(ROMANCE)
+    tab = tablature(assign(music.notes, GUITAR).notes, GUITAR, music.beats or Beats(), title="romance")
+    melody = [p.fret for _, chord in tab.chords for p in chord if p.line == 1]
+    assert melody[:9] == [7, 7, 7, 7, 5, 3, 3, 2, 0]
+    assert [p.fret for _, chord in tab.chords[1:3] for p in chord] == [0, 0]
+    assert all(0 <= p.finger <= 4 and (p.finger == 0) == (p.fret == 0) for _, chord in tab.chords for p in chord)
+    again = read_again(tab, tmp_path / "a.musicxml")
+    wanted = sorted(music.notes, key=lambda n: (n.time, n.note or 0))
+    assert [n[1] for n in again] == [float(n.note or 0) for n in wanted]
+    first = text(tab).splitlines()
+    assert first[:2] == ["romance", "Tuning E2 A2 D3 G3 B3 E4"]
+    assert first[4].startswith("E4 |-7")
+    assert first[9].startswith("E2 |-0")
+
+
+@pytest.mark.parametrize("fine", [4, 6, 8])
+def test_onsets_and_frets_come_back(tmp_path: Path, fine: int) -> None:
+    """Sixteenths, triplets and thirty-seconds at 90 a minute in 3/4, across bar lines, a long one at the end."""
+    steps = [0, 1, 2, 5, fine, 2 * fine + 1, 3 * fine - 1, 3 * fine, 7 * fine]
+    notes = [tw.Note(k / fine * 60 / 90, 0.1, note=52 + i) for i, k in enumerate(steps)]
+    notes += [tw.Note(0.0, 0.5, note=40), tw.Note(12 * 60 / 90, 8.0, note=43)]
+    tab = tab_of(sorted(notes, key=lambda n: n.time), Beats([(0.0, 0.0, 90.0)], [(0.0, 3.0)]))
+    wanted = sorted(
+        (Fraction(round(p.note.note.time * 1.5 * fine), fine), p.note.note.note, float(p.fret))
+        for _, chord in tab.chords for p in chord
+    )  # fmt: skip
+    assert read_again(tab, tmp_path / "a.musicxml") == wanted
+    root = ET.fromstring(musicxml(tab))
+    for measure in root.iter("measure"):
+        alone = [n for n in measure.iter("note") if n.find("chord") is None]
+        assert sum(int(n.findtext("duration", "0")) for n in alone) == 3 * TICKS
+    inner = root.iter("time-modification")
+    assert bool(list(inner)) == (fine == 6)
+
+
+def test_two_notes_within_a_step_on_one_string_stay_two() -> None:
+    notes = [tw.Note(0.0, 0.01, note=64, string="E4", stop=0), tw.Note(0.02, 0.1, note=66, string="E4", stop=2)]
+    tab = tab_of(notes)
+    assert [[p.fret for p in chord] for _, chord in tab.chords] == [[0], [2]]
+
+
+def test_a_capo_counts_frets_from_itself(tmp_path: Path) -> None:
+    path = tmp_path / "c.mid"
+    tw.write_midi(tw.Score([tw.Note(0.0, 0.4, note=42), tw.Note(0.5, 0.4, note=45)]), path)
+    command = [sys.executable, "-m", "tonewood", "tab", str(path), "-i", "classical_guitar", "--capo", "2"]
+    output = tmp_path / "c.musicxml"
+    done = subprocess.run([*command, "-o", str(output), "--json"], capture_output=True, text=True, check=True)
+    said = json.loads(done.stdout)
+    assert [said["notes"][0][key] for key in ("string", "stop", "fret", "finger")] == ["E2", 2.0, 0, 0]
+    root = ET.fromstring(output.read_bytes())
+    assert root.findtext(".//staff-details/capo") == "2"
+    assert [t.text for t in root.iterfind(".//staff-tuning/tuning-step")] == list("EADGBE")
+    assert [(n.stop, n.note) for n in tw.read_score(output).notes] == [(2.0, 42.0), (5.0, 45.0)]
+    for more, reason in {
+        ("-o", "a.pdf"): ".pdf is not written", (): "Missing option", ("--json", "--meter", "3/5"): "--meter: is '3/5'",
+    }.items():  # fmt: skip
+        failed = subprocess.run([*command, *more], capture_output=True, text=True, check=False)
+        assert failed.returncode == 2
+        assert reason in failed.stderr
+
+
+def test_measures_follow_the_signs_of_a_midi_file() -> None:
+    beats = Beats([(0.0, 0.0, 120.0), (2.0, 4.0, 60.0)], [(0.0, 3.0), (6.0, 2.0), (9.0, 4.0)])
+    assert [beats.quarter(t) for t in (0.0, 1.0, 2.0, 4.0)] == [0.0, 2.0, 4.0, 6.0]
+    assert beats.measures(9.5) == [0.0, 3.0, 6.0, 8.0, 9.0, 13.0]

@@ -1,0 +1,71 @@
+"""Presets: names for options, and what a room does to channels and stems."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import tonewood as tw
+from tonewood.errors import TonewoodError
+from tonewood.sound.render.presets import BUILT_IN, with_preset
+
+pytest.importorskip("pyroomacoustics")
+NOTES = tw.Score([tw.Note(0.0, 0.2, string="A2", stop=0, force=1.0)])
+
+
+@pytest.fixture(scope="module")
+def monochord() -> tw.Instrument:
+    return tw.load_instrument("monochord")
+
+
+def test_dry_is_the_same_bits(monochord: tw.Instrument) -> None:
+    sounds = [tw.render(NOTES, monochord, max_duration=0.2, **more).samples for more in ({}, {"preset": "dry"})]
+    assert np.array_equal(*sounds)
+
+
+def test_options_that_are_given_come_first(monochord: tw.Instrument) -> None:
+    chosen = with_preset(tw.RenderOptions(preset="studio", humanize=7, room_mix_db=-3.0), monochord.spec)
+    assert (chosen.room, chosen.humanize, chosen.room_mix_db, chosen.noises) == ("studio", 7, -3.0, True)
+
+
+def test_a_bundle_names_its_own(monochord: tw.Instrument) -> None:
+    own = monochord.replace({"presets": {"studio": {"outputs": ["bridge"], "room": "small"}, "near": {"humanize": 3}}})
+    assert with_preset(tw.RenderOptions(preset="studio"), own.spec).room == "small"
+    assert with_preset(tw.RenderOptions(preset="near"), own.spec).humanize == 3
+    assert BUILT_IN["studio"].room == "studio"
+    with pytest.raises(TonewoodError, match="'far'; dry, studio, stage, near are allowed"):
+        tw.Renderer(NOTES, own, preset="far")
+
+
+def test_a_room_turns_one_channel_into_two(monochord: tw.Instrument) -> None:
+    """The direct sound is that of the dry render, on both sides, half a millisecond late."""
+    dry = tw.Renderer(NOTES, monochord, max_duration=0.1, fs=16000)
+    wet = tw.Renderer(NOTES, monochord, max_duration=0.1, fs=16000, room="small", room_mix_db=-100.0)
+    assert wet.channels == tuple(f"{dry.channels[0]}_{side}" for side in ("left", "right"))
+    x, y = (np.concatenate(list(r.blocks(512))) for r in (dry, wet))
+    assert y.shape == (len(x), 2)
+    assert np.allclose(y[:, 0], y[:, 1], atol=0.02 * np.abs(x).max())
+    share = [np.corrcoef(x[:-8, 0], y[k : len(y) - 8 + k, 0])[0, 1] for k in range(8, 9)]
+    assert share[0] > 0.99
+    assert "not measured" in str(wet.summary().room)
+
+
+def test_a_snapshot_holds_the_room(monochord: tw.Instrument) -> None:
+    """To the last bit, and whatever the blocks."""
+    make = {"max_duration": 0.5, "fs": 16000, "room": "small"}
+    whole = np.concatenate(list(tw.Renderer(NOTES, monochord, **make).blocks(100)))
+    renderer = tw.Renderer(NOTES, monochord, **make)
+    first = [block for _, block in zip(range(3), renderer.blocks(700), strict=False)]
+    kept = renderer.snapshot()
+    rest = list(renderer.blocks(5000))
+    assert np.array_equal(np.concatenate(first + rest), whole)
+    renderer.restore(kept)
+    assert np.array_equal(np.concatenate(list(renderer.blocks(5000))), np.concatenate(rest))
+
+
+def test_the_room_rings_on(monochord: tw.Instrument) -> None:
+    """After a dry end there is the rest of the reverberation, which `max_duration` cuts."""
+    ends = {"fs": 16000, "tail": 0.0}
+    dry, wet = (tw.render(NOTES, monochord, **ends, **more).samples for more in ({}, {"room": "small"}))
+    assert len(wet) > len(dry) + 0.2 * 16000
+    assert len(tw.render(NOTES, monochord, **ends, room="small", max_duration=0.1).samples) == 1600

@@ -1,0 +1,275 @@
+"""What other people's files hold: other damping, other ways to measure, other formats, and faults of a channel."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile as sf
+from fit_scenes import TAU
+
+import tonewood as tw
+from tonewood.cli.main import run
+from tonewood.errors import TonewoodError
+from tonewood.workshop.fit.files import Reading, read_responses
+from tonewood.workshop.fit.fit import fit_responses
+from tonewood.workshop.fit.responses import Responses
+from tonewood.workshop.fit.stability import stability
+
+FREQ = np.arange(20.0, 600.0)
+NATURAL, MASS = np.array([103.0, 196.0, 325.0]), np.array([0.1, 0.2, 0.15])
+SHAPES = np.array([[1, 1, 1], [1, -0.5, 0.8], [1, 0.7, -0.6]])
+NAMES = ("p0", "p1", "p2")
+
+
+def mobility(structural=False, relative=0.0, additive=0.0, seed=1):
+    """(3, N) of three points driven at the first; Q or 1/eta is 30."""
+    rng, w, wn = np.random.default_rng(seed), TAU * FREQ, TAU * NATURAL[:, None]
+    loss = 1j * wn**2 / 30 if structural else 1j * w * wn / 30
+    clean = (SHAPES * SHAPES[0] / MASS) @ (1j * w / (wn**2 - w**2 + loss))
+    size = relative * np.abs(clean) + additive * np.abs(clean).max()
+    return clean + size / np.sqrt(2) * (rng.normal(size=clean.shape) + 1j * rng.normal(size=clean.shape))
+
+
+def measured(fit):
+    return [row for row in fit.rows if row["measured"]]
+
+
+def command(*words):
+    with pytest.raises(SystemExit) as ended:
+        run([str(word) for word in words])
+    return ended.value.code
+
+
+@pytest.mark.parametrize("structural", [False, True], ids=["viscous", "structural"])
+@pytest.mark.parametrize(("relative", "additive"), [(0.0, 0.0), (1e-3, 0.0), (1e-2, 0.0), (0.0, 1e-3), (3e-3, 1e-4)])
+def test_three_modes_are_three_whatever_noise_and_damping(structural, relative, additive):
+    fit = fit_responses(Responses(FREQ, mobility(structural, relative, additive), tuple((p, "p0") for p in NAMES)))
+    rows = measured(fit)
+    assert len(rows) == 3
+    assert [row["freq_Hz"] for row in rows] == pytest.approx(NATURAL, rel=1e-3)
+    assert [row["Q"] for row in rows] == pytest.approx([30.0] * 3, rel=0.03)
+    assert [row["mass_kg"] for row in rows] == pytest.approx(MASS, rel=0.03)
+    assert min(row["mpc"] for row in rows) > 0.99
+    assert fit.facts()["damping"] == ("structural" if structural else "viscous")
+    assert fit.modes.misfit < 1.1
+
+
+@pytest.mark.parametrize("kind", ["rel", "sensor moves", "no driving point"])
+def test_a_hammer_that_goes_about_tells_what_a_sensor_does_that_does(kind):
+    rows = mobility(relative=1e-3)
+    pairs = tuple(("p0", p) if kind != "sensor moves" else (p, "p0") for p in NAMES)
+    if kind == "no driving point":
+        rows, pairs = rows[1:], pairs[1:]
+    fit = fit_responses(Responses(FREQ, rows, pairs))
+    assert [row["freq_Hz"] for row in measured(fit)] == pytest.approx(NATURAL, rel=1e-3)
+    if kind != "no driving point":
+        assert fit.body.points[0] == "p0"
+        shapes = np.array([row["shape"] for row in measured(fit)])
+        assert np.allclose(np.abs(shapes.T), np.abs(SHAPES / np.sqrt(MASS)), rtol=0.02)
+        return
+    assert fit.body is None
+    assert fit.no_body.startswith("no driving point: the sensor did not stand where the hammer struck")
+    for k, row in enumerate(measured(fit)):
+        one, other = (complex(*x) for x in row["shape"])
+        assert (one / other).real == pytest.approx(SHAPES[1, k] / SHAPES[2, k], rel=0.02)
+        assert row["Q"] == pytest.approx(30.0, rel=0.03)
+
+
+def test_a_sensor_beside_the_hammer_is_the_first_cause_named():
+    """The transfer p1:p0 called a driving point: negative real parts, modes all the same."""
+    fit = fit_responses(Responses(FREQ, mobility(relative=1e-3)[1:2], (("a", "a"),)))
+    causes = fit.no_body.split("likely causes: ")[1].split(", ")
+    assert causes[0] == "the sensor did not stand where the hammer struck"
+    assert [row["freq_Hz"] for row in measured(fit)] == pytest.approx(NATURAL, rel=1e-3)
+
+
+def test_the_conjugate_of_a_response_is_refused_in_one_line():
+    """Files for exp(-jwt): real parts are those of a body, but nothing that decays turns the phase so."""
+    pairs = tuple((p, "p0") for p in NAMES)
+    with pytest.raises(TonewoodError, match="imaginary parts of the other sign") as fault:
+        fit_responses(Responses(FREQ, mobility(relative=1e-3).conj(), pairs))
+    assert "\n" not in str(fault.value)
+
+
+def test_coherences_that_are_no_numbers_are_refused_in_one_line():
+    pairs = tuple((p, "p0") for p in NAMES)
+    with pytest.raises(TonewoodError, match="without --hits they are not used"):
+        fit_responses(Responses(FREQ, mobility(), pairs, np.full((3, FREQ.size), np.nan), 5))
+
+
+@pytest.mark.parametrize("kind", ["g per N", "complex64", "two close modes", "exponential window", "bins missing"])
+def test_other_peoples_arrays_are_three_modes(tmp_path, kind):
+    """Units by --scale, short numbers, modes within 1.5 %, a window known to the fit, bins that are no numbers."""
+    natural, alpha, reading = NATURAL.copy(), 0.0, Reading("mobility")
+    if kind == "two close modes":
+        natural[0] = 193.0
+    if kind == "exponential window":
+        alpha, reading = 10.0, Reading("mobility", window_tau=0.1)
+    s, w = alpha + 1j * TAU * FREQ, TAU * natural[:, None]
+    rng, clean = np.random.default_rng(4), (SHAPES * SHAPES[0] / MASS) @ (s / (s * s + w * s / 30 + w * w))
+    rows = clean * (1 + 1e-3 * (rng.normal(size=clean.shape) + 1j * rng.normal(size=clean.shape)))
+    if kind == "g per N":
+        rows, reading = rows * 2j * np.pi * FREQ / 9.80665, Reading("accelerance", scale=9.80665)
+    if kind == "complex64":
+        rows = rows.astype(np.complex64)
+    if kind == "bins missing":
+        rows[:, 100:105] = np.nan
+    np.savez(tmp_path / "a.npz", freq_Hz=FREQ, **{f"{p}:p0": row for p, row in zip(NAMES, rows, strict=True)})
+    found = measured(fit_responses(read_responses([tmp_path / "a.npz"], reading)))
+    assert [row["freq_Hz"] for row in found] == pytest.approx(natural, rel=1e-3)
+    assert [row["Q"] for row in found] == pytest.approx([30.0] * 3, rel=0.03)
+    assert [row["mass_kg"] for row in found] == pytest.approx(MASS, rel=0.03)
+
+
+def test_directions_of_a_universal_file_turn_signs(tmp_path):
+    """Sensor upside down (-Z) on the node that was struck in +Z: the same driving point with the other sign."""
+    pyuff = pytest.importorskip("pyuff")
+    rows, universal = mobility(), pyuff.UFF(str(tmp_path / "a.uff"))
+    ways = ((1, -3, -rows[0]), (2, 3, rows[1]), (3, -1, -rows[2]))
+    for node, direction, row in ways:
+        universal.write_sets(
+            pyuff.prepare_58(
+                func_type=4, rsp_node=node, rsp_dir=direction, ref_node=1, ref_dir=3, rsp_ent_name="NONE",
+                ref_ent_name="NONE", data=row, x=FREQ, binary=1, id1="", id2="", id3="", id4="", id5="",
+                load_case_id=0, abscissa_spacing=1, abscissa_spec_data_type=18, ordinate_spec_data_type=11,
+                orddenom_spec_data_type=13,
+            ),
+            mode="add",
+        )  # fmt: skip
+    read = read_responses([tmp_path / "a.uff"], Reading())
+    assert read.pairs == (("1+3", "1+3"), ("2+3", "1+3"), ("3+1", "1+3"))
+    assert np.allclose(read.mobility, rows, rtol=1e-9)
+    assert read.no_body() is None
+
+
+def test_arrays_of_any_name_in_mat_and_npz(tmp_path):
+    from scipy.io import savemat
+
+    rows = mobility()
+    savemat(tmp_path / "a.mat", {"Freq": FREQ, "Recep": (rows / (2j * np.pi * FREQ)).T, "dt": 0.1})
+    savemat(tmp_path / "b.mat", {"test": {"f": FREQ, "FRF": rows[:, :, None]}})
+    savemat(tmp_path / "c.mat", {"freq_Hz": FREQ, **{f"{p}__p0": row for p, row in zip(NAMES, rows, strict=True)}})
+    parts = {
+        f"{p}:p0_{k}": x for p, row in zip(NAMES, rows, strict=True) for k, x in (("re", row.real), ("im", row.imag))
+    }
+    np.savez(tmp_path / "d.npz", freq_Hz=FREQ, **parts)
+    a = read_responses([tmp_path / "a.mat"], Reading(references=(("Recep_1", ""),)))
+    assert a.pairs == (("Recep_1", "Recep_1"), ("Recep_2", "Recep_1"), ("Recep_3", "Recep_1"))
+    b, c, d = (read_responses([tmp_path / name], Reading("mobility")) for name in ("b.mat", "c.mat", "d.npz"))
+    assert b.pairs == (("FRF_1", "unnamed"), ("FRF_2", "unnamed"), ("FRF_3", "unnamed"))
+    assert c.pairs == d.pairs == tuple((p, "p0") for p in NAMES)
+    for read in (a, b, c, d):
+        assert np.allclose(read.mobility, rows, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "reported"),
+    [
+        ({"Freq": FREQ, "H": FREQ + 0j, "FRF": FREQ + 1j}, "--array: which array holds responses is not clear: H, FRF"),
+        ({"Freq": FREQ}, "holds no complex array of 580 bins, as many as Freq has"),
+        ({"t": FREQ, "H": FREQ + 0j}, "has no array freq_Hz; there are t"),
+        ({"freq": FREQ, "frequency": FREQ, "H": FREQ + 0j}, "which are the frequencies: freq, frequency"),
+    ],
+)
+def test_what_is_not_clear_of_arrays_is_reported_in_one_line(tmp_path, arrays, reported):
+    from scipy.io import savemat
+
+    savemat(tmp_path / "a.mat", {name: x.reshape(-1) for name, x in arrays.items()})
+    with pytest.raises(TonewoodError, match=reported.replace("?", r"\?")) as fault:
+        read_responses([tmp_path / "a.mat"], Reading("mobility"))
+    assert "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"MATLAB 7.3 MAT-file" + b" " * 200, bytes(range(256)) * 4])
+def test_a_damaged_mat_file_is_reported_in_one_line(tmp_path, content):
+    (tmp_path / "a.mat").write_bytes(content)
+    with pytest.raises(TonewoodError, match=r"a\.mat: is no MATLAB file") as fault:
+        read_responses([tmp_path / "a.mat"], Reading("mobility"))
+    assert "\n" not in str(fault.value)
+
+
+def test_a_line_of_the_mains_is_no_mode():
+    rows = mobility(relative=1e-3)
+    rows[:, 30] += 20 * np.abs(rows[:, 30])  # 50 Hz
+    fit = fit_responses(Responses(FREQ, rows, tuple((p, "p0") for p in NAMES)))
+    assert len(measured(fit)) == 3
+    assert any("of the mains perhaps, were left out: 50.0 Hz" in line for line in fit.warnings)
+
+
+def test_modes_are_dropped_and_kept_by_frequency():
+    responses = Responses(FREQ, mobility(relative=1e-3), tuple((p, "p0") for p in NAMES))
+    assert [row["freq_Hz"] for row in measured(fit_responses(responses, drop=(196.5,)))] == pytest.approx(
+        [103.0, 325.0], rel=0.02
+    )
+    with pytest.raises(TonewoodError, match="--drop: there is no mode at 250 Hz; the nearest is at"):
+        fit_responses(responses, drop=(250.0,))
+
+
+def test_a_mode_whose_absence_nobody_would_see_is_dropped_unless_it_is_wanted():
+    """A mode at 250 Hz that turns the response by 0.3 % (0.03 dB) or by 30 %, far above the noise."""
+    w, wn = TAU * FREQ, TAU * 250.0
+    peak = 1j * w * wn / 30 / (wn**2 - w**2 + 1j * w * wn / 30)  # 1 at its frequency
+    rows, at = mobility(additive=1e-6), int(np.argmin(np.abs(FREQ - 250.0)))
+    for share, keep, count in ((0.003, (), 3), (0.003, (250.0,), 4), (0.3, (), 4)):
+        more = rows + share * np.abs(rows[:, at : at + 1]) * peak
+        fit = fit_responses(Responses(FREQ, more, tuple((p, "p0") for p in NAMES)), keep=keep)
+        assert len(measured(fit)) == count
+
+
+def test_physical_poles_are_stable_in_the_chart():
+    chart = stability(FREQ, mobility(relative=1e-3))
+    for f in NATURAL:
+        near = chart.stable & (np.abs(chart.freq / f - 1) < 0.002)
+        assert np.unique(chart.order[near]).size >= 12
+        assert np.median(chart.quality[near]) == pytest.approx(30.0, rel=0.05)
+
+
+def test_files_of_a_fit_without_a_body(tmp_path, monkeypatch, capsys):
+    """Modes, facts and figure; parts of an earlier body do not stay beside them, and `new` says what is missing."""
+    monkeypatch.chdir(tmp_path)
+    rows = mobility(relative=1e-3)
+    for name, first in (("body.npz", 0), ("transfer.npz", 1)):
+        np.savez(name, freq_Hz=FREQ, **{f"{p}:p0": row for p, row in list(zip(NAMES, rows, strict=True))[first:]})
+        assert command("fit", name, "--form", "mobility", "-o", "fitted") == 0
+    said = capsys.readouterr().err
+    assert "no passive body: no driving point: the sensor did not stand where the hammer struck ('p0')" in said
+    assert sorted(path.name for path in Path("fitted").iterdir()) == ["fit.json", "fit.png", "modes.csv"]
+    facts = json.loads(Path("fitted/fit.json").read_text())
+    assert facts["modes"][0]["interval_90"]["Q"][0] < 30 < facts["modes"][0]["interval_90"]["Q"][1]
+    assert command("new", "mine", "--from", "fitted") == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def public(name):
+    """A data file of the package vibrationtesting, where it is installed."""
+    spec = importlib.util.find_spec("vibrationtesting")
+    if spec is None or spec.origin is None:
+        pytest.skip("needs: pip install --no-deps vibrationtesting")
+    return Path(spec.origin).parent / "data" / name
+
+
+def test_the_way_from_a_public_file_to_a_sound(tmp_path, monkeypatch):
+    """As docs/measured_by_others.md shows it: three responses of 0 to 0.4 Hz, called kHz, to a bundle that plays."""
+    file = public("mckiddat.mat")
+    monkeypatch.chdir(tmp_path)
+    assert command("fit", file, "--driving", "Recep_1", "-o", "three") == 0
+    assert command("new", "mine", "--from", "three") == 0
+    tw.write_midi(tw.Score([tw.Note(0.0, 0.3, note=45)]), tmp_path / "a.mid")
+    assert command("render", "a.mid", "-i", "mine", "-o", "a.wav", "--max-duration", "0.3") == 0
+    assert np.abs(sf.read("a.wav")[0]).max() > 0
+
+
+@pytest.mark.parametrize(("name", "freq", "quality"), [("case1.mat", 212.09, 566.0), ("case2.mat", 192.4, None)])
+def test_public_files_of_one_transfer(name, freq, quality):
+    """The package's own estimates: `sdof_cf` 212.0925 Hz, `mdof_cf` 192.59 Hz (its documentation)."""
+    fit = fit_responses(read_responses([public(name)], Reading("receptance")))
+    assert fit.body is None
+    assert len(measured(fit)) <= 8
+    row = min(measured(fit), key=lambda row: abs(row["freq_Hz"] - freq))
+    assert row["freq_Hz"] == pytest.approx(freq, abs=0.3)
+    if quality is not None:
+        assert row["Q"] == pytest.approx(quality, rel=0.1)
