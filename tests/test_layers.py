@@ -35,8 +35,8 @@ LAYERS = (
     {"sound/files"},
     {"sound/render"},
     {"sound/live", "sound/ensemble"},
-    {"workshop/batch", "workshop/fit", "workshop/report", "workshop/estimate", "lab"},
-    {"workshop/listening", "workshop/dataset", "workshop/sampling", "workshop/taps"},
+    {"workshop/batch", "workshop/fit", "workshop/report", "lab"},
+    {"workshop/listening", "workshop/dataset", "workshop/estimate", "workshop/sampling", "workshop/taps"},
     {"cli"},
     {"__init__", "__main__"},
 )

@@ -1,4 +1,4 @@
-"""``tonewood estimate`` and ``tonewood distance``: instruments from recordings of single notes, and how near they are."""
+"""``tonewood estimate``: an instrument from recordings of single notes, and how near one set of notes is to another."""
 
 from __future__ import annotations
 
@@ -22,8 +22,12 @@ Transpose = Annotated[int, typer.Option(help="semitones added to the notes of na
 
 
 def estimate(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="sound files, one a note: A3.flac, 57.wav, E4_pp.wav")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="NAME", help="folder of the instrument that is made")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="sound files, one a note: A3.flac, 57.wav, E4_pp.wav")
+    ],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="NAME", help="folder of the instrument that is made")
+    ],
     source: Annotated[
         str, typer.Option("--from", metavar="INSTRUMENT", help="name or folder of the instrument to begin with")
     ],
@@ -40,8 +44,8 @@ def estimate(
 ) -> None:
     """Estimate an instrument from recordings of single notes: strings, place of the pluck, gain of each output.
 
-    The same analysis is made of recorded and of rendered notes, and figures are moved until both agree. Every other note
-    is held back once, to tell how far the others are met. Writes a bundle NAME; body and exciters stay as they are.
+    The same analysis is made of recorded and of rendered notes, and figures are moved until both agree. Every other
+    note is held back once, to tell how far it is met. Writes a bundle NAME; body and exciters stay as they are.
     """
     from tonewood.workshop.estimate.bundle import UNKNOWN, Origin, write_bundle
     from tonewood.workshop.estimate.estimate import estimate as estimated
@@ -62,7 +66,7 @@ def estimate(
 
         print_json("estimate", {"name": made.name, "folder": str(output), **to_json(found)})
         return
-    warn(found.warnings)
+    warn(list(found.warnings))
     _print(found)
     print(f"{output}: plays at once; its body is that of {found.begun_with.name}")
 

@@ -80,9 +80,7 @@ def response_db(bands: Sequence[Band], freq: Floats) -> Floats:
     for middle, gain_db, q in bands:
         g, s = 10 ** (gain_db / 20), 1j * freq / middle
         root = math.sqrt(g)
-        if q is None:
-            h = (g * s + root) / (s + root)
-        else:
-            h = (s * s + root / q * s + 1) / (s * s + s / (q * root) + 1)
-        total += 20 * np.log10(np.abs(h))
+        above, below = (root / q, 1 / (q * root)) if q is not None else (0.0, 0.0)
+        bell = (s * s + above * s + 1) / (s * s + below * s + 1)
+        total += 20 * np.log10(np.abs((g * s + root) / (s + root) if q is None else bell))
     return total

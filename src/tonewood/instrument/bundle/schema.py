@@ -44,7 +44,9 @@ class Provenance(Parameters):
         "measured on the instrument; estimated from its recorded sound; published in a text; computed from such; "
         "authored by ear or judgement; stand_in for figures that are not published; unknown where no source is stated"
     )
-    source: str | None = described("key of `sources`; needed if measured, estimated, published or computed", default=None)
+    source: str | None = described(
+        "key of `sources`; needed if measured, estimated, published or computed", default=None
+    )
     note: str | None = described("remark on them", default=None)
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = described(
         "SHA-256 of the bytes of the table that these figures are; `check` tells when it is another", default=None
@@ -379,7 +381,11 @@ class EqualizerBand(Parameters):
     freq: float = quantity("Hz", low=1.0, high=1e5, doc="middle")
     gain_db: float = quantity("dB", low=-60.0, high=60.0, doc="of a bell in its middle; of a shelf far above it")
     q: float | None = quantity(
-        "1", low=0.05, high=100.0, default=None, doc="quality of a bell; a shelf, half of whose gain is at `freq`, without"
+        "1",
+        low=0.05,
+        high=100.0,
+        default=None,
+        doc="quality of a bell; a shelf, half of whose gain is at `freq`, without",
     )
 
 

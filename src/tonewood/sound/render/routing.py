@@ -73,7 +73,11 @@ class Routing:
     @property
     def memory(self) -> Memory:
         """Return a copy of all that moves: the frames that are due, the equalizers' and the circuits' states."""
-        return (self._late.copy(), self._equalizer.memory.copy(), *(converter.memory.copy() for converter in self._converters.values()))
+        return (
+            self._late.copy(),
+            self._equalizer.memory.copy(),
+            *(converter.memory.copy() for converter in self._converters.values()),
+        )
 
     @memory.setter
     def memory(self, value: Memory) -> None:
@@ -92,7 +96,7 @@ class Routing:
         return np.asarray(np.concatenate(parts, axis=1) * self.scale)
 
     def finished(self, sound: Floats) -> Floats:
-        """(n, n_channels) frames behind their equalizers, each channel as late as its output says; the last are kept."""
+        """(n, n_channels) frames behind their equalizers, each as late as its output says; the last are kept."""
         sound, longest = self._equalizer(sound), len(self._late)
         if not longest:
             return sound

@@ -96,7 +96,7 @@ def analyse(x: Floats, freq: float, guess: float, upper: float = FS / 2) -> Note
     return NoteAnalysis(
         onset=onset / FS, f0=f0, b=b, partials=partials, knock=_knock(bands, f0, partials),
         bands=bands_over_time(x, onset), rise=(top - onset) / FS, peak=float(20 * np.log10(np.abs(x).max() + 1e-12)),
-        level=float(db(np.mean(first**2))), bright=share(x[onset : onset + FS // 10], *BRIGHT),
+        level=float(db(float(np.mean(first**2)))), bright=share(x[onset : onset + FS // 10], *BRIGHT),
         modulation=_modulation(bands, partials.values(), f0), floor=_floor(x, onset, f0, b), tail=_tail(bands, f0, b),
     )  # fmt: skip
 
@@ -129,7 +129,9 @@ def pitch_offset(x: Floats, onset: int, freq: float) -> float:
     from scipy.ndimage import maximum_filter1d, median_filter
 
     coarse = level[: int(min(12 * freq * 3, 0.95 * FS / 2) / step)]
-    over = np.clip(coarse - median_filter(coarse[::4], size=max(3, int(freq / step / 4))).repeat(4)[: len(coarse)], 0, 40)
+    over = np.clip(
+        coarse - median_filter(coarse[::4], size=max(3, int(freq / step / 4))).repeat(4)[: len(coarse)], 0, 40
+    )
     over = maximum_filter1d(over, 3) - 10.0
 
     def score(f: float) -> float:

@@ -16,7 +16,7 @@ from tonewood.workshop.estimate.pluck import Louder
 def to_json(found: Estimate) -> dict[str, Any]:
     """Return everything but the sounds."""
     figures = found.figures
-    return finite({
+    plain: dict[str, Any] = finite({
         "begun_with": found.begun_with.name,
         "strings": {name: _string(found, name) for name in figures.laws},
         "place": {
@@ -42,6 +42,7 @@ def to_json(found: Estimate) -> dict[str, Any]:
         "moved": list(found.moved),
         "warnings": list(found.warnings),
     })  # fmt: skip
+    return plain
 
 
 def _string(found: Estimate, name: str) -> dict[str, Any]:

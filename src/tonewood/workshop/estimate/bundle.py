@@ -42,7 +42,9 @@ class Origin:
     url: str | None = None
 
 
-def write_bundle(estimate: Estimate, folder: Path, source: str, origin: Origin, *, allow_code: bool = False) -> Instrument:
+def write_bundle(
+    estimate: Estimate, folder: Path, source: str, origin: Origin, *, allow_code: bool = False
+) -> Instrument:
     """Write the bundle of an estimate.
 
     Parameters
@@ -72,7 +74,9 @@ def write_bundle(estimate: Estimate, folder: Path, source: str, origin: Origin, 
         write_whole(folder / RESULT, json.dumps(to_json(estimate), indent=1, allow_nan=False) + "\n")
         made = Instrument.load(folder, allow_code=allow_code)
         if made.resolved["strings"] != estimate.instrument.resolved["strings"]:
-            raise BundleError("the strings written are not those estimated; this bundle's form is not known", file=manifest)
+            raise BundleError(
+                "the strings written are not those estimated; this bundle's form is not known", file=manifest
+            )
         return made
     except BaseException as fault:
         with suppress(OSError):
@@ -177,7 +181,9 @@ def _provenance(estimate: Estimate) -> dict[str, str]:
         if interval is None:
             how = "no notes of its own tell it: it follows the neighbouring strings"
         else:
-            spread = ", ".join(f"{100 * s:.0f} % at {f / 1000:g} kHz" for f, s in zip(laws.STATED, interval.spread, strict=True))
+            spread = ", ".join(
+                f"{100 * s:.0f} % at {f / 1000:g} kHz" for f, s in zip(laws.STATED, interval.spread, strict=True)
+            )
             how = f"decay rate known within {spread} (90 %); single parameters trade with each other"
         if estimate.begun_with.spec.keys is None or lead in estimate.intervals:
             out[f"strings.{lead}.loss"] = how

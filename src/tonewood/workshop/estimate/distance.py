@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,7 @@ class Distance:
     partials: int
 
     #: field -> its name and unit for people
-    LABELS = {
+    LABELS: ClassVar[dict[str, str]] = {
         "third_octaves": "third octaves over time, dB",
         "onset": "third octaves of the onset, dB",
         "decays": "decay of partials over 30 dB, factor",
@@ -63,7 +64,7 @@ class Distance:
 
 
 def bands_apart(a: NoteAnalysis, b: NoteAnalysis, parts: slice = slice(None)) -> float:
-    """dB rms between third octaves of parts of two notes, less one gain; nan where no band can be compared."""
+    """Rms (dB) between third octaves of parts of two notes, less one gain; nan where no band can be compared."""
     p, q = a.bands[parts], b.bands[parts]
     use = np.isfinite(p) & np.isfinite(q)
     if not use.any():
@@ -109,7 +110,8 @@ def neighbours(notes: Sequence[tuple[int, NoteAnalysis]]) -> list[tuple[NoteAnal
 
 def strokes(notes: Sequence[tuple[int, NoteAnalysis]]) -> list[tuple[NoteAnalysis, NoteAnalysis]]:
     """Pairs of strokes of one note, of one set."""
-    out, seen = [], {}
+    out: list[tuple[NoteAnalysis, NoteAnalysis]] = []
+    seen: dict[int, NoteAnalysis] = {}
     for note, analysis in notes:
         if note in seen:
             out.append((seen[note], analysis))

@@ -110,9 +110,7 @@ def with_laws(figures: Figures, values: Mapping[str, Floats], bending: Mapping[s
                 laws[name] = replace(laws[name], values=values[name] if name in values else law.values * ratio)
             else:
                 stiff[name] = bending.get(name, figures.bending[name] * float(ratio[0]))
-    laws = {
-        name: replace(law, string=replace(law.string, bending_stiffness=stiff[name])) for name, law in laws.items()
-    }
+    laws = {name: replace(law, string=replace(law.string, bending_stiffness=stiff[name])) for name, law in laws.items()}
     told = {name: name in values for name in laws}
     return replace(figures, laws=laws, bending=stiff, estimated=told)
 
@@ -161,7 +159,7 @@ def in_fractions(instrument: Instrument) -> bool:
 
 
 def _own_gain(instrument: Instrument, output: str) -> Floats:
-    """dB at `gain.KNOTS` of the equalizer that the output has already."""
+    """Gain (dB) at `gain.KNOTS` of the equalizer that the output has already."""
     part = next(part for part in instrument.spec.outputs if part.name == output)
     return response_db([(band.freq, band.gain_db, band.q) for band in part.equalizer], gain.KNOTS)
 

@@ -48,9 +48,7 @@ def differences(recorded: Sequence[NoteAnalysis], rendered: Sequence[NoteAnalysi
     rows = []
     for i, (rec, syn) in enumerate(zip(recorded, rendered, strict=True)):
         both = [n for n in rec.partials if n in syn.partials]
-        rows += [
-            (i, rec.partials[n].freq, rec.partials[n].level - syn.partials[n].level, 1.0) for n in both
-        ]
+        rows += [(i, rec.partials[n].freq, rec.partials[n].level - syn.partials[n].level, 1.0) for n in both]
         use = np.isfinite(rec.bands) & np.isfinite(syn.bands) & (rec.bands > np.nanmax(rec.bands) - _BAND_RANGE)
         use &= syn.bands > -200
         off = np.median((rec.bands - syn.bands)[use]) if use.any() else 0.0
@@ -92,7 +90,7 @@ def curve_interval(rows: Differences, rng: np.random.Generator, draws: int = 60)
 
 
 def at(gain: Floats, freq: Floats) -> Floats:
-    """dB of a curve at frequencies, straight between knots over the logarithm, constant beyond them."""
+    """Level (dB) of a curve at frequencies, straight between knots over the logarithm, constant beyond them."""
     return np.asarray(np.interp(np.log(freq), np.log(KNOTS), gain))
 
 

@@ -89,7 +89,7 @@ class Law:
     def columns(self, freq: Floats) -> Floats:
         """(n_freq, n_names) 1/s per unit of each parameter."""
         out = np.empty((len(freq), len(self.names)))
-        zero = {name: 0.0 for name in self.names}
+        zero = dict.fromkeys(self.names, 0.0)
         rest = _rate(self.loss, self.string, zero, freq)
         for j, name in enumerate(self.names):
             out[:, j] = (_rate(self.loss, self.string, zero | {name: self._unit(j)}, freq) - rest) / self._unit(j)
@@ -97,7 +97,7 @@ class Law:
 
     def rest(self, freq: Floats) -> Floats:
         """(n_freq,) 1/s, of the parameters that are not linear."""
-        return _rate(self.loss, self.string, {name: 0.0 for name in self.names}, freq)
+        return _rate(self.loss, self.string, dict.fromkeys(self.names, 0.0), freq)
 
     def rate(self, freq: Floats, values: Floats | None = None) -> Floats:
         """(n_freq,) 1/s at the present numbers, or at others."""
@@ -108,7 +108,7 @@ class Law:
 
     @property
     def starts(self) -> Floats:
-        """Numbers to begin a fit with: the present ones, or, of those that are 0, ones that give a tenth of the rate."""
+        """Numbers to begin a fit with: the present ones; of those that are 0, ones that give a tenth of the rate."""
         probe = np.array([1000.0])
         total, columns = float(self.rate(probe)[0]), self.columns(probe)[0]
         return np.where(self.values > 0, self.values, 0.1 * total / np.maximum(columns, 1e-300))
@@ -176,7 +176,7 @@ def moved(law: Law, recorded: Rates, rendered: Rates) -> Floats:
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
     wanted = np.maximum(1.0 - law.rest(grid) / target, 0.0)
     q, _ = nnls(columns / scale / target[:, None], wanted)
-    return np.maximum(q / scale, 1e-3 * law.starts)
+    return np.asarray(np.maximum(q / scale, 1e-3 * law.starts))
 
 
 @dataclass(frozen=True, eq=False)

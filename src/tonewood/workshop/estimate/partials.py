@@ -190,7 +190,11 @@ def poles(y: Complexes, orders: Sequence[int]) -> dict[int, Complexes]:
 
     rows = len(y) // 3
     u = svd(hankel(y[:rows], y[rows - 1 :]), full_matrices=False)[0]
-    return {k: np.linalg.eigvals(lstsq(u[:-1, :k], u[1:, :k])[0]) for k in orders if len(y) > 6 * k + 6}
+    return {
+        k: np.asarray(np.linalg.eigvals(lstsq(u[:-1, :k], u[1:, :k])[0]), np.complex128)
+        for k in orders
+        if len(y) > 6 * k + 6
+    }
 
 
 def _modes(y: Complexes, t: Floats) -> tuple[float, tuple[Mode, ...]] | None:
@@ -206,9 +210,7 @@ def _modes(y: Complexes, t: Floats) -> tuple[float, tuple[Mode, ...]] | None:
         a = lstsq(basis, y)[0]
         misfit = float(db(np.mean(np.abs(y - basis @ a) ** 2) / np.mean(np.abs(y) ** 2)))
         if best is None or misfit < best[0] - 5:
-            found = [
-                Mode(float(p.imag / 2 / np.pi), float(-p.real), float(abs(q))) for p, q in zip(s, a, strict=True)
-            ]
+            found = [Mode(float(p.imag / 2 / np.pi), float(-p.real), float(abs(q))) for p, q in zip(s, a, strict=True)]
             best = (misfit, tuple(sorted(found, key=lambda m: -m.amplitude)))
     return best
 

@@ -102,7 +102,7 @@ class Louder:
 
     @property
     def per_7_db(self) -> float:
-        """dB of brightness that go with 7 dB of peak."""
+        """Brightness (dB) that go with 7 dB of peak."""
         return 7 * self.bright / self.peak if self.peak > 1 else np.nan
 
 

@@ -50,7 +50,7 @@ def find_onset(x: Floats, freq: float) -> tuple[int, int]:
 
 def power_spectrum(x: Floats, window: Floats, size: int) -> tuple[Floats, Floats]:
     """Frequencies (Hz) and power of a windowed piece."""
-    return np.fft.rfftfreq(size, 1 / FS), np.abs(np.fft.rfft(x * window, size)) ** 2
+    return np.asarray(np.fft.rfftfreq(size, 1 / FS)), np.asarray(np.abs(np.fft.rfft(x * window, size)) ** 2)
 
 
 def third_octaves(x: Floats) -> Floats:
