@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tonewood.cli.commands import InterruptError
-from tonewood.cli.common import AllowCode, Json, load, print_json, progress, warn
+from tonewood.cli.common import AllowCode, Json, load, need, print_json, progress, warn
 from tonewood.errors import OutputError, TonewoodError
 
 if TYPE_CHECKING:
@@ -61,6 +61,11 @@ def estimate(
         made = write_bundle(found, output, source, origin, allow_code=allow_code)
     except KeyboardInterrupt:
         raise InterruptError from None
+    if page is not None:
+        from tonewood.support.whole_files import write_whole
+        from tonewood.workshop.estimate.page import page as report
+
+        write_whole(page, report(found, origin, made.name))
     if as_json:
         from tonewood.workshop.estimate.as_json import to_json
 
@@ -80,6 +85,7 @@ def _check(output: Path, iterations: int, page: Path | None) -> None:
     if not 1 <= iterations <= 10:
         raise TonewoodError(f"is {iterations}; 1 to 10 are allowed", key="--iterations")
     if page is not None:
+        need("report", "jinja2", "matplotlib")
         if page.suffix.lower() not in (".html", ".htm"):
             raise TonewoodError(f"is {page.name!r}; a name ending in .html is allowed", key="--page")
         if not page.absolute().parent.is_dir():
@@ -89,6 +95,7 @@ def _check(output: Path, iterations: int, page: Path | None) -> None:
 def _print(found: Estimate) -> None:
     """Figures with their intervals, and distances."""
     from tonewood.workshop.estimate import laws
+    from tonewood.workshop.estimate.page import columns_of, louder_line, place_line, split_line
 
     for line in found.moved:
         print(line)
@@ -107,16 +114,10 @@ def _print(found: Estimate) -> None:
         )
         told = "" if found.figures.estimated.get(name) else "  (from the neighbouring strings)"
         print(f"{name:8s} {count:5d}   {b:15.3f}   {shown}{told}")
-    if found.figures.place is not None and found.start.place is not None:
-        scatter = "" if found.places is None else f"; notes scatter by {1000 * found.places.scatter:.0f} mm"
-        print(f"place of the pluck: {found.figures.place:.4g}, was {found.start.place:.4g}{scatter}")
-    if found.figures.split is not None:
-        print(f"splitting of the polarizations: {found.figures.split:.2g} cents, was {found.start.split:.2g}")
-    columns: dict[str, Distance] = {"before": found.before, "after": found.after}
-    for i, half in enumerate(found.halves, 1):
-        columns |= {f"held back {i}: before": half.before, "after" + " " * i: half.after}
-    columns |= {name: row for name, row in found.scale.items() if row.notes}
-    print_distances(columns)
+    for line in (place_line(found), split_line(found), louder_line(found)):
+        if line:
+            print(line)
+    print_distances(columns_of(found))
 
 
 def print_distances(columns: dict[str, Distance]) -> None:

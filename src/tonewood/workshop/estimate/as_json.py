@@ -59,6 +59,7 @@ def _string(found: Estimate, name: str) -> dict[str, Any]:
         out["rate_1/s_90 %"] = {str(f): list(pair) for f, pair in zip(laws.STATED, interval.rates.T, strict=True)}
         out["loss_90 %"] = {n: list(pair) for n, pair in zip(law.names, interval.values.T, strict=True)}
         out["bridge_per_period_90 %"] = interval.bridge
+        out["trades"] = [{"between": [a, b], "rank_correlation": r} for a, b, r in laws.trades(law, interval)]
     if spread is not None:
         out["B_ratio_90 %"] = {"notes": spread[0], "low": spread[1], "high": spread[2]}
     return out

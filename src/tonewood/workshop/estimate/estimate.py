@@ -36,7 +36,7 @@ class Half:
     ----------
     fitted, held_back : numbers of the notes.
     before, after : distances of the held-back notes, with the figures begun with and the fitted ones.
-    sounds : note -> its sound with the fitted figures, of the held-back ones.
+    sounds, begun : note -> its sound with the fitted figures and with those begun with, of the held-back ones.
     """
 
     fitted: tuple[int, ...]
@@ -44,6 +44,7 @@ class Half:
     before: Distance
     after: Distance
     sounds: Mapping[int, Floats]
+    begun: Mapping[int, Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,6 +228,7 @@ def _tested(
     return Half(
         fitted, rest, distance(zip(target, (begun.main[i] for i in rest), strict=True)),
         distance(zip(target, found.main, strict=True)), dict(zip(rest, found.sounds, strict=True)),
+        {i: begun.sounds[i] for i in rest},
     )  # fmt: skip
 
 

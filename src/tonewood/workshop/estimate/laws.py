@@ -188,11 +188,13 @@ class Interval:
     rates : (2, 4) 1/s at `STATED`, low and high.
     values : (2, n) of each parameter.
     bridge : (2,) of the loss at the bridge, per period.
+    trades : (n + 1, n + 1) rank correlations of the parameters, and of the loss at the bridge, over the draws.
     """
 
     rates: Floats
     values: Floats
     bridge: Floats
+    trades: Floats
 
     @property
     def spread(self) -> Floats:
@@ -216,5 +218,27 @@ def bootstrap(rates: Rates, law: Law, rng: np.random.Generator, draws: int = 40)
     low_high = [5.0, 95.0]
     return Interval(
         np.percentile(stated, low_high, axis=0), np.percentile(found, low_high, axis=0),
-        np.percentile(at_bridge, low_high),
+        np.percentile(at_bridge, low_high), _rank_correlations(np.column_stack([found, at_bridge])),
     )  # fmt: skip
+
+
+def _rank_correlations(draws: Floats) -> Floats:
+    """(n, n) Spearman's rank correlations of columns; 0 where a column does not vary."""
+    from scipy.stats import rankdata
+
+    ranks = rankdata(draws, axis=0)
+    ranks = ranks - ranks.mean(axis=0)
+    size = np.sqrt(np.sum(ranks**2, axis=0))
+    size[size == 0] = np.inf
+    return np.asarray(ranks.T @ ranks / np.outer(size, size))
+
+
+def trades(law: Law, interval: Interval, least: float = 0.5) -> list[tuple[str, str, float]]:
+    """Pairs of parameters, or of one and the bridge, whose rank correlation over the draws is -`least` or below."""
+    names = [*law.names, "bridge"]
+    return [
+        (names[i], names[j], float(interval.trades[i, j]))
+        for i in range(len(names))
+        for j in range(i + 1, len(names))
+        if interval.trades[i, j] <= -least
+    ]
