@@ -161,10 +161,10 @@ def estimate(
 
 def placed_notes(folder: Folder, stage: Stage) -> tuple[tuple[Played, ...], list[str]]:
     """Recordings whose pitch is right, on the strings of an instrument; and a line on each that is left out."""
-    good, lines = check_pitches([r for r in folder.recordings if r.note >= 0])
-    told = [r for r in folder.recordings if r.note < 0]
+    rows = [stage.named(r) for r in folder.recordings]
+    good, lines = check_pitches(rows)
     notes, warnings = [], [*folder.warnings, *lines]
-    for recording in (*good, *told):
+    for recording in good:
         played = stage.placed(recording)
         if played is None:
             warnings.append(f"left out: {recording.file}: no string has this note; {stage.span} are playable")

@@ -115,6 +115,16 @@ class Stage:
         places = self.places(recording.note)
         return self.at(recording, *places[0]) if places else None
 
+    def named(self, recording: Recording) -> Recording:
+        """A recording with the note of its string and stop, where it tells no other.
+
+        Raises
+        ------
+        TonewoodError : as `placed`.
+        """
+        played = self.placed(recording) if recording.note < 0 else None
+        return recording if played is None else played.recording
+
     def at(self, recording: Recording, string: str, stop: float) -> Played:
         """A recording at a stop of a string."""
         model, part = self._strings[string], self.instrument.resolved["strings"][string]

@@ -189,10 +189,11 @@ def _row(cells: Mapping[str, str], table: Path, line: int) -> tuple[Path, Record
     path = table.parent / cells["file"]
     if not path.is_file():
         raise TonewoodError(f"there is no file {cells['file']!r}", file=table, line=line, key="file")
-    name = cells.get("note") or path.stem
-    note = note_of_name(name)
     string = cells.get("string") or None
-    if note is None and (string is None or not cells.get("stop")):
+    placed = string is not None and bool(cells.get("stop"))
+    name = cells.get("note") or ("" if placed else path.stem)
+    note = note_of_name(name)
+    if note is None and (name or not placed):
         raise TonewoodError(f"is {name!r}; A3 or 57, or string and stop are wanted", file=table, line=line, key="note")
     words = cells.get("dynamic", "")
     dynamic = float(words) if words.isdigit() else dynamic_of(words)
