@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
+from tonewood.instrument.bundle.equalizer_schema import EqualizerBand
 from tonewood.instrument.bundle.key_schema import MOST_STRINGS, Keys, Name
 from tonewood.instrument.contract.directions import Direction
 from tonewood.instrument.contract.gestures import StringPlace
@@ -373,20 +374,6 @@ class Playing(Parameters):
     def default_exciter(self) -> str:
         """Exciter of notes that name no technique."""
         return self.exciter or self.velocity.exciter
-
-
-class EqualizerBand(Parameters):
-    """A band of an output's equalizer: a bell, or a first-order shelf. `tonewood.sound.equalizer` has the equations."""
-
-    freq: float = quantity("Hz", low=1.0, high=1e5, doc="middle")
-    gain_db: float = quantity("dB", low=-60.0, high=60.0, doc="of a bell in its middle; of a shelf far above it")
-    q: float | None = quantity(
-        "1",
-        low=0.05,
-        high=100.0,
-        default=None,
-        doc="quality of a bell; a shelf, half of whose gain is at `freq`, without",
-    )
 
 
 class OutputPart(PluginPart):
