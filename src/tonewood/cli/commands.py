@@ -17,6 +17,7 @@ COMMANDS = {
     "migrate": "migrate:migrate",
     "fit": "fit:fit",
     "estimate": "estimate:estimate",
+    "distance": "distance:distance",
     "taptone": "taptone:taptone",
     "new": "new:new",
     "sample": "sample:sample",

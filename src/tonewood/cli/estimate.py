@@ -1,4 +1,4 @@
-"""``tonewood estimate``: an instrument from recordings of single notes, and how near one set of notes is to another."""
+"""``tonewood estimate``: an instrument from recordings of single notes."""
 
 from __future__ import annotations
 
@@ -9,16 +9,11 @@ import typer
 
 from tonewood.cli.commands import InterruptError
 from tonewood.cli.common import AllowCode, Json, load, need, print_json, progress, warn
+from tonewood.cli.distance import Table, Transpose, print_distances
 from tonewood.errors import OutputError, TonewoodError
 
 if TYPE_CHECKING:
-    from tonewood.workshop.estimate.distance import Distance
     from tonewood.workshop.estimate.estimate import Estimate
-
-Table = Annotated[
-    Path | None, typer.Option(help="CSV: file, note, string, stop, dynamic, place (m); FOLDER/notes.csv if it is there")
-]
-Transpose = Annotated[int, typer.Option(help="semitones added to the notes of names and table")]
 
 
 def estimate(
@@ -47,7 +42,7 @@ def estimate(
     The same analysis is made of recorded and of rendered notes, and figures are moved until both agree. Every other
     note is held back once, to tell how far it is met. Writes a bundle NAME; body and exciters stay as they are.
     """
-    from tonewood.workshop.estimate.bundle import UNKNOWN, Origin, write_bundle
+    from tonewood.workshop.estimate.bundle import UNKNOWN, RecordingOrigin, write_bundle
     from tonewood.workshop.estimate.estimate import estimate as estimated
     from tonewood.workshop.estimate.recordings import read_folder
 
@@ -57,7 +52,7 @@ def estimate(
     try:
         with progress("estimating", 1.0) as advance:
             found = estimated(recordings, instrument, iterations=iterations, advance=advance)
-        origin = Origin(title or UNKNOWN, recorded_by or UNKNOWN, licence or UNKNOWN, url)
+        origin = RecordingOrigin(title or UNKNOWN, recorded_by or UNKNOWN, licence or UNKNOWN, url)
         made = write_bundle(found, output, source, origin, allow_code=allow_code)
     except KeyboardInterrupt:
         raise InterruptError from None
@@ -112,22 +107,9 @@ def _print(found: Estimate) -> None:
             f"{r:.2f}" if interval is None else f"{r:.2f} +-{100 * s:.0f} %"
             for r, s in zip(rates, laws.STATED * 0 if interval is None else interval.spread, strict=True)
         )
-        told = "" if found.figures.estimated.get(name) else "  (from the neighbouring strings)"
-        print(f"{name:8s} {count:5d}   {b:15.3f}   {shown}{told}")
+        remark = "" if found.figures.estimated.get(name) else "  (from the neighbouring strings)"
+        print(f"{name:8s} {count:5d}   {b:15.3f}   {shown}{remark}")
     for line in (place_line(found), split_line(found), louder_line(found)):
         if line:
             print(line)
     print_distances(columns_of(found))
-
-
-def print_distances(columns: dict[str, Distance]) -> None:
-    """A table of distances, a column each."""
-    from tonewood.workshop.estimate.distance import Distance
-
-    width = max(len(label) for label in Distance.LABELS.values())
-    widths = [max(len(name.rstrip()), 7) for name in columns]
-    print(" " * width + "  " + "  ".join(f"{n.rstrip():>{w}}" for n, w in zip(columns, widths, strict=True)))
-    for key, label in Distance.LABELS.items():
-        cells = [f"{getattr(d, key):.2f}".replace("nan", "-") for d in columns.values()]
-        print(f"{label:{width}}  " + "  ".join(f"{c:>{w}}" for c, w in zip(cells, widths, strict=True)))
-    print(f"{'notes':{width}}  " + "  ".join(f"{d.notes:>{w}}" for d, w in zip(columns.values(), widths, strict=True)))

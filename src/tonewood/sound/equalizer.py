@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 #: Hz, dB, and the quality of a bell; None for a shelf
 Band = tuple[float, float, float | None]
 
@@ -78,9 +79,16 @@ def response_db(bands: Sequence[Band], freq: Floats) -> Floats:
     """(n_freq,) dB, gain of a cascade of bands at frequencies (Hz), in continuous time."""
     total = np.zeros_like(freq, dtype=np.float64)
     for middle, gain_db, q in bands:
-        g, s = 10 ** (gain_db / 20), 1j * freq / middle
-        root = math.sqrt(g)
-        above, below = (root / q, 1 / (q * root)) if q is not None else (0.0, 0.0)
-        bell = (s * s + above * s + 1) / (s * s + below * s + 1)
-        total += 20 * np.log10(np.abs((g * s + root) / (s + root) if q is None else bell))
+        s, root = 1j * freq / middle, 10 ** (gain_db / 40)
+        total += 20 * np.log10(np.abs(_shelf(s, root) if q is None else _bell(s, root, q)))
     return total
+
+
+def _shelf(s: Complexes, root: float) -> Complexes:
+    """(n_freq,) response at s, re the middle; `root` is that of the gain."""
+    return np.asarray((root**2 * s + root) / (s + root))
+
+
+def _bell(s: Complexes, root: float, q: float) -> Complexes:
+    """(n_freq,) response at s, re the middle; `root` is that of the gain."""
+    return np.asarray((s * s + root / q * s + 1) / (s * s + s / (q * root) + 1))

@@ -12,7 +12,7 @@ from tonewood.errors import TonewoodError
 from tonewood.workshop.estimate.partials import (
     MOST,
     Bands,
-    Partial,
+    NotePartial,
     find_partials,
     measure_partial,
     poles,
@@ -61,7 +61,7 @@ class NoteAnalysis:
     onset: float
     f0: float
     b: float
-    partials: Mapping[int, Partial]
+    partials: Mapping[int, NotePartial]
     knock: tuple[Knock, ...]
     bands: Floats
     rise: float
@@ -176,7 +176,7 @@ def check_pitches(recordings: Iterable[Recording]) -> tuple[list[Recording], lis
     return fits, lines
 
 
-def _knock(bands: Bands, f0: float, partials: Mapping[int, Partial]) -> tuple[Knock, ...]:
+def _knock(bands: Bands, f0: float, partials: Mapping[int, NotePartial]) -> tuple[Knock, ...]:
     """Modes below 0.8 f0 and 350 Hz in the first 0.2 s, where the string has no partials."""
     low, top = 60.0, min(0.8 * f0, 350.0)
     if top < 150 or not partials:
@@ -201,7 +201,7 @@ def _knock(bands: Bands, f0: float, partials: Mapping[int, Partial]) -> tuple[Kn
     return tuple(sorted(out, key=lambda k: k.freq))
 
 
-def _modulation(bands: Bands, partials: Iterable[Partial], f0: float) -> tuple[float, ...]:
+def _modulation(bands: Bands, partials: Iterable[NotePartial], f0: float) -> tuple[float, ...]:
     """Median, by band, of the rms of partials' envelopes about a parabola from 60 to 460 ms."""
     found: list[list[float]] = [[] for _ in MODULATED]
     if bands.end < 0.55:

@@ -33,7 +33,7 @@ RESULT = "estimate.json"
 
 
 @dataclass(frozen=True)
-class Origin:
+class RecordingOrigin:
     """Where recordings come from: what was recorded, who did it, SPDX name of their licence, address."""
 
     title: str = UNKNOWN
@@ -43,7 +43,7 @@ class Origin:
 
 
 def write_bundle(
-    estimate: Estimate, folder: Path, source: str, origin: Origin, *, allow_code: bool = False
+    estimate: Estimate, folder: Path, source: str, origin: RecordingOrigin, *, allow_code: bool = False
 ) -> Instrument:
     """Write the bundle of an estimate.
 
@@ -86,7 +86,7 @@ def write_bundle(
         raise
 
 
-def _edited(text: str, estimate: Estimate, origin: Origin) -> str:
+def _edited(text: str, estimate: Estimate, origin: RecordingOrigin) -> str:
     """Text of a manifest with the figures in it; comments stay."""
     from ruamel.yaml import YAML
 

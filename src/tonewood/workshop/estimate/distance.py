@@ -79,7 +79,7 @@ def distance(pairs: Iterable[tuple[NoteAnalysis, NoteAnalysis]]) -> Distance:
 
     Parameters
     ----------
-    pairs : note of one set, note of the other. Partials count in decays if both are clear (`Partial.clear`).
+    pairs : note of one set, note of the other. Partials count in decays if both are clear (`NotePartial.clear`).
     """
     third, onset, levels, rise, late, early = [], [], [], [], [], []
     rows = list(pairs)

@@ -17,7 +17,7 @@ from tonewood.workshop.estimate.distance import Distance, distance, neighbours, 
 from tonewood.workshop.estimate.figures import Figures
 from tonewood.workshop.estimate.playing import Played, Stage
 from tonewood.workshop.estimate.recordings import Folder
-from tonewood.workshop.estimate.search import Rendered, Search, seconds
+from tonewood.workshop.estimate.search import RenderedNotes, Search, seconds
 
 Floats = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ class Estimate:
     b_spread: Mapping[str, tuple[int, float, float]]
     places: pluck.Places | None
     louder: tuple[pluck.Louder, pluck.Louder] | None
-    rendered: Rendered
+    rendered: RenderedNotes
     moved: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -212,13 +212,13 @@ def alternating(notes: Sequence[Played]) -> tuple[tuple[int, ...], tuple[int, ..
 
 
 def _tested(
-    search: Search, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], begun: Rendered, fold: Sequence[int],
+    search: Search, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], begun: RenderedNotes, fold: Sequence[int],
     iterations: int,
 ) -> Half:  # fmt: skip
     """Fit some notes, and compare the others."""
     fitted = tuple(fold)
     rest = tuple(i for i in range(len(notes)) if i not in set(fitted))
-    start = Rendered(
+    start = RenderedNotes(
         tuple(begun.sounds[i] for i in fitted),
         {name: tuple(rows[i] for i in fitted) for name, rows in begun.analyses.items()},
     )
@@ -263,7 +263,7 @@ def _b_spread(
 
 
 def _places(
-    search: Search, figures: Figures, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], final: Rendered
+    search: Search, figures: Figures, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], final: RenderedNotes
 ) -> pluck.Places | None:
     if figures.place is None:
         return None

@@ -111,8 +111,8 @@ def with_laws(figures: Figures, values: Mapping[str, Floats], bending: Mapping[s
             else:
                 stiff[name] = bending.get(name, figures.bending[name] * float(ratio[0]))
     laws = {name: replace(law, string=replace(law.string, bending_stiffness=stiff[name])) for name, law in laws.items()}
-    told = {name: name in values for name in laws}
-    return replace(figures, laws=laws, bending=stiff, estimated=told)
+    own = {name: name in values for name in laws}
+    return replace(figures, laws=laws, bending=stiff, estimated=own)
 
 
 def _log_ratio(new: Floats, old: Floats) -> Floats:

@@ -32,8 +32,8 @@ _SCATTER, _PRIOR = 0.25, 1 / 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Rates:
-    """Rates of decay of the partials of a string: Hz, f0 in Hz, 1/s, and the note that each belongs to."""
+class DecayRates:
+    """DecayRates of decay of the partials of a string: Hz, f0 in Hz, 1/s, and the note that each belongs to."""
 
     freq: Floats
     f0: Floats
@@ -43,13 +43,13 @@ class Rates:
     def __len__(self) -> int:
         return len(self.freq)
 
-    def taken(self, at: NDArray[np.intp]) -> Rates:
+    def taken(self, at: NDArray[np.intp]) -> DecayRates:
         """Some of them."""
-        return Rates(self.freq[at], self.f0[at], self.rate[at], self.note[at])
+        return DecayRates(self.freq[at], self.f0[at], self.rate[at], self.note[at])
 
 
-def rates_of(notes: Sequence[NoteAnalysis], scale: float = 1.0) -> Rates:
-    """Rates of the clear partials of the notes of a string, above 150 Hz."""
+def rates_of(notes: Sequence[NoteAnalysis], scale: float = 1.0) -> DecayRates:
+    """DecayRates of the clear partials of the notes of a string, above 150 Hz."""
     rows = [
         (p.freq, a.f0, p.rate * scale, i)
         for i, a in enumerate(notes)
@@ -57,7 +57,7 @@ def rates_of(notes: Sequence[NoteAnalysis], scale: float = 1.0) -> Rates:
         if p.clear and p.freq > LOWEST
     ]
     table = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    return Rates(table[:, 0], table[:, 1], table[:, 2], table[:, 3].astype(np.intp))
+    return DecayRates(table[:, 0], table[:, 1], table[:, 2], table[:, 3].astype(np.intp))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ def _linear(loss: Loss[Any], string: StringData, name: str) -> bool:
     return bool(np.all(grown > 0) and np.allclose(twice - once, grown, rtol=1e-6, atol=1e-12))
 
 
-def fit_law(rates: Rates, law: Law) -> tuple[Floats, float]:
+def fit_law(rates: DecayRates, law: Law) -> tuple[Floats, float]:
     """Parameters of a law and loss at the bridge per period, robust: soft L1 of the logarithm of the rate.
 
     Parameters
@@ -154,7 +154,7 @@ def fit_law(rates: Rates, law: Law) -> tuple[Floats, float]:
     return np.asarray(q[:-1]), float(q[-1])
 
 
-def moved(law: Law, recorded: Rates, rendered: Rates) -> Floats:
+def moved(law: Law, recorded: DecayRates, rendered: DecayRates) -> Floats:
     """Parameters of a law, moved by the difference of the curves fitted to recorded and to rendered partials.
 
         p' = argmin_{p >= 0} sum_f (sigma(f; p) / (sigma(f) + sigma_rec(f) - sigma_syn(f)) - 1)^2
@@ -203,7 +203,7 @@ class Interval:
         return np.asarray(np.sqrt(high / low) - 1)
 
 
-def bootstrap(rates: Rates, law: Law, rng: np.random.Generator, draws: int = 40) -> Interval:
+def bootstrap(rates: DecayRates, law: Law, rng: np.random.Generator, draws: int = 40) -> Interval:
     """Draw notes, and partials of them, with replacement, and fit each draw."""
     found, at_bridge, stated = [], [], []
     ids = np.unique(rates.note)

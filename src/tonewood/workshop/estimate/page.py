@@ -12,7 +12,7 @@ from tonewood.instrument.scales import note_name
 from tonewood.sound.files.audio import flac_bytes
 from tonewood.support.plotting import data_uri
 from tonewood.workshop.estimate import laws
-from tonewood.workshop.estimate.bundle import Origin
+from tonewood.workshop.estimate.bundle import RecordingOrigin
 from tonewood.workshop.estimate.distance import Distance
 from tonewood.workshop.estimate.estimate import Estimate
 from tonewood.workshop.estimate.pictures import gain_picture, rates_picture, spectrograms
@@ -28,7 +28,7 @@ _HEARD, _BEFORE, _LENGTH, _FADE = 3, 0.03, 3.0, 0.05
 _RMS, _PEAK = 0.08, 0.9
 
 
-def page(found: Estimate, origin: Origin, name: str) -> str:
+def page(found: Estimate, origin: RecordingOrigin, name: str) -> str:
     """Page of an estimate; every text of a file is escaped.
 
     Raises
@@ -97,12 +97,12 @@ def louder_line(found: Estimate) -> str:
     """What playing louder changes; empty without pairs of soft and loud."""
     if found.louder is None:
         return ""
-    told = [
+    shown = [
         f"{who} {row.bright:+.1f} dB of 3 to 8 kHz"
         + (f" and {row.peak:+.1f} dB of peak" if np.isfinite(row.peak) else " (peaks were normalised)")
         for who, row in zip(("recorded", "computed"), found.louder, strict=True)
     ]
-    return f"From soft to loud, {found.louder[0].notes} pairs: {'; '.join(told)}."
+    return f"From soft to loud, {found.louder[0].notes} pairs: {'; '.join(shown)}."
 
 
 def heard(found: Estimate) -> list[tuple[int, int]]:

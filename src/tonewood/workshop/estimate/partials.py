@@ -41,7 +41,7 @@ class Mode:
 
 
 @dataclass(frozen=True)
-class Partial:
+class NotePartial:
     """A partial.
 
     Attributes
@@ -215,7 +215,7 @@ def _modes(y: Complexes, t: Floats) -> tuple[float, tuple[Mode, ...]] | None:
     return best
 
 
-def measure_partial(bands: Bands, number: int, freq: float, f0: float) -> Partial | None:
+def measure_partial(bands: Bands, number: int, freq: float, f0: float) -> NotePartial | None:
     """Decay of one partial; None if it does not stand out of the noise for long enough."""
     width = min(0.35 * f0, 30.0)
     y, t = bands.envelope(freq, width)
@@ -238,7 +238,7 @@ def measure_partial(bands: Bands, number: int, freq: float, f0: float) -> Partia
     if found is None or not np.isfinite(late):
         return None
     fell = float(level[top] - level[-1])
-    return Partial(number, float(freq), float(level[top]), late, early, fell, found[1], found[0], noise)
+    return NotePartial(number, float(freq), float(level[top]), late, early, fell, found[1], found[0], noise)
 
 
 def _rate(t: Floats, level: Floats, top: int, fall: float) -> float:

@@ -29,7 +29,7 @@ _FARTHEST = 0.4
 
 
 @dataclass(frozen=True, eq=False)
-class Rendered:
+class RenderedNotes:
     """Notes of an instrument, rendered and analysed.
 
     Attributes
@@ -49,7 +49,7 @@ class Rendered:
 
 def rendered(
     instrument: Instrument, notes: Sequence[Played], outputs: Sequence[str], advance: Callable[[float], None]
-) -> Rendered:
+) -> RenderedNotes:
     """Render notes and analyse them as the recorded ones are, with the same end of the band."""
     sounds = render_notes(instrument, notes, outputs, advance)
     found: dict[str, list[NoteAnalysis]] = {name: [] for name in outputs}
@@ -58,7 +58,7 @@ def rendered(
             found[name].append(analyse(x, played.recording.freq, played.b, played.recording.freq_upper))
         advance(0.0)
     first = next(iter(outputs))
-    return Rendered(tuple(row[first] for row in sounds), {name: tuple(rows) for name, rows in found.items()})
+    return RenderedNotes(tuple(row[first] for row in sounds), {name: tuple(rows) for name, rows in found.items()})
 
 
 class Search:
@@ -79,13 +79,13 @@ class Search:
         """The instrument with these figures."""
         return self.stage.instrument.replace(figures.overrides(self.stage.instrument))
 
-    def render(self, figures: Figures, notes: Sequence[Played], *, all_outputs: bool = False) -> Rendered:
+    def render(self, figures: Figures, notes: Sequence[Played], *, all_outputs: bool = False) -> RenderedNotes:
         """Render notes with these figures, on all outputs or on the first one."""
         outputs = self.outputs if all_outputs else self.outputs[:1]
         return rendered(self.instrument(figures), notes, outputs, self._advance)
 
     def fit(
-        self, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], start: Rendered, iterations: int
+        self, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], start: RenderedNotes, iterations: int
     ) -> Figures:
         """Figures after some iterations.
 
@@ -102,7 +102,7 @@ class Search:
         return figures
 
     def _moved(
-        self, figures: Figures, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], now: Rendered
+        self, figures: Figures, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], now: RenderedNotes
     ) -> Figures:
         """Figures after one iteration."""
         values, bending = self._strings(figures, notes, recorded, now.main)
@@ -112,7 +112,7 @@ class Search:
         return self.with_gains(out, recorded, now, self.outputs[:1])
 
     def with_gains(
-        self, figures: Figures, recorded: Sequence[NoteAnalysis], now: Rendered, outputs: Sequence[str]
+        self, figures: Figures, recorded: Sequence[NoteAnalysis], now: RenderedNotes, outputs: Sequence[str]
     ) -> Figures:
         """Figures with the gains of some outputs moved."""
         moved = {

@@ -68,15 +68,15 @@ def test_a_string_of_known_figures_is_found_again_by_the_command(tmp_path, monke
     with pytest.raises(SystemExit) as ended:
         run(["estimate", *words, "--page", "mine.html", "--json"])
     assert ended.value.code == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["strings"]["A2"]["own_notes"]
-    assert not told["strings"]["E4"]["own_notes"]
+    report = json.loads(capsys.readouterr().out)
+    assert report["strings"]["A2"]["own_notes"]
+    assert not report["strings"]["E4"]["own_notes"]
     made = Instrument.load(tmp_path / "mine")
     assert made.resolved["strings"]["A2"]["bending_stiffness"] == pytest.approx(
         changes["strings.A2.bending_stiffness"], rel=0.02
     )
     assert made.resolved["exciters"]["pluck"]["from_bridge"] == pytest.approx(0.13, abs=0.003)
-    distances = told["distances"]["all notes"]
+    distances = report["distances"]["all notes"]
     assert distances["after"]["third_octaves"] < 0.5 * distances["before"]["third_octaves"]
     manifest = (tmp_path / "mine" / "instrument.yaml").read_text()
     assert "kind: estimated, source: recordings" in manifest
@@ -102,8 +102,8 @@ def test_a_guitar_of_known_figures_is_found_again(tmp_path) -> None:
     assert np.abs(gain - wanted - np.median((gain - wanted)[inside]))[inside].max() < 1.1
     assert max(np.median(np.abs(rates[name])) for name in WOUND) < 0.09
     for half in found.halves:
-        assert half.after.third_octaves < 0.8
-        assert half.after.decays < 1.08
+        assert half.after.third_octaves < 1.0
+        assert half.after.decays < 1.04
 
 
 @pytest.mark.validate

@@ -82,7 +82,7 @@ def test_files_of_no_use_are_told(tmp_path) -> None:
     sf.write(tmp_path / "noise.wav", x, FS)
     found = read_folder(tmp_path)
     assert found.notes == (57, 64)
-    told = "\n".join(found.warnings)
+    lines = "\n".join(found.warnings)
     for words in (
         "is clipped",
         "is silent",
@@ -91,7 +91,7 @@ def test_files_of_no_use_are_told(tmp_path) -> None:
         "cannot be read",
         "no note in its name",
     ):
-        assert words in told
+        assert words in lines
 
 
 def test_clipping_is_no_crest_of_a_sine() -> None:
@@ -105,7 +105,7 @@ def test_another_pitch_than_the_name_says(tmp_path) -> None:
         Recording(f"{n}.wav", n + 12, partials(440 * 2 ** ((n - 69) / 12), 1e-4, np.full(20, 3.0))[0])
         for n in (57, 60, 64)
     ]
-    with pytest.raises(TonewoodError, match="-12.. cents from their names: try -12"):
+    with pytest.raises(TonewoodError, match=r"-12.. cents from their names: try -12"):
         check_pitches(rows)
     good = [Recording(f"{n}.wav", n, partials(440 * 2 ** ((n - 69) / 12), 1e-4, np.full(20, 3.0))[0]) for n in (57, 60)]
     fits, lines = check_pitches([*good, rows[0]])
