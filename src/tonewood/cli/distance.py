@@ -13,18 +13,16 @@ from tonewood.errors import TonewoodError
 if TYPE_CHECKING:
     from tonewood.workshop.estimate.distance import Distance
 
-Table = Annotated[
+NotesTable = Annotated[
     Path | None, typer.Option(help="CSV: file, note, string, stop, dynamic, place (m); FOLDER/notes.csv if it is there")
 ]
 Transpose = Annotated[int, typer.Option(help="semitones added to the notes of names and table")]
 
 
 def distance(
-    first: Annotated[Path, typer.Argument(metavar="A", help="folder of sound files, one a note: A3.flac, 57.wav")],
-    second: Annotated[
-        str, typer.Argument(metavar="B", help="another such folder, or an instrument that plays A's notes")
-    ],
-    table: Table = None,
+    first: Annotated[Path, typer.Argument(metavar="A", help="folder of sound files, one a note, A3.flac")],
+    second: Annotated[str, typer.Argument(metavar="B", help="another such folder, or an instrument")],
+    table: NotesTable = None,
     transpose: Transpose = 0,
     allow_code: AllowCode = False,
     as_json: Json = False,

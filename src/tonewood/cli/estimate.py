@@ -9,7 +9,7 @@ import typer
 
 from tonewood.cli.commands import InterruptError
 from tonewood.cli.common import AllowCode, Json, load, need, print_json, progress, warn
-from tonewood.cli.distance import Table, Transpose, print_distances
+from tonewood.cli.distance import NotesTable, Transpose, print_distances
 from tonewood.errors import OutputError, TonewoodError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def estimate(
     source: Annotated[
         str, typer.Option("--from", metavar="INSTRUMENT", help="name or folder of the instrument to begin with")
     ],
-    table: Table = None,
+    table: NotesTable = None,
     transpose: Transpose = 0,
     iterations: Annotated[int, typer.Option(help="of the search, 1 to 10")] = 3,
     page: Annotated[Path | None, typer.Option(help="write the report to this file, .html")] = None,

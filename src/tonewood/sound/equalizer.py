@@ -79,7 +79,8 @@ def response_db(bands: Sequence[Band], freq: Floats) -> Floats:
     """(n_freq,) dB, gain of a cascade of bands at frequencies (Hz), in continuous time."""
     total = np.zeros_like(freq, dtype=np.float64)
     for middle, gain_db, q in bands:
-        s, root = 1j * freq / middle, 10 ** (gain_db / 40)
+        s: Complexes = np.asarray(1j * freq / middle)
+        root = 10 ** (gain_db / 40)
         total += 20 * np.log10(np.abs(_shelf(s, root) if q is None else _bell(s, root, q)))
     return total
 

@@ -83,7 +83,7 @@ class Estimate:
     intervals: Mapping[str, laws.Interval]
     gain_interval: Floats
     b_spread: Mapping[str, tuple[int, float, float]]
-    places: pluck.Places | None
+    places: pluck.PluckPlaces | None
     louder: tuple[pluck.Louder, pluck.Louder] | None
     rendered: RenderedNotes
     moved: tuple[str, ...]
@@ -212,8 +212,8 @@ def alternating(notes: Sequence[Played]) -> tuple[tuple[int, ...], tuple[int, ..
 
 
 def _tested(
-    search: Search, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], begun: RenderedNotes, fold: Sequence[int],
-    iterations: int,
+    search: Search, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], begun: RenderedNotes,
+    fold: Sequence[int], iterations: int,
 ) -> Half:  # fmt: skip
     """Fit some notes, and compare the others."""
     fitted = tuple(fold)
@@ -264,7 +264,7 @@ def _b_spread(
 
 def _places(
     search: Search, figures: Figures, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], final: RenderedNotes
-) -> pluck.Places | None:
+) -> pluck.PluckPlaces | None:
     if figures.place is None:
         return None
     return pluck.places(notes, recorded, final.main, 0.4 * max(p.length for p in notes))

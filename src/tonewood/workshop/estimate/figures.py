@@ -13,7 +13,7 @@ from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.contract.losses import StringData
 from tonewood.sound.equalizer import response_db
 from tonewood.workshop.estimate import gain
-from tonewood.workshop.estimate.laws import Law
+from tonewood.workshop.estimate.laws import LinearLoss
 from tonewood.workshop.estimate.playing import Stage, strings_of
 
 Floats = NDArray[np.float64]
@@ -33,7 +33,7 @@ class Figures:
     estimated : string -> whether its own notes say anything; the others follow their neighbours.
     """
 
-    laws: Mapping[str, Law]
+    laws: Mapping[str, LinearLoss]
     bending: Mapping[str, float]
     place: float | None
     gains: Mapping[str, Floats]
@@ -74,7 +74,7 @@ def figures_of(stage: Stage) -> Figures:
             continue
         played = stage.at_open(lead)
         stiffness = float(part.get("bending_stiffness") or 0.0)
-        law = Law.of(loss, StringData(played.tension, played.linear_density, stiffness))
+        law = LinearLoss.of(loss, StringData(played.tension, played.linear_density, stiffness))
         if law.names:
             laws[lead], bending[lead] = law, stiffness
     none = np.zeros(len(gain.KNOTS))
@@ -111,8 +111,8 @@ def with_laws(figures: Figures, values: Mapping[str, Floats], bending: Mapping[s
             else:
                 stiff[name] = bending.get(name, figures.bending[name] * float(ratio[0]))
     laws = {name: replace(law, string=replace(law.string, bending_stiffness=stiff[name])) for name, law in laws.items()}
-    own = {name: name in values for name in laws}
-    return replace(figures, laws=laws, bending=stiff, estimated=own)
+    by_notes = {name: name in values for name in laws}
+    return replace(figures, laws=laws, bending=stiff, estimated=by_notes)
 
 
 def _log_ratio(new: Floats, old: Floats) -> Floats:

@@ -61,7 +61,7 @@ def rates_of(notes: Sequence[NoteAnalysis], scale: float = 1.0) -> DecayRates:
 
 
 @dataclass(frozen=True, eq=False)
-class Law:
+class LinearLoss:
     """A loss law whose rate is a sum over some of its parameters, at a string.
 
     Attributes
@@ -78,7 +78,7 @@ class Law:
     values: Floats
 
     @classmethod
-    def of(cls, loss: Loss[Any], string: StringData) -> Law:
+    def of(cls, loss: Loss[Any], string: StringData) -> LinearLoss:
         """Find the parameters in which the rate is linear: those at which twice the number adds twice the rate."""
         names = [
             name for name, value in loss.parameters.model_dump().items()
@@ -131,7 +131,7 @@ def _linear(loss: Loss[Any], string: StringData, name: str) -> bool:
     return bool(np.all(grown > 0) and np.allclose(twice - once, grown, rtol=1e-6, atol=1e-12))
 
 
-def fit_law(rates: DecayRates, law: Law) -> tuple[Floats, float]:
+def fit_law(rates: DecayRates, law: LinearLoss) -> tuple[Floats, float]:
     """Parameters of a law and loss at the bridge per period, robust: soft L1 of the logarithm of the rate.
 
     Parameters
@@ -154,7 +154,7 @@ def fit_law(rates: DecayRates, law: Law) -> tuple[Floats, float]:
     return np.asarray(q[:-1]), float(q[-1])
 
 
-def moved(law: Law, recorded: DecayRates, rendered: DecayRates) -> Floats:
+def moved(law: LinearLoss, recorded: DecayRates, rendered: DecayRates) -> Floats:
     """Parameters of a law, moved by the difference of the curves fitted to recorded and to rendered partials.
 
         p' = argmin_{p >= 0} sum_f (sigma(f; p) / (sigma(f) + sigma_rec(f) - sigma_syn(f)) - 1)^2
@@ -203,7 +203,7 @@ class Interval:
         return np.asarray(np.sqrt(high / low) - 1)
 
 
-def bootstrap(rates: DecayRates, law: Law, rng: np.random.Generator, draws: int = 40) -> Interval:
+def bootstrap(rates: DecayRates, law: LinearLoss, rng: np.random.Generator, draws: int = 40) -> Interval:
     """Draw notes, and partials of them, with replacement, and fit each draw."""
     found, at_bridge, stated = [], [], []
     ids = np.unique(rates.note)
@@ -233,7 +233,7 @@ def _rank_correlations(draws: Floats) -> Floats:
     return np.asarray(ranks.T @ ranks / np.outer(size, size))
 
 
-def trades(law: Law, interval: Interval, least: float = 0.5) -> list[tuple[str, str, float]]:
+def trades(law: LinearLoss, interval: Interval, least: float = 0.5) -> list[tuple[str, str, float]]:
     """Pairs of parameters, or of one and the bridge, whose rank correlation over the draws is -`least` or below."""
     names = [*law.names, "bridge"]
     return [

@@ -47,7 +47,7 @@ def place_of(note: NoteAnalysis, length: float, longest: float) -> float:
 
 
 @dataclass(frozen=True)
-class Places:
+class PluckPlaces:
     """Places of the pluck by the comb in recorded and rendered notes, m: medians, and the scatter of the recorded."""
 
     recorded: float
@@ -63,7 +63,7 @@ class Places:
 
 def places(
     notes: Sequence[Played], recorded: Sequence[NoteAnalysis], rendered: Sequence[NoteAnalysis], longest: float
-) -> Places | None:
+) -> PluckPlaces | None:
     """Median of the places of the notes that show one in both; None with fewer than three of these.
 
     Notes whose place was told are left out.
@@ -80,7 +80,7 @@ def places(
     shift = float(np.median(table[:, 0] - table[:, 1]))
     middle = float(np.median(table[:, 1]))
     scatter = float(1.4826 * np.median(np.abs(table[:, 0] - np.median(table[:, 0]))))
-    return Places(middle + shift, middle, scatter, len(found))
+    return PluckPlaces(middle + shift, middle, scatter, len(found))
 
 
 @dataclass(frozen=True)

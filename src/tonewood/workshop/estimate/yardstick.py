@@ -59,7 +59,7 @@ def compare_notes(a: Folder, b: Folder, *, advance: Callable[[float], None] = la
     pairs = _pairs(*sides)
     if not pairs:
         raise TonewoodError("the two sets have no note in common")
-    scale = {}
+    scale: dict[str, Distance] = {}
     for name, side in zip("AB", sides, strict=True):
         rows = [(r.note, analysis) for r, analysis in side]
         scale |= {f"strokes of one note, {name}": distance(strokes(rows))}
