@@ -16,6 +16,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, Literal
 from xml.etree import ElementTree
 
@@ -266,6 +267,7 @@ class DrawnBody(Body[DrawnBodyParameters]):
 
     api = 1
     Parameters = DrawnBodyParameters
+    preview = MappingProxyType({"fmax": 1000.0, "cell": 0.04})
 
     def points(self) -> Mapping[str, BodyPoint]:
         """Every point with its direction and place."""

@@ -3,10 +3,11 @@
 Edits are drawn from the syntax of a package's sources: a sign, a factor of 2, a term or a condition dropped, < for <=,
 off by one, min for max, `not`, a conjugate dropped, arguments swapped, a constant returned. Texts, types, messages and
 limits of keys are left alone. Each edit is made in a copy of the tree, in which those test files of the package that
-call the edited function run until a test fails; tests beyond the time limit count as noticed, tests that fail without
-any edit do not run. `kernel` is the C++ kernel, built again for each edit, without optimisation and for one instruction
-set. Edits that no test noticed are for a person to read: one that changes nothing is no gap. ``--where FILE`` or
-``FILE:LINE`` draws edits there alone; ``--tests PATH...`` replaces the tests.
+call the edited function run until a test fails. Tests beyond the time limit decide nothing; tests that fail without any
+edit do not run; a package whose tests do not end without any edit is left out. `kernel` is the C++ kernel,
+built again for each edit, without optimisation and for one instruction set. Edits that no test noticed are for a person
+to read: one that changes nothing is no gap. ``--where FILE`` or ``FILE:LINE`` draws edits there alone; ``--tests
+PATH...`` replaces the tests.
 """
 
 from __future__ import annotations
@@ -40,7 +41,12 @@ TESTS = {name: [f"{PHYSICS}/{name}"] for name in ("modal", "passivity", "energy"
     "instrument": ["tests/unit/instrument"],
     "score": ["tests/unit/performance/score"],
     "player": ["tests/unit/performance/player", "tests/unit/performance/engine", "tests/plugins/test_hand_noises.py"],
-    "engine": ["tests/unit/performance/engine", "tests/unit/performance/player", "tests/effects/test_switching.py"],
+    "engine": [
+        "tests/plugins/test_broken_plugins.py",
+        "tests/unit/performance/engine",
+        "tests/unit/performance/player",
+        "tests/effects/test_switching.py",
+    ],
     "effects": ["tests/effects", "tests/unit/performance/engine"],
     "sound": ["tests/unit/sound", "tests/unit/test_notebook.py"],
     "fit": ["tests/unit/workshop/fit"],
@@ -58,6 +64,8 @@ TESTS = {name: [f"{PHYSICS}/{name}"] for name in ("modal", "passivity", "energy"
 #: imported once, before the package and its tests are
 LIBRARIES = """numpy scipy.linalg scipy.signal scipy.optimize scipy.integrate scipy.interpolate scipy.sparse.linalg
 scipy.special scipy.spatial scipy.stats scipy.ndimage hypothesis pydantic yaml mido matplotlib.pyplot"""
+#: what decides nothing begins so
+_LONGER, _NO_BUILD = "longer than", "does not compile"
 
 
 class Called:
@@ -95,6 +103,7 @@ class Copy:
 
     def __init__(self, folder: Path):
         self.folder, self.package, self.left_out = folder, folder / "lib" / "tonewood", list[str]()
+        self.runs = True  # whether the last tests came to an end, with faults or without
         listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
         files = subprocess.run(listed, cwd=ROOT, capture_output=True, text=True, check=True).stdout
         for name in filter(None, files.split("\0")):
@@ -168,7 +177,9 @@ class Copy:
             if time.monotonic() > end:
                 os.killpg(child, signal.SIGKILL)
                 os.waitpid(child, 0)
-                return f"longer than {limit:.0f} s"
+                self.runs = False
+                return f"{_LONGER} {limit:.0f} s"
+        self.runs = os.waitstatus_to_exitcode(ended[1]) in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED)
         text = said.read_text(errors="replace")
         lines = re.findall(r"^(?:FAILED|ERROR) (.*)", text, re.M)
         if plugins:
@@ -176,23 +187,28 @@ class Copy:
         return "" if ended[1] == 0 else lines[0] if lines else " ".join(text.split()[-12:])
 
     def judged(self, package: str, edits: list[Edit], tests: list[str], limit: float) -> int:
-        """Make edits one by one, print the verdict on each, return the number that no test noticed."""
+        """Make edits one by one, print the verdict on each, return how many no test noticed; 1 if tests do not run."""
         if package == "kernel" and not self.build():
             sys.exit("kernel: it does not compile without any edit")
         (self.folder / "called").unlink(missing_ok=True)
         if fault := self.fault(tests, 10 * limit, [Called(self.folder / "called")]):
             print(f"{package}: fail without any edit: {self.left_out or fault}", flush=True)
-        survivors = 0
+            if not self.runs:
+                print(f"{package}: left out, its tests do not run to their end", flush=True)
+                return 1
+        survivors = undecided = 0
         for edit in edits:
             start = time.monotonic()
             self.put(edit.file, edit.made)
             compiles = package != "kernel" or self.build()
-            fault = self.fault(self.near(edit, tests), limit) if compiles else "does not compile"
+            fault = self.fault(self.near(edit, tests), limit) if compiles else _NO_BUILD
             self.put(edit.file, edit.source)
             survivors += not fault
-            print("noticed" if fault else "UNNOTICED", edit, flush=True)
+            undecided += (open_ := fault.startswith((_LONGER, _NO_BUILD)))
+            print("undecided" if open_ else "noticed" if fault else "UNNOTICED", edit, flush=True)
             print(f"    {time.monotonic() - start:.0f} s {fault}", flush=True)
-        print(f"{package}: {len(edits)} edits, {len(edits) - survivors} noticed", flush=True)
+        decided = len(edits) - undecided
+        print(f"{package}: {decided - survivors} of {decided} edits noticed, {undecided} undecided", flush=True)
         return survivors
 
 

@@ -35,8 +35,9 @@ LAYERS = (
     {"sound/files"},
     {"sound/render"},
     {"sound/live", "sound/ensemble"},
-    {"workshop/batch", "workshop/fit", "workshop/report", "lab"},
-    {"workshop/listening", "workshop/dataset", "workshop/estimate", "workshop/sampling", "workshop/taps"},
+    {"workshop/batch", "workshop/fit", "workshop/report", "workshop/web", "lab"},
+    {"workshop/desk", "workshop/listening", "workshop/dataset", "workshop/estimate", "workshop/sampling", "workshop/taps"},
+    {"workshop/wood"},
     {"cli"},
     {"__init__", "__main__"},
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from tonewood.lab.interpolatory import P0, P1, P2, SIMPSON, TRAPEZOIDAL, UPDATES
 from tonewood.lab.newmark import AVERAGE_ACCELERATION, HHT, hht
 from tonewood.lab.nonproportionality import commutator, coupling, imaginary_part, phase_rotation, reduced
 from tonewood.lab.pseudo_load import PseudoLoad
-from tonewood.lab.systems.chinnakonda import plots, reduction_table, rows
+from tonewood.lab.systems.chinnakonda import _alternatives, plots, reduction_table, rows
 from tonewood.lab.systems.chinnakonda_problems import (
     AMPLITUDES,
     FORCES,
@@ -275,3 +276,17 @@ def test_every_row_passes() -> None:
 def test_plots(tmp_path: Path) -> None:
     for path in plots(tmp_path):
         assert path.stat().st_size > 10_000
+
+
+def test_a_difference_of_one_sample_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows tell the largest difference over time: 1 um in one sample of one of the two solutions is told as such."""
+    run = Transition.run
+
+    def disturbed(self: Transition, *arguments: Any) -> Any:
+        out = np.array(run(self, *arguments))
+        out[150, 1] += 1e-6
+        return out
+
+    monkeypatch.setattr(Transition, "run", disturbed)
+    rows = [row for row in _alternatives() if row.system.endswith("transition")]
+    assert [row.value for row in rows] == [pytest.approx(1e-6, rel=1e-5)] * 6

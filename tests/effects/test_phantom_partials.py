@@ -11,7 +11,7 @@ from phantom_scenes import excess
 
 import tonewood as tw
 from pianos import piano
-from tonewood.performance.effects.base import SwitchedEffect
+from tonewood.performance.effects.base import Moment, SwitchedEffect, Switching
 
 FS = 24000.0
 
@@ -124,6 +124,7 @@ def test_motion_that_grows_ends_in_an_error(tmp_path: Path) -> None:
         excess(289, tmp_path)
 
 
+@pytest.mark.validate
 def test_a_bend_that_moves_modes_over_the_limit_keeps_them_on() -> None:
     """The bound of a string is that of its modes as it was; bent by octaves the string has fewer of them."""
     controls = [tw.Control(0.05 + 0.01 * i, "bend", 4800.0 if i < 25 else -4800.0, 0) for i in range(50)]
@@ -131,3 +132,21 @@ def test_a_bend_that_moves_modes_over_the_limit_keeps_them_on() -> None:
     sound = np.concatenate(list(tw.Renderer(score, "grand_piano", fs=24000, max_duration=0.6).blocks(4096)))
     assert np.all(np.isfinite(sound))
     assert np.abs(sound).max() > 0.0
+
+
+def test_what_is_loud_hides_more(bass: tw.Instrument) -> None:
+    """A motion that counts in its own sound does not under one a million times as loud."""
+    engine = played(bass, 60, effects="all").engine
+    while engine.state.sample < 0.5 * FS:
+        engine.advance(1)
+    (effect,) = (e for e in played(bass, 60, effects="auto").engine.effects if e.name == "phantom_partials")
+    assert isinstance(effect, SwitchedEffect)
+    state = engine.state.copy()
+    state.sample = 0
+    wanted = []
+    for peak in (1e-2, 1e4):
+        heard = np.full(len(engine.system.readouts), peak)
+        found = effect.watch(Moment(engine.system, state, engine.frettings, heard), Switching())
+        assert found is not None
+        wanted.append(found.wanted)
+    assert wanted == [{"A0", "C2_1", "C2_2", "C2_3"}, frozenset()]

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from scipy.signal.windows import blackmanharris
 from tension_scenes import guitar
 
+import tonewood as tw
 from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.performance.effects import sidebands
 from tonewood.performance.effects.sidebands import Sidebands
 from tonewood.performance.player.fretting import Fretting
 from tonewood.physics.coupling.system import State
@@ -141,3 +143,24 @@ def test_a_pluck_at_rest_has_the_bound_of_its_shape() -> None:
     assert 0.0 < foreseen <= found.level(still, peak) * (1 + 1e-12)
     twice = found.level(rest, peak, plucked={c: 2 * q for c, q in drawn.items()})
     assert twice == pytest.approx(8 * foreseen, rel=1e-9)  # rise with the square, times the partial
+
+
+def test_partials_counted_together_are_bounded_as_if_counted_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of an accelerometer on the string, whose sidebands grow with the square of their frequency."""
+    instrument = guitar("steel_guitar", ("G3",), mode="all")
+    values = dict(instrument.resolved)
+    values["strings"]["G3"]["points"] = {"sensor": {"from_bridge": 0.11}}
+    sensor = {"plugin": "point_pickup", "name": "sensor", "quantity": "acceleration", "at": "G3.sensor"}
+    values["outputs"] = [sensor | {"full_scale": 1.0}]
+    model = assemble(tw.Instrument.from_values(values, instrument.folder), FS)
+    together = tension_effect(model).sidebands("G3", model.system, Fretting())
+    monkeypatch.setattr(sidebands, "_BEATING", 40)
+    alone = Sidebands.of(
+        {c: model.system.compiled[model.system.slot(c)] for c in model.strings["G3"].components}, together.rise,
+        model.system, tension_effect(model)._responses(),
+    )  # fmt: skip
+    for name, plane in together.planes.items():
+        first, last = plane.heard.shape[-1] - 1, alone.planes[name].heard.shape[-1] - 1
+        each = alone.planes[name].heard[..., first:last].max(axis=-1)
+        assert np.all(each <= plane.heard[..., -1])
+        assert np.all(each > 0.0)

@@ -17,7 +17,7 @@ import soundfile as sf
 import tonewood as tw
 from tonewood.errors import BundleError, ScoreError, TonewoodError
 from tonewood.physics.modal.modes import ModalBasis
-from tonewood.support.plotting import COLOURS, SMALL, TEXT, frequency_axis
+from tonewood.support.plotting import COLOURS, SMALL, TEXT, frequency_axis, legend_above
 from tonewood.support.plotting import figure as new_figure
 from tonewood.support.tables import Table, properties_html
 
@@ -180,3 +180,13 @@ def test_spectrogram_and_level_of_a_sine() -> None:
     assert np.polyfit(time, level, 1)[0] == pytest.approx(-60 / t60, rel=1e-3)
     first = 10 * np.log10(np.mean(sound.samples[: round(0.02 * fs)] ** 2))
     assert level[0] == pytest.approx(first, abs=1e-9)
+
+
+def test_a_legend_has_as_many_columns_as_fit() -> None:
+    """80 characters abreast, with 6 for each line's sample."""
+    for labels, columns in ((["a" * 30, "b", "c"], 2), (["a", "b", "c"], 3), (["a" * 90, "b"], 1)):
+        made, axes = new_figure()
+        for label in labels:
+            axes[0, 0].plot([0, 1], label=label)
+        legend_above(made, axes[0, 0])
+        assert made.legends[0]._ncols == columns

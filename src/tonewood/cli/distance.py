@@ -29,7 +29,7 @@ def distance(
 ) -> None:
     """Tell how far notes are from those of one guitar: third octaves over time, onset, decays, levels.
 
-    Beside it, as the scale, stand the distances within A and B: between strokes of one note, and between next semitones.
+    As the scale, distances within A and B stand beside it: between strokes of one note, and between next semitones.
     --table and --transpose are of A.
     """
     from tonewood.instrument.contract.registry import MANIFEST

@@ -36,9 +36,9 @@ def serve(
     from tonewood.workshop.batch.rendering import EngineRenderer
     from tonewood.workshop.listening.answer_file import clear_parts
     from tonewood.workshop.listening.definition import load_test
-    from tonewood.workshop.listening.http_guard import BoundedConnection
     from tonewood.workshop.listening.on_demand import RenderedPairs
     from tonewood.workshop.listening.server import ListeningServer, has_staircase
+    from tonewood.workshop.web.guard import BoundedConnection
 
     allow("--port", port, 0, 65535, "")
     load_test(folder)  # its fault comes first

@@ -85,3 +85,27 @@ def test_the_worst_comes_first() -> None:
     assert severities == sorted(severities, reverse=True)
     assert all(0 < w.severity_cents <= w.depth * w.breadth_cents for w in wolves)
     assert all(w.severity_cents >= LEAST_SHARE * w.breadth_cents * 0.99 for w in wolves)
+
+
+def test_a_share_is_that_of_a_pitch_wherever_it_is_counted_from(tmp_path: Path, values: dict[str, Any]) -> None:
+    """From a stop six semitones below the body's mode the string is brought up to it, as from one six above down."""
+    string = instrument(tmp_path, values, mass=1.0, q=1e5).strings["D3"]
+    at = string.tuning.coupled(6)
+    tension = DENSITY * (2 * string.length(6) * FREQ) ** 2
+    here = np.array([-40.0, -5.0, 5.0, 40.0])
+    expected = share_curve(at, tension, FREQ, here)
+    assert expected.min() > 0.01
+    for away in (-600.0, 600.0):
+        begin = tension * 2 ** (away / 600), FREQ * 2 ** (away / 1200)
+        assert share_curve(at, *begin, here - away) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_wolf_between_stops_far_apart_is_found(tmp_path: Path, values: dict[str, Any]) -> None:
+    """Of steps of 870 cents the second is 270 above the body's mode."""
+    (tmp_path / "wide.scl").write_text("wide\n2\n870.\n1740.\n")
+    values["tuning"] = {"scale": "wide.scl"}
+    values["stops"]["count"] = 2
+    values["strings"]["D3"]["freq"] = FREQ * 2**-0.5
+    del values["strings"]["D3"]["note"]
+    wolves = wolf_notes(instrument(tmp_path, values, mass=0.5, q=1e5))
+    assert [wolf.worst_freq for wolf in wolves] == [pytest.approx(FREQ, rel=2e-3)]

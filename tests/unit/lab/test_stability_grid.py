@@ -54,6 +54,7 @@ def test_rising_tension_breaks_explicit_steps_of_hard_plucks_only(grid: Stabilit
     assert verdict[1000.0, 192e3] == NAN
 
 
+@pytest.mark.validate
 def test_table_and_json_say_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "grid.md"
     with pytest.raises(SystemExit) as exit_:

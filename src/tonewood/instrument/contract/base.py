@@ -257,6 +257,9 @@ class Body(Plugin[P], ModalViews):
 
     kind = "body"
     effects: ClassVar[tuple[Effect, ...]] = (BODY_MODES,)
+    #: numbers in place of its parameters that make a coarse basis within half a second: `tonewood desk` plays it until
+    #: the exact one is made; none where that takes no longer
+    preview: ClassVar[Mapping[str, float]] = {}
 
     @abstractmethod
     def basis(self, freq_upper: float) -> ModalBasis:

@@ -175,6 +175,12 @@ class Engine:
         if self.energy_budget:
             self.energy_budget = self._new_budget()
 
+    def follow_timeline(self) -> None:
+        """Take what begins from now on from this engine's timeline, after the `restore` of another one's snapshot."""
+        self.schedule = Schedule(self.dt, self.model.strings)
+        self.schedule.add(self.timeline.changes, self.timeline.plays)
+        self.schedule.take(self.state.sample)
+
     @one_blas_thread
     def advance(self, n_ticks: int) -> Floats:
         """Step n_ticks intervals of the control grid; returns (n_ticks * GRID, n_channels)."""

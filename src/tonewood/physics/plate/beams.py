@@ -20,6 +20,7 @@ another.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -80,9 +81,15 @@ def torsion_constant(width: Floats | float, height: Floats) -> Floats:
     return np.asarray(long * short**3 * (1 / 3 - 0.21 * ratio * (1 - ratio**4 / 12)))
 
 
+@cache
+def _gauss(order: int) -> tuple[Floats, Floats]:
+    """Points and weights from -1 to 1: short lines ask for them a thousand times in a body."""
+    return np.polynomial.legendre.leggauss(order)
+
+
 def line(start: Floats, stop: Floats, parts: int, order: int = 3) -> tuple[Floats, Floats, Floats]:
     """Gauss points (n, 2), weights (n,) in m and places (n,) from 0 to 1 on a straight line in `parts` parts."""
-    g, w = np.polynomial.legendre.leggauss(order)
+    g, w = _gauss(order)
     place = ((np.arange(parts)[:, None] + (g + 1) / 2) / parts).ravel()
     length = float(np.hypot(*(stop - start)))
     return start + place[:, None] * (stop - start), np.tile(w * length / (2 * parts), parts), place

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
-from tonewood.instrument.model.assembly import FREQ_LIMIT, assemble
+from tonewood.instrument.model.assembly import Model
 from tonewood.performance.effects.base import EffectReport
 from tonewood.performance.engine.engine import GRID, Engine
 from tonewood.performance.player.player import Player
@@ -25,6 +25,7 @@ from tonewood.sound.live.prepared import PreparedBases
 from tonewood.sound.render.accuracy import LEVELS
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.presets import with_preset
+from tonewood.sound.render.renderer import assembled
 from tonewood.sound.render.resampling import Resampler
 from tonewood.sound.render.routing import Routing
 from tonewood.support.blas import one_blas_thread
@@ -98,6 +99,7 @@ class Live:
     spacing : control intervals between the beginnings of notes that come together, 0 for none: a chord is strummed.
         One interval is 64 steps, 1.3 ms at 48 kHz; the default lets six notes cost no more than their time.
     prepare : compile every stop before the first note, in about a second, so that no note has to wait for it.
+    model : that `assembled` made of this instrument and these options; else it is made.
 
     Attributes
     ----------
@@ -118,6 +120,7 @@ class Live:
         ramp: float = 5e-3,
         spacing: int = 2,
         prepare: bool = True,
+        model: Model | None = None,
         **settings: Any,
     ):
         self.use = OneUser("instrument", "AudioStream.send calls a function before the next block")
@@ -135,10 +138,7 @@ class Live:
         steps = LEVELS[options.accuracy].oversampling(self.instrument.spec)
         if options.oversampling is not None:
             steps = Fraction(options.oversampling)
-        engine_fs = float(steps * self.fs)
-        limit = None if options.freq_limit is None else min(options.freq_limit, FREQ_LIMIT * engine_fs)
-        applied = options.applied_to(self.instrument)
-        self.model = assemble(applied, engine_fs, freq_limit=limit, outputs=options.outputs)
+        self.model = assembled(self.instrument, options) if model is None else model
         self.engine = Engine(self.model, Timeline((), ()))
         self.player = Player(
             self.model,

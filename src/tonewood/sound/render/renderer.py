@@ -328,6 +328,14 @@ class Renderer:
             self._peak = checkpoint.peak
             self._step = checkpoint.step
 
+    def take_over(self, checkpoint: Checkpoint) -> None:
+        """Go on from a `checkpoint` of a renderer of the same strings and body, with this one's own gestures.
+
+        Motion and gestures that had begun go on; gestures of this renderer's score that begin later follow.
+        """
+        self.restore(checkpoint)
+        self.engine.follow_timeline()
+
     def _fill(self, frames: int) -> None:
         """Step at least `frames` frames, in whole spans; after the last event always the same number of spans."""
         sample, span = self.engine.state.sample, _TICKS * GRID

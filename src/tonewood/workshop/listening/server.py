@@ -15,11 +15,8 @@ address to the disk. Two slots with one sound have replies with the same headers
 
 from __future__ import annotations
 
-import asyncio
 import datetime
 import io
-import json
-import re
 import sys
 import threading
 import traceback
@@ -33,7 +30,7 @@ from typing import Any
 import numpy as np
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
@@ -44,32 +41,21 @@ from tonewood.workshop.batch.stimuli import quantised
 from tonewood.workshop.listening.answer_file import FOLDER, OpenSession, begin, exported, resume, withdraw
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.headphones import interval
-from tonewood.workshop.listening.http_guard import SECONDS, Guard
 from tonewood.workshop.listening.on_demand import PairSource
 from tonewood.workshop.listening.session import Step
 from tonewood.workshop.listening.shown import shown
+from tonewood.workshop.web.guard import Guard
+from tonewood.workshop.web.requests import RefusalError, json_body, mistake, refuse
 
-#: bytes of a request's body, and depth of its JSON
-_MOST, _DEEPEST = 65536, 8
 #: sessions in memory; others are read from the disk again when they go on
 _MOST_OPEN = 200
 #: sessions of one test, on the disk
 _MOST_SESSIONS = 10_000
 _STATIC = {"test.js": "text/javascript", "players.js": "text/javascript", "test.css": "text/css"}
-#: characters that no text needs: controls but for tab and line feed, halves of surrogate pairs
-_NO_TEXT = re.compile("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\ud800-\\udfff]")
 #: slot of the tone of a level page
 TONE = "tone"
 #: loudness of a sine of 997 Hz at full scale in one channel, LUFS (BS.1770-4 annex 1)
 _FULL_SCALE_LUFS = -3.01
-
-
-class _RefusalError(Exception):
-    """A request that is not read: status and reason."""
-
-    def __init__(self, status: int, reason: str):
-        super().__init__(reason)
-        self.status, self.reason = status, reason
 
 
 @dataclass
@@ -118,7 +104,7 @@ class ListeningServer:
             Route("/api/session/{token}/data", self._data),
             Route("/api/session/{token}/sound/{index}/{slot}", self._sound),
         ]
-        handlers: Any = {TonewoodError: self._fault, _RefusalError: self._refuse, Exception: _mistake}
+        handlers: Any = {TonewoodError: self._fault, RefusalError: refuse, Exception: mistake}
         return Guard(Starlette(routes=routes, exception_handlers=handlers), host, names)
 
     async def _index(self, request: Request) -> Response:
@@ -142,7 +128,7 @@ class ListeningServer:
         )
 
     async def _begin(self, request: Request) -> Response:
-        asked = await _body(request)
+        asked = await json_body(request, ListeningError)
         language = self._language(str(asked.get("language", "")))
         listener = asked.get("listener") or ""
         if not isinstance(listener, str):
@@ -151,7 +137,7 @@ class ListeningServer:
         def make() -> str:
             with self._lock:
                 if self._begun >= _MOST_SESSIONS:
-                    raise _RefusalError(429, f"{_MOST_SESSIONS} sessions of this test were begun, no more are allowed")
+                    raise RefusalError(429, f"{_MOST_SESSIONS} sessions of this test were begun, no more are allowed")
                 self._begun += 1
             try:
                 with self._beginning:
@@ -171,7 +157,7 @@ class ListeningServer:
         return await self._with_session(request, lambda opened, _: JSONResponse(self._shown(opened)))
 
     async def _answer(self, request: Request) -> Response:
-        given = await _body(request)
+        given = await json_body(request, ListeningError)
 
         def take(opened: OpenSession, entry: _Entry) -> Response:
             session = opened.session
@@ -298,11 +284,6 @@ class ListeningServer:
                     if oldest is not None:
                         del self._entries[oldest]
 
-    async def _refuse(self, request: Request, fault: Exception) -> Response:
-        assert isinstance(fault, _RefusalError)
-        headers = {"Connection": "close"}  # of a body that was not read the rest would be taken for a request
-        return JSONResponse({"error": fault.reason}, status_code=fault.status, headers=headers)
-
     async def _fault(self, request: Request, fault: Exception) -> Response:
         """One line, without the paths of the server's disk."""
         assert isinstance(fault, TonewoodError)
@@ -349,63 +330,6 @@ def tone(test: ListeningTest, page: LevelPage) -> bytes:
 
 def _asset(name: str) -> bytes:
     return (files("tonewood.workshop.listening") / "static" / name).read_bytes()
-
-
-async def _body(request: Request) -> dict[str, Any]:
-    """The body of a request as a mapping; characters that are no text are replaced.
-
-    Raises
-    ------
-    ListeningError : it is no JSON object.
-    _RefusalError : it is too long, too slow, or of another type.
-    """
-    kind = request.headers.get("content-type")
-    if kind is not None and kind.partition(";")[0].strip().lower() != "application/json":
-        raise _RefusalError(415, "application/json is wanted")
-    raw = bytearray()
-    try:
-        await asyncio.wait_for(_read(request, raw), SECONDS)
-    except TimeoutError:
-        raise _RefusalError(408, f"the request took longer than {SECONDS:g} s") from None
-    except ClientDisconnect:
-        raise _RefusalError(400, "the connection broke off") from None
-    try:
-        data = json.loads(bytes(raw) or b"{}")
-    except (ValueError, RecursionError):
-        raise ListeningError("no JSON") from None
-    if not isinstance(data, dict):
-        raise ListeningError("no JSON object")
-    return {str(key): value for key, value in _plain(data).items()}
-
-
-async def _read(request: Request, raw: bytearray) -> None:
-    async for part in request.stream():
-        raw += part
-        if len(raw) > _MOST:
-            raise _RefusalError(400, f"longer than the {_MOST} bytes allowed")
-
-
-def _plain(value: Any, depth: int = 0) -> Any:
-    """The same values with texts that can be written as UTF-8 and shown.
-
-    Raises
-    ------
-    ListeningError : they are nested too deeply.
-    """
-    if depth > _DEEPEST:
-        raise ListeningError(f"nested more than {_DEEPEST} deep")
-    if isinstance(value, str):
-        return _NO_TEXT.sub("\N{REPLACEMENT CHARACTER}", value.replace("\r\n", "\n").replace("\r", "\n"))
-    if isinstance(value, dict):
-        return {_plain(key): _plain(item, depth + 1) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_plain(item, depth + 1) for item in value]
-    return value
-
-
-async def _mistake(request: Request, fault: Exception) -> Response:
-    """The reply to a request that a mistake of the program ended; the server prints the traceback."""
-    return JSONResponse({"error": "the server made a mistake"}, status_code=500)
 
 
 def _now() -> str:

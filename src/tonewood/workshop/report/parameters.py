@@ -73,7 +73,7 @@ def flattened(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 def _unit(annotation: Any, path: list[str]) -> str:
     """Unit of the field that a path leads to from a type; empty where it leads to none."""
-    for kind in _alternatives(annotation):
+    for kind in alternatives(annotation):
         if isinstance(kind, type) and issubclass(kind, BaseModel):
             field = next((f for name, f in kind.model_fields.items() if path and (f.alias or name) == path[0]), None)
             if field is None:
@@ -88,11 +88,11 @@ def _unit(annotation: Any, path: list[str]) -> str:
     return ""
 
 
-def _alternatives(annotation: Any) -> list[Any]:
+def alternatives(annotation: Any) -> list[Any]:
     """Members of a union, annotations taken off."""
     origin = get_origin(annotation)
     if origin in (Union, types.UnionType):
-        return [kind for member in get_args(annotation) for kind in _alternatives(member)]
+        return [kind for member in get_args(annotation) for kind in alternatives(member)]
     if hasattr(annotation, "__metadata__"):
-        return _alternatives(get_args(annotation)[0])
+        return alternatives(get_args(annotation)[0])
     return [annotation]

@@ -19,6 +19,7 @@ from tonewood.workshop.batch.manifest import (
     load_manifest,
     manifest_schema,
 )
+from tonewood.workshop.batch.migration import manifest_edits
 from tonewood.workshop.batch.seeds import blind_codes
 from tonewood.workshop.listening.staircase import StaircaseTrack
 
@@ -413,3 +414,11 @@ def test_what_is_not_said_of_a_midi_file() -> None:
         fakes.manifest(scores={"low": {"midi": "a.mid"}}, factors={}, pages=[{"type": "html"}])
     ).scores["low"]
     assert (source.start, source.stop, source.channel_per_string) == (0.0, None, False)
+
+
+def test_a_manifest_of_today_needs_no_edits() -> None:
+    pages = [{"type": "paired_comparison", "question": "brighter?"}, {"type": "mushra"}]
+    assert manifest_edits({"render": {"fs": 48000}, "pages": pages}) == []
+    old = {"render": {"precision": "f32", "fs": 48000}, "pages": [{"type": "paired_comparison", "both_orders": True}]}
+    edits = [(edit.path, edit.value) for edit in manifest_edits(old)]
+    assert edits == [("render.precision", None), ("pages.0.type", "abx"), ("pages.0.both_orders", None)]

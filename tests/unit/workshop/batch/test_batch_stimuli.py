@@ -8,9 +8,11 @@ from scipy.signal import freqz, resample_poly
 
 from tonewood.errors import OutputError
 from tonewood.sound.level.loudness import loudest
-from tonewood.workshop.batch import stimuli, trimming
+from tonewood.workshop.batch import production, stimuli, trimming
+from tonewood.workshop.batch.manifest import Stimuli
 from tonewood.workshop.batch.seeds import generator
 from tonewood.workshop.batch.stimuli import StimulusError
+from tonewood.workshop.batch.store import Rendered
 
 FS = 48000
 
@@ -238,3 +240,18 @@ def test_channels() -> None:
     assert stimuli.with_channels(stereo[:, :1], 2).tolist() == [[1.0, 1.0], [2.0, 2.0]]
     with pytest.raises(StimulusError, match="3 channels cannot become 2"):
         stimuli.with_channels(np.zeros((4, 3)), 2)
+
+
+def test_a_sound_is_trimmed_by_blocks_of_the_time_given() -> None:
+    """A click in each of two blocks of 50 ms, the second 40 dB below: kept to the end of its block, or left out."""
+    settings = Stimuli.model_validate(
+        {"fs": FS, "duration": 1.0, "onset": {"align": "score", "at": 0.0}, "fade": {"in": 0.0, "out": 0.0}}
+    )
+    block = round(0.05 * FS)
+    sound = np.zeros((FS, 1))
+    sound[10], sound[block + 20] = 1.0, 0.01
+    for level_db, blocks in ((-45.0, 2), (-35.0, 1)):
+        trim = settings.trim.model_copy(update={"level_db": level_db, "block": 0.05})
+        kept = production.prepared(Rendered(sound, FS), settings.model_copy(update={"trim": trim}))
+        assert len(kept) == blocks * block
+        np.testing.assert_array_equal(kept, sound[: len(kept)])

@@ -41,6 +41,7 @@ def rms_db(a, b):
     return float(np.sqrt(np.mean((20 * np.log10(np.abs(a / b))) ** 2)))
 
 
+@pytest.mark.validate
 def test_three_references_find_coincident_modes_and_one_says_what_it_cannot(scene):
     every = fit_responses(Responses(FREQ, scene.noisy, scene.pairs))
     one = fit_responses(Responses(FREQ, scene.noisy[:3], scene.pairs[:3]))
@@ -64,6 +65,7 @@ def test_modes_outside_the_band_leave_a_compliance_that_is_passive():
     assert rms_db(fit.mobility, truth.mobility(FREQ)) < 0.2
 
 
+@pytest.mark.validate
 def test_the_body_plays_what_was_fitted(scene, tmp_path):
     """Written, read by `modal_table`, and asked for its mobility: the same to 1e-9; real modes, so passive."""
     fit = fit_responses(Responses(FREQ, scene.noisy, scene.pairs))

@@ -21,9 +21,9 @@ from tonewood.errors import TonewoodError
 from tonewood.workshop.batch.conditions import Condition
 from tonewood.workshop.listening import server as server_module
 from tonewood.workshop.listening.definition import load_test
-from tonewood.workshop.listening.http_guard import BoundedConnection
 from tonewood.workshop.listening.on_demand import RenderedPairs
 from tonewood.workshop.listening.server import ListeningServer
+from tonewood.workshop.web.guard import BoundedConnection
 
 
 class DrivenServer(ListeningServer):

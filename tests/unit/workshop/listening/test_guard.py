@@ -20,9 +20,9 @@ from tonewood.errors import OutputError, TonewoodError
 from tonewood.workshop.listening import server as server_module
 from tonewood.workshop.listening.answer_file import answers_of
 from tonewood.workshop.listening.definition import ListeningTest
-from tonewood.workshop.listening.http_guard import Guard
 from tonewood.workshop.listening.on_demand import RenderedPairs
 from tonewood.workshop.listening.server import ListeningServer
+from tonewood.workshop.web.guard import Guard
 
 PAGES = [{"type": "consent"}, {"type": "mushra", "reference": {"damping": "complex"}, "group_by": ["pluck"]}]
 

@@ -17,7 +17,7 @@ from tonewood.instrument.inspection.wolf import WolfNote
 from tonewood.workshop.report.as_json import to_json
 from tonewood.workshop.report.comparison import Candidate, Comparison, alike, compare, match_modes, match_wolves
 from tonewood.workshop.report.facts import BodyMode
-from tonewood.workshop.report.parameters import flattened
+from tonewood.workshop.report.parameters import flattened, parameters
 from tonewood.workshop.report.tones import flac, matched_gains_db
 
 FS = 16000
@@ -225,3 +225,17 @@ def test_notes_that_cannot_be_played() -> None:
             compare([monochord], notes=[note], fs=FS, duration=0.2)
     with pytest.raises(TonewoodError, match="1 to 6"):
         compare([])
+
+
+def test_units_are_those_of_the_fields_at_any_depth() -> None:
+    found = parameters(tw.load_instrument("classical_guitar"))
+    units = {
+        "strings.E2.tension": "N",  # of a plugin's parameters
+        "strings.E2.scatter.split_cents": "cents",  # a section of a string
+        "strings.E2.loss.eta_a": "1/s",  # a plugin among the parameters
+        "body.points.side.area": "m^2",  # a member of a mapping
+        "playing.variation.time": "s",  # a section of a section
+        "outputs.listener.volume": "m^3",
+        "tuning.hold": "",
+    }
+    assert {key: found[key].unit for key in units} == units

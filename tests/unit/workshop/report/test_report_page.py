@@ -12,10 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile as sf
+from matplotlib.figure import Figure
 
 import tonewood as tw
 from browser import CHROMIUM, dom, listening, opened
-from tonewood.workshop.report.comparison import Candidate, Comparison, compare
+from tonewood.instrument.inspection.wolf import WolfNote
+from tonewood.workshop.report import figures
+from tonewood.workshop.report.comparison import Candidate, Comparison, compare, match_wolves
 from tonewood.workshop.report.page import page
 
 FS = 48000
@@ -187,3 +190,25 @@ def test_the_policy_lets_the_page_s_own_script_run_and_no_other(html: str, tmp_p
     assert 'data-state="stopped"' in shown
     assert 'data-foreign="ran"' not in shown
     assert "<title>owned" not in shown
+
+
+def test_the_worst_wolves_are_drawn_by_name(found: Comparison) -> None:
+    """One bar of an instrument for each: 57 cents near A3, none of the other instrument's."""
+    wolf = WolfNote("A2", 205.0, 226.0, 220.0, 0.5, 50.0, 57.0, 216.0, ())
+    assert figures.wolf_picture(replace(found, wolves=())) is None
+    picture = figures.wolf_picture(replace(found, wolves=tuple(match_wolves([[wolf], []]))))
+    assert picture is not None
+    svg = base64.b64decode(picture.uri.partition(",")[2]).decode()
+    assert "A2 near A3" in svg
+    assert "severity" in svg
+
+
+def test_the_louder_of_two_notes_is_inside_its_picture(found: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = found.instruments
+    tone = second.tones["A2"]
+    louder = replace(tone, level_db=first.tones["A2"].level_db.max() + 30.0 + 0.0 * tone.level_db)
+    drawn: list[Figure] = []
+    monkeypatch.setattr(figures, "_svg", lambda made: drawn.append(made) or "")
+    figures.decay_picture(replace(found, instruments=(first, replace(second, tones={"A2": louder}))), "A2")
+    low, high = drawn[0].axes[0].get_ylim()
+    assert low < 0.0 < 30.0 < high

@@ -183,3 +183,12 @@ def test_the_command_refuses(
     assert ended.value.code == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert message in line
+
+
+def test_what_is_sampled_unless_asked_is_what_the_page_says() -> None:
+    page = (Path(__file__).parents[4] / "docs" / "sampling.md").read_text(encoding="utf-8")
+    said = dict(re.findall(r"`--(velocities|every|round-robins|duration) ([\d,.]+)", page.partition("| ---")[2]))
+    usual = Sampling()
+    assert [int(v) for v in said["velocities"].split(",")] == list(usual.velocities)
+    assert (int(said["every"]), int(said["round-robins"])) == (usual.step, usual.repeats)
+    assert float(said["duration"]) == usual.duration

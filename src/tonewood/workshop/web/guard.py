@@ -80,7 +80,7 @@ class Guard:
         hosts, origins = found["host"], found["origin"]
         match = _HOST.fullmatch(hosts[0]) if len(hosts) == 1 else None
         if match is None or not self._is_ours(match[1].strip("[]").rstrip(".")):
-            return 421, "this address is not that of the server: `tonewood serve` prints it, --name allows others"
+            return 421, "this address is not the one that the server printed; `tonewood serve --name` allows others"
         port = match[2] or ""
         same = {f"http://{match[1]}:{port or 80}", f"https://{match[1]}:{port or 443}"}
         same |= {f"http://{match[1]}"} if port in ("", "80") else set()

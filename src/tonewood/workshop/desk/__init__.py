@@ -1,0 +1,1 @@
+"""The desk: an instrument in a browser, whose parameters are turned while it plays."""

@@ -1,0 +1,76 @@
+"""The phrase that the desk plays: a chord, a scale, notes by name or a file; always a file that a render takes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tonewood.errors import ScoreError
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.scales import note_number
+from tonewood.performance.score.midi import read_midi, write_midi
+from tonewood.performance.score.note import Note, Score
+from tonewood.performance.score.reading import read_score
+
+#: s between notes of a strummed chord, of a scale and of single notes; s that a chord lasts
+_STRUM, _STEP, _CHORD = 0.03125, 0.25, 2.0
+#: notes by name at most
+_MOST = 64
+#: s of a phrase that are rendered at most
+LONGEST = 60.0
+
+
+def phrase(kind: str, instrument: Instrument, file: Path, *, notes: str = "", velocity: float = 80.0) -> Score:
+    """Make a phrase, write it as MIDI, and read it back: what is heard is what the file says.
+
+    Parameters
+    ----------
+    kind : chord (open strings), scale (from the lowest string on), or notes.
+    instrument : whose strings a chord is of.
+    file : to be written.
+    notes : names such as ``E2 B2 E3``; those with + between them sound together.
+    velocity : 1 to 127.
+
+    Raises
+    ------
+    ScoreError : there is no such kind, or a note has no name.
+    """
+    if not 1 <= velocity <= 127:
+        raise ScoreError(f"is {velocity!r}; 1 to 127 are allowed", key="velocity")
+    opened = [round(instrument.open_note(name)) for name in instrument.groups]
+    steps: list[list[int]]
+    if kind == "chord":
+        kept = list(dict.fromkeys(sorted(opened)))
+        chosen = [kept[i * len(kept) // 6] for i in range(6)] if len(kept) > 6 else kept
+        made = [Note(_STRUM * i, _CHORD, note=key, velocity_midi=velocity) for i, key in enumerate(chosen)]
+    elif kind in ("scale", "notes"):
+        if kind == "scale":
+            steps = [[min(opened) + k] for k in (0, 2, 4, 5, 7, 9, 11, 12)]
+        else:
+            words = notes.split()
+            if not 1 <= len(words) <= _MOST:
+                raise ScoreError(f"{len(words)} notes; 1 to {_MOST} are allowed, e.g. E2 B2 E3+G3", key="notes")
+            steps = [[round(float(note_number(name))) for name in word.split("+")] for word in words]
+        made = [
+            Note(_STEP * i, 2 * _STEP if kind == "scale" else 4 * _STEP, note=key, velocity_midi=velocity)
+            for i, step in enumerate(steps)
+            for key in step
+        ]
+    else:
+        raise ScoreError(f"is {kind!r}; chord, scale, notes or file are allowed", key="phrase")
+    write_midi(Score(made, name="phrase"), file)
+    return read_midi(file)
+
+
+def phrase_of_file(file: Path, longest: float) -> Score:
+    """Read a phrase from any score's file, its first `longest` seconds.
+
+    Parameters
+    ----------
+    file : MIDI, MusicXML or Guitar Pro.
+    longest : s.
+
+    Raises
+    ------
+    ScoreError : it cannot be read.
+    """
+    return read_score(file, stop=longest)

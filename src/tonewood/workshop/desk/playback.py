@@ -1,0 +1,239 @@
+"""The sound of the desk: a phrase and keys, in blocks; takes are exchanged with a crossfade, A and B without a gap."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.sound.live.instrument import Live
+from tonewood.workshop.desk.take import PhraseTake
+
+Singles = NDArray[np.float32]
+
+#: s of a crossfade
+FADE = 0.03
+_WHOLE = 1 << 30
+
+
+@dataclass(eq=False)
+class _Fading:
+    """A sound that is taken out."""
+
+    source: PhraseTake | Live
+    at: int
+    gain: float
+    done: int = 0
+
+
+@dataclass(eq=False)
+class ComparedTakes:
+    """Two takes of one loudness.
+
+    Attributes
+    ----------
+    takes, gains : A and B; the louder one is turned down.
+    names : of the designs.
+    which : 0 or 1, what is heard.
+    blind : whether the page calls them X and Y; `order` is that of X and Y.
+    """
+
+    takes: tuple[PhraseTake, PhraseTake]
+    gains: tuple[float, float]
+    names: tuple[str, str]
+    which: int = 0
+    blind: bool = False
+    order: tuple[int, int] = (0, 1)
+
+
+@dataclass(eq=False)
+class Meter:
+    """What blocks cost: share of their time, smoothed; the worst of late; underruns that the page counted."""
+
+    load: float = 0.0
+    worst: float = 0.0
+    underruns: int = 0
+    reported: dict[str, float] = field(default_factory=dict)
+
+
+class DeskSound:
+    """All that sounds.
+
+    Parameters
+    ----------
+    fs : sampling rate, Hz.
+
+    Attributes
+    ----------
+    take, at : that is heard, and its next frame; None until the first model is made.
+    serial : counts changes that are heard; the page measures the time to them.
+    """
+
+    def __init__(self, fs: int):
+        self.fs, self.lock = fs, threading.RLock()
+        self.take: PhraseTake | None = None
+        #: take that follows when the phrase begins again
+        self.following: PhraseTake | None = None
+        self.at, self.playing, self.loop, self.serial = 0, False, True, 0
+        self.pair: ComparedTakes | None = None
+        self.live: Live | None = None
+        self.meter = Meter()
+        self._fading: list[_Fading] = []
+        #: frames of B that were faded in after A; from the beginning of a phrase nothing is
+        self._fade_in = _WHOLE
+        #: take that goes on from a frame of this one, and serial of its change
+        self._joins: tuple[PhraseTake, int, int] | None = None
+
+    def swap(self, take: PhraseTake, at: int = 0, *, serial: int | None = None) -> None:
+        """Let another take be heard, from a frame on; from the beginning it is not faded in.
+
+        Parameters
+        ----------
+        take : that is heard from now on.
+        at : its first frame.
+        serial : of the change that is heard with it.
+        """
+        with self.lock:
+            if self.playing and self.take is not None:
+                self._fade_out(self.take, self.at, 1.0)
+            self.take, self.following, self.pair = take, None, None
+            self.at, self._joins, self._fade_in = at, None, 0 if at else _WHOLE
+            self.serial = self.serial if serial is None else serial
+
+    def compare(self, pair: ComparedTakes | None) -> None:
+        """Let two takes be switched, at the same frame of both; None ends that."""
+        with self.lock:
+            self.pair = pair
+
+    def switch(self, which: int) -> None:
+        """Let A (0) or B (1) be heard, without a gap."""
+        with self.lock:
+            if self.pair is not None and which != self.pair.which and which in (0, 1):
+                old = self.pair.which
+                if self.playing:
+                    self._fade_out(self.pair.takes[old], self.at, self.pair.gains[old])
+                self.pair.which = which
+                self._fade_in = 0
+
+    def _fade_out(self, source: PhraseTake | Live, at: int, gain: float) -> None:
+        self._fading = [*self._fading[-3:], _Fading(source, at, gain)]
+
+    def fork(self, take: PhraseTake, at: int, serial: int) -> None:
+        """Let a take go on that another one was up to a frame: exactly there, without a fade."""
+        with self.lock:
+            self._joins = (take, at, serial)
+
+    def start(self, *, again: bool = True) -> None:
+        """Play the phrase, from its beginning."""
+        with self.lock:
+            if again:
+                if self.playing and self.take is not None:
+                    self._fade_out(self.take, self.at, 1.0)
+                self._begin_again()
+            self.playing = self.take is not None
+
+    def stop(self) -> None:
+        """Fade out all that sounds."""
+        with self.lock:
+            if self.playing and self.take is not None:
+                heard, gain = self._heard()
+                self._fade_out(heard, self.at, gain)
+            self.playing = False
+            self.release_keys()
+
+    def exchange_live(self, live: Live | None) -> None:
+        """Let keys play another model; what rings of the one before fades."""
+        with self.lock:
+            if self.live is not None:
+                self._fade_out(self.live, 0, 1.0)
+            self.live = live
+
+    def release_keys(self) -> None:
+        """Release all keys."""
+        with self.lock:
+            if self.live is not None:
+                self.live.all_off()
+
+    def _heard(self) -> tuple[PhraseTake, float]:
+        assert self.take is not None
+        if self.pair is None:
+            return self.take, 1.0
+        return self.pair.takes[self.pair.which], self.pair.gains[self.pair.which]
+
+    def read(self, frames: int) -> tuple[Singles, dict[str, Any]]:
+        """Return the next (frames, 2) and what they are: serial and frame of the phrase."""
+        began = time.perf_counter()
+        with self.lock:
+            out = np.zeros((frames, 2), dtype=np.float32)
+            first, serial = self.at, self.serial
+            if self.playing and self.take is not None:
+                self._phrase(out)
+                serial = self.serial
+            if self.live is not None:
+                out += _stereo(self.live.process(frames))
+            for fading in self._fading:
+                self._faded(fading, out)
+            self._fading = [f for f in self._fading if f.done < FADE * self.fs]
+        share = (time.perf_counter() - began) / (frames / self.fs)
+        self.meter.load += 0.05 * (share - self.meter.load)
+        self.meter.worst = max(0.99 * self.meter.worst, share)
+        return out, {"serial": serial, "frame": first, "playing": self.playing}
+
+    def _phrase(self, out: Singles) -> None:
+        """Add the phrase to a block, which may end and begin again in it."""
+        done = 0
+        while done < len(out):
+            take, gain = self._heard()
+            want = len(out) - done
+            if self._joins is not None and self.pair is None:
+                joined, at, serial = self._joins
+                if self.at >= at:
+                    self.take, self._joins, self.serial = joined, None, serial
+                    continue
+                want = min(want, at - self.at)
+            block = take.read(self.at, want)
+            n = len(block)
+            part = out[done : done + n]
+            if gain == 1.0 and self._fade_in >= FADE * self.fs:
+                part += block
+            else:
+                rise = np.clip((self._fade_in + np.arange(n)) / (FADE * self.fs), 0.0, 1.0)
+                part += block * (gain * rise[:, None]).astype(np.float32)
+                self._fade_in += n
+            done += n
+            self.at += n
+            if n < want:
+                if not self.loop or take.frames == 0:
+                    self.playing = False
+                    return
+                self._begin_again()
+
+    def _begin_again(self) -> None:
+        if self._joins is not None:
+            self.take, _, self.serial = self._joins
+            self._joins = None
+        if self.following is not None:
+            self.take, self.following = self.following, None
+        elif self.take is not None:
+            self.take = self.take.again()
+        self.at, self._fade_in = 0, _WHOLE
+
+    def _faded(self, fading: _Fading, out: Singles) -> None:
+        n = min(len(out), max(0, round(FADE * self.fs) - fading.done))
+        if n == 0:
+            return
+        if isinstance(fading.source, Live):
+            block = _stereo(fading.source.process(n))
+        else:
+            block = fading.source.read(fading.at + fading.done, n)
+        fall = 1.0 - (fading.done + np.arange(len(block))) / (FADE * self.fs)
+        out[: len(block)] += block * (fading.gain * fall[:, None]).astype(np.float32)
+        fading.done += n
+
+
+def _stereo(block: NDArray[np.float64]) -> Singles:
+    return np.stack([block[:, 0], block[:, min(1, block.shape[1] - 1)]], axis=1).astype(np.float32)

@@ -1,0 +1,247 @@
+"""The desk's server, for the browsers of one computer; each request but for the page itself carries the desk's token.
+
+    GET  /                  the page; /static/... its scripts and style
+    GET  /api/state         the design and all that is said about it
+    POST /api/act           one act: {act, ...} -> state
+    GET  /api/points, /api/groups, /api/knobs/GROUP
+    GET  /api/view/KIND?argument=..&of=start
+    GET  /api/moments?since=FRAME
+    GET  /api/stream        the sound without end: blocks of a head and of (n, 2) little-endian single precision
+    POST /api/heard         the page's report on its buffer
+
+A head is four 32-bit integers: frames, serial of the newest change in them, frame of the phrase, and whether it plays.
+One page at a time has the stream; another one that asks for it takes it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import secrets
+import struct
+import time
+from collections.abc import AsyncIterator, Callable
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from tonewood.errors import TonewoodError
+from tonewood.workshop.desk.desk import Desk
+from tonewood.workshop.desk.session import DeskSession, known_set
+from tonewood.workshop.web.guard import Guard
+from tonewood.workshop.web.requests import RefusalError, json_body, mistake, refuse
+
+_STATIC = {
+    "desk.js": "text/javascript",
+    "sound.js": "text/javascript",
+    "ring.js": "text/javascript",
+    "views.js": "text/javascript",
+    "desk.css": "text/css",
+}
+#: frames of a block; s that blocks are sent ahead of what is heard, at least and at most
+BLOCK = 512
+AHEAD = (0.03, 1.0)
+#: s after a report for which the page is taken to hear on
+_TRUSTED = 0.5
+#: s without a report of the page after which its stream ends
+_SILENT = 6.0
+
+
+class DeskServer:
+    """Requests to one desk.
+
+    Parameters
+    ----------
+    desk : that is shown.
+    token : of the address; a new one where left out.
+    """
+
+    def __init__(self, desk: Desk, token: str | None = None):
+        self.desk, self.token = desk, token or secrets.token_urlsafe(16)
+        self._stream = 0
+        #: frames that the page of the stream has heard, and when it said so
+        self._heard: tuple[int, float] = (0, 0.0)
+        self._ahead = 0.1
+        self.closing = False
+
+    def application(self) -> Guard:
+        """The application, for any ASGI server on this computer's own address."""
+        routes = [
+            Route("/", self._index),
+            Route("/static/{name}", self._static),
+            Route("/api/state", self._with(lambda request: self.desk.state())),
+            Route("/api/act", self._act, methods=["POST"]),
+            Route("/api/points", self._with(lambda request: self.desk.points())),
+            Route("/api/groups", self._with(lambda request: self.desk.groups())),
+            Route("/api/knobs/{group}", self._with(lambda request: self.desk.knobs(request.path_params["group"]))),
+            Route("/api/view/{kind}", self._with(self._view)),
+            Route("/api/moments", self._with(self._moments)),
+            Route("/api/stream", self._streamed),
+            Route("/api/heard", self._report, methods=["POST"]),
+        ]
+        handlers: Any = {TonewoodError: _fault, RefusalError: refuse, Exception: mistake}
+        return Guard(Starlette(routes=routes, exception_handlers=handlers), "127.0.0.1")
+
+    def _check(self, request: Request) -> None:
+        given = request.headers.get("x-desk-token", "")
+        if not hmac.compare_digest(given.encode("utf-8", "replace"), self.token.encode()):
+            raise RefusalError(403, "the address has no token, or an old one: `tonewood desk` prints the right one")
+
+    async def _index(self, request: Request) -> Response:
+        return Response(_asset("desk.html"), media_type="text/html")
+
+    async def _static(self, request: Request) -> Response:
+        name = request.path_params["name"]
+        if name not in _STATIC:
+            return Response(status_code=404)
+        return Response(_asset(name), media_type=_STATIC[name])
+
+    def _with(self, use: Callable[[Request], Any]) -> Callable[[Request], Any]:
+        """A reply of JSON, made in a thread."""
+
+        async def reply(request: Request) -> Response:
+            self._check(request)
+            return JSONResponse(await run_in_threadpool(use, request))
+
+        return reply
+
+    def _view(self, request: Request) -> Any:
+        query = request.query_params
+        kind = request.path_params["kind"]
+        return self.desk.view(kind, query.get("argument", ""), of_start=query.get("of") == "start")
+
+    def _moments(self, request: Request) -> Any:
+        since = request.query_params.get("since", "0")
+        return self.desk.moments(int(since) if since.isdecimal() and len(since) < 12 else 0)
+
+    async def _act(self, request: Request) -> Response:
+        self._check(request)
+        given = await json_body(request)
+        said = await run_in_threadpool(self._done, given)
+        state = await run_in_threadpool(self.desk.state)
+        return JSONResponse({**state, "said": said})
+
+    def _done(self, given: dict[str, Any]) -> str:
+        """Do one act; returns words on it."""
+        name = given.get("act")
+        act = _ACTS.get(name) if isinstance(name, str) else None
+        if act is None:
+            raise TonewoodError(f"is {name!r}; {', '.join(_ACTS)} are allowed", key="act")
+        try:
+            return act(self.desk, given) or ""
+        except (KeyError, TypeError, ValueError) as fault:
+            raise TonewoodError(f"a value is missing or of another type ({fault})", key=str(name)) from None
+
+    async def _report(self, request: Request) -> Response:
+        self._check(request)
+        given = await json_body(request)
+        numbers = {k: float(v) for k, v in given.items() if isinstance(v, int | float)}
+        if numbers.get("stream") == self._stream:
+            self._heard = (int(numbers.get("heard", 0)), time.monotonic())
+            self._ahead = min(max(numbers.get("ahead", self._ahead), AHEAD[0]), AHEAD[1])
+            self.desk.playback.meter.underruns = int(numbers.get("underruns", 0))
+        return JSONResponse({"stream": self._stream})
+
+    async def _streamed(self, request: Request) -> Response:
+        self._check(request)
+        self._stream += 1
+        self._heard = (0, time.monotonic() + _SILENT)  # a page may need a moment to begin
+        headers = {"X-Desk-Stream": str(self._stream)}
+        return StreamingResponse(self._blocks(self._stream), media_type="application/octet-stream", headers=headers)
+
+    async def _blocks(self, stream: int) -> AsyncIterator[bytes]:
+        """Blocks as the page hears them; ends when another page has the stream, or this one is gone."""
+        playback, sent = self.desk.playback, 0
+        while stream == self._stream and not self.closing:
+            heard, when = self._heard
+            now = time.monotonic()
+            if now - when > _SILENT:
+                return
+            reached = heard + int(min(max(now - when, 0.0), _TRUSTED) * playback.fs) if sent else 0
+            wait = (sent - min(reached, sent)) / playback.fs - self._ahead
+            if wait > 0:
+                await asyncio.sleep(min(max(wait, 0.002), 0.05))
+                continue
+            block, what = await run_in_threadpool(playback.read, BLOCK)
+            head = struct.pack("<4I", len(block), what["serial"] & 0xFFFFFFFF, what["frame"], int(what["playing"]))
+            sent += len(block)
+            yield head + block.astype("<f4").tobytes()
+
+
+def _set(session: DeskSession, given: dict[str, Any]) -> None:
+    session.set(str(given["path"]), given["value"], dragging=bool(given.get("dragging")))
+
+
+def _changes(use: Callable[[DeskSession, dict[str, Any]], None]) -> Callable[[Desk, dict[str, Any]], str | None]:
+    """An act on the session that may change the design."""
+
+    def act(desk: Desk, given: dict[str, Any]) -> None:
+        desk.change(lambda session: use(session, given))
+
+    return act
+
+
+def _save(desk: Desk, given: dict[str, Any]) -> str:
+    folder = Path(str(given["folder"])).expanduser()
+    desk.session.save(folder)
+    return f"saved in {folder.resolve()}: tonewood render {desk.phrase_file} -i {folder}"
+
+
+def _play(desk: Desk, given: dict[str, Any]) -> None:
+    desk.playback.loop = bool(given.get("loop", desk.playback.loop))
+    if given.get("on", True):
+        desk.playback.start()
+    else:
+        desk.playback.stop()
+
+
+def _loop(desk: Desk, given: dict[str, Any]) -> None:
+    desk.playback.loop = bool(given["on"])
+
+
+def _key(desk: Desk, given: dict[str, Any]) -> None:
+    desk.key(given["note"], float(given.get("velocity", 80)), on=bool(given["on"]))
+
+
+def _compare(desk: Desk, given: dict[str, Any]) -> None:
+    name = given.get("name")
+    desk.compare(None if name is None else str(name), blind=bool(given.get("blind")))
+
+
+#: what a page may ask for -> how it is done
+_ACTS: dict[str, Callable[[Desk, dict[str, Any]], str | None]] = {
+    "set": _changes(_set),
+    "reset": _changes(lambda session, given: session.reset(str(given["path"]))),
+    "strings": _changes(lambda session, given: session.set("strings_from", known_set(str(given["name"])))),
+    "undo": _changes(lambda session, given: session.undo()),
+    "redo": _changes(lambda session, given: session.redo()),
+    "recall": _changes(lambda session, given: session.recall(str(given["name"]))),
+    "keep": _changes(lambda session, given: session.keep(str(given["name"]))),
+    "forget": _changes(lambda session, given: session.forget(str(given["name"]))),
+    "save": _save,
+    "play": _play,
+    "loop": _loop,
+    "phrase": lambda desk, given: desk.set_phrase(
+        str(given["kind"]), str(given.get("notes", "")), float(given.get("velocity", 80))
+    ),
+    "key": _key,
+    "compare": _compare,
+    "pick": lambda desk, given: desk.pick(int(given["which"])),
+    "reveal": lambda desk, given: desk.reveal(),
+}
+
+
+async def _fault(request: Request, fault: Exception) -> Response:
+    """One line, for the page to show."""
+    assert isinstance(fault, TonewoodError)
+    return JSONResponse({"error": f"{fault.key}: {fault.reason}" if fault.key else fault.reason}, 400)
+
+
+def _asset(name: str) -> bytes:
+    return (files("tonewood.workshop.desk") / "static" / name).read_bytes()

@@ -1,0 +1,284 @@
+"""What a maker has changed: values over a bundle, undone and redone, kept under names, saved, told as a command."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import shutil
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tonewood.errors import BundleError, OutputError, TonewoodError
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.bundle.string_sets import string_set
+from tonewood.instrument.contract import registry
+from tonewood.support.whole_files import write_whole
+from tonewood.workshop.desk.phrase import LONGEST
+
+#: changes that can be undone, and designs with a name
+MOST_CHANGES, MOST_SNAPSHOTS = 500, 50
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+@dataclass(frozen=True)
+class Design:
+    """Values over the bundle, in the order in which they are applied, and the instrument that they make."""
+
+    changes: Mapping[str, Any]
+    instrument: Instrument
+
+
+class DeskSession:
+    """Changes of one instrument.
+
+    Parameters
+    ----------
+    source : name or folder of the instrument, as on the command line.
+    changes : path -> value, that were asked for on the command line.
+    allow_code : run plugins that lie as Python files in the bundle's folder.
+
+    Attributes
+    ----------
+    start : the design that the session began with, to which others are compared.
+    snapshots : name -> design.
+
+    Raises
+    ------
+    TonewoodError : there is no such instrument, or a value is not allowed.
+    """
+
+    def __init__(self, source: str, changes: Mapping[str, Any] | None = None, *, allow_code: bool = False):
+        self.source, self.allow_code = source, allow_code
+        self._base = Instrument.load(source, allow_code=allow_code)
+        self.start = self._made(changes or {})
+        self.snapshots: dict[str, Design] = {}
+        self._past: list[Design] = []
+        self._future: list[Design] = []
+        #: path that the last change was of, while it is dragged
+        self._dragged: str | None = None
+        self.design = self.start
+
+    @property
+    def instrument(self) -> Instrument:
+        """The instrument as it is now."""
+        return self.design.instrument
+
+    def _made(self, changes: Mapping[str, Any]) -> Design:
+        return Design(dict(changes), self._base.replace(changes))
+
+    def set(self, path: str, value: Any, *, dragging: bool = False) -> None:
+        """Change a value; where it is not allowed nothing changes.
+
+        Parameters
+        ----------
+        path, value : as for `Instrument.replace`; a path that was changed before takes the new value in its place.
+        dragging : whether the knob is still moved: changes of one movement are undone together.
+
+        Raises
+        ------
+        TonewoodError : the value is not allowed; one line.
+        """
+        changes = {key: old for key, old in self.design.changes.items() if key != path}
+        design = self._made(changes | {path: value})
+        if not (dragging and self._dragged == path):
+            self._remember()
+        self.design, self._dragged = design, path if dragging else None
+        self._future.clear()
+
+    def reset(self, path: str) -> None:
+        """Take a change back, wherever it stands in the history; the start's value holds again."""
+        if path in self.design.changes:
+            first = {path: self.start.changes[path]} if path in self.start.changes else {}
+            self._go(self._made({key: old for key, old in self.design.changes.items() if key != path} | first))
+
+    def _go(self, design: Design) -> None:
+        self._remember()
+        self.design, self._dragged = design, None
+        self._future.clear()
+
+    def _remember(self) -> None:
+        self._past.append(self.design)
+        del self._past[:-MOST_CHANGES]
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is a change to undo."""
+        return bool(self._past)
+
+    @property
+    def can_redo(self) -> bool:
+        """Whether there is an undone change."""
+        return bool(self._future)
+
+    def undo(self) -> None:
+        """Go back by one change, if there is one."""
+        if self._past:
+            self._future.append(self.design)
+            self.design, self._dragged = self._past.pop(), None
+
+    def redo(self) -> None:
+        """Make the last undone change again, if there is one."""
+        if self._future:
+            self._past.append(self.design)
+            self.design, self._dragged = self._future.pop(), None
+
+    def keep(self, name: str) -> None:
+        """Keep the design under a name; another one of that name is replaced.
+
+        Raises
+        ------
+        TonewoodError : the name is empty or too long, or too many are kept.
+        """
+        name = name.strip()
+        if not 0 < len(name) <= 60:
+            raise TonewoodError(f"is {name!r}; 1 to 60 characters are allowed", key="name")
+        if name not in self.snapshots and len(self.snapshots) >= MOST_SNAPSHOTS:
+            raise TonewoodError(f"{MOST_SNAPSHOTS} designs are kept; forget one first", key="name")
+        self.snapshots[name] = self.design
+
+    def recall(self, name: str) -> None:
+        """Go to the design of a name; this can be undone.
+
+        Raises
+        ------
+        TonewoodError : there is none of that name.
+        """
+        self._go(self.snapshot(name))
+
+    def forget(self, name: str) -> None:
+        """Forget the design of a name.
+
+        Raises
+        ------
+        TonewoodError : there is none of that name.
+        """
+        self.snapshot(name)
+        del self.snapshots[name]
+
+    def snapshot(self, name: str) -> Design:
+        """Return the design of a name; the empty name is the start.
+
+        Raises
+        ------
+        TonewoodError : there is none of that name.
+        """
+        if not name:
+            return self.start
+        if name not in self.snapshots:
+            known = ", ".join(self.snapshots) or "nothing yet"
+            raise TonewoodError(f"there is no {name!r}; kept are: {known}", key="name")
+        return self.snapshots[name]
+
+    def options(self) -> list[str]:
+        """Arguments of any command that make this design of the instrument."""
+        code = ["--allow-code"] if self.allow_code else []
+        pairs = [assignment(path, value) for path, value in self.design.changes.items()]
+        return [*code, *(word for pair in pairs for word in ("--set", pair))]
+
+    def command(self, score: str, output: str, gain_db: float, tail: float) -> str:
+        """Return the command line that renders the samples heard, in single precision.
+
+        Parameters
+        ----------
+        score : path of the phrase's file.
+        output : path of the sound file.
+        gain_db, tail : of the desk, dB and s.
+        """
+        words = ["tonewood", "render", score, "-i", self.source, *self.options(), "--level", "calibrated"]
+        words += [
+            f"--gain={gain_db:g}",
+            f"--tail={tail:g}",
+            f"--max-duration={LONGEST:g}",
+            "--subtype",
+            "FLOAT",
+            "-o",
+            output,
+        ]
+        return shlex.join(words)
+
+    def save(self, folder: str | Path) -> Instrument:
+        """Write a bundle of this design; `render`, `compare` and `batch` take its folder.
+
+        Values that were changed become authored, with a note of the change; others keep their origin.
+
+        Parameters
+        ----------
+        folder : to make; its last part is the instrument's name.
+
+        Returns
+        -------
+        The instrument, loaded from its new folder.
+
+        Raises
+        ------
+        TonewoodError : the folder is there already, cannot be made, or has no name for an instrument.
+        """
+        target = Path(folder).expanduser()
+        if not _NAME.fullmatch(target.name):
+            raise BundleError(f"{target.name!r} is no name; letters, digits and _ are allowed", key="folder")
+        if target.exists() or target.is_symlink():
+            raise OutputError("is there already; give another name", file=target)
+        if not target.absolute().parent.is_dir():
+            raise OutputError(f"there is no folder {str(target.parent)!r}", file=target)
+        made = self.instrument
+        if made.granted:
+            raise BundleError("a scale outside of the bundle: copy it into the bundle's folder first", key="tuning")
+        text = _yaml(self._values(target.name))
+        try:
+            shutil.copytree(made.folder, target, ignore=shutil.ignore_patterns(registry.MANIFEST, "__pycache__"))
+            write_whole(target / registry.MANIFEST, text)
+            return Instrument.load(target, allow_code=self.allow_code)
+        except BaseException as fault:
+            with suppress(OSError):
+                shutil.rmtree(target)
+            if isinstance(fault, OSError):
+                raise OutputError(f"cannot be made: {fault.strerror or fault}", file=target) from None
+            raise
+
+    def _values(self, name: str) -> dict[str, Any]:
+        """Values of the bundle to be saved."""
+        made = self.instrument
+        values = {**made.resolved, "name": name, "title": f"{name}, changed from {made.name}: {made.spec.title}"[:200]}
+        values["provenance"] = dict(values["provenance"])
+        for path, value in self.design.changes.items():
+            if path == "strings_from":
+                continue
+            shown = json.dumps(value, ensure_ascii=False)
+            note = f"changed at the desk; {made.name} has another value. Now {shown}"
+            values["provenance"][path] = {"kind": "authored", "note": note[:300]}
+        return values
+
+
+def assignment(path: str, value: Any) -> str:
+    """Return ``PATH=VALUE`` as ``--set`` reads it: the value as JSON, which is YAML."""
+    return f"{path}={json.dumps(value, ensure_ascii=False)}"
+
+
+def _yaml(values: Mapping[str, Any]) -> str:
+    """Text of a bundle: a line for every part, JSON in it."""
+    lines = ["# written by `tonewood desk`; SI throughout; other units only where the key says so: _deg, _cents, _db"]
+    for key, value in values.items():
+        if isinstance(value, Mapping) and value:
+            lines.append(f"{key}:")
+            lines += [f"  {json.dumps(k)}: {json.dumps(v, ensure_ascii=False)}" for k, v in value.items()]
+        elif isinstance(value, list) and value:
+            lines.append(f"{key}:")
+            lines += [f"  - {json.dumps(v, ensure_ascii=False)}" for v in value]
+        else:
+            lines.append(f"{key}: {json.dumps(value, ensure_ascii=False)}")
+    return "\n".join(lines) + "\n"
+
+
+def known_set(name: str) -> str:
+    """Check the name of a string set.
+
+    Raises
+    ------
+    TonewoodError : there is no such set.
+    """
+    string_set(name)
+    return name

@@ -1,0 +1,1 @@
+"""Servers for browsers: checks of requests, their bodies, their replies."""

@@ -1,0 +1,66 @@
+"""``tonewood wood``: from a table or recordings to a drawn body's wood."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile as sf
+
+import tonewood as tw
+from cli_runs import refused
+from tonewood.workshop.wood.board import typical
+from tonewood.workshop.wood.rectangle import Rectangle
+
+Run = Callable[..., tuple[int, str, str]]
+SIZE = (0.58, 0.217, 4.7e-3)
+MASS = 420.0 * float(np.prod(SIZE))
+
+
+@pytest.fixture(scope="module")
+def rectangle() -> Rectangle:
+    return Rectangle.of(*SIZE, MASS, typical("sitka_spruce", 420.0))
+
+
+def test_the_command_from_a_table_to_a_drawn_body(tonewood: Run, tmp_path: Path, rectangle: Rectangle) -> None:
+    freq, _ = rectangle.solution(rectangle.nominal)
+    rows = "\n".join(f"{f:.3f},{70 + i}" for i, f in enumerate(freq[:12]))
+    (tmp_path / "peaks.csv").write_text(f"freq_Hz,Q\n{rows}\n", encoding="utf-8")
+    words = ("wood", tmp_path / "peaks.csv", "--length", SIZE[0], "--width", SIZE[1], "--thickness", SIZE[2])
+    words += ("--mass", MASS)
+    code, out, _ = tonewood(
+        *words, "--outline", 0.485, 0.278, 0.237, 0.365, "--stiffness", 75, "-o", tmp_path / "w.yaml"
+    )
+    assert code == 0
+    assert "E_L" in out
+    assert "75.0 Hz, bare and clamped at its outline" in out
+    assert "Gore and Gilet's target of a classical top" in out
+    text = (tmp_path / "w.yaml").read_text(encoding="utf-8")
+    values = dict(line.strip().split(": ") for line in text.splitlines() if line.startswith("  "))
+    assert float(values["E_L"]) == pytest.approx(rectangle.nominal.E_L, rel=0.02)
+    drawn = tw.load_instrument("drawn_guitar").replace(
+        {f"body.wood.{k}": float(v) for k, v in values.items() if k != "species"}
+    )
+    assert drawn.spec.body is not None
+    refused(tonewood(*words[:-1], 25.0), "kg/m^3 is no wood", "--mass in kg")
+    (tmp_path / "bad.csv").write_text("f,q\n1,2\n", encoding="utf-8")
+    refused(tonewood("wood", tmp_path / "bad.csv", *words[2:]), "bad.csv", "no column freq_Hz")
+
+
+def test_recordings_of_taps_are_read(
+    tonewood: Run, tmp_path: Path, rectangle: Rectangle, rng: np.random.Generator
+) -> None:
+    fs, freq = 16000, rectangle.solution(rectangle.nominal)[0][:12]
+    time = np.arange(3 * fs) / fs
+    taps = [1e-4 * rng.normal(size=fs // 2)]
+    for _ in range(3):
+        parts = rng.normal(1, 0.3, (12, 1)) * np.sin(2 * np.pi * freq[:, None] * time + rng.uniform(0, 6, (12, 1)))
+        sound = np.sum(parts * np.exp(-np.pi * freq[:, None] / 70 * time), axis=0)
+        taps.append(0.05 * sound + 1e-5 * rng.normal(size=len(time)))
+    sf.write(tmp_path / "taps.wav", np.concatenate(taps), fs, subtype="FLOAT")
+    words = ("--length", SIZE[0], "--width", SIZE[1], "--thickness", SIZE[2], "--mass", MASS)
+    code, out, err = tonewood("wood", tmp_path / "taps.wav", *words)
+    assert code == 0, err
+    assert float(out.split("E_L")[1].split()[0]) == pytest.approx(rectangle.nominal.E_L / 1e9, rel=0.02)

@@ -1,0 +1,352 @@
+"""The desk over HTTP: what is refused, what is heard, what is said when something goes wrong."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette")
+pytest.importorskip("uvicorn")
+
+import tonewood as tw
+from tonewood.errors import BundleError
+from tonewood.sound.render.options import RenderOptions
+from tonewood.workshop.desk import models
+from tonewood.workshop.desk.desk import TAIL, Desk
+from tonewood.workshop.desk.phrase import LONGEST
+from tonewood.workshop.desk.server import DeskServer
+from tonewood.workshop.desk.session import DeskSession
+
+HOST = (b"host", b"127.0.0.1:8137")
+
+
+class Client:
+    """Requests to an application in this process."""
+
+    def __init__(self, server: DeskServer):
+        self.server, self.application = server, server.application()
+
+    def ask(
+        self, path: str, body: Any = None, *, token: str | None = "", headers: tuple[tuple[bytes, bytes], ...] = (HOST,)
+    ) -> tuple[int, Any]:
+        """Status, and the reply as JSON or bytes."""
+        token = self.server.token if token == "" else token
+        given = [*headers, (b"content-type", b"application/json")]
+        given += [] if token is None else [(b"x-desk-token", token.encode())]
+        path, _, query = path.partition("?")
+        scope = {
+            "type": "http", "method": "GET" if body is None else "POST", "path": path, "raw_path": path.encode(),
+            "query_string": query.encode(), "headers": given, "http_version": "1.1", "scheme": "http",
+            "server": ("127.0.0.1", 8137), "client": ("127.0.0.1", 1),
+        }  # fmt: skip
+        raw = body if isinstance(body, bytes) else json.dumps(body).encode()
+        sent: list[dict[str, Any]] = []
+
+        async def receive() -> dict[str, Any]:
+            return {"type": "http.request", "body": b"" if body is None else raw, "more_body": False}
+
+        async def send(message: dict[str, Any]) -> None:
+            sent.append(message)
+
+        asyncio.run(self.application(scope, receive, send))
+        content = b"".join(m.get("body", b"") for m in sent)
+        kind = dict(sent[0]["headers"]).get(b"content-type", b"")
+        return sent[0]["status"], json.loads(content) if kind == b"application/json" else content
+
+    def act(self, name: str, /, **values: Any) -> dict[str, Any]:
+        status, reply = self.ask("/api/act", {"act": name, **values})
+        assert status == 200, reply
+        return reply
+
+
+def until(true: Callable[[], Any], seconds: float = 120.0) -> Any:
+    ends = time.monotonic() + seconds
+    while not (found := true()):
+        assert time.monotonic() < ends
+        time.sleep(0.01)
+    return found
+
+
+@pytest.fixture
+def desk() -> Iterator[Desk]:
+    made = Desk(DeskSession("monochord"))
+    until(lambda: made.playback.take)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def client(desk: Desk) -> Client:
+    return Client(DeskServer(desk))
+
+
+def heard(desk: Desk, frames: int) -> np.ndarray[Any, np.dtype[np.float32]]:
+    return np.concatenate([desk.playback.read(512)[0] for _ in range(-(-frames // 512))])[:frames]
+
+
+def offline(desk: Desk, session: DeskSession) -> np.ndarray[Any, np.dtype[np.float32]]:
+    """The render of a command line, in single precision."""
+    options = RenderOptions(fs=48000, tail=TAIL, max_duration=LONGEST, gain_db=desk.state()["gain_db"])
+    found = tw.render(desk.phrase_file, session.instrument, options=options).samples
+    return np.stack([found[:, 0], found[:, -1]], axis=1).astype(np.float32)
+
+
+@pytest.mark.parametrize("path", ["/api/state", "/api/stream", "/api/view/mobility", "/api/knobs/body", "/api/act"])
+@pytest.mark.parametrize("token", [None, "wrong", "\N{SNOWMAN}"])
+def test_without_the_token_nothing_is_given(client: Client, path: str, token: str | None) -> None:
+    status, reply = client.ask(path, {"act": "undo"} if path == "/api/act" else None, token=token)
+    assert status == 403
+    assert "token" in reply["error"]
+
+
+def test_other_hosts_and_pages_are_refused(client: Client) -> None:
+    assert client.ask("/api/state", headers=((b"host", b"evil.example"),))[0] == 421
+    assert client.ask("/api/state", headers=(HOST, (b"origin", b"http://evil.example")))[0] == 403
+    assert client.ask("/api/state", headers=(HOST, (b"origin", b"http://127.0.0.1:8137")))[0] == 200
+    assert client.ask("/static/..%2fserver.py")[0] == 404
+    assert b"desk.js" in client.ask("/", token=None)[1]
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        (b"[]", "JSON object"),
+        (b"x" * 70_000, "bytes"),
+        (b"{", "JSON"),
+        ({"act": "explode"}, "are allowed"),
+        ({"act": ["set"]}, "are allowed"),
+        ({"act": "set"}, "missing"),
+        ({"act": "set", "path": "strings.A2.tension", "value": -5}, "strings.A2.tension"),
+        ({"act": "set", "path": "strings.A2.tension", "value": 1e99}, "strings.A2.tension"),
+        ({"act": "set", "path": "nothing.here", "value": 1}, "nothing"),
+        ({"act": "save", "folder": "/proc/desk"}, "cannot be made"),
+        ({"act": "phrase", "kind": "notes", "notes": "H9"}, "H9"),
+        ({"act": "phrase", "kind": "notes", "notes": "C0"}, "C0"),
+        ({"act": "phrase", "kind": "file"}, "--phrase"),
+        ({"act": "phrase", "kind": "chord", "velocity": 300}, "velocity"),
+        ({"act": "key", "note": 1e9, "on": True}, "note"),
+        ({"act": "strings", "name": "no_set"}, "no_set"),
+        ({"act": "recall", "name": "never kept"}, "never kept"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_line(client: Client, desk: Desk, body: Any, said: str) -> None:
+    before = desk.state()
+    status, reply = client.ask("/api/act", body)
+    assert status == 400
+    assert said in reply["error"]
+    assert "\n" not in reply["error"]
+    after = desk.state()
+    assert {k: v for k, v in after.items() if k != "making"} == {k: v for k, v in before.items() if k != "making"}
+
+
+def test_the_phrase_is_the_render_again_and_again(client: Client, desk: Desk) -> None:
+    client.act("play", on=True)
+    wanted = offline(desk, desk.session)
+    assert np.array_equal(heard(desk, 2 * len(wanted)), np.concatenate([wanted, wanted]))
+
+
+def test_another_model_is_heard_from_its_beginning(client: Client, desk: Desk) -> None:
+    client.act("play", on=True)
+    heard(desk, 9600)
+    serial = client.act("set", path="strings.A2.linear_density", value=5e-3)["serial"]
+    until(lambda: desk.playback.serial == serial)
+    wanted = offline(desk, desk.session)
+    found = heard(desk, len(wanted))
+    fade = 1440
+    assert np.array_equal(found[fade:], wanted[fade:])
+    assert not np.array_equal(found[:fade], wanted[:fade])  # the one before fades
+
+
+def test_hands_are_heard_while_the_string_rings_on(client: Client, desk: Desk) -> None:
+    client.act("phrase", kind="notes", notes="A2 A2 A2", velocity=80)
+    client.act("play", on=True, loop=True)
+    before = offline(desk, desk.session)
+    first = heard(desk, 4608)
+    assert np.array_equal(first, before[:4608])
+    reply = client.act("set", path="exciters.pluck.from_bridge", value=0.05)
+    after = offline(desk, desk.session)
+    rest = heard(desk, len(before) - 4608)
+    assert desk.playback.serial == reply["serial"]
+    # up to the second note nothing has changed; then the string, not yet at rest, is plucked elsewhere
+    assert np.array_equal(rest[:4608], before[4608:9216])
+    assert not np.allclose(rest[12000:], before[16608:], atol=1e-4)
+    desk.playback.start()
+    heard(desk, 1536)  # the one before fades
+    assert np.array_equal(heard(desk, 20000), after[1536:21536])
+
+
+def test_a_and_b_are_switched_without_a_gap_at_one_loudness(client: Client, desk: Desk) -> None:
+    from tonewood.sound.level.loudness import BLOCK, loudest
+
+    client.act("set", path="exciters.pluck.force", value=1.0)
+    client.act("set", path="playing.velocity.high", value=30.0)
+    until(lambda: desk.state()["making"] is None)
+    client.act("compare", name="")
+    pair = until(lambda: desk.playback.pair)
+    levels = [loudest(t.sound().astype(float) * g, 48000, BLOCK) for t, g in zip(pair.takes, pair.gains, strict=True)]
+    assert levels[0] == pytest.approx(levels[1], abs=1e-3)
+    assert max(pair.gains) == 1.0
+    client.act("play", on=True)
+    heard(desk, 4608)
+    at = desk.playback.at
+    client.act("pick", which=1)
+    found = heard(desk, 4608)
+    a, b = (t.sound() * np.float32(g) for t, g in zip(pair.takes, pair.gains, strict=True))
+    assert np.allclose(found[1536:], b[at + 1536 : at + 4608], atol=1e-6)
+    step = np.abs(np.diff(np.concatenate([a[at - 1 : at], found])[:, 0])).max()
+    assert step <= 1.1 * max(np.abs(np.diff(a[:, 0])).max(), np.abs(np.diff(b[:, 0])).max())
+    assert client.act("compare", name=None)["pair"] is None
+
+
+def test_a_blind_comparison_tells_no_names_until_it_is_revealed(client: Client, desk: Desk) -> None:
+    client.act("set", path="playing.velocity.high", value=30.0)
+    orders = set()
+    for _ in range(20):
+        client.act("compare", name="", blind=True)
+        pair = until(lambda: desk.playback.pair)
+        state = desk.state()
+        assert state["pair"]["names"] == ["X", "Y"]
+        assert state["compared"] == ""
+        orders.add(pair.order)
+        assert "this design" in "".join(client.act("reveal")["pair"]["names"])
+        client.act("compare", name=None)
+    assert orders == {(0, 1), (1, 0)}
+
+
+def test_keys_are_played_on_the_design(client: Client, desk: Desk) -> None:
+    client.act("key", note="A2", on=True)
+    assert np.abs(heard(desk, 9600)).max() > 1e-4
+    assert desk.state()["dropped"] == []
+    client.act("key", note=20, on=True)
+    heard(desk, 2048)
+    assert desk.state()["dropped"] != []
+    client.act("key", note="A2", on=False)
+    client.act("set", path="strings.A2.linear_density", value=5e-3)
+    until(lambda: desk.state()["making"] is None)
+    client.act("key", note="A2", on=True)
+    assert np.abs(heard(desk, 9600)).max() > 1e-4
+
+
+def test_a_model_that_cannot_be_made_is_said_and_the_sound_stays(
+    client: Client, desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: Any) -> Any:
+        raise BundleError("is too hard", key="body")
+
+    take = desk.playback.take
+    monkeypatch.setattr(models, "assembled", refuse)
+    client.act("set", path="strings.A2.linear_density", value=5e-3)
+    until(lambda: desk.state()["fault"])
+    assert "too hard" in desk.state()["fault"]
+    assert desk.playback.take is take
+    monkeypatch.undo()
+    assert client.act("undo")["fault"] == ""
+
+
+def test_a_slow_model_is_told_and_those_in_between_are_passed_over(
+    client: Client, desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, real = [], models.assembled
+
+    def slow(instrument: Any, options: Any) -> Any:
+        time.sleep(0.3)
+        made.append(instrument.resolved["strings"]["A2"]["linear_density"])
+        return real(instrument, options)
+
+    monkeypatch.setattr(models, "assembled", slow)
+    for i in range(10):
+        reply = client.act("set", path="strings.A2.linear_density", value=(4.0 + 0.1 * i) * 1e-3, dragging=True)
+    assert reply["making"] is not None
+    until(lambda: desk.state()["making"] is None)
+    assert len(made) <= 3
+    assert made[-1] == pytest.approx(4.9e-3)
+    assert desk.playback.serial == reply["serial"]
+
+
+def test_a_preview_is_named_until_the_exact_sound_follows(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = tw.load_instrument("monochord")
+    monkeypatch.setattr(type(plain.body), "preview", {"freq_scale": 1.0})
+    assert models.previewed(plain, plain) is None
+    coarse = models.previewed(tw.load_instrument("drawn_guitar"), None)
+    assert coarse is not None
+    assert coarse[0].resolved["body"]["fmax"] == 1000.0
+    assert "preview" in coarse[1]
+    assert "fmax 1000" in coarse[1]
+
+
+def test_the_stream_goes_to_the_newest_page_and_ends_with_it(client: Client, desk: Desk) -> None:
+    server = client.server
+
+    async def listened() -> tuple[list[bytes], list[bytes]]:
+        desk.playback.start()
+        first, second = [], []
+        server._stream, server._heard = 1, (0, time.monotonic())
+        async for block in server._blocks(1):
+            first.append(block)
+            if len(first) == 5:
+                server._stream = 2
+        async for block in server._blocks(2):
+            second.append(block)
+            if len(second) == 3:
+                server.closing = True
+        return first, second
+
+    first, second = asyncio.run(listened())
+    assert (len(first), len(second)) == (5, 3)
+    frames, _, at, playing = struct.unpack("<4I", first[0][:16])
+    assert (frames, at, playing) == (512, 0, 1)
+    got = np.concatenate([np.frombuffer(b[16:], dtype="<f4").reshape(-1, 2) for b in first + second])
+    assert np.array_equal(got, offline(desk, desk.session)[: len(got)])
+
+
+def test_a_page_that_hears_nothing_any_more_gets_nothing_any_more(client: Client, desk: Desk) -> None:
+    async def listened() -> int:
+        desk.playback.start()
+        client.server._stream, client.server._heard = 1, (0, time.monotonic() - 5.5)
+        return len([block async for block in client.server._blocks(1)])
+
+    began = time.monotonic()
+    blocks = asyncio.run(listened())
+    assert time.monotonic() - began < 5.0
+    assert blocks * 512 < 48000 * 6.2
+
+
+@pytest.mark.validate
+def test_memory_is_flat_over_a_thousand_changes(client: Client, desk: Desk) -> None:
+    import resource
+
+    def turn(times: int) -> float:
+        for i in range(times):
+            client.act("set", path="exciters.pluck.from_bridge", value=0.05 + 1e-4 * (i % 500))
+            if i % 10 == 0:
+                client.act("set", path="strings.A2.linear_density", value=(4.0 + 1e-3 * (i % 700)) * 1e-3)
+                until(lambda: desk.state()["making"] is None)
+                desk.view("mobility")
+            desk.playback.read(512)
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * resource.getpagesize() / 1e6
+
+    client.act("play", on=True)
+    before = turn(300)
+    after = turn(1000)
+    assert after - before < 40.0
+
+
+def test_views_are_given_and_unknown_ones_refused(client: Client, desk: Desk) -> None:
+    assert client.ask("/api/view/mobility")[1]["n_modes"] == desk.view("mobility")["n_modes"]
+    assert client.ask("/api/view/drawing") == (200, None)
+    assert client.ask("/api/view/secrets")[0] == 400
+    assert client.ask("/api/view/shape?argument=x")[0] == 400
+    assert client.ask("/api/view/force?argument=Z9")[0] == 400
+    assert client.ask("/api/knobs/none.such") == (200, [])
+    force = np.array(client.ask("/api/view/force?argument=A2")[1]["force"])
+    assert np.abs(force).max() > 0.0
+    rings = desk.moments(0)
+    assert set(rings) >= {"moments", "effects", "load"}
