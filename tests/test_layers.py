@@ -44,7 +44,7 @@ LAYERS = (
         "workshop/sampling",
         "workshop/taps",
     },
-    {"workshop/wood"},
+    {"workshop/exchange", "workshop/wood"},
     {"cli"},
     {"__init__", "__main__"},
 )
