@@ -81,7 +81,7 @@ def trace(instrument: str, block: int, worst: int) -> None:
     for _ in range(worst):
         player.before(length)
         live.process(block)
-    profile = cProfile.Profile()
+    profile = cProfile.Profile(thread_time)
     profile.enable()
     player.before(length)
     live.process(block)

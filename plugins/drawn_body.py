@@ -267,7 +267,7 @@ class DrawnBody(Body[DrawnBodyParameters]):
 
     api = 1
     Parameters = DrawnBodyParameters
-    preview = MappingProxyType({"fmax": 1000.0, "cell": 0.03})
+    preview = MappingProxyType({"fmax": 1000.0, "cell": 0.04})
 
     def points(self) -> Mapping[str, BodyPoint]:
         """Every point with its direction and place."""

@@ -7,6 +7,10 @@ with code 2 (1 where every note was dropped). A programming mistake is not one o
 from __future__ import annotations
 
 import os
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
 
 #: characters of a reason; a damaged file may be quoted, but not at length
 _LONGEST = 800
@@ -37,6 +41,7 @@ class TonewoodError(Exception):
     file : the file at fault, if there is one.
     key : dotted path of the key at fault, e.g. ``strings.E2.tension``.
     line : number of the file's line at fault, from 1.
+    also : other faults of the same file, each a line of its own.
     """
 
     #: of the command line
@@ -49,19 +54,31 @@ class TonewoodError(Exception):
         file: str | os.PathLike[str] | None = None,
         key: str | None = None,
         line: int | None = None,
+        also: Iterable[TonewoodError] = (),
     ):
         text = " ".join(reason.split())
         self.reason = text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} [...] {text[-_LONGEST // 2 :]}"
         self.file = None if file is None else os.fspath(file)
-        self.key, self.line = key, line
+        self.key, self.line, self.also = key, line, tuple(also)
         place = None if line is None else f"line {line}"
-        line_of_text = ": ".join(part for part in (self.file, place, self.key, self.reason) if part)
+        shown = None if key is None else self.shown_key(key)
+        line_of_text = ": ".join(part for part in (self.file, place, shown, self.reason) if part)
         # bytes of a file's name that are no UTF-8 can be printed, and written to a report
         super().__init__(line_of_text.encode(errors="backslashreplace").decode())
 
+    @staticmethod
+    def shown_key(key: str) -> str:
+        """Return a key as the line names it."""
+        return key
+
+    @property
+    def all(self) -> tuple[TonewoodError, ...]:
+        """The fault itself and those of `also`."""
+        return (self, *self.also)
+
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle with the keywords, so that the line survives a worker process."""
-        return (_rebuild, (type(self), self.reason, self.file, self.key, self.line))
+        return (_rebuild, (type(self), self.reason, self.file, self.key, self.line, self.also))
 
 
 def kind_of(value: object) -> str:
@@ -71,9 +88,25 @@ def kind_of(value: object) -> str:
 
 
 def _rebuild(
-    cls: type[TonewoodError], reason: str, file: str | None, key: str | None, line: int | None
+    cls: type[TonewoodError],
+    reason: str,
+    file: str | None,
+    key: str | None,
+    line: int | None,
+    also: tuple[TonewoodError, ...],
 ) -> TonewoodError:
-    return cls(reason, file=file, key=key, line=line)
+    return cls(reason, file=file, key=key, line=line, also=also)
+
+
+def together(faults: Sequence[TonewoodError], *, file: str | os.PathLike[str] | None = None) -> TonewoodError:
+    """Return one error of several: the first, with the others in `also`; `file` for those that name none."""
+    each = [
+        type(one)(one.reason, file=one.file or file, key=one.key, line=one.line)
+        for fault in faults
+        for one in fault.all
+    ]
+    first = each[0]
+    return type(first)(first.reason, file=first.file, key=first.key, line=first.line, also=each[1:])
 
 
 class BundleError(TonewoodError):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from tonewood.cli.batch import _Bars
 from tonewood.cli.main import run
 from tonewood.support.yaml_io import load_yaml
 
@@ -169,3 +170,56 @@ def test_mistakes_of_serve_are_one_line(arguments: tuple, line: str, capsys: pyt
     assert code == 2
     assert line in err
     assert err.count("\n") == 1
+
+
+def test_progress_goes_to_a_log_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    """A line every 15 s, and one at the end of a stage that had some; nothing of short stages."""
+    now = 0.0
+    bars = _Bars(lambda: now)
+    for done in range(101):
+        now = float(done)
+        bars("renders", done, 100)
+    for done in range(1, 11):
+        now += 1.0
+        bars("files", done, 10)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 7
+    assert lines[0] == "tonewood: renders: 15 of 100 (15 %), about 85 s to go"
+    assert lines[-1] == "tonewood: renders: 100 of 100 (100 %), 100 s"
+
+
+def test_schemas_of_manifests_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    for kind, key in (("test", "pages"), ("dataset", "sampling"), ("instrument", "strings")):
+        with pytest.raises(SystemExit) as end:
+            run(["schema", kind])
+        assert end.value.code == 0
+        assert key in json.loads(capsys.readouterr().out)["properties"]
+
+
+def test_faults_of_a_manifest_are_a_line_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "m.yaml"
+    text = """\
+schema: tonewood-batch/1
+name: two
+seed: -1
+instruments: {harp: african_harp}
+scores: {a: {phrase: [{time: 0.0}]}}
+pages:
+  - {type: html}
+  - {type: rating}
+"""
+    path.write_text(text)
+    with pytest.raises(SystemExit) as end:
+        run(["batch", str(path), "-o", str(tmp_path / "out")])
+    assert end.value.code == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith(f"tonewood: {path}: line 3: seed: ")
+    assert lines[1] == f"tonewood: {path}: line 8: page 2.scales: is missing"
+    assert len(lines) == 2
+
+
+def test_exports_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        run(["batch", "x.yaml", "-o", str(tmp_path), "--export", "qualtrics"])
+    assert end.value.code == 2
+    assert "--export: is 'qualtrics'; webmushra, jspsych, psychopy, bids are allowed" in capsys.readouterr().err

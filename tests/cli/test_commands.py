@@ -172,7 +172,7 @@ def test_bad_files_are_refused_in_one_line(tonewood: Run, score: Path, tmp_path:
     refused(tonewood("render", tmp_path / "no.mid", "-i", "monochord", "-o", wav), "no.mid")
     refused(tonewood("render", score, "-i", "no_such", "-o", wav), "no_such", "monochord")
     refused(tonewood("render", score, "-i", tmp_path, "-o", wav), "instrument.yaml")
-    refused(tonewood("render", score, "-i", "monochord", "-o", tmp_path / "x.mp3"), "x.mp3", ".wav")
+    refused(tonewood("render", score, "-i", "monochord", "-o", tmp_path / "x.m4a"), "x.m4a", ".wav")
     refused(tonewood("render", score, "-i", "monochord", "-o", tmp_path / "no" / "x.wav"), "no folder")
     refused(tonewood("render", score, "-i", "monochord"), "--output")
     text = tmp_path / "text.mid"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,9 +15,10 @@ from tonewood.cli.common import Advance, AllowCode, Json, need, print_json, prog
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from tonewood.workshop.batch.runner import BatchPlan, Report
+    from tonewood.workshop.batch.plan import BatchPlan
+    from tonewood.workshop.batch.runner import Report
     from tonewood.workshop.listening.power import PowerRow
 
 
@@ -32,6 +34,10 @@ def batch(
     pilot: Annotated[
         Path | None, typer.Option(help="folder with the answers of a pilot: --dry-run takes effects and spread of it")
     ] = None,
+    exports: Annotated[
+        list[str] | None,
+        typer.Option("--export", help="write the test for webmushra, jspsych, psychopy, or as bids; repeatable"),
+    ] = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> int:
@@ -44,6 +50,7 @@ def batch(
     from tonewood.workshop.batch.rendering import EngineRenderer
     from tonewood.workshop.batch.runner import plan_batch, run_batch
     from tonewood.workshop.batch.workers import Workers
+    from tonewood.workshop.exchange.export import check_programs, export
     from tonewood.workshop.listening.power import power_of
     from tonewood.workshop.listening.results import analyse
 
@@ -53,11 +60,17 @@ def batch(
         raise TonewoodError(f"is {workers!r}; processes or threads are allowed", key="--workers")
     if pilot is not None and not dry_run:
         raise TonewoodError("belongs to --dry-run", key="--pilot")
+    programs = exports or []
+    check_programs(programs)
+    if programs and dry_run:
+        raise TonewoodError("writes files, --dry-run none", key="--export")
     place = Workers(jobs, "threads" if workers == "threads" else "processes", cluster)
     data = load_yaml(manifest, error=ManifestError)
     if data.get("kind") == "dataset":
         if pilot is not None:
             raise TonewoodError("belongs to listening tests", key="--pilot")
+        if programs:
+            raise TonewoodError("belongs to listening tests", key="--export")
         if dry_run:
             return dataset.planned(data, manifest, output, allow_code, as_json, place.count)
         with _Bars() as bars:
@@ -77,24 +90,64 @@ def batch(
             report = run_batch(manifest, output, EngineRenderer(allow_code), place, bars)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("finished renders are kept, run it again to go on") from None
-    print_json("batch-report", report.summary(), ok=report.ok) if as_json else _print_report(report)
+    exported = export(output, programs) if programs else []
+    if as_json:
+        places = [{"folder": str(one.folder), "notes": list(one.notes)} for one in exported]
+        print_json("batch-report", {**report.summary(), "exports": places}, ok=report.ok)
+    else:
+        _print_report(report)
+        for one in exported:
+            print(one.folder)
+            warn(list(one.notes))
     return 0 if report.ok else 1
 
 
-class _Bars(ExitStack):
-    """One progress bar after another, a stage each."""
+#: s between two lines of progress in a log
+_LOG_EVERY = 15.0
 
-    def __init__(self) -> None:
+
+class _Bars(ExitStack):
+    """One progress bar after another, a stage each; where there is no terminal, lines for a log.
+
+    Parameters
+    ----------
+    clock : time, s.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self.stage = ""
         self.advance: Advance | None = None
+        self.clock = clock
+        self.began = self.last_line = clock()
+        self.logs = not sys.stderr.isatty()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
+        if self.logs:
+            self._log(stage, done, total)
+            return
         if stage != self.stage:
             self.pop_all().close()
             self.stage, self.advance = stage, self.enter_context(progress(f"{stage} ({total})", total))
         if self.advance is not None:
             self.advance(done)
+
+    def _log(self, stage: str, done: int, total: int) -> None:
+        """Print a line at most every `_LOG_EVERY` seconds, and one at the end of a stage that took longer."""
+        now = self.clock()
+        if stage != self.stage:
+            self.stage, self.began, self.last_line = stage, now, now
+        ends = done == total and self.last_line > self.began
+        if now - self.last_line < _LOG_EVERY and not ends:
+            return
+        self.last_line = now
+        left = (now - self.began) * (total - done) / max(done, 1)
+        rest = f"{now - self.began:.0f} s" if ends else f"about {left:.0f} s to go"
+        print(
+            f"tonewood: {stage}: {done} of {total} ({100 * done / max(total, 1):.0f} %), {rest}",
+            file=sys.stderr,
+            flush=True,
+        )
 
 
 def _print_plan(plan: BatchPlan) -> None:

@@ -97,7 +97,10 @@ LevelOption = Annotated[
         "default: peak, or calibrated with --gain or --limiter",
     ),
 ]
-Subtype = Annotated[str, typer.Option(help="PCM_16, PCM_24, PCM_32, FLOAT or DOUBLE")]
+Subtype = Annotated[
+    str | None,
+    typer.Option(help="PCM_16, PCM_24, PCM_32, FLOAT or DOUBLE; PCM_24, where left out"),
+]
 Json = Annotated[bool, typer.Option("--json", help="one JSON object on stdout, nothing else")]
 
 

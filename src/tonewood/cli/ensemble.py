@@ -41,8 +41,11 @@ def render_parts(
 
     `left_out` are lines on parts without an instrument, where the programs of the score chose them, else None.
     """
+    from tonewood.instrument.bundle.loading import Instrument
+    from tonewood.performance.score.reading import read_score
     from tonewood.sound.ensemble.mix import render_ensemble
     from tonewood.sound.files.audio import Audio
+    from tonewood.sound.files.tags import Tags
     from tonewood.sound.level.loudness import loudness, matching_gain_db, true_peak
     from tonewood.sound.render.level import LOUDNESS
     from tonewood.sound.render.renderer import SILENT
@@ -73,14 +76,17 @@ def render_parts(
             gain = min(gain, matching_gain_db(mix, fs, LOUDNESS))
     factor = 10 ** (gain / 20)
     silent = peak <= SILENT
-    clipped = Audio(mix * factor, fs, ("left", "right")).save(output, subtype)
+    players = [Instrument.load(stem.part.instrument) for stem in rendered]
+    music = read_score(score, **reading)
+    clipped = Audio(mix * factor, fs, ("left", "right"), tags=Tags.of(music, players)).save(output, subtype)
     files: list[Path] = []
     if stems is not None:
         sounding = {id(stem.part) for stem in rendered}
         files = [file for part, file in zip(parts, planned, strict=True) if id(part) in sounding]
         make_stem_folder(stems, parents=True)
-        for stem, file in zip(rendered, files, strict=True):
-            Audio(stem.samples * factor, fs, ("left", "right")).save(file, subtype)
+        for stem, file, player in zip(rendered, files, players, strict=True):
+            tags = Tags.of(music, [player])
+            Audio(stem.samples * factor, fs, ("left", "right"), tags=tags).save(file, subtype)
     lufs = loudness(mix * factor, fs)[0] if find_spec("pyloudnorm") and peak > 0 else None
     if lufs is not None and not np.isfinite(lufs):
         lufs = None

@@ -44,6 +44,7 @@ def play_live(
     duration: float | None,
     device: Any,
     calibrated: bool,
+    channels: list[int] | None,
     as_json: bool,
     stream: Any = None,
 ) -> None:
@@ -55,7 +56,7 @@ def play_live(
     from tonewood.sound.live.take import Take
     from tonewood.sound.render.level import meaning
 
-    take = Take(options.fs) if record is not None else None
+    take = Take(options.fs, channels) if record is not None else None
     if record is not None:
         _check_record(record)
     sources: list[EventSource] = []
@@ -69,7 +70,7 @@ def play_live(
         if keyboard:
             keys = ComputerKeyboard(min(s.open_note for s in live.model.strings.values()))
             sources.append(keys)
-        session = LiveSession(live, sources, block_size=block_size, ahead=ahead, take=take)
+        session = LiveSession(live, sources, block_size=block_size, ahead=ahead, take=take, channels=channels)
         if not as_json:
             print(f"{live.instrument.spec.name} played by {' and '.join(s.name for s in sources)}; Ctrl-C ends")
             print(f"  {meaning(live.model.outputs, live.options.gain_db)}")

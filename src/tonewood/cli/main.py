@@ -42,7 +42,7 @@ def run(arguments: list[str] | None = None) -> None:
     except TonewoodError as error:
         fault = _in_its_line(error, given)
         _print_error(given, type(fault).__name__, fault, fault.exit_code)
-        _fail(str(fault), fault.exit_code)
+        _fail("\ntonewood: ".join(map(str, fault.all)), fault.exit_code)
     except (InterruptError, KeyboardInterrupt) as error:
         # Where a KeyboardInterrupt has passed a call of exec (every dataclass makes some), CPython ends by killing
         # itself with the signal, whatever the exit code; another call makes it forget.
@@ -101,8 +101,8 @@ def _print_error(given: list[str], kind: str, fault: TonewoodError, code: int) -
     if "--json" in given:
         import json
 
-        place = {"file": fault.file, "line": fault.line, "key": fault.key}
-        error = {"kind": kind, **place, "reason": fault.reason, "exit_code": code}
+        facts = [{"file": f.file, "line": f.line, "key": f.key, "reason": f.reason} for f in fault.all]
+        error = {"kind": kind, **facts[0], "exit_code": code, **({"also": facts[1:]} if fault.also else {})}
         with suppress(OSError):
             print(json.dumps({"schema": "tonewood-error/1", "ok": False, "error": error}))
 

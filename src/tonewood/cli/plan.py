@@ -53,7 +53,7 @@ def plan(
             "-o", "--output", help="sound file of the render: its name and folder are checked, nothing is written"
         ),
     ] = None,
-    subtype: Subtype = "PCM_24",
+    subtype: Subtype = None,
     start: Start = 0.0,
     stop: Stop = None,
     transpose: Transpose = 0.0,

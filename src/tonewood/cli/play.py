@@ -100,6 +100,7 @@ def play(
             spacing=spacing,
             duration=duration,
             device=chosen,
+            channels=reading(start, stop, transpose, tempo, tracks)["tracks"],
             calibrated=level == "calibrated" or bool(options.gain_db),
             as_json=as_json,
         )

@@ -44,7 +44,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from tonewood.performance.effects.base import EffectReport
+    from tonewood.performance.score.note import Score
     from tonewood.sound.ensemble.mix import EnsemblePart
+    from tonewood.sound.files.tags import Tags
     from tonewood.sound.level.limiter import Limiter
     from tonewood.sound.live.take import Replay
     from tonewood.sound.render.level import LevelName
@@ -54,7 +56,7 @@ if TYPE_CHECKING:
 @takes_render_options(without=["energy"])
 def render(
     score: ScorePath,
-    output: Annotated[Path, typer.Option("-o", "--output", help="sound file: .wav, .flac or .rf64")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="sound file: .wav, .flac, .rf64, .ogg or .mp3")],
     options: RenderOptions,
     instrument: OneInstrument = None,
     part: Annotated[
@@ -81,7 +83,7 @@ def render(
     tempo: Tempo = 1.0,
     tracks: Tracks = None,
     block: Annotated[int, typer.Option(help="frames written at a time; does not change the samples")] = 4096,
-    subtype: Subtype = "PCM_24",
+    subtype: Subtype = None,
     level: LevelOption = None,
     normalize: Annotated[float | None, typer.Option(help="level peak with this peak, dBFS, instead of -1")] = None,
     limiter: Annotated[
@@ -107,6 +109,7 @@ def render(
     from tonewood.cli.stems import check_stem_folder, stem_files, write_output_stems, write_string_stems
     from tonewood.performance.score.reading import read_score
     from tonewood.sound.files.audio import file_format
+    from tonewood.sound.files.tags import Tags
     from tonewood.sound.level.limiter import Limiter
     from tonewood.sound.live.take import Replay
     from tonewood.sound.render.energy import check_energy_file, save_energy
@@ -114,7 +117,7 @@ def render(
     from tonewood.sound.render.renderer import SILENT, Renderer, assembled
 
     fs = options.fs
-    file_format(output, subtype)
+    subtype = file_format(output, subtype)[1]
     allow("--block", block, 1, 1 << 24, "frames")
     if normalize is not None:
         allow("--normalize", normalize, -200.0, 0.0, "dB")
@@ -165,25 +168,28 @@ def render(
     if stems is not None:
         check_stem_folder(stems)
     bundle = load(instrument, settings, allow_code, strings)
+    music: Score | None = None
     with dropped_notes_listed():
         renderer: Renderer | Replay
         if live:
-            if given != reading(0.0, None, 0.0, 1.0, None):
-                raise TonewoodError("repeats a take as it was: no excerpt, tracks, tempo", key="--live")
-            renderer = Replay(score, bundle, options=options.at(energy=bool(energy)))
+            if given != reading(0.0, None, 0.0, 1.0, tracks):
+                raise TonewoodError("repeats a take as it was: no excerpt, transposition, tempo", key="--live")
+            renderer = Replay(score, bundle, options=options.at(energy=bool(energy)), channels=given["tracks"])
         else:
-            renderer = Renderer(read_score(score, **given), bundle, options=options.at(energy=bool(energy)))
+            music = read_score(score, **given)
+            renderer = Renderer(music, bundle, options=options.at(energy=bool(energy)))
     by_string = assembled(bundle, options, by_string=True) if stems_by == "string" else None
     files = [] if stems is None else stem_files(stems, [g.name for g in (by_string or renderer.model).outputs], output)
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
-    clipped, peak, gain = _write(renderer, output, subtype, block, wanted, target, hold)
+    tags = Tags.of(music, [bundle])
+    clipped, peak, gain = _write(renderer, output, subtype, block, wanted, target, hold, tags)
     try:
         if by_string is not None:
             again = Renderer(read_score(score, **given), bundle, options=options, model=by_string)
-            write_string_stems(again, files, subtype, gain, renderer.summary().frames)
+            write_string_stems(again, files, subtype, gain, renderer.summary().frames, tags)
         elif files:
-            write_output_stems(output, files, subtype, renderer)
+            write_output_stems(output, files, subtype, renderer, tags)
     except KeyboardInterrupt:
         raise InterruptError(f"{output} is written, its stems are not") from None
     gain += options.gain_db
@@ -266,6 +272,7 @@ def _write(
     level: LevelName,
     target: float,
     limiter: Limiter | None,
+    tags: Tags,
 ) -> tuple[int, float, float]:
     """Stream to the file; unless calibrated, through a scratch file of full precision beside it.
 
@@ -283,7 +290,7 @@ def _write(
     with progress("rendering", renderer.expected_duration) as advance:
         if level == "calibrated":
             remove_leftovers(output.with_suffix(".rf64"))  # of a scratch file
-            with SoundWriter(output, fs, channels, subtype, frames=frames) as writer:
+            with SoundWriter(output, fs, channels, subtype, frames=frames, tags=tags) as writer:
                 for samples in sound if limiter is None else limiter.process(sound):
                     writer.write(samples)
                     advance(renderer.time)
@@ -304,7 +311,7 @@ def _write(
                 gain = min(gain, _loudness_gain(scratch.path))
             factor = 10 ** (gain / 20)
             with (
-                SoundWriter(output, fs, channels, subtype, frames=frames) as final,
+                SoundWriter(output, fs, channels, subtype, frames=frames, tags=tags) as final,
                 sf.SoundFile(scratch.path) as source,
             ):
                 for samples in source.blocks(65536, dtype="float64", always_2d=True):

@@ -21,15 +21,29 @@ def results(
     output: Annotated[Path | None, typer.Option("-o", "--output", help="folder; DIR/results by default")] = None,
     confidence: Annotated[float, typer.Option(help="of the intervals")] = 0.95,
     screening: Annotated[bool, typer.Option(help="leave listeners out after BS.1534-3")] = True,
+    answers: Annotated[
+        list[Path] | None,
+        typer.Option(help="table of answers given elsewhere: of webMUSHRA, or a plain CSV file; repeatable"),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write the table of answers of DIR, means, models, sensitivities and thresholds, and a report with figures."""
-    need("results", "jinja2", "matplotlib")
+    need("results", "jinja2", "matplotlib", "pyarrow")
+    from tonewood.workshop.exchange.answers import read_answers
+    from tonewood.workshop.listening.definition import load_test
     from tonewood.workshop.listening.plain import methods, summary
     from tonewood.workshop.listening.report import write_report
     from tonewood.workshop.listening.results import FOLDER, analyse, write_tables
 
-    found = analyse(folder, key=key, confidence=confidence, screening=screening)
+    tables = [read_answers(path, test) for path in answers or () for test in [load_test(folder)]]
+    found = analyse(
+        folder,
+        key=key,
+        confidence=confidence,
+        screening=screening,
+        others=[one for table in tables for one in table.listeners],
+        others_left_out=[one for table in tables for one in table.left_out],
+    )
     place = output or folder / FOLDER
     write_tables(found, place)
     page = write_report(found, place, _facts(folder))
@@ -38,7 +52,7 @@ def results(
         print_json("results", {**found.to_dict(), **sentences, "report": str(page)})
         return
     _print(found)
-    print(f"{page}; answers.csv has one row an answer")
+    print(f"{page}; answers.csv and answers.parquet have one row an answer")
 
 
 def _facts(folder: Path) -> dict[str, Any] | None:

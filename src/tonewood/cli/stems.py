@@ -14,6 +14,7 @@ from tonewood.errors import OutputError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from tonewood.sound.files.tags import Tags
     from tonewood.sound.live.take import Replay
     from tonewood.sound.render.renderer import Renderer
 
@@ -73,7 +74,9 @@ def stem_files(folder: Path, names: Iterable[str], output: Path) -> list[Path]:
     return files
 
 
-def write_output_stems(output: Path, files: Sequence[Path], subtype: str, renderer: Renderer | Replay) -> None:
+def write_output_stems(
+    output: Path, files: Sequence[Path], subtype: str, renderer: Renderer | Replay, tags: Tags
+) -> None:
     """Cut the channels of a written file into one file per output group."""
     import soundfile as sf
 
@@ -87,21 +90,23 @@ def write_output_stems(output: Path, files: Sequence[Path], subtype: str, render
         n = len(group)
         with (
             sf.SoundFile(output) as source,
-            SoundWriter(file, renderer.fs, n, subtype, frames=source.frames) as writer,
+            SoundWriter(file, renderer.fs, n, subtype, frames=source.frames, tags=tags) as writer,
         ):
             for block in source.blocks(65536, dtype="float64", always_2d=True):
                 writer.write(block[:, first : first + n])
         first += n
 
 
-def write_string_stems(renderer: Renderer, files: Sequence[Path], subtype: str, gain_db: float, frames: int) -> None:
+def write_string_stems(
+    renderer: Renderer, files: Sequence[Path], subtype: str, gain_db: float, frames: int, tags: Tags
+) -> None:
     """Write a file per string and output group, ``GROUP.STRING``, as long as the mix and at its gain.
 
     Parameters
     ----------
     renderer : of a model whose outputs are by string.
     files : a file per output group.
-    gain_db, frames : of the mix.
+    gain_db, frames, tags : of the mix.
     """
     from contextlib import ExitStack
 
@@ -113,7 +118,7 @@ def write_string_stems(renderer: Renderer, files: Sequence[Path], subtype: str, 
     written, factor = 0, 10 ** (gain_db / 20)
     with ExitStack() as stack:
         writers = [
-            stack.enter_context(SoundWriter(file, renderer.fs, len(group), subtype, frames=frames))
+            stack.enter_context(SoundWriter(file, renderer.fs, len(group), subtype, frames=frames, tags=tags))
             for file, group in zip(files, groups, strict=True)
         ]
 

@@ -45,7 +45,26 @@ def first_message(error: ValidationError, model: type[BaseModel]) -> tuple[str, 
     out. An unknown key is answered with the keys allowed beside it, and comes before a missing one that it resembles; a
     key of earlier versions is answered by the model's mapping `removed`, a number beyond its bounds by these in units.
     """
+    return _message(error.errors(include_url=False), model)
+
+
+def all_messages(error: ValidationError, model: type[BaseModel]) -> list[tuple[str, str]]:
+    """As `first_message`, of every fault; members of a union, and places inside a faulty value, are one fault."""
     faults = error.errors(include_url=False)
+    answered = [f for f in faults if not _spelt_otherwise(f, faults)]
+    places = {i: ".".join(_walk(f["loc"], model)[0]) for i, f in enumerate(answered)}
+    groups: dict[str, list[Any]] = {}
+    for place in sorted(set(places.values()), key=len):
+        if not any(place.startswith(above + ".") for above in groups):
+            groups[place] = []
+    for i, fault in enumerate(answered):
+        above = next(g for g in groups if places[i] == g or places[i].startswith(g + "."))
+        groups[above].append(fault)
+    order = sorted(groups, key=lambda g: next(i for i, f in enumerate(answered) if f in groups[g]))
+    return [_message(groups[g], model) for g in order]
+
+
+def _message(faults: Sequence[Any], model: type[BaseModel]) -> tuple[str, str]:
     fault = next((f for f in faults if _misspelt(f, faults)), _within(faults))
     keys, owners = _walk(fault["loc"], model)
     kind, reason = fault["type"], _RAISED.sub("", fault["msg"])
@@ -146,6 +165,13 @@ def _misspelt(fault: Any, faults: Sequence[Any]) -> bool:
     """Whether a fault is an unknown key that resembles a missing one beside it."""
     missing = [f["loc"][-1] for f in faults if f["type"] == "missing" and f["loc"][:-1] == fault["loc"][:-1]]
     return fault["type"] == "extra_forbidden" and bool(did_you_mean(str(fault["loc"][-1]), map(str, missing)))
+
+
+def _spelt_otherwise(fault: Any, faults: Sequence[Any]) -> bool:
+    """Whether a fault is a missing key that an unknown one beside it resembles."""
+    beside = [f for f in faults if f["type"] == "extra_forbidden" and f["loc"][:-1] == fault["loc"][:-1]]
+    last = str(fault["loc"][-1]) if fault["loc"] else ""
+    return fault["type"] == "missing" and any(did_you_mean(str(f["loc"][-1]), [last]) for f in beside)
 
 
 def _beyond(fault: Any, keys: Sequence[str], owners: Sequence[type[BaseModel]]) -> str | None:

@@ -11,7 +11,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from tonewood.errors import TonewoodError
+from tonewood.errors import TonewoodError, together
 from tonewood.support.cache_folder import cache_folder, keep, read_kept
 from tonewood.support.text_files import decoded
 
@@ -79,8 +79,15 @@ def parse_yaml(
 def located(fault: TonewoodError) -> TonewoodError:
     """Return an error with the line of its key, or of the nearest key above it, if its file is a YAML file.
 
-    A key of `strings.NAME` that stands under `strings.defaults` instead is found there.
+    A key of `strings.NAME` that stands under `strings.defaults` instead is found there. Several faults stand in the
+    order of their lines.
     """
+    if fault.also:
+        return together(sorted(map(_located, fault.all), key=lambda one: one.line or 0))
+    return _located(fault)
+
+
+def _located(fault: TonewoodError) -> TonewoodError:
     if fault.file is None or not fault.key or fault.line is not None or Path(fault.file).suffix not in _SUFFIXES:
         return fault
     from tonewood.support.yaml_parser import line_of

@@ -11,6 +11,7 @@ import soundfile as sf
 import tonewood as tw
 from tonewood.errors import OutputError
 from tonewood.sound.files.audio import SoundWriter, file_format
+from tonewood.sound.files.tags import Tags
 
 
 def tone(n: int = 4800, channels: int = 2, amplitude: float = 0.5) -> np.ndarray:
@@ -106,8 +107,9 @@ def test_the_name_appears_only_when_all_is_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "subtype", "said"),
     [
-        ("a.mp3", None, ".wav, .rf64, .flac"),
+        ("a.m4a", None, ".wav, .rf64, .flac, .ogg, .mp3"),
         ("a", None, ".wav, .rf64, .flac"),
+        ("a.ogg", "PCM_24", "allowed: VORBIS"),
         ("a.flac", "FLOAT", "PCM_16, PCM_24"),
         ("a.wav", "PCM_20", "PCM_24"),
         ("nowhere/a.wav", None, "no folder"),
@@ -132,3 +134,36 @@ def test_peak_and_duration() -> None:
     assert audio.duration == 1.0
     assert audio.peak_dbfs == pytest.approx(-6.0206, abs=1e-3)
     assert tw.Audio(np.zeros((10, 1)), 48000).peak_dbfs == -np.inf
+
+
+@pytest.mark.parametrize("suffix", [".wav", ".rf64", ".flac", ".ogg", ".mp3"])
+def test_files_carry_their_tags_and_repeat(tmp_path: Path, suffix: str) -> None:
+    """libsndfile reads them back, names of itself after the program's; a file without a date is the same again."""
+    score = tw.Score([], metadata={"title": "Étude\nin A", "composer": "F. Sor"})
+    tags = Tags.of(score, [tw.load_instrument("monochord"), tw.load_instrument("classical_guitar")])
+    for name in ("a", "b"):
+        tw.Audio(tone(), 48000, tags=tags).save(tmp_path / f"{name}{suffix}")
+    path = tmp_path / f"a{suffix}"
+    with sf.SoundFile(path) as file:
+        texts = file.copy_metadata()
+        assert file.frames == 4800
+    assert (texts["title"], texts["artist"]) == (
+        "Etude in A" if suffix == ".mp3" else "Étude in A", "F. Sor",
+    )  # fmt: skip
+    assert "Classical guitar M. Lopez Bellido" in texts["comment"]
+    if suffix != ".mp3":  # libsndfile writes neither into the tags of an MP3
+        assert "CC-BY-4.0" in texts["copyright"]
+        assert texts["software"].startswith(f"tonewood {tw.__version__}")
+    same = sf.read(path)[0], sf.read(tmp_path / f"b{suffix}")[0]
+    assert np.array_equal(*same)
+    if suffix != ".ogg":  # libsndfile numbers its streams at random
+        assert path.read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+    assert np.abs(same[0] - tone()).max() < 0.05
+
+
+def test_a_format_that_libsndfile_lacks_is_said_with_those_it_writes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sf, "available_subtypes", lambda container: {})
+    with pytest.raises(OutputError, match=r"does not write \.mp3; \.wav, \.rf64, \.flac are written"):
+        tw.Audio(tone(), 48000).save(tmp_path / "a.mp3")

@@ -172,3 +172,31 @@ def save(path: Path, channels: list[tuple[int, int | None, int, dict[int, int]]]
         track.append(mido.Message("note_off", channel=channel, note=key, time=200))
         file.tracks.append(track)
     file.save(path)
+
+
+def test_guitar_and_bass_of_one_guitar_pro_file(tmp_path: Path) -> None:
+    """Programs choose them; the bass line stays on its four strings, an octave below the guitar's lowest."""
+    import guitarpro as gp
+
+    song = gp.Song(tempo=240)
+    bass = gp.Track(song, number=2, name="Bass")
+    bass.strings = [gp.GuitarString(i, note) for i, note in enumerate((43, 38, 33, 28), 1)]
+    song.tracks.append(bass)
+    for track, program in ((song.tracks[0], 24), (bass, 33)):
+        track.channel = gp.MidiChannel(channel=track.number, effectChannel=track.number + 4, instrument=program)
+        voice = track.measures[0].voices[0]
+        for string in (1, 2, 3, 4):
+            beat = gp.Beat(voice, status=gp.BeatStatus.normal)
+            beat.notes.append(gp.Note(beat, value=3, string=string, type=gp.NoteType.normal))
+            voice.beats.append(beat)
+    gp.write(song, str(tmp_path / "duo.gp5"))
+    music = tw.read_score(tmp_path / "duo.gp5")
+    players, lines = choose_players(music.parts, read_programs(None), tmp_path / "duo.gp5")
+    assert [(p.part, p.instrument) for p in players] == [(1, "classical_guitar"), (2, "electric_bass")]
+    assert lines == []
+    stems = render_ensemble(tmp_path / "duo.gp5", players, 8000, workers=1, max_duration=1.1)
+    assert [(stem.summary.notes, list(stem.summary.notes_dropped)) for stem in stems] == [(4, []), (4, [])]
+    last = stems[1].samples[6400:8800, 0]  # the third fret of the lowest string
+    level, freq = np.abs(np.fft.rfft(last * np.hanning(2400), 1 << 15)), np.fft.rfftfreq(1 << 15, 1 / 8000)
+    fundamental = 440.0 * 2 ** ((31 - 69) / 12)
+    assert freq[np.argmax(level)] == pytest.approx(fundamental, rel=0.02)

@@ -217,6 +217,7 @@ class Player:
             pass
         elif (voice := self.keys.due(self.keys.ending, self._waits)) is not None:
             hands.finish(voice)
+            hands.move_dampers()
         elif now >= self._bend_at and (hands.bend_one() or self.spare()):
             self._bend_at = now + 2 * self.spacing * GRID
 

@@ -16,7 +16,7 @@ from tonewood.performance.player.techniques import stop_course, touch_course
 from tonewood.performance.player.timeline import GRID, Change, Play
 from tonewood.performance.player.variation import Deviates, touched
 from tonewood.performance.score.assignment import Assigned
-from tonewood.performance.score.harmonics import middle_node
+from tonewood.performance.score.harmonics import antinode_near, middle_node
 from tonewood.performance.score.note import Note
 from tonewood.physics.stepping.forcing import Segment
 
@@ -161,10 +161,19 @@ def stroke(
     if drawn is not None:
         values = touched(values, exciter, course.length(assigned.stop), drawn, model.playing.variation)
     if note.partial is not None and "touch" in type(exciter.parameters).model_fields:
-        values = {**values, "touch": course.length(assigned.stop) * (1.0 - middle_node(note.partial))}
+        values = {**_on_nodes(note.partial, exciter, course.length(assigned.stop)), **values}
     event = Event(values, course.freq(assigned.stop), duration, assigned.stop, held, course.length(held))
     gesture = exciter.gesture(event, model.place(string, assigned.stop, una_corda=una_corda))
     return event, Play(note.time, gesture, string=string, exciter=note.technique or model.default_exciter)
+
+
+def _on_nodes(partial: int, exciter: Exciter[Any], length: float) -> dict[str, float]:
+    """Places, m from the bridge, of the finger and the pluck of a harmonic on a string of a length (m)."""
+    usual = places(exciter.parameters, length, length)["from_bridge"]
+    return {
+        "touch": length * (1.0 - middle_node(partial)),
+        "from_bridge": length * antinode_near(partial, usual / length),
+    }
 
 
 def stopped(assigned: Assigned, play: Play, string: str, model: Model, cents: float) -> list[Change]:

@@ -92,8 +92,10 @@ class _Gpif:
 
     def music(self) -> WrittenMusic:
         """All tracks."""
-        title = text_of(self.root, "Score/Title")
-        out = self.out = WrittenMusic(self.path, [], [], {"title": title} if title else {}, tablature=True)
+        composer = text_of(self.root, "Score/Music") or text_of(self.root, "Score/Artist")
+        texts = {"title": text_of(self.root, "Score/Title"), "composer": composer}
+        texts = {name: text for name, text in texts.items() if text}
+        out = self.out = WrittenMusic(self.path, [], [], texts, tablature=True)
         self.ignored = out.ignored
         bars = self.root.findall("MasterBars/MasterBar")
         Allowance(_MOST_MEASURES, "measures", self.path).take(len(bars))

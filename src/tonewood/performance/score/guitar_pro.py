@@ -91,7 +91,8 @@ def read_guitar_pro(data: bytes, path: Path) -> WrittenMusic:
 
 def _fill(music: WrittenMusic, song: Any) -> None:
     """Take over a song of pyguitarpro."""
-    music.metadata |= {"title": song.title} if song.title else {}
+    texts = {"title": song.title, "composer": song.music or song.artist}
+    music.metadata |= {name: text for name, text in texts.items() if text}
     for header in song.measureHeaders:
         over = whole(header.timeSignature.numerator, 1, 255)
         under = whole(header.timeSignature.denominator.value, 1, 255)

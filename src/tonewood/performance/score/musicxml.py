@@ -108,7 +108,8 @@ class _Reader:
         """Return all parts, named."""
         music = self.music
         title = text_of(root, "work/work-title") or text_of(root, "movement-title")
-        music.metadata |= {"title": title} if title else {}
+        composer = text_of(root, "identification/creator[@type='composer']")
+        music.metadata |= {k: text for k, text in (("title", title), ("composer", composer)) if text}
         names = {e.get("id"): text_of(e, "part-name") for e in root.iter("score-part")}
         if root.tag == "score-partwise":  # parts without a measure, too
             self._parts = {part: self._reader(part) for part in root.findall("part")}

@@ -238,7 +238,7 @@ class Score:
     dropped : notes that could not be read.
     warnings : lines about the file.
     name : of the score, or of its file.
-    metadata : texts of the file, such as its title.
+    metadata : texts of the file: ``title``, ``composer``, ``copyright``, as far as it has them.
     ignored : kind of a message or mark -> how many of them were ignored while reading.
     file : path that it was read from, as it was given; None of a score that was made otherwise.
     parts : of the file, as far as they were read.

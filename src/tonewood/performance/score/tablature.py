@@ -162,7 +162,9 @@ def musicxml(tab: Tablature) -> bytes:
     root = ET.Element("score-partwise", version="4.0")
     _text(ET.SubElement(root, "work"), "work-title", tab.title or "Tablature")
     _text(ET.SubElement(ET.SubElement(root, "identification"), "encoding"), "software", "tonewood")
-    _text(ET.SubElement(ET.SubElement(root, "part-list"), "score-part", id="P1"), "part-name", "Tablature")
+    listed = ET.SubElement(ET.SubElement(root, "part-list"), "score-part", id="P1")
+    _text(listed, "part-name", "Tablature")
+    _text(ET.SubElement(listed, "score-instrument", id="P1-I1"), "instrument-name", "Guitar")
     part = ET.SubElement(root, "part", id="P1")
     starts = [tick for tick, _ in tab.chords]
     hand, size = 0, 0

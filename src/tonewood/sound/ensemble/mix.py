@@ -32,7 +32,7 @@ from tonewood.instrument.model.output_assembly import pan_gains
 from tonewood.performance.score.note import Control, Score
 from tonewood.performance.score.reading import read_score
 from tonewood.sound.render.options import RenderOptions
-from tonewood.sound.render.renderer import Renderer, Summary, warn_of_dropped_notes
+from tonewood.sound.render.renderer import Renderer, Summary, silence, warn_of_dropped_notes
 from tonewood.support.params import Parameters, described, quantity, validated
 from tonewood.support.yaml_io import load_yaml
 
@@ -263,7 +263,10 @@ def _rendered(
     samples = np.concatenate(blocks) if blocks else np.zeros((0, n))
     late = renderer.zero_frame / renderer.fs
     own = [replace(c, time=c.time + late) for c in mixed if c.channel in (part.part - 1, None)]
-    return placed(samples, part, own, renderer.fs), renderer.summary()
+    sound, summary = placed(samples, part, own, renderer.fs), renderer.summary()
+    unheard = silence(float(np.max(np.abs(sound), initial=0.0)), ended=True)
+    # a part that sounds is silent in the mix where its controllers turn it down
+    return sound, replace(summary, warnings=tuple(dict.fromkeys([*summary.warnings, *unheard])))
 
 
 def _to_file(file: str, score: str, part: EnsemblePart, options: RenderOptions, reading: dict[str, Any]) -> Summary:

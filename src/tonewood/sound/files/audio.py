@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tonewood.errors import OutputError
 from tonewood.performance.score.note import Dropped
 from tonewood.physics.energy.trace import EnergyTrace
+from tonewood.sound.files.tags import NO_TAGS, Tags
 from tonewood.sound.level.spectrum import level_curve, spectrogram
 from tonewood.support.plotting import COLOURS, LINE, colour_bar, data_uri, draw_spectrogram, figure
 from tonewood.support.whole_files import AtomicFile
@@ -29,8 +30,15 @@ Floats = NDArray[np.float64]
 #: bytes a plain WAV file can hold; larger files become RF64
 _WAV_LIMIT = 4_000_000_000
 _BYTES = {"PCM_16": 2, "PCM_24": 3, "PCM_32": 4, "FLOAT": 4, "DOUBLE": 8}
-_SUBTYPES = {"WAV": tuple(_BYTES), "RF64": tuple(_BYTES), "FLAC": ("PCM_16", "PCM_24")}
-_FORMATS = {".wav": "WAV", ".rf64": "RF64", ".flac": "FLAC"}
+_SUBTYPES = {
+    "WAV": tuple(_BYTES), "RF64": tuple(_BYTES), "FLAC": ("PCM_16", "PCM_24"), "OGG": ("VORBIS",),
+    "MP3": ("MPEG_LAYER_III",),
+}  # fmt: skip
+_FORMATS = {".wav": "WAV", ".rf64": "RF64", ".flac": "FLAC", ".ogg": "OGG", ".mp3": "MP3"}
+#: formats that lose some of the sound, which not every libsndfile writes
+_LOSSY = ("OGG", "MP3")
+#: frames that are handed to libsndfile at a time: its Vorbis encoder keeps a block on the stack
+_AT_ONCE = 65536
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +52,7 @@ class Audio:
     channels : their names.
     energy : account of energy of the render, if it was asked for.
     dropped : notes of the score that could not be played, and why.
+    tags : texts for its file.
     """
 
     samples: Floats
@@ -51,6 +60,7 @@ class Audio:
     channels: tuple[str, ...] = ()
     energy: EnergyTrace | None = None
     dropped: tuple[Dropped, ...] = ()
+    tags: Tags = NO_TAGS
 
     def __repr__(self) -> str:
         shape = f"{len(self.samples)} samples x {self.samples.shape[1]}"
@@ -113,14 +123,15 @@ class Audio:
 
         Parameters
         ----------
-        path : whose suffix names the format: ``.wav``, ``.flac`` or ``.rf64``.
+        path : whose suffix names the format: ``.wav``, ``.flac``, ``.rf64``, ``.ogg`` or ``.mp3``.
         subtype : of the samples, e.g. ``PCM_24``; by default that of the format.
 
         Raises
         ------
         OutputError : unknown suffix or subtype, or the file cannot be written.
         """
-        with SoundWriter(path, self.fs, self.samples.shape[1], subtype, frames=len(self.samples)) as writer:
+        n_channels = self.samples.shape[1]
+        with SoundWriter(path, self.fs, n_channels, subtype, frames=len(self.samples), tags=self.tags) as writer:
             writer.write(self.samples)
         if writer.clipped:
             fate = "lie beyond full scale" if writer.keeps_peaks else "were clipped"
@@ -148,15 +159,22 @@ def file_format(path: str | os.PathLike[str], subtype: str | None, n_bytes_neede
 
     Raises
     ------
-    OutputError : names the suffixes or subtypes allowed.
+    OutputError : names the suffixes or subtypes allowed; or the libsndfile that is installed does not write it.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in _FORMATS:
         raise OutputError(f"suffix {suffix!r} is none of {', '.join(_FORMATS)}", file=path)
     container = _FORMATS[suffix]
-    chosen = (subtype or "PCM_24").upper()
+    chosen = (subtype or ("PCM_24" if "PCM_24" in _SUBTYPES[container] else _SUBTYPES[container][0])).upper()
     if chosen not in _SUBTYPES[container]:
         raise OutputError(f"{container} has no subtype {chosen}; allowed: {', '.join(_SUBTYPES[container])}", file=path)
+    if container in _LOSSY:
+        import soundfile as sf
+
+        if chosen not in sf.available_subtypes(container):
+            others = ", ".join(name for name, kind in _FORMATS.items() if kind not in _LOSSY)
+            version = sf.__libsndfile_version__
+            raise OutputError(f"libsndfile {version} does not write {suffix}; {others} are written", file=path)
     if container == "WAV" and n_bytes_needed * _BYTES[chosen] > _WAV_LIMIT:
         container = "RF64"
     return container, chosen
@@ -171,8 +189,9 @@ class SoundWriter:
     ----------
     path : final name; the suffix decides the format. Or a file to write in place, which is left as it is.
     fs, n_channels : Hz, number of channels.
-    subtype : PCM_16, PCM_24 (default), PCM_32, FLOAT or DOUBLE.
+    subtype : PCM_16, PCM_24 (default), PCM_32, FLOAT or DOUBLE; ``.ogg`` is VORBIS, ``.mp3`` MPEG_LAYER_III.
     frames : how many are expected at most, to choose RF64 in time.
+    tags : texts that it carries.
 
     Attributes
     ----------
@@ -187,6 +206,7 @@ class SoundWriter:
         subtype: str | None = None,
         *,
         frames: int = 0,
+        tags: Tags = NO_TAGS,
     ):
         import soundfile as sf
 
@@ -197,6 +217,7 @@ class SoundWriter:
         self._new = path if isinstance(path, AtomicFile) else AtomicFile(path)
         try:
             self._file = sf.SoundFile(str(self._new.path), "w", fs, n_channels, subtype=self.subtype, format=container)
+            tags.enter(self._file)
         except (sf.LibsndfileError, OSError) as error:
             reason = _reason(self._new.path, error)
             if self._own:
@@ -228,7 +249,8 @@ class SoundWriter:
         if not self.keeps_peaks:
             block = np.clip(block, -1.0, 1.0)
         try:
-            self._file.write(block)
+            for first in range(0, len(block), _AT_ONCE):
+                self._file.write(block[first : first + _AT_ONCE])
         except (sf.LibsndfileError, OSError) as error:
             raise OutputError(f"cannot be written: {_reason(self._new.path, error)}", file=self.path) from None
         self.frames += len(block)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.channels import STEERING, MidiChannels
 from tonewood.sound.live.instrument import BEND_LIMIT, Live
 
+#: channel that General MIDI gives to percussion, from 1
+PERCUSSION = 10
 #: status byte -> bytes that follow it
 _LENGTHS = {0x80: 2, 0x90: 2, 0xA0: 2, 0xB0: 2, 0xC0: 1, 0xD0: 1, 0xE0: 2}
 
@@ -19,6 +21,8 @@ class MidiReceiver:
     Parameters
     ----------
     live : the instrument.
+    channels : from 1, of which notes are played; all where left out, but channel 10 (percussion), unless a zone of MPE
+        has it.
 
     Attributes
     ----------
@@ -26,8 +30,8 @@ class MidiReceiver:
     messages : number of all.
     """
 
-    def __init__(self, live: Live):
-        self.live = live
+    def __init__(self, live: Live, channels: Collection[int] | None = None):
+        self.live, self.channels = live, channels
         self.ignored: Counter[str] = Counter()
         self.messages = 0
         self._channels = MidiChannels()
@@ -50,7 +54,10 @@ class MidiReceiver:
             self.ignored["damaged message"] += 1
             return
         a, b = message[1], message[2] if length == 2 else 0
-        if kind == 0x90 and b:
+        if kind in (0x80, 0x90) and not self._is_played(number):
+            if kind == 0x90 and b:
+                self.ignored[f"note of channel {number + 1}, left out (--tracks {number + 1} plays it)"] += 1
+        elif kind == 0x90 and b:
             self._note_on(number, a, b)
         elif kind in (0x80, 0x90):
             if not self.live.note_off(a, number):
@@ -69,6 +76,15 @@ class MidiReceiver:
         else:
             self._channels.wheel(number, a, b)
             self._bend()
+
+    def _is_played(self, number: int) -> bool:
+        if self.channels is not None:
+            return any(master + 1 in self.channels for master in (number, *self._masters(number)))
+        return number + 1 != PERCUSSION or self._channels.is_member(number)
+
+    def _masters(self, number: int) -> list[int]:
+        """Master of the zone of MPE of which a channel is a member."""
+        return [master for master, members in self.zones.items() if number in members]
 
     def _note_on(self, number: int, key: int, velocity: int) -> None:
         try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from operator import itemgetter
 from typing import Any
 
@@ -30,6 +30,7 @@ class LiveSession:
     sources : of messages.
     block_size, ahead : as for `AudioStream`.
     take : records the messages, where given.
+    channels : as for `MidiReceiver`.
 
     Attributes
     ----------
@@ -44,9 +45,10 @@ class LiveSession:
         block_size: int = 128,
         ahead: int = 4,
         take: Take | None = None,
+        channels: Collection[int] | None = None,
     ):
         self.live, self.sources, self.take = live, sources, take
-        self.receiver = MidiReceiver(live)
+        self.receiver = MidiReceiver(live, channels)
         self._arrivals = Arrivals[Sequence[int]](live.fs, block_size)
         self.stream = AudioStream(live, block_size, ahead=ahead, before=self._poll)
 

@@ -8,7 +8,7 @@ instrument=...``.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,7 @@ class Take:
     Parameters
     ----------
     fs : frames per second.
+    channels : as the `MidiReceiver` has them that plays it.
 
     Attributes
     ----------
@@ -51,8 +52,8 @@ class Take:
     TonewoodError : a MIDI file has no tempo of which a tick is one frame.
     """
 
-    def __init__(self, fs: int):
-        self.fs = fs
+    def __init__(self, fs: int, channels: Collection[int] | None = None):
+        self.fs, self.channels = fs, channels
         self.messages: list[tuple[int, bytes]] = []
         tempos = [t for t in _TEMPOS if (fs * t) % 1_000_000 == 0 and fs * t // 1_000_000 <= 32767]
         if not tempos:
@@ -74,9 +75,9 @@ class Take:
         OutputError : it cannot be written.
         """
         name = live.instrument.spec.name
-        title = (
-            f"{_HEADING}; fs={live.fs}; ramp={live.ramp!r}; spacing={live.player.spacing}; instrument={name}".encode()
-        )
+        chosen = "" if self.channels is None else f"channels={' '.join(map(str, sorted(self.channels)))}; "
+        settings = f"fs={live.fs}; ramp={live.ramp!r}; spacing={live.player.spacing}"
+        title = f"{_HEADING}; {settings}; {chosen}instrument={name}".encode()
         track = b"\x00\xff\x03" + _variable_length(len(title)) + title
         track += b"\x00\xff\x51\x03" + self._tempo.to_bytes(3, "big")
         n = len(self.messages)  # others may come meanwhile, in another thread
@@ -137,6 +138,7 @@ class Replay:
     instrument, fs, options : as for `Renderer`, single options as keywords too. After the last message the tail is as
         for a score.
     ramp, spacing : as for `Live`.
+    channels : as for `MidiReceiver`; those of the take where left out.
     """
 
     def __init__(
@@ -148,6 +150,7 @@ class Replay:
         options: RenderOptions | None = None,
         ramp: float | None = None,
         spacing: int | None = None,
+        channels: Collection[int] | None = None,
         **settings: Any,
     ):
         messages, end, texts = read_messages(path)
@@ -168,7 +171,8 @@ class Replay:
             prepare=False,
             options=options.at(**ended),
         )
-        self.receiver = MidiReceiver(self.live)
+        played = [int(word) for word in found.get("channels", "").split() if word.isdecimal()]
+        self.receiver = MidiReceiver(self.live, channels or played or None)
         self.options, self.fs, self.path = options, options.fs, Path(path)
         self._messages = [(round(time * self.fs), (status, a, b)) for time, status, a, b in messages]
         self._end = round(end * self.fs)

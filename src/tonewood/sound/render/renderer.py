@@ -25,6 +25,7 @@ from tonewood.performance.score.note import Dropped
 from tonewood.physics.energy.trace import EnergyTrace
 from tonewood.sound.files.audio import Audio, decibels
 from tonewood.sound.files.inputs import InstrumentLike, ScoreLike, as_instrument, as_score
+from tonewood.sound.files.tags import Tags
 from tonewood.sound.render.accuracy import LEVELS
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.presets import with_preset
@@ -351,7 +352,7 @@ class Renderer:
             spans = pieces = 1 if self.options.energy else max(1, int(min(_TAIL_SPANS, left)))
         began = time.perf_counter()
         sound = self._resampler(self._routing.scaled(self.engine.advance(max(spans, 1) * _TICKS)), sample)
-        sound = self._routing.delayed(sound)
+        sound = self._routing.finished(sound)
         self._seconds += time.perf_counter() - began
         unheard = max(0, -first - self.zero_frame)
         sound = self._begun(sound, first + self.zero_frame)
@@ -446,6 +447,7 @@ def render(
     -------
     The sound, with the notes that could not be played; with `energy` it carries the account of energy, too.
     """
+    score, instrument = as_score(score), as_instrument(instrument)
     renderer = Renderer(score, instrument, options=RenderOptions.of(options, fs, settings))
     blocks = []
     for block in renderer.blocks(_BLOCK):
@@ -455,4 +457,5 @@ def render(
     samples = np.concatenate(blocks) if blocks else np.zeros((0, len(renderer.channels)))
     for line in silence(float(np.max(np.abs(samples), initial=0.0)), ended=True):
         _warn(UserWarning(line))
-    return Audio(samples, renderer.fs, renderer.channels, renderer.energy, renderer.dropped)
+    tags = Tags.of(score, [instrument])
+    return Audio(samples, renderer.fs, renderer.channels, renderer.energy, renderer.dropped, tags)

@@ -111,8 +111,9 @@ function draw() {
     const figures = order.map((sound, i) => {
       const key = i < 26 ? String.fromCharCode(65 + i) : "";
       const cursor = make("div", { className: "cursor" });
-      const image = make("img", { src: `${data.pictures}/${sound.code}.png`, loading: "lazy", alt: `waveform and spectrogram of ${label(sound.code)}` });
-      const picture = make("div", { className: "picture" }, image, cursor);
+      const alt = `waveform and spectrogram of ${label(sound.code)}`;
+      const image = data.pictures ? [make("img", { src: `${data.pictures}/${sound.code}.png`, loading: "lazy", alt })] : [];
+      const picture = make("div", { className: data.pictures ? "picture" : "picture bar" }, ...image, cursor);
       picture.addEventListener("click", event => {
         const box = picture.getBoundingClientRect();
         play(set, sound.code, Math.max(0, (event.clientX - box.left) / box.width));
@@ -125,7 +126,7 @@ function draw() {
     });
     const parts = [make("h2", {}, names ? names[set.title] : set.title)];
     if (set.question) parts.push(make("p", {}, set.question));
-    if (names) parts.push(make("img", { className: "difference", loading: "lazy", src: set.figure, alt: "differences within this set", onerror: event => event.target.remove() }));
+    if (names && data.pictures) parts.push(make("img", { className: "difference", loading: "lazy", src: set.figure, alt: "differences within this set", onerror: event => event.target.remove() }));
     set.element = make("section", {}, ...parts, make("div", { className: "grid" }, ...figures));
     return set.element;
   }));

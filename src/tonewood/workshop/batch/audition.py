@@ -25,6 +25,7 @@ from tonewood.workshop.batch.production import PICTURES, SoundFile
 
 FILE = "audition.html"
 FOLDER = "audition"
+NO_PICTURES = "Below each sound its course in time; `pictures: true` under `output` draws waveforms and spectrograms."
 
 
 def write_audition(
@@ -63,11 +64,12 @@ def write_audition(
     factors += ["repeat"] if manifest.repeats > 1 else []
     _write(folder / FOLDER / "names.js", f"namesAre({_json({'factors': factors, 'names': names})});\n")
     title = localised(manifest.title, language) or manifest.name
-    data = {"sets": sets, "blind": manifest.output.blind, "pictures": PICTURES}
+    data = {"sets": sets, "blind": manifest.output.blind, "pictures": PICTURES if manifest.output.pictures else ""}
     assets = package_files("tonewood.workshop.batch")
     page, script = ((assets / f"audition.{kind}").read_text("utf-8") for kind in ("html", "js"))
+    caption = CAPTION if manifest.output.pictures else NO_PICTURES
     for mark, text in (
-        ("{{title}}", escape(title)), ("{{caption}}", escape(CAPTION)), ("{{count}}", str(len(files))),
+        ("{{title}}", escape(title)), ("{{caption}}", escape(caption)), ("{{count}}", str(len(files))),
         ("{{data}}", _json(data)), ("{{script}}", script),
     ):  # fmt: skip
         page = page.replace(mark, text)

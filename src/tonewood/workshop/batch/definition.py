@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tonewood.errors import TonewoodError
+from tonewood.errors import TonewoodError, together
 from tonewood.workshop.batch.conditions import Condition, expand
 from tonewood.workshop.batch.layout import Group
 from tonewood.workshop.batch.manifest import Manifest, ManifestError
@@ -108,42 +108,58 @@ def staircase_levels(manifest: Manifest, folder: Path, own: Callable[[Condition,
     ManifestError : a staircase changes no condition or several, a level does not fit, or levels change nothing; names
         the page and the key.
     """
-    conditions = None
-    found = []
-    for index, page in enumerate(manifest.pages):
-        if not isinstance(page, StaircasePage):
-            continue
-        conditions = conditions or expand(manifest, folder)
-        condition = changed_condition(manifest, conditions, index)
+    pages = [(index, page) for index, page in enumerate(manifest.pages) if isinstance(page, StaircasePage)]
+    conditions = expand(manifest, folder) if pages else ()
+    found: list[StaircaseLevel] = []
+    faults: list[TonewoodError] = []
+    for index, page in pages:
         try:
-            base = own(condition, page.path)
-        except TonewoodError as fault:
-            raise ManifestError(str(fault), key=f"pages.{index}.path") from None
-        values = {}
-        for name in ("reference", "start", "lowest", "highest"):
-            key = f"pages.{index}.{name}"
-            if name == "reference":
-                value = base if page.reference is None else page.reference
-            else:
-                try:
-                    value = page.value(getattr(page, name), base)
-                except ValueError as fault:
-                    raise ManifestError(str(fault), key=f"pages.{index}.reference") from None
-                except OverflowError:
-                    value = math.inf
-            if isinstance(value, float) and not math.isfinite(value):
-                raise ManifestError(f"the value of {page.path} is not finite", key=key)
-            # the condition itself where nothing is changed: its value may be none that an override can set
-            same = name == "reference" and page.reference is None
-            level = condition if same else with_value(manifest, condition, page.path, value)
+            found += _levels_of(manifest, conditions, index, page, own)
+        except ManifestError as fault:
+            faults.append(fault)
+    if faults:
+        raise together(faults)
+    return found
+
+
+def _levels_of(
+    manifest: Manifest,
+    conditions: Sequence[Condition],
+    index: int,
+    page: StaircasePage,
+    own: Callable[[Condition, str], Any],
+) -> list[StaircaseLevel]:
+    condition = changed_condition(manifest, conditions, index)
+    found = []
+    try:
+        base = own(condition, page.path)
+    except TonewoodError as fault:
+        raise ManifestError(str(fault), key=f"pages.{index}.path") from None
+    values = {}
+    for name in ("reference", "start", "lowest", "highest"):
+        key = f"pages.{index}.{name}"
+        if name == "reference":
+            value = base if page.reference is None else page.reference
+        else:
             try:
-                values[name] = own(level, page.path)
-            except TonewoodError as fault:
-                raise ManifestError(f"the level cannot be rendered: {fault}", key=key) from None
-            found.append(StaircaseLevel(key, level))
-        if values["lowest"] == values["highest"]:
-            reason = f"{page.path} is {values['lowest']} at the lowest and at the highest level: levels change nothing"
-            raise ManifestError(reason, key=f"pages.{index}.scale")
+                value = page.value(getattr(page, name), base)
+            except ValueError as fault:
+                raise ManifestError(str(fault), key=f"pages.{index}.reference") from None
+            except OverflowError:
+                value = math.inf
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ManifestError(f"the value of {page.path} is not finite", key=key)
+        # the condition itself where nothing is changed: its value may be none that an override can set
+        same = name == "reference" and page.reference is None
+        level = condition if same else with_value(manifest, condition, page.path, value)
+        try:
+            values[name] = own(level, page.path)
+        except TonewoodError as fault:
+            raise ManifestError(f"the level cannot be rendered: {fault}", key=key) from None
+        found.append(StaircaseLevel(key, level))
+    if values["lowest"] == values["highest"]:
+        reason = f"{page.path} is {values['lowest']} at the lowest and at the highest level: levels change nothing"
+        raise ManifestError(reason, key=f"pages.{index}.scale")
     return found
 
 

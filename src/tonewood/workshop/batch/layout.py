@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from tonewood.errors import TonewoodError, together
 from tonewood.workshop.batch.conditions import Condition
 from tonewood.workshop.batch.manifest import Manifest, ManifestError
 from tonewood.workshop.batch.pages import (
@@ -77,13 +78,19 @@ def lay_out(manifest: Manifest, conditions: Sequence[Condition]) -> tuple[tuple[
     """
     drafts: list[_Draft] = []
     notes: list[str] = []
+    faults: list[TonewoodError] = []
     for index, page in enumerate(manifest.pages):
-        if isinstance(page, HtmlPage) and not page.group_by and page.reference is None:
-            used = {c for draft in drafts for c in draft.sounds}
-            left = [c for c in conditions if c.name not in used]
-            drafts += _drafts(manifest, index, page, left, ["instrument", "score", "repeat"], notes)
-        elif isinstance(page, SoundPage):
-            drafts += _drafts(manifest, index, page, conditions, page.group_by, notes)
+        try:
+            if isinstance(page, HtmlPage) and not page.group_by and page.reference is None:
+                used = {c for draft in drafts for c in draft.sounds}
+                left = [c for c in conditions if c.name not in used]
+                drafts += _drafts(manifest, index, page, left, ["instrument", "score", "repeat"], notes)
+            elif isinstance(page, SoundPage):
+                drafts += _drafts(manifest, index, page, conditions, page.group_by, notes)
+        except ManifestError as fault:
+            faults.append(fault)
+    if faults:
+        raise together(faults)
     if not drafts and not any(isinstance(page, StaircasePage) for page in manifest.pages):
         raise ManifestError("no page is left with anything to hear", key="pages")
     names = [name for draft in drafts for name in draft.names()]

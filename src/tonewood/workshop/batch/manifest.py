@@ -7,33 +7,36 @@ conditions are the crossed or listed levels; `tonewood.workshop.batch.conditions
 
 from __future__ import annotations
 
+import copy
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
-from tonewood.errors import TonewoodError
+from tonewood.errors import TonewoodError, together
 from tonewood.performance.score.note import Note
 from tonewood.sound.render.options import RenderOptions
 from tonewood.support.params import described, quantity
-from tonewood.support.validation_messages import first_message
+from tonewood.support.validation_messages import all_messages, first_message
 from tonewood.support.yaml_io import load_yaml
+from tonewood.workshop.batch.page_parts import (
+    Language,
+    Levels,
+    Name,
+    ParameterPath,
+    Section,
+    Text,
+)
 from tonewood.workshop.batch.pages import (
     TRIALS,
     AnyPage,
     HtmlPage,
-    Language,
-    Levels,
-    Name,
     PairPage,
-    ParameterPath,
-    Section,
     SoundPage,
     StaircasePage,
-    Text,
     TrainingPage,
     as_pairs,
 )
@@ -46,29 +49,40 @@ TAIL_KEYS = {"cap": "tail", "energy_db": "tail_level_db"}
 
 
 class ManifestError(TonewoodError):
-    """A manifest cannot be used."""
+    """A manifest cannot be used; its line counts pages from 1, as a plan does, and `key` from 0."""
+
+    @staticmethod
+    def shown_key(key: str) -> str:
+        """Return a key with its page counted from 1: ``page 2.reference``."""
+        head, _, rest = key.partition(".")
+        number, dot, inner = rest.partition(".")
+        return f"page {int(number) + 1}{dot}{inner}" if head == "pages" and number.isdecimal() else key
+
+
+#: dotted key of a manifest -> its fault
+Misfit = tuple[str, str]
 
 
 class NoteFields(Section):
     """One inline note: the fields of `tonewood.Note`."""
 
-    time: float = Field(ge=0, le=3600)
-    duration: float = Field(default=1.0, gt=0, le=3600)
-    held: float | None = Field(default=None, ge=0)
-    note: float | None = Field(default=None, ge=0, le=127)
-    freq: float | None = Field(default=None, gt=0)
-    force: float | None = Field(default=None, ge=0)
-    velocity_midi: float | None = Field(default=None, ge=0, le=127)
-    string: str | None = None
-    stop: int | None = Field(default=None, ge=0)
-    from_bridge: float | None = Field(default=None, gt=0)
-    angle_deg: float | None = None
-    technique: str | None = None
-    channel: int | None = Field(default=None, ge=0, le=15)
-    marks: tuple[str, ...] = ()
-    partial: int | None = Field(default=None, ge=2, le=64)
-    glides: tuple[tuple[float, float], ...] = ()
-    program: int | None = Field(default=None, ge=1, le=128)
+    time: float = Field(ge=0, le=3600, description="s from the beginning of the score")
+    duration: float = Field(default=1.0, gt=0, le=3600, description="s")
+    held: float | None = Field(default=None, ge=0, description="s that the finger stays; the duration if left out")
+    note: float | None = Field(default=None, ge=0, le=127, description="MIDI note number, may be fractional")
+    freq: float | None = Field(default=None, gt=0, description="Hz, instead of a note")
+    force: float | None = Field(default=None, ge=0, description="N")
+    velocity_midi: float | None = Field(default=None, ge=0, le=127, description="MIDI velocity, instead of a force")
+    string: str | None = Field(default=None, description="name of the string")
+    stop: int | None = Field(default=None, ge=0, description="fret or stop on that string")
+    from_bridge: float | None = Field(default=None, gt=0, description="m, place of the gesture")
+    angle_deg: float | None = Field(default=None, description="direction of the gesture")
+    technique: str | None = Field(default=None, description="name of an exciter")
+    channel: int | None = Field(default=None, ge=0, le=15, description="MIDI channel, from 0")
+    marks: tuple[str, ...] = Field(default=(), description="signs of the notation")
+    partial: int | None = Field(default=None, ge=2, le=64, description="number of a harmonic")
+    glides: tuple[tuple[float, float], ...] = Field(default=(), description="(s, semitones) from the note's beginning")
+    program: int | None = Field(default=None, ge=1, le=128, description="General MIDI program, from 1")
 
     def to_note(self) -> Note:
         """Convert to the score's own type."""
@@ -78,11 +92,13 @@ class NoteFields(Section):
 class ScoreSource(Section):
     """A phrase written inline, or an excerpt of a MIDI file (path relative to the manifest)."""
 
-    phrase: list[NoteFields] | None = Field(default=None, min_length=1, max_length=10_000)
-    midi: str | None = None
-    start: float = Field(default=0.0, ge=0)
-    stop: float | None = Field(default=None, gt=0)
-    channel_per_string: bool = False
+    phrase: list[NoteFields] | None = Field(
+        default=None, min_length=1, max_length=10_000, description="notes written here"
+    )
+    midi: str | None = Field(default=None, description="MIDI file, relative to the manifest")
+    start: float = Field(default=0.0, ge=0, description="s of the file at which the excerpt begins")
+    stop: float | None = Field(default=None, gt=0, description="s of the file at which it ends")
+    channel_per_string: bool = Field(default=False, description="MIDI channel 1 plays the first string, and so on")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -98,8 +114,10 @@ class ScoreSource(Section):
 class Factor(Section):
     """A parameter and its named levels; a level is a value, ``{scale: x}`` or ``{fraction: x}``."""
 
-    path: ParameterPath
-    levels: dict[Name, Any] = Field(min_length=1, max_length=1000)
+    path: ParameterPath = Field(description="parameter of the bundle, or of the render (render.)")
+    levels: dict[Name, Any] = Field(
+        min_length=1, max_length=1000, description="name -> value, {scale: x} or {fraction: x}"
+    )
 
 
 class Variation(Section):
@@ -160,14 +178,16 @@ class RenderSettings(RenderOptions):
 class Fade(Section):
     """Raised-cosine fades, s."""
 
-    in_: float = Field(default=0.002, ge=0, le=5, alias="in")
-    out: float = Field(default=0.050, ge=0, le=5)
+    in_: float = Field(default=0.002, ge=0, le=5, alias="in", description="s, at the beginning")
+    out: float = Field(default=0.050, ge=0, le=5, description="s, at the end")
 
 
 class Onset(Section):
     """Alignment: the onset of every sound stands at the same sample; see `tonewood.workshop.batch.trimming`."""
 
-    align: Literal["detected", "score"] = "detected"
+    align: Literal["detected", "score"] = Field(
+        default="detected", description="the first loud sample, or score time 0, is put at `at`"
+    )
     level_db: float = Field(default=-40.0, ge=-100, le=-3, description="re the sound's peak, of the first sample")
     at: float = Field(default=0.010, ge=0, le=10, description="s from the beginning of the file")
 
@@ -182,10 +202,10 @@ class Trim(Section):
 class Loudness(Section):
     """One gain per file, from its loudness; see `tonewood.workshop.batch.stimuli`."""
 
-    method: Literal["bs1770_gated", "loudest", "none"] = "bs1770_gated"
+    method: Literal["bs1770_gated", "loudest", "none"] = Field(default="bs1770_gated", description="what is made equal")
     window: float = Field(default=0.1, ge=0.01, le=3.0, description="s, of loudest")
-    target_lufs: float = Field(default=-23.0, ge=-60, le=-5)
-    true_peak_dbtp: float = Field(default=-1.0, ge=-30, le=-0.1)
+    target_lufs: float = Field(default=-23.0, ge=-60, le=-5, description="LUFS")
+    true_peak_dbtp: float = Field(default=-1.0, ge=-30, le=-0.1, description="dBTP, limit of a page's sounds")
     removed: ClassVar[dict[str, str]] = {
         "short": "was removed in 0.2: a sound shorter than 400 ms is always measured over one block",
         "on_clash": "was removed in 0.2: a page is always lowered as a whole",
@@ -196,77 +216,84 @@ class Stimuli(Section):
     """Properties of all sound files of the batch."""
 
     fs: int = Field(default=48000, ge=8000, le=192000, description="Hz; renders at another rate are resampled")
-    channels: int = Field(default=1, ge=1, le=2)
-    downmix: Literal["mean", "first"] = "mean"
-    subtype: Literal["PCM_16", "PCM_24"] = "PCM_16"
+    channels: int = Field(default=1, ge=1, le=2, description="of the files")
+    downmix: Literal["mean", "first"] = Field(default="mean", description="mean of all channels, or the first alone")
+    subtype: Literal["PCM_16", "PCM_24"] = Field(default="PCM_16", description="bits of a sample")
     room: str | None = Field(default=None, description="impulse response (WAV): of a room, or binaural with 2 channels")
-    onset: Onset = Onset()
-    trim: Trim = Trim()
-    duration: Literal["page_max"] | Annotated[float, Field(gt=0, le=600)] = "page_max"
+    onset: Onset = Field(default=Onset(), description="alignment of beginnings")
+    trim: Trim = Field(default=Trim(), description="where sounds end")
+    duration: Literal["page_max"] | Annotated[float, Field(gt=0, le=600)] = Field(
+        default="page_max", description="s of every file, or that of the page's longest sound"
+    )
     longest: float = Field(default=12.0, gt=0, le=600, description="s, limit of page_max")
-    fade: Fade = Fade()
-    loudness: Loudness = Loudness()
+    fade: Fade = Field(default=Fade(), description="at both ends")
+    loudness: Loudness = Field(default=Loudness(), description="gain of each sound")
 
 
 class Power(Section):
     """Probabilities of the errors that `--dry-run` plans the number of listeners for."""
 
-    alpha: float = Field(default=0.05, gt=0, lt=0.5)
-    power: float = Field(default=0.8, ge=0.5, lt=1)
+    alpha: float = Field(default=0.05, gt=0, lt=0.5, description="probability of a false alarm")
+    power: float = Field(default=0.8, ge=0.5, lt=1, description="probability of finding what is expected")
 
 
 class Output(Section):
     """Files that are written, and the order of the pages."""
 
     blind: bool = Field(default=True, description="the audition page shows codes until it is unblinded")
-    key: Annotated[str, Field(pattern=r"^[\w.-]+\.json$")] = "key.json"
-    formats: list[Literal["test", "html", "csv", "json"]] = Field(default=["test", "html", "csv", "json"])
-    page_order: Literal["seeded", "listed", "per_listener"] = "per_listener"
+    key: Annotated[str, Field(pattern=r"^[\w.-]+\.json$")] = Field(
+        default="key.json", description="file of codes and conditions"
+    )
+    formats: list[Literal["test", "html", "csv", "json", "parquet"]] = Field(
+        default=["test", "html", "csv", "json"],
+        description="test.json, audition.html, and the record as CSV, JSON and Parquet",
+    )
+    pictures: bool = Field(
+        default=False, description="waveform, spectrogram and differences of every sound, for the audition page"
+    )
+    page_order: Literal["seeded", "listed", "per_listener"] = Field(
+        default="per_listener",
+        description="order of trials: another one for each listener, one random order, or as listed",
+    )
 
 
 class Manifest(Section):
     """A whole batch."""
 
-    schema_: Literal["tonewood-batch/1"] = Field(alias="schema")
+    schema_: Literal["tonewood-batch/1"] = Field(alias="schema", description="of this file")
     kind: Literal["test"] = Field(default="test", description="a listening test; `dataset` has keys of its own")
-    name: Name
-    title: Text = ""
+    name: Name = Field(description="of the test")
+    title: Text = Field(default="", description="that listeners see")
+    licence: str = Field(default="", description="of the sounds, an SPDX name, for the data sheet")
     language: Language = Field(default="en", description="of a listener whose own has no texts")
     texts: dict[Language, dict[str, str]] = Field(
         default_factory=dict, description="words of the pages of one's own: language -> key -> text"
     )
-    seed: int = Field(ge=0, lt=2**63)
-    instruments: dict[Name, str] = Field(min_length=1)
-    scores: dict[Name, ScoreSource] = Field(min_length=1)
-    factors: dict[Name, Factor] = Field(default_factory=dict)
-    design: Literal["crossed", "listed"] = "crossed"
-    conditions: list[Levels] | None = None
-    exclude: list[Levels] = Field(default_factory=list)
-    repeats: int = Field(default=1, ge=1, le=1000)
+    seed: int = Field(ge=0, lt=2**63, description="of every random choice")
+    instruments: dict[Name, str] = Field(
+        min_length=1, description="name -> installed instrument, or folder relative to the manifest"
+    )
+    scores: dict[Name, ScoreSource] = Field(min_length=1, description="name -> music")
+    factors: dict[Name, Factor] = Field(default_factory=dict, description="name -> parameter and its levels")
+    design: Literal["crossed", "listed"] = Field(
+        default="crossed", description="all combinations of levels, or those of `conditions`"
+    )
+    conditions: list[Levels] | None = Field(default=None, description="levels of each condition, of design listed")
+    exclude: list[Levels] = Field(
+        default_factory=list, description="conditions with any of these sets of levels are left out"
+    )
+    repeats: int = Field(default=1, ge=1, le=1000, description="times that each condition is rendered")
     random: list[str] = Field(
         default_factory=list, description="factors whose levels are a sample of many: results hold for the others, too"
     )
-    vary: dict[ParameterPath, Variation] = Field(default_factory=dict)
-    render: RenderSettings = RenderSettings()
-    stimuli: Stimuli = Stimuli()
-    pages: list[AnyPage] = Field(default=[HtmlPage(type="html")], min_length=1)
-    power: Power = Power()
-    output: Output = Output()
-
-    @field_validator("factors")
-    @classmethod
-    def _names_are_free(cls, factors: dict[str, Factor]) -> dict[str, Factor]:
-        for name in factors:
-            if name in RESERVED:
-                raise PydanticCustomError("factors", f"{name} is not free as the name of a factor")
-        return factors
-
-    @field_validator("vary")
-    @classmethod
-    def _notes_vary(cls, vary: dict[str, Variation]) -> dict[str, Variation]:
-        for path in vary:
-            check_vary(path)
-        return vary
+    vary: dict[ParameterPath, Variation] = Field(default_factory=dict, description="path -> human variation")
+    render: RenderSettings = Field(default=RenderSettings(), description="settings of all renders")
+    stimuli: Stimuli = Field(default=Stimuli(), description="what is done to sounds")
+    pages: list[AnyPage] = Field(
+        default=[HtmlPage(type="html")], min_length=1, description="that listeners see, in order"
+    )
+    power: Power = Field(default=Power(), description="for counting listeners")
+    output: Output = Field(default=Output(), description="files that are written")
 
     def choices(self) -> dict[str, list[str]]:
         """Names that `group_by`, `exclude` and the like may use, with the levels of each."""
@@ -276,57 +303,66 @@ class Manifest(Section):
             **{name: list(factor.levels) for name, factor in self.factors.items()},
         }
 
-    @model_validator(mode="after")
-    def _names_exist(self) -> Self:
-        if (self.design == "listed") != (self.conditions is not None):
-            raise PydanticCustomError("design", "design: listed and conditions belong together")
+    def misfits(self, replaced: Collection[int] = ()) -> Iterator[Misfit]:
+        """Names that are not there and parts that do not fit together, in the manifest's order.
+
+        Parameters
+        ----------
+        replaced : pages (from 0) that stand for faulty ones: nothing is said of them.
+        """
         choices = self.choices()
-        for index, row in enumerate(self.exclude):
-            _check_levels(row, choices, f"exclude.{index}")
+        yield from (
+            ("factors", f"{name} is not free as the name of a factor") for name in self.factors if name in RESERVED
+        )
+        for name, factor in self.factors.items():
+            yield from self._misfits_of_render(name, factor)
+        if (self.design == "listed") != (self.conditions is not None):
+            yield "design", "listed and conditions belong together"
         for index, row in enumerate(self.conditions or []):
-            _check_levels(row, choices, f"conditions.{index}")
+            yield from _misfits_of_levels(row, choices, f"conditions.{index}")
             if missing := set(self.factors) - set(row):
-                raise PydanticCustomError("design", f"conditions.{index}: no level of {', '.join(sorted(missing))}")
+                yield f"conditions.{index}", f"no level of {', '.join(sorted(missing))}"
+        for index, row in enumerate(self.exclude):
+            yield from _misfits_of_levels(row, choices, f"exclude.{index}")
         for name in self.random:
             if name not in choices:
-                raise PydanticCustomError("random", f"random: {name} is not one of {', '.join(choices)}")
+                yield "random", f"{name} is not one of {', '.join(choices)}"
+        yield from misfits_of_vary(self.vary)
         for index, page in enumerate(self.pages):
-            self._check_page(page, f"pages.{index}", choices)
-        for name, factor in self.factors.items():
-            self._check_render_levels(name, factor)
-        return self
+            if not isinstance(page, TrainingPage) or page.page - 1 not in replaced:
+                yield from self._misfits_of_page(page, f"pages.{index}", choices)
 
-    def _check_page(self, page: Any, key: str, choices: dict[str, list[str]]) -> None:
+    def _misfits_of_page(self, page: Any, key: str, choices: dict[str, list[str]]) -> Iterator[Misfit]:
         for name in page.group_by if isinstance(page, SoundPage) else ():
             if name not in choices and name != "repeat":
-                allowed = ", ".join([*choices, "repeat"])
-                raise PydanticCustomError("page", f"{key}.group_by: {name} is not one of {allowed}")
+                yield f"{key}.group_by", f"{name} is not one of {', '.join([*choices, 'repeat'])}"
         if isinstance(page, PairPage):
             for factor, pairs in page.pairs.items():
-                _check_levels({factor: choices.get(factor, [""])[0]}, choices, f"{key}.pairs")
+                if factor not in choices:
+                    yield from _misfits_of_levels({factor: ""}, choices, f"{key}.pairs")
+                    continue
                 for pair in as_pairs(pairs, choices[factor]):
                     if len(pair) != 2 or pair[0] == pair[1]:
-                        raise PydanticCustomError("page", f"{key}.pairs: a pair is two different levels")
+                        yield f"{key}.pairs", "a pair is two different levels"
                     for level in pair:
-                        _check_levels({factor: level}, choices, f"{key}.pairs")
+                        yield from _misfits_of_levels({factor: level}, choices, f"{key}.pairs")
         elif isinstance(page, StaircasePage):
-            _check_levels(page.of, choices, f"{key}.of")
+            yield from _misfits_of_levels(page.of, choices, f"{key}.of")
         elif isinstance(page, TrainingPage):
             trained = self.pages[page.page - 1] if page.page <= len(self.pages) else None
             if not isinstance(trained, TRIALS):
-                raise PydanticCustomError("page", f"{key}.page: {page.page} is no page with trials")
+                yield f"{key}.page", f"{page.page} is no page with trials"
         elif (reference := getattr(page, "reference", None)) is not None:
-            _check_levels(reference, choices, f"{key}.reference")
+            yield from _misfits_of_levels(reference, choices, f"{key}.reference")
 
-    def _check_render_levels(self, name: str, factor: Factor) -> None:
+    def _misfits_of_render(self, name: str, factor: Factor) -> Iterator[Misfit]:
         if not factor.path.startswith("render."):
             return
         for level, value in factor.levels.items():
             try:
                 self.render_settings({factor.path.removeprefix("render."): value})
             except ValidationError as error:
-                reason = first_message(error, RenderSettings)[1]
-                raise PydanticCustomError("factor", f"factors.{name}.levels.{level}: {reason}") from None
+                yield f"factors.{name}.levels.{level}", first_message(error, RenderSettings)[1]
 
     def render_settings(self, changes: dict[str, Any]) -> RenderSettings:
         """The render settings with some changed, checked anew."""
@@ -335,19 +371,20 @@ class Manifest(Section):
         return RenderSettings.model_validate(data)
 
 
-def check_vary(path: str) -> None:
-    """Check that a path of `vary` that names a note names one of its numbers."""
-    head, _, name = path.partition(".")
-    if head == "note" and name not in NOTE_FIELDS:
-        raise PydanticCustomError("vary", f"{path} is not one of note.{', note.'.join(NOTE_FIELDS)}")
+def misfits_of_vary(vary: Mapping[str, Variation]) -> Iterator[Misfit]:
+    """Paths of `vary` that name a note, but none of its numbers."""
+    for path in vary:
+        head, _, name = path.partition(".")
+        if head == "note" and name not in NOTE_FIELDS:
+            yield f"vary.{path}", f"is not one of note.{', note.'.join(NOTE_FIELDS)}"
 
 
-def _check_levels(row: Levels, choices: dict[str, list[str]], key: str) -> None:
+def _misfits_of_levels(row: Levels, choices: dict[str, list[str]], key: str) -> Iterator[Misfit]:
     for name, level in row.items():
         if name not in choices:
-            raise PydanticCustomError("levels", f"{key}: {name} is not one of {', '.join(choices)}")
-        if level not in choices[name]:
-            raise PydanticCustomError("levels", f"{key}.{name}: {level} is not one of {', '.join(choices[name])}")
+            yield key, f"{name} is not one of {', '.join(choices)}"
+        elif level not in choices[name]:
+            yield f"{key}.{name}", f"{level} is not one of {', '.join(choices[name])}"
 
 
 def load_manifest(path: str | os.PathLike[str]) -> Manifest:
@@ -356,7 +393,7 @@ def load_manifest(path: str | os.PathLike[str]) -> Manifest:
     Raises
     ------
     ManifestError
-        One line: file, dotted key, fault and the values allowed.
+        A line for each fault: file, key, fault and the values allowed.
     """
     return check_manifest(load_yaml(path, error=ManifestError), file=Path(path))
 
@@ -364,10 +401,51 @@ def load_manifest(path: str | os.PathLike[str]) -> Manifest:
 def check_manifest(data: dict[str, Any], *, file: Path | None = None) -> Manifest:
     """As `load_manifest`, from plain data."""
     try:
-        return Manifest.model_validate(data)
+        manifest = Manifest.model_validate(data)
+        found = list(manifest.misfits())
     except ValidationError as error:
-        key, reason = first_message(error, Manifest)
-        raise ManifestError(reason, file=file, key=key) from None
+        found = all_messages(error, Manifest)
+        found += _misfits_besides(data, [key for key, _ in found])
+        raise_misfits(found, file)
+    raise_misfits(found, file)
+    return manifest
+
+
+def raise_misfits(found: Iterable[Misfit], file: Path | None) -> None:
+    """Raise all faults of a manifest as one ManifestError, if there are any."""
+    faults = [ManifestError(reason, file=file, key=key) for key, reason in dict.fromkeys(found)]
+    if faults:
+        raise together(faults)
+
+
+#: values that fit, in place of those of required keys that do not
+_STAND_INS: dict[str, Any] = {
+    "schema": "tonewood-batch/1", "name": "name", "seed": 0, "instruments": {"i": "i"}, "scores": {"s": {"midi": "s"}},
+}  # fmt: skip
+
+
+def _misfits_besides(data: dict[str, Any], keys: Sequence[str]) -> list[Misfit]:
+    """What else is wrong with a manifest whose values at `keys` are faulty: its misfits with others in their place."""
+    whole, replaced = copy.deepcopy(data), set()
+    for top, _, rest in (key.partition(".") for key in keys):
+        inner = rest.partition(".")[0]
+        section = whole.get(top)
+        if top == "pages" and inner.isdecimal() and isinstance(section, list):
+            section[int(inner)] = {"type": "instructions"}
+            replaced.add(int(inner))
+        elif top == "factors" and isinstance(section, dict) and isinstance(factor := section.get(inner), dict):
+            levels = factor.get("levels")
+            section[inner] = {"path": "p", "levels": levels if isinstance(levels, dict) else {}}
+        elif top in ("instruments", "scores") and isinstance(section, dict) and inner in section:
+            section[inner] = _STAND_INS[top][top[0]]
+        elif top in _STAND_INS:
+            whole[top] = _STAND_INS[top]
+        else:
+            whole.pop(top, None)
+    try:
+        return list(Manifest.model_validate(whole).misfits(replaced))
+    except ValidationError:
+        return []
 
 
 def manifest_schema() -> dict[str, Any]:

@@ -8,30 +8,26 @@ from __future__ import annotations
 
 import itertools
 import math
-import string
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_+-]*$", max_length=60)]
-ParameterPath = Annotated[str, Field(pattern=r"^[^.\s]+(\.[^.\s]+)*$", max_length=200)]
-Language = Annotated[str, Field(pattern=r"^[a-z]{2,3}(-[A-Za-z0-9]{2,8})*$")]
-Text = str | dict[Language, str]
-Levels = dict[str, str]
-Pairs = dict[str, Literal["all"] | list[str] | list[list[str]]]
-
+from tonewood.workshop.batch.page_parts import (
+    Levels,
+    Pairs,
+    ParameterPath,
+    Question,
+    RatingScale,
+    Return,
+    Section,
+    Text,
+)
 
 #: of a staircase, least distance between its limits: a share of their size, or the logarithm of their ratio
 LEAST_SPAN = 1e-9
 #: of a staircase, share of the way between its limits that a track of answers of one kind goes at least
 LEAST_WAY = 0.01
-
-
-class Section(BaseModel):
-    """A part of a manifest: unknown keys are refused, values are not converted."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
 class Page(Section):
@@ -44,20 +40,20 @@ class Page(Section):
 class ConsentPage(Page):
     """Information on the test and a box that must be ticked to go on."""
 
-    type: Literal["consent"]
+    type: Literal["consent"] = Field(description="this word")
     agree: Text = Field(default="", description="words beside the box")
 
 
 class InstructionsPage(Page):
     """A page to read."""
 
-    type: Literal["instructions"]
+    type: Literal["instructions"] = Field(description="this word")
 
 
 class LevelPage(Page):
     """Level setting: a tone as loud as the stimuli, by which the playback level is set and not changed again."""
 
-    type: Literal["level"]
+    type: Literal["level"] = Field(description="this word")
     freq: float = Field(default=1000.0, ge=50, le=10000, description="Hz, of the tone")
     spl_db: float | None = Field(default=None, ge=20, le=100, description="dB SPL that the tone is to have at the ear")
     measured: bool = Field(default=False, description="ask for the sound pressure level that was measured")
@@ -66,64 +62,22 @@ class LevelPage(Page):
 class TrainingPage(Page):
     """Trials of another page before it begins, with the right answer shown; they do not count."""
 
-    type: Literal["training"]
+    type: Literal["training"] = Field(description="this word")
     page: int = Field(ge=1, description="number of the page that is trained, counted from 1")
-    trials: int = Field(default=2, ge=1, le=100)
-
-
-class Question(Section):
-    """One question of a questionnaire."""
-
-    name: Name
-    label: Text
-    kind: Literal["text", "number", "choice", "scale"] = "text"
-    choices: dict[Name, Text] | None = None
-    low: float = 1.0
-    high: float = 5.0
-    optional: bool = False
-
-    @model_validator(mode="after")
-    def _has_choices(self) -> Self:
-        if (self.kind == "choice") != (self.choices is not None):
-            raise PydanticCustomError("question", "kind: choice and choices belong together")
-        if self.low >= self.high:
-            raise PydanticCustomError("question", "low must be below high")
-        return self
+    trials: int = Field(default=2, ge=1, le=100, description="of that page")
 
 
 class QuestionnairePage(Page):
     """Questions on the listener, or on the test."""
 
-    type: Literal["questionnaire"]
-    questions: list[Question] = Field(min_length=1, max_length=100)
-
-
-class Return(Section):
-    """Code and address by which a panel of paid listeners learns that a listener is back.
-
-    In the address ``{code}`` and ``{listener}`` are filled in; in the code ``{id}`` is the name under which the results
-    have a listener who gave none.
-    """
-
-    code: str = Field(default="", max_length=200)
-    address: Annotated[str, Field(pattern=r"^https?://\S+$", max_length=1000)] | None = None
-
-    @model_validator(mode="after")
-    def _can_be_filled_in(self) -> Self:
-        for text, names in ((self.code, {"id"}), (self.address or "", {"code", "listener"})):
-            try:
-                found = {name for _, name, _, _ in string.Formatter().parse(text) if name is not None}
-            except ValueError as fault:
-                raise PydanticCustomError("return", f"{text}: {fault}") from None
-            if unknown := found - names:
-                raise PydanticCustomError("return", f"{{{min(unknown)}}} is not one of {', '.join(sorted(names))}")
-        return self
+    type: Literal["questionnaire"] = Field(description="this word")
+    questions: list[Question] = Field(min_length=1, max_length=100, description="in the order shown")
 
 
 class FinishPage(Page):
     """The last page; one is added where a manifest has none."""
 
-    type: Literal["finish"]
+    type: Literal["finish"] = Field(description="this word")
     back: Return | None = Field(default=None, description="code and address shown when the answers are saved")
 
 
@@ -135,9 +89,9 @@ class HeadphonesPage(Page):
     Psychophys. 79 (2017) 2064): tones of 200 Hz; one is 6 dB softer, another in antiphase: over loudspeakers softer.
     """
 
-    type: Literal["headphones"]
-    method: Literal["huggins", "antiphase"] = "huggins"
-    trials: int = Field(default=6, ge=1, le=60)
+    type: Literal["headphones"] = Field(description="this word")
+    method: Literal["huggins", "antiphase"] = Field(default="huggins", description="sounds of the check")
+    trials: int = Field(default=6, ge=1, le=60, description="of one attempt")
     right: int | None = Field(default=None, ge=1, description="right answers to pass; all, of antiphase all but one")
     attempts: int = Field(default=2, ge=1, le=10, description="how often the check may be taken")
     failed: Literal["stop", "go_on"] = Field(default="stop", description="what follows for listeners who do not pass")
@@ -210,7 +164,7 @@ class PointsPage(SwitchedPage):
 class RatedPage(PointsPage):
     """Sounds against a reference."""
 
-    reference: Levels = Field(min_length=1)
+    reference: Levels = Field(min_length=1, description="levels of the one sound that is the reference")
     removed: ClassVar[dict[str, str]] = dict.fromkeys(
         ("show_waveform", "looping", "switch_back"),
         "was removed in 0.2: it was an option of webMUSHRA; the keys are waveform, loop and switch",
@@ -220,21 +174,25 @@ class RatedPage(PointsPage):
 class MushraPage(RatedPage):
     """Several sounds against a reference on a scale of 0 to 100 (BS.1534)."""
 
-    type: Literal["mushra"]
-    anchors: list[Literal[3500, 7000]] = Field(default_factory=list, max_length=2)
+    type: Literal["mushra"] = Field(description="this word")
+    anchors: list[Literal[3500, 7000]] = Field(
+        default_factory=list, max_length=2, description="Hz, cutoffs of low-pass filtered copies of the reference"
+    )
     strict: bool = Field(default=True, description="refuse more signals on a page than BS.1534 allows")
 
 
 class Bs1116Page(RatedPage):
     """One sound and the hidden reference against the open reference, grades 1 to 5 (BS.1116)."""
 
-    type: Literal["bs1116"]
+    type: Literal["bs1116"] = Field(description="this word")
 
 
 class PairPage(TrialPage):
     """Pairs of levels of one factor, all else equal; `times` trials each."""
 
-    pairs: Pairs = Field(min_length=1, max_length=1)
+    pairs: Pairs = Field(
+        min_length=1, max_length=1, description="one factor: two of its levels, a list of such pairs, or all"
+    )
     times: int = Field(default=1, ge=1, le=1000, description="trials of each pair")
     expect: float | None = Field(default=None, gt=0, lt=1, description="share of answers beyond guessing")
     feedback: bool = Field(default=False, description="show whether an answer was right")
@@ -243,23 +201,23 @@ class PairPage(TrialPage):
 class AbxPage(PairPage, SwitchedPage):
     """Which of A and B is X?"""
 
-    type: Literal["abx"]
+    type: Literal["abx"] = Field(description="this word")
     unforced: bool = Field(default=False, description="allow the answer that no difference is heard")
 
 
 class AbPage(PairPage, SwitchedPage):
     """Are A and B the same? Every second trial has one sound twice."""
 
-    type: Literal["ab"]
+    type: Literal["ab"] = Field(description="this word")
 
 
 class PairedPage(PairPage, SwitchedPage):
     """Which of two has more of something, or is preferred?"""
 
-    type: Literal["paired_comparison"]
-    question: Text
+    type: Literal["paired_comparison"] = Field(description="this word")
+    question: Text = Field(description="which of the two ...?")
     tie: bool = Field(default=False, description="allow the answer that both are equal")
-    feedback: Literal[False] = False
+    feedback: Literal[False] = Field(default=False, description="there is no right answer")
     removed: ClassVar[dict[str, str]] = dict.fromkeys(
         ("unforced", "both_orders", "show_waveform", "looping"),
         "was removed in 0.2: which of two is the reference is asked by type abx; `tonewood migrate` helps",
@@ -273,34 +231,16 @@ class AfcPage(PairPage):
     With one ("which decays longer?") they point at the interval that has the pair's second level.
     """
 
-    type: Literal["afc"]
-    intervals: Literal[2, 3] = 3
-    question: Text = ""
-
-
-class RatingScale(Section):
-    """A scale from `low` to `high` with words at its ends."""
-
-    name: Name
-    label: Text
-    low: float = 0.0
-    high: float = 100.0
-    low_label: Text = ""
-    high_label: Text = ""
-    ordinal: bool = Field(default=False, description="grades have an order, but no stated distance")
-
-    @model_validator(mode="after")
-    def _rises(self) -> Self:
-        if self.low >= self.high:
-            raise PydanticCustomError("scale", "low must be below high")
-        return self
+    type: Literal["afc"] = Field(description="this word")
+    intervals: Literal[2, 3] = Field(default=3, description="number of sounds, one after the other")
+    question: Text = Field(default="", description="which interval has more of it; empty: which differs")
 
 
 class RatingPage(PointsPage):
     """One sound on one or more scales."""
 
-    type: Literal["rating"]
-    scales: list[RatingScale] = Field(min_length=1, max_length=12)
+    type: Literal["rating"] = Field(description="this word")
+    scales: list[RatingScale] = Field(min_length=1, max_length=12, description="in the order shown")
     times: int = Field(default=1, ge=1, le=1000, description="trials of each sound")
 
 
@@ -315,16 +255,20 @@ class StaircasePage(ListenedPage):
     those of QUEST+, `trials` of them; with `steps` the level falls after right answers and rises after a wrong one.
     """
 
-    type: Literal["staircase"]
-    path: ParameterPath
+    type: Literal["staircase"] = Field(description="this word")
+    path: ParameterPath = Field(
+        description="parameter of the bundle, or of the render (render.), that the level changes"
+    )
     of: Levels = Field(default_factory=dict, description="levels of the one condition that is changed")
-    scale: Literal["value", "add", "percent", "db"] = "add"
+    scale: Literal["value", "add", "percent", "db"] = Field(
+        default="add", description="how a level gives the value, see above"
+    )
     reference: Any = Field(default=None, description="value of the path in the reference sound; its own if left out")
-    unit: Text = ""
+    unit: Text = Field(default="", description="of the level, for tables")
     start: float = Field(description="first level")
     ratio: bool = Field(default=False, description="levels are compared by their ratios, not their differences")
-    lowest: float
-    highest: float
+    lowest: float = Field(description="least level")
+    highest: float = Field(description="greatest level")
     trials: int = Field(default=60, ge=10, le=1000, description="of a track (QUEST+)")
     steps: list[Annotated[float, Field(gt=0)]] = Field(
         default_factory=list, max_length=10, description="of the level (Levitt); ratios with ratio: true"
@@ -334,9 +278,9 @@ class StaircasePage(ListenedPage):
     discard: int = Field(default=2, ge=0, le=20, description="first reversals that do not count (Levitt)")
     longest: int = Field(default=80, ge=5, le=1000, description="trials of a track (Levitt)")
     tracks: int = Field(default=1, ge=1, le=8, description="interleaved")
-    intervals: Literal[2, 3] = 3
-    question: Text = ""
-    feedback: bool = True
+    intervals: Literal[2, 3] = Field(default=3, description="number of sounds, one after the other")
+    question: Text = Field(default="", description="which interval has more of it; empty: which differs")
+    feedback: bool = Field(default=True, description="show whether an answer was right")
     expect: float | None = Field(default=None, gt=0, description="mean threshold that is expected, a level")
     expect_sd: float | None = Field(
         default=None, gt=0, description="standard deviation of the listeners' thresholds: levels, or a ratio above 1"
@@ -449,9 +393,13 @@ class StaircasePage(ListenedPage):
 class HtmlPage(SoundPage):
     """A page only of the audition file; anchors are written as files."""
 
-    type: Literal["html"]
-    reference: Levels | None = None
-    anchors: list[Literal[3500, 7000]] = Field(default_factory=list, max_length=2)
+    type: Literal["html"] = Field(description="this word")
+    reference: Levels | None = Field(
+        default=None, description="levels of the sound that the anchors are made of, and the others compared with"
+    )
+    anchors: list[Literal[3500, 7000]] = Field(
+        default_factory=list, max_length=2, description="Hz, cutoffs of low-pass filtered copies of the reference"
+    )
 
     @model_validator(mode="after")
     def _anchored(self) -> Self:

@@ -8,6 +8,7 @@ the true-peak limit is lowered as a whole.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -29,6 +30,13 @@ from tonewood.workshop.batch.workers import Workers
 
 SOUNDS = "stimuli"
 PICTURES = "pictures"
+#: s of noise in a trial
+_TRIAL = 4
+#: time of a file re that of a trial: reading the render, resampling, fades, writing
+_FILE_SHARE = 1.5
+_PICTURE_SECONDS = 0.15
+#: of a core, for a worker process to import all that it needs
+_START_SECONDS = 3.0
 _CUTOFF = {role: cutoff for cutoff, role in ANCHOR_ROLES.items()}
 
 
@@ -284,6 +292,25 @@ def _write(task: tuple[_Job, int, float, float, Path, bool]) -> SoundFile:
         true_peak_dbtp=_finite(found.true_peak_dbtp),
         sha256=st.samples_sha256(samples),
     )
+
+
+def trial_of_a_file(settings: Stimuli, *, pictures: bool) -> tuple[float, float]:
+    """Time to measure and write one sound file, s, and to start workers, s, from trials on noise under today's load."""
+    noise = np.random.default_rng(0).standard_normal((_TRIAL * settings.fs, settings.channels)) * 0.01
+
+    def trial() -> None:
+        heard = noise * 10.0 ** (st.level_gain_db(noise, settings.fs, *level_settings(settings.loudness)) / 20.0)
+        st.true_peak(heard)
+        st.quantised(heard, settings.subtype, np.random.default_rng(0))
+        st.measured(heard, settings.fs)
+
+    trial()  # imports
+    began, computed = time.perf_counter(), time.process_time()
+    trial()
+    trial()
+    seconds, share = time.perf_counter() - began, time.process_time() - computed
+    file = 0.5 * seconds * _FILE_SHARE + (_PICTURE_SECONDS if pictures else 0.0)
+    return file, _START_SECONDS * max(1.0, seconds / max(share, 1e-9))
 
 
 def write_wav(path: Path, samples: Any, fs: int, subtype: str) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tonewood.support.csv_text import csv_text
+from tonewood.support.parquet import write_parquet
 from tonewood.support.whole_files import whole_file
 from tonewood.workshop.batch.conditions import Condition
 from tonewood.workshop.batch.layout import Group
@@ -19,6 +20,7 @@ KEY_SCHEMA = "tonewood-key/1"
 RECORD_SCHEMA = "tonewood-record/1"
 RECORD_JSON = "manifest.json"
 RECORD_CSV = "manifest.csv"
+RECORD_PARQUET = "manifest.parquet"
 
 
 def key_of(manifest: Manifest, groups: Sequence[Group], conditions: Mapping[str, Condition]) -> dict[str, Any]:
@@ -118,6 +120,12 @@ def write_csv(path: Path, records: Sequence[Mapping[str, Any]]) -> None:
     columns = list(dict.fromkeys(name for row in rows for name in row))
     with whole_file(path, make_folder=True) as stream:
         stream.write(csv_text(columns, rows).encode())
+
+
+def write_table(path: Path, records: Sequence[Mapping[str, Any]]) -> None:
+    """As `write_csv`, as Parquet."""
+    rows = [dict(_flat(record)) for record in records]
+    write_parquet(path, list(dict.fromkeys(name for row in rows for name in row)), rows)
 
 
 def _flat(value: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:

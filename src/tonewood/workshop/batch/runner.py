@@ -7,124 +7,39 @@ and the others are rendered; pages and pairs without one of their sounds are lef
 
 from __future__ import annotations
 
-import hashlib
 import json
-import re
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from tonewood.errors import NumericalError, OutputError, TonewoodError
+from tonewood.errors import NumericalError, OutputError, TonewoodError, together
 from tonewood.support.folder_lock import locked
-from tonewood.support.whole_files import remove
-from tonewood.workshop.batch import audition, definition, records
+from tonewood.workshop.batch import definition
 from tonewood.workshop.batch.conditions import Condition, expand
 from tonewood.workshop.batch.layout import Group, lay_out
 from tonewood.workshop.batch.manifest import Manifest, ManifestError, load_manifest
-from tonewood.workshop.batch.pages import HtmlPage, PairPage, as_pairs
-from tonewood.workshop.batch.pictures import write_differences
+from tonewood.workshop.batch.outputs import write_outputs
+from tonewood.workshop.batch.pages import HtmlPage
+from tonewood.workshop.batch.plan import BatchPlan, StimulusRenderer
 from tonewood.workshop.batch.production import (
-    PICTURES,
-    SOUNDS,
     Fault,
     SoundFile,
     level_faults,
     make_files,
     room_response,
+    trial_of_a_file,
 )
 from tonewood.workshop.batch.stimuli import StimulusError
 from tonewood.workshop.batch.store import Rendered, Store, content_key
 from tonewood.workshop.batch.workers import Workers
 
 WORK = "work"
-_FILE_SECONDS = 0.1  # to measure, write and draw one sound file
-_CODE_FILE = re.compile(r"[b-df-hj-np-tv-xz]{6}\.(wav|png)")
 Progress = Callable[[str, int, int], None]
-
-
-class StimulusRenderer(Protocol):
-    """Renders conditions. It is pickled into workers; every call depends on its condition alone."""
-
-    def identity(self, condition: Condition) -> dict[str, Any]:
-        """Everything that decides the samples, JSON-ready: parameters, hashes, version, instruction set."""
-
-    def render(self, condition: Condition) -> Rendered:
-        """The sound itself."""
-
-    def own_value(self, condition: Condition, path: str) -> Any:
-        """Value of a parameter of the instrument or the render (``render.``); raises a TonewoodError without one."""
-
-    def predict(self, condition: Condition) -> float:
-        """About how long `render` will take, s."""
-
-
-@dataclass(frozen=True)
-class BatchPlan:
-    """The work of a batch, before anything is rendered.
-
-    Attributes
-    ----------
-    source : the manifest's folder.
-    conditions, groups : of the manifest, those that could be resolved.
-    levels : of staircases, rendered beforehand.
-    keys : content key by condition name.
-    todo : one condition for each key that is not rendered yet.
-    seconds : predicted time of rendering those and of writing the files with the workers given, s; None if not asked.
-    faults : conditions that could not be resolved.
-    """
-
-    manifest: Manifest
-    source: Path
-    conditions: tuple[Condition, ...]
-    levels: tuple[definition.StaircaseLevel, ...]
-    groups: tuple[Group, ...]
-    keys: dict[str, str]
-    identities: dict[str, dict[str, Any]]
-    todo: tuple[Condition, ...]
-    seconds: float | None
-    faults: tuple[Fault, ...]
-    notes: tuple[str, ...]
-
-    @property
-    def room(self) -> Path | None:
-        """File of the impulse response that all sounds are convolved with."""
-        return None if self.manifest.stimuli.room is None else self.source / self.manifest.stimuli.room
-
-    @property
-    def n_files(self) -> int:
-        """Sound files that will be written."""
-        return sum(len(g.stimuli) for g in self.groups)
-
-    def trials_of_a_pair(self) -> dict[int, int]:
-        """Trials that a listener gets on each page (from 0) of pairs, of one pair of levels."""
-        found: dict[int, int] = {}
-        for index, page in enumerate(self.manifest.pages):
-            if isinstance(page, PairPage):
-                (factor, pairs), *_ = page.pairs.items()
-                count = len(as_pairs(pairs, self.manifest.choices()[factor]))
-                trials = sum(len(g.trials) for g in self.groups if g.page == index)
-                trials = min(trials, page.subset or trials)
-                found[index] = page.times * max(1, trials // count)
-        return found
-
-    def summary(self) -> dict[str, Any]:
-        """The plan as JSON-ready data."""
-        return {
-            "name": self.manifest.name,
-            "conditions": [c.name for c in self.conditions],
-            "to_render": len(self.todo),
-            "rendered": len(set(self.keys.values())) - len(self.todo),
-            "files": self.n_files,
-            "trials": sum(len(g.trials) for g in self.groups),
-            "predicted_seconds": None if self.seconds is None else round(self.seconds, 3),
-            "failed": [{"name": f.name, "reason": f.reason} for f in self.faults],
-            "notes": list(self.notes),
-        }
 
 
 @dataclass(frozen=True)
@@ -180,17 +95,7 @@ def plan_batch(
         The manifest cannot be used, or no condition can be resolved.
     """
     manifest = load_manifest(manifest_path)
-    try:
-        conditions = expand(manifest, manifest_path.parent)
-        groups, notes = lay_out(manifest, conditions)
-        levels = definition.staircase_levels(manifest, manifest_path.parent, renderer.own_value)
-        if (room := manifest.stimuli.room) is not None:
-            try:
-                room_response(manifest_path.parent / room, manifest.stimuli)
-            except StimulusError as fault:
-                raise ManifestError(f"{room}: {fault.reason}", key="stimuli.room") from None
-    except ManifestError as fault:
-        raise ManifestError(fault.reason, file=manifest_path, key=fault.key) from None
+    conditions, groups, notes, levels = _laid_out(manifest, manifest_path, renderer)
     keys: dict[str, str] = {}
     identities: dict[str, dict[str, Any]] = {}
     faults: list[Fault] = []
@@ -227,13 +132,15 @@ def plan_batch(
         )
     seconds = None
     if predict:
-        seconds = _FILE_SECONDS * sum(len(g.stimuli) for g in groups)
+        file, start = trial_of_a_file(manifest.stimuli, pictures=manifest.output.pictures)
+        seconds = file * sum(len(g.stimuli) for g in groups)
         for condition in todo.values():
             try:
                 seconds += renderer.predict(condition)
             except TonewoodError as fault:
                 faults.append(Fault(condition.name, str(fault)))
-        seconds /= 1 if workers is None else workers.count
+        if workers is not None and workers.count > 1:
+            seconds = seconds / workers.count + (start if workers.backend == "processes" else 0.0)
     plan = BatchPlan(
         manifest,
         manifest_path.parent,
@@ -249,6 +156,33 @@ def plan_batch(
     )
     _check_answers(plan, folder)
     return plan
+
+
+def _laid_out(
+    manifest: Manifest, path: Path, renderer: StimulusRenderer
+) -> tuple[tuple[Condition, ...], tuple[Group, ...], list[str], list[definition.StaircaseLevel]]:
+    """Conditions, groups, notes and levels of staircases; raises all faults of them together."""
+    faults: list[TonewoodError] = []
+
+    def kept(function: Callable[[], Any]) -> Any:
+        try:
+            return function()
+        except ManifestError as fault:
+            faults.append(fault)
+
+    settings = manifest.stimuli
+    conditions = kept(lambda: expand(manifest, path.parent))
+    if conditions is not None:
+        laid = kept(lambda: lay_out(manifest, conditions))
+        levels = kept(lambda: definition.staircase_levels(manifest, path.parent, renderer.own_value))
+    if settings.room is not None:
+        try:
+            room_response(path.parent / settings.room, settings)
+        except StimulusError as fault:
+            faults.append(ManifestError(f"{settings.room}: {fault.reason}", key="stimuli.room"))
+    if faults:
+        raise together(faults, file=path)
+    return conditions, *laid, levels
 
 
 def _check_answers(plan: BatchPlan, folder: Path) -> None:
@@ -319,17 +253,17 @@ def _run(
         workers.local(),
         room=plan.room,
         seed=manifest.seed,
-        pictures="html" in manifest.output.formats,
+        pictures=manifest.output.pictures,
         advance=_Counter(progress, "files", 2 * sum(len(g.stimuli) for g in groups)),
     )
     groups, lost_too = _complete(groups, {f.code for f in files}, manifest)
     heard = {s.code for g in groups for s in g.stimuli}
     files = [f for f in files if f.code in heard]
     unrendered = [Fault(name, f.reason, f.detail) for name, key in plan.keys.items() if (f := failed.get(key))]
-    levels = {f"{x.condition.name} ({x.key})": keys.get(x.condition.name) for x in plan.levels}
+    levels = {f"{x.condition.name} ({ManifestError.shown_key(x.key)})": keys.get(x.condition.name) for x in plan.levels}
     faults = (*plan.faults, *unrendered, *silent, *level_faults(levels, store, manifest.stimuli, plan.room))
     notes = (*plan.notes, *lost, *lowered, *lost_too)
-    _write_records(plan, groups, files, renders, faults, notes, folder, workers.local())
+    write_outputs(plan, groups, files, renders, faults, notes, folder, workers.local())
     return Report(
         name=manifest.name,
         folder=folder,
@@ -415,76 +349,6 @@ def _complete(groups: Sequence[Group], there: set[str], manifest: Manifest) -> t
             stimuli = tuple(s for s in group.stimuli if s.code in here)
             kept.append(replace(group, stimuli=stimuli, trials=trials))
     return kept, notes
-
-
-def _write_records(
-    plan: BatchPlan,
-    groups: Sequence[Group],
-    files: Sequence[SoundFile],
-    renders: dict[str, dict[str, Any]],
-    faults: Sequence[Fault],
-    notes: Sequence[str],
-    folder: Path,
-    workers: Workers,
-) -> None:
-    manifest, formats = plan.manifest, plan.manifest.output.formats
-    by_code = {f.code: f for f in files}
-    conditions = {c.name: c for c in plan.conditions}
-    _remove_strangers(folder, set(by_code))
-    rows = records.file_records(files, conditions, plan.identities, renders)
-    if "test" in formats:
-        drops = {f.group: f.page_drop_db for f in files}
-        made = definition.definition_of(manifest, groups, by_code, plan.source, drops)
-        records.write_json(folder / definition.FILE, made)
-    if "html" in formats:
-        _draw_differences(groups, by_code, folder, workers)
-        audition.write_audition(folder, manifest, groups, by_code, conditions)
-    if "csv" in formats:
-        records.write_csv(folder / records.RECORD_CSV, rows)
-    if "json" in formats:
-        record = records.batch_record(manifest, rows, faults, notes)
-        if plan.room is not None:
-            record["room_sha256"] = hashlib.sha256(plan.room.read_bytes()).hexdigest()
-        records.write_json(folder / records.RECORD_JSON, record)
-    records.write_json(folder / manifest.output.key, records.key_of(manifest, groups, conditions))
-
-
-#: sounds in one figure of differences
-_MOST_DIFFERENCES = 13
-
-
-def _draw_differences(groups: Sequence[Group], files: Mapping[str, SoundFile], folder: Path, workers: Workers) -> None:
-    """One figure a group: how its sounds differ from the reference, or from the first."""
-    shown = [g for g in groups if any(s.code in files for s in g.stimuli)]
-    tasks = []
-    for number, group in enumerate(shown, start=1):
-        references = [t.reference for t in group.trials if t.reference is not None]
-        present = sorted((s for s in group.stimuli if s.code in files), key=lambda s: s.code not in references[:1])
-        path = folder / PICTURES / f"differences{number}.png"
-        if 1 < len(present) <= _MOST_DIFFERENCES:
-            labels = [s.condition + ("" if s.role == "sound" else f" ({s.role})") for s in present]
-            sounds = {label: folder / files[s.code].file for label, s in zip(labels, present, strict=True)}
-            tasks.append((path, sounds, group.name))
-        else:
-            remove(path)
-    for _ in workers.each(_draw, tasks) if tasks else ():
-        pass
-
-
-def _draw(task: tuple[Path, dict[str, Path], str]) -> None:
-    import soundfile
-
-    path, files, heading = task
-    sounds = {label: soundfile.read(file, always_2d=True)[0] for label, file in files.items()}
-    write_differences(path, sounds, soundfile.info(next(iter(files.values()))).samplerate, heading)
-
-
-def _remove_strangers(folder: Path, codes: set[str]) -> None:
-    """Remove sounds and pictures an earlier run made under codes that are no longer in use."""
-    for place in (folder / SOUNDS, folder / PICTURES):
-        for path in place.glob("*.*"):
-            if _CODE_FILE.fullmatch(path.name) and path.stem not in codes:
-                remove(path)
 
 
 class _Counter:

@@ -7,23 +7,29 @@ of every note (``note.``); its values are listed, or drawn from a range.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from tonewood.performance.score.note import Note
-from tonewood.support.validation_messages import first_message
+from tonewood.support.validation_messages import all_messages, first_message
 from tonewood.workshop.batch.manifest import (
     NOTE_FIELDS,
-    ManifestError,
+    Misfit,
     RenderSettings,
     ScoreSource,
     Variation,
-    check_vary,
+    misfits_of_vary,
+    raise_misfits,
 )
-from tonewood.workshop.batch.pages import Name, ParameterPath, Section
+from tonewood.workshop.batch.page_parts import (
+    Name,
+    ParameterPath,
+    Section,
+)
 
 #: fields of a note that a parameter may set
 SETTABLE = (*NOTE_FIELDS, "string", "stop", "technique", "channel")
@@ -38,10 +44,14 @@ Range = tuple[float, float]
 class Parameter(Section):
     """A parameter and its values: `values`, or one range."""
 
-    path: ParameterPath
-    values: list[Any] | None = Field(default=None, min_length=1, max_length=100_000)
-    uniform: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
-    log_uniform: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
+    path: ParameterPath = Field(description="note.FIELD, render.OPTION, or a parameter of the bundle")
+    values: list[Any] | None = Field(default=None, min_length=1, max_length=100_000, description="to choose from")
+    uniform: Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
+        default=None, description="[low, high]"
+    )
+    log_uniform: Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
+        default=None, description="[low, high], uniform in the logarithm"
+    )
     steps: int | None = Field(
         default=None, ge=2, le=100_000, description="values of a range in a grid, its ends among them"
     )
@@ -108,7 +118,7 @@ class Parameter(Section):
 class Sounds(Section):
     """Files of the sounds."""
 
-    subtype: Literal["PCM_16", "PCM_24"] = "PCM_24"
+    subtype: Literal["PCM_16", "PCM_24"] = Field(default="PCM_24", description="bits of a sample")
     level: Literal["calibrated", "peak"] = Field(
         default="calibrated", description="the instrument's full scale, with render.gain_db; or each to -1 dBFS"
     )
@@ -121,64 +131,60 @@ class Sounds(Section):
 class Dataset(Section):
     """A whole data set."""
 
-    schema_: Literal["tonewood-batch/1"] = Field(alias="schema")
-    kind: Literal["dataset"]
-    name: Name
-    title: str = ""
+    schema_: Literal["tonewood-batch/1"] = Field(alias="schema", description="of this file")
+    kind: Literal["dataset"] = Field(description="a data set; `test` is a listening test")
+    name: Name = Field(description="of the set")
+    title: str = Field(default="", description="kept in the record")
     licence: str = Field(default="", description="of the sounds, an SPDX name; the instruments' own are listed besides")
-    seed: int = Field(ge=0, lt=2**63)
-    instruments: dict[Name, str] = Field(min_length=1)
-    scores: dict[Name, ScoreSource] = Field(default_factory=dict)
+    seed: int = Field(ge=0, lt=2**63, description="of every random choice")
+    instruments: dict[Name, str] = Field(
+        min_length=1, description="name -> installed instrument, or folder relative to the manifest"
+    )
+    scores: dict[Name, ScoreSource] = Field(default_factory=dict, description="name -> music")
     folder: str | None = Field(default=None, description="of MIDI files, each a score, folders below it included")
-    parameters: dict[Name, Parameter] = Field(default_factory=dict)
-    sampling: Literal["grid", "random", "sobol"] = "grid"
+    parameters: dict[Name, Parameter] = Field(
+        default_factory=dict, description="name -> what varies from sound to sound"
+    )
+    sampling: Literal["grid", "random", "sobol"] = Field(
+        default="grid", description="all combinations, independent draws, or a scrambled Sobol sequence"
+    )
     size: int | None = Field(default=None, ge=1, description="sounds of each instrument and score; of a grid all")
-    vary: dict[ParameterPath, Variation] = Field(default_factory=dict)
-    render: RenderSettings = RenderSettings()
-    sounds: Sounds = Sounds()
+    vary: dict[ParameterPath, Variation] = Field(
+        default_factory=dict, description="path -> variation from note to note"
+    )
+    render: RenderSettings = Field(default=RenderSettings(), description="settings of all renders")
+    sounds: Sounds = Field(default=Sounds(), description="files of the sounds")
 
-    @field_validator("vary")
-    @classmethod
-    def _notes_vary(cls, vary: dict[str, Variation]) -> dict[str, Variation]:
-        for path in vary:
-            check_vary(path)
-        return vary
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def misfits(self) -> Iterator[Misfit]:
+        """Parts that do not fit together."""
         if not self.scores and self.folder is None:
-            raise PydanticCustomError("dataset", "scores: give scores, or a folder of MIDI files")
-        if self.sampling == "grid":
-            if self.size is not None:
-                raise PydanticCustomError("dataset", "size: a grid has as many sounds as its parameters have values")
-            missing = [n for n, p in self.parameters.items() if p.values is None and p.steps is None]
-            if missing:
-                raise PydanticCustomError("dataset", f"parameters.{missing[0]}.steps: is missing; a grid needs it")
-        elif self.size is None:
-            raise PydanticCustomError("dataset", f"size: is missing; sampling: {self.sampling} needs it")
-        elif steps := [n for n, p in self.parameters.items() if p.steps is not None]:
-            raise PydanticCustomError("dataset", f"parameters.{steps[0]}.steps: belongs to sampling: grid")
+            yield "scores", "give scores, or a folder of MIDI files"
+        yield from misfits_of_vary(self.vary)
+        for name, parameter in self.parameters.items():
+            if self.sampling == "grid" and parameter.values is None and parameter.steps is None:
+                yield f"parameters.{name}.steps", "is missing; a grid needs it"
+            if self.sampling != "grid" and parameter.steps is not None:
+                yield f"parameters.{name}.steps", "belongs to sampling: grid"
+            if parameter.path.startswith("render."):
+                yield from self._misfits_of_render(name, parameter)
+        if self.sampling == "grid" and self.size is not None:
+            yield "size", "a grid has as many sounds as its parameters have values"
+        if self.sampling != "grid" and self.size is None:
+            yield "size", f"is missing; sampling: {self.sampling} needs it"
         paths = [p.path for p in self.parameters.values()]
         if double := {path for path in paths if paths.count(path) > 1}:
-            raise PydanticCustomError("dataset", f"parameters: {min(double)} stands there twice")
+            yield "parameters", f"{min(double)} stands there twice"
         if "midi" in self.sounds.labels and midi_clock(self.render.fs) is None:
-            raise PydanticCustomError(
-                "dataset", f"sounds.labels: MIDI has no tick of one sample at {self.render.fs} Hz; take [jams]"
-            )
-        for name, parameter in self.parameters.items():
-            if parameter.path.startswith("render."):
-                self._check_render(name, parameter)
-        return self
+            yield "sounds.labels", f"MIDI has no tick of one sample at {self.render.fs} Hz; take [jams]"
 
-    def _check_render(self, name: str, parameter: Parameter) -> None:
+    def _misfits_of_render(self, name: str, parameter: Parameter) -> Iterator[Misfit]:
         if parameter.path == "render.fs":
-            raise PydanticCustomError("dataset", f"parameters.{name}.path: all sounds of a data set have one rate")
+            yield f"parameters.{name}.path", "all sounds of a data set have one rate"
         for value in parameter.values or parameter.range or ():
             try:
                 self.render_settings({parameter.path.removeprefix("render."): value})
             except ValidationError as error:
-                reason = first_message(error, RenderSettings)[1]
-                raise PydanticCustomError("dataset", f"parameters.{name}: {value!r}: {reason}") from None
+                yield f"parameters.{name}", f"{value!r}: {first_message(error, RenderSettings)[1]}"
 
     def render_settings(self, changes: dict[str, Any]) -> RenderSettings:
         """The render settings with some changed, checked anew."""
@@ -198,10 +204,17 @@ def check_dataset(data: dict[str, Any], *, file: Path | None = None) -> Dataset:
 
     Raises
     ------
-    ManifestError : one line: file, dotted key, fault and the values allowed.
+    ManifestError : a line for each fault: file, dotted key, fault and the values allowed.
     """
     try:
-        return Dataset.model_validate(data)
+        dataset = Dataset.model_validate(data)
     except ValidationError as error:
-        key, reason = first_message(error, Dataset)
-        raise ManifestError(reason, file=file, key=key) from None
+        raise_misfits(all_messages(error, Dataset), file)
+        raise
+    raise_misfits(dataset.misfits(), file)
+    return dataset
+
+
+def dataset_schema() -> dict[str, Any]:
+    """JSON schema of the manifest of a data set, for editors."""
+    return Dataset.model_json_schema(by_alias=True)

@@ -9,6 +9,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Any
 from tonewood.errors import TonewoodError
 from tonewood.support.folder_lock import locked
 from tonewood.support.whole_files import remove, whole_file
+from tonewood.workshop.batch.data_sheet import Subject, write_data_sheet
 from tonewood.workshop.batch.manifest import ManifestError
 from tonewood.workshop.batch.production import Fault
 from tonewood.workshop.batch.records import write_json
@@ -237,6 +239,7 @@ def run_dataset(
         whole = hashlib.sha256(json.dumps(digests).encode()).hexdigest()
         seconds = sum(record["seconds"] for record in found)
         write_json(folder / RECORD, _record(plan, found, whole, seconds, faults))
+        write_data_sheet(folder, _subject(plan, seconds, dict(digests)), _identities(plan, renderer))
     return DatasetReport(
         name=dataset.name,
         folder=folder,
@@ -249,6 +252,27 @@ def run_dataset(
         notes=tuple(sorted(notes)),
         seconds=time.perf_counter() - started,
     )
+
+
+def _subject(plan: DatasetPlan, seconds: float, digests: dict[str, str]) -> Subject:
+    dataset = plan.dataset
+    facts = {
+        "format": f"FLAC, {dataset.render.fs:g} Hz, {dataset.sounds.subtype}",
+        "length": f"{seconds:.1f} s in all",
+        "level": dataset.sounds.level,
+    }
+    data = dataset.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return Subject(dataset.name, dataset.title, dataset.licence, data, facts, digests)
+
+
+def _identities(plan: DatasetPlan, renderer: EngineRenderer) -> list[dict[str, Any]]:
+    """Identities of the first sound that can be made on each instrument."""
+    found: dict[str, dict[str, Any]] = {}
+    for sample in plan.samples:
+        if sample.condition.bundle not in found:
+            with suppress(TonewoodError):
+                found[sample.condition.bundle] = renderer.identity(sample.condition)
+    return list(found.values())
 
 
 def _write(folder: Path, shard: Shard, key: str) -> None:

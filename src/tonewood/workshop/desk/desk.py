@@ -14,13 +14,13 @@ from typing import Any
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.string_sets import string_sets
-from tonewood.instrument.inspection.wolf import WolfNote, wolf_notes
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.score.note import Score
 from tonewood.sound.live.instrument import Live
 from tonewood.sound.render.options import RenderOptions
 from tonewood.support.units import decibel
 from tonewood.workshop.desk import views
+from tonewood.workshop.desk.kept_views import KeptViews
 from tonewood.workshop.desk.knobs import groups, knobs, same_strings_and_body
 from tonewood.workshop.desk.models import KeptModels, ModelMaker, Wanted, previewed
 from tonewood.workshop.desk.phrase import LONGEST, phrase, phrase_of_file
@@ -30,8 +30,8 @@ from tonewood.workshop.desk.take import PhraseTake, with_hands
 
 #: s of ringing after the last note; dBFS of the loudest sample of the phrase on the start design
 TAIL, _PEAK = 3.0, -4.0
-#: views that are kept
-_MOST_VIEWS = 24
+#: s without a change after which the exact model is begun: one that has been begun slows the next preview down
+_REST = 0.7
 #: frames that are rendered before a take is heard
 _READY = 4096
 
@@ -70,12 +70,10 @@ class Desk:
         self._other = ModelMaker(self.options, self._failed, self._kept)
         #: model of the design as far as it is known, and whether it is exact
         self._model: Model | None = None
-        self._start: Model | None = None
-        self._start_wolves: list[WolfNote] | None = None
-        self._views: dict[tuple[str, str, bool], tuple[Model, Any]] = {}
-        self._view_lock = threading.Lock()
+        self._views = KeptViews(session.start.instrument, self.options, self._kept)
         self._compared = ""
-        self.began = time.monotonic()
+        #: exact model that follows a preview
+        self._then: Wanted | None = None
         self._make(session.design)
 
     def close(self) -> None:
@@ -119,15 +117,38 @@ class Desk:
         if same and known is not None and take is not None:
             self._quick.forget()
             self._exact.forget()
-            if not self._exact.busy:
+            if not self._busy:
                 self._model = with_hands(known, design.instrument)
                 self._by_hands(take, design)
                 return
         wanted = Wanted(design.instrument, design.changes, self.serial, self._ready)
         coarse = previewed(design.instrument, None if known is None else known.instrument)
-        if coarse is not None:
-            self._quick.want(Wanted(coarse[0], design.changes, self.serial, self._ready, coarse[1]))
-        self._exact.want(wanted)
+        if coarse is None:
+            self._then = None
+            self._exact.want(wanted)
+            return
+        # the exact model follows: beside it the preview would take twice as long
+        self._exact.forget()
+        self._then = wanted
+        self._quick.want(Wanted(coarse[0], design.changes, self.serial, self._ready, coarse[1]))
+
+    @property
+    def _busy(self) -> Wanted | None:
+        """The model that is made or waits, the newest."""
+        return self._quick.busy or self._exact.busy or self._then
+
+    def _go_on(self, wanted: Wanted) -> None:
+        """After a preview make the exact model of the same design, once the hand has rested."""
+        if wanted.preview and wanted.serial == self.serial:
+            timer = threading.Timer(_REST, self._follow, (wanted.serial,))
+            timer.daemon = True
+            timer.start()
+
+    def _follow(self, serial: int) -> None:
+        with self.lock:
+            if self._then is not None and self._then.serial == serial == self.serial:
+                self._exact.want(self._then)
+                self._then = None
 
     def _applied(self, design: Design) -> Any:
         return self.options.applied_to(design.instrument)
@@ -149,6 +170,13 @@ class Desk:
 
     def _ready(self, model: Model, wanted: Wanted) -> None:
         """Let a model be heard that has been made."""
+        try:
+            self._hear(model, wanted)
+        finally:
+            with self.lock:
+                self._go_on(wanted)
+
+    def _hear(self, model: Model, wanted: Wanted) -> None:
         with self.lock:
             if wanted.serial != self.serial or (wanted.preview and self._exact_known(wanted)):
                 return
@@ -185,6 +213,7 @@ class Desk:
 
     def _failed(self, wanted: Wanted, reason: str) -> None:
         with self.lock:
+            self._go_on(wanted)
             if wanted.serial == self.serial:
                 self.fault = f"no model of this design: {reason}. The sound is still that of the design before."
 
@@ -282,7 +311,7 @@ class Desk:
                 return
             other = self.session.snapshot(name)
             model, design = self._model, self.session.design
-            if model is None or self._exact.busy is not None:
+            if model is None or self._busy is not None:
                 raise TonewoodError("the model of this design is not ready yet: try again when it is")
             self._compared = f"both are brought to one loudness: {name or 'the start'} is made"
             serial, score = self.serial, self.score
@@ -326,7 +355,7 @@ class Desk:
         """Return all that the page shows besides knobs and pictures."""
         with self.lock:
             session, playback, take = self.session, self.playback, self.playback.take
-            busy, pair, seen = self._exact.busy, playback.pair, self._seen
+            busy, pair, seen = self._busy, playback.pair, self._seen
             waited = time.monotonic() - busy.since if busy is not None else 0.0
             return {
                 "name": session.instrument.name,
@@ -388,7 +417,7 @@ class Desk:
             "seconds": seconds,
             "load": meter.load,
             "worst": meter.worst,
-            "making": None if self._exact.busy is None else round(time.monotonic() - self._exact.busy.since, 1),
+            "making": None if self._busy is None else round(time.monotonic() - self._busy.since, 1),
         }
 
     def points(self) -> list[str]:
@@ -440,63 +469,9 @@ class Desk:
         design = self._seen
         if design is None:
             raise TonewoodError("there is no model yet: wait for the first sound")
-        with self._view_lock:
-            # of a body that is drawn the start's model takes long: the first preview stands for it until it is known
-            known = self._start is not None or self._model is not None
-            model = (self._start_model() if known else design) if of_start else design
-            key = (kind, argument, of_start)
-            found = self._views.get(key)
-            if found is not None and found[0] is model:
-                return found[1]
-            made = self._viewed(model, kind, argument)
-            self._views[key] = (model, made)
-            for old in [k for k, (of, _) in self._views.items() if of is not design and of is not self._start]:
-                del self._views[old]
-            while len(self._views) > _MOST_VIEWS:
-                del self._views[next(iter(self._views))]
-            return made
-
-    def _start_model(self) -> Model:
-        """The exact model of the start, kept as long as the desk."""
-        if self._start is None:
-            self._start = self._kept.model(self.session.start.instrument, self.options)
-        return self._start
-
-    def _wolves(self, model: Model) -> list[WolfNote]:
-        """Wolf notes of a model, those of the start kept."""
-        if model is not self._start:
-            return wolf_notes(model)
-        if self._start_wolves is None:
-            self._start_wolves = wolf_notes(model)
-        return self._start_wolves
-
-    def _viewed(self, model: Model, kind: str, argument: str) -> Any:
-        if kind == "mobility":
-            return views.mobility(model)
-        if kind == "shape":
-            return views.shape(model, _number(argument))
-        if kind == "strings":
-            return views.strings(model)
-        if kind == "wolves":
-            start_model = model if self._model is None else self._start_model()
-            found, start = self._wolves(model), self._wolves(start_model)
-            shown = {"wolves": [asdict(w) for w in found], "start": [asdict(w) for w in start]}
-            return {**shown, "neck": views.neck(model), "words": views.wolf_words(start, found)}
-        if kind == "force":
-            return views.force(model.instrument, argument or next(iter(model.groups)), self.options)
-        if kind == "differences":
-            return [] if self._model is None else views.differences(model, self._start_model())
-        known = "mobility, shape, strings, wolves, force, drawing, differences"
-        raise TonewoodError(f"is {kind!r}; {known} are allowed", key="view")
+        return self._views.view(design, kind, argument, of_start=of_start, exact=self._model is not None)
 
 
 def _pair(pair: ComparedTakes) -> dict[str, Any]:
     names = ["X", "Y"] if pair.blind else [f"{'AB'[i]}: {pair.names[i]}" for i in pair.order]
     return {"names": names, "which": pair.order.index(pair.which), "blind": pair.blind}
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise TonewoodError(f"is {text!r}; a frequency in Hz is allowed", key="shape") from None

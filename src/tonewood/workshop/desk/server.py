@@ -47,6 +47,8 @@ _STATIC = {
 #: frames of a block; s that blocks are sent ahead of what is heard, at least and at most
 BLOCK = 512
 AHEAD = (0.03, 1.0)
+#: s after a report for which the page is taken to hear on
+_TRUSTED = 0.5
 #: s without a report of the page after which its stream ends
 _SILENT = 6.0
 
@@ -161,7 +163,7 @@ class DeskServer:
             now = time.monotonic()
             if now - when > _SILENT:
                 return
-            reached = heard + int(max(now - when, 0.0) * playback.fs) if sent else 0
+            reached = heard + int(min(max(now - when, 0.0), _TRUSTED) * playback.fs) if sent else 0
             wait = (sent - min(reached, sent)) / playback.fs - self._ahead
             if wait > 0:
                 await asyncio.sleep(min(max(wait, 0.002), 0.05))

@@ -39,6 +39,8 @@ from tonewood.workshop.fit.hits import responses_of_hits
 from tonewood.workshop.fit.responses import FORMS, Complexes, Floats, Responses, to_mobility
 
 #: numbers a text field may be long
+#: what begins and ends a data set of a universal file
+_BOUND = b"    -1"
 _LONGEST = 64
 #: numbers that UFF gives the ordinate, and a pressure among them; its number for a force
 _ORDINATES = {8: "receptance", 11: "mobility", 12: "accelerance"}
@@ -217,6 +219,7 @@ def _uff(path: Path) -> ResponseTable:
         given: Any = pyuff.UFF(str(path)).read_sets()
     except Exception as fault:  # the reader raises bare exceptions of every kind
         raise TonewoodError(f"is no universal file: {str(fault)[:_LONGEST]}", file=path) from None
+    _whole(path)
     sets = [x for x in (given if isinstance(given, list) else [given]) if x["type"] == 58]
 
     def pair(x: Mapping[str, Any]) -> Pair:
@@ -250,6 +253,30 @@ def _uff(path: Path) -> ResponseTable:
     rows = {pair(x): sign(x) * unit(x) * np.asarray(x["data"], dtype=np.complex128) for x in responses}
     coherence = {pair(x): np.asarray(x["data"]).real.astype(np.float64) for x in sets if x["func_type"] == 6}
     return ResponseTable(freq, rows, coherence, forms.pop() if len(forms) == 1 else None)
+
+
+def _whole(path: Path) -> None:
+    """Refuse a universal file that ends within a data set: the reader passes over it."""
+    lines = path.read_bytes().splitlines()
+    marks = [i for i, line in enumerate(lines) if _bounds(line.rstrip())]
+    if len(marks) % 2 == 0:
+        return
+    begun, words = (len(marks) + 1) // 2, []
+    if len(lines) > marks[-1] + 7 and lines[marks[-1] + 1].split()[0].startswith(b"58"):
+        words = lines[marks[-1] + 7].decode("ascii", "replace").split()
+    which = f" (response at node {words[5]} to node {words[8]})" if len(words) >= 10 else ""
+    raise TonewoodError(
+        f"is cut off: it ends within its data set {begun}{which}, and sets may be missing after it; copy it again, or "
+        "remove the incomplete set", file=path,
+    )  # fmt: skip
+
+
+def _bounds(line: bytes) -> bool:
+    """Whether a line bounds a data set: after binary numbers there is no line break before it."""
+    before = line.removesuffix(_BOUND)
+    if before == line:
+        return False
+    return len(before) <= 4 or not all(32 <= byte < 127 for byte in before)
 
 
 def _uff_units(given: Any) -> tuple[float, float]:

@@ -27,6 +27,10 @@ Complexes = NDArray[np.complex128]
 BINS_IN_BANDWIDTH = 3.0
 #: misfit, re the noise, above which the model does not do
 MOST_MISFIT = 1.5
+#: Hz, upper end of a band below which frequencies were hardly meant in Hz
+LEAST_TOP = 20.0
+#: kg, medians of modal masses that a plate, a bar or a guitar has
+LEAST_MASS, MOST_MASS = 1e-3, 1e3
 #: most modes that a warning of the same kind names a line each
 MOST_LINES = 2
 #: standard deviations of half of a central interval of 90 % of a normal distribution
@@ -44,6 +48,8 @@ class Fit:
     body : passive, made from them; None where the responses are no body's.
     no_body : why, in one line.
     not_driven : references that were left out, for nothing was measured where they were driven.
+    outliers : Hz, bins that were left out, for they disagree with their neighbours.
+    empty : number of bins that were left out, for a response holds no finite number there.
     """
 
     responses: Responses
@@ -51,6 +57,8 @@ class Fit:
     body: FittedBody | None
     no_body: str | None = None
     not_driven: tuple[str, ...] = ()
+    outliers: tuple[float, ...] = ()
+    empty: int = 0
 
     def __repr__(self) -> str:
         return f"<Fit of {len(self.rows)} modes, {self.error_db.max():.2f} dB at most>"
@@ -150,6 +158,9 @@ class Fit:
         if self.not_driven:
             shown = ", ".join(map(repr, self.not_driven[:4]))
             out.append(f"responses from {shown} were left out: nothing was measured where these were driven")
+        if self.outliers:
+            shown = ", ".join(f"{f:.5g}" for f in self.outliers[:6]) + (" ..." if len(self.outliers) > 6 else "")
+            out.append(f"bins that disagree with their neighbours were left out, {len(self.outliers)}: {shown} Hz")
         if self.modes.mains:
             shown = ", ".join(f"{f:.1f}" for f in sorted(self.modes.mains)[:6])
             out.append(f"lines of a few bins, of the mains perhaps, were left out: {shown} Hz")
@@ -157,6 +168,18 @@ class Fit:
             out.append(
                 f"the misfit is {self.modes.misfit:.2f} times the noise: the body is not linear, the records leak, or "
                 "the noise was taken for too small"
+            )
+        if r.freq[-1] < LEAST_TOP:
+            out.append(f"the responses end at {r.freq[-1]:.3g} Hz: kHz read as Hz, perhaps; freq_Hz is in Hz")
+        if self.empty:
+            out.append(f"{self.empty} bins without a finite number were left out")
+        masses = [row["mass_kg"] for row in measured if row["mass_kg"]]
+        if masses and not LEAST_MASS < float(np.median(masses)) < MOST_MASS:
+            side = "less" if np.median(masses) < 1 else "more"
+            out.append(
+                f"half of the modes weigh {side} than {np.median(masses):.2g} kg: likely causes: mm/s read as m/s "
+                "(--scale 1e-3), g read as m/s2 or the reverse (--scale 9.80665), mV in place of N (--sensitivity), "
+                "or --form is wrong"
             )
         for i in r.driving or (0,):
             parts = [f"{low:.0f} to {high:.0f} Hz" for low, high in r.incoherent(i) if high > low]
@@ -188,6 +211,7 @@ class Fit:
             "damping": "structural" if self.modes.structural else "viscous",
             "misfit": self.modes.misfit,
             "muted_Hz": list(self.modes.mains),
+            "outliers_Hz": list(self.outliers),
             "no_body": self.no_body,
             "residues_turned": self.modes.turned,
             "error_db": {
@@ -283,7 +307,9 @@ def fit_responses(
     TonewoodError : the responses hold no numbers to be fitted, or no mode stands out of their noise.
     """
     r, not_driven = responses.reciprocal().of_driven()
-    r = r.band(*band).checked()
+    some = (r.freq > 0) & (r.freq >= (band[0] or 0.0)) & (r.freq <= (band[1] or np.inf))
+    empty = int(np.count_nonzero(some & ~np.isfinite(r.mobility).all(axis=0)))
+    r, outliers = r.band(*band).checked().without_outliers()
     no_body = r.no_body()
     sigma = None
     if r.coherence is not None and r.n_hits is not None:
@@ -309,4 +335,4 @@ def fit_responses(
     if body is not None and body.compliance.any() and sla.eigvalsh(body.compliance).min() < 0:
         values, vectors = sla.eigh(body.compliance)  # to rounding: rank one is on the edge
         body.compliance[:] = (vectors * np.maximum(values, 0)) @ vectors.T
-    return Fit(r, modes, body, no_body, not_driven)
+    return Fit(r, modes, body, no_body, not_driven, outliers, empty)

@@ -105,6 +105,7 @@ def identify(
     damping: str = "auto",
     keep: Sequence[float] = (),
     drop: Sequence[float] = (),
+    least_error: float = 0.0,
     tell: Callable[[Iteration], None] = lambda iteration: None,
 ) -> Modes:
     """Identify the modes of a band.
@@ -122,6 +123,7 @@ def identify(
     sigma : (P, N) standard deviation of the complex error; None if not known.
     damping : viscous, structural, or auto: the one that needs fewer modes for a better fit.
     keep, drop : Hz, where a mode has to be, whatever it gains, and where none is wanted.
+    least_error : of a model, re the response, below which no mode is sought: what is not linear must not become modes.
     tell : called after each iteration of the search.
 
     Raises
@@ -146,7 +148,7 @@ def identify(
     for structural in kinds:
         kind = replace(shape, structural=structural)
         with suppress(NothingFoundError):
-            quiet, poles, muted = _ordered(line, kind, note)
+            quiet, poles, muted = _ordered(line, kind, least_error, note)
             orders.append((quiet, kind, poles, muted))
     if not orders:
         raise NothingFoundError("no mode stands out of the noise")
@@ -183,14 +185,17 @@ def identify(
     return Modes(real, poles, real.solve(poles), (bent, start, found), iterations, lines, turned)
 
 
-def _ordered(line: Line, shape: Shape, note: Callable[[Iteration], None]) -> tuple[Line, Poles, tuple[float, ...]]:
+def _ordered(
+    line: Line, shape: Shape, least_error: float, note: Callable[[Iteration], None]
+) -> tuple[Line, Poles, tuple[float, ...]]:
     """Modes, as many as it takes until the misfit is noise; the line with muted bins, and their frequencies."""
-    size, poles, lines = np.abs(line.mobility), Poles.none(), ()
+    size, poles = np.abs(line.mobility), Poles.none()
+    lines: tuple[float, ...] = ()
     best: tuple[Line, Poles, tuple[float, ...]] | None = None
     before = np.inf
     floor = float(np.median(line.sigma / np.maximum(size, 1e-300)))
     for allowed in ALLOWED:
-        if 0 < allowed < 0.3 * floor:
+        if 0 < allowed < 0.3 * floor or allowed < least_error:
             continue
         while True:
             level = replace(line, sigma=np.hypot(line.sigma, allowed * size))
@@ -201,8 +206,11 @@ def _ordered(line: Line, shape: Shape, note: Callable[[Iteration], None]) -> tup
             more = mains(problem, poles)
             if not more.size:
                 break
-            lines = (*lines, *poles.freq[more].tolist())
-            line, poles = line.without(poles.freq[more]), poles.without(more.tolist())
+            muted = [f for f in poles.freq[more] if not any(abs(f - old) < line.step for old in lines)]
+            poles = poles.without(more.tolist())
+            if not muted:  # its bins are muted already: what is left is at their edges
+                break
+            lines, line = (*lines, *muted), line.without(muted)
         if not len(poles):
             continue
         fine, _ = descend(Projection(line, shape), poles, 20, 1e-6)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter1d
@@ -12,6 +14,10 @@ Complexes = NDArray[np.complex128]
 
 #: bins of the smoothing of a coherence, of fourth differences, and of the misfit of a fit
 _COHERENCE, _DIFFERENCES, _MISFIT = 31, 151, 201
+#: fourth differences re their deviation that begin and bound a run of outliers
+_SPIKE, _QUIET = 10.0, 4.5
+#: fourth differences in a row, most in which every choice of spikes is tried
+_LONGEST_RUN = 14
 #: fourth difference, of unit variance
 _FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / np.sqrt(70.0)
 #: groups of bins of like size, bins in one at least, rounds of weighting, deviation from which a group counts less
@@ -92,3 +98,48 @@ def tied(alpha: float, step: float) -> float:
     """
     x = alpha / step
     return float(np.sqrt(2 * x / -np.expm1(-2 * x))) if x > 1e-6 else 1.0
+
+
+def outliers(response: Complexes) -> NDArray[np.bool_]:
+    """(P, N) bins that disagree with their neighbours on both sides: a drop-out, a bin of the mains.
+
+    A spike in one bin leaves five fourth differences, proportional to 1, -4, 6, -4, 1, and none beside them. A run of
+    differences above ten times the noise is taken for spikes if as few as a third of its length explain it down to the
+    noise. A resonance, however narrow, is none: its flanks reach further.
+
+    Parameters
+    ----------
+    response : (P, N) at even steps.
+    """
+    found = np.zeros(response.shape, dtype=bool)
+    if response.shape[-1] < 2 * len(_FOURTH):
+        return found
+    level = median_filter(of_neighbours(response), size=(1, 9), mode="mirror")  # a spike would raise its own
+    for row, sigma, out in zip(response, level, found, strict=True):
+        fourth, size = np.convolve(row, _FOURTH, mode="valid"), sigma[2:-2]
+        loud = np.abs(fourth) > _SPIKE * size
+        for first, stop in _runs(np.convolve(np.abs(fourth) > _QUIET * size, np.ones(3), "same") > 0):
+            if loud[first:stop].any():
+                out[_spikes(fourth[first:stop] / np.median(size[first:stop]), first)] = True
+    return found
+
+
+def _runs(inside: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """(n, 2) where runs of true begin and end."""
+    return np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8))).reshape(-1, 2)
+
+
+def _spikes(fourth: Complexes, first: int) -> list[int]:
+    """Bins whose spikes explain a run of fourth differences; none if a third of its length do not suffice."""
+    n = fourth.size
+    if n > _LONGEST_RUN:
+        return []
+    bins = np.arange(-2, n + 2)
+    columns = np.array([[_FOURTH[i - b + 2] if abs(i - b) <= 2 else 0.0 for b in bins] for i in range(n)])
+    for number in range(1, n // 3 + 1):
+        for some in combinations(range(2, n + 2), number):
+            part = columns[:, some]
+            left = fourth - part @ np.linalg.lstsq(part, fourth, rcond=None)[0]
+            if np.abs(left).max() < _QUIET:
+                return [int(first + 2 + bins[i]) for i in some]
+    return []

@@ -25,6 +25,8 @@ FEWEST_BINS = 32
 LEAST_COHERENCE, _COHERENCE = 0.5, 31
 #: energy before the hit re that after it, above which time runs backwards
 _BEFORE = 4.0
+#: share of the bins, most that are outliers
+_MOST_OUTLIERS = 0.2
 #: kg that a body of an instrument weighs as felt at a point
 LIGHTEST, HEAVIEST = 1e-5, 1e4
 
@@ -111,6 +113,22 @@ class Responses:
             coherence=None if self.coherence is None else self.coherence[:, inside],
             pressure={key: row[inside] for key, row in self.pressure.items()},
         )
+
+    def without_outliers(self) -> tuple[Responses, tuple[float, ...]]:
+        """Return these responses less the bins that disagree with their neighbours, and their frequencies, Hz."""
+        step = np.diff(self.freq)
+        if step.max() > 1.01 * step.min():  # differences of bins tell nothing
+            return self, ()
+        out = noise.outliers(self.mobility).any(axis=0)
+        if np.count_nonzero(out) > _MOST_OUTLIERS * out.size:
+            return self, ()
+        return replace(
+            self,
+            freq=self.freq[~out],
+            mobility=self.mobility[:, ~out],
+            coherence=None if self.coherence is None else self.coherence[:, ~out],
+            pressure={key: row[~out] for key, row in self.pressure.items()},
+        ), tuple(self.freq[out].tolist())
 
     def renamed(self, names: Mapping[str, str]) -> Responses:
         """Return these responses with other names of points and microphones, old -> new.

@@ -31,6 +31,11 @@ class ServedTrial:
     stimuli: tuple[str, ...]
     drop_db: float = 0.0
 
+    @property
+    def codes(self) -> tuple[str, ...]:
+        """All codes of the trial, the reference first."""
+        return self.stimuli if self.reference is None else (self.reference, *self.stimuli)
+
 
 @dataclass(frozen=True)
 class ListeningTest:

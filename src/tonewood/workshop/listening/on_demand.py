@@ -22,8 +22,9 @@ from tonewood.workshop.batch import stimuli as st
 from tonewood.workshop.batch.conditions import Condition, expand
 from tonewood.workshop.batch.definition import changed_condition, with_value
 from tonewood.workshop.batch.pages import StaircasePage
+from tonewood.workshop.batch.plan import StimulusRenderer
 from tonewood.workshop.batch.production import encoded_wav, levelled
-from tonewood.workshop.batch.runner import WORK, StimulusRenderer
+from tonewood.workshop.batch.runner import WORK
 from tonewood.workshop.batch.seeds import generator
 from tonewood.workshop.batch.store import Rendered, Store, content_key
 from tonewood.workshop.listening.definition import ListeningTest

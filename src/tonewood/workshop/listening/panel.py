@@ -28,16 +28,18 @@ from pydantic import Field, ValidationError
 
 from tonewood.support.validation_messages import first_message
 from tonewood.support.yaml_io import load_yaml
+from tonewood.workshop.batch.page_parts import (
+    Name,
+    Section,
+)
 from tonewood.workshop.batch.pages import (
     AbPage,
     Bs1116Page,
     HeadphonesPage,
     MushraPage,
-    Name,
     PairedPage,
     QuestionnairePage,
     RatingPage,
-    Section,
     StaircasePage,
 )
 from tonewood.workshop.batch.seeds import generator

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from tonewood.support.units import counted
 from tonewood.workshop.batch.pages import PairedPage, StaircasePage
 from tonewood.workshop.listening.definition import ListeningTest
 from tonewood.workshop.listening.detection import Detection, sensitivity, task_of
@@ -66,8 +67,8 @@ def _rated(found: PanelResults, page: PageResults, linear: LinearAnalysis, perce
         )
     if page.everybody is not None:
         lines.append(
-            f"{len(page.screened)} listeners were left out by their ratings of reference and anchors; p is the larger "
-            "of those without and with them, because that choice favours the reference."
+            f"{counted(len(page.screened), 'listener')} left out by the ratings of reference and anchors; p is the "
+            "larger of those without and with them, because that choice favours the reference."
         )
     tests = linear.tests if not page.ordinal else page.odds.tests if page.odds is not None else ()
     lines += [

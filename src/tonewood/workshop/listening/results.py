@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tonewood.support.csv_text import csv_text
+from tonewood.support.parquet import write_parquet
 from tonewood.support.whole_files import whole_file
 from tonewood.workshop.batch.pages import (
     AnyPage,
@@ -18,7 +19,7 @@ from tonewood.workshop.batch.pages import (
     StaircasePage,
     localised,
 )
-from tonewood.workshop.listening.answer_file import LeftOut, answers_of, withdrawn
+from tonewood.workshop.listening.answer_file import LeftOut, ListenerAnswers, answers_of, withdrawn
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest, load_test
 from tonewood.workshop.listening.detection import Detection, detections, task_of
 from tonewood.workshop.listening.means import CellMean, ScreenedListener, cell_means, screen, unique
@@ -33,7 +34,7 @@ from tonewood.workshop.listening.models import (
 )
 from tonewood.workshop.listening.ordinal import OrdinalAnalysis, ordinal_analysis
 from tonewood.workshop.listening.shown import kind_of_texts
-from tonewood.workshop.listening.table import VERSUS, AnswerTable, read_key, tidy
+from tonewood.workshop.listening.table import COLUMNS, VERSUS, AnswerTable, read_key, tidy
 from tonewood.workshop.listening.thresholds import Thresholds, thresholds
 
 FOLDER = "results"
@@ -128,7 +129,15 @@ class PanelResults:
         }
 
 
-def analyse(folder: Path, *, key: Path | None = None, confidence: float = 0.95, screening: bool = True) -> PanelResults:
+def analyse(
+    folder: Path,
+    *,
+    key: Path | None = None,
+    confidence: float = 0.95,
+    screening: bool = True,
+    others: Sequence[ListenerAnswers] = (),
+    others_left_out: Sequence[LeftOut] = (),
+) -> PanelResults:
     """Read the answers in a batch's folder and work out the results.
 
     Parameters
@@ -137,6 +146,7 @@ def analyse(folder: Path, *, key: Path | None = None, confidence: float = 0.95, 
     key : if it is not in the folder.
     confidence : of all intervals, between 0 and 1.
     screening : leave listeners out after BS.1534-3 (MUSHRA pages only).
+    others, others_left_out : answers that were given elsewhere, and those of them that do not count.
 
     Raises
     ------
@@ -147,17 +157,19 @@ def analyse(folder: Path, *, key: Path | None = None, confidence: float = 0.95, 
     test = load_test(folder)
     opened = read_key(key or folder / test.manifest.output.key)
     every = answers_of(test)
-    answers = every.listeners
+    answers = (*every.listeners, *others)
     if not any(one.records for one in answers):
-        others = sum(one.answers for one in every.left_out)
+        damaged = sum(one.answers for one in every.left_out)
         first = every.left_out[0].reason if every.left_out else ""
-        why = f" that can be used; {others} are left out, the first because: {first}"
-        raise ListeningError(f"holds no answers{why if others else ''}", file=folder / "answers")
+        why = f" that can be used; {damaged} are left out, the first because: {first}"
+        raise ListeningError(f"holds no answers{why if damaged else ''}", file=folder / "answers")
     table = tidy(test, opened, answers)
     finish = len(test.pages)
     not_passed = [one.listener for one in answers if one.failed]
     unfinished = [
-        one.listener for one in answers if not one.failed and (not one.records or one.records[-1]["page"] != finish)
+        one.listener
+        for one in every.listeners
+        if not one.failed and (not one.records or one.records[-1]["page"] != finish)
     ]
     pages: list[PageResults] = []
     for index, page in enumerate(test.pages):
@@ -167,7 +179,8 @@ def analyse(folder: Path, *, key: Path | None = None, confidence: float = 0.95, 
     began = [one for one in answers if one.records]
     simulated = sum(bool(one.header.get("simulated")) for one in began)
     return PanelResults(
-        test, confidence, table, len(began), simulated, tuple(unfinished), every.left_out, tuple(pages),
+        test, confidence, table, len(began), simulated, tuple(unfinished),
+        (*every.left_out, *others_left_out), tuple(pages),
         tuple(not_passed), withdrawn(test),
     )  # fmt: skip
 
@@ -300,8 +313,9 @@ def _count(rows: Sequence[dict[str, Any]]) -> int:
 
 
 def write_tables(found: PanelResults, folder: Path) -> None:
-    """Write ``answers.csv``, the tidy table, and ``means.csv``, one row a mean, share or threshold."""
+    """Write ``answers.csv``, the tidy table, and ``means.csv``, one row a mean, share or threshold; and as Parquet."""
     found.table.write(folder / "answers.csv")
+    write_parquet(folder / "answers.parquet", [*COLUMNS, *found.table.factors], found.table.rows)
     rows: list[dict[str, Any]] = []
     for page in found.pages:
         head = {"page": page.page, "type": page.kind}
@@ -322,6 +336,7 @@ def write_tables(found: PanelResults, folder: Path) -> None:
     columns = list(dict.fromkeys(name for row in rows for name in row))
     with whole_file(folder / "means.csv", make_folder=True) as stream:
         stream.write(csv_text(columns, rows).encode())
+    write_parquet(folder / "means.parquet", columns, rows)
 
 
 def _numbers(data: dict[str, Any]) -> dict[str, Any]:

@@ -16,7 +16,6 @@ address to the disk. Two slots with one sound have replies with the same headers
 from __future__ import annotations
 
 import datetime
-import io
 import sys
 import threading
 import traceback
@@ -27,7 +26,6 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
 
-import numpy as np
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -36,11 +34,10 @@ from starlette.routing import Route
 
 from tonewood.errors import TonewoodError
 from tonewood.workshop.batch.pages import HeadphonesPage, LevelPage, StaircasePage
-from tonewood.workshop.batch.production import encoded_wav
-from tonewood.workshop.batch.stimuli import quantised
 from tonewood.workshop.listening.answer_file import FOLDER, OpenSession, begin, exported, resume, withdraw
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.headphones import interval
+from tonewood.workshop.listening.level_tone import tone
 from tonewood.workshop.listening.on_demand import PairSource
 from tonewood.workshop.listening.session import Step
 from tonewood.workshop.listening.shown import shown
@@ -54,8 +51,6 @@ _MOST_SESSIONS = 10_000
 _STATIC = {"test.js": "text/javascript", "players.js": "text/javascript", "test.css": "text/css"}
 #: slot of the tone of a level page
 TONE = "tone"
-#: loudness of a sine of 997 Hz at full scale in one channel, LUFS (BS.1770-4 annex 1)
-_FULL_SCALE_LUFS = -3.01
 
 
 @dataclass
@@ -310,22 +305,6 @@ class ListeningServer:
                 if name in self.test.languages:
                     return name
         return self.test.manifest.language
-
-
-def tone(test: ListeningTest, page: LevelPage) -> bytes:
-    """Two seconds of a sine as loud as the stimuli, as WAV; it can be looped without a click.
-
-    A sine of amplitude a has the loudness -3.01 + 20 log10(a) LUFS at 1 kHz in one channel, 3.01 more in two.
-    """
-    settings = test.manifest.stimuli
-    level = settings.loudness.target_lufs - _FULL_SCALE_LUFS - 10.0 * np.log10(settings.channels)
-    cycles = round(2.0 * page.freq)  # whole periods: the end meets the beginning
-    t = np.arange(2 * settings.fs) / settings.fs
-    sound = 10.0 ** (level / 20.0) * np.sin(2 * np.pi * cycles / 2.0 * t)
-    samples = quantised(np.repeat(sound[:, None], settings.channels, axis=1), "PCM_24", np.random.default_rng(0))
-    stream = io.BytesIO()
-    encoded_wav(stream, samples, settings.fs, "PCM_24")
-    return stream.getvalue()
 
 
 def _asset(name: str) -> bytes:

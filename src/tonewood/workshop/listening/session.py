@@ -204,6 +204,11 @@ class Session:
         except ListeningError:
             return False
 
+    def known_steps(self, number: int) -> list[dict[str, Any]]:
+        """Fields of the steps of a page (from 0) that do not depend on answers; none of a staircase or a check."""
+        page = self.test.pages[number]
+        return [] if isinstance(page, (StaircasePage, HeadphonesPage)) else list(self._static(number, page))
+
     def _steps(self) -> Iterator[Step]:
         index = 0
         for number, page in enumerate(self.test.pages):

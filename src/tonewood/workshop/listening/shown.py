@@ -5,6 +5,9 @@ from __future__ import annotations
 from typing import Any
 from urllib.parse import quote
 
+from tonewood.workshop.batch.page_parts import (
+    Text,
+)
 from tonewood.workshop.batch.pages import (
     AfcPage,
     AnyPage,
@@ -17,7 +20,6 @@ from tonewood.workshop.batch.pages import (
     RatingPage,
     StaircasePage,
     SwitchedPage,
-    Text,
     localised,
 )
 from tonewood.workshop.listening.definition import ListeningTest

@@ -246,6 +246,8 @@ def _total(parts: Parts) -> tuple[Array, Array]:
 
 def holm(p: Array) -> Array:
     """Adjust probabilities (..., k) of k tests for each other (S. Holm, Scand. J. Stat. 6 (1979) 65-70)."""
+    if not p.size:  # too few listeners for any test
+        return p
     flat = np.reshape(p, (-1, p.shape[-1]))
     rows, k = np.arange(len(flat))[:, None], flat.shape[1]
     order = np.argsort(flat, axis=1, kind="stable")

@@ -16,6 +16,7 @@ import numpy as np
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.sound.files.audio import Audio, decibels
+from tonewood.sound.files.tags import Tags
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import assembled
 from tonewood.support.whole_files import AtomicFile
@@ -161,7 +162,7 @@ def make_library(
         gain_db = _PEAK - decibels(measures.peak) - max(0.0, above)
         for task, raw in measures.made.values():
             scaled = np.load(raw) * 10 ** (gain_db / 20)
-            Audio(scaled, options.fs).save(scratch / f"{task.name}{suffix}", "PCM_24")
+            Audio(scaled, options.fs, tags=Tags.of(None, [instrument])).save(scratch / f"{task.name}{suffix}", "PCM_24")
             raw.unlink()
         regions.sort(key=lambda r: (r.decay_db is not None, r.keys.centre, r.velocities.centre, r.repeat))
         _about(instrument, scratch / "README.txt")

@@ -14,7 +14,7 @@ from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.fit import noise
 from tonewood.workshop.fit.identify import LEAST_NOISE, identify
 from tonewood.workshop.fit.projection import Line, Poles, Projection, Shape
-from tonewood.workshop.fit.search import NothingFoundError
+from tonewood.workshop.fit.search import NothingFoundError, descend
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -25,6 +25,10 @@ NORMAL_90 = 1.6449
 _ROWS, _ENERGY = 4, 0.999
 #: Q below which a pole is background; dB below the strongest at which a peak is none
 _LEAST_Q, _WEAKEST = 4.0, -50.0
+#: error of linear modes, re what was recorded: supports slip, and damping depends on amplitude
+LEAST_ERROR = 0.1
+#: share of the level at its frequency that a mode has to have
+_OWN = 0.35
 #: chi-squared of the two numbers of a mode in one tap above which it is seen there
 _SEEN = 18.4
 #: fewest bins of a band
@@ -68,6 +72,10 @@ def ringing(taps: Sequence[Floats], fs: float, band: tuple[float, float] = (50.0
 
     whether or not the sound has ended: nothing leaks. Poles are common to all taps, residues are each tap's own.
 
+    A body that is held is no linear one to the last: a support slips between taps, damping depends on amplitude. No
+    mode is sought for errors below 10 %, and one whose own part is less than 0.35 of the level at its frequency (r.m.s.
+    of the taps) is the misfit of its neighbour's skirt: the others are fitted without it.
+
     Parameters
     ----------
     taps : samples of each, of the free motion, all of one length (see `cut_taps` and `Taps.analysed`).
@@ -86,12 +94,12 @@ def ringing(taps: Sequence[Floats], fs: float, band: tuple[float, float] = (50.0
     rows = _combined(spectra)
     shape = Shape((), len(rows))
     try:
-        modes = identify(freq, rows, shape, damping="viscous")
+        modes = identify(freq, rows, shape, damping="viscous", least_error=LEAST_ERROR)
     except NothingFoundError:
         raise TonewoodError(
             "nothing that rings stands out of the noise: tap harder, nearer to the microphone", key="taps"
         ) from None
-    problem, poles, _ = modes.bent
+    problem, poles = _standing(*modes.bent[:2], freq, spectra)
     by_freq, by_zeta, _ = problem.deviations(poles)
     amplitude, seen = _in_each_tap(freq, spectra, poles)
     level = 20 * np.log10(np.sqrt(np.mean(amplitude**2, axis=0)) + 1e-300)
@@ -137,6 +145,32 @@ def _combined(spectra: Complexes) -> Complexes:
     share = np.cumsum(values[order]) / values.sum()
     kept = order[: min(_ROWS, int(np.searchsorted(share, _ENERGY)) + 1)]
     return np.asarray(vectors[:, kept].T @ unit)
+
+
+def _standing(problem: Projection, poles: Poles, freq: Floats, spectra: Complexes) -> tuple[Projection, Poles]:
+    """The modes that are peaks, fitted without the others, and the problem with the noise that these leave."""
+    together = Projection(Line(freq, spectra, np.ones(spectra.shape)), Shape((), len(spectra)))
+    while len(poles) > 1:
+        columns, k = together.columns(poles)[0], len(poles)
+        residues = together.solve(poles).residues
+        at = np.clip(np.searchsorted(freq, poles.freq), 0, freq.size - 1)
+        own = residues[:, :k] * columns[np.arange(k), at] + residues[:, k : 2 * k] * columns[np.arange(k, 2 * k), at]
+        there = together.model(poles, residues)[:, at]
+        share = np.sqrt((np.abs(own) ** 2).sum(axis=0) / (np.abs(there) ** 2).sum(axis=0))
+        weak: list[int] = []
+        for i in np.argsort(share):
+            # neighbours stand in for each other: one of them at a time
+            if share[i] < _OWN and all(abs(int(i) - j) > 1 for j in weak):
+                weak.append(int(i))
+        if not weak:
+            break
+        poles, found = descend(problem, poles.without(weak), 12, 1e-6)
+        level = np.maximum(
+            noise.of_misfit(problem.misfit(poles, found.residues), problem.model(poles, found.residues)),
+            LEAST_NOISE * np.abs(problem.line.mobility),
+        )
+        problem = Projection(replace(problem.line, sigma=level), problem.shape)
+    return problem, poles
 
 
 def _in_each_tap(freq: Floats, spectra: Complexes, poles: Poles) -> tuple[Floats, NDArray[np.bool_]]:

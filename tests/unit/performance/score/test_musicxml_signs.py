@@ -46,6 +46,8 @@ def test_pedals_hold_notes_and_move_controllers(tmp_path: Path) -> None:
     moves = [(c.time, c.kind, c.value) for c in score.controls if c.kind == "cc64"]
     assert moves == [(0, "cc64", 1), (2, "cc64", 0), (pytest.approx(2.06), "cc64", 1), (4, "cc64", 0)]
     assert [(n.duration, n.held) for n in score.notes] == [(2.0, 1.0), (1.0, None), (2.0, 1.0), (1.0, None)]
+    some = read(tmp_path, sign('<pedal type="sostenuto"/>') + plain(*"CD") + up + plain("E"))
+    assert [(c.time, c.kind, c.value) for c in some.controls if c.kind == "cc66"] == [(0, "cc66", 1), (2, "cc66", 0)]
     half = read(tmp_path, '<sound damper-pedal="40"/>' + plain("C") + '<sound soft-pedal="yes"/>' + plain("D"))
     assert [(c.time, c.kind, c.value) for c in half.controls] == [(0.0, "cc64", 0.4), (1.0, "cc67", 1.0)]
     assert [n.held for n in half.notes] == [None, None]
@@ -131,3 +133,8 @@ def test_bytes_that_declare_another_encoding(tmp_path: Path) -> None:
     path.write_bytes(f'<?xml version="1.0" encoding="KOI-99"?>{text}'.encode())
     with pytest.raises(ScoreError, match="damaged XML"):
         tw.read_score(path)
+
+
+def test_words_without_a_text_say_nothing(tmp_path: Path) -> None:
+    score = read(tmp_path, sign("<words/>") + plain("C"), sign("<words>q = 120</words>") + plain(*"DE"))
+    assert [n.time for n in score.notes] == [0.0, 1.0, 1.5]

@@ -460,3 +460,19 @@ def test_a_capo_raises_the_open_strings() -> None:
     assert [d.reason for d in lower.dropped] == ["no string plays E2 (the strings reach from F#2 to B5)"]
     with pytest.raises(ScoreError, match="capo: is 19; 0 to 18 are allowed"):
         tw.Renderer(score, guitar, fs=8000, capo=19)
+
+
+@pytest.mark.parametrize("suffix", [".musicxml", ".gp5", ".gp"])
+def test_titles_and_composers_are_read(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".gp5":
+        guitar_pro(path, lambda song, _: setattr(song, "music", "F. Sor"))
+    elif suffix == ".gp":
+        with zipfile.ZipFile(gpif(path, [(0, 0, "", "")])) as archive:
+            text = archive.read("Content/score.gpif").decode().replace("</Title>", "</Title><Music>F. Sor</Music>")
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("Content/score.gpif", text)
+    else:
+        by = '<identification><creator type="lyricist">N.</creator><creator type="composer">F. Sor</creator>'
+        path.write_text(musicxml(note("E", 2, 4)).replace("</work>", f"</work>{by}</identification>"))
+    assert tw.read_score(path).metadata == {"title": "Study", "composer": "F. Sor"}

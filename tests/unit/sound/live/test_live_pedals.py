@@ -78,3 +78,33 @@ def test_a_key_struck_and_released_at_once_does_not_lift_the_half_pressed_damper
     # 10 ms are shorter than the shortest note, 20 ms; 30 ms longer
     short, longer = struck(0.06), struck(0.08)
     assert level(short, 0.9, 1.2) == pytest.approx(level(longer, 0.9, 1.2), abs=1.0)
+
+
+def test_sustain_and_sostenuto_are_those_of_a_score(grand: tw.Instrument) -> None:
+    """Sample by sample, where a score's hammers set out at the moments at which the keys go down."""
+    tick, key = 64 / FS, {"C3": 48.0, "C4": 60.0, "C5": 72.0}
+    notes = [("C4", 60, 120), ("C5", 180, 210), ("C3", 300, 340), ("C4", 360, 410)]
+    pedals = [(90, 64, 1.0), (240, 64, 0.0), (330, 66, 1.0), (420, 66, 0.0)]
+    moves = [tw.Control(at * tick, f"cc{number}", value) for at, number, value in pedals]
+
+    def rendered(later: list[float]) -> tuple[np.ndarray, list[float]]:
+        """Sound of the score with its blows so much later (s), and when its hammers set out, s."""
+        blows = [
+            tw.Note(begin * tick + late, (end - begin) * tick - late, note=key[name], velocity_midi=90)
+            for (name, begin, end), late in zip(notes, later, strict=True)
+        ]
+        renderer = tw.Renderer(tw.Score(blows, moves), grand, fs=FS, max_duration=480 * tick)
+        sound = np.concatenate(list(renderer.blocks()))[:, 0]
+        return sound, sorted(play.start for play in renderer.performance.timeline.plays)
+
+    starts = rendered([0.0] * len(notes))[1]
+    score, _ = rendered([begin * tick - start for (_, begin, _), start in zip(notes, starts, strict=True)])
+    events: dict[float, Any] = {}
+    for name, begin, end in notes:
+        events[begin * tick] = lambda live, name=name: live.note_on(name, 90)
+        events[end * tick] = lambda live, name=name: live.note_off(name)
+    for at, number, value in pedals:
+        events[at * tick] = lambda live, number=number, value=value: live.control(number, value)
+    live = played(grand, events, to=480 * tick)
+    assert np.abs(score).max() > 0.1
+    assert np.array_equal(live[: len(score)], score)

@@ -436,3 +436,28 @@ def test_a_pedalboard_is_a_chain() -> None:
     assert found.shape == wanted.shape
     assert np.abs(found - wanted).max() < 1e-6
     assert np.abs(found - sound).max() > 0.01
+
+
+def test_percussion_is_left_out_and_counted_unless_asked_for(tmp_path: Path) -> None:
+    """Notes of channel 10, as in a score; a member of a zone of MPE is no percussion; a take keeps what was asked."""
+    notes = [(0x90 | channel, key, 100) for channel, key in ((9, 45), (0, 47), (9, 48))]
+    left_out = {"note of channel 10, left out (--tracks 10 plays it)": 2}
+    for channels, played, ignored in ((None, 1, left_out), ([10], 2, None), ([1, 10], 3, {})):
+        live = tw.Live("monochord", prepare=False)
+        midi, take = MidiReceiver(live, channels), Take(48000, channels)
+        for message in notes:
+            take.add(live.frames, message)
+            midi.receive(message)
+            live.process(4800)
+        assert live.summary().notes + sum(live.summary().dropped.values()) == played
+        if ignored is not None:
+            assert dict(midi.ignored) == ignored
+        take.save(tmp_path / "a.mid", live, live.frames)
+        replay = Replay(tmp_path / "a.mid", "monochord", max_duration=0.3)
+        for _ in replay.blocks():
+            pass
+        assert replay.summary().notes == live.summary().notes
+    zone = MidiReceiver(tw.Live("monochord", prepare=False))
+    register(zone, 0, (0, 6), 15)
+    zone.receive(notes[0])
+    assert not zone.ignored

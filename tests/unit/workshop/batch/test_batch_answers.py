@@ -104,7 +104,7 @@ class Limited(FakeRenderer):
 @pytest.mark.parametrize("predict", [True, False])
 def test_each_level_of_a_staircase_is_made_beforehand(tmp_path: Path, name: str, where: str, predict: bool) -> None:
     path = fakes.write(tmp_path, fakes.manifest(**SMALL | {"pages": [STAIRS]}))
-    with pytest.raises(ManifestError, match=rf"pages\.0\.{name}: the level cannot be rendered: ") as caught:
+    with pytest.raises(ManifestError, match=rf"page 1\.{name}: the level cannot be rendered: ") as caught:
         plan_batch(path, tmp_path / "out", Limited(STAIRS[name], where), predict=predict)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists()
@@ -122,13 +122,13 @@ def test_levels_that_are_silent_or_not_finite_are_reported(tmp_path: Path) -> No
 
     path = fakes.write(tmp_path, fakes.manifest(**SMALL | {"pages": [STAIRS]}))
     report = run_batch(path, tmp_path / "out", Silent())
-    assert [fault.name.rpartition("(")[2] for fault in report.faults] == ["pages.0.lowest)"]
+    assert [fault.name.rpartition("(")[2] for fault in report.faults] == ["page 1.lowest)"]
     for change in (
         {"scale": "db", "reference": 0.1, "highest": 1e6, "steps": [1e3]},
         {"scale": "percent", "highest": float("inf")},
     ):
         fakes.write(tmp_path, fakes.manifest(**SMALL | {"pages": [STAIRS | change]}))
-        with pytest.raises(ManifestError, match=r"pages\.0\.highest"):
+        with pytest.raises(ManifestError, match=r"page 1\.highest"):
             plan_batch(path, tmp_path / "out", FakeRenderer())
 
 
@@ -143,7 +143,7 @@ def test_levels_that_are_silent_or_not_finite_are_reported(tmp_path: Path) -> No
 )
 def test_levels_that_leave_the_parameter_where_it_is_are_refused(tmp_path: Path, change: dict[str, Any]) -> None:
     path = fakes.write(tmp_path, fakes.manifest(**SMALL | {"pages": [STAIRS | change]}))
-    with pytest.raises(ManifestError, match=r"pages\.0\.scale: .* is .* at the lowest and at the highest level"):
+    with pytest.raises(ManifestError, match=r"page 1\.scale: .* is .* at the lowest and at the highest level"):
         plan_batch(path, tmp_path / "out", FakeRenderer())
 
 

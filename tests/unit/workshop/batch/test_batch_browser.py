@@ -53,7 +53,7 @@ const tell = words => { new Image().src = "http://127.0.0.1:%d/" + encodeURIComp
 @pytest.mark.validate
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 def test_the_audition_page_switches_without_a_gap_and_hides_names(tmp_path: Path) -> None:
-    path = fakes.write(tmp_path, fakes.manifest(pages=[{"type": "html"}]))
+    path = fakes.write(tmp_path, fakes.manifest(pages=[{"type": "html"}], output={"pictures": True}))
     report = run_batch(path, tmp_path / "out", FakeRenderer())
     page = tmp_path / "out" / "audition.html"
     probed = page.with_name("probed.html")

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import pickle
+import re
 from pathlib import Path
 
 import batch_fakes as fakes
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 
 from tonewood.performance.score.note import Note
+from tonewood.support.yaml_io import located
 from tonewood.workshop.batch.conditions import Draw, expand, vary_notes
 from tonewood.workshop.batch.layout import lay_out
 from tonewood.workshop.batch.manifest import (
@@ -20,7 +23,9 @@ from tonewood.workshop.batch.manifest import (
     manifest_schema,
 )
 from tonewood.workshop.batch.migration import manifest_edits
+from tonewood.workshop.batch.runner import plan_batch
 from tonewood.workshop.batch.seeds import blind_codes
+from tonewood.workshop.dataset.manifest import dataset_schema
 from tonewood.workshop.listening.staircase import StaircaseTrack
 
 STAIRS = {
@@ -223,45 +228,45 @@ def test_a_folder_beside_the_manifest_needs_no_dot(tmp_path: Path) -> None:
         ({"design": "listed"}, "m.yaml: design: listed and conditions belong together"),
         ({"design": "listed", "conditions": [{"pluck": "far"}]}, "m.yaml: conditions.0: no level of damping"),
         ({"vary": {"note.force": {}}}, "m.yaml: vary.note.force: give exactly one of normal_db"),
-        ({"pages": [{"type": "musra"}]}, "m.yaml: pages.0.type: musra is not one of 'consent', 'instructions',"),
-        ({"pages": [{"name": "x"}]}, "m.yaml: pages.0.type: is missing"),
+        ({"pages": [{"type": "musra"}]}, "m.yaml: page 1.type: musra is not one of 'consent', 'instructions',"),
+        ({"pages": [{"name": "x"}]}, "m.yaml: page 1.type: is missing"),
         ({"pages": []}, "m.yaml: pages: List should have at least 1 item"),
-        ({"pages": [{"type": "html", "anchors": [3500]}]}, "m.yaml: pages.0: anchors are made from a reference"),
+        ({"pages": [{"type": "html", "anchors": [3500]}]}, "m.yaml: page 1: anchors are made from a reference"),
         (
             {"pages": [{"type": "mushra", "reference": {"damping": "x"}}]},
-            "m.yaml: pages.0.reference.damping: x is not one of complex, proportional, block",
+            "m.yaml: page 1.reference.damping: x is not one of complex, proportional, block",
         ),
         (
             {"pages": [{"type": "mushra", "reference": {"damping": "block"}, "anchors": [3000]}]},
-            "m.yaml: pages.0.anchors.0: Input should be 3500 or 7000, not 3000",
+            "m.yaml: page 1.anchors.0: Input should be 3500 or 7000, not 3000",
         ),
         (
             {"pages": [{"type": "html", "group_by": ["scor"]}]},
-            "m.yaml: pages.0.group_by: scor is not one of instrument, score, damping, pluck, repeat",
+            "m.yaml: page 1.group_by: scor is not one of instrument, score, damping, pluck, repeat",
         ),
-        ({"pages": [{"type": "abx", "pairs": {"dampng": "all"}}]}, "m.yaml: pages.0.pairs: dampng is not one of instr"),
+        ({"pages": [{"type": "abx", "pairs": {"dampng": "all"}}]}, "m.yaml: page 1.pairs: dampng is not one of instr"),
         (
             {"pages": [{"type": "paired_comparison", "pairs": {"damping": "all"}, "question": "?", "unforced": "no"}]},
-            "m.yaml: pages.0.unforced: was removed in 0.2: which of two is the reference is asked by type abx;",
+            "m.yaml: page 1.unforced: was removed in 0.2: which of two is the reference is asked by type abx;",
         ),
         (
             {"pages": [{"type": "paired_comparison", "pairs": {"damping": "all"}}]},
-            "m.yaml: pages.0.question: is missing",
+            "m.yaml: page 1.question: is missing",
         ),
-        ({"pages": [{"type": "training", "page": 1}]}, "m.yaml: pages.0.page: 1 is no page with trials"),
+        ({"pages": [{"type": "training", "page": 1}]}, "m.yaml: page 1.page: 1 is no page with trials"),
         (
             {"pages": [{"type": "instructions", "name": {"deutsch!": "x"}}]},
-            "m.yaml: pages.0.name",
+            "m.yaml: page 1.name",
         ),
         (
             {"pages": [STAIRS | {"start": 2.0}]},
-            "m.yaml: pages.0: lowest <= start <= highest is wanted",
+            "m.yaml: page 1: lowest <= start <= highest is wanted",
         ),
-        ({"pages": [STAIRS | {"of": {"damping": "x"}}]}, "m.yaml: pages.0.of.damping: x is not one of complex,"),
+        ({"pages": [STAIRS | {"of": {"damping": "x"}}]}, "m.yaml: page 1.of.damping: x is not one of complex,"),
         ({"stimuli": {"loudness": {"short": "ungated_400ms"}}}, "m.yaml: stimuli.loudness.short: was removed in 0.2"),
         (
             {"pages": [{"type": "abx", "pairs": {"damping": ["block"]}}]},
-            "m.yaml: pages.0.pairs: a pair is two different levels",
+            "m.yaml: page 1.pairs: a pair is two different levels",
         ),
     ],
 )
@@ -270,6 +275,67 @@ def test_faults_are_one_line(changes, line: str) -> None:
         check_manifest(fakes.manifest(**changes), file=Path("m.yaml"))
     assert str(caught.value).startswith(line), str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_all_faults_are_told_at_once_with_their_lines(tmp_path: Path) -> None:
+    """Faults of values, of names beside them, and pages counted from 1."""
+    text = """\
+schema: tonewood-batch/1
+name: many
+seed: x
+instruments: {harp: african_harp}
+scores:
+  low: {phrase: [{time: 0.0, freq: 110.0}]}
+factors:
+  damping: {path: body.t60, levels: {a: 0.5, b: 0.4}}
+exclude:
+  - {dampng: a}
+repeats: 0
+pages:
+  - {type: consent}
+  - {type: mushra, reference: {damping: c}}
+  - type: abx
+    pairs: {damping: all}
+    time: 3
+  - {type: training, page: 3}
+  - {type: training, page: 1}
+"""
+    path = tmp_path / "m.yaml"
+    path.write_text(text)
+    with pytest.raises(ManifestError) as caught:
+        load_manifest(path)
+    found = [(f.line, str(f).removeprefix(f"{path}: line {f.line}: ")) for f in located(caught.value).all]
+    assert [line for line, _ in found] == [3, 10, 11, 14, 17, 19]
+    assert [fault.partition(": ")[0] for _, fault in found] == [
+        "seed", "exclude.0", "repeats", "page 2.reference.damping", "page 3.time", "page 5.page",
+    ]  # fmt: skip
+    assert "did you mean times?" in found[4][1]
+
+
+def test_faults_of_the_layout_are_told_together(tmp_path: Path) -> None:
+    mushra = {"type": "mushra", "reference": {"damping": "complex"}}
+    path = fakes.write(tmp_path, fakes.manifest(pages=[mushra, {"type": "html"}, mushra], stimuli={"room": "no.wav"}))
+    with pytest.raises(ManifestError) as caught:
+        plan_batch(path, tmp_path / "out", fakes.FakeRenderer())
+    assert [fault.key for fault in caught.value.all] == ["pages.0.reference", "pages.2.reference", "stimuli.room"]
+    assert all(fault.file == str(path) for fault in caught.value.all)
+    assert pickle.loads(pickle.dumps(caught.value)).also[1].key == "stimuli.room"
+
+
+def test_every_key_of_every_page_is_in_the_reference_and_in_the_schema() -> None:
+    """Mended by `python scripts/manifest_tables.py > docs/reference/manifest.md`."""
+    text = (Path(__file__).parents[4] / "docs" / "reference" / "manifest.md").read_text("utf-8")
+    sections = dict(re.findall(r"^###? (.+?)\n(.*?)(?=^##|\Z)", text, re.DOTALL | re.MULTILINE))
+    tables = {name: re.findall(r"^\| `(\w+)` \|.*\| (.*) \|$", table, re.MULTILINE) for name, table in sections.items()}
+    for schema, title in ((manifest_schema(), "A listening test"), (dataset_schema(), "A data set")):
+        models = {title: schema}
+        for name, model in schema["$defs"].items():
+            kind = model.get("properties", {}).get("type", {}).get("const")
+            models[kind or name] = model
+        for name, model in models.items():
+            assert {key for key, _ in tables[name]} == set(model["properties"]), name
+            assert not [key for key, meaning in tables[name] if meaning in ("", "None")], name
+    assert {"mushra", "staircase", "headphones", "finish"} <= tables.keys()
 
 
 def test_too_many_conditions() -> None:
@@ -338,7 +404,7 @@ def test_the_audition_takes_what_is_on_no_other_page() -> None:
 
 def test_pages_that_cannot_be() -> None:
     mushra = {"type": "mushra", "group_by": ["score"], "reference": {"damping": "complex"}}
-    with pytest.raises(ManifestError, match=r"pages\.0\.reference: .*names 2 conditions on page1\.score=low"):
+    with pytest.raises(ManifestError, match=r"page 1\.reference: .*names 2 conditions on page1\.score=low"):
         groups_of(pages=[mushra])
     only = mushra | {"reference": {"damping": "complex", "pluck": "near"}}
     with pytest.raises(ManifestError, match="names 0 conditions"):

@@ -15,12 +15,15 @@ from pathlib import Path
 
 import batch_fakes as fakes
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 import soundfile
 from batch_fakes import FakeRenderer
 
 from tonewood.errors import OutputError, TonewoodError
+from tonewood.instrument.bundle.loading import Instrument
 from tonewood.workshop.batch import stimuli, trimming
+from tonewood.workshop.batch.data_sheet import Subject, data_sheet
 from tonewood.workshop.batch.manifest import ManifestError, Stimuli
 from tonewood.workshop.batch.production import room_response
 from tonewood.workshop.batch.runner import Report, plan_batch, run_batch
@@ -46,7 +49,7 @@ def sounds(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_batch_from_manifest_to_pages(tmp_path: Path) -> None:
-    path = fakes.write(tmp_path, fakes.manifest())
+    path = fakes.write(tmp_path, fakes.manifest(output={"formats": ["test", "html", "csv", "json", "parquet"]}))
     seen: list[tuple[str, int, int]] = []
     report = run_batch(path, tmp_path / "out", FakeRenderer(), progress=lambda *step: seen.append(step))
     assert report.ok
@@ -56,8 +59,8 @@ def test_a_batch_from_manifest_to_pages(tmp_path: Path) -> None:
     assert seen[-1] == ("files", 48, 48)
     out = tmp_path / "out"
     assert {p.name for p in out.iterdir()} == {
-        "stimuli", "test.json", "pictures", "audition", "work", "audition.html", "key.json", "manifest.json",
-        "manifest.csv",
+        "stimuli", "test.json", "audition", "work", "audition.html", "key.json", "manifest.json", "manifest.csv",
+        "manifest.parquet", "datasheet.md",
     }  # fmt: skip
     record = json.loads((out / "manifest.json").read_text())
     for row in record["files"]:
@@ -73,7 +76,6 @@ def test_a_batch_from_manifest_to_pages(tmp_path: Path) -> None:
         assert heard.true_peak_dbtp <= -1.0
         assert row["render"]["info"]["energy_residual"] == 1e-12
         assert row["identity"]["version"] == "1"
-        assert (out / "pictures" / f"{row['code']}.png").read_bytes().startswith(b"\x89PNG")
     lengths = {}
     for row in record["files"]:
         lengths.setdefault(row["group"], set()).add(row["frames"])
@@ -82,6 +84,9 @@ def test_a_batch_from_manifest_to_pages(tmp_path: Path) -> None:
         rows = list(csv.DictReader(stream))
     assert [r["sha256"] for r in rows] == [r["sha256"] for r in record["files"]]
     assert rows[0]["levels.damping"] in ("complex", "proportional", "block")
+    same = pq.read_table(out / "manifest.parquet").to_pylist()
+    assert [row["gain_db"] for row in same] == [row["gain_db"] for row in record["files"]]
+    assert [row["levels.damping"] for row in same] == [row["levels.damping"] for row in rows]
 
 
 def test_blind_names_and_the_key(tmp_path: Path) -> None:
@@ -119,7 +124,45 @@ def test_the_audition_has_every_sound_and_keeps_names_apart(tmp_path: Path) -> N
         assert base64.b64decode(sounds[file.code]) == (report.folder / file.file).read_bytes()
     by_role = {f.role: f for f in report.files if "complex" in f.condition}
     assert by_role["anchor35"].gain_db == by_role["sound"].gain_db
-    assert (report.folder / "pictures" / "differences1.png").read_bytes().startswith(b"\x89PNG")
+    assert not (report.folder / "pictures").exists()
+    assert data["pictures"] == ""
+
+
+def test_pictures_are_drawn_on_request_and_removed_without_it(tmp_path: Path) -> None:
+    page = {"type": "html", "group_by": ["score"], "reference": {"damping": "complex"}}
+    report = run(tmp_path, pages=[page], output={"pictures": True})
+    pictures = report.folder / "pictures"
+    wanted = {f"{file.code}.png" for file in report.files}
+    assert {path.name for path in pictures.iterdir()} == wanted | {"differences1.png"}
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures.iterdir())
+    run(tmp_path, pages=[page])
+    assert list(pictures.iterdir()) == []
+
+
+def test_the_data_sheet_names_versions_hashes_licences_and_sources(tmp_path: Path) -> None:
+    report = run(tmp_path, licence="CC-BY-4.0", seed=11)
+    sheet = (report.folder / "datasheet.md").read_text()
+    digests = sorted((f.code, f.sha256) for f in report.files)
+    whole = hashlib.sha256(json.dumps(digests).encode()).hexdigest()
+    for words in (f"| SHA-256 of all samples | `{whole}` |", "| licence of the sounds | CC-BY-4.0 |", "| seed | 11 |"):
+        assert words in sheet
+    citation = (Path(__file__).parents[4] / "CITATION.cff").read_text("utf-8")
+    for doi in re.findall(r"doi:(10\S+)", sheet):
+        assert doi in citation
+    instrument = Instrument.load("classical_guitar")
+    identity = {
+        "bundle": instrument.content_hash, "plugins": instrument.plugin_hashes, "parameters": instrument.resolved,
+        "version": "9.9", "isa": "avx2", "computed_with": {"numpy": "2.0", "blas": [{"name": "openblas"}]},
+    }  # fmt: skip
+    full = data_sheet(Subject("x", "", "", {"seed": 1}, {}, {}), [identity])
+    assert instrument.content_hash in full
+    assert instrument.spec.licence in full
+    for source in instrument.spec.sources.values():
+        assert source.text in full
+        assert source.doi is None or source.doi in full
+    for name, digest in instrument.plugin_hashes.items():
+        assert f"| {name} | `{digest}` |" in full
+    assert "| tonewood | 9.9 |" in full
 
 
 def test_the_same_manifest_gives_the_same_bytes(tmp_path: Path) -> None:

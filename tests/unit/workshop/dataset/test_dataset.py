@@ -229,7 +229,7 @@ def test_a_folder_of_midi_files_gives_a_score_each(tmp_path: Path) -> None:
         ({"parameters": {"x": {"path": "note.force", "values": [-1]}}}, "force"),
         ({"parameters": {"x": {"path": "render.fs", "values": [8000]}}}, "one rate"),
         ({"parameters": {"x": {"path": "note.force", "uniform": [2, 1]}}}, "low < high"),
-        ({"vary": {"note.string": {"normal": 1}}}, "note.string is not one of note.time"),
+        ({"vary": {"note.string": {"normal": 1}}}, "vary.note.string: is not one of note.time"),
         ({"render": {"fs": 47999}}, "no tick of one sample at 47999 Hz"),
         ({"pages": []}, "pages: is not a known key"),
     ],

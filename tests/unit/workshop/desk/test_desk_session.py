@@ -227,4 +227,4 @@ def test_mobility_and_shapes_are_those_of_two_modes() -> None:
 
 def test_bodies_declare_no_preview_unless_they_need_one() -> None:
     assert dict(Body.preview) == {}
-    assert dict(type(tw.load_instrument("drawn_guitar").body).preview) == {"fmax": 1000.0, "cell": 0.03}
+    assert dict(type(tw.load_instrument("drawn_guitar").body).preview) == {"fmax": 1000.0, "cell": 0.04}

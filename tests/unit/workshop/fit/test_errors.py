@@ -98,6 +98,14 @@ def test_a_pair_is_not_joined_for_less_than_its_price(monkeypatch):
         assert len(joined(problem, poles)[0]) == count
 
 
+@pytest.mark.parametrize(("shape", "numbers"), [(REAL, 4), (Shape((0,), 2), 6), (Shape((0,), 1, False), 3)])
+def test_a_mode_is_worth_its_numbers_in_schwarz_criterion(shape, numbers):
+    """k ln n: frequency, damping and a residue for each point, or two; n counts real and imaginary parts."""
+    freq = np.arange(100.0, 151.0)
+    line = Line(freq, np.ones((2, freq.size), complex), np.ones((2, freq.size)))
+    assert Projection(line, shape).price == pytest.approx(numbers * np.log(2 * 2 * 51), rel=1e-12)
+
+
 def test_a_residue_is_negative_beyond_doubt_from_three_deviations_on():
     """At one driving point that suffices; a mode that is positive at none is refused in any case."""
     residues = np.array([[-1.0, -1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -0.1, 1.0], [-9.0, -9.0, -9.0, 9.0, -9.0]])

@@ -101,6 +101,36 @@ def test_coherences_that_are_no_numbers_are_refused_in_one_line():
         fit_responses(Responses(FREQ, mobility(), pairs, np.full((3, FREQ.size), np.nan), 5))
 
 
+@pytest.mark.parametrize(("factor", "each"), [(3.0, False), (3.0, True), (0.0, False), (30j, False)])
+def test_single_bins_that_are_wrong_are_left_out_and_make_no_mode(factor, each):
+    """Twelve bins of all responses, or six of each, at three times their size, at 0, or at thirty times, turned."""
+    rows, rng, wrong = mobility(relative=1e-3, additive=1e-4), np.random.default_rng(5), np.zeros((3, FREQ.size), bool)
+    for row in wrong if each else [wrong]:
+        row[..., rng.integers(0, FREQ.size, 6 if each else 12)] = True
+    rows[wrong] *= factor
+    fit = fit_responses(Responses(FREQ, rows, tuple((p, "p0") for p in NAMES)))
+    assert [row["freq_Hz"] for row in measured(fit)] == pytest.approx(NATURAL, rel=1e-3)
+    assert [row["Q"] for row in measured(fit)] == pytest.approx([30.0] * 3, rel=0.03)
+    assert [row["mass_kg"] for row in measured(fit)] == pytest.approx(MASS, rel=0.03)
+    assert set(fit.outliers) <= set(FREQ[wrong.any(axis=0)])
+    assert any("disagree with their neighbours" in line for line in fit.warnings)
+
+
+def test_bins_without_numbers_and_frequencies_in_khz_are_said():
+    rows, pairs = mobility(relative=1e-3), tuple((p, "p0") for p in NAMES)
+    rows[:, 100:105] = np.nan
+    fit = fit_responses(Responses(1e-3 * FREQ, rows, pairs))
+    assert any("kHz read as Hz, perhaps" in line for line in fit.warnings)
+    assert "5 bins without a finite number were left out" in fit.warnings
+
+
+def test_a_body_lighter_than_any_is_a_matter_of_units():
+    rows = 1e3 * mobility(relative=1e-3)
+    fit = fit_responses(Responses(FREQ, rows, tuple((p, "p0") for p in NAMES)))
+    assert any("mm/s read as m/s (--scale 1e-3)" in line for line in fit.warnings)
+    assert not any("mm/s" in line for line in fit_responses(Responses(FREQ, 1e-3 * rows, fit.responses.pairs)).warnings)
+
+
 @pytest.mark.parametrize("kind", ["g per N", "complex64", "two close modes", "exponential window", "bins missing"])
 def test_other_peoples_arrays_are_three_modes(tmp_path, kind):
     """Units by --scale, short numbers, modes within 1.5 %, a window known to the fit, bins that are no numbers."""
@@ -144,6 +174,29 @@ def test_directions_of_a_universal_file_turn_signs(tmp_path):
     assert read.pairs == (("1+3", "1+3"), ("2+3", "1+3"), ("3+1", "1+3"))
     assert np.allclose(read.mobility, rows, rtol=1e-9)
     assert read.no_body() is None
+
+
+@pytest.mark.parametrize("binary", [0, 1])
+def test_a_universal_file_that_was_cut_off_says_where(tmp_path, binary):
+    pyuff = pytest.importorskip("pyuff")
+    universal, path = pyuff.UFF(str(tmp_path / "a.uff")), tmp_path / "a.uff"
+    for node, row in enumerate(mobility(), start=1):
+        universal.write_sets(
+            pyuff.prepare_58(
+                func_type=4, rsp_node=node, rsp_dir=3, ref_node=1, ref_dir=3, rsp_ent_name="NONE", ref_ent_name="NONE",
+                data=row, x=FREQ, binary=binary, id1="", id2="", id3="", id4="", id5="", load_case_id=0,
+                abscissa_spacing=1, abscissa_spec_data_type=18, ordinate_spec_data_type=11, orddenom_spec_data_type=13,
+            ),
+            mode="add",
+        )  # fmt: skip
+    whole = path.read_bytes()
+    assert len(read_responses([path], Reading()).pairs) == 3
+    for kept, said in ((0.55, "data set 2 (response at node 2 to node 1)"), (0.97, "data set 3 (response at node 3")):
+        path.write_bytes(whole[: int(kept * len(whole))])
+        with pytest.raises(TonewoodError, match="is cut off") as fault:
+            read_responses([path], Reading())
+        assert said in str(fault.value)
+        assert "\n" not in str(fault.value)
 
 
 def test_arrays_of_any_name_in_mat_and_npz(tmp_path):
@@ -197,7 +250,7 @@ def test_a_line_of_the_mains_is_no_mode():
     rows[:, 30] += 20 * np.abs(rows[:, 30])  # 50 Hz
     fit = fit_responses(Responses(FREQ, rows, tuple((p, "p0") for p in NAMES)))
     assert len(measured(fit)) == 3
-    assert any("of the mains perhaps, were left out: 50.0 Hz" in line for line in fit.warnings)
+    assert any("disagree with their neighbours were left out, 1: 50 Hz" in line for line in fit.warnings)
 
 
 def test_modes_are_dropped_and_kept_by_frequency():

@@ -14,7 +14,7 @@ from scipy import integrate, stats
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening import detection, means, power, thresholds
 from tonewood.workshop.listening.definition import ListeningError
-from tonewood.workshop.listening.models import bradley_terry, linear_analysis, rank_analysis
+from tonewood.workshop.listening.models import bradley_terry, linear_analysis, rank_analysis, share_interval
 from tonewood.workshop.listening.panel import SimulatedPanel, read_panel, simulate
 from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.report import write_report
@@ -325,3 +325,16 @@ def test_a_panel_s_mistakes_are_one_line(tmp_path: Path, text: str, line: str) -
 def test_phi_is_integrated_to_rounding() -> None:
     exact = integrate.quad(lambda z: stats.norm.pdf(z - 1.0) * stats.norm.cdf(z) ** 2, -12, 12)[0]
     assert detection.share_right(1.0, "more_3") == pytest.approx(exact, abs=1e-9)
+
+
+def test_a_share_of_listeners_is_held_to_a_half_from_both_sides() -> None:
+    """Student's t over listeners; a sign test where all of them have one share."""
+    shares = np.array([0.5, 0.7, 0.9, 0.6, 0.4, 0.8])
+    for each in (shares, 1 - shares):
+        mean, low, high, p = share_interval(each, 0.95)
+        found = stats.ttest_1samp(each, 0.5)
+        assert p == pytest.approx(found.pvalue, rel=1e-9)
+        assert (low, high) == pytest.approx(tuple(found.confidence_interval(0.95)), rel=1e-9)
+        assert mean == pytest.approx(each.mean())
+    for same in (0.0, 1.0):
+        assert share_interval(np.full(6, same), 0.95)[3] == pytest.approx(stats.binomtest(6, 6, 0.5).pvalue)

@@ -284,7 +284,7 @@ async function showModel() {
     seen.start ??= await view("mobility", "", "start");
     options($("mobility_string"), Object.keys(seen.mobility.db));
     drawMobility();
-    const strongest = seen.mobility.modes.filter((m) => m.mass).sort((a, b) => (a.mass * a.freq) / a.q - (b.mass * b.freq) / b.q).slice(0, 10).sort((a, b) => a.freq - b.freq);
+    const strongest = seen.mobility.modes.filter((m) => m.mass && m.freq < seen.mobility.freq.at(-1)).sort((a, b) => (a.mass * a.freq) / a.q - (b.mass * b.freq) / b.q).slice(0, 10).sort((a, b) => a.freq - b.freq);
     $("peaks").replaceChildren(...strongest.map((m) => element("button", { textContent: `${m.freq.toFixed(0)} Hz`, onclick: () => showShape(m.freq) })));
     if (strongest.length) await showShape(seen.shape?.freq ?? strongest[0].freq);
   });
@@ -456,7 +456,7 @@ async function ring() {
     const ran = Object.values(e.active), longest = Math.max(0, ...ran);
     const on = e.on === null ? (longest > 0 ? "always" : "no") : e.on.join(", ") || "off";
     const cost = e.cost === null ? "" : `${(100 * e.cost).toFixed(2)} %`;
-    return element("tr", {}, ...[e.title, on, `${((100 * longest) / Math.max(found.seconds, 1e-9)).toFixed(0)} %`, cost].map((t) => element("td", { textContent: t })));
+    return element("tr", {}, ...[e.title, on, `${Math.min(100, (100 * longest) / Math.max(found.seconds, 1e-9)).toFixed(0)} %`, cost].map((t) => element("td", { textContent: t })));
   });
   $("effects").tBodies[0].replaceChildren(...rows);
   $("effects_words").textContent = `All steps take ${(100 * found.load).toFixed(0)} % of the time, a block at worst ${(100 * found.worst).toFixed(0)} %.`;

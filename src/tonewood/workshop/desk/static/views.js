@@ -96,19 +96,18 @@ export function shape(canvas, data, phase) {
   const X = (x) => width / 2 + (x - (x0 + x1) / 2) * size, Y = (y) => height / 2 + (y - (y0 + y1) / 2) * size;
   const side = 0.0101 * size;
   pen.clearRect(0, 0, width, height);
-  const [up, down, sand] = [colour("accent"), colour("a"), colour("ink")];
+  const sand = colour("ink");
+  const shade = (v) => `color-mix(in srgb, ${colour(v > 0 ? "accent" : "a")} ${Math.min(100, Math.abs(v) * 100)}%, ${colour("paper")})`;
+  const shades = Array.from({ length: 41 }, (_, i) => shade((i - 20) / 20));
   data.points.forEach(([x, y], i) => {
     const h = data.heights[i];
-    pen.globalAlpha = Math.min(1, Math.abs(h * swing));
-    pen.fillStyle = h > 0 ? up : down;
+    pen.fillStyle = shades[20 + Math.round(20 * Math.max(-1, Math.min(1, h * swing)))];
     pen.fillRect(X(x) - side / 2, Y(y) - side / 2, side, side);
     if (Math.abs(h) < 0.05) {
-      pen.globalAlpha = 0.8;
       pen.fillStyle = sand;
       pen.fillRect(X(x) - side / 4, Y(y) - side / 4, side / 2, side / 2);
     }
   });
-  pen.globalAlpha = 1;
   for (const ring of data.rings) curve(pen, [...ring, ring[0]].map((p) => p[0]), [...ring, ring[0]].map((p) => p[1]), X, Y, colour("line"));
   return said;
 }

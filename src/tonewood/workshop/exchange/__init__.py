@@ -1,0 +1,1 @@
+"""Listening tests for other programs, and answers from them."""

@@ -1,0 +1,323 @@
+"""Answers that were given elsewhere: webMUSHRA's tables, and a plain table that any program can write.
+
+The plain table (CSV, the first row names the columns) has a row a rating, with `listener`, `page`, `trial`, `stimulus`
+(a blind code), `item` (a scale, where a page has several) and `value`; or a row an answer, with `listener`, `page`,
+`trial`, a column for each slot (A, B, X, 1, 2, 3, reference) that holds a code, and `response` (A, same, 2, ...).
+Columns `repetition` and `seconds` may stand beside. The tables of the exports for jsPsych and PsychoPy are such tables.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tonewood.support.text_files import decoded
+from tonewood.workshop.batch.pages import (
+    AbPage,
+    AbxPage,
+    AfcPage,
+    AnyPage,
+    Bs1116Page,
+    MushraPage,
+    PairedPage,
+    PairPage,
+    QuestionnairePage,
+    RatingPage,
+)
+from tonewood.workshop.exchange.psychopy import KEYS
+from tonewood.workshop.listening.answer_file import LeftOut, ListenerAnswers, printable
+from tonewood.workshop.listening.definition import ListeningError, ListeningTest, ServedTrial
+from tonewood.workshop.listening.session import LETTERS, OPEN
+
+_SLOTS = ("A", "B", "X", "1", "2", "3", OPEN)
+_WEBMUSHRA = {"rating_stimulus": "mushra", "choice_answer": "pair", "rating_reference_score": "bs1116"}
+#: columns of PsychoPy's table with an answer
+_KEY, _RATE = re.compile(r"answer\d+\.keys"), re.compile(r"rate\d+_(\w+)\.response")
+_MOST_BYTES = 200_000_000
+Row = dict[str, str]
+
+
+@dataclass(frozen=True)
+class Imported:
+    """Answers of listeners, and rows that do not count."""
+
+    listeners: tuple[ListenerAnswers, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+@dataclass
+class _Given:
+    """One answer, collected of its rows: ratings by code (and item), or a choice."""
+
+    trial: ServedTrial
+    page: int
+    repetition: int
+    slots: dict[str, str]
+    ratings: dict[tuple[str, str], float]
+    choice: str | None = None
+    right: bool | None = None
+    seconds: float = 0.0
+
+
+def read_answers(path: Path, test: ListeningTest) -> Imported:
+    """Read a table of answers; rows that do not fit the test are left out, and named by file and line.
+
+    Raises
+    ------
+    ListeningError : the file cannot be read, is no such table, or no row of it fits.
+    """
+    rows, columns = _table(path)
+    kind = next((kind for column, kind in _WEBMUSHRA.items() if column in columns), None)
+    if kind is None:
+        missing = [name for name in ("page", "trial") if name not in columns]
+        if missing or not {"listener", "participant"} & columns:
+            wanted = "listener, page and trial, or those of webMUSHRA"
+            raise ListeningError(
+                f"has no column {missing[0] if missing else 'listener'}; {wanted} are wanted", file=path
+            )
+    trials = {trial.id: trial for trial in test.trials}
+    given: dict[str, dict[tuple[Any, ...], _Given]] = {}
+    spoken: dict[str, list[dict[str, Any]]] = {}
+    left_out: list[LeftOut] = []
+    for line, row in enumerate(rows, start=2):
+        who = printable(_who(row, path, line))
+        try:
+            if kind is None and (record := _questionnaire(test, row)) is not None:
+                spoken.setdefault(who, []).append(record)
+            elif kind is not None:
+                _take_webmushra(kind, row, trials, given.setdefault(who, {}))
+            elif row["trial"]:  # PsychoPy writes rows for pages without trials, too
+                _take_plain(test, row, trials, given.setdefault(who, {}))
+        except ListeningError as fault:
+            left_out.append(LeftOut(str(ListeningError(fault.reason, file=path, line=line, key=fault.key))))
+    listeners: list[ListenerAnswers] = []
+    for who in dict.fromkeys([*given, *spoken]):
+        kept = []
+        for one in given.get(who, {}).values():
+            graded = {code for code, _ in one.ratings}
+            if isinstance(test.pages[one.page], Bs1116Page) and 0 < len(graded) < 2:
+                reason = f"{who} has no grade of both sounds of trial {one.trial.id}"
+                left_out.append(LeftOut(str(ListeningError(reason, file=path))))
+            elif graded or one.choice is not None:
+                kept.append(one)
+        records = [_record(test, one, index) for index, one in enumerate(kept)]
+        records += [{**record, "index": len(records) + i} for i, record in enumerate(spoken.get(who, []))]
+        if records:
+            header = {"listener": who, "token": who, "simulated": False, "started": "", "language": ""}
+            name = path.with_name(f"{path.name}#{len(listeners) + 1}")
+            listeners.append(ListenerAnswers(name, header, records, [], 0, 0))
+    if not listeners:
+        first = f"; the first row is left out because: {left_out[0].reason}" if left_out else ""
+        raise ListeningError(f"holds no answers to this test{first}", file=path)
+    return Imported(tuple(listeners), tuple(left_out))
+
+
+def _table(path: Path) -> tuple[list[Row], set[str]]:
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise ListeningError(f"is longer than the {_MOST_BYTES} bytes allowed", file=path)
+        text = decoded(path.read_bytes(), file=path, error=ListeningError)
+    except OSError as fault:
+        raise ListeningError(f"cannot be read: {fault.strerror}", file=path) from None
+    try:
+        reader = csv.DictReader(io.StringIO(text, newline=""), restval="", strict=True)
+        rows = [{k: (v or "").strip() for k, v in row.items() if isinstance(k, str)} for row in reader]
+    except csv.Error as fault:
+        raise ListeningError(f"is no table: {fault}", file=path) from None
+    return rows, {name.strip() for name in reader.fieldnames or ()}
+
+
+def _who(row: Row, path: Path, line: int) -> str:
+    """Name of the listener of a row.
+
+    Raises
+    ------
+    ListeningError : there is none.
+    """
+    for name in ("listener", "participant", "session_uuid", "email"):
+        if row.get(name):
+            return row[name]
+    raise ListeningError("names no listener: a column listener is wanted", file=path, line=line)
+
+
+def _trial(row: Row, name: str, trials: Mapping[str, ServedTrial]) -> ServedTrial:
+    if name not in trials:
+        raise ListeningError(f"{name!r} is no trial of this test", key="trial")
+    return trials[name]
+
+
+def _number(text: str, key: str, low: float, high: float) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not low <= value <= high:
+        raise ListeningError(f"{text!r} is no number from {low:g} to {high:g}", key=key)
+    return value
+
+
+def _rate(one: _Given, code: str, item: str, value: float) -> None:
+    if code not in one.trial.codes:
+        raise ListeningError(f"{code!r} is no sound of trial {one.trial.id}", key="stimulus")
+    if (code, item) in one.ratings:
+        raise ListeningError(f"{code} was rated before", key="stimulus")
+    one.ratings[code, item] = value
+
+
+def _take_webmushra(
+    kind: str, row: Row, trials: Mapping[str, ServedTrial], into: dict[tuple[Any, ...], _Given]
+) -> None:
+    name, _, count = row["trial_id"].partition("-")
+    trial = _trial(row, name, trials)
+    repetition = int(count) if count.isdecimal() else 1
+    key = (row.get("session_uuid", ""), name, repetition)
+    reference, other = trial.reference or "", trial.stimuli[0]
+    if kind == "pair":
+        if key in into:
+            raise ListeningError("this trial was answered before", key="trial_id")
+        if (answer := row["choice_answer"]) not in ("correct", "incorrect", "undecided"):
+            raise ListeningError(f"{answer!r} is not one of correct, incorrect, undecided", key="choice_answer")
+        right = answer == "correct"
+        choice = "undecided" if answer == "undecided" else "A" if right else "B"
+        slots = {"A": reference, "B": other, "X": reference}
+        into[key] = _Given(trial, trial.page, repetition, slots, {}, choice, right and choice != "undecided")
+        return
+    one = into.setdefault(key, _Given(trial, trial.page, repetition, {}, {}))
+    if kind == "mushra":
+        code = reference if row["rating_stimulus"] == "reference" else row["rating_stimulus"]
+        _rate(one, code, "", _number(row["rating_score"], "rating_score", 0.0, 100.0))
+    else:
+        code = row["rating_non_reference"]
+        _rate(one, reference, "", _number(row["rating_reference_score"], "rating_reference_score", 1.0, 5.0))
+        _rate(one, code, "", _number(row["rating_non_reference_score"], "rating_non_reference_score", 1.0, 5.0))
+
+
+def _take_plain(
+    test: ListeningTest, row: Row, trials: Mapping[str, ServedTrial], into: dict[tuple[Any, ...], _Given]
+) -> None:
+    trial = _trial(row, row["trial"], trials)
+    if row["page"] != str(trial.page + 1):
+        raise ListeningError(f"is {row['page']!r}, and {trial.page + 1} is the page of trial {trial.id}", key="page")
+    page = test.pages[trial.page]
+    repetition = int(_number(row.get("repetition") or "1", "repetition", 1, 1000))
+    key = (trial.id, repetition)
+    seconds = _number(row.get("seconds") or "0", "seconds", 0.0, 3.2e8)
+    if isinstance(page, (MushraPage, Bs1116Page, RatingPage)):
+        one = into.setdefault(key, _Given(trial, trial.page, repetition, {}, {}, seconds=seconds))
+        for item, value in _values(row).items():
+            low, high, name = _limits(page, item)
+            _rate(one, row["stimulus"], name, _number(value, "value", low, high))
+        return
+    if key in into:
+        raise ListeningError("this trial was answered before", key="trial")
+    slots = {slot: row[slot] for slot in _SLOTS if row.get(slot)}
+    if unknown := set(slots.values()) - set(trial.codes):
+        raise ListeningError(f"{min(unknown)!r} is no sound of trial {trial.id}", key="trial")
+    response = row.get("response") or next((row[c] for c in row if _KEY.fullmatch(c) and row[c]), "")
+    if "response" not in row or not row["response"]:
+        response = next((choice for choice in _choices(page, slots) if KEYS[choice] == response), response)
+    if response not in (allowed := _choices(page, slots)):
+        raise ListeningError(f"{response!r} is not one of {', '.join(allowed)}", key="response")
+    right = _right(page, trial, slots, response)
+    into[key] = _Given(trial, trial.page, repetition, slots, {}, response, right, seconds)
+
+
+def _values(row: Row) -> dict[str, str]:
+    """Ratings of a row by item: one, or those of the columns of PsychoPy's sliders."""
+    if "value" in row:
+        return {row.get("item", ""): row["value"]}
+    return {m[1]: row[c] for c in row if (m := _RATE.fullmatch(c)) and row[c]}
+
+
+def _limits(page: MushraPage | Bs1116Page | RatingPage, item: str) -> tuple[float, float, str]:
+    if not isinstance(page, RatingPage):
+        return (0.0, 100.0, "") if isinstance(page, MushraPage) else (1.0, 5.0, "")
+    scales = {scale.name: scale for scale in page.scales}
+    name = next(iter(scales)) if not item and len(scales) == 1 else item
+    if name not in scales:
+        raise ListeningError(f"{item!r} is not one of {', '.join(scales)}", key="item")
+    return scales[name].low, scales[name].high, name
+
+
+def _choices(page: AnyPage, slots: Mapping[str, str]) -> list[str]:
+    if isinstance(page, AbPage):
+        return ["same", "different"]
+    if isinstance(page, AbxPage):
+        return ["A", "B", *(["undecided"] if page.unforced else [])]
+    if isinstance(page, PairedPage):
+        return ["A", "B", *(["tie"] if page.tie else [])]
+    return [slot for slot in slots if slot != OPEN]
+
+
+def _right(page: AnyPage, trial: ServedTrial, slots: Mapping[str, str], response: str) -> bool | None:
+    """Whether a response is right; None where none is.
+
+    Raises
+    ------
+    ListeningError : the slots are not those of such a page.
+    """
+    reference, other = trial.reference or "", trial.stimuli[0]
+    wanted: Sequence[str] = ("A", "B", "X") if isinstance(page, AbxPage) else ("A", "B")
+    if isinstance(page, AfcPage):
+        wanted = [str(i + 1) for i in range(page.intervals)]
+    if missing := [slot for slot in wanted if slot not in slots]:
+        raise ListeningError(f"has no sound in slot {missing[0]}", key="trial")
+    if isinstance(page, AbPage):
+        return response == ("same" if slots["A"] == slots["B"] else "different")
+    if isinstance(page, AbxPage):
+        if slots["X"] not in (slots["A"], slots["B"]) or slots["A"] == slots["B"]:
+            raise ListeningError("X is not one of A and B", key="trial")
+        return response != "undecided" and slots[response] == slots["X"]
+    if isinstance(page, AfcPage):
+        if sorted(slots[i] for i in wanted) != sorted([other, *[reference] * (page.intervals - 1)]):
+            raise ListeningError("the intervals do not hold one other sound", key="trial")
+        return slots[response] == other
+    if {slots["A"], slots["B"]} != {reference, other}:
+        raise ListeningError("A and B are not the two sounds of the trial", key="trial")
+    return None
+
+
+def _questionnaire(test: ListeningTest, row: Row) -> dict[str, Any] | None:
+    """The record of an answer to a questionnaire; None where the row is none."""
+    if row.get("trial") or not row.get("item"):
+        return None
+    number = row.get("page", "")
+    page = test.pages[int(number) - 1] if number.isdecimal() and 0 < int(number) <= len(test.pages) else None
+    questions = {q.name: q for q in page.questions} if isinstance(page, QuestionnairePage) else {}
+    if row["item"] not in questions:
+        raise ListeningError(f"{row['item']!r} is no question of page {number}", key="item")
+    question, value = questions[row["item"]], row.get("value", "")
+    if not value:
+        return None
+    numeric = question.kind in ("number", "scale")
+    answer: Any = _number(value, "value", -1e300, 1e300) if numeric else value[:10_000]
+    return {
+        "page": int(number), "type": "questionnaire", "trial": "", "training": False, "repetition": 1, "slots": {},
+        "answer": {"values": {question.name: answer}},
+    }  # fmt: skip
+
+
+def _record(test: ListeningTest, one: _Given, index: int) -> dict[str, Any]:
+    """A record as the files of this test have them."""
+    page, answer = test.pages[one.page], {"seconds": one.seconds}
+    slots: dict[str, str] = one.slots
+    found: dict[str, Any] = {}
+    if isinstance(page, PairPage):
+        found = {"choice": one.choice}
+    elif isinstance(page, RatingPage):
+        slots = {"A": one.trial.stimuli[0]}
+        found = {"values": {item: value for (_, item), value in one.ratings.items()}}
+    else:
+        codes = [code for code, _ in one.ratings]
+        slots = {OPEN: one.trial.reference or "", **{LETTERS[i]: code for i, code in enumerate(codes)}}
+        found = {"ratings": {LETTERS[i]: one.ratings[code, ""] for i, code in enumerate(codes)}}
+    record = {
+        "index": index, "page": one.page + 1, "type": page.type, "trial": one.trial.id, "training": False,
+        "repetition": one.repetition, "slots": slots, "answer": {**answer, **found},
+    }  # fmt: skip
+    return record if one.right is None else {**record, "right": one.right}

@@ -1,0 +1,49 @@
+"""Exports of a batch's folder, by the name of the program they are for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from tonewood.errors import TonewoodError
+from tonewood.workshop.exchange import bids, jspsych, psychopy, webmushra
+from tonewood.workshop.exchange.course import FOLDER, Exported
+from tonewood.workshop.listening.definition import ListeningTest, load_test
+
+PROGRAMS: dict[str, Callable[[ListeningTest, Path], Exported]] = {
+    "webmushra": webmushra.write,
+    "jspsych": jspsych.write,
+    "psychopy": psychopy.write,
+    "bids": bids.write,
+}
+
+
+def check_programs(programs: Sequence[str]) -> None:
+    """Check names of programs.
+
+    Raises
+    ------
+    TonewoodError : one is not known.
+    """
+    for name in programs:
+        if name not in PROGRAMS:
+            raise TonewoodError(f"is {name!r}; {', '.join(PROGRAMS)} are allowed", key="--export")
+
+
+def export(folder: Path, programs: Sequence[str]) -> list[Exported]:
+    """Write ``export/PROGRAM`` in a batch's folder for each program; an earlier export is removed.
+
+    Raises
+    ------
+    TonewoodError : a program is not known, the folder has no test, or a file cannot be written.
+    """
+    import shutil
+
+    check_programs(programs)
+    test = load_test(folder)
+    found = []
+    for name in dict.fromkeys(programs):
+        place = folder / FOLDER / name
+        shutil.rmtree(place, ignore_errors=True)
+        found.append(PROGRAMS[name](test, place))
+    return found
