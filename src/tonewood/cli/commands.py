@@ -16,6 +16,8 @@ COMMANDS = {
     "schema": "schema:schema",
     "migrate": "migrate:migrate",
     "fit": "fit:fit",
+    "estimate": "estimate:estimate",
+    "distance": "distance:distance",
     "taptone": "taptone:taptone",
     "wood": "wood:wood",
     "new": "new:new",
