@@ -153,6 +153,8 @@ def test_a_device_that_is_not_there_one_line(monochord: tw.Instrument, monkeypat
     monkeypatch.setitem(sys.modules, "sounddevice", fake)
     with pytest.raises(OutputError, match="cannot open the sound device: no device 99"):
         tw.play(renderer(monochord), device=99)
+    with pytest.raises(OutputError, match="--device names another, and `tonewood render` writes a file"):
+        tw.play(renderer(monochord))
 
 
 def test_samples_beyond_full_scale_are_counted() -> None:

@@ -33,8 +33,8 @@ class KeyEntry(Parameters):
     )
     damper: Damper | None = described("felt that rests on them; none where left out", default=None)
     exciter: dict[str, Any] = described("parameters of the exciter at this key, in place of its own", default={})
-    kind: Literal["measured", "published", "computed", "authored", "stand_in", "unknown"] | None = described(
-        "of the row's figures, as in `provenance`", default=None
+    kind: Literal["measured", "estimated", "published", "computed", "authored", "stand_in", "unknown"] | None = (
+        described("of the row's figures, as in `provenance`", default=None)
     )
 
 

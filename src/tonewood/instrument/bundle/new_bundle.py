@@ -40,8 +40,8 @@ _DECIDE = {
     "title": "# DECIDE: what is it, in one line?",
     "licence": "# DECIDE: may others use it? An SPDX name such as CC-BY-4.0; the licences of the sources hold as well.",
     "provenance": (
-        "# DECIDE: where does each figure come from? measured, published, computed (these need a source), authored or\n"
-        "# stand_in. `tonewood check` lists unknown ones."
+        "# DECIDE: where does each figure come from? measured, estimated, published, computed (these need a source),\n"
+        "# authored or stand_in. `tonewood check` lists unknown ones."
     ),
     "body": (
         "# DECIDE: is this the body? `tonewood fit` makes one from a measurement. Masses, springs, dashpots on it go\n"

@@ -86,5 +86,5 @@ def check_references(
     for path, found in spec.provenance.items():
         if found.source is not None and found.source not in spec.sources:
             raise none("source", found.source, spec.sources, f"provenance.{path}.source")
-        if found.source is None and found.kind in ("measured", "published", "computed"):
+        if found.source is None and found.kind in ("measured", "estimated", "published", "computed"):
             raise BundleError(f"{found.kind} figures need a source", file=file, key=f"provenance.{path}.source")

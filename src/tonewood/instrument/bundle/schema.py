@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
+from tonewood.instrument.bundle.equalizer_schema import EqualizerBand
 from tonewood.instrument.bundle.key_schema import MOST_STRINGS, Keys, Name
 from tonewood.instrument.contract.directions import Direction
 from tonewood.instrument.contract.gestures import StringPlace
@@ -40,11 +41,13 @@ class Source(Parameters):
 class Provenance(Parameters):
     """Kind and source of figures."""
 
-    kind: Literal["measured", "published", "computed", "authored", "stand_in", "unknown"] = described(
-        "measured on the instrument; published in a text; computed from such; authored by ear or judgement; "
-        "stand_in for figures that are not published; unknown where no source is stated"
+    kind: Literal["measured", "estimated", "published", "computed", "authored", "stand_in", "unknown"] = described(
+        "measured on the instrument; estimated from its recorded sound; published in a text; computed from such; "
+        "authored by ear or judgement; stand_in for figures that are not published; unknown where no source is stated"
     )
-    source: str | None = described("key of `sources`; needed if measured, published or computed", default=None)
+    source: str | None = described(
+        "key of `sources`; needed if measured, estimated, published or computed", default=None
+    )
     note: str | None = described("remark on them", default=None)
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = described(
         "SHA-256 of the bytes of the table that these figures are; `check` tells when it is another", default=None
@@ -387,6 +390,7 @@ class OutputPart(PluginPart):
         doc="-1 left to 1 right, at constant power: one channel becomes two, two are balanced",
     )
     delay: float = quantity("s", low=0.0, high=0.1, default=0.0, doc="of its channels, to the nearest frame")
+    equalizer: list[EqualizerBand] = described("gain of its channels over frequency", default=[], max_length=MOST_PARTS)
     note: str | None = described("meaning and limits of this output", default=None)
 
 

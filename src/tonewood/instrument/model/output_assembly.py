@@ -35,6 +35,7 @@ class OutputGroup:
     note : for the user, one line.
     gain_db, pan : dB, and -1 (left) to 1 (right); None where it is not placed.
     delay : s.
+    equalizer : middle (Hz), gain (dB) and quality of each band, None for a shelf.
     """
 
     name: str
@@ -47,6 +48,7 @@ class OutputGroup:
     gain_db: float = 0.0
     pan: float | None = None
     delay: float = 0.0
+    equalizer: tuple[tuple[float, float, float | None], ...] = ()
     columns: tuple[int, ...] = ()
     conversion: Conversion | None = None
 
@@ -150,6 +152,7 @@ def _group(instrument: Instrument, part: OutputPart, rows: PickupRows, first: in
         gain_db=part.gain_db,
         pan=part.pan,
         delay=part.delay,
+        equalizer=tuple((band.freq, band.gain_db, band.q) for band in part.equalizer),
         columns=columns,
         conversion=rows.conversion,
     )

@@ -338,7 +338,7 @@ class Live:
             self.engine.schedule.add(actions.changes, actions.plays)
             points = int(-(-self._resampler.samples(frames - n + self._early) // GRID))
             sound = self.engine.advance(max(1, min(points, 1 if self._bases.waiting else self.player.idle_points)))
-            sound = self._routing.delayed(self._resampler(self._routing.scaled(sound), sample))
+            sound = self._routing.finished(self._resampler(self._routing.scaled(sound), sample))
             if self._early:
                 early = min(self._early, len(sound))
                 sound, self._early = sound[early:], self._early - early

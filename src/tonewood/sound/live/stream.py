@@ -357,7 +357,10 @@ def _output_stream() -> Any:
         try:
             return sounddevice.OutputStream(**options)
         except (sounddevice.PortAudioError, ValueError) as error:
-            raise OutputError(f"cannot open the sound device: {error}") from None
+            reason = f"cannot open the sound device: {error}"
+            if options.get("device") is None:
+                reason += " (the usual one; --device names another, and `tonewood render` writes a file)"
+            raise OutputError(reason) from None
 
     return make
 

@@ -89,7 +89,9 @@ def save_model(
     plucks = [forces(play, model, system, 0) for play in plays]
     routing = Routing(model, float(system.dt) ** -1)
     if not routing.plain:
-        reason = "a circuit, delays, a single channel with a pan, or channels in another order cannot be saved"
+        reason = (
+            "a circuit, delays, an equalizer, a single channel with a pan, or channels in another order cannot be saved"
+        )
         raise TonewoodError(reason, key="outputs")
     more = {"fs": float(system.dt) ** -1, "scale": routing.scale}
     write_arrays(path, recorded(system, plucks) | flat(more))

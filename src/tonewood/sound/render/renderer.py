@@ -352,7 +352,7 @@ class Renderer:
             spans = pieces = 1 if self.options.energy else max(1, int(min(_TAIL_SPANS, left)))
         began = time.perf_counter()
         sound = self._resampler(self._routing.scaled(self.engine.advance(max(spans, 1) * _TICKS)), sample)
-        sound = self._routing.delayed(sound)
+        sound = self._routing.finished(sound)
         self._seconds += time.perf_counter() - began
         unheard = max(0, -first - self.zero_frame)
         sound = self._begun(sound, first + self.zero_frame)

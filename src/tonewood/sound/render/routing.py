@@ -1,4 +1,4 @@
-"""From a model's readouts to the channels of a sound: conversion, gain, pan and delay of each output."""
+"""From a model's readouts to the channels of a sound: conversion, gain, pan, equalizer and delay of each output."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from tonewood.instrument.contract.conversion import Converter
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.output_assembly import OutputGroup
+from tonewood.sound.equalizer import Equalizer
 
 Floats = NDArray[np.float64]
-#: of the delays, then of every converter
+#: of the delays, of the equalizers, then of every converter
 Memory = tuple[Floats, ...]
 
 
@@ -28,7 +29,7 @@ def columns_of(outputs: Sequence[OutputGroup], *, in_room: bool) -> list[list[in
 
 
 class Routing:
-    """Converts readouts, scales them to full scale, gives them to channels, and delays these by whole frames.
+    """Converts readouts, scales them to full scale, gives them to channels, filters these and delays them by frames.
 
     Parameters
     ----------
@@ -59,9 +60,10 @@ class Routing:
         self._columns: slice | list[int] = slice(None) if whole else columns
         gain = 10 ** (gain_db / 20)
         self.scale = np.array([gain * factor / group.full_scale for group in groups for factor in group.gains])
+        self._equalizer = Equalizer([group.equalizer for group in groups for _ in group.channels], fs)
         self.delays = [round(group.delay * fs) for group in groups for _ in group.channels]
         self._late: Floats = np.zeros((max(self.delays, default=0), len(self.channels)))
-        self.plain = whole and not any(self.delays)
+        self.plain = whole and not any(self.delays) and not self._equalizer
 
     @property
     def longest_delay(self) -> int:
@@ -70,13 +72,17 @@ class Routing:
 
     @property
     def memory(self) -> Memory:
-        """Return a copy of all that moves: the frames that are due, and the circuits' states."""
-        return (self._late.copy(), *(converter.memory.copy() for converter in self._converters.values()))
+        """Return a copy of all that moves: the frames that are due, the equalizers' and the circuits' states."""
+        return (
+            self._late.copy(),
+            self._equalizer.memory.copy(),
+            *(converter.memory.copy() for converter in self._converters.values()),
+        )
 
     @memory.setter
     def memory(self, value: Memory) -> None:
-        self._late = value[0].copy()
-        for converter, own in zip(self._converters.values(), value[1:], strict=True):
+        self._late, self._equalizer.memory = value[0].copy(), value[1].copy()
+        for converter, own in zip(self._converters.values(), value[2:], strict=True):
             converter.memory = own.copy()
 
     def scaled(self, readouts: Floats) -> Floats:
@@ -89,9 +95,9 @@ class Routing:
             parts.append((self._converters[i](part) if i in self._converters else part)[:, columns])
         return np.asarray(np.concatenate(parts, axis=1) * self.scale)
 
-    def delayed(self, sound: Floats) -> Floats:
-        """(n, n_channels) frames, each channel as late as its output says; the last ones are kept."""
-        longest = len(self._late)
+    def finished(self, sound: Floats) -> Floats:
+        """(n, n_channels) frames behind their equalizers, each as late as its output says; the last are kept."""
+        sound, longest = self._equalizer(sound), len(self._late)
         if not longest:
             return sound
         whole = np.concatenate([self._late, sound])

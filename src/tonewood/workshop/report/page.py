@@ -1,21 +1,12 @@
-"""Facts as one HTML page without network: figures, sounds, style and script are in the file.
-
-The page's content security policy allows nothing else: no connection, no other script than this one (by its SHA-256).
-"""
+"""Facts as one HTML page without network, with figures and sounds."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import json
-import math
 from importlib.resources import files
 from typing import Any
 
-from tonewood import __version__
-from tonewood.errors import TonewoodError
 from tonewood.instrument.inspection.wolf import WolfNote
-from tonewood.support.plotting import COLOURS, data_uri
+from tonewood.support.plotting import data_uri
 from tonewood.workshop.report.comparison import Comparison, alike
 from tonewood.workshop.report.facts import InstrumentFacts
 from tonewood.workshop.report.figures import (
@@ -26,6 +17,7 @@ from tonewood.workshop.report.figures import (
     spectrogram_picture,
     wolf_picture,
 )
+from tonewood.workshop.report.offline import offline_page
 from tonewood.workshop.report.tones import flac, matched_gains_db
 
 #: rows of the table of modes
@@ -39,28 +31,16 @@ def page(found: Comparison) -> str:
     ------
     TonewoodError : jinja2 is not installed.
     """
-    try:
-        from jinja2 import Environment, StrictUndefined
-        from markupsafe import Markup
-    except ImportError:
-        raise TonewoodError("pages need jinja2: pip install 'tonewood[report]'") from None
-    folder = files("tonewood.workshop.report")
-    style, script, template = ((folder / f"page.{kind}").read_text(encoding="utf-8") for kind in ("css", "js", "html"))
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=False)
-    environment.filters |= {"fixed": _fixed, "shown": _shown}
+    template = (files("tonewood.workshop.report") / "page.html").read_text(encoding="utf-8")
     several = len(found.instruments) > 1
     names = [facts.heading for facts in found.instruments]
-    return environment.from_string(template).render(
+    return offline_page(
+        template,
         found=found,
         several=several,
         title=", ".join(names) if several else found.instruments[0].title,
-        version=__version__,
-        colours=COLOURS,
         most_rows=MOST_ROWS,
         modes_differ=any(not alike(match) for match in found.modes),
-        style=Markup(style),
-        script=Markup(script),
-        script_hash=f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}",
         tones=[_tone(found, note) for note in found.tones],
         mobility=mobility_picture(found),
         shapes=shapes_pictures(found),
@@ -102,18 +82,3 @@ def _tone(found: Comparison, note: str) -> dict[str, Any]:
 def _wolf_stops(facts: InstrumentFacts, wolf: WolfNote) -> str:
     """Notes at the stops within a wolf note."""
     return ", ".join(n.note for n in facts.notes if n.string == wolf.string and n.stop in wolf.stops)
-
-
-def _fixed(value: float, digits: int, signed: bool = False) -> str:
-    """A number with so many decimals, a true minus sign, infinity as a sign; 0 without a sign."""
-    if not math.isfinite(value):
-        return "\N{INFINITY}" if value > 0 else "\N{MINUS SIGN}\N{INFINITY}"
-    text = f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
-    if not float(text):
-        text = text.lstrip("+-")
-    return text.replace("-", "\N{MINUS SIGN}")
-
-
-def _shown(value: Any) -> str:
-    """A value of a bundle as it would stand in its file."""
-    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from geometric_scenes import (
@@ -29,7 +31,7 @@ from tonewood.physics.coupling.potentials.longitudinal import (
 )
 from tonewood.physics.coupling.potentials.solve import PotentialSolve
 from tonewood.physics.coupling.potentials.tension import TensionModulation
-from tonewood.physics.coupling.system import State, System
+from tonewood.physics.coupling.system import Injection, State, System
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.kernel import KernelStepper
@@ -212,11 +214,11 @@ def test_without_longitudinal_modes_it_is_the_string_of_one_rising_tension() -> 
     assert apart[0] < 5e-3
 
 
-def agree(system: System, state: State, n: int, tol: float = 1e-11) -> None:
+def agree(system: System, state: State, n: int, tol: float = 1e-11, injections: Sequence[Injection] = ()) -> None:
     twin = state.copy()
-    expected, pushes = NumpyStepper(system).run(twin, n)
+    expected, pushes = NumpyStepper(system).run(twin, n, injections)
     stepper = KernelStepper(system)
-    parts = [stepper.run(state, k) for k in (n // 3, n - n // 3)]
+    parts = [stepper.run(state, k, injections) for k in (n // 3, n - n // 3)]
     out, forces = (np.concatenate(p) for p in zip(*parts, strict=True))
     for channel, wanted in zip(out.T, expected.T, strict=True):
         np.testing.assert_allclose(channel, wanted, atol=tol * np.abs(wanted).max())
@@ -229,6 +231,20 @@ def agree(system: System, state: State, n: int, tol: float = 1e-11) -> None:
 def test_kernel_and_twin_agree(height: float, planes: tuple[str, ...]) -> None:
     system = held_string(48000.0, planes, basis=transverse(bending=BENDING, eta=1e-3))
     agree(system, plucked(system, height, planes), 120)
+
+
+def test_kernel_and_twin_agree_under_forces_that_change_from_step_to_step() -> None:
+    """On both planes, so large that they move the string as much as the pluck did."""
+    system = held_string(48000.0, ("y", "z"), basis=transverse(bending=BENDING, eta=1e-3))
+    rng, state = np.random.default_rng(5), plucked(system, 2e-3, ("y", "z"))
+    pushed = []
+    for name, first in (("y", 3), ("z", 17)):
+        n, size = system.compiled[system.slot(name)].basis.n_modes, np.abs(system.modes_of(state, name)).max()
+        noise = 0.1 * size * rng.normal(size=(2, n, 2)), rng.normal(size=(2, 50))
+        pushed.append(Injection(name, first, *noise))
+    free = NumpyStepper(system).run(state.copy(), 120)[0]
+    assert np.abs(NumpyStepper(system).run(state.copy(), 120, pushed)[0] - free).max() > 0.3 * np.abs(free).max()
+    agree(system, state, 120, injections=pushed)
 
 
 def body() -> ModalBasis:

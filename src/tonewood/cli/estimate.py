@@ -1,0 +1,115 @@
+"""``tonewood estimate``: an instrument from recordings of single notes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tonewood.cli.commands import InterruptError
+from tonewood.cli.common import AllowCode, Json, load, need, print_json, progress, warn
+from tonewood.cli.distance import NotesTable, Transpose, print_distances
+from tonewood.errors import OutputError, TonewoodError
+
+if TYPE_CHECKING:
+    from tonewood.workshop.estimate.estimate import Estimate
+
+
+def estimate(
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="sound files, one a note: A3.flac, 57.wav, E4_pp.wav")
+    ],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="NAME", help="folder of the instrument that is made")
+    ],
+    source: Annotated[
+        str, typer.Option("--from", metavar="INSTRUMENT", help="name or folder of the instrument to begin with")
+    ],
+    table: NotesTable = None,
+    transpose: Transpose = 0,
+    iterations: Annotated[int, typer.Option(help="of the search, 1 to 10")] = 3,
+    page: Annotated[Path | None, typer.Option(help="write the report to this file, .html")] = None,
+    title: Annotated[str | None, typer.Option(help="the instrument recorded, for the sources")] = None,
+    recorded_by: Annotated[str | None, typer.Option(help="who recorded it, for the sources; unknown otherwise")] = None,
+    licence: Annotated[str | None, typer.Option(help="SPDX name of the recordings' licence; unknown otherwise")] = None,
+    url: Annotated[str | None, typer.Option(help="address of the recordings, for the sources")] = None,
+    allow_code: AllowCode = False,
+    as_json: Json = False,
+) -> None:
+    """Estimate an instrument from recordings of single notes: strings, place of the pluck, gain of each output.
+
+    The same analysis is made of recorded and of rendered notes, and figures are moved until both agree. Every other
+    note is held back once, to tell how far it is met. Writes a bundle NAME; body and exciters stay as they are.
+    """
+    from tonewood.workshop.estimate.bundle import UNKNOWN, RecordingOrigin, write_bundle
+    from tonewood.workshop.estimate.estimate import estimate as estimated
+    from tonewood.workshop.estimate.recordings import read_folder
+
+    _check(output, iterations, page)
+    instrument = load(source, None, allow_code)
+    recordings = read_folder(folder, table=table, transpose=transpose)
+    try:
+        with progress("estimating", 1.0) as advance:
+            found = estimated(recordings, instrument, iterations=iterations, advance=advance)
+        origin = RecordingOrigin(title or UNKNOWN, recorded_by or UNKNOWN, licence or UNKNOWN, url)
+        made = write_bundle(found, output, source, origin, allow_code=allow_code)
+    except KeyboardInterrupt:
+        raise InterruptError from None
+    if page is not None:
+        from tonewood.support.whole_files import write_whole
+        from tonewood.workshop.estimate.page import page as report
+
+        write_whole(page, report(found, origin, made.name))
+    if as_json:
+        from tonewood.workshop.estimate.as_json import to_json
+
+        print_json("estimate", {"name": made.name, "folder": str(output), **to_json(found)})
+        return
+    warn(list(found.warnings))
+    _print(found)
+    print(f"{output}: plays at once; its body is that of {found.begun_with.name}")
+
+
+def _check(output: Path, iterations: int, page: Path | None) -> None:
+    """Refuse before any work what could not be written."""
+    if output.exists() or output.is_symlink():
+        raise OutputError("is there already; give another name", file=output)
+    if not output.absolute().parent.is_dir():
+        raise OutputError(f"there is no folder {str(output.parent)!r}", file=output)
+    if not 1 <= iterations <= 10:
+        raise TonewoodError(f"is {iterations}; 1 to 10 are allowed", key="--iterations")
+    if page is not None:
+        need("report", "jinja2", "matplotlib")
+        if page.suffix.lower() not in (".html", ".htm"):
+            raise TonewoodError(f"is {page.name!r}; a name ending in .html is allowed", key="--page")
+        if not page.absolute().parent.is_dir():
+            raise OutputError(f"there is no folder {str(page.parent)!r}", file=page)
+
+
+def _print(found: Estimate) -> None:
+    """Figures with their intervals, and distances."""
+    from tonewood.workshop.estimate import laws
+    from tonewood.workshop.estimate.page import columns_of, louder_line, place_line, split_line
+
+    for line in found.moved:
+        print(line)
+    stated = " ".join(f"{f / 1000:g}" for f in laws.STATED)
+    print(f"string   notes   B re begun with   decay rate, 1/s, at {stated} kHz (90 %)")
+    for name, law in found.figures.laws.items():
+        interval = found.intervals.get(name)
+        if interval is None and len(found.figures.laws) > 12:
+            continue
+        count = sum(p.string == name for p in found.notes)
+        b = found.figures.bending[name] / found.start.bending[name] if found.start.bending[name] > 0 else float("nan")
+        rates = law.rate(laws.STATED)
+        shown = "  ".join(
+            f"{r:.2f}" if interval is None else f"{r:.2f} +-{100 * s:.0f} %"
+            for r, s in zip(rates, laws.STATED * 0 if interval is None else interval.spread, strict=True)
+        )
+        remark = "" if found.figures.estimated.get(name) else "  (from the neighbouring strings)"
+        print(f"{name:8s} {count:5d}   {b:15.3f}   {shown}{remark}")
+    for line in (place_line(found), split_line(found), louder_line(found)):
+        if line:
+            print(line)
+    print_distances(columns_of(found))

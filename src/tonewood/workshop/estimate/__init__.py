@@ -1,0 +1,1 @@
+"""An instrument from recordings of single notes: analysis, indirect inference, a bundle, distances."""

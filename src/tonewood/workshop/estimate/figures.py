@@ -1,0 +1,169 @@
+"""The figures of an instrument that are estimated, and the overrides that put them into it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.contract.losses import StringData
+from tonewood.sound.equalizer import response_db
+from tonewood.workshop.estimate import gain
+from tonewood.workshop.estimate.laws import LinearLoss
+from tonewood.workshop.estimate.playing import Stage, strings_of
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Figures:
+    """Figures in one state of the estimate.
+
+    Attributes
+    ----------
+    laws : string that gives a pitch -> its loss law.
+    bending : string -> N m^2.
+    place : m, or a fraction of the speaking length, as the bundle says it; None where it is not estimated.
+    gains : output -> (15,) dB at `gain.KNOTS`, on top of the bundle's own equalizer.
+    split : cents, standard deviation between the two polarizations; None where strings have one.
+    estimated : string -> whether its own notes say anything; the others follow their neighbours.
+    """
+
+    laws: Mapping[str, LinearLoss]
+    bending: Mapping[str, float]
+    place: float | None
+    gains: Mapping[str, Floats]
+    split: float | None
+    estimated: Mapping[str, bool] = field(default_factory=dict)
+
+    def overrides(self, instrument: Instrument) -> dict[str, Any]:
+        """Overrides of the instrument that it was begun with."""
+        out: dict[str, Any] = {}
+        for lead, law in self.laws.items():
+            for name in strings_of(instrument, lead):
+                for parameter, value in zip(law.names, law.values, strict=True):
+                    out[f"strings.{name}.loss.{parameter}"] = _rounded(value)
+                if self.bending[lead] > 0:
+                    out[f"strings.{name}.bending_stiffness"] = _rounded(self.bending[lead])
+                if self.split is not None:
+                    out[f"strings.{name}.{split_key(instrument)}"] = _rounded(self.split)
+        if self.place is not None:
+            exciter = instrument.spec.playing.default_exciter
+            out[f"exciters.{exciter}.from_bridge"] = _place(instrument, self.place)
+        for output, curve in self.gains.items():
+            if np.any(curve):
+                bands = gain.bands_of(curve + _own_gain(instrument, output))
+                out[f"outputs.{output}.equalizer"] = [
+                    {"freq": f, "gain_db": g} | ({} if q is None else {"q": q}) for f, g, q in bands
+                ]
+        return out
+
+
+def figures_of(stage: Stage) -> Figures:
+    """Figures that an instrument has."""
+    instrument = stage.instrument
+    laws, bending = {}, {}
+    for lead in instrument.groups:
+        part = instrument.resolved["strings"][lead]
+        loss = getattr(instrument.resonators[lead].parameters, "loss", None)
+        if loss is None or not part.get("linear_density"):
+            continue
+        played = stage.at_open(lead)
+        stiffness = float(part.get("bending_stiffness") or 0.0)
+        law = LinearLoss.of(loss, StringData(played.tension, played.linear_density, stiffness))
+        if law.names:
+            laws[lead], bending[lead] = law, stiffness
+    none = np.zeros(len(gain.KNOTS))
+    return Figures(
+        laws, bending, _place_now(instrument), {part.name: none for part in instrument.spec.outputs},
+        _split_now(instrument),
+    )  # fmt: skip
+
+
+def with_laws(figures: Figures, values: Mapping[str, Floats], bending: Mapping[str, float], stage: Stage) -> Figures:
+    """Figures with the laws and stiffnesses of some strings; those between them follow their neighbours.
+
+    A string without a law of its own takes the ratios, new to old, of the strings above and below, straight between
+    their open notes over the logarithm.
+    """
+    laws, stiff = dict(figures.laws), dict(figures.bending)
+    pitch = {name: stage.open_note(name) for name in laws}
+    for known, new in ((values, True), (bending, False)):
+        own = sorted((name for name in known if name in laws), key=pitch.__getitem__)
+        if not own:
+            continue
+        at = np.array([pitch[name] for name in own])
+        if new:
+            logs = np.array([_log_ratio(values[name], figures.laws[name].values) for name in own])
+        else:
+            logs = np.array([[np.log(bending[name] / figures.bending[name])] for name in own])
+        for name, law in figures.laws.items():
+            same = [j for j, other in enumerate(own) if figures.laws[other].names == law.names]
+            if not same:
+                continue
+            ratio = np.exp([np.interp(pitch[name], at[same], column) for column in logs[same].T])
+            if new:
+                laws[name] = replace(laws[name], values=values[name] if name in values else law.values * ratio)
+            else:
+                stiff[name] = bending.get(name, figures.bending[name] * float(ratio[0]))
+    laws = {name: replace(law, string=replace(law.string, bending_stiffness=stiff[name])) for name, law in laws.items()}
+    by_notes = {name: name in values for name in laws}
+    return replace(figures, laws=laws, bending=stiff, estimated=by_notes)
+
+
+def _log_ratio(new: Floats, old: Floats) -> Floats:
+    """ln(new / old), 0 where there was nothing."""
+    return np.asarray(np.where(old > 0, np.log(np.maximum(new, 1e-300) / np.where(old > 0, old, 1.0)), 0.0))
+
+
+def _place_now(instrument: Instrument) -> float | None:
+    """Place of the default exciter, m or fraction; None where it has none, or every key has its own."""
+    name = instrument.spec.playing.default_exciter
+    if instrument.spec.keys is not None:
+        return None
+    value = instrument.resolved["exciters"][name].get("from_bridge")
+    if isinstance(value, Mapping):
+        return float(value["fraction"])
+    return None if value is None else float(value)
+
+
+def split_key(instrument: Instrument) -> str:
+    """Key of a string for the splitting of its polarizations: the scatter over stops, where there is one."""
+    scattered = any(part["scatter"]["split_cents"] > 0 for part in instrument.resolved["strings"].values())
+    return "scatter.split_cents" if scattered else "split_cents"
+
+
+def _split_now(instrument: Instrument) -> float | None:
+    """Cents, median over the strings; None where strings move in one plane or are tuned together as a key."""
+    strings = instrument.resolved["strings"].values()
+    if instrument.spec.keys is not None or any(len(part.get("polarizations") or ()) < 2 for part in strings):
+        return None
+    scattered = split_key(instrument) != "split_cents"
+    return float(np.median([part["scatter"]["split_cents"] if scattered else part["split_cents"] for part in strings]))
+
+
+def _place(instrument: Instrument, value: float) -> Any:
+    name = instrument.spec.playing.default_exciter
+    now = instrument.resolved["exciters"][name]["from_bridge"]
+    return {"fraction": _rounded(value)} if isinstance(now, Mapping) else _rounded(value)
+
+
+def in_fractions(instrument: Instrument) -> bool:
+    """Whether the place of the default exciter is a fraction of the speaking length."""
+    name = instrument.spec.playing.default_exciter
+    return isinstance(instrument.resolved["exciters"][name].get("from_bridge"), Mapping)
+
+
+def _own_gain(instrument: Instrument, output: str) -> Floats:
+    """Gain (dB) at `gain.KNOTS` of the equalizer that the output has already."""
+    part = next(part for part in instrument.spec.outputs if part.name == output)
+    return response_db([(band.freq, band.gain_db, band.q) for band in part.equalizer], gain.KNOTS)
+
+
+def _rounded(value: float) -> float:
+    """Five digits: more would pretend."""
+    return float(f"{value:.5g}")

@@ -1,0 +1,172 @@
+"""Report of an estimate: one HTML page without network, with sounds and spectrograms of notes held back."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.instrument.scales import note_name
+from tonewood.sound.files.audio import flac_bytes
+from tonewood.support.plotting import data_uri
+from tonewood.workshop.estimate import laws
+from tonewood.workshop.estimate.bundle import RecordingOrigin
+from tonewood.workshop.estimate.distance import Distance
+from tonewood.workshop.estimate.estimate import Estimate
+from tonewood.workshop.estimate.pictures import gain_picture, rates_picture, spectrograms
+from tonewood.workshop.estimate.recordings import FS
+from tonewood.workshop.estimate.spectra import find_onset
+from tonewood.workshop.report.offline import offline_page
+
+Floats = NDArray[np.float64]
+
+#: notes held back that are heard, from each half; s before the onset, of a sound, and of its fade
+_HEARD, _BEFORE, _LENGTH, _FADE = 3, 0.03, 3.0, 0.05
+#: rms and largest sample of the sounds
+_RMS, _PEAK = 0.08, 0.9
+
+
+def page(found: Estimate, origin: RecordingOrigin, name: str) -> str:
+    """Page of an estimate; every text of a file is escaped.
+
+    Raises
+    ------
+    TonewoodError : jinja2 is not installed.
+    """
+    template = (files("tonewood.workshop.estimate") / "page.html").read_text(encoding="utf-8")
+    columns = columns_of(found)
+    return offline_page(
+        template,
+        found=found,
+        origin=origin,
+        title=f"{name}, estimated from recordings",
+        warnings=found.warnings,
+        columns={key: row.as_dict() for key, row in columns.items()},
+        labels=Distance.LABELS,
+        scale=any(row.notes for row in found.scale.values()),
+        tones=[_tone(found, half, i) for half, i in heard(found)],
+        stated=laws.STATED,
+        strings=[_string(found, lead) for lead in shown_strings(found)],
+        rates_picture=rates_picture(found, shown_strings(found)),
+        parameters=[row for lead in found.intervals for row in _parameters(found, lead)],
+        gain_picture=gain_picture(found),
+        place=place_line(found),
+        split=split_line(found),
+        louder=louder_line(found),
+        rows=list(zip(found.notes, found.recorded, strict=True)),
+        note_name=note_name,
+    )
+
+
+def columns_of(found: Estimate) -> dict[str, Distance]:
+    """Distances by the heading of their column: held-back halves, all notes, and the scale."""
+    columns: dict[str, Distance] = {}
+    for i, half in enumerate(found.halves, 1):
+        columns |= {f"held back {i}: before": half.before, f"held back {i}: after": half.after}
+    columns |= {"all: before": found.before, "all: after": found.after}
+    return columns | {name: row for name, row in found.scale.items() if row.notes}
+
+
+def shown_strings(found: Estimate) -> list[str]:
+    """Strings of a table: all, or of many those whose own notes tell them."""
+    names = list(found.figures.laws)
+    return names if len(names) <= 12 else [name for name in names if name in found.intervals]
+
+
+def place_line(found: Estimate) -> str:
+    """Place of the pluck, with its scatter over notes; empty where it was not estimated."""
+    if found.figures.place is None or found.start.place is None:
+        return ""
+    scatter = "" if found.places is None else f"; places of single notes scatter by {1e3 * found.places.scatter:.0f} mm"
+    return f"Place of the pluck: {found.figures.place:.4g}, begun with {found.start.place:.4g}{scatter}."
+
+
+def split_line(found: Estimate) -> str:
+    """Splitting of the polarizations; empty where strings have one."""
+    if found.figures.split is None or found.start.split is None:
+        return ""
+    return (
+        f"Splitting of the polarizations: {found.figures.split:.2g} cents (standard deviation), begun with "
+        f"{found.start.split:.2g}; from the modulation of partials, to which body and room add theirs."
+    )
+
+
+def louder_line(found: Estimate) -> str:
+    """What playing louder changes; empty without pairs of soft and loud."""
+    if found.louder is None:
+        return ""
+    shown = [
+        f"{who} {row.bright:+.1f} dB of 3 to 8 kHz"
+        + (f" and {row.peak:+.1f} dB of peak" if np.isfinite(row.peak) else " (peaks were normalised)")
+        for who, row in zip(("recorded", "computed"), found.louder, strict=True)
+    ]
+    return f"From soft to loud, {found.louder[0].notes} pairs: {'; '.join(shown)}."
+
+
+def heard(found: Estimate) -> list[tuple[int, int]]:
+    """Half and number of the held-back notes that are heard: low, middle and high ones of each half."""
+    out = []
+    for h, half in enumerate(found.halves):
+        held = sorted(half.held_back, key=lambda i: found.notes[i].recording.note)
+        places = np.linspace(0, len(held) - 1, min(_HEARD, len(held))).round().astype(int)
+        out += [(h, held[k]) for k in dict.fromkeys(places.tolist())]
+    return sorted(out, key=lambda row: found.notes[row[1]].recording.note)
+
+
+def _tone(found: Estimate, half: int, i: int) -> dict[str, Any]:
+    """Sounds and spectrograms of one note."""
+    played, now = found.notes[i], found.halves[half]
+    labels = ("recorded", "estimated", found.begun_with.name)
+    raw = (played.recording.samples, now.sounds[i], now.begun[i])
+    sounds = dict(zip(labels, (_cut(x, played.recording.freq) for x in raw), strict=True))
+    length = min(map(len, sounds.values()))
+    sounds = {label: _faded(x[:length]) for label, x in sounds.items()}
+    return {
+        "name": f"{played.name}, string {played.string}, stop {played.stop:g}",
+        "sounds": [
+            {"label": label, "uri": data_uri(flac_bytes(x[:, None], FS), "audio/flac")} for label, x in sounds.items()
+        ],
+        "spectrogram": spectrograms(played.name, sounds),
+    }
+
+
+def _cut(x: Floats, freq: float) -> Floats:
+    """A sound from 30 ms before its onset, at one rms over its first second, as far as its peak allows."""
+    first = find_onset(x, freq)[0] - round(_BEFORE * FS)
+    piece = np.concatenate([np.zeros(max(-first, 0)), x[max(first, 0) :]])[: round(_LENGTH * FS)]
+    rms = float(np.sqrt(np.mean(piece[:FS] ** 2)))
+    return np.asarray(piece * min(_RMS / rms, _PEAK / float(np.abs(piece).max())))
+
+
+def _faded(x: Floats) -> Floats:
+    n = min(len(x), round(_FADE * FS))
+    return np.concatenate([x[: len(x) - n], x[len(x) - n :] * np.linspace(1, 0, n)])
+
+
+def _string(found: Estimate, lead: str) -> dict[str, Any]:
+    law, interval = found.figures.laws[lead], found.intervals.get(lead)
+    before, after = found.start.bending[lead], found.figures.bending[lead]
+    spreads = [None] * len(laws.STATED) if interval is None else interval.spread.tolist()
+    return {
+        "name": lead,
+        "count": sum(p.string == lead for p in found.notes),
+        "b": after / before if before > 0 else None,
+        "rates": list(zip(law.rate(laws.STATED).tolist(), spreads, strict=True)),
+        "own": bool(found.figures.estimated.get(lead)),
+    }
+
+
+def _parameters(found: Estimate, lead: str) -> list[dict[str, str]]:
+    law, interval = found.figures.laws[lead], found.intervals[lead]
+    pairs = laws.trades(law, interval)
+    rows = []
+    for j, name in enumerate(law.names):
+        others = [(b if a == name else a, r) for a, b, r in pairs if name in (a, b)]
+        low, high = interval.values[:, j]
+        rows.append({
+            "string": lead, "name": name, "value": f"{law.values[j]:.2g}", "low": f"{low:.2g}", "high": f"{high:.2g}",
+            "trades": ", ".join(f"{other} ({r:.2f})" for other, r in others).replace("-", "\N{MINUS SIGN}"),
+        })  # fmt: skip
+    return rows

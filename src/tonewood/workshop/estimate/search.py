@@ -1,0 +1,174 @@
+"""Indirect inference: figures are moved until recorded and rendered notes look alike to the same analysis.
+
+C. Gourieroux, A. Monfort and E. Renault, Indirect inference, J. Applied Econometrics 8 (1993) S85. Errors of the
+analysis that are the same for both, of windows, of bodies between partials, of combs, drop out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.workshop.estimate import gain, laws, pluck
+from tonewood.workshop.estimate.analysis import NoteAnalysis, analyse
+from tonewood.workshop.estimate.figures import Figures, figures_of, in_fractions, with_laws
+from tonewood.workshop.estimate.playing import Played, Stage, render_notes, seconds_of
+
+Floats = NDArray[np.float64]
+
+#: most that a figure moves at once: ratio of B, ratio of the splitting, m of the place
+_MOST_B, _MOST_SPLIT, _MOST_PLACE = 3.0, 1.8, 0.04
+#: cents, range of the splitting
+_SPLITS = (0.05, 12.0)
+#: of the open length, farthest place of a pluck
+_FARTHEST = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedNotes:
+    """Notes of an instrument, rendered and analysed.
+
+    Attributes
+    ----------
+    sounds : of the first output, one a note.
+    analyses : output -> one a note.
+    """
+
+    sounds: tuple[Floats, ...]
+    analyses: Mapping[str, tuple[NoteAnalysis, ...]]
+
+    @property
+    def main(self) -> tuple[NoteAnalysis, ...]:
+        """Those of the first output."""
+        return next(iter(self.analyses.values()))
+
+
+def rendered(
+    instrument: Instrument, notes: Sequence[Played], outputs: Sequence[str], advance: Callable[[float], None]
+) -> RenderedNotes:
+    """Render notes and analyse them as the recorded ones are, with the same end of the band."""
+    sounds = render_notes(instrument, notes, outputs, advance)
+    found: dict[str, list[NoteAnalysis]] = {name: [] for name in outputs}
+    for played, by_output in zip(notes, sounds, strict=True):
+        for name, x in by_output.items():
+            found[name].append(analyse(x, played.recording.freq, played.b, played.recording.freq_upper))
+        advance(0.0)
+    first = next(iter(outputs))
+    return RenderedNotes(tuple(row[first] for row in sounds), {name: tuple(rows) for name, rows in found.items()})
+
+
+class Search:
+    """Moves the figures of an instrument towards recorded notes.
+
+    Parameters
+    ----------
+    stage : with the instrument that is begun with.
+    advance : called with the seconds of sound rendered since the last call.
+    """
+
+    def __init__(self, stage: Stage, advance: Callable[[float], None] = lambda seconds: None):
+        self.stage, self._advance = stage, advance
+        self.outputs = tuple(part.name for part in stage.instrument.spec.outputs)
+        self.start = figures_of(stage)
+
+    def instrument(self, figures: Figures) -> Instrument:
+        """The instrument with these figures."""
+        return self.stage.instrument.replace(figures.overrides(self.stage.instrument))
+
+    def render(self, figures: Figures, notes: Sequence[Played], *, all_outputs: bool = False) -> RenderedNotes:
+        """Render notes with these figures, on all outputs or on the first one."""
+        outputs = self.outputs if all_outputs else self.outputs[:1]
+        return rendered(self.instrument(figures), notes, outputs, self._advance)
+
+    def fit(
+        self, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], start: RenderedNotes, iterations: int
+    ) -> Figures:
+        """Figures after some iterations.
+
+        Parameters
+        ----------
+        notes, recorded : those to fit, and their analyses.
+        start : the same notes, rendered with the figures that are begun with.
+        """
+        figures, now = self.start, start
+        for i in range(iterations):
+            if i:
+                now = self.render(figures, notes)
+            figures = self._moved(figures, notes, recorded, now)
+        return figures
+
+    def _moved(
+        self, figures: Figures, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], now: RenderedNotes
+    ) -> Figures:
+        """Figures after one iteration."""
+        values, bending = self._strings(figures, notes, recorded, now.main)
+        out = with_laws(figures, values, bending, self.stage)
+        out = replace(out, place=self._place(figures, notes, recorded, now.main))
+        out = replace(out, split=_split(figures.split, recorded, now.main))
+        return self.with_gains(out, recorded, now, self.outputs[:1])
+
+    def with_gains(
+        self, figures: Figures, recorded: Sequence[NoteAnalysis], now: RenderedNotes, outputs: Sequence[str]
+    ) -> Figures:
+        """Figures with the gains of some outputs moved."""
+        moved = {
+            name: figures.gains[name] + gain.curve(gain.differences(recorded, now.analyses[name])) for name in outputs
+        }
+        return replace(figures, gains={**figures.gains, **moved})
+
+    def _strings(
+        self, figures: Figures, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], now: Sequence[NoteAnalysis]
+    ) -> tuple[dict[str, Floats], dict[str, float]]:
+        """New numbers of the loss laws, and bending stiffnesses, of the strings whose notes tell them."""
+        values, bending = {}, {}
+        for name, law in figures.laws.items():
+            at = [i for i, played in enumerate(notes) if played.string == name]
+            if not at:
+                continue
+            rec, syn = (laws.rates_of([rows[i] for i in at]) for rows in (recorded, now))
+            if len(rec) >= laws.FEWEST and len(syn) >= laws.FEWEST:
+                values[name] = laws.moved(law, rec, syn)
+            ratios = [recorded[i].b / now[i].b for i in at if now[i].b > 0 and recorded[i].b > 0]
+            ratios = [r for r in ratios if 1 / _MOST_B < r < _MOST_B]
+            if ratios and figures.bending[name] > 0:
+                bending[name] = figures.bending[name] * float(np.median(ratios))
+        return values, bending
+
+    def _place(
+        self, figures: Figures, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], now: Sequence[NoteAnalysis]
+    ) -> float | None:
+        if figures.place is None:
+            return None
+        longest = max(played.length for played in notes)
+        found = pluck.places(notes, recorded, now, _FARTHEST * longest)
+        if found is None:
+            return figures.place
+        step = float(np.clip(found.moved, -_MOST_PLACE, _MOST_PLACE))
+        if in_fractions(self.stage.instrument):
+            step /= float(np.median([played.length for played in notes]))
+            return float(np.clip(figures.place + step, 0.02, 0.5))
+        return float(np.clip(figures.place + step, 0.02 * longest, _FARTHEST * longest))
+
+
+def _split(now: float | None, recorded: Sequence[NoteAnalysis], rendered: Sequence[NoteAnalysis]) -> float | None:
+    """Splitting of the polarizations, moved by the ratio of the modulations, which grow with it."""
+    if now is None:
+        return None
+    table = np.array([[np.log(a / b) for a, b in zip(rec.modulation, syn.modulation, strict=True)]
+                      for rec, syn in zip(recorded, rendered, strict=True)])  # fmt: skip
+    finite = table[np.isfinite(table)]
+    if len(finite) < 6:
+        return now
+    ratio = float(np.clip(np.exp(np.median(finite)), 1 / _MOST_SPLIT, _MOST_SPLIT))
+    return float(np.clip(max(now, _SPLITS[0]) * ratio, *_SPLITS))
+
+
+def seconds(notes: Sequence[Played], folds: Sequence[Sequence[int]], iterations: int) -> float:
+    """Seconds of sound that a whole estimate renders."""
+    whole = seconds_of(notes)
+    parts = sum(seconds_of([notes[i] for i in fold]) for fold in folds)
+    return whole * (1 + iterations + (len(folds) > 0)) + parts * (iterations - 1)
