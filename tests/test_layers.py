@@ -35,7 +35,7 @@ LAYERS = (
     {"sound/files"},
     {"sound/render"},
     {"sound/live", "sound/ensemble"},
-    {"workshop/batch", "workshop/fit", "workshop/report", "workshop/web", "lab"},
+    {"workshop/batch", "workshop/design", "workshop/fit", "workshop/report", "workshop/web", "lab"},
     {
         "workshop/desk",
         "workshop/listening",

@@ -11,6 +11,7 @@ COMMANDS = {
     "tab": "tab:tab",
     "check": "check:check",
     "modes": "modes:modes",
+    "design": "design:design",
     "compare": "compare:compare",
     "report": "compare:report",
     "schema": "schema:schema",

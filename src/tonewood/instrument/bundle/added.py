@@ -58,7 +58,7 @@ def body_parts(
     """
     if not entries:
         return BodyParts(body)
-    factors = [_factor(i, entry, points, file) for i, entry in enumerate(entries)]
+    factors = [point_factor(i, entry, points, file) for i, entry in enumerate(entries)]
     components: dict[str, ModalBasis] = {}
     connections: list[Connection] = []
     forces: list[BridgeForce] = []
@@ -88,8 +88,13 @@ def _numbers(entries: Sequence[Added]) -> tuple[list[float], list[float], list[f
     return [e.mass for e in entries], [e.damping for e in entries], [e.stiffness for e in entries]
 
 
-def _factor(i: int, entry: Added, points: Mapping[str, BodyPoint], file: Path | None) -> float:
-    """Displacement along the direction of the part added, per displacement of the point along its own."""
+def point_factor(i: int, entry: Added, points: Mapping[str, BodyPoint], file: Path | None = None) -> float:
+    """Displacement along the direction of entry i of `body.added`, per displacement of its point along its own.
+
+    Raises
+    ------
+    BundleError : the point does not exist, takes no forces, or does not move along the direction given.
+    """
     driven = {name: point for name, point in points.items() if point.driven}
     if entry.at not in driven:
         known = f"{did_you_mean(entry.at, driven)}there are {', '.join(driven)}"

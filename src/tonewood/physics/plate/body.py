@@ -156,23 +156,32 @@ class BodyModes:
         there is a hole, the one in whose air there is most of it, T1 the one above A0 with the largest volume displaced
         by the top, over frequency squared. A free plate has neither.
         """
-        if not self.freq.all():
-            return {}
-        low = np.flatnonzero((self.freq < 400.0) & (self.kinetic[2] < 0.5))
-        found = {}
-        if low.size and self.kinetic[1, low].max() > 0:
-            found["A0"] = int(low[np.argmax(self.kinetic[1, low])])
-            low = low[low > found["A0"]]
-        if low.size:
-            top = np.abs(self.volumes[: int(self.hole_from[0])].sum(axis=0))
-            found["T1"] = int(low[np.argmax(top[low] / self.freq[low] ** 2)])
-        return found
+        return named_modes(self.freq, self.kinetic, self.volumes[: int(self.hole_from[0])].sum(axis=0))
 
     def labels(self) -> tuple[str, ...]:
         """Name of each mode: ``A0``, ``T1``, or the part that holds most of its kinetic energy."""
         parts = np.array(["plate", "hole", "cavity"])[np.argmax(self.kinetic, axis=0)]
         named = {number: name for name, number in self.named().items()}
         return tuple(named.get(k, str(part)) for k, part in enumerate(parts))
+
+
+def named_modes(freq: Floats, kinetic: Floats, top: Floats) -> dict[str, int]:
+    """Numbers of A0 and T1, by the rule of `BodyModes.named`.
+
+    Parameters
+    ----------
+    freq, kinetic, top : (n,) Hz, (3, n) shares of the energy, (n,) volumes displaced by the top.
+    """
+    if not freq.all():
+        return {}
+    low = np.flatnonzero((freq < 400.0) & (kinetic[2] < 0.5))
+    found = {}
+    if low.size and kinetic[1, low].max() > 0:
+        found["A0"] = int(low[np.argmax(kinetic[1, low])])
+        low = low[low > found["A0"]]
+    if low.size:
+        found["T1"] = int(low[np.argmax(np.abs(top)[low] / freq[low] ** 2)])
+    return found
 
 
 def body_modes(drawing: BodyDrawing) -> BodyModes:
@@ -193,8 +202,8 @@ def _body_modes(drawing: BodyDrawing, begin: Callable[[str], None]) -> BodyModes
     plates = [top] if back is None else [top, back]
     wood = np.concatenate([p.loss for p in plates]) + drawing.extra_loss
     faces = [_face(p) for p in plates]
-    mouth = None if drawing.hole is None else _mouth(drawing.hole)
-    loads = _loads(top.plate, drawing)
+    mouth = None if drawing.hole is None else mouth_of(drawing.hole)
+    loads = point_loads(top.plate, drawing)
     begin("air")
     coupled, cavity_freq, (residual, lever) = _with_air(drawing, plates, faces, mouth, loads)
     n = len(top.freq)
@@ -221,7 +230,7 @@ def _body_modes(drawing: BodyDrawing, begin: Callable[[str], None]) -> BodyModes
     radiated = np.where(omega > 0, resistance / np.where(omega > 0, omega, 1.0), 0.0)
     stored = coupled.stored[:, keep]
     rubbed = np.zeros(len(keep))
-    if (hole := _hole(drawing, mouth)) is not None:
+    if (hole := opening_of(drawing, mouth)) is not None:
         rubbed = hole_loss(coupled.freq[keep], coupled.hole[keep], *hole)
     return BodyModes(
         freq=freq,
@@ -260,9 +269,20 @@ def first_modes(drawing: BodyDrawing, edges: Sequence[Edge], fmax: float = 1500.
     return found
 
 
-def _plate(rings: Sequence[Floats], drawn: PlateDrawing, fmax: float) -> Plate:
-    typical = drawn.thickness if not callable(drawn.thickness) else float(np.mean(drawn.thickness(rings[0])))
-    size = drawn.size or cell_size(drawn.wood, typical, fmax)
+def cell_of(outline: Floats, drawn: PlateDrawing, fmax: float) -> float:
+    """Size of a plate's cells (m): its own, or that for modes up to `fmax` (Hz)."""
+    typical = drawn.thickness if not callable(drawn.thickness) else float(np.mean(drawn.thickness(outline)))
+    return drawn.size or cell_size(drawn.wood, typical, fmax)
+
+
+def made_plate(rings: Sequence[Floats], drawn: PlateDrawing, fmax: float) -> Plate:
+    """Matrices of a drawn plate.
+
+    Raises
+    ------
+    ValueError : it would need more than `MOST_UNKNOWNS` unknowns.
+    """
+    size = cell_of(rings[0], drawn, fmax)
     unknowns = area(rings[0]) / size**2 * ((3 if drawn.beams else 1) + (2 if drawn.wood.shears else 0))
     if unknowns > MOST_UNKNOWNS:
         raise ValueError(
@@ -280,7 +300,7 @@ def _solved(
     name: str = "",
 ) -> PlateModes:
     begin(f"matrices of the {name}")
-    made = _plate(rings, drawn, fmax)
+    made = made_plate(rings, drawn, fmax)
     begin(f"vibration of the {name}")
     return made.modes(fmax)
 
@@ -291,13 +311,13 @@ def _face(modes: PlateModes) -> tuple[Floats, Floats, Floats]:
     return quad.points, quad.weights, modes.shapes(quad.points)
 
 
-def _mouth(ring: Floats) -> tuple[Floats, Floats]:
+def mouth_of(ring: Floats) -> tuple[Floats, Floats]:
     """Points and weights of integrals over a hole."""
     quad = quadrature(SplineGrid.over(ring, float(np.ptp(ring, axis=0).max()) / 4, degree=2), [ring])
     return quad.points, quad.weights
 
 
-def _hole(drawing: BodyDrawing, mouth: tuple[Floats, Floats] | None) -> tuple[float, float] | None:
+def opening_of(drawing: BodyDrawing, mouth: tuple[Floats, Floats] | None) -> tuple[float, float] | None:
     """Area of the soundhole (m^2) and thickness of the top there (m); None without one."""
     if mouth is None:
         return None
@@ -335,7 +355,7 @@ def _with_air(
     swept = [np.vstack([weights, weights * cavity.shapes(points).T]) for points, weights, _ in faces]
     outward, b = np.split(np.hstack([w @ shapes for w, (_, _, shapes) in zip(swept, faces, strict=True)]), [1])
     at_hole, hole = np.zeros(m), None
-    if mouth is not None and (opening := _hole(drawing, mouth)) is not None:
+    if mouth is not None and (opening := opening_of(drawing, mouth)) is not None:
         at_hole = mouth[1] @ cavity.shapes(mouth[0]) / opening[0]
         hole = (opening[0], opening[1] + drawing.end_correction * float(np.sqrt(opening[0] / np.pi)))
     volumes = [w @ modes.plate.operator(points) for w, modes, (points, _, _) in zip(swept, plates, faces, strict=True)]
@@ -350,7 +370,7 @@ def _with_air(
     return modes, cavity.freq, (rest[:points, :points] - held, lever)
 
 
-def _loads(plate: Plate, drawing: BodyDrawing) -> Floats:
+def point_loads(plate: Plate, drawing: BodyDrawing) -> Floats:
     """(p, functions) displacement of the drawing's points: z w - H (x w_x + y w_y)."""
     x, y, z = (drawing.directions[:, i, None] for i in range(3))
     w, w_x, w_y = (plate.operator(drawing.points, order).toarray() for order in ((0, 0), (1, 0), (0, 1)))

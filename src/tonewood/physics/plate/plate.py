@@ -255,6 +255,21 @@ class Plate:
         return found
 
     @property
+    def stiffness(self) -> csc_matrix:
+        """(n, n) K of all unknowns, those of w last."""
+        return self._stiffness
+
+    @property
+    def losses(self) -> csc_matrix:
+        """(n, n) K''."""
+        return self._losses
+
+    @property
+    def mass_matrix(self) -> csc_matrix:
+        """(n, n) M."""
+        return self._mass
+
+    @property
     def functions(self) -> int:
         """Number of functions of w."""
         return len(self._keep)
@@ -299,7 +314,7 @@ class Plate:
         spread = scale[:, None]
         mass = self._balanced(self._mass)
         limit = (2 * np.pi * (fmax or 0.0)) ** 2
-        values, vectors = lowest(solve.solve, mass, self._shift**2, count=count or 0, below=limit)
+        values, vectors = lowest(solve.solve, mass, self.shift**2, count=count or 0, below=limit)
         return np.maximum(values, 0.0), spread * vectors
 
     def stored(self, vectors: Floats) -> Floats:
@@ -316,13 +331,13 @@ class Plate:
         rhs = np.zeros((self._stiffness.shape[0], len(loads)))
         rhs[-self.functions :] = loads.T
         moved = scale[:, None] * solve.solve(scale[:, None] * rhs)
-        kept, soft = loads @ modes.vectors, 1 / ((2 * np.pi * modes.freq) ** 2 + self._shift**2)
-        rest = loads @ moved[-self.functions :] + self._shift**2 * (moved.T @ (self._mass @ moved))
-        rest = rest - (kept * (soft + self._shift**2 * soft**2)) @ kept.T
+        kept, soft = loads @ modes.vectors, 1 / ((2 * np.pi * modes.freq) ** 2 + self.shift**2)
+        rest = loads @ moved[-self.functions :] + self.shift**2 * (moved.T @ (self._mass @ moved))
+        rest = rest - (kept * (soft + self.shift**2 * soft**2)) @ kept.T
         return np.asarray(0.5 * (rest + rest.T))
 
     @property
-    def _shift(self) -> float:
+    def shift(self) -> float:
         """Shift s of the eigenproblem, rad/s."""
         h = float(np.mean(self.thickness(self.quadrature.points)))
         return float(_SHIFT * np.sqrt(self.wood.stiffness()[1, 1] * h**2 / 12 / self.wood.density) / self.area)
@@ -333,12 +348,12 @@ class Plate:
         from scipy.sparse.linalg import splu
 
         options = {"SymmetricMode": True}
-        balanced = self._balanced(self._stiffness + self._shift**2 * self._mass)
+        balanced = self._balanced(self._stiffness + self.shift**2 * self._mass)
         return splu(balanced, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options), self._scale
 
     @cached_property
     def _scale(self) -> Floats:
-        return np.asarray(1.0 / np.sqrt((self._stiffness + self._shift**2 * self._mass).diagonal()))
+        return np.asarray(1.0 / np.sqrt((self._stiffness + self.shift**2 * self._mass).diagonal()))
 
     def _balanced(self, matrix: csc_matrix) -> csc_matrix:
         from scipy.sparse import diags

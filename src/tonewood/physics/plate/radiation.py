@@ -19,6 +19,7 @@ calculation of diffraction about the box.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -95,24 +96,26 @@ class Sources:
         """The shelf H(s)."""
         return np.asarray((s + self.shelf / 2) / (s + self.shelf))
 
-    def resistance(self, freq: ArrayLike) -> Floats:
+    def resistance(self, freq: ArrayLike, *, exact: bool = False) -> Floats:
         """(modes,) N s/m, radiation resistance of each mode at its own frequency (Hz).
 
         R = rho omega^2 / (2 pi c)  sum_ij V_i V_j sin(k r_ij) / (k r_ij): 1/2 R |q'|^2 is the power of one mode at a
-        time. It is 2 sigma of a mode of mass 1, if cross terms between modes are left out.
+        time. It is 2 sigma of a mode of mass 1, if cross terms between modes are left out. `exact` computes in double
+        precision, for differences.
         """
         from scipy.spatial.distance import cdist
 
         omega = 2 * np.pi * np.asarray(freq, dtype=np.float64)
-        points, volumes = self.points, self.volumes.astype(np.float32)
+        kind: Any = np.float64 if exact else np.float32
+        points, volumes = self.points, self.volumes.astype(kind)
         out = np.zeros(len(omega))
         for first in range(0, len(points), _ROWS):  # half of the symmetric sum, in blocks that a cache holds
             some = slice(first, first + _ROWS)
-            apart = np.maximum(cdist(points[some], points[first:]), 1e-9).astype(np.float32)
-            twice = np.full(apart.shape[1], 2.0, dtype=np.float32)
+            apart = np.maximum(cdist(points[some], points[first:]), 1e-9).astype(kind)
+            twice = np.full(apart.shape[1], 2.0, dtype=kind)
             twice[: len(apart)] = 1.0
             for k, w in enumerate(omega):  # single precision: its error is below 1e-6 of the resistance of a piston
-                angle = apart * np.float32(w / SOUND_SPEED)
+                angle = apart * kind(w / SOUND_SPEED)
                 kernel = np.sin(angle)
                 np.divide(kernel, angle, out=kernel, where=angle > 0)
                 out[k] += float(volumes[some, k] @ (kernel @ (twice * volumes[first:, k])))

@@ -1,0 +1,109 @@
+"""``tonewood design``: what to change so that a body reaches its targets."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tonewood.cli.common import AllowCode, BundleName, Json, Overrides, StringSetName, load, print_json
+from tonewood.errors import TonewoodError
+
+if TYPE_CHECKING:
+    from tonewood.workshop.design.search import FoundDesign
+
+
+def design(
+    instrument: BundleName,
+    task: Annotated[
+        Path | None, typer.Argument(metavar="[TASK.yaml]", help="targets and free parameters, as lines")
+    ] = None,
+    target: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TARGET",
+            help="'T1 = 200', 'A0 <= 100', 'mode 3 >= 290' (Hz), 'mobility POINT 80..1000 >= -30' (dB re 1 m/s/N), "
+            "'no wolf F3..A3', 'mass <= 0.2' (kg); may be given again",
+        ),
+    ] = None,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATH=LOW:HIGH",
+            help="number of the body that may change, 'body.thickness=2e-3:3e-3'; x0.7:1.4 is a factor on all numbers "
+            "below the path, +-0.02:0.02 is added to them; may be given again",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="write the design as a bundle to FOLDER")
+    ] = None,
+    strings: StringSetName = None,
+    settings: Overrides = None,
+    allow_code: AllowCode = False,
+    as_json: Json = False,
+) -> int:
+    """Find the least change of INSTRUMENT's body that reaches targets, and say what trades with what.
+
+    Exit code 1 if a target cannot be reached within the bounds.
+    """
+    from tonewood.workshop.design.folder import check_folder, write_design
+    from tonewood.workshop.design.search import find_design
+    from tonewood.workshop.design.task import parse_free, parse_targets, read_task
+    from tonewood.workshop.design.words import lines
+
+    texts, parameters = read_task(task) if task is not None else ([], {})
+    texts = texts + list(target or ())
+    for text in free or ():
+        path, equals, bounds = text.partition("=")
+        if not equals or not path.strip():
+            raise TonewoodError(f"is {text!r}; PATH=LOW:HIGH is allowed", key="--free")
+        parameters[path.strip()] = bounds
+    if output is not None:
+        check_folder(output)
+    bundle = load(instrument, settings, allow_code, strings)
+    wanted, changing = parse_targets(texts, bundle), parse_free(parameters, bundle)
+    found = find_design(bundle, wanted, changing, lambda line: print(f"design: {line}", file=sys.stderr, flush=True))
+    if output is not None:
+        write_design(found, output)
+    if as_json:
+        print_json("design", _report(found, output), ok=found.ok)
+        return 0 if found.ok else 1
+    for line in lines(found):
+        print(line)
+    print(
+        "for render and compare: " + " ".join(f"--set {path}={value:.6g}" for path, value in _overrides(found).items())
+    )
+    if output is not None:
+        print(f"bundle: {output}")
+    return 0 if found.ok else 1
+
+
+def _overrides(found: FoundDesign) -> dict[str, float]:
+    out: dict[str, float] = {}
+    for parameter, value in zip(found.free, found.values, strict=True):
+        out |= parameter.overrides(float(value))
+    return out
+
+
+def _report(found: FoundDesign, output: Path | None) -> dict[str, Any]:
+    from tonewood.workshop.design.words import at_bounds, trades
+
+    return {
+        "instrument": found.instrument.name,
+        "parameters": [
+            {"path": p.name, "keys": list(p.paths), "kind": p.kind, "low": p.low, "high": p.high, "now": float(b),
+             "designed": float(v)}
+            for p, b, v in zip(found.free, found.before, found.values, strict=True)
+        ],
+        "targets": [
+            {"text": t.text, "now": float(g), "designed": float(r), "off": float(o), "unit": t.unit,
+             "reached": abs(float(o)) <= t.tolerance, "rates": [float(x) for x in row]}
+            for t, g, r, o, row in zip(found.targets, found.given, found.reached, found.off, found.rates, strict=True)
+        ],
+        "overrides": _overrides(found),
+        "trades": trades(found),
+        "at_bounds": at_bounds(found),
+        "bundle": None if output is None else str(output),
+    }  # fmt: skip

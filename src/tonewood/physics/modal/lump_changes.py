@@ -1,0 +1,54 @@
+"""How the modes of a component change as a mass, a spring or a dashpot at one of its points grows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tonewood.physics.modal.conjugates import Complexes, extend
+from tonewood.physics.modal.modes import ModalBasis
+
+#: relative distance of poles below which they count as one
+SAME = 1e-9
+
+
+def lump_change(
+    basis: ModalBasis, point: int, lump: Sequence[float], massive: bool = True
+) -> tuple[Complexes, Complexes]:
+    """Derivatives of poles and residues as a lump z(s) = m s^2 + d s + k grows at one point a.
+
+        lambda_k' = -(r_a l_a)_k z(lambda_k),    H_pp' = -H_pa z H_ap,    H_pa = sum_k r_p l_a / (s - lambda_k) + R
+
+    The residue's derivative is the coefficient of 1 / (s - lambda_k) in H_pp', by expansion in all modes. Of poles that
+    coincide one moves, by the sum of their r_a l_a; terms between them are in halves, as their residues count together.
+
+    Parameters
+    ----------
+    basis : modes with all lumps that are fixed already.
+    lump : rates of m, d and k: kg, N s/m, N/m per unit of the parameter.
+    massive : whether the lump has a mass, and so lies on the residual compliance R; see `loaded`.
+
+    Returns
+    -------
+    (n,) lambda', (p, n) derivatives of r_p l_p.
+    """
+    n = len(basis.poles)
+    lam, right, left = extend(basis.poles, basis.right, basis.left)
+    mass, damping, stiffness = lump
+    z = mass * lam**2 + damping * lam + stiffness
+    slope = 2 * mass * lam + damping
+    own = right[point] * left[point]
+    gap = lam[:n, None] - lam[None, :]
+    same = np.abs(gap) <= SAME * np.abs(lam[:n, None])
+    inverse = np.where(same, 0.0, 1.0 / np.where(same, 1.0, gap))
+    rate = -own[:n] * z[:n]
+    for k in range(n):
+        if (mates := np.flatnonzero(same[k])).size > 1:
+            rate[k] = -own[mates].sum() * z[k] if k == mates[0] else 0.0
+    outward, inward = right * left[point], right[point] * left  # (p, 2n): r_p l_a, r_a l_p
+    residual = basis.residual[:, point, None] if massive else 0.0
+    regular_out, regular_in = outward @ inverse.T + residual, inward @ inverse.T + residual
+    between = 0.5 * (outward[:, :n] * (inward @ same.T) + inward[:, :n] * (outward @ same.T))
+    change = outward[:, :n] * z[:n] * regular_in + regular_out * z[:n] * inward[:, :n] + between * slope[:n]
+    return np.asarray(rate), np.asarray(-change)

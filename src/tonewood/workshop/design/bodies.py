@@ -1,0 +1,248 @@
+"""Bodies as functions of free parameters: their resonances, and these on both sides of each parameter's value.
+
+A drawn body is `tonewood.physics.plate.whole_body` on a grid of cells that does not change, coarser than that of a full
+computation; a measured one is its table of modes with the lumps of `body.added`, by
+`tonewood.physics.modal.lump_changes.lump_change`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.errors import BundleError, TonewoodError
+from tonewood.instrument.bundle.added import body_parts, point_factor
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.physics.modal.lump_changes import lump_change
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.views import SHOWN_TO
+from tonewood.physics.plate.body import BodyDrawing
+from tonewood.physics.plate.whole_body import Lump, WholeBody, body_change, with_cells
+from tonewood.workshop.design.figures import DrawnResonances, Resonances
+from tonewood.workshop.design.task import Free
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+#: point, its factor, rates of mass, damping and stiffness of a lump, and whether it has a mass
+Rate = tuple[str, float, tuple[float, float, float], bool]
+
+#: step of a derivative, re the parameter's range
+STEP = 1e-5
+#: modes are known to so many times the highest frequency of the targets, and twice that helps their derivatives
+_ABOVE, _HELP = 1.3, 1.45
+
+
+class DesignBody(Protocol):
+    """A body that depends on parameters."""
+
+    def at(self, values: Sequence[float]) -> Resonances:
+        """Return the resonances for values of the parameters."""
+
+    def beside(self, i: int) -> tuple[Resonances, Resonances, float]:
+        """Return, to first order, those at parameter i less and more a step, and the step; about the last `at`."""
+
+
+def changed(instrument: Instrument, free: Sequence[Free], values: Sequence[float] | Floats) -> Instrument:
+    """Return the instrument with values of the parameters."""
+    overrides: dict[str, Any] = {}
+    for parameter, value in zip(free, values, strict=True):
+        overrides |= parameter.overrides(float(value))
+    return instrument.replace(overrides)
+
+
+def design_body(instrument: Instrument, free: Sequence[Free], highest: float) -> DesignBody:
+    """Make the body for parameters, with modes for targets up to `highest` (Hz).
+
+    Raises
+    ------
+    TonewoodError : a parameter is not one that this kind of body can change.
+    """
+    if isinstance(getattr(instrument.body, "drawing", None), BodyDrawing):
+        return DrawnDesign(instrument, free, highest)
+    for parameter in free:
+        for path in parameter.paths:
+            if not path.startswith("body.added."):
+                raise TonewoodError(
+                    "cannot change a measured body; masses, springs and dashpots put on it can: "
+                    "--set 'body.added=[{at: POINT, mass: 0.005}]' --free 'body.added.0.mass=0.001:0.02'",
+                    key=path,
+                )
+    return MeasuredDesign(instrument, free)
+
+
+class DrawnDesign:
+    """A drawn body; see the module."""
+
+    def __init__(self, instrument: Instrument, free: Sequence[Free], highest: float):
+        self._instrument, self._free = instrument, tuple(free)
+        self._below = _ABOVE * max(highest, 400.0)
+        self._cells = with_cells(_drawing(instrument), self._below)
+        self._values: Floats = np.zeros(0)
+
+    def _body(self, values: Sequence[float] | Floats) -> WholeBody:
+        made = changed(self._instrument, self._free, values)
+        drawing = replace(_drawing(made), fmax=self._below)
+        drawing = replace(drawing, top=replace(drawing.top, size=self._cells.top.size))
+        if drawing.back is not None and self._cells.back is not None:
+            drawing = replace(drawing, back=replace(drawing.back, size=self._cells.back.size))
+        return WholeBody(drawing, lumps(made))
+
+    def at(self, values: Sequence[float]) -> DrawnResonances:
+        """Return the resonances for values of the parameters."""
+        self._values = np.array(values, dtype=np.float64)
+        self._whole = self._body(self._values)
+        self._modes = self._whole.modes(below=_HELP * self._below)
+        self._count = max(1, int(np.count_nonzero(self._modes[0] < (2 * np.pi * self._below) ** 2)))
+        return DrawnResonances(self._whole.described(self._modes[0][: self._count], self._modes[1][:, : self._count]))
+
+    def beside(self, i: int) -> tuple[DrawnResonances, DrawnResonances, float]:
+        """Return the resonances less and more a step of parameter i, to first order."""
+        step = STEP * (self._free[i].high - self._free[i].low)
+        less, more = (self._body(self._values + by * np.eye(len(self._values))[i]) for by in (-step, step))
+        try:
+            found = body_change(self._whole, *self._modes, less, more, step, self._count)
+        except ValueError as fault:
+            raise TonewoodError(f"{fault} here; a little other bounds may help", key=self._free[i].name) from None
+        return DrawnResonances(found.less), DrawnResonances(found.more), step
+
+
+def _drawing(instrument: Instrument) -> BodyDrawing:
+    drawing: BodyDrawing = instrument.body.drawing  # type: ignore[attr-defined]  # of plugins that draw bodies
+    return drawing
+
+
+def lumps(instrument: Instrument) -> list[Lump]:
+    """Lumps that `body.added` fixes to a drawn body."""
+    points, names = instrument.body.points(), list(instrument.body.points())
+    return [
+        Lump(names.index(e.at), point_factor(i, e, points), e.mass, e.stiffness, e.damping)
+        for i, e in enumerate(instrument.spec.body.added)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class TabledResonances:
+    """Of a body that is known by its table of modes.
+
+    Attributes
+    ----------
+    basis : of which the mobility is.
+    poles : (n,) 1/s of positive frequency, ascending.
+    residues : (p, n) r l of displacement at each point, m/N/s.
+    less : point -> what a change of a parameter adds to its mobility at omega (rad/s).
+    mass : not known.
+    """
+
+    basis: ModalBasis
+    poles: Complexes
+    residues: Complexes
+    less: Mapping[int, Any]
+    mass: float | None = None
+
+    @property
+    def freq(self) -> Floats:
+        """(n,) Hz."""
+        return np.asarray(np.abs(self.poles) / (2 * np.pi))
+
+    @property
+    def quality(self) -> Floats:
+        """(n,) Q."""
+        return np.asarray(np.abs(self.poles) / np.maximum(-2 * self.poles.real, 1e-12))
+
+    @property
+    def squares(self) -> Floats:
+        """(p, n) 1/kg, 2 omega |r l|."""
+        return np.asarray(2 * np.abs(self.poles) * np.abs(self.residues))
+
+    @property
+    def named(self) -> Mapping[str, int]:
+        """No mode of a table has a name."""
+        return {}
+
+    def mobility(self, point: int, freq: Floats) -> Complexes:
+        """(f,) m/s/N, to first order in the parameter beside which it stands."""
+        omega = 2 * np.pi * freq
+        own = np.array([self.basis.points[point]])
+        value = _mobility(self.basis, omega, [own[0]], [own[0]])[:, 0, 0]
+        change = self.less.get(point)
+        return value if change is None else np.asarray(value + change(omega))
+
+
+def _mobility(
+    basis: ModalBasis, omega: Floats, read: Sequence[str], driven: Sequence[str], whole: bool = True
+) -> Complexes:
+    """(f, r, d) mobility between points; without the residual compliance where not `whole`."""
+    from tonewood.physics.modal.mobility import mobility
+
+    rows, columns = [basis.index(p) for p in read], [basis.index(p) for p in driven]
+    modes = mobility(basis.poles, basis.right, basis.left, omega)[:, rows][:, :, columns]
+    return np.asarray(modes + whole * 1j * omega[:, None, None] * basis.residual[np.ix_(rows, columns)])
+
+
+class MeasuredDesign:
+    """A table of modes with lumps; see the module."""
+
+    def __init__(self, instrument: Instrument, free: Sequence[Free]):
+        self._instrument, self._free = instrument, tuple(free)
+        self._basis, self._points = instrument.body.basis(SHOWN_TO), instrument.body.points()
+
+    def at(self, values: Sequence[float]) -> TabledResonances:
+        """Return the resonances for values of the parameters."""
+        self._values = np.array(values, dtype=np.float64)
+        self._made = changed(self._instrument, self._free, values)
+        self._whole = body_parts(self._made.spec.body.added, self._basis, self._points).body
+        up = np.flatnonzero(self._whole.poles.imag > 0)
+        self._kept = up[np.argsort(np.abs(self._whole.poles[up]))]
+        residues = (self._whole.right * self._whole.left)[:, self._kept]
+        return TabledResonances(self._whole, self._whole.poles[self._kept], residues, {})
+
+    def beside(self, i: int) -> tuple[TabledResonances, TabledResonances, float]:
+        """Return the resonances less and more a step of parameter i, to first order."""
+        step = STEP * (self._free[i].high - self._free[i].low)
+        rates = self._rates(i)
+        poles = np.zeros(len(self._kept), dtype=np.complex128)
+        residues = np.zeros((len(self._whole.points), len(self._kept)), dtype=np.complex128)
+        for name, factor, lump, massive in rates:
+            scaled = [factor**2 * x for x in lump]
+            moved, turned = lump_change(self._whole, self._whole.index(name), scaled, massive)
+            poles, residues = poles + moved[self._kept], residues + turned[:, self._kept]
+        now_poles, now = self._whole.poles[self._kept], (self._whole.right * self._whole.left)[:, self._kept]
+
+        def beside(by: float) -> TabledResonances:
+            change = {p: self._change(p, rates, by) for p in range(len(self._whole.points))}
+            return TabledResonances(self._whole, now_poles + by * poles, now + by * residues, change)
+
+        return beside(-step), beside(step), step
+
+    def _rates(self, i: int) -> list[Rate]:
+        """Point, factor and rates of mass, damping and stiffness of each lump that parameter i changes."""
+        free, found = self._free[i], []
+        for path, base in zip(free.paths, free.base, strict=True):
+            _, _, number, key, *rest = [*path.split("."), ""]
+            if key not in ("mass", "stiffness", "damping") or any(rest):
+                raise BundleError("mass, stiffness and damping of it are allowed", key=path)
+            entry = self._made.spec.body.added[int(number)]
+            rate = base if free.kind == "x" else 1.0
+            lump = (rate * (key == "mass"), rate * (key == "damping"), rate * (key == "stiffness"))
+            found.append((entry.at, point_factor(int(number), entry, self._points), lump, entry.mass > 0))
+        return found
+
+    def _change(self, point: int, rates: Sequence[Rate], by: float) -> Any:
+        """Change of a point's mobility, -Y_pa Y_ap (i omega m' + d' + k' / i omega) for each lump."""
+
+        def change(omega: Floats) -> Complexes:
+            total = np.zeros(len(omega), dtype=np.complex128)
+            for name, factor, (m, d, k), massive in rates:
+                own = [self._whole.points[point]]
+                z = factor**2 * (1j * omega * m + d + k / (1j * omega))
+                to = _mobility(self._whole, omega, own, [name], massive)[:, 0, 0]
+                back = _mobility(self._whole, omega, [name], own, massive)[:, 0, 0]
+                total -= to * z * back
+            return by * total
+
+        return change

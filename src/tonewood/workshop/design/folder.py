@@ -1,0 +1,74 @@
+"""A design as a bundle: a copy of the instrument's folder with every value written out."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from tonewood.errors import BundleError, OutputError
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.contract.registry import MANIFEST
+from tonewood.support.whole_files import write_whole
+from tonewood.workshop.design.search import FoundDesign
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that cannot be made.
+
+    Raises
+    ------
+    BundleError : its name is none of an instrument.
+    OutputError : it is there already, or its parent is not.
+    """
+    if not _NAME.fullmatch(folder.name):
+        raise BundleError(f"{folder.name!r} cannot be the name of an instrument; letters, digits and _ are allowed")
+    if folder.exists() or folder.is_symlink():
+        raise OutputError("is there already; give another name", file=folder)
+    if not folder.absolute().parent.is_dir():
+        raise OutputError(f"there is no folder {str(folder.parent)!r}", file=folder)
+
+
+def write_design(design: FoundDesign, folder: Path) -> Instrument:
+    """Write a bundle that `render` and `compare` take.
+
+    Raises
+    ------
+    OutputError : the folder cannot be written; nothing stays behind.
+    """
+    check_folder(folder)
+    made = design.instrument
+    values = {k: v for k, v in made.resolved.items() if v is not None}
+    values["name"] = folder.name
+    values["title"] = f"{made.spec.title}, changed for {'; '.join(t.text for t in design.targets)}"
+    note = f"found by tonewood design from {made.name}"
+    paths = [path for parameter in design.free for path in parameter.paths]
+    values["provenance"] = {**values.get("provenance", {}), **{p: {"kind": "authored", "note": note} for p in paths}}
+    try:
+        shutil.copytree(made.folder, folder, ignore=shutil.ignore_patterns(MANIFEST, "__pycache__"))
+        write_whole(folder / MANIFEST, _yaml(values))
+        return Instrument.load(folder, allow_code=made.allow_code)
+    except BaseException as fault:
+        with suppress(OSError):
+            shutil.rmtree(folder)
+        if isinstance(fault, OSError):
+            raise OutputError(f"cannot be written: {fault.strerror}", file=folder) from None
+        raise
+
+
+def _yaml(values: Mapping[str, Any]) -> str:
+    """Two levels of keys as lines, the rest as JSON, which is YAML."""
+    out = []
+    for key, value in values.items():
+        if isinstance(value, Mapping) and value:
+            out.append(f"{key}:")
+            out += [f"  {json.dumps(k)}: {json.dumps(v, ensure_ascii=False)}" for k, v in value.items()]
+        else:
+            out.append(f"{key}: {json.dumps(value, ensure_ascii=False)}")
+    return "\n".join(out) + "\n"

@@ -1,0 +1,239 @@
+"""The design nearest to the given one that reaches its targets: bounded least squares with derivatives by theory.
+
+    minimise  sum_t (off_t / weight_t)^2 + sum_i (LEAST (p_i - p_i0) / (high_i - low_i))^2,    low_i <= p_i <= high_i
+
+Of designs that reach all targets, the second sum chooses the one that changes least. A full computation at the result
+gives the difference between its figures and those of the search's coarser body; the search goes on with this difference
+added, and another full computation tells how far each target is off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.errors import TonewoodError
+from tonewood.instrument.bundle.added import body_parts
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.physics.plate.body import BodyDrawing, BodyModes
+from tonewood.physics.plate.whole_body import LowModes
+from tonewood.workshop.design.bodies import MeasuredDesign, changed, design_body
+from tonewood.workshop.design.figures import DrawnResonances, Resonances, figures, string_ends
+from tonewood.workshop.design.task import Free, Target
+
+Floats = NDArray[np.float64]
+
+#: weight of a change by the whole range of a parameter
+LEAST = 0.02
+_EVALUATIONS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class FoundDesign:
+    """A design and what it reaches.
+
+    Attributes
+    ----------
+    targets, free : of the task.
+    before, values : (n,) parameters as given and as found.
+    given, reached : (t,) figures of both, by full computations.
+    rates : (t, n) derivatives of the figures at the result, per unit of each parameter.
+    instrument : as designed.
+    """
+
+    targets: tuple[Target, ...]
+    free: tuple[Free, ...]
+    before: Floats
+    values: Floats
+    given: Floats
+    reached: Floats
+    rates: Floats
+    instrument: Instrument
+
+    @property
+    def off(self) -> Floats:
+        """(t,) how far each target is off, in its unit."""
+        return np.array([t.off(f) for t, f in zip(self.targets, self.reached, strict=True)])
+
+    @property
+    def ok(self) -> bool:
+        """Whether every target is reached within its tolerance."""
+        return all(abs(o) <= t.tolerance for t, o in zip(self.targets, self.off, strict=True))
+
+
+def find_design(
+    instrument: Instrument,
+    targets: Sequence[Target],
+    free: Sequence[Free],
+    tell: Callable[[str], None] = lambda s: None,
+) -> FoundDesign:
+    """Search the nearest design that reaches the targets.
+
+    Parameters
+    ----------
+    tell : is called with a line about each step.
+
+    Raises
+    ------
+    TonewoodError : the body has no such mode or parameter.
+    """
+    search = _Search(instrument, targets, free)
+    before = np.array([p.start for p in free])
+    tell("the body as it is, in full")
+    given = search.full(instrument, None)
+    tell("search")
+    values = search.run(before)
+    for again in (True, False):
+        made = changed(instrument, free, values)
+        tell("the design in full")
+        reached = search.full(made, search.figures_at(values))
+        if again and not isinstance(search.body, MeasuredDesign):
+            search.correct(values, reached)
+            tell("search, corrected by it")
+            values = search.run(values)
+        else:
+            break
+    return FoundDesign(
+        tuple(targets),
+        tuple(free),
+        before,
+        values,
+        given,
+        reached,
+        search.rates(values),
+        changed(instrument, free, values),
+    )
+
+
+class _Search:
+    """Figures and their derivatives as functions of the parameters."""
+
+    def __init__(self, instrument: Instrument, targets: Sequence[Target], free: Sequence[Free]):
+        self.targets, self.free = tuple(targets), tuple(free)
+        self.points, self.ends = list(instrument.body.points()), string_ends(instrument)
+        highest = max((max(t.band[1], t.value if t.kind == "freq" else 0.0) for t in targets), default=0.0)
+        self.body = design_body(instrument, free, highest)
+        self.start = np.array([p.start for p in free])
+        self.low, self.high = (np.array([getattr(p, end) for p in free]) for end in ("low", "high"))
+        self.shift = np.zeros(len(targets))
+        self._at: tuple[bytes, Resonances] | None = None
+        self._rates: tuple[bytes, Floats] | None = None
+
+    def _figures(self, found: Resonances) -> Floats:
+        return figures(self.targets, found, self.points, self.ends)
+
+    def _resonances(self, values: Floats) -> Resonances:
+        if self._at is None or self._at[0] != values.tobytes():
+            self._at = (values.tobytes(), self.body.at(values.tolist()))
+        return self._at[1]
+
+    def figures_at(self, values: Floats) -> Floats:
+        """(t,) figures with what a full computation added."""
+        raw = self._figures(self._resonances(values))
+        return np.where(self._relative, raw * np.exp(self.shift), raw + self.shift)
+
+    @property
+    def _relative(self) -> NDArray[np.bool_]:
+        return np.array([t.kind in ("freq", "mass") for t in self.targets])
+
+    def correct(self, values: Floats, reached: Floats) -> None:
+        """Make the figures at `values` those of a full computation."""
+        raw = self._figures(self._resonances(values))
+        ratio = np.log(np.where(self._relative, reached, 1.0) / np.where(self._relative, raw, 1.0))
+        self.shift = np.where(self._relative, ratio, reached - raw)
+
+    def rates(self, values: Floats) -> Floats:
+        """(t, n) derivatives of the figures."""
+        self._resonances(values)
+        if self._rates is None or self._rates[0] != values.tobytes():
+            columns = []
+            for i in range(len(self.free)):
+                less, more, step = self.body.beside(i)
+                columns.append((self._figures(more) - self._figures(less)) / (2 * step))
+            self._rates = (values.tobytes(), np.array(columns).T)
+        factor = np.where(self._relative, np.exp(self.shift), 1.0)
+        return np.asarray(factor[:, None] * self._rates[1])
+
+    def run(self, start: Floats) -> Floats:
+        """(n,) values of the nearest design."""
+        from scipy.optimize import least_squares
+
+        span = self.high - self.low
+
+        def residuals(x: Floats) -> Floats:
+            values = self.low + span * x
+            off = [t.off(f) / t.weight for t, f in zip(self.targets, self.figures_at(values), strict=True)]
+            return np.concatenate([off, LEAST * (values - self.start) / span])
+
+        def slopes(x: Floats) -> Floats:
+            values = self.low + span * x
+            now, rates = self.figures_at(values), self.rates(values) * span
+            rows = [
+                slope(t, float(f)) / t.weight * row if t.off(float(f)) else 0.0 * row
+                for t, f, row in zip(self.targets, now, rates, strict=True)
+            ]
+            return np.vstack([*rows, LEAST * np.eye(len(span))])
+
+        first = np.clip((start - self.low) / span, 1e-6, 1 - 1e-6)
+        found = least_squares(residuals, first, slopes, bounds=(0.0, 1.0), method="trf", ftol=1e-3, xtol=1e-3,
+                              max_nfev=_EVALUATIONS)  # fmt: skip
+        x = np.where(found.active_mask < 0, 0.0, np.where(found.active_mask > 0, 1.0, found.x))
+        return np.asarray(self.low + span * x)
+
+    def full(self, instrument: Instrument, expected: Floats | None) -> Floats:
+        """(t,) figures by the computation that `render` and `compare` use.
+
+        Of a drawn body with lumps, the modes that targets name are those nearest to the frequencies `expected`.
+        """
+        modes = self._full_modes(instrument)
+        named = dict(modes.named)
+        if instrument.spec.body.added and expected is not None:
+            for target, freq in zip(self.targets, expected, strict=True):
+                if target.kind == "freq":
+                    named[target.mode] = int(np.argmin(np.abs(modes.freq - freq)))
+        return self._figures(_Named(modes, named))
+
+    def _full_modes(self, instrument: Instrument) -> Resonances:
+        if isinstance(self.body, MeasuredDesign):
+            return self.body.at([_value(p, instrument) for p in self.free])
+        drawn = getattr(instrument.body, "modes_below", None)
+        if drawn is None or not isinstance(getattr(instrument.body, "drawing", None), BodyDrawing):
+            raise TonewoodError("is no drawn and no measured body", key="body")
+        modes: BodyModes = drawn(np.inf)
+        mass = float(modes.masses.sum()) + sum(e.mass for e in instrument.spec.body.added)
+        if not instrument.spec.body.added:
+            few = LowModes(modes.freq, modes.loss, modes.shapes, modes.residual, mass, modes.named())
+            return DrawnResonances(few)
+        basis = body_parts(instrument.spec.body.added, instrument.body.basis(np.inf), instrument.body.points()).body
+        omega = 2 * np.pi * basis.natural_freq
+        shapes = np.sqrt(2 * omega * np.abs(basis.right * basis.left))
+        low = LowModes(basis.natural_freq, 2 * basis.damping_ratio, shapes, basis.residual, mass, modes.named())
+        return DrawnResonances(low)
+
+
+def _value(parameter: Free, instrument: Instrument) -> float:
+    """Value of a parameter in an instrument."""
+    value: object = instrument.resolved
+    for key in parameter.paths[0].split("."):
+        value = value[int(key)] if isinstance(value, list) else value[key]  # type: ignore[index]  # checked when parsed
+    now, base = float(value), parameter.base[0]  # type: ignore[arg-type]
+    return {"": now, "x": now / base if base else 1.0, "+": now - base}[parameter.kind]
+
+
+def slope(target: Target, figure: float) -> float:
+    """Derivative of `Target.off` with respect to the figure."""
+    if target.kind == "freq":
+        return float(1200 / np.log(2) / figure)
+    return 100 / target.value if target.kind == "mass" else 1.0
+
+
+class _Named:
+    """Resonances with other names."""
+
+    def __init__(self, found: Resonances, named: dict[str, int]):
+        self._found, self.named = found, named
+        self.freq, self.quality, self.squares, self.mass = found.freq, found.quality, found.squares, found.mass
+        self.mobility = found.mobility

@@ -1,0 +1,123 @@
+"""Designs of small bodies: targets reached, checked by the computation that renders use, and targets out of reach."""
+
+import math
+
+import numpy as np
+import pytest
+import yaml
+
+from tonewood.errors import TonewoodError
+from tonewood.instrument.bundle.added import body_parts
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.workshop.design.figures import StringEnd, worst_wolf
+from tonewood.workshop.design.folder import write_design
+from tonewood.workshop.design.search import find_design
+from tonewood.workshop.design.task import parse_free, parse_targets, read_task
+from tonewood.workshop.design.words import lines, trades
+
+BOX = {
+    "schema": "tonewood-instrument/2",
+    "name": "box",
+    "body": {
+        "plugin": "drawn_body",
+        "fmax": 800.0,
+        "cell": 0.03,
+        "outline": {"points": [[0.0, 0.0], [0.30, 0.0], [0.30, 0.22], [0.0, 0.22]]},
+        "wood": {"species": "sitka_spruce"},
+        "thickness": 2.5e-3,
+        "edge": {"kind": "hinged"},
+        "braces": {"b": {"start": [0.06, 0.05], "stop": [0.26, 0.16], "width": 0.008, "height": 6e-3}},
+        "soundhole": {"centre": [0.08, 0.15], "radius": 0.03},
+        "air": {"depth": 0.09, "cavity_to": 700.0},
+        "points": {"bridge": {"at": [0.20, 0.10]}},
+    },
+}
+
+
+@pytest.fixture
+def box(tmp_path):
+    (tmp_path / "box").mkdir()
+    (tmp_path / "box" / "instrument.yaml").write_text(yaml.safe_dump(BOX))
+    return Instrument.load(tmp_path / "box")
+
+
+def test_a_design_reaches_its_targets_and_is_written(box, tmp_path):
+    targets = parse_targets(["A0 = 96", "mass <= 0.12"], box)
+    free = parse_free({"body.thickness": "2e-3 .. 4e-3", "body.braces.*.height": "x 0.5 .. 2"}, box)
+    design = find_design(box, targets, free)
+    assert design.ok
+    made = write_design(design, tmp_path / "made")
+    modes = made.body.modes_below(math.inf)
+    assert modes.freq[modes.named()["A0"]] == pytest.approx(96.0, rel=0.005)
+    assert modes.masses.sum() < 0.12 * 1.005
+    assert any("body.thickness" in line for line in lines(design))
+
+
+def test_targets_out_of_reach_are_missed_and_said_so(box):
+    targets = parse_targets(["A0 = 130", "mass <= 0.07"], box)
+    design = find_design(box, targets, parse_free({"body.thickness": "2.3e-3 .. 2.7e-3"}, box))
+    assert not design.ok
+    text = "\n".join(lines(design))
+    assert "cannot be reached" in text
+    assert "MISSED" in text
+    assert any("rise and fall together" in line for line in trades(design))
+
+
+def test_an_added_mass_on_a_measured_body(tmp_path):
+    guitar = Instrument.load("classical_guitar")
+    point = next(name for name, p in guitar.body.points().items() if p.driven)
+    guitar = guitar.replace({"body.added": [{"at": point, "mass": 0.004}]})
+    basis = body_parts(guitar.spec.body.added, guitar.body.basis(2e4), guitar.body.points()).body
+    now = np.sort(basis.natural_freq)[1]
+    wanted = float(now * 0.985)
+    free = parse_free({"body.added.0.mass": "0.001 .. 0.1"}, guitar)
+    design = find_design(guitar, parse_targets([f"mode 2 = {wanted:.4f}"], guitar), free)
+    added = design.instrument.spec.body.added
+    whole = body_parts(added, design.instrument.body.basis(2e4), guitar.body.points()).body
+    assert design.values[0] > 0.004
+    assert np.sort(whole.natural_freq)[1] == pytest.approx(wanted, rel=0.005)
+
+
+class OneMode:
+    """A mode of 200 Hz."""
+
+    def __init__(self, q, mass):
+        self.freq, self.quality, self.squares = np.array([200.0]), np.array([q]), np.array([[1 / mass]])
+
+
+def test_a_wolf_is_where_coupling_exceeds_losses():
+    """String of 3 g at 200 Hz: K = (2 Q / pi) sqrt(2 m / M) is 1 at Q = pi / 2 / sqrt(2 m / M)."""
+    end = StringEnd("D3", 0, 3e-3 * 200.0, 147.0, 440.0)
+    q = math.pi / 2 / math.sqrt(2 * 3e-3 / 0.2)
+    assert worst_wolf(OneMode(q, 0.2), [end], (170.0, 230.0)) == pytest.approx(0.0, abs=1e-9)
+    assert worst_wolf(OneMode(2 * q, 0.2), [end], (100.0, 400.0)) == pytest.approx(
+        1200 * math.log2(200 / 142.8), rel=0.01
+    )
+    assert worst_wolf(OneMode(2 * q, 0.2), [end], (210.0, 400.0)) == pytest.approx(1200 * math.log2(200 / 210))
+
+
+@pytest.mark.parametrize(
+    ("targets", "free", "said"),
+    [
+        (["T1 == 200"], {"body.thickness": "2e-3 .. 3e-3"}, "T1 == 200"),
+        (["loud = 3"], {"body.thickness": "2e-3 .. 3e-3"}, "no target"),
+        (["mobility brige 80..800 >= -30"], {"body.thickness": "2e-3 .. 3e-3"}, "bridge"),
+        (["T1 = 200"], {"body.thicknes": "2e-3 .. 3e-3"}, "body.thickness"),
+        (["T1 = 200"], {"body.thickness": "3e-3 .. 2e-3"}, "LOW .. HIGH"),
+        (["T1 = 200"], {"body.points": "0 .. 1"}, "keep their differences"),
+        (["no wolf F3..A3"], {"body.thickness": "2e-3 .. 3e-3"}, "without strings"),
+        ([], {"body.thickness": "2e-3 .. 3e-3"}, "1 to 40"),
+    ],
+)
+def test_lines_that_are_refused(box, targets, free, said):
+    def parsed():
+        return parse_targets(targets, box), parse_free(free, box)
+
+    with pytest.raises(TonewoodError, match=said):
+        parsed()
+
+
+def test_a_file_with_another_key_is_refused(tmp_path):
+    (tmp_path / "task.yaml").write_text("target: [T1 = 200]\n")
+    with pytest.raises(TonewoodError, match="targets"):
+        read_task(tmp_path / "task.yaml")
