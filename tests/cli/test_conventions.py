@@ -138,7 +138,7 @@ def test_errors_are_objects_too(tonewood: Run, arguments: list[str], expected: d
 
 def test_a_plan_refuses_a_file_that_a_render_would_refuse(tonewood: Run, tmp_path: Path) -> None:
     score = write(tmp_path / "s.mid", note(0.0, 0.1, 45))
-    for name in ("a.mp3", "no/a.wav"):
+    for name in ("a.txt", "no/a.wav"):
         code, out, err = tonewood("plan", score, "-i", "monochord", "-o", tmp_path / name)
         assert (code, out, err.count("\n")) == (2, "", 1)
         assert err == tonewood("render", score, "-i", "monochord", "-o", tmp_path / name)[2]

@@ -22,7 +22,7 @@ from batch_fakes import FakeRenderer
 
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
-from tonewood.workshop.batch import stimuli, trimming
+from tonewood.workshop.batch import runner, stimuli, trimming
 from tonewood.workshop.batch.data_sheet import Subject, data_sheet
 from tonewood.workshop.batch.manifest import ManifestError, Stimuli
 from tonewood.workshop.batch.production import room_response
@@ -238,13 +238,17 @@ def test_files_of_an_earlier_seed_are_removed_and_strangers_kept(tmp_path: Path)
     assert set(sounds(out)) == {Path(f.file).name for f in after.files} | {"training.wav"}
 
 
-def test_the_plan_writes_nothing(tmp_path: Path) -> None:
+def test_the_plan_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its time is that of renders and files, shared among workers, which take time to start."""
+    monkeypatch.setattr(runner, "trial_of_a_file", lambda settings, pictures: (0.1, 7.0))
     path = fakes.write(tmp_path, fakes.manifest(**SMALL))
     plan = plan_batch(path, tmp_path / "out", FakeRenderer(), Workers(1), predict=True)
     assert not (tmp_path / "out").exists()
     summary = plan.summary()
     assert (summary["to_render"], summary["files"], summary["trials"]) == (3, 5, 1)
     assert summary["predicted_seconds"] == pytest.approx(3 * 0.5 + 5 * 0.1)
+    shared = plan_batch(path, tmp_path / "out", FakeRenderer(), Workers(2), predict=True)
+    assert shared.seconds == pytest.approx((3 * 0.5 + 5 * 0.1) / 2 + 7.0)
     run_batch(path, tmp_path / "out", FakeRenderer())
     assert plan_batch(path, tmp_path / "out", FakeRenderer()).summary()["to_render"] == 0
 

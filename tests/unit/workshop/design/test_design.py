@@ -41,6 +41,7 @@ def box(tmp_path):
     return Instrument.load(tmp_path / "box")
 
 
+@pytest.mark.validate
 def test_a_design_reaches_its_targets_and_is_written(box, tmp_path):
     targets = parse_targets(["A0 = 96", "mass <= 0.12"], box)
     free = parse_free({"body.thickness": "2e-3 .. 4e-3", "body.braces.*.height": "x 0.5 .. 2"}, box)
@@ -53,6 +54,7 @@ def test_a_design_reaches_its_targets_and_is_written(box, tmp_path):
     assert any("body.thickness" in line for line in lines(design))
 
 
+@pytest.mark.validate
 def test_targets_out_of_reach_are_missed_and_said_so(box):
     targets = parse_targets(["A0 = 130", "mass <= 0.07"], box)
     design = find_design(box, targets, parse_free({"body.thickness": "2.3e-3 .. 2.7e-3"}, box))
