@@ -7,7 +7,7 @@ import sys
 from contextlib import suppress
 from difflib import get_close_matches
 from itertools import pairwise
-from typing import NoReturn
+from typing import NoReturn, TextIO
 
 from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
 from tonewood.cli.stopping import stopping
@@ -49,12 +49,12 @@ def run(arguments: list[str] | None = None) -> None:
         exec("")
         _interrupted(given, str(error) or _remaining())
     except ReaderGoneError:
-        _no_more_output()
+        _no_more(sys.stdout)
         sys.exit(0)
     except OSError as error:
         if error.filename is not None:
             raise
-        _no_more_output()
+        _no_more(sys.stdout)
         if stopping.signal:  # SIGHUP: the terminal has gone
             _interrupted(given, _remaining())
         _fail(f"standard output: cannot be written: {error.strerror}", 2)
@@ -134,13 +134,15 @@ def _in_its_line(error: TonewoodError, given: list[str]) -> TonewoodError:
     return located(error)
 
 
-def _no_more_output() -> None:
-    """Redirect standard output to nowhere: the rest of its buffer would fail again when the interpreter ends."""
+def _no_more(stream: TextIO) -> None:
+    """Redirect a stream to nowhere: the rest of its buffer would fail again when the interpreter ends."""
     with suppress(OSError, ValueError):  # no file at all, as in tests
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _fail(line: str, code: int) -> NoReturn:
-    with suppress(OSError):  # stderr cannot be written to
+    try:
         print(f"tonewood: {line}", file=sys.stderr)
+    except OSError:  # it cannot be written to
+        _no_more(sys.stderr)
     sys.exit(code)
