@@ -13,6 +13,7 @@ import tonewood as tw
 from cli_runs import refused
 from tonewood.workshop.wood.board import typical
 from tonewood.workshop.wood.rectangle import Rectangle
+from tonewood.workshop.wood.stick import bar_freq
 
 Run = Callable[..., tuple[int, str, str]]
 SIZE = (0.58, 0.217, 4.7e-3)
@@ -64,3 +65,20 @@ def test_recordings_of_taps_are_read(
     code, out, err = tonewood("wood", tmp_path / "taps.wav", *words)
     assert code == 0, err
     assert float(out.split("E_L")[1].split()[0]) == pytest.approx(rectangle.nominal.E_L / 1e9, rel=0.02)
+
+
+def test_a_stick_gives_its_modulus_along_the_grain(tonewood: Run, tmp_path: Path) -> None:
+    """Euler's slender bar by hand: E = 0.9464 rho f^2 L^4 / h^2, less what shear takes."""
+    length, width, height, young, rho = 0.45, 0.008, 0.008, 1.2e10, 410.0
+    freq = bar_freq(length, height, rho, young, 0.061 * young, count=2)
+    assert 0.9464 * rho * freq[0] ** 2 * length**4 / height**2 == pytest.approx(young, rel=0.03)
+    (tmp_path / "s.csv").write_text("freq_Hz,Q\n" + "".join(f"{f:.4f},110\n" for f in freq), encoding="utf-8")
+    words = ("--length", length, "--width", width, "--thickness", height, "--mass", rho * length * width * height)
+    code, out, err = tonewood("wood", tmp_path / "s.csv", *words, "--stick", "-o", tmp_path / "w.yaml")
+    assert code == 0, err
+    values = {
+        line.split()[0]: float(line.split()[1]) for line in out.splitlines() if line.startswith(("E_L", "loss_L"))
+    }
+    assert values["E_L"] == pytest.approx(12.0, rel=0.02)
+    assert values["loss_L"] == pytest.approx(1 / 110, rel=1e-3)
+    assert "E_R" not in out

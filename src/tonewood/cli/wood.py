@@ -161,7 +161,10 @@ def _report(solution: Board | Stick, density: float, tops: list[dict[str, Any]])
         some = ", ".join(f"{f:.1f}" for f in solution.peaks_without_mode)
         warnings.append(f"peaks that are no mode of such a board: {some} Hz")
     values = {
-        key: {"value": getattr(solution, key, None) or getattr(solution.wood, key), "interval_90": list(ends)}  # type: ignore[union-attr]
+        key: {
+            "value": getattr(solution.wood if isinstance(solution, Board) else solution, key),
+            "interval_90": list(ends),
+        }
         for key, ends in solution.intervals.items()
     }
     return {
