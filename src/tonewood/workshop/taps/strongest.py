@@ -1,8 +1,8 @@
 """Peaks of taps on a bare board: the maxima of the mean spectrum, each fitted by itself.
 
 `ringing` explains everything that was recorded by modes; where supports slip between taps one resonance becomes several
-there. For the constants of a board, each strong resonance must be listed once. About a maximum of the mean power all taps' spectra X_k
-are fitted with one pole pair,
+there. For the constants of a board, each strong resonance must be listed once. About a maximum of the mean power one
+pole pair is fitted to all taps' spectra X_k,
 
     X_k(s) (s^2 + c_1 s + c_0) = b_k0 + b_k1 s,    omega^2 = c_0,  Q = omega / c_1,
 
