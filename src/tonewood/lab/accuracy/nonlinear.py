@@ -22,6 +22,7 @@ from tonewood.lab.accuracy.measures import energy_drift, wave_errors
 from tonewood.lab.accuracy.scheme import padded
 from tonewood.lab.accuracy.study import Attempt, Point, Tell, silent, timed
 from tonewood.lab.accuracy.timing import Task
+from tonewood.lab.assembled import continuous_force, integrated
 from tonewood.lab.methods.problem import Problem
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.coupling.inverse import scaled_pinv
@@ -184,19 +185,8 @@ def replace_law(connection: Connection) -> Connection:
     return Connection(connection.name, connection.terms)
 
 
-def continuous_force(law: Contact | HardeningSpring, gap: float, rate: float) -> float:
-    """Force of a law at a gap and its rate, N; it opens the gap where positive."""
-    p, v = law.offset - gap, -rate
-    if isinstance(law, Contact):
-        return law.stiffness * p**law.exponent * (1 + law.loss * v) if p > 0 else 0.0
-    spring = law.stiffness * p + law.cubic * p**3
-    return spring + (law.damping + law.quadratic_damping * abs(v)) * v
-
-
 def integrate(arrays: Arrays, x: Floats, duration: float, fs: float, rtol: float = 1e-11) -> Floats:
     """(n,) displacement at 0, 1 / fs, ... by DOP853; state x (n, 2)."""
-    from scipy.integrate import solve_ivp
-
     m = arrays.modes
     q, v = apply(m.read, x).T
     n = len(q)
@@ -207,14 +197,11 @@ def integrate(arrays: Arrays, x: Floats, duration: float, fs: float, rtol: float
         v = y[n:] * scale
         return np.concatenate([v, arrays.acceleration(y[:n], v) / scale])
 
-    times = np.arange(round(duration * fs)) / fs
     y = np.concatenate([q, v / scale])
-    done = solve_ivp(
-        rate, (0.0, times[-1]), y, method="DOP853", rtol=rtol, atol=rtol * 1e-2 * float(np.abs(y).max()), t_eval=times
+    atol = rtol * 1e-2 * float(np.abs(y).max())
+    return np.asarray(
+        integrated(rate, y, np.arange(round(duration * fs)) / fs, rtol=rtol, atol=atol)[:, :n] @ m.outs[0]
     )
-    if not done.success:
-        raise NumericalError(f"the reference was not found: {done.message}")
-    return np.asarray(m.outs[0] @ done.y[:n])
 
 
 @dataclass(eq=False)
