@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-from tonewood.lab.accuracy.flat import Flat, RealModes
-from tonewood.lab.accuracy.pole_search import continuous_matrix, nearest_zero
 from tonewood.lab.accuracy.reference import ExactMotion, FineMotion
-from tonewood.lab.accuracy.scheme import Runner
-from tonewood.lab.accuracy.schemes import SCHEMES, build
 from tonewood.lab.assembled import Matrices, poles
 from tonewood.lab.methods import METHODS, forms
+from tonewood.lab.methods.pole_search import continuous_matrix, nearest_zero
 from tonewood.lab.methods.problem import Problem
+from tonewood.lab.methods.scheme import Runner
+from tonewood.lab.methods.schemes import SCHEMES, build
 from tonewood.lab.newmark import AVERAGE_ACCELERATION, HHT
 from tonewood.lab.systems.fabre_academic import problem, subsystems, whole
 from tonewood.lab.systems.fabre_forms import proportional_problem
@@ -36,24 +35,24 @@ def given(name: str) -> Problem:
     return proportional_problem()[0] if name in ("verlet", "newmark", "hht") else problem()
 
 
-def plucked(flat: Flat) -> np.ndarray:
-    return flat.static(np.ones(len(flat.problem.inputs)))
+def plucked(flat: Problem) -> np.ndarray:
+    return flat.static(np.ones(len(flat.inputs)))
 
 
 @pytest.mark.parametrize("name", TWINS)
 def test_compiled_method_is_its_step_matrix(name: str) -> None:
-    flat = Flat(given(name))
+    flat = given(name)
     n = 16 if name == "linear_position" else 1000
     runner = Runner(build(name, flat, DT))
     runner.start(plucked(flat))
     got, fault = runner.run(n)
-    forces = np.zeros((n + 1, len(flat.problem.inputs)))
-    wanted = METHODS[TWINS[name]].step_matrix(flat.problem, DT).run(forces, plucked(flat).ravel())
+    forces = np.zeros((n + 1, len(flat.inputs)))
+    wanted = METHODS[TWINS[name]].step_matrix(flat, DT).run(forces, plucked(flat).ravel())
     assert fault == -1
     np.testing.assert_allclose(got, wanted, atol=1e-9 * np.abs(wanted).max())
 
 
-def dense(flat: Flat) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+def dense(flat: Problem) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
     """A, B and f(x) of the acceleration constraint."""
     A = sla.block_diag(*flat.A)
     B, C = flat.B.reshape(len(flat.B), -1).T, flat.C.reshape(len(flat.C), -1)
@@ -62,7 +61,7 @@ def dense(flat: Flat) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np
 
 
 def test_interpolated_forces_are_carried_by_the_exponential() -> None:
-    flat = Flat(problem())
+    flat = problem()
     A, B, force = dense(flat)
     size, m = B.shape
     for degree in (1, 2):
@@ -74,7 +73,7 @@ def test_interpolated_forces_are_carried_by_the_exponential() -> None:
         E = full[:, :size]
         moment = [full[:, size + k * m : size + (k + 1) * m] for k in range(3)]
         x = plucked(flat).ravel()
-        rate = forms.general(flat.problem)
+        rate = forms.general(flat)
         # the motion before time 0, by the exact flow of the constrained system
         real = A - B @ sla.pinv(flat.C.reshape(m, -1) @ A @ B) @ flat.C.reshape(m, -1) @ A @ A
         assert np.max(np.abs(np.sort(np.abs(sla.eigvals(real))) - np.sort(np.abs(sla.eigvals(rate.F))))) < 1e-6
@@ -94,7 +93,7 @@ def test_interpolated_forces_are_carried_by_the_exponential() -> None:
 
 
 def test_quadratures_evaluate_forces_at_their_nodes() -> None:
-    flat = Flat(problem())
+    flat = problem()
     A, B, force = dense(flat)
     E, out = sla.expm(A * DT), flat.out.reshape(1, -1)
     gain = -force(B[:, 0])[0]  # of the force by its own kick
@@ -127,8 +126,8 @@ def test_quadratures_evaluate_forces_at_their_nodes() -> None:
 
 @pytest.mark.parametrize(("name", "method"), [("newmark", AVERAGE_ACCELERATION), ("hht", HHT)])
 def test_newmark_is_newmark_on_the_system_without_its_constraint(name: str, method: object) -> None:
-    flat = Flat(given(name))
-    m = RealModes.of(flat)
+    flat = given(name)
+    m = flat.real
     N = sla.null_space(m.gaps)
     reduced = Matrices(N.T @ N, N.T @ np.diag(2 * m.sigma) @ N, N.T @ np.diag(m.omega2) @ N)
     x = plucked(flat)
@@ -142,8 +141,8 @@ def test_newmark_is_newmark_on_the_system_without_its_constraint(name: str, meth
 
 @pytest.mark.parametrize("name", TWINS)
 def test_poles_of_a_method_are_the_eigenvalues_of_its_step(name: str) -> None:
-    flat = Flat(given(name))
-    step = METHODS[TWINS[name]].step_matrix(flat.problem, DT)
+    flat = given(name)
+    step = METHODS[TWINS[name]].step_matrix(flat, DT)
     known = step.poles()
     true = poles(whole(subsystems())) if name != "verlet" else poles(proportional_problem()[1])
     for pole in build(name, flat, DT).poles(true[true.imag > 0]):
@@ -153,7 +152,7 @@ def test_poles_of_a_method_are_the_eigenvalues_of_its_step(name: str) -> None:
 @pytest.mark.parametrize("name", ["p1", "p2", "trapezoidal", "simpson", "newmark", "hht"])
 def test_a_pole_of_a_method_is_a_motion_of_it(name: str) -> None:
     """Samples two steps apart of a decayed motion obey the recurrence of the two slowest poles that are left."""
-    flat = Flat(given(name))
+    flat = given(name)
     true = poles(proportional_problem()[1] if name in ("newmark", "hht") else whole(subsystems()))
     true = true[true.imag > 0]
     found = build(name, flat, DT).poles(true)
@@ -172,7 +171,7 @@ def test_a_pole_of_a_method_is_a_motion_of_it(name: str) -> None:
 def test_every_method_converges_to_the_true_poles(name: str) -> None:
     """A shorter step brings poles nearer, by about the stated order."""
     order = {"p0": 1, "ab3": 3, "p2": 3, "held_position": 4, "linear_position": 4, "simpson": 3}
-    flat = Flat(given(name))
+    flat = given(name)
     true = poles(proportional_problem()[1] if name in ("verlet", "newmark", "hht") else whole(subsystems()))
     true = true[true.imag > 0]
     coarse, fine = (np.max(np.abs(build(name, flat, dt).poles(true) - true)) for dt in (1 / 400, 1 / 800))
@@ -180,7 +179,7 @@ def test_every_method_converges_to_the_true_poles(name: str) -> None:
 
 
 def test_forces_reported_by_a_real_start_hold_the_gap() -> None:
-    flat = Flat(problem())
+    flat = problem()
     runner = Runner(build("held_position", flat, DT))
     runner.start(plucked(flat))
     runner.run(500)
@@ -190,7 +189,7 @@ def test_forces_reported_by_a_real_start_hold_the_gap() -> None:
 
 def test_exact_motion_is_the_exponential_of_the_assembled_system() -> None:
     given, system = proportional_problem()
-    flat = Flat(given)
+    flat = given
     x = plucked(flat)
     motion = ExactMotion.of(flat, x)
     true = poles(system)
@@ -204,7 +203,7 @@ def test_exact_motion_is_the_exponential_of_the_assembled_system() -> None:
 
 
 def test_superposition_basis_makes_the_same_motion() -> None:
-    flat = Flat(problem())
+    flat = problem()
     motion = ExactMotion.of(flat, plucked(flat))
     basis = motion.basis()
     t = np.arange(200) / 400
@@ -214,9 +213,9 @@ def test_superposition_basis_makes_the_same_motion() -> None:
 
 def test_energy_is_that_of_the_assembled_matrices() -> None:
     given, _ = proportional_problem()
-    flat = Flat(given)
+    flat = given
     x = np.random.default_rng(3).standard_normal((flat.n_modes, 2))
-    m = RealModes.of(flat)
+    m = flat.real
     q, v = np.einsum("nij,nj->ni", m.read, x).T
     assert flat.energy(x) == pytest.approx(0.5 * float(v @ v + m.omega2 @ q**2), rel=1e-12)
 
@@ -234,6 +233,6 @@ def test_nearest_zero_of_a_known_matrix() -> None:
 
 
 def test_continuous_matrix_is_singular_at_the_poles_of_the_whole() -> None:
-    matrix = continuous_matrix(Flat(problem()))
+    matrix = continuous_matrix(problem())
     for pole in poles(whole(subsystems())):
         assert abs(matrix(complex(pole))[0, 0]) < 1e-9 * abs(matrix(complex(pole) * 1.1)[0, 0])

@@ -14,8 +14,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.lab.accuracy.flat import Flat
-from tonewood.lab.accuracy.pole_search import continuous_matrix, nearest_zero
+from tonewood.lab.methods.pole_search import continuous_matrix, nearest_zero
 from tonewood.lab.methods.problem import Problem
 from tonewood.lab.string_end import ExactString, coupled_pole
 from tonewood.lab.systems import fabre_guitar, harp, string_and_body
@@ -110,7 +109,7 @@ def undamped(problem: Problem) -> Problem:
 
 def continuous_poles(problem: Problem, starts: Complexes, joints: Sequence[int] | None = None) -> Complexes:
     """Poles of a problem in continuous time nearest to given ones; see `pole_search.nearest_zero`."""
-    matrix = continuous_matrix(Flat(problem))
+    matrix = continuous_matrix(problem)
     which = [None] * len(starts) if joints is None else [int(j) for j in joints]
     return np.array([nearest_zero(matrix, s, j) for s, j in zip(starts, which, strict=True)])
 

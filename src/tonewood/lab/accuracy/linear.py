@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 
 from tonewood.lab.accuracy.cases import FREQ_UPPER, Case, GuitarCase, sliding_string
-from tonewood.lab.accuracy.flat import Flat
 from tonewood.lab.accuracy.reference import FINE_RATE, FineMotion
 from tonewood.lab.accuracy.study import (
     SECOND_ORDER,
@@ -23,6 +22,7 @@ from tonewood.lab.accuracy.study import (
     superposition_point,
     timed,
 )
+from tonewood.lab.methods.problem import Problem
 from tonewood.lab.systems import fabre_guitar
 from tonewood.physics.modal.modes import ModalBasis
 
@@ -34,12 +34,12 @@ GRID = tuple(1e3 * k for k in (24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768)
 Make = Callable[[], Attempt]
 
 
-def lowest_rate(flat: Flat, limit: float) -> float:
+def lowest_rate(flat: Problem, limit: float) -> float:
     """Sampling rate, Hz, at which the highest mode stands at a limit of |s| h.
 
     Rigid connections lower frequencies (interlacing), so the highest mode of the parts is a safe bound, and near it.
     """
-    return max(float(np.sqrt(b.stiffness.max())) for b in flat.problem.components.values()) / limit
+    return max(float(np.sqrt(b.stiffness.max())) for b in flat.components.values()) / limit
 
 
 def study(case: Case, *, quick: bool = False, tell: Tell = silent) -> list[Point]:
@@ -113,22 +113,22 @@ def _dials(subject: Subject, quick: bool) -> Iterator[Make]:
         value = f"string modes above 10 kHz dropped, {named} their compliance"
         yield partial(own, flat=_cut(flat, 10e3, fold), dial="residual", value=value)
     if subject.case.string is not None:
-        pluck = {"pluck": flat.problem.components["string"].places["pluck"]}
+        pluck = {"pluck": flat.components["string"].places["pluck"]}
         for fold, named in ((True, "with"), (False, "without")):
             basis = sliding_string(subject.case.string, FREQ_UPPER, residual=fold).with_places(pluck)
             value = f"sliding cosines, {named} residual compliance"
             yield partial(own, flat=exchanged(flat, "string", basis), dial="basis", value=value)
 
 
-def exchanged(flat: Flat, name: str, basis: ModalBasis) -> Flat:
+def exchanged(flat: Problem, name: str, basis: ModalBasis) -> Problem:
     """Return the arrays with another basis for one component."""
-    return Flat(replace(flat.problem, components={**flat.problem.components, name: basis}))
+    return replace(flat, components={**flat.components, name: basis})
 
 
-def _cut(flat: Flat, freq: float, fold: bool) -> Flat:
+def _cut(flat: Problem, freq: float, fold: bool) -> Problem:
     """String modes above a frequency dropped from the solved basis, their compliance kept or not."""
     parts = {
         name: basis if name == "body" else basis.select(basis.natural_freq < freq, fold=fold)
-        for name, basis in flat.problem.components.items()
+        for name, basis in flat.components.items()
     }
-    return Flat(replace(flat.problem, components=parts))
+    return replace(flat, components=parts)

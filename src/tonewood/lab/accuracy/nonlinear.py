@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 
 from tonewood import _methods
 from tonewood.errors import NumericalError
-from tonewood.lab.accuracy.flat import Flat, RealModes
 from tonewood.lab.accuracy.measures import energy_drift, wave_errors
-from tonewood.lab.accuracy.scheme import padded
 from tonewood.lab.accuracy.study import Attempt, Point, Tell, silent, timed
 from tonewood.lab.accuracy.timing import Task
 from tonewood.lab.assembled import continuous_force, integrated
-from tonewood.lab.methods.problem import Problem
+from tonewood.lab.methods.problem import Problem, RealModes
+from tonewood.lab.methods.scheme import padded
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.coupling.inverse import scaled_pinv
 from tonewood.physics.coupling.laws import Contact, HardeningSpring
@@ -74,14 +73,14 @@ class NonlinearCase:
     rates: tuple[float, ...]
     verlet_rates: tuple[float, ...]
     lossless: bool
-    start: Callable[[Flat], Floats]
+    start: Callable[[Problem], Floats]
     slow: bool = True
     pitch: float = 0.0
 
     @cached_property
-    def flat(self) -> Flat:
+    def flat(self) -> Problem:
         """All modes side by side."""
-        return Flat(self.problem)
+        return self.problem
 
     @cached_property
     def arrays(self) -> Arrays:
@@ -147,9 +146,9 @@ class Arrays:
     def of(cls, case: NonlinearCase) -> Arrays:
         """Collect them."""
         flat = case.flat
-        modes = RealModes.of(flat)
-        law_gaps = Flat(replace(case.problem, constraints=tuple(replace_law(c) for c in case.laws)))
-        law = RealModes.of(law_gaps).gaps if case.laws else np.zeros((0, flat.n_modes))
+        modes = flat.real
+        law_gaps = replace(case.problem, constraints=tuple(replace_law(c) for c in case.laws))
+        law = law_gaps.real.gaps if case.laws else np.zeros((0, flat.n_modes))
         weights = np.zeros((len(case.tensions), flat.n_modes))
         stiffness = []
         for row, t in zip(weights, case.tensions, strict=True):

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.lab.accuracy.flat import Flat, RealModes, inverses
 from tonewood.lab.accuracy.nonlinear import NonlinearCase
-from tonewood.lab.methods.problem import Problem
+from tonewood.lab.methods.problem import Problem, inverses
 from tonewood.lab.string_end import ExactString
 from tonewood.lab.systems import klosner_problems, string_and_body
 from tonewood.physics.coupling.connections import Connection, Term
@@ -107,10 +106,10 @@ def klosner_case() -> NonlinearCase:
     seat = Connection("seat", (Term("main", "seat", 0.0),))
     problem = Problem(parts, (seat,), (Term("main", "seat"),), (Term("main", "seat"),))
 
-    def bent(flat: Flat) -> Floats:
+    def bent(flat: Problem) -> Floats:
         """Beam at rest under 5 N; the chain displaced as a whole by as much as its seat."""
         x = np.zeros((flat.n_modes, 2))
-        m = RealModes.of(flat)
+        m = flat.real
         q = np.where(m.omega2 > 0, m.outs[0] * 5.0 / np.where(m.omega2 > 0, m.omega2, 1.0), 0.0)
         beam = flat.starts["main"]
         level = float(m.outs[0, beam] @ q[beam])

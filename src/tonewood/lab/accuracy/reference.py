@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.lab.accuracy.flat import Flat
+from tonewood.lab.methods.problem import Problem
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.kernel import KernelStepper
 
@@ -52,7 +52,7 @@ class ExactMotion:
     convergence: float = 0.0
 
     @classmethod
-    def of(cls, flat: Flat, start: Floats, freq_upper: float = np.inf) -> ExactMotion:
+    def of(cls, flat: Problem, start: Floats, freq_upper: float = np.inf) -> ExactMotion:
         """Modes of x' = (A - B S C A^2) x on the states that the constraints allow.
 
         Parameters
@@ -99,7 +99,7 @@ class FineMotion:
     rate : Hz.
     """
 
-    flat: Flat
+    flat: Problem
     start: Floats
     duration: float = 1.0
     rate: int = FINE_RATE
@@ -124,7 +124,7 @@ class FineMotion:
 
     def states(self, n: int) -> Floats:
         """(n + 1, n_outputs) displacements."""
-        system = self.flat.problem.system(1 / self.rate)
+        system = self.flat.system(1 / self.rate)
         stepper = KernelStepper(system)
         state = stepper.start()
         state.modes[:] = self.flat.state_of(self.start, system)

@@ -19,11 +19,11 @@ from tonewood.errors import NumericalError
 from tonewood.lab.accuracy import attacks
 from tonewood.lab.accuracy.attacks import Attack, section
 from tonewood.lab.accuracy.cases import a2_case
-from tonewood.lab.accuracy.flat import Flat
 from tonewood.lab.accuracy.nonlinear import ExplicitRun, NonlinearCase, OwnRun
 from tonewood.lab.accuracy.nonlinear_cases import STEEL, tension_case
-from tonewood.lab.accuracy.scheme import Runner
-from tonewood.lab.accuracy.schemes import build
+from tonewood.lab.methods.problem import Problem
+from tonewood.lab.methods.scheme import Runner
+from tonewood.lab.methods.schemes import build
 from tonewood.lab.string_end import ExactString
 from tonewood.lab.systems import string_and_body
 from tonewood.physics.modal.string_modes import string_basis
@@ -143,16 +143,16 @@ def _linear(quick: bool, duration: float) -> Iterator[Callable[[], Cell]]:
     case = a2_case()
     rates = (48e3, 192e3) if quick else (24e3, 48e3, 96e3, 192e3, 384e3, 768e3)
     for n_modes in (48, 228) if quick else (24, 72, 168, 228, 480):
-        flat = Flat(case.build(_between(string_and_body.A2, n_modes)))
+        flat = case.build(_between(string_and_body.A2, n_modes))
         for label, scheme in LINEAR_METHODS.items():
             for fs in rates:
                 yield partial(linear_cell, flat, label, scheme, 10.0, fs, duration)
 
 
-def linear_cell(flat: Flat, label: str, scheme: str, force: float, fs: float, duration: float) -> Cell:
+def linear_cell(flat: Problem, label: str, scheme: str, force: float, fs: float, duration: float) -> Cell:
     """A linear system under one scheme of `schemes.SCHEMES`."""
     x = flat.static(np.array([force]))
-    n_modes = flat.problem.components["string"].n_modes
+    n_modes = flat.components["string"].n_modes
     runner = Runner(build(scheme, flat, 1 / fs))
     runner.start(x)
     first, growth = flat.energy(x), 1.0

@@ -18,13 +18,12 @@ from tonewood.lab.accuracy.cases import (
     real_modes_of,
     undamped,
 )
-from tonewood.lab.accuracy.flat import Flat
 from tonewood.lab.accuracy.measures import energy_drift, pole_errors, wave_errors
 from tonewood.lab.accuracy.reference import ExactMotion, FineMotion, Motion
-from tonewood.lab.accuracy.scheme import Runner
-from tonewood.lab.accuracy.schemes import build
 from tonewood.lab.accuracy.timing import Task, Timing, measure
 from tonewood.lab.methods.problem import Problem
+from tonewood.lab.methods.scheme import Runner
+from tonewood.lab.methods.schemes import build
 from tonewood.physics.coupling.connections import Term
 from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.stepping.kernel import KernelStepper
@@ -125,7 +124,7 @@ class Subject:
 
     def __init__(self, case: Case, *, real: bool = False):
         self.case, self.real = case, real
-        self._flats: dict[float, Flat] = {}
+        self._flats: dict[float, Problem] = {}
         self._displacements: dict[tuple[float, int], Floats] = {}
 
     def problem(self, freq_upper: float) -> Problem:
@@ -133,10 +132,10 @@ class Subject:
         problem = self.case.build(freq_upper)
         return real_modes_of(problem) if self.real else problem
 
-    def flat(self, freq_upper: float = FREQ_UPPER) -> Flat:
+    def flat(self, freq_upper: float = FREQ_UPPER) -> Problem:
         """Return the problem as flat arrays, made once for each limit (Hz)."""
         if freq_upper not in self._flats:
-            self._flats[freq_upper] = Flat(self.problem(freq_upper))
+            self._flats[freq_upper] = self.problem(freq_upper)
         return self._flats[freq_upper]
 
     @cached_property
@@ -163,9 +162,9 @@ class Subject:
             return self.case.poles
         return continuous_poles(self.problem(2.5 * FREQ_UPPER), self.case.poles, self.joints)
 
-    def start(self, flat: Flat) -> Floats:
+    def start(self, flat: Problem) -> Floats:
         """State at rest under unit forces, to be let go."""
-        return flat.static(np.ones(len(flat.problem.inputs)))
+        return flat.static(np.ones(len(flat.inputs)))
 
     @cached_property
     def motion(self) -> Motion:
@@ -186,14 +185,14 @@ class Subject:
         """Poles of everything that sounds."""
         if isinstance(self.motion, ExactMotion):
             return self.motion.poles
-        bodies = [b.poles for b in self.flat().problem.components.values()]
+        bodies = [b.poles for b in self.flat().components.values()]
         return np.concatenate([self.poles, *bodies])
 
     @cached_property
-    def free_of_loss(self) -> Flat:
+    def free_of_loss(self) -> Problem:
         """The undamped twin, in real modes."""
         problem = self.problem(FREQ_UPPER)
-        return Flat(undamped(problem if self.real else real_modes_of(problem)))
+        return undamped(problem if self.real else real_modes_of(problem))
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,11 +207,11 @@ class Attempt:
 class KernelRun:
     """The project's own stepper behind the interface of `schemes.Runner`."""
 
-    flat: Flat
+    flat: Problem
     fs: float
 
     def __post_init__(self) -> None:
-        self.system: System = self.flat.problem.system(1 / self.fs)
+        self.system: System = self.flat.system(1 / self.fs)
         self.stepper = KernelStepper(self.system)
         self.state = self.stepper.start()
 
@@ -237,7 +236,7 @@ class KernelRun:
 Run = Runner | KernelRun
 
 
-def _follow(run: Run, flat: Flat, start: Floats, fs: float) -> tuple[Floats, Floats, bool]:
+def _follow(run: Run, flat: Problem, start: Floats, fs: float) -> tuple[Floats, Floats, bool]:
     """Displacement at about 48 kHz for `DURATION`, energies at `CHECKS` instants, and whether all is finite."""
     every = max(1, round(fs / 48000))
     part = round(fs * DURATION / CHECKS / every) * every
@@ -255,7 +254,7 @@ def _follow(run: Run, flat: Flat, start: Floats, fs: float) -> tuple[Floats, Flo
 
 
 def attempt(
-    subject: Subject, method: str, fs: float, make: Callable[[Flat], Run], flat: Flat, point: Point,
+    subject: Subject, method: str, fs: float, make: Callable[[Problem], Run], flat: Problem, point: Point,
     poles: Callable[[], Complexes] | None = None,
 ) -> Attempt:  # fmt: skip
     """Run one method on its subject and on the undamped twin."""
@@ -277,7 +276,7 @@ def attempt(
     return Attempt(point, Task(lambda: run.run(steps, steps), steps / fs) if stable == "stable" else None)
 
 
-def drift(subject: Subject, make: Callable[[Flat], Run], fs: float) -> float:
+def drift(subject: Subject, make: Callable[[Problem], Run], fs: float) -> float:
     """Energy drift of the undamped twin."""
     flat = subject.free_of_loss
     _, energies, finite = _follow(make(flat), flat, subject.start(flat), fs)
@@ -289,7 +288,7 @@ def scheme_point(subject: Subject, method: str, fs: float, *, label: str | None 
     """A method of the compiled loop."""
     flat = subject.flat(freq_upper)
 
-    def make(given: Flat) -> Runner:
+    def make(given: Problem) -> Runner:
         return Runner(build(method, given, 1 / fs))
 
     point = Point(subject.case.name, label or method, "fs", f"{fs / 1e3:.4g} kHz", fs, flat.n_modes, "", note=note)
@@ -302,13 +301,13 @@ def scheme_point(subject: Subject, method: str, fs: float, *, label: str | None 
 
 
 def own_point(
-    subject: Subject, fs: float, *, flat: Flat | None = None, dial: str = "fs",
+    subject: Subject, fs: float, *, flat: Problem | None = None, dial: str = "fs",
     value: str | None = None, note: str = "",
 ) -> Attempt:  # fmt: skip
     """The stepper of this project; modes up to 0.45 fs unless a basis is given."""
     given = flat or subject.flat(min(FREQ_UPPER, FREQ_LIMIT * fs))
 
-    def make(some: Flat) -> KernelRun:
+    def make(some: Problem) -> KernelRun:
         return KernelRun(some, fs)
 
     point = Point(subject.case.name, "tonewood", dial, value or f"{fs / 1e3:.4g} kHz", fs, given.n_modes, "", note=note)

@@ -84,22 +84,22 @@ def adams_bashforth_3(ode: forms.Ode, dt: float) -> StepMap:
 
 def velocity_verlet(problem: Problem, dt: float) -> StepMap:
     """q+ = q + dt v + dt^2/2 a;  a+ = P (phi u+ - K q+ - C (v + dt a));  v+ = v + dt/2 (a + a+); state (q, v, a)."""
-    m = forms.real_modes(problem)
-    n = len(m.omega2)
+    m = problem.real
+    project, n = forms.corrective(m)[1], len(m.omega2)
     zero, eye = np.zeros((n, n)), np.eye(n)
-    stiff, loss = m.project * m.omega2, m.project * (2 * m.sigma)
+    stiff, loss = project * m.omega2, project * (2 * m.sigma)
     q = np.concatenate([eye, dt * eye, dt**2 / 2 * eye], axis=1)
     a = -stiff @ q - loss @ np.concatenate([zero, eye, dt * eye], axis=1)
     v = np.concatenate([zero, eye, dt / 2 * eye], axis=1) + dt / 2 * a
-    scatter = m.project @ m.inputs.T
+    scatter = project @ m.inputs.T
     start = np.concatenate([np.eye(2 * n), -np.concatenate([stiff, loss], axis=1)])
     return StepMap(
         dt,
         np.concatenate([q, v, a]),
         np.zeros((3 * n, scatter.shape[1])),
         np.concatenate([np.zeros_like(scatter), dt / 2 * scatter, scatter]),
-        np.concatenate([m.outputs, np.zeros((len(m.outputs), 2 * n))], axis=1),
-        start @ m.embed,
+        np.concatenate([m.outs, np.zeros((len(m.outs), 2 * n))], axis=1),
+        start @ forms.embedding(m),
     )
 
 

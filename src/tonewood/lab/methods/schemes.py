@@ -19,8 +19,8 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.lab.accuracy.flat import Flat, RealModes, inverses, product, through
-from tonewood.lab.accuracy.scheme import Scheme
+from tonewood.lab.methods.problem import Problem, inverses, product, through
+from tonewood.lab.methods.scheme import Scheme
 from tonewood.lab.newmark import AVERAGE_ACCELERATION, HHT, Newmark
 from tonewood.physics.coupling.inverse import scaled_pinv
 from tonewood.physics.modal.propagator import apply
@@ -33,9 +33,9 @@ Complexes = NDArray[np.complex128]
 
 
 def _flow_scheme(
-    flat: Flat, dt: float, scatter: list[list[Floats]], reads: Floats, G: list[Floats], K: list[Floats] | None = None,
-    *, begin: Callable[[Floats], tuple[Floats, Floats]] | None = None, ahead: Floats | None = None,
-    shift: Floats | None = None,
+    flat: Problem, dt: float, scatter: list[list[Floats]], reads: Floats, G: list[Floats],
+    K: list[Floats] | None = None, *, begin: Callable[[Floats], tuple[Floats, Floats]] | None = None,
+    ahead: Floats | None = None, shift: Floats | None = None,
 ) -> Scheme:  # fmt: skip
     """scatter: by phase and lag (m, n, 2).  ahead: (m, n, 2) that forces add to the state read out, first phase."""
     m, phases, lags = len(G[0]), len(scatter), len(scatter[0])
@@ -67,22 +67,22 @@ def _flow_scheme(
     )
 
 
-def held_position(flat: Flat, dt: float) -> Scheme:
+def held_position(flat: Problem, dt: float) -> Scheme:
     """The scheme of this project, a sweep per sample: force held over the step, gap zero at its end."""
     E, phi1 = flat.flow(dt)
-    solve = flat.problem.system(dt).solve
+    solve = flat.system(dt).solve
     reads = through(flat.C, E) + solve.gamma[:, None, None] * flat.C
     return _flow_scheme(flat, dt, [[dt * apply(phi1, flat.B)]], reads, [solve.G])
 
 
-def held_velocity(flat: Flat, dt: float) -> Scheme:
+def held_velocity(flat: Problem, dt: float) -> Scheme:
     """Force held over the step, gap at rest at its end."""
     E, phi1 = flat.flow(dt)
     CA, W = through(flat.C, flat.A), dt * apply(phi1, flat.B)
     return _flow_scheme(flat, dt, [[W]], through(CA, E), [scaled_pinv(product(CA, W))])
 
 
-def linear_position(flat: Flat, dt: float) -> Scheme:
+def linear_position(flat: Problem, dt: float) -> Scheme:
     """Force linear in time over the step, gap zero at its end. Unstable at any step: one of the traps."""
     E, phi1, phi2 = flat.flow(dt, 2)
     new, old = dt * apply(phi2, flat.B), dt * apply(phi1 - phi2, flat.B)
@@ -90,7 +90,7 @@ def linear_position(flat: Flat, dt: float) -> Scheme:
     return _flow_scheme(flat, dt, [[new, old]], through(flat.C, E), [G], [G @ product(flat.C, old)])
 
 
-def _past_forces(flat: Flat, x: Floats, dt: float, lags: int) -> Floats:
+def _past_forces(flat: Problem, x: Floats, dt: float, lags: int) -> Floats:
     """(lags, m) forces one, two, ... steps ago of a free motion, by its Taylor series to second order."""
     first = flat.rate(x)
     second = flat.rate(first)
@@ -98,7 +98,7 @@ def _past_forces(flat: Flat, x: Floats, dt: float, lags: int) -> Floats:
     return -np.array([flat.S @ np.einsum("mnx,nx->m", flat.CA2, y) for y in ago]).reshape(lags, len(flat.S))
 
 
-def interpolated(flat: Flat, dt: float, degree: int) -> Scheme:
+def interpolated(flat: Problem, dt: float, degree: int) -> Scheme:
     """Force from the acceleration constraint at t_n and `degree` steps before it, continued over the step: P0, P1, P2.
 
     Newton's backward differences: f(t_n + s h) = f_n + s df_n + s (s + 1)/2 ddf_n, carried exactly by phi-functions.
@@ -121,12 +121,12 @@ def interpolated(flat: Flat, dt: float, degree: int) -> Scheme:
 _BINOMIAL = ((1.0,), (1.0, 1.0), (1.0, 2.0, 1.0))
 
 
-def _through_kick(flat: Flat, kick: Floats) -> Floats:
+def _through_kick(flat: Problem, kick: Floats) -> Floats:
     """(m, m) G of a force that is right after its own kick: f = -S C A^2 (s + kick f)  =>  f = -G C A^2 s."""
     return np.asarray(sla.solve(np.eye(len(flat.S)) + flat.S @ product(flat.CA2, kick), flat.S))
 
 
-def _before_kick(flat: Flat, kick: Floats) -> Callable[[Floats], tuple[Floats, Floats]]:
+def _before_kick(flat: Problem, kick: Floats) -> Callable[[Floats], tuple[Floats, Floats]]:
     """State x -> numbers of x without the kick of its force."""
 
     def begin(x: Floats) -> tuple[Floats, Floats]:
@@ -136,7 +136,7 @@ def _before_kick(flat: Flat, kick: Floats) -> Callable[[Floats], tuple[Floats, F
     return begin
 
 
-def trapezoidal(flat: Flat, dt: float) -> Scheme:
+def trapezoidal(flat: Problem, dt: float) -> Scheme:
     """Trapezoidal rule for the integral of exp(A (h - t)) B f(t); the state is kept just before the kick of f_n."""
     E = flat.flow(dt, 0)[0]
     kick = 0.5 * dt * flat.B
@@ -144,7 +144,7 @@ def trapezoidal(flat: Flat, dt: float) -> Scheme:
     return _flow_scheme(flat, dt, [[dt * apply(E, flat.B)]], flat.CA2, [G], begin=_before_kick(flat, kick), shift=kick)
 
 
-def simpson(flat: Flat, dt: float) -> Scheme:
+def simpson(flat: Problem, dt: float) -> Scheme:
     """Simpson's rule over two steps; its middle state, where the force is asked for, by the trapezoidal rule."""
     E = flat.flow(dt, 0)[0]
     kick, turned = dt / 3 * flat.B, apply(E, flat.B)
@@ -161,7 +161,7 @@ def simpson(flat: Flat, dt: float) -> Scheme:
 # ---- other rules ----
 
 
-def adams_bashforth(flat: Flat, dt: float) -> Scheme:
+def adams_bashforth(flat: Problem, dt: float) -> Scheme:
     """Adams-Bashforth 3 on Udwadia and Kalaba's equation in complex modes (Fabre et al. 2024, Eq. 26)."""
     m = len(flat.S)
 
@@ -188,9 +188,9 @@ def adams_bashforth(flat: Flat, dt: float) -> Scheme:
     )
 
 
-def verlet(flat: Flat, dt: float) -> Scheme:
+def verlet(flat: Problem, dt: float) -> Scheme:
     """Velocity Verlet with the constraint on accelerations, real modes (Antunes & Debut 2017)."""
-    r = RealModes.of(flat)
+    r = flat.real
     m = len(r.gaps)
     G = scaled_pinv(r.gaps @ r.gaps.T)
     back = inverses(r.read)
@@ -223,9 +223,9 @@ def verlet(flat: Flat, dt: float) -> Scheme:
     )
 
 
-def newmark(flat: Flat, dt: float, method: Newmark) -> Scheme:
+def newmark(flat: Problem, dt: float, method: Newmark) -> Scheme:
     """Newmark's family and HHT-alpha (Hilber, Hughes & Taylor 1977), real modes, gaps without acceleration."""
-    r = RealModes.of(flat)
+    r = flat.real
     m, w, b, g = len(r.gaps), 1 + method.alpha, method.beta, method.gamma
     loss, stiff = 2 * r.sigma * dt, r.omega2 * dt**2
     lead = 1 + w * g * loss + w * b * stiff
@@ -256,7 +256,7 @@ def newmark(flat: Flat, dt: float, method: Newmark) -> Scheme:
     )
 
 
-def build(name: str, flat: Flat, dt: float) -> Scheme:
+def build(name: str, flat: Problem, dt: float) -> Scheme:
     """A method by its name in `SCHEMES`.
 
     Raises
@@ -266,7 +266,7 @@ def build(name: str, flat: Flat, dt: float) -> Scheme:
     return SCHEMES[name](flat, dt)
 
 
-SCHEMES: Mapping[str, Callable[[Flat, float], Scheme]] = {
+SCHEMES: Mapping[str, Callable[[Problem, float], Scheme]] = {
     "held_position": held_position,
     "held_velocity": held_velocity,
     "p0": lambda flat, dt: interpolated(flat, dt, 0),

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood import _methods
-from tonewood.lab.accuracy.flat import Flat, product, through
-from tonewood.lab.accuracy.pole_search import Products, Transfer, nearest_zero
+from tonewood.lab.methods.pole_search import Products, Transfer, nearest_zero
+from tonewood.lab.methods.problem import Problem, product, through
 from tonewood.physics.modal.propagator import apply
 from tonewood.physics.stepping.kernel import instruction_set
 
@@ -37,7 +37,7 @@ class Scheme:
     motion : numbers of every mode (n_state, n) -> x (n, 2).
     """
 
-    flat: Flat
+    flat: Problem
     dt: float
     rule: str
     coef: Floats
