@@ -69,9 +69,9 @@ def accuracy(
         return
     if target is not None or notes or apply or settings:
         raise TonewoodError("--target, --notes, --apply and --set need -i INSTRUMENT", key="-i")
-    from tonewood.lab.accuracy import catalogue
+    from tonewood.lab.accuracy import cases
 
-    catalogue.selected(system)
+    cases.selected(system)
     if stability:
         _stability(system, quick, plot, report, as_json)
         return
@@ -81,11 +81,12 @@ def accuracy(
 
     from tonewood.lab.accuracy import dial, tables, timing
     from tonewood.lab.accuracy.report import HEADLINE, SHORT, Study
+    from tonewood.lab.accuracy.study import run
     from tonewood.support.whole_files import write_whole
 
     more: dict[str, tuple[str, object]] = {}
     with progress("comparing", 1.05) as advance:
-        outcomes = list(catalogue.run(system, quick=quick, tell=advance))
+        outcomes = list(run(system, quick=quick, tell=advance))
         if system is None:
             points = dial.run(quick=quick, tell=lambda share: advance(1 + 0.05 * share))
             more["dial"] = (dial.section(points), [p.to_dict() for p in points])

@@ -14,25 +14,18 @@ from tonewood.lab.methods import METHODS, forms
 from tonewood.lab.methods.pole_search import continuous_matrix, nearest_zero
 from tonewood.lab.methods.problem import Problem
 from tonewood.lab.methods.scheme import Runner
-from tonewood.lab.methods.schemes import SCHEMES, build
 from tonewood.lab.newmark import AVERAGE_ACCELERATION, HHT
 from tonewood.lab.systems.fabre_academic import problem, subsystems, whole
 from tonewood.lab.systems.fabre_forms import proportional_problem
 
 DT = 1 / 400
-#: compiled -> the same as a step matrix, from other code
-TWINS = {
-    "held_position": "held_position",
-    "held_velocity": "held_velocity",
-    "p0": "held_acceleration",
-    "linear_position": "linear_position",
-    "ab3": "ab3_general",
-    "verlet": "verlet_real",
-}
+#: compiled, and as a step matrix, from other code
+TWINS = [name for name, method in METHODS.items() if method.scheme and method.matrix]
+SCHEMES = [name for name, method in METHODS.items() if method.scheme]
 
 
 def given(name: str) -> Problem:
-    return proportional_problem()[0] if name in ("verlet", "newmark", "hht") else problem()
+    return proportional_problem()[0] if METHODS[name].real else problem()
 
 
 def plucked(flat: Problem) -> np.ndarray:
@@ -43,11 +36,11 @@ def plucked(flat: Problem) -> np.ndarray:
 def test_compiled_method_is_its_step_matrix(name: str) -> None:
     flat = given(name)
     n = 16 if name == "linear_position" else 1000
-    runner = Runner(build(name, flat, DT))
+    runner = Runner(METHODS[name].arrays(flat, DT))
     runner.start(plucked(flat))
     got, fault = runner.run(n)
     forces = np.zeros((n + 1, len(flat.inputs)))
-    wanted = METHODS[TWINS[name]].step_matrix(flat, DT).run(forces, plucked(flat).ravel())
+    wanted = METHODS[name].step_matrix(flat, DT).run(forces, plucked(flat).ravel())
     assert fault == -1
     np.testing.assert_allclose(got, wanted, atol=1e-9 * np.abs(wanted).max())
 
@@ -87,7 +80,7 @@ def test_interpolated_forces_are_carried_by_the_exponential() -> None:
                 x = x + (moment[2] + 0.5 * moment[1]) @ second
             past = [f, past[0]]
             wanted.append(flat.out.reshape(1, -1) @ x)
-        runner = Runner(build(f"p{degree}", flat, DT))
+        runner = Runner(METHODS[f"p{degree}"].arrays(flat, DT))
         runner.start(plucked(flat))
         np.testing.assert_allclose(runner.run(50)[0], wanted, atol=1e-11 * np.abs(wanted).max())
 
@@ -108,7 +101,7 @@ def test_quadratures_evaluate_forces_at_their_nodes() -> None:
         x, f = kicked(E @ (x + DT / 2 * B @ f), DT / 2)
         np.testing.assert_allclose(f, force(x), rtol=1e-9)
         wanted.append(out @ x)
-    runner = Runner(build("trapezoidal", flat, DT))
+    runner = Runner(METHODS["trapezoidal"].arrays(flat, DT))
     runner.start(plucked(flat))
     np.testing.assert_allclose(runner.run(60)[0], wanted, atol=1e-11 * np.abs(wanted).max())
 
@@ -119,7 +112,7 @@ def test_quadratures_evaluate_forces_at_their_nodes() -> None:
         wanted.append(out @ middle)
         x, f = kicked(E @ E @ (x + DT / 3 * B @ f) + 4 * DT / 3 * E @ B @ f_middle, DT / 3)
         wanted.append(out @ x)
-    runner = Runner(build("simpson", flat, DT))
+    runner = Runner(METHODS["simpson"].arrays(flat, DT))
     runner.start(plucked(flat))
     np.testing.assert_allclose(runner.run(60)[0], wanted, atol=1e-11 * np.abs(wanted).max())
 
@@ -134,7 +127,7 @@ def test_newmark_is_newmark_on_the_system_without_its_constraint(name: str, meth
     q = np.einsum("nij,nj->ni", m.read, x)[:, 0]
     motion, _ = method.run(reduced, DT, 501, (N.T @ q, np.zeros(N.shape[1])))  # type: ignore[attr-defined]  # of both methods
     wanted = motion @ (m.outs @ N).T
-    runner = Runner(build(name, flat, DT))
+    runner = Runner(METHODS[name].arrays(flat, DT))
     runner.start(x)
     np.testing.assert_allclose(runner.run(500)[0], wanted, atol=1e-10 * np.abs(wanted).max())
 
@@ -142,10 +135,10 @@ def test_newmark_is_newmark_on_the_system_without_its_constraint(name: str, meth
 @pytest.mark.parametrize("name", TWINS)
 def test_poles_of_a_method_are_the_eigenvalues_of_its_step(name: str) -> None:
     flat = given(name)
-    step = METHODS[TWINS[name]].step_matrix(flat, DT)
+    step = METHODS[name].step_matrix(flat, DT)
     known = step.poles()
     true = poles(whole(subsystems())) if name != "verlet" else poles(proportional_problem()[1])
-    for pole in build(name, flat, DT).poles(true[true.imag > 0]):
+    for pole in METHODS[name].arrays(flat, DT).poles(true[true.imag > 0]):
         assert np.min(np.abs(known - pole)) < 1e-9 * abs(pole)
 
 
@@ -153,10 +146,10 @@ def test_poles_of_a_method_are_the_eigenvalues_of_its_step(name: str) -> None:
 def test_a_pole_of_a_method_is_a_motion_of_it(name: str) -> None:
     """Samples two steps apart of a decayed motion obey the recurrence of the two slowest poles that are left."""
     flat = given(name)
-    true = poles(proportional_problem()[1] if name in ("newmark", "hht") else whole(subsystems()))
+    true = poles(proportional_problem()[1] if METHODS[name].real else whole(subsystems()))
     true = true[true.imag > 0]
-    found = build(name, flat, DT).poles(true)
-    runner = Runner(build(name, flat, DT))
+    found = METHODS[name].arrays(flat, DT).poles(true)
+    runner = Runner(METHODS[name].arrays(flat, DT))
     runner.start(plucked(flat))
     y = runner.run(6000)[0][::2, 0]
     keep = np.concatenate([found, found.conj()])
@@ -170,17 +163,16 @@ def test_a_pole_of_a_method_is_a_motion_of_it(name: str) -> None:
 @pytest.mark.parametrize("name", SCHEMES)
 def test_every_method_converges_to_the_true_poles(name: str) -> None:
     """A shorter step brings poles nearer, by about the stated order."""
-    order = {"p0": 1, "ab3": 3, "p2": 3, "held_position": 4, "linear_position": 4, "simpson": 3}
     flat = given(name)
-    true = poles(proportional_problem()[1] if name in ("verlet", "newmark", "hht") else whole(subsystems()))
+    true = poles(proportional_problem()[1] if METHODS[name].real else whole(subsystems()))
     true = true[true.imag > 0]
-    coarse, fine = (np.max(np.abs(build(name, flat, dt).poles(true) - true)) for dt in (1 / 400, 1 / 800))
-    assert np.log2(coarse / fine) > order.get(name, 2) - 0.35
+    coarse, fine = (np.max(np.abs(METHODS[name].arrays(flat, dt).poles(true) - true)) for dt in (1 / 400, 1 / 800))
+    assert np.log2(coarse / fine) > METHODS[name].order - 0.35
 
 
 def test_forces_reported_by_a_real_start_hold_the_gap() -> None:
     flat = problem()
-    runner = Runner(build("held_position", flat, DT))
+    runner = Runner(METHODS["held_position"].arrays(flat, DT))
     runner.start(plucked(flat))
     runner.run(500)
     gap = np.einsum("mnx,nx->m", flat.C, runner.x)

@@ -143,7 +143,7 @@ def rows() -> Iterator[Row]:
                 float(np.abs(stepped - expected[:2000]).max() / peak),
                 1e-9,
             )
-            ab3 = impulse_response(this, "ab3_general", n)
+            ab3 = impulse_response(this, "ab3", n)
             yield Row(SYSTEM, "case 1: waveform of m9 by AB3 at 4 kHz", by_expm, 0, _gap(ab3, expected), 1e-5)
         grid = np.linspace(0.2, 5.0, 97)
         direct = assembled.receptance(reference, 2j * np.pi * grid, 7, 1)

@@ -23,7 +23,6 @@ from tonewood.lab.string_end import ExactString, coupled_pole
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.modal.damping import phase_collinearity, with_damping_case
 from tonewood.physics.modal.modes import ModalBasis
-from tonewood.physics.modal.string_modes import string_basis
 from tonewood.physics.modal.synthesis import basis_from_matrices
 
 Floats = NDArray[np.float64]
@@ -49,17 +48,7 @@ def exact_string() -> ExactString:
 
 def string(freq_upper: float | None = None, n_modes: int | None = None) -> ModalBasis:
     """Return the string's modes, with the point ``pluck``."""
-    s = exact_string()
-    basis = string_basis(
-        s.length,
-        s.tension,
-        s.linear_density,
-        s.bending_stiffness,
-        lambda omega, k: 2 * SIGMA0 / omega,
-        freq_upper=freq_upper,
-        n_modes=n_modes,
-    )
-    return basis.with_places({"pluck": PLUCK * s.length})
+    return exact_string().basis({"pluck": PLUCK}, freq_upper=freq_upper, n_modes=n_modes)
 
 
 def body(case: str = "complex") -> ModalBasis:
@@ -141,7 +130,7 @@ def rows() -> Iterator[Row]:
     held = Problem({"string": fine}, (Connection("wall", (Term("string", "bridge"),)),))
     poles = METHODS["held_position"].step_matrix(held, 1 / 96000).poles()
     for n in (1, 10, 20):
-        reference = -exact.sigma0 + 1j * np.sqrt((2 * np.pi * exact.held_freq(n)) ** 2 - exact.sigma0**2)
+        reference = exact.pole(n)
         closed = "n f0 sqrt(1 + B n^2)"
         yield Row(
             SYSTEM,

@@ -25,8 +25,6 @@ from tonewood.lab.systems.fabre_guitar import FORCE, PLUCK, RAMP, cents, nearest
 from tonewood.lab.systems.harp_body import FREQS, harp_body, harp_body_matrices
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.modal.damping import damping_groups, phase_collinearity, separation, with_damping_case
-from tonewood.physics.modal.modes import ModalBasis
-from tonewood.physics.modal.string_modes import string_basis
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -46,23 +44,10 @@ def exact_string() -> ExactString:
     return ExactString(length, mu * (2 * length * freq) ** 2, mu, young_modulus * np.pi * radius**4 / 4, SIGMA0)
 
 
-def string(n_modes: int) -> ModalBasis:
-    """Return the string's modes, with the point ``pluck``."""
-    s = exact_string()
-    basis = string_basis(
-        s.length,
-        s.tension,
-        s.linear_density,
-        s.bending_stiffness,
-        lambda omega, k: 2 * SIGMA0 / omega,
-        n_modes=n_modes,
-    )
-    return basis.with_places({"pluck": PLUCK * s.length})
-
-
 def problem(n_modes: int, case: str = "complex") -> Problem:
     """Force on the string, displacement of the board where it is tied."""
-    components = {"string": string(n_modes), "body": with_damping_case(harp_body(), case)}
+    string = exact_string().basis({"pluck": PLUCK}, n_modes=n_modes)
+    components = {"string": string, "body": with_damping_case(harp_body(), case)}
     return Problem(components, (STRING_4,), (Term("string", "pluck"),), (Term("body", "s4"),))
 
 

@@ -19,7 +19,6 @@ from tonewood.lab.string_end import ExactString, coupled_pole
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.system import System
 from tonewood.physics.modal.modes import ModalBasis
-from tonewood.physics.modal.string_modes import string_basis
 from tonewood.physics.modal.synthesis import basis_from_matrices
 
 Floats = NDArray[np.float64]
@@ -34,6 +33,7 @@ SIXTEEN_MODES = (
 )  # fmt: skip
 #: ideal A2: T (N), mu (kg/m), L (m)
 A2 = ExactString(0.65, 73.9, 3.61e-3)
+BRIDGE = Connection("bridge", (Term("string", "bridge"), Term("body", "bridge", -1.0)))
 #: coupled partials of the ideal A2 on the sixteen modes: Hz, decay 1/s; roots of 1 + Y Z0 coth(s L / c) = 0
 A2_COUPLED = ((110.1953, 0.2701), (221.0483, 0.7301), (330.3229, 0.0820), (440.5852, 0.7260))
 
@@ -54,16 +54,7 @@ def sixteen_mode_receptance(s: complex) -> complex:
 
 def on_sixteen_modes(string: ExactString, freq_upper: float) -> Problem:
     """A lossless string on the body."""
-    basis = string_basis(
-        string.length,
-        string.tension,
-        string.linear_density,
-        string.bending_stiffness,
-        lambda omega, k: 2 * string.sigma0 / omega,
-        freq_upper=freq_upper,
-    )
-    bridge = Connection("bridge", (Term("string", "bridge"), Term("body", "bridge", -1.0)))
-    return Problem({"string": basis, "body": sixteen_modes()}, (bridge,))
+    return Problem({"string": string.basis(freq_upper=freq_upper), "body": sixteen_modes()}, (BRIDGE,))
 
 
 def weinreich_pair(split: float, r: float, freq: float = 440.0) -> StepMap:
