@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tonewood.lab.component_modes import fixed_base_modes, free_free_modes
 from tonewood.lab.figures import save
 from tonewood.lab.klosner_forms import MainStructure, fixed_base_form, free_free_form
-from tonewood.lab.row import Row
+from tonewood.lab.row import Row, halving_order
 from tonewood.lab.systems.klosner_modes import MOUNTINGS, WAYS, errors, modes_needed
 from tonewood.lab.systems.klosner_problems import (
     BEAM,
@@ -62,7 +62,7 @@ def measured_order(problem: Problem, form: str, reference: Motion, refinements: 
     for k in (2**i for i in range(refinements)):
         fine = by_engine(problem, form, DT / k, n * k)
         error.append(difference(reference, Motion(fine.main[::k], fine.sub[::k], fine.force[::k])))
-    return float(np.log2(error[-2] / error[-1])), error[-1]
+    return halving_order(error[-2], error[-1]), error[-1]
 
 
 def coupled_frequencies(form: str, n_modes: int, count: int) -> Floats:

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.lab.figures import figure, save
-from tonewood.lab.methods import METHODS, Problem, StepMap, system_map
-from tonewood.lab.row import Row
+from tonewood.lab.methods import Problem, StepMap, system_map
+from tonewood.lab.methods.matrices import held_position
+from tonewood.lab.row import Row, nearest
 from tonewood.lab.string_end import ExactString, coupled_pole
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.system import System
@@ -97,10 +98,10 @@ def rows() -> Iterator[Row]:
 def _end_loaded() -> Iterator[Row]:
     system = "A2 on 16 modes"
     problem = on_sixteen_modes(A2, 20000.0)
-    poles = METHODS["held_position"].step_matrix(problem, 1 / 48000).poles()
+    poles = held_position(problem, 1 / 48000).poles()
     for n, (freq, decay) in enumerate(A2_COUPLED, start=1):
         exact = coupled_pole(A2, sixteen_mode_receptance, n)
-        got = complex(poles[np.argmin(np.abs(poles - exact))])
+        got = nearest(poles, exact)
         source = "roots of 1 + Y Z0 coth(s L/c)"
         yield Row(system, f"partial {n} (Hz)", source + ", 4 decimals", freq, got.imag / (2 * np.pi), 2e-4)
         yield Row(system, f"partial {n} decay (1/s)", source + ", 4 decimals", decay, -got.real, 1e-4)
@@ -110,14 +111,9 @@ def _end_loaded() -> Iterator[Row]:
         mobility = exact.imag * 1j * sixteen_mode_receptance(1j * exact.imag)
         approximate = 2 * A2.fundamental * A2.impedance * mobility.real
         yield Row(
-            system,
-            f"partial {n} decay through the body (1/s)",
-            "2 f0 Z0 Re Y",
-            approximate,
-            -got.real,
-            0.05,
+            system, f"partial {n} decay through the body (1/s)", "2 f0 Z0 Re Y", approximate, -got.real, 0.05,
             relative=True,
-        )
+        )  # fmt: skip
 
 
 def _weinreich() -> Iterator[Row]:
@@ -172,14 +168,14 @@ def plots(directory: Path) -> list[Path]:
         xlabel="split (rad/s)", ylabel="1/s, rad/s", title="Weinreich's pair: decay (black), beating (blue), r = 2"
     )
     partials = np.arange(1, 31)
-    poles = METHODS["held_position"].step_matrix(on_sixteen_modes(A2, 20000.0), 1 / 48000).poles()
+    poles = held_position(on_sixteen_modes(A2, 20000.0), 1 / 48000).poles()
     exact_poles = [coupled_pole(A2, sixteen_mode_receptance, int(n)) for n in partials]
     rough = [
         2 * A2.fundamental * A2.impedance * (1j * p.imag * sixteen_mode_receptance(1j * p.imag)).real
         for p in exact_poles
     ]
     decay.semilogy(partials, [-p.real for p in exact_poles], "ko", mfc="none", label="exact end of the string")
-    decay.semilogy(partials, [-poles[np.argmin(np.abs(poles - p))].real for p in exact_poles], "C3.", label="48 kHz")
+    decay.semilogy(partials, [-nearest(poles, p).real for p in exact_poles], "C3.", label="48 kHz")
     decay.semilogy(partials, rough, "C0_", label="2 f0 Z0 Re Y")
     decay.set(xlabel="partial", ylabel="decay (1/s)", title="Ideal A2 on 16 guitar modes")
     decay.legend(fontsize=8)
