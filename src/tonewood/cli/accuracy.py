@@ -69,9 +69,9 @@ def accuracy(
         return
     if target is not None or notes or apply or settings:
         raise TonewoodError("--target, --notes, --apply and --set need -i INSTRUMENT", key="-i")
-    from tonewood.lab.accuracy import cases
+    from tonewood.lab.accuracy import catalogue
 
-    cases.selected(system)
+    catalogue.selected(system)
     if stability:
         _stability(system, quick, plot, report, as_json)
         return

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tonewood.errors import TonewoodError
-from tonewood.lab.accuracy import answer, cases, report, tables
+from tonewood.lab.accuracy import answer, catalogue, report, tables
 from tonewood.lab.accuracy.measures import energy_drift, pole_errors, wave_errors
 from tonewood.lab.accuracy.outcome import DECAY, PITCH, WAVEFORM, Outcome, Point, front, headlines, line, seconds_at
 
@@ -148,13 +148,13 @@ def outcome() -> Outcome:
 
 def test_unknown_system_is_reported_in_one_line() -> None:
     with pytest.raises(TonewoodError, match="--system: is 'fabre'; there are fabre_guitar, harp"):
-        cases.selected("fabre")
+        catalogue.selected("fabre")
 
 
 def test_systems_of_a_run() -> None:
-    assert cases.selected("harp_block", quick=True) == ["harp_block"]
-    assert len(cases.selected(None)) == 10
-    assert set(cases.selected(None)) - set(cases.selected(None, quick=True)) == {
+    assert catalogue.selected("harp_block", quick=True) == ["harp_block"]
+    assert len(catalogue.selected(None)) == 10
+    assert set(catalogue.selected(None)) - set(catalogue.selected(None, quick=True)) == {
         "harp_block",
         "harp_proportional",
     }

@@ -17,7 +17,8 @@ import numpy as np
 
 from tonewood.lab.accuracy import attacks
 from tonewood.lab.accuracy.attacks import Attack, section
-from tonewood.lab.accuracy.cases import STEEL, a2_case, plucked_steel
+from tonewood.lab.accuracy.cases import a2_case
+from tonewood.lab.accuracy.nonlinear_cases import STEEL, plucked_steel
 from tonewood.lab.accuracy.runs import ExplicitRun, KernelRun, Run, Scene, SchemeRun
 from tonewood.lab.accuracy.timing import Tell, silent
 from tonewood.lab.methods import METHODS

@@ -12,18 +12,16 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.lab.accuracy.cases import (
-    CASES,
     FREQ_UPPER,
     Case,
-    NonlinearCase,
-    Truth,
     continuous_poles,
     real_modes_of,
-    selected,
     sliding_string,
     undamped,
 )
+from tonewood.lab.accuracy.catalogue import CASES, selected
 from tonewood.lab.accuracy.measures import energy_drift, pole_errors, wave_errors
+from tonewood.lab.accuracy.nonlinear_cases import NonlinearCase, Truth
 from tonewood.lab.accuracy.outcome import DECAY, PITCH, WAVEFORM, Outcome, Point
 from tonewood.lab.accuracy.reference import FINE_RATE, ExactMotion, FineMotion, Motion
 from tonewood.lab.accuracy.runs import ExplicitRun, KernelRun, Run, Scene, SchemeRun
