@@ -2,12 +2,12 @@
 
 Edits are drawn from the syntax of a package's sources: a sign, a factor of 2, a term or a condition dropped, < for <=,
 off by one, min for max, `not`, a conjugate dropped, arguments swapped, a constant returned. Texts, types, messages and
-limits of keys are left alone. Each edit is made in a copy of the tree, in which those tests of the package, and
-of files that import the module, that reach the edited line (coverage.py has seen them once) run until one fails. Tests beyond the time limit decide nothing;
-tests that fail without any edit do not run; a package whose tests do not end is left out. `kernel` is the C++ kernel,
-built again for each edit, without optimisation and for one instruction set. Edits that no test noticed are for a person
-to read: one that changes nothing is no gap. ``--where FILE`` or ``FILE:LINE`` draws edits there alone; ``--tests
-PATH...`` replaces the tests.
+limits of keys are left alone. Each edit is made in a copy of the tree, in which those tests of the package, and of
+files that import the module, run until one fails that reach the edited line (coverage.py has seen them once). Tests
+beyond the time limit decide nothing; tests that fail without any edit do not run; a package whose tests do not end is
+left out. `kernel` is the C++ kernel, built again for each edit, without optimisation and for one instruction set.
+Edits that no test noticed are for a person to read: one that changes nothing is no gap. ``--where FILE`` or
+``FILE:LINE`` draws edits there alone; ``--tests PATH...`` replaces the tests.
 """
 
 from __future__ import annotations
