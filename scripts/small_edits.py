@@ -34,6 +34,21 @@ SAID = {
     "timeout",
 }
 SAID |= {"encoding", "help", "lru_cache", "maxsize", "sleep", "exist_ok", "overwrite_a", "check_finite"}
+SAID |= {
+    "frozen",
+    "lw",
+    "linewidth",
+    "ms",
+    "markersize",
+    "alpha",
+    "fontsize",
+    "color",
+    "zorder",
+    "pad",
+    "rotation",
+    "figsize",
+}
+SAID |= {"set_params", "tight_layout", "savefig", "legend", "tick_params", "set_title", "annotate"}
 #: functions of which the order of two arguments says nothing
 SYMMETRIC = {"isclose", "allclose", "array_equal", "hypot", "gcd", "multiply", "add", "union1d", "isinstance"}
 #: C++ as the formatted sources have it: pattern, and its replacement
