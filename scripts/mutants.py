@@ -18,7 +18,9 @@ import gc
 import hashlib
 import importlib
 import importlib.util
+import itertools
 import json
+import math
 import os
 import random
 import re
@@ -253,7 +255,7 @@ class Copy:
         lines = re.findall(r"^(?:FAILED|ERROR) (.*)", text, re.M)
         return "" if ended[1] == 0 else lines[0] if lines else " ".join(text.split()[-12:])
 
-    def judged(self, package: str, edits: list[Edit], tests: list[str], limit: float) -> int:
+    def judged(self, package: str, edits: list[Edit], tests: list[str], limit: float, seconds: float) -> int:
         """Make edits one by one, print the verdict on each, return how many no test noticed; 1 if tests do not run."""
         if package == "kernel" and not self.build():
             sys.exit("kernel: it does not compile without any edit")
@@ -266,20 +268,25 @@ class Copy:
         survivors = undecided = 0
         for edit in edits:
             start = time.monotonic()
-            self.put(edit.file, edit.made)
             first, second = self.near(edit, known) if package != "kernel" else (list(known), [])
             if not first:
-                first = self.near(edit, self.known(self.elsewhere(edit)))[0]
+                others = {test: row for test, row in self.known(self.elsewhere(edit)).items() if not row[2]}
+                known |= others
+                first = self.near(edit, others)[0]
+            self.put(edit.file, edit.made)
             compiles = package != "kernel" or self.build()
-            fault = (self.fault(first, limit) if first else "") if compiles else _NO_BUILD
-            if not fault and second:  # fixtures and caches may have hidden who reaches it
+            spent = list(itertools.accumulate(known[test][0] for test in first)) if package != "kernel" else []
+            ran = first[: max(1, sum(s <= seconds for s in spent))] if spent else first
+            fault = (self.fault(ran, limit) if ran else "") if compiles else _NO_BUILD
+            if not fault and second and len(ran) == len(first):  # fixtures and caches may have hidden who reaches it
                 late = self.fault(second, limit)
                 fault = "" if late.startswith(_LONGER) else late
             self.put(edit.file, edit.source)
             survivors += not fault
             undecided += (open_ := fault.startswith((_LONGER, _NO_BUILD)))
             print("undecided" if open_ else "noticed" if fault else "UNNOTICED", edit, flush=True)
-            print(f"    {time.monotonic() - start:.0f} s, {len(first)} tests reach it. {fault}", flush=True)
+            took = f"{time.monotonic() - start:.0f} s, {len(ran)} of {len(first)} tests that reach it"
+            print(f"    {took}. {fault}", flush=True)
         decided = len(edits) - undecided
         print(f"{package}: {decided - survivors} of {decided} edits noticed, {undecided} undecided", flush=True)
         return survivors
@@ -292,6 +299,7 @@ def main() -> int:
     parser.add_argument("--edits", type=int, default=15)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--limit", type=float, default=300.0, help="s, of the tests of one edit")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="s, of the tests of one edit as they took once")
     parser.add_argument("--where", default="", help="FILE or FILE:LINE")
     parser.add_argument("--tests", nargs="+", help="in place of the package's own")
     given = parser.parse_args()
@@ -300,7 +308,7 @@ def main() -> int:
         for package in given.packages:
             edits = [e for e in candidates(package) if f"{e.place}:".startswith(given.where)]
             drawn = list(draw(edits, given.edits, random.Random(f"{package} {given.seed}")))
-            survivors += copy.judged(package, drawn, given.tests or TESTS[package], given.limit)
+            survivors += copy.judged(package, drawn, given.tests or TESTS[package], given.limit, given.seconds)
     return min(survivors, 1)
 
 
