@@ -204,7 +204,8 @@ class Copy:
 
     def elsewhere(self, edit: Edit) -> list[str]:
         """Files of tests, of other packages too, that import the edited module."""
-        pattern = re.compile(rf"from tonewood[\w.]*\.{edit.file.stem} import")
+        module = edit.file.parent.name if edit.file.stem == "__init__" else edit.file.stem
+        pattern = re.compile(rf"from tonewood[\w.]*\.{module} import")
         files = (f for part in ELSEWHERE.split() for f in self.files(self.folder / "tests" / part))
         return [str(f.relative_to(self.folder)) for f in files if pattern.search(f.read_text(encoding="utf-8"))]
 

@@ -35,7 +35,10 @@ SAID = {
 }
 SAID |= {"encoding", "help", "lru_cache", "maxsize", "sleep", "exist_ok", "overwrite_a", "check_finite"}
 SAID |= {
+    "__getattr__",
     "frozen",
+    "grid",
+    "figure",
     "lw",
     "linewidth",
     "ms",
