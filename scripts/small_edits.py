@@ -138,7 +138,7 @@ class PythonEdits:
                 return
             case ast.FunctionDef(name="__repr__" | "__str__") | ast.keyword(arg=str()) if names(node) in SAID:
                 return
-            case ast.Assign(targets=[ast.Name(id=name)]) if re.search("TIMEOUT|PATIENCE|WAIT", name):
+            case ast.Assign(targets=[ast.Name(id=name)]) if re.search("TIMEOUT|PATIENCE|WAIT|SECONDS", name):
                 return
             case ast.BinOp() if re.search("perf_counter|thread_time", self.text(node)):
                 return
