@@ -7,7 +7,7 @@ odds). The estimates are those of maximum likelihood over all answers, with `PRI
 distributed as all answers are, which takes off what maximum likelihood is too large by in small samples. Where all
 answers to a cell stand at one end of the scale its odds are infinite, and differences from it are not stated. Answers
 of a listener belong together: the covariance matrix is the sandwich of the n listeners' scores s_i (gradients of their
-log likelihoods, less the mean), with the observed information J of all,
+log likelihoods, less the mean), with the expected information J of all (with the observed one false alarms are fewer),
 
     V = n / (n - 1) J^-1 (sum_i s_i s_i^T) J^-1
 
@@ -36,8 +36,6 @@ Array = NDArray[np.float64]
 #: most grades of a scale; answers that are added to each cell
 GRADES, PRIOR = 20, 0.5
 _STEPS, _SMALL = 60, 1e-9
-#: step of the numerical derivative of scores
-_STEP = 1e-5
 
 
 @dataclass(frozen=True)
@@ -163,11 +161,7 @@ def clustered(counts: Array, x: Array, prior: float = PRIOR) -> tuple[Array, Arr
     whole, n = counts.sum(axis=-3), counts.shape[-3]
     beta, alpha, done = fit_counts(whole, x, prior)
     point, cuts, filled = np.concatenate([alpha, beta], axis=-1), alpha.shape[-1], _filled(whole, prior)
-    steps, total = _STEP * np.eye(point.shape[-1]), filled.sum(axis=-1)[..., None, :]
-    up, down = (
-        _scored(filled[..., None, :, :], total, x, point[..., None, :] + step, cuts)[0] for step in (steps, -steps)
-    )
-    information = (down - up) / (2 * _STEP)
+    _, information = _scored(filled, filled.sum(axis=-1), x, point, cuts)
     each = np.broadcast_to(point[..., None, :], (*counts.shape[:-2], point.shape[-1]))
     score, _ = _scored(counts, counts.sum(axis=-1), x, each, cuts)
     score = score - score.mean(axis=-2, keepdims=True)

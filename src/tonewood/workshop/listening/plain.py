@@ -160,7 +160,7 @@ def _detected(found: PanelResults, page: PageResults, one: Detection, percent: s
             if one.d_low is None or one.d_high is None
             else f" ({percent} interval {one.d_low:.2f} to {one.d_high:.2f})"
         )
-        jnd = f"; d' = {one.d_prime:.2f}{bounds}, {one.d_prime / unit:.2g} just-noticeable differences"
+        jnd = f"; d' = {one.d_prime:.2f}{bounds}, {one.d_prime / unit:.2g} just-noticeable differences by these answers"
     return f"{cell}{varied} are told apart ({share} right, p {_p(one.p_value)}{jnd})."
 
 

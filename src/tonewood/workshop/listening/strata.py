@@ -23,10 +23,11 @@ then too large by its bound. Instead, as Cochran does,
 
     1 / df2 = (tr A / f_A + tr B / f_B) / (tr A + tr B),     f_A = (n - 1) q eps_A
 
-(each eps after Lecoutre), and V is divided by the mean that it has in experiments with the estimated variances, over
-their own: with A at least C, B likewise, and x_f a chi-square over its f degrees of freedom,
+(each eps after Lecoutre), and V is divided by the mean that it has in experiments with such variances, over their own.
+With A' = A f_A / (f_A - 2) but at least C (an A that is small by chance makes V small, too), B' likewise, and x_f a
+chi-square over its f degrees of freedom,
 
-    k = (A + B - E min(C, A x_fA, B x_fB)) / (A + B - C)
+    k = (A' + B' - E min(C, A' x_fA, B' x_fB)) / (A' + B' - C)
 
 (not with fewer than six listeners or sounds, whose variances are known too badly for it).
 
@@ -260,7 +261,7 @@ def _joined(parts: Parts) -> tuple[Array, Array, Array]:
     with np.errstate(invalid="ignore", divide="ignore"):
         df2 = np.where(a + b > 0, (a + b) / (a / one + b / two), 1.0)
         each = np.where(a + b > 0, (a + b) / (a / parts[0][1] + b / parts[1][1]), 1.0)
-        high, other = np.maximum(a, c), np.maximum(b, c)
+        high, other = (np.maximum(x * f / np.maximum(f - 2, 1), c) for x, f in ((a, one), (b, two)))
         k = (high + other - _least(c, high, one, other, two)) / (high + other - c)
     few = np.minimum(parts[0][1], parts[1][1]) < _FEW
     total = parts[0][0] + parts[1][0] - parts[2][0]
