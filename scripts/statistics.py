@@ -138,8 +138,8 @@ def grades(options: argparse.Namespace) -> None:
             r = means(
                 options, lambda g, k, n=n, cuts=cuts: sim.odds_rates(g, k, n, cuts), options.grades, 1000, cuts, n
             )  # fmt: skip
-            rows.append([cuts, str(n), *map(percent, r[:4]), f"{100 * r[4]:+.1f} %"])
-    table(["scale", "listeners", "factor", "difference b", "interaction", "coverage", "bias"], rows)
+            rows.append([cuts, str(n), *map(percent, r[:4]), f"{100 * r[4]:+.1f} %", percent(r[5])])
+    table(["scale", "listeners", "factor", "difference b", "interaction", "coverage", "bias", "not converged"], rows)
 
 
 def staircases(options: argparse.Namespace) -> None:
@@ -153,11 +153,13 @@ def staircases(options: argparse.Namespace) -> None:
                 options, lambda g, k, case=case: astuple(sim.threshold_rates(g, k, *case)), options.staircases, 67,
                 name, text,
             )  # fmt: skip
-            rows.append([name, text, f"{r[1]:.0f}", f"{100 * r[2]:+.1f} %", percent(r[3]), f"{100 * r[4]:+.1f} %",
-                         percent(r[5]), f"{100 * r[6]:.0f} %"])  # fmt: skip
+            rows.append([
+                name, text, f"{r[1]:.0f}", str(3 * options.staircases), f"{100 * r[2]:+.1f} %", percent(r[3]),
+                f"{100 * r[4]:+.1f} %", percent(r[5]), f"{100 * r[6]:.0f} %",
+            ])  # fmt: skip
             print(rows[-1], file=sys.stderr, flush=True)
-    table(["method", "listeners", "trials", "bias of the mean", "coverage", "bias of a listener", "coverage",
-           "half width of the mean's interval"], rows)  # fmt: skip
+    table(["method", "population", "trials", "experiments", "bias of the mean", "coverage", "bias of a listener",
+           "coverage", "half width of the mean's interval"], rows)  # fmt: skip
 
 
 def sensitivities(options: argparse.Namespace) -> None:

@@ -193,9 +193,10 @@ def graded(random: np.random.Generator, experiments: int, listeners: int, cuts: 
 
 
 def odds_rates(random: np.random.Generator, experiments: int, listeners: int, cuts: str) -> tuple[float, ...]:
-    """False alarms of factor, first difference and interaction, coverage of log odds, and their bias.
+    """False alarms of factor, first difference and interaction, coverage of log odds, their bias, and failures.
 
-    The true log odds of a population are those of 40,000 listeners.
+    The true log odds of a population are those of 40,000 listeners. A search that does not end is a false alarm, an
+    interval that misses, and a failure.
     """
     contrasts = strata.contrasts(_CELLS, _LEVELS)
     x = np.hstack(list(contrasts.bases.values()))
@@ -209,14 +210,18 @@ def odds_rates(random: np.random.Generator, experiments: int, listeners: int, cu
     parts = []
     for begin in range(0, experiments, 200):
         n = min(200, experiments - begin)
-        eta, v, _ = clustered(graded(random, n, listeners, cuts, 0.0), x)
+        eta, v, done = clustered(graded(random, n, listeners, cuts, 0.0), x)
         main, cross = (
             strata.trace_test(eta @ basis, basis.T @ v @ basis, listeners - 1.0).p_value < 0.05
             for basis in (contrasts.bases["factor",], contrasts.bases["factor", "sound"])
         )
         found = difference(eta, v).p_value < 0.05
-        one = difference(*clustered(graded(random, n, listeners, cuts, 1.0), x)[:2])
-        parts.append([main, found, cross, (one.low <= true) & (true <= one.high), one.difference / true - 1])
+        eta, v, also = clustered(graded(random, n, listeners, cuts, 1.0), x)
+        one = difference(eta, v)
+        covered = also & (one.low <= true) & (true <= one.high)
+        parts.append(
+            [main | ~done, found | ~done, cross | ~done, covered, one.difference / true - 1, (~done + 0.0 + ~also) / 2]
+        )
     return tuple(float(np.mean(np.concatenate(x))) for x in zip(*parts, strict=True))
 
 

@@ -366,11 +366,12 @@ def test_values_are_grouped_into_grades_that_keep_their_order(rng: np.random.Gen
 @pytest.mark.parametrize("count", [1500, pytest.param(15_000, marks=pytest.mark.validate)])
 @pytest.mark.parametrize("cuts", simulations.CUTS)
 def test_odds_hold_false_alarms_and_coverage(cuts: str, count: int, listeners: int) -> None:
-    *alarms, coverage, bias = simulations.odds_rates(np.random.default_rng(1), count, listeners, cuts)
+    *alarms, coverage, bias, failed = simulations.odds_rates(np.random.default_rng(1), count, listeners, cuts)
     wider = 0.015 if count < 5000 else 0.0
     assert all(0.035 - wider < share < 0.06 + wider for share in alarms)
     assert 0.94 - wider < coverage < 0.97 + wider
     assert abs(bias) < 0.05 + wider
+    assert failed == 0
 
 
 def panel(**changes) -> SimulatedPanel:
