@@ -313,7 +313,7 @@ def _of_hits(paths: Sequence[Path], reading: Reading, hashes: Mapping[str, str])
             whole, mobility=np.vstack([whole.mobility, part.mobility]), pairs=whole.pairs + part.pairs,
             coherence=np.vstack([whole.coherence, part.coherence]), n_hits=min(whole.kept[0], part.kept[0]),
             pressure={**whole.pressure, **part.pressure},
-            kept=(whole.kept[0] + part.kept[0], whole.kept[1] + part.kept[1]),
+            kept=(whole.kept[0] + part.kept[0], whole.kept[1] + part.kept[1]), remarks=whole.remarks + part.remarks,
         )  # fmt: skip
     return replace(whole, files=hashes)
 
@@ -339,7 +339,7 @@ def _of_one_reference(reference: str, hits: Sequence[_Hit], reading: Reading) ->
     kept = int(np.count_nonzero(made.kept))
     return Responses(
         made.freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]), kept, made.alpha, pressure,
-        kept=(kept, len(hits)),
+        kept=(kept, len(hits)), remarks=made.drift.lines(("the force", *hits[0].names)),
     )  # fmt: skip
 
 

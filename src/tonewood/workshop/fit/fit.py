@@ -152,6 +152,7 @@ class Fit:
                     f"mode at {freq:.1f} Hz: its bandwidth of {width:.2g} Hz (Q {quality:.0f}) holds fewer than "
                     f"{BINS_IN_BANDWIDTH:g} bins of {step:g} Hz; measure longer"
                 )
+        out += r.remarks
         for end in (r.freq[0], r.freq[-1]):
             near = [row["freq_Hz"] for row in measured if abs(row["freq_Hz"] - end) < row["freq_Hz"] / row["Q"]]
             out += [f"the band ends in the peak of the mode at {f:.1f} Hz: move --band" for f in near]

@@ -46,6 +46,7 @@ class Responses:
     pressure : microphone and reference -> (N,) Pa/N.
     files : name -> SHA-256 of the bytes read.
     kept : hits kept and hits given, where raw hits were read.
+    remarks : on how they were read, a line each.
     """
 
     freq: Floats
@@ -57,6 +58,7 @@ class Responses:
     pressure: Mapping[tuple[str, str], Complexes] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
     kept: tuple[int, int] | None = None
+    remarks: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         band = f"{self.freq[0]:g} to {self.freq[-1]:g} Hz" if self.freq.size else "no bins"
