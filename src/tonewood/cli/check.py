@@ -49,6 +49,7 @@ def check(
         pitches,
     )
     from tonewood.instrument.inspection.mounted import mounted_pitches
+    from tonewood.instrument.inspection.potentials_at_rest import small_motions
     from tonewood.instrument.model.assembly import assemble
     from tonewood.performance.engine.trial import try_parts
 
@@ -78,6 +79,7 @@ def check(
         "added": [added_line(entry) for entry in spec.body.added],
         "strings": {name: _string(model, name, pairs) for name in model.groups},
         "microphones": [_microphone(response) for response in microphone_responses(model)],
+        "potentials": [asdict(motion) | {"doubt": motion.doubt} for motion in small_motions(model)],
         "off_pitch": [pitch_row(p) for p in off],
         "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
         "off_planes": [plane_row(p) for p in off_planes],
@@ -297,7 +299,8 @@ def _print_planes(rows: list[dict[str, Any]]) -> None:
 
 def _print(report: dict[str, Any], ok: bool) -> None:
     body = report["body"]
-    warnings = len(report["table_doubts"]) + sum(bool(row["doubt"]) for row in report["microphones"])
+    doubted = report["microphones"] + report["potentials"]
+    warnings = len(report["table_doubts"]) + sum(bool(row["doubt"]) for row in doubted)
     print(f"{report['instrument']}: {report['title']} ({report['licence']})")
     print(f"  folder: {report['folder']}")
     more = "" if (total := report["n_modes_all_outputs"]) == report["n_modes"] else f" ({total} with all outputs)"
@@ -339,6 +342,11 @@ def _print(report: dict[str, Any], ok: bool) -> None:
             print(f"  microphone {name}: {row['n_modes']} modes in its bank, {peak}")
         if row["doubt"]:
             print(f"  warning: {name} {row['doubt']}")
+    for row in report["potentials"]:
+        if row["doubt"]:
+            print(f"  warning: {row['doubt']}")
+        if not row["effect"]:
+            print(f"  potential {row['name']}: no effect leaves it out, `--effects none` neither")
     for row in report["off_pitch"]:
         print(f"  off pitch: {row['string']} stop {row['stop']} ({row['note']}): {row['error_cents']:+.1f} cents")
     _print_planes(report["off_planes"])
