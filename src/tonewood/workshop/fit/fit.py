@@ -165,6 +165,14 @@ class Fit:
         if self.modes.mains:
             shown = ", ".join(f"{f:.1f}" for f in sorted(self.modes.mains)[:6])
             out.append(f"lines of a few bins, of the mains perhaps, were left out: {shown} Hz")
+        if self.modes.idle:
+            shown = ", ".join(f"{f:.5g}" for f in sorted(self.modes.idle)[:6]) + (
+                " ..." if len(self.modes.idle) > 6 else ""
+            )
+            out.append(
+                f"{len(self.modes.idle)} weak or doubtful modes were left out, the fit is less than 0.05 dB worse "
+                f"without each ({shown} Hz); --keep {sorted(self.modes.idle)[0]:.5g} would keep one"
+            )
         if self.modes.misfit > MOST_MISFIT:
             out.append(
                 f"the misfit is {self.modes.misfit:.2f} times the noise: the body is not linear, the records leak, or "
@@ -212,6 +220,7 @@ class Fit:
             "damping": "structural" if self.modes.structural else "viscous",
             "misfit": self.modes.misfit,
             "muted_Hz": list(self.modes.mains),
+            "idle_Hz": list(self.modes.idle),
             "outliers_Hz": list(self.outliers),
             "no_body": self.no_body,
             "residues_turned": self.modes.turned,

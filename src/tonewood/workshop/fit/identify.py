@@ -54,6 +54,7 @@ class Modes:
     bent : the same of complex residues: what the responses say before a passive body is asked for.
     iterations : of the search, in order.
     mains : Hz, lines of one or two bins that are no modes and were muted.
+    idle : Hz, modes within the band that were left out, for the fit is less than 0.05 dB worse without.
     turned : median chi-squared of the residues' imaginary parts; 1 by chance.
     """
 
@@ -63,6 +64,7 @@ class Modes:
     bent: tuple[Projection, Poles, LinearFit]
     iterations: list[Iteration]
     mains: tuple[float, ...] = ()
+    idle: tuple[float, ...] = ()
     turned: float = 1.0
 
     @property
@@ -166,7 +168,8 @@ def identify(
     level = np.maximum(left, least if sigma is None else level)
     line = replace(line, sigma=level).without(lines) if lines else replace(line, sigma=level)
     bent = Projection(line, shape)
-    start = _fixed(bent, pruned(bent, descend(bent, start, 20, 1e-7)[0])[0], wanted, drop)
+    idle: list[float] = []
+    start = _fixed(bent, pruned(bent, descend(bent, start, 20, 1e-7)[0])[0], wanted, drop, idle)
     start, found = descend(bent, start, 20, 1e-8)
     turned = float(np.median(found.chi2[:, len(start) : 2 * len(start)].mean(axis=0)))
     real, poles = Projection(line, replace(shape, complex=False)), start
@@ -176,13 +179,13 @@ def identify(
         if held:
             poles = without_negative(real, poles)
         else:
-            poles = _fixed(real, straightened(line, real.shape, poles)[1], wanted, drop)
+            poles = _fixed(real, straightened(line, real.shape, poles)[1], wanted, drop, [])
             poles, _ = descend(real, poles, 20, 1e-8)
         if (fewer := _without_idle_edges(real, poles)) == real.shape:
             break
         real = Projection(line, fewer)
     poles = poles.damped_beyond(float(freq[0]), float(freq[-1]))
-    return Modes(real, poles, real.solve(poles), (bent, start, found), iterations, lines, turned)
+    return Modes(real, poles, real.solve(poles), (bent, start, found), iterations, lines, tuple(idle), turned)
 
 
 def _ordered(
@@ -252,11 +255,12 @@ def _reach(poles: Poles, i: int) -> float:
     return float(max(_NEAR, 0.5 / poles.quality[i]))
 
 
-def _fixed(problem: Projection, poles: Poles, wanted: Poles, drop: Sequence[float]) -> Poles:
-    """Modes less those dropped and those whose absence nobody would see, with those wanted."""
+def _fixed(problem: Projection, poles: Poles, wanted: Poles, drop: Sequence[float], idle: list[float]) -> Poles:
+    """Modes less those dropped and those whose absence nobody would see (noted in `idle`), with those wanted."""
     gone = [i for i in range(len(poles)) if any(abs(np.log(poles.freq[i] / f)) < _reach(poles, i) for f in drop)]
     poles = descend(problem, poles.without(gone), 6, 1e-6)[0] if gone else poles
     while len(weak := inaudible(problem, poles, wanted.freq)):
+        idle += [float(f) for f in poles.freq[weak] if problem.line.freq[0] < f < problem.line.freq[-1]]
         poles = descend(problem, poles.without(weak.tolist()), 6, 1e-6)[0]
     missing = [f for f in wanted.freq if not len(poles) or np.abs(np.log(poles.freq / f)).min() > _NEAR]
     if missing:
