@@ -195,8 +195,9 @@ def inaudible(problem: Projection, poles: Poles, wanted: Floats) -> NDArray[np.i
     """Return the mode, if any, without which the fit changes least, and by less than 0.05 dB.
 
     The others' residues adapt; compared are the r.m.s. levels of data re model within two bandwidths, and ten bins at
-    least, of the mode, at the response where it matters most; over the whole band where the Q of the mode is not known
-    within 10 %, for such a mode is mostly a peak's departure from the model.
+    least, of the mode, at the response where it matters most. Without a driving point no sign of a residue shows which
+    modes are a body's: there, one whose Q is not known within 10 % has to matter over the whole band, for mostly it is a
+    peak's departure from the model.
     """
     line, full, doubt = problem.line, problem.solve(poles), problem.deviations(poles)[1]
     level = np.abs(line.mobility)
@@ -209,7 +210,9 @@ def inaudible(problem: Projection, poles: Poles, wanted: Floats) -> NDArray[np.i
         without = _decibels(level, problem.model(fewer, problem.solve(fewer).residues))
         reach = 2 * poles.freq[i] / poles.quality[i] + 5 * line.step
         near = np.abs(line.freq - poles.freq[i]) <= reach
-        if not near.any() or doubt[i] > UNKNOWN:  # beyond the band it stands for modes there
+        if not near.any() or (
+            doubt[i] > UNKNOWN and not problem.shape.driving
+        ):  # beyond the band it stands for modes there
             near = np.ones_like(near)
         change = np.sqrt(np.mean(without[:, near] ** 2, axis=1)) - np.sqrt(np.mean(best[:, near] ** 2, axis=1))
         found = min(found, (float(change.max()), i))
