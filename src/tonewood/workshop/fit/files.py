@@ -269,7 +269,22 @@ def _uff(path: Path) -> ResponseTable:
 
     rows = {pair(x): sign(x) * unit(x) * np.asarray(x["data"], dtype=np.complex128) for x in responses}
     coherence = {pair(x): np.asarray(x["data"]).real.astype(np.float64) for x in sets if x["func_type"] == 6}
-    return ResponseTable(freq, rows, coherence, forms.pop() if len(forms) == 1 else None)
+    form = forms.pop() if len(forms) == 1 else None
+    return ResponseTable(freq, rows, coherence, form, _missing_nodes(path, given, responses))
+
+
+def _missing_nodes(path: Path, given: Any, responses: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Say which nodes have no response: of the geometry (data set 15), else in the row of their numbers."""
+    moved, driven = ({int(x[f"{end}_node"]) for x in responses} for end in _ENDS)
+    nodes = moved if len(moved) >= len(driven) else driven
+    listed = {
+        int(n) for x in (given if isinstance(given, list) else [given]) if x["type"] == 15 for n in x["node_nums"]
+    }
+    missing = sorted((listed or set(range(min(nodes), max(nodes) + 1))) - nodes)
+    if not missing or len(missing) > len(nodes):
+        return ()
+    shown = ", ".join(map(str, missing[:6])) + (" ..." if len(missing) > 6 else "")
+    return (f"{path.name} has no response at {len(missing)} of its nodes: {shown}; sets may be missing",)
 
 
 def _whole(path: Path) -> None:

@@ -71,7 +71,7 @@ class Modes:
     def misfit(self) -> float:
         """Chi-squared per number measured, of complex residues: 1 where these leave the noise and nothing else."""
         problem, _, solution = self.bent
-        return float(solution.cost / problem.size)
+        return max(float(solution.cost / problem.size), 0.0)  # of data without noise it is rounding, of either sign
 
     @property
     def structural(self) -> bool:
@@ -195,7 +195,7 @@ def _ordered(
     size, poles = np.abs(line.mobility), Poles.none()
     lines: tuple[float, ...] = ()
     best: tuple[Line, Poles, tuple[float, ...]] | None = None
-    before = np.inf
+    before = left = np.inf
     floor = float(np.median(line.sigma / np.maximum(size, 1e-300)))
     for allowed in ALLOWED:
         if 0 < allowed < 0.3 * floor or allowed < least_error:
@@ -217,10 +217,11 @@ def _ordered(
         if not len(poles):
             continue
         fine, _ = descend(Projection(line, shape), poles, 20, 1e-6)
-        loud = _parts_above_noise(line, shape, fine)
-        if best is not None and loud >= before and len(poles) > len(best[1]):
+        loud, cost = _parts_above_noise(line, shape, fine), Projection(line, shape).solve(fine).cost
+        nearer = loud < before or (loud == 1 and cost < 0.5 * left)  # all of the band is far from its noise
+        if best is not None and not nearer and len(poles) > len(best[1]):
             break
-        best, before = (line, fine, lines), loud
+        best, before, left = (line, fine, lines), loud, cost
         if not loud:
             break
     if best is None:
@@ -240,14 +241,14 @@ def _total_of_real(line: Line, shape: Shape, poles: Poles) -> float:
     return problem.solve(real).cost + problem.price * len(real)
 
 
-def _parts_above_noise(line: Line, shape: Shape, poles: Poles) -> int:
-    """How many parts of the band, of all responses, have a misfit above the noise in most of their bins."""
+def _parts_above_noise(line: Line, shape: Shape, poles: Poles) -> float:
+    """Share of the parts of the band, of all responses, whose misfit is above the noise in most of their bins."""
     whole = Projection(line, shape)
     ratio = np.log(np.abs(whole.misfit(poles, whole.solve(poles).residues)) / line.sigma + 1e-300)
     starts = np.arange(0, ratio.shape[1], _PART)
     mean = np.add.reduceat(np.clip(ratio, -5, 5), starts, axis=1) / np.diff(np.append(starts, ratio.shape[1]))
     # of complex Gaussian noise ln |e| / sigma is half of Euler's constant below 0
-    return int(np.count_nonzero(mean > np.log(_AT_NOISE) - 0.5 * np.euler_gamma))
+    return float(np.mean(mean > np.log(_AT_NOISE) - 0.5 * np.euler_gamma))
 
 
 def _reach(poles: Poles, i: int) -> float:

@@ -196,7 +196,7 @@ def inaudible(problem: Projection, poles: Poles, wanted: Floats) -> NDArray[np.i
 
     The others' residues adapt; compared are the r.m.s. levels of data re model within two bandwidths, and ten bins at
     least, of the mode, at the response where it matters most. Without a driving point no sign of a residue shows which
-    modes are a body's: there, one whose Q is not known within 10 % has to matter over the whole band, for mostly it is a
+    modes are a body's: there, one whose Q is not known within 10 % has to matter over the whole band: mostly it is a
     peak's departure from the model.
     """
     line, full, doubt = problem.line, problem.solve(poles), problem.deviations(poles)[1]

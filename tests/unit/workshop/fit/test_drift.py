@@ -45,7 +45,7 @@ def fitted(tmp_path, force, motion):
 
 @pytest.mark.parametrize("kind", ["nothing", "zero", "frequencies", "frequencies far"])
 def test_hits_that_drift_are_a_body_with_their_own_q(tmp_path, kind):
-    """Without the correction: Q 28.7 and no body where the zero drifts, Q 26 where all frequencies drift by 0.6 %."""
+    """Without the correction: Q 28.8 and no body where the zero drifts."""
     shifts = np.linspace(-1, 1, 4)[:, None] * {"frequencies": 3e-3, "frequencies far": 2e-2}.get(kind, 0.0)
     fit = fitted(tmp_path, *hits(shifts, zero=1.0 if kind == "zero" else 0.0))
     rows = [row for row in fit.rows if row["measured"]]
