@@ -125,7 +125,7 @@ def _swept(text: str, most: int) -> tuple[str, list[float]]:
     if not (equals and path.strip() and len(words) == 3 and low < high and count == round(count)):
         raise TonewoodError(f"is {text!r}; PATH=LOW:HIGH:COUNT is allowed", key="--sweep")
     if not 2 <= count <= most:
-        raise TonewoodError(f"has {count:g} values; 2 to {most} are allowed beside the other instruments", key="--sweep")
+        raise TonewoodError(f"has {count:g} values; 2 to {most} are allowed beside the others", key="--sweep")
     steps = round(count) - 1
     return path.strip(), [float(f"{low + (high - low) * k / steps:.6g}") for k in range(steps + 1)]
 

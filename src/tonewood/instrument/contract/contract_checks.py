@@ -290,7 +290,7 @@ CHECKS: dict[str, dict[str, Any]] = {
         "points": lambda p, v, a: body_points(v),
         "potentials": lambda p, v, a: potentials(v),
         "sources": _of_type("tonewood.physics.plate.radiation", "Sources"),
-        "mass": lambda p, v, a: v is None or number(v, "a mass of 0 kg or more, or None,", 0.0),
+        "mass": lambda p, v, a: None if v is None else number(v, "a mass of 0 kg or more, or None,", 0.0),
         "facts": lambda p, v, a: texts(v, "lines of text", some=False),
     },
     "exciter": {
@@ -352,8 +352,8 @@ def _checked(
             raise fault(self, text) from raised
         try:
             # the call went well: without keywords its arguments have the names in their order
-            named = signature.bind(self, *args, **kwargs).arguments if kwargs else dict(zip(names, (self, *args)))
-            verify(self, value, named)
+            positional = dict(zip(names, (self, *args), strict=False))
+            verify(self, value, signature.bind(self, *args, **kwargs).arguments if kwargs else positional)
         except WrongResultError as wrong:
             raise fault(self, f"{who} returns {wrong}") from None
         return value

@@ -45,7 +45,8 @@ def resonance(q: float) -> Threshold:
 
 BODY_FREQ = Threshold(1.0, 1.0, "Woodhouse et al. 2012")
 BODY_DAMPING = Threshold(20.0, 20.0, "Woodhouse et al. 2012")
-#: dB, 40 dB above the threshold of hearing
-LEVEL = Threshold(*[10 * math.log10(1 + 0.463 * 10 ** (-0.072 * 4))] * 2, "Jesteadt et al. 1977")
+#: dB, of a sound 40 dB above the threshold of hearing
+_LEVEL = 10 * math.log10(1 + 0.463 * 10 ** (-0.072 * 4))
+LEVEL = Threshold(_LEVEL, _LEVEL, "Jesteadt et al. 1977")
 #: % of a decay's time constant
 DECAY = Threshold(25.0, 40.0, "Järveläinen and Tolonen 2001")

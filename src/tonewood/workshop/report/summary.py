@@ -1,4 +1,4 @@
-"""What changed from one instrument to another, in a few numbers, and which of it a published threshold says is heard."""
+"""What changed from one instrument to another, in a few numbers, and whether published thresholds say it is heard."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _WOLF_CENTS = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class FigureChange:
     """One figure of two instruments.
 
     Attributes
@@ -88,7 +88,7 @@ def key_figures(facts: InstrumentFacts) -> dict[str, tuple[float, str]]:
     return out
 
 
-def changes(found: Comparison, i: int) -> list[Change]:
+def changes(found: Comparison, i: int) -> list[FigureChange]:
     """Differences of instrument `i` from the first, the named figures before the modes that changed most."""
     first, other = found.instruments[0], found.instruments[i]
     before, after = key_figures(first), key_figures(other)
@@ -101,25 +101,25 @@ def changes(found: Comparison, i: int) -> list[Change]:
             if heard:
                 figures[name] = (float(np.mean(heard)), "LUFS")
     out = []
-    for name, (a, unit) in before.items():
+    for name, (value, unit) in before.items():
         if name in after:
-            out.append(_change(name, a, after[name][0], unit, _threshold(name, first, other)))
+            out.append(_change(name, value, after[name][0], unit, _threshold(name, first, other)))
     pairs = [(a, b) for match in found.modes if (a := match.modes[0]) and (b := match.modes[i]) and a.freq and b.freq]
     if pairs:
         shift = [100 * (b.freq / a.freq - 1) for a, b in pairs]
         at = float(np.median([a.freq for a, _ in pairs]))
         middle = float(np.median(shift))
-        out.append(Change("all body modes, median", at, at * (1 + middle / 100), "Hz", middle, "%", BODY_FREQ))
+        out.append(FigureChange("all body modes, median", at, at * (1 + middle / 100), "Hz", middle, "%", BODY_FREQ))
         lossy = [(1 / a.q, 1 / b.q) for a, b in pairs if math.isfinite(a.q) and math.isfinite(b.q)]
         if lossy:
             middle = 100 * (float(np.median([b / a for a, b in lossy])) - 1)
             at = 100 * float(np.median([a for a, _ in lossy]))
             name = "damping of all body modes, median"
-            out.append(Change(name, at, at * (1 + middle / 100), "%", middle, "%", BODY_DAMPING))
+            out.append(FigureChange(name, at, at * (1 + middle / 100), "%", middle, "%", BODY_DAMPING))
     return out + _most_changed(pairs, [first, other])
 
 
-def _most_changed(pairs: Sequence[tuple[BodyMode, BodyMode]], facts: Sequence[InstrumentFacts]) -> list[Change]:
+def _most_changed(pairs: Sequence[tuple[BodyMode, BodyMode]], facts: Sequence[InstrumentFacts]) -> list[FigureChange]:
     """Of modes whose peak of mobility counts, those whose frequency changed by most times what is noticed."""
     if not pairs:
         return []
@@ -135,10 +135,12 @@ def _most_changed(pairs: Sequence[tuple[BodyMode, BodyMode]], facts: Sequence[In
     return [row for row in rows[:_MODES] if row.difference]
 
 
-def _change(name: str, before: float, after: float, unit: str, threshold: Threshold | None) -> Change:
+def _change(name: str, before: float, after: float, unit: str, threshold: Threshold | None) -> FigureChange:
     relative = unit in ("Hz", "g", "s") and before > 0
     difference = 100 * (after / before - 1) if relative else after - before
-    return Change(name, before, after, unit, difference, "%" if relative else unit.replace("LUFS", "dB"), threshold)
+    return FigureChange(
+        name, before, after, unit, difference, "%" if relative else unit.replace("LUFS", "dB"), threshold
+    )
 
 
 def _threshold(name: str, first: InstrumentFacts, other: InstrumentFacts) -> Threshold | None:
@@ -154,13 +156,13 @@ def value_words(value: float, unit: str) -> str:
     return f"{value:.{digits}f} {unit}".strip()
 
 
-def difference_words(change: Change) -> str:
+def difference_words(change: FigureChange) -> str:
     """A difference with its sign and unit."""
     text = f"{change.difference:+.{0 if change.scale in ('cents', '') else 1}f}"
     return f"{'0' if not float(text) else text} {change.scale}".strip()
 
 
-def heard_words(rows: Sequence[Change]) -> str:
+def heard_words(rows: Sequence[FigureChange]) -> str:
     """One sentence: which of the changes may be heard."""
     heard = [row.name for row in rows if row.times is not None and row.times >= 1]
     if not heard:
