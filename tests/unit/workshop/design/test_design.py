@@ -84,32 +84,32 @@ def test_an_added_mass_on_a_measured_body(tmp_path):
 
 
 def test_sensitivity_against_differences_and_rayleigh(box):
-    """Half of the cents from 2.45 to 2.55 mm; of a gram -600 / ln 2 phi^2 1e-3 cents."""
+    """The cents from 2.45 to 2.55 mm; of a gram -600 / ln 2 phi^2 1e-3 cents. Modes 2 and 3 veer: their sum is told."""
     found = sensitivity(box)
     low, mid, high = (box.replace({"body.thickness": h}).body.modes_below(math.inf) for h in (2.45e-3, 2.5e-3, 2.55e-3))
-    n = min(4, len(found.freq))
-    cents = 1200 * np.log2(high.freq[:n] / low.freq[:n])
-    np.testing.assert_allclose(found.rows["0.1 mm of thickness"][:n], cents, rtol=0.02, atol=0.05)
-    gram = -600 / np.log(2) * 1e-3 * mid.shapes[0, :n] ** 2
-    np.testing.assert_allclose(found.rows["1 g at bridge"][:n], gram, rtol=0.02, atol=0.05)
+    pair = np.array([[1, 0, 0, 0], [0, 1, 1, 0], [0, 0, 0, 1]])
+    cents = 1200 * np.log2(high.freq[:4] / low.freq[:4])
+    np.testing.assert_allclose(pair @ found.rows["0.1 mm of thickness"][:4], pair @ cents, rtol=0.02)
+    gram = -600 / np.log(2) * 1e-3 * mid.shapes[0, :4] ** 2
+    np.testing.assert_allclose(pair @ found.rows["1 g at bridge"][:4], pair @ gram, rtol=0.02, atol=0.05)
     assert set(found.labels) >= {"A0", "T1"}
     assert "0.1 mm of braces.b.height" in found.rows
     assert any(line.startswith("1 g at bridge") for line in words(found))
 
 
 def test_a_mode_is_followed_by_its_shape_past_another(box):
-    """A heavy mass takes T1 below a mode it stood above: its number changes, its shape does not."""
+    """A thicker top raises T1 through another mode: its number changes, its shape does not."""
     body = DrawnDesign(box, parse_free({"body.thickness": "1.5e-3 .. 5e-3"}, box), 500.0)
-    shapes, freq = [], []
+    shapes, numbers = [], []
     for h in np.linspace(2.0e-3, 4.5e-3, 6):
         found = body.at([float(h)])
         k = found.named["T1"]
         shapes.append(body._modes[1][:, k])
-        freq.append(found.freq[k])
+        numbers.append(k)
     mass = body._whole.mass_matrix
     alike = [(a @ (mass @ b)) ** 2 / ((a @ (mass @ a)) * (b @ (mass @ b))) for a, b in pairwise(shapes)]
     assert min(alike) > 0.5
-    assert np.all(np.diff(freq) > 0)
+    assert len(set(numbers)) > 1
 
 
 class OneMode:
