@@ -55,6 +55,7 @@ def check(
         pitches,
     )
     from tonewood.instrument.inspection.mounted import mounted_pitches
+    from tonewood.instrument.inspection.potentials_at_rest import small_motions
     from tonewood.instrument.model.assembly import assemble
     from tonewood.performance.engine.trial import try_parts
 
@@ -84,6 +85,7 @@ def check(
         "added": [added_line(entry) for entry in spec.body.added],
         "strings": {name: _string(model, name, pairs) for name in model.groups},
         "microphones": [_microphone(response) for response in microphone_responses(model)],
+        "potentials": [asdict(motion) | {"doubt": motion.doubt} for motion in small_motions(model)],
         "off_pitch": [pitch_row(p) for p in off],
         "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
         "off_planes": [plane_row(p) for p in off_planes],
@@ -344,6 +346,7 @@ def _warnings(report: dict[str, Any]) -> list[str]:
     """Tables that may be others, microphones that hear nothing, strings that miss their law."""
     found = [*report["table_doubts"]]
     found += [f"{row['output']}.{row['channel']} {row['doubt']}" for row in report["microphones"] if row["doubt"]]
+    found += [row["doubt"] for row in report["potentials"] if row["doubt"]]
     for name, row in report["strings"].items():
         lines = [line for line in _law_lines(row["law"]) if line.startswith("warning: ")]
         found += [f"string {name}: {line.removeprefix('warning: ')}" for line in lines]
@@ -361,6 +364,9 @@ def _print_body(report: dict[str, Any]) -> None:
         print(f"  body: {body['repair']}")
     for line in report["added"]:
         print(f"  added to the body: {line}: passive by construction")
+    for row in report["potentials"]:
+        if not row["effect"]:
+            print(f"  potential {row['name']}: no effect leaves it out, `--effects none` neither")
 
 
 def _print_strings_briefly(report: dict[str, Any]) -> None:
