@@ -281,3 +281,55 @@ def test_what_changed_stands_before_mobility_and_that_before_spectrograms(html: 
     ]
     assert places == sorted(places)
     assert "the least noticed" in html
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """Figures as they are made."""
+    made: list[Figure] = []
+    monkeypatch.setattr(figures, "_svg", lambda figure: made.append(figure) or "")
+    return made
+
+
+def test_curves_of_mobility_are_those_of_the_facts(found: Comparison, drawn: list[Figure]) -> None:
+    """Of several instruments, a curve of each at the first end and at the last; their difference below."""
+    figures.mobility_picture(found)
+    ends = list(found.instruments[0].mobility)
+    assert len(drawn[0].axes) == len({ends[0], ends[-1]}) + 1
+    for axes, name in zip(drawn[0].axes[:-1], dict.fromkeys((ends[0], ends[-1])), strict=True):
+        for line, facts in zip(axes.lines, found.instruments, strict=False):
+            np.testing.assert_allclose(line.get_xdata(), facts.freq)
+            np.testing.assert_allclose(line.get_ydata(), 20 * np.log10(np.abs(facts.mobility[name])), atol=1e-9)
+
+
+@pytest.mark.parametrize("quantity", ["t60", "cents_mounted"])
+def test_points_of_notes_are_those_of_the_facts(found: Comparison, drawn: list[Figure], quantity: str) -> None:
+    figures.notes_picture(found, quantity)
+    for i, line in enumerate(drawn[0].axes[0].lines[:2]):
+        values = [np.nan if (note := match.notes[i]) is None else getattr(note, quantity) for match in found.notes]
+        np.testing.assert_allclose(line.get_ydata(), np.where(np.isfinite(values), values, np.nan))
+        np.testing.assert_allclose(line.get_xdata(), [match.stop for match in found.notes])
+
+
+@pytest.mark.parametrize(("count", "named"), [(6, True), (24, True), (30, False)])
+def test_open_strings_are_named_where_there_is_room(
+    found: Comparison, drawn: list[Figure], count: int, named: bool
+) -> None:
+    notes = tuple(replace(found.notes[0], string=f"string {k}", stop=0) for k in range(count))
+    figures.notes_picture(replace(found, notes=notes), "t60")
+    shown = [label.get_text() for label in drawn[0].axes[0].get_xticklabels()]
+    assert (shown == [f"string {k}" for k in range(count)]) is named
+
+
+def test_the_loudest_of_two_spectrograms_is_the_top_of_both(found: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At one loudness; levels are told from the loudest of all."""
+    draw, levels = figures.draw_spectrogram, list[float]()
+
+    def watched(axes: object, time: object, freq: object, level: np.ndarray, **options: float) -> object:
+        levels.append(float(level.max()))
+        return draw(axes, time, freq, level, **options)
+
+    monkeypatch.setattr(figures, "draw_spectrogram", watched)
+    figures.spectrogram_picture(found, "A2")
+    assert len(levels) == 2
+    assert max(levels) == 0.0 > min(levels)
