@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.lab.row import Row
-from tonewood.lab.tables import plain, terminal
+from tonewood.lab.tables import terminal
+from tonewood.support.plain_values import finite
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -77,7 +78,7 @@ def draw(directory: Path, only: Sequence[str] | None = None) -> list[Path]:
 
 def to_json(rows: Sequence[Row]) -> dict[str, object]:
     """``{"rows": [...]}``; a value that is not a number becomes null."""
-    return {"rows": [plain(row.to_dict()) for row in rows]}
+    return {"rows": [finite(row.to_dict()) for row in rows]}
 
 
 def counted(rows: Sequence[Row]) -> str:
