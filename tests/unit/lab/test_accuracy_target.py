@@ -89,6 +89,7 @@ def monochord() -> Frontier:
     return search(tw.load_instrument("monochord"), Target.parse("2cent,1dB"), notes=["A2:5"], fs=FS, bandwidth=5e3)
 
 
+@pytest.mark.slow
 def test_the_setting_found_meets_the_target_against_another_reference(monochord: Frontier) -> None:
     """Six steps per frame, which the search does not use; the next cheaper setting does not meet it."""
     (case,) = cases_of(tw.load_instrument("monochord"), ["A2:5"], FS)
