@@ -30,8 +30,8 @@ def own(rate: int, modes: int, force: float, longitudinal: int = 5) -> NDArray[n
 
 
 def theirs(command: list[str], rate: int, force: float, trace: Path) -> NDArray[np.float64]:
-    told = {"RATE": str(rate), "TRACE": str(trace)}
-    subprocess.run([command[0], str(SECONDS), "2", str(force), *command[1:3]], env=os.environ | told, check=True,
+    given = {"RATE": str(rate), "TRACE": str(trace)}
+    subprocess.run([command[0], str(SECONDS), "2", str(force), *command[1:3]], env=os.environ | given, check=True,
                    capture_output=True)  # fmt: skip
     return np.fromfile(trace, np.float32).astype(float)
 

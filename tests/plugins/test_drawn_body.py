@@ -168,6 +168,7 @@ def test_a_thickness_map(tmp_path: Path) -> None:
     assert np.all((thin[:4] < wedge.natural_freq[:4]) & (wedge.natural_freq[:4] < thick[:4]))
 
 
+@pytest.mark.slow
 def test_a_live_back_lowers_the_first_modes() -> None:
     """Another spring yields behind the air: A0 and T1 of a body with a back lie below those with a rigid one."""
     values = {"soundhole": {"centre": [0.07, 0.1], "radius": 0.03}, "air": {"depth": 0.08}}

@@ -211,6 +211,7 @@ def test_live_playing_says_which_noises_it_has_not(guitar: Instrument) -> None:
         assert dict(tw.Live(guitar.replace({"playing.noises.on": on})).summary().ignored) == expected
 
 
+@pytest.mark.slow
 def test_a_finger_ends_a_note_that_is_played_live(guitar: Instrument) -> None:
     """The noise begins as the key comes up, whatever the note was: the guitar is linear."""
 

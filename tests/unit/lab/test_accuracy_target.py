@@ -124,6 +124,7 @@ def test_text_json_and_chart(monochord: Frontier) -> None:
     assert target_report.chart_png(monochord, dpi=20).startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_options_it_prints_are_those_of_render(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def call(*arguments: object) -> str:
         with pytest.raises(SystemExit) as ended:
