@@ -33,8 +33,8 @@ from pathlib import Path
 import numpy as np
 
 import tonewood as tw
-from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.lab.accuracy.timing import machine
+from tonewood.lab.tables import markdown, number
 from tonewood.physics.coupling.connections import Connection, Rigid, Term
 from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch

@@ -78,6 +78,13 @@ def test_none_is_linear() -> None:
     assert abs(thrice - 3 * once).max() < 2e-11 * abs(thrice).max()
 
 
+def test_none_leaves_the_body_and_what_is_heard() -> None:
+    """And what plays it: without these there is no sound. All else is named by who wants it."""
+    basic = {"body_modes", "outputs", "plectrum", "stopping_finger"}
+    assert assemble(duet(mode="none"), 16000).choice.names == basic
+    assert assemble(duet(mode=["tension_modulation"]), 16000).choice.names == basic | {"tension_modulation"}
+
+
 def test_names_choose_what_runs() -> None:
     chosen = assemble(duet(mode=["tension_modulation"]), 16000)
     assert [t.name for t in chosen.system.potentials] == ["B3", "E4"]

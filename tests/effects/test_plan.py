@@ -88,6 +88,15 @@ def test_the_time_of_a_bend_is_that_of_exchanging_its_strings() -> None:
     assert planning.bends_by_point(Timeline(still, ()), FS) == {}
 
 
+def test_a_time_is_that_of_the_beginning_by_the_work_of_the_whole() -> None:
+    """Steps by the steps of the sketch, control by its control; what effects took of the beginning is left out."""
+    first, whole = planning.Spent(stepping=0.5, control=0.2), planning.Spent(stepping=5.0, control=0.6)
+    timed = planning.Spent(stepping=3.0, control=1.0)
+    assert planning.predicted(timed, 1.0, first, whole) == pytest.approx(2.0 * 10 + 1.0 * 3)
+    assert planning.predicted(timed, 4.0, first, whole) == pytest.approx(1.0 * 3)  # a clock may say more
+    assert planning.predicted(timed, 1.0, planning.Spent(), whole) == pytest.approx(5.0 + 0.6)  # too short to tell
+
+
 def test_choices_are_reported() -> None:
     everything = tw.plan(tw.Score(NOTES), duet(), FS, max_duration=0.3, effects="all")
     rises = [e for e in everything.effects if e.name == "tension_modulation"]

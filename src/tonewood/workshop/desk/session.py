@@ -89,6 +89,15 @@ class DeskSession:
         self.design, self._dragged = design, path if dragging else None
         self._future.clear()
 
+    def set_all(self, values: Mapping[str, Any]) -> None:
+        """Change several values in one step; where one is not allowed nothing changes.
+
+        Raises
+        ------
+        TonewoodError : a value is not allowed; one line.
+        """
+        self._go(self._made({k: v for k, v in self.design.changes.items() if k not in values} | dict(values)))
+
     def reset(self, path: str) -> None:
         """Take a change back, wherever it stands in the history; the start's value holds again."""
         if path in self.design.changes:
