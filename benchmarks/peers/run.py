@@ -182,7 +182,7 @@ def strings(rate: float, modes: Sequence[int], kind: str = "tension", longitudin
     return System.build(components, ends, outs, dt=1 / rate, potentials=potentials)
 
 
-def pushes(system: System, force: float = FORCE) -> list[Injection]:
+def pluck_forces(system: System, force: float = FORCE) -> list[Injection]:
     """The same parabola of force on each of the strings."""
     pieces = [Segment(0.0, PULSE, 0.0, 4 * force / PULSE, -4 * force / PULSE**2)]
     bases = {name: system.compiled[system.slot(name)].basis for name in system.names if name.startswith("string")}
@@ -193,7 +193,7 @@ def own_strings(rate: float, modes: Sequence[int], kind: str = "tension", longit
     system = strings(rate, modes, kind, longitudinal)
 
     def run(seconds: float) -> float:
-        stepper, state, forces = KernelStepper(system), system.start(), pushes(system)
+        stepper, state, forces = KernelStepper(system), system.start(), pluck_forces(system)
         began = time.thread_time()
         stepper.run(state, round(rate * PULSE) + 1, forces)
         stepper.run(state, round(rate * seconds))

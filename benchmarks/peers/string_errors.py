@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from run import POINTS, QUARTER, pushes, sav_command, strings
+from run import POINTS, QUARTER, pluck_forces, sav_command, strings
 
 from tonewood.physics.stepping.kernel import KernelStepper
 
@@ -26,7 +26,7 @@ SECONDS, LIMIT = 0.3, 384_000
 
 def own(rate: int, modes: int, force: float, longitudinal: int = 5) -> NDArray[np.float64]:
     system = strings(rate, [modes], "longitudinal", longitudinal)
-    return KernelStepper(system).run(system.start(), round(SECONDS * rate), pushes(system, force))[0][:, 0]
+    return KernelStepper(system).run(system.start(), round(SECONDS * rate), pluck_forces(system, force))[0][:, 0]
 
 
 def theirs(command: list[str], rate: int, force: float, trace: Path) -> NDArray[np.float64]:
