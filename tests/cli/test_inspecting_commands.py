@@ -31,6 +31,7 @@ def test_list_names_what_is_installed(tonewood: Run) -> None:
     assert all(name in text for name in plugins)
 
 
+@pytest.mark.slow
 def test_check_counts_the_modes_that_a_render_steps(tonewood: Run) -> None:
     """By default a render has the first output group; a page of the documentation names the count."""
     guitar = tw.load_instrument("classical_guitar")
@@ -130,6 +131,7 @@ def test_check_shows_strings_alone_and_mounted(tonewood: Run) -> None:
     assert "shared with A2 (5" in text
 
 
+@pytest.mark.slow
 def test_check_and_modes_show_each_plane(tonewood: Run) -> None:
     """Sorted, the worst first; near the mode at 215 Hz the second plane rings on 8 cents or more beside the note."""
     rows = json.loads(tonewood("check", "classical_guitar", "--json")[1])["off_planes"]
@@ -183,6 +185,7 @@ def test_check_warns_of_microphones_that_hear_nothing(tonewood: Run, tmp_path: P
     assert "warning: microphones.bass hears nothing of the strings" in out
 
 
+@pytest.mark.slow
 def test_modes_of_a_drawn_body_are_listed_and_drawn(tonewood: Run, tmp_path: Path) -> None:
     picture, coarse = tmp_path / "modes.png", ("--set", "body.fmax=1500", "--set", "body.cell=0.015")
     code, text, _ = tonewood("modes", "drawn_guitar", "--string", "E4", "--count", 1, "--plot", picture, *coarse)

@@ -52,8 +52,8 @@ def test_modes_are_those_of_the_body_whose_plate_modes_are_left_out(solved):
     ("name", "value", "steps", "freq_error", "shape_error"),
     [
         ("thickness", 2.5e-3, (1e-4, 3e-5, 1e-5), 1e-6, 1e-4),
-        ("height", 9e-3, (1e-4, 3e-5, 1e-5), 1e-6, 1e-4),
-        ("depth", 0.09, (1e-4, 3e-5, 1e-5), 1e-6, 1e-4),
+        pytest.param("height", 9e-3, (1e-4, 3e-5, 1e-5), 1e-6, 1e-4, marks=pytest.mark.slow),
+        pytest.param("depth", 0.09, (1e-4, 3e-5, 1e-5), 1e-6, 1e-4, marks=pytest.mark.slow),
         ("start", 0.05, (1e-3, 3e-4, 1e-4), 1e-3, 1e-3),
     ],
 )
