@@ -214,7 +214,7 @@ def warn(lines: list[str]) -> None:
         print(f"tonewood: warning: {line}", file=sys.stderr)
 
 
-class Fault(Protocol):
+class _Failure(Protocol):
     """Something of many that failed."""
 
     @property
@@ -226,7 +226,7 @@ class Fault(Protocol):
         """Why."""
 
 
-def print_faults(faults: Iterable[Fault], others: str) -> None:
+def print_faults(faults: Iterable[_Failure], others: str) -> None:
     """Print each reason once, with the name of the first that failed and how many others did."""
     reasons: dict[str, list[str]] = {}
     for fault in faults:
