@@ -16,8 +16,8 @@ from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.contract.registry import INSTRUMENTS, entries
 from tonewood.lab.accuracy.partials import PartialErrors
 from tonewood.lab.accuracy.strokes import STEADY, VELOCITY_MIDI, NoteCase, Strokes
-from tonewood.lab.accuracy.study import Tell, silent
-from tonewood.lab.accuracy.tables import markdown, number
+from tonewood.lab.accuracy.timing import Tell, silent
+from tonewood.lab.tables import markdown, number
 from tonewood.sound.render.accuracy import LEVELS
 
 #: Hz and s of the sound

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.lab.accuracy.partials import PartialErrors, compare
-from tonewood.lab.accuracy.study import Tell, silent
-from tonewood.lab.accuracy.timing import Task, measure
+from tonewood.lab.accuracy.timing import Task, Tell, measure, silent
 from tonewood.performance.score.note import Note, Score
 from tonewood.sound.render.renderer import Renderer
 

@@ -21,7 +21,7 @@ from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.model.assembly import FREQ_LIMIT
 from tonewood.lab.accuracy.partials import PartialErrors
 from tonewood.lab.accuracy.strokes import NoteCase, Strokes
-from tonewood.lab.accuracy.study import Tell, silent
+from tonewood.lab.accuracy.timing import Tell, silent
 from tonewood.performance.effects.base import SwitchedEffect
 
 #: s of every note

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from tonewood.lab.component_modes import fixed_base_modes, free_free_modes
 from tonewood.lab.figures import save
 from tonewood.lab.klosner_forms import MainStructure, fixed_base_form, free_free_form
-from tonewood.lab.nonlinear_port import Mounting, PortStepper
-from tonewood.lab.row import Row
+from tonewood.lab.row import Row, halving_order
 from tonewood.lab.systems.klosner_modes import MOUNTINGS, WAYS, errors, modes_needed
 from tonewood.lab.systems.klosner_problems import (
     BEAM,
@@ -40,7 +39,10 @@ from tonewood.lab.systems.klosner_problems import (
     problem_c,
     problem_d,
     problems,
+    spring_mounting,
 )
+from tonewood.physics.energy.stored import stored_energy
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,7 +62,7 @@ def measured_order(problem: Problem, form: str, reference: Motion, refinements: 
     for k in (2**i for i in range(refinements)):
         fine = by_engine(problem, form, DT / k, n * k)
         error.append(difference(reference, Motion(fine.main[::k], fine.sub[::k], fine.force[::k])))
-    return float(np.log2(error[-2] / error[-1])), error[-1]
+    return halving_order(error[-2], error[-1]), error[-1]
 
 
 def coupled_frequencies(form: str, n_modes: int, count: int) -> Floats:
@@ -108,27 +110,14 @@ def exact_frequencies(count: int) -> Floats:
 
 def energy_drift(form: str, dt: float = 1 / 200, steps: int = 4000) -> float:
     """Relative change of the energy of problem B without dashpots after its load has gone, largest over the run."""
-    problem = problem_b(Mounting(40.0, 300.0))
-    law = problem.mounting
-    assert law is not None
+    problem = problem_b(spring_mounting(40.0, 300.0))
     system = engine_system(problem, form, dt)
-    stepper, state = PortStepper(system, {"mount": law}), system.start()
+    stepper, state = NumpyStepper(system), system.start()
     stepper.run(state, 60, engine_injections(problem, system))
-
-    def energy() -> float:
-        main, sub = (system.modes_of(state, name) for name in ("main", "sub"))
-        pole = system.compiled[0].basis.poles[0]
-        q, rate = 2 * main[0, 0], 2 * (pole * complex(main[0, 0], main[1, 0])).real
-        seat = system.compiled[0].basis.right[0, 0].real
-        foot = system.compiled[1].basis.right[0, 0].real
-        modal = 0.5 * (rate**2 + abs(pole) ** 2 * q**2 + float(sub[1, 0]) ** 2)
-        return float(modal + law.energy(float(seat * q - foot * sub[0, 0])))
-
-    start = energy()
-    worst = 0.0
+    start, worst = stored_energy(system, state).total, 0.0
     for _ in range(steps // 200):
         stepper.run(state, 200)
-        worst = max(worst, abs(energy() / start - 1))
+        worst = max(worst, abs(stored_energy(system, state).total / start - 1))
     return worst
 
 
