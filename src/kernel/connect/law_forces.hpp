@@ -213,12 +213,8 @@ public:
         }
         potentials_.bound_excursions(b);
         const std::size_t before = cull_.candidates().size();
-        if (before == std::size_t(nl_.k)) {  // there is no other
-            series_.find(false);
-        } else {
-            cull_.add_candidates(b, series_.find(), [](int) {});
-            if (cull_.candidates().size() != before) return false;
-        }
+        cull_.add_candidates(b, series_.find(), [](int) {});
+        if (cull_.candidates().size() != before) return false;
         statistics_.solves += !laws.empty();
         commit(b);
         return true;

@@ -1,8 +1,6 @@
 // Displacements of the residual compliances in series with nonlinear connections.
 #pragma once
 
-#include <cmath>
-
 #include "../modal/simd.hpp"
 
 namespace tonewood {
@@ -38,9 +36,8 @@ public:
         if (nl_.series[j] >= 0) ws_.series_moves[nl_.series[j]] = ws_.any_series = true;
     }
 
-    // Displacements after the step under the forces tried; returns the largest one before or after it, or, where it is
-    // not wanted, one of each group that shows whether it moves.
-    double find(bool largest_wanted = true) {
+    // Displacements after the step under the forces tried; returns the largest one before or after it.
+    double find() {
         if (!ws_.any_series) return 0.0;
         const double old = (1 - nl_.theta) / nl_.theta, per = 1 / nl_.theta;
         const double* const __restrict before = ws_.series.data();
@@ -56,14 +53,9 @@ public:
         }
         double farthest = 0.0;
         for (std::size_t g = 0; g < nl_.shared.size(); ++g) {
-            const Nonlinear::Shared& group = nl_.shared[g];
-            const double first = std::abs(after[group.first]);
-            if (largest_wanted && !is_largest_) ws_.series_most[g] = largest(before + group.first, group.width);
-            const bool look = largest_wanted || first < kSeriesAtRest;
-            ws_.series_most_after[g] = look ? largest(after + group.first, group.width) : first;
+            ws_.series_most_after[g] = largest(after + nl_.shared[g].first, nl_.shared[g].width);
             farthest = std::max({farthest, ws_.series_most[g], ws_.series_most_after[g]});
         }
-        is_largest_ = largest_wanted;
         return farthest;
     }
 
@@ -95,7 +87,6 @@ private:
 
     const Nonlinear& nl_;
     ContactState& ws_;
-    bool is_largest_ = true;  // series_most, of each group
 };
 
 }  // namespace
