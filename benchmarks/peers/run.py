@@ -171,12 +171,12 @@ def strings(rate: float, modes: Sequence[int], kind: str = "tension", longitudin
         if kind == "tension":
             potentials.append(TensionModulation(name, (name,), AXIAL))
         elif kind == "longitudinal":
-            along = f"along {number_}"
-            components[along] = string_basis(
+            stretch = f"stretch {number_}"
+            components[stretch] = string_basis(
                 LENGTH, AXIAL, DENSITY, 0.0, lambda w, k: np.full_like(w, 0.01), n_modes=longitudinal
             )
-            ends.append(Connection(f"end {along}", (Term(along, "bridge"),), Rigid()))
-            potentials.append(GeometricStretch(name, (name,), along, AXIAL))
+            ends.append(Connection(f"end {stretch}", (Term(stretch, "bridge"),), Rigid()))
+            potentials.append(GeometricStretch(name, (name,), stretch, AXIAL))
         else:
             potentials.append(DrivenLongitudinal(name, (name,), (("body", "bridge", 0.1),), AXIAL, 3000.0, 0.01))
     return System.build(components, ends, outs, dt=1 / rate, potentials=potentials)

@@ -51,9 +51,13 @@ def main() -> None:
         command = sav_command(Path(name), options.sav, options.eigen)
         for force in (0.3, 1.0, 3.0):
             limit, cells = own(LIMIT, 150, force), []
-            for rate, modes, along in ((48_000, POINTS[0], 5), (48_000, QUARTER[0], 5), (24_000, QUARTER[0], 3)):
+            for rate, modes, modes_lengthwise in (
+                (48_000, POINTS[0], 5),
+                (48_000, QUARTER[0], 5),
+                (24_000, QUARTER[0], 3),
+            ):
                 every = LIMIT // rate
-                cells.append(error(own(rate, modes, force, along), limit[every - 1 :: every]))
+                cells.append(error(own(rate, modes, force, modes_lengthwise), limit[every - 1 :: every]))
             if command:
                 trace = Path(name) / "trace"
                 limit, found = theirs(command, LIMIT, force, trace), theirs(command, 48_000, force, trace)[:-8]
