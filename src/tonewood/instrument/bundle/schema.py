@@ -15,6 +15,7 @@ from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from tonewood.instrument.bundle.equalizer_schema import EqualizerBand
 from tonewood.instrument.bundle.key_schema import MOST_STRINGS, Keys, Name
+from tonewood.instrument.bundle.string_schema import Fretboard, MadeOf
 from tonewood.instrument.contract.directions import Direction
 from tonewood.instrument.contract.gestures import StringPlace
 from tonewood.support.params import Number, Parameters, Vector, described, quantity
@@ -109,12 +110,15 @@ class StringSetEntry(Parameters):
     linear_density: float | None = quantity("kg/m", low=1e-5, high=0.3, default=None, doc="mass per length")
     young: float | None = quantity("Pa", low=1e8, high=1e12, default=None, doc="of the part that bends and stretches")
     bending_stiffness: float | None = quantity("N m^2", low=0.0, high=1.0, default=None, doc="E I")
+    made_of: MadeOf | None = described("gauge and materials, for what the others leave out", default=None)
+    fretting_stiffness: float | None = quantity("N", low=0.0, high=1e7, default=None, doc="E A in slow stretch")
     loss: dict[str, Any] | None = described("loss law and its numbers", default=None)
 
     @model_validator(mode="after")
     def _mass(self) -> StringSetEntry:
-        if self.linear_density is None and self.tension is None and (self.density is None or self.diameter is None):
-            raise ValueError("a linear density, a tension, or a density and a diameter are wanted")
+        known = (self.linear_density, self.tension, self.made_of, self.density and self.diameter)
+        if not any(known):
+            raise ValueError("a linear density, a tension, a density and a diameter, or `made_of` are wanted")
         return self
 
 
@@ -183,6 +187,13 @@ class StringPart(PluginPart):
         "number of stops of this string, if not that of `stops`", default=None, ge=0, le=200, strict=True
     )
     points: dict[Name, StringPoint] = described("further places on the string", default={}, max_length=MOST_PARTS)
+    made_of: MadeOf | None = described(
+        "gauge and materials; they give mass, stiffness and loss where these are left out", default=None
+    )
+    fretting_stiffness: float | None = quantity(
+        "N", low=0.0, high=1e7, default=None, doc="E A in slow stretch; `axial_stiffness` where left out"
+    )
+    fretboard: Fretboard = described("of this string, if not that of `stops`", default=Fretboard())
 
     @property
     def ends(self) -> tuple[str, ...]:
@@ -235,6 +246,7 @@ class Stops(Parameters):
         default="ideal",
     )
     finger: Finger = described("where the model is finger", default=Finger())
+    fretboard: Fretboard = described("nut, frets and saddle; see `tuning.at`", default=Fretboard())
 
 
 class TuningSettings(Parameters):
@@ -252,8 +264,10 @@ class TuningSettings(Parameters):
         "of the bundle; the pitch of the string and of its stops follows)",
         default="pitch",
     )
-    at: Literal["each_stop", "open_only"] = described(
-        "each_stop: every stop is compensated; open_only: frets keep their errors", default="each_stop"
+    at: Literal["each_stop", "open_only", "frets"] = described(
+        "each_stop: every stop is tuned to its note; open_only: stops have the open string's tension; frets: stops sound "
+        "where `fretboard`, rising tension and stiffness put them",
+        default="each_stop",
     )
     stretch: Literal["none", "octaves"] = described(
         "octaves: open strings are tuned so that octaves beat least, by their own inharmonicity", default="none"
@@ -463,6 +477,18 @@ class Bundle(Parameters):
         if not isinstance(values, dict) or values.get("strings") or values.get("keys"):
             return values
         return {"title": values.get("name"), **_BODY_ALONE, **values}
+
+    @model_validator(mode="after")
+    def _fretted(self) -> Bundle:
+        if self.tuning.at == "frets":
+            for key, value, wanted in (
+                ("stops.kind", self.stops.kind, "frets"),
+                ("stops.model", self.stops.model, "ideal"),
+                ("tuning.compensate", self.tuning.compensate, "coupled"),
+            ):
+                if value != wanted:
+                    raise ValueError(f"tuning.at: frets wants {key}: {wanted}, which is {value}")
+        return self
 
     @model_validator(mode="after")
     def _played(self) -> Bundle:
