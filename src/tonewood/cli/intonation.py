@@ -30,7 +30,7 @@ def intonation(
     allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> None:
-    """Print cents by string and fret of INSTRUMENT as its frets, action and strings make them, and the best nut and saddle.
+    """Print cents by string and fret of INSTRUMENT, by frets, action and strings, and the best nut and saddle.
 
     Every open string is tuned; `tuning.at: frets` makes renders sound so. Keys: `stops.fretboard`.
     """

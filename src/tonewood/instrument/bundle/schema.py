@@ -265,8 +265,8 @@ class TuningSettings(Parameters):
         default="pitch",
     )
     at: Literal["each_stop", "open_only", "frets"] = described(
-        "each_stop: every stop is tuned to its note; open_only: stops have the open string's tension; frets: stops sound "
-        "where `fretboard`, rising tension and stiffness put them",
+        "each_stop: every stop is tuned to its note; open_only: stops have the open string's tension; frets: stops "
+        "sound where `fretboard`, rising tension and stiffness put them",
         default="each_stop",
     )
     stretch: Literal["none", "octaves"] = described(

@@ -2,11 +2,12 @@
 
     plain     mu = rho pi d^2 / 4
     wound     mu = rho_c pi d_c^2 / 4 + fill rho_w pi (d^2 - d_c^2) / 4
-    both      T = mu (2 L f)^2,   sigma = 4 T / (pi d_c^2),   E = E_0 + e sigma,   EI = E pi d_c^4 / 64,  EA = E pi d_c^2 / 4
+    both      T = mu (2 L f)^2,  sigma = 4 T / (pi d_c^2),  E = E_0 + e sigma,  EI = E pi d_c^4 / 64,
+              EA = E pi d_c^2 / 4
 
 d_c is the core's diameter, d for a plain string. The winding adds mass alone. Round wire of d_w = (d - d_c) / 2, wound
-closely, fills pi/4 sqrt(1 + (d_w / (pi (d_c + d_w)))^2) of the ring. Polymers are stiffer the more they are stretched, and
-in slow stretch, by fretting or tuning, softer than in vibration: `fretting_stiffness` is EA of the slow one.
+closely, fills pi/4 sqrt(1 + (d_w / (pi (d_c + d_w)))^2) of the ring. Polymers are stiffer the more they are stretched,
+and in slow stretch, by fretting or tuning, softer than in vibration: `fretting_stiffness` is EA of the slow one.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
+
+from pydantic import ConfigDict
 
 from tonewood.errors import BundleError
 from tonewood.instrument.bundle.string_schema import MadeOf
@@ -40,7 +43,7 @@ class Figure(Parameters):
 class MaterialLoss(Parameters):
     """A loss law and its numbers, with their source."""
 
-    model_config = {**Parameters.model_config, "extra": "allow"}
+    model_config = ConfigDict(extra="allow")
     law: str = described("name of a loss law")
     kind: Literal["published", "computed", "stand_in"] = described("as in the provenance of a bundle")
     source: str = described("author, place of publication")
@@ -132,7 +135,8 @@ def made_figures(made: MadeOf, length: float, freq: float, *, key: str = "", fil
         diameter = core_diameter = made.diameter
         density, law, metal = core.density.value * math.pi * diameter**2 / 4, core.loss, core.title
         sources = core.density.source
-    assert core.young is not None and law is not None
+    assert core.young is not None
+    assert law is not None
     linear_density = made.linear_density or density
     tension = linear_density * (2 * length * freq) ** 2
     area = math.pi * core_diameter**2 / 4
@@ -165,8 +169,8 @@ def made_figures(made: MadeOf, length: float, freq: float, *, key: str = "", fil
 def _wound(made: MadeOf, core: StringMaterial, wrap: StringMaterial, key: str, file: Any) -> tuple[float, float, float]:
     """Diameter (m), core's diameter (m) and mass per length (kg/m) of a wound string.
 
-    Of string, core and wrap two gauges make the third. Where the string's alone is known, the core follows from the mass
-    if the wrap is much the denser one, as on nylon; on steel it is a usual share.
+    Of string, core and wrap two gauges make the third. Where the string's alone is known, a core of nylon follows from
+    the mass, since the wrap is much denser; a core of steel is a usual share.
     """
     assert made.wrap is not None
 
@@ -175,7 +179,8 @@ def _wound(made: MadeOf, core: StringMaterial, wrap: StringMaterial, key: str, f
 
     inner, wire, outer = made.core.diameter if made.core else None, made.wrap.diameter, made.diameter
     if outer is None:
-        assert inner is not None and wire is not None
+        assert inner is not None
+        assert wire is not None
         outer = inner + 2 * wire
     elif inner is None and wire is not None:
         inner = outer - 2 * wire

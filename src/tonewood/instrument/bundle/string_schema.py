@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated
 
 from pydantic import Field, model_validator
@@ -131,7 +132,7 @@ class Fretboard(Parameters):
             if getattr(self, one) is not None and getattr(self, other) is not None:
                 raise ValueError(f"{other}: stands beside `{one}`; one of the two is allowed")
         places = self.places or []
-        if any(b <= a for a, b in zip([0.0, *places], places, strict=False)):
+        if any(b <= a for a, b in pairwise([0.0, *places])):
             raise ValueError("places: do not rise; metres from the nut, each larger than the one before, are allowed")
         return self
 

@@ -20,8 +20,8 @@ def fretted_string(instrument: Instrument, name: str) -> FrettedString:
 
     Raises
     ------
-    BundleError : heights, places of all frets or the stiffness in slow stretch are not stated; or the neck is crooked so
-        that the open string lies on a fret.
+    BundleError : heights, places of all frets or the stiffness in slow stretch are not stated; or the open string
+        lies on a fret.
     """
     part, resonator = instrument.spec.strings[name], instrument.resonators[name]
     given = _given(instrument, name)
@@ -63,17 +63,17 @@ def _fretboard(instrument: Instrument, name: str, given: Mapping[str, Any]) -> F
     """Geometry without setbacks, its heights over the plane of the crowns without relief."""
     length = instrument.resonators[name].length
     places = _places(instrument, name, given, length)
-    nut, saddle = given.get("nut_height"), given.get("saddle_height")
-    first, twelfth = given.get("action_first"), given.get("action_twelfth")
-    for pair, key in (((nut, first), "nut_height"), ((saddle, twelfth), "saddle_height")):
-        if pair == (None, None):
-            other = "action_first" if key == "nut_height" else "action_twelfth"
-            raise _fault(
-                instrument, f"stops.fretboard.{key}", f"is missing; it or `{other}`, in m, is wanted for frets"
-            )
-    # a line z(x) = nut + slope x through two of the four heights
-    start = (0.0, nut) if nut is not None else (places[0] if places else 0.0, first)
-    end = (length, saddle) if saddle is not None else (length / 2, twelfth)
+
+    def point(at_end: tuple[str, float], between: tuple[str, float]) -> tuple[float, float]:
+        for key, x in (at_end, between):
+            if key in given:
+                return x, float(given[key])
+        reason = f"is missing; it or `{between[0]}`, in m, is wanted for frets"
+        raise _fault(instrument, f"stops.fretboard.{at_end[0]}", reason)
+
+    # a line z(x) = height + slope x through two of the four
+    start = point(("nut_height", 0.0), ("action_first", places[0]))
+    end = point(("saddle_height", length), ("action_twelfth", length / 2))
     slope = (end[1] - start[1]) / (end[0] - start[0])
     height = start[1] - slope * start[0]
     relief, single = given.get("relief", 0.0), given.get("heights", {})

@@ -10,8 +10,8 @@ from tonewood.instrument.model.string_setup import Stopping
 class StopTable:
     """Pitch, place and length of a string at its stops; those of whole stops are computed once.
 
-    A stop lies where the ideal string sounds its pitch: x = L (1 - f_0 / f), from the nut. Over real frets it lies where
-    the string, hinged there, speaks as the fretted one does.
+    A stop lies where the ideal string sounds its pitch: x = L (1 - f_0 / f), from the nut. Over real frets it lies
+    where the string, hinged there, speaks as the fretted one does.
 
     Attributes
     ----------

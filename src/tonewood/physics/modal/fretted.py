@@ -1,10 +1,10 @@
 """A string pressed to a fret: its shape, its rise of tension and its pitch.
 
-The string is drawn straight over nut, crowns of frets, finger and saddle. From the open path Lambda_0 to that of a stop,
-Lambda_n, it stretches by Q; the tension rises by EA Q and the mass per length falls. A fret clamps it, the saddle does
+The string is drawn straight over nut, crowns of frets, finger and saddle. From the open path Lambda_0 to Lambda_n, that
+of a stop, it stretches by Q; the tension rises by EA Q and the mass per length falls. A fret clamps it, the saddle does
 not, so that it speaks as if it were sqrt(EI / T) shorter and hinged at both ends:
 
-    Q = (Lambda_n - Lambda_0) / (Lambda_0 + behind),      T_n = T_0 + EA Q,      l_n = |crown_n - saddle| - sqrt(EI / T_n)
+    Q = (Lambda_n - Lambda_0) / (Lambda_0 + behind),    T_n = T_0 + EA Q,    l_n = |crown_n - saddle| - sqrt(EI / T_n)
     f_n = 1 / (2 l_n) sqrt(T_n (1 + Q) / mu) sqrt(1 + pi^2 EI / (T_n l_n^2))
 
 To second order in sqrt(EI / T) / l this is the clamped and hinged string of N. H. Fletcher, J. Acoust. Soc. Am. 36
@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -217,4 +218,4 @@ def _over(points: Sequence[Point]) -> list[Point]:
 
 
 def _length(path: Sequence[Point]) -> float:
-    return sum(math.dist(a, b) for a, b in zip(path, path[1:], strict=False))
+    return sum(math.dist(a, b) for a, b in pairwise(path))
