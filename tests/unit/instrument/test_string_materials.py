@@ -15,7 +15,7 @@ from tonewood.instrument.bundle.string_sets import figures, string_sets
 
 #: gauge (inch) -> g/m, chart of string tensions of D'Addario, as transcribed by the project stringcalc
 CHART = {
-    "plain_steel": {0.008: 0.2532, 0.010: 0.3956, 0.012: 0.5697, 0.013: 0.6686, 0.017: 1.143, 0.020: 1.582, 0.026: 2.674},
+    "plain_steel": {0.008: 0.2532, 0.010: 0.3956, 0.012: 0.5697, 0.013: 0.6686, 0.017: 1.143, 0.026: 2.674},
     "nylon": {0.018: 0.1636, 0.024: 0.2907, 0.028: 0.3957, 0.032: 0.5168, 0.041: 0.8484},
     "phosphor_bronze": {0.020: 1.448, 0.024: 2.086, 0.032: 3.753, 0.042: 6.558, 0.053: 10.17, 0.070: 17.29},
     "bronze_80_20": {0.020: 1.404, 0.026: 2.367, 0.036: 4.539, 0.047: 7.792, 0.056: 10.92},

@@ -17,8 +17,8 @@ FLAT = Fretboard(SCALE, PLACES, (0.0,) * 19, 0.0, 0.0)
 USUAL = replace(FLAT, nut_height=1e-3, saddle_height=5e-3)
 
 #: EA / T, B0 = sqrt(EI / T) / L, tension (N), and setbacks of saddle and nut (mm) and leftover r.m.s. (cents, with the
-#: open string) at 650 mm, nut 1 mm over the frets, saddle 4 mm over the nut: M. F. Anderson & R. G. Beausoleil, Classical
-#: Guitar Intonation and Compensation, tables of the sets EJ43, EJ45, EJ46, EJ45FF
+#: open string) at 650 mm, nut 1 mm over the frets, saddle 4 mm over the nut: M. F. Anderson & R. G. Beausoleil,
+#: Classical Guitar Intonation and Compensation, tables of the sets EJ43, EJ45, EJ46, EJ45FF
 PRINTED = {
     "J4301": (76.6, 0.00235, 66.4, 1.95, -0.57, 0.229),
     "J4302": (86.2, 0.00287, 50.2, 2.37, -0.64, 0.259),
