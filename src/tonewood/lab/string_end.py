@@ -9,11 +9,14 @@ whose solutions are sinh p (L - x) with EI p^4 - T p^2 + mu (s^2 + 2 sigma0 s) =
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_modes import string_basis
 
 Complexes = NDArray[np.complex128]
 
@@ -51,6 +54,20 @@ class ExactString:
         """Hz, n f0 sqrt(1 + B n^2), B = pi^2 EI / (T L^2): both ends held."""
         B = np.pi**2 * self.bending_stiffness / (self.tension * self.length**2)
         return float(n * self.fundamental * np.sqrt(1 + B * n**2))
+
+    def basis(
+        self, places: Mapping[str, float] | None = None, *, freq_upper: float | None = None, n_modes: int | None = None
+    ) -> ModalBasis:
+        """Fixed-base modes and ramp, up to a frequency (Hz) or a number, with points at shares of the length."""
+        basis = string_basis(
+            self.length, self.tension, self.linear_density, self.bending_stiffness,
+            lambda omega, k: 2 * self.sigma0 / omega, freq_upper=freq_upper, n_modes=n_modes,
+        )  # fmt: skip
+        return basis.with_places({name: share * self.length for name, share in (places or {}).items()})
+
+    def pole(self, n: int) -> complex:
+        """Pole of a partial with both ends held, 1/s."""
+        return complex(-self.sigma0, np.sqrt((2 * np.pi * self.held_freq(n)) ** 2 - self.sigma0**2))
 
     def roots(self, s: complex) -> tuple[complex, complex | None]:
         """Wavenumbers p of the travelling and of the bending wave (None without stiffness), 1/m."""

@@ -93,6 +93,19 @@ class AtomicFile:
         _unlock(self._claimed)
 
 
+def check_new_folder(folder: Path) -> None:
+    """Refuse a folder to make that is there already, or whose parent is not.
+
+    Raises
+    ------
+    OutputError : one of these.
+    """
+    if folder.exists() or folder.is_symlink():
+        raise OutputError("is there already; give another name", file=folder)
+    if not folder.absolute().parent.is_dir():
+        raise OutputError(f"there is no folder {str(folder.parent)!r}", file=folder)
+
+
 def _place(target: Path, number: object) -> Path:
     return target.parent / f".{target.stem}.{number}.part{target.suffix}"
 

@@ -22,7 +22,7 @@ from tonewood.instrument.bundle.schema import SCHEMA
 from tonewood.instrument.bundle.string_sets import string_set
 from tonewood.instrument.contract import registry
 from tonewood.instrument.contract.files import Files
-from tonewood.support.whole_files import write_whole
+from tonewood.support.whole_files import check_new_folder, write_whole
 from tonewood.support.yaml_edit import edit_text
 from tonewood.support.yaml_io import load_yaml, parse_yaml
 
@@ -78,10 +78,7 @@ def new_bundle(folder: Path, source: str, *, strings: str | None = None, allow_c
         raise BundleError(
             f"{name!r} cannot be the name of an instrument; letters, digits and _ are allowed", key="NAME"
         )
-    if folder.exists() or folder.is_symlink():
-        raise OutputError("is there already; give another name", file=folder)
-    if not folder.absolute().parent.is_dir():
-        raise OutputError(f"there is no folder {str(folder.parent)!r}", file=folder)
+    check_new_folder(folder)
     place = Path(source)
     if not (place / registry.MANIFEST).is_file() and (place / PARTS).is_file():
         text = _from_fit(name, place, strings or "ej46")

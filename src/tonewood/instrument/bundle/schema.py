@@ -6,16 +6,13 @@ the keys of that plugin beside those listed here.
 
 from __future__ import annotations
 
-import math
-import zlib
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from tonewood.instrument.bundle.equalizer_schema import EqualizerBand
 from tonewood.instrument.bundle.key_schema import MOST_STRINGS, Keys, Name
-from tonewood.instrument.bundle.string_schema import Fretboard, MadeOf
+from tonewood.instrument.bundle.string_schema import Fretboard, MadeOf, Scatter
 from tonewood.instrument.contract.directions import Direction
 from tonewood.instrument.contract.gestures import StringPlace
 from tonewood.support.params import Number, Parameters, Vector, described, quantity
@@ -130,27 +127,6 @@ class StringSet(Parameters):
     length: float = quantity("m", low=0.02, high=5.0, doc="at which its tensions hold")
     source: Source = described("where its figures come from")
     strings: list[StringSetEntry] = described("from bass to treble", min_length=1)
-
-
-class Scatter(Parameters):
-    """How far real strings are from the same ideal one: normal scatter, drawn from a seed."""
-
-    seed: int = described("of the draws; the string's name and stop are part of it", default=1, ge=0)
-    tilt_deg: float = quantity("deg", low=0.0, high=45.0, default=0.0, doc="standard deviation, one draw per string")
-    split_cents: float = quantity("cents", low=0.0, high=20.0, default=0.0, doc="standard deviation, one draw per stop")
-
-    def tilt(self, string: str) -> float:
-        """Add to a string's `tilt_deg`, deg."""
-        return self.tilt_deg * self._draw(f"tilt {string}")
-
-    def split(self, string: str, stop: float) -> float:
-        """Add to a string's `split_cents` at a stop, cents; between whole stops on a straight line."""
-        low = math.floor(stop)
-        parts = ((low, low + 1 - stop), (low + 1, stop - low))
-        return self.split_cents * sum(w * self._draw(f"split {string} {i}") for i, w in parts if w > 0)
-
-    def _draw(self, what: str) -> float:
-        return float(np.random.default_rng([self.seed, zlib.crc32(what.encode())]).standard_normal())
 
 
 class StringPart(PluginPart):

@@ -1,10 +1,13 @@
-"""Keys of strings as they are bought, and of the fretboard under them."""
+"""Keys of strings as they are bought, of their scatter, and of the fretboard under them."""
 
 from __future__ import annotations
 
+import math
+import zlib
 from itertools import pairwise
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from tonewood.support.params import Number, Parameters, described, quantity
@@ -12,6 +15,27 @@ from tonewood.support.params import Number, Parameters, described, quantity
 #: metres of an inch
 INCH = 0.0254
 _FRET = Annotated[str, Field(pattern=r"^[1-9][0-9]{0,2}$")]
+
+
+class Scatter(Parameters):
+    """How far real strings are from the same ideal one: normal scatter, drawn from a seed."""
+
+    seed: int = described("of the draws; the string's name and stop are part of it", default=1, ge=0)
+    tilt_deg: float = quantity("deg", low=0.0, high=45.0, default=0.0, doc="standard deviation, one draw per string")
+    split_cents: float = quantity("cents", low=0.0, high=20.0, default=0.0, doc="standard deviation, one draw per stop")
+
+    def tilt(self, string: str) -> float:
+        """Add to a string's `tilt_deg`, deg."""
+        return self.tilt_deg * self._draw(f"tilt {string}")
+
+    def split(self, string: str, stop: float) -> float:
+        """Add to a string's `split_cents` at a stop, cents; between whole stops on a straight line."""
+        low = math.floor(stop)
+        parts = ((low, low + 1 - stop), (low + 1, stop - low))
+        return self.split_cents * sum(w * self._draw(f"split {string} {i}") for i, w in parts if w > 0)
+
+    def _draw(self, what: str) -> float:
+        return float(np.random.default_rng([self.seed, zlib.crc32(what.encode())]).standard_normal())
 
 
 class Wire(Parameters):

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from tonewood.errors import BundleError
-from tonewood.instrument.bundle import string_schema
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.bundle.string_schema import Fretboard
 from tonewood.instrument.contract.registry import MANIFEST
-from tonewood.physics.modal.fretted import Fretboard, FrettedString
+from tonewood.physics.modal.fretted import FretboardGeometry, FrettedString
 
 #: place of the finger behind its fret where the bundle gives none, m
 _FINGER = 5e-3
@@ -49,17 +49,17 @@ def fretted_string(instrument: Instrument, name: str) -> FrettedString:
 
 def _given(instrument: Instrument, name: str) -> Mapping[str, Any]:
     """Keys of the fretboard under a string: its own, those of all strings, those of a part that has frets."""
-    spec, common = instrument.spec, string_schema.Fretboard()
-    fields = set(string_schema.Fretboard.model_fields)
+    spec, common = instrument.spec, Fretboard()
+    fields = set(Fretboard.model_fields)
     for key, attachment in instrument.attachments.items():
         values = attachment.parameters.model_dump(include=fields)
         if "action_first" in values and name in (spec.connections[key].strings or [name]):
-            common = string_schema.Fretboard(**values)
+            common = Fretboard(**values)
     own = spec.strings[name].fretboard.over(spec.stops.fretboard.over(common))
     return own.model_dump(exclude_none=True)
 
 
-def _fretboard(instrument: Instrument, name: str, given: Mapping[str, Any]) -> Fretboard:
+def _fretboard(instrument: Instrument, name: str, given: Mapping[str, Any]) -> FretboardGeometry:
     """Geometry without setbacks, its heights over the plane of the crowns without relief."""
     length = instrument.resonators[name].length
     places = _places(instrument, name, given, length)
@@ -79,7 +79,7 @@ def _fretboard(instrument: Instrument, name: str, given: Mapping[str, Any]) -> F
     relief, single = given.get("relief", 0.0), given.get("heights", {})
     shares = [x / places[-1] for x in places]
     crowns = [single.get(str(n), 0.0) - 4 * relief * s * (1 - s) for n, s in enumerate(shares, 1)]
-    return Fretboard(
+    return FretboardGeometry(
         length,
         places,
         tuple(crowns),

@@ -32,7 +32,7 @@ _FINGER_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Fretboard:
+class FretboardGeometry:
     """Nut, frets and saddle under one string, seen from the side.
 
     Attributes
@@ -124,7 +124,7 @@ class FrettedString:
     axial_stiffness : EA, N, in slow stretch.
     """
 
-    board: Fretboard
+    board: FretboardGeometry
     tension: float
     bending_stiffness: float
     axial_stiffness: float

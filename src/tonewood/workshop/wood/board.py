@@ -113,11 +113,7 @@ def estimate_board(
     ------
     ValueError : fewer than three peaks, or none that fits.
     """
-    peaks = np.asarray(freq, dtype=np.float64)
-    order = np.argsort(peaks)
-    peaks = peaks[order]
-    spread = np.hypot(np.asarray(errors, dtype=np.float64)[order] / peaks, model_error)
-    quality = np.asarray(q, dtype=np.float64)[order] if len(q) else np.zeros(len(peaks))
+    peaks, spread, quality = sorted_peaks(freq, errors, q, model_error)
     if len(peaks) < 3:
         raise ValueError(f"{len(peaks)} peaks; 3 or more are wanted, for three constants")
     problem = _Problem(plate, thickness_error, prior or plate.nominal)
@@ -234,6 +230,16 @@ def _paired(peaks: Floats, modes: Floats, s: float) -> tuple[tuple[Places, Place
     if len(i):
         total += _NO_PEAK * (np.count_nonzero(modes < peaks[i].max() + 1e-9) - len(i))
     return (i, j), total
+
+
+def sorted_peaks(
+    freq: Sequence[float], errors: Sequence[float], q: Sequence[float], model_error: float
+) -> tuple[Floats, Floats, Floats]:
+    """Peaks by rising frequency (Hz), their standard deviations re it with that of the model, and Q; 0: not known."""
+    order = np.argsort(freq)
+    peaks = np.asarray(freq, dtype=np.float64)[order]
+    spread = np.hypot(np.asarray(errors, dtype=np.float64)[order] / peaks, model_error)
+    return peaks, spread, np.asarray(q, dtype=np.float64)[order] if len(q) else np.zeros(len(peaks))
 
 
 def losses_of(

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tonewood.physics.modal.fretted import Fretboard, FrettedString, compensated
+from tonewood.physics.modal.fretted import FretboardGeometry, FrettedString, compensated
 
 SCALE = 0.650
 PLACES = tuple(SCALE * (1 - 2 ** (-n / 12)) for n in range(1, 20))
 EQUAL = [2 ** (n / 12) for n in range(1, 20)]
-FLAT = Fretboard(SCALE, PLACES, (0.0,) * 19, 0.0, 0.0)
+FLAT = FretboardGeometry(SCALE, PLACES, (0.0,) * 19, 0.0, 0.0)
 USUAL = replace(FLAT, nut_height=1e-3, saddle_height=5e-3)
 
 #: EA / T, B0 = sqrt(EI / T) / L, tension (N), and setbacks of saddle and nut (mm) and leftover r.m.s. (cents, with the
@@ -47,7 +47,7 @@ PRINTED = {
 }
 
 
-def string(name: str, board: Fretboard = USUAL) -> FrettedString:
+def string(name: str, board: FretboardGeometry = USUAL) -> FrettedString:
     kappa, b0, tension, *_ = PRINTED[name]
     return FrettedString(board, tension, tension * (b0 * SCALE) ** 2, kappa * tension)
 
@@ -104,7 +104,7 @@ def test_nothing_better_lies_beside_the_best_setbacks() -> None:
 
 
 def test_scaled_in_all_lengths_the_cents_stay() -> None:
-    large = Fretboard(2 * SCALE, tuple(2 * x for x in PLACES), (0.0,) * 19, 2e-3, 10e-3)
+    large = FretboardGeometry(2 * SCALE, tuple(2 * x for x in PLACES), (0.0,) * 19, 2e-3, 10e-3)
     kappa, b0, tension, *_ = PRINTED["J4502"]
     big = FrettedString(large, tension, tension * (b0 * 2 * SCALE) ** 2, kappa * tension)
     assert big.cents(EQUAL) == pytest.approx(string("J4502").cents(EQUAL), abs=1e-9)
@@ -112,7 +112,7 @@ def test_scaled_in_all_lengths_the_cents_stay() -> None:
 
 def test_a_neck_that_is_tilted_as_a_whole_sounds_the_same() -> None:
     sine, cosine = math.sin(0.02), math.cos(0.02)
-    tilted = Fretboard(
+    tilted = FretboardGeometry(
         SCALE, tuple(cosine * x for x in PLACES), tuple(sine * x for x in PLACES),
         cosine * 1e-3, sine * SCALE + cosine * 5e-3, sine * 1e-3, cosine * SCALE - sine * 5e-3 - SCALE,
     )  # fmt: skip
@@ -171,7 +171,7 @@ MEASURED = [64.3, 43.3, 39.2, 37.3, 36.6, 34.8, 38.3, 36.7, 36.2, 32.5, 37.5, 30
 def test_a_thick_wire_pressed_to_the_board_as_measured() -> None:
     """Mean within 3 cents; fret by fret 11 cents r.m.s.: beside finger and fret a stiff wire is not straight."""
     places = tuple(0.645 * (1 - 2 ** (-n / 12)) for n in range(1, 21))
-    board = Fretboard(0.645, places, (0.0,) * 20, 0.2e-3, 0.2e-3, finger=0.05, press_depth=1.3e-3)
+    board = FretboardGeometry(0.645, places, (0.0,) * 20, 0.2e-3, 0.2e-3, finger=0.05, press_depth=1.3e-3)
     wire = FrettedString(board, 51.6, 200e9 * math.pi * 0.254e-3**4 / 4, (2 * 130 + 1) * 51.6)
     found = wire.cents([2 ** (n / 12) for n in range(1, 21)])
     assert found.mean() == pytest.approx(np.mean(MEASURED), abs=3.0)

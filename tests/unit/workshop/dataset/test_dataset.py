@@ -251,6 +251,7 @@ def test_a_tick_of_midi_can_be_a_sample(fs: int) -> None:
     assert ticks * 1_000_000 == tempo * fs
 
 
+@pytest.mark.slow
 def test_the_command_plans_and_makes_it(tmp_path: Path) -> None:
     path = tmp_path / "d.yaml"
     path.write_text(json.dumps(BASE | {"size": 2}))

@@ -333,6 +333,7 @@ def test_answers_of_psychopy_s_tables_come_in(made: ListeningTest, tmp_path: Pat
     assert {record["answer"]["values"]["bright"] for record in one.records if record["type"] == "rating"} == {40.0}
 
 
+@pytest.mark.slow
 def test_the_command_reads_a_table_and_writes_parquet_beside_csv(
     made: ListeningTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,15 +13,15 @@ three of them (P0, P1, P2), and the quadrature rules evaluate them at their node
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.lab.accuracy.flat import Flat, RealModes, inverses, product, through
-from tonewood.lab.accuracy.scheme import Scheme
-from tonewood.lab.newmark import AVERAGE_ACCELERATION, HHT, Newmark
+from tonewood.lab.methods.problem import Problem, inverses, product, through
+from tonewood.lab.methods.scheme import Scheme
+from tonewood.lab.newmark import Newmark
 from tonewood.physics.coupling.inverse import scaled_pinv
 from tonewood.physics.modal.propagator import apply
 
@@ -33,15 +33,15 @@ Complexes = NDArray[np.complex128]
 
 
 def _flow_scheme(
-    flat: Flat, dt: float, scatter: list[list[Floats]], reads: Floats, G: list[Floats], K: list[Floats] | None = None,
-    *, begin: Callable[[Floats], tuple[Floats, Floats]] | None = None, ahead: Floats | None = None,
-    shift: Floats | None = None,
+    problem: Problem, dt: float, scatter: list[list[Floats]], reads: Floats, G: list[Floats],
+    K: list[Floats] | None = None, *, begin: Callable[[Floats], tuple[Floats, Floats]] | None = None,
+    ahead: Floats | None = None, shift: Floats | None = None,
 ) -> Scheme:  # fmt: skip
     """scatter: by phase and lag (m, n, 2).  ahead: (m, n, 2) that forces add to the state read out, first phase."""
     m, phases, lags = len(G[0]), len(scatter), len(scatter[0])
-    out_memory = np.zeros((phases, len(flat.out), m))
+    out_memory = np.zeros((phases, len(problem.out), m))
     if ahead is not None:
-        out_memory[0] = product(flat.out, ahead)
+        out_memory[0] = product(problem.out, ahead)
 
     def motion(numbers: Floats) -> Floats:
         x = numbers.T
@@ -51,13 +51,13 @@ def _flow_scheme(
         return np.asarray(x + np.einsum("m,mnx->nx", -G[0] @ np.einsum("mnx,nx->m", reads, x), shift))
 
     return Scheme(
-        flat=flat,
+        problem=problem,
         dt=dt,
         rule="flow",
-        coef=np.ascontiguousarray(flat.flow(dt, 0)[0].reshape(-1, 4).T),
+        coef=np.ascontiguousarray(problem.flow(dt, 0)[0].reshape(-1, 4).T),
         scatter=np.array(scatter).swapaxes(1, 2),
         reads=reads,
-        outs=flat.out,
+        outs=problem.out,
         G=np.array(G),
         K=np.zeros((phases, m, m)) if K is None else np.array(K),
         out_memory=out_memory,
@@ -67,130 +67,132 @@ def _flow_scheme(
     )
 
 
-def held_position(flat: Flat, dt: float) -> Scheme:
+def held_position(problem: Problem, dt: float) -> Scheme:
     """The scheme of this project, a sweep per sample: force held over the step, gap zero at its end."""
-    E, phi1 = flat.flow(dt)
-    solve = flat.problem.system(dt).solve
-    reads = through(flat.C, E) + solve.gamma[:, None, None] * flat.C
-    return _flow_scheme(flat, dt, [[dt * apply(phi1, flat.B)]], reads, [solve.G])
+    E, phi1 = problem.flow(dt)
+    solve = problem.system(dt).solve
+    reads = through(problem.C, E) + solve.gamma[:, None, None] * problem.C
+    return _flow_scheme(problem, dt, [[dt * apply(phi1, problem.B)]], reads, [solve.G])
 
 
-def held_velocity(flat: Flat, dt: float) -> Scheme:
+def held_velocity(problem: Problem, dt: float) -> Scheme:
     """Force held over the step, gap at rest at its end."""
-    E, phi1 = flat.flow(dt)
-    CA, W = through(flat.C, flat.A), dt * apply(phi1, flat.B)
-    return _flow_scheme(flat, dt, [[W]], through(CA, E), [scaled_pinv(product(CA, W))])
+    E, phi1 = problem.flow(dt)
+    CA, W = through(problem.C, problem.A), dt * apply(phi1, problem.B)
+    return _flow_scheme(problem, dt, [[W]], through(CA, E), [scaled_pinv(product(CA, W))])
 
 
-def linear_position(flat: Flat, dt: float) -> Scheme:
+def linear_position(problem: Problem, dt: float) -> Scheme:
     """Force linear in time over the step, gap zero at its end. Unstable at any step: one of the traps."""
-    E, phi1, phi2 = flat.flow(dt, 2)
-    new, old = dt * apply(phi2, flat.B), dt * apply(phi1 - phi2, flat.B)
-    G = scaled_pinv(product(flat.C, new))
-    return _flow_scheme(flat, dt, [[new, old]], through(flat.C, E), [G], [G @ product(flat.C, old)])
+    E, phi1, phi2 = problem.flow(dt, 2)
+    new, old = dt * apply(phi2, problem.B), dt * apply(phi1 - phi2, problem.B)
+    G = scaled_pinv(product(problem.C, new))
+    return _flow_scheme(problem, dt, [[new, old]], through(problem.C, E), [G], [G @ product(problem.C, old)])
 
 
-def _past_forces(flat: Flat, x: Floats, dt: float, lags: int) -> Floats:
+def _past_forces(problem: Problem, x: Floats, dt: float, lags: int) -> Floats:
     """(lags, m) forces one, two, ... steps ago of a free motion, by its Taylor series to second order."""
-    first = flat.rate(x)
-    second = flat.rate(first)
+    first = problem.rate(x)
+    second = problem.rate(first)
     ago = [x - k * dt * first + (k * dt) ** 2 / 2 * second for k in range(1, lags + 1)]
-    return -np.array([flat.S @ np.einsum("mnx,nx->m", flat.CA2, y) for y in ago]).reshape(lags, len(flat.S))
+    return -np.array([problem.S @ np.einsum("mnx,nx->m", problem.CA2, y) for y in ago]).reshape(lags, len(problem.S))
 
 
-def interpolated(flat: Flat, dt: float, degree: int) -> Scheme:
+def interpolated(problem: Problem, dt: float, degree: int) -> Scheme:
     """Force from the acceleration constraint at t_n and `degree` steps before it, continued over the step: P0, P1, P2.
 
     Newton's backward differences: f(t_n + s h) = f_n + s df_n + s (s + 1)/2 ddf_n, carried exactly by phi-functions.
     """
-    _, phi1, phi2, phi3 = flat.flow(dt, 3)
+    _, phi1, phi2, phi3 = problem.flow(dt, 3)
     terms = [phi1, phi2, phi3 + 0.5 * phi2]
     weights = [
         sum((terms[k] * (-1.0) ** lag * _BINOMIAL[k][lag] for k in range(lag, degree + 1)), np.zeros_like(phi1))
         for lag in range(degree + 1)
     ]
-    scatter = [dt * apply(w, flat.B) for w in weights]
+    scatter = [dt * apply(w, problem.B) for w in weights]
 
     def begin(x: Floats) -> tuple[Floats, Floats]:
         # the latest comes first: at the first step it is shifted by one
-        return x.T.copy(), _past_forces(flat, x, dt, degree + 1)
+        return x.T.copy(), _past_forces(problem, x, dt, degree + 1)
 
-    return _flow_scheme(flat, dt, [scatter], flat.CA2, [flat.S], begin=begin)
+    return _flow_scheme(problem, dt, [scatter], problem.CA2, [problem.S], begin=begin)
 
 
 _BINOMIAL = ((1.0,), (1.0, 1.0), (1.0, 2.0, 1.0))
 
 
-def _through_kick(flat: Flat, kick: Floats) -> Floats:
+def _through_kick(problem: Problem, kick: Floats) -> Floats:
     """(m, m) G of a force that is right after its own kick: f = -S C A^2 (s + kick f)  =>  f = -G C A^2 s."""
-    return np.asarray(sla.solve(np.eye(len(flat.S)) + flat.S @ product(flat.CA2, kick), flat.S))
+    return np.asarray(sla.solve(np.eye(len(problem.S)) + problem.S @ product(problem.CA2, kick), problem.S))
 
 
-def _before_kick(flat: Flat, kick: Floats) -> Callable[[Floats], tuple[Floats, Floats]]:
+def _before_kick(problem: Problem, kick: Floats) -> Callable[[Floats], tuple[Floats, Floats]]:
     """State x -> numbers of x without the kick of its force."""
 
     def begin(x: Floats) -> tuple[Floats, Floats]:
-        f = -flat.S @ np.einsum("mnx,nx->m", flat.CA2, x)
+        f = -problem.S @ np.einsum("mnx,nx->m", problem.CA2, x)
         return (x - np.einsum("m,mnx->nx", f, kick)).T.copy(), np.zeros((1, len(f)))
 
     return begin
 
 
-def trapezoidal(flat: Flat, dt: float) -> Scheme:
+def trapezoidal(problem: Problem, dt: float) -> Scheme:
     """Trapezoidal rule for the integral of exp(A (h - t)) B f(t); the state is kept just before the kick of f_n."""
-    E = flat.flow(dt, 0)[0]
-    kick = 0.5 * dt * flat.B
-    G = _through_kick(flat, kick)
-    return _flow_scheme(flat, dt, [[dt * apply(E, flat.B)]], flat.CA2, [G], begin=_before_kick(flat, kick), shift=kick)
+    E = problem.flow(dt, 0)[0]
+    kick = 0.5 * dt * problem.B
+    G = _through_kick(problem, kick)
+    return _flow_scheme(
+        problem, dt, [[dt * apply(E, problem.B)]], problem.CA2, [G], begin=_before_kick(problem, kick), shift=kick
+    )
 
 
-def simpson(flat: Flat, dt: float) -> Scheme:
+def simpson(problem: Problem, dt: float) -> Scheme:
     """Simpson's rule over two steps; its middle state, where the force is asked for, by the trapezoidal rule."""
-    E = flat.flow(dt, 0)[0]
-    kick, turned = dt / 3 * flat.B, apply(E, flat.B)
+    E = problem.flow(dt, 0)[0]
+    kick, turned = dt / 3 * problem.B, apply(E, problem.B)
     # share of the force before in the middle state beyond the share that is kept: 1/2 instead of 1/3
     missing = dt / 6 * turned
-    G = [_through_kick(flat, kick), _through_kick(flat, 0.5 * dt * flat.B)]
-    K = G[1] @ product(flat.CA2, missing)
+    G = [_through_kick(problem, kick), _through_kick(problem, 0.5 * dt * problem.B)]
+    K = G[1] @ product(problem.CA2, missing)
     return _flow_scheme(
-        flat, dt, [[2 * dt / 3 * turned], [4 * dt / 3 * turned]], flat.CA2, G, [np.zeros_like(K), K],
-        begin=_before_kick(flat, kick), ahead=missing, shift=kick,
+        problem, dt, [[2 * dt / 3 * turned], [4 * dt / 3 * turned]], problem.CA2, G, [np.zeros_like(K), K],
+        begin=_before_kick(problem, kick), ahead=missing, shift=kick,
     )  # fmt: skip
 
 
 # ---- other rules ----
 
 
-def adams_bashforth(flat: Flat, dt: float) -> Scheme:
+def adams_bashforth(problem: Problem, dt: float) -> Scheme:
     """Adams-Bashforth 3 on Udwadia and Kalaba's equation in complex modes (Fabre et al. 2024, Eq. 26)."""
-    m = len(flat.S)
+    m = len(problem.S)
 
     def begin(x: Floats) -> tuple[Floats, Floats]:
-        rate = flat.rate(x)
-        second, third = flat.rate(rate), flat.rate(flat.rate(rate))
+        rate = problem.rate(x)
+        second, third = problem.rate(rate), problem.rate(problem.rate(rate))
         past = [rate - ago * second + ago**2 / 2 * third for ago in (dt, 2 * dt)]
         return np.concatenate([x.T, past[0].T, past[1].T]), np.zeros((1, m))
 
     return Scheme(
-        flat=flat,
+        problem=problem,
         dt=dt,
         rule="adams_bashforth",
-        coef=np.ascontiguousarray(flat.A.reshape(-1, 4).T),
-        scatter=flat.B[None, :, None],
-        reads=flat.CA2,
-        outs=flat.out,
-        G=flat.S[None],
+        coef=np.ascontiguousarray(problem.A.reshape(-1, 4).T),
+        scatter=problem.B[None, :, None],
+        reads=problem.CA2,
+        outs=problem.out,
+        G=problem.S[None],
         K=np.zeros((1, m, m)),
-        out_memory=np.zeros((1, len(flat.out), m)),
+        out_memory=np.zeros((1, len(problem.out), m)),
         constants=(23 * dt / 12, -16 * dt / 12, 5 * dt / 12),
         begin=begin,
         motion=lambda numbers: numbers[:2].T.copy(),
     )
 
 
-def verlet(flat: Flat, dt: float) -> Scheme:
+def verlet(problem: Problem, dt: float) -> Scheme:
     """Velocity Verlet with the constraint on accelerations, real modes (Antunes & Debut 2017)."""
-    r = RealModes.of(flat)
+    r = problem.real
     m = len(r.gaps)
     G = scaled_pinv(r.gaps @ r.gaps.T)
     back = inverses(r.read)
@@ -207,7 +209,7 @@ def verlet(flat: Flat, dt: float) -> Scheme:
         return apply(back, np.stack([q, w + 0.5 * dt * a], axis=-1))
 
     return Scheme(
-        flat=flat,
+        problem=problem,
         dt=dt,
         rule="verlet",
         coef=np.stack([r.omega2, 2 * r.sigma]),
@@ -223,9 +225,9 @@ def verlet(flat: Flat, dt: float) -> Scheme:
     )
 
 
-def newmark(flat: Flat, dt: float, method: Newmark) -> Scheme:
+def newmark(problem: Problem, dt: float, method: Newmark) -> Scheme:
     """Newmark's family and HHT-alpha (Hilber, Hughes & Taylor 1977), real modes, gaps without acceleration."""
-    r = RealModes.of(flat)
+    r = problem.real
     m, w, b, g = len(r.gaps), 1 + method.alpha, method.beta, method.gamma
     loss, stiff = 2 * r.sigma * dt, r.omega2 * dt**2
     lead = 1 + w * g * loss + w * b * stiff
@@ -240,7 +242,7 @@ def newmark(flat: Flat, dt: float, method: Newmark) -> Scheme:
         return np.stack([q, dt * v, dt**2 * a]), np.zeros((1, m))
 
     return Scheme(
-        flat=flat,
+        problem=problem,
         dt=dt,
         rule="newmark",
         coef=np.stack([-stiff, -loss - w * stiff, -w * (1 - g) * loss - w * (0.5 - b) * stiff]) / lead,
@@ -254,29 +256,3 @@ def newmark(flat: Flat, dt: float, method: Newmark) -> Scheme:
         begin=begin,
         motion=lambda numbers: apply(back, np.stack([numbers[0], numbers[1] / dt], axis=-1)),
     )
-
-
-def build(name: str, flat: Flat, dt: float) -> Scheme:
-    """A method by its name in `SCHEMES`.
-
-    Raises
-    ------
-    ValueError : it has no place for parts of the problem (modes that are not real).
-    """
-    return SCHEMES[name](flat, dt)
-
-
-SCHEMES: Mapping[str, Callable[[Flat, float], Scheme]] = {
-    "held_position": held_position,
-    "held_velocity": held_velocity,
-    "p0": lambda flat, dt: interpolated(flat, dt, 0),
-    "p1": lambda flat, dt: interpolated(flat, dt, 1),
-    "p2": lambda flat, dt: interpolated(flat, dt, 2),
-    "trapezoidal": trapezoidal,
-    "simpson": simpson,
-    "linear_position": linear_position,
-    "ab3": adams_bashforth,
-    "verlet": verlet,
-    "newmark": lambda flat, dt: newmark(flat, dt, AVERAGE_ACCELERATION),
-    "hht": lambda flat, dt: newmark(flat, dt, HHT),
-}
