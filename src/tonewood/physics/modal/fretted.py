@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from tonewood.support.units import cents
 
 Floats = NDArray[np.float64]
-Point = tuple[float, float]
+_Point = tuple[float, float]
 
 #: the finger lies at most this share of the space behind its fret away from it
 _FINGER_SHARE = 0.5
@@ -60,17 +60,17 @@ class FretboardGeometry:
     behind: float = 0.0
 
     @property
-    def nut(self) -> Point:
+    def nut(self) -> _Point:
         """Place and height of the string on the nut, m."""
         return -self.nut_setback, self.nut_height
 
     @property
-    def saddle(self) -> Point:
+    def saddle(self) -> _Point:
         """Place and height of the string on the saddle, m."""
         return self.scale_length + self.saddle_setback, self.saddle_height
 
     @property
-    def frets(self) -> list[Point]:
+    def frets(self) -> list[_Point]:
         """Place and height of every crown, m."""
         return list(zip(self.places, self.crowns, strict=True))
 
@@ -92,7 +92,7 @@ class FretboardGeometry:
         whole = _length(back) + math.dist(finger, fret) + _length(front)
         return PressedString(whole, math.dist(front[-2], front[-1]), self._fret_at(front[-2]))
 
-    def _fret_at(self, point: Point) -> int:
+    def _fret_at(self, point: _Point) -> int:
         return self.frets.index(point) + 1 if point in self.frets else 0
 
 
@@ -205,9 +205,9 @@ def compensated(string: FrettedString, wanted: Sequence[float], *, nut: bool = T
     raise ValueError("no nut and saddle within a tenth of the scale even out these stops")
 
 
-def _over(points: Sequence[Point]) -> list[Point]:
+def _over(points: Sequence[_Point]) -> list[_Point]:
     """Shortest path from the first point to the last over those between: their upper hull."""
-    path: list[Point] = []
+    path: list[_Point] = []
     for x, z in points:
         while len(path) > 1 and (path[-1][1] - path[-2][1]) * (x - path[-2][0]) <= (z - path[-2][1]) * (
             path[-1][0] - path[-2][0]
@@ -217,5 +217,5 @@ def _over(points: Sequence[Point]) -> list[Point]:
     return path
 
 
-def _length(path: Sequence[Point]) -> float:
+def _length(path: Sequence[_Point]) -> float:
     return sum(math.dist(a, b) for a, b in pairwise(path))
