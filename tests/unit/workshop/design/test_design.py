@@ -151,6 +151,46 @@ def test_lines_that_are_refused(box, targets, free, said):
         parsed()
 
 
+def test_targets_say_by_how_much_they_are_missed(box):
+    """Cents, percent or dB: above and below for =, on one side alone for <= and >=."""
+    lines = ["mode 2 = 200", "T1 <= 200", "A0 >= 100", "mass <= 0.5", "mobility bridge 80..800 >= -30"]
+    mode, top, air, mass, mobility = parse_targets(lines, box)
+    assert (mode.mode, top.mode, air.mode) == ("2", "T1", "A0")
+    assert (mode.off(400.0), mode.off(100.0)) == pytest.approx((1200.0, -1200.0))
+    assert (top.off(400.0), top.off(100.0)) == pytest.approx((1200.0, 0.0))
+    assert (air.off(400.0), air.off(50.0)) == pytest.approx((0.0, -1200.0))
+    assert (mass.off(0.55), mass.off(0.45)) == pytest.approx((10.0, 0.0))
+    assert (mobility.at, mobility.band) == ("bridge", (80.0, 800.0))
+    assert (mobility.off(-20.0), mobility.off(-33.0)) == pytest.approx((0.0, -3.0))
+    for target, tolerance in ((mode, 8.5), (mass, 0.5), (mobility, 0.5)):
+        assert target.tolerance == tolerance
+    for ends in ("mode 2 = 5", "mode 2 = 3000", "mobility bridge 5..3000 >= -30"):
+        assert parse_targets([ends], box)
+    for beyond in (
+        "mode 2 = 4.9",
+        "mode 2 = 3001",
+        "mass = 0",
+        "mobility bridge 4..90 >= 0",
+        "mobility bridge 9..9 >= 0",
+    ):
+        with pytest.raises(TonewoodError, match=beyond.split()[0]):
+            parse_targets([beyond], box)
+
+
+def test_numbers_that_a_pattern_frees(box):
+    """Each by its place in lists and mappings; several keep their ratios by a factor, one its own bounds."""
+    (thickness,) = parse_free({"body.thickness": "2e-3 .. 3e-3"}, box)
+    assert (thickness.paths, thickness.base, thickness.low, thickness.high) == (
+        ("body.thickness",), (2.5e-3,), 2e-3, 3e-3,
+    )  # fmt: skip
+    (brace,) = parse_free({"body.braces.*.start": "x 0.5 .. 2"}, box)
+    assert dict(zip(brace.paths, brace.base, strict=True)) == {
+        "body.braces.b.start.0": 0.06, "body.braces.b.start.1": 0.05,
+    }  # fmt: skip
+    with pytest.raises(TonewoodError, match=r"sets body\.thickness, which body\.thickness sets as well"):
+        parse_free({"body.thickness": "2e-3 .. 3e-3", "body.thick*": "x 0.9 .. 1.1"}, box)
+
+
 def test_a_file_with_another_key_is_refused(tmp_path):
     (tmp_path / "task.yaml").write_text("target: [T1 = 200]\n")
     with pytest.raises(TonewoodError, match="targets"):

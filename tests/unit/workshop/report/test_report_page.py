@@ -222,6 +222,7 @@ def test_the_louder_of_two_notes_is_inside_its_picture(found: Comparison, monkey
     figures.decay_picture(replace(found, instruments=(first, replace(second, tones={"A2": louder}))), "A2")
     low, high = drawn[0].axes[0].get_ylim()
     assert low < 0.0 < 30.0 < high
+    assert [line.get_ydata().max() for line in drawn[0].axes[0].lines] == pytest.approx([0.0, 30.0])
 
 
 def crowded(found: Comparison) -> Comparison:

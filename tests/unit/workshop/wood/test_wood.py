@@ -201,7 +201,7 @@ def test_peaks_of_taps_are_those_of_their_poles(rng: np.random.Generator) -> Non
         taps.append(sound + 1e-3 * rng.normal(size=len(time)))
     peaks = strongest(taps, fs, (50.0, 600.0))
     assert [p.freq for p in peaks] == pytest.approx(freq, rel=1e-3)
-    assert [p.q for p in peaks] == pytest.approx(q, rel=0.08)
+    assert [p.quality for p in peaks] == pytest.approx(q, rel=0.08)
 
 
 def simulated(rectangle: Rectangle, rng: np.random.Generator, thickness_error: float = 5e-5) -> list[bool]:
