@@ -51,7 +51,10 @@ def test_the_bound_of_a_rise_is_that_of_the_string_vibrating_in_one_mode() -> No
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=pytest.mark.validate) if n == "grand_piano" else n for n in sorted(list_instruments())],
+    [
+        pytest.param(n, marks={"grand_piano": pytest.mark.validate, "drawn_guitar_x": pytest.mark.slow}.get(n, ()))
+        for n in sorted(list_instruments())
+    ],
 )
 def test_none_keeps_every_string_in_one_plane(name: str) -> None:
     instrument = tw.load_instrument(name)

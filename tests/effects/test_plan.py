@@ -55,6 +55,7 @@ def test_a_wide_budget_leaves_the_tension_out() -> None:
     assert all(e.seconds < 0.6 for e in foreseen.effects if e.name == "tension_modulation")
 
 
+@pytest.mark.slow
 def test_very_many_bends_are_counted_and_not_played(monkeypatch: pytest.MonkeyPatch) -> None:
     """A plan of them would take as long as the render; each is taken to need 0.01 s here, and none is stepped."""
     controls = [tw.Control(0.002 * i, "bend", 0.1 * i, 0) for i in range(1, 1001)]

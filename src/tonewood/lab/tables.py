@@ -1,10 +1,9 @@
-"""Tables of results as Markdown and for a terminal, numbers in few digits, plain data for JSON."""
+"""Tables of results as Markdown and for a terminal, numbers in few digits."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from numbers import Real
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -42,11 +41,3 @@ def terminal(
     for cells, style in rows:
         out.add_row(*cells, style=style)
     return out
-
-
-def plain(values: Mapping[str, object]) -> dict[str, object]:
-    """Values for JSON: numbers that are not finite become None, those of NumPy those of Python."""
-    return {
-        key: v if isinstance(v, (bool, int)) or not isinstance(v, Real) else (float(v) if math.isfinite(v) else None)
-        for key, v in values.items()
-    }

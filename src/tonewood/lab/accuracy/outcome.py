@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from tonewood.lab.tables import plain
+from tonewood.support.plain_values import finite
 
 #: method and dial of the line that is called ours
 OURS, DIAL = "tonewood", "fs"
@@ -58,7 +58,7 @@ class Point:
 
     def to_dict(self) -> dict[str, object]:
         """Fields for JSON; unknown ones are None."""
-        return plain(asdict(self))
+        return {key: finite(value) for key, value in asdict(self).items()}
 
 
 @dataclass(frozen=True, slots=True)

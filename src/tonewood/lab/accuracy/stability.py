@@ -24,7 +24,8 @@ from tonewood.lab.accuracy.timing import Tell, silent
 from tonewood.lab.methods import METHODS
 from tonewood.lab.string_end import ExactString
 from tonewood.lab.systems import string_and_body
-from tonewood.lab.tables import markdown, plain
+from tonewood.lab.tables import markdown
+from tonewood.support.plain_values import finite
 
 HEAD = """\
 # Can it become unstable?
@@ -117,7 +118,7 @@ class StabilityGrid:
 
     def to_json(self) -> dict[str, object]:
         """Plain data; an infinite growth is null."""
-        cells, attacks = ([plain(asdict(one)) for one in found] for found in (self.cells, self.attacks))
+        cells, attacks = ([finite(asdict(one)) for one in found] for found in (self.cells, self.attacks))
         return {"duration_s": self.duration, "growth_limit": GROWTH, "cells": cells, "attacks": attacks}
 
 

@@ -16,7 +16,7 @@ from tonewood.errors import BundleError, OutputError, TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.string_sets import string_set
 from tonewood.instrument.contract import registry
-from tonewood.support.whole_files import write_whole
+from tonewood.support.whole_files import check_new_folder, write_whole
 from tonewood.workshop.desk.phrase import LONGEST
 
 #: changes that can be undone, and designs with a name
@@ -229,10 +229,7 @@ class DeskSession:
         target = Path(folder).expanduser()
         if not _NAME.fullmatch(target.name):
             raise BundleError(f"{target.name!r} is no name; letters, digits and _ are allowed", key="folder")
-        if target.exists() or target.is_symlink():
-            raise OutputError("is there already; give another name", file=target)
-        if not target.absolute().parent.is_dir():
-            raise OutputError(f"there is no folder {str(target.parent)!r}", file=target)
+        check_new_folder(target)
         made = self.instrument
         if made.granted:
             raise BundleError("a scale outside of the bundle: copy it into the bundle's folder first", key="tuning")

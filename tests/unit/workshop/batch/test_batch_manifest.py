@@ -142,6 +142,14 @@ def test_varied_quantities_are_not_negative_but_angles_are() -> None:
     assert min(n.angle_deg for n in got) < -1.0
 
 
+def test_varied_velocities_stay_within_midi_and_forces_do_not() -> None:
+    notes = tuple(Note(float(i), velocity_midi=120, force=120.0) for i in range(50))
+    draws = tuple(Draw(f"note.{name}", "normal", 20.0, 3, ("a",)) for name in ("velocity_midi", "force"))
+    got = vary_notes(notes, draws, lambda draw, note: getattr(note, draw.note_field))
+    np.testing.assert_allclose([n.velocity_midi for n in got], np.minimum(120 + draws[0].values(50), 127.0))
+    assert max(n.force for n in got) > 130.0
+
+
 def test_inline_notes_have_the_fields_of_notes() -> None:
     assert set(NoteFields.model_fields) == {f.name for f in dataclasses.fields(Note)}
     assert NoteFields(time=1.0, string="s4").to_note() == Note(1.0, string="s4")

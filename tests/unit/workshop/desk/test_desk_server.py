@@ -206,6 +206,7 @@ def test_a_and_b_are_switched_without_a_gap_at_one_loudness(client: Client, desk
     assert client.act("compare", name=None)["pair"] is None
 
 
+@pytest.mark.slow
 def test_a_blind_comparison_tells_no_names_until_it_is_revealed(client: Client, desk: Desk) -> None:
     client.act("set", path="playing.velocity.high", value=30.0)
     orders = set()
