@@ -63,6 +63,7 @@ class Clusters:
 
     def __init__(self, products: Array, moments: Array, inverse: Array):
         size, axes = np.linalg.eigh(inverse)
+        size = np.maximum(size, 1e-14 * np.abs(size).max(axis=-1, keepdims=True))  # rounding, if a cell is nearly empty
         back = np.swapaxes(axes, -1, -2)
         root = ((axes * np.sqrt(size)[..., None, :]) @ back)[..., None, :, :]
         unroot = ((axes / np.sqrt(size)[..., None, :]) @ back)[..., None, :, :]
