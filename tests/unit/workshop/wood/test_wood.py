@@ -73,6 +73,7 @@ def test_a_board_is_found_again(rectangle: Rectangle, rng: np.random.Generator) 
     solution = estimate_board(rectangle, peaks, 1e-4 * peaks)
     for name in ("E_L", "E_R", "G_LR"):
         assert getattr(solution.wood, name) == pytest.approx(getattr(wood, name), rel=0.03)
+    assert solution.wood.nu_LR == pytest.approx(wood.nu_LR, abs=0.15)
     assert solution.misfit < 3e-3
     assert len(solution.pairs) >= 12
 
