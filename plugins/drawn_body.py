@@ -339,6 +339,10 @@ class DrawnBody(Body[DrawnBodyParameters]):
                 found.append(hashlib.sha256(self.files.path(name, self.key).read_bytes()).hexdigest())
         return {"body": p.model_dump(mode="json"), "files": found}
 
+    def mass(self) -> float:
+        """Top and back with braces and bridge."""
+        return float(self._modes.masses.sum())
+
     def facts(self) -> Sequence[str]:
         """A0 and T1, mass, modes of top and air by themselves, and T1 on other edges."""
         modes = self._modes

@@ -13,7 +13,7 @@ export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 PIP_DISABLE_PIP_VERSION_CHECK=1 
 
 tests=("$@")
 [ ${#tests[@]} -gt 0 ] || tests=(-n 2 tests/unit/physics/{stepping,coupling} tests/stability/test_kernel_door.py)
-CXX=$compiler pip install -q --no-deps --target "$work/built" -Cbuild-dir="$work/build" . >"$work/log" 2>&1 || { tail -50 "$work/log"; exit 1; }
+CXX=$compiler pip install -q --no-deps --target "$work/built" --config-settings=build-dir="$work/build" . >"$work/log" 2>&1 || { tail -50 "$work/log"; exit 1; }
 export PYTHONPATH=$work/built
 python -c "import tonewood._kernel as k; assert k.__file__.startswith('$work'), k.__file__; print(k.COMPILER)"
 python -m pytest -q -p no:cacheprovider "${tests[@]}"

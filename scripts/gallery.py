@@ -38,6 +38,7 @@ LARGEST = 60_000
 PIECES: dict[str, str | list[tuple[int, int, float]]] = {
     "classical_guitar": "greensleeves",
     "flamenco_guitar": "romance",
+    "spanish_guitar": "romance",
     "drawn_guitar": "greensleeves",
     "drawn_guitar_x": "chords",
     "steel_guitar": "chords",

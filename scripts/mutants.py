@@ -2,20 +2,25 @@
 
 Edits are drawn from the syntax of a package's sources: a sign, a factor of 2, a term or a condition dropped, < for <=,
 off by one, min for max, `not`, a conjugate dropped, arguments swapped, a constant returned. Texts, types, messages and
-limits of keys are left alone. Each edit is made in a copy of the tree, in which those test files of the package that
-call the edited function run until a test fails. Tests beyond the time limit decide nothing; tests that fail without any
-edit do not run; a package whose tests do not end without any edit is left out. `kernel` is the C++ kernel,
-built again for each edit, without optimisation and for one instruction set. Edits that no test noticed are for a person
-to read: one that changes nothing is no gap. ``--where FILE`` or ``FILE:LINE`` draws edits there alone; ``--tests
-PATH...`` replaces the tests.
+limits of keys are left alone. Each edit is made in a copy of the tree, in which those tests of the package, or else
+of files that import the module, run until one fails that reach the edited line (coverage.py has seen them once). Tests
+beyond the time limit decide nothing; tests that fail without any edit do not run; a package whose tests do not end is
+left out. `kernel` is the C++ kernel, built again for each edit, without optimisation and for one instruction set.
+Edits that no test noticed are for a person to read: one that changes nothing is no gap. ``--where FILE`` or
+``FILE:LINE`` draws edits there alone; ``--tests PATH...`` replaces the tests.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
+import gc
+import hashlib
 import importlib
 import importlib.util
+import itertools
 import json
+import math
 import os
 import random
 import re
@@ -24,16 +29,16 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import FrameType
+from typing import Any
 
+import coverage
 import pytest
 from small_edits import ROOT, Edit, candidates, draw
 
-#: package, a folder of the sources -> its tests; `near` keeps those that call what is edited
+#: package, a folder of the sources -> its tests; `near` keeps those that reach what is edited
 LAWS, PHYSICS = "tests/analytic/test_laws_against_ode.py", "tests/unit/physics"
 TESTS = {name: [f"{PHYSICS}/{name}"] for name in ("modal", "passivity", "energy", "plate")} | {
     "coupling": [LAWS, f"{PHYSICS}/coupling", f"{PHYSICS}/stepping"],
@@ -51,12 +56,24 @@ TESTS = {name: [f"{PHYSICS}/{name}"] for name in ("modal", "passivity", "energy"
     "sound": ["tests/unit/sound", "tests/unit/test_notebook.py"],
     "fit": ["tests/unit/workshop/fit"],
     "listening": ["tests/unit/workshop/listening"],
-    "batch": ["tests/unit/workshop/batch"],
+    "batch": ["tests/unit/workshop/batch", "tests/cli/test_migrate.py"],
     "dataset": ["tests/unit/workshop/dataset"],
     "sampling": ["tests/unit/workshop/sampling"],
-    "report": ["tests/unit/workshop/report", "tests/unit/test_notebook.py"],
+    "report": [
+        "tests/unit/workshop/report",
+        "tests/unit/test_notebook.py",
+        "tests/cli/test_body_alone.py",
+        "tests/cli/test_compare_command.py",
+    ],
     "lab": ["tests/unit/lab", "tests/analytic/test_chinnakonda.py"],
     "cli": ["tests/cli"],
+    "design": ["tests/unit/workshop/design"],
+    "desk": ["tests/unit/workshop/desk"],
+    "estimate": ["tests/unit/workshop/estimate"],
+    "exchange": ["tests/unit/workshop/exchange"],
+    "taps": ["tests/unit/workshop/taps", "tests/cli/test_wood_command.py"],
+    "web": ["tests/unit/workshop/desk", "tests/unit/workshop/exchange", "tests/unit/workshop/listening"],
+    "wood": ["tests/unit/workshop/wood", "tests/cli/test_wood_command.py"],
     "support": [*sorted(str(f.relative_to(ROOT)) for f in (ROOT / "tests/unit").glob("test_*.py")), "tests/cli"],
     "plugins": ["tests/plugins"],
     "kernel": [LAWS, f"{PHYSICS}/stepping", f"{PHYSICS}/coupling", "tests/effects"],
@@ -64,46 +81,86 @@ TESTS = {name: [f"{PHYSICS}/{name}"] for name in ("modal", "passivity", "energy"
 #: imported once, before the package and its tests are
 LIBRARIES = """numpy scipy.linalg scipy.signal scipy.optimize scipy.integrate scipy.interpolate scipy.sparse.linalg
 scipy.special scipy.spatial scipy.stats scipy.ndimage hypothesis pydantic yaml mido matplotlib.pyplot"""
+#: what tests reach is kept here, until sources or the tests' file change
+REACHED = ROOT / "build" / "reached"
+ELSEWHERE = "unit effects plugins analytic"
+CACHED = type(functools.cache(len))
 #: what decides nothing begins so
 _LONGER, _NO_BUILD = "longer than", "does not compile"
 
 
-class Called:
-    """A plugin of pytest: functions of the package that the tests of each file call, and how long these take, s."""
+class Reached:
+    """A plugin of pytest: lines of the package that each test reaches, and how long it takes, s.
 
-    def __init__(self, out: Path):
-        self.out, self.calls, self.now = out, dict[str, set[tuple[str, int]]](), set[tuple[str, int]]()
-        self.seconds: dict[str, float] = {}
+    What a fixture or a cached function of the package does counts for all tests of a file that use it.
+    """
 
-    def trace(self, frame: FrameType, *_: object) -> None:
-        """Note a call."""
-        if "/tonewood/" in (name := frame.f_code.co_filename):
-            self.now.add((name, frame.f_code.co_firstlineno))
+    def __init__(self, folder: Path):
+        self.folder, self.test = folder, ""
+        sources = [str((folder / part).resolve() / "*") for part in ("src", "plugins")]
+        self.cover = coverage.Coverage(data_file=None, include=sources, config_file=False)
+        self.seconds, self.shared, self.failed = dict[str, float](), dict[str, list[str]](), set[str]()
+
+    def pytest_sessionstart(self) -> None:
+        """Begin, before the package is imported."""
+        self.cover.start()
 
     def pytest_runtest_protocol(self, item: pytest.Item) -> None:
-        """Turn to the file of a test."""
-        self.now = self.calls.setdefault(item.location[0], set())
-        sys.settrace(self.trace)
-        threading.settrace(self.trace)
+        """Turn to a test; empty the package's caches at the first of a file."""
+        if item.nodeid.partition("::")[0] != self.test.partition("::")[0]:
+            for kept in gc.get_objects():
+                if type(kept) is CACHED and str(kept.__module__).startswith("tonewood"):
+                    kept.cache_clear()
+        self.test = item.nodeid
+        self.cover.switch_context(self.test)
+        for made in item._fixtureinfo.name2fixturedefs.values():  # type: ignore[attr-defined]
+            self.shared.setdefault(f"{made[-1].baseid} {made[-1].argname}", []).append(self.test)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, fixturedef: pytest.FixtureDef[object]) -> Iterator[None]:
+        """Turn to a fixture."""
+        self.cover.switch_context(f"{fixturedef.baseid} {fixturedef.argname}")
+        made = yield
+        self.cover.switch_context(self.test)
+        return made  # type: ignore[return-value]
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Add the time of a test."""
-        file = report.location[0]
-        self.seconds[file] = self.seconds.get(file, 0.0) + report.duration
+        """Add the time of a test, note that it failed."""
+        self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration
+        self.failed |= {report.nodeid} if report.failed else set()
 
     def pytest_sessionfinish(self) -> None:
-        """Write both."""
-        sys.settrace(None)
-        calls = {file: sorted({(os.path.realpath(n), at) for n, at in seen}) for file, seen in self.calls.items()}
-        self.out.write_text(json.dumps([calls, self.seconds]))
+        """Write all that for each file of tests."""
+        self.cover.stop()
+        data, lines = self.cover.get_data(), dict[str, dict[str, set[int]]]()
+        for file in data.measured_files():
+            name = str(Path(file).relative_to(self.folder.resolve()))
+            for line, contexts in data.contexts_by_lineno(file).items():
+                for context in contexts:
+                    for test in self.shared.get(context, [context]):
+                        lines.setdefault(test, {}).setdefault(name, set()).add(line)
+        files = dict[str, dict[str, object]]()
+        for test, seconds in self.seconds.items():
+            reached = {name: sorted(at) for name, at in lines.get(test, {}).items()}
+            files.setdefault(test.partition("::")[0], {})[test] = [seconds, reached, test in self.failed]
+        for file, tests in files.items():
+            record(self.folder, file).write_text(json.dumps(tests))
+
+
+def record(folder: Path, test: str) -> Path:
+    """File of what the tests of a file reach, of today's sources."""
+    texts = hashlib.sha256((folder / test).read_bytes())
+    for source in sorted(f for part in ("src/tonewood", "plugins") for f in (folder / part).rglob("*.py")):
+        texts.update(source.read_bytes())
+    REACHED.mkdir(parents=True, exist_ok=True)
+    return REACHED / f"{Path(test).stem}-{texts.hexdigest()[:16]}.json"
 
 
 class Copy:
     """A copy of the tree, imported in place of the installed package."""
 
     def __init__(self, folder: Path):
-        self.folder, self.package, self.left_out = folder, folder / "lib" / "tonewood", list[str]()
-        self.runs = True  # whether the last tests came to an end, with faults or without
+        self.folder, self.package = folder, folder / "lib" / "tonewood"
         listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
         files = subprocess.run(listed, cwd=ROOT, capture_output=True, text=True, check=True).stdout
         for name in filter(None, files.split("\0")):
@@ -138,23 +195,44 @@ class Copy:
             shutil.copy2(next(out.glob("_kernel.*")), self.package)
         return done.returncode == 0
 
-    def near(self, edit: Edit, tests: list[str]) -> list[str]:
-        """Test files that call the edited function, or start processes; all, of an edit outside functions."""
-        if not (self.folder / "called").exists():
-            return tests
-        calls, seconds = json.loads((self.folder / "called").read_text())
-        known = [str((self.folder / edit.file).resolve()), edit.function]
-        files = [f for f, seen in calls.items() if not edit.function or known in seen]
-        texts = {f: (self.folder / f).read_text(encoding="utf-8") for f in calls}
-        files = files or list(calls)
-        files += [f for f, text in texts.items() if f not in files and re.search("subprocess|Popen|_in_process", text)]
+    def known(self, tests: list[str]) -> dict[str, list[Any]]:
+        """Of each test: its time, the lines that it reaches, whether it fails without any edit; run where not kept."""
+        files = sorted({str(f.relative_to(self.folder)) for t in tests for f in self.files(self.folder / t)})
+        if fresh := [f for f in files if not record(self.folder, f).exists()]:
+            self.fault(fresh, 3600.0, [Reached(self.folder)])
+        records = [record(self.folder, f) for f in files]
+        return {test: row for r in records if r.exists() for test, row in json.loads(r.read_text()).items()}
+
+    def files(self, path: Path) -> list[Path]:
+        """Files of tests at a path."""
+        return [path] if path.is_file() else sorted(path.rglob("test_*.py"))
+
+    def elsewhere(self, edit: Edit) -> list[str]:
+        """Files of tests, of other packages too, that import the edited module."""
+        module = edit.file.parent.name if edit.file.stem == "__init__" else edit.file.stem
+        pattern = re.compile(rf"from tonewood[\w.]*\.{module} import")
+        files = (f for part in ELSEWHERE.split() for f in self.files(self.folder / "tests" / part))
+        return [str(f.relative_to(self.folder)) for f in files if pattern.search(f.read_text(encoding="utf-8"))]
+
+    def near(self, edit: Edit, known: dict[str, list[Any]]) -> tuple[list[str], list[str]]:
+        """Tests that reach the edited lines, and other tests of their files, or of those that start processes."""
+        source, lines = str(edit.file), set(edit.lines)
         pattern = re.compile(rf"\b(?:from|import) [\w.]*\b{edit.file.stem}\b")
-        return sorted(files, key=lambda f: (f not in calls, not pattern.search(texts[f]), seconds[f]))
+        texts = {f: (self.folder / f).read_text(encoding="utf-8") for f in {t.partition("::")[0] for t in known}}
+        first = [t for t, row in known.items() if (at := row[1].get(source)) and (not lines or lines & set(at))]
+        files = {t.partition("::")[0] for t in first}
+        files |= set() if first else {f for f, text in texts.items() if re.search("subprocess|Popen|_in_process", text)}
+        second = [t for t in known if t not in first and t.partition("::")[0] in files]
+
+        def order(test: str) -> tuple[bool, float]:
+            return not pattern.search(texts[test.partition("::")[0]]), known[test][0]
+
+        return sorted(first, key=order), sorted(second, key=order)
 
     def fault(self, tests: list[str], limit: float, plugins: Sequence[object] = ()) -> str:
         """Run tests until one fails, in a fork that has the libraries already; return its name, or an empty text.
 
-        With plugins all tests run, and what fails is left out from then on.
+        With plugins all tests run.
         """
         said, library = self.folder / "said", str(self.package.parent)
         if (child := os.fork()) == 0:
@@ -164,11 +242,12 @@ class Copy:
             os.environ.update(PYTHONPATH=library, PYTHONPYCACHEPREFIX=sys.pycache_prefix)
             sys.meta_path[:] = [f for f in sys.meta_path if "editable" not in type(f).__module__]
             sys.path[:] = [library, str(self.folder), *(p for p in sys.path if not p.startswith(str(ROOT / "s")))]
+            sys.modules["__main__"] = pytest  # what spawned processes import again
             out = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
             os.dup2(out, 1)
             os.dup2(out, 2)
-            how = ["--tb=no"] if plugins else ["-x", "--tb=no", *(f"--deselect={name}" for name in self.left_out)]
-            code = pytest.main(["-q", *how, "-p", "no:cacheprovider", *tests], plugins=plugins)
+            how = [] if plugins else ["-x"]
+            code = pytest.main(["-q", "--tb=no", *how, "-p", "no:cacheprovider", *tests], plugins=plugins)
             sys.stdout.flush()
             os._exit(int(code))
         end = time.monotonic() + limit
@@ -177,36 +256,43 @@ class Copy:
             if time.monotonic() > end:
                 os.killpg(child, signal.SIGKILL)
                 os.waitpid(child, 0)
-                self.runs = False
                 return f"{_LONGER} {limit:.0f} s"
-        self.runs = os.waitstatus_to_exitcode(ended[1]) in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED)
         text = said.read_text(errors="replace")
         lines = re.findall(r"^(?:FAILED|ERROR) (.*)", text, re.M)
-        if plugins:
-            self.left_out = [line.split(" - ")[0] for line in lines]
         return "" if ended[1] == 0 else lines[0] if lines else " ".join(text.split()[-12:])
 
-    def judged(self, package: str, edits: list[Edit], tests: list[str], limit: float) -> int:
+    def judged(self, package: str, edits: list[Edit], tests: list[str], limit: float, seconds: float) -> int:
         """Make edits one by one, print the verdict on each, return how many no test noticed; 1 if tests do not run."""
         if package == "kernel" and not self.build():
             sys.exit("kernel: it does not compile without any edit")
-        (self.folder / "called").unlink(missing_ok=True)
-        if fault := self.fault(tests, 10 * limit, [Called(self.folder / "called")]):
-            print(f"{package}: fail without any edit: {self.left_out or fault}", flush=True)
-            if not self.runs:
-                print(f"{package}: left out, its tests do not run to their end", flush=True)
-                return 1
+        known = self.known(tests)
+        if failed := [test for test, row in known.items() if row[2]]:
+            print(f"{package}: fail without any edit: {failed}", flush=True)
+        if not (known := {test: row for test, row in known.items() if not row[2]}):
+            print(f"{package}: left out, its tests do not run to their end", flush=True)
+            return 1
         survivors = undecided = 0
         for edit in edits:
             start = time.monotonic()
+            first, second = self.near(edit, known) if package != "kernel" else (list(known), [])
+            if not first:
+                others = {test: row for test, row in self.known(self.elsewhere(edit)).items() if not row[2]}
+                known |= others
+                first = self.near(edit, others)[0]
             self.put(edit.file, edit.made)
             compiles = package != "kernel" or self.build()
-            fault = self.fault(self.near(edit, tests), limit) if compiles else _NO_BUILD
+            spent = list(itertools.accumulate(known[test][0] for test in first)) if package != "kernel" else []
+            ran = first[: max(1, sum(s <= seconds for s in spent))] if spent else first
+            fault = (self.fault(ran, limit) if ran else "") if compiles else _NO_BUILD
+            if not fault and second and len(ran) == len(first):  # fixtures and caches may have hidden who reaches it
+                late = self.fault(second, limit)
+                fault = "" if late.startswith(_LONGER) else late
             self.put(edit.file, edit.source)
             survivors += not fault
             undecided += (open_ := fault.startswith((_LONGER, _NO_BUILD)))
             print("undecided" if open_ else "noticed" if fault else "UNNOTICED", edit, flush=True)
-            print(f"    {time.monotonic() - start:.0f} s {fault}", flush=True)
+            took = f"{time.monotonic() - start:.0f} s, {len(ran)} of {len(first)} tests that reach it"
+            print(f"    {took}. {fault}", flush=True)
         decided = len(edits) - undecided
         print(f"{package}: {decided - survivors} of {decided} edits noticed, {undecided} undecided", flush=True)
         return survivors
@@ -219,6 +305,7 @@ def main() -> int:
     parser.add_argument("--edits", type=int, default=15)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--limit", type=float, default=300.0, help="s, of the tests of one edit")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="s, of the tests of one edit as they took once")
     parser.add_argument("--where", default="", help="FILE or FILE:LINE")
     parser.add_argument("--tests", nargs="+", help="in place of the package's own")
     given = parser.parse_args()
@@ -227,7 +314,7 @@ def main() -> int:
         for package in given.packages:
             edits = [e for e in candidates(package) if f"{e.place}:".startswith(given.where)]
             drawn = list(draw(edits, given.edits, random.Random(f"{package} {given.seed}")))
-            survivors += copy.judged(package, drawn, given.tests or TESTS[package], given.limit)
+            survivors += copy.judged(package, drawn, given.tests or TESTS[package], given.limit, given.seconds)
     return min(survivors, 1)
 
 

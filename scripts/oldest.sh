@@ -22,7 +22,7 @@ echo "== building"
 pip install -q uv
 uv pip compile -q --resolution lowest-direct --extra test pyproject.toml -o "$work/oldest.txt"
 uv pip install -q -r "$work/oldest.txt"
-pip install -q --no-deps -Cbuild-dir="$work/build" .
+pip install -q --no-deps --config-settings=build-dir="$work/build" .
 pip list --format=freeze | grep -i -E '^(numpy|scipy|soundfile|mido|ruamel.yaml|pydantic|rich|typer|click|threadpoolctl)='
 echo "== commands and tests"
 tonewood render examples/scores/scale.mid -i monochord -o "$work/scale.wav"

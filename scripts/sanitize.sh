@@ -21,7 +21,7 @@ if [[ ${CXX:-} == *clang* ]]; then
     export LD_LIBRARY_PATH
 fi
 echo "== building by ${CXX:-c++}"
-pip install -q ".[test]" -Cbuild-dir="$work/build" -Ccmake.define.TONEWOOD_SANITIZE=ON -Cinstall.strip=false
+pip install -q ".[test]" --config-settings=build-dir="$work/build" --config-settings=cmake.define.TONEWOOD_SANITIZE=ON --config-settings=install.strip=false
 
 module=$(cd "$work" && python -c "import importlib.util as u; print(u.find_spec('tonewood._kernel').origin)")
 # the interpreter is not built with the sanitizer: its library has to come first, and with it that of C++, whose throw it

@@ -19,6 +19,16 @@ SWAPPED = {
     ast.In: ("in", "not in"), ast.NotIn: ("not in", "in"), ast.FloorDiv: ("//", "/"), ast.Mod: ("%", "*"),
 }  # fmt: skip
 OTHERS = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "floor": "ceil", "ceil": "floor"}
+#: calls, functions and arguments in which an edit changes words, patience or speed alone
+SAID = {
+    "quantity", "Field", "warn", "warning", "info", "debug", "sleep", "lru_cache", "__repr__", "__str__",
+    "__getattr__", "help", "strict", "stacklevel", "timeout", "encoding", "maxsize", "exist_ok", "overwrite_a",
+    "check_finite", "frozen", "grid", "figure", "lw", "linewidth", "ms", "markersize", "alpha", "fontsize",
+    "color", "zorder", "pad", "rotation", "figsize", "set_params", "tight_layout", "savefig", "legend",
+    "tick_params", "set_title", "annotate",
+}  # fmt: skip
+#: functions of which the order of two arguments says nothing
+SYMMETRIC = {"isclose", "allclose", "array_equal", "hypot", "gcd", "multiply", "add", "union1d", "isinstance"}
 #: C++ as the formatted sources have it: pattern, and its replacement
 TOKENS = [
     (r" \+ ", " - "), (r" - ", " + "), (r" \* ", " / "), (r" / ", " * "), (r" < ", " <= "), (r" <= ", " < "),
@@ -54,12 +64,17 @@ class Edit:
         return f"{self.file}:{self.source.count(chr(10), 0, self.start) + 1}"
 
     @property
-    def function(self) -> int:
-        """First line of the innermost function that it is in the body of; 0 in none."""
-        line, found = self.source.count("\n", 0, self.start) + 1, 0
-        for node in ast.walk(ast.parse(self.source)) if self.file.suffix == ".py" else ():
-            if isinstance(node, ast.FunctionDef) and node.body[0].lineno <= line <= (node.end_lineno or 0):
-                found = max(found, min([node.lineno, *(d.lineno for d in node.decorator_list)]))
+    def lines(self) -> range:
+        """Lines of the innermost statement that it is in, without the statements in that; none outside functions."""
+        line, inside, found = self.source.count("\n", 0, self.start) + 1, False, range(0)
+        for node in ast.walk(ast.parse(self.source)):
+            if isinstance(node, ast.stmt) and node.lineno <= line <= (last := node.end_lineno or 0):
+                body = getattr(node, "body", [])
+                header = body and line < body[0].lineno
+                if isinstance(node, ast.FunctionDef):  # a default counts for the whole function
+                    inside, found = True, range(body[0].lineno, last + 1) if header else found
+                elif inside and (header or not body):
+                    found = range(node.lineno, (body[0].lineno if header else last + 1))
         return found
 
     def __str__(self) -> str:
@@ -67,6 +82,16 @@ class Edit:
         old = " ".join(self.source[self.start : self.stop].split())
         before, after = self.source[first : self.start].lstrip(), self.source[self.stop : last]
         return f"{self.place}: {before}[{old} -> {self.text}]{after}"
+
+
+def called(func: ast.AST) -> str:
+    """Last name of what is called."""
+    return func.attr if isinstance(func, ast.Attribute) else getattr(func, "id", "")
+
+
+def names(node: ast.AST) -> str:
+    """Name of a function or an argument."""
+    return str(getattr(node, "name", "") or getattr(node, "arg", ""))
 
 
 class PythonEdits:
@@ -109,9 +134,13 @@ class PythonEdits:
         match node:
             case ast.Raise() | ast.JoinedStr() | ast.Import() | ast.ImportFrom() | ast.Assert():
                 return
-            case ast.Call(func=ast.Name(id="quantity" | "Field")) | ast.FunctionDef(name="__repr__" | "__str__"):
+            case ast.Call(func=func) if called(func) in SAID:
                 return
-            case ast.keyword(arg="strict"):
+            case ast.FunctionDef(name="__repr__" | "__str__") | ast.keyword(arg=str()) if names(node) in SAID:
+                return
+            case ast.Assign(targets=[ast.Name(id=name)]) if re.search("TIMEOUT|PATIENCE|WAIT|SECONDS", name):
+                return
+            case ast.BinOp() if re.search("perf_counter|thread_time", self.text(node)):
                 return
             case ast.ClassDef():
                 children = list(node.body)
@@ -146,20 +175,20 @@ class PythonEdits:
                 yield self.put(test, f"not ({self.text(test)})", "not")
             case ast.Constant(value=bool(value)):
                 yield self.put(node, str(not value), "truth")
-            case ast.Constant(value=float(value)):
+            case ast.Constant(value=float(value)) if not 0.0 < abs(value) <= 1e-6:  # no tolerances
                 yield self.put(node, repr(2 * value or 1.0), "factor 2")
             case ast.Constant(value=int(value)):
                 yield self.put(node, str(value + 1), "off by one")
             case ast.Return(value) if value is not None and not isinstance(value, ast.Constant):
                 yield self.put(value, "0.0" if isinstance(value, ast.BinOp | ast.Call) else "None", "constant")
             case ast.Call(func, args):
-                name = func.attr if isinstance(func, ast.Attribute) else getattr(func, "id", "")
+                name = called(func)
                 if name == "conj" and isinstance(func, ast.Attribute) and not args:
                     yield self.put(node, self.text(func.value), "conj dropped")
                 if name in OTHERS:
                     stop = self.span(func)[1]
                     yield Edit(self.file, self.source, stop - len(name), stop, OTHERS[name], "min and max")
-                elif len(args) > 1 and not any(isinstance(a, ast.Starred) for a in args[:2]):
+                elif len(args) > 1 and name not in SYMMETRIC and not any(isinstance(a, ast.Starred) for a in args[:2]):
                     first, second = args[:2]
                     text = f"{self.text(second)}, {self.text(first)}"
                     yield Edit(self.file, self.source, self.span(first)[0], self.span(second)[1], text, "swapped")

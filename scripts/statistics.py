@@ -1,18 +1,21 @@
 """Print the tables of docs/statistics.md: false alarms, coverage, thresholds, sensitivities and power, by simulation.
 
-    python scripts/statistics.py [--only ratings missing ...] [--experiments 5000] [--staircases 134] ...
+    python scripts/statistics.py [--only ratings missing ...] [--experiments 5000] [--staircases 134] [--keep FILE] ...
 
-Each number is the mean of three fixed seeds.
+Each number is the mean of three fixed seeds, which are simulated in batches. Batches that are done are kept in FILE, so
+that a run that was stopped goes on where it was.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
+import json
 import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import astuple
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -46,11 +49,26 @@ PEOPLE = {
 }
 
 
-def means(run: Callable[[np.random.Generator], Sequence[float]], *labels: object) -> list[float]:
-    """Mean results of three seeds, with a line of progress."""
-    rows = [run(np.random.default_rng(seed)) for seed in SEEDS]
+KEPT: dict[str, list[float]] = {}
+Run = Callable[[np.random.Generator, int], Sequence[float]]
+
+
+def means(options: argparse.Namespace, run: Run, count: int, batch: int, *labels: object) -> list[float]:
+    """Mean results of `count` experiments of each seed, in batches; batches of other runs are taken from the file."""
+    rows, weights = [], []
+    for number, begin in enumerate(range(0, count, batch)):
+        for seed in SEEDS:
+            n = min(batch, count - begin)
+            key = ", ".join(map(str, (*labels, seed, number, n)))
+            if key not in KEPT:
+                KEPT[key] = [float(x) for x in run(np.random.default_rng([seed, number] if number else seed), n)]
+                if options.keep:
+                    with options.keep.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps({key: KEPT[key]}) + "\n")
+            rows.append(KEPT[key])
+            weights.append(n)
     print(f"{time.monotonic() - BEGAN:6.0f} s  {', '.join(map(str, labels))}", file=sys.stderr, flush=True)
-    return [float(x) for x in np.mean(np.array(rows, dtype=np.float64), axis=0)]
+    return [float(x) for x in np.average(np.array(rows, dtype=np.float64), axis=0, weights=weights)]
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -73,7 +91,11 @@ def ratings(options: argparse.Namespace) -> None:
     rows = []
     for null in sim.NULLS:
         for n in (12, 20, 40):
-            r = means(lambda g, n=n, null=null: astuple(sim.rating_rates(g, options.experiments, n, null)), null, n)
+            case = (n, null)
+            r = means(
+                options, lambda g, k, case=case: astuple(sim.rating_rates(g, k, *case)), options.experiments, 5000,
+                null, n,
+            )  # fmt: skip
             rows.append([null, str(n), *map(percent, r)])
     table(["population", "listeners", *HEAD], rows)
 
@@ -85,8 +107,11 @@ def missing(options: argparse.Namespace) -> None:
         rows = []
         for null in sim.NULLS:
             for n in (12, 20, 40):
-                case = (options.experiments, n, null, gaps)
-                r = means(lambda g, case=case: astuple(sim.rating_rates(g, *case)), gaps, null, n)
+                case = (n, null, gaps)
+                r = means(
+                    options, lambda g, k, case=case: astuple(sim.rating_rates(g, k, *case)), options.experiments, 5000,
+                    gaps, null, n,
+                )  # fmt: skip
                 rows.append([null, str(n), *map(percent, r)])
         table(["population", "listeners", *HEAD], rows)
 
@@ -94,12 +119,13 @@ def missing(options: argparse.Namespace) -> None:
 def sampled(options: argparse.Namespace) -> None:
     """Answers missing, sounds a random sample."""
     rows = []
-    for n, sounds, share in itertools.product((12, 20, 40), (6, 12), (0.1, 0.2)):
+    for spread, share, sounds, n in itertools.product(sim.SPREADS, (0.0, 0.1, 0.2), (6, 12), (12, 20, 40)):
+        case = (n, sounds, share, spread)
         r = means(
-            lambda g, n=n, k=sounds, share=share: sim.sampled_rates(g, options.sampled, n, k, share), "sampled", n
-        )
-        rows.append([str(n), str(sounds), percent(share), *map(percent, r)])
-    table(["listeners", "sounds", "missing", "false alarms", "coverage"], rows)
+            options, lambda g, k, case=case: sim.sampled_rates(g, k, *case), options.sampled, 1000, "sampled", *case
+        )  # fmt: skip
+        rows.append([spread, percent(share), str(sounds), str(n), *map(percent, r)])
+    table(["population", "missing", "sounds", "listeners", "factor", "difference b", "coverage"], rows)
 
 
 def grades(options: argparse.Namespace) -> None:
@@ -107,7 +133,9 @@ def grades(options: argparse.Namespace) -> None:
     rows = []
     for cuts in sim.CUTS:
         for n in (12, 20, 40):
-            r = means(lambda g, n=n, cuts=cuts: sim.odds_rates(g, options.grades, n, cuts), cuts, n)
+            r = means(
+                options, lambda g, k, n=n, cuts=cuts: sim.odds_rates(g, k, n, cuts), options.grades, 1000, cuts, n
+            )  # fmt: skip
             rows.append([cuts, str(n), *map(percent, r[:4]), f"{100 * r[4]:+.1f} %"])
     table(["scale", "listeners", "factor", "difference b", "interaction", "coverage", "bias"], rows)
 
@@ -118,9 +146,10 @@ def staircases(options: argparse.Namespace) -> None:
     for name, page in PAGES.items():
         for text, people in PEOPLE.items():
             own = StaircasePage.model_validate(page)
-            count = options.staircases if own.adaptive == "quest_plus" else int(0.3 * options.staircases)
+            case = (12, own, people)
             r = means(
-                lambda g, case=(count, 12, own, people): astuple(sim.threshold_rates(g, *case)), name, text
+                options, lambda g, k, case=case: astuple(sim.threshold_rates(g, k, *case)), options.staircases, 67,
+                name, text,
             )  # fmt: skip
             rows.append([name, text, f"{r[1]:.0f}", f"{100 * r[2]:+.1f} %", percent(r[3]), f"{100 * r[4]:+.1f} %",
                          percent(r[5]), f"{100 * r[6]:.0f} %"])  # fmt: skip
@@ -134,8 +163,9 @@ def sensitivities(options: argparse.Namespace) -> None:
     rows = []
     for task in ("more_2", "more_3", "odd_3", "abx"):
         for mean, sd in ((1.0, 0.5), (1.5, 0.8), (2.5, 0.8)):
+            case = (20, 20, task, mean, sd)
             r = means(
-                lambda g, t=task, m=mean, s=sd: sim.sensitivity_rates(g, options.sensitivities, 20, 20, t, m, s),
+                options, lambda g, k, case=case: sim.sensitivity_rates(g, k, *case), options.sensitivities, 110,
                 task, mean,
             )  # fmt: skip
             rows.append([task, f"{mean:g} ± {sd:g}", f"{100 * r[0]:+.1f} %", f"{100 * r[1]:+.1f} %", percent(r[2])])
@@ -151,7 +181,10 @@ def powers(options: argparse.Namespace) -> None:
             return float(power.rating_power([0.0, shift, 0.0], sd**2 / 2 * np.eye(3), n, 0.05)[0])
 
         n = power.fewest(promised, 0.8, "")
-        had = means(lambda g, a=shift, s=sd, n=n: [sim.power_had(g, options.experiments, n, a, s)], "power", shift)
+        case = (n, shift, sd)
+        had = means(
+            options, lambda g, k, case=case: [sim.power_had(g, k, *case)], options.experiments, 5000, "power", *case
+        )  # fmt: skip
         rows.append([f"{shift:g} points, sd {sd:g}", str(n), percent(promised(n)), percent(had[0])])
     for sounds in (6, 12):
         own, spread = power.stated_spread(12.0, 5.0, sounds, 2)
@@ -160,15 +193,30 @@ def powers(options: argparse.Namespace) -> None:
             return float(power.rating_power([0.0, 8.0], own, n, 0.05, sampled=spread)[0])
 
         n = power.fewest(of_sounds, 0.8, "")
+        case = (n, sounds, 8.0, 12.0, 5.0)
         had = means(
-            lambda g, n=n, m=sounds: [sim.power_had_by_sounds(g, options.experiments // 5, n, m, 8.0, 12.0, 5.0)],
-            "power of sounds", sounds,
+            options, lambda g, k, case=case: [sim.power_had_by_sounds(g, k, *case)], options.experiments, 5000,
+            "power of sounds", *case,
         )  # fmt: skip
         rows.append([f"8 points, sd 12; {sounds} random sounds, sd 5", str(n), percent(of_sounds(n)), percent(had[0])])
+
+    def of_shares(n: int) -> float:
+        return float(power.ordinal_power([0.0, 0.6, 0.0], 1.0, 6, (1.0, 5.0), n, 0.05)[0])
+
+    n = power.fewest(of_shares, 0.8, "")
+    case = (n, 0.6, 1.0)
+    had = means(
+        options, lambda g, k, case=case: [sim.power_had_by_shares(g, k, *case)], options.grades, 1000, "grades", *case
+    )  # fmt: skip
+    rows.append(["0.6 points of an ordinal scale of 1 to 5, sd 1, six sounds", str(n), percent(of_shares(n)),
+                 percent(had[0])])  # fmt: skip
     page, people = StaircasePage.model_validate(STAIRS), sim.Population(5.0, 0.25, 2.0)
     margin = float(np.log(1.25))
     n = power.threshold_listeners(page, people, margin, 0.05, 0.8)
-    had = means(lambda g: [sim.excluded(g, options.staircases, n, page, people, margin)], "power", "threshold")
+    had = means(
+        options, lambda g, k: [sim.excluded(g, k, n, page, people, margin)], options.staircases, 67, "power",
+        "threshold", n,
+    )  # fmt: skip
     rows.append(["threshold 25 % higher", str(n), "at least 80 %", percent(had[0])])
     table(["effect", "listeners", "power promised", "power had"], rows)
 
@@ -179,16 +227,16 @@ PARTS = {"ratings": ratings, "powers": powers, "sensitivities": sensitivities, "
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--experiments", type=int, default=5000, help="of ratings, for each seed")
-    parser.add_argument(
-        "--staircases",
-        type=int,
-        default=134,
-        help="experiments with QUEST+, for each seed; 0.3 of them by Levitt's rule",
-    )
+    parser.add_argument("--staircases", type=int, default=134, help="experiments with staircases, for each seed")
     parser.add_argument("--sensitivities", type=int, default=110, help="experiments with d', for each seed")
     parser.add_argument("--grades", type=int, default=200, help="experiments with grades, for each seed")
     parser.add_argument("--sampled", type=int, default=200, help="experiments with random sounds, for each seed")
     parser.add_argument("--only", nargs="*", choices=list(PARTS), default=list(PARTS))
+    parser.add_argument(
+        "--keep", type=Path, help="file of the batches that are done; remove it where an analysis has changed"
+    )
     chosen = parser.parse_args()
+    for line in chosen.keep.read_text("utf-8").splitlines() if chosen.keep and chosen.keep.exists() else ():
+        KEPT |= json.loads(line)
     for part in chosen.only:
         PARTS[part](chosen)

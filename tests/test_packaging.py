@@ -84,6 +84,7 @@ def test_modules_that_have_moved_still_answer_and_say_where_they_are() -> None:
         "from tonewood.instrument.contract import Resonator\n"
         "from tonewood.instrument.bundle import load_instrument\n"
         "from tonewood.instrument.inspection import pitch\n"
+        "from tonewood.instrument.contract import Exciter\n"
     )
     done = subprocess.run([sys.executable, "-c", program, *OLD_MODULES.split()], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -117,7 +117,19 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("name", [n for n in RUN if n != "README.md"])
+#: pages that take seconds: continuous integration runs them
+SLOW = {
+    f"docs/{page}.md"
+    for page in (
+        "a_body_from_a_drawing", "tutorial", "playing", "use_design", "from_a_measurement", "piano", "compare",
+        "use_score", "sampling", "wood",
+    )
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] if n in SLOW else []) for n in RUN if n != "README.md"]
+)
 def test_a_page_runs(name: str, folder: Path) -> None:
     run_page(ROOT / name, folder, whole=False)
 

@@ -33,11 +33,14 @@ from pathlib import Path
 import numpy as np
 
 import tonewood as tw
-from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.lab.accuracy.timing import machine
+from tonewood.lab.tables import markdown, number
 from tonewood.physics.coupling.connections import Connection, Rigid, Term
+from tonewood.physics.coupling.potentials.base import Potential
+from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
+from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
 from tonewood.physics.coupling.potentials.tension import TensionModulation
-from tonewood.physics.coupling.system import Readout, System
+from tonewood.physics.coupling.system import Injection, Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_modes import string_basis
 from tonewood.physics.stepping.forcing import Segment, compile_force
@@ -57,6 +60,7 @@ STRINGS = (82.41, 110.0, 146.83, 196.0, 246.94, 329.63)
 LENGTH, AXIAL, DENSITY, BENDING, FORCE, PULSE = 0.65, 52841.59, 2.1136636e-3, 1.1109944e-3, 1.0, 1.5e-3
 #: points of IRCAM's strings at 48 kHz: as many modes
 POINTS = (101, 98, 92, 84, 74, 61)
+QUARTER = tuple(n // 4 for n in POINTS)
 #: scene -> in words
 SCENES = {
     "modes": f"{N_MODES} modes that nothing couples, under one impulse",
@@ -147,22 +151,49 @@ def tension_of(freq: float) -> float:
     return DENSITY * (2 * LENGTH * freq) ** 2 - np.pi**2 * BENDING / LENGTH**2
 
 
-def own_strings(rate: float, modes: Sequence[int]) -> Run:
-    """`STRINGS` of so many modes each, damped at 0.5 / s."""
-    components, ends, outs, tensions = {}, [], [], []
-    for number_, (freq, n) in enumerate(zip(STRINGS, modes, strict=True)):
+def strings(rate: float, modes: Sequence[int], kind: str = "tension", longitudinal: int = 5) -> System:
+    """`STRINGS` of so many modes each, in one plane, damped at 0.5 / s.
+
+    Parameters
+    ----------
+    kind : "tension" rises, "longitudinal" modes move both ways, "phantom" drives them one way.
+    """
+    components: dict[str, ModalBasis] = {}
+    ends, outs, potentials = [], [], list[Potential]()
+    if kind == "phantom":  # a body that the force along the strings moves
+        components["body"] = ModalBasis.real(np.array([2 * np.pi * 200]), np.array([10.0]), {"bridge": np.ones(1)})
+    for number_, (freq, n) in enumerate(zip(STRINGS, modes, strict=False)):
         name = f"string {number_}"
         made = string_basis(LENGTH, tension_of(freq), DENSITY, BENDING, lambda w, k: 1.0 / w, n_modes=n)
         components[name] = made.with_places({"pluck": 0.2 * LENGTH, "out": 0.9 * LENGTH})
         ends.append(Connection(f"end {number_}", (Term(name, "bridge"),), Rigid()))
         outs.append(Readout(name, "displacement", (Term(name, "out"),)))
-        tensions.append(TensionModulation(name, (name,), AXIAL))
-    system = System.build(components, ends, outs, dt=1 / rate, potentials=tensions)
-    pieces = [Segment(0.0, PULSE, 0.0, 4 * FORCE / PULSE, -4 * FORCE / PULSE**2)]
+        if kind == "tension":
+            potentials.append(TensionModulation(name, (name,), AXIAL))
+        elif kind == "longitudinal":
+            stretch = f"stretch {number_}"
+            components[stretch] = string_basis(
+                LENGTH, AXIAL, DENSITY, 0.0, lambda w, k: np.full_like(w, 0.01), n_modes=longitudinal
+            )
+            ends.append(Connection(f"end {stretch}", (Term(stretch, "bridge"),), Rigid()))
+            potentials.append(GeometricStretch(name, (name,), stretch, AXIAL))
+        else:
+            potentials.append(DrivenLongitudinal(name, (name,), (("body", "bridge", 0.1),), AXIAL, 3000.0, 0.01))
+    return System.build(components, ends, outs, dt=1 / rate, potentials=potentials)
+
+
+def pluck_forces(system: System, force: float = FORCE) -> list[Injection]:
+    """The same parabola of force on each of the strings."""
+    pieces = [Segment(0.0, PULSE, 0.0, 4 * force / PULSE, -4 * force / PULSE**2)]
+    bases = {name: system.compiled[system.slot(name)].basis for name in system.names if name.startswith("string")}
+    return [f for name, b in bases.items() for f in compile_force(name, b, "pluck", pieces, system.dt)]
+
+
+def own_strings(rate: float, modes: Sequence[int], kind: str = "tension", longitudinal: int = 5) -> Run:
+    system = strings(rate, modes, kind, longitudinal)
 
     def run(seconds: float) -> float:
-        forces = [f for name, b in components.items() for f in compile_force(name, b, "pluck", pieces, system.dt)]
-        stepper, state = KernelStepper(system), system.start()
+        stepper, state, forces = KernelStepper(system), system.start(), pluck_forces(system)
         began = time.thread_time()
         stepper.run(state, round(rate * PULSE) + 1, forces)
         stepper.run(state, round(rate * seconds))
@@ -186,9 +217,13 @@ def own() -> list[Peer]:
         Peer("tension", "tonewood", "", "", own_tension()),
         Peer("strings", "tonewood", "", "", own_strings(FS, POINTS)),
         Peer("strings", "tonewood, a quarter of the modes", "", "error still half of IRCAM's",
-             own_strings(FS, [n // 4 for n in POINTS])),
+             own_strings(FS, QUARTER)),
         Peer("strings", "tonewood, the same at 24 kHz", "", "error still half of IRCAM's",
-             own_strings(FS / 2, [n // 4 for n in POINTS])),
+             own_strings(FS / 2, QUARTER)),
+        Peer("strings", "tonewood, with longitudinal motion", "", "", own_strings(FS, POINTS, "longitudinal")),
+        Peer("strings", "the same, a quarter of the modes", "", "", own_strings(FS, QUARTER, "longitudinal")),
+        Peer("strings", "the same, at 24 kHz", "", "", own_strings(FS / 2, QUARTER, "longitudinal", 3)),
+        Peer("strings", "tonewood, phantom partials", "", "one way", own_strings(FS, POINTS, "phantom")),
         Peer("chord", "tonewood", "1542 coupled modes: two planes, body, two microphones", "", own_chord),
     ]  # fmt: skip
 
@@ -250,7 +285,8 @@ def stk(folder: Path) -> list[Peer]:
     ]  # fmt: skip
 
 
-def sav(folder: Path, sources: str | None, eigen: str) -> list[Peer]:
+def sav_command(folder: Path, sources: str | None, eigen: str) -> list[str]:
+    """Program of IRCAM's strings, and its arguments after seconds, kind and force; empty where it cannot be made."""
     compiler = next((c for name in reversed(COMPILERS) if (c := shutil.which(name)) is not None), None)
     if compiler is None or sources is None:
         return []
@@ -258,15 +294,24 @@ def sav(folder: Path, sources: str | None, eigen: str) -> list[Peer]:
     flags = ["-std=c++17", "-O3", "-march=native", "-ffast-math", f"-I{eigen}", f"-I{sources}"]
     files = [str(HERE / "sav_strings.cpp"), str(Path(sources) / "StringProcessor.cpp")]
     subprocess.run([compiler, *flags, *files, "-o", str(program)], check=True)
-    strings = [f"{x:.12g}" for f in STRINGS for x in (f, np.pi**2 * BENDING / (tension_of(f) * LENGTH**2))]
+    return [
+        str(program),
+        *(f"{x:.12g}" for f in STRINGS for x in (f, np.pi**2 * BENDING / (tension_of(f) * LENGTH**2))),
+    ]
+
+
+def sav(folder: Path, sources: str | None, eigen: str) -> list[Peer]:
+    command = sav_command(folder, sources, eigen)
+    if not command:
+        return []
 
     def run(mode: int) -> Run:
-        return lambda seconds: printed([str(program), f"{seconds:g}", str(mode), f"{FORCE:g}", *strings])
+        return lambda seconds: printed([command[0], f"{seconds:g}", str(mode), f"{FORCE:g}", *command[1:]])
 
     same = "strings of Kirchhoff and Carrier, loss, push; 64-bit samples"
     return [
         Peer("strings", "IRCAM's SAV strings", same, "finite differences, 510 points; -ffast-math", run(1)),
-        Peer("strings", "the same, geometrically exact to fourth order", "", "another potential", run(2)),
+        Peer("strings", "IRCAM's, geometrically exact", "", "to fourth order, without longitudinal modes", run(2)),
     ]
 
 

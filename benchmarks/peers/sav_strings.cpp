@@ -1,7 +1,8 @@
-// Six strings of IRCAM's SAV-string-simulations (StringProcessor.h, its Eigen version): argv[1] seconds at 48 kHz, argv[2]
+// Six strings of IRCAM's SAV-string-simulations (StringProcessor.h, its Eigen version): argv[1] seconds, argv[2]
 // 0 linear, 1 Kirchhoff-Carrier, 2 geometrically exact to fourth order; f0 in Hz and beta of each string from argv[4] on.
 // Each is pushed by argv[3] N at a fifth of its length for 1.5 ms (a parabola in time). Prints the processor's time and
 // the rms near the end. With TRACE set, the first string's displacement there goes to this file as 32-bit floats.
+// At 48 kHz, or at RATE.
 #include <StringProcessor.h>
 
 #include <cmath>
@@ -12,7 +13,7 @@
 #include <vector>
 
 int main(int argc, char** argv) {
-    const double rate = 48000, pulse = 1.5e-3;
+    const double rate = std::getenv("RATE") ? std::atof(std::getenv("RATE")) : 48000, pulse = 1.5e-3;
     const long n = long(rate * std::atof(argv[1]));
     const double force = std::atof(argv[3]);
     std::vector<std::unique_ptr<StringProcessor<double>>> strings;

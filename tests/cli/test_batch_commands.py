@@ -135,6 +135,7 @@ def test_a_level_that_fails_everywhere_is_one_line(small: Path, capsys: pytest.C
     assert "and 1 other conditions" in failed[0]
 
 
+@pytest.mark.slow
 def test_simulated_listeners_and_their_results(done: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("jinja2")
     code, _, err = command(capsys, "results", done)

@@ -49,6 +49,7 @@ def test_modes_and_picture(top: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "3 of these are rigid-body motion" in " ".join(report["body"]["facts"])
 
 
+@pytest.mark.slow
 def test_compare_pairs_modes_by_their_shapes(top: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Three quarters of the thickness: every mode of a thin plate falls to 0.75, nearly, whatever its place."""
     report = json.loads(

@@ -240,7 +240,7 @@ def test_plan_names_what_matters_and_verbose_the_rest(tonewood: Run, score: Path
     ],
 )
 def test_what_was_left_out_and_what_it_saved(strings: list[str], said: str) -> None:
-    from tonewood.cli.render import _left_out
+    from tonewood.cli.render_report import left_out_lines as _left_out
     from tonewood.performance.effects.base import EffectReport
     from tonewood.sound.render.renderer import Summary
 

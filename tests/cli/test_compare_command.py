@@ -32,6 +32,27 @@ def test_variants_are_compared_with_the_first(tonewood: Run) -> None:
     assert [i["strings"][0]["tension"] for i in found["instruments"]] == [58.8, 50.0]
 
 
+def test_a_sweep_has_a_row_for_each_value(tonewood: Run) -> None:
+    sweep = (
+        "--sweep",
+        "strings.A2.tension=50:60:3",
+        "--set",
+        "tuning.hold=tension",
+        "--variant",
+        "strings.A2.tension=70",
+    )
+    code, out, _ = tonewood("compare", "monochord", *sweep, "--name", "high", *QUICK)
+    assert code == 0
+    assert "B: high (monochord; " in out
+    rows = [line.split()[0] for line in out.splitlines() if " LUFS" in line]
+    assert rows == ["50", "55", "58.8", "60", "70"]
+    code, out, _ = tonewood("compare", "monochord", *sweep, *QUICK, "--json")
+    found = json.loads(out)
+    assert found["sweep"]["key"] == "strings.A2.tension"
+    assert [row["value"] for row in found["sweep"]["rows"]] == [50, 55, 58.8, 60, 70]
+    assert all("times" in row for rows in found["changes"] for row in rows)
+
+
 def test_a_report_is_printed_and_written(tonewood: Run, tmp_path: Path) -> None:
     page = tmp_path / "monochord.html"
     code, out, err = tonewood("report", "monochord", *QUICK, "--notes", "A2", "-o", page)
@@ -46,7 +67,10 @@ def test_a_report_is_printed_and_written(tonewood: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("compare", "monochord"), "another one, or --variant, is wanted"),
+        (("compare", "monochord"), "another one, --variant or --sweep is wanted"),
+        (("compare", "monochord", "clavichord", "--name", "stiff"), "--name: 1 names for 0 variants"),
+        (("compare", "monochord", "--sweep", "strings.A2.tension=50:60"), "PATH=LOW:HIGH:COUNT is allowed"),
+        (("compare", "monochord", "--sweep", "strings.A2.tension=50:60:9"), "--sweep: has 9 values; 2 to 5"),
         (("compare", "monochord", "nothing"), "instrument 'nothing': is neither installed nor a folder"),
         (("compare", "monochord", "--variant", "strings.A2"), "is not PATH=VALUE"),
         (("compare", "monochord", "--variant", "strings.B2.note=C3"), "there is no 'B2'"),

@@ -307,7 +307,7 @@ def test_ctrl_c_between_a_sound_and_its_stems_names_the_sound(
     def stopped(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tonewood.cli.stems.write_output_stems", stopped)
+    monkeypatch.setattr("tonewood.cli.render.write_output_stems", stopped)
     wav = tmp_path / "o.wav"
     stems = ["--max-duration", 0.02, "--stems", tmp_path / "stems"]
     code, out, err = tonewood("render", score, "-i", "monochord", "-o", wav, *stems)

@@ -104,6 +104,7 @@ def test_written_scores_are_rendered_and_lacking_techniques_counted(tonewood: Ru
         assert ("4 palm mute, plucked as any note" if path.suffix == ".gp5" else "1 handbell") in out
 
 
+@pytest.mark.slow
 def test_one_part_twice_has_two_stems(tonewood: Run, duo: Path, tmp_path: Path) -> None:
     words = (
         "render",

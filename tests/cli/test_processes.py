@@ -106,7 +106,10 @@ def events(tmp_path_factory: pytest.TempPathFactory) -> int:
 
 
 LATER = [pytest.param(i / 60, signal.SIGINT, marks=pytest.mark.validate) for i in range(60)]
-SWEEP = [(0.0, signal.SIGINT), (0.2, signal.SIGINT), (0.6, signal.SIGTERM), (0.9, signal.SIGINT), (0.95, signal.SIGHUP)]
+SWEEP = [
+    (0.2, signal.SIGINT), (0.6, signal.SIGTERM), (0.95, signal.SIGHUP),
+    *(pytest.param(share, signal.SIGINT, marks=pytest.mark.slow) for share in (0.0, 0.9)),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("share", "number"), [*SWEEP, *LATER])

@@ -25,6 +25,7 @@ def rectangle() -> Rectangle:
     return Rectangle.of(*SIZE, MASS, typical("sitka_spruce", 420.0))
 
 
+@pytest.mark.slow
 def test_the_command_from_a_table_to_a_drawn_body(tonewood: Run, tmp_path: Path, rectangle: Rectangle) -> None:
     freq, _ = rectangle.solution(rectangle.nominal)
     rows = "\n".join(f"{f:.3f},{70 + i}" for i, f in enumerate(freq[:12]))
@@ -50,6 +51,7 @@ def test_the_command_from_a_table_to_a_drawn_body(tonewood: Run, tmp_path: Path,
     refused(tonewood("wood", tmp_path / "bad.csv", *words[2:]), "bad.csv", "no column freq_Hz")
 
 
+@pytest.mark.slow
 def test_recordings_of_taps_are_read(
     tonewood: Run, tmp_path: Path, rectangle: Rectangle, rng: np.random.Generator
 ) -> None:

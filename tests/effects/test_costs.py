@@ -15,6 +15,7 @@ from scipy.optimize import nnls
 import tonewood as tw
 from tonewood.performance.effects.costs import Costs, not_negative
 from tonewood.performance.effects.tension import TENSION_MODULATION
+from tonewood.performance.effects.usage import Bound, EffectUsage
 from tonewood.performance.engine import engine as engine_module
 from tonewood.physics.coupling.system import System
 from tonewood.physics.stepping.kernel import KernelStepper
@@ -135,3 +136,38 @@ def test_rates_that_may_not_be_negative_are_those_of_the_general_method(rows, ri
     root = sla.cholesky(matrix)
     expected, _ = nnls(root, sla.solve_triangular(root, b, trans="T"))
     np.testing.assert_allclose(not_negative(matrix, b), expected, atol=1e-9)
+
+
+def test_when_and_how_long_an_effect_ran() -> None:
+    """Runs that follow at once are one interval; of what begins before score time 0, the part from 0 on is told."""
+    usage = EffectUsage(1000.0, {TENSION: {"E4": 100.0, "B3": 60.0}}, DECLARED)
+    for start, n, on in ((-64, 128, ["E4"]), (64, 64, ["E4"]), (128, 64, []), (192, 64, ["E4", "B3"])):
+        usage.count(start, n, {TENSION: on}, 300, n * 300 * MODE)
+    e4, b3 = usage.spans[TENSION, "E4"], usage.spans[TENSION, "B3"]
+    assert (e4.all, b3.all) == ([(-64, 128), (192, 256)], [(192, 256)])
+    assert usage.score_time(e4) == ((0.0, 0.128), (0.192, 0.256))
+    assert [usage.seconds(s.samples) for s in (e4, b3)] == pytest.approx([0.256, 0.064])
+    assert (usage.samples, usage.running[TENSION]) == (320, 256)
+    usage.forget_times()
+    assert usage.score_time(e4) == ((0.192, 0.256),)
+    assert e4.samples == 256
+
+
+def test_the_largest_bounds_are_kept() -> None:
+    usage = EffectUsage(1000.0, {TENSION: {"E4": 100.0}}, DECLARED)
+    for bound, out in ((Bound(2.0, 0.1), True), (Bound(1.0, 0.3), True), (Bound(5.0, 0.2), False)):
+        usage.enter(TENSION, [("E4", bound, out)])
+    assert usage.left_out[TENSION, "E4"] == Bound(2.0, 0.3)
+    assert usage.largest[TENSION, "E4"] == Bound(5.0, 0.3)
+
+
+def test_what_an_effect_would_have_taken_where_it_was_off() -> None:
+    """Its cost per load and sample, and, while it runs nowhere, its share of the cost of running at all."""
+    loads = {"E4": 100.0, "B3": 60.0}
+    usage = EffectUsage(1000.0, {TENSION: loads}, DECLARED)
+    for start, on in ((0, []), (1000, ["E4"]), (2000, ["B3"]), (3000, ["E4", "B3"])):
+        load = sum(loads[name] for name in on)
+        usage.count(start, 1000, {TENSION: on}, 300, 1000 * (300 * MODE + (RISING if on else 0) + load * RISING_MODE))
+    nowhere = 1000 * RISING * 60 / 160
+    assert usage.saved(TENSION, "B3") == pytest.approx(2000 * 60 * RISING_MODE + nowhere, rel=0.02)
+    assert usage.saved_as_declared(50.0) == pytest.approx(4000 * 50 * MODE, rel=0.02)

@@ -51,7 +51,10 @@ def test_the_bound_of_a_rise_is_that_of_the_string_vibrating_in_one_mode() -> No
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=pytest.mark.validate) if n == "grand_piano" else n for n in sorted(list_instruments())],
+    [
+        pytest.param(n, marks={"grand_piano": pytest.mark.validate, "drawn_guitar_x": pytest.mark.slow}.get(n, ()))
+        for n in sorted(list_instruments())
+    ],
 )
 def test_none_keeps_every_string_in_one_plane(name: str) -> None:
     instrument = tw.load_instrument(name)
@@ -73,6 +76,13 @@ def test_none_is_linear() -> None:
     assert abs(once).max() > 0
     # twice the rounding of a sample: the first 5 ms are differences to the value at frame 0
     assert abs(thrice - 3 * once).max() < 2e-11 * abs(thrice).max()
+
+
+def test_none_leaves_the_body_and_what_is_heard() -> None:
+    """And what plays it: without these there is no sound. All else is named by who wants it."""
+    basic = {"body_modes", "outputs", "plectrum", "stopping_finger"}
+    assert assemble(duet(mode="none"), 16000).choice.names == basic
+    assert assemble(duet(mode=["tension_modulation"]), 16000).choice.names == basic | {"tension_modulation"}
 
 
 def test_names_choose_what_runs() -> None:

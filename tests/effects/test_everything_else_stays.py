@@ -25,6 +25,9 @@ INSTRUMENTS = sorted(
     if path.parent.name != "gong"
 )
 
+#: made as `classical_guitar`, `steel_guitar` and `drawn_guitar` are
+LIKE_OTHERS = ("flamenco_guitar", "twelve_string_guitar", "drawn_guitar_x")
+
 
 def pair(score: tw.Score, name: str, seconds: float | None, fs: int) -> tuple[tw.Renderer, tw.Renderer]:
     def make(mode: str) -> tw.Renderer:
@@ -74,7 +77,13 @@ def playable(score: tw.Score, name: str) -> bool:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.validate) if n == "grand_piano" else n for n in INSTRUMENTS]
+    "name",
+    [
+        pytest.param(
+            n, marks=pytest.mark.validate if n == "grand_piano" else [pytest.mark.slow] if n in LIKE_OTHERS else []
+        )
+        for n in INSTRUMENTS
+    ],
 )
 def test_a_short_excerpt(name: str) -> None:
     first = INSTRUMENTS.index(name) % len(SCORES)

@@ -55,6 +55,7 @@ def test_a_wide_budget_leaves_the_tension_out() -> None:
     assert all(e.seconds < 0.6 for e in foreseen.effects if e.name == "tension_modulation")
 
 
+@pytest.mark.slow
 def test_very_many_bends_are_counted_and_not_played(monkeypatch: pytest.MonkeyPatch) -> None:
     """A plan of them would take as long as the render; each is taken to need 0.01 s here, and none is stepped."""
     controls = [tw.Control(0.002 * i, "bend", 0.1 * i, 0) for i in range(1, 1001)]
@@ -85,6 +86,15 @@ def test_the_time_of_a_bend_is_that_of_exchanging_its_strings() -> None:
     assert list(line) == [int(0.1 * FS // 64)]
     still = [Change(0.1, "B3", stop=2.0, cents=1.0), Change(0.1, "E4", damper=0.0)]
     assert planning.bends_by_point(Timeline(still, ()), FS) == {}
+
+
+def test_a_time_is_that_of_the_beginning_by_the_work_of_the_whole() -> None:
+    """Steps by the steps of the sketch, control by its control; what effects took of the beginning is left out."""
+    first, whole = planning.Spent(stepping=0.5, control=0.2), planning.Spent(stepping=5.0, control=0.6)
+    timed = planning.Spent(stepping=3.0, control=1.0)
+    assert planning.predicted(timed, 1.0, first, whole) == pytest.approx(2.0 * 10 + 1.0 * 3)
+    assert planning.predicted(timed, 4.0, first, whole) == pytest.approx(1.0 * 3)  # a clock may say more
+    assert planning.predicted(timed, 1.0, planning.Spent(), whole) == pytest.approx(5.0 + 0.6)  # too short to tell
 
 
 def test_choices_are_reported() -> None:

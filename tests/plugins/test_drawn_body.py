@@ -75,6 +75,7 @@ def test_first_modes_are_those_of_guitars() -> None:
     assert modes.kinetic.sum(axis=0) == pytest.approx(np.ones(len(modes.freq)), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_modes_are_as_dense_as_a_plates() -> None:
     """Without braces, air and shear, within 15 % of S/2 sqrt(rho h / sqrt(D_L D_R)) per Hz, between two edges."""
     rigid = {"wood": {"species": "sitka_spruce", "G_LT": 1e12, "G_RT": 1e12}, "fmax": 5000.0, "cell": 0.015}
@@ -167,6 +168,7 @@ def test_a_thickness_map(tmp_path: Path) -> None:
     assert np.all((thin[:4] < wedge.natural_freq[:4]) & (wedge.natural_freq[:4] < thick[:4]))
 
 
+@pytest.mark.slow
 def test_a_live_back_lowers_the_first_modes() -> None:
     """Another spring yields behind the air: A0 and T1 of a body with a back lie below those with a rigid one."""
     values = {"soundhole": {"centre": [0.07, 0.1], "radius": 0.03}, "air": {"depth": 0.08}}
@@ -233,6 +235,7 @@ def test_microphones_follow_the_rayleigh_sum(channel: str, at: tuple[float, floa
     assert np.percentile(error, 95) < 0.2
 
 
+@pytest.mark.slow
 def test_delays_between_microphones_are_kept() -> None:
     """One at 0.5 m and one 0.6 m behind it: the sums with the nearer one's delay taken out of both, within 0.2 dB."""
     far = guitar().replace({"outputs.microphones.at": {"near": [0.3, 0, 0.5], "far": [0.3, 0.1, 1.1]}})
@@ -280,6 +283,7 @@ def test_sound_has_its_own_entry_in_the_account_of_energy() -> None:
     assert 0 < expected < 0.5 * trace.lost["body"].sum()
 
 
+@pytest.mark.slow
 def test_a_tapped_guitars_account_has_its_sound() -> None:
     coarse = guitar().replace({"body.fmax": 400.0, "body.cell": 0.04})
     score = tw.Score([tw.Note(0.0, 0.05, technique="tap", force=5.0, string="E2", stop=0)])

@@ -154,6 +154,7 @@ def test_what_is_not_offered_is_refused_in_one_line(tmp_path: Path) -> None:
         assemble(short.replace({"strings.S.axial_stiffness": 1e5}), 24000)
 
 
+@pytest.mark.slow
 def test_a_guitar_of_such_strings_is_stopped_bent_and_damped() -> None:
     guitar = tw.load_instrument("steel_guitar").replace({"strings.*.plugin": "geometric_string"})
     notes = (

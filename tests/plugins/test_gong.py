@@ -240,6 +240,7 @@ def blow(velocity: int, at: float = 0.05) -> tw.Score:
     return tw.Score([tw.Note(at, 1.0, note=33.0, velocity_midi=velocity)])
 
 
+@pytest.mark.slow
 def test_energy_balances_from_the_mallet_to_the_rest() -> None:
     """Hard blows, two of them, with the stand joined and felt in contact: every interval adds up."""
     score = tw.Score(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -158,6 +159,7 @@ def test_a_plan_tells_when_and_what_they_cost(guitar: Instrument) -> None:
     assert all(e.predicted_s is not None and e.predicted_s > 0 for e in planned)
 
 
+@pytest.mark.slow
 def test_their_work_is_in_the_account_of_energy(guitar: Instrument) -> None:
     notes = [
         tw.Note(0.05, 0.1, string="D3", stop=2, force=1.0),
@@ -203,14 +205,17 @@ def test_a_hand_lies_on_idle_strings_where_the_bundle_asks_for_it(guitar: Instru
 _FORCE = '[{"name": "f", "plugin": "point_pickup", "quantity": "force", "at": "A2.bridge", "full_scale": 1.0}]'
 
 
+@pytest.mark.slow
 def test_live_playing_says_which_noises_it_has_not(guitar: Instrument) -> None:
     for on, expected in ((False, {}), (True, {"playing.noises.fretting": 1, "playing.noises.squeak": 1})):
         assert dict(tw.Live(guitar.replace({"playing.noises.on": on})).summary().ignored) == expected
 
 
+@pytest.mark.slow
 def test_a_finger_ends_a_note_that_is_played_live(guitar: Instrument) -> None:
     """The noise begins as the key comes up, whatever the note was: the guitar is linear."""
 
+    @cache
     def played(force: float, on: bool) -> np.ndarray:
         live = tw.Live(guitar.replace({"playing.noises.on": on}), fs=24000)
         voice = live.note_on(string="A2", stop=3, force=force)

@@ -76,7 +76,7 @@ def test_the_pitch_changes_without_a_pluck(model: str, technique: str, first: in
     assert np.abs(np.diff(x[int(0.42 * FS) :])).max() < 0.7 * pluck
 
 
-@pytest.mark.parametrize("model", ["ideal", "finger"])
+@pytest.mark.parametrize("model", ["ideal", pytest.param("finger", marks=pytest.mark.slow)])
 def test_a_slides_pitch_only_rises(model: str) -> None:
     """The fundamental's phase, taken down by a steady 140 Hz: its rate never turns back by more than the beat."""
     from scipy.signal import butter, sosfiltfilt

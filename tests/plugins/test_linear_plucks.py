@@ -80,8 +80,12 @@ COURSES = {
 }
 
 
-@pytest.mark.parametrize("course", COURSES)
-@pytest.mark.parametrize("pluck", [FINGER, RAMP], ids=["finger", "ramp"])
+@pytest.mark.parametrize(
+    "course", [pytest.param(c, marks=[pytest.mark.slow] if c == "fractions" else []) for c in COURSES]
+)
+@pytest.mark.parametrize(
+    "pluck", [pytest.param(FINGER, id="finger"), pytest.param(RAMP, id="ramp", marks=pytest.mark.slow)]
+)
 def test_under_one_course_of_stops_they_scale_and_superpose(tmp_path: Path, pluck: dict[str, Any], course: str) -> None:
     """A change of stop acts on all that sounds, and depends on no force: a note of force 0 keeps its stop alone."""
     played = two_strings(

@@ -43,7 +43,7 @@ def one_string(folder: Path, plugin: str, *, planes: list[str], direction: str, 
 SCORE = tw.Score([tw.Note(0.0, 0.03, string="S", stop=0, force=3.0), tw.Note(0.02, 0.02, string="S", stop=2)])
 
 
-@pytest.mark.parametrize("n_modes", [0, 2])
+@pytest.mark.parametrize("n_modes", [0, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("direction", ["x", "z"])
 @pytest.mark.parametrize("planes", [["z"], ["y"]], ids="".join)
 @pytest.mark.parametrize("plugin", ["phantom_string", "geometric_string", "tension_modulated_string"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -10,7 +11,9 @@ import pytest
 import yaml
 
 import tonewood as tw
+from tonewood.cli.main import run
 from tonewood.errors import TonewoodError
+from tonewood.instrument.inspection.potentials_at_rest import small_motions
 from tonewood.instrument.model.assembly import assemble
 
 SOURCE = '''
@@ -142,3 +145,37 @@ def test_a_wrong_gradient_ends_in_one_line_whenever_it_goes_wrong(
         tw.render(SCORE, instrument, 8000, oversampling=1.0, max_duration=0.1, effects="all", energy=account)
     assert "\n" not in str(caught.value)
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("gradient", "freq", "words"),
+    [
+        ("float(0.25 * self.k * y[0] ** 4), self.k * y**3", 900.0, None),
+        # of omega^2 + k with k = omega^2
+        ("float(0.5 * self.k * y[0] ** 2), self.k * y", 900.0 * 2**0.5, r"sounds at 202.571 Hz \(\+600.0 cents\)"),
+        ("float(-0.5 * self.k * y[0] ** 2 + y[0] ** 4), -self.k * y + 4 * y**3", 0.0, "is unstable"),
+        ("float(0.25 * (y[0] + 1.0) ** 4), (y + 1.0) ** 3", np.sqrt(900.0**2 + 3.0), "pushes at rest"),
+    ],
+    ids=["fourth power", "spring", "falling", "push"],
+)
+def test_check_measures_a_potential_near_rest(
+    tmp_path: Path, gradient: str, freq: float, words: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    block(tmp_path / "hard", 900.0**2 if words != "is unstable" else 1e7)
+    bounds = "\n    least, scale = -1e20, 1.0" if words == "is unstable" else ""
+    source = SOURCE.replace("float(0.25 * self.k * y[0] ** 4), self.k * y**3", gradient)
+    source = source.replace("    sizes = (1,)", f"    sizes = (1,){bounds}")
+    (tmp_path / "hard" / "block.py").write_text(source, encoding="utf-8")
+    motion = small_motions(assemble(tw.load_instrument(tmp_path / "hard", allow_code=True), 8000.0))[0]
+    assert motion.freq == pytest.approx(freq / (2 * np.pi), rel=1e-9)
+    assert (motion.doubt is None) == (words is None)
+    if words:
+        assert motion.doubt is not None
+        assert re.search(words, motion.doubt)
+    if words != "is unstable":
+        with pytest.raises(SystemExit) as end:
+            run(["check", str(tmp_path / "hard"), "--allow-code", "--fs", "8000"])
+        assert end.value.code == 0
+        printed = capsys.readouterr().out
+        assert (motion.doubt is None) == ("block: " not in printed)
+        assert motion.doubt is None or f"warning: {motion.doubt}" in printed

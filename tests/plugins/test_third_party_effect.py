@@ -123,6 +123,7 @@ def test_a_stretched_thread_is_paid_for_when_it_is_switched_on() -> None:
     assert True in tried
 
 
+@pytest.mark.slow
 def test_its_energy_adds_up() -> None:
     audio = tw.render(tw.Score(LOUD), zither(mode="auto"), FS, max_duration=1.6, energy=True)
     assert audio.energy is not None

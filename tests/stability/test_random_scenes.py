@@ -27,7 +27,9 @@ def play(seed: int, folder: Path, *, energy: bool = False, **options: int) -> in
     return statistics.redone
 
 
-@pytest.mark.parametrize("first", range(0, SHORT, 10))
+@pytest.mark.parametrize(
+    "first", [pytest.param(first, marks=[pytest.mark.slow] if first >= 20 else []) for first in range(0, SHORT, 10)]
+)
 def test_no_step_is_lost(tmp_path: Path, first: int) -> None:
     for seed in range(first, first + 10):
         play(seed, tmp_path, samples=100)

@@ -81,11 +81,12 @@ def accuracy(
 
     from tonewood.lab.accuracy import dial, tables, timing
     from tonewood.lab.accuracy.report import HEADLINE, SHORT, Study
+    from tonewood.lab.accuracy.study import run
     from tonewood.support.whole_files import write_whole
 
     more: dict[str, tuple[str, object]] = {}
     with progress("comparing", 1.05) as advance:
-        outcomes = list(catalogue.run(system, quick=quick, tell=advance))
+        outcomes = list(run(system, quick=quick, tell=advance))
         if system is None:
             points = dial.run(quick=quick, tell=lambda share: advance(1 + 0.05 * share))
             more["dial"] = (dial.section(points), [p.to_dict() for p in points])

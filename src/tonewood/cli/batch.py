@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tonewood.cli import dataset
-from tonewood.cli.common import Advance, AllowCode, Json, need, print_json, progress, warn
+from tonewood.cli.common import Advance, AllowCode, Json, need, print_faults, print_json, progress, warn
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def _print_plan(plan: BatchPlan) -> None:
         f"{len(plan.conditions)} conditions: {summary['to_render']} to render, {summary['rendered']} rendered; "
         f"{summary['files']} files, {summary['trials']} trials; about {summary['predicted_seconds']:.0f} s"
     )
-    _print_faults(plan)
+    _print_rest(plan)
 
 
 def _print_power(plan: BatchPlan, power: Sequence[PowerRow]) -> None:
@@ -174,14 +174,9 @@ def _print_report(report: Report) -> None:
         f"{report.folder}: {len(report.files)} files from {report.rendered} new and {report.reused} earlier renders, "
         f"{report.seconds:.1f} s"
     )
-    _print_faults(report)
+    _print_rest(report)
 
 
-def _print_faults(found: BatchPlan | Report) -> None:
+def _print_rest(found: BatchPlan | Report) -> None:
     warn(list(found.notes))
-    reasons: dict[str, list[str]] = {}
-    for fault in found.faults:
-        reasons.setdefault(fault.reason, []).append(fault.name)
-    for reason, names in reasons.items():
-        others = "" if len(names) == 1 else f" and {len(names) - 1} other conditions"
-        print(f"tonewood: failed: {names[0]}{others}: {reason}", file=sys.stderr)
+    print_faults(found.faults, "conditions")

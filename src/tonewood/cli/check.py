@@ -30,10 +30,16 @@ def check(
     fs: Annotated[int, typer.Option(help="sampling rate to assemble it at, Hz")] = 48000,
     strings: StringSetName = None,
     settings: Overrides = None,
+    sensitive: Annotated[
+        bool, typer.Option("--sensitivity", help="tell how far each mode moves by 0.1 mm of each part and by 1 g")
+    ] = False,
+    every: Annotated[
+        bool, typer.Option("--all", help="print every string, stop, microphone and source, not what matters first")
+    ] = False,
     allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> int:
-    """Load INSTRUMENT, test its body, microphones and stops, list wolf notes, shared partials, stand-ins and sources.
+    """Load INSTRUMENT, test its body, microphones and stops: first what is wrong, wolf notes and pitches that are off.
 
     Every stop is checked twice: its string alone on the body, as it is tuned, and with all other strings open beside
     it; of keys with dampers, with the other strings of its key.
@@ -49,6 +55,7 @@ def check(
         pitches,
     )
     from tonewood.instrument.inspection.mounted import mounted_pitches
+    from tonewood.instrument.inspection.potentials_at_rest import small_motions
     from tonewood.instrument.model.assembly import assemble
     from tonewood.performance.engine.trial import try_parts
 
@@ -78,6 +85,7 @@ def check(
         "added": [added_line(entry) for entry in spec.body.added],
         "strings": {name: _string(model, name, pairs) for name in model.groups},
         "microphones": [_microphone(response) for response in microphone_responses(model)],
+        "potentials": [asdict(motion) | {"doubt": motion.doubt} for motion in small_motions(model)],
         "off_pitch": [pitch_row(p) for p in off],
         "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
         "off_planes": [plane_row(p) for p in off_planes],
@@ -89,11 +97,18 @@ def check(
         "sources_used": sorted({entry.source for entry in spec.provenance.values() if entry.source}),
         "sources": {key: source.model_dump(exclude_none=True) for key, source in spec.sources.items()},
     }
-    ok = bool(body["passive"])
+    ok, moves = bool(body["passive"]), []
+    if sensitive:
+        from tonewood.workshop.design.sensitivity import sensitivity, words
+
+        sensed = sensitivity(bundle)
+        moves = words(sensed)
+        rows = {name: cents.tolist() for name, cents in sensed.rows.items()}
+        report["sensitivity"] = {"modes": list(sensed.labels), "freq": sensed.freq.tolist(), "cents": rows}
     if as_json:
         print_json("check", report, ok=ok)
     else:
-        _print(report, ok)
+        _print(report, ok, every, moves)
     return 0 if ok else 2
 
 
@@ -285,21 +300,61 @@ def _held(row: dict[str, Any]) -> str:
     return f"at stop {row['stop']}{bend}"
 
 
-def _print_planes(rows: list[dict[str, Any]]) -> None:
-    """Stops whose second plane rings on beside the note, the worst first."""
-    for row in rows[:_PLANES]:
-        print(f"  second plane: {row['string']} stop {row['stop']:>2} ({row['note']}): {plane_words(row)}")
-    if more := rows[_PLANES:]:
-        print(
-            f"  second plane: {len(more)} stops more, {more[0]['off_cents']:.1f} cents off or less (--json lists all)"
-        )
+def _listed(label: str, lines: list[str], most: int | None) -> None:
+    """Print lines behind a label, and how many more there are."""
+    for line in lines[:most]:
+        print(f"  {label}: {line}")
+    if most is not None and (more := len(lines) - most) > 0:
+        print(f"  {label}: {more} more (--all)")
 
 
-def _print(report: dict[str, Any], ok: bool) -> None:
-    body = report["body"]
-    warnings = len(report["table_doubts"]) + sum(bool(row["doubt"]) for row in report["microphones"])
+def _print(report: dict[str, Any], ok: bool, every: bool, moves: list[str]) -> None:
+    """What is wrong first, then notes that are off, then the body; each string, microphone and source on request."""
+    most = None if every else 4
+    warnings = _warnings(report)
     print(f"{report['instrument']}: {report['title']} ({report['licence']})")
     print(f"  folder: {report['folder']}")
+    _listed("warning", warnings, None)
+    _listed("off pitch", [
+        f"{row['string']} stop {row['stop']} ({row['note']}): {row['error_cents']:+.1f} cents"
+        for row in sorted(report["off_pitch"], key=lambda row: -abs(row["error_cents"]))
+    ], most)  # fmt: skip
+    worst = sorted(report["wolf_notes"], key=lambda row: abs(row["wolf"]["level_db"]))
+    _listed("wolf note", [wolf_line(row) for row in (report["wolf_notes"] if every else worst)], most)
+    shared = sorted(report["off_pitch_mounted"], key=lambda row: -abs(row["cents_mounted"]))
+    _listed("with all strings on", [_mounted_line(row) for row in shared], most)
+    planes = [
+        f"{row['string']} stop {row['stop']:>2} ({row['note']}): {plane_words(row)}" for row in report["off_planes"]
+    ]
+    _listed("second plane", planes, _PLANES if every else most)
+    _print_body(report)
+    if every:
+        _print_strings(report)
+        _print_microphones(report)
+    else:
+        _print_strings_briefly(report)
+    _print_origins(report, every)
+    for line in moves:
+        print(f"  {line}")
+    warned = f", with {len(warnings)} warning{'s' * (len(warnings) > 1)}" if warnings else ""
+    if not every:
+        print("  (--all prints every string, stop, microphone and source)")
+    print(f"ok{warned}" if ok else "not ok: its body could create energy")
+
+
+def _warnings(report: dict[str, Any]) -> list[str]:
+    """Tables that may be others, microphones that hear nothing, strings that miss their law."""
+    found = [*report["table_doubts"]]
+    found += [f"{row['output']}.{row['channel']} {row['doubt']}" for row in report["microphones"] if row["doubt"]]
+    found += [row["doubt"] for row in report["potentials"] if row["doubt"]]
+    for name, row in report["strings"].items():
+        lines = [line for line in _law_lines(row["law"]) if line.startswith("warning: ")]
+        found += [f"string {name}: {line.removeprefix('warning: ')}" for line in lines]
+    return found
+
+
+def _print_body(report: dict[str, Any]) -> None:
+    body = report["body"]
     more = "" if (total := report["n_modes_all_outputs"]) == report["n_modes"] else f" ({total} with all outputs)"
     print(f"  {report['n_modes']} modes{more} at {report['fs']} Hz, plugins {', '.join(report['plugins'])}")
     if body["n_modes"]:
@@ -309,6 +364,33 @@ def _print(report: dict[str, Any], ok: bool) -> None:
         print(f"  body: {body['repair']}")
     for line in report["added"]:
         print(f"  added to the body: {line}: passive by construction")
+    for row in report["potentials"]:
+        if not row["effect"]:
+            print(f"  potential {row['name']}: no effect leaves it out, `--effects none` neither")
+
+
+def _print_strings_briefly(report: dict[str, Any]) -> None:
+    """All strings in a line, and those whose pitch or tension is held against the bundle's figure."""
+    rows = report["strings"]
+    if rows:
+        alone, all_on = (max(abs(row[key]) for row in rows.values()) for key in ("worst_cents", "worst_cents_mounted"))
+        print(f"  {len(rows)} strings, every stop within {alone:.2g} cents alone, {all_on:.2g} with all on")
+    for name, row in rows.items():
+        if row["held_note"]:
+            print(f"  string {name}: {row['held_note']}")
+    _print_tension(report)
+
+
+def _print_tension(report: dict[str, Any]) -> None:
+    rows = report["strings"].values()
+    forces = [f and row["count"] * f for row in rows for f in [row["feel"]["force_on_bridge"]]]
+    down = "" if None in forces else f", {sum(forces):.0f} N down on the bridge"
+    tension = sum(row["count"] * row["tension"] for row in rows)
+    print(f"  all strings: {tension:.0f} N along{down}" if rows else "  a body alone, without strings")
+
+
+def _print_strings(report: dict[str, Any]) -> None:
+    """Each string: its modes, tension, pitch, feel and law."""
     for name, row in report["strings"].items():
         stops = f"{row['stops']} stops" if row["stops"] else "open"
         several = f", one of {row['count']} of its key" if row["count"] > 1 else ""
@@ -323,40 +405,30 @@ def _print(report: dict[str, Any], ok: bool) -> None:
                 down = f"; {feel['break_angle_deg']:g} deg over it, {feel['force_on_bridge']:.1f} N down on it"
             place = 1e3 * feel["from_bridge"]
             print(f"    {feel['newton_per_mm']:.2f} N for 1 mm sideways, {place:.0f} mm from the bridge{down}")
-        if row["held_note"]:
-            print(f"    {row['held_note']}")
-        for line in _law_lines(row["law"]):
-            print(f"    {line}")
-            warnings += line.startswith("warning")
-    forces = [f and row["count"] * f for row in report["strings"].values() for f in [row["feel"]["force_on_bridge"]]]
-    down = "" if None in forces else f", {sum(forces):.0f} N down on the bridge"
-    tension = sum(row["count"] * row["tension"] for row in report["strings"].values())
-    print(f"  all strings: {tension:.0f} N along{down}" if report["strings"] else "  a body alone, without strings")
+        for line in [row["held_note"], *(x for x in _law_lines(row["law"]) if not x.startswith("warning"))]:
+            if line:
+                print(f"    {line}")
+    _print_tension(report)
+
+
+def _print_microphones(report: dict[str, Any]) -> None:
     for row in report["microphones"]:
-        name = f"{row['output']}.{row['channel']}"
         if row["peak"]:
             peak = f"at most {row['peak']:.3g} {row['unit']}/N, at {row['peak_freq']:.0f} Hz"
-            print(f"  microphone {name}: {row['n_modes']} modes in its bank, {peak}")
-        if row["doubt"]:
-            print(f"  warning: {name} {row['doubt']}")
-    for row in report["off_pitch"]:
-        print(f"  off pitch: {row['string']} stop {row['stop']} ({row['note']}): {row['error_cents']:+.1f} cents")
-    _print_planes(report["off_planes"])
-    for row in report["off_pitch_mounted"]:
-        print(f"  with all strings on: {_mounted_line(row)}")
-    for row in report["wolf_notes"]:
-        print(f"  wolf note: {wolf_line(row)}")
-    for line in report["table_doubts"]:
-        print(f"  warning: {line}")
-    for row in report["stand_ins"]:
-        print(f"  stand-in: {row['path']}" + (f": {row['note']}" if row["note"] else ""))
+            print(f"  microphone {row['output']}.{row['channel']}: {row['n_modes']} modes in its bank, {peak}")
+
+
+def _print_origins(report: dict[str, Any], every: bool) -> None:
+    """Stand-ins, figures of unknown origin, and on request sources."""
+    stand_ins = [row["path"] + (f": {row['note']}" if row["note"] else "") for row in report["stand_ins"]]
+    _listed("stand-in", stand_ins, None if every else 2)
     if report["unknown"]:
         print(f"  of unknown origin: {', '.join(report['unknown'])}")
+    if not every:
+        return
     kinds = ", ".join(f"{count} {kind}" for kind, count in report["provenance"].items())
     print(f"  figures: {kinds or 'of unknown kind'}")
     for key, source in report["sources"].items():
         place = source.get("doi") or source.get("url") or ""
         unused = "" if key in report["sources_used"] else ", which no figure names"
         print(f"  source {key}{unused}: {source['text']}{', ' + place if place else ''} ({source['licence']})")
-    warned = f", with {warnings} warning{'s' * (warnings > 1)}" if warnings else ""
-    print(f"ok{warned}" if ok else "not ok: its body could create energy")

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import sys
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Protocol
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 import typer
 
 from tonewood.errors import DroppedNotesWarning, TonewoodError
+from tonewood.support.plain_values import finite
 from tonewood.support.units import counted
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def installed() -> list[str]:
     return list(list_instruments())
 
 
-def _string_sets() -> list[str]:
+def string_set_names() -> list[str]:
     """Names of string sets, for shell completion."""
     from tonewood.instrument.bundle.string_sets import string_sets
 
@@ -82,7 +82,7 @@ StringSetName = Annotated[
         "--strings",
         metavar="SET",
         help="put a named string set on; `tonewood list` has them",
-        autocompletion=_string_sets,
+        autocompletion=string_set_names,
     ),
 ]
 AllowCode = Annotated[
@@ -110,15 +110,7 @@ def print_json(command: str, report: Mapping[str, Any], *, ok: bool = True) -> N
     Numbers that are not finite become null.
     """
     plain = {"schema": f"tonewood-{command}/1", "ok": ok, **report}
-    print(json.dumps(_finite(plain), allow_nan=False))
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    print(json.dumps(finite(plain), allow_nan=False))
 
 
 class Advance(Protocol):
@@ -220,3 +212,25 @@ def warn(lines: list[str]) -> None:
     """Print warnings on stderr, one line each."""
     for line in lines:
         print(f"tonewood: warning: {line}", file=sys.stderr)
+
+
+class _Failure(Protocol):
+    """Something of many that failed."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    @property
+    def reason(self) -> str:
+        """Why."""
+
+
+def print_faults(faults: Iterable[_Failure], others: str) -> None:
+    """Print each reason once, with the name of the first that failed and how many others did."""
+    reasons: dict[str, list[str]] = {}
+    for fault in faults:
+        reasons.setdefault(fault.reason, []).append(fault.name)
+    for reason, names in reasons.items():
+        more = "" if len(names) == 1 else f" and {len(names) - 1} other {others}"
+        print(f"tonewood: failed: {names[0]}{more}: {reason}", file=sys.stderr)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,7 +26,7 @@ from tonewood.cli.common import (
 from tonewood.cli.options import render_options
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.instrument.bundle.overrides import parse_assignment
-from tonewood.support.units import cents
+from tonewood.support.units import number_in
 
 if TYPE_CHECKING:
     from tonewood.workshop.report.comparison import Candidate, Comparison
@@ -39,7 +40,9 @@ Duration = Annotated[float, typer.Option(help="of each note, s")]
 NoteVelocity = Annotated[float, typer.Option(help="MIDI velocity of each note, 1 to 127")]
 Rate = Annotated[int, typer.Option(help="sampling rate, Hz")]
 
-#: lines of a kind that are printed; the page and the JSON have all
+Every = Annotated[bool, typer.Option("--all", help="print all wolf notes and parameters, not the first of each")]
+
+#: lines of a kind that are printed; --all, the page and the JSON have all
 _SHOWN = 8
 
 
@@ -56,6 +59,18 @@ def compare(
             metavar="PATH=VALUE[;...]", help="compare also with the first instrument so changed; may be given again"
         ),
     ] = None,
+    name: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="name of the first --variant, given again of the second, and so on"),
+    ] = None,
+    sweep: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PATH=LOW:HIGH:COUNT",
+            help="compare also with the first instrument at so many values of a number, evenly spaced: "
+            "body.thickness=2.2e-3:3e-3:5",
+        ),
+    ] = None,
     notes: Notes = None,
     output: PagePath = None,
     duration: Duration = 4.0,
@@ -63,10 +78,11 @@ def compare(
     fs: Rate = 48000,
     strings: StringSetName = None,
     settings: Overrides = None,
+    every: Every = False,
     allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> None:
-    """Compare instruments, or one with its variants: modes, mobility, decays, wolf notes, sounds, parameters.
+    """Compare instruments, or one with its variants: first what changed and whether it is heard, then the rest.
 
     The others are compared with the first. Each --variant is the first instrument with values changed,
     'strings.E2.tension=80', several at once with semicolons between; 'strings_from=SET' puts a string set on. --set and
@@ -74,17 +90,44 @@ def compare(
 
     Without --notes the lowest and the highest open string and the worst wolf note of each are played.
     """
-    from tonewood.workshop.report.comparison import Candidate
+    from tonewood.workshop.report.comparison import LABELS, Candidate
 
     changes = _changes(strings, settings)
-    candidates = [Candidate(load(name, settings, allow_code, strings), changes) for name in instruments]
-    for text in variant or ():
+    candidates = [Candidate(load(bundle, settings, allow_code, strings), changes) for bundle in instruments]
+    base, names = candidates[0].instrument, list(name or ())
+    if len(names) > len(variant or ()):
+        raise TonewoodError(f"{len(names)} names for {len(variant or ())} variants; one each is allowed", key="--name")
+    for text, called in zip_longest(variant or (), names, fillvalue=""):
         made = tuple(part.strip() for part in text.split(";") if part.strip())
-        base = candidates[0].instrument
-        candidates.append(Candidate(base.replace(dict(map(parse_assignment, made))), (*changes, *made)))
+        candidates.append(Candidate(base.replace(dict(map(parse_assignment, made))), (*changes, *made), called))
+    path = ""
+    if sweep is not None:
+        path, values = _swept(sweep, len(LABELS) - len(candidates))
+        short = path.rpartition(".")[2]
+        for value in values:
+            made = (f"{path}={value:g}",)
+            candidates.append(Candidate(base.replace({path: value}), (*changes, *made), f"{short} {value:g}"))
     if len(candidates) < 2:
-        raise TonewoodError("one instrument: another one, or --variant, is wanted (or `tonewood report`)")
-    _run(candidates, notes, output, duration, velocity, fs, as_json)
+        raise TonewoodError("one instrument: another one, --variant or --sweep is wanted (or `tonewood report`)")
+    _run(candidates, notes, output, duration, velocity, fs, as_json, every, path)
+
+
+def _swept(text: str, most: int) -> tuple[str, list[float]]:
+    """Key and values of a sweep.
+
+    Raises
+    ------
+    TonewoodError : the text is none, or has more values than there is room for.
+    """
+    path, equals, rest = text.partition("=")
+    words = rest.split(":")
+    low, high, count = (number_in(word) for word in [*words, *["nan"] * 3][:3])
+    if not (equals and path.strip() and len(words) == 3 and low < high and count == round(count)):
+        raise TonewoodError(f"is {text!r}; PATH=LOW:HIGH:COUNT is allowed", key="--sweep")
+    if not 2 <= count <= most:
+        raise TonewoodError(f"has {count:g} values; 2 to {most} are allowed beside the others", key="--sweep")
+    steps = round(count) - 1
+    return path.strip(), [float(f"{low + (high - low) * k / steps:.6g}") for k in range(steps + 1)]
 
 
 def report(
@@ -96,6 +139,7 @@ def report(
     fs: Rate = 48000,
     strings: StringSetName = None,
     settings: Overrides = None,
+    every: Every = False,
     allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> None:
@@ -106,7 +150,7 @@ def report(
     from tonewood.workshop.report.comparison import Candidate
 
     candidate = Candidate(load(instrument, settings, allow_code, strings), _changes(strings, settings))
-    _run([candidate], notes, output, duration, velocity, fs, as_json)
+    _run([candidate], notes, output, duration, velocity, fs, as_json, every)
 
 
 def _changes(strings: str | None, settings: Sequence[str] | None) -> tuple[str, ...]:
@@ -122,6 +166,8 @@ def _run(
     velocity: float,
     fs: int,
     as_json: bool,
+    every: bool,
+    sweep: str = "",
 ) -> None:
     """Check the options, compute, write the page and print."""
     render_options({"fs": fs})
@@ -146,6 +192,7 @@ def _run(
             fs=fs,
             duration=duration,
             velocity_midi=velocity,
+            sweep=sweep,
             tell=lambda share: advance(share),
         )
         if output is not None:
@@ -159,41 +206,56 @@ def _run(
         command = "compare" if len(candidates) > 1 else "report"
         print_json(command, {**to_json(found), "page": None if output is None else str(output)})
         return
-    _print(found)
+    _print(found, every)
     if output is not None:
         print(f"page: {output}")
 
 
-def _print(found: Comparison) -> None:
-    """The largest differences, and the worst wolf notes."""
-    from tonewood.workshop.report.comparison import alike
+def _print(found: Comparison, every: bool) -> None:
+    """First what changed, or of one instrument its figures; then wolf notes and parameters; all of both on request."""
+    from tonewood.workshop.report.summary import key_figures, lines, value_words
 
-    first, *others = found.instruments
+    most = None if every else _SHOWN
     for facts in found.instruments:
         print(facts.heading + ("" if facts.strings else ", a body without strings"))
         warn([f"{facts.label}: {line}" for line in facts.warnings])
         warn([f"{facts.label} does not play {note}: {reason}" for note, reason in facts.missing_tones.items()])
-    for i, facts in enumerate(others, 1):
-        changed = [match for match in found.modes if not alike(match)]
-        pairs = [(a, b) for match in changed if (a := match.modes[0]) and (b := match.modes[i])]
-        pairs.sort(key=lambda pair: -max(mode.residue * mode.t60 for mode in pair))
-        print(f"body modes that differ, {first.label} to {facts.label}, the strongest first: {len(pairs) or 'none'}")
-        for a, b in pairs[:_SHOWN]:
-            print(
-                f"  {a.freq:>9.2f} to {b.freq:>9.2f} Hz {cents(b.freq / a.freq):>+8.1f} cents, "
-                f"Q {a.q:.1f} to {b.q:.1f}, mass {a.mass:.3g} to {b.mass:.3g} kg"
-            )
+    if found.sweep:
+        _print_sweep(found)
+    elif len(found.instruments) == 1:
+        for name, (value, unit) in key_figures(found.instruments[0]).items():
+            print(f"  {name}: {value_words(value, unit)}")
+    for i, facts in enumerate(found.instruments[1:], 1):
+        if not found.sweep or every:
+            first, *rest = lines(found, i)
+            print("\n".join([f"{found.instruments[0].short} to {facts.short}: {first}", *rest]))
     if any(facts.strings for facts in found.instruments):
         print("wolf notes, the worst first: severity, breadth (cents), depth")
-    for wolves in found.wolves[:_SHOWN]:
+    for wolves in found.wolves[:most]:
         for facts, wolf in zip(found.instruments, wolves.wolves, strict=True):
             if wolf is not None:
                 print(
                     f"  {facts.label} {wolf.string}, {wolf.low_freq:.1f} to {wolf.high_freq:.1f} Hz: "
                     f"{wolf.severity_cents:.1f}, {wolf.breadth_cents:.0f}, {wolf.depth:.2f}"
                 )
-    if others:
+    if len(found.instruments) > 1:
         print(f"parameters that differ: {len(found.parameters)}")
-        for row in found.parameters[:_SHOWN]:
+        for row in found.parameters[:most]:
             values = " | ".join("none" if v is None else str(v)[:40] for v in row.values)
             print(f"  {row.key}: {values} {row.unit}".rstrip())
+    hidden = max(len(found.wolves), len(found.parameters)) > _SHOWN or found.sweep
+    if hidden and not every:
+        print("(--all prints the rest)")
+
+
+def _print_sweep(found: Comparison) -> None:
+    """A row for each value, a column for each figure."""
+    from tonewood.workshop.report.summary import key_figures, value_words
+
+    rows = [(value, facts.label, key_figures(facts)) for value, facts in found.swept()]
+    names = list(dict.fromkeys(name for _, _, figures in rows for name in figures))
+    heads = [found.sweep, *(name.partition(",")[0] for name in names)]
+    cells = [[f"{v:g} ({label})", *(value_words(*f[n]) if n in f else "-" for n in names)] for v, label, f in rows]
+    wide = [max(len(row[k]) for row in [heads, *cells]) for k in range(len(heads))]
+    for row in [heads, *cells]:
+        print("  " + "  ".join(text.rjust(w) for text, w in zip(row, wide, strict=True)))

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tonewood.cli.common import need, print_json, warn
+from tonewood.cli.common import need, print_faults, print_json, warn
 
 if TYPE_CHECKING:
     from tonewood.workshop.batch.runner import Progress
@@ -72,7 +71,7 @@ def _print_plan(plan: DatasetPlan, cores: int) -> None:
             f"about {plan.sound_seconds / 3600:.3g} hours of sound, {plan.hours_per_core_hour:.3g} hours of sound per "
             f"core-hour; about {share * plan.compute_seconds / cores:.0f} s to go on {cores} cores"
         )
-    _print_faults(plan.faults)
+    print_faults(plan.faults, "sounds")
 
 
 def _print_report(report: DatasetReport) -> None:
@@ -83,13 +82,4 @@ def _print_report(report: DatasetReport) -> None:
     warn(list(report.notes[:_MOST_NOTES]))
     if (more := len(report.notes) - _MOST_NOTES) > 0:
         warn([f"{more} more notes: --json has all"])
-    _print_faults(report.faults)
-
-
-def _print_faults(faults: Any) -> None:
-    reasons: dict[str, list[str]] = {}
-    for fault in faults:
-        reasons.setdefault(fault.reason, []).append(fault.name)
-    for reason, names in reasons.items():
-        others = "" if len(names) == 1 else f" and {len(names) - 1} other sounds"
-        print(f"tonewood: failed: {names[0]}{others}: {reason}", file=sys.stderr)
+    print_faults(report.faults, "sounds")

@@ -88,7 +88,7 @@ def _overrides(found: FoundDesign) -> dict[str, float]:
 
 
 def _report(found: FoundDesign, output: Path | None) -> dict[str, Any]:
-    from tonewood.workshop.design.words import at_bounds, trades
+    from tonewood.workshop.design.words import at_bounds, lines, trades
 
     return {
         "instrument": found.instrument.name,
@@ -105,5 +105,6 @@ def _report(found: FoundDesign, output: Path | None) -> dict[str, Any]:
         "overrides": _overrides(found),
         "trades": trades(found),
         "at_bounds": at_bounds(found),
+        "lines": list(lines(found)),
         "bundle": None if output is None else str(output),
     }  # fmt: skip

@@ -11,6 +11,7 @@ from tonewood.cli.commands import InterruptError
 from tonewood.cli.common import AllowCode, Json, load, need, print_json, progress, warn
 from tonewood.cli.distance import NotesTable, Transpose, print_distances
 from tonewood.errors import OutputError, TonewoodError
+from tonewood.support.whole_files import check_new_folder
 
 if TYPE_CHECKING:
     from tonewood.workshop.estimate.estimate import Estimate
@@ -73,10 +74,7 @@ def estimate(
 
 def _check(output: Path, iterations: int, page: Path | None) -> None:
     """Refuse before any work what could not be written."""
-    if output.exists() or output.is_symlink():
-        raise OutputError("is there already; give another name", file=output)
-    if not output.absolute().parent.is_dir():
-        raise OutputError(f"there is no folder {str(output.parent)!r}", file=output)
+    check_new_folder(output)
     if not 1 <= iterations <= 10:
         raise TonewoodError(f"is {iterations}; 1 to 10 are allowed", key="--iterations")
     if page is not None:

@@ -92,37 +92,19 @@ class FreeFreeModes:
     shapes: Floats
     omega: Floats
 
-    @property
-    def modal_mass(self) -> Floats:
-        """(n_modes,) 1, and 0 for modes of infinite frequency."""
-        return np.where(np.isinf(self.omega), 0.0, 1.0)
-
-    @property
-    def modal_stiffness(self) -> Floats:
-        """(n_modes,) omega^2, and 1 for modes of infinite frequency."""
-        return np.where(np.isinf(self.omega), 1.0, np.where(np.isinf(self.omega), 0.0, self.omega) ** 2)
-
-    def truncated(self, n_modes: int, *, keep_infinite: bool = True) -> FreeFreeModes:
-        """Keep the first modes of finite frequency, and those of infinite frequency if wanted."""
-        keep = np.arange(self.omega.size) < min(n_modes, int(np.isfinite(self.omega).sum()))
-        if keep_infinite:
-            keep |= np.isinf(self.omega)
+    def truncated(self, n_modes: int) -> FreeFreeModes:
+        """Keep the first modes of finite frequency, and those of infinite frequency."""
+        keep = np.isinf(self.omega) | (np.arange(self.omega.size) < n_modes)
         return FreeFreeModes(self.shapes[:, keep], self.omega[keep])
 
-    def basis(self, points: Mapping[str, ArrayLike], damping_ratio: float = 0.0) -> ModalBasis:
-        """Component with these modes; those of infinite frequency are its residual compliance.
-
-        Parameters
-        ----------
-        points : name -> (n_dof,) direction.
-        damping_ratio : zeta of every mode of finite frequency.
-        """
+    def basis(self, points: Mapping[str, ArrayLike]) -> ModalBasis:
+        """Component with these modes at points, name -> (n_dof,); those of infinite frequency are its residual."""
         finite = np.isfinite(self.omega)
         rows = {name: np.asarray(direction, dtype=np.float64) @ self.shapes for name, direction in points.items()}
         soft = np.array([row[~finite] for row in rows.values()])
         return ModalBasis.real(
             self.omega[finite],
-            damping_ratio * self.omega[finite],
+            np.zeros(int(finite.sum())),
             {name: row[finite] for name, row in rows.items()},
             residual=soft @ soft.T,
         )

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def figure(
-    rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, polar: bool = False
+    rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, polar: bool = False, **shared: Any
 ) -> tuple[Figure, Any]:
     """An empty figure and its axes: one of them, or an array as of `matplotlib.pyplot.subplots`."""
     try:
@@ -22,7 +22,7 @@ def figure(
     except ImportError:
         raise TonewoodError("plots need matplotlib: pip install 'tonewood[plot]'") from None
     fig = Figure(figsize=size or (9.0, 3.4 * rows), layout="constrained")
-    axes = fig.subplots(rows, columns, subplot_kw={"projection": "polar"} if polar else {})
+    axes = fig.subplots(rows, columns, subplot_kw={"projection": "polar"} if polar else {}, **shared)
     for ax in fig.axes:
         ax.set_prop_cycle(color=COLOURS)
     return fig, axes

@@ -18,7 +18,7 @@ thesis lacks "+2" in its first bracket; its weights W_1..W_3 are right, and so a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from math import factorial
@@ -185,8 +185,3 @@ def respond(
         np.einsum("pmx,kmx->kp", form.C, state),
         np.einsum("pmx,kmx->kp", form.rows("velocity", every), state),
     )
-
-
-def observed_order(steps: Sequence[float], errors: Sequence[float]) -> float:
-    """Slope of log(error) over log(step), by least squares."""
-    return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])

@@ -88,5 +88,4 @@ def hht(alpha: float) -> Newmark:
 
 
 AVERAGE_ACCELERATION = Newmark("average acceleration", 0.0, 0.25, 0.5)
-LINEAR_ACCELERATION = Newmark("linear acceleration", 0.0, 1 / 6, 0.5)
 HHT = hht(-0.3)

@@ -1,13 +1,10 @@
 """How far from proportional the damping of M, C, K is, in numbers, and their change by a reduction to real modes.
 
-Four indices, 0 for proportional damping, from the two works the thesis names (Chinnakonda 2007, refs. 9 and 10) and
-older ones:
+Three indices, 0 for proportional damping, from a work the thesis names (Chinnakonda 2007, ref. 9) and older ones:
 
 * `coupling`: share of the off-diagonal in the modal damping C* = P^T C P, |nondiag C*| / |C*| (Frobenius);
 * `commutator`: |C M^-1 K - K M^-1 C| against its largest possible value (Caughey & O'Kelly's condition for real modes);
-* `imaginary_part`: of each complex mode, turned so that its real part is largest (after Liu, Kujath & Zheng 2000);
-* `phase_rotation`: complex modes of a passive second-order system, normalised to left = right, have Re X Theta = Im X
-  with an orthogonal Theta, which is the identity up to sign where damping is proportional (Prells & Friswell 2000).
+* `imaginary_part`: of each complex mode, turned so that its real part is largest (after Liu, Kujath & Zheng 2000).
 """
 
 from __future__ import annotations
@@ -17,8 +14,8 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.lab.assembled import Matrices
-from tonewood.physics.modal.modes import PAIR, ModalBasis
-from tonewood.physics.modal.synthesis import basis_from_matrices, real_modes
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.synthesis import real_modes
 
 Floats = NDArray[np.float64]
 
@@ -50,25 +47,6 @@ def imaginary_part(basis: ModalBasis) -> Floats:
     psi = basis.right * turn
     size = sla.norm(psi.real, axis=0)
     return np.asarray(np.divide(sla.norm(psi.imag, axis=0), size, out=np.zeros_like(size), where=size > 0))
-
-
-def phase_rotation(system: Matrices) -> float:
-    """|Theta - 1| / (2 sqrt(n)), 0 to 1.
-
-    Raises
-    ------
-    ValueError : a mode is not oscillating: every one must be one of a pair.
-    """
-    n = len(system.M)
-    basis = basis_from_matrices(*system, [str(k) for k in range(n)])
-    if np.any(basis.kind != PAIR):
-        raise ValueError("the phase rotation is defined where every mode oscillates")
-    # x x^T = right left^T: scale to left = right, sign so that an undamped mode has Im x = Re x
-    biggest = np.argmax(np.abs(basis.right), axis=0)
-    modes = np.arange(n)
-    X = basis.right * np.sqrt(-basis.left[biggest, modes] / basis.right[biggest, modes])
-    theta = sla.solve(X.real, X.imag)
-    return float(sla.norm(theta - np.eye(n)) / (2 * np.sqrt(n)))
 
 
 def reduced(system: Matrices, n_modes: int) -> Matrices:

@@ -1,4 +1,4 @@
-"""One checked quantity, which a validation prints and a test asserts.
+"""One checked quantity, which a validation prints and a test asserts, and errors that many of them state.
 
 A row is a *validation* where the system under test was given and the reference came from elsewhere. Where the system
 was made so as to give the reference (a reconstruction's figures, a stand-in's level), the row shows only that this
@@ -9,6 +9,11 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Complexes = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,3 +53,29 @@ class Row:
     def to_dict(self) -> dict[str, object]:
         """Fields for JSON, with ``error`` and ``pass``."""
         return {**asdict(self), "error": self.error, "pass": self.passed}
+
+
+def misfit(values: ArrayLike, expected: ArrayLike) -> float:
+    """Largest difference, relative to the largest expected value."""
+    wanted = np.asarray(expected)
+    return float(np.abs(np.asarray(values) - wanted).max() / np.abs(wanted).max())
+
+
+def nearest(poles: Complexes, exact: complex) -> complex:
+    """The pole that stands for an exact one."""
+    return complex(poles[np.argmin(np.abs(poles - exact))])
+
+
+def pole_error(poles: Complexes, exact: Complexes) -> float:
+    """Largest relative distance from an exact pole to the nearest of `poles`."""
+    return max(float(abs(nearest(poles, p) - p) / abs(p)) for p in exact)
+
+
+def cents(value: complex, reference: complex) -> float:
+    """Interval between the frequencies of two poles."""
+    return float(1200 * np.log2(value.imag / reference.imag))
+
+
+def halving_order(coarse: float, fine: float) -> float:
+    """Order in the step of errors found with some step and with half of it."""
+    return float(np.log2(coarse / fine))

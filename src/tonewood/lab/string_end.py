@@ -9,13 +9,17 @@ whose solutions are sinh p (L - x) with EI p^4 - T p^2 + mu (s^2 + 2 sigma0 s) =
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-Complexes = NDArray[np.complex128]
+from tonewood.lab.assembled import Matrices
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_modes import string_basis
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,12 @@ class ExactString:
     bending_stiffness: float = 0.0
     sigma0: float = 0.0
 
+    @classmethod
+    def tuned(cls, radius: float, length: float, freq: float, sigma0: float) -> ExactString:
+        """Return a nylon string of Fabre et al. (2024), 1100 kg/m^3 and 7.4 GPa, of an ideal fundamental (Hz)."""
+        mu = 1100.0 * np.pi * radius**2
+        return cls(length, mu * (2 * length * freq) ** 2, mu, 7.4e9 * np.pi * radius**4 / 4, sigma0)
+
     @property
     def fundamental(self) -> float:
         """Hz, of the string held at both ends, without stiffness."""
@@ -51,6 +61,40 @@ class ExactString:
         """Hz, n f0 sqrt(1 + B n^2), B = pi^2 EI / (T L^2): both ends held."""
         B = np.pi**2 * self.bending_stiffness / (self.tension * self.length**2)
         return float(n * self.fundamental * np.sqrt(1 + B * n**2))
+
+    def basis(
+        self, places: Mapping[str, float] | None = None, *, freq_upper: float | None = None, n_modes: int | None = None
+    ) -> ModalBasis:
+        """Fixed-base modes and ramp, up to a frequency (Hz) or a number, with points at shares of the length."""
+        basis = string_basis(
+            self.length, self.tension, self.linear_density, self.bending_stiffness,
+            lambda omega, k: 2 * self.sigma0 / omega, freq_upper=freq_upper, n_modes=n_modes,
+        )  # fmt: skip
+        return basis.with_places({name: share * self.length for name, share in (places or {}).items()})
+
+    def assembled(self, n_sines: int, body: Matrices, end: Floats, pluck: float) -> tuple[Matrices, Floats]:
+        """String and body put together in (sines, body dofs), and the direction of a force at a share of the length.
+
+        Written out from the string's kinetic and potential energy, apart from `physics.modal.string_modes`; its end
+        moves as the body does along `end`.
+        """
+        k = np.arange(1, n_sines + 1) * np.pi / self.length
+        n, sines, on_body = n_sines + len(end), np.arange(n_sines), slice(n_sines, None)
+        M, K = np.zeros((n, n)), np.zeros((n, n))
+        M[sines, sines] = self.linear_density * self.length / 2
+        M[:n_sines, on_body] = np.outer(self.linear_density / k, end)
+        M[on_body, :n_sines] = M[:n_sines, on_body].T
+        M[on_body, on_body] = self.linear_density * self.length / 3 * np.outer(end, end)
+        K[sines, sines] = self.length / 2 * (self.tension * k**2 + self.bending_stiffness * k**4)
+        K[on_body, on_body] = self.tension / self.length * np.outer(end, end)
+        C = 2 * self.sigma0 * M
+        for total, part in zip((M, C, K), body, strict=True):
+            total[on_body, on_body] += part
+        return Matrices(M, C, K), np.concatenate([np.sin(k * pluck * self.length), (1 - pluck) * end])
+
+    def pole(self, n: int) -> complex:
+        """Pole of a partial with both ends held, 1/s."""
+        return complex(-self.sigma0, np.sqrt((2 * np.pi * self.held_freq(n)) ** 2 - self.sigma0**2))
 
     def roots(self, s: complex) -> tuple[complex, complex | None]:
         """Wavenumbers p of the travelling and of the bending wave (None without stiffness), 1/m."""

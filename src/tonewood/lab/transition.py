@@ -21,28 +21,6 @@ from tonewood.lab.interpolatory import Update, lagrange
 Floats = NDArray[np.float64]
 
 
-def taylor_exponential(A: ArrayLike, terms: int = 18, squarings: int | None = None) -> Floats:
-    """exp(A) by a scaled Taylor series, squared back (Moler & Van Loan's method 3).
-
-    Parameters
-    ----------
-    terms : of the series.
-    squarings : s, the series being of A / 2^s; chosen so that |A| / 2^s <= 1/2 if left out.
-    """
-    M = np.asarray(A, dtype=np.float64)
-    if squarings is None:
-        size = float(np.abs(M).sum(axis=0).max())
-        squarings = max(0, int(np.ceil(np.log2(size))) + 1) if size > 0 else 0
-    M = M / 2.0**squarings
-    out = term = np.eye(len(M))
-    for k in range(1, terms + 1):
-        term = term @ M / k
-        out = out + term
-    for _ in range(squarings):
-        out = out @ out
-    return np.asarray(out)
-
-
 @dataclass(frozen=True, eq=False)
 class Transition:
     """One update of the whole system: x+ = E x + sum_i W_i F(t_i).
@@ -59,10 +37,8 @@ class Transition:
     W: Floats
 
     @classmethod
-    def of(
-        cls, system: Matrices, update: Update, dt: float, exponential: Callable[[Floats], Floats] = sla.expm
-    ) -> Transition:
-        """Build for even steps, with any routine for the matrix exponential."""
+    def of(cls, system: Matrices, update: Update, dt: float) -> Transition:
+        """Build for even steps."""
         if not update.weighted:
             raise ValueError("transition matrices are made for weighted updates")
         n, H = len(system.M), dt * update.span
@@ -77,7 +53,7 @@ class Transition:
         big[:size, size : size + n] = B * H
         for j in range(orders - 1):
             big[size + j * n : size + (j + 1) * n, size + (j + 1) * n : size + (j + 2) * n] = np.eye(n)
-        full = np.asarray(exponential(big))[:size]
+        full = np.asarray(sla.expm(big))[:size]
         moments = [factorial(j) * full[:, size + j * n : size + (j + 1) * n] for j in range(orders)]
         return cls(update, dt, full[:, :size], np.einsum("ij,jxf->ixf", L, np.array(moments)))
 

@@ -8,16 +8,16 @@ Each module of `lab.systems` offers ``rows()`` and, where there are figures to r
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from importlib import import_module
-from numbers import Real
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.lab.row import Row
+from tonewood.lab.tables import terminal
+from tonewood.support.plain_values import finite
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -78,7 +78,7 @@ def draw(directory: Path, only: Sequence[str] | None = None) -> list[Path]:
 
 def to_json(rows: Sequence[Row]) -> dict[str, object]:
     """``{"rows": [...]}``; a value that is not a number becomes null."""
-    return {"rows": [{key: _plain(value) for key, value in row.to_dict().items()} for row in rows]}
+    return {"rows": [finite(row.to_dict()) for row in rows]}
 
 
 def counted(rows: Sequence[Row]) -> str:
@@ -89,39 +89,19 @@ def counted(rows: Sequence[Row]) -> str:
 
 def table(name: str, rows: Sequence[Row]) -> Table:
     """The rows of one system for a terminal."""
-    from rich.table import Table
-
     failed = sum(not row.passed for row in rows)
     title = f"{name}: {counted(rows)}" + (f", {failed} FAILED" if failed else "")
-    out = Table(title=title, title_justify="left", expand=False)
-    out.add_column("system")
-    out.add_column("quantity", overflow="fold")
-    out.add_column("reference from", overflow="fold")
-    for heading in ("reference", "value", "error", "tolerance"):
-        out.add_column(heading, justify="right", no_wrap=True)
-    out.add_column("kind", no_wrap=True)
-    out.add_column("", no_wrap=True)
-    for row in rows:
-        relative = " rel" if row.relative else ""
-        out.add_row(
-            row.system,
-            row.quantity,
-            row.source,
-            f"{row.reference:.6g}",
-            f"{row.value:.6g}",
-            f"{row.error:.2g}{relative}",
-            f"{row.tolerance:.2g}",
-            row.kind,
+    heads = ["system", "quantity", "reference from", "reference", "value", "error", "tolerance", "kind", ""]
+    cells = (
+        [
+            row.system, row.quantity, row.source, f"{row.reference:.6g}", f"{row.value:.6g}",
+            f"{row.error:.2g}{' rel' if row.relative else ''}", f"{row.tolerance:.2g}", row.kind,
             "ok" if row.passed else "FAIL",
-            style=None if row.passed else "bold red",
-        )
-    return out
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, bool) or not isinstance(value, Real):
-        return value
-    return float(value) if math.isfinite(value) else None
+        ]
+        for row in rows
+    )  # fmt: skip
+    styles = (None if row.passed else "bold red" for row in rows)
+    return terminal(title, heads, zip(cells, styles, strict=True), left=3)
 
 
 def _module(name: str) -> ModuleType:

@@ -93,6 +93,19 @@ class AtomicFile:
         _unlock(self._claimed)
 
 
+def check_new_folder(folder: Path) -> None:
+    """Refuse a folder to make that is there already, or whose parent is not.
+
+    Raises
+    ------
+    OutputError : one of these.
+    """
+    if folder.exists() or folder.is_symlink():
+        raise OutputError("is there already; give another name", file=folder)
+    if not folder.absolute().parent.is_dir():
+        raise OutputError(f"there is no folder {str(folder.parent)!r}", file=folder)
+
+
 def _place(target: Path, number: object) -> Path:
     return target.parent / f".{target.stem}.{number}.part{target.suffix}"
 
@@ -222,7 +235,7 @@ def whole_file(path: str | os.PathLike[str], *, make_folder: bool = False) -> It
         raise OutputError(f"cannot be written: {fault.strerror or fault}", file=path) from None
 
 
-def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write a file in one go; text as UTF-8; raises the errors of `whole_file`."""
-    with whole_file(path) as stream:
+def write_whole(path: str | os.PathLike[str], content: str | bytes, *, make_folder: bool = False) -> None:
+    """Write a file in one go; text as UTF-8; `make_folder` and errors as of `whole_file`."""
+    with whole_file(path, make_folder=make_folder) as stream:
         stream.write(content.encode() if isinstance(content, str) else content)

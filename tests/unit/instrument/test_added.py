@@ -89,9 +89,9 @@ def test_what_is_heard_of_a_tap(guitar, entry, impedance):
 @pytest.mark.parametrize(
     "entry",
     [
-        GRAMS,
+        pytest.param(GRAMS, marks=pytest.mark.slow),
         {"at": "bridge_middle", "mass": 1e-6, "stiffness": 1e6, "damping": 100.0},
-        {"at": "bridge_middle", "stiffness": 1e9, "damping": 1e6},
+        pytest.param({"at": "bridge_middle", "stiffness": 1e9, "damping": 1e6}, marks=pytest.mark.slow),
     ],
 )
 def test_nothing_of_it_makes_energy(guitar, entry):

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from tonewood.instrument.contract.base import PickupRows
+from tonewood.instrument.contract.contract_checks import WrongResultError, pickup_rows
 from tonewood.instrument.contract.conversion import Circuit, Conversion, Converter
 from tonewood.instrument.contract.effects import Norms, rise_of_tension
 from tonewood.instrument.contract.gestures import Gesture, Hold
+from tonewood.physics.coupling.connections import Term
+from tonewood.physics.coupling.system import Readout
 from tonewood.physics.stepping.forcing import Segment
 
 FS = 48000.0
@@ -58,3 +63,16 @@ def test_a_held_string_s_rise_of_tension_is_that_of_its_shape() -> None:
     mean_rise = stiffness * np.trapezoid(slope**2 / 2, x) / length / 2
     cents = 1200 * math.log2(math.sqrt(1 + mean_rise / tension))
     assert rise_of_tension(Norms(0.0, energy, tension, stiffness, length)) == pytest.approx(1.5 * cents, rel=0.02)
+
+
+def test_rows_of_a_pickup_with_a_circuit_alone_are_checked() -> None:
+    """One readout for each channel; the circuit stands after them."""
+    plugin, circuit = SimpleNamespace(channels=("left", "right")), Conversion(circuit=Circuit((1.0,), (1e-3, 1.0)))
+    readouts = tuple(Readout(name, "velocity", (Term("body", "bridge"),)) for name in plugin.channels)
+    pickup_rows(plugin, PickupRows(readouts, conversion=circuit))
+    with pytest.raises(WrongResultError, match="1 readouts; one for each of its 2 channels"):
+        pickup_rows(plugin, PickupRows(readouts[:1], conversion=circuit))
+    with pytest.raises(WrongResultError, match="stable and proper"):
+        pickup_rows(plugin, PickupRows(readouts, conversion=Conversion(circuit=Circuit((1.0, 1.0), (1e-3,)))))
+    with pytest.raises(WrongResultError, match="stable and proper"):
+        pickup_rows(plugin, PickupRows(readouts, conversion=Conversion(circuit=Circuit((1.0,), (-1e-3, 1.0)))))

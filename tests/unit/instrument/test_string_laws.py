@@ -13,6 +13,7 @@ from ruamel.yaml import YAML
 import tonewood as tw
 import tonewood.authoring as ta
 from tonewood.cli.main import run
+from tonewood.instrument.inspection import string_laws
 from tonewood.instrument.inspection.string_laws import LawErrors, law_errors
 from tonewood.instrument.model.assembly import Model, assemble
 
@@ -194,3 +195,8 @@ def test_a_basis_of_another_maker_is_refused_in_words() -> None:
     own = ta.ModalBasis.real([100.0, 200.0], [1.0, 1.0], {"bridge": [1.0, 1.0]})
     with pytest.raises(ValueError, match="was not made by string_basis"):
         ta.string_detuned(own, 10.0, lambda omega, k, tension: 0 * omega)
+
+
+def test_a_loss_that_the_law_does_not_have_is_an_infinite_error() -> None:
+    found = string_laws._relative(np.array([2.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+    np.testing.assert_array_equal(found, [1.0, np.inf, 0.0])

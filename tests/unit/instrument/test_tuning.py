@@ -13,7 +13,7 @@ from tonewood.errors import BundleError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.inspection.frequencies import pitch
 from tonewood.instrument.model.assembly import Model, assemble
-from tonewood.instrument.model.tuning import CoupledMode
+from tonewood.instrument.model.tuning import CoupledMode, TunedStop
 from tonewood.lab.string_end import ExactString, coupled_pole
 
 Make = Callable[..., Instrument]
@@ -241,3 +241,28 @@ def test_the_other_plane_on_a_rigid_end_follows_the_tension(make: Make) -> None:
         free = math.sqrt(found.tension / string.resonator.parameters.linear_density) / (2 * string.length(stop))
         assert found.planes[1].split_cents == pytest.approx(3.0)
         assert found.planes[1].off_cents == pytest.approx(1200 * math.log2(free / found.wanted_freq), abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("off_cents", "strength", "shares", "wolf"),
+    [
+        (59.0, 0.51, (0.3, 0.7), True), (-59.0, 0.51, (0.3, 0.7), True), (61.0, 0.51, (0.3, 0.7), False),
+        (59.0, 0.49, (0.3, 0.7), False), (10.0, 1.0, (0.1, 0.6, 0.3), False), (10.0, 1.0, (0.3, 0.2, 0.5), True),
+    ],
+)  # fmt: skip
+def test_a_wolf_is_within_sixty_cents_and_six_decibels(
+    off_cents: float, strength: float, shares: tuple[float, ...], wolf: bool
+) -> None:
+    """A second mode of the first plane, as strong at the bridge over its whole decay as 6 dB less than the first."""
+    first = CoupledMode(complex(-3.0, 2 * math.pi * 200.0), (0.9, *shares[1:-1], 0.1), 1.0)
+    other = CoupledMode(complex(-3.0, 2 * math.pi * 200.0 * 2 ** (off_cents / 1200)), shares, strength)
+    tuned = TunedStop(200.0, 70.0, (first, other))
+    assert (tuned.wolf is not None) is wolf
+    apart = TunedStop(200.0 * 2 ** (1.1 / 1200), 70.0, (first, other))  # the first is no longer in tune
+    assert (apart.wolf is not None) is (wolf or shares[1] != 0.6)
+
+
+def test_a_mode_that_decays_at_once_is_weak() -> None:
+    """Energy at the bridge over the whole decay, a^2 / (2 sigma): ten times the decay, -10 dB."""
+    slow, quick = (CoupledMode(complex(-s, 1000.0), (1.0, 0.0), 0.2) for s in (2.0, 20.0))
+    assert quick.level_db(slow) == pytest.approx(-10.0)

@@ -42,6 +42,7 @@ def test_a_sound_is_as_itself() -> None:
     assert max(errors.cents_worst, errors.decay_worst, errors.level_worst) < 1e-12
 
 
+@pytest.mark.slow
 def test_strokes_are_compared_by_what_they_have_in_common() -> None:
     """Partials that fluctuate from stroke to stroke about the same decay: single strokes differ, their means do not."""
     rng = np.random.default_rng(5)
@@ -103,6 +104,7 @@ def test_a_dial_that_points_the_wrong_way_is_reported() -> None:
     assert dial.out_of_order([*points[:1], dial.DialPoint("x", "A", "standard", near, 1.0, 9, 1)]) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "string"), [("classical_guitar", "D3"), ("steel_guitar", "G3")])
 def test_each_step_of_the_dial_leads_nearer(name: str, string: str) -> None:
     """Pitch, decay, level and waveform; with fewer modes at the rate of `standard`, `draft` used to be nearer."""

@@ -9,10 +9,8 @@ import pytest
 
 from tonewood.errors import TonewoodError
 from tonewood.lab.accuracy import answer, catalogue, report, tables
-from tonewood.lab.accuracy.catalogue import Outcome
 from tonewood.lab.accuracy.measures import energy_drift, pole_errors, wave_errors
-from tonewood.lab.accuracy.pareto import DECAY, PITCH, WAVEFORM, front, headlines, line, seconds_at
-from tonewood.lab.accuracy.study import Point
+from tonewood.lab.accuracy.outcome import DECAY, PITCH, WAVEFORM, Outcome, Point, front, headlines, line, seconds_at
 
 FS = 48000.0
 

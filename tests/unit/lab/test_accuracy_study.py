@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tonewood.lab.accuracy.cases import PARTIALS, a2_case, fabre_case, sliding_string
-from tonewood.lab.accuracy.linear import AB3_LIMIT, exchanged, lowest_rate
-from tonewood.lab.accuracy.study import Subject, own_point, scheme_point
+from tonewood.lab.accuracy.study import AB3_LIMIT, Subject, exchanged, lowest_rate, own_point, scheme_point
 
 
 @pytest.fixture(scope="module")
@@ -25,12 +24,12 @@ def test_partials_of_the_guitar_at_48_khz(guitar: Subject) -> None:
 
 
 def test_order_is_four(guitar: Subject) -> None:
-    errors = [own_point(guitar, fs, flat=guitar.flat()).point.cents_20 for fs in (48e3, 96e3)]
+    errors = [own_point(guitar, fs, problem=guitar.problem()).point.cents_20 for fs in (48e3, 96e3)]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.25)
 
 
 def test_adams_bashforth_is_stable_above_its_limit_only(guitar: Subject) -> None:
-    limit = lowest_rate(guitar.flat(), AB3_LIMIT)
+    limit = lowest_rate(guitar.problem(), AB3_LIMIT)
     assert scheme_point(guitar, "ab3", 0.9 * limit).point.stable != "stable"
     assert scheme_point(guitar, "ab3", 1.02 * limit).point.stable == "stable"
 
@@ -44,7 +43,7 @@ def test_string_without_its_ramp_is_out_of_tune(guitar: Subject) -> None:
     found = []
     for freq_upper in (5e3, 20e3):
         basis = sliding_string(string, freq_upper, residual=False).with_places(place)
-        flat = exchanged(subject.flat(), "string", basis)
-        found.append((basis.n_modes, own_point(subject, 48e3, flat=flat).point.cents_median))
+        problem = exchanged(subject.problem(), "string", basis)
+        found.append((basis.n_modes, own_point(subject, 48e3, problem=problem).point.cents_median))
     for n, cents in found:
         assert cents == pytest.approx(351 / n, rel=0.15)

@@ -89,6 +89,7 @@ def monochord() -> Frontier:
     return search(tw.load_instrument("monochord"), Target.parse("2cent,1dB"), notes=["A2:5"], fs=FS, bandwidth=5e3)
 
 
+@pytest.mark.slow
 def test_the_setting_found_meets_the_target_against_another_reference(monochord: Frontier) -> None:
     """Six steps per frame, which the search does not use; the next cheaper setting does not meet it."""
     (case,) = cases_of(tw.load_instrument("monochord"), ["A2:5"], FS)
@@ -123,6 +124,7 @@ def test_text_json_and_chart(monochord: Frontier) -> None:
     assert target_report.chart_png(monochord, dpi=20).startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_options_it_prints_are_those_of_render(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def call(*arguments: object) -> str:
         with pytest.raises(SystemExit) as ended:

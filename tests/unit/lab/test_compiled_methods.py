@@ -8,52 +8,44 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-from tonewood.lab.accuracy.flat import Flat, RealModes
-from tonewood.lab.accuracy.pole_search import continuous_matrix, nearest_zero
 from tonewood.lab.accuracy.reference import ExactMotion, FineMotion
-from tonewood.lab.accuracy.scheme import Runner
-from tonewood.lab.accuracy.schemes import SCHEMES, build
 from tonewood.lab.assembled import Matrices, poles
 from tonewood.lab.methods import METHODS, forms
+from tonewood.lab.methods.pole_search import continuous_matrix, nearest_zero
 from tonewood.lab.methods.problem import Problem
+from tonewood.lab.methods.scheme import Runner
 from tonewood.lab.newmark import AVERAGE_ACCELERATION, HHT
 from tonewood.lab.systems.fabre_academic import problem, subsystems, whole
 from tonewood.lab.systems.fabre_forms import proportional_problem
 
 DT = 1 / 400
-#: compiled -> the same as a step matrix, from other code
-TWINS = {
-    "held_position": "held_position",
-    "held_velocity": "held_velocity",
-    "p0": "held_acceleration",
-    "linear_position": "linear_position",
-    "ab3": "ab3_general",
-    "verlet": "verlet_real",
-}
+#: compiled, and as a step matrix, from other code
+TWINS = [name for name, method in METHODS.items() if method.scheme and method.matrix]
+SCHEMES = [name for name, method in METHODS.items() if method.scheme]
 
 
 def given(name: str) -> Problem:
-    return proportional_problem()[0] if name in ("verlet", "newmark", "hht") else problem()
+    return proportional_problem()[0] if METHODS[name].real else problem()
 
 
-def plucked(flat: Flat) -> np.ndarray:
-    return flat.static(np.ones(len(flat.problem.inputs)))
+def plucked(flat: Problem) -> np.ndarray:
+    return flat.static(np.ones(len(flat.inputs)))
 
 
 @pytest.mark.parametrize("name", TWINS)
 def test_compiled_method_is_its_step_matrix(name: str) -> None:
-    flat = Flat(given(name))
+    flat = given(name)
     n = 16 if name == "linear_position" else 1000
-    runner = Runner(build(name, flat, DT))
+    runner = Runner(METHODS[name].arrays(flat, DT))
     runner.start(plucked(flat))
     got, fault = runner.run(n)
-    forces = np.zeros((n + 1, len(flat.problem.inputs)))
-    wanted = METHODS[TWINS[name]].step_matrix(flat.problem, DT).run(forces, plucked(flat).ravel())
+    forces = np.zeros((n + 1, len(flat.inputs)))
+    wanted = METHODS[name].step_matrix(flat, DT).run(forces, plucked(flat).ravel())
     assert fault == -1
     np.testing.assert_allclose(got, wanted, atol=1e-9 * np.abs(wanted).max())
 
 
-def dense(flat: Flat) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+def dense(flat: Problem) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
     """A, B and f(x) of the acceleration constraint."""
     A = sla.block_diag(*flat.A)
     B, C = flat.B.reshape(len(flat.B), -1).T, flat.C.reshape(len(flat.C), -1)
@@ -62,7 +54,7 @@ def dense(flat: Flat) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np
 
 
 def test_interpolated_forces_are_carried_by_the_exponential() -> None:
-    flat = Flat(problem())
+    flat = problem()
     A, B, force = dense(flat)
     size, m = B.shape
     for degree in (1, 2):
@@ -74,7 +66,7 @@ def test_interpolated_forces_are_carried_by_the_exponential() -> None:
         E = full[:, :size]
         moment = [full[:, size + k * m : size + (k + 1) * m] for k in range(3)]
         x = plucked(flat).ravel()
-        rate = forms.general(flat.problem)
+        rate = forms.general(flat)
         # the motion before time 0, by the exact flow of the constrained system
         real = A - B @ sla.pinv(flat.C.reshape(m, -1) @ A @ B) @ flat.C.reshape(m, -1) @ A @ A
         assert np.max(np.abs(np.sort(np.abs(sla.eigvals(real))) - np.sort(np.abs(sla.eigvals(rate.F))))) < 1e-6
@@ -88,13 +80,13 @@ def test_interpolated_forces_are_carried_by_the_exponential() -> None:
                 x = x + (moment[2] + 0.5 * moment[1]) @ second
             past = [f, past[0]]
             wanted.append(flat.out.reshape(1, -1) @ x)
-        runner = Runner(build(f"p{degree}", flat, DT))
+        runner = Runner(METHODS[f"p{degree}"].arrays(flat, DT))
         runner.start(plucked(flat))
         np.testing.assert_allclose(runner.run(50)[0], wanted, atol=1e-11 * np.abs(wanted).max())
 
 
 def test_quadratures_evaluate_forces_at_their_nodes() -> None:
-    flat = Flat(problem())
+    flat = problem()
     A, B, force = dense(flat)
     E, out = sla.expm(A * DT), flat.out.reshape(1, -1)
     gain = -force(B[:, 0])[0]  # of the force by its own kick
@@ -109,7 +101,7 @@ def test_quadratures_evaluate_forces_at_their_nodes() -> None:
         x, f = kicked(E @ (x + DT / 2 * B @ f), DT / 2)
         np.testing.assert_allclose(f, force(x), rtol=1e-9)
         wanted.append(out @ x)
-    runner = Runner(build("trapezoidal", flat, DT))
+    runner = Runner(METHODS["trapezoidal"].arrays(flat, DT))
     runner.start(plucked(flat))
     np.testing.assert_allclose(runner.run(60)[0], wanted, atol=1e-11 * np.abs(wanted).max())
 
@@ -120,44 +112,44 @@ def test_quadratures_evaluate_forces_at_their_nodes() -> None:
         wanted.append(out @ middle)
         x, f = kicked(E @ E @ (x + DT / 3 * B @ f) + 4 * DT / 3 * E @ B @ f_middle, DT / 3)
         wanted.append(out @ x)
-    runner = Runner(build("simpson", flat, DT))
+    runner = Runner(METHODS["simpson"].arrays(flat, DT))
     runner.start(plucked(flat))
     np.testing.assert_allclose(runner.run(60)[0], wanted, atol=1e-11 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize(("name", "method"), [("newmark", AVERAGE_ACCELERATION), ("hht", HHT)])
 def test_newmark_is_newmark_on_the_system_without_its_constraint(name: str, method: object) -> None:
-    flat = Flat(given(name))
-    m = RealModes.of(flat)
+    flat = given(name)
+    m = flat.real
     N = sla.null_space(m.gaps)
     reduced = Matrices(N.T @ N, N.T @ np.diag(2 * m.sigma) @ N, N.T @ np.diag(m.omega2) @ N)
     x = plucked(flat)
     q = np.einsum("nij,nj->ni", m.read, x)[:, 0]
     motion, _ = method.run(reduced, DT, 501, (N.T @ q, np.zeros(N.shape[1])))  # type: ignore[attr-defined]  # of both methods
     wanted = motion @ (m.outs @ N).T
-    runner = Runner(build(name, flat, DT))
+    runner = Runner(METHODS[name].arrays(flat, DT))
     runner.start(x)
     np.testing.assert_allclose(runner.run(500)[0], wanted, atol=1e-10 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("name", TWINS)
 def test_poles_of_a_method_are_the_eigenvalues_of_its_step(name: str) -> None:
-    flat = Flat(given(name))
-    step = METHODS[TWINS[name]].step_matrix(flat.problem, DT)
+    flat = given(name)
+    step = METHODS[name].step_matrix(flat, DT)
     known = step.poles()
     true = poles(whole(subsystems())) if name != "verlet" else poles(proportional_problem()[1])
-    for pole in build(name, flat, DT).poles(true[true.imag > 0]):
+    for pole in METHODS[name].arrays(flat, DT).poles(true[true.imag > 0]):
         assert np.min(np.abs(known - pole)) < 1e-9 * abs(pole)
 
 
 @pytest.mark.parametrize("name", ["p1", "p2", "trapezoidal", "simpson", "newmark", "hht"])
 def test_a_pole_of_a_method_is_a_motion_of_it(name: str) -> None:
     """Samples two steps apart of a decayed motion obey the recurrence of the two slowest poles that are left."""
-    flat = Flat(given(name))
-    true = poles(proportional_problem()[1] if name in ("newmark", "hht") else whole(subsystems()))
+    flat = given(name)
+    true = poles(proportional_problem()[1] if METHODS[name].real else whole(subsystems()))
     true = true[true.imag > 0]
-    found = build(name, flat, DT).poles(true)
-    runner = Runner(build(name, flat, DT))
+    found = METHODS[name].arrays(flat, DT).poles(true)
+    runner = Runner(METHODS[name].arrays(flat, DT))
     runner.start(plucked(flat))
     y = runner.run(6000)[0][::2, 0]
     keep = np.concatenate([found, found.conj()])
@@ -171,17 +163,16 @@ def test_a_pole_of_a_method_is_a_motion_of_it(name: str) -> None:
 @pytest.mark.parametrize("name", SCHEMES)
 def test_every_method_converges_to_the_true_poles(name: str) -> None:
     """A shorter step brings poles nearer, by about the stated order."""
-    order = {"p0": 1, "ab3": 3, "p2": 3, "held_position": 4, "linear_position": 4, "simpson": 3}
-    flat = Flat(given(name))
-    true = poles(proportional_problem()[1] if name in ("verlet", "newmark", "hht") else whole(subsystems()))
+    flat = given(name)
+    true = poles(proportional_problem()[1] if METHODS[name].real else whole(subsystems()))
     true = true[true.imag > 0]
-    coarse, fine = (np.max(np.abs(build(name, flat, dt).poles(true) - true)) for dt in (1 / 400, 1 / 800))
-    assert np.log2(coarse / fine) > order.get(name, 2) - 0.35
+    coarse, fine = (np.max(np.abs(METHODS[name].arrays(flat, dt).poles(true) - true)) for dt in (1 / 400, 1 / 800))
+    assert np.log2(coarse / fine) > METHODS[name].order - 0.35
 
 
 def test_forces_reported_by_a_real_start_hold_the_gap() -> None:
-    flat = Flat(problem())
-    runner = Runner(build("held_position", flat, DT))
+    flat = problem()
+    runner = Runner(METHODS["held_position"].arrays(flat, DT))
     runner.start(plucked(flat))
     runner.run(500)
     gap = np.einsum("mnx,nx->m", flat.C, runner.x)
@@ -190,7 +181,7 @@ def test_forces_reported_by_a_real_start_hold_the_gap() -> None:
 
 def test_exact_motion_is_the_exponential_of_the_assembled_system() -> None:
     given, system = proportional_problem()
-    flat = Flat(given)
+    flat = given
     x = plucked(flat)
     motion = ExactMotion.of(flat, x)
     true = poles(system)
@@ -204,7 +195,7 @@ def test_exact_motion_is_the_exponential_of_the_assembled_system() -> None:
 
 
 def test_superposition_basis_makes_the_same_motion() -> None:
-    flat = Flat(problem())
+    flat = problem()
     motion = ExactMotion.of(flat, plucked(flat))
     basis = motion.basis()
     t = np.arange(200) / 400
@@ -214,9 +205,9 @@ def test_superposition_basis_makes_the_same_motion() -> None:
 
 def test_energy_is_that_of_the_assembled_matrices() -> None:
     given, _ = proportional_problem()
-    flat = Flat(given)
+    flat = given
     x = np.random.default_rng(3).standard_normal((flat.n_modes, 2))
-    m = RealModes.of(flat)
+    m = flat.real
     q, v = np.einsum("nij,nj->ni", m.read, x).T
     assert flat.energy(x) == pytest.approx(0.5 * float(v @ v + m.omega2 @ q**2), rel=1e-12)
 
@@ -234,6 +225,6 @@ def test_nearest_zero_of_a_known_matrix() -> None:
 
 
 def test_continuous_matrix_is_singular_at_the_poles_of_the_whole() -> None:
-    matrix = continuous_matrix(Flat(problem()))
+    matrix = continuous_matrix(problem())
     for pole in poles(whole(subsystems())):
         assert abs(matrix(complex(pole))[0, 0]) < 1e-9 * abs(matrix(complex(pole) * 1.1)[0, 0])

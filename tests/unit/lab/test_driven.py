@@ -7,9 +7,8 @@ import pytest
 import scipy.linalg as sla
 from scipy.integrate import solve_ivp
 
-from tonewood.lab.assembled import Matrices, free_motion
+from tonewood.lab.assembled import Matrices, driven_motion, force_at, free_motion, triangle
 from tonewood.lab.beam import Beam
-from tonewood.lab.driven import driven_motion, force_at, triangle
 from tonewood.physics.stepping.forcing import Segment
 
 SYSTEM = Matrices(

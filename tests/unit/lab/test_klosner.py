@@ -10,7 +10,6 @@ import scipy.linalg as sla
 
 from tonewood.lab.component_modes import fixed_base_modes, free_free_modes
 from tonewood.lab.klosner_forms import MainStructure, fixed_base_form, free_free_form
-from tonewood.lab.nonlinear_port import Mounting
 from tonewood.lab.systems.klosner import (
     DT,
     FORMS,
@@ -31,6 +30,7 @@ from tonewood.lab.systems.klosner_problems import (
     problem_b,
     problem_c,
     problem_d,
+    spring_mounting,
 )
 
 
@@ -49,7 +49,7 @@ def test_equations_and_components_move_like_the_assembled_system(make: object, f
 
 @pytest.mark.parametrize("form", FORMS)
 def test_stiff_and_soft_mountings_of_the_beam(form: str) -> None:
-    for law in (Mounting(3.0, 2000.0, 0.05, 5.0), Mounting(1.5e4, 1e7, 1.0, 0.0)):
+    for law in (spring_mounting(3.0, 2000.0, 0.05, 5.0), spring_mounting(1.5e4, 1e7, 1.0, 0.0)):
         problem = replace(problem_d(law, elements=2), duration=0.15)
         reference = assembled(problem, DT, 60)
         assert difference(reference, by_form(problem, form, DT, 60)) < 1e-8

@@ -36,6 +36,7 @@ def test_short_attacks() -> None:
         hold(attack)
 
 
+@pytest.mark.slow
 def test_the_attack_of_the_stop() -> None:
     hold(attacks.stop_at_the_peak(8000))
 

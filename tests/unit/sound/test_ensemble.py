@@ -46,6 +46,7 @@ def test_a_pan_has_constant_power_and_a_middle() -> None:
     assert louder.tolist()[0] == pytest.approx([10.0, 5.0])
 
 
+@pytest.mark.slow
 def test_stems_are_the_parts_alone(duo: Path) -> None:
     parts = [parse_part("1=classical_guitar@pan-1"), parse_part("4=monochord@-6dB")]
     options: dict[str, Any] = {"fs": 16000, "max_duration": 0.4}
@@ -59,6 +60,7 @@ def test_stems_are_the_parts_alone(duo: Path) -> None:
     assert all(np.array_equal(a.samples, b.samples) for a, b in zip(stems, apart, strict=True))
 
 
+@pytest.mark.slow
 def test_the_process_that_asked_warns_of_dropped_notes(duo: Path, capfd: pytest.CaptureFixture[str]) -> None:
     parts = [parse_part("1=electric_bass"), parse_part("1=electric_bass@pan0.5")]
     with pytest.warns(tw.DroppedNotesWarning, match="1 note cannot be played") as issued:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import resample_poly
 
-from tonewood.sound.level.loudness import loudness, matching_gain_db, true_peak
+from tonewood.sound.level.loudness import loudest, loudness, matching_gain_db, true_peak
 
 FS = 48000
 
@@ -40,3 +40,19 @@ def test_a_true_peak_among_stretches_with_silence_between() -> None:
         whole = float(np.abs(resample_poly(sound, 4, 1, axis=0)).max())
         assert whole > 1.05
         assert true_peak(sound) == pytest.approx(whole, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("level_db", "seconds", "lost_db", "gated"),
+    [(-20.0, 3.0, 0.0, True), (-20.0, 0.2, 3.01, False), (-80.0, 3.0, 0.0, False)],
+)
+def test_a_tone_of_the_standard_on_one_channel(level_db: float, seconds: float, lost_db: float, gated: bool) -> None:
+    """BS.1770-4: 997 Hz of full scale on one channel has -3.01 LUFS; half a block has half of it."""
+    t = np.arange(round(seconds * FS)) / FS
+    tone = 10 ** (level_db / 20) * np.sin(2 * np.pi * 997.0 * t)[:, None]
+    found, gates = loudness(np.pad(tone, ((0, 0), (0, 1))), FS)
+    assert gates is gated
+    assert found == pytest.approx(level_db - 3.01 - lost_db, abs=0.1)
+    rest = np.zeros((FS, 1))
+    expected = level_db - 3.01 - lost_db  # of the loudest 400 ms, whatever stands before and after
+    assert loudest(np.concatenate([rest, tone, rest, 0.5 * tone]), FS) == pytest.approx(expected, abs=0.1)

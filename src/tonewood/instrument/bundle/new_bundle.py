@@ -22,7 +22,7 @@ from tonewood.instrument.bundle.schema import SCHEMA
 from tonewood.instrument.bundle.string_sets import string_set
 from tonewood.instrument.contract import registry
 from tonewood.instrument.contract.files import Files
-from tonewood.support.whole_files import write_whole
+from tonewood.support.whole_files import check_new_folder, write_whole
 from tonewood.support.yaml_edit import edit_text
 from tonewood.support.yaml_io import load_yaml, parse_yaml
 
@@ -78,10 +78,7 @@ def new_bundle(folder: Path, source: str, *, strings: str | None = None, allow_c
         raise BundleError(
             f"{name!r} cannot be the name of an instrument; letters, digits and _ are allowed", key="NAME"
         )
-    if folder.exists() or folder.is_symlink():
-        raise OutputError("is there already; give another name", file=folder)
-    if not folder.absolute().parent.is_dir():
-        raise OutputError(f"there is no folder {str(folder.parent)!r}", file=folder)
+    check_new_folder(folder)
     place = Path(source)
     if not (place / registry.MANIFEST).is_file() and (place / PARTS).is_file():
         text = _from_fit(name, place, strings or "ej46")
@@ -176,8 +173,9 @@ def _with_strings(blocks: Sequence[tuple[str, str]], values: Mapping[str, Any], 
 
 def _given_by(strings: str) -> tuple[str, ...]:
     """Keys of strings that a set says, or that do not hold with it."""
-    has_loss = all(entry.loss is not None for entry in string_set(strings).strings)
-    return ("tension", "linear_density", "bending_stiffness", "axial_stiffness", *(("loss",) if has_loss else ()))
+    has_loss = all((entry.loss or entry.made_of) is not None for entry in string_set(strings).strings)
+    usual = ("tension", "linear_density", "bending_stiffness", "axial_stiffness", "made_of", "fretting_stiffness")
+    return (*usual, *(("loss",) if has_loss else ()))
 
 
 def _blocks(text: str) -> tuple[str, list[tuple[str, str]]]:
@@ -233,7 +231,7 @@ strings:
     length: {chosen.length!r}
     tilt_deg: 12                # makes the double decay of a plucked string
     split_cents: 4
-{"" if all(entry.loss is not None for entry in chosen.strings) else loss}{rows}
+{"" if all((entry.loss or entry.made_of) is not None for entry in chosen.strings) else loss}{rows}
 {_DECIDE["stops"]}
 stops: {{kind: frets, count: 19}}
 tuning: {{reference_freq: 440.0, scale: equal_12, compensate: coupled, at: each_stop}}

@@ -286,6 +286,10 @@ class Body(Plugin[P], ModalViews):
         """Return volume sources of the modes of ``basis(freq_upper)``, in its order; None where they are not known."""
         return None
 
+    def mass(self) -> float | None:
+        """Return the mass of the plates with all that is glued to them, kg; None where it is not known."""
+        return None
+
     def facts(self) -> Sequence[str]:
         """Return lines about the body for `tonewood modes`; none by default."""
         return ()

@@ -290,6 +290,7 @@ CHECKS: dict[str, dict[str, Any]] = {
         "points": lambda p, v, a: body_points(v),
         "potentials": lambda p, v, a: potentials(v),
         "sources": _of_type("tonewood.physics.plate.radiation", "Sources"),
+        "mass": lambda p, v, a: None if v is None else number(v, "a mass of 0 kg or more, or None,", 0.0),
         "facts": lambda p, v, a: texts(v, "lines of text", some=False),
     },
     "exciter": {
@@ -336,6 +337,7 @@ def _checked(
     # by the names of the contract, whatever the class calls its parameters
     first = next((base.__dict__[name] for base in reversed(cls.__mro__) if name in base.__dict__), function)
     signature = inspect.signature(first if inspect.isfunction(first) else function)
+    names = tuple(signature.parameters)
     who = f"{cls.__name__}.{name}"
 
     @functools.wraps(function)
@@ -349,7 +351,9 @@ def _checked(
             text = f"{who} raises {type(raised).__name__}{': ' if said else ''}{said}{_place(raised)}"
             raise fault(self, text) from raised
         try:
-            verify(self, value, signature.bind(self, *args, **kwargs).arguments)
+            # the call went well: without keywords its arguments have the names in their order
+            positional = dict(zip(names, (self, *args), strict=False))
+            verify(self, value, signature.bind(self, *args, **kwargs).arguments if kwargs else positional)
         except WrongResultError as wrong:
             raise fault(self, f"{who} returns {wrong}") from None
         return value

@@ -8,10 +8,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tonewood.lab.accuracy.catalogue import SLOW_ONLY, Outcome
-from tonewood.lab.accuracy.pareto import DIAL, OURS, PITCH, WAVEFORM, Measure, front, line, seconds_at, usual
-from tonewood.lab.accuracy.study import Point
-from tonewood.lab.accuracy.tables import markdown, number
+from tonewood.lab.accuracy.outcome import (
+    DIAL,
+    OURS,
+    PITCH,
+    WAVEFORM,
+    Measure,
+    Outcome,
+    Point,
+    front,
+    line,
+    seconds_at,
+    usual,
+)
+from tonewood.lab.methods import METHODS
+from tonewood.lab.tables import markdown, number
 from tonewood.support.plotting import COLOURS, LINE, figure, legend_above, png, title
 
 if TYPE_CHECKING:
@@ -19,14 +30,10 @@ if TYPE_CHECKING:
 
 #: errors that are asked for: cents, relative
 TARGETS = {PITCH.name: (10.0, 1.0, 0.1, 0.01), WAVEFORM.name: (0.1, 0.01, 1e-3, 1e-4)}
+#: other damping cases of the same harp
+VARIANTS = ("harp_proportional", "harp_block")
 #: methods that are no peers: ours in another loop, the floor, and one that is Adams-Bashforth's with more modes
 NO_PEERS = (OURS, "held_position", "superposition", "ab3_paper")
-#: names in cells and on lines
-NAMES = {
-    OURS: "tonewood", "ab3": "AB3", "verlet": "Verlet", "newmark": "Newmark", "hht": "HHT", "p0": "P0", "p1": "P1",
-    "p2": "P2", "trapezoidal": "trapezoidal", "simpson": "Simpson", "held_velocity": "velocity level",
-    "superposition": "superposition",
-}  # fmt: skip
 #: rows of the chart: system and measure
 CHART = (("fabre_guitar", PITCH), ("classical_guitar", WAVEFORM), ("tension", WAVEFORM))
 #: methods drawn there, and marks of all but the first
@@ -72,7 +79,7 @@ def table(outcomes: Sequence[Outcome], measure: Measure) -> str:
     """A row per system, a column per error: setting, seconds per second, best other method as a ratio to that."""
     rows = []
     for o in outcomes:
-        if o.name in SLOW_ONLY or not any(np.isfinite(measure.of(p)) for p in o.points if p.method == OURS):
+        if o.name in VARIANTS or not any(np.isfinite(measure.of(p)) for p in o.points if p.method == OURS):
             continue
         cells = [_cell(o, measure, error) for error in TARGETS[measure.name]]
         at_usual, least = usual(o.points, measure), floor(o)
@@ -85,14 +92,14 @@ def table(outcomes: Sequence[Outcome], measure: Measure) -> str:
 def _cell(outcome: Outcome, measure: Measure, error: float) -> str:
     ours, peer = cheapest(outcome, measure, error), best_peer(outcome, measure, error)
     if ours is None:
-        return "not measured" if peer is None else f"not measured; {NAMES[peer[0]]} {number(peer[1])} s"
-    shown = "none" if peer is None else f"{NAMES[peer[0]]} {number(peer[1] / ours.seconds)} x"
+        return "not measured" if peer is None else f"not measured; {METHODS[peer[0]].short} {number(peer[1])} s"
+    shown = "none" if peer is None else f"{METHODS[peer[0]].short} {number(peer[1] / ours.seconds)} x"
     return f"{ours.value.removeprefix('strings solved ')}: {number(ours.seconds)} s; {shown}"
 
 
 def sentences(outcomes: Sequence[Outcome]) -> str:
     """Return three sentences: the cost of one cent, that by other methods, and where others are the better choice."""
-    linear = [o for o in outcomes if o.name not in SLOW_ONLY and (floor(o) is not None or o.name == "classical_guitar")]
+    linear = [o for o in outcomes if o.name not in VARIANTS and (floor(o) is not None or o.name == "classical_guitar")]
     ours = [(o, p) for o in linear if (p := cheapest(o, PITCH, 1.0)) is not None]
     out = []
     if ours:
@@ -153,7 +160,9 @@ def _row(ax: Axes, outcome: Outcome, measure: Measure) -> None:
         colour, mark = (COLOURS[-1], "o") if ours else next(others)
         points = [(s, e) for s, e in line(outcome.points, method, measure) if e > 0]
         seconds, errors = zip(*points, strict=True) if points else ((), ())
-        ax.plot(seconds, errors, mark, ls="-", color=colour, lw=3.5 if ours else LINE, ms=9, label=NAMES[method])
+        ax.plot(
+            seconds, errors, mark, ls="-", color=colour, lw=3.5 if ours else LINE, ms=9, label=METHODS[method].short
+        )
     ax.set(xscale="log", yscale="log")
     title(ax, outcome.title)
     ax.set_xlabel("s of computing per s of sound")

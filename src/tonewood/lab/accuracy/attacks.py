@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.loading import Instrument
-from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.lab.systems.harp_body import harp_body
+from tonewood.lab.tables import markdown, number
 from tonewood.performance.effects.base import Moment, SwitchedEffect, Watched
 from tonewood.performance.effects.switching import switch
 from tonewood.performance.effects.tension import potential

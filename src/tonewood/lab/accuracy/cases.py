@@ -1,4 +1,4 @@
-"""Linear systems that methods are compared on: how to build them from modes, and their true poles.
+"""Linear systems that methods are compared on.
 
 Every case is plucked alike: a constant force holds it at rest and lets go at time 0. Nothing but the method's own
 stepping then makes an error; known forces, which each method takes in its own way, have no part in it.
@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.lab.accuracy.flat import Flat
-from tonewood.lab.accuracy.pole_search import continuous_matrix, nearest_zero
+from tonewood.lab.methods.pole_search import continuous_matrix, nearest_zero
 from tonewood.lab.methods.problem import Problem
 from tonewood.lab.string_end import ExactString, coupled_pole
 from tonewood.lab.systems import fabre_guitar, harp, string_and_body
@@ -24,7 +23,7 @@ from tonewood.physics.coupling.connections import Connection, Rigid, Term
 from tonewood.physics.modal.damping import with_damping_case
 from tonewood.physics.modal.modes import PAIR, ModalBasis
 from tonewood.physics.modal.receptance import Joint, Ports
-from tonewood.physics.modal.string_modes import held_string_compliance, string_basis
+from tonewood.physics.modal.string_modes import held_string_compliance
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -45,6 +44,7 @@ class Case:
     true_poles : poles of partials 1, 2, ..., 1/s, by a way that knows no modes of strings.
     damped_as : in words, the damping of its bodies.
     string : its only string, if there is but one.
+    strings : of many strings, for each true pole, the connection of its string.
     """
 
     name: str
@@ -53,11 +53,17 @@ class Case:
     true_poles: Callable[[], Complexes]
     damped_as: str = ""
     string: ExactString | None = None
+    strings: Callable[[], Sequence[int]] | None = None
 
     @cached_property
     def poles(self) -> Complexes:
         """(n,) true poles of the partials, 1/s."""
         return self.true_poles()
+
+    @cached_property
+    def joints(self) -> Sequence[int] | None:
+        """Connection of each partial, where there are many strings."""
+        return None if self.strings is None else self.strings()
 
 
 def real_modes_of(problem: Problem) -> Problem:
@@ -110,7 +116,7 @@ def undamped(problem: Problem) -> Problem:
 
 def continuous_poles(problem: Problem, starts: Complexes, joints: Sequence[int] | None = None) -> Complexes:
     """Poles of a problem in continuous time nearest to given ones; see `pole_search.nearest_zero`."""
-    matrix = continuous_matrix(Flat(problem))
+    matrix = continuous_matrix(problem)
     which = [None] * len(starts) if joints is None else [int(j) for j in joints]
     return np.array([nearest_zero(matrix, s, j) for s, j in zip(starts, which, strict=True)])
 
@@ -145,92 +151,63 @@ def sliding_string(string: ExactString, freq_upper: float, *, residual: bool) ->
     )
 
 
-def _string_modes(string: ExactString, freq_upper: float, pluck: float) -> ModalBasis:
-    basis = string_basis(
-        string.length,
-        string.tension,
-        string.linear_density,
-        string.bending_stiffness,
-        lambda omega, k: 2 * string.sigma0 / omega,
-        freq_upper=freq_upper,
-    )
-    return basis.with_places({"pluck": pluck * string.length})
+def _coupled_poles(string: ExactString, receptance: Callable[[complex], complex]) -> Complexes:
+    return np.array([coupled_pole(string, receptance, n) for n in range(1, PARTIALS + 1)])
+
+
+def _on_body(
+    string: ExactString, body: ModalBasis, bridge: Connection, pluck: float, read: Term
+) -> Callable[[float], Problem]:
+    """Build: a string plucked at a share of its length, on a body."""
+    return lambda freq_upper: Problem(
+        {"string": string.basis({"pluck": pluck}, freq_upper=freq_upper), "body": body},
+        (bridge,), (Term("string", "pluck"),), (read,),
+    )  # fmt: skip
 
 
 def fabre_case() -> Case:
     """String on plate and air (Fabre et al. 2024, section 3.2.1)."""
-
-    def poles() -> Complexes:
-        string = fabre_guitar.exact_string()
-        return np.array([coupled_pole(string, fabre_guitar.body_receptance, n) for n in range(1, PARTIALS + 1)])
-
+    string = fabre_guitar.exact_string()
     return Case(
         "fabre_guitar",
         "Guitar of Fabre et al. (2024): stiff string, plate and air",
         lambda freq_upper: fabre_guitar.problem(fabre_guitar.string(freq_upper)),
-        poles,
+        lambda: _coupled_poles(string, fabre_guitar.body_receptance),
         "complex modes",
-        fabre_guitar.exact_string(),
+        string,
     )
 
 
 def harp_case(case: str = "complex") -> Case:
     """String 4 on the stand-in for the Central African harp."""
-    string = harp.exact_string()
+    string, body = harp.exact_string(), with_damping_case(harp_body(), case)
     board = harp.COSINE**2
 
     def receptance(s: complex) -> complex:
         if case != "complex":
-            body = with_damping_case(harp_body(), case)
             row = np.zeros((1, len(body.points)))
             row[0, body.index("s4")] = 1.0
             return board * complex(Joint([Ports.of(body, row)]).receptance(s)[0][0, 0])
         matrices, points = harp_body_matrices()
         tie = points["s4"]
-        stiffness = matrices.M * s * s + matrices.C * s + matrices.K
-        return board * complex(tie @ sla.solve(stiffness, tie))
+        return board * complex(tie @ sla.solve(matrices.M * s * s + matrices.C * s + matrices.K, tie))
 
-    def poles() -> Complexes:
-        return np.array([coupled_pole(string, receptance, n) for n in range(1, PARTIALS + 1)])
-
-    def build(freq_upper: float) -> Problem:
-        components = {
-            "string": _string_modes(string, freq_upper, fabre_guitar.PLUCK),
-            "body": with_damping_case(harp_body(), case),
-        }
-        return Problem(components, (harp.STRING_4,), (Term("string", "pluck"),), (Term("body", "s4"),))
-
+    build = _on_body(string, body, harp.STRING_4, fabre_guitar.PLUCK, Term("body", "s4"))
     name, label = ("harp", "") if case == "complex" else (f"harp_{case}", f", {case} damping")
     title = f"Central African harp, stand-in body of 32 complex modes{label}: string 4"
-    return Case(name, title, build, poles, f"{case} modes", string)
+    return Case(name, title, build, lambda: _coupled_poles(string, receptance), f"{case} modes", string)
 
 
 def a2_case() -> Case:
     """An ideal A2 on sixteen guitar modes (Antunes & Debut 2017)."""
-    string = replace(string_and_body.A2, sigma0=0.2)
-
-    def poles() -> Complexes:
-        return np.array(
-            [coupled_pole(string, string_and_body.sixteen_mode_receptance, n) for n in range(1, PARTIALS + 1)]
-        )
-
-    def build(freq_upper: float) -> Problem:
-        bridge = Connection("bridge", (Term("string", "bridge"), Term("body", "bridge", -1.0)))
-        components = {"string": _string_modes(string, freq_upper, 0.2), "body": string_and_body.sixteen_modes()}
-        return Problem(components, (bridge,), (Term("string", "pluck"),), (Term("body", "bridge"),))
-
+    string, body = replace(string_and_body.A2, sigma0=0.2), string_and_body.sixteen_modes()
+    build = _on_body(string, body, string_and_body.BRIDGE, 0.2, Term("body", "bridge"))
     title = "Ideal A2 on the 16 modes of Antunes & Debut (2017)"
+    poles = partial(_coupled_poles, string, string_and_body.sixteen_mode_receptance)
     return Case("a2_on_16_modes", title, build, poles, "real modes", string)
 
 
-@dataclass(frozen=True, eq=False)
-class GuitarCase(Case):
-    """A case of many strings: `joints` tells, for each true pole, the connection of its string."""
-
-    joints: Callable[[], Sequence[int]] = lambda: ()
-
-
-def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None) -> GuitarCase:
+def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None) -> Case:
     """The shipped classical guitar: six strings in two polarizations on its measured body, all plucked at once.
 
     Its joints are made rigid (the seat of a string on the saddle gives way by 2e-8 m/N, for which methods that
@@ -288,7 +265,7 @@ def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None
         return continuous_poles(build(2 * FREQ_UPPER), np.array([s for _, s in found]), [j for j, _ in found])
 
     of = f" (partials of {', '.join(strings)})" if strings is not None else ""
-    return GuitarCase(
+    return Case(
         "classical_guitar",
         "Classical guitar: six strings, two polarizations, measured body" + of,
         build,

@@ -1,64 +1,56 @@
-"""Every system of the study by its name, and a run over some or all of them."""
+"""Every system of the study by its name."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 
 from tonewood.errors import TonewoodError
-from tonewood.lab.accuracy import linear, nonlinear
-from tonewood.lab.accuracy.cases import Case, GuitarCase, a2_case, fabre_case, guitar_case, harp_case
-from tonewood.lab.accuracy.nonlinear import NonlinearCase
-from tonewood.lab.accuracy.nonlinear_cases import hard_obstacle_case, klosner_case, obstacle_case, tension_case
-from tonewood.lab.accuracy.pareto import DECAY, PITCH, WAVEFORM, Headline, Measure, headlines
-from tonewood.lab.accuracy.study import Point, Tell, silent
-
-#: name -> maker of the case
-SYSTEMS: Mapping[str, Callable[[], Case | NonlinearCase]] = {
-    "fabre_guitar": fabre_case,
-    "harp": harp_case,
-    "harp_proportional": partial(harp_case, "proportional"),
-    "harp_block": partial(harp_case, "block"),
-    "a2_on_16_modes": a2_case,
-    "classical_guitar": guitar_case,
-    "tension": tension_case,
-    "obstacle": obstacle_case,
-    "hard_obstacle": hard_obstacle_case,
-    "klosner_d": klosner_case,
-}
-#: cases that a quick run takes instead: all strings sound, but the poles of two are sought
-QUICK: Mapping[str, Callable[[], Case | NonlinearCase]] = {
-    "classical_guitar": partial(guitar_case, strings=("E2", "E4")),
-}
-#: left out of a quick run over all: the other damping cases of the same harp
-SLOW_ONLY = ("harp_proportional", "harp_block")
-#: about how long each takes beside the others
-WEIGHTS = {"classical_guitar": 3.0, "tension": 0.5, "obstacle": 0.5, "hard_obstacle": 0.3, "klosner_d": 0.3}
+from tonewood.lab.accuracy.cases import Case, a2_case, fabre_case, guitar_case, harp_case
+from tonewood.lab.accuracy.nonlinear_cases import (
+    NonlinearCase,
+    hard_obstacle_case,
+    klosner_case,
+    obstacle_case,
+    tension_case,
+)
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """All points of one system.
+@dataclass(frozen=True)
+class Entry:
+    """A case of the study.
 
     Attributes
     ----------
-    name, title : of the system.
-    truth : where its reference comes from.
-    measures : by which the methods are compared, the first one on the chart.
-    points : in the order they were made.
+    make : the case.
+    quick : that of a quick run, if it is another; None: left out of a quick run over all.
+    weight : how long it takes, beside the others.
     """
 
-    name: str
-    title: str
-    truth: str
-    measures: tuple[Measure, ...]
-    points: tuple[Point, ...]
+    make: Callable[[], Case | NonlinearCase]
+    quick: Callable[[], Case | NonlinearCase] | None
+    weight: float = 1.0
 
-    @cached_property
-    def headlines(self) -> Mapping[str, Sequence[Headline]]:
-        """By measure."""
-        return {m.name: headlines(self.points, m) for m in self.measures}
+    @classmethod
+    def of(cls, make: Callable[[], Case | NonlinearCase], weight: float = 1.0) -> Entry:
+        """Of one that a quick run takes as it is."""
+        return cls(make, make, weight)
+
+
+#: by name; all strings of the guitar sound in a quick run, but the poles of two are sought
+CASES = {
+    "fabre_guitar": Entry.of(fabre_case),
+    "harp": Entry.of(harp_case),
+    "harp_proportional": Entry(partial(harp_case, "proportional"), None),
+    "harp_block": Entry(partial(harp_case, "block"), None),
+    "a2_on_16_modes": Entry.of(a2_case),
+    "classical_guitar": Entry(guitar_case, partial(guitar_case, strings=("E2", "E4")), 3.0),
+    "tension": Entry.of(tension_case, 0.5),
+    "obstacle": Entry.of(obstacle_case, 0.5),
+    "hard_obstacle": Entry.of(hard_obstacle_case, 0.3),
+    "klosner_d": Entry.of(klosner_case, 0.3),
+}
 
 
 def selected(name: str | None, *, quick: bool = False) -> list[str]:
@@ -69,35 +61,7 @@ def selected(name: str | None, *, quick: bool = False) -> list[str]:
     TonewoodError : there is no such system.
     """
     if name is None:
-        return [n for n in SYSTEMS if not (quick and n in SLOW_ONLY)]
-    if name not in SYSTEMS:
-        raise TonewoodError(f"is {name!r}; there are {', '.join(SYSTEMS)}", key="--system")
+        return [n for n, entry in CASES.items() if entry.quick is not None or not quick]
+    if name not in CASES:
+        raise TonewoodError(f"is {name!r}; there are {', '.join(CASES)}", key="--system")
     return [name]
-
-
-def study(name: str, *, quick: bool = False, tell: Tell = silent) -> Outcome:
-    """Every method and every dial on one system."""
-    case = (QUICK if quick else SYSTEMS).get(name, SYSTEMS[name])()
-    if isinstance(case, NonlinearCase):
-        points = nonlinear.study(case, quick=quick, tell=tell)
-        measure = PITCH if case.pitch else WAVEFORM
-        return Outcome(name, case.title, points[0].note.rpartition("; ")[2], (measure,), tuple(points))
-    points = linear.study(case, quick=quick, tell=tell)
-    # where there are many strings most methods lose some partials: the chart is of those that all of them have
-    measures = (WAVEFORM, PITCH, DECAY) if isinstance(case, GuitarCase) else (PITCH, DECAY, WAVEFORM)
-    return Outcome(name, case.title, linear.truth_of(case, points), measures, tuple(points))
-
-
-def run(name: str | None = None, *, quick: bool = False, tell: Tell = silent) -> Iterator[Outcome]:
-    """The systems one after the other, as each is done; `tell` hears of the whole."""
-    names = selected(name, quick=quick)
-    weights = [WEIGHTS.get(n, 1.0) for n in names]
-    done, total = 0.0, sum(weights)
-    for n, weight in zip(names, weights, strict=True):
-        before = done / total
-
-        def part(share: float, before: float = before, own: float = weight / total) -> None:
-            tell(before + own * share)
-
-        yield study(n, quick=quick, tell=part)
-        done += weight

@@ -10,14 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.contract.registry import INSTRUMENTS, entries
 from tonewood.lab.accuracy.partials import PartialErrors
-from tonewood.lab.accuracy.strokes import STEADY, VELOCITY_MIDI, NoteCase, Strokes
-from tonewood.lab.accuracy.study import Tell, silent
-from tonewood.lab.accuracy.tables import markdown, number
+from tonewood.lab.accuracy.strokes import NUDGE, SENSITIVE, SPREAD, STEADY, VELOCITY_MIDI, NoteCase, Strokes, forces
+from tonewood.lab.accuracy.timing import Tell, silent
+from tonewood.lab.tables import markdown, number
 from tonewood.sound.render.accuracy import LEVELS
 
 #: Hz and s of the sound
@@ -33,8 +31,8 @@ MEASURES = {
     "cents": " cents", "cents_worst": " cents", "decay": "", "decay_worst": "", "level": " dB", "level_worst": " dB",
     "waveform": "",
 }  # fmt: skip
-#: share of these by which a thousandth more force makes a motion a sensitive one; its strokes, and how far apart
-SENSITIVE, STROKES, SPREAD = 0.2, 32, 0.01
+#: of a sensitive motion
+STROKES = 32
 #: labels of `reference` with a thousandth more force, and of one half of its strokes against the other
 NUDGED, OTHERS = "reference, force +0.1 %", "reference, other strokes"
 
@@ -134,14 +132,13 @@ def measure(instrument: Instrument, string: str, *, nudge: bool = True) -> list[
     if not nudge:
         return _against(case, {label: case.strokes(given) for label, given in options.items()}, "reference")
     truth = case.strokes(options["reference"])
-    again = case.strokes(options["reference"], (1.001,))
+    again = case.strokes(options["reference"], NUDGE)
     chance = case.errors(again, truth)
     spread = (chance.cents, chance.decay, chance.level)
     if all(e <= SENSITIVE * limit for e, limit in zip(spread, LIMITS, strict=True)):
         rendered = {label: case.strokes(given) for label, given in options.items() if label != "reference"}
         return _against(case, {**rendered, "reference": truth, NUDGED: again}, "reference", _timed(case, options))
-    forces = tuple(1 + SPREAD * (2 * (np.arange(STROKES) + 0.5) / STROKES - 1))
-    rendered = {label: case.strokes(given, forces) for label, given in options.items()}
+    rendered = {label: case.strokes(given, forces(STROKES)) for label, given in options.items()}
     truth = rendered["reference"]
     points = _against(case, rendered, "reference", _timed(case, options))
     return [*points, _point(case, OTHERS, *truth.halves())]

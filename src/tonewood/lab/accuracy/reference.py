@@ -15,9 +15,9 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.lab.accuracy.flat import Flat
+from tonewood.lab.accuracy.runs import KernelRun, Scene
+from tonewood.lab.methods.problem import Problem
 from tonewood.physics.modal.modes import ModalBasis
-from tonewood.physics.stepping.kernel import KernelStepper
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -52,7 +52,7 @@ class ExactMotion:
     convergence: float = 0.0
 
     @classmethod
-    def of(cls, flat: Flat, start: Floats, freq_upper: float = np.inf) -> ExactMotion:
+    def of(cls, problem: Problem, start: Floats, freq_upper: float = np.inf) -> ExactMotion:
         """Modes of x' = (A - B S C A^2) x on the states that the constraints allow.
 
         Parameters
@@ -60,13 +60,13 @@ class ExactMotion:
         start : (n, 2), with closed gaps at rest.
         freq_upper : Hz, coupled modes above it are left out.
         """
-        m, n = len(flat.B), 2 * flat.n_modes
-        A = sla.block_diag(*flat.A)
-        F = A - flat.B.reshape(m, n).T @ flat.S @ flat.CA2.reshape(m, n)
-        C = flat.C.reshape(m, n)
+        m, n = len(problem.B), 2 * problem.n_modes
+        A = sla.block_diag(*problem.A)
+        F = A - problem.B.reshape(m, n).T @ problem.S @ problem.CA2.reshape(m, n)
+        C = problem.C.reshape(m, n)
         free = sla.null_space(np.vstack([C / sla.norm(C), C @ A / sla.norm(C @ A)]), rcond=1e-12)
         poles, vectors = sla.eig(free.T @ F @ free)
-        shares = (flat.out.reshape(-1, n) @ free @ vectors).T * sla.solve(vectors, free.T @ start.ravel())[:, None]
+        shares = (problem.out.reshape(-1, n) @ free @ vectors).T * sla.solve(vectors, free.T @ start.ravel())[:, None]
         low = np.abs(poles.imag) < 2 * np.pi * freq_upper
         return cls(poles[low], shares[low])
 
@@ -94,12 +94,12 @@ class FineMotion:
 
     Attributes
     ----------
-    flat, start : system that moves, and its state at the start.
+    problem, start : system that moves, and its state at the start.
     duration : s.
     rate : Hz.
     """
 
-    flat: Flat
+    problem: Problem
     start: Floats
     duration: float = 1.0
     rate: int = FINE_RATE
@@ -114,7 +114,7 @@ class FineMotion:
     @cached_property
     def convergence(self) -> float:
         """Relative difference, after `duration`, between this and half its rate; a 16th of it is left."""
-        coarse = FineMotion(self.flat, self.start, self.duration, self.rate // 2)._samples
+        coarse = FineMotion(self.problem, self.start, self.duration, self.rate // 2)._samples
         fine = self._samples[::2][: len(coarse)]
         return float(sla.norm(coarse - fine) / sla.norm(fine)) / 15
 
@@ -124,8 +124,4 @@ class FineMotion:
 
     def states(self, n: int) -> Floats:
         """(n + 1, n_outputs) displacements."""
-        system = self.flat.problem.system(1 / self.rate)
-        stepper = KernelStepper(system)
-        state = stepper.start()
-        state.modes[:] = self.flat.state_of(self.start, system)
-        return stepper.run(state, n + 1)[0]
+        return KernelRun(Scene(self.problem, self.start), self.rate).run(n + 1)[0]

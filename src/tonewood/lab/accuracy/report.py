@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from tonewood.lab.accuracy import answer
-from tonewood.lab.accuracy.catalogue import Outcome
+from tonewood.lab.accuracy.outcome import Outcome
 from tonewood.lab.accuracy.tables import expectation, headline_tables, section, summary_table, to_json
 
 INTRODUCTION = """\

@@ -10,23 +10,22 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 
 import numpy as np
 
-from tonewood.errors import NumericalError
 from tonewood.lab.accuracy import attacks
 from tonewood.lab.accuracy.attacks import Attack, section
 from tonewood.lab.accuracy.cases import a2_case
-from tonewood.lab.accuracy.flat import Flat
-from tonewood.lab.accuracy.nonlinear import ExplicitRun, NonlinearCase, OwnRun
-from tonewood.lab.accuracy.nonlinear_cases import STEEL, tension_case
-from tonewood.lab.accuracy.scheme import Runner
-from tonewood.lab.accuracy.schemes import build
+from tonewood.lab.accuracy.nonlinear_cases import STEEL, plucked_steel
+from tonewood.lab.accuracy.runs import ExplicitRun, KernelRun, Run, Scene, SchemeRun
+from tonewood.lab.accuracy.timing import Tell, silent
+from tonewood.lab.methods import METHODS
 from tonewood.lab.string_end import ExactString
 from tonewood.lab.systems import string_and_body
-from tonewood.physics.modal.string_modes import string_basis
+from tonewood.lab.tables import markdown
+from tonewood.support.plain_values import finite
 
 HEAD = """\
 # Can it become unstable?
@@ -46,20 +45,24 @@ _LOOKS = 16
 LINEAR = "string on 16 modes"
 TENSION = "string of rising tension on 16 modes"
 
-#: name in tables -> name of the scheme
-LINEAR_METHODS = {
-    "ours": "held_position",
-    "AB3": "ab3",
-    "velocity Verlet": "verlet",
-    "P1 force, acceleration level": "p1",
-    "P0 force, acceleration level": "p0",
-    "velocity level": "held_velocity",
-    "linear force, position level": "linear_position",
+Make = Callable[[Scene, float], Run]
+
+
+def _scheme(name: str) -> Make:
+    return lambda scene, fs: SchemeRun(scene, METHODS[name].arrays(scene.problem, 1 / fs))
+
+
+#: name in tables -> (scene, sampling rate) -> run
+LINEAR_METHODS: dict[str, Make] = {
+    "ours": _scheme("held_position"),
+    "AB3": _scheme("ab3"),
+    "velocity Verlet": _scheme("verlet"),
+    "P1 force, acceleration level": _scheme("p1"),
+    "P0 force, acceleration level": _scheme("p0"),
+    "velocity level": _scheme("held_velocity"),
+    "linear force, position level": _scheme("linear_position"),
 }
-TENSION_METHODS: dict[str, Callable[[NonlinearCase, float], OwnRun | ExplicitRun]] = {
-    "ours": OwnRun,
-    "velocity Verlet": ExplicitRun,
-}
+TENSION_METHODS: dict[str, Make] = {"ours": KernelRun, "velocity Verlet": ExplicitRun}
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,76 +94,53 @@ class StabilityGrid:
     duration: float
     attacks: Sequence[Attack] = ()
 
-    def verdicts(self, method: str) -> list[str]:
-        """Verdicts of one method."""
-        return [cell.verdict for cell in self.cells if cell.method == method]
-
     def table(self) -> str:
         """Markdown: one table per system, a row per method, modes and force, a column per sampling rate."""
-        lines = [
+        text = (
             f"Each run is let go from a pluck and followed for {self.duration:g} s. Stable: the energy never exceeds "
             f"{GROWTH:g} times that of the pluck; NaN: numbers stopped being finite. Stable is not yet accurate: "
-            "of modes above half the sampling rate only the energy is right."
-        ]
+            "of modes above half the sampling rate only the energy is right.\n"
+        )
         for system in dict.fromkeys(cell.system for cell in self.cells):
-            rows: dict[tuple[str, int, float], dict[float, str]] = defaultdict(dict)
-            for cell in self.cells:
-                if cell.system == system:
-                    rows[cell.method, cell.n_modes, cell.force][cell.fs] = cell.verdict
-            rates = sorted({fs for row in rows.values() for fs in row})
+            cells = [cell for cell in self.cells if cell.system == system]
+            rows: dict[tuple[str, ...], dict[float, str]] = defaultdict(dict)
+            for cell in cells:
+                rows[cell.method, str(cell.n_modes), f"{cell.force:g}"][cell.fs] = cell.verdict
+            rates = sorted({cell.fs for cell in cells})
             heads = ["method", "string modes", "pluck, N", *(f"{fs / 1e3:g} kHz" for fs in rates)]
-            lines += ["", f"### {system[0].upper()}{system[1:]}", "", _row(heads), _row(["---"] * len(heads))]
-            for (method, n_modes, force), row in rows.items():
-                lines.append(_row([method, str(n_modes), f"{force:g}", *(row.get(fs, "") for fs in rates)]))
-        return "\n".join(lines) + "\n"
+            lines = [[*key, *(row.get(fs, "") for fs in rates)] for key, row in rows.items()]
+            text += f"\n### {system[0].upper()}{system[1:]}\n\n{markdown(heads, lines)}\n"
+        return text
 
     def markdown(self) -> str:
         """A page of its own."""
-        head = f"{HEAD}\n\n{section(self.attacks)}\n\n## Methods of the literature\n\n"
-        return head + self.table()
+        return f"{HEAD}\n\n{section(self.attacks)}\n\n## Methods of the literature\n\n{self.table()}"
 
     def to_json(self) -> dict[str, object]:
         """Plain data; an infinite growth is null."""
-        cells = [asdict(cell) | {"growth": cell.growth if np.isfinite(cell.growth) else None} for cell in self.cells]
-        attacks = [asdict(a) | {"residual": a.residual if np.isfinite(a.residual) else None} for a in self.attacks]
+        cells, attacks = ([finite(asdict(one)) for one in found] for found in (self.cells, self.attacks))
         return {"duration_s": self.duration, "growth_limit": GROWTH, "cells": cells, "attacks": attacks}
 
 
-def run(quick: bool = False, tell: Callable[[float], None] | None = None) -> StabilityGrid:
+def run(quick: bool = False, tell: Tell = silent) -> StabilityGrid:
     """Make the whole grid; `tell` hears of the share that is done."""
     duration = 0.05 if quick else 0.25
-    makes = [*_linear(quick, duration), *_tension(quick, duration)]
-    cells = []
+    makes, cells = [*_linear(quick, duration), *_tension(quick, duration)], []
     for i, make in enumerate(makes):
         cells.append(make())
-        if tell is not None:
-            tell(0.3 * (i + 1) / len(makes))
-    made = attacks.run(quick=quick, tell=None if tell is None else lambda share: tell(0.3 + 0.7 * share))
-    return StabilityGrid(cells, duration, made)
+        tell(0.3 * (i + 1) / len(makes))
+    return StabilityGrid(cells, duration, attacks.run(quick=quick, tell=lambda share: tell(0.3 + 0.7 * share)))
 
 
 def _linear(quick: bool, duration: float) -> Iterator[Callable[[], Cell]]:
     case = a2_case()
     rates = (48e3, 192e3) if quick else (24e3, 48e3, 96e3, 192e3, 384e3, 768e3)
     for n_modes in (48, 228) if quick else (24, 72, 168, 228, 480):
-        flat = Flat(case.build(_between(string_and_body.A2, n_modes)))
-        for label, scheme in LINEAR_METHODS.items():
+        problem = case.build(_between(string_and_body.A2, n_modes))
+        scene = Scene(problem, problem.static(np.array([10.0])))
+        for label, make in LINEAR_METHODS.items():
             for fs in rates:
-                yield partial(linear_cell, flat, label, scheme, 10.0, fs, duration)
-
-
-def linear_cell(flat: Flat, label: str, scheme: str, force: float, fs: float, duration: float) -> Cell:
-    """A linear system under one scheme of `schemes.SCHEMES`."""
-    x = flat.static(np.array([force]))
-    n_modes = flat.problem.components["string"].n_modes
-    runner = Runner(build(scheme, flat, 1 / fs))
-    runner.start(x)
-    first, growth = flat.energy(x), 1.0
-    with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(_LOOKS):
-            bad = runner.run(max(round(duration * fs) // _LOOKS, 1))[1]
-            growth = _larger(growth, flat.energy(runner.x) / first if bad < 0 else np.inf)
-    return Cell(LINEAR, label, n_modes, force, fs, _verdict(growth), growth)
+                yield partial(watched, LINEAR, label, make, scene, 10.0, fs, duration)
 
 
 def _tension(quick: bool, duration: float) -> Iterator[Callable[[], Cell]]:
@@ -168,20 +148,10 @@ def _tension(quick: bool, duration: float) -> Iterator[Callable[[], Cell]]:
     forces = (0.001, 50.0, 1000.0) if quick else (0.001, 1.0, 10.0, 50.0, 100.0, 1000.0)
     for n_modes in (41, 193) if quick else (21, 62, 143, 193):
         for force in forces:
-            case = _plucked_steel(n_modes, force)
+            scene = plucked_steel(force, _between(STEEL, n_modes))
             for label, make in TENSION_METHODS.items():
                 for fs in rates:
-                    yield partial(tension_cell, case, label, make, force, fs, duration)
-
-
-def _plucked_steel(n_modes: int, force: float) -> NonlinearCase:
-    case = tension_case()
-    string = string_basis(
-        STEEL.length, STEEL.tension, STEEL.linear_density, STEEL.bending_stiffness,
-        lambda omega, k: np.zeros_like(omega), freq_upper=_between(STEEL, n_modes),
-    ).with_places({"pluck": 0.2 * STEEL.length})  # fmt: skip
-    problem = replace(case.problem, components={**case.problem.components, "string": string})
-    return replace(case, problem=problem, start=lambda flat: flat.static(np.array([force])))
+                    yield partial(watched, TENSION, label, make, scene, force, fs, duration)
 
 
 def _between(string: ExactString, n_modes: int) -> float:
@@ -189,40 +159,17 @@ def _between(string: ExactString, n_modes: int) -> float:
     return 0.5 * (string.held_freq(n_modes) + string.held_freq(n_modes + 1))
 
 
-def tension_cell(
-    case: NonlinearCase,
-    label: str,
-    make: Callable[[NonlinearCase, float], OwnRun | ExplicitRun],
-    force: float,
-    fs: float,
-    duration: float,
-) -> Cell:
-    """A string whose tension rises."""
-    n_modes = case.problem.components["string"].n_modes
-    runner = make(case, fs)
-    runner.start()
-    first, growth = runner.energy(), 1.0
+def watched(system: str, label: str, make: Make, scene: Scene, force: float, fs: float, duration: float) -> Cell:
+    """Let a scene go under one method and look at its energy."""
+    run, growth = make(scene, fs), 1.0
+    run.start()
+    first = run.energy()
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(_LOOKS):
-            try:
-                finite = runner.run(max(round(duration * fs) // _LOOKS, 1))[1]
-            except NumericalError:
-                finite = False
-            growth = _larger(growth, runner.energy() / first if finite else np.inf)
+            finite = run.run(max(round(duration * fs) // _LOOKS, 1))[1]
+            now = run.energy() / first if finite else np.inf
+            growth = max(growth, float(now)) if np.isfinite(now) else np.inf
             if not np.isfinite(growth):
                 break
-    return Cell(TENSION, label, n_modes, force, fs, _verdict(growth), growth)
-
-
-def _larger(growth: float, now: float) -> float:
-    return max(growth, float(now)) if np.isfinite(now) else float("inf")
-
-
-def _verdict(growth: float) -> str:
-    if not np.isfinite(growth):
-        return NAN
-    return GROWS if growth > GROWTH else STABLE
-
-
-def _row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
+    verdict = NAN if not np.isfinite(growth) else GROWS if growth > GROWTH else STABLE
+    return Cell(system, label, scene.problem.components["string"].n_modes, force, fs, verdict, growth)

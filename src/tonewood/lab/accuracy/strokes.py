@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.lab.accuracy.partials import PartialErrors, compare
-from tonewood.lab.accuracy.study import Tell, silent
-from tonewood.lab.accuracy.timing import Task, measure
+from tonewood.lab.accuracy.timing import Task, Tell, measure, silent
 from tonewood.performance.score.note import Note, Score
 from tonewood.sound.render.renderer import Renderer
 
@@ -21,6 +20,10 @@ Floats = NDArray[np.float64]
 
 #: of the note; s of it, from when on partials are compared
 VELOCITY_MIDI, STEADY = 64, 0.1
+#: a little more force; share of a limit that it may change before strokes are compared by their means
+NUDGE, SENSITIVE = (1.001,), 0.2
+#: how far forces of such strokes lie to either side
+SPREAD = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +45,11 @@ class Strokes:
         """Every other stroke, and those between."""
         one, other = (Strokes(self.sounds[i::2], self.seconds, self.n_modes) for i in (0, 1))
         return one, other
+
+
+def forces(n: int) -> tuple[float, ...]:
+    """Factors of n strokes, spread evenly."""
+    return tuple(1 + SPREAD * (2 * (np.arange(n) + 0.5) / n - 1))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,117 +1,127 @@
-"""Every method and every dial on one linear system: errors, times, stability."""
+"""Every method and every dial on a system: errors, times, stability."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
+import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.errors import NumericalError
 from tonewood.lab.accuracy.cases import (
     FREQ_UPPER,
     Case,
-    GuitarCase,
     continuous_poles,
     real_modes_of,
+    sliding_string,
     undamped,
 )
-from tonewood.lab.accuracy.flat import Flat
+from tonewood.lab.accuracy.catalogue import CASES, selected
 from tonewood.lab.accuracy.measures import energy_drift, pole_errors, wave_errors
-from tonewood.lab.accuracy.reference import ExactMotion, FineMotion, Motion
-from tonewood.lab.accuracy.scheme import Runner
-from tonewood.lab.accuracy.schemes import build
-from tonewood.lab.accuracy.timing import Task, Timing, measure
+from tonewood.lab.accuracy.nonlinear_cases import NonlinearCase, Truth
+from tonewood.lab.accuracy.outcome import DECAY, PITCH, WAVEFORM, Outcome, Point
+from tonewood.lab.accuracy.reference import FINE_RATE, ExactMotion, FineMotion, Motion
+from tonewood.lab.accuracy.runs import ExplicitRun, KernelRun, Run, Scene, SchemeRun
+from tonewood.lab.accuracy.timing import Task, Tell, Timing, measure, silent
+from tonewood.lab.methods import METHODS
 from tonewood.lab.methods.problem import Problem
+from tonewood.lab.systems import fabre_guitar
 from tonewood.physics.coupling.connections import Term
-from tonewood.physics.coupling.system import Readout, System
-from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.coupling.laws import Contact
+from tonewood.physics.modal.modes import ModalBasis
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-#: takes the share of a study that is done
-Tell = Callable[[float], None]
 
 #: s of free motion that waveforms are compared over
 DURATION = 1.0
-#: instants in it at which the stored energy is looked at
-CHECKS = 10
 #: share of the sampling rate above which this project steps no mode
 FREQ_LIMIT = 0.45
-#: energy may grow by this before a method counts as growing
-GROWTH = 1e-6
+#: largest stable |s| h of Adams-Bashforth 3 on the imaginary axis, and of velocity Verlet
+AB3_LIMIT, VERLET_LIMIT = float((5 + np.sqrt(5)) / 10), 2.0
+#: rates that divide that of a reference which has to be computed, Hz
+GRID = tuple(1e3 * k for k in (24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768))
 
 
-def silent(share: float) -> None:
-    """Report nothing."""
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """A point without its time, and the run to be timed."""
+
+    point: Point
+    task: Task | None
+
+
+Make = Callable[[], Attempt]
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
-    """One method with one value of its dial on one system.
+class Watch:
+    """How a free motion is followed.
 
     Attributes
     ----------
-    system, method : names; methods are those of `LABELS`.
-    dial, value : parameter varied along the line, and its value here.
-    fs : Hz.  n_modes : stepped.
-    stable : stable, grows or NaN.
-    cents_median, cents_worst, cents_20, decay_median, decay_worst, lost : see `measures.PoleErrors`.
-    waveform, spectral_db, spurious_db : see `measures.WaveErrors`.
-    energy : drift of the undamped system's energy within 1 s, relative.
-    seconds, seconds_low, seconds_high : of computing per second of sound: median, 10th and 90th percentile.
-    note : further remarks.
+    rate : Hz, about that at which displacements are read.
+    duration : s.
+    checks : instants at which the stored energy is looked at.
+    growth : energy, as a share of that at the start, by which it may grow before a method counts as growing.
+    multiple : number of steps that is made at once.
     """
 
-    system: str
-    method: str
-    dial: str
-    value: str
-    fs: float
-    n_modes: int
-    stable: str
-    cents_median: float = np.nan
-    cents_worst: float = np.nan
-    cents_20: float = np.nan
-    decay_median: float = np.nan
-    decay_worst: float = np.nan
-    lost: int = 0
-    waveform: float = np.nan
-    spectral_db: float = np.nan
-    spurious_db: float = np.nan
-    energy: float = np.nan
-    seconds: float = np.nan
-    seconds_low: float = np.nan
-    seconds_high: float = np.nan
-    note: str = ""
+    rate: float = 48000.0
+    duration: float = DURATION
+    checks: int = 10
+    growth: float = 1e-6
+    multiple: int = 2
 
-    def to_dict(self) -> dict[str, object]:
-        """Fields for JSON; unknown ones are None."""
-        return {key: None if isinstance(v, float) and not np.isfinite(v) else v for key, v in asdict(self).items()}
+    def every(self, fs: float) -> int:
+        """Steps from one displacement that is read to the next."""
+        return max(1, round(fs / self.rate))
+
+    def steps(self, fs: float) -> int:
+        """Steps between two looks at the energy."""
+        every = self.every(fs)
+        n = round(fs * self.duration / self.checks / every) * every
+        return n + n % self.multiple * every
+
+    def follow(self, run: Run, fs: float) -> tuple[Floats, Floats, bool]:
+        """Displacement of the first readout, energies, and whether all is finite."""
+        run.start()
+        out, energies = [], [run.energy()]
+        with np.errstate(all="ignore"):
+            for _ in range(self.checks):
+                y, finite = run.run(self.steps(fs), self.every(fs))
+                out.append(y[:, 0])
+                energies.append(run.energy())
+                if not finite or not np.isfinite(energies[-1]):
+                    return np.concatenate(out), np.array(energies), False
+        return np.concatenate(out), np.array(energies), True
 
 
-#: name -> as it is called in tables and legends
-LABELS = {
-    "tonewood": "tonewood",
-    "held_position": "tonewood's scheme, a sweep per sample",
-    "held_velocity": "held force, velocity constraint",
-    "p0": "P0, acceleration constraint",
-    "p1": "P1, acceleration constraint",
-    "p2": "P2, acceleration constraint",
-    "trapezoidal": "trapezoidal, acceleration constraint",
-    "simpson": "Simpson, acceleration constraint",
-    "linear_position": "P1 constraint force, position constraint",
-    "ab3": "Adams-Bashforth 3, Udwadia-Kalaba",
-    "ab3_paper": "Adams-Bashforth 3 with 150 string modes, as published",
-    "verlet": "velocity Verlet, Udwadia-Kalaba",
-    "newmark": "Newmark, average acceleration",
-    "hht": "HHT-alpha (-0.3)",
-    "superposition": "superposition of coupled modes",
-}
-#: methods that take real modes only
-SECOND_ORDER = ("verlet", "newmark", "hht")
+#: run, displacements, energies, whether they grow -> fields of a `Point`
+Judge = Callable[[Run, Floats, Floats, bool], dict[str, Any]]
+
+
+def attempt(run: Run, point: Point, watch: Watch, judge: Judge, timed_steps: int = 0) -> Attempt:
+    """Let go, follow, compare.
+
+    Parameters
+    ----------
+    timed_steps : of the run that is timed, read once; 0: all that were followed.
+    """
+    y, energies, finite = watch.follow(run, point.fs)
+    if not finite:
+        return Attempt(replace(point, stable="NaN"), None)
+    grows = bool(energies.max() > (1 + watch.growth) * energies[0])
+    point = replace(point, stable="grows" if grows else "stable", **judge(run, y, energies, grows))
+    steps = timed_steps or watch.steps(point.fs) * watch.checks
+    task = Task(lambda: run.run(steps, timed_steps or watch.every(point.fs)), steps / point.fs, run.start)
+    return Attempt(point, None if grows else task)
+
+
+# ---- linear systems ----
 
 
 class Subject:
@@ -125,55 +135,42 @@ class Subject:
 
     def __init__(self, case: Case, *, real: bool = False):
         self.case, self.real = case, real
-        self._flats: dict[float, Flat] = {}
+        self._problems: dict[float, Problem] = {}
         self._displacements: dict[tuple[float, int], Floats] = {}
 
-    def problem(self, freq_upper: float) -> Problem:
-        """With string modes up to a frequency."""
-        problem = self.case.build(freq_upper)
-        return real_modes_of(problem) if self.real else problem
-
-    def flat(self, freq_upper: float = FREQ_UPPER) -> Flat:
-        """Return the problem as flat arrays, made once for each limit (Hz)."""
-        if freq_upper not in self._flats:
-            self._flats[freq_upper] = Flat(self.problem(freq_upper))
-        return self._flats[freq_upper]
-
-    @cached_property
-    def joints(self) -> Sequence[int] | None:
-        """Connection of each partial, where there are many."""
-        return self.case.joints() if isinstance(self.case, GuitarCase) else None
+    def problem(self, freq_upper: float = FREQ_UPPER) -> Problem:
+        """With string modes up to a frequency (Hz), made once for each."""
+        if freq_upper not in self._problems:
+            problem = self.case.build(freq_upper)
+            self._problems[freq_upper] = real_modes_of(problem) if self.real else problem
+        return self._problems[freq_upper]
 
     @property
     def numbers(self) -> NDArray[np.intp]:
         """Number of each partial on its string."""
-        if self.joints is None:
+        joints = self.case.joints
+        if joints is None:
             return np.arange(1, len(self.poles) + 1)
-        seen: dict[int, int] = {}
-        out = []
-        for joint in self.joints:
-            seen[joint] = seen.get(joint, 0) + 1
-            out.append(seen[joint])
-        return np.array(out)
+        return np.array([list(joints[: i + 1]).count(joint) for i, joint in enumerate(joints)])
 
     @cached_property
     def poles(self) -> Complexes:
         """True poles: the case's own, or where damping is another, those of twice the modes."""
         if not self.real or self.case.damped_as == "real modes":
             return self.case.poles
-        return continuous_poles(self.problem(2.5 * FREQ_UPPER), self.case.poles, self.joints)
+        return continuous_poles(self.problem(2.5 * FREQ_UPPER), self.case.poles, self.case.joints)
 
-    def start(self, flat: Flat) -> Floats:
-        """State at rest under unit forces, to be let go."""
-        return flat.static(np.ones(len(flat.problem.inputs)))
+    def start(self, problem: Problem) -> Scene:
+        """At rest under unit forces, to be let go."""
+        return Scene(problem, problem.static(np.ones(len(problem.inputs))))
 
     @cached_property
     def motion(self) -> Motion:
         """Partials below 20 kHz of the system with twice the modes; where there are too many, the same modes."""
-        if self.flat().n_modes > 400:
-            return FineMotion(self.flat(), self.start(self.flat()), DURATION)
-        fine = self.flat(2 * FREQ_UPPER)
-        return ExactMotion.of(fine, self.start(fine), FREQ_UPPER)
+        if self.problem().n_modes > 400:
+            return FineMotion(self.problem(), self.start(self.problem()).x, DURATION)
+        fine = self.problem(2 * FREQ_UPPER)
+        return ExactMotion.of(fine, self.start(fine).x, FREQ_UPPER)
 
     def displacement(self, fs: float, n: int) -> Floats:
         """Return the true motion, see `reference.Motion`; made once for each rate."""
@@ -186,159 +183,262 @@ class Subject:
         """Poles of everything that sounds."""
         if isinstance(self.motion, ExactMotion):
             return self.motion.poles
-        bodies = [b.poles for b in self.flat().problem.components.values()]
-        return np.concatenate([self.poles, *bodies])
+        return np.concatenate([self.poles, *(b.poles for b in self.problem().components.values())])
 
     @cached_property
-    def free_of_loss(self) -> Flat:
+    def free_of_loss(self) -> Scene:
         """The undamped twin, in real modes."""
-        problem = self.problem(FREQ_UPPER)
-        return Flat(undamped(problem if self.real else real_modes_of(problem)))
+        problem = self.problem()
+        return self.start(undamped(problem if self.real else real_modes_of(problem)))
+
+    def errors(self, y: Floats, rate: float, poles: Complexes) -> dict[str, Any]:
+        """Errors of displacements from time 0 on, and of partials."""
+        true = self.displacement(rate, len(y))
+        wave = wave_errors(y[: len(true)], true[:, 0], rate, self.sounding)
+        return asdict(wave) | asdict(pole_errors(poles, self.poles, self.numbers))
+
+    def attempt(
+        self, method: str, fs: float, make: Callable[[Scene], Run], problem: Problem, drift: bool,
+        dial: str = "fs", value: str = "",
+    ) -> Attempt:  # fmt: skip
+        """Run one method on a problem and, if `drift` of the energy is asked for, on the undamped twin."""
+        value = value or f"{fs / 1e3:.4g} kHz"
+        point = Point(self.case.name, method, dial, value, fs, problem.n_modes, "")
+        watch = Watch()
+
+        def judge(run: Run, y: Floats, energies: Floats, grows: bool) -> dict[str, Any]:
+            poles = METHODS[method].arrays(problem, 1 / fs).poles(self.poles, self.case.joints)
+            return self.errors(y, fs / watch.every(fs), poles)
+
+        steps = max(2, round(fs * min(0.2, 4e6 / (fs * problem.n_modes)) / 2) * 2)
+        got = attempt(make(self.start(problem)), point, watch, judge, steps)
+        if got.task is None or not drift:
+            return got
+        _, energies, finite = watch.follow(make(self.free_of_loss), fs)
+        return replace(got, point=replace(got.point, energy=energy_drift(energies) if finite else np.nan))
 
 
-@dataclass(frozen=True, eq=False)
-class Attempt:
-    """A point without its time, and the run to be timed."""
-
-    point: Point
-    task: Task | None
-
-
-@dataclass(eq=False)
-class KernelRun:
-    """The project's own stepper behind the interface of `schemes.Runner`."""
-
-    flat: Flat
-    fs: float
-
-    def __post_init__(self) -> None:
-        self.system: System = self.flat.problem.system(1 / self.fs)
-        self.stepper = KernelStepper(self.system)
-        self.state = self.stepper.start()
-
-    def start(self, x: Floats) -> None:
-        """Put a state (n, 2) in."""
-        self.state = self.stepper.start()
-        self.state.modes[:] = self.flat.state_of(x, self.system)
-
-    def run(self, n: int, every: int = 1) -> tuple[Floats, int]:
-        """As `schemes.Runner.run`; the sample after the last is not there."""
-        try:
-            return self.stepper.run(self.state, n)[0][::every], -1
-        except NumericalError:
-            return np.full((n // every, len(self.system.readouts)), np.nan), n
-
-    @property
-    def x(self) -> Floats:
-        """(n, 2)."""
-        return self.flat.x_of(self.state.modes, self.system)
-
-
-Run = Runner | KernelRun
-
-
-def _follow(run: Run, flat: Flat, start: Floats, fs: float) -> tuple[Floats, Floats, bool]:
-    """Displacement at about 48 kHz for `DURATION`, energies at `CHECKS` instants, and whether all is finite."""
-    every = max(1, round(fs / 48000))
-    part = round(fs * DURATION / CHECKS / every) * every
-    part += part % 2 * every
-    run.start(start)
-    out, energies = [], [flat.energy(start)]
-    with np.errstate(all="ignore"):
-        for _ in range(CHECKS):
-            y, bad = run.run(part, every)
-            out.append(y[: part // every])
-            energies.append(flat.energy(run.x))
-            if bad >= 0 or not np.isfinite(energies[-1]):
-                return np.concatenate(out), np.array(energies), False
-    return np.concatenate(out), np.array(energies), True
-
-
-def attempt(
-    subject: Subject, method: str, fs: float, make: Callable[[Flat], Run], flat: Flat, point: Point,
-    poles: Callable[[], Complexes] | None = None,
-) -> Attempt:  # fmt: skip
-    """Run one method on its subject and on the undamped twin."""
-    run = make(flat)
-    start = subject.start(flat)
-    y, energies, finite = _follow(run, flat, start, fs)
-    if not finite:
-        return Attempt(replace(point, stable="NaN"), None)
-    stable = "grows" if energies.max() > (1 + GROWTH) * energies[0] else "stable"
-    point = replace(point, stable=stable)
-    every = max(1, round(fs / 48000))
-    true = subject.displacement(fs / every, len(y))
-    errors = wave_errors(y[: len(true), 0], true[:, 0], fs / every, subject.sounding)
-    point = replace(point, waveform=errors.waveform, spectral_db=errors.spectral_db, spurious_db=errors.spurious_db)
-    if poles is not None:
-        p = pole_errors(poles(), subject.poles, subject.numbers)
-        point = replace(point, **asdict(p))
-    steps = max(2, round(fs * min(0.2, 4e6 / (fs * flat.n_modes)) / 2) * 2)
-    return Attempt(point, Task(lambda: run.run(steps, steps), steps / fs) if stable == "stable" else None)
-
-
-def drift(subject: Subject, make: Callable[[Flat], Run], fs: float) -> float:
-    """Energy drift of the undamped twin."""
-    flat = subject.free_of_loss
-    _, energies, finite = _follow(make(flat), flat, subject.start(flat), fs)
-    return energy_drift(energies) if finite else np.nan
-
-
-def scheme_point(subject: Subject, method: str, fs: float, *, label: str | None = None, freq_upper: float = FREQ_UPPER,
-                 note: str = "") -> Attempt:  # fmt: skip
+def scheme_point(subject: Subject, method: str, fs: float, *, freq_upper: float = FREQ_UPPER) -> Attempt:
     """A method of the compiled loop."""
-    flat = subject.flat(freq_upper)
-
-    def make(given: Flat) -> Runner:
-        return Runner(build(method, given, 1 / fs))
-
-    point = Point(subject.case.name, label or method, "fs", f"{fs / 1e3:.4g} kHz", fs, flat.n_modes, "", note=note)
-    got = attempt(
-        subject, method, fs, make, flat, point, lambda: build(method, flat, 1 / fs).poles(subject.poles, subject.joints)
-    )
-    if got.task is None or freq_upper != FREQ_UPPER:
-        return got
-    return replace(got, point=replace(got.point, energy=drift(subject, make, fs)))
+    arrays = METHODS[method].arrays
+    return subject.attempt(
+        method, fs, lambda scene: SchemeRun(scene, arrays(scene.problem, 1 / fs)), subject.problem(freq_upper),
+        freq_upper == FREQ_UPPER,
+    )  # fmt: skip
 
 
 def own_point(
-    subject: Subject, fs: float, *, flat: Flat | None = None, dial: str = "fs",
-    value: str | None = None, note: str = "",
-) -> Attempt:  # fmt: skip
+    subject: Subject, fs: float, *, problem: Problem | None = None, dial: str = "fs", value: str = ""
+) -> Attempt:
     """The stepper of this project; modes up to 0.45 fs unless a basis is given."""
-    given = flat or subject.flat(min(FREQ_UPPER, FREQ_LIMIT * fs))
-
-    def make(some: Flat) -> KernelRun:
-        return KernelRun(some, fs)
-
-    point = Point(subject.case.name, "tonewood", dial, value or f"{fs / 1e3:.4g} kHz", fs, given.n_modes, "", note=note)
-    got = attempt(
-        subject, "tonewood", fs, make, given, point,
-        lambda: build("held_position", given, 1 / fs).poles(subject.poles, subject.joints),
-    )  # fmt: skip
-    if flat is not None or given is not subject.flat():
-        return got
-    return replace(got, point=replace(got.point, energy=drift(subject, make, fs)))
+    given = problem or subject.problem(min(FREQ_UPPER, FREQ_LIMIT * fs))
+    drift = problem is None and given is subject.problem()
+    return subject.attempt("tonewood", fs, lambda scene: KernelRun(scene, fs), given, drift, dial, value)
 
 
 def superposition_point(subject: Subject, fs: float = 48000.0) -> Attempt:
     """The coupled modes themselves, by the same stepper: exact at any rate, as long as nothing changes."""
-    same = ExactMotion.of(subject.flat(), subject.start(subject.flat()))
+    same = ExactMotion.of(subject.problem(), subject.start(subject.problem()).x)
     basis = same.basis()
-    system = System.build({"modes": basis}, (), [Readout("0", "displacement", (Term("modes", "out0"),))], dt=1 / fs)
-    stepper = KernelStepper(system)
-    state = stepper.start()
-    system.modes_of(state, "modes")[0] = 1.0
-    y = stepper.run(state, round(fs * DURATION))[0]
-    errors = wave_errors(y[:, 0], subject.displacement(fs, len(y))[:, 0], fs, subject.sounding)
+    modes = Problem({"modes": basis}, (), (), (Term("modes", "out0"),))
+    x = np.zeros((basis.n_modes, 2))
+    x[:, 0] = 1.0
+    run = KernelRun(Scene(modes, x), fs)
+    y = run.run(round(fs * DURATION))[0][:, 0]
     nearest = np.array([same.poles[np.argmin(np.abs(same.poles - p))] for p in subject.poles])
     point = Point(
         subject.case.name, "superposition", "fs", f"{fs / 1e3:.4g} kHz", fs, basis.n_modes, "stable",
-        **asdict(pole_errors(nearest, subject.poles, subject.numbers)), **asdict(errors), energy=0.0,
+        **subject.errors(y, fs, nearest), energy=0.0,
         note="no stop, bend or contact may change; the eigenproblem of the whole is not in the time",
     )  # fmt: skip
     steps = round(0.2 * fs)
-    return Attempt(point, Task(lambda: stepper.run(state, steps), steps / fs))
+    return Attempt(point, Task(lambda: run.run(steps), steps / fs))
+
+
+def lowest_rate(problem: Problem, limit: float) -> float:
+    """Sampling rate, Hz, at which the highest mode stands at a limit of |s| h.
+
+    Rigid connections lower frequencies (interlacing), so the highest mode of the parts is a safe bound, and near it.
+    """
+    return max(float(np.sqrt(b.stiffness.max())) for b in problem.components.values()) / limit
+
+
+def _linear_makes(case: Case, subject: Subject, quick: bool) -> Iterator[Make]:
+    real = subject if case.damped_as == "real modes" else Subject(case, real=True)
+    for fs in (24e3, 48e3, 96e3) if quick else (24e3, 32e3, 48e3, 96e3, 192e3):
+        yield partial(own_point, subject, fs)
+    if case.strings is None:
+        yield partial(superposition_point, subject)
+    yield from _others(subject, real, quick)
+    yield from _dials(subject, quick)
+
+
+def _others(subject: Subject, real: Subject, quick: bool) -> Iterator[Make]:
+    ab3, verlet = lowest_rate(subject.problem(), AB3_LIMIT), lowest_rate(real.problem(), VERLET_LIMIT)
+    if subject.case.strings is not None:
+        rates = {
+            "ab3": [fs for fs in GRID if fs > ab3][: 2 if quick else 4],
+            "verlet": [fs for fs in GRID if fs > verlet][: 2 if quick else 6],
+        }
+        usual = [48e3, 192e3] if quick else [48e3, 96e3, 192e3, 384e3]
+    else:
+        rates = {
+            "ab3": [1.02 * ab3, 800e3] if quick else [0.9 * ab3, 1.02 * ab3, 400e3, 800e3, 1200e3],
+            "verlet": [1.05 * verlet, 400e3] if quick else [0.9 * verlet, 1.05 * verlet, 100e3, 200e3, 400e3, 800e3],
+        }
+        usual = [48e3, 192e3] if quick else [48e3, 96e3, 192e3, 384e3, 768e3]
+    few = ("p1", "newmark") if quick and subject.case.strings is not None else None
+    for method in ("p0", "p1", "p2", "trapezoidal", "simpson", "newmark", "hht", "held_velocity"):
+        if few is None or method in few:
+            rates[method] = usual
+    rates |= {"held_position": usual[:3], "linear_position": [48e3]}
+    for method, values in rates.items():
+        for fs in values:
+            yield partial(scheme_point, real if METHODS[method].real else subject, method, fs)
+    if subject.case.name == "fabre_guitar":
+        # as in the paper: 150 string modes, at the limit and at the paper's rate
+        top = float(fabre_guitar.string(n_modes=150).natural_freq[-1]) * 1.0001
+        least = lowest_rate(subject.problem(top), AB3_LIMIT)
+        for fs in (1.02 * least, 1200e3) if quick else (0.9 * least, 1.02 * least, 800e3, 1200e3):
+            yield partial(scheme_point, subject, "ab3_paper", fs, freq_upper=top)
+
+
+def _dials(subject: Subject, quick: bool) -> Iterator[Make]:
+    """Dials of this project at 48 kHz, one turned at a time."""
+    own, problem = partial(own_point, subject, 48e3), subject.problem()
+    for freq in (5e3, 10e3) if quick else (2.5e3, 5e3, 10e3, 15e3):
+        value = f"strings solved to {freq / 1e3:.4g} kHz"
+        yield partial(own, problem=subject.problem(freq), dial="modes", value=value)
+    for fold, named in ((True, "with"), (False, "without")):
+        value = f"string modes above 10 kHz dropped, {named} their compliance"
+        yield partial(own, problem=_cut(problem, 10e3, fold), dial="residual", value=value)
+    if subject.case.string is not None:
+        pluck = {"pluck": problem.components["string"].places["pluck"]}
+        for fold, named in ((True, "with"), (False, "without")):
+            basis = sliding_string(subject.case.string, FREQ_UPPER, residual=fold).with_places(pluck)
+            value = f"sliding cosines, {named} residual compliance"
+            yield partial(own, problem=exchanged(problem, "string", basis), dial="basis", value=value)
+
+
+def exchanged(problem: Problem, name: str, basis: ModalBasis) -> Problem:
+    """Return the arrays with another basis for one component."""
+    return replace(problem, components={**problem.components, name: basis})
+
+
+def _cut(problem: Problem, freq: float, fold: bool) -> Problem:
+    """String modes above a frequency dropped from the solved basis, their compliance kept or not."""
+    parts = {
+        name: basis if name == "body" else basis.select(basis.natural_freq < freq, fold=fold)
+        for name, basis in problem.components.items()
+    }
+    return replace(problem, components=parts)
+
+
+# ---- nonlinear systems ----
+
+
+def measured_period(y: Floats, fs: float, freq: float, cycles: int) -> float:
+    """Period of a periodic motion, s: the shift by `cycles` of it that makes the motion meet itself best."""
+    from scipy.interpolate import CubicSpline
+    from scipy.optimize import minimize_scalar
+
+    t = np.arange(len(y)) / fs
+    spline = CubicSpline(t, y)
+    first = t[t < 1.5 / freq]
+
+    def miss(shift: float) -> float:
+        return float(sla.norm(spline(first + shift) - spline(first)))
+
+    around = cycles / freq
+    shifts = np.linspace(around - 0.05 / freq, around + 0.05 / freq, 81)
+    best = shifts[int(np.argmin([miss(s) for s in shifts]))]
+    width = shifts[1] - shifts[0]
+    found = minimize_scalar(miss, bounds=(best - width, best + width), method="bounded", options={"xatol": 1e-13})
+    return float(found.x) / cycles
+
+
+def nonlinear_attempt(
+    case: NonlinearCase, truth: Truth | None, method: str, make: Callable[[Scene, float], Run], fs: float,
+    dial: str = "fs", value: str = "",
+) -> Attempt:  # fmt: skip
+    """One method on a nonlinear case, against its truth or, where there is none, the closed form of its pitch."""
+    rate = case.reference_rate
+
+    def judge(run: Run, y: Floats, energies: Floats, grows: bool) -> dict[str, Any]:
+        found: dict[str, Any] = {"energy": energy_drift(energies) if case.lossless else np.nan}
+        if truth is not None:
+            errors = wave_errors(y, truth.wave[: len(y)], rate, np.zeros(0, dtype=np.complex128))
+            found |= {"waveform": errors.waveform, "spectral_db": errors.spectral_db}
+        if isinstance(run, KernelRun):
+            s = run.stepper.statistics
+            most, mean = s.most_iterations, s.iterations / max(s.steps, 1)
+            found["note"] = f"{mean:.2g} Newton iterations per step, {most} at most; {source}"
+        if case.pitch and not grows:
+            freq = 1 / measured_period(y, rate, case.pitch, int(case.duration * case.pitch) - 2)
+            found["cents_median"] = found["cents_worst"] = abs(1200 * float(np.log2(freq / case.pitch)))
+        return found
+
+    source = "closed form of the pitch" if truth is None else truth.source
+    value, n_modes = value or f"{fs / 1e3:.4g} kHz", case.scene.problem.n_modes
+    point = Point(case.name, method, dial, value, fs, n_modes, "", note=source)
+    return attempt(make(case.scene, fs), point, Watch(rate, case.duration, 20, 0.01, 1), judge)
+
+
+def _nonlinear_makes(case: NonlinearCase, quick: bool) -> Iterator[Make]:
+    truth = None if case.pitch else case.stepped() if quick and case.slow else case.integrated()
+    point = partial(nonlinear_attempt, case, truth)
+    # closed forms are of strings with all their modes, waveforms of the modes that are stepped
+    whole = bool(case.pitch)
+    for fs in case.rates[:3] if quick else case.rates:
+        yield partial(point, "tonewood", partial(KernelRun, residual=whole), fs)
+    for fs in case.verlet_rates[:: 2 if quick else 1] if not (quick and case.pitch) else ():
+        yield partial(point, "verlet", ExplicitRun, fs)
+    if any(isinstance(c.law, Contact) for c in case.scene.laws):
+        for fs in case.rates[:2] if quick else case.rates:
+            named = "without" if whole else "with"
+            value = f"{named} residual compliance at the contact, {fs / 1e3:.4g} kHz"
+            yield partial(point, "tonewood", partial(KernelRun, residual=not whole), fs, "residual", value)
+
+
+# ---- one system, and all of them ----
+
+
+def study(name: str, *, quick: bool = False, tell: Tell = silent) -> Outcome:
+    """Every method and every dial on one system."""
+    entry = CASES[name]
+    case = ((quick and entry.quick) or entry.make)()
+    if isinstance(case, NonlinearCase):
+        points = timed(list(_nonlinear_makes(case, quick)), 3 if quick else 7, tell)
+        measure = PITCH if case.pitch else WAVEFORM
+        return Outcome(name, case.title, points[0].note.rpartition("; ")[2], (measure,), tuple(points))
+    subject = Subject(case)
+    points = timed(list(_linear_makes(case, subject, quick)), 3 if quick else 9, tell)
+    truth = "poles of the transcendental string on its body; waveform superposed from the coupled modes up to 20 kHz"
+    # where there are many strings most methods lose some partials: the chart is of those that all of them have
+    measures = (PITCH, DECAY, WAVEFORM) if case.strings is None else (WAVEFORM, PITCH, DECAY)
+    if isinstance(subject.motion, FineMotion):
+        far = f"converged to {subject.motion.convergence:.1e}"
+        points = [replace(p, note="; ".join(filter(None, (p.note, f"reference {far}")))) for p in points]
+        if case.strings is not None:
+            truth = (
+                "poles by Newton's method on the continuous system with string modes to 40 kHz; waveform by this "
+                f"scheme at {FINE_RATE / 1e3:g} kHz, {far}"
+            )
+    return Outcome(name, case.title, truth, measures, tuple(points))
+
+
+def run(name: str | None = None, *, quick: bool = False, tell: Tell = silent) -> Iterator[Outcome]:
+    """The systems one after the other, as each is done; `tell` hears of the whole."""
+    names = selected(name, quick=quick)
+    done, total = 0.0, sum(CASES[n].weight for n in names)
+    for n in names:
+        share = CASES[n].weight / total
+
+        def part(inner: float, done: float = done, share: float = share) -> None:
+            tell(done + share * inner)
+
+        yield study(n, quick=quick, tell=part)
+        done += share
 
 
 def timed(makes: Sequence[Callable[[], Attempt]], repeats: int, tell: Tell = silent) -> list[Point]:

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
-from tonewood.lab.accuracy.catalogue import Outcome
-from tonewood.lab.accuracy.pareto import MEASURES, PITCH, WAVEFORM, Headline, Measure, front, line, usual
-from tonewood.lab.accuracy.study import LABELS, Point
+from tonewood.lab.accuracy.outcome import (
+    MEASURES,
+    PITCH,
+    WAVEFORM,
+    Headline,
+    Measure,
+    Outcome,
+    Point,
+    front,
+    line,
+    usual,
+)
+from tonewood.lab.methods import METHODS
+from tonewood.lab.tables import markdown, number
 
 #: methods of the short table, and their headings there
 IN_SHORT = {
@@ -19,25 +30,6 @@ IN_SHORT = {
 }
 #: worst pitch error to partial 20 that was expected on the guitar of Fabre et al. at 48 kHz, cents
 EXPECTED_CENTS = 0.01
-
-
-def number(value: float | None, digits: int = 2) -> str:
-    """Few digits; nothing for an unknown value."""
-    if value is None or not math.isfinite(value):
-        return ""
-    return f"{value:.{digits}g}" if value == 0 or 1e-3 <= abs(value) < 1e4 else f"{value:.{digits - 1}e}"
-
-
-def markdown(heads: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> str:
-    """A table, aligned to be read as it is; the first `left` columns to the left."""
-    cells = [list(heads), *(list(row) for row in rows)]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(heads))]
-    rule = ["-" * w if i < left else "-" * (w - 1) + ":" for i, w in enumerate(widths)]
-    padded = [
-        [c.ljust(w) if i < left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))]
-        for row in [cells[0], rule, *cells[1:]]
-    ]
-    return "\n".join(f"| {' | '.join(row)} |" for row in padded)
 
 
 def summary_table(outcomes: Sequence[Outcome]) -> str:
@@ -84,7 +76,7 @@ def headline_table(outcomes: Sequence[Outcome], measure: Measure) -> str:
     columns = [o for o in outcomes if o.headlines.get(measure.name)]
     found = [{h.method: h.text for h in o.headlines[measure.name]} for o in columns]
     methods = dict.fromkeys(method for column in found for method in column)
-    rows = [[LABELS[method], *(column.get(method, "") for column in found)] for method in methods]
+    rows = [[METHODS[method].title, *(column.get(method, "") for column in found)] for method in methods]
     rows.append(["error there", *(number(o.headlines[measure.name][0].error) for o in columns)])
     return f"By the {measure.title}:\n\n" + markdown(["method", *(o.name for o in columns)], rows)
 
@@ -97,7 +89,7 @@ def method_table(outcome: Outcome) -> str:
     methods = dict.fromkeys(h.method for name in names for h in outcome.headlines[name])
     rows = []
     for method in methods:
-        row = [LABELS[method]]
+        row = [METHODS[method].title]
         for name in names:
             found = next((h for h in outcome.headlines[name] if h.method == method), None)
             if found is None:
@@ -121,10 +113,10 @@ def headline(outcome: Outcome) -> str:
         if ours is None or not found:
             continue
         others = [h for h in found if h.method != "held_position"]
-        reached = [f"{LABELS[h.method]} {h.ratio:.3g}" for h in others if h.ratio is not None]
-        never = [LABELS[h.method] for h in others if h.ratio is None and h.best is not None]
-        lost = [LABELS[h.method] for h in others if h.best is None and h.stable]
-        unstable = [LABELS[h.method] for h in others if h.best is None and not h.stable]
+        reached = [f"{METHODS[h.method].title} {h.ratio:.3g}" for h in others if h.ratio is not None]
+        never = [METHODS[h.method].title for h in others if h.ratio is None and h.best is not None]
+        lost = [METHODS[h.method].title for h in others if h.best is None and h.stable]
+        unstable = [METHODS[h.method].title for h in others if h.best is None and not h.stable]
         said = [
             f"times as long: {', '.join(reached)}" * bool(reached),
             f"not reached: {', '.join(never)}" * bool(never),
@@ -193,7 +185,7 @@ def point_table(outcome: Outcome) -> str:
         return "" if ours is None or not math.isfinite(p.seconds) else number(p.seconds / ours.seconds, 3)
 
     known = {k: cell for k, cell in COLUMNS.items() if any(cell(p) for p in outcome.points)} | {"ratio": ratio}
-    rows = [[LABELS[p.method], p.value, *(cell(p) for cell in known.values())] for p in outcome.points]
+    rows = [[METHODS[p.method].title, p.value, *(cell(p) for cell in known.values())] for p in outcome.points]
     return markdown(["method", "dial", *known], rows, left=2)
 
 

@@ -14,14 +14,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-import numpy as np
-
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.model.assembly import FREQ_LIMIT
 from tonewood.lab.accuracy.partials import PartialErrors
-from tonewood.lab.accuracy.strokes import NoteCase, Strokes
-from tonewood.lab.accuracy.study import Tell, silent
+from tonewood.lab.accuracy.strokes import NUDGE, SENSITIVE, NoteCase, Strokes, forces
+from tonewood.lab.accuracy.timing import Tell, silent
 from tonewood.performance.effects.base import SwitchedEffect
 
 #: s of every note
@@ -32,8 +30,8 @@ RATES, REFERENCES, REFERENCE_S = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0), (8,
 SHARES = (0.0, 0.5)
 #: budgets of effects that are tried, cents and dB, with so many of the cheapest settings that meet the target
 BUDGETS, BUDGETED = ((5.0, -40.0), (0.5, -80.0), (0.05, -120.0)), 2
-#: share of the target that a thousandth more force may change, before strokes are compared by their means; how many
-SENSITIVE, STROKES, SPREAD = 0.2, 8, 0.01
+#: of a sensitive motion
+STROKES = 8
 #: after a setting that meets the target, rates up to so many times its own are tried, too
 BEYOND = 3.0
 
@@ -303,10 +301,9 @@ class _Search:
         base = Setting(standard, effects=self.effects)
         plain = [case.strokes(base.options) for case in self.cases]
         pairs = zip(self.cases, plain, strict=True)
-        nudged = Worst.of([case.errors(case.strokes(base.options, (1.001,)), own) for case, own in pairs])
-        sensitive = Worst(nudged.cents, nudged.decay, nudged.level, None)
-        if self.target.excess(Worst(*[0.0 if v is None else v for v in _values(sensitive)])) > SENSITIVE:
-            self.factors = tuple(1 + SPREAD * (2 * (np.arange(STROKES) + 0.5) / STROKES - 1))
+        nudged = Worst.of([case.errors(case.strokes(base.options, NUDGE), own) for case, own in pairs])
+        if self.target.excess(replace(nudged, waveform=0.0)) > SENSITIVE:
+            self.factors = forces(STROKES)
         spent = sum(p.seconds * case.duration for p, case in zip(plain, self.cases, strict=True)) * len(self.factors)
         finest = next((k for k in REFERENCES if k * standard <= 16 and k * spent < REFERENCE_S), REFERENCES[-1])
         self.tell(0.1)
@@ -398,10 +395,7 @@ class _Search:
         """Return the settings from cheap to dear, timed on the first note, all in turn."""
         options = [t.setting.options for t in tried]
         times = self.cases[0].timed(options, 2, lambda share: self.tell(0.8 + 0.15 * share))
-        timed = [
-            Tried(t.setting, t.errors, t.met, seconds, t.n_modes, t.highest)
-            for t, seconds in zip(tried, times, strict=True)
-        ]
+        timed = (replace(t, seconds=seconds) for t, seconds in zip(tried, times, strict=True))
         return sorted(timed, key=lambda t: t.seconds)
 
     def _switched(self) -> bool:
@@ -416,7 +410,3 @@ class _Search:
         rate = replace(base, oversampling=2 * base.oversampling)
         pairs = zip(self.cases, self._strokes(rate, wider), self._strokes(rate), strict=True)
         return Worst.of([case.errors(wide, own) for case, wide, own in pairs])
-
-
-def _values(errors: Worst) -> tuple[float | None, ...]:
-    return tuple(getattr(errors, name) for name in NAMES)

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.lab.accuracy.target import NAMES, Frontier, Tried, Worst
+from tonewood.lab.tables import markdown, number
 from tonewood.support.plotting import COLOURS, LINE, SMALL, figure, png, title
 
 if TYPE_CHECKING:

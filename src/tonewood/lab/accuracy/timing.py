@@ -14,6 +14,13 @@ import numpy as np
 from tonewood import _kernel
 from tonewood.physics.stepping.kernel import instruction_set
 
+#: takes the share of a study that is done
+Tell = Callable[[float], None]
+
+
+def silent(share: float) -> None:
+    """Report nothing."""
+
 
 @dataclass(frozen=True, slots=True)
 class Timing:
@@ -40,7 +47,7 @@ class Task:
     prepare: Callable[[], object] | None = None
 
 
-def measure(tasks: Sequence[Task], repeats: int, tell: Callable[[float], None] = lambda share: None) -> list[Timing]:
+def measure(tasks: Sequence[Task], repeats: int, tell: Tell = silent) -> list[Timing]:
     """Time every task `repeats` times, all in turn, so that a slow spell of the machine hits all alike.
 
     Parameters

@@ -21,10 +21,10 @@ import scipy.linalg as sla
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.lab.assembled import Matrices
-from tonewood.lab.methods.problem import Array, Problem
+from tonewood.lab.methods.problem import Array, Problem, RealModes
 from tonewood.physics.coupling.connections import Term
 from tonewood.physics.modal.damping import hermitian_mass_inverse, reciprocal_shapes
-from tonewood.physics.modal.modes import PAIR, ModalBasis
+from tonewood.physics.modal.modes import PAIR
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -135,64 +135,29 @@ def real(problem: Problem) -> Ode:
 
     Any damping of the modes, rigid bodies included.
     """
-    modes = real_modes(problem)
+    modes = problem.real
     n = len(modes.omega2)
     zero = np.zeros((n, n))
-    F = np.block([[zero, np.eye(n)], [-modes.project * modes.omega2, -modes.project * (2 * modes.sigma)]])
+    correction, project = corrective(modes)
     return Ode(
-        F=F,
-        G=np.concatenate([np.zeros_like(modes.inputs.T), modes.project @ modes.inputs.T]),
-        C=np.concatenate([modes.outputs, np.zeros_like(modes.outputs)], axis=1),
-        embed=modes.embed,
-        H=np.concatenate([np.zeros_like(modes.correction), modes.correction]),
+        F=np.block([[zero, np.eye(n)], [-project * modes.omega2, -project * (2 * modes.sigma)]]),
+        G=np.concatenate([np.zeros_like(modes.inputs.T), project @ modes.inputs.T]),
+        C=np.concatenate([modes.outs, np.zeros_like(modes.outs)], axis=1),
+        embed=embedding(modes),
+        H=np.concatenate([np.zeros_like(correction), correction]),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class RealModes:
-    """Mass-normalised real modes of all components.
-
-    Attributes
-    ----------
-    omega2, sigma : (n,).
-    inputs, outputs : (., n) shapes.
-    project : (n, n) I - A^+ A: leaves the accelerations that the constraints allow.
-    correction : (n, n_constraints) A^+.
-    embed : (2n, n_state) state of `Problem.generator` -> (q, q').
-    """
-
-    omega2: Floats
-    sigma: Floats
-    inputs: Floats
-    outputs: Floats
-    project: Floats
-    correction: Floats
-    embed: Floats
+def corrective(modes: RealModes) -> tuple[Floats, Floats]:
+    """A^+ (n, m), and I - A^+ A (n, n), which leaves the accelerations that the constraints allow."""
+    inverse = np.asarray(sla.pinv(modes.gaps), dtype=np.float64)
+    return inverse, np.eye(len(modes.omega2)) - inverse @ modes.gaps
 
 
-def real_modes(problem: Problem) -> RealModes:
-    """Collect them; ValueError if a component's modes are not real."""
-    blocks = []
-    for name, basis in problem.components.items():
-        if not basis.is_real:
-            raise ValueError(f"the modes of {name!r} are not real")
-        for kind, pole in zip(basis.kind, basis.poles, strict=True):
-            # (Re z, Im z) of a pair: q = 2 Re z, q' = 2 Re(lambda z); a block holds (q, q') itself
-            pair = 2 * np.array([[1.0, 0.0], [pole.real, -pole.imag]])
-            blocks.append(pair if kind == PAIR else np.eye(2))
-    embed = np.asarray(sla.block_diag(*blocks))
-    shapes = {name: basis.right for name, basis in problem.components.items()}
-    half = sum(basis.n_modes for basis in problem.components.values())
-    A = _gaps(problem, shapes)[:, :half].real
-    return RealModes(
-        omega2=np.concatenate([b.stiffness for b in problem.components.values()]),
-        sigma=np.concatenate([b.damping_rate for b in problem.components.values()]),
-        inputs=_points(problem, shapes, problem.inputs)[:, :half].real,
-        outputs=_points(problem, shapes, problem.outputs)[:, :half].real,
-        project=np.eye(half) - sla.pinv(A) @ A,
-        correction=np.asarray(sla.pinv(A)),
-        embed=np.concatenate([embed[0::2], embed[1::2]]),
-    )
+def embedding(modes: RealModes) -> Floats:
+    """(2n, 2n) state of `Problem.generator` -> (q, q')."""
+    blocks = np.asarray(sla.block_diag(*modes.read))
+    return np.concatenate([blocks[0::2], blocks[1::2]])
 
 
 def _all_poles(problem: Problem) -> Complexes:
@@ -204,26 +169,15 @@ def _all_poles(problem: Problem) -> Complexes:
     return np.concatenate([poles, poles.conj()])
 
 
-def _gather(
-    components: Mapping[str, ModalBasis], shapes: Mapping[str, Complexes], sums: Sequence[Sequence[Term]]
-) -> Complexes:
-    """(len(sums), 2n) shapes of weighted sums of points, and their conjugates."""
-    rows = []
-    for terms in sums:
-        parts = {name: np.zeros(basis.n_modes, dtype=np.complex128) for name, basis in components.items()}
-        for t in terms:
-            parts[t.component] += t.factor * shapes[t.component][components[t.component].index(t.point)]
-        rows.append(np.concatenate(list(parts.values())))
-    half = np.array(rows).reshape(len(sums), sum(basis.n_modes for basis in components.values()))
+def _gaps(problem: Problem, shapes: Mapping[str, Complexes]) -> Complexes:
+    """(m, 2n) shapes at the gaps, and their conjugates."""
+    half = problem.gather(shapes, problem.gaps)
     return np.concatenate([half, half.conj()], axis=1)
 
 
-def _gaps(problem: Problem, shapes: Mapping[str, Complexes]) -> Complexes:
-    return _gather(problem.components, shapes, [c.terms for c in problem.constraints])
-
-
 def _points(problem: Problem, shapes: Mapping[str, Complexes], terms: Sequence[Term]) -> Complexes:
-    return _gather(problem.components, shapes, [(t,) for t in terms])
+    half = problem.gather(shapes, [(t,) for t in terms])
+    return np.concatenate([half, half.conj()], axis=1)
 
 
 def _embed(scale: Complexes | Floats) -> Complexes:

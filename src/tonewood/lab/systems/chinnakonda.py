@@ -20,7 +20,7 @@ from tonewood.lab.interpolatory import P0, P1, P2, SIMPSON, TRAPEZOIDAL, UPDATES
 from tonewood.lab.newmark import AVERAGE_ACCELERATION, HHT, Newmark
 from tonewood.lab.nonproportionality import commutator, coupling, imaginary_part, modal_damping, reduced
 from tonewood.lab.pseudo_load import PseudoLoad
-from tonewood.lab.row import Row
+from tonewood.lab.row import Row, halving_order
 from tonewood.lab.systems.chinnakonda_plots import plots as draw
 from tonewood.lab.systems.chinnakonda_problems import (
     AMPLITUDES,
@@ -66,7 +66,7 @@ def measured_order(update: Update, c: float) -> float:
         # nodes inside the steps: as many nodes, fewer steps
         steps = (steps[0] // update.degree, steps[1] // update.degree)
     coarse, fine = relative_errors(update, c, steps)
-    return float(np.log2(coarse / fine))
+    return halving_order(coarse, fine)
 
 
 def reduction_table() -> dict[int, dict[str, float]]:
@@ -226,7 +226,7 @@ def _newmark_order(method: Newmark) -> float:
         rest = (np.zeros(2), np.zeros(2))
         found, _ = method.run(system, dt, n, rest, lambda t: sampled_forces(t)[0])
         error.append(np.abs(found - exact_driven(system, dt, n)).max())
-    return float(np.log2(error[0] / error[1]))
+    return halving_order(error[0], error[1])
 
 
 def _alternatives() -> Iterator[Row]:
@@ -251,7 +251,7 @@ def _alternatives() -> Iterator[Row]:
                 )  # fmt: skip
         yield Row(
             "chinnakonda pseudo-load", f"one shot, {name} damping: order of its own error", "stated order", 2.0,
-            float(np.log2(errors[0] / errors[1])), 0.05,
+            halving_order(errors[0], errors[1]), 0.05,
         )  # fmt: skip
         for update in (P0, P1, P2):
             dt, n = 1 / 30, 301

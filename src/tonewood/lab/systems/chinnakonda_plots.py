@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tonewood.lab.assembled import free_motion
-from tonewood.lab.figures import save
+from tonewood.lab.figures import figure, save
 from tonewood.lab.interpolatory import P0, P1, P2, SIMPSON, TRAPEZOIDAL, respond
 from tonewood.lab.newmark import HHT
 from tonewood.lab.systems.chinnakonda_problems import (
@@ -38,11 +38,6 @@ _STEPS = 20
 
 def plots(directory: Path, reduction: Mapping[int, Mapping[str, float]]) -> list[Path]:
     """Draw everything; `reduction` is the table of non-proportionality indices over the number of real modes."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
     drawn = {
         "chinnakonda_displacements": _displacements(),
         "chinnakonda_errors": _errors(),
@@ -51,18 +46,12 @@ def plots(directory: Path, reduction: Mapping[int, Mapping[str, float]]) -> list
         "chinnakonda_stiff": _stiff(),
         "chinnakonda_indices": _indices(reduction),
     }
-    paths = []
-    for name, figure in drawn.items():
-        paths.append(save(figure, directory / f"{name}.png"))
-        plt.close(figure)
-    return paths
+    return [save(fig, directory / f"{name}.png") for name, fig in drawn.items()]
 
 
 def _displacements() -> Figure:
     """Figs. 3.2 and 3.5: P0 and P1 against the exact motion."""
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(2, 2, figsize=(11, 6), sharex=True, layout="constrained")
+    fig, axes = figure(2, 2, size=(11, 6), sharex=True)
     dt = 1 / DRIVE_FREQ / _STEPS
     fine = np.arange(1201) / 240
     for row, (name, c) in zip(axes, _CASES, strict=True):
@@ -77,14 +66,12 @@ def _displacements() -> Figure:
     axes[0, 0].legend()
     for axis in axes[-1]:
         axis.set_xlabel("time, s")
-    return figure
+    return fig
 
 
 def _errors() -> Figure:
     """Figs. 3.3, 3.4 and 3.6: error of mass 1."""
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(2, 2, figsize=(11, 6), sharex=True, layout="constrained")
+    fig, axes = figure(2, 2, size=(11, 6), sharex=True)
     for row, (name, c) in zip(axes, _CASES, strict=True):
         for axis, updates in zip(row, ((TRAPEZOIDAL, P1, SIMPSON, P2), (SIMPSON, P2)), strict=True):
             for update in updates:
@@ -94,16 +81,15 @@ def _errors() -> Figure:
             axis.legend(fontsize=8)
     for axis in axes[-1]:
         axis.set_xlabel("time, s")
-    return figure
+    return fig
 
 
 def _convergence() -> Figure:
     """Fig. 3.7, error over damping, and Fig. 3.8, error over step."""
-    import matplotlib.pyplot as plt
     from matplotlib.ticker import NullFormatter
 
     updates = (P0, TRAPEZOIDAL, P1, SIMPSON, P2)
-    figure, axes = plt.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
+    fig, axes = figure(1, 3, size=(13, 4.2))
     damping = np.linspace(0.005, 1, 25) * HEAVY
     steps = (10, 20, 40, 80, 160, 320)
     for update in updates:
@@ -120,14 +106,12 @@ def _convergence() -> Figure:
         axis.grid(alpha=0.3)
     axes[0].legend(fontsize=8, loc="center right")
     axes[1].legend(fontsize=8)
-    return figure
+    return fig
 
 
 def _initial_conditions() -> Figure:
     """Fig. 3.9: free motion from u = (1, -1), light damping."""
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(1, 2, figsize=(11, 3.2), sharey=True, layout="constrained")
+    fig, axes = figure(1, 2, size=(11, 3.2), sharey=True)
     system, start = two_masses(LIGHT), np.array([1.0, -1.0])
     basis = basis_of(system)
     exact = free_motion(system, start, [0.0, 0.0], 1 / 240, 2401)
@@ -139,14 +123,12 @@ def _initial_conditions() -> Figure:
         axis.set(title=f"mass {k + 1}", xlabel="time, s")
     axes[0].set_ylabel("displacement, m")
     axes[0].legend()
-    return figure
+    return fig
 
 
 def _stiff() -> Figure:
     """Fig. 3.10: the stiff system, reduced to one real mode, and by HHT-alpha."""
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(3, 1, figsize=(10, 8.5), layout="constrained")
+    fig, axes = figure(3, 1, size=(10, 8.5))
     dt, n = 1 / 20, 101
     t, fine = np.arange(n) * dt, np.arange(20001) / 4000
     for (proportional, c), axis, colour in zip(STIFF_DAMPING.items(), axes[1:], "rb", strict=True):
@@ -166,16 +148,14 @@ def _stiff() -> Figure:
     axes[0].set(title="mass 1", ylabel="displacement, m", ylim=(-1.1, 1.1), xlim=(0, 2))
     axes[0].legend(fontsize=8, ncols=2)
     axes[-1].set_xlabel("time, s")
-    return figure
+    return fig
 
 
 def _indices(reduction: Mapping[int, Mapping[str, float]]) -> Figure:
-    import matplotlib.pyplot as plt
-
-    figure, axis = plt.subplots(figsize=(6, 3.8), layout="constrained")
+    fig, axis = figure(size=(6, 3.8))
     for name in next(iter(reduction.values())):
         axis.plot(list(reduction), [values[name] for values in reduction.values()], "o-", ms=3, label=name)
     axis.set(xlabel="real modes kept", ylabel="index of non-proportionality", title="chain of 12 with one dashpot")
     axis.grid(alpha=0.3)
     axis.legend()
-    return figure
+    return fig

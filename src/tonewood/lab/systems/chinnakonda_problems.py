@@ -18,8 +18,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.lab.assembled import Matrices, state_matrix
-from tonewood.lab.driven import driven_motion
+from tonewood.lab.assembled import Matrices, driven_motion, state_matrix
 from tonewood.lab.interpolatory import P1, Response, Update, respond
 from tonewood.lab.nonproportionality import reduced, reduction_shapes
 from tonewood.physics.modal.modes import ModalBasis

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
-from tonewood.lab.methods import METHODS, Problem, StepMap, exact, forms, system_map
-from tonewood.lab.row import Row
-from tonewood.lab.systems.fabre_academic import FS, JUNCTION, bases, problem, subsystems, whole
+from tonewood.lab.methods import Problem, StepMap, exact, forms, system_map
+from tonewood.lab.methods.matrices import held_position
+from tonewood.lab.row import Row, halving_order, misfit, pole_error
+from tonewood.lab.systems.fabre_academic import FS, JUNCTION, MASSES, bases, problem, subsystems, whole
 from tonewood.lab.systems.fabre_guitar import BODY
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.system import Readout, System
@@ -41,16 +42,10 @@ def rows() -> Iterator[Row]:
     yield from _every_kind()
 
 
-def pole_error(poles: Complexes, exact_poles: Complexes) -> float:
-    """Largest relative distance from an exact pole to the nearest of `poles`."""
-    return max(float(np.min(np.abs(poles - p)) / abs(p)) for p in exact_poles)
-
-
 def proportional_problem() -> tuple[Problem, Matrices]:
     """The academic system with damping C = 0.1 M + 0.01 K in its place: real modes exist."""
     parts = {name: Matrices(p.M, 0.1 * p.M + 0.01 * p.K, p.K) for name, p in subsystems().items()}
-    names = {"S1": ["m1", "m2", "m3", "m4"], "S2": ["m5", "m6", "m7", "m8", "m9"]}
-    components = {name: basis_from_matrices(*part, names[name]) for name, part in parts.items()}
+    components = {name: basis_from_matrices(*part, MASSES[name]) for name, part in parts.items()}
     return Problem(components, (JUNCTION,), (Term("S1", "m2"),), (Term("S2", "m9"),)), whole(parts)
 
 
@@ -72,7 +67,7 @@ def _structural() -> Iterator[Row]:
         yield Row(SYSTEM, f"{name} ({equations}): largest relative pole error", _BY_EIG, 0, error, 1e-11)
         motions[name] = exact(ode, dt).run(np.zeros((n, 1)), this.impulse_columns[:, 0])[:, 0]
         if reference is system:
-            error = float(np.abs(motions[name] - expected).max() / np.abs(expected).max())
+            error = misfit(motions[name], expected)
             yield Row(SYSTEM, f"{name}: waveform, largest error / peak", _BY_EXPM, 0, error, 1e-9)
     for one, other in (
         ("complex modes, general form", "complex modes, compact form"),
@@ -102,11 +97,11 @@ def _structural() -> Iterator[Row]:
     basis, part = given.components["S2"], subsystems()["S2"]
     inverse = sla.inv(part.M)
     from_modes = 2 * ((basis.right * basis.poles) @ basis.left.T).real
-    error = float(np.abs(from_modes - inverse).max() / np.abs(inverse).max())
+    error = misfit(from_modes, inverse)
     yield Row(SYSTEM, "M^-1 = psi_r Pi^-1 L psi_l^T (Eq. 21)", "physical mass matrix of S2", 0, error, 1e-11)
     norm = basis.right[0] / basis.left[0]
     hermitian = basis.right @ hermitian_mass_inverse(basis.right, basis.poles, norm) @ basis.right.conj().T
-    error = float(np.abs(hermitian - inverse).max() / np.abs(inverse).max())
+    error = misfit(hermitian, inverse)
     yield Row(SYSTEM, "M^-1 = psi M_h^-1 psi^H (Eq. 28)", "physical mass matrix of S2", 0, error, 1e-10)
 
 
@@ -135,13 +130,9 @@ def _vibro_acoustic() -> Iterator[Row]:
         this = Problem({"body": body, "chain": mass}, (join,), (Term("chain", "1"),), (Term("body", "plate"),))
         poles = np.asarray(sla.eigvals(forms.general(this).F), dtype=np.complex128)
         yield Row(
-            SYSTEM,
-            f"body given by {name}: coupled poles, general form",
-            _BY_EIG,
-            0,
-            pole_error(poles, exact_poles),
+            SYSTEM, f"body given by {name}: coupled poles, general form", _BY_EIG, 0, pole_error(poles, exact_poles),
             1e-10,
-        )
+        )  # fmt: skip
         direct = assembled.receptance(BODY, 2j * np.pi * freq, 1, 0)
         error = float(np.abs(body.frf(freq, "air", "plate", "receptance") / direct - 1).max())
         yield Row(
@@ -181,7 +172,7 @@ def _redundant() -> Iterator[Row]:
     poles = np.asarray(sla.eigvals(forms.general(doubled).F), dtype=np.complex128)
     error = pole_error(poles, assembled.poles(system))
     yield Row(SYSTEM, "redundant constraint: poles, general form", _BY_EIG, 0, error, 1e-11)
-    poles = METHODS["held_position"].step_matrix(doubled, 1 / FS).poles()
+    poles = held_position(doubled, 1 / FS).poles()
     yield Row(
         SYSTEM, "redundant constraint: poles at 4 kHz", _BY_EIG, 0, pole_error(poles, assembled.poles(system)), 1e-9
     )
@@ -200,7 +191,7 @@ def _redundant() -> Iterator[Row]:
         for a, b in (("0", "1"), ("1", "2"), ("2", "0"))
     )
     this = Problem(components, ring)
-    poles = METHODS["held_position"].step_matrix(this, 1 / FS).poles()
+    poles = held_position(this, 1 / FS).poles()
     error = pole_error(poles, assembled.poles(system))
     yield Row(SYSTEM, "three chains tied in a ring: poles at 4 kHz", _BY_EIG, 0, error, 1e-9)
 
@@ -225,7 +216,7 @@ def _not_ideal() -> Iterator[Row]:
             step = _system_map(components, (Connection("junction", JUNCTION.terms, law),), fs)
             errors.append(pole_error(step.poles(), assembled.poles(system)))
         yield Row(SYSTEM, f"{name} in the junction: poles at 4 kHz", _BY_EIG, 0, errors[1], 1e-5)
-        order = float(np.log2(errors[0] / errors[1]))
+        order = halving_order(errors[0], errors[1])
         yield Row(SYSTEM, f"{name} in the junction: order of the error", "2, the law at midpoint", 2, order, 0.1)
     # inertia: a free mass is a component with a rigid-body mode, tied to both sides
     mass = ModalBasis.real([0.0], [0.0], {"mass": [1.0]}, modal_mass=0.8)
@@ -269,10 +260,10 @@ def _every_kind() -> Iterator[Row]:
         )
         given = Problem({"S1": bases()["S1"], "part": basis}, ties, (Term("S1", "m2"),), (Term("part", str(size - 1)),))
         start = given.impulse_columns[:, 0]
-        y = METHODS["held_position"].step_matrix(given, dt).run(np.zeros((n, 1)), start)[:, 0]
+        y = held_position(given, dt).run(np.zeros((n, 1)), start)[:, 0]
         v0 = sla.solve(system.M, np.eye(len(system.M))[1])
         expected = assembled.free_motion(system, 0 * v0, v0, dt, n)[:, len(system.M) - 1]
-        error = float(np.abs(y - expected).max() / np.abs(expected).max())
+        error = misfit(y, expected)
         yield Row(SYSTEM, f"{name} on m4: waveform, largest error / peak", _BY_EXPM, 0, error, 1e-8)
 
 

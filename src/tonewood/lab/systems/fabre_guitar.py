@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
 from tonewood.lab.figures import figure, save
-from tonewood.lab.methods import METHODS, Problem, coupled_receptance, forms
-from tonewood.lab.row import Row
+from tonewood.lab.methods import Problem, coupled_receptance, forms
+from tonewood.lab.methods.matrices import held_position
+from tonewood.lab.row import Row, cents, halving_order, nearest
 from tonewood.lab.string_end import ExactString, coupled_pole
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.modal.damping import phase_collinearity, with_damping_case
 from tonewood.physics.modal.modes import ModalBasis
-from tonewood.physics.modal.string_modes import string_basis
 from tonewood.physics.modal.synthesis import basis_from_matrices
 
 Floats = NDArray[np.float64]
@@ -41,25 +41,13 @@ PARTIALS = (1, 20, 40, 60)
 
 
 def exact_string() -> ExactString:
-    """The string: radius .48 mm, 64 cm, 1100 kg/m^3, 7.4 GPa, tuned to 82.4 Hz (its ideal fundamental)."""
-    radius, length, density, young_modulus, freq = 0.48e-3, 0.64, 1100.0, 7.4e9, 82.4
-    mu = density * np.pi * radius**2
-    return ExactString(length, mu * (2 * length * freq) ** 2, mu, young_modulus * np.pi * radius**4 / 4, SIGMA0)
+    """The string: radius .48 mm, 64 cm, tuned to 82.4 Hz (its ideal fundamental)."""
+    return ExactString.tuned(0.48e-3, 0.64, 82.4, SIGMA0)
 
 
 def string(freq_upper: float | None = None, n_modes: int | None = None) -> ModalBasis:
     """Return the string's modes, with the point ``pluck``."""
-    s = exact_string()
-    basis = string_basis(
-        s.length,
-        s.tension,
-        s.linear_density,
-        s.bending_stiffness,
-        lambda omega, k: 2 * SIGMA0 / omega,
-        freq_upper=freq_upper,
-        n_modes=n_modes,
-    )
-    return basis.with_places({"pluck": PLUCK * s.length})
+    return exact_string().basis({"pluck": PLUCK}, freq_upper=freq_upper, n_modes=n_modes)
 
 
 def body(case: str = "complex") -> ModalBasis:
@@ -78,40 +66,9 @@ def body_receptance(s: complex) -> complex:
     return complex(assembled.receptance(BODY, s, 0, 0)[0])
 
 
-def whole(n_sines: int) -> tuple[Matrices, Floats]:
-    """String and body put together in (sines, plate = ramp, air), and the direction of a force at the pluck.
-
-    Written out from the string's kinetic and potential energy, apart from `physics.modal.string_modes`.
-    """
-    s = exact_string()
-    k = np.arange(1, n_sines + 1) * np.pi / s.length
-    M = np.zeros((n_sines + 2, n_sines + 2))
-    K = np.zeros_like(M)
-    sines, plate = np.arange(n_sines), n_sines
-    M[sines, sines] = s.linear_density * s.length / 2
-    M[sines, plate] = M[plate, sines] = s.linear_density / k
-    M[plate, plate] = s.linear_density * s.length / 3
-    K[sines, sines] = s.length / 2 * (s.tension * k**2 + s.bending_stiffness * k**4)
-    K[plate, plate] = s.tension / s.length
-    C = 2 * s.sigma0 * M
-    for total, part in ((M, BODY.M), (C, BODY.C), (K, BODY.K)):
-        total[plate:, plate:] += part
-    return Matrices(M, C, K), np.concatenate([np.sin(k * PLUCK * s.length), [1 - PLUCK, 0.0]])
-
-
-def cents(value: complex, reference: complex) -> float:
-    """Interval between the frequencies of two poles."""
-    return float(1200 * np.log2(value.imag / reference.imag))
-
-
-def nearest(poles: Complexes, exact: complex) -> complex:
-    """The pole that stands for an exact one."""
-    return complex(poles[np.argmin(np.abs(poles - exact))])
-
-
 def pluck(given: Problem, fs: float, duration: float) -> Floats:
     """(n,) displacement of the plate: ramp of force for 1 s, release, free motion until `duration`."""
-    step = METHODS["held_position"].step_matrix(given, 1 / fs)
+    step = held_position(given, 1 / fs)
     ramp = FORCE * np.arange(round(RAMP * fs) + 1)[:, None] / (RAMP * fs)
     driven, x = step.advance(np.zeros(len(step.T)), ramp)
     # released at its peak: free motion from the state there follows
@@ -139,38 +96,29 @@ def rows() -> Iterator[Row]:
     exact = exact_string()
     fine = string(freq_upper=0.45 * 96000)
     held = Problem({"string": fine}, (Connection("wall", (Term("string", "bridge"),)),))
-    poles = METHODS["held_position"].step_matrix(held, 1 / 96000).poles()
+    poles = held_position(held, 1 / 96000).poles()
     for n in (1, 10, 20):
-        reference = -exact.sigma0 + 1j * np.sqrt((2 * np.pi * exact.held_freq(n)) ** 2 - exact.sigma0**2)
+        reference = exact.pole(n)
         closed = "n f0 sqrt(1 + B n^2)"
         yield Row(
-            SYSTEM,
-            f"string held at the bridge, partial {n} (cents)",
-            closed,
-            0,
-            cents(nearest(poles, reference), reference),
-            1e-3,
-        )
+            SYSTEM, f"string held at the bridge, partial {n} (cents)", closed, 0,
+            cents(nearest(poles, reference), reference), 1e-3,
+        )  # fmt: skip
 
     expected = {n: coupled_pole(exact, body_receptance, n) for n in PARTIALS}
     by_stiffness = "exact dynamic stiffness, Newton"
     coarse = string(freq_upper=0.45 * 48000)
     continuous = np.asarray(sla.eigvals(forms.general(problem(coarse)).F), dtype=np.complex128)
-    at = {fs: METHODS["held_position"].step_matrix(problem(coarse), 1 / fs).poles() for fs in (48000, 96000)}
+    at = {fs: held_position(problem(coarse), 1 / fs).poles() for fs in (48000, 96000)}
     for n, pole in expected.items():
         got = nearest(continuous, pole)
         yield Row(
             SYSTEM, f"{coarse.n_modes} modes, no step: partial {n} (cents)", by_stiffness, 0, cents(got, pole), 1e-6
         )
         yield Row(
-            SYSTEM,
-            f"{coarse.n_modes} modes, no step: partial {n} decay (1/s)",
-            by_stiffness,
-            -pole.real,
-            -got.real,
-            1e-7,
-            relative=True,
-        )
+            SYSTEM, f"{coarse.n_modes} modes, no step: partial {n} decay (1/s)", by_stiffness, -pole.real, -got.real,
+            1e-7, relative=True,
+        )  # fmt: skip
     limits = {48000: (1e-5, 5e-3, 0.06, 0.5), 96000: (1e-6, 4e-4, 4e-3, 0.03)}
     for fs, tolerances in limits.items():
         for (n, pole), tolerance in zip(expected.items(), tolerances, strict=True):
@@ -178,7 +126,7 @@ def rows() -> Iterator[Row]:
             yield Row(SYSTEM, f"{fs // 1000} kHz: partial {n} (cents)", by_stiffness, 0, error, tolerance)
     for n in (20, 40):
         slow, fast = (abs(cents(nearest(at[rate], expected[n]), expected[n])) for rate in (48000, 96000))
-        yield Row(SYSTEM, f"order of the pitch error, partial {n}", "4", 4, float(np.log2(slow / fast)), 0.3)
+        yield Row(SYSTEM, f"order of the pitch error, partial {n}", "4", 4, halving_order(slow, fast), 0.3)
 
     grid = np.array([82.0, 90.0, 160.0, 250.0, 1000.0, 3000.0])
     response = coupled_receptance(problem(coarse), grid)[:, 0, 0]
@@ -188,7 +136,7 @@ def rows() -> Iterator[Row]:
     # half as many modes: the assembled system has the same
     duration, few = 1.3, string(n_modes=46)
     times = np.arange(round((RAMP - 0.01) * 48000), round(duration * 48000) + 1) / 48000
-    system, direction = whole(few.n_modes - 1)
+    system, direction = exact_string().assembled(few.n_modes - 1, BODY, np.array([1.0, 0.0]), PLUCK)
     plate = np.eye(len(direction))[few.n_modes - 1]
     reference_wave = assembled.ramp_and_release(system, direction, FORCE / RAMP, RAMP, times, plate)
     peak = np.abs(reference_wave[times > RAMP]).max()

@@ -7,19 +7,17 @@ form of the continuous beam.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.lab.component_modes import fixed_base_modes, free_free_modes
-from tonewood.lab.figures import save
+from tonewood.lab.component_modes import FixedBaseModes, FreeFreeModes, fixed_base_modes, free_free_modes
+from tonewood.lab.figures import figure, save
 from tonewood.lab.klosner_forms import MainStructure, fixed_base_form, free_free_form
-from tonewood.lab.nonlinear_port import Mounting, PortStepper
-from tonewood.lab.row import Row
+from tonewood.lab.row import Row, halving_order
 from tonewood.lab.systems.klosner_modes import MOUNTINGS, WAYS, errors, modes_needed
 from tonewood.lab.systems.klosner_problems import (
     BEAM,
@@ -40,10 +38,10 @@ from tonewood.lab.systems.klosner_problems import (
     problem_c,
     problem_d,
     problems,
+    spring_mounting,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from tonewood.physics.energy.stored import stored_energy
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 Floats = NDArray[np.float64]
 
@@ -60,7 +58,7 @@ def measured_order(problem: Problem, form: str, reference: Motion, refinements: 
     for k in (2**i for i in range(refinements)):
         fine = by_engine(problem, form, DT / k, n * k)
         error.append(difference(reference, Motion(fine.main[::k], fine.sub[::k], fine.force[::k])))
-    return float(np.log2(error[-2] / error[-1])), error[-1]
+    return halving_order(error[-2], error[-1]), error[-1]
 
 
 def coupled_frequencies(form: str, n_modes: int, count: int) -> Floats:
@@ -108,27 +106,14 @@ def exact_frequencies(count: int) -> Floats:
 
 def energy_drift(form: str, dt: float = 1 / 200, steps: int = 4000) -> float:
     """Relative change of the energy of problem B without dashpots after its load has gone, largest over the run."""
-    problem = problem_b(Mounting(40.0, 300.0))
-    law = problem.mounting
-    assert law is not None
+    problem = problem_b(spring_mounting(40.0, 300.0))
     system = engine_system(problem, form, dt)
-    stepper, state = PortStepper(system, {"mount": law}), system.start()
+    stepper, state = NumpyStepper(system), system.start()
     stepper.run(state, 60, engine_injections(problem, system))
-
-    def energy() -> float:
-        main, sub = (system.modes_of(state, name) for name in ("main", "sub"))
-        pole = system.compiled[0].basis.poles[0]
-        q, rate = 2 * main[0, 0], 2 * (pole * complex(main[0, 0], main[1, 0])).real
-        seat = system.compiled[0].basis.right[0, 0].real
-        foot = system.compiled[1].basis.right[0, 0].real
-        modal = 0.5 * (rate**2 + abs(pole) ** 2 * q**2 + float(sub[1, 0]) ** 2)
-        return float(modal + law.energy(float(seat * q - foot * sub[0, 0])))
-
-    start = energy()
-    worst = 0.0
+    start, worst = stored_energy(system, state).total, 0.0
     for _ in range(steps // 200):
         stepper.run(state, 200)
-        worst = max(worst, abs(energy() / start - 1))
+        worst = max(worst, abs(stored_energy(system, state).total / start - 1))
     return worst
 
 
@@ -152,19 +137,22 @@ def _printed_modes() -> Iterator[Row]:
     fixed = fixed_base_modes(c.sub_mass, c.sub_stiffness, [0])
     free = free_free_modes(c.sub_mass, c.sub_stiffness)
     unit = K_CHAIN / M_CHAIN
-    for i, (square, mass, second) in enumerate([(0.5, 6.0, 2.0), (2.0, 3.0, -1.0)]):
-        first = fixed.shapes[0, i]
-        values = (fixed.omega[i] ** 2 / unit, 1 / first**2 / M_CHAIN, fixed.shapes[1, i] / first)
-        names = ("frequency squared / (k/m)", "modal mass / m", "second over first component")
-        for name, reference, value in zip(names, (square, mass, second), values, strict=True):
-            yield Row("klosner C", f"fixed-base mode {i + 1}: {name}", f"{where} C (i)", reference, float(value), 1e-12)
+
+    def printed(
+        kind: str, i: int, modes: FixedBaseModes | FreeFreeModes, dof: int, given: Sequence[float]
+    ) -> Iterator[Row]:
+        first, other = modes.shapes[0, i], "second" if dof == 1 else "last"
+        values = (modes.omega[i] ** 2 / unit, 1 / first**2 / M_CHAIN, modes.shapes[dof, i] / first)
+        names = ("frequency squared / (k/m)", "modal mass / m", f"{other} over first component")
+        source = f"{where} C ({'i' if dof == 1 else 'ii'})"
+        for name, reference, value in zip(names, given, values, strict=True):
+            yield Row("klosner C", f"{kind} mode {i + 1}: {name}", source, reference, float(value), 1e-12)
+
+    for i, given in enumerate(((0.5, 6.0, 2.0), (2.0, 3.0, -1.0))):
+        yield from printed("fixed-base", i, fixed, 1, given)
     yield Row("klosner C", "constraint mode, last dof", f"{where} C (i)", 1.0, float(fixed.constraint[1, 0]), 1e-12)
-    for i, (square, mass, last) in enumerate([(0.0, 3.0, 1.0), (1.5, 6.0, -2.0)]):
-        first = free.shapes[0, i]
-        values = (free.omega[i] ** 2 / unit, 1 / first**2 / M_CHAIN, free.shapes[2, i] / first)
-        names = ("frequency squared / (k/m)", "modal mass / m", "last over first component")
-        for name, reference, value in zip(names, (square, mass, last), values, strict=True):
-            yield Row("klosner C", f"free-free mode {i + 1}: {name}", f"{where} C (ii)", reference, float(value), 1e-12)
+    for i, given in enumerate(((0.0, 3.0, 1.0), (1.5, 6.0, -2.0))):
+        yield from printed("free-free", i, free, 2, given)
     soft = free.shapes[0, 2]
     yield Row("klosner C", "massless mode: 1 / frequency", f"{where} C (ii)", 0.0, float(1 / free.omega[2]), 0.0)
     yield Row("klosner C", "massless mode: stiffness / k", f"{where} C (ii)", 2.0, float(soft**-2 / K_CHAIN), 1e-12)
@@ -229,12 +217,7 @@ def _modes_needed() -> Iterator[Row]:
 
 def plots(directory: Path) -> list[Path]:
     """Motion of the four problems in both forms, and the error against the number of modes."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(4, 2, figsize=(11, 11), sharex="row", layout="constrained")
+    fig, axes = figure(4, 2, size=(11, 11), sharex="row")
     for (left, right), problem in zip(axes, problems(), strict=True):
         n = round(problem.duration / DT)
         t = np.arange(n) * DT
@@ -254,16 +237,11 @@ def plots(directory: Path) -> list[Path]:
     axes[0, 1].legend(fontsize=7, loc="upper left", bbox_to_anchor=(0.0, -0.12), ncols=3)
     for axis in axes[-1]:
         axis.set_xlabel("time, s")
-    path = save(figure, directory / "klosner_problems.png")
-    plt.close(figure)
-    return [path, _plot_modes(directory)]
+    return [save(fig, directory / "klosner_problems.png"), _plot_modes(directory)]
 
 
 def _plot_modes(directory: Path) -> Path:
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(1, 3, figsize=(12, 3.8), sharey=True, layout="constrained")
-    axis: Axes
+    fig, axes = figure(1, 3, size=(12, 3.8), sharey=True)
     for axis, mounting in zip(axes, MOUNTINGS, strict=True):
         for way, marker in zip(WAYS, "os^", strict=True):
             error = errors(mounting, way)[:, 1]
@@ -276,6 +254,4 @@ def _plot_modes(directory: Path) -> Path:
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("error of the mounting's force")
     axes[0].legend(fontsize=8)
-    path = save(figure, directory / "klosner_modes.png")
-    plt.close(figure)
-    return path
+    return save(fig, directory / "klosner_modes.png")

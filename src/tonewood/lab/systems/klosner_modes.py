@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.lab.assembled import Matrices
+from tonewood.lab.assembled import Matrices, driven_motion, triangle
 from tonewood.lab.component_modes import fixed_base_modes, free_free_modes
-from tonewood.lab.driven import driven_motion, triangle
 
 Floats = NDArray[np.float64]
 

@@ -14,17 +14,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.lab.assembled import Matrices, joined, state_matrix
+from tonewood.lab.assembled import (
+    Matrices,
+    continuous_force,
+    driven_states,
+    force_at,
+    integrated,
+    joined,
+    state_matrix,
+    triangle,
+)
 from tonewood.lab.beam import Beam
 from tonewood.lab.component_modes import fixed_base_modes, free_free_modes
-from tonewood.lab.driven import driven_states, force_at, triangle
 from tonewood.lab.klosner_forms import (
     MainStructure,
     fixed_base_form,
@@ -32,8 +39,8 @@ from tonewood.lab.klosner_forms import (
     free_free_form,
     free_free_nonlinear,
 )
-from tonewood.lab.nonlinear_port import Mounting, PortStepper
-from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.physics.coupling.connections import Connection, Rigid, Term
+from tonewood.physics.coupling.laws import HardeningSpring
 from tonewood.physics.coupling.system import Injection, Readout, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import real_modes
@@ -66,7 +73,7 @@ class Problem:
     attachment: Floats
     sub_mass: Floats
     sub_stiffness: Floats
-    mounting: Mounting | None
+    mounting: HardeningSpring | None
     load: tuple[Segment, ...]
     sub_direction: Floats
     sub_load: tuple[Segment, ...] = ()
@@ -82,6 +89,11 @@ class Problem:
         shapes, omega, _, _ = real_modes(self.main.M, self.main.K)
         row = self.attachment @ shapes
         return MainStructure(omega, row[None], row)
+
+
+def spring_mounting(k: float, beta: float = 0.0, c: float = 0.0, d: float = 0.0) -> HardeningSpring:
+    """F = k (delta + beta delta^3) + c delta' + d delta' |delta'|."""
+    return HardeningSpring(k, k * beta, c, d)
 
 
 class Motion(NamedTuple):
@@ -101,12 +113,11 @@ def problem_a() -> Problem:
     )  # fmt: skip
 
 
-def problem_b(mounting: Mounting | None = None) -> Problem:
+def problem_b(law: HardeningSpring | None = None) -> Problem:
     """B: the same masses, joined by the mounting k 40 N/m, beta 300 /m^2, c 0.15 N s/m, d 0.4 N s^2/m^2."""
-    law = Mounting(40.0, 300.0, 0.15, 0.4) if mounting is None else mounting
     return replace(
         problem_a(), name="B", sub_mass=np.array([[0.3]]), sub_stiffness=np.zeros((1, 1)),
-        mounting=law, sub_direction=np.zeros(1),
+        mounting=law or spring_mounting(40.0, 300.0, 0.15, 0.4), sub_direction=np.zeros(1),
     )  # fmt: skip
 
 
@@ -126,13 +137,12 @@ def problem_c(elements: int = 4) -> Problem:
     )  # fmt: skip
 
 
-def problem_d(mounting: Mounting | None = None, elements: int = 4) -> Problem:
+def problem_d(law: HardeningSpring | None = None, elements: int = 4) -> Problem:
     """D: as C, with the mounting k 120 N/m, beta 500 /m^2, c 0.2 N s/m, d 0.5 N s^2/m^2 in place of the spring 2k."""
-    law = Mounting(120.0, 500.0, 0.2, 0.5) if mounting is None else mounting
     stiffness = K_CHAIN * np.array([[1.0, -1.0], [-1.0, 1.0]])
     return replace(
         problem_c(elements), name="D", sub_mass=np.diag([2.0, 1.0]) * M_CHAIN, sub_stiffness=stiffness,
-        mounting=law, sub_direction=np.zeros(2),
+        mounting=law or spring_mounting(120.0, 500.0, 0.2, 0.5), sub_direction=np.zeros(2),
     )  # fmt: skip
 
 
@@ -178,11 +188,11 @@ def assembled(problem: Problem, dt: float, n: int) -> Motion:
 
     def rate_of(t: float, x: Floats, v: Floats) -> Floats:
         forces = np.array([force_at(problem.load, t), force_at(problem.sub_load, t)])
-        return np.asarray(acceleration @ forces - stiff @ x - per_force * law.continuous(gap @ x, gap @ v))
+        return np.asarray(acceleration @ forces - stiff @ x + per_force * continuous_force(law, gap @ x, gap @ v))
 
     x = _integrated(rate_of, size, problem, dt, n)
-    mounting = np.array([law.continuous(gap @ q, gap @ v) for q, v in zip(x[:, :size], x[:, size:], strict=True)])
-    return Motion(x[:, :size] @ to_main, x[:, :size] @ place.T, mounting)
+    force = np.array([-continuous_force(law, gap @ q, gap @ v) for q, v in zip(x[:, :size], x[:, size:], strict=True)])
+    return Motion(x[:, :size] @ to_main, x[:, :size] @ place.T, force)
 
 
 def by_form(problem: Problem, form: str, dt: float, n: int) -> Motion:
@@ -199,10 +209,10 @@ def by_form(problem: Problem, form: str, dt: float, n: int) -> Motion:
         force = x @ linear.interaction.T + np.outer(on_main, linear.interaction_main) + f @ linear.interaction_sub.T
         sub = x @ linear.motion.T + f @ linear.motion_sub.T
         return Motion(x[:, :n_modes] @ main.interface[0], sub, force[:, 0])
-    mounting = problem.mounting
+    spring = problem.mounting
 
     def law(gap: Floats, rate: Floats) -> Floats:
-        return np.array([mounting.continuous(float(g), float(v)) for g, v in zip(gap, rate, strict=True)])
+        return np.array([-continuous_force(spring, float(g), float(v)) for g, v in zip(gap, rate, strict=True)])
 
     def loads(t: float) -> tuple[float, Floats]:
         return force_at(problem.load, t), problem.sub_direction * force_at(problem.sub_load, t)
@@ -217,8 +227,7 @@ def by_form(problem: Problem, form: str, dt: float, n: int) -> Motion:
     at_main, speed = q[:, :n_modes] @ main.interface[0], v[:, :n_modes] @ main.interface[0]
     sub = q @ nonlinear.motion.T
     foot_speed = (v @ nonlinear.motion.T)[:, 0]
-    gaps = zip(at_main - sub[:, 0], speed - foot_speed, strict=True)
-    return Motion(at_main, sub, np.array([mounting.continuous(gap, rate) for gap, rate in gaps]))
+    return Motion(at_main, sub, law(at_main - sub[:, 0], speed - foot_speed))
 
 
 def components(problem: Problem, form: str) -> dict[str, ModalBasis]:
@@ -240,8 +249,7 @@ def components(problem: Problem, form: str) -> dict[str, ModalBasis]:
 def engine_system(problem: Problem, form: str, dt: float) -> System:
     """Components, their mount and readouts of every displacement, compiled for steps of dt."""
     parts = components(problem, form)
-    law = Rigid() if problem.mounting is None else SpringDashpot()
-    mount = Connection("mount", (Term("main", "seat", 1.0), Term("sub", "foot", -1.0)), law)
+    mount = Connection("mount", (Term("main", "seat", 1.0), Term("sub", "foot", -1.0)), problem.mounting or Rigid())
     readouts = [Readout("seat", "displacement", (Term("main", "seat"),))]
     readouts += [Readout(f"dof{i}", "displacement", (Term("sub", f"dof{i}"),)) for i in range(len(problem.sub_mass))]
     return System.build(parts, [mount], readouts, dt=dt)
@@ -261,13 +269,10 @@ def engine_injections(problem: Problem, system: System) -> list[Injection]:
 def by_engine(problem: Problem, form: str, dt: float, n: int) -> Motion:
     """Motion of the modal components in steps of dt; the force is the mean over [t, t + dt]."""
     system = engine_system(problem, form, dt)
-    injections = engine_injections(problem, system)
+    out, force = NumpyStepper(system).run(system.start(), n, engine_injections(problem, system))
     if problem.mounting is None:
-        out, force = NumpyStepper(system).run(system.start(), n, injections)
         # a massless foot moves with S; its own readout leaves out the motion of its residual compliance
         out[:, 1] = out[:, 0]
-    else:
-        out, force = PortStepper(system, {"mount": problem.mounting}).run(system.start(), n, injections)
     return Motion(out[:, 0], out[:, 1:], -force[:, 0])
 
 
@@ -298,25 +303,10 @@ def _superposed(A: Floats, on_main: Floats, on_sub: Floats, problem: Problem, dt
 def _integrated(
     rate: Callable[[float, Floats, Floats], Floats], size: int, problem: Problem, dt: float, n: int
 ) -> Floats:
-    """(n, 2 size) from rest by DOP853, restarted at every breakpoint of the forces."""
-    from scipy.integrate import solve_ivp
+    """(n, 2 size) from rest, with a new start at every breakpoint of the forces."""
 
     def first_order(t: float, y: Floats) -> Floats:
         return np.concatenate([y[size:], rate(t, y[:size], y[size:])])
 
-    t = np.arange(n) * dt
-    out = np.zeros((n, 2 * size))
-    edges = {e for piece in (*problem.load, *problem.sub_load) for e in (piece.start, piece.stop)}
-    bounds = sorted({0.0, t[-1]} | {e for e in edges if 0 < e < t[-1]})
-    y = np.zeros(2 * size)
-    for a, b in pairwise(bounds):
-        inside = np.flatnonzero((t > a) & (t <= b))
-        # the force is continuous, so the value just inside the piece does at both of its ends
-        stay = lambda s, y, a=a, b=b: first_order(min(max(s, a), b - 1e-13), y)  # noqa: E731
-        times = np.unique(np.concatenate([t[inside], [b]]))
-        done = solve_ivp(stay, (a, b), y, method="DOP853", rtol=1e-12, atol=1e-15, t_eval=times)
-        if not done.success:
-            raise RuntimeError(f"the reference was not found: {done.message}")
-        out[inside] = done.y.T[: inside.size]
-        y = done.y[:, -1]
-    return out
+    edges = [e for piece in (*problem.load, *problem.sub_load) for e in (piece.start, piece.stop)]
+    return integrated(first_order, np.zeros(2 * size), np.asarray(np.arange(n) * dt, dtype=np.float64), edges)

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.lab.figures import figure, save
-from tonewood.lab.methods import METHODS, Problem, StepMap, system_map
-from tonewood.lab.row import Row
+from tonewood.lab.methods import Problem, StepMap, system_map
+from tonewood.lab.methods.matrices import held_position
+from tonewood.lab.row import Row, nearest
 from tonewood.lab.string_end import ExactString, coupled_pole
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.system import System
 from tonewood.physics.modal.modes import ModalBasis
-from tonewood.physics.modal.string_modes import string_basis
 from tonewood.physics.modal.synthesis import basis_from_matrices
 
 Floats = NDArray[np.float64]
@@ -34,6 +34,7 @@ SIXTEEN_MODES = (
 )  # fmt: skip
 #: ideal A2: T (N), mu (kg/m), L (m)
 A2 = ExactString(0.65, 73.9, 3.61e-3)
+BRIDGE = Connection("bridge", (Term("string", "bridge"), Term("body", "bridge", -1.0)))
 #: coupled partials of the ideal A2 on the sixteen modes: Hz, decay 1/s; roots of 1 + Y Z0 coth(s L / c) = 0
 A2_COUPLED = ((110.1953, 0.2701), (221.0483, 0.7301), (330.3229, 0.0820), (440.5852, 0.7260))
 
@@ -54,16 +55,7 @@ def sixteen_mode_receptance(s: complex) -> complex:
 
 def on_sixteen_modes(string: ExactString, freq_upper: float) -> Problem:
     """A lossless string on the body."""
-    basis = string_basis(
-        string.length,
-        string.tension,
-        string.linear_density,
-        string.bending_stiffness,
-        lambda omega, k: 2 * string.sigma0 / omega,
-        freq_upper=freq_upper,
-    )
-    bridge = Connection("bridge", (Term("string", "bridge"), Term("body", "bridge", -1.0)))
-    return Problem({"string": basis, "body": sixteen_modes()}, (bridge,))
+    return Problem({"string": string.basis(freq_upper=freq_upper), "body": sixteen_modes()}, (BRIDGE,))
 
 
 def weinreich_pair(split: float, r: float, freq: float = 440.0) -> StepMap:
@@ -106,10 +98,10 @@ def rows() -> Iterator[Row]:
 def _end_loaded() -> Iterator[Row]:
     system = "A2 on 16 modes"
     problem = on_sixteen_modes(A2, 20000.0)
-    poles = METHODS["held_position"].step_matrix(problem, 1 / 48000).poles()
+    poles = held_position(problem, 1 / 48000).poles()
     for n, (freq, decay) in enumerate(A2_COUPLED, start=1):
         exact = coupled_pole(A2, sixteen_mode_receptance, n)
-        got = complex(poles[np.argmin(np.abs(poles - exact))])
+        got = nearest(poles, exact)
         source = "roots of 1 + Y Z0 coth(s L/c)"
         yield Row(system, f"partial {n} (Hz)", source + ", 4 decimals", freq, got.imag / (2 * np.pi), 2e-4)
         yield Row(system, f"partial {n} decay (1/s)", source + ", 4 decimals", decay, -got.real, 1e-4)
@@ -119,14 +111,9 @@ def _end_loaded() -> Iterator[Row]:
         mobility = exact.imag * 1j * sixteen_mode_receptance(1j * exact.imag)
         approximate = 2 * A2.fundamental * A2.impedance * mobility.real
         yield Row(
-            system,
-            f"partial {n} decay through the body (1/s)",
-            "2 f0 Z0 Re Y",
-            approximate,
-            -got.real,
-            0.05,
+            system, f"partial {n} decay through the body (1/s)", "2 f0 Z0 Re Y", approximate, -got.real, 0.05,
             relative=True,
-        )
+        )  # fmt: skip
 
 
 def _weinreich() -> Iterator[Row]:
@@ -181,14 +168,14 @@ def plots(directory: Path) -> list[Path]:
         xlabel="split (rad/s)", ylabel="1/s, rad/s", title="Weinreich's pair: decay (black), beating (blue), r = 2"
     )
     partials = np.arange(1, 31)
-    poles = METHODS["held_position"].step_matrix(on_sixteen_modes(A2, 20000.0), 1 / 48000).poles()
+    poles = held_position(on_sixteen_modes(A2, 20000.0), 1 / 48000).poles()
     exact_poles = [coupled_pole(A2, sixteen_mode_receptance, int(n)) for n in partials]
     rough = [
         2 * A2.fundamental * A2.impedance * (1j * p.imag * sixteen_mode_receptance(1j * p.imag)).real
         for p in exact_poles
     ]
     decay.semilogy(partials, [-p.real for p in exact_poles], "ko", mfc="none", label="exact end of the string")
-    decay.semilogy(partials, [-poles[np.argmin(np.abs(poles - p))].real for p in exact_poles], "C3.", label="48 kHz")
+    decay.semilogy(partials, [-nearest(poles, p).real for p in exact_poles], "C3.", label="48 kHz")
     decay.semilogy(partials, rough, "C0_", label="2 f0 Z0 Re Y")
     decay.set(xlabel="partial", ylabel="decay (1/s)", title="Ideal A2 on 16 guitar modes")
     decay.legend(fontsize=8)

@@ -28,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,6 +60,9 @@ _TRACE = 1e-9
 SHEAR_FACTOR = 5 / 6
 #: stiff springs that stand for a clamped or hinged edge, in units of D / size^3 and D / size
 STIFF = 1e4
+#: functions of a grid up to which, and beams of which, matrices are kept
+_KEPT_COUNT, _KEPT_BEAMS = 1500, 100
+_BEAMS: dict[Any, tuple[csr_matrix, csr_matrix, csr_matrix]] = {}
 #: s of the shift -s^2 of the eigenproblem in units of sqrt(D_R / rho h) / S: below 0, as free plates have zero modes
 _SHIFT = 20.0
 
@@ -186,8 +189,7 @@ class Plate:
             stiffness.add(matrix, own)
             losses.add(lossy, own)
         for section, beam in zip(sections, beams, strict=True):
-            points, _, _ = beam_line(self.grid, beam)
-            matrix, lossy, inertia = beam_matrices(self.grid, beam, self.thickness(points), wood.shears)
+            matrix, lossy, inertia = self._of_beam(beam)
             stiffness.add(matrix, [section, *self._in_plane, *self._bending])
             losses.add(lossy, [section, *self._in_plane, *self._bending])
             mass.add(inertia, self._bending[-1:])
@@ -195,6 +197,20 @@ class Plate:
         keep = _kept(totals[0].diagonal(), totals[2].diagonal(), stiffness.slots, [*in_plane, *self._bending])
         self._keep = keep[keep >= stiffness.slots["w"]] - stiffness.slots["w"]
         self._stiffness, self._losses, self._mass = (m[keep][:, keep].tocsc() for m in totals)
+
+    def _of_beam(self, beam: Beam) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
+        """`beam_matrices`, kept for plates of the same grid and thickness: a search changes one beam at a time."""
+        points, _, _ = beam_line(self.grid, beam)
+        if callable(self._given) or self.grid.count > _KEPT_COUNT:
+            return beam_matrices(self.grid, beam, self.thickness(points), self.wood.shears)
+        arrays = (self.grid.low, self.grid.size, self.grid.cells, beam.start, beam.stop, beam.heights)
+        key = (*(np.asarray(a).tobytes() for a in arrays), self.grid.degree, self._given, beam.width, beam.wood,
+               beam.above, self.wood.shears)  # fmt: skip
+        if key not in _BEAMS:
+            while len(_BEAMS) >= _KEPT_BEAMS:
+                _BEAMS.pop(next(iter(_BEAMS)))
+            _BEAMS[key] = beam_matrices(self.grid, beam, self.thickness(points), self.wood.shears)
+        return _BEAMS[key]
 
     @property
     def _bending(self) -> list[Field]:

@@ -33,6 +33,8 @@ Rate = tuple[str, float, tuple[float, float, float], bool]
 
 #: step of a derivative, re the parameter's range
 STEP = 1e-5
+#: least z^T M z, squared, of a mode with one of the step before at which it counts as the same
+_ALIKE = 0.3
 #: modes are known to so many times the highest frequency of the targets, and twice that helps their derivatives
 _ABOVE, _HELP = 1.3, 1.45
 
@@ -83,6 +85,8 @@ class DrawnDesign:
         self._below = _ABOVE * max(highest, 400.0)
         self._cells = with_cells(_drawing(instrument), self._below)
         self._values: Floats = np.zeros(0)
+        self._named: dict[str, int] = {}
+        self._known: Floats = np.zeros((0, 0))
 
     def _body(self, values: Sequence[float] | Floats) -> WholeBody:
         made = changed(self._instrument, self._free, values)
@@ -98,17 +102,55 @@ class DrawnDesign:
         self._whole = self._body(self._values)
         self._modes = self._whole.modes(below=_HELP * self._below)
         self._count = max(1, int(np.count_nonzero(self._modes[0] < (2 * np.pi * self._below) ** 2)))
-        return DrawnResonances(self._whole.described(self._modes[0][: self._count], self._modes[1][:, : self._count]))
+        vectors = self._modes[1][:, : self._count]
+        found = self._whole.described(self._modes[0][: self._count], vectors)
+        self._named = self._followed(found.named, vectors)
+        self._known = vectors
+        return DrawnResonances(replace(found, named=self._named))
+
+    def _followed(self, named: dict[str, int], vectors: Floats) -> dict[str, int]:
+        """Numbers of the modes with names: those most like the ones that had them before, by z^T M z."""
+        if not self._named or len(self._known) != len(vectors):
+            return named
+        out = {}
+        for name, k in self._named.items():
+            alike = (self._known[:, k] @ (self._whole.mass_matrix @ vectors)) ** 2
+            if alike.max() > _ALIKE:
+                out[name] = int(np.argmax(alike))
+        return {**named, **out}
+
+    def freq_rates(self, i: int) -> Floats:
+        """(n,) Hz per unit of parameter i, of the modes of the last `at`: lambda' = z^T (K' - lambda M') z."""
+        less, more, step = self._sides(i)
+        values, vectors = self._modes[0][: self._count], self._known
+        k, m = (
+            np.einsum("ij,ij->j", vectors, a - b) / (2 * step)
+            for a, b in (
+                (more.stiffness(vectors), less.stiffness(vectors)),
+                (more.mass_matrix @ vectors, less.mass_matrix @ vectors),
+            )
+        )
+        return np.asarray((k - values * m) / (2 * np.sqrt(np.maximum(values, 1.0))) / (2 * np.pi))
+
+    def _sides(self, i: int) -> tuple[WholeBody, WholeBody, float]:
+        """Bodies at parameter i less and more a step, within its bounds, and the step."""
+        low, high = self._free[i].low, self._free[i].high
+        step = STEP * (high - low)
+        middle = self._values.copy()
+        middle[i] = min(max(middle[i], low + step), high - step)
+        less, more = (self._body(middle + by * np.eye(len(middle))[i]) for by in (-step, step))
+        if not less.size == self._whole.size == more.size:
+            raise TonewoodError(
+                "changes the drawing's unknowns here; a little other bounds may help", key=self._free[i].name
+            )
+        return less, more, step
 
     def beside(self, i: int) -> tuple[DrawnResonances, DrawnResonances, float]:
         """Return the resonances less and more a step of parameter i, to first order."""
-        step = STEP * (self._free[i].high - self._free[i].low)
-        less, more = (self._body(self._values + by * np.eye(len(self._values))[i]) for by in (-step, step))
-        try:
-            found = body_change(self._whole, *self._modes, less, more, step, self._count)
-        except ValueError as fault:
-            raise TonewoodError(f"{fault} here; a little other bounds may help", key=self._free[i].name) from None
-        return DrawnResonances(found.less), DrawnResonances(found.more), step
+        less, more, step = self._sides(i)
+        found = body_change(self._whole, *self._modes, less, more, step, self._count)
+        below, above = (DrawnResonances(replace(x, named=self._named)) for x in (found.less, found.more))
+        return below, above, step
 
 
 def _drawing(instrument: Instrument) -> BodyDrawing:

@@ -13,7 +13,7 @@ from typing import Any
 from tonewood.errors import BundleError, OutputError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.contract.registry import MANIFEST
-from tonewood.support.whole_files import write_whole
+from tonewood.support.whole_files import check_new_folder, write_whole
 from tonewood.workshop.design.search import FoundDesign
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -29,10 +29,7 @@ def check_folder(folder: Path) -> None:
     """
     if not _NAME.fullmatch(folder.name):
         raise BundleError(f"{folder.name!r} cannot be the name of an instrument; letters, digits and _ are allowed")
-    if folder.exists() or folder.is_symlink():
-        raise OutputError("is there already; give another name", file=folder)
-    if not folder.absolute().parent.is_dir():
-        raise OutputError(f"there is no folder {str(folder.parent)!r}", file=folder)
+    check_new_folder(folder)
 
 
 def write_design(design: FoundDesign, folder: Path) -> Instrument:

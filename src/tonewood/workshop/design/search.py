@@ -80,7 +80,7 @@ def find_design(
     ------
     TonewoodError : the body has no such mode or parameter.
     """
-    search = _Search(instrument, targets, free)
+    search = _Search(instrument, targets, free, tell)
     before = np.array([p.start for p in free])
     tell("the body as it is, in full")
     given = search.full(instrument, None)
@@ -111,7 +111,10 @@ def find_design(
 class _Search:
     """Figures and their derivatives as functions of the parameters."""
 
-    def __init__(self, instrument: Instrument, targets: Sequence[Target], free: Sequence[Free]):
+    def __init__(
+        self, instrument: Instrument, targets: Sequence[Target], free: Sequence[Free], tell: Callable[[str], None]
+    ):
+        self._tell, self._steps = tell, 0
         self.targets, self.free = tuple(targets), tuple(free)
         self.points, self.ends = list(instrument.body.points()), string_ends(instrument)
         highest = max((max(t.band[1], t.value if t.kind == "freq" else 0.0) for t in targets), default=0.0)
@@ -170,6 +173,10 @@ class _Search:
 
         def slopes(x: Floats) -> Floats:
             values = self.low + span * x
+            self._steps += 1
+            offs = zip(self.targets, self.figures_at(values), strict=True)
+            shown = ", ".join(f"{t.text} off by {t.off(float(f)):+.3g} {t.unit}" for t, f in offs)
+            self._tell(f"step {self._steps}: {shown}")
             now, rates = self.figures_at(values), self.rates(values) * span
             rows = [
                 slope(t, float(f)) / t.weight * row if t.off(float(f)) else 0.0 * row

@@ -20,6 +20,7 @@ from tonewood.sound.live.instrument import Live
 from tonewood.sound.render.options import RenderOptions
 from tonewood.support.units import decibel
 from tonewood.workshop.desk import views
+from tonewood.workshop.desk.advice import Adviser, offered
 from tonewood.workshop.desk.kept_views import KeptViews
 from tonewood.workshop.desk.knobs import groups, knobs, same_strings_and_body
 from tonewood.workshop.desk.models import KeptModels, ModelMaker, Wanted, previewed
@@ -72,12 +73,14 @@ class Desk:
         self._model: Model | None = None
         self._views = KeptViews(session.start.instrument, self.options, self._kept)
         self._compared = ""
+        self.adviser = Adviser()
         #: exact model that follows a preview
         self._then: Wanted | None = None
         self._make(session.design)
 
     def close(self) -> None:
         """End the threads, and remove the temporary folder."""
+        self.adviser.stop()
         for maker in (self._exact, self._quick, self._other):
             maker.close()
         if self._temporary is not None:
@@ -216,6 +219,20 @@ class Desk:
             self._go_on(wanted)
             if wanted.serial == self.serial:
                 self.fault = f"no model of this design: {reason}. The sound is still that of the design before."
+
+    def advise(self, targets: str, free: str) -> None:
+        """Look for the least change that reaches targets, beside the sound; `state` tells how it goes.
+
+        Parameters
+        ----------
+        targets, free : lines, as in a file of ``tonewood design``.
+
+        Raises
+        ------
+        TonewoodError : a line is not allowed, or a search goes on.
+        """
+        session = self.session
+        self.adviser.ask(session.instrument, session.options(), session.source, targets, free)
 
     # -- what plays -----------------------------------------------------------------------------------------------
 
@@ -387,6 +404,7 @@ class Desk:
                 "compared": self._compared,
                 "pair": None if pair is None else _pair(pair),
                 "command": self.command(),
+                "advice": self.adviser.state() | {"offered": offered(session.instrument)},
             }
 
     def _dropped(self) -> list[str]:

@@ -209,6 +209,14 @@ def _key(desk: Desk, given: dict[str, Any]) -> None:
     desk.key(given["note"], float(given.get("velocity", 80)), on=bool(given["on"]))
 
 
+def _take_advice(desk: Desk, given: dict[str, Any]) -> str:
+    values = dict(desk.adviser.overrides)
+    if not values:
+        raise TonewoodError("there is no design yet: look for one first", key="take")
+    desk.change(lambda session: session.set_all(values))
+    return "The design that was found is on view; Undo takes it back."
+
+
 def _compare(desk: Desk, given: dict[str, Any]) -> None:
     name = given.get("name")
     desk.compare(None if name is None else str(name), blind=bool(given.get("blind")))
@@ -232,6 +240,9 @@ _ACTS: dict[str, Callable[[Desk, dict[str, Any]], str | None]] = {
     ),
     "key": _key,
     "compare": _compare,
+    "advise": lambda desk, given: desk.advise(str(given["targets"]), str(given["free"])),
+    "advise_stop": lambda desk, given: desk.adviser.stop(),
+    "advise_take": _take_advice,
     "pick": lambda desk, given: desk.pick(int(given["which"])),
     "reveal": lambda desk, given: desk.reveal(),
 }

@@ -16,7 +16,7 @@ from tonewood.errors import BundleError, OutputError, TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.string_sets import string_set
 from tonewood.instrument.contract import registry
-from tonewood.support.whole_files import write_whole
+from tonewood.support.whole_files import check_new_folder, write_whole
 from tonewood.workshop.desk.phrase import LONGEST
 
 #: changes that can be undone, and designs with a name
@@ -88,6 +88,15 @@ class DeskSession:
             self._remember()
         self.design, self._dragged = design, path if dragging else None
         self._future.clear()
+
+    def set_all(self, values: Mapping[str, Any]) -> None:
+        """Change several values in one step; where one is not allowed nothing changes.
+
+        Raises
+        ------
+        TonewoodError : a value is not allowed; one line.
+        """
+        self._go(self._made({k: v for k, v in self.design.changes.items() if k not in values} | dict(values)))
 
     def reset(self, path: str) -> None:
         """Take a change back, wherever it stands in the history; the start's value holds again."""
@@ -220,10 +229,7 @@ class DeskSession:
         target = Path(folder).expanduser()
         if not _NAME.fullmatch(target.name):
             raise BundleError(f"{target.name!r} is no name; letters, digits and _ are allowed", key="folder")
-        if target.exists() or target.is_symlink():
-            raise OutputError("is there already; give another name", file=target)
-        if not target.absolute().parent.is_dir():
-            raise OutputError(f"there is no folder {str(target.parent)!r}", file=target)
+        check_new_folder(target)
         made = self.instrument
         if made.granted:
             raise BundleError("a scale outside of the bundle: copy it into the bundle's folder first", key="tuning")

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
-import numpy as np
-
+from tonewood.support.plain_values import finite
 from tonewood.workshop.estimate import gain, laws
 from tonewood.workshop.estimate.distance import Distance
 from tonewood.workshop.estimate.estimate import Estimate, Half
@@ -74,16 +72,3 @@ def _half(half: Half) -> dict[str, Any]:
         return distance.as_dict()
 
     return {"fitted": list(half.fitted), "before": plain(half.before), "after": plain(half.after)}
-
-
-def finite(value: Any) -> Any:
-    """Lists, mappings and numbers without NumPy; None for numbers that are not finite."""
-    if isinstance(value, dict):
-        return {str(k): finite(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
-        return finite(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [finite(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value

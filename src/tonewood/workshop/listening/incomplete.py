@@ -51,23 +51,28 @@ _ALONE = 1e-9
 class Clusters:
     """Corrected scores of clusters, and the degrees of freedom of the covariance matrices that they give.
 
+    With R = Q^(1/2) the correction is (I - X_i Q X_i^T)^(-1/2) X_i = X_i R (I - R X_i^T X_i R)^(-1/2) R^-1, so that
+    products of columns are all that is needed of a cluster.
+
     Parameters
     ----------
-    design : (..., clusters, rows, p) columns, 0 where a row has no answer.
-    residuals : (..., clusters, rows), 0 likewise.
+    products : (..., clusters, p, p), X_i^T X_i.
+    moments : (..., clusters, p), X_i^T e_i.
     inverse : (..., p, p), Q.
     """
 
-    def __init__(self, design: Array, residuals: Array, inverse: Array):
-        turned = np.swapaxes(design, -1, -2)
-        hat = design @ inverse[..., None, :, :] @ turned
-        values, vectors = np.linalg.eigh(np.eye(design.shape[-2]) - hat)
-        root = np.where(values > _ALONE, 1 / np.sqrt(np.maximum(values, _ALONE)), 0.0)
-        corrected = (vectors * root[..., None, :]) @ (np.swapaxes(vectors, -1, -2) @ design)
-        back = np.swapaxes(corrected, -1, -2)
+    def __init__(self, products: Array, moments: Array, inverse: Array):
+        size, axes = np.linalg.eigh(inverse)
+        back = np.swapaxes(axes, -1, -2)
+        root = ((axes * np.sqrt(size)[..., None, :]) @ back)[..., None, :, :]
+        unroot = ((axes / np.sqrt(size)[..., None, :]) @ back)[..., None, :, :]
+        values, vectors = np.linalg.eigh(np.eye(inverse.shape[-1]) - root @ products @ root)
+        scale = np.where(values > _ALONE, 1 / np.sqrt(np.maximum(values, _ALONE)), 0.0)
+        turned = unroot @ (vectors * scale[..., None, :]) @ np.swapaxes(vectors, -1, -2) @ root
         self.inverse = inverse
-        self.scores = (back @ residuals[..., None])[..., 0]
-        self.squares, self.products = back @ corrected, back @ design
+        self.scores = (turned @ moments[..., None])[..., 0]
+        self.products = turned @ products
+        self.squares = self.products @ np.swapaxes(turned, -1, -2)
 
     def covariance(self, rows: Array) -> tuple[Array, Array]:
         """Covariance matrix V (..., q, q) of K^T beta for K^T (q, p), and its degrees of freedom f."""
@@ -107,7 +112,9 @@ class IncompleteFit:
         inverse = np.linalg.inv((np.swapaxes(design, -1, -2) @ design).sum(axis=-3))
         self.x = x
         self.beta = np.einsum("...pq,...ncq,...nc->...p", inverse, design, own, optimize=True)
-        self.clusters = Clusters(design, own - (design @ self.beta[..., None, :, None])[..., 0], inverse)
+        residuals = own - (design @ self.beta[..., None, :, None])[..., 0]
+        turned = np.swapaxes(design, -1, -2)
+        self.clusters = Clusters(turned @ design, (turned @ residuals[..., None])[..., 0], inverse)
 
     def tested(self, basis: Array) -> Tested:
         """Test an effect of orthonormal contrasts (cells, q) of the modelled cell means."""
@@ -134,50 +141,61 @@ class CrossedFit:
 
     Parameters
     ----------
-    y : (listeners, sounds, cells) means, NaN where one is missing.
+    y : (..., listeners, sounds, cells) means, NaN where one is missing; axes in front are experiments.
     x : (cells, p) columns of the model.
     """
 
     def __init__(self, y: Array, x: Array):
-        who, sound, cell = np.nonzero(~np.isnan(y))
-        pair = np.unique(who * y.shape[1] + sound, return_inverse=True)[1]
-        levels = np.hstack([np.eye(y.shape[0])[who], np.eye(y.shape[1])[sound]])
-        data = np.column_stack([x[cell], y[who, sound, cell]])
-        left = data - levels @ np.linalg.solve(levels.T @ levels + np.eye(levels.shape[1]) / _LEVELS, levels.T @ data)
-        design, own = left[:, :-1], left[:, -1]
-        inverse = np.linalg.inv(design.T @ data[:, :-1])
-        self.x, self.beta = x, inverse @ design.T @ data[:, -1]
-        residuals = own - design @ self.beta
-        self.clusters = [_clusters(design, np.asarray(residuals), np.asarray(inverse), of) for of in (who, sound, pair)]
-        self.counts = tuple(int(of.max()) + 1 for of in (who, sound, pair))
+        there = ~np.isnan(y)
+        columns: Any = np.broadcast_to(x, (*y.shape, x.shape[1]))
+        data = there[..., None] * np.concatenate([columns, np.where(there, y, 0.0)[..., None]], axis=-1)
+        left = there[..., None] * (data - _levels(there, data))
+        design = left[..., :-1]
+        turned = np.einsum("...nmci,...nmcj->...ij", design, data, optimize=True)
+        inverse = np.linalg.inv(turned[..., :-1])
+        self.x, self.beta = x, (inverse @ turned[..., -1:])[..., 0]
+        moments = design * (left[..., -1] - (design @ self.beta[..., None, None, :, None])[..., 0])[..., None]
+        of_pairs = np.swapaxes(design, -1, -2) @ design, moments.sum(axis=-2)
+        flat = [part.reshape(*y.shape[:-3], -1, *part.shape[y.ndim - 1 :]) for part in of_pairs]
+        first = y.ndim - 3
+        parts = [[part.sum(axis=first + 1) for part in of_pairs], [part.sum(axis=first) for part in of_pairs], flat]
+        self.clusters = [Clusters(products, own, inverse) for products, own in parts]
+        pairs: Any = there.any(axis=-1)
+        self.counts = tuple(
+            x.sum(axis=-1) for x in (pairs.any(axis=-1), pairs.any(axis=-2), pairs.reshape(*y.shape[:-3], -1))
+        )
 
     def _parts(self, rows: Array) -> Parts:
         (a, fa), (b, fb), (d, _) = (one.covariance(rows) for one in self.clusters)
         n, m, pairs = self.counts
-        if pairs < n + m:
-            return [(a, fa), (b, fb), (np.zeros_like(a), 1.0)]
+        known = pairs >= n + m
         of_a, of_b = (n - 1) / (pairs - 1), (m - 1) / (pairs - 1)
-        c = (d - of_a * a - of_b * b) / (1 - of_a - of_b)
-        return [(a, fa), (b, fb), (c, pairs - n - m + 1)]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            c = (d - of_a[..., None, None] * a - of_b[..., None, None] * b) / (1 - of_a - of_b)[..., None, None]
+        c = np.where(known[..., None, None], c, 0.0)
+        return [(a, fa), (b, fb), (c, np.maximum(pairs - n - m + 1, 1))]
 
     def tested(self, basis: Array) -> Tested:
         """Test an effect of orthonormal contrasts (cells, q) of the modelled cell means."""
         rows = basis.T @ self.x
-        return quasi_test(self._parts(rows), rows @ self.beta)
+        return quasi_test(self._parts(rows), self.beta @ rows.T)
 
     def estimated(self, differences: Array, confidence: float) -> Estimated:
         """Estimate differences (rows, cells) of the modelled cell means, each with its own variance."""
         each = [
-            quasi_interval(self._parts(row[None]), row[None] @ self.beta, confidence) for row in differences @ self.x
+            quasi_interval(self._parts(row[None]), self.beta @ row[:, None], confidence) for row in differences @ self.x
         ]
-        return Estimated(*(np.array(x) for x in zip(*map(astuple, each), strict=True)))
+        return Estimated(*(np.stack(x, axis=-1) for x in zip(*map(astuple, each), strict=True)))
 
 
-def _clusters(design: Array, residuals: Array, inverse: Array, of: NDArray[np.int_]) -> Clusters:
-    """Scores by clusters of rows, each filled up with rows of 0."""
-    order = np.argsort(of, kind="stable")
-    count = np.bincount(of)
-    place = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
-    x, e = np.zeros((len(count), count.max(), design.shape[1])), np.zeros((len(count), count.max()))
-    x[of[order], place], e[of[order], place] = design[order], residuals[order]
-    return Clusters(x, e, inverse)
+def _levels(there: NDArray[np.bool_], data: Array) -> Array:
+    """Levels of listeners and of sounds in columns (..., listeners, sounds, cells, columns), as predictions."""
+    count = there.sum(axis=-1).astype(np.float64)
+    n, m = count.shape[-2:]
+    normal = np.zeros((*count.shape[:-2], n + m, n + m))
+    at, also = np.arange(n), n + np.arange(m)
+    normal[..., at, at], normal[..., also, also] = count.sum(axis=-1), count.sum(axis=-2)
+    normal[..., :n, n:], normal[..., n:, :n] = count, np.swapaxes(count, -1, -2)
+    sums = np.concatenate([data.sum(axis=(-3, -2)), data.sum(axis=(-4, -2))], axis=-2)
+    found = np.linalg.solve(normal + np.eye(n + m) / _LEVELS, sums)
+    return np.asarray(found[..., :n, None, None, :] + found[..., None, n:, None, :])

@@ -4,17 +4,19 @@
 
 so that exp(eta_c - eta_d) is the ratio of the odds of a grade above k in two cells, the same for each k (proportional
 odds). The estimates are those of maximum likelihood over all answers, with `PRIOR` answers added to each cell that are
-distributed as all answers are. Where all answers to a cell stand at one end of the scale its odds are infinite, and
-differences from it are not stated. Answers of a listener belong together: the covariance matrix is the jackknife's over
-the n listeners,
+distributed as all answers are, which takes off what maximum likelihood is too large by in small samples. Where all
+answers to a cell stand at one end of the scale its odds are infinite, and differences from it are not stated. Answers
+of a listener belong together: the covariance matrix is the sandwich of the n listeners' scores s_i (gradients of their
+log likelihoods, less the mean), with the observed information J of all,
 
-    V = (n - 1) / n sum_i (eta_(i) - mean eta_(i)) (eta_(i) - mean eta_(i))^T,     eta_(i) without listener i
+    V = n / (n - 1) J^-1 (sum_i s_i s_i^T) J^-1
 
 on n - 1 degrees of freedom; effects are tested as in `tonewood.workshop.listening.strata`. The odds are those of the
 population of listeners and not of one listener. Values of a scale without grades are grouped at their quantiles into
 at most `GRADES` grades; those at an end of the scale stay grades of their own.
 
-Sources: P. McCullagh, J. R. Stat. Soc. B 42 (1980) 109-142; R. G. Miller, Biometrika 61 (1974) 1-15 (jackknife).
+Sources: P. McCullagh, J. R. Stat. Soc. B 42 (1980) 109-142; K.-Y. Liang & S. L. Zeger, Biometrika 73 (1986) 13-22
+(sandwich over clusters).
 """
 
 from __future__ import annotations
@@ -32,8 +34,10 @@ from tonewood.workshop.listening.cells import Rows, cells_of
 
 Array = NDArray[np.float64]
 #: most grades of a scale; answers that are added to each cell
-GRADES, PRIOR = 20, 0.1
+GRADES, PRIOR = 20, 0.5
 _STEPS, _SMALL = 60, 1e-9
+#: step of the numerical derivative of scores
+_STEP = 1e-5
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,7 @@ class OrdinalAnalysis:
     ----------
     grades, listeners : numbers of them.
     terms, tests : differences and effects whose odds are finite.
-    converged : whether the search ended, with all listeners and without each.
+    converged : whether the search ended.
     notes : effects that are left out, and why.
     """
 
@@ -96,8 +100,7 @@ def fit_counts(counts: Array, x: Array, prior: float = PRIOR) -> tuple[Array, Ar
     alpha : (..., grades - 1).
     converged : (...) whether the search by Fisher's scoring ended.
     """
-    share = counts.sum(axis=-2, keepdims=True) + _SMALL
-    n = counts + prior * share / share.sum(axis=-1, keepdims=True)
+    n = _filled(counts, prior)
     total, cuts = n.sum(axis=-1), counts.shape[-1] - 1
     below = np.cumsum(n.sum(axis=-2), axis=-1)
     alpha = np.log(below[..., :-1]) - np.log(below[..., -1:] - below[..., :-1])
@@ -142,18 +145,34 @@ def _scored(n: Array, total: Array, x: Array, point: Array, cuts: int) -> tuple[
     return np.concatenate([of_alpha, of_eta @ x], axis=-1), information
 
 
-def jackknifed(counts: Array, x: Array) -> tuple[Array, Array, bool]:
-    """Log odds (cells,), their covariance matrix, and whether all searches ended.
+def _filled(counts: Array, prior: float) -> Array:
+    """Counts with `prior` answers added to each cell, distributed as all answers are."""
+    share = counts.sum(axis=-2, keepdims=True) + _SMALL
+    return np.asarray(counts + prior * share / share.sum(axis=-1, keepdims=True))
+
+
+def clustered(counts: Array, x: Array, prior: float = PRIOR) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Log odds (..., cells), their covariance matrix by listeners, and whether the search ended.
 
     Parameters
     ----------
-    counts : (listeners, cells, grades).
+    counts : (..., listeners, cells, grades); axes in front are experiments.
     x : (cells, p) columns without a constant.
+    prior : answers added to each cell.
     """
-    whole = counts.sum(axis=0)
-    beta, _, done = fit_counts(np.concatenate([whole[None], whole - counts]), x)
-    apart = (beta[1:] - beta[1:].mean(axis=0)) @ x.T
-    return beta[0] @ x.T, (len(counts) - 1) / len(counts) * apart.T @ apart, bool(done.all())
+    whole, n = counts.sum(axis=-3), counts.shape[-3]
+    beta, alpha, done = fit_counts(whole, x, prior)
+    point, cuts, filled = np.concatenate([alpha, beta], axis=-1), alpha.shape[-1], _filled(whole, prior)
+    steps, total = _STEP * np.eye(point.shape[-1]), filled.sum(axis=-1)[..., None, :]
+    up, down = (
+        _scored(filled[..., None, :, :], total, x, point[..., None, :] + step, cuts)[0] for step in (steps, -steps)
+    )
+    information = (down - up) / (2 * _STEP)
+    each = np.broadcast_to(point[..., None, :], (*counts.shape[:-2], point.shape[-1]))
+    score, _ = _scored(counts, counts.sum(axis=-1), x, each, cuts)
+    score = score - score.mean(axis=-2, keepdims=True)
+    influence = np.linalg.solve(information[..., None, :, :], score[..., None])[..., cuts:, 0] @ x.T
+    return beta @ x.T, n / (n - 1) * np.swapaxes(influence, -1, -2) @ influence, done
 
 
 def ordinal_analysis(
@@ -180,7 +199,7 @@ def ordinal_analysis(
     shape = (n, len(data.cells), k)
     flat = np.ravel_multi_index((data.listener, data.cell, grade), shape)
     counts = np.bincount(flat, minlength=math.prod(shape)).reshape(shape).astype(np.float64)
-    eta, v, converged = jackknifed(counts, data.design(contrasts)[:, 1:])
+    eta, v, converged = clustered(counts, data.design(contrasts)[:, 1:])
     whole = counts.sum(axis=0)
     extreme = np.max(whole[:, [0, -1]], axis=1) == whole.sum(axis=1)
     terms, tests, left = [], [], []
@@ -207,7 +226,7 @@ def ordinal_analysis(
     ]
     if left:
         notes.append(f"odds are therefore not stated of: {', '.join(left)}, where the difference is from such answers")
-    return OrdinalAnalysis(k, n, tuple(terms), tuple(tests), converged, tuple(notes))
+    return OrdinalAnalysis(k, n, tuple(terms), tuple(tests), bool(converged), tuple(notes))
 
 
 def _odds(x: float) -> float:

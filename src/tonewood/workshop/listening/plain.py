@@ -257,8 +257,8 @@ def methods(found: PanelResults) -> str:
     if any(page.odds is not None for page in found.pages):
         parts.append(
             "Grades without stated distances, and ratings of which many stand at an end of the scale, were also "
-            "analysed by a cumulative logit model with proportional odds (McCullagh 1980), its covariance matrix by "
-            "the jackknife over listeners; ratios are of the odds of a higher grade."
+            "analysed by a cumulative logit model with proportional odds (McCullagh 1980), its covariance matrix "
+            "clustered by listener; ratios are of the odds of a higher grade."
         )
     if any(page.screened for page in found.pages):
         parts.append(

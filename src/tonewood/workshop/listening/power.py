@@ -3,14 +3,16 @@
 *Ratings*: the listeners' means of the levels of the factor in question are drawn with the spread that the page expects,
 or with the covariances of a pilot's answers, and analysed by `tonewood.workshop.listening.strata`; the effect counts as
 found where the report says so: p by Holm below alpha. Where sounds are a random sample, they are drawn, too, and the
-analysis is the quasi-F of listeners and sounds. *Paired comparisons*: listeners' choices, tested by the
-Bradley-Terry interval. *Right answers*: the exact binomial test of the report, one-sided, whose power is a sum and
-needs no simulation. *Staircases*: listeners take it trial by trial; power is the share of experiments in which the
-interval of the mean threshold excludes a threshold that is `margin` away.
+analysis is the quasi-F of listeners and sounds. *Ordinal scales*: answers are drawn one by one, cut off at the ends of
+the scale, and the shares of comparisons are tested, which the report's sentence states. *Paired comparisons*:
+listeners' choices, tested by the Bradley-Terry interval. *Right answers*: the exact binomial test of the report,
+one-sided, whose power is a sum and needs no simulation. *Staircases*: listeners take it trial by trial; power is the
+share of experiments in which the interval of the mean threshold excludes a threshold that is `margin` away.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.support.units import counted
 from tonewood.workshop.batch.manifest import Manifest
 from tonewood.workshop.batch.pages import (
     AnyPage,
@@ -33,6 +36,7 @@ from tonewood.workshop.listening import simulations, strata
 from tonewood.workshop.listening.definition import ListeningError
 from tonewood.workshop.listening.detection import CHANCE, sensitivity, task_of
 from tonewood.workshop.listening.means import unique
+from tonewood.workshop.listening.models import share_test
 from tonewood.workshop.listening.results import PageResults, PanelResults
 from tonewood.workshop.listening.thresholds import ThresholdGrid
 
@@ -148,6 +152,42 @@ def rating_power(
     return found / count
 
 
+def ordinal_power(
+    effects: Sequence[float] | Array,
+    sd: float,
+    cells: int,
+    ends: tuple[float, float],
+    listeners: int,
+    alpha: float,
+    seed: int = 1,
+) -> Array:
+    """Share of simulated experiments in which the report finds each level rated above or below the first.
+
+    Parameters
+    ----------
+    effects : (levels,) points, from the middle of the scale.
+    sd : standard deviation of listeners' differences; half of the variance is that of single answers.
+    cells : answers of a listener to each level.
+    ends : of the scale.
+    listeners, alpha, seed : as for `rating_power`.
+
+    Returns
+    -------
+    shares : (levels - 1,).
+    """
+    k, random = len(effects), np.random.default_rng([seed, listeners])
+    most = max(1, 2_000_000 // (listeners * k * cells))
+    count, found = max(200, min(EXPERIMENTS, 4 * most)), np.zeros(k - 1)
+    for begin in range(0, count, most):
+        n = min(most, count - begin)
+        y = sum(ends) / 2 + np.asarray(effects) + random.normal(0, sd / 2, (n, listeners, 1, k))
+        y = np.clip(y + random.normal(0, sd / 2 * math.sqrt(cells), (n, listeners, cells, k)), *ends)
+        pairs = [np.sign(y[..., j] - y[..., i]).mean(axis=-1) for i, j in itertools.combinations(range(k), 2)]
+        p = share_test(0.5 + 0.5 * np.stack(pairs, axis=1))
+        found += (strata.holm(p) < alpha)[:, : k - 1].sum(axis=0)
+    return found / count
+
+
 def stated_spread(sd: float, sound_sd: float, sounds: int, levels: int) -> tuple[Array, SoundSpread]:
     """Covariances of differences with standard deviations `sd` (listeners) and `sound_sd` (random sounds).
 
@@ -260,6 +300,8 @@ def _row(
 ) -> PowerRow | None:
     """Listeners that a page needs; None where nothing is tested."""
     alpha, power = manifest.power.alpha, manifest.power.power
+    if isinstance(page, RatingPage) and page.scales[0].ordinal:
+        return _graded(manifest, page, number, name, own)
     if isinstance(page, (MushraPage, Bs1116Page, RatingPage)):
         return _rated(manifest, page, number, name, own)
     if isinstance(page, StaircasePage):
@@ -289,11 +331,8 @@ def _rated(
     width = 100.0 if not isinstance(page, RatingPage) else page.scales[0].high - page.scales[0].low
     effect = page.expect or _EFFECT.get(page.type, 0.1 * width)
     sd = page.expect_sd or _SD.get(page.type, 0.15 * width)
-    reference = getattr(page, "reference", None) or {}
-    choices, sounds = manifest.choices(), _sounds(manifest)
-    varied = [f for f, levels in choices.items() if f not in (*page.group_by, *manifest.random) and len(levels) > 1]
-    varied.sort(key=lambda f: f not in reference)
-    k = len(choices[varied[0]]) if varied else 2
+    reference, sounds = getattr(page, "reference", None) or {}, _sounds(manifest)
+    k = _levels(manifest, page)
     effects, covariance = np.zeros(k), sd**2 / 2 * np.eye(k)
     text, sampled = f"{effect:g} points, sd {sd:g}", None
     if sounds > 1:
@@ -320,6 +359,39 @@ def _rated(
         if rating_power(effects, np.zeros((k, k)), 50, alpha, sampled=alone)[at] < power:
             raise TooManyListenersError(f"no number of listeners is enough for {text}; more sounds are needed")
     n = fewest(lambda m: float(rating_power(effects, covariance, m, alpha, sampled=sampled)[at]), power, text)
+    return PowerRow(number, name, text, n, page.expect is not None or pilot is not None)
+
+
+def _levels(manifest: Manifest, page: MushraPage | Bs1116Page | RatingPage) -> int:
+    """Number of levels of the first factor that a page varies, that of its reference."""
+    choices, reference = manifest.choices(), getattr(page, "reference", None) or {}
+    varied = [f for f, levels in choices.items() if f not in (*page.group_by, *manifest.random) and len(levels) > 1]
+    return len(choices[min(varied, key=lambda f: f not in reference)]) if varied else 2
+
+
+def _graded(manifest: Manifest, page: RatingPage, number: int, name: str, own: PageResults | None) -> PowerRow:
+    """Listeners that the first scale of a page needs, which is ordinal."""
+    alpha, power, scale = manifest.power.alpha, manifest.power.power, page.scales[0]
+    width, k = scale.high - scale.low, _levels(manifest, page)
+    effect, sd = page.expect or 0.1 * width, page.expect_sd or 0.15 * width
+    effects, sounds = np.zeros(k), math.prod(len(x) for x in manifest.choices().values())
+    spread = f"sd {sd:g}"
+    pilot = None if own is None else _pilot_means(own, {}, ())
+    if pilot is not None:
+        k = pilot.shape[2]
+        means = pilot.mean(axis=(0, 1))
+        effects = means - means[0] if page.expect is None else np.zeros(k)
+        apart = pilot.mean(axis=1)[:, 1:] - pilot.mean(axis=1)[:, :1]
+        sd = float(np.sqrt(np.mean(np.var(apart, axis=0, ddof=1))))
+        effect = page.expect or float(effects[np.argmax(np.abs(effects))])
+        spread = f"spread of {len(pilot)} listeners of a pilot"
+    at = int(np.argmax(np.abs(effects[1:])))
+    if not np.any(effects):
+        effects[1] = effect
+    sounds = len(manifest.conditions) if manifest.conditions is not None else sounds
+    cells, ends = max(1, sounds // k), (scale.low, scale.high)
+    text = f"{effect:.3g} of {width:g} points, {spread}, by shares of comparisons in {counted(cells, 'sound')}"
+    n = fewest(lambda m: float(ordinal_power(effects, sd, cells, ends, m, alpha)[at]), power, text)
     return PowerRow(number, name, text, n, page.expect is not None or pilot is not None)
 
 

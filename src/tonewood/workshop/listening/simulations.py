@@ -18,7 +18,8 @@ from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening import strata
 from tonewood.workshop.listening.detection import CHANCE, Task, sensitivity, shares_of, task_of
 from tonewood.workshop.listening.incomplete import CrossedFit, IncompleteFit
-from tonewood.workshop.listening.ordinal import fit_counts, jackknifed
+from tonewood.workshop.listening.models import superiorities
+from tonewood.workshop.listening.ordinal import clustered, fit_counts
 from tonewood.workshop.listening.pooling import D, pooled
 from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.quest import table_of
@@ -131,45 +132,63 @@ def rating_rates(
     return RatingRates(*(float(np.mean(np.concatenate(x))) for x in zip(*parts, strict=True)))
 
 
-def sampled_rates(
-    random: np.random.Generator, experiments: int, listeners: int, sounds: int, missing: float
-) -> tuple[float, float]:
-    """False alarms and coverage for a factor of two levels where sounds are a random sample and answers are missing.
+#: standard deviations of the responses of listeners and of sounds to each level, where sounds are a random sample
+SPREADS = {"listeners and sounds differ": (5.0, 5.0), "sounds differ": (0.0, 5.0), "listeners differ": (5.0, 0.0),
+           "neither differs": (0.0, 0.0)}  # fmt: skip
 
-    Listeners and sounds differ in the factor by 5 points each, single answers by 9; `missing` is a share of answers.
+
+def sampled_rates(
+    random: np.random.Generator, experiments: int, listeners: int, sounds: int, missing: float, spread: str
+) -> tuple[float, float, float]:
+    """False alarms of a factor of three levels and of its first difference, and coverage, where sounds are a sample.
+
+    Single answers have a standard deviation of 9 points, one for each sound and level; the second level is 5 points
+    higher where coverage is asked for.
+
+    Parameters
+    ----------
+    random, experiments, listeners, sounds : source of the answers, and numbers.
+    missing : share of answers.
+    spread : name in `SPREADS`.
     """
-    contrasts = strata.contrasts([("a",), ("b",)], {"factor": ["a", "b"]})
-    basis = contrasts.bases["factor",]
-    alarms, covered = 0, 0
-    for _ in range(experiments):
-        y = random.normal(0, 5, (listeners, 1, 2)) + random.normal(0, 5, (1, sounds, 2))
-        y = y + random.normal(0, 9, (listeners, sounds, 2)) + np.array([50.0, 55.0])
+    contrasts = strata.contrasts([(f,) for f in _FACTOR], {"factor": list(_FACTOR)})
+    basis, own = contrasts.bases["factor",], SPREADS[spread]
+
+    def fit(n: int, shift: float) -> CrossedFit:
+        y = np.array([50.0, 50.0 + shift, 50.0]) + random.normal(0, 9, (n, listeners, sounds, 3))
+        y += random.normal(0, own[0], (n, listeners, 1, 3)) + random.normal(0, own[1], (n, 1, sounds, 3))
         y[random.random(y.shape) < missing] = np.nan
-        fit = CrossedFit(y, np.hstack([np.ones((2, 1)), basis]))
-        one = fit.estimated(contrasts.differences["factor",], 0.95)
-        covered += bool(one.low[0] <= 5.0 <= one.high[0])
-        alarms += bool(CrossedFit(y - [0.0, 5.0], fit.x).tested(basis).p_value < 0.05)
-    return alarms / experiments, covered / experiments
+        return CrossedFit(y, np.hstack([np.ones((3, 1)), basis]))
+
+    parts, rows = [], contrasts.differences["factor",]
+    for begin in range(0, experiments, 100):
+        n = min(100, experiments - begin)
+        null, one = fit(n, 0.0), fit(n, 5.0).estimated(rows, 0.95)
+        alarms = null.tested(basis).p_value < 0.05, null.estimated(rows, 0.95).p_value[:, 0] < 0.05
+        parts.append([*alarms, (one.low[:, 0] <= 5.0) & (one.high[:, 0] >= 5.0)])
+    factor, difference, covered = (float(np.mean(np.concatenate(x))) for x in zip(*parts, strict=True))
+    return factor, difference, covered
 
 
 #: cuts between grades of the latent answers: a scale that is used in the middle, and one near its upper end
 CUTS = {"five grades": (-2.0, -0.5, 0.7, 2.0), "five grades, half of the answers the highest": (-4.0, -3.0, -1.5, 0.0)}
 
 
-def graded(random: np.random.Generator, listeners: int, cuts: str, shift: float) -> Array:
-    """Draw counts (listeners, 9 cells, grades) of two answers each.
+def graded(random: np.random.Generator, experiments: int, listeners: int, cuts: str, shift: float) -> Array:
+    """Draw counts (experiments, listeners, 9 cells, grades) of two answers each.
 
     Latent answers are logistic, with deviations of listeners of 1 and of their responses to each level of 0.7.
 
     Parameters
     ----------
-    random, listeners : source of the answers, and number.
+    random, experiments, listeners : source of the answers, and numbers.
     cuts : name in `CUTS`.
     shift : by which the second level is higher (logits of one listener).
     """
-    latent = random.normal(0, 1, (listeners, 1, 1, 1)) + random.normal(0, 0.7, (listeners, 3, 1, 1))
-    latent = latent + np.array([0.0, shift, 0.0])[:, None, None] + random.logistic(size=(listeners, 3, 3, 2))
-    grade = np.searchsorted(CUTS[cuts], latent).reshape(listeners, 9, 2)
+    shape = (experiments, listeners)
+    latent = random.normal(0, 1, (*shape, 1, 1, 1)) + random.normal(0, 0.7, (*shape, 3, 1, 1))
+    latent = latent + np.array([0.0, shift, 0.0])[:, None, None] + random.logistic(size=(*shape, 3, 3, 2))
+    grade = np.searchsorted(CUTS[cuts], latent).reshape(*shape, 9, 2)
     return np.stack([np.sum(grade == k, axis=-1) for k in range(5)], axis=-1).astype(np.float64)
 
 
@@ -180,22 +199,25 @@ def odds_rates(random: np.random.Generator, experiments: int, listeners: int, cu
     """
     contrasts = strata.contrasts(_CELLS, _LEVELS)
     x = np.hstack(list(contrasts.bases.values()))
-    first = contrasts.differences["factor",][:1]
-    many = graded(np.random.default_rng(0), 40_000, cuts, 1.0).sum(axis=0)
-    true = float((first @ x @ fit_counts(many, x)[0])[0])
-    rows = []
-    for _ in range(experiments):
-        eta, v, _ = jackknifed(graded(random, listeners, cuts, 0.0), x)
-        alarms = [
-            float(strata.trace_test(eta @ basis, basis.T @ v @ basis, listeners - 1.0).p_value) < 0.05
+    first = contrasts.differences["factor",][0]
+    many = graded(np.random.default_rng(0), 1, 40_000, cuts, 1.0)[0].sum(axis=0)
+    true = float(first @ x @ fit_counts(many, x)[0])
+
+    def difference(eta: Array, v: Array) -> strata.Estimated:
+        return strata.t_interval(eta @ first, first @ v @ first, np.full(len(eta), listeners - 1.0), 0.95)
+
+    parts = []
+    for begin in range(0, experiments, 200):
+        n = min(200, experiments - begin)
+        eta, v, _ = clustered(graded(random, n, listeners, cuts, 0.0), x)
+        main, cross = (
+            strata.trace_test(eta @ basis, basis.T @ v @ basis, listeners - 1.0).p_value < 0.05
             for basis in (contrasts.bases["factor",], contrasts.bases["factor", "sound"])
-        ]
-        p = strata.t_interval(first @ eta, np.diag(first @ v @ first.T), np.array([listeners - 1.0]), 0.95).p_value[0]
-        eta, v, _ = jackknifed(graded(random, listeners, cuts, 1.0), x)
-        one = strata.t_interval(first @ eta, np.diag(first @ v @ first.T), np.array([listeners - 1.0]), 0.95)
-        covered = bool(one.low[0] <= true <= one.high[0])
-        rows.append([alarms[0], p < 0.05, alarms[1], covered, one.difference[0] / true - 1])
-    return tuple(float(a) for a in np.mean(np.array(rows, dtype=np.float64), axis=0))
+        )
+        found = difference(eta, v).p_value < 0.05
+        one = difference(*clustered(graded(random, n, listeners, cuts, 1.0), x)[:2])
+        parts.append([main, found, cross, (one.low <= true) & (true <= one.high), one.difference / true - 1])
+    return tuple(float(np.mean(np.concatenate(x))) for x in zip(*parts, strict=True))
 
 
 @dataclass(frozen=True)
@@ -358,6 +380,29 @@ def power_had_by_sounds(
         y = y + random.normal(0, sound_sd / np.sqrt(2), (1, sounds, 2)) + random.normal(0, 6, (listeners, 1, 1))
         y = y + random.normal(0, sd / 2 * np.sqrt(sounds), (listeners, sounds, 2))
         found += float(strata.estimated(y, rows, 0.95, sounds=True).p_value[0] < 0.05)
+    return found / experiments
+
+
+def power_had_by_shares(
+    random: np.random.Generator, experiments: int, listeners: int, shift: float, sd: float
+) -> float:
+    """Share of experiments on an ordinal scale of 1 to 5 in which the report finds the second of three levels.
+
+    Parameters
+    ----------
+    random, experiments, listeners : source of the answers, and numbers.
+    shift : points by which the second of three levels is higher; the scale cuts answers off.
+    sd : standard deviation of listeners' differences, half of whose variance is that of single answers, to six sounds.
+    """
+    found = 0
+    for _ in range(experiments):
+        own = random.normal(3.0, sd / 2, (listeners, 1, 3)) + np.array([0.0, shift, 0.0])
+        y = np.clip(own + random.normal(0, sd / 2 * np.sqrt(6), (listeners, 6, 3)), 1, 5)
+        rows = [
+            {"listener": str(i), "sound": str(j), "factor": _FACTOR[k], "value": float(v)}
+            for (i, j, k), v in np.ndenumerate(y)
+        ]
+        found += superiorities(rows, ["factor", "sound"], 0.95)[0].p_holm < 0.05
     return found / experiments
 
 

@@ -13,13 +13,26 @@ corrected by Lecoutre,
 
     df1 = (n q eps - 2) / (n - 1 - q eps)     at most q,
 
-which is used from n - 1 > q on. Both probabilities are reported. Where m sounds are a random sample, V = V_listeners +
-V_sounds - V_both: Satterthwaite's quasi-F of two crossed samples. One difference has its own variance v and
+which is used from n - 1 > q on. Both probabilities are reported. One difference has its own variance v and
 t = mean / sqrt v on df2 degrees of freedom.
+
+Where m sounds are a random sample, V = A + B - C of listeners, of sounds and of both, and never less than A or B: the
+quasi-F of two crossed samples. Satterthwaite's degrees of freedom would have too many false alarms where A and B are
+alike, because they grow with the error of both; and far too few where listeners or sounds hardly differ, because V is
+then too large by its bound. Instead, as Cochran does,
+
+    1 / df2 = (tr A / f_A + tr B / f_B) / (tr A + tr B),     f_A = (n - 1) q eps_A
+
+(each eps after Lecoutre), and V is divided by the mean that it has in experiments with the estimated variances, over
+their own: with A at least C, B likewise, and x_f a chi-square over its f degrees of freedom,
+
+    k = (A + B - E min(C, A x_fA, B x_fB)) / (A + B - C)
+
+(not with fewer than six listeners or sounds, whose variances are known too badly for it).
 
 Sources: S. W. Greenhouse & S. Geisser, Psychometrika 24 (1959) 95-112; H. Huynh & L. S. Feldt, J. Educ. Stat. 1 (1976)
 69-82; B. Lecoutre, J. Educ. Stat. 16 (1991) 371-372; F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110-114; H. H.
-Clark, J. Verbal Learn. Verbal Behav. 12 (1973) 335-359.
+Clark, J. Verbal Learn. Verbal Behav. 12 (1973) 335-359 (quasi-F); W. G. Cochran, Biometrics 20 (1964) 191-195.
 """
 
 from __future__ import annotations
@@ -37,6 +50,9 @@ Array = NDArray[np.float64]
 EffectName = tuple[str, ...]
 #: covariance matrices (..., q, q) with their degrees of freedom
 Parts = list[tuple[Array, Any]]
+#: degrees of freedom of listeners or sounds, of five and of six with some answers missing
+_FEW = 4.5
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 
 @dataclass(frozen=True)
@@ -153,36 +169,39 @@ def tested(y: Array, basis: Array, *, sounds: bool) -> Tested:
 
 
 def quasi_test(parts: Parts, mean: Array) -> Tested:
-    """Satterthwaite's quasi-F of contrasts (..., q); `parts` are covariance matrices with their degrees of freedom."""
+    """F of contrasts (..., q) over two crossed samples; `parts` are covariance matrices with degrees of freedom."""
     from scipy.special import fdtrc
 
-    total, trace = _total(parts)
-    q = mean.shape[-1]
+    trace, df1, df2 = _joined(parts)
     with np.errstate(invalid="ignore", divide="ignore"):
         square = np.sum(mean**2, axis=-1)
         statistic = np.where(trace > 0, square / trace, np.where(square > 0, np.inf, 0.0))
-        df1 = np.where(trace > 0, trace**2 / np.sum(total**2, axis=(-2, -1)), q)
-        spread = sum(np.sum(v**2, axis=(-2, -1)) / f for v, f in parts)
-        df2 = np.where(trace > 0, trace**2 / spread, 1.0)
-    df1, df2 = np.clip(df1, 1.0, q), np.maximum(df2, 1.0)
     p = fdtrc(df1, df2, statistic)
-    return Tested(statistic, df1, df2, p, df1 / q, p)
+    return Tested(statistic, df1, df2, p, df1 / mean.shape[-1], p)
 
 
 def trace_test(mean: Array, v: Array, f: Any) -> Tested:
     """F of contrasts (..., q) by the trace of their covariance matrix (..., q, q), which has f degrees of freedom."""
     from scipy.special import fdtrc
 
-    q = mean.shape[-1]
     trace = np.trace(v, axis1=-2, axis2=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         square = np.sum(mean**2, axis=-1)
         statistic = np.where(trace > 0, square / trace, np.where(square > 0, np.inf, 0.0))
-        df1 = np.clip(np.where(trace > 0, trace**2 / np.sum(v**2, axis=(-2, -1)), q), 1.0, q)
-        epsilon, greenhouse = df1 / q, fdtrc(df1, f * df1, statistic)
-        if q > 1:
-            df1 = np.where(f > q, np.clip(((f + 1) * df1 - 2) / (f - df1), 1.0, q), df1)
-    return Tested(statistic, df1, f * df1, fdtrc(df1, f * df1, statistic), epsilon, greenhouse)
+    df1, plain = _dimensions(v, f)
+    p, greenhouse = fdtrc(df1, f * df1, statistic), fdtrc(plain, f * plain, statistic)
+    return Tested(statistic, df1, f * df1, p, plain / mean.shape[-1], greenhouse)
+
+
+def _dimensions(v: Array, f: Any) -> tuple[Array, Array]:
+    """Lecoutre's, and Greenhouse and Geisser's, q eps of matrices (..., q, q) with f degrees of freedom."""
+    q = v.shape[-1]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        trace, square = np.trace(v, axis1=-2, axis2=-1), np.sum(v**2, axis=(-2, -1))
+        plain = np.clip(np.where(trace > 0, trace**2 / square, q), 1.0, q)
+        if q == 1:
+            return plain, plain
+        return np.where(f > q, np.clip(((f + 1) * plain - 2) / (f - plain), 1.0, q), plain), plain
 
 
 def estimated(y: Array, rows: Array, confidence: float, *, sounds: bool) -> Estimated:
@@ -190,16 +209,17 @@ def estimated(y: Array, rows: Array, confidence: float, *, sounds: bool) -> Esti
     z = (y @ rows.T)[..., None]
     z = np.moveaxis(z, -2, 0)  # differences first, each with one contrast
     parts, mean = _parts(z, sounds)
-    one = quasi_interval(parts, mean, confidence)
+    if sounds:
+        one = quasi_interval(parts, mean, confidence)
+    else:
+        v = parts[0][0][..., 0, 0]
+        one = t_interval(mean[..., 0], v, np.full(v.shape, float(parts[0][1])), confidence)
     return Estimated(*(np.moveaxis(x, 0, -1) for x in astuple(one)))
 
 
 def quasi_interval(parts: Parts, mean: Array, confidence: float) -> Estimated:
-    """Intervals of differences (..., 1), of variances that are sums of parts (..., 1, 1)."""
-    _, v = _total(parts)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        spread = sum(np.sum(x**2, axis=(-2, -1)) / f for x, f in parts)
-        df = np.maximum(np.where(v > 0, v**2 / spread, 1.0), 1.0)
+    """Intervals of differences (..., 1) over two crossed samples, of `parts` (..., 1, 1)."""
+    v, _, df = _joined(parts)
     return t_interval(mean[..., 0], v, df, confidence)
 
 
@@ -232,16 +252,32 @@ def _parts(z: Array, sounds: bool) -> tuple[Parts, Array]:
     ], mean
 
 
-def _total(parts: Parts) -> tuple[Array, Array]:
-    """V and its trace; with two samples never less than that of either alone, which the true one exceeds."""
-    traces = [np.trace(v, axis1=-2, axis2=-1) for v, _ in parts]
-    if len(parts) == 1:
-        return parts[0][0], traces[0]
-    total, trace = parts[0][0] + parts[1][0] - parts[2][0], traces[0] + traces[1] - traces[2]
-    for (v, _), own in zip(parts[:2], traces[:2], strict=True):
-        less = trace < own
-        total, trace = np.where(less[..., None, None], v, total), np.where(less, own, trace)
-    return total, trace
+def _joined(parts: Parts) -> tuple[Array, Array, Array]:
+    """Trace of V over k, and both degrees of freedom, of two crossed samples; see the module."""
+    a, b, c = (np.maximum(np.trace(v, axis1=-2, axis2=-1), 0.0) for v, _ in parts)
+    one, two = (f * _dimensions(v, f)[0] for v, f in parts[:2])
+    least = np.minimum(np.minimum(a, b), c)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        df2 = np.where(a + b > 0, (a + b) / (a / one + b / two), 1.0)
+        each = np.where(a + b > 0, (a + b) / (a / parts[0][1] + b / parts[1][1]), 1.0)
+        high, other = np.maximum(a, c), np.maximum(b, c)
+        k = (high + other - _least(c, high, one, other, two)) / (high + other - c)
+    few = np.minimum(parts[0][1], parts[1][1]) < _FEW
+    total = parts[0][0] + parts[1][0] - parts[2][0]
+    for (v, _), bound in zip(parts[:2], (b <= least, a <= least), strict=True):
+        total = np.where((bound & (c > least))[..., None, None], v, total)
+    trace = (a + b - least) / np.where(few | ~(k > 0), 1.0, k)
+    return trace, _dimensions(total, each)[0], np.maximum(df2, 1.0)
+
+
+def _least(c: Array, a: Array, fa: Any, b: Array, fb: Any) -> Array:
+    """E min(c, a x_fa, b x_fb): the integral from 0 to c of the probability that both are larger."""
+    from scipy.special import gammaincc
+
+    x = c[..., None] * (_NODES + 1) / 2
+    fa, fb = np.asarray(fa)[..., None] / 2, np.asarray(fb)[..., None] / 2
+    both = gammaincc(fa, fa * x / a[..., None]) * gammaincc(fb, fb * x / b[..., None])
+    return np.asarray(c * (both @ _WEIGHTS) / 2)
 
 
 def holm(p: Array) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from tonewood.instrument.inspection.wolf import WolfNote
 from tonewood.workshop.report.comparison import Comparison, finite
 from tonewood.workshop.report.facts import BodyMode, InstrumentFacts, NoteRow
+from tonewood.workshop.report.summary import changes, key_figures
 from tonewood.workshop.report.tones import Tone
 
 
@@ -36,6 +37,14 @@ def to_json(found: Comparison) -> dict[str, Any]:
     }
     if alone:
         return common
+    common["changes"] = [
+        [asdict(row) | {"times": row.times} for row in changes(found, i)] for i in range(1, len(found.instruments))
+    ]
+    if found.sweep:
+        common["sweep"] = {"key": found.sweep, "rows": [
+            {"value": value, "label": facts.label, "figures": {k: v for k, (v, _) in key_figures(facts).items()}}
+            for value, facts in found.swept()
+        ]}  # fmt: skip
     rows = [{"key": row.key, "values": list(row.values), "unit": row.unit} for row in found.parameters]
     return {**common, "parameters": rows}
 
@@ -43,6 +52,9 @@ def to_json(found: Comparison) -> dict[str, Any]:
 def _instrument(facts: InstrumentFacts) -> dict[str, Any]:
     return {
         "label": facts.label,
+        "called": facts.called,
+        "named_modes": {name: facts.body_modes[k].freq for name, k in facts.named.items()},
+        "mass": facts.mass,
         "name": facts.name,
         "title": facts.title,
         "licence": facts.licence,

@@ -84,6 +84,7 @@ class Comparison:
     parameters : those that differ, by key.
     tones : names of the notes that at least one instrument plays.
     duration, velocity_midi : of those notes, s, and MIDI velocity.
+    sweep : a number of the bundle that the instruments differ in, if they are a sweep of it.
     """
 
     instruments: tuple[InstrumentFacts, ...]
@@ -94,14 +95,22 @@ class Comparison:
     tones: tuple[str, ...]
     duration: float
     velocity_midi: float
+    sweep: str = ""
+
+    def swept(self) -> list[tuple[float, InstrumentFacts]]:
+        """Instruments of a sweep by its value."""
+        pairs = [(f.parameters.get(self.sweep), f) for f in self.instruments]
+        rows = [(float(p.value), f) for p, f in pairs if p is not None and isinstance(p.value, int | float)]
+        return sorted(rows, key=lambda row: row[0]) if self.sweep else []
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """An instrument to be compared, and the changes that the caller made, as text."""
+    """An instrument to be compared, the changes that the caller made, as text, and what the caller calls it."""
 
     instrument: Instrument
     changes: tuple[str, ...] = ()
+    name: str = ""
 
 
 def compare(
@@ -111,6 +120,7 @@ def compare(
     fs: int = 48000,
     duration: float = 4.0,
     velocity_midi: float = 80.0,
+    sweep: str = "",
     tell: Callable[[float], None] = lambda share: None,
 ) -> Comparison:
     """Compute the facts of instruments and the differences between them.
@@ -122,6 +132,7 @@ def compare(
         worst wolf note, of several the lowest and highest open string and the worst wolf note at a stop of each, as far
         as all can play them.
     fs : Hz. duration : s, of each note. velocity_midi : 1 to 127.
+    sweep : key of the bundle that the instruments differ in; empty where they are no sweep.
     tell : called with the share that is done.
 
     Raises
@@ -140,7 +151,7 @@ def compare(
             raise TonewoodError(faults[0], key=f"--notes {name}")
     found: list[InstrumentFacts] = []
     for label, candidate, model in zip(LABELS, candidates, models, strict=False):
-        found.append(gather(model, label=label, changes=candidate.changes))
+        found.append(gather(model, label=label, changes=candidate.changes, called=candidate.name))
         tell(0.5 * len(found) / len(candidates))
     names = names or default_notes(found, models)
     whole = []
@@ -162,6 +173,7 @@ def compare(
         tones=tuple(names),
         duration=duration,
         velocity_midi=velocity_midi,
+        sweep=sweep,
     )
 
 

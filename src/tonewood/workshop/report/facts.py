@@ -11,7 +11,7 @@ sigma_k omega) is then the mean driving-point mobility of the bridge.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ from tonewood.instrument.bundle.added import added_line
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.schema import Provenance, Source
 from tonewood.instrument.inspection.frequencies import StringFeel, bridge_mobility, feel, partials, pitches
+from tonewood.instrument.inspection.mode_names import mode_names
 from tonewood.instrument.inspection.mounted import mounted_pitches
 from tonewood.instrument.inspection.wolf import WolfNote, wolf_notes
 from tonewood.instrument.model.assembly import Model
@@ -129,6 +130,7 @@ class InstrumentFacts:
     Attributes
     ----------
     label : A, B, ... of the instrument in a comparison.
+    called : name that the caller gave it there; may be empty.
     name, title, licence, description, folder : of the bundle.
     changes : values changed by the caller, PATH=VALUE.
     added : masses, springs and dashpots on the body, one line each.
@@ -138,6 +140,8 @@ class InstrumentFacts:
     table_doubts, warnings : one line each.
     fs : Hz, at which it was assembled.
     body_modes : by frequency.
+    named : numbers among them of those called A0 and T1.
+    mass : of the body's plates with all that is fixed to them, kg; None where it is not known.
     surface : how the whole surface of the body moves in each of its own modes, where that is known.
     surface_modes : basis of these modes.
     freq, mobility : Hz; string -> mobility of the body at its end, (m/s)/N, without strings.
@@ -149,6 +153,7 @@ class InstrumentFacts:
     """
 
     label: str
+    called: str
     name: str
     title: str
     licence: str
@@ -164,6 +169,8 @@ class InstrumentFacts:
     warnings: tuple[str, ...]
     fs: float
     body_modes: tuple[BodyMode, ...]
+    named: Mapping[str, int]
+    mass: float | None
     surface: Sources | None
     surface_modes: ModalBasis
     freq: Floats
@@ -177,17 +184,18 @@ class InstrumentFacts:
 
     @property
     def short(self) -> str:
-        """Label, and its changes or its name, which tell it apart from the others; 40 characters at most."""
-        text = "; ".join(self.changes) or self.name
+        """Label, and its name here, its changes or its bundle's name; 40 characters at most."""
+        text = self.called or "; ".join(self.changes) or self.name
         return f"{self.label}: {text if len(text) <= 36 else text[:35] + '…'}"
 
     @property
     def heading(self) -> str:
         """Label and name, with the changes."""
-        return f"{self.label}: {self.name}" + (f" ({'; '.join(self.changes)})" if self.changes else "")
+        inner = [*([self.name] if self.called and self.called != self.name else []), *self.changes]
+        return f"{self.label}: {self.called or self.name}" + (f" ({'; '.join(inner)})" if inner else "")
 
 
-def gather(model: Model, *, label: str = "A", changes: tuple[str, ...] = ()) -> InstrumentFacts:
+def gather(model: Model, *, label: str = "A", changes: tuple[str, ...] = (), called: str = "") -> InstrumentFacts:
     """Compute the facts of an instrument, without any sound.
 
     Parameters
@@ -195,12 +203,16 @@ def gather(model: Model, *, label: str = "A", changes: tuple[str, ...] = ()) -> 
     model : of the instrument, at the sampling rate that decides which modes it has.
     label : A, B, ... in a comparison.
     changes : as the caller wrote them.
+    called : name that the caller gave it.
     """
     body = model.body
     instrument, spec = model.instrument, model.instrument.spec
     freq = frequencies(body, model.fs)
+    modes = body_modes(model)
+    mass = instrument.body.mass()
     return InstrumentFacts(
         label=label,
+        called=called,
         name=instrument.name,
         title=spec.title,
         licence=spec.licence,
@@ -215,7 +227,9 @@ def gather(model: Model, *, label: str = "A", changes: tuple[str, ...] = ()) -> 
         table_doubts=tuple(instrument.origins.table_doubts()),
         warnings=model.warnings,
         fs=model.fs,
-        body_modes=body_modes(model),
+        body_modes=modes,
+        named=_named(model, modes),
+        mass=None if mass is None else mass + sum(entry.mass for entry in spec.body.added),
         surface=instrument.body.sources(model.fs / 2),
         surface_modes=instrument.body.basis(model.fs / 2),
         freq=freq,
@@ -269,6 +283,34 @@ def body_modes(model: Model) -> tuple[BodyMode, ...]:
             )
         )
     return tuple(out)
+
+
+def _named(model: Model, modes: Sequence[BodyMode]) -> dict[str, int]:
+    """Numbers of A0 and T1: as the drawing's own modes say, or of a fretted instrument by order and level.
+
+    With masses and springs on a drawn body they are the modes most like those without, by frequency and by shape at the
+    body's points.
+    """
+    instrument, upper = model.instrument, model.fs / 2
+    surface = instrument.body.sources(upper)
+    if surface is None or not any(surface.labels):
+        if instrument.spec.stops.kind != "frets":
+            return {}
+        with np.errstate(divide="ignore"):
+            level = 20 * np.log10([mode.residue * mode.t60 for mode in modes])
+        return mode_names([mode.freq for mode in modes], level)
+    own, whole = instrument.body.basis(upper), model.body
+    rows = [whole.index(point) for point in own.points]
+    out = {}
+    for k, name in enumerate(surface.labels):
+        if name in ("A0", "T1"):
+            shapes, shape = whole.right[rows], own.right[:, k]
+            size = np.linalg.norm(shapes, axis=0) * np.linalg.norm(shape)
+            alike = np.abs(shape.conj() @ shapes) / np.where(size > 0, size, np.inf)
+            octaves = np.abs(np.log2(np.maximum(whole.natural_freq, 1e-9) / own.natural_freq[k]))
+            freq = whole.natural_freq[int(np.argmin(octaves + 1 - alike))]
+            out[name] = int(np.argmin([abs(mode.freq - freq) for mode in modes]))
+    return out
 
 
 def _kinds(provenance: Mapping[str, Provenance]) -> dict[str, int]:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tonewood.instrument.scales import note_name
-from tonewood.physics.plate.figures import shapes_figure
+from tonewood.physics.plate.figures import COLUMNS, draw_shapes
 from tonewood.sound.level.spectrum import spectrogram
 from tonewood.support.plotting import (
     COLOURS,
     DASHES,
     LINE,
+    TEXT,
     colour_bar,
     data_uri,
     draw_mobility,
@@ -30,6 +33,7 @@ from tonewood.support.plotting import (
     title,
 )
 from tonewood.workshop.report.comparison import Comparison, WolfMatch
+from tonewood.workshop.report.summary import key_figures
 from tonewood.workshop.report.tones import matched_gains_db
 
 if TYPE_CHECKING:
@@ -37,6 +41,8 @@ if TYPE_CHECKING:
 
 #: panels, bars of wolf notes and strings' ends that a figure shows at most
 MOST_PANELS, MOST_WOLVES, MOST_ENDS = 12, 10, 6
+#: rows of mode shapes of one body
+_SHAPE_ROWS = 3
 #: dB shown of a spectrogram and of a decay; Hz, highest frequency of a spectrogram
 RANGE_DB, TOP_FREQ = 80.0, 6000.0
 #: window of a spectrogram, samples at 48 kHz, and of notes below `_LOW_FREQ` Hz
@@ -71,30 +77,73 @@ def mobility_picture(found: Comparison) -> Picture | None:
         legend(axes[0, 0], title="at the end of", ncols=3)
         return Picture(_svg(made), f"Mobility of the body of {first.name} at the ends of its strings")
     shown = list(dict.fromkeys((ends[0], ends[-1])))
-    made, axes = figure(len(shown), heights=[4.2] * len(shown), sharex=True)
-    for ax, name in zip(axes[:, 0], shown, strict=True):
+    made, axes = figure(len(shown) + 1, heights=[3.7] * len(shown) + [3.0], sharex=True)
+    for ax, name in zip(axes[:, 0], shown, strict=False):
         for i, facts in enumerate(found.instruments):
             level = 20 * np.log10(np.maximum(np.abs(facts.mobility[name]), 1e-12))
             ax.plot(facts.freq, level, color=COLOURS[i], ls=DASHES[i % 4], lw=LINE, label=plain(_names(found)[i]))
         frequency_axis(ax, float(first.freq[0]), float(first.freq[-1]))
-        ax.set(ylabel="mobility\ndB re 1 (m/s)/N", xlabel="frequency, Hz" if name == shown[-1] else "")
+        ax.set(ylabel="mobility\ndB re 1 (m/s)/N", xlabel="")
         title(ax, f"at the end of {name}")
+    freq, levels = band_levels(found, ends)
+    for i, level in enumerate(levels[1:], 1):
+        axes[-1, 0].plot(freq, level - levels[0], color=COLOURS[i], ls=DASHES[i % 4], lw=LINE)
+    axes[-1, 0].axhline(0.0, color=COLOURS[0], lw=1.0)
+    frequency_axis(axes[-1, 0], float(first.freq[0]), float(first.freq[-1]))
+    axes[-1, 0].set(ylabel=f"less {first.label}, dB", xlabel="frequency, Hz")
+    title(axes[-1, 0], "difference, mean of all ends, third octaves")
     legend_above(made, axes[0, 0])
-    return Picture(_svg(made), f"Mobility of the bodies at the ends of {' and '.join(shown)}, overlaid")
+    ends_shown = " and ".join(shown)
+    return Picture(_svg(made), f"Mobility of the bodies at the ends of {ends_shown}, overlaid, and their difference")
 
 
-def shapes_pictures(found: Comparison) -> list[Picture]:
-    """First modes of every body whose whole surface is known, with their nodal lines."""
-    made = []
+def band_levels(found: Comparison, ends: Sequence[str]) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
+    """(f,) Hz, and of each instrument (f,) dB: mean of 20 lg |Y| over the ends and a third of an octave."""
+    low = max(float(facts.freq[0]) for facts in found.instruments) * 2 ** (1 / 6)
+    high = min(float(facts.freq[-1]) for facts in found.instruments) / 2 ** (1 / 6)
+    freq = np.geomspace(low, high, 120)
+    levels = []
     for facts in found.instruments:
-        if facts.surface is None or not len(facts.surface.areas):
-            continue
-        basis, heading = facts.surface_modes, facts.heading if len(found.instruments) > 1 else ""
+        x = np.log2(facts.freq)
+        level = np.mean([20 * np.log10(np.maximum(np.abs(facts.mobility[n]), 1e-12)) for n in ends], axis=0)
+        total = np.concatenate([[0.0], np.cumsum(np.diff(x) * (level[1:] + level[:-1]) / 2)])
+        edges = [np.interp(np.log2(freq) + by, x, total) for by in (-1 / 6, 1 / 6)]
+        levels.append(3 * (edges[1] - edges[0]))
+    return freq, levels
+
+
+def shapes_picture(found: Comparison) -> Picture | None:
+    """First modes of the bodies whose whole surface is known, with nodal lines, a row or more each."""
+    bodies = [f for f in found.instruments if f.surface is not None and len(f.surface.areas)]
+    if not bodies:
+        return None
+    rows = _SHAPE_ROWS if len(bodies) == 1 else 1
+    made, axes = figure(rows * len(bodies), COLUMNS, heights=[3.6] * rows * len(bodies))
+    for k, facts in enumerate(bodies):
+        assert facts.surface is not None
+        basis = facts.surface_modes
         moves = basis.natural_freq > 0
-        q = 0.5 / basis.damping_ratio[moves]
-        drawn = shapes_figure(facts.surface.of(moves), basis.natural_freq[moves], q, heading=heading)
-        made.append(Picture(data_uri(png(drawn, 60), "image/png"), f"First modes of the body of {facts.name}"))
-    return made
+        moves &= np.cumsum(moves) <= rows * COLUMNS
+        mine = axes[k * rows : (k + 1) * rows].ravel()
+        draw_shapes(mine, facts.surface.of(moves), basis.natural_freq[moves], 0.5 / basis.damping_ratio[moves])
+        if len(found.instruments) > 1:
+            mine[0].set_title(plain(f"{facts.label}: {mine[0].get_title()}"))
+    names = ", ".join(facts.label for facts in bodies) if len(found.instruments) > 1 else bodies[0].name
+    return Picture(data_uri(png(made, 72), "image/png"), f"First modes of the bodies of {names}")
+
+
+def sweep_picture(found: Comparison) -> Picture:
+    """Key figures over the value that is swept, a panel each."""
+    rows = [(value, key_figures(facts)) for value, facts in found.swept()]
+    names = [n for n in dict.fromkeys(n for _, f in rows for n in f) if all(n in f for _, f in rows)]
+    made, axes = figure(-(-len(names) // 2), 2, heights=[2.6] * -(-len(names) // 2), sharex=True)
+    for ax in axes.ravel()[len(names) :]:
+        ax.set_axis_off()
+    for k, (ax, name) in enumerate(zip(axes.ravel(), names, strict=False)):
+        ax.plot([v for v, _ in rows], [f[name][0] for _, f in rows], "o-", color=COLOURS[0], lw=LINE, ms=7)
+        ax.set_title(plain(name.partition(",")[0]), fontsize=TEXT)
+        ax.set(ylabel=rows[0][1][name][1], xlabel=found.sweep.rpartition(".")[2] if k >= len(names) - 2 else "")
+    return Picture(_svg(made), f"Figures of the instrument over {found.sweep}")
 
 
 def notes_picture(found: Comparison, quantity: str) -> Picture:

@@ -20,21 +20,24 @@ from tonewood.support.plotting import COLOURS
 def offline_page(template: str, **values: Any) -> str:
     """A template of Jinja with values; every text among them is escaped.
 
-    The template finds ``style``, ``script`` (the player of `page.js`), ``script_hash``, ``version``, ``colours``, and
-    the filters ``fixed`` (digits, signed) and ``shown``.
+    The template finds ``script`` (the player of `page.js`), ``version``, ``colours``, the macros of ``parts`` (the head
+    of a page among them), and the filters ``fixed`` (digits, signed) and ``shown``.
 
     Raises
     ------
     TonewoodError : jinja2 is not installed.
     """
     try:
-        from jinja2 import Environment, StrictUndefined
+        from jinja2 import DictLoader, Environment, StrictUndefined
         from markupsafe import Markup
     except ImportError:
         raise TonewoodError("pages need jinja2: pip install 'tonewood[report]'") from None
     folder = files("tonewood.workshop.report")
-    style, script = ((folder / f"page.{kind}").read_text(encoding="utf-8") for kind in ("css", "js"))
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=False)
+    style, script, parts = (
+        (folder / name).read_text(encoding="utf-8") for name in ("page.css", "page.js", "parts.html")
+    )
+    loader = DictLoader({"parts": parts})
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=False, loader=loader)
     environment.filters |= {"fixed": _fixed, "shown": _shown}
     common = {
         "version": __version__,

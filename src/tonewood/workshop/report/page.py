@@ -13,15 +13,23 @@ from tonewood.workshop.report.figures import (
     decay_picture,
     mobility_picture,
     notes_picture,
-    shapes_pictures,
+    shapes_picture,
     spectrogram_picture,
+    sweep_picture,
     wolf_picture,
 )
 from tonewood.workshop.report.offline import offline_page
+from tonewood.workshop.report.summary import changes, difference_words, heard_words, key_figures, value_words
 from tonewood.workshop.report.tones import flac, matched_gains_db
 
 #: rows of the table of modes
 MOST_ROWS = 150
+#: tables of what changed, rows of a table, wolf notes, notes, spectrograms and tables of strings that are printed, on
+#: six A4 pages at most
+PRINTED = {
+    "print_summaries": 3, "print_rows": 24, "print_wolves": 5, "print_notes": 4, "print_spectrograms": 2,
+    "print_strings": 2,
+}  # fmt: skip
 
 
 def page(found: Comparison) -> str:
@@ -40,15 +48,63 @@ def page(found: Comparison) -> str:
         several=several,
         title=", ".join(names) if several else found.instruments[0].title,
         most_rows=MOST_ROWS,
+        figures=[(name, value_words(*pair)) for name, pair in key_figures(found.instruments[0]).items()],
+        summary=[] if found.sweep else [_summary(found, i) for i in range(1, len(found.instruments))],
+        sweep=_sweep(found) if found.sweep else None,
         modes_differ=any(not alike(match) for match in found.modes),
         tones=[_tone(found, note) for note in found.tones],
         mobility=mobility_picture(found),
-        shapes=shapes_pictures(found),
+        shapes=shapes_picture(found),
         t60_picture=notes_picture(found, "t60"),
         cents_picture=notes_picture(found, "cents_mounted"),
         wolf_picture=wolf_picture(found),
         wolf_stops=_wolf_stops,
+        origins=_origins(found),
+        **PRINTED,
     )
+
+
+def _summary(found: Comparison, i: int) -> dict[str, Any]:
+    """Changes of one instrument from the first."""
+    rows = changes(found, i)
+    return {
+        "index": i,
+        "label": found.instruments[i].label,
+        "short": found.instruments[i].short,
+        "said": heard_words(rows),
+        "rows": [
+            (
+                row.name,
+                value_words(row.before, row.unit),
+                value_words(row.after, row.unit),
+                difference_words(row),
+                row.times is not None and row.times >= 1,
+                row.verdict,
+                row.threshold.source if row.threshold else "",
+            )
+            for row in rows
+        ],
+    }
+
+
+def _sweep(found: Comparison) -> dict[str, Any]:
+    """Key figures over the swept value."""
+    rows = [(value, facts, key_figures(facts)) for value, facts in found.swept()]
+    names = list(dict.fromkeys(name for _, _, figures in rows for name in figures))
+    cells = [[value_words(*f[name]) if name in f else "\N{EN DASH}" for name in names] for _, _, f in rows]
+    return {
+        "names": names,
+        "rows": [(f"{v:g}", facts.label, row) for (v, facts, _), row in zip(rows, cells, strict=True)],
+        "picture": sweep_picture(found),
+    }
+
+
+def _origins(found: Comparison) -> list[tuple[str, InstrumentFacts]]:
+    """Instruments that name other sources than those before them, each with all labels that share them."""
+    groups: dict[tuple[str, str], list[InstrumentFacts]] = {}
+    for facts in found.instruments:
+        groups.setdefault((facts.name, repr((facts.sources, facts.stand_ins, facts.kinds))), []).append(facts)
+    return [(", ".join(facts.label for facts in group), group[0]) for group in groups.values()]
 
 
 def _tone(found: Comparison, note: str) -> dict[str, Any]:

@@ -123,10 +123,15 @@ def cut_taps(samples: Floats, fs: float, name: str = "recording", full_scale: fl
     return Taps(tuple(kept), fs, tuple(ended), tuple(left_out))
 
 
+def _powers(x: Floats, block: float) -> tuple[int, Floats]:
+    """Samples of a block of about `block`, and the mean power of each."""
+    size = max(1, round(block))
+    return size, np.mean(np.square(x[: x.size // size * size]).reshape(-1, size), axis=1)
+
+
 def _onsets(x: Floats, fs: float) -> NDArray[np.intp]:
     """Samples at which taps begin."""
-    size = max(1, round(_BLOCK * fs))
-    power = np.mean(np.square(x[: x.size // size * size]).reshape(-1, size), axis=1)
+    size, power = _powers(x, _BLOCK * fs)
     if power.size <= _BEFORE or not power.max() > 0:
         return np.zeros(0, dtype=np.intp)
     floor = max(float(np.quantile(power, 0.1)), 1e-9 * power.max())  # a file may begin within a tap
@@ -141,15 +146,13 @@ def _onsets(x: Floats, fs: float) -> NDArray[np.intp]:
 
 def _noise(x: Floats, fs: float) -> float:
     """Power of the quietest tenth of the recording."""
-    size = max(1, round(_SLOW * fs))
-    power = np.mean(np.square(x[: x.size // size * size]).reshape(-1, size), axis=1)
+    power = _powers(x, _SLOW * fs)[1]
     return float(np.quantile(power[power > 0], 0.1)) if np.any(power > 0) else 0.0
 
 
 def _ring_out(x: Floats, fs: float, quiet: float) -> int:
     """Samples until the level has fallen to that of the noise."""
-    size = max(1, round(_SLOW * fs))
-    power = np.mean(np.square(x[: x.size // size * size]).reshape(-1, size), axis=1)
+    size, power = _powers(x, _SLOW * fs)
     loud = np.flatnonzero(power > _DECAYED * quiet)
     return min(x.size, int((loud[-1] + 1) * size)) if loud.size else 0
 

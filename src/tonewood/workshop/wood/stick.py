@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.physics.plate.plate import SHEAR_FACTOR
-from tonewood.workshop.wood.board import MODEL_ERROR, NORMAL_90, losses_of
+from tonewood.workshop.wood.board import MODEL_ERROR, NORMAL_90, losses_of, sorted_peaks
 
 Floats = NDArray[np.float64]
 
@@ -117,10 +117,7 @@ def estimate_stick(
     """
     if not len(freq):
         raise ValueError("no peak; one or more are wanted")
-    order = np.argsort(freq)
-    peaks = np.asarray(freq, dtype=np.float64)[order]
-    spread = np.hypot(np.asarray(errors, dtype=np.float64)[order] / peaks, model_error)
-    quality = np.asarray(q, dtype=np.float64)[order] if len(q) else np.zeros(len(peaks))
+    peaks, spread, quality = sorted_peaks(freq, errors, q, model_error)
     density = mass / (length * width * height)
 
     def log_freq(theta: Floats) -> Floats:

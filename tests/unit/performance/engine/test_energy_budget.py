@@ -59,8 +59,8 @@ def balanced(trace: EnergyTrace) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "classical_guitar",
-        "african_harp",
+        pytest.param("classical_guitar", marks=pytest.mark.slow),
+        pytest.param("african_harp", marks=pytest.mark.slow),
         "bowed_monochord",
         "buzzing_monochord",
         "sitar",

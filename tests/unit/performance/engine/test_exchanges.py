@@ -37,6 +37,7 @@ def same(ours: np.ndarray, theirs: np.ndarray) -> None:
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-14 * np.abs(theirs).max(initial=0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHANGES)
 def test_parts_exchanged_one_by_one_are_as_if_all_were_loaded(name: str) -> None:
     """The system's solve against one built of its parts, the stepper against one that has just been made."""

@@ -216,6 +216,7 @@ def test_a_key_repeated_fifteen_times_a_second(grand: tw.Instrument) -> None:
     assert min(peaks) > 0.5 * peaks[0]
 
 
+@pytest.mark.slow
 def test_a_trill_of_two_keys_with_half_pedal(grand: tw.Instrument) -> None:
     """Two keys in turn, fifteen blows a second on each: every blow lands, and the account closes."""
     notes = [

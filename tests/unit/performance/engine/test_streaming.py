@@ -149,6 +149,7 @@ def test_time_between_two_samples_is_kept(monochord: tw.Instrument) -> None:
         assert turned == pytest.approx(-2 * np.pi * k / n * shift, abs=2e-4)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_piece(monochord: tw.Instrument) -> None:
     def peak(n_notes: int) -> int:
         notes = [tw.Note(0.2 * i, 0.15, note=45 + i % 5, force=1.0) for i in range(n_notes)]

@@ -163,7 +163,7 @@ class TestScl:
             ("name\n1\nnan\n", "line 3: 'nan'"),
             ("name\n1\n.\n", "line 3: '.'"),
             ("name\n1\n٣/٢\n", "line 3"),
-            ("name\n1\n99999.0\n", "line 3: '99999.0': pitches within"),
+            ("name\n1\n12000.1\n", "line 3: '12000.1': pitches within 12000 cents"),
             ("name\n1\n" + "9" * 399 + "\n", "pitches within"),
             ("name\n1\n" + "9" * 5000 + "/2\n", "is not a pitch"),
             ("name\n1\n-100.0\n", "must rise"),
@@ -175,6 +175,9 @@ class TestScl:
             read_scl(write("bad.scl", text))
         assert reason in str(caught.value)
         assert "bad.scl: " in str(caught.value)
+
+    def test_ten_octaves_between_neighbours_are_allowed(self, write):
+        assert read_scl(write("wide.scl", scl("12000.0"))).cents == (12000.0,)
 
     def test_what_is_no_small_file_is_refused(self, tmp_path, write):
         for path in (tmp_path, tmp_path / "none.scl", write("big.scl", b" " * (2**20 + 1))):

@@ -143,12 +143,12 @@ def test_kernel_and_twin_solve_in_parts_what_the_whole_matrix_solves(rng, case, 
         kernels = [KernelStepper(stepped, isa=isa) for isa in _kernel.instruction_sets()]
         for stepper in (NumpyStepper(stepped), *kernels, general(stepped)):
             state = start.copy()
-            out, forces = stepper.run(state, 150, [knock(stepped)])
+            out, forces = stepper.run(state, 100, [knock(stepped)])
             found.append((out, forces, state.modes))
     for other in found[1:]:
         for a, b in zip(other, found[0], strict=True):
             np.testing.assert_allclose(a, b, rtol=0, atol=3e-11 * np.abs(b).max())
-    without, _ = KernelStepper(system.with_potentials(())).run(start.copy(), 150, [knock(system)])
+    without, _ = KernelStepper(system.with_potentials(())).run(start.copy(), 100, [knock(system)])
     assert (np.abs(without - found[0][0]).max() > 1e-4 * np.abs(without).max()) == ("rising" in what)
 
 
@@ -176,6 +176,7 @@ def test_runs_cut_at_windows_give_the_same_bits(rng, case, monkeypatch):
     np.testing.assert_array_equal(cut.modes, whole.modes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rising", [0, 12])
 def test_laws_act_on_a_body_in_parts_as_in_one_matrix(rng, rising, monkeypatch):
     """A contact on the body itself and one on a string, the body stepped sample by sample."""

@@ -241,6 +241,7 @@ def test_loss_factors_are_those_of_the_strains() -> None:
     assert modes.loss[0] == pytest.approx(lost / energy, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_brace_moves_the_modes_smoothly() -> None:
     """In steps of 1.5 mm over more than a cell, scatter about a polynomial of degree 6 below 0.2 cent."""
     ring = np.array([[0.0, 0.0], [0.3, 0.0], [0.3, 0.2], [0.0, 0.2]])

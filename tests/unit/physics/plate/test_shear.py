@@ -89,7 +89,9 @@ def test_hinged_plate_has_naviers_frequencies() -> None:
     assert expected[-1] < 0.8 * hinged(replace(SITKA, G_LT=1e15, G_RT=1e15), size, h, 40)[-1]
 
 
-@pytest.mark.parametrize("edge", [FREE, CLAMPED], ids=["free", "clamped"])
+@pytest.mark.parametrize(
+    "edge", [pytest.param(FREE, id="free"), pytest.param(CLAMPED, id="clamped", marks=pytest.mark.slow)]
+)
 def test_a_thin_plate_is_kirchhoffs(edge: object) -> None:
     """h f / h tends to Kirchhoff's with h; at a ten-thousandth of the length nothing locks."""
     apart = []
@@ -118,6 +120,7 @@ def test_a_free_strip_twists_as_saint_venant_says() -> None:
     assert (first[0] / first[1]) ** 2 == pytest.approx(1 - 0.630 * h / width, abs=3e-3)
 
 
+@pytest.mark.slow
 def test_grain_and_plate_may_be_turned_together() -> None:
     """The shear of a wood turns with its grain, and so does the layer on a free edge."""
     c, s = np.cos(0.5), np.sin(0.5)

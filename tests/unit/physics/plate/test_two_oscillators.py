@@ -36,6 +36,7 @@ def test_power_above_t1_is_that_of_the_loss_factor() -> None:
     assert power == pytest.approx(0.004 * omega / 2, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_levels_are_near_those_of_a_guitar_whose_surface_is_known() -> None:
     """The drawn guitar, known at its bridge alone: octaves at 1 m within 6 dB of the sums over its whole surface.
 

@@ -346,3 +346,23 @@ def test_frets_behind_a_stop_are_left_out(modulated):
     _, expected = NumpyStepper(system).run(state, 320, (), rising)
     assert statistics["rows_read"] > 0 or modulated
     np.testing.assert_allclose(forces, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_a_string_that_another_plane_pumps_misses_no_contact():
+    """While one plane swings, the tension that it makes takes the other past its clearance within a block."""
+    planes = {name: held_string(1, {"p": 0.4 * LENGTH}, damping=0.5, residual=False) for name in ("other", "a", "b")}
+    fret = Connection("fret", (Term("b", "p"),), Contact(1e5, 1.5, offset=-2e-4))
+    rising = [TensionModulation("string", ("a", "b"), 5e5)]
+    touched = 0
+    for turn in np.linspace(0.0, np.pi, 8, endpoint=False):
+        for other in np.linspace(0.0, np.pi, 8, endpoint=False):
+            system = System.build(planes, [fret], dt=1 / 1400, potentials=rising)
+            state = system.start()
+            for name, height, phase in (("a", 6e-3, turn), ("b", 1.9e-4, other)):
+                hang(system, state, name, height, 0.4 * LENGTH)
+                modes = system.modes_of(state, name)
+                turned = (modes[0] + 1j * modes[1]) * np.exp(1j * phase)
+                modes[0], modes[1] = turned.real, turned.imag
+            (_, forces), statistics = both_ways(system, state, 64)
+            touched += forces.any() and statistics["added"] > 0
+    assert touched > 10

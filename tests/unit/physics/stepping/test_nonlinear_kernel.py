@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from nonlinear_scenes import LENGTH, body, drawn, hang, held_string, modulated_guitar
 
+from assembled import held_force
 from tonewood import _kernel
 from tonewood.errors import NumericalError
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
@@ -323,3 +324,29 @@ def test_a_system_that_comes_back_takes_the_series_over_again():
     theirs, _ = NumpyStepper(whole).run(again, 16)
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13 * np.abs(theirs).max())
     np.testing.assert_allclose(other.series, again.series, rtol=0, atol=1e-6 * np.abs(again.series).max())
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("stepper", [NumpyStepper, KernelStepper])
+def test_a_string_slips_later_than_it_is_caught(stepper, sign):
+    """Friedlander's ambiguity: v + N mu(v) / 2 Z = F / 2 Z has two stable roots; the one of the step before holds."""
+    normal, static, dynamic, speed, n = 1.0, 0.8, 0.3, 0.02, 200  # 4 ms, before the ends answer
+    string = held_string(224, {"middle": LENGTH / 2})
+    bow = Connection("bow", (Term("string", "middle"),), Friction(normal, static, dynamic, speed))
+    system = System.build({"string": string}, [bow], dt=DT)
+    pull = np.concatenate([np.linspace(0.0, 1.0, n // 2), np.linspace(1.0, 0.0, n // 2)])
+    pulled = held_force(string, "string", "middle", sign * pull, DT)
+    _, forces = stepper(system).run(system.start(), n, [pulled])
+    net = sign * forces[:, 0] + pull  # N, 2 Z v
+    doubled = 2 * np.sqrt(70.0 * 3.6e-3)  # 2 Z, kg/s
+
+    def sliding(force):
+        flat = doubled * speed
+        return np.max(np.roots([1.0, flat + normal * dynamic - force, flat * (normal * static - force)]).real)
+
+    rising, falling = pull[: n // 2], pull[n // 2 :]
+    np.testing.assert_allclose(net[: n // 2][rising < normal * static], 0.0, atol=1e-3)
+    for k in range(n):
+        if pull[k] > (0.85 if k < n // 2 else 0.55):
+            assert net[k] == pytest.approx(sliding(pull[k]), abs=0.02)
+    np.testing.assert_allclose(net[n // 2 :][falling < 0.42], 0.0, atol=5e-3)  # the roots meet at 0.48 N

@@ -101,6 +101,7 @@ def random_scene(rng: np.random.Generator) -> tuple[System, State]:
     return system, state
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10**6), stepper=st.sampled_from(STEPPERS))
 @settings(max_examples=30, deadline=None)
 def test_energy_balances_whatever_the_potential(seed: int, stepper: type) -> None:

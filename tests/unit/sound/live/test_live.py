@@ -182,6 +182,7 @@ def test_the_peak_is_the_largest_of_both_signs(monochord: tw.Instrument) -> None
     assert signs == {True, False}
 
 
+@pytest.mark.slow
 def test_nothing_grows_with_time(monochord: tw.Instrument) -> None:
     """Lists and tables of the engine after 120 notes, and after twice as many."""
     live = tw.Live(monochord, fs=8000, accuracy="draft")

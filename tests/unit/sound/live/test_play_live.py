@@ -127,8 +127,12 @@ main()
 
 @pytest.mark.parametrize(
     ("number", "code"),
-    [(signal.SIGINT, 0), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, -9)],
-    ids=["int", "term", "hup", "kill"],
+    [
+        pytest.param(signal.SIGINT, 0, id="int"),
+        pytest.param(signal.SIGTERM, 143, id="term", marks=pytest.mark.slow),
+        pytest.param(signal.SIGHUP, 129, id="hup", marks=pytest.mark.slow),
+        pytest.param(signal.SIGKILL, -9, id="kill"),
+    ],
 )
 def test_a_signal_keeps_the_take(tmp_path: Path, number: int, code: int) -> None:
     """In good order, so that every message is there; a killed program loses a second at most."""

@@ -69,6 +69,7 @@ def test_renders_repeat_to_the_bit_and_hear_their_factor() -> None:
     assert np.std(other.samples[late]) < 0.9 * np.std(first.samples[late])
 
 
+@pytest.mark.slow
 def test_a_kept_model_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Notes at several stops, in two orders, on models that were used before and on fresh ones."""
     notes = {
@@ -223,6 +224,7 @@ def test_the_key_follows_what_computes(monkeypatch: pytest.MonkeyPatch, what: st
     assert content_key(ENGINE.identity(condition)) != content_key(before)
 
 
+@pytest.mark.slow
 def test_another_core_of_blas_is_another_key() -> None:
     code = "from tonewood.workshop.batch.rendering import computed_with; print(computed_with()['blas'])"
     reported = [

@@ -142,6 +142,14 @@ def test_varied_quantities_are_not_negative_but_angles_are() -> None:
     assert min(n.angle_deg for n in got) < -1.0
 
 
+def test_varied_velocities_stay_within_midi_and_forces_do_not() -> None:
+    notes = tuple(Note(float(i), velocity_midi=120, force=120.0) for i in range(50))
+    draws = tuple(Draw(f"note.{name}", "normal", 20.0, 3, ("a",)) for name in ("velocity_midi", "force"))
+    got = vary_notes(notes, draws, lambda draw, note: getattr(note, draw.note_field))
+    np.testing.assert_allclose([n.velocity_midi for n in got], np.minimum(120 + draws[0].values(50), 127.0))
+    assert max(n.force for n in got) > 130.0
+
+
 def test_inline_notes_have_the_fields_of_notes() -> None:
     assert set(NoteFields.model_fields) == {f.name for f in dataclasses.fields(Note)}
     assert NoteFields(time=1.0, string="s4").to_note() == Note(1.0, string="s4")
@@ -388,6 +396,17 @@ def test_pairs_differ_in_one_factor_only() -> None:
     assert len(group.stimuli) == 12
 
 
+def test_a_rating_page_has_each_sound_by_itself() -> None:
+    page = {"type": "rating", "scales": [{"name": "bright", "label": "Bright", "low": 1.0, "high": 7.0}]}
+    groups, notes = groups_of(pages=[{"type": "instructions", "content": "c"}, page])
+    assert not notes
+    for group in groups:
+        assert group.page == 1
+        assert group.name.startswith("page2")
+        assert [(trial.reference, len(trial.stimuli)) for trial in group.trials] == [(None, 1)] * len(group.stimuli)
+        assert {trial.stimuli[0] for trial in group.trials} == {s.code for s in group.stimuli}
+
+
 def test_the_audition_takes_what_is_on_no_other_page() -> None:
     rated = {"type": "mushra", "group_by": ["score"], "reference": {"damping": "complex", "pluck": "near"}}
     groups, _ = groups_of(pages=[{"type": "html"}])
@@ -486,5 +505,6 @@ def test_a_manifest_of_today_needs_no_edits() -> None:
     pages = [{"type": "paired_comparison", "question": "brighter?"}, {"type": "mushra"}]
     assert manifest_edits({"render": {"fs": 48000}, "pages": pages}) == []
     old = {"render": {"precision": "f32", "fs": 48000}, "pages": [{"type": "paired_comparison", "both_orders": True}]}
+    assert manifest_edits({"render": "all", "pages": "all", "factors": {"a": "x", "b": {"path": "body.t60"}}}) == []
     edits = [(edit.path, edit.value) for edit in manifest_edits(old)]
     assert edits == [("render.precision", None), ("pages.0.type", "abx"), ("pages.0.both_orders", None)]

@@ -30,6 +30,22 @@ def test_a_tone_is_brightest_at_its_frequency(tmp_path: Path, freq: float, fs: i
     assert rows.mean() == pytest.approx(expected, abs=1.0)
 
 
+def test_lines_stand_at_decades(tmp_path: Path) -> None:
+    """Of silence, all that is seen; rows at equal ratios from 50 Hz at the bottom to 16 kHz."""
+    _, levels = picture(tmp_path, np.zeros(48000))
+    bright = np.flatnonzero((levels != levels[:1]).any(axis=(1, 2)))
+    expected = SPECTRUM_HEIGHT * (1 - np.log(np.array([1e4, 1e3, 100.0]) / LOW_HZ) / np.log(TOP_HZ / LOW_HZ)) - 0.5
+    np.testing.assert_allclose(bright, expected, atol=0.6)
+
+
+def test_a_tone_does_not_leak(tmp_path: Path) -> None:
+    """By a Hann window, a tone half-way between two bins is below -90 dB an octave away: as dark as it gets."""
+    tone = np.sin(2 * np.pi * 256.5 * 48000 / 4096 * np.arange(48000) / 48000)
+    _, levels = picture(tmp_path, tone)
+    row = SPECTRUM_HEIGHT * (1 - np.log(6100.0 / LOW_HZ) / np.log(TOP_HZ / LOW_HZ))
+    assert levels[int(row), WIDTH // 2].sum() == levels.sum(axis=-1).min()
+
+
 def test_an_impulse_stands_at_its_time(tmp_path: Path) -> None:
     """Columns are 100 samples apart; an impulse is in those whose window of 4096 samples, centred, reaches it."""
     sound = np.zeros(100 * WIDTH)

@@ -253,6 +253,7 @@ def test_the_plan_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert plan_batch(path, tmp_path / "out", FakeRenderer()).summary()["to_render"] == 0
 
 
+@pytest.mark.slow
 def test_killed_in_the_middle_and_taken_up_again(tmp_path: Path) -> None:
     levels = {f"l{i}": 0.1 + 0.01 * i for i in range(30)}
     page = {"type": "mushra", "reference": {"damping": "l0"}, "strict": False}

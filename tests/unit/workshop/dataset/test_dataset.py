@@ -8,6 +8,7 @@ import json
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,12 @@ from scipy.stats import kstest
 from tonewood.workshop.batch.manifest import ManifestError
 from tonewood.workshop.batch.rendering import EngineRenderer
 from tonewood.workshop.batch.workers import Workers
+from tonewood.workshop.dataset import sampling as sampling_module
+from tonewood.workshop.dataset.labels import midi
 from tonewood.workshop.dataset.manifest import Dataset, check_dataset, midi_clock
 from tonewood.workshop.dataset.runner import RECORD, SHARDS, plan_dataset, run_dataset
 from tonewood.workshop.dataset.sampling import points, samples
+from tonewood.workshop.dataset.sound import PlayedNote
 
 pq = pytest.importorskip("pyarrow.parquet")
 
@@ -157,6 +161,46 @@ def test_labels_are_those_of_the_sound(alone: tuple[Path, Any]) -> None:
         assert times == {note["string"]: note["onset"] / FS for note in own}
 
 
+def test_midi_has_every_note_of_many_strings_sample_for_sample() -> None:
+    """Keys within 0 to 127, channels again from 0 after 16 strings, a note of no length lasts a sample."""
+    note = PlayedNote("s0", 0.0, 100.0, 100, 0.05, 60.4, "pluck", 1.5, 90, 0.1, 0.65, None)
+    strings = [replace(note, string=f"s{k}", pitch=60.4 + k) for k in range(18)]
+    more = [
+        replace(note, onset=2000.6, onset_frame=2001, pitch=-2.0, duration=0.0),
+        replace(note, onset=3000.0, onset_frame=3000, pitch=130.0),
+    ]
+    file = mido.MidiFile(file=io.BytesIO(midi([*strings, *more], FS)))
+    assert [track.name for track in file.tracks[1:]] == [n.string for n in strings]
+    for k, track in enumerate(file.tracks[1:]):
+        at, told = 0, []
+        for message in track:
+            at += message.time
+            if message.type in ("note_on", "note_off"):
+                told.append((message.type == "note_on", at, message.note, message.velocity, message.channel))
+        channel = k % 16
+        expected = [(True, 100, 60 + k, 90, channel), (False, 100 + FS // 20, 60 + k, 0, channel)]
+        if k == 0:
+            expected += [(True, 2001, 0, 90, 0), (False, 2002, 0, 0, 0)]
+            expected += [(True, 3000, 127, 90, 0), (False, 3000 + FS // 20, 127, 0, 0)]
+        assert told == expected
+
+
+def test_each_sound_can_be_brought_to_its_peak(tmp_path: Path, alone: tuple[Path, Any]) -> None:
+    """To -1 dB re full scale; otherwise the instrument's own level stays."""
+    out, _ = made(tmp_path, sounds={"per_shard": 2, "level": "peak"})
+    assert [row["peak"] for row in table(out)] == pytest.approx([10 ** (-1 / 20)] * 5, abs=1e-5)
+    assert max(row["peak"] for row in table(alone[0])) < 0.8
+
+
+def test_too_many_sounds_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sampling_module, "MAX_SOUNDS", 5)
+    assert len(samples(dataset(), Path())) == 5
+    with pytest.raises(ManifestError, match="10 sounds; 5 are allowed"):
+        samples(dataset(instruments={"a": "african_harp", "b": "african_harp"}), Path())
+    with pytest.raises(ManifestError, match="6 sounds; 5 are allowed"):
+        samples(dataset(size=6), Path())
+
+
 def test_jams_is_read_by_its_own_library(alone: tuple[Path, Any], tmp_path: Path) -> None:
     jams = pytest.importorskip("jams")
     with zipfile.ZipFile(alone[0] / SHARDS / "00000.labels.zip") as archive:
@@ -202,6 +246,7 @@ def test_points_fill_the_ranges() -> None:
     rows = list(points(dataset(sampling="grid", size=None, parameters=grid), ("i", "s")))
     assert len(rows) == 27
     assert sorted({r["a"] for r in rows}) == pytest.approx([0.1, 1.0, 10.0])
+    assert sorted({r["b"] for r in rows}) == pytest.approx([0.0, 0.5, 1.0])
 
 
 def test_a_folder_of_midi_files_gives_a_score_each(tmp_path: Path) -> None:
@@ -251,6 +296,7 @@ def test_a_tick_of_midi_can_be_a_sample(fs: int) -> None:
     assert ticks * 1_000_000 == tempo * fs
 
 
+@pytest.mark.slow
 def test_the_command_plans_and_makes_it(tmp_path: Path) -> None:
     path = tmp_path / "d.yaml"
     path.write_text(json.dumps(BASE | {"size": 2}))

@@ -1,6 +1,7 @@
 """Designs of small bodies: targets reached, checked by the computation that renders use, and targets out of reach."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ import yaml
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.added import body_parts
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.workshop.design.bodies import DrawnDesign
 from tonewood.workshop.design.figures import StringEnd, worst_wolf
 from tonewood.workshop.design.folder import write_design
 from tonewood.workshop.design.search import find_design
+from tonewood.workshop.design.sensitivity import sensitivity, words
 from tonewood.workshop.design.task import parse_free, parse_targets, read_task
 from tonewood.workshop.design.words import lines, trades
 
@@ -80,6 +83,35 @@ def test_an_added_mass_on_a_measured_body(tmp_path):
     assert np.sort(whole.natural_freq)[1] == pytest.approx(wanted, rel=0.005)
 
 
+def test_sensitivity_against_differences_and_rayleigh(box):
+    """The cents from 2.45 to 2.55 mm; of a gram -600 / ln 2 phi^2 1e-3 cents. Modes 2 and 3 veer: their sum is told."""
+    found = sensitivity(box)
+    low, mid, high = (box.replace({"body.thickness": h}).body.modes_below(math.inf) for h in (2.45e-3, 2.5e-3, 2.55e-3))
+    pair = np.array([[1, 0, 0, 0], [0, 1, 1, 0], [0, 0, 0, 1]])
+    cents = 1200 * np.log2(high.freq[:4] / low.freq[:4])
+    np.testing.assert_allclose(pair @ found.rows["0.1 mm of thickness"][:4], pair @ cents, rtol=0.02)
+    gram = -600 / np.log(2) * 1e-3 * mid.shapes[0, :4] ** 2
+    np.testing.assert_allclose(pair @ found.rows["1 g at bridge"][:4], pair @ gram, rtol=0.02, atol=0.05)
+    assert set(found.labels) >= {"A0", "T1"}
+    assert "0.1 mm of braces.b.height" in found.rows
+    assert any(line.startswith("1 g at bridge") for line in words(found))
+
+
+def test_a_mode_is_followed_by_its_shape_past_another(box):
+    """A thicker top raises T1 through another mode: its number changes, its shape does not."""
+    body = DrawnDesign(box, parse_free({"body.thickness": "1.5e-3 .. 5e-3"}, box), 500.0)
+    shapes, numbers = [], []
+    for h in np.linspace(2.0e-3, 4.5e-3, 6):
+        found = body.at([float(h)])
+        k = found.named["T1"]
+        shapes.append(body._modes[1][:, k])
+        numbers.append(k)
+    mass = body._whole.mass_matrix
+    alike = [(a @ (mass @ b)) ** 2 / ((a @ (mass @ a)) * (b @ (mass @ b))) for a, b in pairwise(shapes)]
+    assert min(alike) > 0.5
+    assert len(set(numbers)) > 1
+
+
 class OneMode:
     """A mode of 200 Hz."""
 
@@ -117,6 +149,46 @@ def test_lines_that_are_refused(box, targets, free, said):
 
     with pytest.raises(TonewoodError, match=said):
         parsed()
+
+
+def test_targets_say_by_how_much_they_are_missed(box):
+    """Cents, percent or dB: above and below for =, on one side alone for <= and >=."""
+    lines = ["mode 2 = 200", "T1 <= 200", "A0 >= 100", "mass <= 0.5", "mobility bridge 80..800 >= -30"]
+    mode, top, air, mass, mobility = parse_targets(lines, box)
+    assert (mode.mode, top.mode, air.mode) == ("2", "T1", "A0")
+    assert (mode.off(400.0), mode.off(100.0)) == pytest.approx((1200.0, -1200.0))
+    assert (top.off(400.0), top.off(100.0)) == pytest.approx((1200.0, 0.0))
+    assert (air.off(400.0), air.off(50.0)) == pytest.approx((0.0, -1200.0))
+    assert (mass.off(0.55), mass.off(0.45)) == pytest.approx((10.0, 0.0))
+    assert (mobility.at, mobility.band) == ("bridge", (80.0, 800.0))
+    assert (mobility.off(-20.0), mobility.off(-33.0)) == pytest.approx((0.0, -3.0))
+    for target, tolerance in ((mode, 8.5), (mass, 0.5), (mobility, 0.5)):
+        assert target.tolerance == tolerance
+    for ends in ("mode 2 = 5", "mode 2 = 3000", "mobility bridge 5..3000 >= -30"):
+        assert parse_targets([ends], box)
+    for beyond in (
+        "mode 2 = 4.9",
+        "mode 2 = 3001",
+        "mass = 0",
+        "mobility bridge 4..90 >= 0",
+        "mobility bridge 9..9 >= 0",
+    ):
+        with pytest.raises(TonewoodError, match=beyond.split()[0]):
+            parse_targets([beyond], box)
+
+
+def test_numbers_that_a_pattern_frees(box):
+    """Each by its place in lists and mappings; several keep their ratios by a factor, one its own bounds."""
+    (thickness,) = parse_free({"body.thickness": "2e-3 .. 3e-3"}, box)
+    assert (thickness.paths, thickness.base, thickness.low, thickness.high) == (
+        ("body.thickness",), (2.5e-3,), 2e-3, 3e-3,
+    )  # fmt: skip
+    (brace,) = parse_free({"body.braces.*.start": "x 0.5 .. 2"}, box)
+    assert dict(zip(brace.paths, brace.base, strict=True)) == {
+        "body.braces.b.start.0": 0.06, "body.braces.b.start.1": 0.05,
+    }  # fmt: skip
+    with pytest.raises(TonewoodError, match=r"sets body\.thickness, which body\.thickness sets as well"):
+        parse_free({"body.thickness": "2e-3 .. 3e-3", "body.thick*": "x 0.9 .. 1.1"}, box)
 
 
 def test_a_file_with_another_key_is_refused(tmp_path):

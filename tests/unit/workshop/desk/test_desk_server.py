@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import struct
 import time
 from collections.abc import Callable, Iterator
@@ -205,6 +206,7 @@ def test_a_and_b_are_switched_without_a_gap_at_one_loudness(client: Client, desk
     assert client.act("compare", name=None)["pair"] is None
 
 
+@pytest.mark.slow
 def test_a_blind_comparison_tells_no_names_until_it_is_revealed(client: Client, desk: Desk) -> None:
     client.act("set", path="playing.velocity.high", value=30.0)
     orders = set()
@@ -350,3 +352,52 @@ def test_views_are_given_and_unknown_ones_refused(client: Client, desk: Desk) ->
     assert np.abs(force).max() > 0.0
     rings = desk.moments(0)
     assert set(rings) >= {"moments", "effects", "load"}
+
+
+def test_a_design_is_found_beside_the_sound_and_taken(client: Client, desk: Desk) -> None:
+    client.act("set", path="body.added", value=[{"at": "bridge", "mass": 0.01}])
+    offered = client.ask("/api/state")[1]["advice"]["offered"]
+    assert offered == "body.added.0.mass: 0 .. 0.05"
+    advice = client.act("advise", targets="mode 1 = 180\n", free=offered)["advice"]
+    assert advice["seconds"] is not None
+    assert advice["command"].startswith("tonewood design monochord --set 'body.added=[")
+    assert client.ask("/api/act", {"act": "advise", "targets": "T1 = 1", "free": offered})[0] == 400
+    found = until(lambda: (a := client.ask("/api/state")[1]["advice"])["seconds"] is None and a)
+    assert found["fault"] == ""
+    assert any("mode 1 = 180" in line and "reached" in line for line in found["lines"])
+    state = client.act("advise_take")
+    mass = state["changes"][-1]
+    assert mass["path"] == "body.added.0.mass"
+    until(lambda: client.ask("/api/state")[1]["heard"] == state["serial"])
+    assert mass["value"] == found["found"]["body.added.0.mass"] != 0.01
+    assert client.act("undo")["changes"] == [{"path": "body.added", "value": [{"at": "bridge", "mass": 0.01}]}]
+
+
+@pytest.mark.parametrize(
+    ("targets", "free", "reason"),
+    [
+        ("", "body.added.0.mass: 0 .. 1", "there are 0; 1 to 40"),
+        ("T2 = 100", "body.added.0.mass: 0 .. 1", "is no target"),
+        ("mode 1 = 180", "body.added.0.mass 0 .. 1", r"PATH: LOW \.\. HIGH is allowed"),
+        ("mode 1 = 180", "body.depth: 0 .. 1", "leads to no number"),
+    ],
+)
+def test_wrong_lines_of_a_search_are_one_line(client: Client, targets: str, free: str, reason: str) -> None:
+    client.act("set", path="body.added", value=[{"at": "bridge", "mass": 0.01}])
+    status, reply = client.ask("/api/act", {"act": "advise", "targets": targets, "free": free})
+    assert status == 400
+    assert re.search(reason, reply["error"])
+    assert client.ask("/api/act", {"act": "advise_take"}) == (
+        400,
+        {"error": "take: there is no design yet: look for one first"},
+    )
+
+
+def test_a_search_is_stopped(client: Client, desk: Desk) -> None:
+    client.act("set", path="body.added", value=[{"at": "bridge", "mass": 0.01}])
+    client.act("advise", targets="mode 1 = 180", free="body.added.0.mass: 0 .. 0.05")
+    process = desk.adviser._process
+    advice = client.act("advise_stop")["advice"]
+    assert (advice["seconds"], advice["fault"], advice["found"]) == (None, "stopped", {})
+    assert process is not None
+    assert process.wait(20) != 0

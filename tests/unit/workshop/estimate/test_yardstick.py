@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ from cli_runs import refused
 from tonewood.cli.main import run
 
 RATES = np.full(25, 3.0)
+#: recordings of the FreePats Spanish guitar
+NOTES = Path(os.environ.get("TONEWOOD_NOTES", Path(__file__).parents[5] / "shared/listening/recordings"))
 
 
 def write(folder, notes, rates, *, ending="wav") -> None:
@@ -51,3 +55,18 @@ def test_what_cannot_be_compared_is_one_line(tmp_path, monkeypatch, capsys, b: s
         run(["distance", "a", b])
     out, err = capsys.readouterr()
     refused((ended.value.code, out, err), said)
+
+
+@pytest.mark.validate
+@pytest.mark.skipif(not NOTES.is_dir(), reason="the recordings are not here")
+def test_the_estimated_guitar_is_nearer_to_its_recordings_than_their_next_semitones(capsys) -> None:
+    rows = {}
+    for name in ("spanish_guitar", "classical_guitar"):
+        with pytest.raises(SystemExit):
+            run(["distance", str(NOTES), name, "--json"])
+        rows[name] = json.loads(capsys.readouterr().out)["distances"]
+    estimated, begun = (rows[name]["A to B"] for name in rows)
+    scatter = rows["spanish_guitar"]["next semitone, A"]
+    assert estimated["decays"] < 1.30 < 1.4 < begun["decays"]
+    for row in ("third_octaves", "onset", "decays", "early_decays", "levels"):
+        assert estimated[row] < scatter[row] < begun[row], row

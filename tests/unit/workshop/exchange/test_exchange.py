@@ -309,6 +309,46 @@ def test_rows_that_do_not_fit_are_named(
         read_answers(write_plain(tmp_path / "bad.csv", [first | change]), made)
 
 
+@pytest.mark.parametrize(
+    ("kind", "changes"),
+    [
+        ("bs1116", {"value": ["0.9", "5.1"]}),
+        ("mushra", {"value": ["-1", "100.5"]}),
+        ("abx", {"response": ["C", ""], "seconds": ["-1", "1e9"], "repetition": ["0", "1001"]}),
+        ("afc", {"response": ["A", "4"]}),
+        ("questionnaire", {"item": ["height"], "page": ["0", "99", "x"]}),
+    ],
+)
+def test_answers_beyond_what_a_page_asks_are_left_out(
+    made: ListeningTest, tmp_path: Path, kind: str, changes: dict[str, list[str]]
+) -> None:
+    rows = plain_rows(made)
+    types = {index + 1: page.type for index, page in enumerate(made.pages)}
+    at = next(i for i, row in enumerate(rows) if types[int(row["page"])] == kind)
+    for key, values in changes.items():
+        for value in values:
+            changed = [row | {key: value} if i == at else row for i, row in enumerate(rows)]
+            found = read_answers(write_plain(tmp_path / "plain.csv", changed), made)
+            assert found.left_out, (key, value)
+            assert f"line {at + 2}: " in found.left_out[0].reason
+
+
+def test_ends_of_scales_and_times_are_taken(made: ListeningTest, tmp_path: Path) -> None:
+    rows = plain_rows(made)
+    types = {index + 1: page.type for index, page in enumerate(made.pages)}
+    for row in rows:
+        row |= {"bs1116": {"value": "5"}, "mushra": {"value": "0"}}.get(types[int(row["page"])], {}) | {"seconds": "0"}
+    found = read_answers(write_plain(tmp_path / "plain.csv", rows), made)
+    assert found.left_out == ()
+    (one,) = found.listeners
+    assert {
+        v for record in one.records if record["type"] == "mushra" for v in record["answer"]["ratings"].values()
+    } == {0.0}
+    assert {
+        v for record in one.records if record["type"] == "bs1116" for v in record["answer"]["ratings"].values()
+    } == {5.0}
+
+
 @pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "page,trial\n5,x\n", '"listener","page","trial\n', "\x00\x01"])
 def test_files_that_are_no_tables_are_one_line(made: ListeningTest, tmp_path: Path, text: str) -> None:
     path = tmp_path / "x.csv"
@@ -333,6 +373,7 @@ def test_answers_of_psychopy_s_tables_come_in(made: ListeningTest, tmp_path: Pat
     assert {record["answer"]["values"]["bright"] for record in one.records if record["type"] == "rating"} == {40.0}
 
 
+@pytest.mark.slow
 def test_the_command_reads_a_table_and_writes_parquet_beside_csv(
     made: ListeningTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

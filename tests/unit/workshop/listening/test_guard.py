@@ -22,6 +22,7 @@ from tonewood.workshop.listening.answer_file import answers_of
 from tonewood.workshop.listening.definition import ListeningTest
 from tonewood.workshop.listening.on_demand import RenderedPairs
 from tonewood.workshop.listening.server import ListeningServer
+from tonewood.workshop.web import requests
 from tonewood.workshop.web.guard import Guard
 
 PAGES = [{"type": "consent"}, {"type": "mushra", "reference": {"damping": "complex"}, "group_by": ["pluck"]}]
@@ -75,6 +76,30 @@ def test_host_and_origin_are_those_of_the_server(host: str, headers: dict[str, s
     guard = Guard(None, host, ["test.example"])
     found = guard.fault([(k.lower().encode(), v.encode()) for k, v in headers.items() if v])
     assert (found and found[0]) == status
+
+
+def test_an_address_in_the_network_is_the_server_s_where_it_listens_there() -> None:
+    host = [(b"host", b"192.168.1.5:8000")]
+    assert Guard(None, "0.0.0.0").fault(host) is None
+    assert Guard(None, "127.0.0.1").fault(host)[0] == 421
+    assert Guard(None, "127.0.0.1").fault([(b"host", b"127.0.0.9:8000")]) is None
+    assert Guard(None, "127.0.0.1").fault([])[0] == 421
+    ports = [(b"host", b"localhost:443"), (b"origin", b"https://localhost")]
+    assert Guard(None, "127.0.0.1").fault(ports) is None
+    assert Guard(None, "127.0.0.1").fault([(b"host", b"localhost:443"), (b"origin", b"http://localhost")])[0] == 403
+
+
+def test_texts_that_were_sent_are_plain() -> None:
+    """Lines end in one way, keys are texts like values, and eight levels are deep enough."""
+    found = requests._plain({"a\r\nb": ["c\rd\n", "\ud800", 1.5, True, None]}, TonewoodError)
+    assert found == {"a\nb": ["c\nd\n", "\N{REPLACEMENT CHARACTER}", 1.5, True, None]}
+    for kind in (lambda x: [x], lambda x: {"a": x}):
+        value = 1
+        for _ in range(8):
+            value = kind(value)
+        assert requests._plain(value, TonewoodError) == value
+        with pytest.raises(TonewoodError, match="nested more than 8 deep"):
+            requests._plain(kind(value), TonewoodError)
 
 
 def test_two_hosts_are_one_too_many(test: ListeningTest) -> None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 import pytest
+import soundfile as sf
 
 import tonewood as tw
 from tonewood.errors import TonewoodError
@@ -160,6 +162,12 @@ def test_a_mode_of_much_less_mass_is_another_one() -> None:
     assert [None in row.modes for row in rows] == [True, True]
 
 
+def test_modes_without_shapes_are_paired_by_frequency_and_mass() -> None:
+    still = (0.0, 0.0)
+    rows = match_modes([[mode(200.0, 0.1, still), mode(300.0, 0.1, still)], [mode(303.0, 0.1, still)]])
+    assert [[m and m.freq for m in row.modes] for row in rows] == [[200.0, None], [300.0, 303.0]]
+
+
 def test_wolves_are_ranked_over_all_instruments() -> None:
     def wolf(string: str, low: float, high: float, severity: float) -> WolfNote:
         return WolfNote(string, low, high, (low + high) / 2, 0.5, 50.0, severity, low, ())
@@ -175,10 +183,7 @@ def test_wolves_are_ranked_over_all_instruments() -> None:
 
 def test_players_are_level_matched(found: Comparison) -> None:
     """After the gains both sounds have one loudness by pyloudnorm, and none passes full scale."""
-    import io
-
     import pyloudnorm
-    import soundfile as sf
 
     tones = [facts.tones["A2"] for facts in found.instruments]
     louder = replace(tones[1], samples=4 * tones[1].samples)
@@ -211,6 +216,32 @@ def test_json_is_plain(found: Comparison) -> None:
     assert json.loads(text)["schema"] == "tonewood-compare/1"
     (alone,) = to_json(replace(found, instruments=found.instruments[:1]))["instruments"]
     assert alone["label"] == "A"
+
+
+def test_json_has_every_number_of_the_facts(found: Comparison) -> None:
+    """Of several instruments what differs, of one nothing of the kind; wolves, notes and mobility as they are."""
+    wolf = WolfNote("A2", 205.0, 226.0, 220.0, 0.5, 50.0, 57.0, 216.0, (12, 13))
+    both = to_json(replace(found, wolves=match_wolves([[wolf], []])))
+    assert {row["key"]: row["values"][1] for row in both["parameters"]}["strings.A2.tension"] == 55.0
+    assert both["wolf_notes"] == [[{**asdict(wolf), "stops": [12, 13]}, None]]
+    one = to_json(replace(found, instruments=found.instruments[:1]))
+    assert (one["schema"], "parameters" in one) == ("tonewood-report/1", False)
+    facts, told = found.instruments[0], both["instruments"][0]
+    string, row = facts.strings[0], told["strings"][0]
+    assert (row["tension"], row["length"], row["stops"]) == (string.tension, string.length, string.stops)
+    assert [p["freq"] for p in row["partials"]] == [p.freq for p in string.partials]
+    for name, mobility in facts.mobility.items():
+        np.testing.assert_allclose(told["mobility"]["level_db"][name], 20 * np.log10(np.abs(mobility)), atol=1e-3)
+    assert [n["notes"][1]["cents"] for n in both["notes"]] == [m.notes[1] and m.notes[1].cents for m in found.notes]
+    assert both["modes"][0]["modes"][0]["q"] == found.modes[0].modes[0].q  # type: ignore[union-attr]
+
+
+def test_a_player_s_sound_fades_over_its_last_fifty_milliseconds(found: Comparison) -> None:
+    tone = replace(found.instruments[0].tones["A2"], samples=np.full((FS, 1), 0.5))
+    sound = sf.read(io.BytesIO(flac(tone)), always_2d=True)[0][:, 0]
+    np.testing.assert_allclose(sound[: FS - FS // 20], 0.5, atol=1e-4)
+    assert sound[FS - FS // 40] == pytest.approx(0.25, abs=1e-3)
+    assert abs(sound[-1]) < 1e-3
 
 
 def test_notes_that_cannot_be_played() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import re
+import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -18,7 +19,16 @@ import tonewood as tw
 from browser import CHROMIUM, dom, listening, opened
 from tonewood.instrument.inspection.wolf import WolfNote
 from tonewood.workshop.report import figures
-from tonewood.workshop.report.comparison import Candidate, Comparison, compare, match_wolves
+from tonewood.workshop.report.comparison import (
+    Candidate,
+    Comparison,
+    ModeMatch,
+    NoteMatch,
+    ParameterRow,
+    WolfMatch,
+    compare,
+    match_wolves,
+)
 from tonewood.workshop.report.page import page
 
 FS = 48000
@@ -212,3 +222,115 @@ def test_the_louder_of_two_notes_is_inside_its_picture(found: Comparison, monkey
     figures.decay_picture(replace(found, instruments=(first, replace(second, tones={"A2": louder}))), "A2")
     low, high = drawn[0].axes[0].get_ylim()
     assert low < 0.0 < 30.0 < high
+    assert [line.get_ydata().max() for line in drawn[0].axes[0].lines] == pytest.approx([0.0, 30.0])
+
+
+def crowded(found: Comparison) -> Comparison:
+    """Six instruments with many modes, wolf notes, notes and parameters."""
+    first, second = found.instruments
+    tone = first.tones["A2"]
+    notes = tuple(f"A2:{k}" for k in range(8))
+    six = [replace(second, label=label, name=f"another {label}", wolves=()) for label in "BCDEF"]
+    every = tuple(replace(f, tones=dict.fromkeys(notes, tone)) for f in (first, *six))
+    modes = [replace(first.body_modes[0], freq=100.0 + 10 * k) for k in range(120)]
+    wolf = WolfNote("A2", 205.0, 226.0, 220.0, 0.5, 50.0, 57.0, 216.0, (12,))
+    keys = [
+        ParameterRow(f"strings.A2.some.long.key.number_{k}", ("a rather long value of it",) * 6, "N") for k in range(90)
+    ]
+    return replace(
+        found, instruments=every, tones=notes, modes=tuple(ModeMatch((mode,) * 6) for mode in modes),
+        wolves=tuple(WolfMatch((wolf,) * 6) for _ in range(20)), parameters=tuple(keys),
+        notes=tuple(NoteMatch("A2", k, (first.notes[0],) * 6) for k in range(20)),
+    )  # fmt: skip
+
+
+@pytest.mark.validate
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+@pytest.mark.parametrize("many", [False, True])
+def test_a_comparison_prints_on_six_a4_pages_with_nothing_cut_off(
+    found: Comparison, tmp_path: Path, many: bool
+) -> None:
+    text = page(crowded(found) if many else found)
+    printed, pdf = tmp_path / "printed.html", tmp_path / "printed.pdf"
+    printed.write_text(text, encoding="utf-8")
+    options = ["--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}"]
+    subprocess.run([str(CHROMIUM), *options, f"--print-to-pdf={pdf}", printed.as_uri()], check=True, timeout=120,
+                   capture_output=True)  # fmt: skip
+    boxes = re.findall(rb"/MediaBox ?\[([^]]*)\]", pdf.read_bytes())
+    assert 1 <= len(re.findall(rb"/Type ?/Page\b", pdf.read_bytes())) <= 6
+    for box in boxes:  # A4 in points
+        assert [float(x) for x in box.split()] == pytest.approx([0, 0, 595, 842], abs=1.5)
+    # the same style in a window as wide as the paper between its margins, 186 mm at 96 dpi
+    free = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", text).replace(
+        "@media print {", "@media all {"
+    )
+    probe = (
+        "<script>document.title = [document.documentElement.scrollWidth, window.innerWidth].join(' ')</script></body>"
+    )
+    printed.write_text(free.replace("</body>", probe), encoding="utf-8")
+    shown = subprocess.run(
+        [str(CHROMIUM), *options, "--window-size=703,1000", "--hide-scrollbars", "--dump-dom", printed.as_uri()],
+        check=True, timeout=120, capture_output=True, text=True,
+    ).stdout  # fmt: skip
+    wide, window = re.search(r"<title>(\d+) (\d+)</title>", shown).groups()  # type: ignore[union-attr]
+    assert int(wide) <= int(window) == 703
+
+
+def test_what_changed_stands_before_mobility_and_that_before_spectrograms(html: str) -> None:
+    places = [
+        html.index(text) for text in ('id="summary"', 'id="mobility"', 'id="modes"', "Spectrograms", 'id="sources"')
+    ]
+    assert places == sorted(places)
+    assert "the least noticed" in html
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """Figures as they are made."""
+    made: list[Figure] = []
+    monkeypatch.setattr(figures, "_svg", lambda figure: made.append(figure) or "")
+    return made
+
+
+def test_curves_of_mobility_are_those_of_the_facts(found: Comparison, drawn: list[Figure]) -> None:
+    """Of several instruments, a curve of each at the first end and at the last; their difference below."""
+    figures.mobility_picture(found)
+    ends = list(found.instruments[0].mobility)
+    assert len(drawn[0].axes) == len({ends[0], ends[-1]}) + 1
+    for axes, name in zip(drawn[0].axes[:-1], dict.fromkeys((ends[0], ends[-1])), strict=True):
+        for line, facts in zip(axes.lines, found.instruments, strict=False):
+            np.testing.assert_allclose(line.get_xdata(), facts.freq)
+            np.testing.assert_allclose(line.get_ydata(), 20 * np.log10(np.abs(facts.mobility[name])), atol=1e-9)
+
+
+@pytest.mark.parametrize("quantity", ["t60", "cents_mounted"])
+def test_points_of_notes_are_those_of_the_facts(found: Comparison, drawn: list[Figure], quantity: str) -> None:
+    figures.notes_picture(found, quantity)
+    for i, line in enumerate(drawn[0].axes[0].lines[:2]):
+        values = [np.nan if (note := match.notes[i]) is None else getattr(note, quantity) for match in found.notes]
+        np.testing.assert_allclose(line.get_ydata(), np.where(np.isfinite(values), values, np.nan))
+        np.testing.assert_allclose(line.get_xdata(), [match.stop for match in found.notes])
+
+
+@pytest.mark.parametrize(("count", "named"), [(6, True), (24, True), (30, False)])
+def test_open_strings_are_named_where_there_is_room(
+    found: Comparison, drawn: list[Figure], count: int, named: bool
+) -> None:
+    notes = tuple(replace(found.notes[0], string=f"string {k}", stop=0) for k in range(count))
+    figures.notes_picture(replace(found, notes=notes), "t60")
+    shown = [label.get_text() for label in drawn[0].axes[0].get_xticklabels()]
+    assert (shown == [f"string {k}" for k in range(count)]) is named
+
+
+def test_the_loudest_of_two_spectrograms_is_the_top_of_both(found: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At one loudness; levels are told from the loudest of all."""
+    draw, levels = figures.draw_spectrogram, list[float]()
+
+    def watched(axes: object, time: object, freq: object, level: np.ndarray, **options: float) -> object:
+        levels.append(float(level.max()))
+        return draw(axes, time, freq, level, **options)
+
+    monkeypatch.setattr(figures, "draw_spectrogram", watched)
+    figures.spectrogram_picture(found, "A2")
+    assert len(levels) == 2
+    assert max(levels) == 0.0 > min(levels)

@@ -111,6 +111,42 @@ def test_taps_that_cannot_be_used_are_named():
     assert all(line.startswith("top.wav: tap at ") and "\n" not in line for line in taps.left_out)
 
 
+def test_taps_are_cut_where_they_are_said_to_be():
+    """From 5 ms after a tap to 20 ms before the next; it rings until it is 3 dB above the noise, by blocks of 20 ms."""
+    rng, t = np.random.default_rng(4), np.arange(round(0.9 * FS)) / FS
+    t60, noise = 0.5, 1e-3
+    tap = 0.5 * np.exp(-np.log(1000) * t / t60) * np.sin(2 * np.pi * 400.0 * t)
+    x = noise * rng.normal(size=3 * FS)
+    for start in (0.5, 1.4):
+        x[round(start * FS) : round(start * FS) + t.size] += tap
+    taps = cut_taps(x, FS)
+    assert not taps.left_out
+    first, second = taps.samples
+    assert first.size == pytest.approx((0.9 - 0.005 - 0.020) * FS, abs=0.005 * FS)
+    assert second.size == pytest.approx((3.0 - 1.4 - 0.005) * FS, abs=0.005 * FS)
+    np.testing.assert_array_equal(second, x[-second.size :])
+    # the noise below 30 Hz is filtered out, which is nothing here; 2 x its power is reached where tap = noise
+    expected = t60 * np.log(0.5 / np.sqrt(2) / noise) / np.log(1000) - 0.005
+    assert taps.decays == pytest.approx((expected, expected), abs=0.03)
+    assert [piece.size for piece in taps.analysed()] == [round(taps.ring_out * FS)] * 2
+    assert cut_taps(x, FS).joined(taps).decays == taps.decays * 2
+
+
+@pytest.mark.parametrize(("row", "out"), [(2, 0), (3, 1)])
+def test_three_samples_in_a_row_at_full_scale_are_clipped(row, out):
+    x = 0.5 * recording(1) / 0.9
+    at = int(np.argmax(np.abs(x[round(1.32 * FS) : round(1.5 * FS)]))) + round(1.32 * FS)
+    x[at : at + row] = -1.0
+    x[at + row + 3] = 1.0  # by itself
+    assert sum("clipped" in line for line in cut_taps(x, FS).left_out) == out
+
+
+@pytest.mark.parametrize("samples", [np.zeros(FS), np.zeros(10)])
+def test_silence_holds_no_tap(samples):
+    with pytest.raises(TonewoodError, match="holds no tap"):
+        cut_taps(samples, FS)
+
+
 def a_peak(freq, level, quality=30.0, seen=5):
     return Peak(freq, quality, (freq, freq), (0.95 * quality, 1.05 * quality), level, seen, 5)
 
@@ -127,6 +163,17 @@ def test_names_by_order_ratio_and_level():
     assert {name: peak.freq for name, peak in named(peaks).items()} == {"A0": 97.0, "T1": 199.0, "T2": 291.0}
     assert dict(named([])) == {}
     assert list(named([a_peak(97.0, 0.0), a_peak(600.0, 0.0)])) == ["A0"]
+    # A0 from 50 to 350 Hz and at most 25 dB below the strongest; T1 1.4 to 2.8 times as high, T2 1.12 to 2.2
+    for freq, level, there in ((49.0, 0.0, False), (51.0, -24.0, True), (51.0, -26.0, False), (351.0, 0.0, False)):
+        assert ("A0" in named([a_peak(freq, level), a_peak(2000.0, 0.0)])) is there
+    for ratio, there in ((1.39, False), (1.41, True), (2.79, True), (2.81, False)):
+        assert ("T1" in named([a_peak(100.0, 0.0), a_peak(100.0 * ratio, -5.0)])) is there
+    for ratio, there in ((1.11, False), (1.13, True), (2.19, True), (2.21, False)):
+        air_and_top = [a_peak(100.0, 0.0), a_peak(200.0, -5.0)]
+        assert ("T2" in named([*air_and_top, a_peak(200.0 * ratio, -5.0)])) is there
+    # of several, the lowest within 10 dB of the strongest
+    several = [a_peak(100.0, 0.0), a_peak(160.0, -20.0), a_peak(190.0, -14.0), a_peak(220.0, -5.0)]
+    assert named(several)["T1"].freq == 190.0
 
 
 def test_the_command_lists_writes_and_draws(tmp_path, monkeypatch, capsys):

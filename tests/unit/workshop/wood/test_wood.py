@@ -10,12 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tonewood.errors import TonewoodError
 from tonewood.physics.plate.outline import circle
 from tonewood.physics.plate.plate import FREE, Plate
 from tonewood.physics.plate.wood import SPECIES, Wood
 from tonewood.workshop.taps.strongest import strongest
-from tonewood.workshop.wood.board import estimate_board, typical
-from tonewood.workshop.wood.rectangle import Rectangle
+from tonewood.workshop.wood.board import estimate_board, losses_of, typical
+from tonewood.workshop.wood.peaks import read_peaks
+from tonewood.workshop.wood.rectangle import SENSOR_AT, Rectangle
 from tonewood.workshop.wood.stick import bar_freq, estimate_stick
 from tonewood.workshop.wood.thickness import gore_thickness, panel_freq, thickness_for
 
@@ -75,6 +77,25 @@ def test_a_board_is_found_again(rectangle: Rectangle, rng: np.random.Generator) 
     assert len(solution.pairs) >= 12
 
 
+def test_a_sensor_at_a_corner_is_found_and_makes_the_board_no_softer(rectangle: Rectangle) -> None:
+    """Against Rayleigh: a small mass m lowers a mode's ln f by m phi^2 / 2; 3 g change E_L and G_LR by 5 % and more."""
+    wood, mass = rectangle.nominal, 3e-3
+    ring = np.array([[0.0, 0.0], [SIZE[0], 0.0], [SIZE[0], SIZE[1]], [0.0, SIZE[1]]])
+    modes = Plate([ring], wood, SIZE[2], FREE, size=SIZE[0] / 23).modes(count=17)
+    phi = modes.shapes([[SENSOR_AT, SENSOR_AT]])[0, 3:]
+    small = rectangle.solution(wood, sensor=1e-5)[0][:10] / rectangle.solution(wood)[0][:10] - 1
+    assert small == pytest.approx(-0.5e-5 * phi[:10] ** 2, rel=0.05)
+    freq = rectangle.solution(wood, sensor=mass)[0][:13]
+    for sensor in (None, mass):
+        solution = estimate_board(rectangle, freq, 1e-3 * freq, sensor=sensor)
+        assert solution.sensor == pytest.approx(mass, rel=0.3)
+        for name in ("E_L", "G_LR"):
+            assert getattr(solution.wood, name) == pytest.approx(getattr(wood, name), rel=0.02)
+    assert estimate_board(rectangle, freq, 1e-3 * freq, sensor=0.0).wood.G_LR < 0.97 * wood.G_LR
+    free = rectangle.solution(wood)[0][:13]
+    assert estimate_board(rectangle, free, 1e-3 * free).sensor == 0.0
+
+
 def test_losses_are_those_of_the_energies(rectangle: Rectangle) -> None:
     wood = rectangle.nominal
     freq, shares = rectangle.solution(wood)
@@ -114,6 +135,60 @@ def test_a_stick_is_found_again() -> None:
     assert low < young < high
     with pytest.raises(ValueError, match="no peak"):
         estimate_stick(length, width, height, mass, [], [], shear_ratio=0.061)
+
+
+@pytest.mark.parametrize("sizes", [(2e-4, 0.0), (0.0, 4e-3)])
+def test_a_stick_s_interval_is_that_of_its_size(sizes: tuple[float, float]) -> None:
+    """At a given mass E follows f^2 L^3 / (w h^3): errors of h thrice, of L thrice and of w once."""
+    length, width, height, young, rho = 0.45, 0.008, 0.016, 1.25e10, 410.0
+    freq = bar_freq(length, height, rho, young, 0.06 * young, count=4)
+    of_height, of_sides = sizes
+    found = estimate_stick(
+        length, width, height, rho * length * width * height, freq, 1e-7 * freq, shear_ratio=0.06,
+        thickness_error=of_height, size_error=of_sides, model_error=0.0,
+    )  # fmt: skip
+    expected = np.sqrt((3 * of_height / height) ** 2 + (3 * of_sides / length) ** 2 + (of_sides / width) ** 2)
+    low, high = found.intervals["E_L"]
+    assert np.log(high / low) / (2 * 1.645) == pytest.approx(expected, rel=0.01)
+    assert pytest.approx(young, rel=1e-4) == np.sqrt(low * high) == found.E_L
+    assert found.measured == pytest.approx(found.computed, rel=1e-6)
+    assert len(found.measured) >= 3
+
+
+def test_a_loss_and_its_interval_are_those_of_least_squares() -> None:
+    """1 = eta Q for each peak: eta = sum Q / sum Q^2, its error the scatter of the products over sqrt(sum Q^2)."""
+    q = np.array([60.0, 0.0, 100.0, 190.0])
+    known = q[q > 0]
+    losses, ends = losses_of(q, np.ones((4, 1)), ("loss_L",), fewest=1)
+    eta = known.sum() / (known**2).sum()
+    scatter = ((1 - eta * known) ** 2).sum() / 2
+    error = 1.645 * np.sqrt(scatter / (known**2).sum())
+    assert losses["loss_L"] == pytest.approx(eta)
+    assert ends["loss_L"] == pytest.approx((eta - error, eta + error), rel=1e-6)
+    # a single one, and equal ones: a Q is known to a tenth at best
+    assert losses_of(q[:1], np.ones((1, 1)), ("loss_L",), fewest=1)[1]["loss_L"] == pytest.approx(
+        ((1 - 0.1645) / 60, (1 + 0.1645) / 60)
+    )
+    assert losses_of(q, np.ones((4, 1)), ("loss_L",)) == ({}, {})  # four or more
+
+
+def test_a_table_of_peaks_states_errors_or_is_read_off(tmp_path: Path) -> None:
+    """A standard deviation as it is, of an interval of 90 % a part, of nothing 0.2 % of the frequency."""
+    text = "# board 7\n\n  # tapped\nf_Hz, Q, sd_Hz\n100, 80, 0.5\n400,,\n ,,\n200, 90,\n1500, 60,\n"
+    (tmp_path / "a.csv").write_text(text)
+    peaks = read_peaks([tmp_path / "a.csv"], (50.0, 1000.0))
+    assert [p.freq for p in peaks] == [100.0, 200.0, 400.0]
+    assert [p.error for p in peaks] == pytest.approx([0.5, 0.4, 0.8])
+    assert [p.q for p in peaks] == [80.0, 90.0, 0.0]
+    (tmp_path / "b.csv").write_text("freq_Hz,freq_low_Hz,freq_high_Hz\n100,98.355,101.645\n")
+    assert read_peaks([tmp_path / "b.csv"], (50.0, 1000.0))[0].error == pytest.approx(1.0, rel=1e-3)
+    for paths, band, said in (
+        ([], (50.0, 1000.0), "no file"),
+        (["a.csv", "b.csv"], (50.0, 1000.0), "one table"),
+        (["a.csv"], (1.0, 2.0), "no peak"),
+    ):
+        with pytest.raises(TonewoodError, match=said):
+            read_peaks([tmp_path / path for path in paths], band)
 
 
 def test_a_clamped_circle_s_thickness() -> None:
@@ -179,18 +254,16 @@ def test_intervals_hold_the_truth_of_200_boards(rectangle: Rectangle) -> None:
 @pytest.mark.skipif(not PLATES.is_dir(), reason="other people's plates are not here")
 @pytest.mark.parametrize("name", ["2L", "2R"])
 def test_measured_plates_of_others(name: str) -> None:
-    """Peaks within 1.2 %, all but one within 1 %; E_L, G_LR within two standard deviations (the authors: 3, 5 %)."""
+    """Peaks within 1 %; E_L, G_LR within two standard deviations (the authors: 3, 5 %)."""
     row = next(r for r in csv.DictReader((PLATES / "plates.csv").open()) if r["plate"] == name)
     size = [1e-3 * float(row[k]) for k in ("length_mm", "width_mm", "thickness_mm")]
     mass = 1e-3 * float(row["mass_g"])
     taps = np.load(PLATES / f"{name}.npz")["acceleration"]
     peaks = strongest([*taps], 48000, (30.0, 800.0))
     plate = Rectangle.of(*size, mass, typical("sitka_spruce", mass / float(np.prod(size))))
-    solution = estimate_board(plate, [p.freq for p in peaks], [p.error for p in peaks], [p.quality for p in peaks])
+    solution = estimate_board(plate, [p.freq for p in peaks], [p.error for p in peaks], [p.q for p in peaks])
     assert len(solution.pairs) >= 11
-    errors = np.sort([abs(p.computed / p.measured - 1) for p in solution.pairs])
-    assert errors[-1] < 0.012
-    assert errors[-2] < 0.01
+    assert max(abs(p.computed / p.measured - 1) for p in solution.pairs) < 0.01
     for key, sd in (("E_L", 0.03), ("G_LR", 0.05)):
         low, high = solution.intervals[key]
         own = np.log(high / low) / 2 / 1.645

@@ -186,6 +186,21 @@ async function find() {
   if (!asked) fillOpen();
 }
 
+// -- what to change ----------------------------------------------------------------------------------------------
+
+function showAdvice({ seconds, lines, fault, found, offered }) {
+  const free = $("free");
+  if (!free.value && document.activeElement !== free && offered) free.value = offered;
+  const searching = seconds !== null, any = Object.keys(found).length > 0;
+  $("advise_stop").hidden = !searching;
+  $("advise_take").hidden = searching || !any;
+  $("advise").querySelector("button").disabled = searching;
+  $("advice_words").textContent = searching ? `Looking, ${seconds.toFixed(0)} s: ${lines.at(-1) ?? ""}` : fault ? `No design: ${fault}` : "";
+  const shown = searching ? [] : lines;
+  if (shown.join() !== [...$("advice").children].map((li) => li.textContent).join())
+    $("advice").replaceChildren(...shown.map((line) => element("li", { textContent: line.trim() })));
+}
+
 // -- the drawing -------------------------------------------------------------------------------------------------
 
 const svg = (name, attributes) => {
@@ -365,6 +380,7 @@ function show(next) {
   $("redo").disabled = !next.redo;
   $("loop").checked = next.loop;
   $("command").value = next.command;
+  showAdvice(next.advice);
   for (const id of ["phrase", "notes", "velocity"]) {
     const value = next.phrase[id === "phrase" ? "kind" : id];
     if (document.activeElement !== $(id) && value !== "" && JSON.stringify(before?.phrase) !== JSON.stringify(next.phrase)) $(id).value = value;
@@ -551,6 +567,9 @@ submitted("mass", () => {
   act("set", { path: "body.added", value: [...kept, { at: $("mass_at").value, mass: Number($("mass_g").value) / 1000 }] });
 });
 $("compare").addEventListener("click", () => act("compare", { name: $("other").value, blind: $("blind").checked }));
+submitted("advise", () => act("advise", { targets: $("targets").value, free: $("free").value }));
+$("advise_stop").addEventListener("click", () => act("advise_stop"));
+$("advise_take").addEventListener("click", () => act("advise_take").then(fillOpen));
 $("copy").addEventListener("click", async () => {
   $("command").select();
   await navigator.clipboard?.writeText($("command").value).catch(() => document.execCommand("copy"));

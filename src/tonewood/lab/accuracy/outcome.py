@@ -1,19 +1,64 @@
-"""Error against time: which points are on the front, and the time for the same error by another method."""
+"""Results of a study, error against time: points, which of them are on the front, the time for the same error."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
-from tonewood.lab.accuracy.study import Point
+from tonewood.support.plain_values import finite
 
 #: method and dial of the line that is called ours
 OURS, DIAL = "tonewood", "fs"
 #: Hz, the rate at which ours is compared with the others
 USUAL_RATE = 48e3
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One method with one value of its dial on one system.
+
+    Attributes
+    ----------
+    system, method : names; methods are those of `METHODS`.
+    dial, value : parameter varied along the line, and its value here.
+    fs : Hz.  n_modes : stepped.
+    stable : stable, grows or NaN.
+    cents_median, cents_worst, cents_20, decay_median, decay_worst, lost : see `measures.PoleErrors`.
+    waveform, spectral_db, spurious_db : see `measures.WaveErrors`.
+    energy : drift of the undamped system's energy within 1 s, relative.
+    seconds, seconds_low, seconds_high : of computing per second of sound: median, 10th and 90th percentile.
+    note : further remarks.
+    """
+
+    system: str
+    method: str
+    dial: str
+    value: str
+    fs: float
+    n_modes: int
+    stable: str
+    cents_median: float = np.nan
+    cents_worst: float = np.nan
+    cents_20: float = np.nan
+    decay_median: float = np.nan
+    decay_worst: float = np.nan
+    lost: int = 0
+    waveform: float = np.nan
+    spectral_db: float = np.nan
+    spurious_db: float = np.nan
+    energy: float = np.nan
+    seconds: float = np.nan
+    seconds_low: float = np.nan
+    seconds_high: float = np.nan
+    note: str = ""
+
+    def to_dict(self) -> dict[str, object]:
+        """Fields for JSON; unknown ones are None."""
+        return {key: finite(value) for key, value in asdict(self).items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,3 +190,27 @@ def headlines(points: Sequence[Point], measure: Measure) -> list[Headline]:
             )
         )
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """All points of one system.
+
+    Attributes
+    ----------
+    name, title : of the system.
+    truth : where its reference comes from.
+    measures : by which the methods are compared, the first one on the chart.
+    points : in the order they were made.
+    """
+
+    name: str
+    title: str
+    truth: str
+    measures: tuple[Measure, ...]
+    points: tuple[Point, ...]
+
+    @cached_property
+    def headlines(self) -> Mapping[str, Sequence[Headline]]:
+        """By measure."""
+        return {m.name: headlines(self.points, m) for m in self.measures}

@@ -1,13 +1,7 @@
-"""Ways to step components held together rigidly, each with the order it claims.
-
-`order` is that of the error of a coupled pole as the step shrinks: if the method's poles approach the true ones as
-dt^p, so does a free motion.
-"""
+"""Steps of methods as dense matrices, forces at both ends of a step included."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,31 +11,8 @@ from numpy.typing import NDArray
 from tonewood.lab.methods import forms
 from tonewood.lab.methods.problem import Problem, StepMap, system_map
 from tonewood.physics.coupling.inverse import scaled_pinv
-from tonewood.physics.modal.propagator import flow
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Method:
-    """A linear one- or multi-step method.
-
-    Attributes
-    ----------
-    name : short.
-    order : of the coupled poles' error in dt.
-    source : who uses it.
-    build : (problem, dt in s) -> its step as a matrix.
-    """
-
-    name: str
-    order: int
-    source: str
-    build: Callable[[Problem, float], StepMap]
-
-    def step_matrix(self, problem: Problem, dt: float) -> StepMap:
-        """The map of one step of length dt, s."""
-        return self.build(problem, dt)
 
 
 def exact(ode: forms.Ode, dt: float) -> StepMap:
@@ -84,22 +55,22 @@ def adams_bashforth_3(ode: forms.Ode, dt: float) -> StepMap:
 
 def velocity_verlet(problem: Problem, dt: float) -> StepMap:
     """q+ = q + dt v + dt^2/2 a;  a+ = P (phi u+ - K q+ - C (v + dt a));  v+ = v + dt/2 (a + a+); state (q, v, a)."""
-    m = forms.real_modes(problem)
-    n = len(m.omega2)
+    m = problem.real
+    project, n = forms.corrective(m)[1], len(m.omega2)
     zero, eye = np.zeros((n, n)), np.eye(n)
-    stiff, loss = m.project * m.omega2, m.project * (2 * m.sigma)
+    stiff, loss = project * m.omega2, project * (2 * m.sigma)
     q = np.concatenate([eye, dt * eye, dt**2 / 2 * eye], axis=1)
     a = -stiff @ q - loss @ np.concatenate([zero, eye, dt * eye], axis=1)
     v = np.concatenate([zero, eye, dt / 2 * eye], axis=1) + dt / 2 * a
-    scatter = m.project @ m.inputs.T
+    scatter = project @ m.inputs.T
     start = np.concatenate([np.eye(2 * n), -np.concatenate([stiff, loss], axis=1)])
     return StepMap(
         dt,
         np.concatenate([q, v, a]),
         np.zeros((3 * n, scatter.shape[1])),
         np.concatenate([np.zeros_like(scatter), dt / 2 * scatter, scatter]),
-        np.concatenate([m.outputs, np.zeros((len(m.outputs), 2 * n))], axis=1),
-        start @ m.embed,
+        np.concatenate([m.outs, np.zeros((len(m.outs), 2 * n))], axis=1),
+        start @ forms.embedding(m),
     )
 
 
@@ -162,28 +133,9 @@ def linear_position(problem: Problem, dt: float) -> StepMap:
     )
 
 
-def stability_limit(method: Method, problem: Problem, low: float, high: float, tolerance: float = 1e-6) -> float:
-    """Smallest sampling rate, Hz, between `low` and `high` from which the method is stable, to one part in 10^4.
-
-    Stable: spectral radius not above 1 + tolerance; a constraint on accelerations leaves double multipliers at 1,
-    which rounding spreads by the root of its own size.
-    """
-
-    def stable(fs: float) -> bool:
-        return method.step_matrix(problem, 1 / fs).spectral_radius() <= 1 + tolerance
-
-    if stable(low) or not stable(high):
-        raise ValueError(f"{method.name}: no limit of stability between {low:g} and {high:g} Hz")
-    while high > low * (1 + 1e-4):
-        middle = float(np.sqrt(low * high))
-        low, high = (low, middle) if stable(middle) else (middle, high)
-    return high
-
-
 def _blocks(problem: Problem, dt: float) -> Floats:
     """(3, n, n) phi_0, phi_1, phi_2 of the uncoupled flow."""
-    parts = [flow(basis, dt, 2) for basis in problem.components.values()]
-    return np.array([sla.block_diag(*(block for part in parts for block in part[k])) for k in range(3)])
+    return np.array([sla.block_diag(*blocks) for blocks in problem.flow(dt, 2)])
 
 
 def _ramp_weights(problem: Problem, dt: float, columns: Floats) -> tuple[Floats, Floats]:
@@ -195,27 +147,3 @@ def _ramp_weights(problem: Problem, dt: float, columns: Floats) -> tuple[Floats,
 def _no_residual(problem: Problem) -> None:
     if np.any(problem.residual != 0):
         raise ValueError("this method has no place for residual compliance")
-
-
-FABRE = "Fabre, Le Carrou & Chomette 2024"
-ANTUNES = "Antunes & Debut 2017"
-
-#: every method, by name
-METHODS = {
-    m.name: m
-    for m in (
-        Method("held_position", 4, "this project", held_position),
-        Method("held_velocity", 2, "velocity-level constraint on the exact flow", held_velocity),
-        Method("held_acceleration", 1, "acceleration-level constraint on the exact flow", held_acceleration),
-        Method("linear_position", 4, "P1 constraint force on the exact flow", linear_position),
-        Method("ab3_general", 3, f"{FABRE}, Eq. 26", lambda p, dt: adams_bashforth_3(forms.general(p), dt)),
-        Method("ab3_compact", 3, f"{FABRE}, Eq. 31", lambda p, dt: adams_bashforth_3(forms.compact(p), dt)),
-        Method(
-            "ab3_real",
-            3,
-            f"{ANTUNES} with the integrator of {FABRE}",
-            lambda p, dt: adams_bashforth_3(forms.real(p), dt),
-        ),
-        Method("verlet_real", 2, ANTUNES, velocity_verlet),
-    )
-}

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tonewood import _methods
-from tonewood.lab.accuracy.flat import Flat, product, through
-from tonewood.lab.accuracy.pole_search import Products, Transfer, nearest_zero
+from tonewood.lab.methods.pole_search import Products, Transfer, nearest_zero
+from tonewood.lab.methods.problem import Problem, product, through
 from tonewood.physics.modal.propagator import apply
 from tonewood.physics.stepping.kernel import instruction_set
 
@@ -25,7 +25,7 @@ class Scheme:
 
     Attributes
     ----------
-    flat : the problem.  dt : s.
+    problem : of the method.  dt : s.
     rule : of the compiled loop: flow, adams_bashforth, verlet or newmark.
     coef : (n_coef, n) of every mode.
     scatter : (phases, m, lags, n, n_in) (by phase) of forces into modes.
@@ -37,7 +37,7 @@ class Scheme:
     motion : numbers of every mode (n_state, n) -> x (n, 2).
     """
 
-    flat: Flat
+    problem: Problem
     dt: float
     rule: str
     coef: Floats
@@ -78,42 +78,61 @@ class Scheme:
         return np.array([nearest_zero(self.characteristic, s, j) for s, j in zip(starts, which, strict=True)])
 
 
-@dataclass(eq=False)
-class Runner:
-    """A scheme, compiled: steps its own copy of a state.
+class Layout:
+    """Modes of a problem in the state of a compiled loop: each component padded to whole vectors."""
 
-    Parameters
-    ----------
-    isa : instruction set, by default the kernel's.
-    """
-
-    scheme: Scheme
-    isa: str = field(default_factory=instruction_set)
-
-    def __post_init__(self) -> None:
-        s, flat = self.scheme, self.scheme.flat
-        m, pad = len(flat.B), _methods.PADDING
-        self._places: dict[str, slice] = {}
-        capacity = 0
-        for name, modes in flat.starts.items():
+    def __init__(self, problem: Problem):
+        pad, self.capacity = _methods.PADDING, 0
+        #: component, its modes in the problem, its place in the state
+        self.parts: list[tuple[str, slice, slice]] = []
+        for name, modes in problem.starts.items():
             size = -(-(modes.stop - modes.start) // pad) * pad
-            self._places[name] = slice(capacity, capacity + size)
-            capacity += size
-        channels = len(flat.out)
-        self._method = _methods.Method(s.rule, self.isa, capacity, m, channels, s.phases, s.lags, list(s.constants))
-        self._capacity = capacity
-        for name, modes in flat.starts.items():
-            size = self._places[name].stop - self._places[name].start
+            self.parts.append((name, modes, slice(self.capacity, self.capacity + size)))
+            self.capacity += size
+
+    def put(self, numbers: Floats) -> Floats:
+        """(k, capacity) from numbers (k, n) of the modes."""
+        state = np.zeros((len(numbers), self.capacity))
+        for _, modes, place in self.parts:
+            state[:, place.start : place.start + modes.stop - modes.start] = numbers[:, modes]
+        return state
+
+    def take(self, state: Floats) -> Floats:
+        """Numbers (k, n) of the modes."""
+        return np.concatenate(
+            [state[:, place.start : place.start + modes.stop - modes.start] for _, modes, place in self.parts], axis=1
+        )
+
+
+def padded(a: Floats, place: slice) -> Floats:
+    """With zeros to the size of a place in the last direction."""
+    out = np.zeros((*a.shape[:-1], place.stop - place.start))
+    out[..., : a.shape[-1]] = a
+    return out
+
+
+class Runner:
+    """A scheme, compiled: steps its own copy of a state."""
+
+    def __init__(self, scheme: Scheme):
+        self.scheme, s = scheme, scheme
+        m, channels = len(s.reads), len(s.outs)
+        self._layout = Layout(s.problem)
+        capacity = self._layout.capacity
+        self._method = _methods.Method(
+            s.rule, instruction_set(), capacity, m, channels, s.phases, s.lags, list(s.constants)
+        )
+        for _, modes, place in self._layout.parts:
             links = np.flatnonzero(
                 s.reads[:, modes].any(axis=(1, 2)) | s.scatter[:, :, :, modes].any(axis=(0, 2, 3, 4))
             )
             outs = np.flatnonzero(s.outs[:, modes].any(axis=(1, 2)))
             self._method.add_part(
-                self._places[name].start,
-                padded(s.coef[:, modes], size),
-                padded(s.scatter[:, links][:, :, :, modes].swapaxes(-1, -2), size),
-                padded(s.reads[links][:, modes].swapaxes(-1, -2), size),
-                padded(s.outs[outs][:, modes].swapaxes(-1, -2), size),
+                place.start,
+                padded(s.coef[:, modes], place),
+                padded(s.scatter[:, links][:, :, :, modes].swapaxes(-1, -2), place),
+                padded(s.reads[links][:, modes].swapaxes(-1, -2), place),
+                padded(s.outs[outs][:, modes].swapaxes(-1, -2), place),
                 links.tolist(),
                 outs.tolist(),
             )
@@ -123,11 +142,7 @@ class Runner:
     def start(self, x: Floats) -> None:
         """Put a state (n, 2) in."""
         numbers, forces = self.scheme.begin(x)
-        self.state = np.zeros((len(numbers), self._capacity))
-        for name, modes in self.scheme.flat.starts.items():
-            first = self._places[name].start
-            self.state[:, first : first + modes.stop - modes.start] = numbers[:, modes]
-        self.forces = np.ascontiguousarray(forces, dtype=np.float64)
+        self.state, self.forces = self._layout.put(numbers), np.ascontiguousarray(forces, dtype=np.float64)
 
     def run(self, n: int, every: int = 1) -> tuple[Floats, int]:
         """Advance by n steps.
@@ -137,24 +152,13 @@ class Runner:
         (n // every + 1, n_outputs) displacements at every `every`-th step from the present one on, and the step at
         which they stopped being finite, -1 if they did not.
         """
-        out = np.zeros((n // every + 1, len(self.scheme.flat.out)))
+        out = np.zeros((n // every + 1, len(self.scheme.outs)))
         return out, self._method.run(self.state, self.forces, n, every, out)
 
     @property
     def x(self) -> Floats:
         """(n, 2) the state."""
-        numbers = np.concatenate([
-            self.state[:, place.start : place.start + modes.stop - modes.start]
-            for place, modes in zip(self._places.values(), self.scheme.flat.starts.values(), strict=True)
-        ], axis=1)  # fmt: skip
-        return self.scheme.motion(numbers)
-
-
-def padded(a: Floats, size: int) -> Floats:
-    """With zeros to `size` in the last direction."""
-    out = np.zeros((*a.shape[:-1], size))
-    out[..., : a.shape[-1]] = a
-    return out
+        return self.scheme.motion(self._layout.take(self.state))
 
 
 # ---- characteristic matrices: det = 0 where exp(s t) is a motion ----

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from tonewood.lab.accuracy.flat import Flat
+from tonewood.lab.methods.problem import Problem
 from tonewood.physics.modal.propagator import apply
 
 Floats = NDArray[np.float64]
@@ -86,9 +86,9 @@ class Transfer:
         return np.asarray(u * self.plain(weight) - self.turned(weight))
 
 
-def continuous_matrix(flat: Flat) -> Callable[[complex], Complexes]:
+def continuous_matrix(flat: Problem) -> Callable[[complex], Complexes]:
     """Map s -> (m, m) receptance seen by the joints, C (s - A)^-1 B + R: zero determinant at a pole of the whole."""
-    transfer, R = Transfer.of(flat.C, flat.B, flat.A), flat.problem.residual
+    transfer, R = Transfer.of(flat.C, flat.B, flat.A), flat.residual
     return lambda s: transfer(s) + R
 
 

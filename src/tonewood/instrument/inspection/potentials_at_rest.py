@@ -1,0 +1,89 @@
+"""What potentials of plugins do to small motion: a force at rest, and a stiffness that belongs to the modes.
+
+The tuner knows the modes alone. With H = d2V/dy2 at rest, small motion has the frequencies of omega^2 + H.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.instrument.model.assembly import Model
+from tonewood.physics.coupling.potentials.user import ModalPotential, PotentialEnergy
+from tonewood.support.units import cents
+
+Floats = NDArray[np.float64]
+
+#: J of the motion in one mode with which H is measured: a fourth power of stiff rubber is not seen in it
+_ENERGY = 1e-16
+#: cents, and J, from which on a potential is said to act on small motion
+TOLERANCE_CENTS, _AT_REST = 1.0, 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class SmallMotion:
+    """A potential near rest.
+
+    Attributes
+    ----------
+    name : of the potential.
+    freq_modes, freq : Hz, lowest frequency of its components by their modes alone, and with the potential.
+    energy : J, that the force at rest sets free.
+    effect : name of the effect that may leave the potential out; empty without one.
+    """
+
+    name: str
+    freq_modes: float
+    freq: float
+    energy: float
+    effect: str
+
+    @property
+    def cents(self) -> float:
+        """From the modes' frequency to that of small motion."""
+        return cents(self.freq / self.freq_modes) if self.freq > 0.0 else -np.inf
+
+    @property
+    def doubt(self) -> str | None:
+        """What is worth a warning, in one line."""
+        if abs(self.cents) > TOLERANCE_CENTS:
+            small = "is unstable" if self.freq == 0.0 else f"sounds at {self.freq:.6g} Hz ({self.cents:+.1f} cents)"
+            return (
+                f"{self.name}: small motion {small}, the modes alone at {self.freq_modes:.6g} Hz, to which strings "
+                "are tuned: the quadratic part of V belongs to the modes (`basis`)"
+            )
+        if self.energy > _AT_REST:
+            return f"{self.name}: V pushes at rest, which sets {self.energy:.2g} J free: its gradient at 0 should be 0"
+        return None
+
+
+def small_motions(model: Model) -> list[SmallMotion]:
+    """Measure each potential of a plugin's own near rest, by differences of its gradient."""
+    system, out = model.system, []
+    for index, potential in enumerate(system.potentials):
+        if isinstance(potential, ModalPotential):
+            bases = [system.compiled[system.slot(name)].basis for name in potential.components]
+            energy: PotentialEnergy = system.joined(index)
+            squares = np.concatenate([b.stiffness[:n] for b, n in zip(bases, energy.sizes, strict=True)])
+            out.append(_near_rest(potential, energy, squares))
+    return out
+
+
+def _near_rest(potential: ModalPotential, energy: PotentialEnergy, squares: Floats) -> SmallMotion:
+    """As `small_motions`, with omega^2 of the coordinates."""
+    moving = np.flatnonzero(squares > 0.0)
+    if not moving.size:
+        return SmallMotion(potential.name, 1.0, 1.0, 0.0, potential.effect)
+    slope = energy.called(np.zeros(len(squares)))[1][moving]
+    hessian = np.empty((moving.size, moving.size))
+    for row, k in enumerate(moving):
+        y = np.zeros(len(squares))
+        y[k] = np.sqrt(2 * _ENERGY / squares[k])
+        hessian[row] = (energy.called(y)[1] - energy.called(-y)[1])[moving] / (2 * y[k])
+    stiffness = np.diag(squares[moving]) + 0.5 * (hessian + hessian.T)
+    lowest = float(np.linalg.eigvalsh(stiffness)[0])
+    freqs = np.sqrt([squares[moving].min(), max(lowest, 0.0)]) / (2 * np.pi)
+    free = 0.5 * float(slope @ np.linalg.solve(stiffness, slope)) if lowest > 0.0 else 0.0
+    return SmallMotion(potential.name, float(freqs[0]), float(freqs[1]), free, potential.effect)
