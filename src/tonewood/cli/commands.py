@@ -11,6 +11,8 @@ COMMANDS = {
     "tab": "tab:tab",
     "check": "check:check",
     "modes": "modes:modes",
+    "intonation": "intonation:intonation",
+    "strings": "strings:strings_for_sale",
     "design": "design:design",
     "compare": "compare:compare",
     "report": "compare:report",

@@ -53,7 +53,7 @@ def installed() -> list[str]:
     return list(list_instruments())
 
 
-def _string_sets() -> list[str]:
+def string_set_names() -> list[str]:
     """Names of string sets, for shell completion."""
     from tonewood.instrument.bundle.string_sets import string_sets
 
@@ -82,7 +82,7 @@ StringSetName = Annotated[
         "--strings",
         metavar="SET",
         help="put a named string set on; `tonewood list` has them",
-        autocompletion=_string_sets,
+        autocompletion=string_set_names,
     ),
 ]
 AllowCode = Annotated[

@@ -57,7 +57,7 @@ def list_installed(allow_code: AllowCode = False, as_json: Json = False) -> None
         print(
             _line(row) or f"  {row['name']:<20} {row['kind']:<10} {row['summary']}  [{row['package']} {row['version']}]"
         )
-    print("\nstring sets")
+    print("\nstring sets (`tonewood strings` has their figures, and the materials of strings)")
     for chosen in sets:
         print(f"  {chosen['name']:<20} {chosen['maker']} {chosen['product']} ({' '.join(chosen['notes'])})")
 

@@ -32,6 +32,10 @@ def wood(
     ),
     stick: Annotated[bool, typer.Option("--stick", help="a brace stick: E_L alone, from its bending")] = False,
     thickness_error: Annotated[float, typer.Option(help="m, standard deviation of the thickness")] = 5e-5,
+    sensor: Annotated[
+        float | None,
+        typer.Option(help="kg, mass of a sensor at a corner, 0 for a microphone; sought, and stated, where left out"),
+    ] = None,
     band: Annotated[tuple[float, float], typer.Option(metavar="LOW HIGH", help="Hz, band of the peaks")] = (
         30.0,
         800.0,
@@ -60,6 +64,8 @@ def wood(
         allow(key, value, 5e-4, 3.0, "m")
     allow("--mass", mass, 1e-4, 100.0, "kg")
     allow("--thickness-error", thickness_error, 0.0, 0.2 * thickness, "m")
+    if sensor is not None:
+        allow("--sensor", sensor, 0.0, 0.1 * mass, "kg")
     if not 0 < band[0] < band[1]:
         raise TonewoodError(f"is {band[0]:g} {band[1]:g}; a lower and a higher frequency are allowed", key="--band")
     density = mass / (length * width * thickness)
@@ -82,12 +88,12 @@ def wood(
     nominal = typical(species, density)
     try:
         solution = _stick(sizes, mass, peaks, nominal.G_LT / nominal.E_L, thickness_error) if stick else _board(
-            sizes, mass, peaks, species, thickness_error
+            sizes, mass, peaks, species, thickness_error, sensor
         )  # fmt: skip
         tops = _tops(solution, outline, stiffness)
     except ValueError as fault:
         raise TonewoodError(str(fault), file=files[0]) from None
-    report = _report(solution, density, tops)
+    report = _report(solution, density, tops, sensor is None)
     if output is not None:
         write_whole(output, _yaml(solution, species))
         report["written"] = str(output)
@@ -98,7 +104,9 @@ def wood(
     _print(report)
 
 
-def _board(sizes: dict[str, float], mass: float, peaks: list[BoardPeak], species: str, error: float) -> Board:
+def _board(
+    sizes: dict[str, float], mass: float, peaks: list[BoardPeak], species: str, error: float, sensor: float | None
+) -> Board:
     from tonewood.workshop.wood.board import estimate_board, typical
     from tonewood.workshop.wood.rectangle import Rectangle
 
@@ -106,9 +114,9 @@ def _board(sizes: dict[str, float], mass: float, peaks: list[BoardPeak], species
     nominal = typical(species, mass / (length * width * thickness))
     plate = Rectangle.of(length, width, thickness, mass, nominal)
     freq, errors, q = [p.freq for p in peaks], [p.error for p in peaks], [p.q for p in peaks]
-    first = estimate_board(plate, freq, errors, q, thickness_error=error)
+    first = estimate_board(plate, freq, errors, q, thickness_error=error, sensor=sensor)
     plate = Rectangle.of(length, width, thickness, mass, first.wood)
-    return estimate_board(plate, freq, errors, q, thickness_error=error, prior=nominal)
+    return estimate_board(plate, freq, errors, q, thickness_error=error, prior=nominal, sensor=sensor)
 
 
 def _stick(sizes: dict[str, float], mass: float, peaks: list[BoardPeak], ratio: float, error: float) -> Stick:
@@ -141,12 +149,17 @@ def _tops(
     return [{"thickness_m": h, "freq_Hz": freq, "of": kind} for h, freq, kind in tops]
 
 
-def _report(solution: Board | Stick, density: float, tops: list[dict[str, Any]]) -> dict[str, Any]:
+def _report(solution: Board | Stick, density: float, tops: list[dict[str, Any]], sought: bool) -> dict[str, Any]:
     from tonewood.workshop.wood.board import Board
 
     warnings = []
     if isinstance(solution, Board):
         pairs = [{"measured_Hz": p.measured, "computed_Hz": p.computed, "kind": p.kind} for p in solution.pairs]
+        if solution.sensor and sought:
+            warnings.append(
+                f"a sensor of {1e3 * solution.sensor:.1f} g at a corner explains the peaks better and was taken into "
+                "account: state its mass by --sensor, 0 if there was none"
+            )
         if solution.misfit > 0.012:
             warnings.append(
                 f"peaks and modes differ by {100 * solution.misfit:.1f} %: wrong size, mass or thickness, or a board "
@@ -168,7 +181,7 @@ def _report(solution: Board | Stick, density: float, tops: list[dict[str, Any]])
         for key, ends in solution.intervals.items()
     }
     return {
-        "density": density, "constants": values, "pairs": pairs,
+        "density": density, "sensor_kg": getattr(solution, "sensor", 0.0), "constants": values, "pairs": pairs,
         "peaks_without_mode_Hz": list(solution.peaks_without_mode),
         "modes_without_peak_Hz": list(getattr(solution, "modes_without_peak", ())), "tops": tops, "warnings": warnings,
     }  # fmt: skip

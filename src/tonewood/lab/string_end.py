@@ -15,10 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.lab.assembled import Matrices
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_modes import string_basis
 
-Complexes = NDArray[np.complex128]
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,12 @@ class ExactString:
     linear_density: float
     bending_stiffness: float = 0.0
     sigma0: float = 0.0
+
+    @classmethod
+    def tuned(cls, radius: float, length: float, freq: float, sigma0: float) -> ExactString:
+        """Return a nylon string of Fabre et al. (2024), 1100 kg/m^3 and 7.4 GPa, of an ideal fundamental (Hz)."""
+        mu = 1100.0 * np.pi * radius**2
+        return cls(length, mu * (2 * length * freq) ** 2, mu, 7.4e9 * np.pi * radius**4 / 4, sigma0)
 
     @property
     def fundamental(self) -> float:
@@ -64,6 +71,26 @@ class ExactString:
             lambda omega, k: 2 * self.sigma0 / omega, freq_upper=freq_upper, n_modes=n_modes,
         )  # fmt: skip
         return basis.with_places({name: share * self.length for name, share in (places or {}).items()})
+
+    def assembled(self, n_sines: int, body: Matrices, end: Floats, pluck: float) -> tuple[Matrices, Floats]:
+        """String and body put together in (sines, body dofs), and the direction of a force at a share of the length.
+
+        Written out from the string's kinetic and potential energy, apart from `physics.modal.string_modes`; its end
+        moves as the body does along `end`.
+        """
+        k = np.arange(1, n_sines + 1) * np.pi / self.length
+        n, sines, on_body = n_sines + len(end), np.arange(n_sines), slice(n_sines, None)
+        M, K = np.zeros((n, n)), np.zeros((n, n))
+        M[sines, sines] = self.linear_density * self.length / 2
+        M[:n_sines, on_body] = np.outer(self.linear_density / k, end)
+        M[on_body, :n_sines] = M[:n_sines, on_body].T
+        M[on_body, on_body] = self.linear_density * self.length / 3 * np.outer(end, end)
+        K[sines, sines] = self.length / 2 * (self.tension * k**2 + self.bending_stiffness * k**4)
+        K[on_body, on_body] = self.tension / self.length * np.outer(end, end)
+        C = 2 * self.sigma0 * M
+        for total, part in zip((M, C, K), body, strict=True):
+            total[on_body, on_body] += part
+        return Matrices(M, C, K), np.concatenate([np.sin(k * pluck * self.length), (1 - pluck) * end])
 
     def pole(self, n: int) -> complex:
         """Pole of a partial with both ends held, 1/s."""

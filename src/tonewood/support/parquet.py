@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tonewood.support.whole_files import whole_file
+from tonewood.support.whole_files import write_whole
 
 
 def write_parquet(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> None:
@@ -27,8 +27,7 @@ def write_parquet(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str
     table = pa.table({name: _column([row.get(name) for row in rows]) for name in columns})
     stream = io.BytesIO()
     pq.write_table(table, stream)
-    with whole_file(path, make_folder=True) as file:
-        file.write(stream.getvalue())
+    write_whole(path, stream.getvalue(), make_folder=True)
 
 
 def _column(values: list[Any]) -> Any:

@@ -235,7 +235,7 @@ def whole_file(path: str | os.PathLike[str], *, make_folder: bool = False) -> It
         raise OutputError(f"cannot be written: {fault.strerror or fault}", file=path) from None
 
 
-def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write a file in one go; text as UTF-8; raises the errors of `whole_file`."""
-    with whole_file(path) as stream:
+def write_whole(path: str | os.PathLike[str], content: str | bytes, *, make_folder: bool = False) -> None:
+    """Write a file in one go; text as UTF-8; `make_folder` and errors as of `whole_file`."""
+    with whole_file(path, make_folder=make_folder) as stream:
         stream.write(content.encode() if isinstance(content, str) else content)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tonewood.instrument.bundle.loading import Instrument
-from tonewood.instrument.bundle.schema import Scatter
+from tonewood.instrument.bundle.string_schema import Scatter
 from tonewood.instrument.model.assembly import assemble
 from tonewood.support.units import cents
 

@@ -19,7 +19,7 @@ from tonewood.instrument.bundle.origins import Origins
 from tonewood.instrument.bundle.overrides import apply_overrides
 from tonewood.instrument.bundle.references import check_references
 from tonewood.instrument.bundle.schema import Bundle, OutputPart, PluginPart
-from tonewood.instrument.bundle.string_sets import with_set
+from tonewood.instrument.bundle.string_sets import with_materials, with_set
 from tonewood.instrument.contract import registry
 from tonewood.instrument.contract.base import Attachment, Body, Exciter, Loss, Pickup, Plugin, Resonator
 from tonewood.instrument.contract.bundle_code import plugin_named
@@ -230,7 +230,12 @@ class Instrument(ModalViews):
         values = dict(self.resolved)
         if (strings := given.get("strings_from")) is not None:
             values = with_set(values, str(strings), over=True, file=self._files.manifest)
-        values = apply_overrides(values, given, file=self._files.manifest)
+        bought = {path: value for path, value in given.items() if ".made_of" in path}
+        before, values = values["strings"], apply_overrides(values, bought, file=self._files.manifest)
+        changed = [k for k, part in values["strings"].items() if part["made_of"] != before.get(k, {}).get("made_of")]
+        values = with_materials(values, over=changed, file=self._files.manifest)
+        others = {path: value for path, value in given.items() if path not in bought}
+        values = apply_overrides(values, others, file=self._files.manifest)
         return Instrument.from_values(values, self.folder, self.granted | granted, allow_code=self.allow_code)
 
     @property
@@ -371,8 +376,8 @@ def _merged(values: Mapping[str, Any], files: Files) -> dict[str, Any]:
 
 
 def _with_strings(values: dict[str, Any], files: Files) -> dict[str, Any]:
-    """Put the string set that a bundle names under its strings."""
-    name = values.get("strings_from")
+    """Fill in what the materials of its strings give, then the string set that a bundle names."""
+    values, name = with_materials(values, file=files.manifest), values.get("strings_from")
     return values if not isinstance(name, str) else with_set(values, name, over=False, file=files.manifest)
 
 

@@ -173,8 +173,9 @@ def _with_strings(blocks: Sequence[tuple[str, str]], values: Mapping[str, Any], 
 
 def _given_by(strings: str) -> tuple[str, ...]:
     """Keys of strings that a set says, or that do not hold with it."""
-    has_loss = all(entry.loss is not None for entry in string_set(strings).strings)
-    return ("tension", "linear_density", "bending_stiffness", "axial_stiffness", *(("loss",) if has_loss else ()))
+    has_loss = all((entry.loss or entry.made_of) is not None for entry in string_set(strings).strings)
+    usual = ("tension", "linear_density", "bending_stiffness", "axial_stiffness", "made_of", "fretting_stiffness")
+    return (*usual, *(("loss",) if has_loss else ()))
 
 
 def _blocks(text: str) -> tuple[str, list[tuple[str, str]]]:
@@ -230,7 +231,7 @@ strings:
     length: {chosen.length!r}
     tilt_deg: 12                # makes the double decay of a plucked string
     split_cents: 4
-{"" if all(entry.loss is not None for entry in chosen.strings) else loss}{rows}
+{"" if all((entry.loss or entry.made_of) is not None for entry in chosen.strings) else loss}{rows}
 {_DECIDE["stops"]}
 stops: {{kind: frets, count: 19}}
 tuning: {{reference_freq: 440.0, scale: equal_12, compensate: coupled, at: each_stop}}

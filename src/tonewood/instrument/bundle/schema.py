@@ -6,15 +6,13 @@ the keys of that plugin beside those listed here.
 
 from __future__ import annotations
 
-import math
-import zlib
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from tonewood.instrument.bundle.equalizer_schema import EqualizerBand
 from tonewood.instrument.bundle.key_schema import MOST_STRINGS, Keys, Name
+from tonewood.instrument.bundle.string_schema import Fretboard, MadeOf, Scatter
 from tonewood.instrument.contract.directions import Direction
 from tonewood.instrument.contract.gestures import StringPlace
 from tonewood.support.params import Number, Parameters, Vector, described, quantity
@@ -109,12 +107,15 @@ class StringSetEntry(Parameters):
     linear_density: float | None = quantity("kg/m", low=1e-5, high=0.3, default=None, doc="mass per length")
     young: float | None = quantity("Pa", low=1e8, high=1e12, default=None, doc="of the part that bends and stretches")
     bending_stiffness: float | None = quantity("N m^2", low=0.0, high=1.0, default=None, doc="E I")
+    made_of: MadeOf | None = described("gauge and materials, for what the others leave out", default=None)
+    fretting_stiffness: float | None = quantity("N", low=0.0, high=1e7, default=None, doc="E A in slow stretch")
     loss: dict[str, Any] | None = described("loss law and its numbers", default=None)
 
     @model_validator(mode="after")
     def _mass(self) -> StringSetEntry:
-        if self.linear_density is None and self.tension is None and (self.density is None or self.diameter is None):
-            raise ValueError("a linear density, a tension, or a density and a diameter are wanted")
+        known = (self.linear_density, self.tension, self.made_of, self.density and self.diameter)
+        if not any(known):
+            raise ValueError("a linear density, a tension, a density and a diameter, or `made_of` are wanted")
         return self
 
 
@@ -126,27 +127,6 @@ class StringSet(Parameters):
     length: float = quantity("m", low=0.02, high=5.0, doc="at which its tensions hold")
     source: Source = described("where its figures come from")
     strings: list[StringSetEntry] = described("from bass to treble", min_length=1)
-
-
-class Scatter(Parameters):
-    """How far real strings are from the same ideal one: normal scatter, drawn from a seed."""
-
-    seed: int = described("of the draws; the string's name and stop are part of it", default=1, ge=0)
-    tilt_deg: float = quantity("deg", low=0.0, high=45.0, default=0.0, doc="standard deviation, one draw per string")
-    split_cents: float = quantity("cents", low=0.0, high=20.0, default=0.0, doc="standard deviation, one draw per stop")
-
-    def tilt(self, string: str) -> float:
-        """Add to a string's `tilt_deg`, deg."""
-        return self.tilt_deg * self._draw(f"tilt {string}")
-
-    def split(self, string: str, stop: float) -> float:
-        """Add to a string's `split_cents` at a stop, cents; between whole stops on a straight line."""
-        low = math.floor(stop)
-        parts = ((low, low + 1 - stop), (low + 1, stop - low))
-        return self.split_cents * sum(w * self._draw(f"split {string} {i}") for i, w in parts if w > 0)
-
-    def _draw(self, what: str) -> float:
-        return float(np.random.default_rng([self.seed, zlib.crc32(what.encode())]).standard_normal())
 
 
 class StringPart(PluginPart):
@@ -183,6 +163,13 @@ class StringPart(PluginPart):
         "number of stops of this string, if not that of `stops`", default=None, ge=0, le=200, strict=True
     )
     points: dict[Name, StringPoint] = described("further places on the string", default={}, max_length=MOST_PARTS)
+    made_of: MadeOf | None = described(
+        "gauge and materials; they give mass, stiffness and loss where these are left out", default=None
+    )
+    fretting_stiffness: float | None = quantity(
+        "N", low=0.0, high=1e7, default=None, doc="E A in slow stretch; `axial_stiffness` where left out"
+    )
+    fretboard: Fretboard = described("of this string, if not that of `stops`", default=Fretboard())
 
     @property
     def ends(self) -> tuple[str, ...]:
@@ -235,6 +222,7 @@ class Stops(Parameters):
         default="ideal",
     )
     finger: Finger = described("where the model is finger", default=Finger())
+    fretboard: Fretboard = described("nut, frets and saddle; see `tuning.at`", default=Fretboard())
 
 
 class TuningSettings(Parameters):
@@ -252,8 +240,10 @@ class TuningSettings(Parameters):
         "of the bundle; the pitch of the string and of its stops follows)",
         default="pitch",
     )
-    at: Literal["each_stop", "open_only"] = described(
-        "each_stop: every stop is compensated; open_only: frets keep their errors", default="each_stop"
+    at: Literal["each_stop", "open_only", "frets"] = described(
+        "each_stop: every stop is tuned to its note; open_only: stops have the open string's tension; frets: stops "
+        "sound where `fretboard`, rising tension and stiffness put them",
+        default="each_stop",
     )
     stretch: Literal["none", "octaves"] = described(
         "octaves: open strings are tuned so that octaves beat least, by their own inharmonicity", default="none"
@@ -463,6 +453,18 @@ class Bundle(Parameters):
         if not isinstance(values, dict) or values.get("strings") or values.get("keys"):
             return values
         return {"title": values.get("name"), **_BODY_ALONE, **values}
+
+    @model_validator(mode="after")
+    def _fretted(self) -> Bundle:
+        if self.tuning.at == "frets":
+            for key, value, wanted in (
+                ("stops.kind", self.stops.kind, "frets"),
+                ("stops.model", self.stops.model, "ideal"),
+                ("tuning.compensate", self.tuning.compensate, "coupled"),
+            ):
+                if value != wanted:
+                    raise ValueError(f"tuning.at: frets wants {key}: {wanted}, which is {value}")
+        return self
 
     @model_validator(mode="after")
     def _played(self) -> Bundle:

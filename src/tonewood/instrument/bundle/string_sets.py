@@ -1,20 +1,23 @@
-"""Named string sets: values that a set of strings gives those of an instrument.
+"""Named string sets, and strings by gauge and material: values that they give the strings of an instrument.
 
     mu = rho pi d^2 / 4  or  T / (2 L f)^2,    EI = E pi d_c^4 / 64,    EA = E pi d_c^2 / 4,    d_c = core d,
 
-and on a length L' tuned to f' the tension T (L' f' / (L f))^2, or mu (2 L' f')^2 where the set has none.
+and on a length L' tuned to f' the tension T (L' f' / (L f))^2, or mu (2 L' f')^2 where the set has none. What an entry
+leaves out follows from its `made_of`: `tonewood.instrument.bundle.string_materials`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from tonewood.errors import BundleError, PluginError, ScoreError
 from tonewood.instrument.bundle.schema import StringSet, StringSetEntry
+from tonewood.instrument.bundle.string_materials import StringFigures, made_figures
+from tonewood.instrument.bundle.string_schema import MadeOf
 from tonewood.instrument.contract import registry
 from tonewood.instrument.scales import note_number
 from tonewood.support.params import validated
@@ -26,6 +29,8 @@ _FILE = Path(__file__).with_name("string_sets.yaml")
 _KEY = "strings_from"
 #: keys of a string that a set may give
 _KEYS = ("tension", "linear_density", "bending_stiffness", "axial_stiffness", "loss")
+#: keys of a set's strings that every string has, whatever its plugin; without them those of another set do not hold
+_OWN = ("made_of", "fretting_stiffness")
 
 
 @cache
@@ -76,8 +81,8 @@ def with_set(values: Mapping[str, Any], name: str, *, over: bool, file: Any = No
     given: set[str] = set()
     for (key, part), entry in zip(strings.items(), chosen.strings, strict=True):
         own = _of_string(part, entry, chosen, f"strings.{key}", file)
-        made[key] = {**part, **own} if over else {**own, **part}
-        given |= {k for k in own if over or k not in part}
+        made[key] = {**part, **dict.fromkeys(_OWN), **own} if over else {**own, **part}
+        given |= {k for k in own if (over or k not in part) and k != "made_of"}
     out = {**values, "strings": made, _KEY: name}
     if given:
         source = f"strings_{name}"
@@ -93,31 +98,89 @@ def _of_string(
     part: Mapping[str, Any], entry: StringSetEntry, chosen: StringSet, key: str, file: Any
 ) -> dict[str, Any]:
     """Values of one string of the bundle, as its plugin takes them."""
-    try:
-        known = registry.plugin(str(part.get("plugin")), "resonator").Parameters.model_fields
-    except PluginError as fault:
-        raise BundleError(f"no string set can be put on it: {fault.reason}", file=file, key=f"{key}.plugin") from None
-    length = part.get("length")
-    if isinstance(length, bool) or not isinstance(length, int | float) or length <= 0:
-        raise BundleError("is needed for a string set", file=file, key=f"{key}.length")
-    found = figures(entry, chosen, float(length), _freq(part, entry, key, file))
+    known = _fields(part, key, file)
+    found = figures(entry, chosen, _length(part, key, file), _freq(part, entry.note, key, file))
+    if entry.made_of is not None:
+        found["made_of"] = entry.made_of.model_dump(exclude_none=True)
     for name in _KEYS:
         # that of another set's strings does not hold
         kept = () if name == "axial_stiffness" else part
         if name in known and known[name].is_required() and name not in found and name not in kept:
             reason = f"the string set does not say it, and {part['plugin']} needs it"
             raise BundleError(reason, file=file, key=f"{key}.{name}")
-    return {name: value for name, value in found.items() if name in known}
+    return {name: value for name, value in found.items() if name in known or name in _OWN}
+
+
+def _fields(part: Mapping[str, Any], key: str, file: Any) -> Mapping[str, Any]:
+    """Parameters of a string's plugin."""
+    try:
+        return registry.plugin(str(part.get("plugin")), "resonator").Parameters.model_fields
+    except PluginError as fault:
+        raise BundleError(f"no string set can be put on it: {fault.reason}", file=file, key=f"{key}.plugin") from None
+
+
+def _length(part: Mapping[str, Any], key: str, file: Any) -> float:
+    """Length of a string of the bundle, m."""
+    length = part.get("length")
+    if isinstance(length, bool) or not isinstance(length, int | float) or length <= 0:
+        raise BundleError("is needed for a string set", file=file, key=f"{key}.length")
+    return float(length)
+
+
+def with_materials(values: Mapping[str, Any], *, over: Collection[str] = (), file: Any = None) -> dict[str, Any]:
+    """Return values of a bundle with mass, stiffness and loss of its strings from their `made_of`.
+
+    Parameters
+    ----------
+    values : of the bundle, `strings.defaults` merged.
+    over : strings of which gauge and materials replace what the bundle states; of all others they fill in.
+
+    Raises
+    ------
+    BundleError : names file, string, key, value and the values allowed.
+    """
+    strings, out = values.get("strings"), dict(values)
+    parts = strings.items() if isinstance(strings, Mapping) else ()
+    made = {
+        name: part for name, part in parts if isinstance(part, Mapping) and isinstance(part.get("made_of"), Mapping)
+    }
+    sources, provenance = dict(values.get("sources") or {}), dict(values.get("provenance") or {})
+    for name, part in made.items():
+        key = f"strings.{name}"
+        bought = validated(MadeOf, part["made_of"], key=f"{key}.made_of", file=file)
+        length, freq = _length(part, key, file), _freq(part, None, key, file)
+        found = made_figures(bought, length, freq, key=f"{key}.made_of", file=file)
+        fields = _fields(part, key, file)
+        keys = [k for k in found.kinds if k in fields or k in _OWN]
+        given = [k for k in keys if name in over or part.get(k) is None]
+        made[name] = {**part, **{k: dict(found.loss) if k == "loss" else getattr(found, k) for k in given}}
+        provenance, sources = _with_kinds(provenance, sources, name, given, found)
+    if made:
+        out |= {"strings": {**dict(parts), **made}, "provenance": provenance, "sources": sources}
+    return out
+
+
+def _with_kinds(
+    provenance: Mapping[str, Any], sources: Mapping[str, Any], string: str, given: Sequence[str], found: StringFigures
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Provenance and sources of a bundle with those of the values that gauge and materials give a string."""
+    texts = dict.fromkeys(found.kinds[k][1] for k in given)
+    names = {text: f"made_of_{string}_{i}" for i, text in enumerate(texts, 1)}
+    entries = {f"strings.{string}.{k}": {"kind": found.kinds[k][0], "source": names[found.kinds[k][1]]} for k in given}
+    return {**provenance, **entries}, {**sources, **{k: {"text": t, "licence": "facts"} for t, k in names.items()}}
 
 
 def figures(entry: StringSetEntry, chosen: StringSet, length: float, freq: float) -> dict[str, Any]:
     """Tension (N), linear density (kg/m), stiffnesses (N m^2, N) and loss of a string on a length (m) tuned to Hz."""
     own_freq = 440.0 * 2 ** ((note_number(entry.note) - 69) / 12)
     own_length = entry.length or chosen.length
+    made = None if entry.made_of is None else made_figures(entry.made_of, length, freq, key=entry.note)
     if entry.linear_density is not None:
         density = entry.linear_density
     elif entry.density is not None and entry.diameter is not None:
         density = entry.density * math.pi * entry.diameter**2 / 4
+    elif made is not None:
+        density = made.linear_density
     else:
         assert entry.tension is not None
         density = entry.tension / (2 * own_length * own_freq) ** 2
@@ -126,6 +189,11 @@ def figures(entry: StringSetEntry, chosen: StringSet, length: float, freq: float
     else:
         tension = density * (2 * length * freq) ** 2
     out: dict[str, Any] = {"tension": tension, "linear_density": density}
+    if made is not None:
+        out |= {k: getattr(made, k) for k in ("bending_stiffness", "axial_stiffness", "fretting_stiffness")}
+        out["loss"] = dict(made.loss)
+    if entry.fretting_stiffness is not None:
+        out["fretting_stiffness"] = entry.fretting_stiffness
     if entry.bending_stiffness is not None:
         out["bending_stiffness"] = entry.bending_stiffness
     if entry.young is not None and entry.diameter is not None:
@@ -137,11 +205,11 @@ def figures(entry: StringSetEntry, chosen: StringSet, length: float, freq: float
     return out
 
 
-def _freq(part: Mapping[str, Any], entry: StringSetEntry, key: str, file: Any) -> float:
+def _freq(part: Mapping[str, Any], usual: str | None, key: str, file: Any) -> float:
     """Pitch of a string of the bundle, Hz, at 440 Hz and equal temperament: the tuner finds the tension exactly."""
     if isinstance(part.get("freq"), int | float):
         return float(part["freq"])
-    note = part.get("note") if part.get("note") is not None else entry.note
+    note = part.get("note") if part.get("note") is not None else usual
     try:
         number = float(note_number(note)) if isinstance(note, str) else float(note or 0.0)
     except ScoreError as fault:

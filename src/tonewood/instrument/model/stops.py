@@ -10,17 +10,19 @@ from tonewood.instrument.model.string_setup import Stopping
 class StopTable:
     """Pitch, place and length of a string at its stops; those of whole stops are computed once.
 
-    A stop lies where the ideal string sounds its pitch: x = L (1 - f_0 / f), from the nut.
+    A stop lies where the ideal string sounds its pitch: x = L (1 - f_0 / f), from the nut. Over real frets it lies
+    where the string, hinged there, speaks as the fretted one does.
 
     Attributes
     ----------
     string : name, for errors.
-    open_length : L, m.
+    open_length : L, m; of real frets the length of the scale.
     stopping : its stops, and how they are tuned.
     """
 
     def __init__(self, string: str, open_length: float, stopping: Stopping):
         self.string, self.open_length, self.stopping = string, open_length, stopping
+        self._places: dict[int, float] = {}
 
     @property
     def count(self) -> int:
@@ -52,6 +54,10 @@ class StopTable:
         if not (0 <= stop <= self.count and (self.stopping.continuous or stop == int(stop))):
             kind = "" if self.stopping.continuous else "whole "
             raise ValueError(f"string {self.string} has {kind}stops from 0 to {self.count}, not {stop:g}")
+        if (fretted := self.stopping.fretted) is not None:
+            if stop not in self._places:
+                self._places[int(stop)] = self.open_length - fretted.length(int(stop))
+            return self._places[int(stop)]
         return self.open_length * (1.0 - self.freqs[0] / self.freq(stop))
 
     def length(self, stop: float) -> float:

@@ -14,6 +14,7 @@ from tonewood.instrument.contract.directions import unit_vector
 from tonewood.instrument.contract.gestures import Fraction
 from tonewood.instrument.contract.registry import MANIFEST
 from tonewood.instrument.model.choice import Choice
+from tonewood.instrument.model.fretboard import fretted_string
 from tonewood.instrument.model.kept_tunings import KeptTunings
 from tonewood.instrument.model.stops import StopTable
 from tonewood.instrument.model.stretch import inharmonicity, octave_stretch
@@ -189,6 +190,7 @@ def _stopping(instrument: Instrument, name: str, raised_cents: float) -> Stoppin
         hold=spec.tuning.hold,
         finger=stops.finger if stops.model == "finger" else None,
         stretch_cents=raised_cents,
+        fretted=fretted_string(instrument, name) if spec.tuning.at == "frets" and count else None,
     )
 
 

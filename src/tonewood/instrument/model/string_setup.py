@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from tonewood.instrument.bundle.schema import Finger
 from tonewood.instrument.contract.base import Longitudinal
+from tonewood.physics.modal.fretted import FrettedString
 from tonewood.support.params import Vector
 
 #: cents of pitch between given and used tension from which on a render reports them; printed tensions and a compliant
@@ -60,10 +61,11 @@ class Stopping:
     count : highest stop, in steps of the scale; 0 for open strings.
     continuous : whether stops between whole steps exist.
     freq : stop -> pitch of its note, Hz.
-    compensate : ``each_stop``, ``open_only`` or ``none``.
+    compensate : ``each_stop``, ``open_only``, ``frets`` or ``none``.
     hold : ``pitch`` or ``tension``: which of the two of the bundle the open string keeps where it is compensated.
     finger : soft finger that stops the string; None where the stop is an ideal end.
     stretch_cents : by which the tuning raises all its pitches, `freq` included; the tension given is not expected to.
+    fretted : the string over its real frets, which set lengths and tensions of its stops; None without them.
     """
 
     count: int
@@ -73,6 +75,7 @@ class Stopping:
     hold: str = "pitch"
     finger: Finger | None = None
     stretch_cents: float = 0.0
+    fretted: FrettedString | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -201,6 +201,10 @@ class StringTuning:
             return None, self.resonator.tension
         if stop == 0 and self._tension_held:
             return self._as_it_stands(stop), self.resonator.tension
+        if (fretted := self.stops.stopping.fretted) is not None and stop > 0:
+            tension, ratio = fretted.raised(int(stop), self.tension(0.0)), fretted.ratio(int(stop))
+            modes = self._at(tension, stop, self.freq(0) * ratio).modes
+            return TunedStop(modes[0].freq, tension, modes), tension
         if how == "open_only" and stop > 0:
             tension = self.tension(0.0)
             return self.under(tension, stop), tension

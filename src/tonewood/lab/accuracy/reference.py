@@ -15,9 +15,9 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
+from tonewood.lab.accuracy.runs import KernelRun, Scene
 from tonewood.lab.methods.problem import Problem
 from tonewood.physics.modal.modes import ModalBasis
-from tonewood.physics.stepping.kernel import KernelStepper
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -124,8 +124,4 @@ class FineMotion:
 
     def states(self, n: int) -> Floats:
         """(n + 1, n_outputs) displacements."""
-        system = self.problem.system(1 / self.rate)
-        stepper = KernelStepper(system)
-        state = stepper.start()
-        state.modes[:] = self.problem.state_of(self.start, system)
-        return stepper.run(state, n + 1)[0]
+        return KernelRun(Scene(self.problem, self.start), self.rate).run(n + 1)[0]

@@ -207,21 +207,13 @@ class Problem:
         """
         out = np.zeros((self.n_modes, 2, 2))
         for name, basis in self.components.items():
-            size = np.abs(basis.right).max(axis=0) / np.where(basis.left.any(axis=0), np.abs(basis.left).max(axis=0), 1)
-            block = np.zeros((basis.n_modes, 2, 2))
-            pair = basis.kind == PAIR
             if basis.is_real:
-                # q = 2 Re z, q' = 2 Re(lambda z)
-                read = np.zeros((basis.n_modes, 2, 2))
-                read[:, 0, 0], read[:, 1, 0] = 2.0, 2 * basis.poles.real
-                read[:, 1, 1] = -2 * basis.poles.imag
-                read[~pair] = np.eye(2)
-                weight = np.zeros((basis.n_modes, 2, 2))
+                read, weight = motion_of(basis), np.zeros((basis.n_modes, 2, 2))
                 weight[:, 0, 0], weight[:, 1, 1] = basis.stiffness, 1.0
-                block = np.einsum("nyx,nyz,nzw->nxw", read, weight, read)
-            else:
-                block[:, [0, 1], [0, 1]] = (np.sqrt(basis.stiffness) * size)[:, None]
-            out[self.starts[name]] = block
+                out[self.starts[name]] = np.einsum("nyx,nyz,nzw->nxw", read, weight, read)
+                continue
+            size = np.abs(basis.right).max(axis=0) / np.where(basis.left.any(axis=0), np.abs(basis.left).max(axis=0), 1)
+            out[self.starts[name], [0, 1], [0, 1]] = (np.sqrt(basis.stiffness) * size)[:, None]
         return out
 
     def energy(self, x: Floats) -> float:
@@ -242,11 +234,6 @@ class Problem:
             if not basis.is_real:
                 raise ValueError(f"the modes of {name!r} are not real")
         bases = self.components.values()
-        poles, kind = (np.concatenate([getattr(b, key) for b in bases]) for key in ("poles", "kind"))
-        # (Re z, Im z) of a pair: q = 2 Re z, q' = 2 Re(lambda z); a block holds (q, q') itself
-        read = np.zeros((len(poles), 2, 2))
-        read[:, 0, 0], read[:, 1, 0], read[:, 1, 1] = 2.0, 2 * poles.real, -2 * poles.imag
-        read[kind != PAIR] = np.eye(2)
         shapes = {name: basis.right.real for name, basis in self.components.items()}
         return RealModes(
             np.concatenate([b.stiffness for b in bases]),
@@ -254,7 +241,7 @@ class Problem:
             self.gather(shapes, self.gaps),
             self.gather(shapes, [(t,) for t in self.inputs]),
             self.gather(shapes, [(t,) for t in self.outputs]),
-            read,
+            np.concatenate([motion_of(b) for b in bases]),
         )
 
 
@@ -275,6 +262,14 @@ class RealModes:
     inputs: Floats
     outs: Floats
     read: Floats
+
+
+def motion_of(basis: ModalBasis) -> Floats:
+    """(n, 2, 2) state -> (q, q') of real modes: of a pair, q = 2 Re z, q' = 2 Re(lambda z); a block holds them."""
+    read = np.zeros((basis.n_modes, 2, 2))
+    read[:, 0, 0], read[:, 1, 0], read[:, 1, 1] = 2.0, 2 * basis.poles.real, -2 * basis.poles.imag
+    read[basis.kind != PAIR] = np.eye(2)
+    return read
 
 
 def inverses(blocks: Floats) -> Floats:

@@ -160,99 +160,90 @@ def simpson(problem: Problem, dt: float) -> Scheme:
     )  # fmt: skip
 
 
-# ---- other rules ----
+# ---- other rules, of one sample and one force a step ----
+
+
+def _plain_scheme(
+    problem: Problem, dt: float, rule: str, coef: Floats, scatter: Floats, reads: Floats, outs: Floats, G: Floats,
+    constants: tuple[float, ...], begin: Callable[[Floats], Floats], motion: Callable[[Floats], Floats],
+) -> Scheme:  # fmt: skip
+    """scatter, reads, outs: (., n, .) of the rule's numbers; begin: state -> numbers."""
+    m = len(G)
+    return Scheme(
+        problem=problem,
+        dt=dt,
+        rule=rule,
+        coef=coef,
+        scatter=scatter[None, :, None],
+        reads=reads,
+        outs=outs,
+        G=G[None],
+        K=np.zeros((1, m, m)),
+        out_memory=np.zeros((1, len(outs), m)),
+        constants=constants,
+        begin=lambda x: (begin(x), np.zeros((1, m))),
+        motion=motion,
+    )
 
 
 def adams_bashforth(problem: Problem, dt: float) -> Scheme:
     """Adams-Bashforth 3 on Udwadia and Kalaba's equation in complex modes (Fabre et al. 2024, Eq. 26)."""
-    m = len(problem.S)
 
-    def begin(x: Floats) -> tuple[Floats, Floats]:
+    def begin(x: Floats) -> Floats:
         rate = problem.rate(x)
         second, third = problem.rate(rate), problem.rate(problem.rate(rate))
         past = [rate - ago * second + ago**2 / 2 * third for ago in (dt, 2 * dt)]
-        return np.concatenate([x.T, past[0].T, past[1].T]), np.zeros((1, m))
+        return np.concatenate([x.T, past[0].T, past[1].T])
 
-    return Scheme(
-        problem=problem,
-        dt=dt,
-        rule="adams_bashforth",
-        coef=np.ascontiguousarray(problem.A.reshape(-1, 4).T),
-        scatter=problem.B[None, :, None],
-        reads=problem.CA2,
-        outs=problem.out,
-        G=problem.S[None],
-        K=np.zeros((1, m, m)),
-        out_memory=np.zeros((1, len(problem.out), m)),
-        constants=(23 * dt / 12, -16 * dt / 12, 5 * dt / 12),
-        begin=begin,
-        motion=lambda numbers: numbers[:2].T.copy(),
+    def motion(numbers: Floats) -> Floats:
+        return numbers[:2].T.copy()
+
+    coef, constants = np.ascontiguousarray(problem.A.reshape(-1, 4).T), (23 * dt / 12, -16 * dt / 12, 5 * dt / 12)
+    return _plain_scheme(
+        problem, dt, "adams_bashforth", coef, problem.B, problem.CA2, problem.out, problem.S, constants, begin, motion
     )
 
 
 def verlet(problem: Problem, dt: float) -> Scheme:
     """Velocity Verlet with the constraint on accelerations, real modes (Antunes & Debut 2017)."""
     r = problem.real
-    m = len(r.gaps)
     G = scaled_pinv(r.gaps @ r.gaps.T)
     back = inverses(r.read)
 
-    def begin(x: Floats) -> tuple[Floats, Floats]:
+    def begin(x: Floats) -> Floats:
         q, v = apply(r.read, x).T
         g = -r.omega2 * q - 2 * r.sigma * v
         a = g - r.gaps.T @ (G @ (r.gaps @ g))
-        return np.stack([q, v - 0.5 * dt * a, g]), np.zeros((1, m))
+        return np.stack([q, v - 0.5 * dt * a, g])
 
     def motion(numbers: Floats) -> Floats:
         q, w, g = numbers
         a = g - r.gaps.T @ (G @ (r.gaps @ g))
         return apply(back, np.stack([q, w + 0.5 * dt * a], axis=-1))
 
-    return Scheme(
-        problem=problem,
-        dt=dt,
-        rule="verlet",
-        coef=np.stack([r.omega2, 2 * r.sigma]),
-        scatter=r.gaps[None, :, None, :, None],
-        reads=r.gaps[..., None],
-        outs=r.outs[..., None],
-        G=G[None],
-        K=np.zeros((1, m, m)),
-        out_memory=np.zeros((1, len(r.outs), m)),
-        constants=(dt, 0.5 * dt),
-        begin=begin,
-        motion=motion,
-    )
+    coef, gaps, outs = np.stack([r.omega2, 2 * r.sigma]), r.gaps[..., None], r.outs[..., None]
+    return _plain_scheme(problem, dt, "verlet", coef, gaps, gaps, outs, G, (dt, 0.5 * dt), begin, motion)
 
 
 def newmark(problem: Problem, dt: float, method: Newmark) -> Scheme:
     """Newmark's family and HHT-alpha (Hilber, Hughes & Taylor 1977), real modes, gaps without acceleration."""
     r = problem.real
-    m, w, b, g = len(r.gaps), 1 + method.alpha, method.beta, method.gamma
+    w, b, g = 1 + method.alpha, method.beta, method.gamma
     loss, stiff = 2 * r.sigma * dt, r.omega2 * dt**2
     lead = 1 + w * g * loss + w * b * stiff
     p = dt**2 * r.gaps / lead
     G = scaled_pinv(r.gaps @ p.T)
     back = inverses(r.read)
 
-    def begin(x: Floats) -> tuple[Floats, Floats]:
+    def begin(x: Floats) -> Floats:
         q, v = apply(r.read, x).T
         a = -r.omega2 * q - 2 * r.sigma * v
         a -= r.gaps.T @ (scaled_pinv(r.gaps @ r.gaps.T) @ (r.gaps @ a))
-        return np.stack([q, dt * v, dt**2 * a]), np.zeros((1, m))
+        return np.stack([q, dt * v, dt**2 * a])
 
-    return Scheme(
-        problem=problem,
-        dt=dt,
-        rule="newmark",
-        coef=np.stack([-stiff, -loss - w * stiff, -w * (1 - g) * loss - w * (0.5 - b) * stiff]) / lead,
-        scatter=p[None, :, None, :, None],
-        reads=r.gaps[..., None],
-        outs=r.outs[..., None],
-        G=G[None],
-        K=np.zeros((1, m, m)),
-        out_memory=np.zeros((1, len(r.outs), m)),
-        constants=(0.5 - b, b, 1 - g, g),
-        begin=begin,
-        motion=lambda numbers: apply(back, np.stack([numbers[0], numbers[1] / dt], axis=-1)),
-    )
+    def motion(numbers: Floats) -> Floats:
+        return apply(back, np.stack([numbers[0], numbers[1] / dt], axis=-1))
+
+    coef = np.stack([-stiff, -loss - w * stiff, -w * (1 - g) * loss - w * (0.5 - b) * stiff]) / lead
+    gaps, outs, constants = r.gaps[..., None], r.outs[..., None], (0.5 - b, b, 1 - g, g)
+    return _plain_scheme(problem, dt, "newmark", coef, p[..., None], gaps, outs, G, constants, begin, motion)

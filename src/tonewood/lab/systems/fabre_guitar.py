@@ -41,10 +41,8 @@ PARTIALS = (1, 20, 40, 60)
 
 
 def exact_string() -> ExactString:
-    """The string: radius .48 mm, 64 cm, 1100 kg/m^3, 7.4 GPa, tuned to 82.4 Hz (its ideal fundamental)."""
-    radius, length, density, young_modulus, freq = 0.48e-3, 0.64, 1100.0, 7.4e9, 82.4
-    mu = density * np.pi * radius**2
-    return ExactString(length, mu * (2 * length * freq) ** 2, mu, young_modulus * np.pi * radius**4 / 4, SIGMA0)
+    """The string: radius .48 mm, 64 cm, tuned to 82.4 Hz (its ideal fundamental)."""
+    return ExactString.tuned(0.48e-3, 0.64, 82.4, SIGMA0)
 
 
 def string(freq_upper: float | None = None, n_modes: int | None = None) -> ModalBasis:
@@ -66,27 +64,6 @@ def problem(basis: ModalBasis, case: str = "complex") -> Problem:
 def body_receptance(s: complex) -> complex:
     """Displacement of the plate per force on it, from the matrices, m/N."""
     return complex(assembled.receptance(BODY, s, 0, 0)[0])
-
-
-def whole(n_sines: int) -> tuple[Matrices, Floats]:
-    """String and body put together in (sines, plate = ramp, air), and the direction of a force at the pluck.
-
-    Written out from the string's kinetic and potential energy, apart from `physics.modal.string_modes`.
-    """
-    s = exact_string()
-    k = np.arange(1, n_sines + 1) * np.pi / s.length
-    M = np.zeros((n_sines + 2, n_sines + 2))
-    K = np.zeros_like(M)
-    sines, plate = np.arange(n_sines), n_sines
-    M[sines, sines] = s.linear_density * s.length / 2
-    M[sines, plate] = M[plate, sines] = s.linear_density / k
-    M[plate, plate] = s.linear_density * s.length / 3
-    K[sines, sines] = s.length / 2 * (s.tension * k**2 + s.bending_stiffness * k**4)
-    K[plate, plate] = s.tension / s.length
-    C = 2 * s.sigma0 * M
-    for total, part in ((M, BODY.M), (C, BODY.C), (K, BODY.K)):
-        total[plate:, plate:] += part
-    return Matrices(M, C, K), np.concatenate([np.sin(k * PLUCK * s.length), [1 - PLUCK, 0.0]])
 
 
 def pluck(given: Problem, fs: float, duration: float) -> Floats:
@@ -159,7 +136,7 @@ def rows() -> Iterator[Row]:
     # half as many modes: the assembled system has the same
     duration, few = 1.3, string(n_modes=46)
     times = np.arange(round((RAMP - 0.01) * 48000), round(duration * 48000) + 1) / 48000
-    system, direction = whole(few.n_modes - 1)
+    system, direction = exact_string().assembled(few.n_modes - 1, BODY, np.array([1.0, 0.0]), PLUCK)
     plate = np.eye(len(direction))[few.n_modes - 1]
     reference_wave = assembled.ramp_and_release(system, direction, FORCE / RAMP, RAMP, times, plate)
     peak = np.abs(reference_wave[times > RAMP]).max()

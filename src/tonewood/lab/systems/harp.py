@@ -39,10 +39,8 @@ STRING_4 = Connection("string 4", (Term("string", "bridge"), Term("body", "s4", 
 
 
 def exact_string() -> ExactString:
-    """String 4: 1100 kg/m^3, 7.4 GPa as on the guitar."""
-    radius, length, density, young_modulus, freq = 0.4e-3, 0.523, 1100.0, 7.4e9, 247.0
-    mu = density * np.pi * radius**2
-    return ExactString(length, mu * (2 * length * freq) ** 2, mu, young_modulus * np.pi * radius**4 / 4, SIGMA0)
+    """String 4, of the material of the guitar's."""
+    return ExactString.tuned(0.4e-3, 0.523, 247.0, SIGMA0)
 
 
 def problem(n_modes: int, case: str = "complex") -> Problem:
@@ -53,27 +51,10 @@ def problem(n_modes: int, case: str = "complex") -> Problem:
 
 
 def whole(n_sines: int, body: Matrices) -> tuple[Matrices, Floats, Floats]:
-    """String and body in (sines, body dofs), the direction of a force at the pluck, the row of the tie.
-
-    The end of the string is the body's own dofs; apart from `physics.modal.string_modes`.
-    """
-    s, tie = exact_string(), harp_body_matrices()[1]["s4"]
-    k = np.arange(1, n_sines + 1) * np.pi / s.length
-    n = n_sines + len(tie)
-    end = COSINE * tie
-    M, K = np.zeros((n, n)), np.zeros((n, n))
-    sines = np.arange(n_sines)
-    M[sines, sines] = s.linear_density * s.length / 2
-    M[:n_sines, n_sines:] = np.outer(s.linear_density / k, end)
-    M[n_sines:, :n_sines] = M[:n_sines, n_sines:].T
-    M[n_sines:, n_sines:] = s.linear_density * s.length / 3 * np.outer(end, end)
-    K[sines, sines] = s.length / 2 * (s.tension * k**2 + s.bending_stiffness * k**4)
-    K[n_sines:, n_sines:] = s.tension / s.length * np.outer(end, end)
-    C = 2 * s.sigma0 * M
-    for total, part in zip((M, C, K), body, strict=True):
-        total[n_sines:, n_sines:] += part
-    plucked = np.concatenate([np.sin(k * PLUCK * s.length), (1 - PLUCK) * end])
-    return Matrices(M, C, K), plucked, np.concatenate([np.zeros(n_sines), tie])
+    """String and body in (sines, body dofs), the direction of a force at the pluck, the row of the tie."""
+    tie = harp_body_matrices()[1]["s4"]
+    system, plucked = exact_string().assembled(n_sines, body, COSINE * tie, PLUCK)
+    return system, plucked, np.concatenate([np.zeros(n_sines), tie])
 
 
 def partial_levels(response: Complexes, freq: Floats, partials: Floats) -> Floats:

@@ -17,7 +17,7 @@ from typing import Any
 
 from tonewood.errors import TonewoodError
 from tonewood.support.folder_lock import locked
-from tonewood.support.whole_files import remove, whole_file
+from tonewood.support.whole_files import remove, write_whole
 from tonewood.workshop.batch.data_sheet import Subject, write_data_sheet
 from tonewood.workshop.batch.manifest import ManifestError
 from tonewood.workshop.batch.production import Fault
@@ -283,8 +283,7 @@ def _write(folder: Path, shard: Shard, key: str) -> None:
         if stray.name not in shard.files:
             remove(stray)
     for file, content in {**shard.files, **{f"../{PHYSICS}/{k}": v for k, v in shard.physics.items()}}.items():
-        with whole_file((place / file).resolve(), make_folder=True) as stream:
-            stream.write(content)
+        write_whole((place / file).resolve(), content, make_folder=True)
     write_json(
         place / f"{name}.json",
         {

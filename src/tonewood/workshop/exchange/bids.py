@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from tonewood.support.whole_files import whole_file
+from tonewood.support.whole_files import write_whole
 from tonewood.workshop.exchange.course import Exported, copy_sounds
 from tonewood.workshop.listening.answer_file import answers_of
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
@@ -64,8 +64,7 @@ def write(test: ListeningTest, folder: Path) -> Exported:
     made_by = [{"Name": "tonewood", "Description": "sounds and listening test"}]
     description = {"Name": test.title(test.manifest.language), "BIDSVersion": VERSION, "DatasetType": "raw"}
     _json(folder / "dataset_description.json", {**description, "GeneratedBy": made_by})
-    with whole_file(folder / "README.md", make_folder=True) as stream:
-        stream.write(_README.format(name=test.manifest.name).encode())
+    write_whole(folder / "README.md", _README.format(name=test.manifest.name), make_folder=True)
     copy_sounds(test, sorted(code for code in used if test.sound(code).exists()), folder / "stimuli")
     return Exported(folder)
 
@@ -102,10 +101,8 @@ def _table(path: Path, columns: list[str], rows: list[dict[str, Any]]) -> None:
         return text or _NONE
 
     lines = ["\t".join(columns), *("\t".join(cell(row.get(name)) for name in columns) for row in rows)]
-    with whole_file(path, make_folder=True) as stream:
-        stream.write(("\n".join(lines) + "\n").encode())
+    write_whole(path, "\n".join(lines) + "\n", make_folder=True)
 
 
 def _json(path: Path, data: dict[str, Any]) -> None:
-    with whole_file(path, make_folder=True) as stream:
-        stream.write((json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode())
+    write_whole(path, json.dumps(data, indent=1, ensure_ascii=False) + "\n", make_folder=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tonewood.errors import OutputError
-from tonewood.support.whole_files import whole_file
+from tonewood.support.whole_files import write_whole
 from tonewood.workshop.batch.pages import (
     AnyPage,
     ConsentPage,
@@ -132,20 +132,12 @@ def codes_of(rows: Iterable[dict[str, Any]]) -> list[str]:
     return sorted({code for row in rows for code in row["slots"].values()})
 
 
-def write_tones(test: ListeningTest, folder: Path) -> None:
-    """Write the tones of pages that set the level; raises as `whole_file`."""
-    for index, page in enumerate(test.manifest.pages):
-        if isinstance(page, LevelPage):
-            with whole_file(folder / f"tone{index + 1}.wav", make_folder=True) as stream:
-                stream.write(tone(test, page))
-
-
 def copy_sounds(test: ListeningTest, codes: Iterable[str], folder: Path) -> None:
-    """Copy sounds into a folder.
+    """Copy sounds into a folder, and write the tones of pages that set the level.
 
     Raises
     ------
-    OutputError : one cannot be copied.
+    OutputError : one cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -153,3 +145,6 @@ def copy_sounds(test: ListeningTest, codes: Iterable[str], folder: Path) -> None
             shutil.copyfile(test.sound(code), folder / f"{code}.wav")
     except OSError as fault:
         raise OutputError(f"cannot be written: {fault.strerror}", file=folder) from None
+    for index, page in enumerate(test.manifest.pages):
+        if isinstance(page, LevelPage):
+            write_whole(folder / f"tone{index + 1}.wav", tone(test, page))

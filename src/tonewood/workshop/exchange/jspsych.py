@@ -8,7 +8,7 @@ from importlib.resources import files as package_files
 from pathlib import Path
 from typing import Any
 
-from tonewood.support.whole_files import whole_file
+from tonewood.support.whole_files import write_whole
 from tonewood.workshop.batch.pages import ConsentPage, InstructionsPage, LevelPage, QuestionnairePage, TrialPage
 from tonewood.workshop.exchange.course import (
     COURSES,
@@ -18,7 +18,6 @@ from tonewood.workshop.exchange.course import (
     course,
     left_out,
     shown_pages,
-    write_tones,
 )
 from tonewood.workshop.listening.definition import ListeningTest
 
@@ -72,18 +71,11 @@ def write(test: ListeningTest, folder: Path) -> Exported:
     }  # fmt: skip
     scripts = "\n".join(f'<script src="{address}"></script>' for address in _SCRIPTS)
     title = escape(test.title(language))
-    _put(folder / "index.html", _PAGE.format(language=language, title=title, scripts=scripts))
-    _put(folder / "test.js", f"const TEST = {json.dumps(data, ensure_ascii=False)};\n")
-    _put(
-        folder / "tonewood.js", (package_files("tonewood.workshop.exchange") / "static/tonewood.js").read_text("utf-8")
-    )
+    write_whole(folder / "index.html", _PAGE.format(language=language, title=title, scripts=scripts), make_folder=True)
+    write_whole(folder / "test.js", f"const TEST = {json.dumps(data, ensure_ascii=False)};\n", make_folder=True)
+    static = package_files("tonewood.workshop.exchange") / "static/tonewood.js"
+    write_whole(folder / "tonewood.js", static.read_text("utf-8"))
     package = {"name": "listening-test", "private": True, "dependencies": PACKAGES}
-    _put(folder / "package.json", json.dumps(package, indent=1) + "\n")
+    write_whole(folder / "package.json", json.dumps(package, indent=1) + "\n", make_folder=True)
     copy_sounds(test, codes_of(row for rows in courses for row in rows), folder / "stimuli")
-    write_tones(test, folder / "stimuli")
     return Exported(folder, left_out(test, "jspsych", _KEPT))
-
-
-def _put(path: Path, text: str) -> None:
-    with whole_file(path, make_folder=True) as stream:
-        stream.write(text.encode())

@@ -13,7 +13,7 @@ from typing import Any
 import soundfile
 
 from tonewood.support.csv_text import csv_text
-from tonewood.support.whole_files import whole_file
+from tonewood.support.whole_files import write_whole
 from tonewood.workshop.batch.pages import (
     Bs1116Page,
     ConsentPage,
@@ -31,7 +31,6 @@ from tonewood.workshop.exchange.course import (
     course,
     left_out,
     shown_pages,
-    write_tones,
 )
 from tonewood.workshop.listening.definition import ListeningTest
 
@@ -58,14 +57,15 @@ def write(test: ListeningTest, folder: Path) -> Exported:
             own = [made for row in rows if row["page"] == page for made in _rows(test, row, lengths)]
             columns = list(dict.fromkeys(key for row in own for key in row))
             path = folder / "conditions" / f"course{number}_page{page}.csv"
-            with whole_file(path, make_folder=True) as stream:
-                stream.write(csv_text(columns, own).encode())
+            write_whole(path, csv_text(columns, own), make_folder=True)
     root = _experiment(test, courses[0])
     ET.indent(root)
-    with whole_file(folder / f"{test.manifest.name}.psyexp", make_folder=True) as stream:
-        stream.write(ET.tostring(root, encoding="utf-8", xml_declaration=True))
+    write_whole(
+        folder / f"{test.manifest.name}.psyexp",
+        ET.tostring(root, encoding="utf-8", xml_declaration=True),
+        make_folder=True,
+    )
     copy_sounds(test, codes_of(row for rows in courses for row in rows), folder / "stimuli")
-    write_tones(test, folder / "stimuli")
     rated = [i + 1 for i, p in enumerate(test.manifest.pages) if isinstance(p, (MushraPage, Bs1116Page))]
     notes = [f"psychopy: page {i}: its sounds are rated one at a time after the reference" for i in rated]
     return Exported(folder, (*left_out(test, "psychopy", _KEPT), *notes))

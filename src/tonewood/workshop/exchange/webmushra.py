@@ -12,7 +12,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from tonewood.support.whole_files import whole_file
+from tonewood.support.whole_files import write_whole
 from tonewood.workshop.batch.pages import (
     AbxPage,
     Bs1116Page,
@@ -24,7 +24,7 @@ from tonewood.workshop.batch.pages import (
     RatedPage,
     localised,
 )
-from tonewood.workshop.exchange.course import Exported, codes_of, copy_sounds, course, left_out, words, write_tones
+from tonewood.workshop.exchange.course import Exported, codes_of, copy_sounds, course, left_out, words
 from tonewood.workshop.listening.definition import ListeningTest
 
 _KEPT = (ConsentPage, InstructionsPage, LevelPage, MushraPage, Bs1116Page, AbxPage, QuestionnairePage)
@@ -47,11 +47,9 @@ def write(test: ListeningTest, folder: Path) -> Exported:
     writer.default_flow_style = False
     writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]  # declared as None
     writer.dump(_config(test, sounds, rows), stream)
-    with whole_file(folder / "configs" / f"{name}.yaml", make_folder=True) as file:
-        file.write(stream.getvalue().encode())
+    write_whole(folder / "configs" / f"{name}.yaml", stream.getvalue(), make_folder=True)
     kept = {i + 1 for i, page in enumerate(test.manifest.pages) if isinstance(page, (MushraPage, Bs1116Page, AbxPage))}
     copy_sounds(test, codes_of(row for row in rows if row["page"] in kept), folder / sounds)
-    write_tones(test, folder / sounds)
     notes = left_out(test, "webmushra", _KEPT)
     return Exported(folder, (*notes, "webmushra: the file fits webMUSHRA's documented keys; it was not tried with it"))
 

@@ -30,6 +30,13 @@ UNNAMED = "unnamed"
 _FREQUENCY = (re.compile("freq_Hz"), re.compile("freq.*", re.I), re.compile("f|hz|f_hz|xf", re.I))
 _RESPONSE = re.compile(r"(h|hf|frf|tf|y|recep|mobil|accel|inert|transfer)", re.I)
 _NO_RESPONSE = re.compile(r"(spec|psd|csd|corr|coh|cross|auto)", re.I)
+#: names of a step of frequencies, of the first one and of their number; of angular frequencies; of times
+_STEP, _FIRST = (
+    re.compile("df|d_f|delta_?f|f_?step|increment", re.I),
+    re.compile("f_?start|f_?min|f0|start_value", re.I),
+)
+_NUMBER, _ANGULAR = re.compile("number_of_values|n_?f"), re.compile("w|om|omega.*|ang.*|.*rad.*", re.I)
+_TIME = re.compile("t|time.*", re.I)
 _FORM = {"recep": "receptance", "mobil": "mobility", "accel": "accelerance", "inert": "accelerance"}
 #: bins that an array of responses has at least
 _FEWEST = 8
@@ -47,12 +54,14 @@ class ResponseTable:
     rows : (point, reference) -> (N,).
     coherence : of the same pairs, where it is there.
     form : receptance, mobility or accelerance where the file says so.
+    remarks : on what was taken for what, a line each.
     """
 
     freq: Floats
     rows: Mapping[Pair, Complexes]
     coherence: Mapping[Pair, Floats]
     form: str | None = None
+    remarks: tuple[str, ...] = ()
 
 
 def npz_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -114,6 +123,7 @@ def responses_of_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], chosen: 
     TonewoodError : no frequencies or responses are among them, or it is not clear which they are.
     """
     key, freq = _frequencies(path, arrays)
+    arrays, joined = _of_parts(arrays, freq.size)
     named = {name.replace("__", ":", 1): x for name, x in arrays.items() if name != key and _says_pair(name)}
     if named and not chosen:
         return _of_pairs(path, freq, named)
@@ -126,6 +136,11 @@ def responses_of_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], chosen: 
     names = list(chosen) or [n for n in likely if _RESPONSE.match(_last(n)) and not _NO_RESPONSE.search(_last(n))]
     names = names or list(likely)
     if not names:
+        real = [name for name, x in held.items() if _RESPONSE.match(_last(name))]
+        if real:
+            raise TonewoodError(
+                f"{real[0]} is real: magnitudes without phase do not show modes; save complex responses", file=path
+            )
         raise TonewoodError(
             f"holds no complex array of {freq.size} bins, as many as {key} has; there are {_shapes(arrays)}", file=path
         )
@@ -138,7 +153,16 @@ def responses_of_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], chosen: 
     alike = [x for x in coherent if len(names) == 1 and x.shape == likely[names[0]].shape]
     coherence = {pair: np.asarray(c.real, dtype=np.float64) for x in alike[:1] for pair, c in _pairs_of(names[0], x)}
     forms = {form for name in names for begin, form in _FORM.items() if begin in _last(name).lower()}
-    return ResponseTable(freq, rows, coherence, forms.pop() if len(forms) == 1 else None)
+    remarks = [f"{n} of two columns was taken for real and imaginary parts" for n in names if n in joined]
+    return ResponseTable(freq, rows, coherence, forms.pop() if len(forms) == 1 else None, tuple(remarks))
+
+
+def _of_parts(arrays: Mapping[str, NDArray[Any]], n: int) -> tuple[dict[str, NDArray[Any]], set[str]]:
+    """Arrays with those of n bins and two real columns made complex, if none is complex; and the names of these."""
+    if any(np.iscomplexobj(x) and n in x.shape for x in arrays.values()):
+        return dict(arrays), set()
+    two = {name for name, x in arrays.items() if x.shape == (n, 2) and x.dtype.kind == "f"}
+    return {name: x[:, 0] + 1j * x[:, 1] if name in two else x for name, x in arrays.items()}, two
 
 
 def pair_of(path: Path, name: str) -> Pair:
@@ -171,8 +195,9 @@ def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[str, F
         found = [name for name, x in arrays.items() if pattern.fullmatch(_last(name))]
         if pattern.pattern != "freq_Hz":  # a name that may mean something else
             real = {
-                name for name, x in arrays.items() if x.dtype.kind in "iuf" and x.squeeze().ndim == 1 and x.size > 1
-            }
+                name for name, x in arrays.items()
+                if x.dtype.kind in "iuf" and x.squeeze().ndim == 1 and x.size > 1 and np.all(np.diff(x.squeeze()) > 0)
+            }  # fmt: skip
             found = [name for name in found if name in real]
         if len(found) > 1:
             raise TonewoodError(f"which are the frequencies: {', '.join(found)}? Call them freq_Hz", file=path)
@@ -184,7 +209,29 @@ def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[str, F
             if not np.all(np.isfinite(x)):
                 raise TonewoodError("holds a value that is not a finite number", file=path, key=found[0])
             return found[0], np.asarray(x, dtype=np.float64)
-    raise TonewoodError(f"has no array freq_Hz; there are {_shapes(arrays)}", file=path)
+    if steps := _steps(arrays):
+        return steps
+    hint = ""
+    rising = {_last(name) for name, x in arrays.items() if x.ndim == 1 and x.size > 1 and np.all(np.diff(x.real) > 0)}
+    if found := sorted(name for name in rising if _ANGULAR.fullmatch(name)):
+        hint = f"; {found[0]} may be in rad/s: save freq_Hz = {found[0]} / (2 pi)"
+    elif found := sorted(name for name in rising if _TIME.fullmatch(name)):
+        hint = "; records over time are read as CSV with the columns time_s, REFERENCE_force and one for each point"
+    raise TonewoodError(f"has no array freq_Hz; there are {_shapes(arrays)}{hint}", file=path)
+
+
+def _steps(arrays: Mapping[str, NDArray[Any]]) -> tuple[str, Floats] | None:
+    """Frequencies of a first one, their step and, if it is not the number of rows of an array, their number."""
+    single = {_last(name): (name, float(x)) for name, x in arrays.items() if x.ndim == 0 and not np.iscomplexobj(x)}
+    step = next((single[name] for name in single if _STEP.fullmatch(name)), None)
+    if step is None or not step[1] > 0:
+        return None
+    first = next((value for name, (_, value) in single.items() if _FIRST.fullmatch(name)), 0.0)
+    sizes = [max(x.shape) for x in arrays.values() if x.ndim and max(x.shape) >= _FEWEST]
+    number = next((int(value) for name, (_, value) in single.items() if _NUMBER.fullmatch(name)), None)
+    if number is None and len(set(sizes)) == 1:
+        number = sizes[0]
+    return None if number is None else (step[0], first + step[1] * np.arange(number, dtype=np.float64))
 
 
 def _by_bins(x: NDArray[Any], n_bins: int) -> NDArray[Any]:

@@ -25,8 +25,9 @@ Complexes = NDArray[np.complex128]
 
 #: standard deviations by which a residual term, and a second shape at one pole, have to stand out
 _CLEAR = 3.0
-#: the row that stands for modes below the band: at this share of its lowest frequency, and with this Q
-_LOWER_SHARE, _LOWER_Q = 1 / 8, 5.0
+#: the row that stands for modes below the band: at this share of its lowest frequency, at the least of an instrument's
+#: table (Hz), and with this Q
+_LOWER_SHARE, _LOWER_LEAST, _LOWER_Q = 1 / 8, 1e-3, 5.0
 #: a pole that is damped more is background, no mode
 LEAST_QUALITY = 2.0
 
@@ -100,7 +101,7 @@ def passive_body(modes: Modes, pairs: tuple[tuple[str, str], ...]) -> FittedBody
         edge += 1
         for shape in shapes:
             there = shape * np.sqrt(problem.scale)
-            rows.append((band[0] * _LOWER_SHARE, _LOWER_Q, there, np.nan, np.nan, np.nan))
+            rows.append((max(band[0] * _LOWER_SHARE, _LOWER_LEAST), _LOWER_Q, there, np.nan, np.nan, np.nan))
     else:
         dropped.append("mass line of modes below the band: not above its noise")
     if problem.shape.upper:

@@ -6,6 +6,7 @@ CSV responses    ``freq_Hz`` and for each pair ``POINT:REFERENCE_re, _im`` or ``
 npz, mat         the same names, or ``POINT:REFERENCE`` (complex), or arrays of any name: see `arrays`
 UFF58            data sets 58 with func_type 4 (responses) and 6 (coherence), and 164 (units); points are named node and
                  direction, as ``12+3``; a direction with a minus turns the sign of its data
+other texts      columns of numbers, the first the frequency: see `texts`
 CSV hits         ``time_s, REFERENCE_force`` (N) and a column per point (m/s^2, m/s or m); a file a hit
 WAV hits         channel 1 the force, the others the points in order; a file a hit, scaled by `sensitivity`
 ===============  =====================================================================================================
@@ -37,6 +38,7 @@ from tonewood.workshop.fit.arrays import (
 )
 from tonewood.workshop.fit.hits import responses_of_hits
 from tonewood.workshop.fit.responses import FORMS, Complexes, Floats, Responses, to_mobility
+from tonewood.workshop.fit.texts import is_documented, responses_of_text
 
 #: numbers a text field may be long
 #: what begins and ends a data set of a universal file
@@ -105,12 +107,18 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
     kind = kinds.pop()
     if kind == "hits":
         return _of_hits(paths, reading, hashes)
-    tables = [_driven(path, _table(kind, path, reading), reading) for path in paths]
+    tables = _driven(paths, [_table(kind, path, reading) for path in paths], reading)
     freq = tables[0].freq
     for path, table in zip(paths, tables, strict=True):
         if len(table.freq) != len(freq) or not np.allclose(table.freq, freq, rtol=1e-9, atol=0):
             raise TonewoodError("has other frequencies than the first file", file=path, key="freq_Hz")
     rows = {pair: row for table in tables for pair, row in table.rows.items()}
+    for pair, row in rows.items():
+        if not np.any(row.imag[np.isfinite(row)]):
+            raise TonewoodError(
+                f"the response {':'.join(pair)} is real: magnitudes without phase do not show modes; export real and "
+                "imaginary parts, or magnitude and phase", file=paths[0],
+            )  # fmt: skip
     coherence = {pair: row for table in tables for pair, row in table.coherence.items()}
     said = {table.form for table in tables if table.form is not None}
     for other in said:
@@ -128,43 +136,45 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
         reading.scale * np.array([motion[pair] for pair in pairs], dtype=np.complex128), freq, form, alpha
     )
     known = all(pair in coherence for pair in pairs)
+    remarks = tuple(line for table in tables for line in table.remarks)
     return Responses(
         freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]) if known else None, reading.n_hits, alpha,
-        pressure, hashes,
+        pressure, hashes, remarks=remarks,
     )  # fmt: skip
 
 
 def _table(kind: str, path: Path, reading: Reading) -> ResponseTable:
     if kind == "uff":
         return _uff(path)
+    if kind == "text":
+        return responses_of_text(path)
     if kind == "csv":
         return _csv(path)
     return responses_of_arrays(path, npz_arrays(path) if kind == "npz" else mat_arrays(path), reading.arrays)
 
 
-def _driven(path: Path, table: ResponseTable, reading: Reading) -> ResponseTable:
-    """ResponseTable with the names of references that the command line gives."""
+def _driven(paths: Sequence[Path], tables: Sequence[ResponseTable], reading: Reading) -> list[ResponseTable]:
+    """Tables with the names of references that the command line gives."""
     names: dict[str, str] = {}
     for name, reference in reading.references:
-        known = dict.fromkeys(reference for _, reference in table.rows)
+        known = dict.fromkeys(reference for table in tables for _, reference in table.rows)
         old = reference or UNNAMED
         if old not in known:
             raise TonewoodError(
                 "frequency responses name their references themselves" if not reference
                 else f"there is no reference {reference!r}; there are {', '.join(known)}",
-                file=path, key="--driving",
+                file=paths[0], key="--driving",
             )  # fmt: skip
-        points = dict.fromkeys(point for point, _ in table.rows)
+        points = dict.fromkeys(point for table in tables for point, _ in table.rows)
         if name not in points:
             shown = ", ".join(points)
-            raise TonewoodError(f"there is no point {name!r}; there are {shown}", file=path, key="--driving")
+            raise TonewoodError(f"there is no point {name!r}; there are {shown}", file=paths[0], key="--driving")
         names[old] = name
 
-    def pair(old: Pair) -> Pair:
-        return old[0], names.get(old[1], old[1])
+    def renamed(rows: Mapping[Pair, Any]) -> dict[Pair, Any]:
+        return {(point, names.get(old, old)): row for (point, old), row in rows.items()}
 
-    rows = {pair(key): row for key, row in table.rows.items()}
-    return replace(table, rows=rows, coherence={pair(key): row for key, row in table.coherence.items()})
+    return [replace(table, rows=renamed(table.rows), coherence=renamed(table.coherence)) for table in tables]
 
 
 def _hash(path: Path) -> str:
@@ -178,13 +188,18 @@ def _kind(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix == ".wav":
         return "hits"
+    if suffix in (".txt", ".tsv", ".dat", ".asc") or (suffix == ".csv" and not is_documented(path)):
+        return "text"
     if suffix == ".csv":
         return "hits" if "time_s" in _numbers(path) else "csv"
     if suffix in (".npz", ".mat"):
         return suffix[1:]
     if suffix in (".uff", ".unv", ".u58", ".58"):
         return "uff"
-    raise TonewoodError("is of no kind that is read; .csv, .npz, .mat, .uff, .unv and .wav are allowed", file=path)
+    raise TonewoodError(
+        "is of no kind that is read; .csv, .txt, .npz, .mat, .uff, .unv and .wav are allowed (export frequency, real "
+        "and imaginary parts as text)", file=path,
+    )  # fmt: skip
 
 
 def _split(rows: Mapping[Pair, Complexes]) -> tuple[dict[Pair, Complexes], dict[Pair, Complexes]]:
@@ -243,6 +258,8 @@ def _uff(path: Path) -> ResponseTable:
     freq = np.asarray(responses[0]["x"], dtype=np.float64)
     if any(len(x["x"]) != len(freq) for x in responses):
         raise TonewoodError("holds responses of different frequencies", file=path)
+    if any("rad" in str(x.get("abscissa_axis_units_lab", "")).lower() for x in responses):
+        raise TonewoodError("its frequencies are in rad/s: divide them by 2 pi, data sets 58 are in Hz", file=path)
     if any(int(x["orddenom_spec_data_type"]) not in _FORCES for x in responses):
         raise TonewoodError("holds responses to something else than a force", file=path)
     per_force, per_length = _uff_units(given)
@@ -252,7 +269,22 @@ def _uff(path: Path) -> ResponseTable:
 
     rows = {pair(x): sign(x) * unit(x) * np.asarray(x["data"], dtype=np.complex128) for x in responses}
     coherence = {pair(x): np.asarray(x["data"]).real.astype(np.float64) for x in sets if x["func_type"] == 6}
-    return ResponseTable(freq, rows, coherence, forms.pop() if len(forms) == 1 else None)
+    form = forms.pop() if len(forms) == 1 else None
+    return ResponseTable(freq, rows, coherence, form, _missing_nodes(path, given, responses))
+
+
+def _missing_nodes(path: Path, given: Any, responses: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Say which nodes have no response: of the geometry (data set 15), else in the row of their numbers."""
+    moved, driven = ({int(x[f"{end}_node"]) for x in responses} for end in _ENDS)
+    nodes = moved if len(moved) >= len(driven) else driven
+    listed = {
+        int(n) for x in (given if isinstance(given, list) else [given]) if x["type"] == 15 for n in x["node_nums"]
+    }
+    missing = sorted((listed or set(range(min(nodes), max(nodes) + 1))) - nodes)
+    if not missing or len(missing) > len(nodes):
+        return ()
+    shown = ", ".join(map(str, missing[:6])) + (" ..." if len(missing) > 6 else "")
+    return (f"{path.name} has no response at {len(missing)} of its nodes: {shown}; sets may be missing",)
 
 
 def _whole(path: Path) -> None:
@@ -313,7 +345,7 @@ def _of_hits(paths: Sequence[Path], reading: Reading, hashes: Mapping[str, str])
             whole, mobility=np.vstack([whole.mobility, part.mobility]), pairs=whole.pairs + part.pairs,
             coherence=np.vstack([whole.coherence, part.coherence]), n_hits=min(whole.kept[0], part.kept[0]),
             pressure={**whole.pressure, **part.pressure},
-            kept=(whole.kept[0] + part.kept[0], whole.kept[1] + part.kept[1]),
+            kept=(whole.kept[0] + part.kept[0], whole.kept[1] + part.kept[1]), remarks=whole.remarks + part.remarks,
         )  # fmt: skip
     return replace(whole, files=hashes)
 
@@ -339,7 +371,7 @@ def _of_one_reference(reference: str, hits: Sequence[_Hit], reading: Reading) ->
     kept = int(np.count_nonzero(made.kept))
     return Responses(
         made.freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]), kept, made.alpha, pressure,
-        kept=(kept, len(hits)),
+        kept=(kept, len(hits)), remarks=made.drift.lines(("the force", *hits[0].names)),
     )  # fmt: skip
 
 

@@ -152,6 +152,7 @@ class Fit:
                     f"mode at {freq:.1f} Hz: its bandwidth of {width:.2g} Hz (Q {quality:.0f}) holds fewer than "
                     f"{BINS_IN_BANDWIDTH:g} bins of {step:g} Hz; measure longer"
                 )
+        out += r.remarks
         for end in (r.freq[0], r.freq[-1]):
             near = [row["freq_Hz"] for row in measured if abs(row["freq_Hz"] - end) < row["freq_Hz"] / row["Q"]]
             out += [f"the band ends in the peak of the mode at {f:.1f} Hz: move --band" for f in near]
@@ -164,6 +165,14 @@ class Fit:
         if self.modes.mains:
             shown = ", ".join(f"{f:.1f}" for f in sorted(self.modes.mains)[:6])
             out.append(f"lines of a few bins, of the mains perhaps, were left out: {shown} Hz")
+        if self.modes.idle:
+            shown = ", ".join(f"{f:.5g}" for f in sorted(self.modes.idle)[:6]) + (
+                " ..." if len(self.modes.idle) > 6 else ""
+            )
+            out.append(
+                f"{len(self.modes.idle)} weak or doubtful modes were left out, the fit is less than 0.05 dB worse "
+                f"without each ({shown} Hz); --keep {sorted(self.modes.idle)[0]:.5g} would keep one"
+            )
         if self.modes.misfit > MOST_MISFIT:
             out.append(
                 f"the misfit is {self.modes.misfit:.2f} times the noise: the body is not linear, the records leak, or "
@@ -211,6 +220,7 @@ class Fit:
             "damping": "structural" if self.modes.structural else "viscous",
             "misfit": self.modes.misfit,
             "muted_Hz": list(self.modes.mains),
+            "idle_Hz": list(self.modes.idle),
             "outliers_Hz": list(self.outliers),
             "no_body": self.no_body,
             "residues_turned": self.modes.turned,

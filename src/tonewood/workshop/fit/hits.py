@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.workshop.fit.drift import Drift, brought_together, level_zero
+
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
@@ -27,6 +29,7 @@ class HitResponses:
     coherence : (P, N).
     alpha : 1/s, real part of s: 1/tau of the exponential window.
     kept : (n_hits,) which were single.
+    drift : of zeros and frequencies.
     """
 
     freq: Floats
@@ -34,6 +37,7 @@ class HitResponses:
     coherence: Floats
     alpha: float
     kept: NDArray[np.bool_]
+    drift: Drift
 
 
 def is_double(force: Floats, fs: float) -> bool:
@@ -58,7 +62,8 @@ def responses_of_hits(
     """Average hits to a response.
 
     The window exp(-t/tau) multiplies *both* channels. The transform of x(t) exp(-a t) is X(s + a), so the quotient is
-    the response itself on the line Re s = a = 1/tau, and nothing has to be corrected afterwards.
+    the response itself on the line Re s = a = 1/tau, and nothing has to be corrected afterwards. Before, zeros that
+    drift are levelled; frequencies that drift from hit to hit are brought to their mean (`drift`).
 
     Parameters
     ----------
@@ -80,7 +85,9 @@ def responses_of_hits(
     n = force.shape[-1]
     alpha = 0.0 if window_tau is None else 1.0 / window_tau
     window = np.exp(-alpha * np.arange(n) / fs)
-    F, X = np.fft.rfft(force[kept] * window), np.fft.rfft(motion[kept] * window)
+    level, moving, zero = level_zero(force[kept], motion[kept])
+    spectra, stretch, peaks = brought_together(level * window, moving * window, fs)
+    F, X = spectra.force, spectra.motion
     of_force = np.mean(np.abs(F) ** 2, axis=0)
     of_motion = np.mean(np.abs(X) ** 2, axis=0)
     crossed = np.mean(X * F.conj()[:, None], axis=0)
@@ -88,5 +95,5 @@ def responses_of_hits(
     # bins that the hammer did not reach tell nothing
     over, under = (crossed, of_force + 0j * crossed) if estimator == "H1" else (of_motion + 0j, crossed.conj())
     response = np.divide(over, under, out=np.zeros_like(over), where=under != 0)
-    freq = np.asarray(np.fft.rfftfreq(n, 1 / fs), dtype=np.float64)
-    return HitResponses(freq, response, coherence, alpha, kept)
+    drift = Drift(tuple(zero.tolist()), tuple(stretch.tolist()), tuple(peaks))
+    return HitResponses(spectra.freq, response, coherence, alpha, kept, drift)

@@ -54,6 +54,7 @@ class Modes:
     bent : the same of complex residues: what the responses say before a passive body is asked for.
     iterations : of the search, in order.
     mains : Hz, lines of one or two bins that are no modes and were muted.
+    idle : Hz, modes within the band that were left out, for the fit is less than 0.05 dB worse without.
     turned : median chi-squared of the residues' imaginary parts; 1 by chance.
     """
 
@@ -63,13 +64,14 @@ class Modes:
     bent: tuple[Projection, Poles, LinearFit]
     iterations: list[Iteration]
     mains: tuple[float, ...] = ()
+    idle: tuple[float, ...] = ()
     turned: float = 1.0
 
     @property
     def misfit(self) -> float:
         """Chi-squared per number measured, of complex residues: 1 where these leave the noise and nothing else."""
         problem, _, solution = self.bent
-        return float(solution.cost / problem.size)
+        return max(float(solution.cost / problem.size), 0.0)  # of data without noise it is rounding, of either sign
 
     @property
     def structural(self) -> bool:
@@ -166,7 +168,8 @@ def identify(
     level = np.maximum(left, least if sigma is None else level)
     line = replace(line, sigma=level).without(lines) if lines else replace(line, sigma=level)
     bent = Projection(line, shape)
-    start = _fixed(bent, pruned(bent, descend(bent, start, 20, 1e-7)[0])[0], wanted, drop)
+    idle: list[float] = []
+    start = _fixed(bent, pruned(bent, descend(bent, start, 20, 1e-7)[0])[0], wanted, drop, idle)
     start, found = descend(bent, start, 20, 1e-8)
     turned = float(np.median(found.chi2[:, len(start) : 2 * len(start)].mean(axis=0)))
     real, poles = Projection(line, replace(shape, complex=False)), start
@@ -176,13 +179,13 @@ def identify(
         if held:
             poles = without_negative(real, poles)
         else:
-            poles = _fixed(real, straightened(line, real.shape, poles)[1], wanted, drop)
+            poles = _fixed(real, straightened(line, real.shape, poles)[1], wanted, drop, [])
             poles, _ = descend(real, poles, 20, 1e-8)
         if (fewer := _without_idle_edges(real, poles)) == real.shape:
             break
         real = Projection(line, fewer)
     poles = poles.damped_beyond(float(freq[0]), float(freq[-1]))
-    return Modes(real, poles, real.solve(poles), (bent, start, found), iterations, lines, turned)
+    return Modes(real, poles, real.solve(poles), (bent, start, found), iterations, lines, tuple(idle), turned)
 
 
 def _ordered(
@@ -192,7 +195,7 @@ def _ordered(
     size, poles = np.abs(line.mobility), Poles.none()
     lines: tuple[float, ...] = ()
     best: tuple[Line, Poles, tuple[float, ...]] | None = None
-    before = np.inf
+    before = left = np.inf
     floor = float(np.median(line.sigma / np.maximum(size, 1e-300)))
     for allowed in ALLOWED:
         if 0 < allowed < 0.3 * floor or allowed < least_error:
@@ -214,10 +217,11 @@ def _ordered(
         if not len(poles):
             continue
         fine, _ = descend(Projection(line, shape), poles, 20, 1e-6)
-        loud = _parts_above_noise(line, shape, fine)
-        if best is not None and loud >= before and len(poles) > len(best[1]):
+        loud, cost = _parts_above_noise(line, shape, fine), Projection(line, shape).solve(fine).cost
+        nearer = loud < before or (loud == 1 and cost < 0.5 * left)  # all of the band is far from its noise
+        if best is not None and not nearer and len(poles) > len(best[1]):
             break
-        best, before = (line, fine, lines), loud
+        best, before, left = (line, fine, lines), loud, cost
         if not loud:
             break
     if best is None:
@@ -237,14 +241,14 @@ def _total_of_real(line: Line, shape: Shape, poles: Poles) -> float:
     return problem.solve(real).cost + problem.price * len(real)
 
 
-def _parts_above_noise(line: Line, shape: Shape, poles: Poles) -> int:
-    """How many parts of the band, of all responses, have a misfit above the noise in most of their bins."""
+def _parts_above_noise(line: Line, shape: Shape, poles: Poles) -> float:
+    """Share of the parts of the band, of all responses, whose misfit is above the noise in most of their bins."""
     whole = Projection(line, shape)
     ratio = np.log(np.abs(whole.misfit(poles, whole.solve(poles).residues)) / line.sigma + 1e-300)
     starts = np.arange(0, ratio.shape[1], _PART)
     mean = np.add.reduceat(np.clip(ratio, -5, 5), starts, axis=1) / np.diff(np.append(starts, ratio.shape[1]))
     # of complex Gaussian noise ln |e| / sigma is half of Euler's constant below 0
-    return int(np.count_nonzero(mean > np.log(_AT_NOISE) - 0.5 * np.euler_gamma))
+    return float(np.mean(mean > np.log(_AT_NOISE) - 0.5 * np.euler_gamma))
 
 
 def _reach(poles: Poles, i: int) -> float:
@@ -252,11 +256,12 @@ def _reach(poles: Poles, i: int) -> float:
     return float(max(_NEAR, 0.5 / poles.quality[i]))
 
 
-def _fixed(problem: Projection, poles: Poles, wanted: Poles, drop: Sequence[float]) -> Poles:
-    """Modes less those dropped and those whose absence nobody would see, with those wanted."""
+def _fixed(problem: Projection, poles: Poles, wanted: Poles, drop: Sequence[float], idle: list[float]) -> Poles:
+    """Modes less those dropped and those whose absence nobody would see (noted in `idle`), with those wanted."""
     gone = [i for i in range(len(poles)) if any(abs(np.log(poles.freq[i] / f)) < _reach(poles, i) for f in drop)]
     poles = descend(problem, poles.without(gone), 6, 1e-6)[0] if gone else poles
     while len(weak := inaudible(problem, poles, wanted.freq)):
+        idle += [float(f) for f in poles.freq[weak] if problem.line.freq[0] < f < problem.line.freq[-1]]
         poles = descend(problem, poles.without(weak.tolist()), 6, 1e-6)[0]
     missing = [f for f in wanted.freq if not len(poles) or np.abs(np.log(poles.freq / f)).min() > _NEAR]
     if missing:

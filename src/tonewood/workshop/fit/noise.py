@@ -38,7 +38,9 @@ def of_coherence(response: Complexes, coherence: Floats, n_hits: int) -> Floats:
     g = np.clip(coherence, 1e-4, 1 - 1e-9)
     bias = n_hits / (n_hits - 1) if n_hits > 2 else 1.0
     variance = bias * (1 - g) / (n_hits * g) * np.abs(response) ** 2
-    return np.asarray(np.exp(0.5 * uniform_filter1d(np.log(variance + 1e-300), _COHERENCE, axis=-1, mode="mirror")))
+    shape = _two_parts(variance, np.abs(response) ** 2)
+    left = uniform_filter1d(np.log(variance / shape + 1e-300), _COHERENCE, axis=-1, mode="mirror")
+    return np.asarray(np.sqrt(shape) * np.exp(0.5 * left))
 
 
 def of_neighbours(response: Complexes) -> Floats:

@@ -27,6 +27,8 @@ LEAST_COHERENCE, _COHERENCE = 0.5, 31
 _BEFORE = 4.0
 #: share of the bins, most that are outliers
 _MOST_OUTLIERS = 0.2
+#: share of the step below which a frequency is 0
+_ZERO = 0.01
 #: kg that a body of an instrument weighs as felt at a point
 LIGHTEST, HEAVIEST = 1e-5, 1e4
 
@@ -46,6 +48,7 @@ class Responses:
     pressure : microphone and reference -> (N,) Pa/N.
     files : name -> SHA-256 of the bytes read.
     kept : hits kept and hits given, where raw hits were read.
+    remarks : on how they were read, a line each.
     """
 
     freq: Floats
@@ -57,6 +60,7 @@ class Responses:
     pressure: Mapping[tuple[str, str], Complexes] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
     kept: tuple[int, int] | None = None
+    remarks: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         band = f"{self.freq[0]:g} to {self.freq[-1]:g} Hz" if self.freq.size else "no bins"
@@ -87,6 +91,8 @@ class Responses:
     def band(self, low: float | None, high: float | None) -> Responses:
         """Return the part between two frequencies, without 0 Hz and without bins that hold no finite number.
 
+        A first bin below a hundredth of the step stands for 0 Hz, written so for programs that divide by it.
+
         Parameters
         ----------
         low, high : Hz, both included; None is the end of the data.
@@ -96,7 +102,8 @@ class Responses:
         TonewoodError : too few bins lie there.
         """
         first = max(low or 0.0, 0.0)
-        inside = (self.freq >= first) & (self.freq > 0) & (self.freq <= (high or np.inf))
+        least = _ZERO * float(np.median(np.diff(self.freq))) if self.freq.size > 1 else 0.0
+        inside = (self.freq >= first) & (self.freq > max(least, 0.0)) & (self.freq <= (high or np.inf))
         inside &= np.all(np.isfinite(self.mobility), axis=0)
         for row in self.pressure.values():
             inside &= np.isfinite(row)

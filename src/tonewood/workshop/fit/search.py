@@ -27,8 +27,8 @@ ZETA_LOW, ZETA_HIGH, NARROWEST = 1e-5, 0.35, 0.05
 BELOW, ABOVE = 0.5, 1.6
 #: standard deviations beyond which a residue's sign is taken to be known
 DOUBT = 3.0
-#: dB by which a mode has to change the fit
-CHANGE = 0.05
+#: dB by which a mode has to change the fit; standard deviation of ln Q from which its Q is not known
+CHANGE, UNKNOWN = 0.05, 0.1
 #: Q of the matched filters
 _QUALITIES = (3, 6, 12, 25, 50, 100, 200, 400, 800)
 #: modes added in an iteration, and most iterations
@@ -195,9 +195,11 @@ def inaudible(problem: Projection, poles: Poles, wanted: Floats) -> NDArray[np.i
     """Return the mode, if any, without which the fit changes least, and by less than 0.05 dB.
 
     The others' residues adapt; compared are the r.m.s. levels of data re model within two bandwidths, and ten bins at
-    least, of the mode, at the response where it matters most.
+    least, of the mode, at the response where it matters most. Without a driving point no sign of a residue shows which
+    modes are a body's: there, one whose Q is not known within 10 % has to matter over the whole band: mostly it is a
+    peak's departure from the model.
     """
-    line, full = problem.line, problem.solve(poles)
+    line, full, doubt = problem.line, problem.solve(poles), problem.deviations(poles)[1]
     level = np.abs(line.mobility)
     best = _decibels(level, problem.model(poles, full.residues))
     found: tuple[float, int] = (CHANGE, -1)
@@ -208,7 +210,9 @@ def inaudible(problem: Projection, poles: Poles, wanted: Floats) -> NDArray[np.i
         without = _decibels(level, problem.model(fewer, problem.solve(fewer).residues))
         reach = 2 * poles.freq[i] / poles.quality[i] + 5 * line.step
         near = np.abs(line.freq - poles.freq[i]) <= reach
-        if not near.any():  # beyond the band: it stands for modes there
+        if not near.any() or (
+            doubt[i] > UNKNOWN and not problem.shape.driving
+        ):  # beyond the band it stands for modes there
             near = np.ones_like(near)
         change = np.sqrt(np.mean(without[:, near] ** 2, axis=1)) - np.sqrt(np.mean(best[:, near] ** 2, axis=1))
         found = min(found, (float(change.max()), i))

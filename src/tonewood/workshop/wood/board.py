@@ -39,6 +39,10 @@ _PRIOR = np.array([0.5, 0.6, 0.7, 0.08, 0.5, 0.7])
 #: steps of ln E_L, ln E_R, ln G_LR among which starts are chosen by the lowest peaks; number of starts
 _GRID = (np.linspace(-0.6, 0.4, 6), np.linspace(-0.6, 0.6, 7), np.linspace(-1.2, 0.6, 10))
 _LOWEST, _STARTS = 8, 8
+#: kg, standard deviation of a sensor's mass that is not known; gain, in squares over variances, from which there is one
+_SENSOR, _SENSOR_GAIN = 1e-3, NORMAL_90**2
+#: kg, least mass in slopes at 0: the mass matrix stays positive
+_LEAST_SENSOR = -2e-4
 #: unmatched modes and peaks in the cost of a pairing
 _NO_PEAK, _NO_MODE = 1.0, 9.0
 
@@ -77,6 +81,7 @@ class Board:
     pairs : peaks that were used.
     peaks_without_mode, modes_without_peak : Hz.
     misfit : root mean square of (ln f_k - ln f_m) over the pairs.
+    sensor : kg, mass of a sensor at a corner that was taken into account.
     """
 
     wood: Wood
@@ -85,6 +90,7 @@ class Board:
     peaks_without_mode: tuple[float, ...]
     modes_without_peak: tuple[float, ...]
     misfit: float
+    sensor: float = 0.0
 
 
 def estimate_board(
@@ -97,6 +103,7 @@ def estimate_board(
     size_error: float = 5e-4,
     model_error: float = MODEL_ERROR,
     prior: Wood | None = None,
+    sensor: float | None = None,
 ) -> Board:
     """Estimate the constants of a plate's wood.
 
@@ -108,6 +115,8 @@ def estimate_board(
     thickness_error, size_error : m, standard deviations of thickness, and of length and width.
     model_error : standard deviation of ln f by the plate's own faults.
     prior : wood about which the constants are sought; that of `plate` where left out.
+    sensor : kg, mass of a sensor that stood at a corner, 0 for a microphone; None to seek one, which is taken into
+        account if the sum of squares is smaller by 2.7 with it, as chance has it in one of twenty boards without one.
 
     Raises
     ------
@@ -116,13 +125,19 @@ def estimate_board(
     peaks, spread, quality = sorted_peaks(freq, errors, q, model_error)
     if len(peaks) < 3:
         raise ValueError(f"{len(peaks)} peaks; 3 or more are wanted, for three constants")
-    problem = _Problem(plate, thickness_error, prior or plate.nominal)
+    problem = _Problem(plate, thickness_error, prior or plate.nominal, sensor or 0.0)
     fits = [problem.refined(start, peaks, spread) for start in problem.starts(peaks)]
     theta, (i, j), _ = min(fits, key=lambda fit: fit[2])
     if len(i) < 3:
         raise ValueError("fewer than three peaks fit any wood; are size, mass and frequencies right?")
-    wood, thick = problem.wood(theta)
-    modes, shares = plate.solution(wood, thick)
+    if sensor is None:
+        other = _Problem(plate, thickness_error, prior or plate.nominal, 0.0, _SENSOR)
+        more, pairs_there, _ = other.refined(theta, peaks, spread)
+        gain = problem.squares(theta, (i, j), peaks, spread) - other.squares(more, pairs_there, peaks, spread)
+        if more[-1] > 0 and len(pairs_there[0]) >= len(i) and gain > _SENSOR_GAIN:
+            problem, theta, (i, j), sensor = other, more, pairs_there, float(more[-1])
+    wood, thick, mass = problem.wood(theta)
+    modes, shares = plate.solution(wood, thick, mass)
     residuals = np.log(peaks[i] / modes[j])
     covariance = problem.covariance(theta, j, spread[i], residuals)
     errors_of = np.sqrt(np.diag(covariance)[:3])
@@ -149,30 +164,37 @@ def estimate_board(
         peaks_without_mode=tuple(map(float, np.delete(peaks, i))),
         modes_without_peak=tuple(map(float, modes[missing])),
         misfit=float(np.sqrt(np.mean(residuals**2))),
+        sensor=sensor or 0.0,
     )
 
 
 class _Problem:
-    """Least squares in theta: ln E_L, ln E_R, ln G_LR, nu_LR, ln (G_LT / E_L), ln (G_RT / E_L), ln h."""
+    """Least squares in theta: ln E_L, ln E_R, ln G_LR, nu_LR, ln (G_LT / E_L), ln (G_RT / E_L), ln h, sensor (kg)."""
 
-    def __init__(self, plate: Rectangle, thickness_error: float, n: Wood):
+    def __init__(self, plate: Rectangle, thickness_error: float, n: Wood, sensor: float, sensor_error: float = 1e-9):
         self.plate = plate
         self.mean = np.array([np.log(n.E_L), np.log(n.E_R), np.log(n.G_LR), n.nu_LR, np.log(n.G_LT / n.E_L),
-                              np.log(n.G_RT / n.E_L), np.log(plate.thickness)])  # fmt: skip
-        self.sd = np.append(_PRIOR, thickness_error / plate.thickness)
+                              np.log(n.G_RT / n.E_L), np.log(plate.thickness), sensor])  # fmt: skip
+        self.sd = np.array([*_PRIOR, thickness_error / plate.thickness, sensor_error])
 
-    def wood(self, theta: Floats) -> tuple[Wood, float]:
-        """Wood and thickness (m)."""
-        long, cross, shear, nu, g_lt, g_rt, h = theta
+    def wood(self, theta: Floats) -> tuple[Wood, float, float]:
+        """Wood, thickness (m), and mass of the sensor (kg)."""
+        long, cross, shear, nu, g_lt, g_rt, h, sensor = theta
         e = np.exp(long)
         nu = min(max(nu, 0.01), 0.9 * float(np.sqrt(e / np.exp(cross))))
         made = Wood(float(e), float(np.exp(cross)), float(np.exp(shear)), float(nu), self.plate.nominal.density,
                     G_LT=float(e * np.exp(g_lt)), G_RT=float(e * np.exp(g_rt)))  # fmt: skip
-        return made, float(np.exp(h))
+        return made, float(np.exp(h)), max(float(sensor), _LEAST_SENSOR)
 
     def log_freq(self, theta: Floats) -> Floats:
         """Logarithms of the modes' frequencies."""
         return np.log(np.maximum(self.plate.solution(*self.wood(theta))[0], 1e-3))
+
+    def squares(self, theta: Floats, pairs: tuple[Places, Places], peaks: Floats, spread: Floats) -> float:
+        """Sum of squares over the pairs and the priors, re their variances."""
+        i, j = pairs
+        left = (np.log(peaks[i]) - self.log_freq(theta)[j]) / spread[i]
+        return float(np.sum(left**2) + np.sum(((theta - self.mean) / self.sd) ** 2))
 
     def starts(self, peaks: Floats) -> list[Floats]:
         """The best woods of a grid about the nominal one."""
@@ -200,17 +222,17 @@ class _Problem:
         return theta, (i, j), cost + float(np.sum(((theta - self.mean) / self.sd) ** 2))
 
     def _slopes(self, theta: Floats, modes: Places) -> tuple[Floats, Floats]:
-        """(modes, 7) derivatives of some ln f by theta, and these ln f."""
+        """(modes, 8) derivatives of some ln f by theta, and these ln f."""
         f = self.log_freq(theta)[modes]
         jacobian = np.empty((len(modes), len(theta)))
         for k in range(len(theta)):
             step = np.zeros(len(theta))
-            step[k] = 1e-4
-            jacobian[:, k] = (self.log_freq(theta + step)[modes] - self.log_freq(theta - step)[modes]) / 2e-4
+            step[k] = size = 1e-4 if k < len(theta) - 1 else 1e-5
+            jacobian[:, k] = (self.log_freq(theta + step)[modes] - self.log_freq(theta - step)[modes]) / (2 * size)
         return jacobian, f
 
     def covariance(self, theta: Floats, modes: Places, spread: Floats, residuals: Floats) -> Floats:
-        """(7, 7) of theta."""
+        """(8, 8) of theta."""
         jacobian, _ = self._slopes(theta, modes)
         information = (jacobian / spread[:, None]).T @ (jacobian / spread[:, None])
         freedom = max(len(modes) - 3, 1)

@@ -21,6 +21,8 @@ Floats = NDArray[np.float64]
 
 #: modes of the nominal wood in which those of others are sought
 _BASIS = 48
+#: m from both edges of a corner where a sensor stands
+SENSOR_AT = 0.01
 
 
 def stiffness_constants(wood: Wood) -> Floats:
@@ -45,6 +47,7 @@ class Rectangle:
     mass : kg.
     nominal : wood about which others are sought.
     parts : (6, n, n) 1/s^2, share of each constant of the nominal wood in the stiffness between the lowest modes.
+    corner : (n,) 1/sqrt(kg), their shapes where a sensor stands, 10 mm from both edges of a corner.
     """
 
     length: float
@@ -53,6 +56,7 @@ class Rectangle:
     mass: float
     nominal: Wood
     parts: Floats
+    corner: Floats
 
     @classmethod
     def of(cls, length: float, width: float, thickness: float, mass: float, nominal: Wood) -> Rectangle:
@@ -71,18 +75,26 @@ class Rectangle:
         for i in range(len(constants)):
             more = constants * np.where(np.arange(len(constants)) == i, 1.5, 1.0)
             parts.append(2 * (made(wood_with(more, density)).stored(vectors) - whole))
-        return cls(length, width, thickness, mass, nominal, np.array(parts))
+        corner = base.operator([[SENSOR_AT, SENSOR_AT]]) @ vectors[-base.functions :]
+        return cls(length, width, thickness, mass, nominal, np.array(parts), np.asarray(corner)[0])
 
-    def solution(self, wood: Wood, thickness: float | None = None) -> tuple[Floats, Floats]:
+    def solution(self, wood: Wood, thickness: float | None = None, sensor: float = 0.0) -> tuple[Floats, Floats]:
         """Frequencies (n,), Hz, without rigid-body motion, and shares (6, n) of each constant in their energy.
+
+        A sensor of mass m adds m phi phi^T to the mass matrix, which is 1; the problem is solved in the coordinates
+        that make it 1 again.
 
         Parameters
         ----------
         thickness : m, if not that of the plate; its mass stays.
+        sensor : kg, mass of a sensor at a corner.
         """
         ratio = (thickness or self.thickness) / self.thickness
         factors = stiffness_constants(wood) / stiffness_constants(self.nominal) * ratio ** np.array([3, 3, 3, 3, 1, 1])
-        values, vectors = np.linalg.eigh(np.tensordot(factors, self.parts, 1))
-        values, vectors = values[3:], vectors[:, 3:]
+        size = float(self.corner @ self.corner)
+        less = (1 - 1 / np.sqrt(1 + sensor * size)) / size
+        whitened = np.eye(self.corner.size) - less * np.outer(self.corner, self.corner)
+        values, vectors = np.linalg.eigh(whitened @ np.tensordot(factors, self.parts, 1) @ whitened)
+        values, vectors = values[3:], whitened @ vectors[:, 3:]
         energy = np.einsum("ik,cij,jk->ck", vectors, self.parts, vectors) * factors[:, None]
         return np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi), energy / values

@@ -199,6 +199,32 @@ def test_a_universal_file_that_was_cut_off_says_where(tmp_path, binary):
         assert "\n" not in str(fault.value)
 
 
+def test_sets_that_are_missing_or_say_no_phase_or_rad_per_s_are_said(tmp_path):
+    pyuff = pytest.importorskip("pyuff")
+
+    def read(nodes, factor=1.0, magnitude=False, unit="Hz"):
+        (tmp_path / "a.uff").unlink(missing_ok=True)
+        for node in nodes:
+            data = mobility()[node % 3]
+            pyuff.UFF(str(tmp_path / "a.uff")).write_sets(
+                pyuff.prepare_58(
+                    func_type=4, rsp_node=node, rsp_dir=3, ref_node=1, ref_dir=3, rsp_ent_name="NONE",
+                    ref_ent_name="NONE", data=np.abs(data) if magnitude else data, x=factor * FREQ, binary=0, id1="",
+                    id2="", id3="", id4="", id5="", load_case_id=0, abscissa_spacing=1, abscissa_spec_data_type=18,
+                    ordinate_spec_data_type=11, orddenom_spec_data_type=13, abscissa_axis_units_lab=unit,
+                ),
+                mode="add",
+            )  # fmt: skip
+        return read_responses([tmp_path / "a.uff"], Reading())
+
+    assert read((1, 2, 3)).remarks == ()
+    assert read((1, 2, 3, 6)).remarks == ("a.uff has no response at 2 of its nodes: 4, 5; sets may be missing",)
+    with pytest.raises(TonewoodError, match="is real: magnitudes without phase"):
+        read((1, 2), magnitude=True)
+    with pytest.raises(TonewoodError, match="frequencies are in rad/s"):
+        read((1, 2), factor=TAU, unit="rad/s")
+
+
 def test_arrays_of_any_name_in_mat_and_npz(tmp_path):
     from scipy.io import savemat
 
@@ -295,6 +321,19 @@ def test_files_of_a_fit_without_a_body(tmp_path, monkeypatch, capsys):
     assert facts["modes"][0]["interval_90"]["Q"][0] < 30 < facts["modes"][0]["interval_90"]["Q"][1]
     assert command("new", "mine", "--from", "fitted") == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_way_from_a_file_of_another_program_to_a_sound(tmp_path, monkeypatch):
+    """A .mat file as the public one below, three receptances beside their frequencies, to a bundle that plays."""
+    from scipy.io import savemat
+
+    monkeypatch.chdir(tmp_path)
+    savemat("a.mat", {"Freq": FREQ, "Recep": (mobility(relative=1e-3) / (2j * np.pi * FREQ)).T})
+    assert command("fit", "a.mat", "--driving", "Recep_1", "-o", "three") == 0
+    assert command("new", "mine", "--from", "three") == 0
+    tw.write_midi(tw.Score([tw.Note(0.0, 0.3, note=45)]), tmp_path / "a.mid")
+    assert command("render", "a.mid", "-i", "mine", "-o", "a.wav", "--max-duration", "0.3") == 0
+    assert np.abs(sf.read("a.wav")[0]).max() > 0
 
 
 def public(name):

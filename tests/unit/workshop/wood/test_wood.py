@@ -17,7 +17,7 @@ from tonewood.physics.plate.wood import SPECIES, Wood
 from tonewood.workshop.taps.strongest import strongest
 from tonewood.workshop.wood.board import estimate_board, losses_of, typical
 from tonewood.workshop.wood.peaks import read_peaks
-from tonewood.workshop.wood.rectangle import Rectangle
+from tonewood.workshop.wood.rectangle import SENSOR_AT, Rectangle
 from tonewood.workshop.wood.stick import bar_freq, estimate_stick
 from tonewood.workshop.wood.thickness import gore_thickness, panel_freq, thickness_for
 
@@ -76,6 +76,25 @@ def test_a_board_is_found_again(rectangle: Rectangle, rng: np.random.Generator) 
     assert solution.wood.nu_LR == pytest.approx(wood.nu_LR, abs=0.15)
     assert solution.misfit < 3e-3
     assert len(solution.pairs) >= 12
+
+
+def test_a_sensor_at_a_corner_is_found_and_makes_the_board_no_softer(rectangle: Rectangle) -> None:
+    """Against Rayleigh: a small mass m lowers a mode's ln f by m phi^2 / 2; 3 g change E_L and G_LR by 5 % and more."""
+    wood, mass = rectangle.nominal, 3e-3
+    ring = np.array([[0.0, 0.0], [SIZE[0], 0.0], [SIZE[0], SIZE[1]], [0.0, SIZE[1]]])
+    modes = Plate([ring], wood, SIZE[2], FREE, size=SIZE[0] / 23).modes(count=17)
+    phi = modes.shapes([[SENSOR_AT, SENSOR_AT]])[0, 3:]
+    small = rectangle.solution(wood, sensor=1e-5)[0][:10] / rectangle.solution(wood)[0][:10] - 1
+    assert small == pytest.approx(-0.5e-5 * phi[:10] ** 2, rel=0.05)
+    freq = rectangle.solution(wood, sensor=mass)[0][:13]
+    for sensor in (None, mass):
+        solution = estimate_board(rectangle, freq, 1e-3 * freq, sensor=sensor)
+        assert solution.sensor == pytest.approx(mass, rel=0.3)
+        for name in ("E_L", "G_LR"):
+            assert getattr(solution.wood, name) == pytest.approx(getattr(wood, name), rel=0.02)
+    assert estimate_board(rectangle, freq, 1e-3 * freq, sensor=0.0).wood.G_LR < 0.97 * wood.G_LR
+    free = rectangle.solution(wood)[0][:13]
+    assert estimate_board(rectangle, free, 1e-3 * free).sensor == 0.0
 
 
 def test_losses_are_those_of_the_energies(rectangle: Rectangle) -> None:
@@ -248,7 +267,7 @@ def test_intervals_hold_the_truth_of_200_boards(rectangle: Rectangle) -> None:
 @pytest.mark.skipif(not PLATES.is_dir(), reason="other people's plates are not here")
 @pytest.mark.parametrize("name", ["2L", "2R"])
 def test_measured_plates_of_others(name: str) -> None:
-    """Peaks within 1.2 %, all but one within 1 %; E_L, G_LR within two standard deviations (the authors: 3, 5 %)."""
+    """Peaks within 1 %; E_L, G_LR within two standard deviations (the authors: 3, 5 %)."""
     row = next(r for r in csv.DictReader((PLATES / "plates.csv").open()) if r["plate"] == name)
     size = [1e-3 * float(row[k]) for k in ("length_mm", "width_mm", "thickness_mm")]
     mass = 1e-3 * float(row["mass_g"])
@@ -257,9 +276,7 @@ def test_measured_plates_of_others(name: str) -> None:
     plate = Rectangle.of(*size, mass, typical("sitka_spruce", mass / float(np.prod(size))))
     solution = estimate_board(plate, [p.freq for p in peaks], [p.error for p in peaks], [p.q for p in peaks])
     assert len(solution.pairs) >= 11
-    errors = np.sort([abs(p.computed / p.measured - 1) for p in solution.pairs])
-    assert errors[-1] < 0.012
-    assert errors[-2] < 0.01
+    assert max(abs(p.computed / p.measured - 1) for p in solution.pairs) < 0.01
     for key, sd in (("E_L", 0.03), ("G_LR", 0.05)):
         low, high = solution.intervals[key]
         own = np.log(high / low) / 2 / 1.645

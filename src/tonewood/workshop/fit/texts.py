@@ -1,0 +1,169 @@
+"""Text tables that other programs export: numbers in columns, with a head or without, as frequency responses.
+
+The longest run of lines with equally many numbers is the table; semicolons, tabs, commas or blanks separate, and a
+decimal comma is read where another sign separates. The first column is the frequency. The head, where there is one,
+says which columns are real and imaginary parts, or magnitude and phase, and of which quantity.
+"""
+
+from __future__ import annotations
+
+import re
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.errors import TonewoodError
+from tonewood.workshop.fit.arrays import UNNAMED, Pair, ResponseTable
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+#: how records over time are read
+HITS = "records of hits are read as CSV with the columns time_s, REFERENCE_force and one for each point"
+#: step and end of a first column without a name up to which it holds times
+_TIME_STEP, _TIME_END = 1e-3, 20.0
+#: bytes of a text, and fewest lines of a table
+_LARGEST, _FEWEST = 64_000_000, 8
+#: words of the head that say what a column holds
+_KINDS = {
+    "re": re.compile(r"real|\bre\b|_re\b"), "im": re.compile(r"imag|\bim\b|_im\b"),
+    "phase": re.compile(r"phase|angle|\barg\b|\bdeg"), "mag": re.compile(r"magn|\bmag\b|ampl|\babs|modul|\|h|_mag\b"),
+    "coherence": re.compile(r"coher"),
+}  # fmt: skip
+#: units of the head, without blanks
+_FORMS = (
+    ("accelerance", re.compile(r"m/s(\^|\*\*)?[2²]\)?/n|\bg(n)?/n\b")),
+    ("mobility", re.compile(r"m/s\)?/n")),
+    ("receptance", re.compile(r"(^|[^a-z])m/n\b")),
+)
+#: a second column without a name is a phase in degrees if it is so many times larger than the first
+_DEGREES = 20.0
+
+
+def responses_of_text(path: Path) -> ResponseTable:
+    """Read the table of a text file.
+
+    Raises
+    ------
+    TonewoodError : there is no table of numbers, or its columns are no responses; the line says what is there.
+    """
+    head, columns, names = _table(path)
+    freq = columns[0]
+    first, whole = names[0] if names else "", " ".join(head).lower()
+    if re.search(r"\btime\b|\bsec|\[s\]|\(s\)", first) and "hz" not in first:
+        raise TonewoodError(f"the first column is time: {HITS}", file=path)
+    if not first and freq[-1] < _TIME_END and np.median(np.diff(freq)) < _TIME_STEP:
+        raise TonewoodError(
+            f"the first column ends at {freq[-1]:g} in steps of {np.median(np.diff(freq)):.2g}: times, not Hz; {HITS}",
+            file=path,
+        )
+    if re.search(r"rad", first):
+        raise TonewoodError("the first column is in rad/s: divide it by 2 pi, freq_Hz is in Hz", file=path)
+    if re.search(r"khz", first):
+        freq = 1e3 * freq
+    rows, coherence, remark = _rows(path, columns[1:], names[1:])
+    flat = re.sub(r"\s", "", whole)
+    form = next((form for form, unit in _FORMS if unit.search(flat)), None)
+    remarks = [remark] if remark else []
+    if re.search(r"\bg/n\b", whole):
+        remarks.append(f"{path.name} says g/N: --scale 9.80665 makes it (m/s^2)/N, unless you gave it")
+    return ResponseTable(freq, rows, coherence, form, tuple(remarks))
+
+
+def is_documented(path: Path) -> bool:
+    """Whether a CSV file has this program's columns: `freq_Hz`, `time_s`, or names with a colon; or no line."""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        first = next((line for line in file if line.strip() and not line.lstrip().startswith("#")), "freq_Hz")
+    return any(word in first for word in ("freq_Hz", "time_s")) or bool(re.search(r"\w:\w", first))
+
+
+def _numbers(line: str) -> list[float] | None:
+    """Numbers of a line; None if one cell is none."""
+    line = line.strip().rstrip(";,\t")
+    if ";" in line or "\t" in line:
+        cells = re.split(r"\s*[;\t]\s*", line.replace(",", "."))
+    elif re.search(r"\s", line) and re.fullmatch(r"[\s\d,.eE+-]+", line) and not re.search(r",\s|\d,[^,\s]*,", line):
+        cells = line.replace(",", ".").split()
+    else:
+        cells = re.split(r"\s*,\s*|\s+", line)
+    try:
+        return [float(cell) for cell in cells]
+    except ValueError:
+        return None
+
+
+def _cells(line: str) -> list[str]:
+    """Words of a line of the head, by the sign that separates."""
+    sign = next((sign for sign in (";", "\t", ",") if sign in line), None)
+    words = line.strip().split(sign) if sign else re.split(r"\s+", line.strip())
+    return [word.strip(" '\"\r\n") for word in words]
+
+
+def _table(path: Path) -> tuple[list[str], Floats, list[str]]:
+    """Head, columns of numbers, and the words above each column (none without a head)."""
+    raw = path.read_bytes()
+    if len(raw) > _LARGEST or b"\0" in raw:
+        raise TonewoodError("is no text, or longer than 64 MB", file=path)
+    lines = raw.decode("utf-8-sig", "replace").splitlines()
+    rows = [_numbers(line) for line in lines]
+    runs = [(0, 0, 0)]
+    for size, run in groupby(range(len(rows)), key=lambda i: len(rows[i] or ())):
+        inside = list(run)
+        if size > 1:
+            runs.append((len(inside), inside[0], inside[-1] + 1))
+    length, first, stop = max(runs)
+    if length < _FEWEST:
+        raise TonewoodError(
+            "holds no table of numbers: a column of frequencies, and real and imaginary parts (or magnitude and phase) "
+            "of each response are wanted", file=path,
+        )  # fmt: skip
+    columns = np.array(rows[first:stop], dtype=np.float64).T
+    head = lines[:first]
+    above = [words for line in head[-3:] if len(words := _cells(line)) == len(columns)]
+    names = [" ".join(words).lower() for words in zip(*above, strict=True)]
+    return head, columns, names
+
+
+def _rows(path: Path, columns: Floats, names: list[str]) -> tuple[dict[Pair, Complexes], dict[Pair, Floats], str]:
+    """Responses, coherences, and a remark on columns that no head names."""
+    kinds = [next((kind for kind, word in _KINDS.items() if word.search(name)), "") for name in names]
+    stem = re.sub(r"\W", "_", path.stem)
+    stem = stem if stem[:1].isalpha() else f"p_{stem}"
+    of = {kind: [i for i, k in enumerate(kinds) if k == kind] for kind in _KINDS}
+    remark = ""
+    if of["re"] and len(of["re"]) == len(of["im"]):
+        values = [columns[i] + 1j * columns[j] for i, j in zip(of["re"], of["im"], strict=True)]
+    elif of["mag"] and len(of["mag"]) == len(of["phase"]):
+        values = [
+            _polar(columns[i], columns[j], names[i], names[j]) for i, j in zip(of["mag"], of["phase"], strict=True)
+        ]
+    elif len(columns) == 1 or (of["mag"] and not of["phase"]):
+        raise TonewoodError(
+            "holds magnitudes without phase, which do not show modes: export real and imaginary parts, or magnitude "
+            "and phase", file=path,
+        )  # fmt: skip
+    elif len(columns) % 2 == 0 and not any(kinds):
+        degrees = all(np.all(m >= 0) and _DEGREES * m.max() < np.abs(p).max() <= 361 for m, p in _by_two(columns))
+        values = [_polar(m, p, "", "deg") if degrees else m + 1j * p for m, p in _by_two(columns)]
+        said = "magnitude and phase in degrees" if degrees else "real and imaginary parts"
+        remark = f"{path.name} names no columns: after the frequency they were taken for {said}"
+    else:
+        raise TonewoodError(
+            f"its {len(columns)} columns after the first are not clear ({', '.join(names) or 'no names above them'}): "
+            "name them real and imaginary, or magnitude and phase", file=path,
+        )  # fmt: skip
+    points = [stem] if len(values) == 1 else [f"{stem}_{i + 1}" for i in range(len(values))]
+    pairs = [(point, UNNAMED) for point in points]
+    coherence = dict(zip(pairs, columns[of["coherence"]], strict=False)) if len(of["coherence"]) == len(pairs) else {}
+    return dict(zip(pairs, (np.asarray(x, dtype=np.complex128) for x in values), strict=True)), coherence, remark
+
+
+def _by_two(columns: Floats) -> list[tuple[Floats, Floats]]:
+    return list(zip(columns[::2], columns[1::2], strict=True))
+
+
+def _polar(size: Floats, phase: Floats, size_name: str, phase_name: str) -> Complexes:
+    level = 10 ** (size / 20) if "db" in size_name else size
+    return np.asarray(level * np.exp(1j * (phase if "rad" in phase_name else np.deg2rad(phase))), dtype=np.complex128)

@@ -1,0 +1,123 @@
+"""Tables that other programs export: heads, signs that separate, decimal commas; and arrays without frequencies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tonewood.errors import TonewoodError
+from tonewood.workshop.fit.files import Reading, read_responses
+
+FREQ = np.arange(20.0, 120.0)
+VALUES = (np.array([[1.0], [0.3]]) + 0.01 * FREQ) * np.exp(0.02j * FREQ)
+UNITS = ";".join(["(m/s^2)/N"] * 4)
+HEAD = f"Format;Spectrum\nSignals;2\n\nName;A;B\n';A (Real);A (Imag.);B (Real);B (Imag.)\n';{UNITS}\n"
+
+
+def text(columns, sign, comma=False, form="%.9e"):
+    lines = [sign.join(form % x for x in row) for row in np.column_stack(columns)]
+    return "\n".join(lines).replace(".", "," if comma else ".") + "\n"
+
+
+PARTS = [FREQ, VALUES[0].real, VALUES[0].imag]
+POLAR = [FREQ, np.abs(VALUES[0]), np.rad2deg(np.angle(VALUES[0]))]
+LEVELS = [FREQ, 20 * np.log10(np.abs(VALUES[0])), np.angle(VALUES[0])]
+BOTH = [FREQ, VALUES[0].real, VALUES[0].imag, VALUES[1].real, VALUES[1].imag]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "form", "count"),
+    [
+        ("a.txt", text(PARTS, "\t"), None, 1),
+        ("a.txt", text(PARTS, "  "), None, 1),
+        ("a.dat", text(PARTS, "\t", comma=True), None, 1),
+        ("a.asc", text(PARTS, " ", comma=True), None, 1),
+        ("a.csv", "Frequency (Hz),Real (m/N),Imaginary (m/N)\n" + text(PARTS, ","), "receptance", 1),
+        ("a.csv", HEAD + text(BOTH, ";", comma=True), "accelerance", 2),
+        ("a.txt", "Frequency[Hz]\tMagnitude\tPhase[deg]\n" + text(POLAR, "\t"), None, 1),
+        ("a.txt", text(POLAR, "\t"), None, 1),
+        ("a.csv", "f,Magnitude (dB),Phase (rad)\n" + text(LEVELS, ","), None, 1),
+        ("a.csv", "freq (kHz),real,imag\n" + text([1e-3 * FREQ, *PARTS[1:]], ","), None, 1),
+    ],
+)
+def test_tables_of_other_programs(tmp_path, name, content, form, count):
+    path = tmp_path / name
+    path.write_text(content)
+    read = read_responses([path], Reading(form or "mobility"))
+    factor = {"receptance": 2j * np.pi * FREQ, "accelerance": 1 / (2j * np.pi * FREQ)}.get(form, 1.0)
+    assert read.freq == pytest.approx(FREQ, rel=1e-8)
+    assert np.allclose(read.mobility, factor * VALUES[:count], rtol=1e-7)
+    if form:
+        assert np.allclose(read_responses([path], Reading()).mobility, read.mobility)
+    assert bool(read.remarks) == (not content[:1].isalpha())
+
+
+def test_the_driving_point_may_stand_in_another_file(tmp_path):
+    for i, row in enumerate(VALUES):
+        (tmp_path / f"point {i}.txt").write_text(text([FREQ, row.real, row.imag], "\t"))
+    paths = [tmp_path / "point 0.txt", tmp_path / "point 1.txt"]
+    read = read_responses(paths, Reading("mobility", references=(("point_1", ""),)))
+    assert read.pairs == (("point_0", "point_1"), ("point_1", "point_1"))
+    with pytest.raises(TonewoodError, match="there is no point 'b'; there are point_0, point_1"):
+        read_responses(paths, Reading("mobility", references=(("b", ""),)))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reported"),
+    [
+        ("a.txt", text([FREQ, np.abs(VALUES[0])], "\t"), "magnitudes without phase"),
+        ("a.csv", "f,Magnitude\n" + text(POLAR[:2], ","), "magnitudes without phase"),
+        ("a.csv", "freq_Hz,a:a_re,a:a_im\n" + text([*PARTS[:2], 0 * FREQ], ","), "magnitudes without phase"),
+        ("a.csv", "omega (rad/s),real,imag\n" + text(PARTS, ","), "is in rad/s: divide it by 2 pi"),
+        (
+            "a.csv",
+            "Time (s),force,acc\n" + text(PARTS, ","),
+            "the first column is time: records of hits are read as CSV",
+        ),
+        ("a.txt", text([2e-5 * np.arange(100), *PARTS[1:]], "\t"), "in steps of 2e-05: times, not Hz"),
+        ("a.txt", text([*PARTS, FREQ], "\t"), "3 columns after the first are not clear"),
+        ("a.txt", "no numbers\n", "holds no table of numbers"),
+        ("a.txt", "\0", "is no text"),
+        ("a.xlsx", "", "export frequency, real and imaginary parts as text"),
+    ],
+)
+def test_texts_that_are_no_responses_are_refused_in_one_line(tmp_path, name, content, reported):
+    path = tmp_path / name
+    path.write_text(content)
+    with pytest.raises(TonewoodError, match=reported) as fault:
+        read_responses([path], Reading("mobility"))
+    assert "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize("kind", ["steps", "two columns"])
+def test_arrays_with_a_step_in_place_of_frequencies(tmp_path, kind):
+    """As Testlab and CutPro save them."""
+    from scipy.io import savemat
+
+    if kind == "steps":
+        axis = {"start_value": 20, "increment": 1, "number_of_values": FREQ.size}
+        savemat(tmp_path / "a.mat", {"FRF": {"x_values": axis, "y_values": {"values": VALUES[0]}}})
+    else:
+        both = np.stack([VALUES[0].real, VALUES[0].imag], axis=1)
+        savemat(tmp_path / "a.mat", {"H": both, "df": 1.0, "f_start": 20, "f_end": 119.0})
+    read = read_responses([tmp_path / "a.mat"], Reading("mobility"))
+    assert np.array_equal(read.freq, FREQ)
+    assert np.allclose(read.mobility, VALUES[:1])
+    assert bool(read.remarks) == (kind == "two columns")
+
+
+@pytest.mark.parametrize(
+    ("arrays", "reported"),
+    [
+        ({"w": FREQ, "H": VALUES[0]}, "w may be in rad/s: save freq_Hz = w / (2 pi)"),
+        ({"omega": FREQ, "H": VALUES[0]}, "omega may be in rad/s"),
+        ({"t": FREQ, "x": VALUES[0].real}, "records over time are read as CSV"),
+        ({"freq": FREQ, "H": np.abs(VALUES[0])}, "H is real: magnitudes without phase"),
+    ],
+)
+def test_arrays_that_are_no_responses_are_refused_in_one_line(tmp_path, arrays, reported):
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(TonewoodError) as fault:
+        read_responses([tmp_path / "a.npz"], Reading("mobility"))
+    assert reported in str(fault.value)
+    assert "\n" not in str(fault.value)
