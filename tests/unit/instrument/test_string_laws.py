@@ -180,7 +180,7 @@ def test_check_names_the_string_with_figures(
 ) -> None:
     folder = bundle(tmp_path, kind)
     with pytest.raises(SystemExit, match="0"):
-        run(["check", str(folder), "--allow-code"])
+        run(["check", str(folder), "--allow-code", "--all"])
     out = capsys.readouterr().out
     assert said in out
     assert out.endswith("ok, with 1 warning\n" if kind == "AtModes" else "ok\n")
