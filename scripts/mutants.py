@@ -52,7 +52,7 @@ TESTS = {name: [f"{PHYSICS}/{name}"] for name in ("modal", "passivity", "energy"
         "tests/unit/performance/player",
         "tests/effects/test_switching.py",
     ],
-    "effects": ["tests/effects", "tests/unit/performance/engine"],
+    "effects": ["tests/effects", "tests/unit/performance/engine", "tests/plugins/test_third_party_effect.py"],
     "sound": ["tests/unit/sound", "tests/unit/test_notebook.py"],
     "fit": ["tests/unit/workshop/fit"],
     "listening": ["tests/unit/workshop/listening"],

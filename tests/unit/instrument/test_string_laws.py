@@ -171,7 +171,7 @@ def test_a_law_that_nobody_tells_is_not_compared(tmp_path: Path) -> None:
     ("kind", "said"),
     [
         ("PowerString", "decays within 0.00"),
-        ("AtModes", "warning: partial 1 at stop 0 decays at 0."),
+        ("AtModes", "warning: string A2: partial 1 at stop 0 decays at 0."),
         ("Unsaid", "its plugin does not tell its loss law (`decay_rate`): decays are not compared"),
     ],
 )
@@ -180,7 +180,7 @@ def test_check_names_the_string_with_figures(
 ) -> None:
     folder = bundle(tmp_path, kind)
     with pytest.raises(SystemExit, match="0"):
-        run(["check", str(folder), "--allow-code"])
+        run(["check", str(folder), "--allow-code", "--all"])
     out = capsys.readouterr().out
     assert said in out
     assert out.endswith("ok, with 1 warning\n" if kind == "AtModes" else "ok\n")

@@ -22,6 +22,7 @@ from tonewood.lab.systems.klosner import (
 )
 from tonewood.lab.systems.klosner_modes import MOUNTINGS, chain_matrices, errors, modes_needed
 from tonewood.lab.systems.klosner_problems import (
+    Motion,
     assembled,
     by_form,
     difference,
@@ -130,3 +131,12 @@ def test_every_row_passes() -> None:
 def test_plots(tmp_path: object) -> None:
     for path in plots(tmp_path):  # type: ignore[arg-type] # pytest's path is a pathlib.Path
         assert path.stat().st_size > 10_000
+
+
+def test_a_difference_is_the_largest_re_the_largest_displacement():
+    one = Motion(np.array([0.0, 2.0, -1.0]), np.array([[0.0, 0.0], [1.0, -4.0], [0.0, 0.0]]), np.zeros(3))
+    other = Motion(np.add(one.main, [0.0, 0.1, -0.2]), np.add(one.sub, [[0, 0], [0.3, 0], [0, -0.8]]), np.zeros(3))
+    assert difference(one, other) == pytest.approx(0.8 / 4)
+    assert difference(one, other, [0]) == pytest.approx(0.3 / 4)
+    assert difference(one, one) == 0.0
+    assert difference(one, other, []) == pytest.approx(0.2 / 4)

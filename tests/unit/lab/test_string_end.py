@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg as sla
 
+from tonewood.lab.assembled import Matrices
 from tonewood.lab.string_end import ExactString, coupled_pole
 
 STIFF = ExactString(0.64, 8.86, 7.96e-4, 3.09e-4, 0.5)
@@ -65,3 +67,15 @@ def test_coupled_pole_on_a_spring_and_on_a_wall():
     w = pole.imag
     assert abs(pole.real) < 1e-6
     assert np.tan(w * 0.64 / np.sqrt(8.86 / 7.96e-4)) == pytest.approx(-IDEAL.impedance * w / k, rel=1e-8)
+
+
+def test_an_assembled_string_on_a_body_that_does_not_move_has_the_frequencies_of_one_that_is_held():
+    """f_n = n f0 sqrt(1 + B n^2); the direction of a force is the shape of the sines at its place."""
+    heavy = Matrices(np.array([[1e6]]), np.zeros((1, 1)), np.array([[1e14]]))
+    whole, pluck = STIFF.assembled(12, heavy, np.array([1.0]), 0.25)
+    squares = sla.eigh(whole.K, whole.M, eigvals_only=True)
+    held = [STIFF.held_freq(n) for n in range(1, 7)]
+    found = np.sqrt(squares) / (2 * np.pi)
+    assert [found[np.argmin(np.abs(found - f))] for f in held] == pytest.approx(held, rel=1e-5)
+    np.testing.assert_allclose(pluck, [*np.sin(np.arange(1, 13) * np.pi / 4), 0.75], atol=1e-12)
+    np.testing.assert_allclose(whole.C[:12, :12], 2 * STIFF.sigma0 * whole.M[:12, :12])

@@ -286,11 +286,14 @@ class _Gpif:
     def _note(self, note: Element, every: WrittenNote) -> WrittenNote | None:
         values = self._values(note)
         row = int(number_of(values.get("String"), "String", -1.0))
-        fret = int(number_of(values.get("Fret"), "Fret", -1.0, 0.0, FRETS))
+        fret = int(number_of(values.get("Fret"), "Fret", -FRETS - 1.0, -FRETS, FRETS))
         signs = set(every.signs) | self._signs(note, values)
         tie = note.find("Tie")
         tied = tie is not None and tie.get("destination") == "true"
-        if not 0 <= row < len(self.tuning) or fret < 0:
+        on_string = 0 <= row < len(self.tuning) and fret >= -FRETS
+        if on_string and fret < 0:  # below the open string, in a notation by pitch
+            return replace(every, pitch=self.tuning[row] + self.capo + fret, signs=tuple(sorted(signs)), tied=tied)
+        if not on_string:
             octave, tone = number_of(values.get("Octave"), "Number", -1.0), number_of(values.get("Tone"), "Step", 0.0)
             if octave < 0:
                 self.ignored["note without string and fret"] += 1

@@ -193,24 +193,24 @@ class _Track:
         grace, string = note.effect.grace, note.string
         if grace is None:
             return []
-        begin = at if grace.isOnBeat else at - GRACES[0]
+        begin, fret = at if grace.isOnBeat else at - GRACES[0], max(grace.fret, 0)  # a dead one may have none
         before = self.last.get(string)
         out = WrittenNote(
-            begin, GRACES[0], float(self.open[string] + self.capo + grace.fret), string, grace.fret,
+            begin, GRACES[0], float(self.open[string] + self.capo + fret), string, fret,
             velocity=grace.velocity, signs=("dead",) if grace.isDead else (), arrives=before.slide if before else "",
         )  # fmt: skip
         transition = grace.transition.name
         if self.version[0] < 5:  # pyguitarpro takes the byte of the duration for it, and the other way round
             byte = 7 - (int(grace.duration).bit_length() - 1)
             transition = {1: "slide", 2: "bend", 3: "hammer"}.get(byte, "none")
-        self.last[string] = _Before(grace.fret, transition == "hammer", "legato" if transition == "slide" else "")
+        self.last[string] = _Before(fret, transition == "hammer", "legato" if transition == "slide" else "")
         return [out]
 
     def _note(self, note: Any, every: WrittenNote) -> WrittenNote:
         effect, kind, string = note.effect, note.type.name, note.string
         before = self.last.get(string)
         tied = kind == "tie"
-        fret = before.fret if tied and before is not None else note.value
+        fret = note.value
         pitch = float(self.open[string] + self.capo + fret)
         flags = {"palm_mute": effect.palmMute, "let_ring": effect.letRing, "vibrato": effect.vibrato}
         flags |= {"staccato": effect.staccato, "ghost": effect.ghostNote, "accent": effect.accentuatedNote}

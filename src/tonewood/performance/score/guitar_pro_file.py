@@ -13,6 +13,7 @@ from typing import Any
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import Allowance
+from tonewood.performance.score.written import TIE_REACHES
 
 #: measures, tracks, beats, and beats looked at for the fret of a tie
 _MOST_HEADERS, _MOST_TRACKS, _MOST_BEATS, _MOST_LOOKS = 5000, 200, 60_000, 1_000_000
@@ -71,7 +72,7 @@ def bounded_reader(data: bytes, path: Path) -> Any:
         def getTiedNoteValue(self, note: Any) -> int:
             voice = note.beat.voice
             row = next(i for i, v in enumerate(voice.measure.voices) if v is voice)
-            for measure in reversed(voice.measure.track.measures):
+            for measure in voice.measure.track.measures[: -TIE_REACHES - 2 : -1]:
                 looks.take()
                 for beat in reversed(measure.voices[row].beats):
                     looks.take()
@@ -80,7 +81,8 @@ def bounded_reader(data: bytes, path: Path) -> Any:
                     for before in beat.notes:
                         if before.string == note.string:
                             return int(before.value)
-            return -1
+            (stored,) = struct.unpack_from("b", stream.getbuffer(), stream.tell() - 1)
+            return int(stored)
 
     return Bounded(stream, "cp1252", version=version, versionTuple=version_tuple)
 

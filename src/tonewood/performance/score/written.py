@@ -52,6 +52,8 @@ _DEPTHS = {"vibrato": 35.0, "wide_vibrato": 80.0}
 _MOST_COMPARED = 1_000_000
 #: measures of all parts
 _MOST_CELLS = 200_000
+#: measures over which a tie or a slide of a tablature reaches back
+TIE_REACHES = 3
 #: pitches of notes
 _PITCHES = (0.0, 140.0)
 #: quarter notes: strokes shorter than this at the end of a tremolo belong to the one before
@@ -177,6 +179,8 @@ class _Sounding:
     sign: WrittenNote
     #: (quarter note, written note that is bent from there on)
     bent: list[tuple[Fraction, WrittenNote]] = field(default_factory=list)
+    #: measure in which it ends
+    measure: int = 0
     #: (quarter note, MIDI number) of the stop's arrivals
     glides: list[tuple[Fraction, float]] = field(default_factory=list)
 
@@ -264,23 +268,28 @@ def _sounding(
             before = latest.get(key)
             if music.tablature and sign.string is not None:
                 before = on_string.get(sign.string)  # a harmonic's sound goes on where the tied note is none
-            if sign.tied and before is not None and before.end >= at - Fraction(1, 64):
-                before.end = end
+            if sign.tied and before is not None and _reaches(before, at, i, music.tablature):
+                before.end, before.measure = end, i
                 before.bent.append((at, sign))
                 continue
             last = on_string.get(sign.string) if sign.string is not None else None
-            if sign.arrives and last is not None and last.end >= at - Fraction(1, 64) and last.at < at:
+            if sign.arrives and last is not None and _reaches(last, at, i, music.tablature) and last.at < at:
                 last.glides.append((at, sign.pitch))
                 if sign.arrives == "legato" and _is_plain(sign):
-                    last.end = end
+                    last.end, last.measure = end, i
                     last.bent.append((at, sign))
                     latest[key] = last
                     continue
-            one = latest[key] = _Sounding(at, end, sign, [(at, sign)])
+            one = latest[key] = _Sounding(at, end, sign, [(at, sign)], i)
             if sign.string is not None:
                 on_string[sign.string] = one
             out.append(one)
     return out
+
+
+def _reaches(before: _Sounding, at: Fraction, measure: int, tablature: bool) -> bool:
+    """Whether a tie or slide begins at a note before: where they touch, in a tablature also over rests."""
+    return before.end >= at - Fraction(1, 64) or (tablature and abs(measure - before.measure) <= TIE_REACHES)
 
 
 def _swung(sign: WrittenNote, feel: tuple[Fraction, Fraction] | None) -> tuple[Fraction, Fraction]:

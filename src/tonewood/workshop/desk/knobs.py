@@ -6,13 +6,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, get_args, get_origin
 
-from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.schema import Bundle
 from tonewood.instrument.contract.base import Exciter, Plugin
-from tonewood.workshop.report.parameters import alternatives, flattened
+from tonewood.workshop.report.parameters import alternatives, field_at, flattened
 
 #: keys of a bundle that change the sound, in the order of the page
 SECTIONS = ("exciters", "playing", "strings", "body", "connections", "stops", "tuning", "outputs", "effects")
@@ -223,7 +222,7 @@ def declared_field(instrument: Instrument, path: str) -> FieldInfo | None:
         "connections": instrument.attachments,
         "outputs": instrument.pickups,
     }
-    if found := _field(Bundle, [kind, *rest]):
+    if found := field_at(Bundle, [kind, *rest]):
         return found
     made = plugins.get(kind, {}).get("" if kind == "body" else rest[0]) if rest else None
     inner = rest if kind == "body" else rest[1:]
@@ -231,23 +230,8 @@ def declared_field(instrument: Instrument, path: str) -> FieldInfo | None:
         return None
     part = getattr(made.parameters, inner[0], None)
     if isinstance(part, Plugin) and inner[1:]:
-        return _field(type(part).Parameters, inner[1:])
-    return _field(type(made).Parameters, inner)
-
-
-def _field(annotation: Any, path: list[str]) -> FieldInfo | None:
-    for kind in alternatives(annotation):
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
-            field = next((f for name, f in kind.model_fields.items() if path and (f.alias or name) == path[0]), None)
-            if field is None:
-                continue
-            if len(path) == 1:
-                return field
-            if found := _field(field.annotation, path[1:]):
-                return found
-        elif get_origin(kind) in (dict, list, tuple) and (found := _field(get_args(kind)[-1], path[1:])):
-            return found
-    return None
+        return field_at(type(part).Parameters, inner[1:])
+    return field_at(type(made).Parameters, inner)
 
 
 def _words(field: FieldInfo | None) -> tuple[Any, ...]:

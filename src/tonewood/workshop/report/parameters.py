@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Union, get_args, get_origin
 
 from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.schema import Bundle
@@ -73,19 +74,25 @@ def flattened(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 def _unit(annotation: Any, path: list[str]) -> str:
     """Unit of the field that a path leads to from a type; empty where it leads to none."""
+    field = field_at(annotation, path)
+    extra = None if field is None else field.json_schema_extra
+    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+
+
+def field_at(annotation: Any, path: list[str]) -> FieldInfo | None:
+    """Field that a path leads to from a type; None where it leads to none."""
     for kind in alternatives(annotation):
         if isinstance(kind, type) and issubclass(kind, BaseModel):
             field = next((f for name, f in kind.model_fields.items() if path and (f.alias or name) == path[0]), None)
             if field is None:
                 continue
-            extra = field.json_schema_extra
-            if len(path) == 1 and isinstance(extra, dict):
-                return str(extra.get("unit", ""))
-            if found := _unit(field.annotation, path[1:]):
+            if len(path) == 1:
+                return field
+            if found := field_at(field.annotation, path[1:]):
                 return found
-        elif get_origin(kind) in (dict, list, tuple) and (found := _unit(get_args(kind)[-1], path[1:])):
+        elif get_origin(kind) in (dict, list, tuple) and (found := field_at(get_args(kind)[-1], path[1:])):
             return found
-    return ""
+    return None
 
 
 def alternatives(annotation: Any) -> list[Any]:

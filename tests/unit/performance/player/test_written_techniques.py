@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,47 @@ def test_a_harmonic_sounds_its_partial_and_the_multiples(partial: int, stop: int
     heard = [float(level[np.abs(freq / f0 - k) < 0.05 * min(k, 4)].max()) for k in range(1, 11)]
     kept, damped = (max(x for k, x in enumerate(heard, 1) if (k % partial == 0) is there) for there in (True, False))
     assert kept > 10 ** (10 / 20) * damped
+
+
+def partial_cents(string: dict[str, float], u: float, table: Path) -> list[float]:
+    """Partials 1 to 6 of a stiff string on a body, re multiples of the first, cents: to first order in Z Y.
+
+    w_n = n w (1 + B n^2 / 2) - w Z Im Y(n w) / pi, with B = pi^2 EI / (T L^2) and Z = sqrt(T mu): its end moves.
+    """
+    modes = np.loadtxt((x for x in table.read_text().splitlines() if x[:1].isdigit()), delimiter=",")
+    f, q, heave, cross, rock = modes.T
+    w, tension = 2 * np.pi * f, string["T"]
+    stiff = np.pi**2 * string["EI"] / (tension * string["L"] ** 2)
+    cents = []
+    for n in range(1, 7):
+        s = 2j * np.pi * n * string["f"]
+        mobility = np.sum((heave + 2 * u * cross + u * u * rock) * s / (s * s + s * w / q + w * w))
+        end = np.sqrt(tension * string["mu"]) * mobility.imag / (np.pi * n)
+        cents.append(1200 / np.log(2) * (stiff * n * n / 2 - end))
+    return [float(x - cents[0]) for x in cents]
+
+
+@pytest.mark.parametrize(
+    ("string", "note", "u", "T", "mu", "EI"),
+    [("E2", 40, -1.0, 110.8, 0.009805, 0.0011), ("G3", 55, 0.2, 133.9, 0.002095, 4.65e-5)],
+)
+def test_a_harmonic_sounds_where_the_string_has_its_partial(
+    string: str, note: int, u: float, T: float, mu: float, EI: float
+) -> None:
+    """Up to 16 cents over a multiple of the fundamental, which alone is tuned, and which the body's modes lower."""
+    f = 440.0 * 2 ** ((note - 69) / 12)
+    table = Path(__file__).parents[4] / "instruments/steel_guitar/body.csv"
+    wanted = partial_cents({"T": T, "mu": mu, "EI": EI, "L": 0.645, "f": f}, u, table)
+    assert max(wanted) > 13.0
+    for partial in range(2, 7):
+        played = tablature(note=note + float(interval(partial)), stop=0.0, partial=partial, string=string)
+        renderer = tw.Renderer(tw.Score([played]), "steel_guitar", fs=FS, max_duration=1.1)
+        sound = np.concatenate(list(renderer.blocks())).reshape(-1, len(renderer.channels))[FS // 3 :, 0]
+        level = np.abs(np.fft.rfft(sound * np.hanning(len(sound)), 16 * len(sound)))
+        freq = np.fft.rfftfreq(16 * len(sound), 1 / FS)
+        near = np.abs(freq / (partial * f) - 1) < 0.03
+        cents = 1200 * np.log2(freq[near][np.argmax(level[near])] / (partial * f))
+        assert cents == pytest.approx(wanted[partial - 1], abs=3.0)
 
 
 def test_a_harmonic_without_its_technique_is_plucked_at_its_pitch() -> None:

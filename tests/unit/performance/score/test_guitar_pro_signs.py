@@ -8,7 +8,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from tablatures import enabled, gpif, gpx_bits, gpx_system
+from tablatures import enabled, gpif, gpx_bits, gpx_system, guitar_pro
 
 import tonewood as tw
 from tonewood.errors import ScoreError
@@ -93,6 +93,49 @@ def test_harmonics_sound_at_their_pitch(tmp_path: Path) -> None:
         (45 + 19, 0.0, 3), (47 + 12, 2.0, 2), (47 + 24, 2.0, 4), (47 + 19, 2.0, 3), (56, 11.0, None),
     ]  # fmt: skip
     assert score.ignored == {"harmonic that touches no node, plucked as a note": 1}
+
+
+def test_a_tie_over_a_rest_is_not_struck(tmp_path: Path) -> None:
+    """It joins the note before it on its string, as far back as three measures; so does a legato slide."""
+    tie = '<Tie origin="false" destination="true"/>'
+    tied = tw.read_score(gpif(tmp_path / "a.gp", [(1, 2, "", ""), (2, 5, "", ""), (1, 2, "", tie)])).notes
+    assert [(n.time, n.note, n.duration) for n in tied] == [(0.0, 47.0, 3.0), (1.0, 55.0, 1.0)]
+    slide = value("Slide", "Flags", 2)
+    slid = tw.read_score(gpif(tmp_path / "b.gp", [(1, 2, slide, ""), (2, 5, "", ""), (1, 4, "", "")])).notes
+    assert [(n.time, n.duration, n.glides) for n in slid] == [(0.0, 3.0, ((2.0, 2.0),)), (1.0, 1.0, ())]
+
+
+@pytest.mark.parametrize("version", [3, 4, 5])
+def test_a_tie_beyond_three_measures_is_struck_at_its_own_fret(version: int, tmp_path: Path) -> None:
+    """As alphaTab plays it: no note is near that it could hold; the file says its fret (pyguitarpro writes 0)."""
+    import guitarpro as gp
+
+    def later(song: gp.Song, measures: int) -> None:
+        track = song.tracks[0]
+        for number in range(2, measures + 2):
+            header = gp.MeasureHeader(number=number, start=song.measureHeaders[-1].start + 4 * 960)
+            song.addMeasureHeader(header)
+            track.measures.append(gp.Measure(track, header))
+        beat = gp.Beat(track.measures[-1].voices[0], status=gp.BeatStatus.normal)
+        beat.notes.append(gp.Note(beat, value=9, string=5, type=gp.NoteType.tie))
+        track.measures[-1].voices[0].beats.append(beat)
+
+    for measures, struck in ((3, []), (4, [(16.0, 45.0)])):
+        path = guitar_pro(tmp_path / f"a.gp{version}", lambda song, _, n=measures: later(song, n))
+        assert [(n.time, n.note) for n in tw.read_score(path).notes[4:]] == struck
+
+
+def test_notes_at_negative_frets(tmp_path: Path) -> None:
+    """Below the open string they are notes by pitch; a dead grace note without a fret is on the open string."""
+    (one,) = tw.read_score(gpif(tmp_path / "a.gp", [(1, -3, "", "")])).notes
+    assert (one.note, one.stop) == (42.0, None)
+    import guitarpro as gp
+
+    def grace(_: gp.Song, beats: list[gp.Beat]) -> None:
+        beats[2].notes[0].effect.grace = gp.GraceEffect(fret=-1, isDead=True)
+
+    before = tw.read_score(guitar_pro(tmp_path / "a.gp3", grace)).notes[2]
+    assert (before.note, before.stop, "dead_note" in before.marks) == (50.0, 0.0, True)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import scipy.linalg as sla
@@ -81,3 +83,13 @@ def test_the_real_form_has_the_poles_and_the_mobility():
     np.testing.assert_allclose(mobility, expected, rtol=1e-10)
     with pytest.raises(PassivityError, match="Im > 0"):
         real_form(poles.conj(), right, left)
+
+
+@pytest.mark.parametrize("size", [2, 3, 5])
+def test_null_vectors_of_a_complex_matrix(size, rng):
+    """M v = 0 and w M = 0, of norm 1; M has neither symmetry nor real numbers."""
+    M = rng.normal(size=(size, size)) + 1j * rng.normal(size=(size, size))
+    M[-1] = rng.normal(size=size - 1) @ M[:-1] * 1j
+    v, w = Joint.null(SimpleNamespace(size=size, receptance=lambda s: (M, None)), 0j)
+    assert [np.linalg.norm(v), np.linalg.norm(w)] == pytest.approx([1.0, 1.0])
+    assert max(np.abs(M @ v).max(), np.abs(w @ M).max()) < 1e-12

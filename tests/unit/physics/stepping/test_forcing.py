@@ -137,3 +137,10 @@ def test_a_sampled_force_is_straight_between_its_values():
     np.testing.assert_allclose(rest.at(late), force.at(late), atol=1e-12)
     assert rest.start == pytest.approx(4e-3)
     assert len(force.after(1.0).values) == 2
+
+
+def test_the_rate_of_a_sampled_force_is_that_of_its_lines() -> None:
+    """From the right where two lines meet, 0 outside."""
+    force = SampledForce(2e-3, 1e-3, np.array([0.0, 3.0, -1.0, 0.0]))
+    times = [0.0, 1.9e-3, 2.1e-3, 2.9e-3, 3.1e-3, 4.5e-3, 4.9e-3, 5.1e-3, 9.0]
+    np.testing.assert_allclose(force.rate(times), [0.0, 0.0, 3e3, 3e3, -4e3, 1e3, 1e3, 0.0, 0.0])

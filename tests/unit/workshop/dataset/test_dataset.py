@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import io
+import itertools
 import json
 import subprocess
 import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mido
@@ -21,11 +23,13 @@ from scipy.stats import kstest
 from tonewood.workshop.batch.manifest import ManifestError
 from tonewood.workshop.batch.rendering import EngineRenderer
 from tonewood.workshop.batch.workers import Workers
+from tonewood.workshop.dataset import runner
 from tonewood.workshop.dataset import sampling as sampling_module
 from tonewood.workshop.dataset.labels import midi
 from tonewood.workshop.dataset.manifest import Dataset, check_dataset, midi_clock
 from tonewood.workshop.dataset.runner import RECORD, SHARDS, plan_dataset, run_dataset
 from tonewood.workshop.dataset.sampling import points, samples
+from tonewood.workshop.dataset.shards import parquet
 from tonewood.workshop.dataset.sound import PlayedNote
 
 pq = pytest.importorskip("pyarrow.parquet")
@@ -190,6 +194,37 @@ def test_each_sound_can_be_brought_to_its_peak(tmp_path: Path, alone: tuple[Path
     out, _ = made(tmp_path, sounds={"per_shard": 2, "level": "peak"})
     assert [row["peak"] for row in table(out)] == pytest.approx([10 ** (-1 / 20)] * 5, abs=1e-5)
     assert max(row["peak"] for row in table(alone[0])) < 0.8
+
+
+def test_time_and_length_of_a_set_are_foretold_from_a_few_sounds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a clock of a second a look: one to make a renderer, one to step it; stems by string are made twice."""
+    ticks = itertools.count()
+    monkeypatch.setattr(runner, "time", SimpleNamespace(process_time=lambda: float(next(ticks))))
+    for sounds, passes in (({}, 1), ({"stems": "string"}, 2)):
+        data = check_dataset(BASE | {"sounds": sounds})
+        plan = plan_dataset(data, tmp_path, tmp_path / "out", EngineRenderer(), predict=True)
+        assert plan.sound_seconds == pytest.approx(5 * 0.2, rel=0.01)
+        assert plan.compute_seconds == pytest.approx(5 * 2.0 * passes)
+    longer = check_dataset(BASE | {"sounds": {"duration": 3.0}})
+    plan = plan_dataset(longer, tmp_path, tmp_path / "out", EngineRenderer(), predict=True)
+    assert plan.sound_seconds == pytest.approx(15.0)
+    assert plan_dataset(longer, tmp_path, tmp_path / "out", EngineRenderer()).sound_seconds is None
+
+
+def test_columns_of_a_table_keep_their_kinds() -> None:
+    """Numbers are numbers, whole ones where all are; two kinds, lists and mappings are JSON; nothing is a number."""
+    rows = [
+        {"a": 1, "b": 1, "c": 1, "d": [1], "e": None, "f": True, "g": "x", "h": "x"},
+        {"a": 2, "b": 2.5, "c": "two", "d": {"k": 2}, "e": None, "f": None, "g": None, "h": 3.0},
+    ]
+    found = pq.read_table(io.BytesIO(parquet(rows)))
+    assert found.to_pylist() == [
+        {"a": 1, "b": 1.0, "c": "1", "d": "[1]", "e": None, "f": True, "g": "x", "h": '"x"'},
+        {"a": 2, "b": 2.5, "c": '"two"', "d": '{"k": 2}', "e": None, "f": None, "g": None, "h": "3.0"},
+    ]
+    assert [str(found.schema.field(name).type) for name in "abef"] == ["int64", "double", "double", "bool"]
 
 
 def test_too_many_sounds_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

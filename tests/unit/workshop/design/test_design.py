@@ -191,6 +191,37 @@ def test_numbers_that_a_pattern_frees(box):
         parse_free({"body.thickness": "2e-3 .. 3e-3", "body.thick*": "x 0.9 .. 1.1"}, box)
 
 
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("targets: T1 = 200\n", "targets"),
+        ("targets: [T1 = 200, 3]\n", "targets"),
+        ("targets: [T1 = 200]\nfree: [a]\n", "free"),
+        ("targets: [T1 = 200]\nfree: {body.thickness: 3e-3}\n", "free"),
+    ],
+)
+def test_a_file_of_other_lines_is_refused(tmp_path, text, key):
+    (tmp_path / "task.yaml").write_text("targets: [T1 = 200]\nfree: {body.thickness: 2e-3 .. 3e-3}\n")
+    assert read_task(tmp_path / "task.yaml") == (["T1 = 200"], {"body.thickness": "2e-3 .. 3e-3"})
+    (tmp_path / "task.yaml").write_text(text)
+    with pytest.raises(TonewoodError, match=key):
+        read_task(tmp_path / "task.yaml")
+
+
+def test_what_a_free_number_sets(box):
+    """A value, a factor on each or a number added to each; it begins where it is, or at the nearer bound."""
+    lines = {
+        "body.thickness": "2e-3 .. 2.4e-3",
+        "body.braces.b.start": "x 0.5 .. 2",
+        "body.soundhole.centre": "+ -1 .. 1",
+    }
+    value, factor, shift = parse_free(lines, box)
+    assert [free.start for free in (value, factor, shift)] == [2.4e-3, 1.0, 0.0]
+    assert value.overrides(2.2e-3) == {"body.thickness": 2.2e-3}
+    assert factor.overrides(2.0) == pytest.approx({"body.braces.b.start.0": 0.12, "body.braces.b.start.1": 0.1})
+    assert shift.overrides(0.01) == pytest.approx({"body.soundhole.centre.0": 0.09, "body.soundhole.centre.1": 0.16})
+
+
 def test_a_file_with_another_key_is_refused(tmp_path):
     (tmp_path / "task.yaml").write_text("target: [T1 = 200]\n")
     with pytest.raises(TonewoodError, match="targets"):

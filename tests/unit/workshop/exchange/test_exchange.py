@@ -333,6 +333,16 @@ def test_answers_beyond_what_a_page_asks_are_left_out(
             assert f"line {at + 2}: " in found.left_out[0].reason
 
 
+def test_a_trial_of_one_sound_alone_is_left_out(made: ListeningTest, tmp_path: Path) -> None:
+    rows = plain_rows(made)
+    for row in rows:
+        if "X" in row:
+            changed = [other | {"A": row["X"], "B": row["X"]} if other is row else other for other in rows]
+            found = read_answers(write_plain(tmp_path / "plain.csv", changed), made)
+            assert "X is not one of A and B" in found.left_out[0].reason
+            return
+
+
 def test_ends_of_scales_and_times_are_taken(made: ListeningTest, tmp_path: Path) -> None:
     rows = plain_rows(made)
     types = {index + 1: page.type for index, page in enumerate(made.pages)}

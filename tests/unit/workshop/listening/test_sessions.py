@@ -58,6 +58,20 @@ def test_a_session_is_decided_by_seed_and_answers(test_of_all: ListeningTest) ->
     assert Session(test_of_all, 3).total == pytest.approx(len(session.answers), abs=40)
 
 
+def test_the_number_of_steps_is_known_from_the_first_on(tmp_path: Path) -> None:
+    """Of all pages but staircases; a check of headphones that is repeated adds its trials."""
+    pages = [page for page in fakes.ALL if page["type"] != "staircase"]
+    test = fakes.made(tmp_path / "test", [{"type": "headphones", "trials": 4}, *pages])
+    session, who = Session(test, 3), listener(test)
+    foretold = session.total
+    while session.step is not None:
+        assert session.total >= foretold
+        session.answer(who.answer(session))
+    checks = sum(record["type"] == "headphones" for record in session.answers)
+    assert checks % 4 == 0
+    assert session.total == len(session.answers) == foretold + checks - 4
+
+
 def test_right_answers_are_where_the_sounds_are(test_of_all: ListeningTest) -> None:
     key = read_key(test_of_all.folder / "key.json")
     corrects = Counter()

@@ -20,6 +20,7 @@ from tonewood.workshop.report.as_json import to_json
 from tonewood.workshop.report.comparison import Candidate, Comparison, alike, compare, match_modes, match_wolves
 from tonewood.workshop.report.facts import BodyMode
 from tonewood.workshop.report.parameters import flattened, parameters
+from tonewood.workshop.report.summary import changes
 from tonewood.workshop.report.tones import flac, matched_gains_db
 
 FS = 16000
@@ -224,6 +225,9 @@ def test_json_has_every_number_of_the_facts(found: Comparison) -> None:
     both = to_json(replace(found, wolves=match_wolves([[wolf], []])))
     assert {row["key"]: row["values"][1] for row in both["parameters"]}["strings.A2.tension"] == 55.0
     assert both["wolf_notes"] == [[{**asdict(wolf), "stops": [12, 13]}, None]]
+    (changed,) = both["changes"]
+    assert [row["name"] for row in changed] == [row.name for row in changes(found, 1)]
+    assert all(row["times"] == told.times for row, told in zip(changed, changes(found, 1), strict=True))
     one = to_json(replace(found, instruments=found.instruments[:1]))
     assert (one["schema"], "parameters" in one) == ("tonewood-report/1", False)
     facts, told = found.instruments[0], both["instruments"][0]

@@ -147,6 +147,23 @@ def test_silence_holds_no_tap(samples):
         cut_taps(samples, FS)
 
 
+def test_a_peak_s_error_is_the_scatter_of_its_taps_or_a_fiftieth_of_its_width():
+    """Of four taps whose mode moves by 0.5 %, that over two; of taps alike, 2 % of f / Q."""
+    t = np.arange(round(0.8 * FS)) / FS
+    moved = 200.0 * (1 + 0.005 * np.array([-1.0, 1.0, 1.0, -1.0]))
+
+    def ring(f, q):
+        return np.exp(-np.pi * f / q * t) * np.sin(2 * np.pi * f * t)
+
+    taps = [ring(f, 40.0) + 0.5 * ring(330.0, 60.0) for f in moved]
+    low, high = strongest(taps, FS, (100.0, 500.0))
+    assert (low.freq, high.freq) == pytest.approx((200.0, 330.0), rel=2e-3)
+    assert high.quality == pytest.approx(60.0, rel=0.05)
+    assert low.error == pytest.approx(np.std(moved, ddof=1) / 2, rel=0.1)
+    assert high.error == pytest.approx(0.02 * 330.0 / 60.0, rel=0.1)
+    assert [p.freq for p in strongest(taps, FS, (100.0, 500.0), most=1)] == pytest.approx([200.0], rel=2e-3)
+
+
 def a_peak(freq, level, quality=30.0, seen=5):
     return Peak(freq, quality, (freq, freq), (0.95 * quality, 1.05 * quality), level, seen, 5)
 
