@@ -104,6 +104,7 @@ struct Potentials {
     // where the linear connections are one matrix: (ports, force_width) forces on all ports, (ports, f_width) of
     // connections
     Array<double> onto_forces, onto_linear;
+    std::vector<int> answered;          // ports to which linear connections answer: their rows are not zero
 };
 
 constexpr int kSharedSums = 3, kPortSums = 5;  // of a modal pass over a component, and for each of its ports

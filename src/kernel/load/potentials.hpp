@@ -6,7 +6,7 @@
 #include <string>
 
 #include "../data/state.hpp"
-#include "description.hpp"
+#include "layout.hpp"
 
 namespace tonewood {
 
@@ -102,6 +102,7 @@ inline void make_potentials(const std::vector<Component>& components, const Solv
         std::copy_n(forces, l.force_width, t.onto_forces.data() + p * l.force_width);
         for (std::size_t q = 0; q < n; ++q) t.onto_ports[p * row + t.ports[q].lane] = forces[t.ports[q].force];
     }
+    t.answered = rows_in_use(t.onto_forces, l.force_width);
     const std::size_t n_sums = (t.n_sums + kPadding - 1) / kPadding * kPadding, k = nl.k;
     ws.scaled.assign(kScaledState * capacity, 0.0), ws.known.assign(capacity, 0.0);
     ws.lanes.assign(n_sums * 8, 0.0), ws.sums.assign(n_sums, 0.0);
