@@ -128,6 +128,17 @@ inline Array<double> cosines_at_points(std::size_t count, std::size_t points) {
     return out;
 }
 
+// A (n, width) matrix by blocks of at most kColumns columns, each row after row: they are read as they lie.
+inline Array<double> by_columns(const Array<double>& matrix, std::size_t width) {
+    Array<double> out;
+    for (std::size_t first = 0, end; first < width; first = end) {
+        end = first + block_columns(width - first);
+        for (std::size_t row = 0; row < matrix.size(); row += width)
+            out.insert(out.end(), matrix.begin() + std::ptrdiff_t(row + first), matrix.begin() + std::ptrdiff_t(row + end));
+    }
+    return out;
+}
+
 // The arrays of a string with longitudinal motion. Products of two cosines of the slope and one of the strain are
 // integrated by as many points as that takes.
 inline Stretch load_stretch(const PotentialDescription& d, const std::vector<Component>& components,
@@ -165,6 +176,7 @@ inline Stretch load_stretch(const PotentialDescription& d, const std::vector<Com
             out.spread[i * points + j] = all[i * points + j] * out.scale / double(points);
         }
     }
+    out.spread = by_columns(out.spread, points);
     for (std::size_t q = 0; q < last; ++q) {
         const View& slopes = d.parts[q].slopes;
         const std::size_t n = slopes.shape[1];
@@ -182,6 +194,7 @@ inline Stretch load_stretch(const PotentialDescription& d, const std::vector<Com
         planes.pulls.resize(planes.slopes.size());
         for (std::size_t k = 0, n = std::size_t(planes.n); k < n; ++k)
             for (std::size_t j = 0; j < points; ++j) planes.pulls[j * n + k] = planes.slopes[k * points + j];
+        planes.slopes = by_columns(planes.slopes, points), planes.pulls = by_columns(planes.pulls, std::size_t(planes.n));
     }
     return out;
 }
