@@ -33,7 +33,7 @@ _LEAST_Q = 3.0
 
 
 @dataclass(frozen=True)
-class BodyMode:
+class HeardMode:
     """A mode of the body: Hz and Q, medians of the draws, with 90 % intervals, and the share of draws that have it."""
 
     freq: float
@@ -56,7 +56,7 @@ def envelopes(bands: Bands, f0: float) -> tuple[Complexes | None, ...]:
     return tuple(out)
 
 
-def body_modes(notes: Iterable[Sequence[Complexes | None]], open_strings: Sequence[float]) -> tuple[BodyMode, ...]:
+def body_modes(notes: Iterable[Sequence[Complexes | None]], open_strings: Sequence[float]) -> tuple[HeardMode, ...]:
     """Modes that the notes share, from low to high; none with fewer than six notes that are high enough.
 
     Parameters
@@ -74,7 +74,7 @@ def body_modes(notes: Iterable[Sequence[Complexes | None]], open_strings: Sequen
             picked = range(len(own)) if k == 0 else rng.integers(0, len(own), len(own))
             draws += [_kept(found, open_strings) for found in _found([own[j] for j in picked], limit)]
     pool = np.array([(i, *pole) for i, draw in enumerate(draws) for pole in draw]).reshape(-1, 3)
-    modes: list[BodyMode] = []
+    modes: list[HeardMode] = []
     while len(pool):
         alike = [_alike(pool, pole) for pole in pool]
         best = max(alike, key=lambda rows: len(np.unique(pool[rows, 0])))
@@ -82,7 +82,7 @@ def body_modes(notes: Iterable[Sequence[Complexes | None]], open_strings: Sequen
         share = len(np.unique(pool[best, 0])) / len(draws)
         if share < _SHARE:
             break
-        modes.append(BodyMode(float(np.median(freq)), float(np.median(q)), _interval(freq), _interval(q), share))
+        modes.append(HeardMode(float(np.median(freq)), float(np.median(q)), _interval(freq), _interval(q), share))
         pool = pool[np.abs(np.log(pool[:, 1] / np.median(freq))) > np.log(_SAME_FREQ)]
     return tuple(sorted(modes, key=lambda mode: mode.freq))
 

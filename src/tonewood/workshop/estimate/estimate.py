@@ -14,7 +14,7 @@ from tonewood.instrument.bundle.loading import Instrument
 from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.estimate import gain, laws, pluck
 from tonewood.workshop.estimate.analysis import NoteAnalysis, analyse, check_pitches
-from tonewood.workshop.estimate.body_modes import BodyMode
+from tonewood.workshop.estimate.body_modes import HeardMode
 from tonewood.workshop.estimate.distance import Distance, distance, neighbours, strokes
 from tonewood.workshop.estimate.figures import Figures
 from tonewood.workshop.estimate.playing import Played, Stage
@@ -91,7 +91,7 @@ class Estimate:
     places: pluck.PluckPlaces | None
     louder: tuple[pluck.Louder, pluck.Louder] | None
     rendered: RenderedNotes
-    body_modes: tuple[BodyMode, ...]
+    body_modes: tuple[HeardMode, ...]
     room: RoomShare | None
     moved: tuple[str, ...]
     warnings: tuple[str, ...]

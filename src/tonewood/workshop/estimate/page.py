@@ -124,8 +124,8 @@ def mode_lines(found: Estimate) -> list[str]:
         if near:
             by_freq, by_q = found.figures.modes[near[0]]
             moved = f"frequency of the bundle's mode at {near[0]:.4g} Hz times {by_freq:.4g}, Q times {by_q:.3g}"
-        told = f"{mode.freq:.4g} Hz ({low:.4g} to {high:.4g}), Q {mode.q:.2g} ({least:.2g} to {most:.2g})"
-        out.append(f"Body mode at {told}: {moved}.")
+        figures = f"{mode.freq:.4g} Hz ({low:.4g} to {high:.4g}), Q {mode.q:.2g} ({least:.2g} to {most:.2g})"
+        out.append(f"Body mode at {figures}: {moved}.")
     return out
 
 

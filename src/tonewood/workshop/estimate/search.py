@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.workshop.estimate import gain, laws, pluck
 from tonewood.workshop.estimate.analysis import NoteAnalysis, analyse
-from tonewood.workshop.estimate.body_modes import LIMITS, BodyMode, body_modes
+from tonewood.workshop.estimate.body_modes import LIMITS, HeardMode, body_modes
 from tonewood.workshop.estimate.figures import Figures, figures_of, in_fractions, mode_tables, with_laws
 from tonewood.workshop.estimate.playing import Played, Stage, render_notes, seconds_of
 from tonewood.workshop.estimate.recordings import FS, Recording
@@ -171,7 +171,7 @@ class Search:
             out[near] = (freq * mode.freq / pair.freq, q * ratio)
         return out
 
-    def body_modes(self, notes: Sequence[NoteAnalysis]) -> tuple[BodyMode, ...]:
+    def body_modes(self, notes: Sequence[NoteAnalysis]) -> tuple[HeardMode, ...]:
         """Modes of the body that notes tell."""
         open_strings = [440.0 * 2 ** ((self.stage.open_note(name) - 69) / 12) for name in self.stage.instrument.groups]
         return body_modes((note.below for note in notes), open_strings)

@@ -31,7 +31,7 @@ def note(rng, freq, modes, *, noise=1e-4, seconds=1.0):
     return x + noise * rng.standard_normal(len(x))
 
 
-def told(sounds, freqs):
+def modes_told(sounds, freqs):
     onset = round(0.1 * FS)
     return body_modes([envelopes(Bands(x, onset), f) for x, f in zip(sounds, freqs, strict=True)], OPEN)
 
@@ -41,7 +41,7 @@ def test_modes_below_the_fundamentals_are_found_and_open_strings_are_not(seed) -
     rng = np.random.default_rng(seed)
     freqs = 330.0 * 2 ** (np.arange(12) / 12)
     modes = [(103.0, 24.0, 0.02), (207.0, 13.0, 0.1), (2 * 110.0, 150.0, 0.05)]
-    found = told([note(rng, f, modes) for f in freqs], freqs)
+    found = modes_told([note(rng, f, modes) for f in freqs], freqs)
     assert [mode.freq for mode in found] == pytest.approx([103.0, 207.0], rel=0.01)
     assert [mode.q for mode in found] == pytest.approx([24.0, 13.0], rel=0.2)
     for mode, (f, q, _) in zip(found, modes, strict=False):
@@ -52,11 +52,11 @@ def test_modes_below_the_fundamentals_are_found_and_open_strings_are_not(seed) -
 def test_noise_has_no_modes_and_few_notes_tell_none() -> None:
     rng = np.random.default_rng(5)
     freqs = 330.0 * 2 ** (np.arange(12) / 12)
-    assert told([note(rng, f, [], noise=0.02) for f in freqs], freqs) == ()
+    assert modes_told([note(rng, f, [], noise=0.02) for f in freqs], freqs) == ()
     modes = [(207.0, 13.0, 0.1)]
-    assert told([note(rng, f, modes) for f in freqs[: FEWEST - 1]], freqs[: FEWEST - 1]) == ()
+    assert modes_told([note(rng, f, modes) for f in freqs[: FEWEST - 1]], freqs[: FEWEST - 1]) == ()
     low = [120.0] * 12
-    assert told([note(rng, f, modes) for f in low], low) == ()
+    assert modes_told([note(rng, f, modes) for f in low], low) == ()
 
 
 def test_the_mix_of_a_room_is_found_again() -> None:
