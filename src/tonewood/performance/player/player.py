@@ -1,15 +1,16 @@
 """A player: notes and controllers to changes and gestures, with as much lookahead as there is.
 
 `Player.feed` takes events as they become known. With all the lookahead there is (`math.inf`) every action is at its
-exact time and knows the notes around it (`playing`). With less, the player acts at points of the control grid, GRID
-samples apart, so that the actions depend only on the events and on the samples after which they came:
+exact time and knows the notes around it (`playing`, `hands.Hands`). With less, the player acts at points of the control
+grid, GRID samples apart (`hands.PacedHands`): the actions depend only on the events and on the samples after which they
+came.
 
 - A note known early enough is prepared in time. Another one begins at the next point with the preparation of its
   gesture, shortened to `ramp`; it sounds when this is over.
 - One thing is done at a point, so that none costs more than a block has time for: notes first, `spacing` points apart
   (twice that after one in an unusual way), then slides and strings let go, ends of notes, bends.
 - A bend follows its wheel at no more than the greatest rate, one string at a time: the farthest from its wheel.
-- A gesture that lasts as long as its note (a bow's stroke) is continued `_CONTINUED` s ahead while the key is down.
+- A gesture that lasts as long as its note (a bow's stroke) is continued `CONTINUED` s ahead while the key is down.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from dataclasses import replace
 from tonewood.errors import TonewoodError
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.scales import note_number
-from tonewood.performance.player.hands import not_live
-from tonewood.performance.player.paced import PacedHands
+from tonewood.performance.player.between_notes import not_live
+from tonewood.performance.player.hands import PacedHands
 from tonewood.performance.player.playing import perform, playable
 from tonewood.performance.player.strokes import beyond_capo, event_values, with_force
 from tonewood.performance.player.techniques import checked_technique, technique_of

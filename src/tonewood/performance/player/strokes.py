@@ -11,7 +11,7 @@ from tonewood.errors import ScoreError
 from tonewood.instrument.contract.base import Exciter
 from tonewood.instrument.contract.gestures import Event, Gesture, Place, is_played, places
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.player.hands import LET_GO_AFTER, damping, let_go
+from tonewood.performance.player.between_notes import LET_GO_AFTER, damping, let_go
 from tonewood.performance.player.techniques import stop_course, touch_course
 from tonewood.performance.player.timeline import GRID, Change, Play
 from tonewood.performance.player.variation import Deviates, touched
