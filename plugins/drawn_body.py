@@ -330,14 +330,14 @@ class DrawnBody(Body[DrawnBodyParameters]):
 
     def _inputs(self) -> dict[str, Any]:
         """All that decides on the modes: parameters, and the hash of every file of the drawing."""
-        p, found = self.parameters, []
+        p, hashes = self.parameters, []
         plates = [p] if isinstance(p.back, str) else [p, p.back]
         names = [p.outline.table, p.outline.svg.file if p.outline.svg else None]
         names += [q.thickness.table for q in plates if isinstance(q.thickness, ThicknessMap)]
         for name in names:
             if name is not None:
-                found.append(hashlib.sha256(self.files.path(name, self.key).read_bytes()).hexdigest())
-        return {"body": p.model_dump(mode="json"), "files": found}
+                hashes.append(hashlib.sha256(self.files.path(name, self.key).read_bytes()).hexdigest())
+        return {"body": p.model_dump(mode="json"), "files": hashes}
 
     def mass(self) -> float:
         """Top and back with braces and bridge."""
@@ -392,8 +392,8 @@ class DrawnBody(Body[DrawnBodyParameters]):
         """T1 (Hz) on a hinged and on a clamped edge; 0 where there is none."""
 
         def computed() -> dict[str, Floats]:
-            found = plate.first_modes(self.drawing, [plate.Edge(np.inf, 0.0), plate.Edge(np.inf, np.inf)])
-            return {"T1": np.array([f.get("T1", 0.0) for f in found])}
+            modes = plate.first_modes(self.drawing, [plate.Edge(np.inf, 0.0), plate.Edge(np.inf, np.inf)])
+            return {"T1": np.array([f.get("T1", 0.0) for f in modes])}
 
         hinged, clamped = cached_arrays({"edges": self._inputs()}, computed)["T1"]
         return float(hinged), float(clamped)

@@ -145,8 +145,8 @@ class ModalTable(Body[ModalTableParameters]):
         if p.columns == "named":
             return p.points
         taken = {"f_Hz", "Q", "zeta", "modal_mass", *(point.column for point in p.points.values())}
-        found = [name for name in self.files.table(p.table, f"{self.key}.table") if name not in taken]
-        return {**{name: Point() for name in found}, **p.points}
+        names = [name for name in self.files.table(p.table, f"{self.key}.table") if name not in taken]
+        return {**{name: Point() for name in names}, **p.points}
 
     def basis(self, freq_upper: float) -> ModalBasis:
         """Modes below `freq_upper` (Hz).

@@ -282,8 +282,8 @@ def _print(folder: FitFolder, written: list[Path]) -> None:
     kept = "" if r.kept is None else f", {r.kept[0]} of {r.kept[1]} hits kept"
     pairs = ", ".join(f"{point}:{reference}" for point, reference in r.pairs)
     print(f"{pairs}: {r.freq[0]:g} to {r.freq[-1]:g} Hz in steps of {facts['step_Hz']:g} Hz{kept}")
-    found = ", ".join(f"{len(iteration.freq)} ({iteration.misfit:.3g})" for iteration in made.modes.iterations)
-    print(f"modes found iteration by iteration, and misfit re noise: {found}")
+    orders = ", ".join(f"{len(iteration.freq)} ({iteration.misfit:.3g})" for iteration in made.modes.iterations)
+    print(f"modes found iteration by iteration, and misfit re noise: {orders}")
     loss = "structural (hysteretic), Q = 1/eta" if made.modes.structural else "viscous"
     print(f"damping taken for {loss}")
     mass_head = "" if made.body is None else f"mass at {made.body.points[0]}/kg"

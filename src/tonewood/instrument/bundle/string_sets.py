@@ -161,12 +161,14 @@ def with_materials(values: Mapping[str, Any], *, over: Collection[str] = (), fil
 
 
 def _with_kinds(
-    provenance: Mapping[str, Any], sources: Mapping[str, Any], string: str, given: Sequence[str], found: StringFigures
+    provenance: Mapping[str, Any], sources: Mapping[str, Any], string: str, given: Sequence[str], figures: StringFigures
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Provenance and sources of a bundle with those of the values that gauge and materials give a string."""
-    texts = dict.fromkeys(found.kinds[k][1] for k in given)
+    texts = dict.fromkeys(figures.kinds[k][1] for k in given)
     names = {text: f"made_of_{string}_{i}" for i, text in enumerate(texts, 1)}
-    entries = {f"strings.{string}.{k}": {"kind": found.kinds[k][0], "source": names[found.kinds[k][1]]} for k in given}
+    entries = {
+        f"strings.{string}.{k}": {"kind": figures.kinds[k][0], "source": names[figures.kinds[k][1]]} for k in given
+    }
     return {**provenance, **entries}, {**sources, **{k: {"text": t, "licence": "facts"} for t, k in names.items()}}
 
 

@@ -318,15 +318,15 @@ def check_results(cls: type[Any], checks: Mapping[str, Any], fault: Callable[[An
     fault : makes the error of an object and a reason.
     """
     for name, verify in checks.items():
-        found = cls.__dict__.get(name)
-        if isinstance(found, property) and found.fget is not None:
-            setattr(cls, name, property(_checked(cls, name, found.fget, verify, fault), doc=found.__doc__))
-        elif isinstance(found, functools.cached_property):
-            wrapped = functools.cached_property(_checked(cls, name, found.func, verify, fault))
+        member = cls.__dict__.get(name)
+        if isinstance(member, property) and member.fget is not None:
+            setattr(cls, name, property(_checked(cls, name, member.fget, verify, fault), doc=member.__doc__))
+        elif isinstance(member, functools.cached_property):
+            wrapped = functools.cached_property(_checked(cls, name, member.func, verify, fault))
             wrapped.__set_name__(cls, name)
             setattr(cls, name, wrapped)
-        elif inspect.isfunction(found):
-            setattr(cls, name, _checked(cls, name, found, verify, fault))
+        elif inspect.isfunction(member):
+            setattr(cls, name, _checked(cls, name, member, verify, fault))
 
 
 def _checked(

@@ -222,7 +222,7 @@ def partials(model: Model, string: str, stop: int = 0, *, count: int = 12) -> li
     at, coupled = pitch(model, string, stop), model.strings[string].tuning.coupled(stop)
     joint = coupled.joint(at.tension)
     rigid = held_partials(coupled.bases(at.tension)[0], count)
-    found = []
+    coupled_partials = []
     for number, freq in enumerate(rigid, 1):
         near = [
             (s, shares) for s, shares in coupled.poles(joint, freq) if abs(s.imag / (2 * math.pi) - freq) < rigid[0] / 2
@@ -230,8 +230,8 @@ def partials(model: Model, string: str, stop: int = 0, *, count: int = 12) -> li
         if near:
             s, shares = near[0]
             f = s.imag / (2 * math.pi)
-            found.append(Partial(number, f, cents(f / (number * at.wanted_freq)), t60(-s.real), shares))
-    return found
+            coupled_partials.append(Partial(number, f, cents(f / (number * at.wanted_freq)), t60(-s.real), shares))
+    return coupled_partials
 
 
 def held_partials(basis: ModalBasis, count: int) -> list[float]:
@@ -281,10 +281,10 @@ def bridge_mobility(
 def mobility_peaks(model: Model, string: str, *, count: int = 6) -> list[tuple[float, float]]:
     """The strongest resonances of the body where a string ends: (Hz, (m/s)/N), by frequency; without strings."""
     freq = np.geomspace(20.0, 0.45 * model.fs, 20000)
-    found = bridge_mobility(model, freq, [string])
-    if string not in found:
+    mobilities = bridge_mobility(model, freq, [string])
+    if string not in mobilities:
         return []
-    size = np.abs(found[string])
+    size = np.abs(mobilities[string])
     peaks = 1 + np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:]))
     strongest = peaks[np.argsort(-size[peaks])[:count]]
     return [(float(freq[i]), float(size[i])) for i in np.sort(strongest)]

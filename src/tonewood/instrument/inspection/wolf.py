@@ -104,16 +104,18 @@ def share_curve(string: StringOnBody, tension: float, freq: float, offsets: Floa
     """
     out = np.zeros(offsets.size)
     for i, x in enumerate(offsets):
-        found = string.poles(string.joint(tension * ratio_of_cents(2 * float(x))), freq * ratio_of_cents(float(x)))
-        out[i] = disturbed_share([shares for _, shares in found]) if found else 0.0
+        coupled_poles = string.poles(
+            string.joint(tension * ratio_of_cents(2 * float(x))), freq * ratio_of_cents(float(x))
+        )
+        out[i] = disturbed_share([shares for _, shares in coupled_poles]) if coupled_poles else 0.0
     return out
 
 
 def wolf_notes(model: Model, strings: Sequence[str] | None = None) -> list[WolfNote]:
     """Wolf notes of all strings, or of those named, the most severe first."""
     body = model.body.natural_freq
-    found = [wolf for name in (strings or model.groups) for wolf in _of_string(model, name, body)]
-    return sorted(found, key=lambda wolf: -wolf.severity_cents)
+    wolves = [wolf for name in (strings or model.groups) for wolf in _of_string(model, name, body)]
+    return sorted(wolves, key=lambda wolf: -wolf.severity_cents)
 
 
 def _of_string(model: Model, name: str, body_freq: Floats) -> list[WolfNote]:

@@ -43,12 +43,12 @@ MARKS = ("s", "^", "v", "D", "P", "*", "X")
 
 def cheapest(outcome: Outcome, measure: Measure, error: float) -> Point | None:
     """Our cheapest measured point, of any dial, with an error no larger."""
-    found = [
+    accurate = [
         p
         for p in outcome.points
         if p.method == OURS and p.stable == "stable" and np.isfinite(p.seconds) and measure.of(p) <= error
     ]
-    return min(found, key=lambda p: p.seconds, default=None)
+    return min(accurate, key=lambda p: p.seconds, default=None)
 
 
 def best_peer(outcome: Outcome, measure: Measure, error: float) -> tuple[str, float] | None:

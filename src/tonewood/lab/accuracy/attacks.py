@@ -205,8 +205,8 @@ def switched_strings(times: int) -> Attack:
         stepper.run(state, 64)
         if i % max(times // LOOKS, 1) == 0:
             energy.append(stored_energy(stepper.system, state).total)
-    found = np.array(energy)
-    return _attack(f"rising tension switched {times:.0e} times", found, found.max(), stepper.statistics)
+    energies = np.array(energy)
+    return _attack(f"rising tension switched {times:.0e} times", energies, energies.max(), stepper.statistics)
 
 
 def _string(loss: float = 0.0, limit: float = 20e3) -> ModalBasis:
@@ -229,9 +229,9 @@ def _followed(name: str, system: System, steps: int, size: float = 1e-3, residua
     for _ in range(LOOKS):
         stepper.run(state, steps // LOOKS)
         energy.append(sum(account.stored(state).values()))
-    found = np.array(energy)
-    off = float(np.abs(found / found[0] - 1).max()) if residual else None
-    return _attack(name, found, found.max(), stepper.statistics, residual=off)
+    energies = np.array(energy)
+    off = float(np.abs(energies / energies[0] - 1).max()) if residual else None
+    return _attack(name, energies, energies.max(), stepper.statistics, residual=off)
 
 
 def truncated_body(steps: int) -> Attack:

@@ -260,9 +260,9 @@ def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None
         return out
 
     def poles() -> Complexes:
-        found = partials()
+        guesses = partials()
         # twice the modes: the error of the highest partials by the missing ones is far below a thousandth of a cent
-        return continuous_poles(build(2 * FREQ_UPPER), np.array([s for _, s in found]), [j for j, _ in found])
+        return continuous_poles(build(2 * FREQ_UPPER), np.array([s for _, s in guesses]), [j for j, _ in guesses])
 
     of = f" (partials of {', '.join(strings)})" if strings is not None else ""
     return Case(

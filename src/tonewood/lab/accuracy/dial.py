@@ -221,19 +221,19 @@ def _order(points: Sequence[DialPoint]) -> str:
     by_name: dict[str, list[DialPoint]] = {}
     for p in points:
         by_name.setdefault(p.instrument, []).append(p)
-    wrong = {name: found for name, own in by_name.items() if (found := out_of_order(own))}
+    wrong = {name: measures for name, own in by_name.items() if (measures := out_of_order(own))}
     cheaper = [own[1].seconds / own[0].seconds for own in by_name.values()]
     text = f"`draft` takes {number(1 / max(cheaper), 2)} to {number(1 / min(cheaper), 2)} of the time of `standard`"
     if not wrong:
         return f"{text}, and by no measure does it lie nearer to `reference`, beyond chance."
-    listed = "; ".join(f"{name} ({', '.join(found)})" for name, found in wrong.items())
+    listed = "; ".join(f"{name} ({', '.join(measures)})" for name, measures in wrong.items())
     return f"{text}; it lies nearer to `reference`: {listed}."
 
 
 def beyond(errors: PartialErrors, *, worst: bool = False) -> str:
     """Limits that the median, or the worst partial, does not keep: `1.4 cents, 7 % of the decay`; empty if none."""
-    found = astuple(errors)[1:6:2] if worst else astuple(errors)[:6:2]
-    units = zip(found, LIMITS, (1, 100, 1), ("cents", "% of the decay", "dB"), strict=True)
+    values = astuple(errors)[1:6:2] if worst else astuple(errors)[:6:2]
+    units = zip(values, LIMITS, (1, 100, 1), ("cents", "% of the decay", "dB"), strict=True)
     return ", ".join(f"{number(scale * v)} {unit}" for v, limit, scale, unit in units if not v <= limit)
 
 

@@ -89,10 +89,10 @@ MEASURES: Mapping[str, Measure] = {m.name: m for m in (PITCH, DECAY, WAVEFORM)}
 
 def line(points: Sequence[Point], method: str, measure: Measure) -> list[tuple[float, float]]:
     """(seconds, error) of a method's stable points along its own dial, cheapest first."""
-    found = [
+    pairs = [
         (p.seconds, measure.of(p)) for p in points if p.method == method and p.dial == DIAL and p.stable == "stable"
     ]
-    return sorted((s, e) for s, e in found if np.isfinite(s) and np.isfinite(e) and s > 0)
+    return sorted((s, e) for s, e in pairs if np.isfinite(s) and np.isfinite(e) and s > 0)
 
 
 def front(line: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:

@@ -160,8 +160,8 @@ def _over_modes(form: RealForm, freq_rad: Floats, read: Floats, driven: Floats) 
         w = freq_rad[first : first + at_a_time, None]
         real, imag = square - w**2, -trace * w
         size = real**2 + imag**2
-        found = np.concatenate([real / size, -imag / size]) @ numerators
-        inverse = found[: len(w)] + 1j * found[len(w) :]
+        response = np.concatenate([real / size, -imag / size]) @ numerators
+        inverse = response[: len(w)] + 1j * response[len(w) :]
         whole[:, first : first + at_a_time] = (1j * w * inverse[:, :n] + inverse[:, n:]).T
     return whole
 

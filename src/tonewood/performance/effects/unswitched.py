@@ -137,7 +137,7 @@ class ContactEffect(OccasionalEffect):
             law = model.resting.get(connection.name, connection).law
             if connection.part in plugins and not isinstance(law, SpringDashpot):
                 columns[connection.owner].append(j)
-        self._columns = {string: np.array(found) for string, found in columns.items()}
+        self._columns = {string: np.array(numbers) for string, numbers in columns.items()}
 
     def running(self, run: Run) -> Collection[str]:
         """Strings that touched a part."""

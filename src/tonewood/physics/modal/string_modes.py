@@ -219,16 +219,16 @@ def loss_rates(shares: Floats, partial: Floats, guess: Floats) -> LossRates:
     s, column, known = guess, shares.sum(axis=0), partial > 0.0
     error, before = np.zeros(len(partial)), np.inf
     for i in range(_LOSS_ITERATIONS):
-        found = shares @ s
-        error[known] = found[known] / partial[known] - 1
+        rates = shares @ s
+        error[known] = rates[known] / partial[known] - 1
         worst = np.abs(error).max()
-        if worst <= _LOSS_TOLERANCE or not np.all(found > 0.0):
+        if worst <= _LOSS_TOLERANCE or not np.all(rates > 0.0):
             break
         if i % _LOSS_PATIENCE == 0:
             if worst > 0.95 * before:  # no such rates exist
                 break
             before = worst
-        s = s * ((partial / found) @ shares) / column
+        s = s * ((partial / rates) @ shares) / column
     return LossRates(s, error)
 
 
