@@ -278,8 +278,8 @@ class ModalTable(Body[ModalTableParameters]):
 
     def _residual(self) -> Floats:
         points = self._named
-        given, n = self.parameters.truncation.residual_compliance, len(points)
-        value = np.asarray(given, dtype=np.float64)
+        compliance, n = self.parameters.truncation.residual_compliance, len(points)
+        value = np.asarray(compliance, dtype=np.float64)
         if value.ndim == 0:
             out = float(value) * np.eye(n)
         elif value.shape == (3,) and self.parameters.shapes == "heave_rock":

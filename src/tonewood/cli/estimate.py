@@ -54,18 +54,18 @@ def estimate(
         with progress("estimating", 1.0) as advance:
             result = estimated(recordings, instrument, iterations=iterations, advance=advance)
         origin = RecordingOrigin(title or UNKNOWN, recorded_by or UNKNOWN, licence or UNKNOWN, url)
-        made = write_bundle(result, output, source, origin, allow_code=allow_code)
+        bundle = write_bundle(result, output, source, origin, allow_code=allow_code)
     except KeyboardInterrupt:
         raise InterruptError from None
     if page is not None:
         from tonewood.support.whole_files import write_whole
         from tonewood.workshop.estimate.page import page as report
 
-        write_whole(page, report(result, origin, made.name))
+        write_whole(page, report(result, origin, bundle.name))
     if as_json:
         from tonewood.workshop.estimate.as_json import to_json
 
-        print_json("estimate", {"name": made.name, "folder": str(output), **to_json(result)})
+        print_json("estimate", {"name": bundle.name, "folder": str(output), **to_json(result)})
         return
     warn(list(result.warnings))
     _print(result)

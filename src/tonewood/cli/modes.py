@@ -158,10 +158,10 @@ def _plot(model: Model, names: list[str], path: Path) -> None:
         )
         return
     basis = model.instrument.body.basis(SHOWN_TO)
-    made, axes = figure(1 + _LISTED // COLUMNS, COLUMNS, heights=[5.0, *[3.6] * (_LISTED // COLUMNS)])
+    page, axes = figure(1 + _LISTED // COLUMNS, COLUMNS, heights=[5.0, *[3.6] * (_LISTED // COLUMNS)])
     for ax in axes[0]:
         ax.remove()
-    whole = made.add_subplot(axes[0, 0].get_gridspec()[0, :])
+    whole = page.add_subplot(axes[0, 0].get_gridspec()[0, :])
     whole.tick_params(which="both", labelsize=SMALL)
     whole.xaxis.label.set_fontsize(TEXT)
     whole.yaxis.label.set_fontsize(TEXT)
@@ -171,4 +171,4 @@ def _plot(model: Model, names: list[str], path: Path) -> None:
     legend(whole, title="bridge at" if names else "body at", ncols=2)
     moves = basis.natural_freq > 0
     draw_shapes(axes[1:].ravel(), sources.of(moves), basis.natural_freq[moves], 0.5 / basis.damping_ratio[moves])
-    save(made, path)
+    save(page, path)

@@ -75,8 +75,8 @@ def plan(
         file_format(output, subtype)
         if not output.absolute().parent.is_dir():
             raise OutputError(f"there is no folder {str(output.parent)!r}", file=output)
-    given = reading(start, stop, transpose, tempo, tracks)
-    bundle, notes = load(instrument, settings, allow_code, strings), read_score(score, **given)
+    excerpt = reading(start, stop, transpose, tempo, tracks)
+    bundle, notes = load(instrument, settings, allow_code, strings), read_score(score, **excerpt)
     longest = max((n.time + n.duration for n in notes.notes), default=0.0) + options.tail
     bar = progress("sketching", longest if options.max_duration is None else min(longest, options.max_duration))
     with dropped_notes_listed(), bar as advance:
@@ -126,5 +126,5 @@ def _when(effect: PlannedEffect) -> str:
 
 
 def _cost(effects: Sequence[PlannedEffect]) -> str:
-    known = [effect.predicted_s for effect in effects if effect.predicted_s is not None]
-    return f" ({sum(known):.1f} s of computing)" if known else ""
+    predictions = [effect.predicted_s for effect in effects if effect.predicted_s is not None]
+    return f" ({sum(predictions):.1f} s of computing)" if predictions else ""

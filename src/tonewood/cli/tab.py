@@ -59,8 +59,8 @@ def tab(
     from tonewood.support.whole_files import whole_file
 
     if output is not None and output.suffix.lower() not in (".musicxml", ".xml", ".txt"):
-        given = output.suffix or "a name without an ending"
-        raise OutputError(f"{given} is not written; .musicxml or .txt are", file=output)
+        ending = output.suffix or "a name without an ending"
+        raise OutputError(f"{ending} is not written; .musicxml or .txt are", file=output)
     if output is None and not as_json:
         raise TonewoodError("Missing option '--output' / '-o', or --json")
     length = _meter(meter)

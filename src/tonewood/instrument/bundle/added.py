@@ -97,8 +97,8 @@ def point_factor(i: int, entry: Added, points: Mapping[str, BodyPoint], file: Pa
     """
     driven = {name: point for name, point in points.items() if point.driven}
     if entry.at not in driven:
-        known = f"{did_you_mean(entry.at, driven)}there are {', '.join(driven)}"
-        raise BundleError(f"there is no point {entry.at!r}; {known}", file=file, key=f"body.added.{i}.at")
+        names = f"{did_you_mean(entry.at, driven)}there are {', '.join(driven)}"
+        raise BundleError(f"there is no point {entry.at!r}; {names}", file=file, key=f"body.added.{i}.at")
     own = driven[entry.at].direction
     factor = 1.0 if entry.direction is None else dot(unit_vector(entry.direction), own)
     if factor == 0.0:

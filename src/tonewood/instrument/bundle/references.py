@@ -36,9 +36,9 @@ def check_references(
     BundleError : one is not; names the key, and those that there are.
     """
 
-    def none(kind: str, name: str, known: Iterable[str], key: str) -> BundleError:
+    def none(kind: str, name: str, names: Iterable[str], key: str) -> BundleError:
         """Error for a name that none of the `known` things of a kind has."""
-        words = list(known)
+        words = list(names)
         hint = did_you_mean(name, words)
         reason = f"there is no {kind} {name!r}; {hint}there are {', '.join(words) or 'none'}"
         return BundleError(reason, file=file, key=key)

@@ -220,29 +220,29 @@ def body_points(value: Any) -> None:
             number(x, "a finite number", where=f"the direction of {name!r}")
 
 
-def _detuned(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
+def _detuned(plugin: Any, value: Any, arguments: Mapping[str, Any]) -> None:
     string_basis(value)
-    old = given["basis"]
+    old = arguments["basis"]
     want(value.n_modes == old.n_modes, value.n_modes, f"as many modes as before, {old.n_modes},", "modes:")
     want(value.points == old.points, value.points, f"the points as before, {old.points},", "points")
 
 
-def _body_basis(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
+def _body_basis(plugin: Any, value: Any, arguments: Mapping[str, Any]) -> None:
     basis(value)
     for point in plugin.points():
         want(point in value.points, value.points, f"a basis with the point {point!r} of `points`", "the points")
 
 
-def _decay_rate(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
+def _decay_rate(plugin: Any, value: Any, arguments: Mapping[str, Any]) -> None:
     if value is not None:
-        array, shape = np.asarray(value), np.shape(given["freq_rad"])
+        array, shape = np.asarray(value), np.shape(arguments["freq_rad"])
         fits = array.dtype.kind in "fi" and array.shape in ((), shape)
         fits = fits and bool(np.isfinite(array).all() and (array >= 0).all())
         want(fits, value, f"finite rates of shape {shape}, 0 or more,")
 
 
-def _loss_factor(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
-    omega = np.asarray(given["omega"], dtype=np.float64)
+def _loss_factor(plugin: Any, value: Any, arguments: Mapping[str, Any]) -> None:
+    omega = np.asarray(arguments["omega"], dtype=np.float64)
     array = np.asarray(value)
     want(array.dtype.kind in "fi" and array.shape in ((), omega.shape), value, f"loss factors of shape {omega.shape}")
     wrong = np.flatnonzero(~(np.isfinite(array) & (array >= 0.0)))
@@ -261,7 +261,7 @@ def _class(module: str, name: str) -> type[Any]:
 def _of_type(module: str, name: str) -> Verify:
     """Check for None or an instance of a class, imported when it is needed."""
 
-    def verify(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
+    def verify(plugin: Any, value: Any, arguments: Mapping[str, Any]) -> None:
         if value is not None:
             want(isinstance(value, _class(module, name)), value, f"a ta.{name} or None")
 

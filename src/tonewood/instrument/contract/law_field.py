@@ -71,8 +71,8 @@ def _read(value: Any, info: ValidationInfo, field: str) -> Loss[Any]:
     values = dict(value)
     name = values.pop("law", None)
     if not isinstance(name, str):
-        known = ", ".join(name for name, law in list_plugins().items() if law.kind == Loss.kind)
-        reason = "is missing" if name is None else f"is {kind_of(name)}; the name of a loss law is wanted: {known}"
+        names = ", ".join(name for name, law in list_plugins().items() if law.kind == Loss.kind)
+        reason = "is missing" if name is None else f"is {kind_of(name)}; the name of a loss law is wanted: {names}"
         raise BundleError(reason, file=files.manifest, key=f"{key}.law")
     try:
         kind: Any = plugin_named(name, Loss.kind, files)

@@ -58,8 +58,8 @@ def entries(group: str) -> dict[str, Entry]:
             entry = Entry(point.name, point.value, "?", "?")
         else:
             if id(owner) not in owners:
-                known = owner.metadata
-                owners[id(owner)] = known["Name"], known["Version"]
+                about = owner.metadata
+                owners[id(owner)] = about["Name"], about["Version"]
             entry = Entry(point.name, point.value, *owners[id(owner)])
         before = by_name.get(point.name)
         # one distribution may be seen twice, through two entries of the path
@@ -107,12 +107,12 @@ def plugin(name: str, kind: str | None = None) -> type[Plugin[Any]]:
     ------
     PluginError : there is none of that name or kind, it cannot be imported, or it breaks the contract.
     """
-    known = entries(PLUGINS)
-    if name not in known:
-        fitting = [n for n, p in list_plugins().items() if p.kind == kind] if kind else list(known)
+    plugins = entries(PLUGINS)
+    if name not in plugins:
+        fitting = [n for n, p in list_plugins().items() if p.kind == kind] if kind else list(plugins)
         installed = f"{did_you_mean(name, fitting)}installed: {', '.join(fitting) or 'none'}"
         raise PluginError(f"there is no plugin {name!r}{f' of kind {kind}' if kind else ''}; {installed}")
-    entry = known[name]
+    entry = plugins[name]
     if entry.fault:
         raise PluginError(entry.fault)
     module, _, attribute = entry.value.partition(":")
@@ -205,14 +205,16 @@ def instrument_folder(name_or_path: str | os.PathLike[str]) -> Path:
     BundleError : there is neither.
     """
     text = os.fspath(name_or_path)
-    known = entries(INSTRUMENTS)
-    if text in known:
-        if known[text].fault:
-            raise BundleError(known[text].fault)
+    instruments = entries(INSTRUMENTS)
+    if text in instruments:
+        if instruments[text].fault:
+            raise BundleError(instruments[text].fault)
         try:
-            folder = Path(str(package_files(known[text].value))) / text
+            folder = Path(str(package_files(instruments[text].value))) / text
         except ModuleNotFoundError as fault:
-            raise BundleError(f"instrument {text!r} of {known[text].distribution} is not there: {fault}") from None
+            raise BundleError(
+                f"instrument {text!r} of {instruments[text].distribution} is not there: {fault}"
+            ) from None
     else:
         path = Path(text)
         folder = path.parent if path.name == MANIFEST else path
@@ -223,7 +225,7 @@ def instrument_folder(name_or_path: str | os.PathLike[str]) -> Path:
         if not there:
             looks_like_path = os.sep in text or "/" in text or exists
             reason = f"there is no {MANIFEST} in it" if looks_like_path else "is neither installed nor a folder"
-            installed = f"{did_you_mean(text, known)}installed: {', '.join(known) or 'none'}"
+            installed = f"{did_you_mean(text, instruments)}installed: {', '.join(instruments) or 'none'}"
             raise BundleError(f"instrument {text!r}: {reason}; {installed}")
     return folder
 

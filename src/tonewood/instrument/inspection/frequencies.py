@@ -183,10 +183,10 @@ def pitch(model: Model, string: str, stop: int = 0) -> Pitch:
 
 def _planes(string: StringModel, stop: int, tuned: TunedStop) -> tuple[PlanePitch, ...]:
     """Pitches of a string's polarizations: of each the mode, of `tuned` or near it, with most of its energy there."""
-    known = [(mode.pole, mode.shares) for mode in tuned.modes]
+    poles = [(mode.pole, mode.shares) for mode in tuned.modes]
     out = []
     for i, (polarization, split) in enumerate(zip(string.polarizations, string.tuning.plane_cents(stop), strict=True)):
-        own = known[:1] if i == 0 else known
+        own = poles[:1] if i == 0 else poles
         if i and max(shares[i] for _, shares in own) < 0.5:  # the tuner has looked for the first one
             coupled = string.tuning.coupled(stop)
             joint, freq = coupled.joint(tuned.tension), held_freq(coupled.bases(tuned.tension)[i])

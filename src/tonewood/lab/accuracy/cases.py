@@ -250,9 +250,9 @@ def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None
             if string in first or (strings is not None and string not in strings):
                 continue
             first.add(string)
-            known = problem.components[component].metadata
+            metadata = problem.components[component].metadata
             length, tension, mu, EI = (
-                float(np.asarray(known[key])) for key in ("length", "tension", "linear_density", "bending_stiffness")
+                float(np.asarray(metadata[key])) for key in ("length", "tension", "linear_density", "bending_stiffness")
             )
             alone = ExactString(length, tension, mu, EI)
             held = [alone.held_freq(n) for n in range(1, n_partials + 1)]

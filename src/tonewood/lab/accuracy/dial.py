@@ -130,15 +130,15 @@ def measure(instrument: Instrument, string: str, *, nudge: bool = True) -> list[
     case = NoteCase.of(instrument, string, DURATION if nudge else SHORT, fs=FS)
     options: dict[str, dict[str, Any]] = {name: {"accuracy": name} for name in LEVELS}
     if not nudge:
-        return _against(case, {label: case.strokes(given) for label, given in options.items()}, "reference")
+        return _against(case, {label: case.strokes(setting) for label, setting in options.items()}, "reference")
     truth = case.strokes(options["reference"])
     again = case.strokes(options["reference"], NUDGE)
     chance = case.errors(again, truth)
     spread = (chance.cents, chance.decay, chance.level)
     if all(e <= SENSITIVE * limit for e, limit in zip(spread, LIMITS, strict=True)):
-        rendered = {label: case.strokes(given) for label, given in options.items() if label != "reference"}
+        rendered = {label: case.strokes(setting) for label, setting in options.items() if label != "reference"}
         return _against(case, {**rendered, "reference": truth, NUDGED: again}, "reference", _timed(case, options))
-    rendered = {label: case.strokes(given, forces(STROKES)) for label, given in options.items()}
+    rendered = {label: case.strokes(setting, forces(STROKES)) for label, setting in options.items()}
     truth = rendered["reference"]
     points = _against(case, rendered, "reference", _timed(case, options))
     return [*points, _point(case, OTHERS, *truth.halves())]
@@ -152,7 +152,7 @@ def _point(case: NoteCase, label: str, strokes: Strokes, truth: Strokes) -> Dial
 
 def _timed(case: NoteCase, options: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
     """Seconds per second of all settings but `reference`, which takes long enough to be timed once."""
-    short = {label: given for label, given in options.items() if label != "reference"}
+    short = {label: setting for label, setting in options.items() if label != "reference"}
     return dict(zip(short, case.timed(list(short.values()), REPEATS), strict=True))
 
 
@@ -174,7 +174,7 @@ def budgets(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
     options["none"] = {"effects": "none"}
     case = NoteCase.of(instrument, middle_string(instrument), SHORT if quick else DURATION, force=FORCE, fs=FS)
     times = None if quick else dict(zip(options, case.timed(list(options.values()), REPEATS), strict=True))
-    out = _against(case, {label: case.strokes(given) for label, given in options.items()}, "all", times)
+    out = _against(case, {label: case.strokes(setting) for label, setting in options.items()}, "all", times)
     tell(1.0)
     return out
 

@@ -101,11 +101,11 @@ def wave_errors(y: Floats, true: Floats, fs: float, partials: Complexes) -> Wave
     freq = rfftfreq(len(y), 1 / fs)
     weight = (2 * np.pi * freq) ** 2
     tiny = np.finfo(float).tiny
-    made, wanted, wrong = (np.abs(rfft(signal * window)) * weight for signal in (y, true, error))
+    ours, wanted, wrong = (np.abs(rfft(signal * window)) * weight for signal in (y, true, error))
     band = np.digitize(freq, BANDS * 2 ** (-1 / 6))
     levels = [
         10 * np.log10(np.maximum(np.bincount(band, spectrum**2, len(BANDS) + 1)[1:], tiny))
-        for spectrum in (made, wanted)
+        for spectrum in (ours, wanted)
     ]
     there = (0.45 * fs > BANDS * 2 ** (1 / 6)) & (levels[1] > levels[1].max() + BAND_FLOOR)
     true_freq = np.sort(np.concatenate([[0.0], np.abs(partials.imag) / (2 * np.pi), [1e12]]))

@@ -118,8 +118,8 @@ class NoteCase:
     def timed(self, options: Sequence[Mapping[str, Any]], repeats: int, tell: Tell = silent) -> list[float]:
         """Seconds of computing per second of sound with each of some options: medians of renders that take turns."""
         tasks = []
-        for given in options:
-            renderer = self.renderer(given)
+        for setting in options:
+            renderer = self.renderer(setting)
             start = renderer.snapshot()
 
             def play(renderer: Renderer = renderer) -> None:

@@ -184,9 +184,9 @@ def point_table(outcome: Outcome) -> str:
     def ratio(p: Point) -> str:
         return "" if ours is None or not math.isfinite(p.seconds) else number(p.seconds / ours.seconds, 3)
 
-    known = {k: cell for k, cell in COLUMNS.items() if any(cell(p) for p in outcome.points)} | {"ratio": ratio}
-    rows = [[METHODS[p.method].title, p.value, *(cell(p) for cell in known.values())] for p in outcome.points]
-    return markdown(["method", "dial", *known], rows, left=2)
+    cells = {k: cell for k, cell in COLUMNS.items() if any(cell(p) for p in outcome.points)} | {"ratio": ratio}
+    rows = [[METHODS[p.method].title, p.value, *(cell(p) for cell in cells.values())] for p in outcome.points]
+    return markdown(["method", "dial", *cells], rows, left=2)
 
 
 def section(outcome: Outcome) -> str:

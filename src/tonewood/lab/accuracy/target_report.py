@@ -73,8 +73,8 @@ def table(frontier: Frontier) -> str:
         budgets = (
             t.setting.effects or "" if t.setting.budgets is None else "{:g} cents, {:g} dB".format(*t.setting.budgets)
         )
-        given = [f"{t.setting.oversampling:g}", f"{t.highest / 1e3:.3g}", budgets, str(t.n_modes), *cells]
-        rows.append([mark, *given, number(t.seconds, 3), number(t.seconds / frontier.default.seconds, 2)])
+        settings = [f"{t.setting.oversampling:g}", f"{t.highest / 1e3:.3g}", budgets, str(t.n_modes), *cells]
+        rows.append([mark, *settings, number(t.seconds, 3), number(t.seconds / frontier.default.seconds, 2)])
     heads = ["meets", "oversampling", "modes to, kHz", "effects", "modes", *(h for h, _ in HEADS.values())]
     note = "`>`: the cheapest that meets the target. `*`: no cheaper one has as small an error."
     return f"{markdown([*heads, 's per s', 'time ratio'], rows, left=1)}\n\n{note}"
@@ -106,7 +106,7 @@ def chart_png(frontier: Frontier, *, dpi: int = 110) -> bytes:
     TonewoodError : matplotlib is not installed.
     """
     shown = [name for name in NAMES if any(getattr(t.errors, name) for t in frontier.tried)]
-    made, axes = figure(len(shown), heights=[3.6] * len(shown), sharex=True)
+    chart, axes = figure(len(shown), heights=[3.6] * len(shown), sharex=True)
     best = [
         t for t in sorted(frontier.tried, key=lambda t: t.seconds) if any(frontier.on_front(t, name) for name in shown)
     ]
@@ -116,7 +116,7 @@ def chart_png(frontier: Frontier, *, dpi: int = 110) -> bytes:
     for i, t in enumerate(best, 1):
         axes[0, 0].plot([], [], marker=f"${i}$", ls="", color="black", ms=11, label=_label(t))
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    made.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=SMALL)
+    chart.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=SMALL)
     from matplotlib.ticker import LogLocator, NullFormatter  # `figure` has refused where there is none
 
     last = axes[-1, 0]
@@ -125,7 +125,7 @@ def chart_png(frontier: Frontier, *, dpi: int = 110) -> bytes:
     last.xaxis.set_minor_formatter(NullFormatter())
     last.set_xlabel("s of computing per s of sound")
     title(axes[0, 0], f"{frontier.instrument}: {', '.join(frontier.notes)}")
-    return png(made, dpi)
+    return png(chart, dpi)
 
 
 def _row(ax: Axes, frontier: Frontier, name: str, numbers: Mapping[int, int]) -> None:

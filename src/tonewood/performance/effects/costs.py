@@ -47,9 +47,9 @@ class Costs:
 
     def add(self, seconds: float, samples: int, modes: int, loads: Sequence[float]) -> None:
         """Enter a run: how many modes were stepped, and the load of every effect, 0 where it did not run."""
-        known = self._runs.setdefault((modes, *loads), [0.0, 0.0])
-        known[0] += samples
-        known[1] += seconds
+        totals = self._runs.setdefault((modes, *loads), [0.0, 0.0])
+        totals[0] += samples
+        totals[1] += seconds
         self._found = None
 
     def rates(self) -> Rates:

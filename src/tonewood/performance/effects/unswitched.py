@@ -46,14 +46,14 @@ class PickupEffect(RuntimeEffect):
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:
         """Recorded groups ran all the time."""
-        made, whole = self._recorded, usage.seconds(usage.samples)
-        return [self._report(name, whole if name in made else 0.0) for name in self.components]
+        recorded, whole = self._recorded, usage.seconds(usage.samples)
+        return [self._report(name, whole if name in recorded else 0.0) for name in self.components]
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
         """Recorded groups will run all the time."""
-        made, whole, out = self._recorded, ((0.0, foreseen.seconds),), []
+        recorded, whole, out = self._recorded, ((0.0, foreseen.seconds),), []
         for name in self.components:
-            spans, why = (whole, "it is recorded") if name in made else ((), "it is not recorded")
+            spans, why = (whole, "it is recorded") if name in recorded else ((), "it is not recorded")
             out.append(PlannedEffect(self.name, name, spans, why, None))
         return out
 

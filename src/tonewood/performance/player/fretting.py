@@ -119,13 +119,14 @@ class FrettedBases:
 
     def _new(self, name: str, fretting: Fretting) -> dict[str, Compiled]:
         """Compile the bases of a string; where only its pluck is elsewhere, from those that it had before."""
-        system, known = self.model.system, self._held.get((name, fretting.unplucked))
-        if known is None:
+        system, compiled = self.model.system, self._held.get((name, fretting.unplucked))
+        if compiled is None:
             return {c: system.compile(c, basis) for c, basis in self._made(name, fretting).items()}
-        before = {c: part.basis for c, part in known.items()}
+        before = {c: part.basis for c, part in compiled.items()}
         bases = self.model.strings[name].plucked_at(before, fretting.stop, fretting.place, fretting.width)
         return {
-            c: known[c] if basis is before[c] else system.compile(c, basis, like=known[c]) for c, basis in bases.items()
+            c: compiled[c] if basis is before[c] else system.compile(c, basis, like=compiled[c])
+            for c, basis in bases.items()
         }
 
     def _made(self, name: str, fretting: Fretting) -> dict[str, ModalBasis]:

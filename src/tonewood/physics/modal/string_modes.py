@@ -216,11 +216,11 @@ def loss_rates(shares: Floats, partial: Floats, guess: Floats) -> LossRates:
     """
     if not partial.size:
         return LossRates(guess, np.zeros(0))
-    s, column, known = guess, shares.sum(axis=0), partial > 0.0
+    s, column, positive = guess, shares.sum(axis=0), partial > 0.0
     error, before = np.zeros(len(partial)), np.inf
     for i in range(_LOSS_ITERATIONS):
         rates = shares @ s
-        error[known] = rates[known] / partial[known] - 1
+        error[positive] = rates[positive] / partial[positive] - 1
         worst = np.abs(error).max()
         if worst <= _LOSS_TOLERANCE or not np.all(rates > 0.0):
             break

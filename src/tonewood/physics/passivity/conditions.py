@@ -379,14 +379,14 @@ def _crossing(excess: Callable[[Floats], Floats], outside: float, inside: float)
 
 
 def _lowest(
-    excess: Callable[[Floats], Floats], bounds: tuple[float, float], known: tuple[float, float]
+    excess: Callable[[Floats], Floats], bounds: tuple[float, float], best: tuple[float, float]
 ) -> tuple[float, float]:
     """Lowest excess between two bounds: place and value, not above a known one."""
     from scipy.optimize import minimize_scalar
 
     low, high = bounds
     if not high > low:
-        return known
+        return best
     minimum = minimize_scalar(
         lambda w: float(excess(np.array([w]))[0]),
         bounds=(low, high),
@@ -394,4 +394,4 @@ def _lowest(
         options={"xatol": 1e-5 * (high - low)},
     )
     at, value = float(minimum.x), float(minimum.fun)
-    return (at, value) if value < known[1] else known
+    return (at, value) if value < best[1] else best

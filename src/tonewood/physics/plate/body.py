@@ -300,9 +300,9 @@ def _solved(
     name: str = "",
 ) -> PlateModes:
     begin(f"matrices of the {name}")
-    made = made_plate(rings, drawn, fmax)
+    plate = made_plate(rings, drawn, fmax)
     begin(f"vibration of the {name}")
-    return made.modes(fmax)
+    return plate.modes(fmax)
 
 
 def _face(modes: PlateModes) -> tuple[Floats, Floats, Floats]:

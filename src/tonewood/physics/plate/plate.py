@@ -261,12 +261,12 @@ class Plate:
         if not self.wood.shears:
             return []
         outer = not (edge.k_w or edge.k_theta)
-        known = sum(count for _, count in self._bending)
+        n_bending = sum(count for _, count in self._bending)
         layers: list[tuple[csr_matrix, csr_matrix, csr_matrix, list[Field]]] = []
         for ring, around in [(ring, k == 0) for k, ring in enumerate(self.rings) if k or outer]:
             woods = (self.wood, self._layered)
             parts = layer_matrices(self.grid, ring, around, woods, self.grain, self.shear_factor, self.thickness)
-            own = (f"layer {len(layers)}", parts[0].shape[0] - known)
+            own = (f"layer {len(layers)}", parts[0].shape[0] - n_bending)
             layers.append((*parts, [own, *self._bending]))
         return layers
 

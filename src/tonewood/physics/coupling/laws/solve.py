@@ -139,8 +139,8 @@ def _find_friction(
     f = guess.copy()
     r, converged = wrong(f)
     for _ in range(MAX_ITERATIONS):
-        made = float(np.abs(Z @ f).max())
-        if converged and float(np.abs(r).max()) * dt <= TOLERANCE * made + noise:
+        displaced = float(np.abs(Z @ f).max())
+        if converged and float(np.abs(r).max()) * dt <= TOLERANCE * displaced + noise:
             return Solution(f, iterations, True)
         p = (partners.offset_after - free - Z @ f)[stored]
         slope = np.array([law.force(float(a), float(b), dt)[1] for law, a, b in zip(potentials, p, old, strict=True)])
