@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from contextlib import suppress
 from difflib import get_close_matches
@@ -14,6 +15,8 @@ from tonewood.cli.stopping import stopping
 from tonewood.errors import TonewoodError
 from tonewood.support.validation_messages import did_you_mean
 
+#: bytes of an argument that are no UTF-8, as Python has them; libraries of sound files fail on such names
+_NO_TEXT = re.compile("[\ud800-\udfff]")
 #: exit code, as shells have it
 _INTERRUPTED = 130
 
@@ -25,6 +28,8 @@ def run(arguments: list[str] | None = None) -> None:
         if getattr(sys, name) is None:  # closed by whoever called
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115  # as long as the process
     try:
+        if unreadable := [word for word in given if not word.isascii() and _NO_TEXT.search(word)]:
+            raise TonewoodError(f"argument {unreadable[0]!r} is not UTF-8: rename the file, or correct the text")
         # imported here, so that Ctrl-C meanwhile is caught
         from tonewood.cli.app import ABORTED, ClickError, application
 
