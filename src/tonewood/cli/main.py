@@ -28,7 +28,7 @@ def run(arguments: list[str] | None = None) -> None:
         if getattr(sys, name) is None:  # closed by whoever called
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115  # as long as the process
     try:
-        if unreadable := [word for word in given if not word.isascii() and _NO_TEXT.search(word)]:
+        if unreadable := [word for word in words if not word.isascii() and _NO_TEXT.search(word)]:
             raise TonewoodError(f"argument {unreadable[0]!r} is not UTF-8: rename the file, or correct the text")
         # imported here, so that Ctrl-C meanwhile is caught
         from tonewood.cli.app import ABORTED, ClickError, application
