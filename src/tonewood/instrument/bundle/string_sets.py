@@ -80,9 +80,9 @@ def with_set(values: Mapping[str, Any], name: str, *, over: bool, file: Any = No
     made: dict[str, Any] = {}
     given: set[str] = set()
     for (key, part), entry in zip(strings.items(), chosen.strings, strict=True):
-        own = _of_string(part, entry, chosen, f"strings.{key}", file)
-        made[key] = {**part, **dict.fromkeys(_OWN), **own} if over else {**own, **part}
-        given |= {k for k in own if (over or k not in part) and k != "made_of"}
+        part_values = _of_string(part, entry, chosen, f"strings.{key}", file)
+        made[key] = {**part, **dict.fromkeys(_OWN), **part_values} if over else {**part_values, **part}
+        given |= {k for k in part_values if (over or k not in part) and k != "made_of"}
     out = {**values, "strings": made, _KEY: name}
     if given:
         source = f"strings_{name}"

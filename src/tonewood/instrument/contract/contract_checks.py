@@ -104,8 +104,8 @@ def attached(value: Any) -> None:
     for point, x in value.places.items():
         number(x, "a number of metres from the bridge (ta.metres)", where=f"places[{point!r}]")
     want(isinstance(value.components, Mapping), value.components, "a mapping of name to ta.ModalBasis", "components")
-    for name, own in value.components.items():
-        basis(own, where=f"components[{name!r}]")
+    for name, component in value.components.items():
+        basis(component, where=f"components[{name!r}]")
     want(isinstance(value.connections, tuple), value.connections, "a tuple of ta.Connection", "connections")
     for connection in value.connections:
         want(isinstance(connection, Connection), connection, "a ta.Connection", "connections")
@@ -197,8 +197,8 @@ def pickup_rows(plugin: Any, value: Any) -> None:
         circuit = conversion.circuit
         proper = len(circuit.numerator) <= len(circuit.denominator) and bool(np.all(circuit.poles.real < 0))
         want(proper, circuit.denominator, "a stable and proper circuit", "conversion.circuit")
-    for name, own in value.components.items():
-        basis(own, where=f"components[{name!r}]")
+    for name, component in value.components.items():
+        basis(component, where=f"components[{name!r}]")
     for drive in value.drives:
         want(isinstance(drive, Drive), drive, "a ta.Drive", "drives")
 

@@ -52,10 +52,10 @@ _CODE_BRANCH = {
 
 def _branch(name: str, parameters: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
     """Schema of one law: its name, and its own keys."""
-    own = handler.resolve_ref_schema(handler(parameters.__pydantic_core_schema__))
+    schema = handler.resolve_ref_schema(handler(parameters.__pydantic_core_schema__))
     law = {"const": name, "description": "chooses this law"}
-    required = ["law", *own.get("required", [])]
-    return {**own, "title": name, "properties": {"law": law, **own.get("properties", {})}, "required": required}
+    required = ["law", *schema.get("required", [])]
+    return {**schema, "title": name, "properties": {"law": law, **schema.get("properties", {})}, "required": required}
 
 
 def _read(value: Any, info: ValidationInfo, field: str) -> Loss[Any]:

@@ -165,11 +165,11 @@ def check_plugin(cls: object, who: str) -> None:
     if missing := cls.left_out():
         raise PluginError(f"{who} leaves out {', '.join(missing)}")
     for name in CHECKS[cls.kind]:
-        own, first = inspect.getattr_static(cls, name), inspect.getattr_static(KINDS[cls.kind], name)
-        if isinstance(first, property) and inspect.isroutine(own):
+        member, first = inspect.getattr_static(cls, name), inspect.getattr_static(KINDS[cls.kind], name)
+        if isinstance(first, property) and inspect.isroutine(member):
             raise PluginError(f"{who}: {name} is a method; a property is wanted (@property)")
-        if not isinstance(first, property) and not callable(own):
-            raise PluginError(f"{who}: {name} is {kind_of(own)}; a method is wanted")
+        if not isinstance(first, property) and not callable(member):
+            raise PluginError(f"{who}: {name} is {kind_of(member)}; a method is wanted")
     _check_effects(cls, who)
 
 

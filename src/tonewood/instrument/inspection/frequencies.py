@@ -175,10 +175,10 @@ def feel(model: Model, name: str) -> StringFeel:
 
 def pitch(model: Model, string: str, stop: int = 0) -> Pitch:
     """Return the pitch of a string at one stop of a `model`: tuned, or at the bundle's tension without compensation."""
-    held = model.strings[string]
-    tuned = held.tuned(stop)
-    wanted, planes = held.freq(stop), _planes(held, stop, tuned)
-    return Pitch(string, stop, held.open_note + stop, wanted, tuned.tension, tuned.modes, tuned.wolf, planes)
+    string_model = model.strings[string]
+    tuned = string_model.tuned(stop)
+    wanted, planes = string_model.freq(stop), _planes(string_model, stop, tuned)
+    return Pitch(string, stop, string_model.open_note + stop, wanted, tuned.tension, tuned.modes, tuned.wolf, planes)
 
 
 def _planes(string: StringModel, stop: int, tuned: TunedStop) -> tuple[PlanePitch, ...]:
@@ -318,8 +318,8 @@ def microphone_responses(model: Model) -> list[MicrophoneResponse]:
             probes = [probe for probe in readout.probes if probe.component in banks]
             if not probes:
                 continue
-            own = [compiled[name].basis for name in sorted({probe.component for probe in probes})]
-            resonances = np.concatenate([basis.natural_freq for basis in own])
+            bases = [compiled[name].basis for name in sorted({probe.component for probe in probes})]
+            resonances = np.concatenate([basis.natural_freq for basis in bases])
             freq = np.unique(np.concatenate([np.geomspace(20.0, 0.45 * model.fs, 500), resonances[resonances >= 20.0]]))
             by_connection: dict[str, Complexes] = {}
             form = "accelerance" if readout.quantity == "acceleration" else "receptance"
@@ -335,7 +335,7 @@ def microphone_responses(model: Model) -> list[MicrophoneResponse]:
                     group.name,
                     channel,
                     group.unit,
-                    sum(basis.n_modes for basis in own),
+                    sum(basis.n_modes for basis in bases),
                     float(size[at]),
                     float(freq[at]) if size[at] > 0 else math.nan,
                     group.full_scale,

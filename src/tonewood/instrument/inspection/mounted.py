@@ -73,14 +73,14 @@ class Mounted:
         star = Star(self._body, [ports for name in self.strings for ports in rays[name]])
         radius = alone.imag * (ratio_of_cents(REACH_CENTS) - 1)
         zeros = star.zeros_within(1j * alone.imag, radius, starts=[alone]) or [alone]
-        own = 1 + self._owner.index(at.string)
-        modes_by_share = sorted(((star.shares(s), s) for s in zeros), key=lambda pair: -float(pair[0][own]))
+        row = 1 + self._owner.index(at.string)
+        modes_by_share = sorted(((star.shares(s), s) for s in zeros), key=lambda pair: -float(pair[0][row]))
         shares, s = modes_by_share[0]
 
         def off(s: complex) -> float:
             return cents(s.imag / (2 * math.pi) / at.wanted_freq)
 
-        modes = tuple((off(s), float(x[own])) for i, (x, s) in enumerate(modes_by_share) if i == 0 or x[own] >= HEARD)
+        modes = tuple((off(s), float(x[row])) for i, (x, s) in enumerate(modes_by_share) if i == 0 or x[row] >= HEARD)
         by_string = dict.fromkeys(self.strings, 0.0)
         for name, share in zip(self._owner, shares[1:], strict=True):
             by_string[name] += float(share)

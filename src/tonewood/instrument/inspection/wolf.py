@@ -129,14 +129,16 @@ def _of_string(model: Model, name: str, body_freq: Floats) -> list[WolfNote]:
     for stop, (low, high) in enumerate(pairwise(edges)):
         if high <= low:
             continue
-        own = 1200 * np.log2(np.maximum(body_freq, 1e-9) / freqs[0])
-        if not np.any(np.abs(own - above[stop]) < _NEAR_CENTS + (high - low) / 2):
+        body_cents = 1200 * np.log2(np.maximum(body_freq, 1e-9) / freqs[0])
+        if not np.any(np.abs(body_cents - above[stop]) < _NEAR_CENTS + (high - low) / 2):
             x = np.array([low, high])
             d = np.zeros(2)
         else:
             at = partial(share_curve, string.tuning.coupled(stop), string.tension(stop), float(freqs[stop]))
             even = np.linspace(low, high, max(2, round((high - low) / _COARSE_CENTS) + 1))
-            x, d = _refined(at, np.unique(np.concatenate([even, own[(own > low) & (own < high)]])), above[stop])
+            x, d = _refined(
+                at, np.unique(np.concatenate([even, body_cents[(body_cents > low) & (body_cents < high)]])), above[stop]
+            )
         places.append(x)
         shares.append(d)
     where, share = np.concatenate(places), np.concatenate(shares)

@@ -227,11 +227,11 @@ def _check_references(
     """Refuse connections and readouts of plugins that name unknown components, points and connections."""
     taken = {c.name for c in connections if c.role != "attached"}
     for string in strings.values():
-        for part, own in by_part(string.connections()).items():
+        for part, parts in by_part(string.connections()).items():
             plugin = string.touching.get(part)
             fault = partial(_fault, plugin, f"connections.{part}")
-            check_connections(own, components, taken, fault)
-            taken |= {c.name for c in own}
+            check_connections(parts, components, taken, fault)
+            taken |= {c.name for c in parts}
     names = [c.name for c in connections]
     for group in made.groups:
         pickup = instrument.pickups.get(group.name.partition(".")[0], instrument.pickups.get(group.name))
@@ -283,10 +283,10 @@ def _potentials(
     instrument: Instrument, strings: Iterable[StringModel], body: ModalBasis, choice: Choice
 ) -> list[Potential]:
     """Potentials of strings and of the body, without those that are left out by choice."""
-    own = list(instrument.body.potentials("body"))
-    if own and not body.is_real:
+    potentials = list(instrument.body.potentials("body"))
+    if potentials and not body.is_real:
         raise instrument.body.fault("stores energy beside that of its modes, which then must be real")
-    declared = [(s.resonator, p) for s in strings for p in s.potentials] + [(instrument.body, p) for p in own]
+    declared = [(s.resonator, p) for s in strings for p in s.potentials] + [(instrument.body, p) for p in potentials]
     return [p for plugin, p in declared if not p.effect or choice.keeps(plugin, p.effect)]
 
 

@@ -255,8 +255,8 @@ def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None
                 float(np.asarray(metadata[key])) for key in ("length", "tension", "linear_density", "bending_stiffness")
             )
             alone = ExactString(length, tension, mu, EI)
-            held = [alone.held_freq(n) for n in range(1, n_partials + 1)]
-            out += [(index, 2 * np.pi * f * complex(-1e-4, 1.0)) for f in held if f < 0.9 * FREQ_UPPER]
+            freqs = [alone.held_freq(n) for n in range(1, n_partials + 1)]
+            out += [(index, 2 * np.pi * f * complex(-1e-4, 1.0)) for f in freqs if f < 0.9 * FREQ_UPPER]
         return out
 
     def poles() -> Complexes:

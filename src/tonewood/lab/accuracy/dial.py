@@ -221,8 +221,8 @@ def _order(points: Sequence[DialPoint]) -> str:
     by_name: dict[str, list[DialPoint]] = {}
     for p in points:
         by_name.setdefault(p.instrument, []).append(p)
-    wrong = {name: measures for name, own in by_name.items() if (measures := out_of_order(own))}
-    cheaper = [own[1].seconds / own[0].seconds for own in by_name.values()]
+    wrong = {name: measures for name, points_of in by_name.items() if (measures := out_of_order(points_of))}
+    cheaper = [points_of[1].seconds / points_of[0].seconds for points_of in by_name.values()]
     text = f"`draft` takes {number(1 / max(cheaper), 2)} to {number(1 / min(cheaper), 2)} of the time of `standard`"
     if not wrong:
         return f"{text}, and by no measure does it lie nearer to `reference`, beyond chance."

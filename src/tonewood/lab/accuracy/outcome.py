@@ -95,21 +95,21 @@ def line(points: Sequence[Point], method: str, measure: Measure) -> list[tuple[f
     return sorted((s, e) for s, e in pairs if np.isfinite(s) and np.isfinite(e) and s > 0)
 
 
-def front(line: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+def front(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     """Points of a line that no cheaper point betters: times rise, errors fall."""
     out: list[tuple[float, float]] = []
-    for seconds, error in sorted(line):
+    for seconds, error in sorted(points):
         if not out or error < out[-1][1]:
             out.append((seconds, error))
     return out
 
 
-def seconds_at(line: Sequence[tuple[float, float]], error: float) -> float | None:
+def seconds_at(points: Sequence[tuple[float, float]], error: float) -> float | None:
     """Seconds at which a Pareto line reaches an error, None where it never does.
 
     Between two points log time is linear in log error; a method whose cheapest point is better still costs that point.
     """
-    best = front(line)
+    best = front(points)
     if not best or error < best[-1][1]:
         return None
     if error >= best[0][1]:

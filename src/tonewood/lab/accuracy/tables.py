@@ -135,7 +135,7 @@ def expectation(outcome: Outcome) -> str:
     ours = usual(outcome.points, PITCH)
     if ours is None:
         return ""
-    held = "confirmed" if ours.cents_20 < EXPECTED_CENTS else "refuted"
+    verdict = "confirmed" if ours.cents_20 < EXPECTED_CENTS else "refuted"
 
     def lowest(method: str) -> str:
         stable = [p for p in outcome.points if p.method == method and p.stable == "stable"]
@@ -147,7 +147,7 @@ def expectation(outcome: Outcome) -> str:
     return (
         f"**Expected** of {outcome.title}: below {EXPECTED_CENTS} cent up to partial 20 at 48 kHz, where "
         "Adams-Bashforth 3 needs about 800 kHz to be stable at all. "
-        f"**Measured:** {number(ours.cents_20)} cent at {ours.value}, {held}. "
+        f"**Measured:** {number(ours.cents_20)} cent at {ours.value}, {verdict}. "
         f"Adams-Bashforth 3 is stable {lowest('ab3')} with the same modes and {lowest('ab3_paper')} with the 150 "
         "string modes of the paper."
     )

@@ -241,8 +241,8 @@ def _alternatives() -> Iterator[Row]:
             forces = sampled_forces(np.arange(n) * dt)
             once = split.one_shot(forces, dt)
             # P1 is exact for the same broken line, so the rest is the pseudo-load's own error
-            line = respond(P1, basis_of(system), FORCES, np.arange(n) * dt).displacement
-            errors.append(float(np.abs(once - line).max()))
+            displacement = respond(P1, basis_of(system), FORCES, np.arange(n) * dt).displacement
+            errors.append(float(np.abs(once - displacement).max()))
             if steps == 40:
                 again, _ = split.picard(forces, dt, window=10)
                 yield Row(

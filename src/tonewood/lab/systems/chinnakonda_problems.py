@@ -175,6 +175,6 @@ def ramp_difference(system: Matrices, update: Update = P1, dt: float = 0.05) -> 
     exact = driven_motion(system, np.eye(size)[0], pieces, dt, n, np.concatenate([x0, v0]))[:, :size]
     basis = basis_from_matrices(*system, [str(k) for k in range(size)])
     state = initial_state(basis, system.M, system.C, x0, v0)
-    line = times[[0, 20, 60]], [0.0, 60 * dt, -140 * dt]
-    displacement = respond(update, basis, {"0": lambda t: np.interp(t, *line)}, times, state).displacement
+    corners = times[[0, 20, 60]], [0.0, 60 * dt, -140 * dt]
+    displacement = respond(update, basis, {"0": lambda t: np.interp(t, *corners)}, times, state).displacement
     return float(np.abs(displacement - exact[:: update.span]).max() / np.abs(exact).max())

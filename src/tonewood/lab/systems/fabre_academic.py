@@ -197,9 +197,9 @@ def plots(directory: Path) -> list[Path]:
     written = [save(fig, directory / "fabre_fig3_academic.png")]
 
     fig, axes = figure(2, 5, polar=True, size=(13, 5.6))
-    for line, (name, basis) in zip(axes, bases().items(), strict=True):
+    for row, (name, basis) in zip(axes, bases().items(), strict=True):
         mpc = phase_collinearity(basis.right)
-        for k, axis in enumerate(line):
+        for k, axis in enumerate(row):
             if k >= basis.n_modes:
                 axis.set_axis_off()
                 continue

@@ -49,8 +49,8 @@ class BridgeResponse:
         top = np.pi / system.dt
         grid = np.geomspace(_LOWEST, top, int(_PER_OCTAVE * np.log2(top / _LOWEST)))
         body, form = model.body, real_form(model.body)
-        own = np.abs(body.poles.imag)
-        self.freq_rad = np.unique(np.concatenate([grid, own[(own > _LOWEST) & (own < top)]]))
+        body_freq = np.abs(body.poles.imag)
+        self.freq_rad = np.unique(np.concatenate([grid, body_freq[(body_freq > _LOWEST) & (body_freq < top)]]))
         places = system.layout.places
         ends = [system.connections[places[f"{name}.bridge"]] for name in joined]
         entry = np.zeros((len(self.components), len(body.points)))

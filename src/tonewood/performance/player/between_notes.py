@@ -19,13 +19,13 @@ LET_GO_AFTER = 1.5
 _SHARE = 0.4
 
 
-def slurred(line: Sequence[Assigned], playing: Playing) -> list[Assigned]:
+def slurred(notes: Sequence[Assigned], playing: Playing) -> list[Assigned]:
     """Return a string's notes; those that overlap the one before in the score get the technique of a slur.
 
     A note that names a technique keeps it.
     """
-    slurs, out = playing.slurs, list(line[:1])
-    for before, assigned in pairwise(line):
+    slurs, out = playing.slurs, list(notes[:1])
+    for before, assigned in pairwise(notes):
         both = before.note.time + before.note.duration - assigned.note.time
         steps = assigned.stop - before.stop
         way = slurs.far if abs(steps) > slurs.reach else slurs.up if steps > 0 else slurs.down
@@ -51,7 +51,7 @@ def laid_on(time: float, model: Model) -> list[Change]:
     return [Change(time, name, added_damping=damping(end)) for name in model.strings if end.idle == "damp"]
 
 
-def noises(line: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: float) -> Iterator[Play]:
+def noises(notes: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: float) -> Iterator[Play]:
     """Yield the noises of the hands on one string that fit between the gestures of its notes, in order of time.
 
     Parameters
@@ -63,7 +63,7 @@ def noises(line: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: 
     if not kept:
         return
     held, free_from, slurs = capo, -math.inf, model.playing.slurs.named.values()
-    for i, (assigned, play) in enumerate(zip(line, plays, strict=True)):
+    for i, (assigned, play) in enumerate(zip(notes, plays, strict=True)):
         # a stop changes at the last point of the control grid before the gesture that needs it
         until = _point_before(play.start, model.fs)
         for kind in ("fretting", "squeak"):

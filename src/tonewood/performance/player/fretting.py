@@ -194,8 +194,8 @@ def bridge_forces(system: System, state: State) -> ForceAtBridge:
         rigid = system.elimination.linear.rigid
         R = system.gap_matrix("residual")[np.ix_(rigid, rigid)]
         force = -scaled_pinv(R) @ gaps(system, state)[rigid]
-        held = [c.terms[0].component for c, on in zip(system.connections, rigid, strict=True) if on]
-        return dict(zip(held, force.tolist(), strict=True))
+        components = [c.terms[0].component for c, on in zip(system.connections, rigid, strict=True) if on]
+        return dict(zip(components, force.tolist(), strict=True))
 
     return lambda component: found()[component]
 

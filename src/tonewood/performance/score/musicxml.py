@@ -395,7 +395,7 @@ class _PartReader:
     def _steps(self, element: Element) -> tuple[int, int]:
         """Semitones down and up to the neighbours of a note in its key, or by an accidental at its ornament."""
         letter = text_of(element, "pitch/step")
-        own = _STEPS[letter] + round(number_of(element, "pitch/alter", 0.0))
+        pitch = _STEPS[letter] + round(number_of(element, "pitch/alter", 0.0))
         out = []
         for way in (-1, 1):
             other = _LETTERS[(_LETTERS.index(letter) + way) % 7]
@@ -404,7 +404,7 @@ class _PartReader:
             for mark in element.findall("notations/ornaments/accidental-mark"):
                 if (mark.get("placement") == "below") == (way < 0):
                     alter = {"sharp": 1, "natural": 0, "flat": -1}.get((mark.text or "").strip(), alter)
-            step = (_STEPS[other] + alter - own) * way % 12
+            step = (_STEPS[other] + alter - pitch) * way % 12
             out.append(step if 0 < step < 5 else 2)
         return out[0], out[1]
 

@@ -366,8 +366,8 @@ def _with_air(
         compliance = compliance + back.plate.residual(own, back)
     modes = couple_air(freq, outward[0], cavity.volume, hole, (cavity.freq, b, at_hole), compliance)
     stiff = np.eye(1 + m) * cavity.volume / (AIR_DENSITY * SOUND_SPEED**2) + compliance
-    held = lever @ solve(stiff, lever.T, assume_a="pos")
-    return modes, cavity.freq, (rest[:points, :points] - held, lever)
+    added = lever @ solve(stiff, lever.T, assume_a="pos")
+    return modes, cavity.freq, (rest[:points, :points] - added, lever)
 
 
 def point_loads(plate: Plate, drawing: BodyDrawing) -> Floats:
