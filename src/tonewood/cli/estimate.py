@@ -41,7 +41,7 @@ def estimate(
     """Estimate an instrument from recordings of single notes: strings, place of the pluck, gain of each output.
 
     The same analysis is made of recorded and of rendered notes, and figures are moved until both agree. Every other
-    note is held back once, to tell how far it is met. Writes a bundle NAME; body and exciters stay as they are.
+    note is held back once, to tell how far it is met. Writes a bundle NAME.
     """
     from tonewood.workshop.estimate.bundle import UNKNOWN, RecordingOrigin, write_bundle
     from tonewood.workshop.estimate.estimate import estimate as estimated
@@ -69,7 +69,13 @@ def estimate(
         return
     warn(list(found.warnings))
     _print(found)
-    print(f"{output}: plays at once; its body is that of {found.begun_with.name}")
+    print(f"{output}: plays at once; its body is that of {found.begun_with.name}{_but(found)}")
+
+
+def _but(found: Estimate) -> str:
+    """What of the body was moved."""
+    count = len(found.figures.modes)
+    return f", {count} mode{'s' if count > 1 else ''} moved" if count else ""
 
 
 def _check(output: Path, iterations: int, page: Path | None) -> None:
@@ -88,7 +94,7 @@ def _check(output: Path, iterations: int, page: Path | None) -> None:
 def _print(found: Estimate) -> None:
     """Figures with their intervals, and distances."""
     from tonewood.workshop.estimate import laws
-    from tonewood.workshop.estimate.page import columns_of, louder_line, place_line, split_line
+    from tonewood.workshop.estimate.page import columns_of, louder_line, mode_lines, place_line, room_line, split_line
 
     for line in found.moved:
         print(line)
@@ -107,7 +113,7 @@ def _print(found: Estimate) -> None:
         )
         remark = "" if found.figures.estimated.get(name) else "  (from the neighbouring strings)"
         print(f"{name:8s} {count:5d}   {b:15.3f}   {shown}{remark}")
-    for line in (place_line(found), split_line(found), louder_line(found)):
+    for line in (place_line(found), split_line(found), louder_line(found), *mode_lines(found), room_line(found)):
         if line:
             print(line)
     print_distances(columns_of(found))

@@ -129,7 +129,7 @@ def _lines(page: PageResults) -> list[str]:
         lines += [f"  {note}" for note in page.linear.notes]
     for pair in page.ranks.pairs if page.ranks is not None else ():
         lines.append(f"ranks, {pair.factor}: {pair.second} over {pair.first}: r = {pair.r:.2f}, p = {pair.p_holm:.3g}")
-    for one in page.detections:
+    for one in (*page.pairs, *(page.detections if len(page.detections) > len(page.pairs) else ())):
         cell = ", ".join(f"{k}={v}" for k, v in one.cell.items())
         if one.share is None:
             lines.append(f"{cell}: none decided")
@@ -137,12 +137,13 @@ def _lines(page: PageResults) -> list[str]:
         d = "" if one.d_prime is None else f", d' = {one.d_prime:.2f}"
         lines.append(
             f"{cell}: {one.right} of {one.answers} right, {100 * one.share:.1f} % "
-            f"[{100 * (one.low or 0):.1f}, {100 * (one.high or 0):.1f}], p = {one.p_value:.3g}{d}"
+            f"[{100 * (one.low or 0):.1f}, {100 * (one.high or 0):.1f}], p = {one.p_holm:.3g}{d}"
         )
     for value in page.scale:
         lines.append(f"{value.level}: {value.value:+.2f} [{value.low:.2f}, {value.high:.2f}] logits")
     if page.thresholds is not None:
         found = page.thresholds
-        bounds = "" if found.low is None else f" [{found.low:.4g}, {found.high:.4g}]"
+        low, high = ("\N{EN DASH}" if x is None else f"{x:.4g}" for x in (found.low, found.high))
+        bounds = f" [{low}, {high}]" if len(found.listeners) > 1 else ""
         lines.append(f"threshold {found.mean:.4g}{bounds} {found.unit}, at {100 * found.share:.1f} % right")
     return lines

@@ -59,6 +59,7 @@ def parsed(pieces: Iterable[bytes], path: Path, cell: Cell | None = None) -> Ele
     try:
         for piece in pieces:
             if tree is None:
+                piece = piece.lstrip(b" \r\n\t")  # some write a blank line before the declaration
                 head = piece[:4096]
                 tree = _Tree(path, cell, _encoding(head))
             tree.feed(piece)

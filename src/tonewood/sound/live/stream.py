@@ -42,6 +42,7 @@ class Playback:
     clipped : samples beyond full scale.
     load : computing time of the blocks re their length, mean.
     worst_block_s : longest computing time of a block.
+    late : underruns in which no block was ready; in the others blocks were, and the device or the system was late.
     """
 
     frames: int
@@ -49,6 +50,7 @@ class Playback:
     clipped: int = 0
     load: float = 0.0
     worst_block_s: float = 0.0
+    late: int = 0
 
 
 class Arrivals(Generic[T]):
@@ -113,7 +115,7 @@ class AudioStream:
     ----------
     fs, block_size, n_channels : Hz, frames, channels given out: one channel is given out twice.
     done : set when the source has ended and everything was given out.
-    frames, underruns, clipped : so far.
+    frames, underruns, clipped, late : so far, as of `Playback`.
     loads : computing time of the last blocks re their length.
     worst_block_s : longest computing time of a block, s.
     device_latency : s, of the sound card, as it says itself once it is open.
@@ -146,7 +148,7 @@ class AudioStream:
         self._ready: queue.Queue[Floats | None] = queue.Queue(maxsize=ahead)
         self.done, self._primed = threading.Event(), threading.Event()
         self._failed: list[Exception] = []
-        self.frames = self.underruns = self.clipped = 0
+        self.frames = self.underruns = self.clipped = self.late = 0
         self._blocks_made, self._busy_s, self.worst_block_s = 0, 0.0, 0.0
         self.device_latency = 0.0
         self.loads: deque[float] = deque(maxlen=256)
@@ -213,7 +215,7 @@ class AudioStream:
             raise self._failed[0]
         length = self._blocks_made * self.block_size / self.fs
         load = self._busy_s / length if length else 0.0
-        return Playback(self.frames, self.underruns, self.clipped, load, self.worst_block_s)
+        return Playback(self.frames, self.underruns, self.clipped, load, self.worst_block_s, self.late)
 
     def play(
         self,
@@ -275,7 +277,7 @@ class AudioStream:
         try:
             block = self._ready.get_nowait()
         except queue.Empty:
-            self.underruns += 1
+            self.underruns, self.late = self.underruns + 1, self.late + 1
             out[:] = 0.0
             return False
         if block is None:
