@@ -90,15 +90,15 @@ def crossing(ring: Floats, other: Floats | None = None) -> Floats | None:
     for i in range(len(a)):
         later = slice(i + 2, len(c) - (i == 0)) if other is None else slice(None)
         p, q = c[later], d[later]
-        along, across = b[i] - a[i], q - p
-        turn = along[0] * across[:, 1] - along[1] * across[:, 0]
+        side, across = b[i] - a[i], q - p
+        turn = side[0] * across[:, 1] - side[1] * across[:, 0]
         gap = p - a[i]
         with np.errstate(divide="ignore", invalid="ignore"):
             s = (gap[:, 0] * across[:, 1] - gap[:, 1] * across[:, 0]) / turn
-            t = (gap[:, 0] * along[1] - gap[:, 1] * along[0]) / turn
+            t = (gap[:, 0] * side[1] - gap[:, 1] * side[0]) / turn
         hit = (turn != 0) & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
         if hit.any():
-            return np.asarray(a[i] + s[np.argmax(hit)] * along)
+            return np.asarray(a[i] + s[np.argmax(hit)] * side)
     return None
 
 
