@@ -202,12 +202,12 @@ class Plate:
         self._stiffness, self._losses, self._mass = (m[keep][:, keep].tocsc() for m in totals)
 
     def _of_beam(self, beam: Beam) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
-        def matrices() -> tuple[csr_matrix, csr_matrix, csr_matrix]:
+        def make() -> tuple[csr_matrix, csr_matrix, csr_matrix]:
             return beam_matrices(self.grid, beam, self.thickness(beam_line(self.grid, beam)[0]), self.wood.shears)
 
         parts = (beam.start, beam.stop, beam.heights, self._given, beam.width, beam.wood, beam.above, self.wood.shears)
-        found: tuple[csr_matrix, csr_matrix, csr_matrix] = self._kept("beam", parts, matrices)
-        return found
+        matrices: tuple[csr_matrix, csr_matrix, csr_matrix] = self._kept("beam", parts, make)
+        return matrices
 
     def _kept(self, kind: str, parts: Sequence[Any], make: Callable[[], Any]) -> Any:
         """Result of `make`, which depends on the grid and on `parts`; kept for plates of the same grid."""
@@ -215,13 +215,13 @@ class Plate:
             return make()
         grid, kept = (self.grid.low, self.grid.size, self.grid.cells, self.grid.degree), _RESULTS[kind]
         key = tuple(x.tobytes() if isinstance(x, np.ndarray) else x for x in (*grid, *parts))
-        found = kept.get(key)
-        if found is None:
-            found = make()
+        result = kept.get(key)
+        if result is None:
+            result = make()
             while len(kept) >= _KEPT[kind]:
                 kept.pop(next(iter(kept)), None)
-            kept[key] = found
-        return found
+            kept[key] = result
+        return result
 
     @property
     def _bending(self) -> list[Field]:
@@ -272,14 +272,14 @@ class Plate:
         if not self.wood.shears:
             return []
         outer = not (edge.k_w or edge.k_theta)
-        known = sum(count for _, count in self._bending)
-        found: list[tuple[csr_matrix, csr_matrix, csr_matrix, list[Field]]] = []
+        n_bending = sum(count for _, count in self._bending)
+        layers: list[tuple[csr_matrix, csr_matrix, csr_matrix, list[Field]]] = []
         for ring, around in [(ring, k == 0) for k, ring in enumerate(self.rings) if k or outer]:
             woods = (self.wood, self._layered)
             parts = layer_matrices(self.grid, ring, around, woods, self.grain, self.shear_factor, self.thickness)
-            own = (f"layer {len(found)}", parts[0].shape[0] - known)
-            found.append((*parts, [own, *self._bending]))
-        return found
+            own = (f"layer {len(layers)}", parts[0].shape[0] - n_bending)
+            layers.append((*parts, [own, *self._bending]))
+        return layers
 
     @property
     def stiffness(self) -> csc_matrix:
@@ -421,11 +421,11 @@ class Plate:
         springs = springs + rigid
         # springs that are not finite lose nothing
         lossy = edge.loss * springs if np.isfinite(edge.k_w) and np.isfinite(edge.k_theta) else 0.0 * springs
-        found = [(springs, lossy, self._bending)]
+        terms = [(springs, lossy, self._bending)]
         if self.beams and edge.k_in_plane:
             held = edge.k_in_plane * line_mass
-            found += [(held, edge.loss * held, [field]) for field in self._in_plane]
-        return found
+            terms += [(held, edge.loss * held, [field]) for field in self._in_plane]
+        return terms
 
     def _spread(self, matrix: csr_matrix) -> csr_matrix:
         """Matrix of gamma and w from one of w."""

@@ -201,8 +201,8 @@ class _Search:
             reached = now + rates @ (y - x)
             return self._errors(y, np.where(self._relative, np.maximum(reached, 0.1 * now), reached))
 
-        found = least_squares(linear, np.clip(x, 0.01, 0.99), bounds=(0.0, 1.0), xtol=1e-10, ftol=1e-10, gtol=1e-12)
-        y = np.where(found.active_mask < 0, 0.0, np.where(found.active_mask > 0, 1.0, found.x))
+        fit = least_squares(linear, np.clip(x, 0.01, 0.99), bounds=(0.0, 1.0), xtol=1e-10, ftol=1e-10, gtol=1e-12)
+        y = np.where(fit.active_mask < 0, 0.0, np.where(fit.active_mask > 0, 1.0, fit.x))
         return np.asarray(np.where(y < 1e-4, 0.0, np.where(y > 1 - 1e-4, 1.0, y)))
 
     def full(self, instrument: Instrument, expected: Floats | None) -> Floats:
