@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.support.sound_rates import check_rate
 
 Floats = NDArray[np.float64]
 
@@ -135,7 +136,9 @@ def _read(name: str, fs: int, channels: int) -> Floats:
         known = ", ".join(ROOMS)
         raise TonewoodError(f"is {name!r}; {known} or the name of a sound file are allowed", key="room")
     try:
-        given, rate = sf.read(name, dtype="float64", always_2d=True)
+        rate = sf.info(name).samplerate
+        check_rate(rate, name)
+        given, _ = sf.read(name, frames=int(_LONGEST * rate) + 1, dtype="float64", always_2d=True)
     except sf.LibsndfileError as fault:
         raise TonewoodError(f"cannot be read: {fault.error_string}", file=name) from None
     if given.shape[1] not in (1, channels):
