@@ -5,9 +5,10 @@ or with the covariances of a pilot's answers, and analysed by `tonewood.workshop
 found where the report says so: p by Holm below alpha. Where sounds are a random sample, they are drawn, too, and the
 analysis is the quasi-F of listeners and sounds. *Ordinal scales*: answers are drawn one by one, cut off at the ends of
 the scale, and the shares of comparisons are tested, which the report's sentence states. *Paired comparisons*:
-listeners' choices, tested by the Bradley-Terry interval. *Right answers*: the exact binomial test of the report,
-one-sided, whose power is a sum and needs no simulation. *Staircases*: listeners take it trial by trial; power is the
-share of experiments in which the interval of the mean threshold excludes a threshold that is `margin` away.
+listeners' choices, tested by the Bradley-Terry interval. *Right answers*: the exact binomial test of a pair over all
+cells, one-sided, whose power is a sum and needs no simulation; listeners are taken for alike. *Staircases*: listeners
+take it trial by trial; power is the share of experiments in which the interval of the mean threshold excludes a
+threshold that is `margin` away.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from tonewood.workshop.batch.pages import (
     PairPage,
     RatingPage,
     StaircasePage,
+    as_pairs,
     localised,
 )
 from tonewood.workshop.listening import simulations, strata
@@ -215,9 +217,11 @@ def choice_power(share: float, each: int, listeners: int, alpha: float, seed: in
     """
     from scipy.special import stdtrit
 
-    chosen = np.random.default_rng([seed, listeners]).binomial(each, share, (EXPERIMENTS, listeners)) / each
-    mean = np.clip(chosen.mean(axis=1), 0.5 / (each * listeners), 1 - 0.5 / (each * listeners))
-    error = np.sqrt(listeners / (listeners - 1) * np.sum((chosen - mean[:, None]) ** 2, axis=1)) / listeners
+    chosen = np.random.default_rng([seed, listeners]).binomial(each, share, (EXPERIMENTS, listeners))
+    answers = each * listeners + 1  # a tie is added
+    mean = (chosen.sum(axis=1) + 0.5) / answers
+    squares = np.sum((chosen - each * mean[:, None]) ** 2, axis=1) + (0.5 - mean) ** 2
+    error = np.sqrt(listeners / (listeners - 1) * squares) / answers
     value = np.log(mean / (1 - mean)) * mean * (1 - mean)
     return float(np.mean(np.abs(value) > stdtrit(listeners - 1, 1 - alpha / 2) * error))
 
@@ -317,10 +321,13 @@ def _row(
         n = fewest(lambda k: choice_power(share, each, k, alpha), power, text)
         text += f": {n * each} answers, {each} a listener"
     else:
-        answers = answers_for_share(share, CHANCE[task], alpha, power)
+        (factor, named), *_ = page.pairs.items()
+        tests = len(as_pairs(named, manifest.choices()[factor]))
+        answers = answers_for_share(share, CHANCE[task], alpha / tests, power)  # Holm's first step
         n = math.ceil(answers / each)
         d = "" if task == "same" else f", d' = {sensitivity(share, task):.2f}"
-        text += f"{d}: {answers} answers, {each} a listener"
+        text += f"{d}: {answers} answers, {each} a listener, over all cells"
+        text += f", of one of {tests} pairs" if tests > 1 else ""
     return PowerRow(number, name, text, n, page.expect is not None or seen is not None)
 
 
@@ -441,7 +448,7 @@ def _pilot_spread(pilot: Array, count: int) -> tuple[Array, SoundSpread | None]:
 
 def _share_of(own: PageResults | None) -> float | None:
     """Largest share of right answers of a pilot's page."""
-    shares = [d.share for d in own.detections if d.share is not None] if own is not None else []
+    shares = [d.share for d in own.pairs if d.share is not None] if own is not None else []
     return max(shares) if shares else None
 
 

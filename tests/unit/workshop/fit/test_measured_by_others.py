@@ -254,6 +254,16 @@ def test_arrays_of_any_name_in_mat_and_npz(tmp_path):
         assert np.allclose(read.mobility, rows, rtol=1e-9)
 
 
+def test_several_arrays_that_are_named_are_read_together(tmp_path):
+    rows = mobility()
+    np.savez(tmp_path / "a.npz", Freq=FREQ, H=rows[0], FRF=rows[1], other=rows[2])
+    read = read_responses([tmp_path / "a.npz"], Reading("mobility", arrays=("FRF", "other"), references=(("FRF", ""),)))
+    assert read.pairs == (("FRF", "FRF"), ("other", "FRF"))
+    assert np.allclose(read.mobility, rows[1:], rtol=1e-12)
+    with pytest.raises(TonewoodError, match="'G' is no complex array of 580 bins; H, FRF, other"):
+        read_responses([tmp_path / "a.npz"], Reading("mobility", arrays=("FRF", "G")))
+
+
 @pytest.mark.parametrize(
     ("arrays", "reported"),
     [

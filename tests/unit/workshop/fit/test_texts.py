@@ -132,6 +132,12 @@ def test_the_driving_point_may_stand_in_another_file(tmp_path):
     [
         ("a.txt", text([FREQ, np.abs(VALUES[0])], "\t"), "magnitudes without phase"),
         ("a.csv", "f,Magnitude\n" + text(POLAR[:2], ","), "magnitudes without phase"),
+        ("a.csv", "f,Magnitude,Magnitude\n" + text([*POLAR[:2], POLAR[1]], ","), "magnitudes without phase"),
+        (
+            "a.csv",
+            "f,Magnitude,Magnitude,Phase\n" + text([*POLAR[:2], *POLAR[1:]], ","),
+            "3 columns after the first are not clear",
+        ),
         ("a.csv", "freq_Hz,a:a_re,a:a_im\n" + text([*PARTS[:2], 0 * FREQ], ","), "magnitudes without phase"),
         ("a.csv", "omega (rad/s),real,imag\n" + text(PARTS, ","), "is in rad/s: divide it by 2 pi"),
         (
