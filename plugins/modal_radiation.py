@@ -120,9 +120,9 @@ class ModalRadiation(Microphones[ModalRadiationParameters]):
         right = {point: np.zeros(n * len(p.channels), dtype=np.complex128) for point in points}
         left = {point: array.copy() for point, array in right.items()}
         for i, c in enumerate(p.channels):
-            own = slice(i * n, (i + 1) * n)
-            right[c][own] = 1.0
-            left["heave"][own], left["moment"][own] = residues[c, ""], residues[c, "_moment"]
+            columns = slice(i * n, (i + 1) * n)
+            right[c][columns] = 1.0
+            left["heave"][columns], left["moment"][columns] = residues[c, ""], residues[c, "_moment"]
         return ModalBasis.complex(np.tile(poles, len(p.channels)), right, left)
 
 

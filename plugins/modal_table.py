@@ -148,8 +148,8 @@ class ModalTable(Body[ModalTableParameters]):
         if p.columns == "named":
             return p.points
         taken = {"f_Hz", "Q", "zeta", "modal_mass", *(point.column for point in p.points.values())}
-        found = [name for name in self.files.table(p.table, f"{self.key}.table") if name not in taken]
-        return {**{name: Point() for name in found}, **p.points}
+        names = [name for name in self.files.table(p.table, f"{self.key}.table") if name not in taken]
+        return {**{name: Point() for name in names}, **p.points}
 
     def basis(self, freq_upper: float) -> ModalBasis:
         """Modes below `freq_upper` (Hz).
@@ -292,8 +292,8 @@ class ModalTable(Body[ModalTableParameters]):
 
     def _residual(self) -> Floats:
         points = self._named
-        given, n = self.parameters.truncation.residual_compliance, len(points)
-        value = np.asarray(given, dtype=np.float64)
+        compliance, n = self.parameters.truncation.residual_compliance, len(points)
+        value = np.asarray(compliance, dtype=np.float64)
         if value.ndim == 0:
             out = float(value) * np.eye(n)
         elif value.shape == (3,) and self.parameters.shapes == "heave_rock":

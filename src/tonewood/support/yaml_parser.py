@@ -70,10 +70,10 @@ def line_of(text: str, key: str) -> int | None:
     line, parent = None, None
     for part in key.split("."):
         defaults = _entry(parent, "defaults")
-        found = _entry(node, part) or (_entry(defaults[1], part) if defaults else None)
-        if found is None:
+        entry = _entry(node, part) or (_entry(defaults[1], part) if defaults else None)
+        if entry is None:
             break
-        parent, (place, node) = node, found
+        parent, (place, node) = node, entry
         line = place.start_mark.line + 1
     return line
 

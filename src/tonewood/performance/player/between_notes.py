@@ -19,13 +19,13 @@ LET_GO_AFTER = 1.5
 _SHARE = 0.4
 
 
-def slurred(line: Sequence[Assigned], playing: Playing) -> list[Assigned]:
+def slurred(notes: Sequence[Assigned], playing: Playing) -> list[Assigned]:
     """Return a string's notes; those that overlap the one before in the score get the technique of a slur.
 
     A note that names a technique keeps it.
     """
-    slurs, out = playing.slurs, list(line[:1])
-    for before, assigned in pairwise(line):
+    slurs, out = playing.slurs, list(notes[:1])
+    for before, assigned in pairwise(notes):
         both = before.note.time + before.note.duration - assigned.note.time
         steps = assigned.stop - before.stop
         way = slurs.far if abs(steps) > slurs.reach else slurs.up if steps > 0 else slurs.down
@@ -51,7 +51,7 @@ def laid_on(time: float, model: Model) -> list[Change]:
     return [Change(time, name, added_damping=damping(end)) for name in model.strings if end.idle == "damp"]
 
 
-def noises(line: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: float) -> Iterator[Play]:
+def noises(notes: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: float) -> Iterator[Play]:
     """Yield the noises of the hands on one string that fit between the gestures of its notes, in order of time.
 
     Parameters
@@ -63,7 +63,7 @@ def noises(line: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: 
     if not kept:
         return
     held, free_from, slurs = capo, -math.inf, model.playing.slurs.named.values()
-    for i, (assigned, play) in enumerate(zip(line, plays, strict=True)):
+    for i, (assigned, play) in enumerate(zip(notes, plays, strict=True)):
         # a stop changes at the last point of the control grid before the gesture that needs it
         until = _point_before(play.start, model.fs)
         for kind in ("fretting", "squeak"):
@@ -71,20 +71,20 @@ def noises(line: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: 
             moves = assigned.stop != held and not play.gesture.stops and play.exciter not in slurs
             if kind not in kept or not moves or (kind == "squeak" and not far):
                 continue
-            made = _noise(kept[kind], assigned, held, until, _SHARE * (until - free_from), model)
-            if made is not None:
-                until = made.start
-                yield made
+            noise = _noise(kept[kind], assigned, held, until, _SHARE * (until - free_from), model)
+            if noise is not None:
+                until = noise.start
+                yield noise
         held, free_from = assigned.stop, play.stop
         following = plays[i + 1].start if i + 1 < len(plays) else math.inf
         if end.kind == "ring" or not math.isfinite(assigned.end) or assigned.end >= following - 1e-3:
             continue
         if "touch" in kept and assigned.end >= free_from:
             # as the string is damped
-            made = _noise(kept["touch"], assigned, held, _point_before(assigned.end, model.fs), math.inf, model)
-            if made is not None and made.stop < following:
-                free_from = made.stop
-                yield made
+            noise = _noise(kept["touch"], assigned, held, _point_before(assigned.end, model.fs), math.inf, model)
+            if noise is not None and noise.stop < following:
+                free_from = noise.stop
+                yield noise
         if assigned.end + LET_GO_AFTER * end.t60 < following - 0.1:
             held = capo
 
@@ -98,8 +98,8 @@ def touch_at_end(assigned: Assigned | None, play: Play | None, time: float, mode
     name = _kept(model).get("touch")
     if name is None or assigned is None or (play is not None and play.stop > time):
         return []
-    made = _noise(name, assigned, assigned.stop, time, math.inf, model)
-    return [] if made is None else [made]
+    noise = _noise(name, assigned, assigned.stop, time, math.inf, model)
+    return [] if noise is None else [noise]
 
 
 def not_live(model: Model) -> list[str]:

@@ -49,14 +49,14 @@ class Hands:
 
     Attributes
     ----------
-    lines : first string of a key, or any other -> its voice, stop and bend.
+    strings : first string of a key, or any other -> its voice, stop and bend.
     changes, plays : that are decided and not taken yet, in the order in which they are made at one sample.
     n_moved : notes that are played at another place than asked for.
     """
 
     def __init__(self, model: Model, capo: int = 0, pedals: Sequence[Control] = (), source: str = "score"):
         self.model, self.capo, self.tick, self._source = model, capo, GRID / model.fs, source
-        self.lines = {name: PlayedString(stop=float(capo)) for name in model.strings}
+        self.strings = {name: PlayedString(stop=float(capo)) for name in model.strings}
         self.changes: list[Change] = []
         self.plays: list[Play] = []
         self.n_moved = 0
@@ -81,26 +81,26 @@ class Hands:
         ------
         TonewoodError : it cannot be played there.
         """
-        own, model = voice.assigned, self.model
-        assert own is not None
-        line, variation = self.lines[own.string], model.playing.variation
+        assigned, model = voice.assigned, self.model
+        assert assigned is not None
+        string, variation = self.strings[assigned.string], model.playing.variation
         drawn = None if variation.seed is None else Deviates.of(variation.seed, voice.number)
         plays: list[Play] = []
-        for name in model.groups[own.string]:
+        for name in model.groups[assigned.string]:
             event, play = stroke(
-                own, name, model, values, held=line.stop, duration=voice.duration,
+                assigned, name, model, values, held=string.stop, duration=voice.duration,
                 una_corda=self._has_una_corda(voice), drawn=drawn,
             )  # fmt: skip
             if not plays:
-                self.n_moved += not is_where_asked(event, own, model, self._source)
+                self.n_moved += not is_where_asked(event, assigned, model, self._source)
                 voice.event = event
-            plays.append(self._prepared(play, voice, line.voice))
+            plays.append(self._prepared(play, voice, string.voice))
             # a hammer or bow of the first string meets the others of its key, too; known forces act on each of them
             if play.gesture.on is not None or play.gesture.motions:
                 break
-        voice.string, voice.play = own.string, plays[0]
-        self._lay(voice, own, plays[0], bend)
-        line.voice, line.stop = voice, own.stop
+        voice.string, voice.play = assigned.string, plays[0]
+        self._lay(voice, assigned, plays[0], bend)
+        string.voice, string.stop = voice, assigned.stop
         self.plays += plays
         return plays[0]
 
@@ -111,18 +111,18 @@ class Hands:
         ----------
         following : s, when the next gesture on the string begins.
         """
-        own, play = voice.assigned, voice.play
-        assert own is not None
+        assigned, play = voice.assigned, voice.play
+        assert assigned is not None
         assert play is not None
-        for bend in voice.bends.between(play.start, own.end):
-            self._change(Change(bend.time, own.string, cents=own.cents + bend.value))
-        if math.isfinite(own.end):
-            for change in ended(own.end, own.string, self.model, self.capo, following):
+        for bend in voice.bends.between(play.start, assigned.end):
+            self._change(Change(bend.time, assigned.string, cents=assigned.cents + bend.value))
+        if math.isfinite(assigned.end):
+            for change in ended(assigned.end, assigned.string, self.model, self.capo, following):
                 self._change(change)
         # a key that is struck again does not come up in between
         up = min(voice.note.key_up, following)
         if up > play.start:
-            self._pressed += [(play.start, True, own.string), (up, False, own.string)]
+            self._pressed += [(play.start, True, assigned.string), (up, False, assigned.string)]
 
     def taken(self) -> Timeline:
         """Take the decided changes and gestures, those of dampers last."""
@@ -140,11 +140,13 @@ class Hands:
             return play
         return replace(play, gesture=hurried(play.gesture, play.time - before.play.stop))
 
-    def _lay(self, voice: Voice, own: Assigned, play: Play, bend: float) -> None:
+    def _lay(self, voice: Voice, assigned: Assigned, play: Play, bend: float) -> None:
         """Stop a string for a note's gesture."""
-        if (before := self.lines[own.string].voice) is not None:
+        if (before := self.strings[assigned.string].voice) is not None:
             self.finish(before, play.start)
-        for change in stopped(own, play, own.string, self.model, own.cents + (voice.bends.at(play.start) or bend)):
+        for change in stopped(
+            assigned, play, assigned.string, self.model, assigned.cents + (voice.bends.at(play.start) or bend)
+        ):
             self._change(change)
 
     def _change(self, change: Change) -> None:
@@ -185,16 +187,17 @@ class PacedHands(Hands):
     def idle(self) -> bool:
         """Whether nothing is to be done at the next point."""
         return not self.dampers.stirred and not any(
-            line.later or line.cents != line.wanted or self.is_sustained(line.voice) for line in self.lines.values()
+            string.later or string.cents != string.wanted or self.is_sustained(string.voice)
+            for string in self.strings.values()
         )
 
     def sounding(self) -> dict[str, Sounding]:
         """Return string -> note on it, for the left hand; its stops count from the capo."""
         out = {}
-        for name, line in self.lines.items():
-            if (voice := line.voice) is not None:
+        for name, string in self.strings.items():
+            if (voice := string.voice) is not None:
                 weight = 1.0 if voice.key_down else PEDALLED if voice.pedalled else 0.0
-                out[name] = Sounding(line.stop - self.capo, weight)
+                out[name] = Sounding(string.stop - self.capo, weight)
         return out
 
     def preparation(self, technique: str | None) -> float:
@@ -232,18 +235,18 @@ class PacedHands(Hands):
     def finish(self, voice: Voice, following: float = math.inf) -> None:
         """Damp the string of a note now, or end the gesture that lasts as long as the note."""
         assert voice.string is not None
-        line, time = self.lines[voice.string], self.now * self.dt
+        string, time = self.strings[voice.string], self.now * self.dt
         self.dampers.release(voice.string)
         if self.is_sustained(voice):
             self.go_on(voice, until=self.now)
             voice.play = None
-        line.voice = None
+        string.voice = None
         if end := ended(time, voice.string, self.model, self.capo, following):
             damped, free = end
             self._change(damped)
             self.plays += touch_at_end(voice.assigned, voice.play, time, self.model)
-            line.later.append((self.now + math.ceil(round((free.time - time) / self.tick, 6)) * GRID, free))
-            line.wanted = line.cents
+            string.later.append((self.now + math.ceil(round((free.time - time) / self.tick, 6)) * GRID, free))
+            string.wanted = string.cents
 
     def go_on(self, voice: Voice, until: int | None = None) -> None:
         """Give a gesture that lasts as long as its note another `CONTINUED` s, or end it at a sample."""
@@ -258,27 +261,31 @@ class PacedHands(Hands):
 
     def follow(self) -> bool:
         """Make one change that was planned: of a slide, or to let a damped string go; whether there was one."""
-        due = [line for line in self.lines.values() if line.later and line.later[0][0] <= self.now]
+        due = [string for string in self.strings.values() if string.later and string.later[0][0] <= self.now]
         if not due:
             return False
-        line = min(due, key=lambda line: line.later[0][0])
-        _, change = line.later.popleft()
-        line.stop = line.stop if change.stop is None else change.stop
+        string = min(due, key=lambda string: string.later[0][0])
+        _, change = string.later.popleft()
+        string.stop = string.stop if change.stop is None else change.stop
         if change.cents is not None:
-            line.cents = line.wanted = change.cents
+            string.cents = string.wanted = change.cents
         self._change(replace(change, time=self.now * self.dt))
         return True
 
     def bend_one(self) -> bool:
         """Take the bend of the string that is farthest from where it is wanted a step on; whether there was one."""
-        bent = {name: line for name, line in self.lines.items() if line.voice is not None and line.cents != line.wanted}
+        bent = {
+            name: string
+            for name, string in self.strings.items()
+            if string.voice is not None and string.cents != string.wanted
+        }
         if not bent:
             return False
         name = max(bent, key=lambda name: abs(bent[name].wanted - bent[name].cents))
-        line, step = bent[name], BEND_RATE * 2 * self.spacing * GRID * self.dt
-        way = line.wanted - line.cents
-        line.cents = line.wanted if abs(way) <= step else line.cents + math.copysign(step, way)
-        self._change(Change(self.now * self.dt, name, cents=line.cents))
+        string, step = bent[name], BEND_RATE * 2 * self.spacing * GRID * self.dt
+        way = string.wanted - string.cents
+        string.cents = string.wanted if abs(way) <= step else string.cents + math.copysign(step, way)
+        self._change(Change(self.now * self.dt, name, cents=string.cents))
         return True
 
     def move_dampers(self) -> None:
@@ -301,18 +308,18 @@ class PacedHands(Hands):
         gesture = gripped(hurried(play.gesture, max(self.ramp, voice.time - begin)))
         return replace(play, time=max(voice.time, begin - gesture.start), gesture=gesture)
 
-    def _lay(self, voice: Voice, own: Assigned, play: Play, bend: float) -> None:
+    def _lay(self, voice: Voice, assigned: Assigned, play: Play, bend: float) -> None:
         """Stop a string for a note's gesture now; its slides and bends follow."""
-        line, begin = self.lines[own.string], self.now * self.dt
+        string, begin = self.strings[assigned.string], self.now * self.dt
         voice.began = self.now
-        if line.voice is not None:
-            line.voice.string = None
+        if string.voice is not None:
+            string.voice.string = None
         # the bend follows while the pluck is prepared
-        line.cents, line.wanted = own.cents, own.cents + bend
-        first, *later = stopped(own, play, own.string, self.model, own.cents)
-        line.later.clear()
+        string.cents, string.wanted = assigned.cents, assigned.cents + bend
+        first, *later = stopped(assigned, play, assigned.string, self.model, assigned.cents)
+        string.later.clear()
         for change in sorted(later, key=lambda c: c.time):
-            line.later.append((math.floor(change.time / self.tick + 1e-6) * GRID, change))
-        self.dampers.press(own.string)
+            string.later.append((math.floor(change.time / self.tick + 1e-6) * GRID, change))
+        self.dampers.press(assigned.string)
         self._change(replace(first, time=max(first.time, begin) if voice.time > begin else begin))
         self.move_dampers()

@@ -152,10 +152,10 @@ class Player:
 
     def note_off(self, note: float, channel: int = 0) -> bool:
         """Release the key that was struck first of those of this pitch on the channel; whether there was one."""
-        held = self.keys.held.get((channel, note))
-        if not held:
+        voices = self.keys.held.get((channel, note))
+        if not voices:
             return False
-        self.release(held[0])
+        self.release(voices[0])
         return True
 
     def release(self, voice: Voice) -> None:
@@ -180,9 +180,9 @@ class Player:
         """Bend the notes of a channel, or all, to so many cents above their pitches; rounded to a whole one."""
         for at in range(16) if channel is None else (channel,):
             self.controls[at, "bend"] = round(cents)
-        for line in self.hands.lines.values():
-            if line.voice is not None and channel in (None, line.voice.note.channel or 0):
-                line.wanted = self._cents(line.voice)
+        for string in self.hands.strings.values():
+            if string.voice is not None and channel in (None, string.voice.note.channel or 0):
+                string.wanted = self._cents(string.voice)
 
     def all_off(self, channel: int | None = None, *, pedalled: bool = False) -> None:
         """Release all keys of a channel, or of all; with `pedalled` also the notes that the pedal holds."""
@@ -201,14 +201,14 @@ class Player:
     @property
     def n_sounding(self) -> int:
         """Strings with a note whose key or pedal is held."""
-        return sum(line.voice is not None for line in self.hands.lines.values())
+        return sum(string.voice is not None for string in self.hands.strings.values())
 
     def _tick(self, now: int) -> None:
         """Decide what is done at a point of the grid."""
         hands = self.hands
-        for line in hands.lines.values():
-            if line.voice is not None and hands.is_sustained(line.voice):
-                hands.go_on(line.voice)
+        for string in hands.strings.values():
+            if string.voice is not None and hands.is_sustained(string.voice):
+                hands.go_on(string.voice)
         while (voice := self.keys.due(self.keys.falling, self._waits)) is not None and voice.string is not None:
             hands.dampers.release(voice.string)
         hands.move_dampers()
@@ -238,8 +238,8 @@ class Player:
         return with_force(replace(note, technique=technique), self.model, loudness(latest))
 
     def _cents(self, voice: Voice) -> float:
-        own = voice.assigned.cents if voice.assigned is not None else 0.0
-        return own + self.controls.get((voice.note.channel or 0, "bend"), 0.0)
+        cents = voice.assigned.cents if voice.assigned is not None else 0.0
+        return cents + self.controls.get((voice.note.channel or 0, "bend"), 0.0)
 
     def _drop(self, voice: Voice, drop: Dropped) -> None:
         self.counters.dropped[drop.reason] += 1
@@ -277,8 +277,8 @@ class Player:
         )
         lost = {i for i, _ in dropped}
         kept = [i for i in range(len(fresh)) if i not in lost]
-        for i, own in zip(kept, assigned, strict=True):
-            fresh[i].assigned = replace(own, note=notes[i], stop=own.stop + self.capo)
+        for i, choice in zip(kept, assigned, strict=True):
+            fresh[i].assigned = replace(choice, note=notes[i], stop=choice.stop + self.capo)
         for i, drop in dropped:
             self._drop(fresh[i], drop)
 
@@ -289,12 +289,12 @@ class Player:
 
     def _started(self, voice: Voice) -> bool:
         """Begin a note on its string; whether it can be played there."""
-        own, channel = voice.assigned, voice.note.channel or 0
-        assert own is not None
+        assigned, channel = voice.assigned, voice.note.channel or 0
+        assert assigned is not None
         values = event_values(voice.note, self.model, lambda kind: self.controls.get((channel, kind)))
         if "from_bridge" in values:
             values["from_bridge"] = rounded(values["from_bridge"])
-        before = self.hands.lines[own.string].voice
+        before = self.hands.strings[assigned.string].voice
         try:
             self.hands.begin(voice, values, self.controls.get((channel, "bend"), 0.0))
         except TonewoodError as fault:

@@ -84,15 +84,15 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
     pedals, pedal_warnings = pedal_moves(model, score.controls)
     hands, played = Hands(model, capo, pedals, score.place), list[Assigned]()
     for numbered in _by_string(assignment.notes, model, capo):
-        line = [assigned for _, assigned in numbered]
+        notes_of_string = [assigned for _, assigned in numbered]
         gestures = []
-        for (i, own), following in zip_longest(numbered, line[1:]):
+        for (i, own), following in zip_longest(numbered, notes_of_string[1:]):
             voice = Voice(i, own.note, assigned=own, duration=_duration(own, following, model))
             voice.bends = bends.get(own.note.channel, voice.bends)
             gestures.append(hands.begin(voice, event_values(own.note, model, controllers.of(own.note))))
         hands.finish(voice)
-        hands.plays += noises(line, gestures, model, capo)
-        played += line
+        hands.plays += noises(notes_of_string, gestures, model, capo)
+        played += notes_of_string
     decided = hands.taken()
     plays = [*(tap for tap in body if tap is not None), *decided.plays]
     dropped = [*score.dropped, *assignment.dropped]
@@ -191,16 +191,16 @@ def playable(model: Model, capo: int = 0) -> list[PlayableString]:
     ]
 
 
-def _glided(line: Sequence[Control], tick: float) -> list[Control]:
+def _glided(bends: Sequence[Control], tick: float) -> list[Control]:
     """Return the bends with leaps drawn out to steps, one per `tick` (s), at no more than the greatest rate.
 
     Steps on the way are multiples of that rate, so that leaps there and back share the bases of their strings.
     """
     out: list[Control] = []
     value, step = 0.0, BEND_RATE * tick
-    for i, control in enumerate(line):
+    for i, control in enumerate(bends):
         time = control.time
-        until = line[i + 1].time if i + 1 < len(line) else math.inf
+        until = bends[i + 1].time if i + 1 < len(bends) else math.inf
         while value != control.value and time < until:
             way = control.value - value
             on_grid = step * (math.floor(value / step + 1e-9) + 1 if way > 0 else math.ceil(value / step - 1e-9) - 1)

@@ -107,9 +107,9 @@ class HeldKeys:
             return None
         if (before := self.pedalled.pop(key, None)) is not None:
             self.end(before)
-        held = self.held.setdefault(key, [])
-        held.append(voice)
-        return held[0] if len(held) > _STRUCK else None
+        voices = self.held.setdefault(key, [])
+        voices.append(voice)
+        return voices[0] if len(voices) > _STRUCK else None
 
     def release(self, voice: Voice, *, pedal: bool) -> None:
         """Release the key of a note, which ends unless the pedal holds it; that holds one note a key."""

@@ -284,17 +284,17 @@ class _Gpif:
                 for n, pitch in zip(range(len(self.tuning), 0, -1), self.tuning, strict=True)
             ]
         notes = [self._entry("Note", n) for n in listed]
-        found = [n for n in (self._note(e, every) for e in notes if e is not None) if n is not None]
+        sounding = [n for n in (self._note(e, every) for e in notes if e is not None) if n is not None]
         brush = text_of(values.get("Brush"), "Direction") or text_of(beat, "Arpeggio")
         rasgueado = text_of(values.get("Rasgueado"), "Rasgueado").partition("_")
         if rasgueado[0] in RASGUEADOS:
-            return self._rasgueado(found, RASGUEADOS[rasgueado[0]], rasgueado[2] == "2")
+            return self._rasgueado(sounding, RASGUEADOS[rasgueado[0]], rasgueado[2] == "2")
         self.ignored["rasgueado that is not known"] += bool(rasgueado[0])
         if not brush:
-            return found
+            return sounding
         ticks = [text_of(x, "Int") for x in beat.findall("XProperties/XProperty") if x.get("id") == _BRUSH_TIME]
         spread = whole(ticks[0] if ticks else "", 0, 2 * _QUARTER)
-        return strummed(found, brush == "Up", Fraction(_BRUSH if spread is None else spread, _QUARTER))
+        return strummed(sounding, brush == "Up", Fraction(_BRUSH if spread is None else spread, _QUARTER))
 
     def _rasgueado(self, notes: list[WrittenNote], fingers: str, anapaest: bool) -> list[WrittenNote]:
         """Strokes of several fingers, one after the other in the time of a beat; each is a brush of a quarter of it."""
@@ -369,8 +369,8 @@ class _Gpif:
 
 def _program(text: str) -> int | None:
     """Program of General MIDI, from 1, of one that is counted from 0."""
-    found = whole(text, 0, 127)
-    return None if found is None else found + 1
+    program = whole(text, 0, 127)
+    return None if program is None else program + 1
 
 
 def _on(value: Element | None) -> bool:
@@ -400,8 +400,8 @@ def _curve(text: Callable[[str], str]) -> Curve:
     """Course through an origin, a middle that is held between two places, and a destination."""
 
     def value(name: str, default: float) -> float:
-        found = number(text(name), -_BENDS, _BENDS)
-        return default if found is None else found
+        reading = number(text(name), -_BENDS, _BENDS)
+        return default if reading is None else reading
 
     points = [(value("OriginOffset", 0.0), value("OriginValue", 0.0))]
     if number(text("MiddleValue"), -_BENDS, _BENDS) is not None:

@@ -395,7 +395,7 @@ class _PartReader:
     def _steps(self, element: Element) -> tuple[int, int]:
         """Semitones down and up to the neighbours of a note in its key, or by an accidental at its ornament."""
         letter = text_of(element, "pitch/step")
-        own = _STEPS[letter] + round(number_of(element, "pitch/alter", 0.0))
+        pitch = _STEPS[letter] + round(number_of(element, "pitch/alter", 0.0))
         out = []
         for way in (-1, 1):
             other = _LETTERS[(_LETTERS.index(letter) + way) % 7]
@@ -404,7 +404,7 @@ class _PartReader:
             for mark in element.findall("notations/ornaments/accidental-mark"):
                 if (mark.get("placement") == "below") == (way < 0):
                     alter = {"sharp": 1, "natural": 0, "flat": -1}.get((mark.text or "").strip(), alter)
-            step = (_STEPS[other] + alter - own) * way % 12
+            step = (_STEPS[other] + alter - pitch) * way % 12
             out.append(step if 0 < step < 5 else 2)
         return out[0], out[1]
 
@@ -416,11 +416,11 @@ class _PartReader:
         if self.tuning and "harmonic" not in note.signs:
             # the fret counts from the capo, or from the nut
             left = note.pitch - self.tuning.get(int(string), -1e3)
-            found = [left - self.part.capo] if left in (fret, fret + self.part.capo) else []
-            if not found:
+            frets = [left - self.part.capo] if left in (fret, fret + self.part.capo) else []
+            if not frets:
                 self.music.ignored["string and fret that have another pitch than the note"] += 1
                 return replace(note, string=int(string))
-            fret = found[0]
+            fret = frets[0]
         return replace(note, string=int(string), fret=int(fret))
 
 
@@ -456,8 +456,8 @@ def _written_tempo(element: Element) -> float | None:
         said = re.search(r"\d+(\.\d+)?", text_of(metronome, "per-minute")[:40])
         return (number(said.group(0), 0.0, MOST) or 0.0) * unit or None if said else None
     for words in element.findall("direction-type/words"):
-        if (found := _TEMPO_WORDS.search((words.text or "")[:200])) is not None:
-            glyph, dot, beats = found.groups()
+        if (tempo_word := _TEMPO_WORDS.search((words.text or "")[:200])) is not None:
+            glyph, dot, beats = tempo_word.groups()
             return (number(beats, 0.0, MOST) or 0.0) * _GLYPHS.get(glyph, 1.0) * (1.5 if dot else 1.0) or None
     return None
 

@@ -194,8 +194,8 @@ def _archive(data: bytes, path: Path) -> zipfile.ZipFile:
 
 def text_of(element: Element | None, path: str, default: str = "") -> str:
     """Text of a descendant."""
-    found = None if element is None else element.find(path)
-    return default if found is None or found.text is None else found.text.strip()
+    child = None if element is None else element.find(path)
+    return default if child is None or child.text is None else child.text.strip()
 
 
 def number_of(element: Element | None, path: str, default: float, low: float = -MOST, high: float = MOST) -> float:

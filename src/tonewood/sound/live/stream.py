@@ -136,8 +136,8 @@ class AudioStream:
             raise TonewoodError(f"is {ahead!r} blocks; 1 to 4096 are allowed", key="ahead")
         if not 1 <= block_size <= 1 << 20:
             raise TonewoodError(f"is {block_size!r} frames; 1 to {1 << 20} are allowed", key="block_size")
-        own = isinstance(source, Live | Renderer)
-        if own == (fs is not None or n_channels is not None):
+        is_ours = isinstance(source, Live | Renderer)
+        if is_ours == (fs is not None or n_channels is not None):
             raise TypeError("fs and n_channels are given with an iterable of blocks, and only then")
         self.fs: int = source.fs if isinstance(source, Live | Renderer) else fs or 0
         channels = len(source.channels) if isinstance(source, Live | Renderer) else n_channels or 0
@@ -301,19 +301,19 @@ class AudioStream:
 
     def _chained(self) -> Iterator[Floats]:
         """Yield blocks of `block_size` frames out of the chain, the last one shorter."""
-        held = np.zeros((0, 0))
+        pending = np.zeros((0, 0))
         for block in self._source:
             for processor in self._chain:
                 block = np.asarray(processor(block, self.fs), dtype=np.float64)
-            if not len(held) and len(block) == self.block_size:
+            if not len(pending) and len(block) == self.block_size:
                 yield block
                 continue
-            held = np.concatenate([held, block]) if len(held) else block
-            while len(held) >= self.block_size:
-                yield held[: self.block_size]
-                held = held[self.block_size :]
-        if len(held):
-            yield held
+            pending = np.concatenate([pending, block]) if len(pending) else block
+            while len(pending) >= self.block_size:
+                yield pending[: self.block_size]
+                pending = pending[self.block_size :]
+        if len(pending):
+            yield pending
 
     def _take_calls(self) -> None:
         for call in self._calls.due(self._blocks_made * self.block_size):
