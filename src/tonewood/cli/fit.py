@@ -33,7 +33,7 @@ def fit(
         list[Path],
         typer.Argument(
             metavar="FILES",
-            help="responses (.csv, .npz, .mat, .uff), or hammer hits, one a file (.wav, .csv)",
+            help="responses (.csv, .txt, .npz, .mat, .uff), or hammer hits, one a file (.wav, .csv, .txt)",
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FOLDER", help="folder to write")],
@@ -50,7 +50,7 @@ def fit(
         list[str] | None,
         typer.Option(
             metavar="NAME[=BEGIN]",
-            help="point that was driven: in all files, in WAV files whose names begin so, or called so as a reference",
+            help="point that was driven: in all files, in hits whose names begin so, or called so as a reference",
         ),
     ] = None,
     array: Annotated[
@@ -64,11 +64,14 @@ def fit(
     ] = None,
     drop: Annotated[str | None, typer.Option(metavar="HZ,...", help="frequencies of modes that are not wanted")] = None,
     points: Annotated[
-        str | None, typer.Option(metavar="NAMES", help="WAV: points of channels 2 on, by commas; NAME_Pa: microphone")
+        str | None, typer.Option(metavar="NAMES", help="hits: points of channels 2 on, by commas; NAME_Pa: microphone")
     ] = None,
     sensitivity: Annotated[
         str | None,
-        typer.Option(metavar="NUMBERS", help="WAV: N, then m/s^2 (m/s, m, Pa) at full scale, by commas"),
+        typer.Option(
+            metavar="NUMBERS",
+            help="hits: N, then m/s^2 (m/s, m, Pa) at full scale of WAV, per unit of texts, by commas",
+        ),
     ] = None,
     point: Annotated[
         list[str] | None,

@@ -604,6 +604,21 @@ def test_a_pilot_s_spread_is_of_listeners_sounds_and_pairs() -> None:
     assert sounds.count == 5
 
 
+def test_power_counts_those_whom_the_screening_leaves_out() -> None:
+    """With nobody left out it is that of the pilot's spread; with half of them it is near that of half as many."""
+    pilot = np.repeat(np.random.default_rng(8).normal(50, 6, (200, 2)), 2, axis=0)  # half of them are as all are
+    effects, half = np.array([0.0, 5.0]), np.arange(400) % 2 == 0
+
+    def plain(n: int) -> float:
+        return float(power.rating_power(effects, np.cov(pilot, rowvar=False), n, 0.05)[0])
+
+    whole = power.screened_power(pilot, np.ones(400, dtype=bool), effects, 20, 0.05)[0]
+    assert whole == pytest.approx(plain(20), abs=0.04)
+    screened = power.screened_power(pilot, half, effects, 40, 0.05)[0]
+    assert screened < plain(20) + 0.03  # standard error 1 %
+    assert screened == pytest.approx(plain(20), abs=0.1)
+
+
 def test_power_takes_a_pilot_s_answers(tmp_path: Path) -> None:
     page = {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}, "expect": 10.0}
     test = fakes.made(tmp_path, [page])
