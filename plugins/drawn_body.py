@@ -81,16 +81,16 @@ class WoodParameters(Parameters):
     def _known(self) -> WoodParameters:
         if self.species is not None and self.species not in plate.SPECIES:
             raise ValueError(f"there is no species {self.species!r}; there are {', '.join(plate.SPECIES)}")
-        given = {k: v for k, v in self.model_dump().items() if v is not None}
-        missing = [k for k in ("E_L", "E_R", "G_LR", "nu_LR", "density") if k not in given]
+        values = {k: v for k, v in self.model_dump().items() if v is not None}
+        missing = [k for k in ("E_L", "E_R", "G_LR", "nu_LR", "density") if k not in values]
         if self.species is None and missing:
             raise ValueError(f"a species, or {missing[0]} too, is wanted")
         if self.species is None and (self.G_LT is None) != (self.G_RT is None):
             raise ValueError("G_LT and G_RT are wanted together, or neither: the plate then does not shear")
-        made = self.wood()
-        if made.E_R * made.nu_LR**2 >= made.E_L:
+        wood = self.wood()
+        if wood.E_R * wood.nu_LR**2 >= wood.E_L:
             raise ValueError(
-                f"E_R nu_LR^2 is {made.E_R * made.nu_LR**2:.4g}; less than E_L = {made.E_L:.4g} is allowed"
+                f"E_R nu_LR^2 is {wood.E_R * wood.nu_LR**2:.4g}; less than E_L = {wood.E_L:.4g} is allowed"
             )
         return self
 
@@ -330,14 +330,14 @@ class DrawnBody(Body[DrawnBodyParameters]):
 
     def _inputs(self) -> dict[str, Any]:
         """All that decides on the modes: parameters, and the hash of every file of the drawing."""
-        p, found = self.parameters, []
+        p, hashes = self.parameters, []
         plates = [p] if isinstance(p.back, str) else [p, p.back]
         names = [p.outline.table, p.outline.svg.file if p.outline.svg else None]
         names += [q.thickness.table for q in plates if isinstance(q.thickness, ThicknessMap)]
         for name in names:
             if name is not None:
-                found.append(hashlib.sha256(self.files.path(name, self.key).read_bytes()).hexdigest())
-        return {"body": p.model_dump(mode="json"), "files": found}
+                hashes.append(hashlib.sha256(self.files.path(name, self.key).read_bytes()).hexdigest())
+        return {"body": p.model_dump(mode="json"), "files": hashes}
 
     def mass(self) -> float:
         """Top and back with braces and bridge."""
@@ -392,8 +392,8 @@ class DrawnBody(Body[DrawnBodyParameters]):
         """T1 (Hz) on a hinged and on a clamped edge; 0 where there is none."""
 
         def computed() -> dict[str, Floats]:
-            found = plate.first_modes(self.drawing, [plate.Edge(np.inf, 0.0), plate.Edge(np.inf, np.inf)])
-            return {"T1": np.array([f.get("T1", 0.0) for f in found])}
+            modes = plate.first_modes(self.drawing, [plate.Edge(np.inf, 0.0), plate.Edge(np.inf, np.inf)])
+            return {"T1": np.array([f.get("T1", 0.0) for f in modes])}
 
         hinged, clamped = cached_arrays({"edges": self._inputs()}, computed)["T1"]
         return float(hinged), float(clamped)
@@ -460,23 +460,23 @@ class DrawnBody(Body[DrawnBodyParameters]):
         cell = self.parameters.cell or 0.0
         return plate.PlateDrawing(p.wood.wood(), self._thickness(p.thickness), edge, made, grain, cell)
 
-    def _thickness(self, given: float | ThicknessMap) -> Any:
-        if isinstance(given, float):
-            return given
+    def _thickness(self, thickness: float | ThicknessMap) -> Any:
+        if isinstance(thickness, float):
+            return thickness
         from scipy.interpolate import RegularGridInterpolator
 
-        table = self.files.table(given.table, f"{self.key}.thickness.table")
+        table = self.files.table(thickness.table, f"{self.key}.thickness.table")
         missing = [name for name in ("x", "y", "h") if name not in table]
         if missing:
-            raise self.fault(f"{given.table}: no column {missing[0]!r}", "thickness.table")
+            raise self.fault(f"{thickness.table}: no column {missing[0]!r}", "thickness.table")
         x, y = np.unique(table["x"]), np.unique(table["y"])
         order = np.lexsort((table["y"], table["x"]))
         whole = len(order) == len(x) * len(y) and len(x) > 1 < len(y)
         if not whole or not np.array_equal(table["y"][order].reshape(len(x), -1), np.tile(y, (len(x), 1))):
-            raise self.fault(f"{given.table}: a full grid of x and y is wanted", "thickness.table")
+            raise self.fault(f"{thickness.table}: a full grid of x and y is wanted", "thickness.table")
         h = table["h"][order].reshape(len(x), len(y))
         if h.min() < 1e-4 or h.max() > 0.1:
-            raise self.fault(f"{given.table}: h from 0.0001 to 0.1 m is allowed", "thickness.table")
+            raise self.fault(f"{thickness.table}: h from 0.0001 to 0.1 m is allowed", "thickness.table")
         between = RegularGridInterpolator((x, y), h)
         low, high = np.array([x[0], y[0]]), np.array([x[-1], y[-1]])
         return lambda places: between(np.clip(places, low, high))
@@ -520,8 +520,8 @@ class DrawnBody(Body[DrawnBodyParameters]):
             raise self.fault(f"{p.svg.file}: {fault}", "outline.svg.file") from None
         named = [e for e in paths if p.svg.id in (None, e.get("id"))]
         if not named:
-            known = ", ".join(e.get("id") or "(no id)" for e in paths) or "none"
-            raise self.fault(f"{p.svg.file}: there is no path {p.svg.id!r}; there are {known}", "outline.svg.id")
+            names = ", ".join(e.get("id") or "(no id)" for e in paths) or "none"
+            raise self.fault(f"{p.svg.file}: there is no path {p.svg.id!r}; there are {names}", "outline.svg.id")
         try:
             ring = svg_ring(named[0].get("d") or "")
         except ValueError as fault:

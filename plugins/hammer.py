@@ -90,8 +90,8 @@ class Hammer(Exciter[HammerParameters]):
 
     def attach(self, name: str, site: Site) -> Attached:
         """Return the felt on each string, and one mass for all strings of a key."""
-        p, own = self.parameters, f"{site.leader}.{name}"
-        terms = (*site.motion("pluck", unit_vector(p.direction)), Term(f"{own}.head", "mass", -1.0))
+        p, point = self.parameters, f"{site.leader}.{name}"
+        terms = (*site.motion("pluck", unit_vector(p.direction)), Term(f"{point}.head", "mass", -1.0))
         if len(terms) < 2:
             raise self.fault(f"string {site.string} does not move in this direction", "direction")
         felt = Contact(p.stiffness, p.exponent, p.loss, offset=-p.clearance)
@@ -101,9 +101,9 @@ class Hammer(Exciter[HammerParameters]):
             return Attached(connections=connections, resting=resting)
         omega = 2 * math.pi * p.return_freq
         return Attached(
-            components={f"{own}.head": loose_mass(p.mass, omega, p.return_damping * omega)},
+            components={f"{point}.head": loose_mass(p.mass, omega, p.return_damping * omega)},
             connections=connections,
-            inputs={f"{own}.push": ((f"{own}.head", "mass", 1.0),)},
+            inputs={f"{point}.push": ((f"{point}.head", "mass", 1.0),)},
             resting=resting,
         )
 

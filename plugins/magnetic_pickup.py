@@ -91,8 +91,8 @@ class MagneticPickup(Pickup[MagneticPickupParameters]):
         p = self.parameters
         over = [point for point in scene.string_points if p.at in (point, point.partition(".")[2])]
         if not over:
-            known = sorted({point.partition(".")[2] for point in scene.string_points})
-            raise self.fault(f"no string has a point {p.at!r}; there are {', '.join(known)}", "at")
+            points = sorted({point.partition(".")[2] for point in scene.string_points})
+            raise self.fault(f"no string has a point {p.at!r}; there are {', '.join(points)}", "at")
         if p.gap is None:
             terms = tuple(term for point in over for term in _terms(scene, point, 2))
             return PickupRows((Readout(f"{name}.voltage", "velocity", terms),), conversion=self._conversion(None))

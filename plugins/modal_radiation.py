@@ -31,11 +31,13 @@ from tonewood.authoring import (
     Drive,
     Microphones,
     ModalBasis,
+    MovedMode,
     Parameters,
     PickupRows,
     Scene,
     described,
     quantity,
+    with_moved_modes,
 )
 
 
@@ -52,6 +54,7 @@ class ModalRadiationParameters(Parameters):
         "1 if the table counts a force out of the soundboard (+z) as positive, -1 if into it", default=1
     )
     residue_fs: float | None = quantity("Hz", low=1e3, default=None, doc="rate of a discrete fit")
+    moved_modes: list[MovedMode] = described("modes of the table with another frequency and Q", default=[])
     low_cut: float | None = quantity(
         "Hz", low=1.0, high=200.0, default=None, doc="second-order high-pass below the range of the fit"
     )
@@ -107,9 +110,13 @@ class ModalRadiation(Microphones[ModalRadiationParameters]):
             raise self.fault(f"{p.table}: no column {missing[0]!r}; there are {', '.join(table)}", "table")
         if np.any(table["f_Hz"] <= 0) or np.any(table["Q"] <= 0):
             raise self.fault(f"{p.table}: f_Hz and Q must be above 0", "table")
-        keep = table["f_Hz"] < freq_upper
-        freq = table["f_Hz"][keep]
-        poles = np.pi * freq * (-1 / table["Q"][keep] + 2j)
+        try:
+            freq, quality = with_moved_modes(table["f_Hz"], table["Q"], p.moved_modes)
+        except ValueError as fault:
+            raise self.fault(f"{p.table}: {fault}", "moved_modes") from None
+        keep = freq < freq_upper
+        freq, quality = freq[keep], quality[keep]
+        poles = np.pi * freq * (-1 / quality + 2j)
         gain = np.ones_like(poles) if p.residue_fs is None else poles / np.expm1(poles / p.residue_fs)
         residues = {
             (c, point): (table[f"{c}{m}_re"] + 1j * table[f"{c}{m}_im"])[keep] * gain

@@ -32,6 +32,7 @@ from tonewood.authoring import (
     BodyPoint,
     Direction,
     ModalBasis,
+    MovedMode,
     Number,
     Parameters,
     PassivityError,
@@ -42,6 +43,7 @@ from tonewood.authoring import (
     repair_basis,
     unit_vector,
     with_damping_case,
+    with_moved_modes,
 )
 
 Floats = NDArray[np.float64]
@@ -105,6 +107,7 @@ class ModalTableParameters(Parameters):
         "points: all makes every further column of the table a point along z", default="named"
     )
     reference: str | None = described("residues: the point at which the table's responses were driven", default=None)
+    moved_modes: list[MovedMode] = described("modes of the table with another frequency and Q", default=[])
     truncation: Truncation = described("compliance of modes that are not in the table", default=Truncation())
     damping_case: Literal["complex", "proportional", "block"] = described(
         "complex: modes as they are; proportional: falsely complex; block: damping couples near modes only",
@@ -145,8 +148,8 @@ class ModalTable(Body[ModalTableParameters]):
         if p.columns == "named":
             return p.points
         taken = {"f_Hz", "Q", "zeta", "modal_mass", *(point.column for point in p.points.values())}
-        found = [name for name in self.files.table(p.table, f"{self.key}.table") if name not in taken]
-        return {**{name: Point() for name in found}, **p.points}
+        names = [name for name in self.files.table(p.table, f"{self.key}.table") if name not in taken]
+        return {**{name: Point() for name in names}, **p.points}
 
     def basis(self, freq_upper: float) -> ModalBasis:
         """Modes below `freq_upper` (Hz).
@@ -158,17 +161,20 @@ class ModalTable(Body[ModalTableParameters]):
         """
         p = self.parameters
         table = self.files.table(p.table, f"{self.key}.table")
-        freq_rad = 2 * np.pi * self._column(table, "f_Hz")
+        freq = self._column(table, "f_Hz")
         most = MOST_COMPLEX_MODES if p.shapes == "complex" else MOST_MODES
-        if freq_rad.size > most:
-            raise self.fault(f"{p.table}: {freq_rad.size} modes; {most} are allowed", "table")
+        if freq.size > most:
+            raise self.fault(f"{p.table}: {freq.size} modes; {most} are allowed", "table")
         if ("Q" in table) == ("zeta" in table):
             raise self.fault(f"{p.table}: one column Q or zeta is wanted", "table")
         damping = self._column(table, "Q") if "Q" in table else table["zeta"]
-        if np.any(freq_rad <= 0) or np.any(damping <= 0):
+        if np.any(freq <= 0) or np.any(damping <= 0):
             raise self.fault(f"{p.table}: frequencies and Q or zeta must be above 0", "table")
         with np.errstate(over="ignore"):
             zeta = 0.5 / damping if "Q" in table else damping
+        if p.moved_modes:
+            freq, zeta = self._moved(freq, zeta)
+        freq_rad = 2 * np.pi * freq
         if freq_rad.min() < 1e-3 or freq_rad.max() > 1e8 or zeta.min() < 1e-12 or zeta.max() > 1e4:
             raise self.fault(
                 f"{p.table}: frequencies from 1 mHz to 10 MHz, zeta from 1e-12 to 1e4 are allowed", "table"
@@ -204,6 +210,14 @@ class ModalTable(Body[ModalTableParameters]):
         shapes = np.array([basis.right[basis.index(name)].real for name in heard])
         places = np.array([p.place for p in heard.values()], dtype=np.float64)
         return plate.Sources(places, (areas * signs)[:, None] * shapes, baffled=False)
+
+    def _moved(self, freq: Floats, zeta: Floats) -> tuple[Floats, Floats]:
+        """Frequencies and damping ratios with those that the bundle moves."""
+        try:
+            freq, quality = with_moved_modes(freq, 0.5 / zeta, self.parameters.moved_modes)
+        except ValueError as fault:
+            raise self.fault(f"{self.parameters.table}: {fault}", "moved_modes") from None
+        return freq, 0.5 / quality
 
     def _column(self, table: Mapping[str, Floats], name: str) -> Floats:
         if name not in table:
@@ -278,8 +292,8 @@ class ModalTable(Body[ModalTableParameters]):
 
     def _residual(self) -> Floats:
         points = self._named
-        given, n = self.parameters.truncation.residual_compliance, len(points)
-        value = np.asarray(given, dtype=np.float64)
+        compliance, n = self.parameters.truncation.residual_compliance, len(points)
+        value = np.asarray(compliance, dtype=np.float64)
         if value.ndim == 0:
             out = float(value) * np.eye(n)
         elif value.shape == (3,) and self.parameters.shapes == "heave_rock":

@@ -69,7 +69,7 @@ class Plectrum(Exciter[PlectrumParameters]):
 
     def attach(self, name: str, site: Site) -> Attached:
         """The tip, and the friction between it and the string."""
-        p, own = self.parameters, f"{site.string}.{name}"
+        p, point = self.parameters, f"{site.string}.{name}"
         terms = site.motion("pluck", unit_vector(p.direction))
         if not terms:
             raise self.fault(f"string {site.string} does not move in this direction", "direction")
@@ -77,16 +77,16 @@ class Plectrum(Exciter[PlectrumParameters]):
         # for a limit of 1 N: the scale of the partner's motion is then the force of slip in N
         law = Friction(1.0, 1.0, p.dynamic, p.slip_speed, residual=True)
         return Attached(
-            components={f"{own}.tip": loose_mass(p.mass, omega, p.damping * omega)},
-            connections=(Connection(f"{own}.edge", (*terms, Term(f"{own}.tip", "mass", -1.0)), law),),
-            inputs={f"{own}.spring": ((f"{own}.tip", "mass", 1.0),)},
-            resting=(f"{own}.edge",),
+            components={f"{point}.tip": loose_mass(p.mass, omega, p.damping * omega)},
+            connections=(Connection(f"{point}.edge", (*terms, Term(f"{point}.tip", "mass", -1.0)), law),),
+            inputs={f"{point}.spring": ((f"{point}.tip", "mass", 1.0),)},
+            resting=(f"{point}.edge",),
         )
 
     def gesture(self, event: Event, place: Place) -> Gesture:
         """The hand moves on for `leave` after the slip and stays until the tip is at rest."""
         p = self.adjusted(event.values)
-        own, x = f"{place.name}.{self.name}", metres(p.from_bridge, place)
+        point, x = f"{place.name}.{self.name}", metres(p.from_bridge, place)
         compliance = x * (place.length - x) / (place.tension * place.length) if place.tension > 0 else 0.0
         travel = p.force * (1 / p.stiffness + compliance)
         drawn = travel / p.speed
@@ -107,5 +107,5 @@ class Plectrum(Exciter[PlectrumParameters]):
             Segment(start, 0.0, p.force),
             *smooth_step(0.0, p.leave, p.force, 0.0),
         )
-        motions = (Motion(f"{own}.edge", "scale", pressed),)
-        return Gesture(pull, x, on=f"{own}.spring", motions=motions)
+        motions = (Motion(f"{point}.edge", "scale", pressed),)
+        return Gesture(pull, x, on=f"{point}.spring", motions=motions)

@@ -31,7 +31,7 @@ LOWEST = 50.0
 
 @dataclass(frozen=True)
 class Measured:
-    """A file, how it is read, and its band."""
+    """Files of one body (a pattern of names), how they are read, and their band."""
 
     name: str
     reading: Reading
@@ -45,6 +45,15 @@ FILES = (
     Measured("measurement.uff", Reading()),
     Measured("measurement.uff", Reading(), (20.0, None)),
     Measured("point_1.txt", Reading("receptance"), (20.0, 2000.0)),
+    Measured(
+        "Point1_Channel1_CH1.txt", Reading("accelerance", points=("p1",), references=(("p1", ""),)), (50.0, 3000.0)
+    ),
+    Measured(
+        "Hxysv0000[149].txt", Reading("accelerance", scale=-1.0, references=(("Hxysv00004", ""),)), (65.0, 1000.0)
+    ),
+    Measured("H00.mat", Reading("receptance")),
+    Measured("H2.mat", Reading("receptance", arrays=("H21",)), (None, 7000.0)),
+    Measured("FRF_noise.mat", Reading("receptance"), (1.0, 420.0)),
     Measured("lms_FRF.mat", Reading("mobility")),
     Measured("ds_FRF.csv", Reading(), (1.0, 160.0)),
     *(Measured(f"plate_{n}.npz", Reading("accelerance"), (30.0, 700.0)) for n in ("1L", "2L", "3L")),
@@ -83,12 +92,12 @@ def by_sdypy(r: Responses, frequencies: list[float]) -> tuple[int, float, NDArra
 
 def row(measured: Measured, folder: Path) -> str | None:
     """Row of the table."""
-    path = folder / measured.name
-    if not path.exists():
+    paths = sorted(folder.glob(measured.name))
+    if not paths:
         return None
     start = time.process_time()
     try:
-        fit: Fit = fit_responses(read_responses([path], measured.reading), band=measured.band)
+        fit: Fit = fit_responses(read_responses(paths, measured.reading), band=measured.band)
     except TonewoodError as fault:
         return f"| {measured.name} | | {fault} | | | | | | | |"
     seconds = time.process_time() - start

@@ -116,6 +116,31 @@ def missing(options: argparse.Namespace) -> None:
         table(["population", "listeners", *HEAD], rows)
 
 
+def others(options: argparse.Namespace) -> None:
+    """Ratings of populations that the analyses were not chosen on."""
+    rows = []
+    for gaps, name, n in itertools.product(("", "20 % at random"), sim.OTHERS, (12, 20, 40)):
+        r = means(
+            options, lambda g, k, case=(n, name, gaps): astuple(sim.rating_rates(g, k, *case)), options.others, 1000,
+            "others", gaps, name, n,
+        )  # fmt: skip
+        rows.append([name, gaps or "none", str(n), *map(percent, r)])
+    table(["population", "missing", "listeners", *HEAD], rows)
+
+
+def choices(options: argparse.Namespace) -> None:
+    """Paired comparisons."""
+    rows = []
+    for sd, each, n in itertools.product((0.0, 1.0), (1, 4), (6, 12, 20)):
+        r = means(
+            options, lambda g, k, case=(n, each, sd): sim.choice_rates(g, k, *case), options.others, 500,
+            "choices", sd, each, n,
+        )  # fmt: skip
+        rows.append([f"{sd:g}", str(each), str(n), *map(percent, r)])
+    table(["sd of listeners' own values, logits", "answers to a pair", "listeners", "a level chosen more often",
+           "coverage"], rows)  # fmt: skip
+
+
 def sampled(options: argparse.Namespace) -> None:
     """Answers missing, sounds a random sample."""
     rows = []
@@ -226,11 +251,14 @@ def powers(options: argparse.Namespace) -> None:
 
 
 PARTS = {"ratings": ratings, "powers": powers, "sensitivities": sensitivities, "staircases": staircases,
-         "missing": missing, "sampled": sampled, "grades": grades}  # fmt: skip
+         "missing": missing, "others": others, "choices": choices, "sampled": sampled, "grades": grades}  # fmt: skip
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--experiments", type=int, default=5000, help="of ratings, for each seed")
+    parser.add_argument(
+        "--others", type=int, default=1000, help="of other populations and of paired comparisons, for each seed"
+    )
     parser.add_argument("--staircases", type=int, default=134, help="experiments with staircases, for each seed")
     parser.add_argument("--sensitivities", type=int, default=110, help="experiments with d', for each seed")
     parser.add_argument("--grades", type=int, default=200, help="experiments with grades, for each seed")

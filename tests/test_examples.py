@@ -150,12 +150,15 @@ def test_osc_server() -> None:
     instrument.receive("/note_on", "H2")
     instrument.receive("/volume", 3)
     instrument.receive("/bend")
+    instrument.receive("/note_on", "A2", 0)
     for call in stream._calls.due(0):
         call()
     assert np.abs(live.process(4000)).max() > 1e-4
     assert live.summary().notes == 1
     assert len(instrument.refused) == 3
-    assert "no address /volume" in instrument.refused
+    assert any(reason.startswith("no address /volume; there are /note_on") for reason in instrument.refused)
+    assert "/bend takes cents, channel" in instrument.refused
+    assert not live.player.n_sounding
 
 
 @pytest.mark.validate

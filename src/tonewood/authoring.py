@@ -56,6 +56,7 @@ from tonewood.instrument.contract.gestures import (
 from tonewood.instrument.contract.law_field import LossLaw
 from tonewood.instrument.contract.losses import Loss, StringData
 from tonewood.instrument.contract.microphones import Microphones
+from tonewood.instrument.contract.moved_modes import MovedMode, with_moved_modes
 from tonewood.instrument.contract.svg_path import svg_ring
 from tonewood.instrument.inspection.frequencies import partials, pitch, pitches
 from tonewood.instrument.model.assembly import Model, assemble
@@ -127,6 +128,7 @@ __all__ = [
     "Model",
     "Moment",
     "Motion",
+    "MovedMode",
     "Norms",
     "Number",
     "Parameters",
@@ -184,6 +186,7 @@ __all__ = [
     "unit_vector",
     "wavenumber",
     "with_damping_case",
+    "with_moved_modes",
     "with_partial_decays",
 ]
 

@@ -196,6 +196,37 @@ def test_names_the_file_system_cannot_hold_are_one_line(tonewood: Run, score: Pa
     assert_one_line(tonewood("render", score, "-i", "monochord", "-o", wav, *energy), tmp_path, "too long")
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["render", "\udcff.mid", "-i", "monochord", "-o", "o.wav"],
+        ["render", "a.mid", "-i", "monochord", "-o", "\udcff.wav"],
+        ["check", "monochord", "--set", "title=\udc80"], ["sample", "monochord", "-o", "\udcff.sfz"],
+    ],
+)  # fmt: skip
+def test_an_argument_that_is_not_utf_8_is_one_line(
+    tonewood: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: list[str]
+) -> None:
+    """Libraries of sound files end in tracebacks of such names, some after all samples were made."""
+    monkeypatch.chdir(tmp_path)
+    assert_one_line(tonewood(*command), tmp_path, "is not UTF-8")
+
+
+@pytest.mark.parametrize("text", ['"a\\ud83d"', '"\\udfb8"'])
+def test_half_a_surrogate_pair_in_a_bundle_or_manifest_is_one_line(tonewood: Run, tmp_path: Path, text: str) -> None:
+    """No such text can be printed or written to a file."""
+    assert tonewood("new", tmp_path / "own", "--from", "monochord")[0] == 0
+    file = tmp_path / "own" / "instrument.yaml"
+    lines = [f"title: {text}" if line.startswith("title:") else line for line in file.read_text().splitlines()]
+    file.write_text("\n".join(lines) + "\n")
+    for command in (["check", tmp_path / "own"], ["report", tmp_path / "own", "-o", tmp_path / "r.html"]):
+        code, out, err = tonewood(*command)
+        assert (code, out) == (2, "")
+        assert err.count("\n") == 1
+        assert "half a surrogate pair is no character" in err
+    assert not (tmp_path / "r.html").exists()
+
+
 def test_a_pitch_far_from_a_tension_that_stays_is_reported(tonewood: Run) -> None:
     """A string four times as light sounds an octave higher, at every stop."""
     change = settings("tuning.compensate=none", "strings.A2.linear_density=0.000375")

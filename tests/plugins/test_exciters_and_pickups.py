@@ -150,3 +150,29 @@ def test_pickup_faults() -> None:
         pickup(quantity="velocity")
     with pytest.raises(BundleError, match="quantity"):
         pickup(quantity="smell", at="body.p")
+
+
+@pytest.mark.parametrize(
+    ("name", "jump"),
+    [
+        ("pluck_ramp", 0.0), ("finger_pluck", 0.0), ("force_pulse", 0.0), ("bow", 0.0), ("stopping_finger", 0.0),
+        ("plectrum", 0.01),  # the hand stops at once when the tip is free
+    ],
+)  # fmt: skip
+def test_forces_and_motions_of_a_hand_begin_and_end_at_zero_and_do_not_jump(name: str, jump: float) -> None:
+    exciter = plugin(name).from_values({})
+    assert isinstance(exciter, Exciter)
+    for event in (Event(freq=220.0, duration=0.5), Event(freq=30.0, duration=0.02)):
+        gesture = exciter.gesture(event, Place("A2", 0.65, 2, 70.0))
+        courses = [course for course in (gesture.segments, *(m.segments for m in gesture.motions)) if course]
+        assert courses
+        assert min(course[0].start for course in courses) == gesture.start
+        for course in courses:
+            ends = [s.c0 + s.c1 * (s.stop - s.start) + s.c2 * (s.stop - s.start) ** 2 for s in course]
+            most = max(map(abs, ends))
+            assert most > 0
+            assert course[0].c0 == 0.0
+            assert abs(ends[-1]) < 1e-12 * most
+            for end, one, other in zip(ends, course, course[1:], strict=False):
+                assert other.start == pytest.approx(one.stop, abs=1e-12)
+                assert abs(other.c0 - end) <= max(jump, 1e-12) * most

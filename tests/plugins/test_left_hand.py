@@ -16,6 +16,7 @@ from scene import band_energy, instrument, play
 import tonewood as tw
 from tonewood.errors import BundleError
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.model import string_tuning
 from tonewood.instrument.model.assembly import assemble
 from tonewood.performance.engine.engine import Engine
 from tonewood.performance.player.playing import perform
@@ -121,6 +122,24 @@ def test_a_stopping_hand_without_force_gives_no_energy(model: str) -> None:
         start = next(i for i, e in enumerate(energies) if e == max(energies)) + 1
         assert start < 0.06 * FS / 64
         assert np.all(np.diff(energies[start:]) <= 1e-9 * max(energies))
+
+
+@pytest.mark.parametrize("model", ["ideal", "finger"])
+def test_no_stop_of_a_score_is_tuned_while_it_sounds(model: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    notes = [tw.Note(0.0, 0.1, string="A2", stop=1), tw.Note(0.1, 0.2, string="A2", stop=4.5, technique="slide")]
+    made, searches = assemble(monochord(model), FS), []
+    search = string_tuning.tune
+
+    def counted(*args: Any) -> Any:
+        searches.append(args[1])
+        return search(*args)
+
+    monkeypatch.setattr(string_tuning, "tune", counted)
+    engine = Engine(made, perform(tw.Score(notes), made).timeline)
+    before = len(searches)
+    assert before > 2
+    engine.advance(int(0.3 * FS / 64))
+    assert len(searches) == before
 
 
 def test_the_work_of_a_sliding_finger_is_bounded() -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import pickle
 from pathlib import Path
 
@@ -49,6 +50,9 @@ m: E2
         ("%YAML 1.1\n---\na: yes\n", "line", "YAML 1.2"),
         ("a: 1\n---\nb: 2\n", "line 2", "another document"),
         ("a: [1, 2\nb: 3\n", "line 2", ""),
+        ('a: 1\nb: "\\ud83d"\n', "line 2", "half a surrogate pair"),
+        ('a: {b: ["x\\udfb8 y"]}\n', "line 1", "half a surrogate pair"),
+        ('"\\ud800": 1\n', "line 1", "half a surrogate pair"),
         ("a: .nan\n", "a", "finite"),
         ("a: {b: [0, 1e999]}\n", "a.b.1", "finite"),
         ("- 1\n", "", "a list; a mapping"),
@@ -68,6 +72,12 @@ def test_refusals_are_one_line_with_a_place(text: str, place: str, words: str) -
     assert words in line
     assert "\n" not in line
     assert str(pickle.loads(pickle.dumps(caught.value))) == line
+
+
+def test_pairs_of_escapes_that_json_writes_are_one_character() -> None:
+    text = json.dumps({"a": "\U0001f3b8 in E", "\U0001f3b8": ["é"]})
+    assert "\\ud83c\\udfb8" in text
+    assert parse_yaml(text) == json.loads(text)
 
 
 def test_files(tmp_path) -> None:

@@ -146,19 +146,19 @@ def _target(
         need("plot", "matplotlib")
     listed = [name for name in (word.strip() for word in notes.split(",")) if name]
     with progress("searching", 1.0) as advance:
-        found = search(instrument, wanted, notes=listed, fs=fs, bandwidth=bandwidth, tell=advance)
+        frontier = search(instrument, wanted, notes=listed, fs=fs, bandwidth=bandwidth, tell=advance)
     from tonewood.lab.accuracy import target_report
 
-    if apply and found.cheapest is None:
+    if apply and frontier.cheapest is None:
         raise TonewoodError(f"no setting meets {target}; without --apply the nearest is named", key="--target")
     if plot is not None:
-        write_whole(plot, target_report.chart_png(found))
+        write_whole(plot, target_report.chart_png(frontier))
     if as_json:
-        print_json("accuracy-target", target_report.to_json(found))
-    elif found.cheapest is not None and apply:
-        print(found.cheapest.setting.words)
+        print_json("accuracy-target", target_report.to_json(frontier))
+    elif frontier.cheapest is not None and apply:
+        print(frontier.cheapest.setting.words)
     else:
-        print(target_report.summary(found))
+        print(target_report.summary(frontier))
         if plot is not None:
             print(plot)
 

@@ -177,6 +177,6 @@ def _print_report(report: Report) -> None:
     _print_rest(report)
 
 
-def _print_rest(found: BatchPlan | Report) -> None:
-    warn(list(found.notes))
-    print_faults(found.faults, "conditions")
+def _print_rest(overview: BatchPlan | Report) -> None:
+    warn(list(overview.notes))
+    print_faults(overview.faults, "conditions")

@@ -65,12 +65,12 @@ def check(
     check_transfers(model)
     try_parts(model)
     body = _body(model)
-    found = pitches(model)
-    wolves = [p for p in found if p.wolf is not None]
-    off = [p for p in found if abs(p.error_cents) > TOLERANCE_CENTS]
-    off_planes = sorted((p for p in found if _worst_plane(p) > PLANE_CENTS), key=_worst_plane, reverse=True)
-    together = mounted_pitches(model, found)
-    pairs = list(zip(found, together, strict=True))
+    tones = pitches(model)
+    wolves = [p for p in tones if p.wolf is not None]
+    off = [p for p in tones if abs(p.error_cents) > TOLERANCE_CENTS]
+    off_planes = sorted((p for p in tones if _worst_plane(p) > PLANE_CENTS), key=_worst_plane, reverse=True)
+    together = mounted_pitches(model, tones)
+    pairs = list(zip(tones, together, strict=True))
     spec = bundle.spec
     report: dict[str, Any] = {
         "instrument": bundle.name,
@@ -344,13 +344,13 @@ def _print(report: dict[str, Any], ok: bool, every: bool, moves: list[str]) -> N
 
 def _warnings(report: dict[str, Any]) -> list[str]:
     """Tables that may be others, microphones that hear nothing, strings that miss their law."""
-    found = [*report["table_doubts"]]
-    found += [f"{row['output']}.{row['channel']} {row['doubt']}" for row in report["microphones"] if row["doubt"]]
-    found += [row["doubt"] for row in report["potentials"] if row["doubt"]]
+    doubts = [*report["table_doubts"]]
+    doubts += [f"{row['output']}.{row['channel']} {row['doubt']}" for row in report["microphones"] if row["doubt"]]
+    doubts += [row["doubt"] for row in report["potentials"] if row["doubt"]]
     for name, row in report["strings"].items():
         lines = [line for line in _law_lines(row["law"]) if line.startswith("warning: ")]
-        found += [f"string {name}: {line.removeprefix('warning: ')}" for line in lines]
-    return found
+        doubts += [f"string {name}: {line.removeprefix('warning: ')}" for line in lines]
+    return doubts
 
 
 def _print_body(report: dict[str, Any]) -> None:

@@ -186,7 +186,7 @@ def _run(
     from tonewood.workshop.report.comparison import compare as compared
 
     with progress("computing", 1.0) as advance:
-        found = compared(
+        result = compared(
             candidates,
             notes=wanted,
             fs=fs,
@@ -199,62 +199,62 @@ def _run(
             from tonewood.support.whole_files import write_whole
             from tonewood.workshop.report.page import page
 
-            write_whole(output, page(found))
+            write_whole(output, page(result))
     if as_json:
         from tonewood.workshop.report.as_json import to_json
 
         command = "compare" if len(candidates) > 1 else "report"
-        print_json(command, {**to_json(found), "page": None if output is None else str(output)})
+        print_json(command, {**to_json(result), "page": None if output is None else str(output)})
         return
-    _print(found, every)
+    _print(result, every)
     if output is not None:
         print(f"page: {output}")
 
 
-def _print(found: Comparison, every: bool) -> None:
+def _print(result: Comparison, every: bool) -> None:
     """First what changed, or of one instrument its figures; then wolf notes and parameters; all of both on request."""
     from tonewood.workshop.report.summary import key_figures, lines, value_words
 
     most = None if every else _SHOWN
-    for facts in found.instruments:
+    for facts in result.instruments:
         print(facts.heading + ("" if facts.strings else ", a body without strings"))
         warn([f"{facts.label}: {line}" for line in facts.warnings])
         warn([f"{facts.label} does not play {note}: {reason}" for note, reason in facts.missing_tones.items()])
-    if found.sweep:
-        _print_sweep(found)
-    elif len(found.instruments) == 1:
-        for name, (value, unit) in key_figures(found.instruments[0]).items():
+    if result.sweep:
+        _print_sweep(result)
+    elif len(result.instruments) == 1:
+        for name, (value, unit) in key_figures(result.instruments[0]).items():
             print(f"  {name}: {value_words(value, unit)}")
-    for i, facts in enumerate(found.instruments[1:], 1):
-        if not found.sweep or every:
-            first, *rest = lines(found, i)
-            print("\n".join([f"{found.instruments[0].short} to {facts.short}: {first}", *rest]))
-    if any(facts.strings for facts in found.instruments):
+    for i, facts in enumerate(result.instruments[1:], 1):
+        if not result.sweep or every:
+            first, *rest = lines(result, i)
+            print("\n".join([f"{result.instruments[0].short} to {facts.short}: {first}", *rest]))
+    if any(facts.strings for facts in result.instruments):
         print("wolf notes, the worst first: severity, breadth (cents), depth")
-    for wolves in found.wolves[:most]:
-        for facts, wolf in zip(found.instruments, wolves.wolves, strict=True):
+    for wolves in result.wolves[:most]:
+        for facts, wolf in zip(result.instruments, wolves.wolves, strict=True):
             if wolf is not None:
                 print(
                     f"  {facts.label} {wolf.string}, {wolf.low_freq:.1f} to {wolf.high_freq:.1f} Hz: "
                     f"{wolf.severity_cents:.1f}, {wolf.breadth_cents:.0f}, {wolf.depth:.2f}"
                 )
-    if len(found.instruments) > 1:
-        print(f"parameters that differ: {len(found.parameters)}")
-        for row in found.parameters[:most]:
+    if len(result.instruments) > 1:
+        print(f"parameters that differ: {len(result.parameters)}")
+        for row in result.parameters[:most]:
             values = " | ".join("none" if v is None else str(v)[:40] for v in row.values)
             print(f"  {row.key}: {values} {row.unit}".rstrip())
-    hidden = max(len(found.wolves), len(found.parameters)) > _SHOWN or found.sweep
+    hidden = max(len(result.wolves), len(result.parameters)) > _SHOWN or result.sweep
     if hidden and not every:
         print("(--all prints the rest)")
 
 
-def _print_sweep(found: Comparison) -> None:
+def _print_sweep(result: Comparison) -> None:
     """A row for each value, a column for each figure."""
     from tonewood.workshop.report.summary import key_figures, value_words
 
-    rows = [(value, facts.label, key_figures(facts)) for value, facts in found.swept()]
+    rows = [(value, facts.label, key_figures(facts)) for value, facts in result.swept()]
     names = list(dict.fromkeys(name for _, _, figures in rows for name in figures))
-    heads = [found.sweep, *(name.partition(",")[0] for name in names)]
+    heads = [result.sweep, *(name.partition(",")[0] for name in names)]
     cells = [[f"{v:g} ({label})", *(value_words(*f[n]) if n in f else "-" for n in names)] for v, label, f in rows]
     wide = [max(len(row[k]) for row in [heads, *cells]) for k in range(len(heads))]
     for row in [heads, *cells]:

@@ -64,47 +64,47 @@ def design(
         check_folder(output)
     bundle = load(instrument, settings, allow_code, strings)
     wanted, changing = parse_targets(texts, bundle), parse_free(parameters, bundle)
-    found = find_design(bundle, wanted, changing, lambda line: print(f"design: {line}", file=sys.stderr, flush=True))
+    best = find_design(bundle, wanted, changing, lambda line: print(f"design: {line}", file=sys.stderr, flush=True))
     if output is not None:
-        write_design(found, output)
+        write_design(best, output)
     if as_json:
-        print_json("design", _report(found, output), ok=found.ok)
-        return 0 if found.ok else 1
-    for line in lines(found):
+        print_json("design", _report(best, output), ok=best.ok)
+        return 0 if best.ok else 1
+    for line in lines(best):
         print(line)
     print(
-        "for render and compare: " + " ".join(f"--set {path}={value:.6g}" for path, value in _overrides(found).items())
+        "for render and compare: " + " ".join(f"--set {path}={value:.6g}" for path, value in _overrides(best).items())
     )
     if output is not None:
         print(f"bundle: {output}")
-    return 0 if found.ok else 1
+    return 0 if best.ok else 1
 
 
-def _overrides(found: FoundDesign) -> dict[str, float]:
+def _overrides(best: FoundDesign) -> dict[str, float]:
     out: dict[str, float] = {}
-    for parameter, value in zip(found.free, found.values, strict=True):
+    for parameter, value in zip(best.free, best.values, strict=True):
         out |= parameter.overrides(float(value))
     return out
 
 
-def _report(found: FoundDesign, output: Path | None) -> dict[str, Any]:
+def _report(best: FoundDesign, output: Path | None) -> dict[str, Any]:
     from tonewood.workshop.design.words import at_bounds, lines, trades
 
     return {
-        "instrument": found.instrument.name,
+        "instrument": best.instrument.name,
         "parameters": [
             {"path": p.name, "keys": list(p.paths), "kind": p.kind, "low": p.low, "high": p.high, "now": float(b),
              "designed": float(v)}
-            for p, b, v in zip(found.free, found.before, found.values, strict=True)
+            for p, b, v in zip(best.free, best.before, best.values, strict=True)
         ],
         "targets": [
             {"text": t.text, "now": float(g), "designed": float(r), "off": float(o), "unit": t.unit,
              "reached": abs(float(o)) <= t.tolerance, "rates": [float(x) for x in row]}
-            for t, g, r, o, row in zip(found.targets, found.given, found.reached, found.off, found.rates, strict=True)
+            for t, g, r, o, row in zip(best.targets, best.given, best.reached, best.off, best.rates, strict=True)
         ],
-        "overrides": _overrides(found),
-        "trades": trades(found),
-        "at_bounds": at_bounds(found),
-        "lines": list(lines(found)),
+        "overrides": _overrides(best),
+        "trades": trades(best),
+        "at_bounds": at_bounds(best),
+        "lines": list(lines(best)),
         "bundle": None if output is None else str(output),
     }  # fmt: skip

@@ -43,16 +43,16 @@ def distance(
     else:
         other = played_as(folder, load(second, None, allow_code))
     with progress("analysing", 1.0) as advance:
-        found = compare_notes(folder, other, advance=advance)
-    if not found.between.notes:
+        distances = compare_notes(folder, other, advance=advance)
+    if not distances.between.notes:
         raise TonewoodError("nothing could be compared", file=first)
-    columns = {"A to B": found.between, **found.scale}
+    columns = {"A to B": distances.between, **distances.scale}
     if as_json:
         rows = {name: row.as_dict() for name, row in columns.items()}
-        report = {"a": str(first), "b": second, "notes": list(found.shared), "distances": rows}
-        print_json("distance", {**report, "warnings": list(found.warnings)})
+        report = {"a": str(first), "b": second, "notes": list(distances.shared), "distances": rows}
+        print_json("distance", {**report, "warnings": list(distances.warnings)})
         return
-    warn(list(found.warnings))
+    warn(list(distances.warnings))
     print_distances(columns)
 
 

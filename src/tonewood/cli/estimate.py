@@ -41,7 +41,7 @@ def estimate(
     """Estimate an instrument from recordings of single notes: strings, place of the pluck, gain of each output.
 
     The same analysis is made of recorded and of rendered notes, and figures are moved until both agree. Every other
-    note is held back once, to tell how far it is met. Writes a bundle NAME; body and exciters stay as they are.
+    note is held back once, to tell how far it is met. Writes a bundle NAME.
     """
     from tonewood.workshop.estimate.bundle import UNKNOWN, RecordingOrigin, write_bundle
     from tonewood.workshop.estimate.estimate import estimate as estimated
@@ -52,24 +52,30 @@ def estimate(
     recordings = read_folder(folder, table=table, transpose=transpose)
     try:
         with progress("estimating", 1.0) as advance:
-            found = estimated(recordings, instrument, iterations=iterations, advance=advance)
+            result = estimated(recordings, instrument, iterations=iterations, advance=advance)
         origin = RecordingOrigin(title or UNKNOWN, recorded_by or UNKNOWN, licence or UNKNOWN, url)
-        made = write_bundle(found, output, source, origin, allow_code=allow_code)
+        bundle = write_bundle(result, output, source, origin, allow_code=allow_code)
     except KeyboardInterrupt:
         raise InterruptError from None
     if page is not None:
         from tonewood.support.whole_files import write_whole
         from tonewood.workshop.estimate.page import page as report
 
-        write_whole(page, report(found, origin, made.name))
+        write_whole(page, report(result, origin, bundle.name))
     if as_json:
         from tonewood.workshop.estimate.as_json import to_json
 
-        print_json("estimate", {"name": made.name, "folder": str(output), **to_json(found)})
+        print_json("estimate", {"name": bundle.name, "folder": str(output), **to_json(result)})
         return
-    warn(list(found.warnings))
-    _print(found)
-    print(f"{output}: plays at once; its body is that of {found.begun_with.name}")
+    warn(list(result.warnings))
+    _print(result)
+    print(f"{output}: plays at once; its body is that of {result.begun_with.name}{_but(result)}")
+
+
+def _but(result: Estimate) -> str:
+    """What of the body was moved."""
+    count = len(result.figures.modes)
+    return f", {count} mode{'s' if count > 1 else ''} moved" if count else ""
 
 
 def _check(output: Path, iterations: int, page: Path | None) -> None:
@@ -85,29 +91,30 @@ def _check(output: Path, iterations: int, page: Path | None) -> None:
             raise OutputError(f"there is no folder {str(page.parent)!r}", file=page)
 
 
-def _print(found: Estimate) -> None:
+def _print(result: Estimate) -> None:
     """Figures with their intervals, and distances."""
     from tonewood.workshop.estimate import laws
-    from tonewood.workshop.estimate.page import columns_of, louder_line, place_line, split_line
+    from tonewood.workshop.estimate.page import columns_of, louder_line, mode_lines, place_line, room_line, split_line
 
-    for line in found.moved:
+    for line in result.moved:
         print(line)
     stated = " ".join(f"{f / 1000:g}" for f in laws.STATED)
     print(f"string   notes   B re begun with   decay rate, 1/s, at {stated} kHz (90 %)")
-    for name, law in found.figures.laws.items():
-        interval = found.intervals.get(name)
-        if interval is None and len(found.figures.laws) > 12:
+    for name, law in result.figures.laws.items():
+        interval = result.intervals.get(name)
+        if interval is None and len(result.figures.laws) > 12:
             continue
-        count = sum(p.string == name for p in found.notes)
-        b = found.figures.bending[name] / found.start.bending[name] if found.start.bending[name] > 0 else float("nan")
+        count = sum(p.string == name for p in result.notes)
+        start = result.start.bending[name]
+        b = result.figures.bending[name] / start if start > 0 else float("nan")
         rates = law.rate(laws.STATED)
         shown = "  ".join(
             f"{r:.2f}" if interval is None else f"{r:.2f} +-{100 * s:.0f} %"
             for r, s in zip(rates, laws.STATED * 0 if interval is None else interval.spread, strict=True)
         )
-        remark = "" if found.figures.estimated.get(name) else "  (from the neighbouring strings)"
+        remark = "" if result.figures.estimated.get(name) else "  (from the neighbouring strings)"
         print(f"{name:8s} {count:5d}   {b:15.3f}   {shown}{remark}")
-    for line in (place_line(found), split_line(found), louder_line(found)):
+    for line in (place_line(result), split_line(result), louder_line(result), *mode_lines(result), room_line(result)):
         if line:
             print(line)
-    print_distances(columns_of(found))
+    print_distances(columns_of(result))

@@ -33,7 +33,7 @@ def fit(
         list[Path],
         typer.Argument(
             metavar="FILES",
-            help="responses (.csv, .npz, .mat, .uff), or hammer hits, one a file (.wav, .csv)",
+            help="responses (.csv, .txt, .npz, .mat, .uff), or hammer hits, one a file (.wav, .csv, .txt)",
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FOLDER", help="folder to write")],
@@ -50,7 +50,7 @@ def fit(
         list[str] | None,
         typer.Option(
             metavar="NAME[=BEGIN]",
-            help="point that was driven: in all files, in WAV files whose names begin so, or called so as a reference",
+            help="point that was driven: in all files, in hits whose names begin so, or called so as a reference",
         ),
     ] = None,
     array: Annotated[
@@ -64,11 +64,14 @@ def fit(
     ] = None,
     drop: Annotated[str | None, typer.Option(metavar="HZ,...", help="frequencies of modes that are not wanted")] = None,
     points: Annotated[
-        str | None, typer.Option(metavar="NAMES", help="WAV: points of channels 2 on, by commas; NAME_Pa: microphone")
+        str | None, typer.Option(metavar="NAMES", help="hits: points of channels 2 on, by commas; NAME_Pa: microphone")
     ] = None,
     sensitivity: Annotated[
         str | None,
-        typer.Option(metavar="NUMBERS", help="WAV: N, then m/s^2 (m/s, m, Pa) at full scale, by commas"),
+        typer.Option(
+            metavar="NUMBERS",
+            help="hits: N, then m/s^2 (m/s, m, Pa) at full scale of WAV, per unit of texts, by commas",
+        ),
     ] = None,
     point: Annotated[
         list[str] | None,
@@ -110,22 +113,24 @@ def fit(
     draw = _figure()
     tell = _teller()
     try:
-        made = fit_responses(responses, band=band or (None, None), damping=damping, keep=kept, drop=dropped, tell=tell)
+        fitted = fit_responses(
+            responses, band=band or (None, None), damping=damping, keep=kept, drop=dropped, tell=tell
+        )
         places_u = {name: place.u for name, place in places.items() if place.u is not None}
-        radiation = None if made.body is None else fit_radiation(made.responses, made.body, places_u, tell=tell)
+        radiation = None if fitted.body is None else fit_radiation(fitted.responses, fitted.body, places_u, tell=tell)
         origin = Origin(title or UNKNOWN, measured_by or UNKNOWN, licence or UNKNOWN)
         settings = {
             "form": form, "scale": scale, "band": band, "window_tau": window_tau, "hits": hits, "estimator": estimator,
             "driving": driving, "points": points, "sensitivity": sensitivity, "point": point,
             "array": array, "damping": damping, "keep": keep, "drop": drop,
         }  # fmt: skip
-        folder = FitFolder(made, radiation, places, origin, settings)
+        folder = FitFolder(fitted, radiation, places, origin, settings)
         written = folder.write(output, draw)
     except KeyboardInterrupt:
         raise InterruptError from None
     finally:
         tell.end()
-    warnings = list(made.warnings)
+    warnings = list(fitted.warnings)
     if draw is None:
         warnings.append("fit.png was not drawn: matplotlib is not installed (pip install 'tonewood[plot]')")
     if as_json:
@@ -194,12 +199,12 @@ def _frequencies(key: str, text: str | None) -> tuple[float, ...]:
     return values
 
 
-def _references(given: list[str] | None) -> tuple[tuple[str, str], ...]:
-    pairs = [(name, begin) for name, _, begin in (text.partition("=") for text in given or [])]
+def _references(texts: list[str] | None) -> tuple[tuple[str, str], ...]:
+    pairs = [(name, begin) for name, _, begin in (text.partition("=") for text in texts or [])]
     return tuple(sorted(pairs, key=lambda pair: -len(pair[1])))
 
 
-def _named(responses: Responses, given: list[str]) -> tuple[Responses, dict[str, MeasuredPoint]]:
+def _named(responses: Responses, texts: list[str]) -> tuple[Responses, dict[str, MeasuredPoint]]:
     """Responses with the names that are wanted, and where the points are."""
     from tonewood.workshop.fit.folder import MeasuredPoint
 
@@ -213,7 +218,7 @@ def _named(responses: Responses, given: list[str]) -> tuple[Responses, dict[str,
             if axis:
                 x, y, z = _VECTORS[axis]
                 places[names[old]] = MeasuredPoint(axis if sign > 0 else (sign * x, sign * y, sign * z))
-    for text in given:
+    for text in texts:
         old, equals, rest = text.partition("=")
         name, *more = rest.split(":")
         if not equals or len(more) > 2:
@@ -227,15 +232,15 @@ def _named(responses: Responses, given: list[str]) -> tuple[Responses, dict[str,
             place = replace(place, u=_place_on_bridge(text, more[1]))
         names[old] = name
         places[name] = place
-    made = responses.renamed(names)
-    for name in (*made.points, *made.microphones):
+    renamed = responses.renamed(names)
+    for name in (*renamed.points, *renamed.microphones):
         if not _NAME.fullmatch(name) or name in _COLUMNS or name.startswith("sd_"):
             raise TonewoodError(
                 f"{name!r} cannot be the name of a point: letters, digits and _ are allowed, and not "
                 f"{', '.join(_COLUMNS)} or sd_...; rename it by --point '{name}=NAME'",
                 key="--point",
             )
-    return made, places
+    return renamed, places
 
 
 def _place_on_bridge(text: str, word: str) -> float:
@@ -277,16 +282,16 @@ def _teller() -> _Teller:
 
 
 def _print(folder: FitFolder, written: list[Path]) -> None:
-    made = folder.fit
-    facts, r = folder.facts(), made.responses
+    fit = folder.fit
+    facts, r = folder.facts(), fit.responses
     kept = "" if r.kept is None else f", {r.kept[0]} of {r.kept[1]} hits kept"
     pairs = ", ".join(f"{point}:{reference}" for point, reference in r.pairs)
     print(f"{pairs}: {r.freq[0]:g} to {r.freq[-1]:g} Hz in steps of {facts['step_Hz']:g} Hz{kept}")
-    found = ", ".join(f"{len(iteration.freq)} ({iteration.misfit:.3g})" for iteration in made.modes.iterations)
-    print(f"modes found iteration by iteration, and misfit re noise: {found}")
-    loss = "structural (hysteretic), Q = 1/eta" if made.modes.structural else "viscous"
+    orders = ", ".join(f"{len(iteration.freq)} ({iteration.misfit:.3g})" for iteration in fit.modes.iterations)
+    print(f"modes found iteration by iteration, and misfit re noise: {orders}")
+    loss = "structural (hysteretic), Q = 1/eta" if fit.modes.structural else "viscous"
     print(f"damping taken for {loss}")
-    mass_head = "" if made.body is None else f"mass at {made.body.points[0]}/kg"
+    mass_head = "" if fit.body is None else f"mass at {fit.body.points[0]}/kg"
     print(f"     f/Hz       Q   {mass_head}  +-cents   +-Q    without it   MPC")
     for row in facts["modes"]:
         mass = "" if row["mass_kg"] is None else f"{row['mass_kg']:.3g}"
@@ -298,7 +303,7 @@ def _print(folder: FitFolder, written: list[Path]) -> None:
         print(f"{row['freq_Hz']:>9.6g} {row['Q']:>7.1f} {mass:>{len(mass_head)}}  {sure}")
     for line in facts["dropped"]:
         print(f"  dropped: {line}")
-    error, what = facts["error_db"], "modes" if made.body is None else "body"
+    error, what = facts["error_db"], "modes" if fit.body is None else "body"
     print(
         f"misfit {facts['misfit']:.2f} times the noise; the {what}'s mobility re the measured one: "
         f"{error['rms']:.2f} dB r.m.s., {error['95%']:.2f} in 95 % of the bins, {error['most']:.2f} at most"
@@ -307,7 +312,7 @@ def _print(folder: FitFolder, written: list[Path]) -> None:
         heard = facts["radiation"]
         channels = ", ".join(heard["channels"])
         print(f"microphones {channels}: {heard['modes']} modes, {heard['error_db_rms']:.2f} dB r.m.s. off")
-    if made.body is not None:
+    if fit.body is not None:
         print("passive by construction (real modes)")
     print(f"measured by {folder.origin.measured_by}: say who by --measured-by" if folder.origin.measured_by == "unknown"
           else f"measured by {folder.origin.measured_by}")  # fmt: skip

@@ -42,27 +42,27 @@ def intonation(
         raise TonewoodError(f"is {bundle.spec.stops.kind}; frets are wanted", key="stops.kind")
     if not 2 <= frets <= bundle.spec.stops.count:
         raise TonewoodError(f"is {frets}; 2 to {bundle.spec.stops.count} are allowed", key="--frets")
-    found = found_of(bundle, frets=frets, fs=fs)
+    rows = found_of(bundle, frets=frets, fs=fs)
     if as_json:
-        print_json("intonation", {"instrument": bundle.name, "frets": frets, "strings": [_row(s) for s in found]})
+        print_json("intonation", {"instrument": bundle.name, "frets": frets, "strings": [_row(s) for s in rows]})
         return
     print(f"{bundle.name}: cents above the note, open strings in tune, on a body that does not move")
-    print("  fret" + "".join(f"{s.name:>9}" for s in found))
-    for n in range(max(len(s.stops) for s in found)):
-        cells = [f"{s.stops[n].rigid:>+9.1f}" if n < len(s.stops) else " " * 9 for s in found]
+    print("  fret" + "".join(f"{s.name:>9}" for s in rows))
+    for n in range(max(len(s.stops) for s in rows)):
+        cells = [f"{s.stops[n].rigid:>+9.1f}" if n < len(s.stops) else " " * 9 for s in rows]
         print(f"  {n + 1:>4}" + "".join(cells))
-    for line in _warnings(found):
+    for line in _warnings(rows):
         print(f"  {line}")
     if detail:
-        _print_detail(found)
+        _print_detail(rows)
     else:
-        _print_body(found)
+        _print_body(rows)
     print(
         f"\nnut and saddle, mm farther out than the scale (less than 0: nearer), and r.m.s. cents of frets 1 to {frets}"
     )
     print("             as built                 best saddle              best nut and saddle")
     print("  string     nut  saddle  r.m.s.      nut  saddle  r.m.s.      nut  saddle  r.m.s.")
-    for s in found:
+    for s in rows:
         print(f"  {s.name:<6}" + "   ".join(_setup(setup) for setup in (s.built, s.saddle_alone, s.both)))
     print("in the bundle: strings.NAME.fretboard: {nut_setback: ..., saddle_setback: ...} in m; tuning: {at: frets}")
 
@@ -83,20 +83,20 @@ def _row(s: StringIntonation) -> dict[str, Any]:
     return {"string": s.name, "tension": s.string.tension, "stops": stops, "setups": setups}
 
 
-def _warnings(found: list[StringIntonation]) -> list[str]:
+def _warnings(strings: list[StringIntonation]) -> list[str]:
     """Lines about stops at which the string ends on another fret."""
     return [
         f"warning: string {s.name} pressed to fret {stop.stop} lies on fret {stop.rests_on}, which stands out"
-        for s in found
+        for s in strings
         for stop in s.stops
         if stop.rests_on != stop.stop
     ]
 
 
-def _print_body(found: list[StringIntonation]) -> None:
+def _print_body(strings: list[StringIntonation]) -> None:
     """The largest shift by the body of each string, and how far its planes are from each other."""
     print("on the body, where it shifts a fret most (--detail: all frets, both planes)")
-    for s in found:
+    for s in strings:
         worst = max(s.stops, key=lambda stop: abs(next(iter(stop.planes.values())) - stop.rigid))
         print(f"  {s.name} fret {worst.stop:>2}: {_planes(worst.planes)} cents, {worst.rigid:+.1f} without the body")
 
@@ -108,8 +108,8 @@ def _planes(planes: dict[str, float]) -> str:
     return ", ".join(f"{name} {x:+.1f}" for name, x in [(first, value), *far])
 
 
-def _print_detail(found: list[StringIntonation]) -> None:
-    for s in found:
+def _print_detail(strings: list[StringIntonation]) -> None:
+    for s in strings:
         print(f"\n{s.name}: place of the fret + stretch + stiffness; planes on the body")
         for stop in s.stops:
             parts = f"{stop.frets:+7.2f} {stop.stretch:+7.2f} {stop.stiffness:+7.2f} = {stop.rigid:+7.2f}"

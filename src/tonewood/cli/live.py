@@ -172,6 +172,7 @@ def _tell(session: LiveSession, played: Playback, record: Path | None, *, as_jso
             "block": session.stream.block_size,
             "latency_s": session.latency,
             "underruns": played.underruns,
+            "late_blocks": played.late,
             "load": played.load,
             "worst_block_s": played.worst_block_s,
             "clipped": summary.clipped,
@@ -192,9 +193,10 @@ def _tell(session: LiveSession, played: Playback, record: Path | None, *, as_jso
     if summary.clipped:
         warn([f"{counted(summary.clipped, 'sample')} clipped; lower --gain"])
     warn_of_kinds([f"{count} not played: {reason}" for reason, count in summary.dropped.items()])
+    by_device = f" ({played.late} for want of a block, others by the device or system)" if played.underruns else ""
     print(
         f"played {played.frames / live.fs:.2f} s, {counted(summary.notes, 'note')}, {dropped} dropped, "
-        f"{summary.cut} ended by another on their string; {counted(played.underruns, 'underrun')}"
+        f"{summary.cut} ended by another on their string; {counted(played.underruns, 'underrun')}{by_device}"
     )
     length = session.stream.block_size / live.fs
     print(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from contextlib import suppress
 from difflib import get_close_matches
@@ -14,40 +15,44 @@ from tonewood.cli.stopping import stopping
 from tonewood.errors import TonewoodError
 from tonewood.support.validation_messages import did_you_mean
 
+#: bytes of an argument that are no UTF-8, as Python has them; libraries of sound files fail on such names
+_NO_TEXT = re.compile("[\ud800-\udfff]")
 #: exit code, as shells have it
 _INTERRUPTED = 130
 
 
 def run(arguments: list[str] | None = None) -> None:
     """Run the command line and exit."""
-    given = sys.argv[1:] if arguments is None else arguments
+    words = sys.argv[1:] if arguments is None else arguments
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by whoever called
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115  # as long as the process
     try:
+        if unreadable := [word for word in words if not word.isascii() and _NO_TEXT.search(word)]:
+            raise TonewoodError(f"argument {unreadable[0]!r} is not UTF-8: rename the file, or correct the text")
         # imported here, so that Ctrl-C meanwhile is caught
         from tonewood.cli.app import ABORTED, ClickError, application
 
         try:
-            app = application(given[0] if given else None)
-            code = app(args=_with_values(given) or ["--help"], prog_name="tonewood", standalone_mode=False)
+            app = application(words[0] if words else None)
+            code = app(args=_with_values(words) or ["--help"], prog_name="tonewood", standalone_mode=False)
         except ClickError as error:
-            usage = TonewoodError(_usage(error, given))
-            _print_error(given, "UsageError", usage, 2)
+            usage = TonewoodError(_usage(error, words))
+            _print_error(words, "UsageError", usage, 2)
             _fail(usage.reason, 2)
         except ABORTED:
             raise InterruptError from None
         if code == _INTERRUPTED:  # exit code of typer for a Ctrl-C before the command has begun
             raise InterruptError
     except TonewoodError as error:
-        fault = _in_its_line(error, given)
-        _print_error(given, type(fault).__name__, fault, fault.exit_code)
+        fault = _in_its_line(error, words)
+        _print_error(words, type(fault).__name__, fault, fault.exit_code)
         _fail("\ntonewood: ".join(map(str, fault.all)), fault.exit_code)
     except (InterruptError, KeyboardInterrupt) as error:
         # Where a KeyboardInterrupt has passed a call of exec (every dataclass makes some), CPython ends by killing
         # itself with the signal, whatever the exit code; another call makes it forget.
         exec("")
-        _interrupted(given, str(error) or _remaining())
+        _interrupted(words, str(error) or _remaining())
     except ReaderGoneError:
         _no_more(sys.stdout)
         sys.exit(0)
@@ -56,11 +61,11 @@ def run(arguments: list[str] | None = None) -> None:
             raise
         _no_more(sys.stdout)
         if stopping.signal:  # SIGHUP: the terminal has gone
-            _interrupted(given, _remaining())
+            _interrupted(words, _remaining())
         _fail(f"standard output: cannot be written: {error.strerror}", 2)
     except Exception:
         if stopping.signal:  # an import that was interrupted may fail in other ways
-            _interrupted(given, _remaining())
+            _interrupted(words, _remaining())
         raise
     if stopping.signal and stopping.code != _INTERRUPTED:  # a session that a signal has ended in good order
         sys.exit(stopping.code)
@@ -80,25 +85,25 @@ def _remaining() -> str:
     return f"{', '.join(files[:3])}{more} {'are' if len(files) > 1 else 'is'} written"
 
 
-def _interrupted(given: list[str], rest: str) -> NoReturn:
+def _interrupted(words: list[str], rest: str) -> NoReturn:
     fault = TonewoodError(f"{stopping.word}; {rest}")
-    _print_error(given, "Interrupted", fault, stopping.code)
+    _print_error(words, "Interrupted", fault, stopping.code)
     _fail(fault.reason, stopping.code)
 
 
-def _with_values(given: list[str]) -> list[str]:
+def _with_values(words: list[str]) -> list[str]:
     """Give an option whose value may be left out its value: ``--midi-in`` alone is the first input."""
     out = []
-    for word, following in pairwise([*given, "-"]):
+    for word, following in pairwise([*words, "-"]):
         out.append(word)
         if word == "--midi-in" and following.startswith("-"):
             out.append("first")
     return out
 
 
-def _print_error(given: list[str], kind: str, fault: TonewoodError, code: int) -> None:
+def _print_error(words: list[str], kind: str, fault: TonewoodError, code: int) -> None:
     """With ``--json``, print an error as one object on stdout; its first keys are those of every report."""
-    if "--json" in given:
+    if "--json" in words:
         import json
 
         facts = [{"file": f.file, "line": f.line, "key": f.key, "reason": f.reason} for f in fault.all]
@@ -107,7 +112,7 @@ def _print_error(given: list[str], kind: str, fault: TonewoodError, code: int) -
             print(json.dumps({"schema": "tonewood-error/1", "ok": False, "error": error}))
 
 
-def _usage(error: Exception, given: list[str]) -> str:
+def _usage(error: Exception, words: list[str]) -> str:
     """One line for a wrong argument, with the option that it resembles and the command to ask."""
     text = " ".join((error.format_message() if hasattr(error, "format_message") else str(error)).split())
     if hasattr(error, "option_name") and hasattr(error, "possibilities"):
@@ -117,7 +122,7 @@ def _usage(error: Exception, given: list[str]) -> str:
         close = get_close_matches(str(error.command_name), COMMANDS, n=1)
         hint = f"Did you mean '{close[0]}'?" if close else ""
         text = f"No such command '{error.command_name}'. {hint}".strip()
-    command = " ".join(["tonewood", *(name for name in given[:1] if name in COMMANDS), "-h"])
+    command = " ".join(["tonewood", *(name for name in words[:1] if name in COMMANDS), "-h"])
     return f"{text if text.endswith(('.', '?')) else text + '.'} See: {command}"
 
 

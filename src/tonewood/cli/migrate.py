@@ -29,21 +29,21 @@ def migrate(
     from tonewood.support.whole_files import write_whole
     from tonewood.support.yaml_edit import edit_text
 
-    found = []
+    outdated = []
     for path in paths:
         file = path / "instrument.yaml" if path.is_dir() else path
         edits, text = _edits(file)
-        found.append((file, edits, edit_text(text, edits, file=file) if edits else text))
-    for file, edits, text in found:
+        outdated.append((file, edits, edit_text(text, edits, file=file) if edits else text))
+    for file, edits, text in outdated:
         if edits and not check:
             write_whole(file, text)
-    ok = not (check and any(edits for _, edits, _ in found))
+    ok = not (check and any(edits for _, edits, _ in outdated))
     if as_json:
-        files = [{"file": str(file), "edits": [e.reason for e in edits]} for file, edits, _ in found]
+        files = [{"file": str(file), "edits": [e.reason for e in edits]} for file, edits, _ in outdated]
         print_json("migrate", {"written": not check, "files": files}, ok=ok)
         return 0 if ok else 1
     done = "would be rewritten" if check else "rewritten"
-    for file, edits, _ in found:
+    for file, edits, _ in outdated:
         print(f"{file}: {done}: {'; '.join(e.reason for e in edits)}" if edits else f"{file}: up to date")
     return 0 if ok else 1
 

@@ -147,26 +147,28 @@ def _plot(model: Model, names: list[str], path: Path) -> None:
     from tonewood.support.plotting import SMALL, TEXT, draw_mobility, figure, legend, mobility_figure, save, title
 
     freq = np.geomspace(40.0, min(10000.0, 0.45 * model.fs), 4000)
-    found = bridge_mobility(model, freq, names)
-    if not found:
+    mobility = bridge_mobility(model, freq, names)
+    if not mobility:
         raise OutputError("no string of this instrument ends on a body that moves: there is no mobility", file=path)
     marks = [model.strings[name].freq() for name in names]
     heading, sources = model.instrument.spec.title, model.instrument.body.sources(SHOWN_TO)
     if sources is None or not len(sources.areas):
-        save(mobility_figure(freq, found, heading=heading, marks=marks, of="bridge at" if names else "body at"), path)
+        save(
+            mobility_figure(freq, mobility, heading=heading, marks=marks, of="bridge at" if names else "body at"), path
+        )
         return
     basis = model.instrument.body.basis(SHOWN_TO)
-    made, axes = figure(1 + _LISTED // COLUMNS, COLUMNS, heights=[5.0, *[3.6] * (_LISTED // COLUMNS)])
+    page, axes = figure(1 + _LISTED // COLUMNS, COLUMNS, heights=[5.0, *[3.6] * (_LISTED // COLUMNS)])
     for ax in axes[0]:
         ax.remove()
-    whole = made.add_subplot(axes[0, 0].get_gridspec()[0, :])
+    whole = page.add_subplot(axes[0, 0].get_gridspec()[0, :])
     whole.tick_params(which="both", labelsize=SMALL)
     whole.xaxis.label.set_fontsize(TEXT)
     whole.yaxis.label.set_fontsize(TEXT)
     whole.grid(which="both", color="0.9", lw=0.8)
-    draw_mobility(whole, freq, found)
+    draw_mobility(whole, freq, mobility)
     title(whole, heading)
     legend(whole, title="bridge at" if names else "body at", ncols=2)
     moves = basis.natural_freq > 0
     draw_shapes(axes[1:].ravel(), sources.of(moves), basis.natural_freq[moves], 0.5 / basis.damping_ratio[moves])
-    save(made, path)
+    save(page, path)

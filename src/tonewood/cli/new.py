@@ -27,14 +27,16 @@ def new(
     from tonewood.instrument.bundle.new_bundle import new_bundle
 
     try:
-        made = new_bundle(folder, source, strings=strings, allow_code=allow_code)
+        bundle = new_bundle(folder, source, strings=strings, allow_code=allow_code)
     except KeyboardInterrupt:
         raise InterruptError from None
-    files = sorted(str(path.relative_to(made.folder)) for path in made.folder.rglob("*") if path.is_file())
+    files = sorted(str(path.relative_to(bundle.folder)) for path in bundle.folder.rglob("*") if path.is_file())
     if as_json:
-        unknown = made.origins.of_unknown_origin()
-        print_json("new", {"name": made.name, "folder": str(made.folder), "files": files, "unknown": unknown})
+        unknown = bundle.origins.of_unknown_origin()
+        print_json("new", {"name": bundle.name, "folder": str(bundle.folder), "files": files, "unknown": unknown})
         return
-    print(f"{made.folder}: {', '.join(files)}")
-    print(f"strings {', '.join(made.resonators)}; {len(made.origins.of_unknown_origin())} figures of unknown origin")
-    print(f"decide where instrument.yaml says DECIDE; then: tonewood check {made.folder}")
+    print(f"{bundle.folder}: {', '.join(files)}")
+    print(
+        f"strings {', '.join(bundle.resonators)}; {len(bundle.origins.of_unknown_origin())} figures of unknown origin"
+    )
+    print(f"decide where instrument.yaml says DECIDE; then: tonewood check {bundle.folder}")

@@ -37,12 +37,12 @@ def takes_render_options(without: Collection[str] = ()) -> Callable[[Callable[..
 
     def decorated(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
-        def wrapped(context: typer.Context, **given: Any) -> Any:
-            values = {name: given.pop(name) for name in fields}
+        def wrapped(context: typer.Context, **arguments: Any) -> Any:
+            values = {name: arguments.pop(name) for name in fields}
             # a preset stands in for options that are left out, and only for these
             source = context.get_parameter_source
             values = {name: value for name, value in values.items() if getattr(source(name), "name", "") != "DEFAULT"}
-            return command(**given, options=render_options(values))
+            return command(**arguments, options=render_options(values))
 
         keyword = inspect.Parameter.POSITIONAL_OR_KEYWORD
         parameters = [inspect.Parameter("context", keyword, annotation=typer.Context)]
@@ -64,9 +64,9 @@ def render_options(values: dict[str, Any]) -> RenderOptions:
     TonewoodError : names the option and the values allowed.
     """
     numbers = {name for name in values if _takes_number(RenderOptions.model_fields[name])}
-    given = {name: _number(value) if name in numbers else value for name, value in values.items()}
+    settings = {name: _number(value) if name in numbers else value for name, value in values.items()}
     try:
-        return RenderOptions.of(None, None, given)
+        return RenderOptions.of(None, None, settings)
     except TonewoodError as fault:
         raise TonewoodError(fault.reason, key=option_name(fault.key or "")) from None
 

@@ -75,38 +75,38 @@ def plan(
         file_format(output, subtype)
         if not output.absolute().parent.is_dir():
             raise OutputError(f"there is no folder {str(output.parent)!r}", file=output)
-    given = reading(start, stop, transpose, tempo, tracks)
-    bundle, notes = load(instrument, settings, allow_code, strings), read_score(score, **given)
+    excerpt = reading(start, stop, transpose, tempo, tracks)
+    bundle, notes = load(instrument, settings, allow_code, strings), read_score(score, **excerpt)
     longest = max((n.time + n.duration for n in notes.notes), default=0.0) + options.tail
     bar = progress("sketching", longest if options.max_duration is None else min(longest, options.max_duration))
     with dropped_notes_listed(), bar as advance:
-        found = foresee(notes, bundle, options=options, progress=advance)
+        prediction = foresee(notes, bundle, options=options, progress=advance)
     if as_json:
-        print_json("plan", {"score": str(score), "instrument": bundle.name, "fs": options.fs, **asdict(found)})
+        print_json("plan", {"score": str(score), "instrument": bundle.name, "fs": options.fs, **asdict(prediction)})
         return
-    warn_of_dropped([drop for drop in found.notes_dropped if drop.time < found.duration_s])
-    print(f"{found.duration_s:.2f} s of sound in about {found.predicted_s:.1f} s of computing")
-    if found.bends:
-        print(f"  strings are bent at {found.bends} points in time: {found.bends_s:.1f} s of it")
+    warn_of_dropped([drop for drop in prediction.notes_dropped if drop.time < prediction.duration_s])
+    print(f"{prediction.duration_s:.2f} s of sound in about {prediction.predicted_s:.1f} s of computing")
+    if prediction.bends:
+        print(f"  strings are bent at {prediction.bends} points in time: {prediction.bends_s:.1f} s of it")
     if verbose:
-        for effect in found.effects:
+        for effect in prediction.effects:
             shown = f"{effect.seconds:.2f} s{_when(effect)}{_cost([effect])}"
             print(f"  {effect.name} {effect.component}: {shown}: {effect.why}")
         return
     named: dict[str, list[PlannedEffect]] = {}
-    for effect in found.effects:
-        if matters(effect, found):
+    for effect in prediction.effects:
+        if matters(effect, prediction):
             named.setdefault(effect.name, []).append(effect)
     for name, effects in named.items():
         print(f"  {_line(name, effects)}")
-    if rest := len(found.effects) - sum(map(len, named.values())):
+    if rest := len(prediction.effects) - sum(map(len, named.values())):
         print(f"  {rest} more always run or never act: --verbose")
 
 
-def matters(effect: PlannedEffect, found: Plan) -> bool:
+def matters(effect: PlannedEffect, whole: Plan) -> bool:
     """Whether an effect runs for a part of the sound, or takes a share of the computing that is worth a word."""
-    costly = effect.predicted_s is not None and effect.predicted_s >= _LEAST_SHARE * found.predicted_s
-    return costly or 0.0 < effect.seconds < 0.999 * found.duration_s
+    costly = effect.predicted_s is not None and effect.predicted_s >= _LEAST_SHARE * whole.predicted_s
+    return costly or 0.0 < effect.seconds < 0.999 * whole.duration_s
 
 
 def _line(name: str, effects: Sequence[PlannedEffect]) -> str:
@@ -126,5 +126,5 @@ def _when(effect: PlannedEffect) -> str:
 
 
 def _cost(effects: Sequence[PlannedEffect]) -> str:
-    known = [effect.predicted_s for effect in effects if effect.predicted_s is not None]
-    return f" ({sum(known):.1f} s of computing)" if known else ""
+    predictions = [effect.predicted_s for effect in effects if effect.predicted_s is not None]
+    return f" ({sum(predictions):.1f} s of computing)" if predictions else ""

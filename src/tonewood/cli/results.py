@@ -36,7 +36,7 @@ def results(
     from tonewood.workshop.listening.results import FOLDER, analyse, write_tables
 
     tables = [read_answers(path, test) for path in answers or () for test in [load_test(folder)]]
-    found = analyse(
+    analysis = analyse(
         folder,
         key=key,
         confidence=confidence,
@@ -45,13 +45,13 @@ def results(
         others_left_out=[one for table in tables for one in table.left_out],
     )
     place = output or folder / FOLDER
-    write_tables(found, place)
-    page = write_report(found, place, _facts(folder))
+    write_tables(analysis, place)
+    page = write_report(analysis, place, _facts(folder))
     if as_json:
-        sentences = {"summary": summary(found), "methods": methods(found)}
-        print_json("results", {**found.to_dict(), **sentences, "report": str(page)})
+        sentences = {"summary": summary(analysis), "methods": methods(analysis)}
+        print_json("results", {**analysis.to_dict(), **sentences, "report": str(page)})
         return
-    _print(found)
+    _print(analysis)
     print(f"{page}; answers.csv and answers.parquet have one row an answer")
 
 
@@ -88,23 +88,23 @@ def _facts_of(record: Any) -> dict[str, Any] | None:
     return {"count": len(files), "fs": files[0]["fs"], "onset_ms": 1000 * onset, "rows": rows} if files else None
 
 
-def _print(found: PanelResults) -> None:
+def _print(analysis: PanelResults) -> None:
     from tonewood.workshop.listening.plain import summary
 
-    for page in found.pages:
+    for page in analysis.pages:
         warn([f"{s.listener} is left out: {s.reason}" for s in page.screened])
-    warn([f"{who} did not finish" for who in found.unfinished])
-    warn([f"{who} did not pass the check of headphones" for who in found.not_passed])
-    if found.withdrawn:
-        warn([f"{found.withdrawn} withdrew; their answers were deleted"])
-    warn([f"left out: {one.reason}" for one in found.left_out])
-    if found.left_out:
-        count = sum(one.answers for one in found.left_out)
+    warn([f"{who} did not finish" for who in analysis.unfinished])
+    warn([f"{who} did not pass the check of headphones" for who in analysis.not_passed])
+    if analysis.withdrawn:
+        warn([f"{analysis.withdrawn} withdrew; their answers were deleted"])
+    warn([f"left out: {one.reason}" for one in analysis.left_out])
+    if analysis.left_out:
+        count = sum(one.answers for one in analysis.left_out)
         warn([f"{count} {'answer is' if count == 1 else 'answers are'} left out"])
-    print(f"{found.test.manifest.name}: {found.who}, {100 * found.confidence:g} % intervals")
-    for line in summary(found):
+    print(f"{analysis.test.manifest.name}: {analysis.who}, {100 * analysis.confidence:g} % intervals")
+    for line in summary(analysis):
         print(f"  {line}")
-    for page in found.pages:
+    for page in analysis.pages:
         print(f"{page.page}. {page.heading} ({page.kind}, {page.listeners} listeners)")
         for line in _lines(page):
             print("   " + line)
@@ -129,7 +129,7 @@ def _lines(page: PageResults) -> list[str]:
         lines += [f"  {note}" for note in page.linear.notes]
     for pair in page.ranks.pairs if page.ranks is not None else ():
         lines.append(f"ranks, {pair.factor}: {pair.second} over {pair.first}: r = {pair.r:.2f}, p = {pair.p_holm:.3g}")
-    for one in page.detections:
+    for one in (*page.pairs, *(page.detections if len(page.detections) > len(page.pairs) else ())):
         cell = ", ".join(f"{k}={v}" for k, v in one.cell.items())
         if one.share is None:
             lines.append(f"{cell}: none decided")
@@ -137,12 +137,13 @@ def _lines(page: PageResults) -> list[str]:
         d = "" if one.d_prime is None else f", d' = {one.d_prime:.2f}"
         lines.append(
             f"{cell}: {one.right} of {one.answers} right, {100 * one.share:.1f} % "
-            f"[{100 * (one.low or 0):.1f}, {100 * (one.high or 0):.1f}], p = {one.p_value:.3g}{d}"
+            f"[{100 * (one.low or 0):.1f}, {100 * (one.high or 0):.1f}], p = {one.p_holm:.3g}{d}"
         )
     for value in page.scale:
         lines.append(f"{value.level}: {value.value:+.2f} [{value.low:.2f}, {value.high:.2f}] logits")
     if page.thresholds is not None:
-        found = page.thresholds
-        bounds = "" if found.low is None else f" [{found.low:.4g}, {found.high:.4g}]"
-        lines.append(f"threshold {found.mean:.4g}{bounds} {found.unit}, at {100 * found.share:.1f} % right")
+        limits = page.thresholds
+        low, high = ("\N{EN DASH}" if x is None else f"{x:.4g}" for x in (limits.low, limits.high))
+        bounds = f" [{low}, {high}]" if len(limits.listeners) > 1 else ""
+        lines.append(f"threshold {limits.mean:.4g}{bounds} {limits.unit}, at {100 * limits.share:.1f} % right")
     return lines

@@ -71,21 +71,21 @@ def sample(
     sampling = Sampling(every, _numbers(velocities), round_robins, lowest, highest, duration, releases)
     bundle = load(instrument, settings, allow_code, strings)
     with progress("rendering", 1.0) as advance:
-        made = make_library(bundle, output, sampling, options, jobs=jobs, suffix=f".{sound_format}", tell=advance)
+        library = make_library(bundle, output, sampling, options, jobs=jobs, suffix=f".{sound_format}", tell=advance)
     report = {
-        "sfz": str(made.sfz), "decent_sampler": str(made.decent), "folder": str(made.folder),
-        "samples": made.n_samples, "releases": made.n_releases, "seconds": made.seconds, "bytes": made.size,
-        "gain_db": made.gain_db, "rings": made.rings,
+        "sfz": str(library.sfz), "decent_sampler": str(library.decent), "folder": str(library.folder),
+        "samples": library.n_samples, "releases": library.n_releases, "seconds": library.seconds, "bytes": library.size,
+        "gain_db": library.gain_db, "rings": library.rings,
     }  # fmt: skip
     if as_json:
         print_json("sample", report)
         return
     print(
-        f"{made.sfz}: {made.n_samples} samples and {made.n_releases} releases, {made.seconds:.0f} s of sound, "
-        f"{made.size / 1e6:.1f} MB in {made.folder}"
+        f"{library.sfz}: {library.n_samples} samples and {library.n_releases} releases, {library.seconds:.0f} s of "
+        f"sound, {library.size / 1e6:.1f} MB in {library.folder}"
     )
-    print(f"  all at {made.gain_db:+.1f} dB re the instrument's calibrated level; Decent Sampler: {made.decent}")
-    if made.rings:
+    print(f"  all at {library.gain_db:+.1f} dB re the instrument's calibrated level; Decent Sampler: {library.decent}")
+    if library.rings:
         print("  notes ring on when their keys come up: they have no release")
 
 

@@ -21,5 +21,5 @@ def simulate(
     from tonewood.workshop.listening.panel import read_panel, simulate
 
     allow("--listeners", listeners, 1, 10_000, "")
-    made = simulate(load_test(folder), read_panel(panel), listeners, seed)
-    print(f"{folder}: {len(made)} simulated listeners")
+    answers = simulate(load_test(folder), read_panel(panel), listeners, seed)
+    print(f"{folder}: {len(answers)} simulated listeners")

@@ -68,8 +68,8 @@ def _rows(chosen: StringSet, length: float | None) -> list[dict[str, Any]]:
         freq = 440.0 * 2 ** ((note_number(entry.note) - 69) / 12)
         diameter = entry.diameter or (entry.made_of.diameter if entry.made_of else None)
         material = entry.made_of.material if entry.made_of else None
-        found = figures(entry, chosen, at, freq)
-        out.append({"note": entry.note, "length": at, "diameter": diameter, "material": material, **found})
+        values = figures(entry, chosen, at, freq)
+        out.append({"note": entry.note, "length": at, "diameter": diameter, "material": material, **values})
     return out
 
 

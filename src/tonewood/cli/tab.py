@@ -59,8 +59,8 @@ def tab(
     from tonewood.support.whole_files import whole_file
 
     if output is not None and output.suffix.lower() not in (".musicxml", ".xml", ".txt"):
-        given = output.suffix or "a name without an ending"
-        raise OutputError(f"{given} is not written; .musicxml or .txt are", file=output)
+        ending = output.suffix or "a name without an ending"
+        raise OutputError(f"{ending} is not written; .musicxml or .txt are", file=output)
     if output is None and not as_json:
         raise TonewoodError("Missing option '--output' / '-o', or --json")
     length = _meter(meter)
@@ -115,7 +115,7 @@ def _meter(text: str | None) -> float | None:
     """Length of a measure in quarter notes."""
     if text is None:
         return None
-    found = re.fullmatch(r"(\d{1,2})/(1|2|4|8|16|32)", text.strip())
-    if found is None or not int(found[1]):
+    match = re.fullmatch(r"(\d{1,2})/(1|2|4|8|16|32)", text.strip())
+    if match is None or not int(match[1]):
         raise TonewoodError(f"is {text!r}; N/M such as 3/4 or 6/8 is allowed", key="--meter")
-    return 4.0 * int(found[1]) / int(found[2])
+    return 4.0 * int(match[1]) / int(match[2])

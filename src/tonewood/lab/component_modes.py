@@ -122,9 +122,9 @@ def fixed_base_modes(
     import scipy.linalg as sla
 
     M, K = _symmetric(np.array(M, dtype=np.float64)), _symmetric(np.array(K, dtype=np.float64))
-    held = np.zeros(M.shape[0], dtype=bool)
-    held[list(interface)] = True
-    inside, base = np.flatnonzero(~held), np.array(list(interface), dtype=np.intp)
+    fixed = np.zeros(M.shape[0], dtype=bool)
+    fixed[list(interface)] = True
+    inside, base = np.flatnonzero(~fixed), np.array(list(interface), dtype=np.intp)
     stiffness = K[np.ix_(inside, inside)]
     shapes, omega = _all_modes(M[np.ix_(inside, inside)], stiffness)
     if np.any(omega == 0):

@@ -66,8 +66,8 @@ class Newmark:
         """Displacements and velocities (n, n_dof) at 0, h, ... from the displacements and velocities `start`."""
         u0, v0 = (np.asarray(x, dtype=np.float64) for x in start)
         none = np.zeros(len(system.M))
-        known = np.asarray(none if force is None else force(0.0), dtype=np.float64)
-        a0 = sla.solve(system.M, known - system.C @ v0 - system.K @ u0)
+        force_at_0 = np.asarray(none if force is None else force(0.0), dtype=np.float64)
+        a0 = sla.solve(system.M, force_at_0 - system.C @ v0 - system.K @ u0)
         T, p = self.step_matrix(system, h)
         x = np.concatenate([u0, h * v0, h**2 * a0])
         out = np.empty((n, x.size))

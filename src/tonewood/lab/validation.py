@@ -46,12 +46,12 @@ def selected(only: Sequence[str] | None) -> list[str]:
         return list(SYSTEMS)
     names = []
     for wanted in only:
-        found = [name for name in SYSTEMS if name.startswith(wanted)]
-        if not found or not wanted:
+        matches = [name for name in SYSTEMS if name.startswith(wanted)]
+        if not matches or not wanted:
             raise TonewoodError(
                 f"is {wanted!r}; there are {', '.join(SYSTEMS)}, or the beginning of these", key="--only"
             )
-        names += [name for name in found if name not in names]
+        names += [name for name in matches if name not in names]
     return names
 
 

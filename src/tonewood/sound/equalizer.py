@@ -37,7 +37,7 @@ class Equalizer:
     """
 
     def __init__(self, bands: Sequence[Sequence[Band]], fs: float):
-        rows = [[section(band, fs) for band in own if band[0] < _HIGHEST * fs] for own in bands]
+        rows = [[section(band, fs) for band in channel if band[0] < _HIGHEST * fs] for channel in bands]
         longest = max(map(len, rows), default=0)
         through = [1.0, 0.0, 0.0, 1.0, 0.0, 0.0]
         self._sections = [np.array(row + [through] * (longest - len(row))) for row in rows]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.support.sound_rates import check_rate
 
 Floats = NDArray[np.float64]
 
@@ -132,22 +133,24 @@ def _read(name: str, fs: int, channels: int) -> Floats:
     import soundfile as sf
 
     if not Path(name).is_file():
-        known = ", ".join(ROOMS)
-        raise TonewoodError(f"is {name!r}; {known} or the name of a sound file are allowed", key="room")
+        names = ", ".join(ROOMS)
+        raise TonewoodError(f"is {name!r}; {names} or the name of a sound file are allowed", key="room")
     try:
-        given, rate = sf.read(name, dtype="float64", always_2d=True)
+        rate = sf.info(name).samplerate
+        check_rate(rate, name)
+        response, _ = sf.read(name, frames=int(_LONGEST * rate) + 1, dtype="float64", always_2d=True)
     except sf.LibsndfileError as fault:
         raise TonewoodError(f"cannot be read: {fault.error_string}", file=name) from None
-    if given.shape[1] not in (1, channels):
-        raise TonewoodError(f"has {given.shape[1]} channels; 1 or {channels} are allowed", file=name)
-    if not len(given) or not np.all(np.isfinite(given)) or len(given) > _LONGEST * rate:
+    if response.shape[1] not in (1, channels):
+        raise TonewoodError(f"has {response.shape[1]} channels; 1 or {channels} are allowed", file=name)
+    if not len(response) or not np.all(np.isfinite(response)) or len(response) > _LONGEST * rate:
         raise TonewoodError(f"up to {_LONGEST:g} s of finite samples are allowed", file=name)
     if rate != fs:
         from scipy.signal import resample_poly
 
         common = math.gcd(fs, rate)
-        given = resample_poly(given, fs // common, rate // common)
-    return np.asarray(np.broadcast_to(given, (len(given), channels)))
+        response = resample_poly(response, fs // common, rate // common)
+    return np.asarray(np.broadcast_to(response, (len(response), channels)))
 
 
 def _begun(responses: Floats, fs: int) -> Floats:

@@ -103,6 +103,6 @@ def blas_libraries() -> list[str]:
 
 
 def _named(libraries: tuple[Any, ...]) -> list[str]:
-    found = (library.info() for library in libraries)
-    names = [f"{i['internal_api']} {i['version']} {i.get('architecture') or ''}".rstrip() for i in found]
+    infos = (library.info() for library in libraries)
+    names = [f"{i['internal_api']} {i['version']} {i.get('architecture') or ''}".rstrip() for i in infos]
     return sorted(set(names))

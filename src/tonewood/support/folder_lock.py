@@ -31,15 +31,15 @@ def locked(folder: Path, use: str) -> Iterator[None]:
     OutputError : another process holds the lock, or the folder cannot be written to.
     """
     path = folder / FILE
-    with ExitStack() as held:
+    with ExitStack() as stack:
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            _lock_folder(folder, held)
+            _lock_folder(folder, stack)
             handle = _acquired(path)
         except OSError as fault:
             raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
-        held.callback(os.close, handle)
-        held.callback(_remove, path, handle)
+        stack.callback(os.close, handle)
+        stack.callback(_remove, path, handle)
         os.ftruncate(handle, 0)
         os.lseek(handle, 1, os.SEEK_SET)  # Windows locks the first byte for readers, too
         with suppress(OSError):  # on a full disk the name is missing, the lock holds
@@ -47,7 +47,7 @@ def locked(folder: Path, use: str) -> Iterator[None]:
         yield
 
 
-def _lock_folder(folder: Path, held: ExitStack) -> None:
+def _lock_folder(folder: Path, stack: ExitStack) -> None:
     """Take the lock of the folder itself, where the system has one, until `held` ends.
 
     Raises
@@ -57,7 +57,7 @@ def _lock_folder(folder: Path, held: ExitStack) -> None:
     if not hasattr(os, "O_DIRECTORY"):
         return
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    held.callback(os.close, handle)
+    stack.callback(os.close, handle)
     try:
         free = _take(handle)
     except OSError:  # its file system locks files alone

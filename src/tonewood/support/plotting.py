@@ -67,8 +67,8 @@ def figure(
     TonewoodError : matplotlib is not installed.
     """
     tall = [4.0] * rows if heights is None else list(heights)
-    made = _figure_class()(figsize=(WIDTH, sum(tall) + 0.2), layout="constrained")
-    axes = made.subplots(
+    chart = _figure_class()(figsize=(WIDTH, sum(tall) + 0.2), layout="constrained")
+    axes = chart.subplots(
         rows,
         columns,
         squeeze=False,
@@ -84,7 +84,7 @@ def figure(
         for text in (ax.xaxis.label, ax.yaxis.label, ax.title):
             text.set_size(TEXT)
         ax.yaxis.get_offset_text().set_size(SMALL)
-    return made, axes
+    return chart, axes
 
 
 @cache
@@ -122,12 +122,12 @@ def title(ax: Axes, text: str) -> None:
     ax.set_title(plain(textwrap.fill(text, _LINE_LENGTH)), fontsize=TEXT)
 
 
-def legend_above(made: Figure, ax: Axes) -> None:
+def legend_above(chart: Figure, ax: Axes) -> None:
     """Add a legend of the curves of an axes above the whole figure, where it hides none of them."""
     handles, labels = ax.get_legend_handles_labels()
     if handles:
         columns = max(1, min(len(labels), 80 // max(len(label) + 6 for label in labels)))
-        made.legend(handles, labels, loc="outside upper center", ncols=columns, fontsize=SMALL, handlelength=2.6)
+        chart.legend(handles, labels, loc="outside upper center", ncols=columns, fontsize=SMALL, handlelength=2.6)
 
 
 def log_axis(ax: Axes) -> None:
@@ -170,14 +170,14 @@ def mobility_figure(
     marks : Hz, drawn as grey lines: pitches of open strings.
     of : title of the legend.
     """
-    made, axes = figure(heights=[5.0])
+    chart, axes = figure(heights=[5.0])
     ax = axes[0, 0]
     draw_mobility(ax, freq, curves)
     for mark in marks:
         ax.axvline(mark, color="0.75", lw=1.0, zorder=0)
     title(ax, heading)
     legend(ax, title=of or None, ncols=2 if len(curves) > 3 else 1)
-    return made
+    return chart
 
 
 def points_figure(freq: ArrayLike, rows: Mapping[str, ArrayLike], *, heading: str = "") -> Figure:
@@ -189,18 +189,18 @@ def points_figure(freq: ArrayLike, rows: Mapping[str, ArrayLike], *, heading: st
     rows : label of the row, with unit -> (n,) values; those that are not positive and finite are left out.
     """
     f = np.asarray(freq, dtype=np.float64)
-    made, axes = figure(len(rows), heights=[3.4] * len(rows), sharex=True)
+    chart, axes = figure(len(rows), heights=[3.4] * len(rows), sharex=True)
     shown = f[f > 0]
     low, high = (float(shown.min()) / 1.15, float(shown.max()) * 1.15) if shown.size else (20.0, 20000.0)
-    for ax, (label, given) in zip(axes[:, 0], rows.items(), strict=True):
-        values = np.asarray(given, dtype=np.float64)
+    for ax, (label, levels) in zip(axes[:, 0], rows.items(), strict=True):
+        values = np.asarray(levels, dtype=np.float64)
         fit = np.isfinite(values) & (values > 0) & (f > 0)
         ax.plot(f[fit], values[fit], "o", color=COLOURS[0], ms=7)
         frequency_axis(ax, low, high)
         ax.set(ylabel=label, xlabel="frequency, Hz" if ax is axes[-1, 0] else "")
         log_axis(ax)
     title(axes[0, 0], heading)
-    return made
+    return chart
 
 
 def draw_spectrogram(
@@ -217,34 +217,34 @@ def draw_spectrogram(
     return shown
 
 
-def colour_bar(made: Figure, shown: Any, axes: Any, label: str) -> None:
+def colour_bar(chart: Figure, shown: Any, axes: Any, label: str) -> None:
     """Add the scale of a spectrogram's colours."""
-    bar = made.colorbar(shown, ax=axes, pad=0.01)
+    bar = chart.colorbar(shown, ax=axes, pad=0.01)
     bar.ax.tick_params(labelsize=SMALL)
     bar.set_label(label, size=TEXT)
 
 
-def save(made: Figure, path: Path, *, make_folder: bool = False) -> Path:
+def save(chart: Figure, path: Path, *, make_folder: bool = False) -> Path:
     """Write a figure to a file that appears when it is complete; its suffix is one of `PICTURES`."""
     with whole_file(path, make_folder=make_folder) as stream:
-        made.savefig(stream, format=path.suffix[1:].lower(), dpi=110)
+        chart.savefig(stream, format=path.suffix[1:].lower(), dpi=110)
     return path
 
 
-def png(made: Figure, dpi: float = 110) -> bytes:
+def png(chart: Figure, dpi: float = 110) -> bytes:
     """A figure as PNG."""
     stream = io.BytesIO()
-    made.savefig(stream, format="png", dpi=dpi, metadata={"Software": None})
+    chart.savefig(stream, format="png", dpi=dpi, metadata={"Software": None})
     return stream.getvalue()
 
 
-def svg(made: Figure) -> bytes:
+def svg(chart: Figure) -> bytes:
     """A figure as SVG, the same bytes for the same figure."""
     import matplotlib as mpl
 
     stream = io.BytesIO()
     with mpl.rc_context({"svg.hashsalt": "tonewood"}):
-        made.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+        chart.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     return stream.getvalue()
 
 

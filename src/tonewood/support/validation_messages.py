@@ -146,9 +146,9 @@ def _unknown(key: str, owners: list[type[BaseModel]]) -> str:
     return f"is not a known key; {did_you_mean(key, allowed)}allowed: {', '.join(allowed)}"
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
+def did_you_mean(name: str, names: Iterable[str]) -> str:
     """``did you mean tension? `` for a name that resembles a known one in its last part, else nothing."""
-    spelt = {word.lower().rpartition(".")[2]: word for word in known}
+    spelt = {word.lower().rpartition(".")[2]: word for word in names}
     close = difflib.get_close_matches(name.lower().rpartition(".")[2], spelt, n=1, cutoff=0.7)
     return f"did you mean {spelt[close[0]]}? " if close else ""
 

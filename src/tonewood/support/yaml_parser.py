@@ -16,7 +16,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.composer import Composer
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.events import AliasEvent
-from ruamel.yaml.nodes import MappingNode, SequenceNode
+from ruamel.yaml.nodes import MappingNode, ScalarNode, SequenceNode
 
 from tonewood.errors import TonewoodError
 
@@ -36,7 +36,7 @@ def parse(
     ------
     TonewoodError
         Not one mapping; anchors, aliases, merge keys, tags, dates, directives, duplicate keys, keys that are
-        not words, numbers that are not finite, nesting deeper than `MAX_DEPTH`.
+        not words, half a surrogate pair, numbers that are not finite, nesting deeper than `MAX_DEPTH`.
     """
     yaml = YAML(typ="safe", pure=True)  # the C scanner speaks YAML 1.1
     yaml.Composer = _StrictComposer
@@ -70,10 +70,10 @@ def line_of(text: str, key: str) -> int | None:
     line, parent = None, None
     for part in key.split("."):
         defaults = _entry(parent, "defaults")
-        found = _entry(node, part) or (_entry(defaults[1], part) if defaults else None)
-        if found is None:
+        entry = _entry(node, part) or (_entry(defaults[1], part) if defaults else None)
+        if entry is None:
             break
-        parent, (place, node) = node, found
+        parent, (place, node) = node, entry
         line = place.start_mark.line + 1
     return line
 
@@ -113,6 +113,8 @@ class _StrictComposer(Composer):
         self._levels += 1
         node = super().compose_node(parent, index)
         self._levels -= 1
+        if isinstance(node, ScalarNode):
+            node.value = _joined(node)
         if str(node.ctag) == _TIMESTAMP:
             raise _refused(f"{node.value} would be read as a date: quote it", node)
         if isinstance(node, MappingNode):
@@ -131,6 +133,18 @@ def _check_keys(node: MappingNode) -> None:
         if key.value in seen:
             raise _refused(f"key {key.value} stands twice in one mapping", key)
         seen.add(key.value)
+
+
+def _joined(node: ScalarNode) -> str:
+    r"""Return the text of a scalar with escapes like ``\ud83c\udfb8``, which JSON writes, made one character."""
+    try:
+        node.value.encode()
+        return str(node.value)
+    except UnicodeEncodeError:
+        try:
+            return str(node.value.encode("utf-16", "surrogatepass").decode("utf-16"))
+        except UnicodeDecodeError:  # it could not be printed, nor written to any file
+            raise _refused("half a surrogate pair is no character", node) from None
 
 
 def _refused(problem: str, place: Any) -> MarkedYAMLError:

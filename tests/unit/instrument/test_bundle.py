@@ -14,6 +14,7 @@ import pytest
 
 import tonewood as tw
 from tonewood.errors import BundleError, PluginError, TonewoodError
+from tonewood.instrument.bundle.identity import content_hash
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.overrides import apply_overrides, parse_assignment
 from tonewood.instrument.model.assembly import assemble
@@ -290,3 +291,19 @@ def test_a_table_put_in_by_an_override_is_doubted(tmp_path: Path) -> None:
     (folder / "other.csv").write_bytes((folder / "body.csv").read_bytes() + b"\n")
     (line,) = tw.load_instrument(folder).replace({"body.table": "other.csv"}).origins.table_doubts()
     assert "other.csv is not the table" in line
+
+
+def test_a_content_hash_is_of_values_files_and_plugins_and_of_no_order(tmp_path: Path) -> None:
+    def hashed(**changes: Any) -> str:
+        given = {"resolved": {"a": 1.0, "b": {"c": 2, "d": 3}}, "granted": [], "plugins": {"x": "1", "y": "2"}}
+        return content_hash(folder=tmp_path, **given | changes)
+
+    (tmp_path / "table.csv").write_text("1,2\n")
+    one = hashed()
+    assert hashed(resolved={"b": {"d": 3, "c": 2}, "a": 1.0}, plugins={"y": "2", "x": "1"}) == one
+    others = [hashed(resolved={"a": 1.0, "b": {"c": 2, "d": 4}}), hashed(plugins={"x": "1", "y": "3"})]
+    (tmp_path / "table.csv").write_text("1,3\n")
+    others.append(hashed())
+    (tmp_path / "table.csv").rename(tmp_path / "chart.csv")
+    others.append(hashed())
+    assert len({one, *others}) == 5

@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 
 from tonewood.instrument.bundle.loading import Instrument
-from tonewood.instrument.inspection.wolf import LEAST_SHARE, intervals, share_curve, wolf_notes
+from tonewood.instrument.inspection.wolf import (
+    _HINT,
+    LEAST_SHARE,
+    STEP_CENTS,
+    _refined,
+    intervals,
+    share_curve,
+    wolf_notes,
+)
 from tonewood.instrument.model.assembly import Model, assemble
 
 DENSITY, LENGTH = 1.95e-3, 0.65
@@ -109,3 +117,17 @@ def test_a_wolf_between_stops_far_apart_is_found(tmp_path: Path, values: dict[st
     del values["strings"]["D3"]["note"]
     wolves = wolf_notes(instrument(tmp_path, values, mass=0.5, q=1e5))
     assert [wolf.worst_freq for wolf in wolves] == [pytest.approx(FREQ, rel=2e-3)]
+
+
+@pytest.mark.parametrize("width", [4.0, 20.0, 60.0])
+def test_steps_are_halved_beside_every_point_of_a_share(width: float) -> None:
+    """A Lorentzian narrower than a step stands at one of its ends alone; its area is pi times width and height."""
+    x, d = _refined(lambda u: 0.9 / (1 + ((u - 100.0) / width) ** 2), np.arange(-1000.0, 1001.0, 25.0), 0.0)
+    assert np.all(np.diff(x) > 0)
+    wide = np.diff(x) > STEP_CENTS
+    assert np.maximum(d[:-1], d[1:])[wide].max() <= _HINT
+    whole = 0.9 * width * (math.atan(900.0 / width) + math.atan(1100.0 / width))
+    assert np.trapezoid(d, x) == pytest.approx(whole, rel=0.25 if width < STEP_CENTS else 0.02)
+    calls: list[np.ndarray] = []
+    _refined(lambda u: calls.append(u) or np.full(len(u), 0.9 * _HINT), np.arange(0.0, 100.0, 25.0), 10.0)
+    assert [u.tolist() for u in calls] == [[-10.0, 15.0, 40.0, 65.0]]  # nothing to refine

@@ -88,6 +88,16 @@ def test_rooms_that_are_none(tmp_path: Path) -> None:
     sf.write(tmp_path / "silent.wav", np.zeros(10), 48000)
     with pytest.raises(TonewoodError, match="silent"):
         room_response(str(tmp_path / "silent.wav"), 48000, 2)
+    for rate in (7999, 400001, 2**31 - 1):  # resampling would need 320 GiB for the last one
+        sf.write(tmp_path / "rate.wav", np.ones(100), 48000)
+        with (tmp_path / "rate.wav").open("r+b") as stream:
+            stream.seek(24)
+            stream.write(rate.to_bytes(4, "little"))
+        with pytest.raises(TonewoodError, match=f"has {rate} samples a second; 8000 to 400000 are allowed"):
+            room_response(str(tmp_path / "rate.wav"), 48000, 2)
+    sf.write(tmp_path / "long.wav", np.ones(20 * 8000 + 1), 8000)
+    with pytest.raises(TonewoodError, match="up to 20 s of finite samples"):
+        room_response(str(tmp_path / "long.wav"), 48000, 2)
     (tmp_path / "text.wav").write_text("no sound")
     with pytest.raises(TonewoodError, match="cannot be read"):
         room_response(str(tmp_path / "text.wav"), 48000, 2)

@@ -97,13 +97,13 @@ def point_factor(i: int, entry: Added, points: Mapping[str, BodyPoint], file: Pa
     """
     driven = {name: point for name, point in points.items() if point.driven}
     if entry.at not in driven:
-        known = f"{did_you_mean(entry.at, driven)}there are {', '.join(driven)}"
-        raise BundleError(f"there is no point {entry.at!r}; {known}", file=file, key=f"body.added.{i}.at")
-    own = driven[entry.at].direction
-    factor = 1.0 if entry.direction is None else dot(unit_vector(entry.direction), own)
+        names = f"{did_you_mean(entry.at, driven)}there are {', '.join(driven)}"
+        raise BundleError(f"there is no point {entry.at!r}; {names}", file=file, key=f"body.added.{i}.at")
+    direction = driven[entry.at].direction
+    factor = 1.0 if entry.direction is None else dot(unit_vector(entry.direction), direction)
     if factor == 0.0:
         raise BundleError(
-            f"the body does not move that way at {entry.at}: its modes are known along {_shown(own)}",
+            f"the body does not move that way at {entry.at}: its modes are known along {_shown(direction)}",
             file=file,
             key=f"body.added.{i}.direction",
         )

@@ -70,10 +70,12 @@ def _branches(
     for name, plugin in registry.list_plugins().items():
         if plugin.kind != kind:
             continue
-        _, own = models_json_schema([(plugin.Parameters, "validation")], by_alias=True)
-        own = _prefixed(own["$defs"], name)
-        definitions.update({key: value for key, value in own.items() if key != f"{name}.{plugin.Parameters.__name__}"})
-        parameters = own[f"{name}.{plugin.Parameters.__name__}"]
+        _, schema = models_json_schema([(plugin.Parameters, "validation")], by_alias=True)
+        schema = _prefixed(schema["$defs"], name)
+        definitions.update(
+            {key: value for key, value in schema.items() if key != f"{name}.{plugin.Parameters.__name__}"}
+        )
+        parameters = schema[f"{name}.{plugin.Parameters.__name__}"]
         _, base = models_json_schema([(common, "validation")], by_alias=True)
         shared = copy.deepcopy(base["$defs"][common.__name__])
         definitions.update({key: value for key, value in base["$defs"].items() if key != common.__name__})

@@ -88,9 +88,9 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
     defaults = strings.get("defaults", {}) if isinstance(strings, Mapping) else {}
     header, rows, file = files.cells(keys["table"], "keys.table")
     exciter = keys.get("exciter")
-    known = values.get("exciters")
-    if isinstance(exciter, str) and isinstance(known, Mapping) and exciter not in known:
-        raise BundleError(_no_exciter(exciter, known), file=files.manifest, key="keys.exciter")
+    exciters = values.get("exciters")
+    if isinstance(exciter, str) and isinstance(exciters, Mapping) and exciter not in exciters:
+        raise BundleError(_no_exciter(exciter, exciters), file=files.manifest, key="keys.exciter")
     _check_columns(header, rows[0][0] - 1, exciter, file)
     damper = keys["damper"] if isinstance(keys.get("damper"), Mapping) else {}
     others = strings if isinstance(strings, Mapping) else {}
@@ -138,8 +138,8 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
                 part["end"] = f"body.{name}"
             made[string] = part
         places |= _places(name, of, exciter, row, defaults, damper)
-    known = entries if isinstance(beside, Mapping) else beside
-    expanded = {**keys, "table": None, "damper": {}, "entries": known}
+    exciters = entries if isinstance(beside, Mapping) else beside
+    expanded = {**keys, "table": None, "damper": {}, "entries": exciters}
     if not isinstance(keys.get("damper", {}), Mapping):
         expanded["damper"] = keys["damper"]
     return KeyRows({**values, "keys": expanded, "strings": {**others, **made}}, file, places)
@@ -237,8 +237,8 @@ def key_exciters(spec: Bundle, file: Any) -> Iterator[tuple[str, str, PluginPart
             yield name, played, PluginPart.model_validate({**part.model_dump(), **key.exciter})
 
 
-def _no_exciter(name: str, known: Collection[str]) -> str:
-    return f"there is no exciter {name!r}; {did_you_mean(name, known)}there are {', '.join(known)}"
+def _no_exciter(name: str, names: Collection[str]) -> str:
+    return f"there is no exciter {name!r}; {did_you_mean(name, names)}there are {', '.join(names)}"
 
 
 def _pitches(entries: Mapping[str, Any]) -> dict[float, str]:
@@ -280,8 +280,8 @@ def check_keys(spec: Bundle, file: Any, open_note: Callable[[str], float]) -> No
             raise BundleError(fault.reason, file=file, key=f"{at}.note") from None
         for string in key.strings:
             if string not in spec.strings:
-                known = f"{did_you_mean(string, spec.strings)}there are {', '.join(spec.strings)}"
-                raise BundleError(f"there is no string {string!r}; {known}", file=file, key=f"{at}.strings")
+                names = f"{did_you_mean(string, spec.strings)}there are {', '.join(spec.strings)}"
+                raise BundleError(f"there is no string {string!r}; {names}", file=file, key=f"{at}.strings")
             if string in taken:
                 reason = f"string {string!r} is one of key {taken[string]}; a string has one key"
                 raise BundleError(reason, file=file, key=f"{at}.strings")
@@ -304,15 +304,15 @@ def _value(text: str) -> Any:
 
 
 def _check_columns(header: list[str], line: int, exciter: Any, file: str) -> None:
-    known = [*_PLAIN, *(f"cents_{i + 1}" for i in range(_MOST))]
+    columns = [*_PLAIN, *(f"cents_{i + 1}" for i in range(_MOST))]
     heads = [head for head in ("string", exciter, "damper") if isinstance(head, str)]
     heads += [f"string_{i + 1}" for i in range(_MOST)]
     for column in header:
         head, _, path = column.partition(".")
-        if column not in known and not (path and head in heads):
+        if column not in columns and not (path and head in heads):
             owners = ", ".join(f"{head}.PARAMETER" for head in heads[:-_MOST])
             allowed = f"{', '.join(_PLAIN)}, cents_1 to cents_{_MOST}, {owners}"
-            hint = did_you_mean(column, known)
+            hint = did_you_mean(column, columns)
             raise BundleError(f"is no column of a table of keys; {hint}allowed: {allowed}", file=file, key=column)
     if "note" not in header:
         raise BundleError("is missing among the columns", file=file, line=max(line, 1), key="note")
@@ -334,8 +334,8 @@ def _places(
     line, entry = row.line, f"keys.entries.{name}"
     out = {entry: (line, ""), f"keys.{name}.{exciter}": (line, str(exciter))}
     out |= {f"{entry}.damper.{key}": (0, f"keys.damper.{key}") for key in damper}
-    given = [column.partition(".") for column, text in row.cells.items() if text]
-    out |= {f"{entry}.damper.{path}": (line, f"damper.{path}") for head, _, path in given if head == "damper"}
+    columns = [column.partition(".") for column, text in row.cells.items() if text]
+    out |= {f"{entry}.damper.{path}": (line, f"damper.{path}") for head, _, path in columns if head == "damper"}
     for i, string in enumerate(strings):
         at = f"strings.{string}"
         out[at] = line, "string"
@@ -343,5 +343,5 @@ def _places(
             out |= {f"{at}.{key}": (0, f"strings.defaults.{key}") for key in defaults}
         out |= {f"{at}.note": (line, "note"), f"{at}.cents": (line, f"cents_{i + 1}")}
         for own in ("string", f"string_{i + 1}"):
-            out |= {f"{at}.{path}": (line, f"{own}.{path}") for head, _, path in given if head == own and path}
+            out |= {f"{at}.{path}": (line, f"{own}.{path}") for head, _, path in columns if head == own and path}
     return out

@@ -226,15 +226,15 @@ class Instrument(ModalViews):
             return self
         if "keys.table" in overrides:
             raise BundleError("cannot be changed; `tonewood new` makes a bundle of your own", key="keys.table")
-        given, granted = _outside_files(overrides, self.folder)
+        changes, granted = _outside_files(overrides, self.folder)
         values = dict(self.resolved)
-        if (strings := given.get("strings_from")) is not None:
+        if (strings := changes.get("strings_from")) is not None:
             values = with_set(values, str(strings), over=True, file=self._files.manifest)
-        bought = {path: value for path, value in given.items() if ".made_of" in path}
+        bought = {path: value for path, value in changes.items() if ".made_of" in path}
         before, values = values["strings"], apply_overrides(values, bought, file=self._files.manifest)
         changed = [k for k, part in values["strings"].items() if part["made_of"] != before.get(k, {}).get("made_of")]
         values = with_materials(values, over=changed, file=self._files.manifest)
-        others = {path: value for path, value in given.items() if path not in bought}
+        others = {path: value for path, value in changes.items() if path not in bought}
         values = apply_overrides(values, others, file=self._files.manifest)
         return Instrument.from_values(values, self.folder, self.granted | granted, allow_code=self.allow_code)
 
@@ -342,15 +342,15 @@ class Instrument(ModalViews):
 
 def _outside_files(overrides: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], frozenset[Path]]:
     """Overrides with whole paths of a scale or keymap that is not in the folder, and these paths."""
-    given, outside = dict(overrides), set()
+    inside, outside = dict(overrides), set()
     for key in ("tuning.scale", "tuning.keymap"):
-        value = given.get(key)
+        value = inside.get(key)
         if not isinstance(value, str) or (not Path(value).is_absolute() and (folder / value).is_file()):
             continue
         if Path(value).is_file():
-            given[key] = str(Path(value).resolve())
+            inside[key] = str(Path(value).resolve())
             outside.add(Path(value).resolve())
-    return given, frozenset(outside)
+    return inside, frozenset(outside)
 
 
 def _flat(part: PluginPart, plugin: Plugin[Any]) -> dict[str, Any]:

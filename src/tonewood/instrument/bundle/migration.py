@@ -31,11 +31,11 @@ def bundle_edits(values: Mapping[str, Any], file: str | os.PathLike[str] | None 
     ------
     BundleError : the bundle was written for a later version.
     """
-    found = values.get("schema")
-    match = _VERSION.match(found) if isinstance(found, str) else None
-    if match is None or found == SCHEMA:
+    version = values.get("schema")
+    match = _VERSION.match(version) if isinstance(version, str) else None
+    if match is None or version == SCHEMA:
         return []
     if int(match[1]) > int(SCHEMA.rpartition("/")[2]):
-        reason = f"{found} is of a later version of tonewood; this one reads {SCHEMA}: upgrade tonewood"
+        reason = f"{version} is of a later version of tonewood; this one reads {SCHEMA}: upgrade tonewood"
         raise BundleError(reason, file=file, key="schema")
-    return [Edit("schema", SCHEMA, f"schema: {found} becomes {SCHEMA}")]
+    return [Edit("schema", SCHEMA, f"schema: {version} becomes {SCHEMA}")]

@@ -182,8 +182,8 @@ def _blocks(text: str) -> tuple[str, list[tuple[str, str]]]:
     """The text before the first key, and each key of the file with all that belongs to it."""
     starts = list(_KEY.finditer(text))
     ends = [match.start() for match in starts[1:]] + [len(text)]
-    found = [(match[1], text[match.start() : end]) for match, end in zip(starts, ends, strict=True)]
-    return text[: starts[0].start()] if starts else text, found
+    blocks = [(match[1], text[match.start() : end]) for match, end in zip(starts, ends, strict=True)]
+    return text[: starts[0].start()] if starts else text, blocks
 
 
 def _comment(key: str) -> list[str]:

@@ -63,16 +63,16 @@ class Origins:
             entry, name = self.of(f"{path}.table"), part.get("table")
             if not isinstance(name, str) or entry is None:
                 continue
-            found = hashlib.sha256(self.files.path(name, f"{path}.table").read_bytes()).hexdigest()
+            digest = hashlib.sha256(self.files.path(name, f"{path}.table").read_bytes()).hexdigest()
             says = f"{entry.kind}{f' ({entry.source})' if entry.source else ''}"
-            if entry.sha256 is not None and entry.sha256 != found:
+            if entry.sha256 is not None and entry.sha256 != digest:
                 doubts.append(
-                    f"{path}: {name} is not the table that its provenance calls {says}: its SHA-256 is {found}, not "
+                    f"{path}: {name} is not the table that its provenance calls {says}: its SHA-256 is {digest}, not "
                     f"{entry.sha256}; say where this one comes from"
                 )
             elif entry.sha256 is None and entry.kind == "measured":
                 doubts.append(
                     f"{path}: its provenance says {says} without the SHA-256 of {name}, so that nothing tells this "
-                    f"table from another one; if it is the one, add sha256: {found}"
+                    f"table from another one; if it is the one, add sha256: {digest}"
                 )
         return doubts

@@ -80,9 +80,9 @@ def _keys(holder: dict[str, Any] | list[Any], key: str, whole: str, place: list[
         return [names.index(key)]
     if key.isascii() and key.isdigit() and int(key) < len(holder):
         return [int(key)]
-    known = ", ".join(str(n) for n in names if n) or f"0 to {len(holder) - 1}"
+    choices = ", ".join(str(n) for n in names if n) or f"0 to {len(holder) - 1}"
     hint = did_you_mean(key, [str(n) for n in names if n])
-    raise BundleError(f"there is no {key!r} in {'.'.join(place)}; {hint}there is {known}", file=file, key=whole)
+    raise BundleError(f"there is no {key!r} in {'.'.join(place)}; {hint}there is {choices}", file=file, key=whole)
 
 
 def _assign(holder: dict[str, Any] | list[Any], key: Any, value: Any, place: list[str], file: Any) -> None:

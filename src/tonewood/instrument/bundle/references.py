@@ -36,9 +36,9 @@ def check_references(
     BundleError : one is not; names the key, and those that there are.
     """
 
-    def none(kind: str, name: str, known: Iterable[str], key: str) -> BundleError:
+    def none(kind: str, name: str, names: Iterable[str], key: str) -> BundleError:
         """Error for a name that none of the `known` things of a kind has."""
-        words = list(known)
+        words = list(names)
         hint = did_you_mean(name, words)
         reason = f"there is no {kind} {name!r}; {hint}there are {', '.join(words) or 'none'}"
         return BundleError(reason, file=file, key=key)
@@ -83,8 +83,8 @@ def check_references(
     for name, exciter in exciters.items():
         if exciter.at is not None and exciter.at not in {f"body.{p}" for p in points}:
             raise none("point", exciter.at, [f"body.{p}" for p in points], f"exciters.{name}.at")
-    for path, found in spec.provenance.items():
-        if found.source is not None and found.source not in spec.sources:
-            raise none("source", found.source, spec.sources, f"provenance.{path}.source")
-        if found.source is None and found.kind in ("measured", "estimated", "published", "computed"):
-            raise BundleError(f"{found.kind} figures need a source", file=file, key=f"provenance.{path}.source")
+    for path, origin in spec.provenance.items():
+        if origin.source is not None and origin.source not in spec.sources:
+            raise none("source", origin.source, spec.sources, f"provenance.{path}.source")
+        if origin.source is None and origin.kind in ("measured", "estimated", "published", "computed"):
+            raise BundleError(f"{origin.kind} figures need a source", file=file, key=f"provenance.{path}.source")

@@ -113,8 +113,8 @@ class StringSetEntry(Parameters):
 
     @model_validator(mode="after")
     def _mass(self) -> StringSetEntry:
-        known = (self.linear_density, self.tension, self.made_of, self.density and self.diameter)
-        if not any(known):
+        ways = (self.linear_density, self.tension, self.made_of, self.density and self.diameter)
+        if not any(ways):
             raise ValueError("a linear density, a tension, a density and a diameter, or `made_of` are wanted")
         return self
 

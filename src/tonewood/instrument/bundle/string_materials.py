@@ -99,12 +99,12 @@ def string_materials() -> Mapping[str, StringMaterial]:
     return {name: validated(StringMaterial, entry, key=name, file=_FILE) for name, entry in values.items()}
 
 
-def made_figures(made: MadeOf, length: float, freq: float, *, key: str = "", file: Any = None) -> StringFigures:
+def made_figures(purchase: MadeOf, length: float, freq: float, *, key: str = "", file: Any = None) -> StringFigures:
     """Compute a string from its gauge and materials.
 
     Parameters
     ----------
-    made : gauge, material, core and wrap.
+    purchase : gauge, material, core and wrap.
     length, freq : m and Hz, at which it is tuned.
     key, file : of the string, for errors.
 
@@ -112,32 +112,32 @@ def made_figures(made: MadeOf, length: float, freq: float, *, key: str = "", fil
     ------
     BundleError : a material is unknown or none for its place, or the gauges make no string.
     """
-    known = string_materials()
-    strings = [name for name, m in known.items() if m.young]
+    materials = string_materials()
+    strings = [name for name, m in materials.items() if m.young]
 
     def material(name: str, at: str, allowed: Collection[str]) -> StringMaterial:
         if name not in allowed:
             hint = did_you_mean(name, list(allowed))
             reason = f"there is no material {name!r} for it; {hint}there are {', '.join(allowed)}"
             raise BundleError(reason, file=file, key=f"{key}.{at}".lstrip("."))
-        return known[name]
+        return materials[name]
 
-    if made.material == WOUND:
-        assert made.wrap is not None
-        core = material(made.core.material if made.core else "plain_steel", "core.material", strings)
-        wrap = material(made.wrap.material, "wrap.material", known)
-        diameter, core_diameter, density = _wound(made, core, wrap, key, file)
+    if purchase.material == WOUND:
+        assert purchase.wrap is not None
+        core = material(purchase.core.material if purchase.core else "plain_steel", "core.material", strings)
+        wrap = material(purchase.wrap.material, "wrap.material", materials)
+        diameter, core_diameter, density = _wound(purchase, core, wrap, key, file)
         law, metal = core.loss_as_core, f"{core.title} under {wrap.title}"
         sources = f"core: {core.density.source}; wrap: {wrap.density.source}"
     else:
-        core = material(made.material, "material", [*strings, WOUND])
-        assert made.diameter is not None
-        diameter = core_diameter = made.diameter
+        core = material(purchase.material, "material", [*strings, WOUND])
+        assert purchase.diameter is not None
+        diameter = core_diameter = purchase.diameter
         density, law, metal = core.density.value * math.pi * diameter**2 / 4, core.loss, core.title
         sources = core.density.source
     assert core.young is not None
     assert law is not None
-    linear_density = made.linear_density or density
+    linear_density = purchase.linear_density or density
     tension = linear_density * (2 * length * freq) ** 2
     area = math.pi * core_diameter**2 / 4
     slow = core.young_slow or core.young
@@ -145,7 +145,7 @@ def made_figures(made: MadeOf, length: float, freq: float, *, key: str = "", fil
     numbers = law.model_dump(exclude={"kind", "source"})
     if law.law == "valette":
         numbers["diameter"] = diameter
-    mass = "mass per length as given in `made_of`" if made.linear_density else sources
+    mass = "mass per length as given in `made_of`" if purchase.linear_density else sources
     return StringFigures(
         diameter,
         core_diameter,
@@ -166,18 +166,20 @@ def made_figures(made: MadeOf, length: float, freq: float, *, key: str = "", fil
     )
 
 
-def _wound(made: MadeOf, core: StringMaterial, wrap: StringMaterial, key: str, file: Any) -> tuple[float, float, float]:
+def _wound(
+    purchase: MadeOf, core: StringMaterial, wrap: StringMaterial, key: str, file: Any
+) -> tuple[float, float, float]:
     """Diameter (m), core's diameter (m) and mass per length (kg/m) of a wound string.
 
     Of string, core and wrap two gauges make the third. Where the string's alone is known, a core of nylon follows from
     the mass, since the wrap is much denser; a core of steel is a usual share.
     """
-    assert made.wrap is not None
+    assert purchase.wrap is not None
 
     def fault(reason: str, at: str) -> BundleError:
         return BundleError(reason, file=file, key=f"{key}.{at}".lstrip("."))
 
-    inner, wire, outer = made.core.diameter if made.core else None, made.wrap.diameter, made.diameter
+    inner, wire, outer = purchase.core.diameter if purchase.core else None, purchase.wrap.diameter, purchase.diameter
     if outer is None:
         assert inner is not None
         assert wire is not None
@@ -185,20 +187,20 @@ def _wound(made: MadeOf, core: StringMaterial, wrap: StringMaterial, key: str, f
     elif inner is None and wire is not None:
         inner = outer - 2 * wire
     elif inner is None:
-        share = made.core.share if made.core else None
+        share = purchase.core.share if purchase.core else None
         if share is None and core.core_share is not None:
             share = core.core_share.value
         if share is None:
-            if made.linear_density is None:
+            if purchase.linear_density is None:
                 raise fault("is missing; its gauge, its share or `linear_density` is wanted", "core.gauge")
-            share = _share_of_mass(made.linear_density / (math.pi * outer**2 / 4), core, wrap, made.wrap.fill)
+            share = _share_of_mass(purchase.linear_density / (math.pi * outer**2 / 4), core, wrap, purchase.wrap.fill)
             if share is None:
                 densest = f"{wrap.density.value:g} kg/m^3 about {core.density.value:g} kg/m^3"
-                raise fault(f"no core gives {made.linear_density:g} kg/m with {densest}", "linear_density")
+                raise fault(f"no core gives {purchase.linear_density:g} kg/m with {densest}", "linear_density")
         inner = share * outer
     if not 0 < inner < outer:
         raise fault(f"leaves a core of {inner:.3g} m in a string of {outer:.3g} m", "gauge")
-    ring = (made.wrap.fill or _fill(inner / outer)) * wrap.density.value * (outer**2 - inner**2)
+    ring = (purchase.wrap.fill or _fill(inner / outer)) * wrap.density.value * (outer**2 - inner**2)
     return outer, inner, math.pi / 4 * (core.density.value * inner**2 + ring)
 
 

@@ -162,10 +162,10 @@ class Fretboard(Parameters):
 
     def over(self, common: Fretboard) -> Fretboard:
         """Return this fretboard with what it leaves out from another one."""
-        own = self.model_dump(exclude_none=True)
+        fields = self.model_dump(exclude_none=True)
         instead = {x: y for pair in ALTERNATIVES for x, y in (pair, pair[::-1])}
-        kept = {k: v for k, v in common.model_dump(exclude_none=True).items() if instead.get(k) not in own}
-        return Fretboard(**{**kept, **own})
+        kept = {k: v for k, v in common.model_dump(exclude_none=True).items() if instead.get(k) not in fields}
+        return Fretboard(**{**kept, **fields})
 
 
 #: keys of a fretboard that exclude each other

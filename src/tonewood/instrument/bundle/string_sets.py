@@ -47,11 +47,11 @@ def string_set(name: str, *, file: Any = None) -> StringSet:
     ------
     BundleError : there is none; names those there are.
     """
-    known = string_sets()
-    if name not in known:
-        reason = f"there is no string set {name!r}; {did_you_mean(name, known)}there are {', '.join(known)}"
+    sets = string_sets()
+    if name not in sets:
+        reason = f"there is no string set {name!r}; {did_you_mean(name, sets)}there are {', '.join(sets)}"
         raise BundleError(reason, file=file, key=_KEY)
-    return known[name]
+    return sets[name]
 
 
 def with_set(values: Mapping[str, Any], name: str, *, over: bool, file: Any = None) -> dict[str, Any]:
@@ -80,9 +80,9 @@ def with_set(values: Mapping[str, Any], name: str, *, over: bool, file: Any = No
     made: dict[str, Any] = {}
     given: set[str] = set()
     for (key, part), entry in zip(strings.items(), chosen.strings, strict=True):
-        own = _of_string(part, entry, chosen, f"strings.{key}", file)
-        made[key] = {**part, **dict.fromkeys(_OWN), **own} if over else {**own, **part}
-        given |= {k for k in own if (over or k not in part) and k != "made_of"}
+        part_values = _of_string(part, entry, chosen, f"strings.{key}", file)
+        made[key] = {**part, **dict.fromkeys(_OWN), **part_values} if over else {**part_values, **part}
+        given |= {k for k in part_values if (over or k not in part) and k != "made_of"}
     out = {**values, "strings": made, _KEY: name}
     if given:
         source = f"strings_{name}"
@@ -98,17 +98,17 @@ def _of_string(
     part: Mapping[str, Any], entry: StringSetEntry, chosen: StringSet, key: str, file: Any
 ) -> dict[str, Any]:
     """Values of one string of the bundle, as its plugin takes them."""
-    known = _fields(part, key, file)
+    fields = _fields(part, key, file)
     found = figures(entry, chosen, _length(part, key, file), _freq(part, entry.note, key, file))
     if entry.made_of is not None:
         found["made_of"] = entry.made_of.model_dump(exclude_none=True)
     for name in _KEYS:
         # that of another set's strings does not hold
         kept = () if name == "axial_stiffness" else part
-        if name in known and known[name].is_required() and name not in found and name not in kept:
+        if name in fields and fields[name].is_required() and name not in found and name not in kept:
             reason = f"the string set does not say it, and {part['plugin']} needs it"
             raise BundleError(reason, file=file, key=f"{key}.{name}")
-    return {name: value for name, value in found.items() if name in known or name in _OWN}
+    return {name: value for name, value in found.items() if name in fields or name in _OWN}
 
 
 def _fields(part: Mapping[str, Any], key: str, file: Any) -> Mapping[str, Any]:
@@ -152,21 +152,23 @@ def with_materials(values: Mapping[str, Any], *, over: Collection[str] = (), fil
         found = made_figures(bought, length, freq, key=f"{key}.made_of", file=file)
         fields = _fields(part, key, file)
         keys = [k for k in found.kinds if k in fields or k in _OWN]
-        given = [k for k in keys if name in over or part.get(k) is None]
-        made[name] = {**part, **{k: dict(found.loss) if k == "loss" else getattr(found, k) for k in given}}
-        provenance, sources = _with_kinds(provenance, sources, name, given, found)
+        chosen = [k for k in keys if name in over or part.get(k) is None]
+        made[name] = {**part, **{k: dict(found.loss) if k == "loss" else getattr(found, k) for k in chosen}}
+        provenance, sources = _with_kinds(provenance, sources, name, chosen, found)
     if made:
         out |= {"strings": {**dict(parts), **made}, "provenance": provenance, "sources": sources}
     return out
 
 
 def _with_kinds(
-    provenance: Mapping[str, Any], sources: Mapping[str, Any], string: str, given: Sequence[str], found: StringFigures
+    provenance: Mapping[str, Any], sources: Mapping[str, Any], string: str, keys: Sequence[str], figures: StringFigures
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Provenance and sources of a bundle with those of the values that gauge and materials give a string."""
-    texts = dict.fromkeys(found.kinds[k][1] for k in given)
+    texts = dict.fromkeys(figures.kinds[k][1] for k in keys)
     names = {text: f"made_of_{string}_{i}" for i, text in enumerate(texts, 1)}
-    entries = {f"strings.{string}.{k}": {"kind": found.kinds[k][0], "source": names[found.kinds[k][1]]} for k in given}
+    entries = {
+        f"strings.{string}.{k}": {"kind": figures.kinds[k][0], "source": names[figures.kinds[k][1]]} for k in keys
+    }
     return {**provenance, **entries}, {**sources, **{k: {"text": t, "licence": "facts"} for t, k in names.items()}}
 
 
@@ -174,13 +176,13 @@ def figures(entry: StringSetEntry, chosen: StringSet, length: float, freq: float
     """Tension (N), linear density (kg/m), stiffnesses (N m^2, N) and loss of a string on a length (m) tuned to Hz."""
     own_freq = 440.0 * 2 ** ((note_number(entry.note) - 69) / 12)
     own_length = entry.length or chosen.length
-    made = None if entry.made_of is None else made_figures(entry.made_of, length, freq, key=entry.note)
+    computed = None if entry.made_of is None else made_figures(entry.made_of, length, freq, key=entry.note)
     if entry.linear_density is not None:
         density = entry.linear_density
     elif entry.density is not None and entry.diameter is not None:
         density = entry.density * math.pi * entry.diameter**2 / 4
-    elif made is not None:
-        density = made.linear_density
+    elif computed is not None:
+        density = computed.linear_density
     else:
         assert entry.tension is not None
         density = entry.tension / (2 * own_length * own_freq) ** 2
@@ -189,9 +191,9 @@ def figures(entry: StringSetEntry, chosen: StringSet, length: float, freq: float
     else:
         tension = density * (2 * length * freq) ** 2
     out: dict[str, Any] = {"tension": tension, "linear_density": density}
-    if made is not None:
-        out |= {k: getattr(made, k) for k in ("bending_stiffness", "axial_stiffness", "fretting_stiffness")}
-        out["loss"] = dict(made.loss)
+    if computed is not None:
+        out |= {k: getattr(computed, k) for k in ("bending_stiffness", "axial_stiffness", "fretting_stiffness")}
+        out["loss"] = dict(computed.loss)
     if entry.fretting_stiffness is not None:
         out["fretting_stiffness"] = entry.fretting_stiffness
     if entry.bending_stiffness is not None:

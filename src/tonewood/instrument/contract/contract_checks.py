@@ -104,8 +104,8 @@ def attached(value: Any) -> None:
     for point, x in value.places.items():
         number(x, "a number of metres from the bridge (ta.metres)", where=f"places[{point!r}]")
     want(isinstance(value.components, Mapping), value.components, "a mapping of name to ta.ModalBasis", "components")
-    for name, own in value.components.items():
-        basis(own, where=f"components[{name!r}]")
+    for name, component in value.components.items():
+        basis(component, where=f"components[{name!r}]")
     want(isinstance(value.connections, tuple), value.connections, "a tuple of ta.Connection", "connections")
     for connection in value.connections:
         want(isinstance(connection, Connection), connection, "a ta.Connection", "connections")
@@ -197,8 +197,8 @@ def pickup_rows(plugin: Any, value: Any) -> None:
         circuit = conversion.circuit
         proper = len(circuit.numerator) <= len(circuit.denominator) and bool(np.all(circuit.poles.real < 0))
         want(proper, circuit.denominator, "a stable and proper circuit", "conversion.circuit")
-    for name, own in value.components.items():
-        basis(own, where=f"components[{name!r}]")
+    for name, component in value.components.items():
+        basis(component, where=f"components[{name!r}]")
     for drive in value.drives:
         want(isinstance(drive, Drive), drive, "a ta.Drive", "drives")
 
@@ -220,29 +220,29 @@ def body_points(value: Any) -> None:
             number(x, "a finite number", where=f"the direction of {name!r}")
 
 
-def _detuned(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
+def _detuned(plugin: Any, value: Any, arguments: Mapping[str, Any]) -> None:
     string_basis(value)
-    old = given["basis"]
+    old = arguments["basis"]
     want(value.n_modes == old.n_modes, value.n_modes, f"as many modes as before, {old.n_modes},", "modes:")
     want(value.points == old.points, value.points, f"the points as before, {old.points},", "points")
 
 
-def _body_basis(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
+def _body_basis(plugin: Any, value: Any, arguments: Mapping[str, Any]) -> None:
     basis(value)
     for point in plugin.points():
         want(point in value.points, value.points, f"a basis with the point {point!r} of `points`", "the points")
 
 
-def _decay_rate(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
+def _decay_rate(plugin: Any, value: Any, arguments: Mapping[str, Any]) -> None:
     if value is not None:
-        array, shape = np.asarray(value), np.shape(given["freq_rad"])
+        array, shape = np.asarray(value), np.shape(arguments["freq_rad"])
         fits = array.dtype.kind in "fi" and array.shape in ((), shape)
         fits = fits and bool(np.isfinite(array).all() and (array >= 0).all())
         want(fits, value, f"finite rates of shape {shape}, 0 or more,")
 
 
-def _loss_factor(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
-    omega = np.asarray(given["omega"], dtype=np.float64)
+def _loss_factor(plugin: Any, value: Any, arguments: Mapping[str, Any]) -> None:
+    omega = np.asarray(arguments["omega"], dtype=np.float64)
     array = np.asarray(value)
     want(array.dtype.kind in "fi" and array.shape in ((), omega.shape), value, f"loss factors of shape {omega.shape}")
     wrong = np.flatnonzero(~(np.isfinite(array) & (array >= 0.0)))
@@ -261,7 +261,7 @@ def _class(module: str, name: str) -> type[Any]:
 def _of_type(module: str, name: str) -> Verify:
     """Check for None or an instance of a class, imported when it is needed."""
 
-    def verify(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
+    def verify(plugin: Any, value: Any, arguments: Mapping[str, Any]) -> None:
         if value is not None:
             want(isinstance(value, _class(module, name)), value, f"a ta.{name} or None")
 
@@ -318,15 +318,15 @@ def check_results(cls: type[Any], checks: Mapping[str, Any], fault: Callable[[An
     fault : makes the error of an object and a reason.
     """
     for name, verify in checks.items():
-        found = cls.__dict__.get(name)
-        if isinstance(found, property) and found.fget is not None:
-            setattr(cls, name, property(_checked(cls, name, found.fget, verify, fault), doc=found.__doc__))
-        elif isinstance(found, functools.cached_property):
-            wrapped = functools.cached_property(_checked(cls, name, found.func, verify, fault))
+        member = cls.__dict__.get(name)
+        if isinstance(member, property) and member.fget is not None:
+            setattr(cls, name, property(_checked(cls, name, member.fget, verify, fault), doc=member.__doc__))
+        elif isinstance(member, functools.cached_property):
+            wrapped = functools.cached_property(_checked(cls, name, member.func, verify, fault))
             wrapped.__set_name__(cls, name)
             setattr(cls, name, wrapped)
-        elif inspect.isfunction(found):
-            setattr(cls, name, _checked(cls, name, found, verify, fault))
+        elif inspect.isfunction(member):
+            setattr(cls, name, _checked(cls, name, member, verify, fault))
 
 
 def _checked(

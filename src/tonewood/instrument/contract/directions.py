@@ -48,17 +48,17 @@ def polarization_vectors(axis: Vector, polarizations: tuple[str | Vector, ...], 
     ValueError : a direction lies along the string, or the two are the same.
     """
     a = np.asarray(unit_vector(axis))
-    found: list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]] = []
+    directions: list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]] = []
     for wanted in polarizations:
         v = np.asarray(unit_vector(wanted))
-        for other in (a, *found):
+        for other in (a, *directions):
             v = v - (v @ other) * other
         size = math.sqrt(float(v @ v))
         if size < 1e-3:
             raise ValueError("lies along the string, or repeats the other polarization")
-        found.append(v / size)
-    first = found[0]
-    second = found[1] if len(found) > 1 else np.cross(a, first)
+        directions.append(v / size)
+    first = directions[0]
+    second = directions[1] if len(directions) > 1 else np.cross(a, first)
     tilt = math.radians(tilt_deg)
     turned = (math.cos(tilt) * first + math.sin(tilt) * second, math.cos(tilt) * second - math.sin(tilt) * first)
-    return tuple((float(v[0]), float(v[1]), float(v[2])) for v in turned[: len(found)])
+    return tuple((float(v[0]), float(v[1]), float(v[2])) for v in turned[: len(directions)])

@@ -187,17 +187,17 @@ def places(parameters: Parameters, open_length: float, length: float) -> dict[st
     ------
     ValueError : a place lies beyond the open string; names it.
     """
-    found = {}
+    metres = {}
     for name in _place_fields(type(parameters)):
         place = getattr(parameters, name)
         if place is None:
             continue
-        found[name] = place.fraction * length if isinstance(place, Fraction) else float(place)
-        if found[name] > open_length:
+        metres[name] = place.fraction * length if isinstance(place, Fraction) else float(place)
+        if metres[name] > open_length:
             raise ValueError(
-                f"{name} is {found[name]:g} m; places up to {open_length:g} m, the open string, are allowed"
+                f"{name} is {metres[name]:g} m; places up to {open_length:g} m, the open string, are allowed"
             )
-    return found
+    return metres
 
 
 def is_played(x: float, length: float) -> bool:

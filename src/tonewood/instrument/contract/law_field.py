@@ -52,10 +52,10 @@ _CODE_BRANCH = {
 
 def _branch(name: str, parameters: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
     """Schema of one law: its name, and its own keys."""
-    own = handler.resolve_ref_schema(handler(parameters.__pydantic_core_schema__))
+    schema = handler.resolve_ref_schema(handler(parameters.__pydantic_core_schema__))
     law = {"const": name, "description": "chooses this law"}
-    required = ["law", *own.get("required", [])]
-    return {**own, "title": name, "properties": {"law": law, **own.get("properties", {})}, "required": required}
+    required = ["law", *schema.get("required", [])]
+    return {**schema, "title": name, "properties": {"law": law, **schema.get("properties", {})}, "required": required}
 
 
 def _read(value: Any, info: ValidationInfo, field: str) -> Loss[Any]:
@@ -71,8 +71,8 @@ def _read(value: Any, info: ValidationInfo, field: str) -> Loss[Any]:
     values = dict(value)
     name = values.pop("law", None)
     if not isinstance(name, str):
-        known = ", ".join(name for name, law in list_plugins().items() if law.kind == Loss.kind)
-        reason = "is missing" if name is None else f"is {kind_of(name)}; the name of a loss law is wanted: {known}"
+        names = ", ".join(name for name, law in list_plugins().items() if law.kind == Loss.kind)
+        reason = "is missing" if name is None else f"is {kind_of(name)}; the name of a loss law is wanted: {names}"
         raise BundleError(reason, file=files.manifest, key=f"{key}.law")
     try:
         kind: Any = plugin_named(name, Loss.kind, files)

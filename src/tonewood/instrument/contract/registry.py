@@ -51,17 +51,17 @@ class Entry:
 @cache
 def entries(group: str) -> dict[str, Entry]:
     """Announced names of a group, sorted; one that two distributions announce carries a `fault`."""
-    found: dict[str, Entry] = {}
+    by_name: dict[str, Entry] = {}
     owners: dict[int, tuple[str, str]] = {}  # each name and version is read from a file
     for point in sorted(metadata.entry_points(group=group), key=lambda p: p.name):
         if (owner := point.dist) is None:
             entry = Entry(point.name, point.value, "?", "?")
         else:
             if id(owner) not in owners:
-                known = owner.metadata
-                owners[id(owner)] = known["Name"], known["Version"]
+                about = owner.metadata
+                owners[id(owner)] = about["Name"], about["Version"]
             entry = Entry(point.name, point.value, *owners[id(owner)])
-        before = found.get(point.name)
+        before = by_name.get(point.name)
         # one distribution may be seen twice, through two entries of the path
         if before is not None and (before.value, before.distribution) != (entry.value, entry.distribution):
             entry = replace(
@@ -69,8 +69,8 @@ def entries(group: str) -> dict[str, Entry]:
                 fault=f"the name {point.name!r} is announced twice in {group}: by {before.distribution} "
                 f"({before.value}) and by {entry.distribution} ({entry.value}); one of them must go",
             )
-        found[point.name] = entry
-    return found
+        by_name[point.name] = entry
+    return by_name
 
 
 def list_plugins() -> dict[str, type[Plugin[Any]]]:
@@ -80,13 +80,13 @@ def list_plugins() -> dict[str, type[Plugin[Any]]]:
 
 def broken_plugins() -> dict[str, str]:
     """List installed plugins that cannot be used: name -> reason, one line."""
-    found = {}
+    faults = {}
     for name in entries(PLUGINS):
         try:
             plugin(name)
         except PluginError as fault:
-            found[name] = str(fault)
-    return found
+            faults[name] = str(fault)
+    return faults
 
 
 def list_instruments() -> dict[str, Path]:
@@ -107,77 +107,75 @@ def plugin(name: str, kind: str | None = None) -> type[Plugin[Any]]:
     ------
     PluginError : there is none of that name or kind, it cannot be imported, or it breaks the contract.
     """
-    known = entries(PLUGINS)
-    if name not in known:
-        fitting = [n for n, p in list_plugins().items() if p.kind == kind] if kind else list(known)
+    plugins = entries(PLUGINS)
+    if name not in plugins:
+        fitting = [n for n, p in list_plugins().items() if p.kind == kind] if kind else list(plugins)
         installed = f"{did_you_mean(name, fitting)}installed: {', '.join(fitting) or 'none'}"
         raise PluginError(f"there is no plugin {name!r}{f' of kind {kind}' if kind else ''}; {installed}")
-    entry = known[name]
+    entry = plugins[name]
     if entry.fault:
         raise PluginError(entry.fault)
     module, _, attribute = entry.value.partition(":")
     try:
-        found = getattr(import_module(module), attribute)
-        check_plugin(found, f"plugin {name!r} of {entry.distribution}")
+        imported = getattr(import_module(module), attribute)
+        check_plugin(imported, f"plugin {name!r} of {entry.distribution}")
     except PluginError:
         raise
     except (Exception, SystemExit) as fault:  # code of a third party may raise anything
         reason = f"cannot be imported: {type(fault).__name__}: {fault}"
         raise PluginError(f"plugin {name!r} of {entry.distribution} {reason}") from None
-    checked: type[Plugin[Any]] = found
+    checked: type[Plugin[Any]] = imported
     if kind is not None:
         check_kind(checked, name, kind)
     return checked
 
 
-def check_kind(found: type[Plugin[Any]], name: str, kind: str) -> None:
+def check_kind(cls: type[Plugin[Any]], name: str, kind: str) -> None:
     """Check that a plugin is of the kind that is wanted.
 
     Raises
     ------
     PluginError : it is of another kind; names the installed ones of that kind.
     """
-    if found.kind != kind:
+    if cls.kind != kind:
         fitting = [other for other, p in list_plugins().items() if p.kind == kind]
-        raise PluginError(
-            f"plugin {name!r} is of kind {found.kind}; one of kind {kind} is wanted: {', '.join(fitting)}"
-        )
+        raise PluginError(f"plugin {name!r} is of kind {cls.kind}; one of kind {kind} is wanted: {', '.join(fitting)}")
 
 
-def check_plugin(found: object, who: str) -> None:
+def check_plugin(cls: object, who: str) -> None:
     """Check a class against the contract.
 
     Raises
     ------
     PluginError : one line that begins with `who`.
     """
-    if not (inspect.isclass(found) and issubclass(found, Plugin)):
+    if not (inspect.isclass(cls) and issubclass(cls, Plugin)):
         raise PluginError(f"{who} is not a class derived from {', '.join(k.__name__ for k in KINDS.values())}")
-    kinds = [kind for kind, base in KINDS.items() if issubclass(found, base)]
-    if len(kinds) != 1 or found.kind != kinds[0]:
+    kinds = [kind for kind, base in KINDS.items() if issubclass(cls, base)]
+    if len(kinds) != 1 or cls.kind != kinds[0]:
         raise PluginError(f"{who} must derive from exactly one of {', '.join(k.__name__ for k in KINDS.values())}")
-    if found.api != API:
-        raise PluginError(f"{who} was written for version {found.api!r} of the contract; this is version {API}")
-    parameters = getattr(found, "Parameters", None)
+    if cls.api != API:
+        raise PluginError(f"{who} was written for version {cls.api!r} of the contract; this is version {API}")
+    parameters = getattr(cls, "Parameters", None)
     if not (inspect.isclass(parameters) and issubclass(parameters, Parameters) and parameters is not Parameters):
         raise PluginError(f"{who} has no `Parameters` derived from tonewood.Parameters")
     unsaid = [key for key, field in parameters.model_fields.items() if not field.description]
     if unsaid:
         raise PluginError(f"{who}: parameter {unsaid[0]!r} does not say what it is (doc)")
-    if missing := found.left_out():
+    if missing := cls.left_out():
         raise PluginError(f"{who} leaves out {', '.join(missing)}")
-    for name in CHECKS[found.kind]:
-        own, first = inspect.getattr_static(found, name), inspect.getattr_static(KINDS[found.kind], name)
-        if isinstance(first, property) and inspect.isroutine(own):
+    for name in CHECKS[cls.kind]:
+        member, first = inspect.getattr_static(cls, name), inspect.getattr_static(KINDS[cls.kind], name)
+        if isinstance(first, property) and inspect.isroutine(member):
             raise PluginError(f"{who}: {name} is a method; a property is wanted (@property)")
-        if not isinstance(first, property) and not callable(own):
-            raise PluginError(f"{who}: {name} is {kind_of(own)}; a method is wanted")
-    _check_effects(found, who)
+        if not isinstance(first, property) and not callable(member):
+            raise PluginError(f"{who}: {name} is {kind_of(member)}; a method is wanted")
+    _check_effects(cls, who)
 
 
-def _check_effects(found: type[Plugin[Any]], who: str) -> None:
+def _check_effects(cls: type[Plugin[Any]], who: str) -> None:
     """Check the effects that a class declares, and the classes that run them."""
-    effects = found.effects
+    effects = cls.effects
     if not isinstance(effects, tuple) or not all(isinstance(effect, Effect) for effect in effects):
         raise PluginError(f"{who}: effects is {kind_of(effects)}; a tuple of ta.Effect is wanted")
     for effect in effects:
@@ -207,14 +205,16 @@ def instrument_folder(name_or_path: str | os.PathLike[str]) -> Path:
     BundleError : there is neither.
     """
     text = os.fspath(name_or_path)
-    known = entries(INSTRUMENTS)
-    if text in known:
-        if known[text].fault:
-            raise BundleError(known[text].fault)
+    instruments = entries(INSTRUMENTS)
+    if text in instruments:
+        if instruments[text].fault:
+            raise BundleError(instruments[text].fault)
         try:
-            folder = Path(str(package_files(known[text].value))) / text
+            folder = Path(str(package_files(instruments[text].value))) / text
         except ModuleNotFoundError as fault:
-            raise BundleError(f"instrument {text!r} of {known[text].distribution} is not there: {fault}") from None
+            raise BundleError(
+                f"instrument {text!r} of {instruments[text].distribution} is not there: {fault}"
+            ) from None
     else:
         path = Path(text)
         folder = path.parent if path.name == MANIFEST else path
@@ -225,7 +225,7 @@ def instrument_folder(name_or_path: str | os.PathLike[str]) -> Path:
         if not there:
             looks_like_path = os.sep in text or "/" in text or exists
             reason = f"there is no {MANIFEST} in it" if looks_like_path else "is neither installed nor a folder"
-            installed = f"{did_you_mean(text, known)}installed: {', '.join(known) or 'none'}"
+            installed = f"{did_you_mean(text, instruments)}installed: {', '.join(instruments) or 'none'}"
             raise BundleError(f"instrument {text!r}: {reason}; {installed}")
     return folder
 
@@ -233,10 +233,10 @@ def instrument_folder(name_or_path: str | os.PathLike[str]) -> Path:
 @cache
 def plugin_hash(name: str) -> str:
     """SHA-256 of the source files of a plugin's class and its bases, with its distribution's version."""
-    found, entry = plugin(name), entries(PLUGINS)[name]
+    cls, entry = plugin(name), entries(PLUGINS)[name]
     digest = hashlib.sha256(f"{entry.distribution} {entry.version}".encode())
     # of a class without a file only the distribution's version counts
-    for base in found.__mro__:
+    for base in cls.__mro__:
         with suppress(OSError, TypeError):
             digest.update(Path(inspect.getfile(base)).read_bytes())
     return digest.hexdigest()

@@ -175,18 +175,18 @@ def feel(model: Model, name: str) -> StringFeel:
 
 def pitch(model: Model, string: str, stop: int = 0) -> Pitch:
     """Return the pitch of a string at one stop of a `model`: tuned, or at the bundle's tension without compensation."""
-    held = model.strings[string]
-    tuned = held.tuned(stop)
-    wanted, planes = held.freq(stop), _planes(held, stop, tuned)
-    return Pitch(string, stop, held.open_note + stop, wanted, tuned.tension, tuned.modes, tuned.wolf, planes)
+    string_model = model.strings[string]
+    tuned = string_model.tuned(stop)
+    wanted, planes = string_model.freq(stop), _planes(string_model, stop, tuned)
+    return Pitch(string, stop, string_model.open_note + stop, wanted, tuned.tension, tuned.modes, tuned.wolf, planes)
 
 
 def _planes(string: StringModel, stop: int, tuned: TunedStop) -> tuple[PlanePitch, ...]:
     """Pitches of a string's polarizations: of each the mode, of `tuned` or near it, with most of its energy there."""
-    known = [(mode.pole, mode.shares) for mode in tuned.modes]
+    poles = [(mode.pole, mode.shares) for mode in tuned.modes]
     out = []
     for i, (polarization, split) in enumerate(zip(string.polarizations, string.tuning.plane_cents(stop), strict=True)):
-        own = known[:1] if i == 0 else known
+        own = poles[:1] if i == 0 else poles
         if i and max(shares[i] for _, shares in own) < 0.5:  # the tuner has looked for the first one
             coupled = string.tuning.coupled(stop)
             joint, freq = coupled.joint(tuned.tension), held_freq(coupled.bases(tuned.tension)[i])
@@ -222,7 +222,7 @@ def partials(model: Model, string: str, stop: int = 0, *, count: int = 12) -> li
     at, coupled = pitch(model, string, stop), model.strings[string].tuning.coupled(stop)
     joint = coupled.joint(at.tension)
     rigid = held_partials(coupled.bases(at.tension)[0], count)
-    found = []
+    coupled_partials = []
     for number, freq in enumerate(rigid, 1):
         near = [
             (s, shares) for s, shares in coupled.poles(joint, freq) if abs(s.imag / (2 * math.pi) - freq) < rigid[0] / 2
@@ -230,8 +230,8 @@ def partials(model: Model, string: str, stop: int = 0, *, count: int = 12) -> li
         if near:
             s, shares = near[0]
             f = s.imag / (2 * math.pi)
-            found.append(Partial(number, f, cents(f / (number * at.wanted_freq)), t60(-s.real), shares))
-    return found
+            coupled_partials.append(Partial(number, f, cents(f / (number * at.wanted_freq)), t60(-s.real), shares))
+    return coupled_partials
 
 
 def held_partials(basis: ModalBasis, count: int) -> list[float]:
@@ -281,10 +281,10 @@ def bridge_mobility(
 def mobility_peaks(model: Model, string: str, *, count: int = 6) -> list[tuple[float, float]]:
     """The strongest resonances of the body where a string ends: (Hz, (m/s)/N), by frequency; without strings."""
     freq = np.geomspace(20.0, 0.45 * model.fs, 20000)
-    found = bridge_mobility(model, freq, [string])
-    if string not in found:
+    mobilities = bridge_mobility(model, freq, [string])
+    if string not in mobilities:
         return []
-    size = np.abs(found[string])
+    size = np.abs(mobilities[string])
     peaks = 1 + np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:]))
     strongest = peaks[np.argsort(-size[peaks])[:count]]
     return [(float(freq[i]), float(size[i])) for i in np.sort(strongest)]
@@ -318,8 +318,8 @@ def microphone_responses(model: Model) -> list[MicrophoneResponse]:
             probes = [probe for probe in readout.probes if probe.component in banks]
             if not probes:
                 continue
-            own = [compiled[name].basis for name in sorted({probe.component for probe in probes})]
-            resonances = np.concatenate([basis.natural_freq for basis in own])
+            bases = [compiled[name].basis for name in sorted({probe.component for probe in probes})]
+            resonances = np.concatenate([basis.natural_freq for basis in bases])
             freq = np.unique(np.concatenate([np.geomspace(20.0, 0.45 * model.fs, 500), resonances[resonances >= 20.0]]))
             by_connection: dict[str, Complexes] = {}
             form = "accelerance" if readout.quantity == "acceleration" else "receptance"
@@ -335,7 +335,7 @@ def microphone_responses(model: Model) -> list[MicrophoneResponse]:
                     group.name,
                     channel,
                     group.unit,
-                    sum(basis.n_modes for basis in own),
+                    sum(basis.n_modes for basis in bases),
                     float(size[at]),
                     float(freq[at]) if size[at] > 0 else math.nan,
                     group.full_scale,

@@ -98,7 +98,7 @@ def intonation(instrument: Instrument, *, frets: int = 12, fs: float = 48000.0) 
     """
     model = assemble(instrument.replace(REAL_FRETS), fs, alone=True)
     names = [name for name in model.groups if model.strings[name].n_stops]
-    found = pitches(model, names)
+    tones = pitches(model, names)
     out = []
     for name in names:
         string = model.strings[name]
@@ -108,7 +108,7 @@ def intonation(instrument: Instrument, *, frets: int = 12, fs: float = 48000.0) 
         wanted = [freq / freqs[0] for freq in freqs[1:]]
         flexible = replace(fretted, bending_stiffness=0.0)
         rows = []
-        for p in (p for p in found if p.string == name and p.stop):
+        for p in (p for p in tones if p.string == name and p.stop):
             opened, pressed = fretted.board.pressed(0), fretted.board.pressed(p.stop)
             by = [opened.length / pressed.length, flexible.ratio(p.stop), fretted.ratio(p.stop)]
             place, stretched, stiff = (cents(ratio / wanted[p.stop - 1]) for ratio in by)
@@ -123,8 +123,8 @@ def _setups(string: FrettedString, wanted: list[float]) -> tuple[Setup, Setup | 
     """Nut and saddle as built, the best saddle alone, and the best of both."""
 
     def setup(s: FrettedString) -> Setup:
-        found = tuple(float(x) for x in s.cents(wanted))
-        return Setup(s.board.nut_setback, s.board.saddle_setback, found)
+        errors = tuple(float(x) for x in s.cents(wanted))
+        return Setup(s.board.nut_setback, s.board.saddle_setback, errors)
 
     best: list[Setup | None] = []
     for nut in (False, True):

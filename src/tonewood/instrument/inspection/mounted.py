@@ -73,14 +73,14 @@ class Mounted:
         star = Star(self._body, [ports for name in self.strings for ports in rays[name]])
         radius = alone.imag * (ratio_of_cents(REACH_CENTS) - 1)
         zeros = star.zeros_within(1j * alone.imag, radius, starts=[alone]) or [alone]
-        own = 1 + self._owner.index(at.string)
-        found = sorted(((star.shares(s), s) for s in zeros), key=lambda pair: -float(pair[0][own]))
-        shares, s = found[0]
+        row = 1 + self._owner.index(at.string)
+        modes_by_share = sorted(((star.shares(s), s) for s in zeros), key=lambda pair: -float(pair[0][row]))
+        shares, s = modes_by_share[0]
 
         def off(s: complex) -> float:
             return cents(s.imag / (2 * math.pi) / at.wanted_freq)
 
-        modes = tuple((off(s), float(x[own])) for i, (x, s) in enumerate(found) if i == 0 or x[own] >= HEARD)
+        modes = tuple((off(s), float(x[row])) for i, (x, s) in enumerate(modes_by_share) if i == 0 or x[row] >= HEARD)
         by_string = dict.fromkeys(self.strings, 0.0)
         for name, share in zip(self._owner, shares[1:], strict=True):
             by_string[name] += float(share)
@@ -92,7 +92,7 @@ class Mounted:
         return MountedPitch(s.imag / (2 * math.pi), off(s), modes, partner, share)
 
 
-def mounted_pitches(model: Model, found: Sequence[Pitch]) -> list[MountedPitch]:
+def mounted_pitches(model: Model, alone: Sequence[Pitch]) -> list[MountedPitch]:
     """Return pitches of strings with others mounted beside them.
 
     A string that has a damper stands beside those of its key, which are lifted with it, the others with all strings
@@ -101,7 +101,7 @@ def mounted_pitches(model: Model, found: Sequence[Pitch]) -> list[MountedPitch]:
     free = {name: string for name, string in model.strings.items() if string.damper is None}
     undamped = Mounted(free, model.body)
     out = []
-    for p in found:
+    for p in alone:
         string = model.strings[p.string]
         beside = {name: model.strings[name] for name in string.group}
         out.append((undamped if string.damper is None else Mounted(beside, model.body)).pitch(p))

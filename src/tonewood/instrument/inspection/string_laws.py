@@ -79,17 +79,17 @@ def law_errors(model: Model, name: str) -> list[LawErrors]:
 def _compared(string: StringModel, stop: int, bend_cents: float) -> LawErrors:
     tension = string.tension(stop) * ratio_of_cents(bend_cents) ** 2
     freq_upper, place = string.tuning.untuned.freq_upper, string.tuning.stops.position(stop)
-    made = string.resonator.basis(freq_upper, stop=place, tension=tension)
+    basis = string.resonator.basis(freq_upper, stop=place, tension=tension)
     try:
-        used, own = (HeldModes.of(b, "bridge") for b in (string.tuning.coupled(stop).bases(tension)[0], made))
+        used, own = (HeldModes.of(b, "bridge") for b in (string.tuning.coupled(stop).bases(tension)[0], basis))
     except ValueError as fault:
         raise string.resonator.fault(f"its partials cannot be found: {fault}") from None
     # of a basis of one's own the highest partials need not have converged
     n = max(1, min(used.n_modes, own.n_modes) // 2)
     off = 1200 * np.log2(used.freq_rad[:n] / own.freq_rad[:n])
-    law, known = string.resonator.decay_rate(own.freq_rad, tension), made.metadata.get("loss_error")
-    if law is None and isinstance(known, np.ndarray) and known.shape == own.freq_rad.shape:
-        law = own.damping_rate / (1 + known)
+    law, stated = string.resonator.decay_rate(own.freq_rad, tension), basis.metadata.get("loss_error")
+    if law is None and isinstance(stated, np.ndarray) and stated.shape == own.freq_rad.shape:
+        law = own.damping_rate / (1 + stated)
     pitch = int(np.argmax(np.abs(off)))
     if law is None:
         return LawErrors(stop, bend_cents, 0, None, pitch + 1, float(off[pitch]), 0.0)

@@ -104,16 +104,18 @@ def share_curve(string: StringOnBody, tension: float, freq: float, offsets: Floa
     """
     out = np.zeros(offsets.size)
     for i, x in enumerate(offsets):
-        found = string.poles(string.joint(tension * ratio_of_cents(2 * float(x))), freq * ratio_of_cents(float(x)))
-        out[i] = disturbed_share([shares for _, shares in found]) if found else 0.0
+        coupled_poles = string.poles(
+            string.joint(tension * ratio_of_cents(2 * float(x))), freq * ratio_of_cents(float(x))
+        )
+        out[i] = disturbed_share([shares for _, shares in coupled_poles]) if coupled_poles else 0.0
     return out
 
 
 def wolf_notes(model: Model, strings: Sequence[str] | None = None) -> list[WolfNote]:
     """Wolf notes of all strings, or of those named, the most severe first."""
     body = model.body.natural_freq
-    found = [wolf for name in (strings or model.groups) for wolf in _of_string(model, name, body)]
-    return sorted(found, key=lambda wolf: -wolf.severity_cents)
+    wolves = [wolf for name in (strings or model.groups) for wolf in _of_string(model, name, body)]
+    return sorted(wolves, key=lambda wolf: -wolf.severity_cents)
 
 
 def _of_string(model: Model, name: str, body_freq: Floats) -> list[WolfNote]:
@@ -127,14 +129,16 @@ def _of_string(model: Model, name: str, body_freq: Floats) -> list[WolfNote]:
     for stop, (low, high) in enumerate(pairwise(edges)):
         if high <= low:
             continue
-        own = 1200 * np.log2(np.maximum(body_freq, 1e-9) / freqs[0])
-        if not np.any(np.abs(own - above[stop]) < _NEAR_CENTS + (high - low) / 2):
+        body_cents = 1200 * np.log2(np.maximum(body_freq, 1e-9) / freqs[0])
+        if not np.any(np.abs(body_cents - above[stop]) < _NEAR_CENTS + (high - low) / 2):
             x = np.array([low, high])
             d = np.zeros(2)
         else:
             at = partial(share_curve, string.tuning.coupled(stop), string.tension(stop), float(freqs[stop]))
             even = np.linspace(low, high, max(2, round((high - low) / _COARSE_CENTS) + 1))
-            x, d = _refined(at, np.unique(np.concatenate([even, own[(own > low) & (own < high)]])), above[stop])
+            x, d = _refined(
+                at, np.unique(np.concatenate([even, body_cents[(body_cents > low) & (body_cents < high)]])), above[stop]
+            )
         places.append(x)
         shares.append(d)
     where, share = np.concatenate(places), np.concatenate(shares)

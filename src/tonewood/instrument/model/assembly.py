@@ -174,32 +174,32 @@ def assemble(
     _check_body(instrument, strings, body, 1.0 / fs)
     attached = [a for string in strings.values() for a in string.attached()]
     resting = {c.name: c for a in attached for c in a.connections if c.name in a.resting}
-    made = make_outputs(instrument, outputs, make_scene(strings, body_points, limit, added.forces, instrument.body))
+    channels = make_outputs(instrument, outputs, make_scene(strings, body_points, limit, added.forces, instrument.body))
     connections = [*_end_connections(strings.values()), *added.connections, *_attached_connections(attached, resting)]
     components = {"body": body, **added.components, **_string_components(strings.values())}
-    _check_references(instrument, strings, {**components, **made.components}, connections, made)
+    _check_references(instrument, strings, {**components, **channels.components}, connections, channels)
     owners = {component: name for name, string in strings.items() for component in string.all_components}
     if by_string:
-        made = outputs_by_string(made, connections, owners, list(strings), body, list(body_points))
+        channels = outputs_by_string(channels, connections, owners, list(strings), body, list(body_points))
     system = System.build(
-        {**components, **made.components},
+        {**components, **channels.components},
         connections,
-        made.readouts,
+        channels.readouts,
         dt=1.0 / fs,
-        drives=made.drives,
+        drives=channels.drives,
         potentials=_potentials(instrument, strings.values(), added.body, choice),
         owners=owners,
     )
     kept.save()
     inputs: dict[str, tuple[tuple[str, str, float], ...]] = {
-        f"body.{point}": (("body", point, 1.0), *made.body_inputs.get(point, ())) for point in body_points
+        f"body.{point}": (("body", point, 1.0), *channels.body_inputs.get(point, ())) for point in body_points
     }
     return Model(
         instrument=instrument,
         fs=fs,
         system=system,
         strings=strings,
-        outputs=made.groups,
+        outputs=channels.groups,
         body_points=body_points,
         inputs=inputs | {name: entries for a in attached for name, entries in a.inputs.items()},
         exciters=instrument.exciters,
@@ -227,11 +227,11 @@ def _check_references(
     """Refuse connections and readouts of plugins that name unknown components, points and connections."""
     taken = {c.name for c in connections if c.role != "attached"}
     for string in strings.values():
-        for part, own in by_part(string.connections()).items():
+        for part, parts in by_part(string.connections()).items():
             plugin = string.touching.get(part)
             fault = partial(_fault, plugin, f"connections.{part}")
-            check_connections(own, components, taken, fault)
-            taken |= {c.name for c in own}
+            check_connections(parts, components, taken, fault)
+            taken |= {c.name for c in parts}
     names = [c.name for c in connections]
     for group in made.groups:
         pickup = instrument.pickups.get(group.name.partition(".")[0], instrument.pickups.get(group.name))
@@ -283,10 +283,10 @@ def _potentials(
     instrument: Instrument, strings: Iterable[StringModel], body: ModalBasis, choice: Choice
 ) -> list[Potential]:
     """Potentials of strings and of the body, without those that are left out by choice."""
-    own = list(instrument.body.potentials("body"))
-    if own and not body.is_real:
+    potentials = list(instrument.body.potentials("body"))
+    if potentials and not body.is_real:
         raise instrument.body.fault("stores energy beside that of its modes, which then must be real")
-    declared = [(s.resonator, p) for s in strings for p in s.potentials] + [(instrument.body, p) for p in own]
+    declared = [(s.resonator, p) for s in strings for p in s.potentials] + [(instrument.body, p) for p in potentials]
     return [p for plugin, p in declared if not p.effect or choice.keeps(plugin, p.effect)]
 
 

@@ -50,8 +50,8 @@ class Choice:
 
     def keeps(self, plugin: Plugin[Any], name: str | None = None) -> bool:
         """Whether a part runs its effect `name`, or any of its effects; an effect that is not declared always runs."""
-        own = [effect.name for effect in plugin.effects if name is None or effect.name == name]
-        return not own or any(effect in self.names for effect in own)
+        declared_effects = [effect.name for effect in plugin.effects if name is None or effect.name == name]
+        return not declared_effects or any(effect in self.names for effect in declared_effects)
 
 
 def declared(plugins: Iterable[Plugin[Any]]) -> dict[str, Effect]:

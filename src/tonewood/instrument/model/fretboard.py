@@ -24,7 +24,7 @@ def fretted_string(instrument: Instrument, name: str) -> FrettedString:
         lies on a fret.
     """
     part, resonator = instrument.spec.strings[name], instrument.resonators[name]
-    given = _given(instrument, name)
+    keys = _given(instrument, name)
     stiffness = part.fretting_stiffness
     if stiffness is None:
         stiffness = getattr(resonator.parameters, "axial_stiffness", None)
@@ -36,12 +36,12 @@ def fretted_string(instrument: Instrument, name: str) -> FrettedString:
         )
     freq = instrument.tuning.freq(instrument.open_note(name))
     string = FrettedString(
-        _fretboard(instrument, name, given),
+        _fretboard(instrument, name, keys),
         resonator.linear_density * (2 * resonator.length * freq) ** 2 or resonator.tension,
         resonator.bending_stiffness,
         stiffness,
     )
-    string = string.moved(given.get("nut_setback", 0.0), given.get("saddle_setback", 0.0))
+    string = string.moved(keys.get("nut_setback", 0.0), keys.get("saddle_setback", 0.0))
     if fret := string.board.pressed(0).fret:
         raise _fault(instrument, "stops.fretboard", f"lets the open string {name} lie on fret {fret}: raise the action")
     return string
@@ -59,15 +59,15 @@ def _given(instrument: Instrument, name: str) -> Mapping[str, Any]:
     return own.model_dump(exclude_none=True)
 
 
-def _fretboard(instrument: Instrument, name: str, given: Mapping[str, Any]) -> FretboardGeometry:
+def _fretboard(instrument: Instrument, name: str, keys: Mapping[str, Any]) -> FretboardGeometry:
     """Geometry without setbacks, its heights over the plane of the crowns without relief."""
     length = instrument.resonators[name].length
-    places = _places(instrument, name, given, length)
+    places = _places(instrument, name, keys, length)
 
     def point(at_end: tuple[str, float], between: tuple[str, float]) -> tuple[float, float]:
         for key, x in (at_end, between):
-            if key in given:
-                return x, float(given[key])
+            if key in keys:
+                return x, float(keys[key])
         reason = f"is missing; it or `{between[0]}`, in m, is wanted for frets"
         raise _fault(instrument, f"stops.fretboard.{at_end[0]}", reason)
 
@@ -76,7 +76,7 @@ def _fretboard(instrument: Instrument, name: str, given: Mapping[str, Any]) -> F
     end = point(("saddle_height", length), ("action_twelfth", length / 2))
     slope = (end[1] - start[1]) / (end[0] - start[0])
     height = start[1] - slope * start[0]
-    relief, single = given.get("relief", 0.0), given.get("heights", {})
+    relief, single = keys.get("relief", 0.0), keys.get("heights", {})
     shares = [x / places[-1] for x in places]
     crowns = [single.get(str(n), 0.0) - 4 * relief * s * (1 - s) for n, s in enumerate(shares, 1)]
     return FretboardGeometry(
@@ -85,26 +85,26 @@ def _fretboard(instrument: Instrument, name: str, given: Mapping[str, Any]) -> F
         tuple(crowns),
         height,
         height + slope * length,
-        finger=given.get("finger", _FINGER),
-        press_depth=given.get("press_depth", 0.0),
-        behind=given.get("behind", 0.0),
+        finger=keys.get("finger", _FINGER),
+        press_depth=keys.get("press_depth", 0.0),
+        behind=keys.get("behind", 0.0),
     )
 
 
-def _places(instrument: Instrument, name: str, given: Mapping[str, Any], length: float) -> tuple[float, ...]:
+def _places(instrument: Instrument, name: str, keys: Mapping[str, Any], length: float) -> tuple[float, ...]:
     """Places of the frets of a string, m from the nut's end of the scale."""
     spec, part = instrument.spec, instrument.spec.strings[name]
     count = spec.stops.count if part.stops is None else part.stops
-    if "places" in given:
-        places = given["places"]
+    if "places" in keys:
+        places = keys["places"]
         if len(places) < count or (places and places[-1] >= length):
             reason = (
                 f"has {len(places)} frets up to {max(places, default=0.0):g} m; {count} below {length:g} m are wanted"
             )
             raise _fault(instrument, "stops.fretboard.places", reason)
         return tuple(float(x) for x in places[:count])
-    if "rule" in given:
-        return tuple(length * (1 - (1 - 1 / given["rule"]) ** n) for n in range(1, count + 1))
+    if "rule" in keys:
+        return tuple(length * (1 - (1 - 1 / keys["rule"]) ** n) for n in range(1, count + 1))
     note = instrument.open_note(name)
     freqs = [instrument.tuning.freq(note + n) for n in range(count + 1)]
     return tuple(length * (1 - freqs[0] / freq) for freq in freqs[1:])

@@ -36,11 +36,11 @@ def check_connections(
     ------
     BundleError : as `fault` makes it.
     """
-    known = set(taken)
+    names = set(taken)
     for connection in connections:
-        if connection.name in known:
+        if connection.name in names:
             raise fault(f"there are two connections {connection.name!r}; names begin with the string's and the part's")
-        known.add(connection.name)
+        names.add(connection.name)
         for term in connection.terms:
             _check_point(term.component, term.point, components, f"connection {connection.name!r}", fault)
 
@@ -58,17 +58,17 @@ def check_readouts(
     ------
     BundleError : as `fault` makes it.
     """
-    known = set(connections)
+    names = set(connections)
     for readout in readouts:
         for probe in readout.probes:
             _check_point(probe.component, probe.point, components, f"readout {readout.name!r}", fault)
         for name, _ in readout.forces:
-            if name not in known:
-                raise fault(f"readout {readout.name!r}: there is no connection {name!r}{_among(known)}")
+            if name not in names:
+                raise fault(f"readout {readout.name!r}: there is no connection {name!r}{_among(names)}")
     for drive in drives:
         _check_point(drive.component, drive.point, components, "a drive", fault)
-        if drive.connection not in known:
-            raise fault(f"a drive of {drive.component!r}: there is no connection {drive.connection!r}{_among(known)}")
+        if drive.connection not in names:
+            raise fault(f"a drive of {drive.component!r}: there is no connection {drive.connection!r}{_among(names)}")
 
 
 def _check_point(component: str, point: str, components: Mapping[str, ModalBasis], who: str, fault: MakeError) -> None:

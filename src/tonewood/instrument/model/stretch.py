@@ -71,8 +71,8 @@ def octave_stretch(notes: Mapping[str, float], freqs: Mapping[str, float], B: Ma
         wanted[row] = weight * value
         for column, factor in terms.items():
             matrix[row, column] = weight * factor
-    found = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
-    return {name: float(found[i] - found[reference]) for i, name in enumerate(order)}
+    corrections = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+    return {name: float(corrections[i] - corrections[reference]) for i, name in enumerate(order)}
 
 
 def _heard(freq: float) -> float:

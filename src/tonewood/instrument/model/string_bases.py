@@ -92,11 +92,11 @@ class StringBases:
         width = pluck_width or self.places.pluck_width
         placed = self._with_points(end, here, beyond, width)
         for polarization in untuned.polarizations:
-            own = tension * untuned.detune(polarization, end) ** 2
-            basis = untuned.resonator.detuned(placed, own)
+            plane_tension = tension * untuned.detune(polarization, end) ** 2
+            basis = untuned.resonator.detuned(placed, plane_tension)
             if basis.points != placed.points or not (whole or np.all(basis.natural_freq < self._limit)):
                 # modes above the limit leave their compliance at points that are read afterwards
-                basis = untuned.resonator.detuned(base, own)
+                basis = untuned.resonator.detuned(base, plane_tension)
                 basis = with_points(basis if whole else below(basis, self._limit), here, beyond, self._widths(width))
             out[polarization.component] = basis
         if self._longitudinal:

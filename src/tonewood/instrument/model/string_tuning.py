@@ -68,7 +68,10 @@ class StringTuning:
     def prepare(self, stops: Iterable[float]) -> None:
         """Tune stops ahead, so that no note waits for it."""
         for stop in sorted(set(stops)):
-            self.tension(self.stops.end(stop))
+            if self.stops.stopping.finger is None:
+                self.tension(stop)
+            else:
+                self.under_finger(stop)
 
     def tuned(self, stop: float = 0) -> TunedStop:
         """Return tension and coupled modes of a stop; at the bundle's tension where it asks for no compensation."""

@@ -156,8 +156,8 @@ class StringOnBody:
         starts = [complex(-1e-3 * target, target * (1 + 1e-3 * i)) for i in range(joint.size)]
         starts += [p * (1 + 1e-3) for p in poles]  # not the pole itself, where M is infinite
         zeros = joint.zeros(starts, multiply=poles)
-        found = [(s, tuple(float(x) for x in joint.shares(s))) for s in zeros if s not in poles]
-        return sorted(found, key=lambda pair: -pair[1][0])
+        modes = [(s, tuple(float(x) for x in joint.shares(s))) for s in zeros if s not in poles]
+        return sorted(modes, key=lambda pair: -pair[1][0])
 
     def modes(self, tension: float, freq: float) -> tuple[CoupledMode, ...]:
         """Coupled modes near `freq` (Hz): first the string-dominated one, then by strength."""

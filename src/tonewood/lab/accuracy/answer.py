@@ -43,12 +43,12 @@ MARKS = ("s", "^", "v", "D", "P", "*", "X")
 
 def cheapest(outcome: Outcome, measure: Measure, error: float) -> Point | None:
     """Our cheapest measured point, of any dial, with an error no larger."""
-    found = [
+    accurate = [
         p
         for p in outcome.points
         if p.method == OURS and p.stable == "stable" and np.isfinite(p.seconds) and measure.of(p) <= error
     ]
-    return min(found, key=lambda p: p.seconds, default=None)
+    return min(accurate, key=lambda p: p.seconds, default=None)
 
 
 def best_peer(outcome: Outcome, measure: Measure, error: float) -> tuple[str, float] | None:
@@ -130,9 +130,9 @@ def section(outcomes: Sequence[Outcome]) -> str:
     """Sentences and tables."""
     parts = [textwrap.fill(sentences(outcomes), 120)]
     for measure in (PITCH, WAVEFORM):
-        made = table(outcomes, measure)
-        if made.count("\n") > 1:
-            parts += [f"By the {measure.title}:", made]
+        text = table(outcomes, measure)
+        if text.count("\n") > 1:
+            parts += [f"By the {measure.title}:", text]
     return "\n\n".join(part for part in parts if part)
 
 
@@ -146,11 +146,11 @@ def chart_png(outcomes: Sequence[Outcome], *, dpi: int = 110) -> bytes:
     by_name = {o.name: o for o in outcomes}
     rows = [(by_name[name], measure) for name, measure in CHART if name in by_name]
     rows = rows or [(o, o.measures[0]) for o in outcomes]
-    made, axes = figure(len(rows), heights=[4.6] * len(rows))
+    chart, axes = figure(len(rows), heights=[4.6] * len(rows))
     for ax, (outcome, measure) in zip(axes[:, 0], rows, strict=True):
         _row(ax, outcome, measure)
-    legend_above(made, axes[0, 0])
-    return png(made, dpi)
+    legend_above(chart, axes[0, 0])
+    return png(chart, dpi)
 
 
 def _row(ax: Axes, outcome: Outcome, measure: Measure) -> None:

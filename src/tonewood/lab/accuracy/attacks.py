@@ -198,20 +198,20 @@ def switched_strings(times: int) -> Attack:
         system = stepper.system
         wanted = Watched(frozenset(() if now.on else effect.components))
         now = switch(effect, Moment(system, state, engine.frettings, np.zeros(1)), now, wanted)
-        made = effect.apply(system, now.on, engine.frettings)
-        if made is not system:
-            effect.reset(made, state, effect.components)
-            stepper.exchange(made)
+        switched = effect.apply(system, now.on, engine.frettings)
+        if switched is not system:
+            effect.reset(switched, state, effect.components)
+            stepper.exchange(switched)
         stepper.run(state, 64)
         if i % max(times // LOOKS, 1) == 0:
             energy.append(stored_energy(stepper.system, state).total)
-    found = np.array(energy)
-    return _attack(f"rising tension switched {times:.0e} times", found, found.max(), stepper.statistics)
+    energies = np.array(energy)
+    return _attack(f"rising tension switched {times:.0e} times", energies, energies.max(), stepper.statistics)
 
 
 def _string(loss: float = 0.0, limit: float = 20e3) -> ModalBasis:
-    made = string_basis(0.65, 71.6, 6.24e-3, 5.7e-5, lambda omega, k: np.full_like(omega, loss), freq_upper=limit)
-    return made.with_places({"pluck": 0.11, "stop": 0.3})
+    string = string_basis(0.65, 71.6, 6.24e-3, 5.7e-5, lambda omega, k: np.full_like(omega, loss), freq_upper=limit)
+    return string.with_places({"pluck": 0.11, "stop": 0.3})
 
 
 def _followed(name: str, system: System, steps: int, size: float = 1e-3, residual: bool = True) -> Attack:
@@ -229,9 +229,9 @@ def _followed(name: str, system: System, steps: int, size: float = 1e-3, residua
     for _ in range(LOOKS):
         stepper.run(state, steps // LOOKS)
         energy.append(sum(account.stored(state).values()))
-    found = np.array(energy)
-    off = float(np.abs(found / found[0] - 1).max()) if residual else None
-    return _attack(name, found, found.max(), stepper.statistics, residual=off)
+    energies = np.array(energy)
+    off = float(np.abs(energies / energies[0] - 1).max()) if residual else None
+    return _attack(name, energies, energies.max(), stepper.statistics, residual=off)
 
 
 def truncated_body(steps: int) -> Attack:

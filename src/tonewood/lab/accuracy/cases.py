@@ -250,19 +250,19 @@ def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None
             if string in first or (strings is not None and string not in strings):
                 continue
             first.add(string)
-            known = problem.components[component].metadata
+            metadata = problem.components[component].metadata
             length, tension, mu, EI = (
-                float(np.asarray(known[key])) for key in ("length", "tension", "linear_density", "bending_stiffness")
+                float(np.asarray(metadata[key])) for key in ("length", "tension", "linear_density", "bending_stiffness")
             )
             alone = ExactString(length, tension, mu, EI)
-            held = [alone.held_freq(n) for n in range(1, n_partials + 1)]
-            out += [(index, 2 * np.pi * f * complex(-1e-4, 1.0)) for f in held if f < 0.9 * FREQ_UPPER]
+            freqs = [alone.held_freq(n) for n in range(1, n_partials + 1)]
+            out += [(index, 2 * np.pi * f * complex(-1e-4, 1.0)) for f in freqs if f < 0.9 * FREQ_UPPER]
         return out
 
     def poles() -> Complexes:
-        found = partials()
+        guesses = partials()
         # twice the modes: the error of the highest partials by the missing ones is far below a thousandth of a cent
-        return continuous_poles(build(2 * FREQ_UPPER), np.array([s for _, s in found]), [j for j, _ in found])
+        return continuous_poles(build(2 * FREQ_UPPER), np.array([s for _, s in guesses]), [j for j, _ in guesses])
 
     of = f" (partials of {', '.join(strings)})" if strings is not None else ""
     return Case(

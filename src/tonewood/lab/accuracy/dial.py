@@ -130,15 +130,15 @@ def measure(instrument: Instrument, string: str, *, nudge: bool = True) -> list[
     case = NoteCase.of(instrument, string, DURATION if nudge else SHORT, fs=FS)
     options: dict[str, dict[str, Any]] = {name: {"accuracy": name} for name in LEVELS}
     if not nudge:
-        return _against(case, {label: case.strokes(given) for label, given in options.items()}, "reference")
+        return _against(case, {label: case.strokes(setting) for label, setting in options.items()}, "reference")
     truth = case.strokes(options["reference"])
     again = case.strokes(options["reference"], NUDGE)
     chance = case.errors(again, truth)
     spread = (chance.cents, chance.decay, chance.level)
     if all(e <= SENSITIVE * limit for e, limit in zip(spread, LIMITS, strict=True)):
-        rendered = {label: case.strokes(given) for label, given in options.items() if label != "reference"}
+        rendered = {label: case.strokes(setting) for label, setting in options.items() if label != "reference"}
         return _against(case, {**rendered, "reference": truth, NUDGED: again}, "reference", _timed(case, options))
-    rendered = {label: case.strokes(given, forces(STROKES)) for label, given in options.items()}
+    rendered = {label: case.strokes(setting, forces(STROKES)) for label, setting in options.items()}
     truth = rendered["reference"]
     points = _against(case, rendered, "reference", _timed(case, options))
     return [*points, _point(case, OTHERS, *truth.halves())]
@@ -152,7 +152,7 @@ def _point(case: NoteCase, label: str, strokes: Strokes, truth: Strokes) -> Dial
 
 def _timed(case: NoteCase, options: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
     """Seconds per second of all settings but `reference`, which takes long enough to be timed once."""
-    short = {label: given for label, given in options.items() if label != "reference"}
+    short = {label: setting for label, setting in options.items() if label != "reference"}
     return dict(zip(short, case.timed(list(short.values()), REPEATS), strict=True))
 
 
@@ -174,7 +174,7 @@ def budgets(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
     options["none"] = {"effects": "none"}
     case = NoteCase.of(instrument, middle_string(instrument), SHORT if quick else DURATION, force=FORCE, fs=FS)
     times = None if quick else dict(zip(options, case.timed(list(options.values()), REPEATS), strict=True))
-    out = _against(case, {label: case.strokes(given) for label, given in options.items()}, "all", times)
+    out = _against(case, {label: case.strokes(setting) for label, setting in options.items()}, "all", times)
     tell(1.0)
     return out
 
@@ -221,19 +221,19 @@ def _order(points: Sequence[DialPoint]) -> str:
     by_name: dict[str, list[DialPoint]] = {}
     for p in points:
         by_name.setdefault(p.instrument, []).append(p)
-    wrong = {name: found for name, own in by_name.items() if (found := out_of_order(own))}
-    cheaper = [own[1].seconds / own[0].seconds for own in by_name.values()]
+    wrong = {name: measures for name, points_of in by_name.items() if (measures := out_of_order(points_of))}
+    cheaper = [points_of[1].seconds / points_of[0].seconds for points_of in by_name.values()]
     text = f"`draft` takes {number(1 / max(cheaper), 2)} to {number(1 / min(cheaper), 2)} of the time of `standard`"
     if not wrong:
         return f"{text}, and by no measure does it lie nearer to `reference`, beyond chance."
-    listed = "; ".join(f"{name} ({', '.join(found)})" for name, found in wrong.items())
+    listed = "; ".join(f"{name} ({', '.join(measures)})" for name, measures in wrong.items())
     return f"{text}; it lies nearer to `reference`: {listed}."
 
 
 def beyond(errors: PartialErrors, *, worst: bool = False) -> str:
     """Limits that the median, or the worst partial, does not keep: `1.4 cents, 7 % of the decay`; empty if none."""
-    found = astuple(errors)[1:6:2] if worst else astuple(errors)[:6:2]
-    units = zip(found, LIMITS, (1, 100, 1), ("cents", "% of the decay", "dB"), strict=True)
+    values = astuple(errors)[1:6:2] if worst else astuple(errors)[:6:2]
+    units = zip(values, LIMITS, (1, 100, 1), ("cents", "% of the decay", "dB"), strict=True)
     return ", ".join(f"{number(scale * v)} {unit}" for v, limit, scale, unit in units if not v <= limit)
 
 

@@ -40,7 +40,7 @@ class PoleErrors:
     lost: int
 
 
-def pole_errors(found: Complexes, true: Complexes, numbers: NDArray[np.intp] | None = None) -> PoleErrors:
+def pole_errors(poles: Complexes, true: Complexes, numbers: NDArray[np.intp] | None = None) -> PoleErrors:
     """Compare poles with the true ones; a partial farther off than half its distance to the next (nan too) is lost.
 
     Parameters
@@ -48,11 +48,11 @@ def pole_errors(found: Complexes, true: Complexes, numbers: NDArray[np.intp] | N
     numbers : (k,) of the partials, 1, 2, ... where left out.
     """
     n = np.arange(1, len(true) + 1) if numbers is None else numbers
-    near = np.abs(found.imag - true.imag) < 0.5 * true.imag / n
+    near = np.abs(poles.imag - true.imag) < 0.5 * true.imag / n
     if not near.any():
         return PoleErrors(np.nan, np.nan, np.nan, np.nan, np.nan, len(true))
-    cents = np.abs(1200 * np.log2(found.imag[near] / true.imag[near]))
-    decay = np.abs(found.real[near] / true.real[near] - 1)
+    cents = np.abs(1200 * np.log2(poles.imag[near] / true.imag[near]))
+    decay = np.abs(poles.real[near] / true.real[near] - 1)
     low = n[near] <= 20
     return PoleErrors(
         float(np.median(cents)),
@@ -101,11 +101,11 @@ def wave_errors(y: Floats, true: Floats, fs: float, partials: Complexes) -> Wave
     freq = rfftfreq(len(y), 1 / fs)
     weight = (2 * np.pi * freq) ** 2
     tiny = np.finfo(float).tiny
-    made, wanted, wrong = (np.abs(rfft(signal * window)) * weight for signal in (y, true, error))
+    ours, wanted, wrong = (np.abs(rfft(signal * window)) * weight for signal in (y, true, error))
     band = np.digitize(freq, BANDS * 2 ** (-1 / 6))
     levels = [
         10 * np.log10(np.maximum(np.bincount(band, spectrum**2, len(BANDS) + 1)[1:], tiny))
-        for spectrum in (made, wanted)
+        for spectrum in (ours, wanted)
     ]
     there = (0.45 * fs > BANDS * 2 ** (1 / 6)) & (levels[1] > levels[1].max() + BAND_FLOOR)
     true_freq = np.sort(np.concatenate([[0.0], np.abs(partials.imag) / (2 * np.pi), [1e12]]))

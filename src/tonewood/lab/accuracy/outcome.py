@@ -89,27 +89,27 @@ MEASURES: Mapping[str, Measure] = {m.name: m for m in (PITCH, DECAY, WAVEFORM)}
 
 def line(points: Sequence[Point], method: str, measure: Measure) -> list[tuple[float, float]]:
     """(seconds, error) of a method's stable points along its own dial, cheapest first."""
-    found = [
+    pairs = [
         (p.seconds, measure.of(p)) for p in points if p.method == method and p.dial == DIAL and p.stable == "stable"
     ]
-    return sorted((s, e) for s, e in found if np.isfinite(s) and np.isfinite(e) and s > 0)
+    return sorted((s, e) for s, e in pairs if np.isfinite(s) and np.isfinite(e) and s > 0)
 
 
-def front(line: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+def front(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     """Points of a line that no cheaper point betters: times rise, errors fall."""
     out: list[tuple[float, float]] = []
-    for seconds, error in sorted(line):
+    for seconds, error in sorted(points):
         if not out or error < out[-1][1]:
             out.append((seconds, error))
     return out
 
 
-def seconds_at(line: Sequence[tuple[float, float]], error: float) -> float | None:
+def seconds_at(points: Sequence[tuple[float, float]], error: float) -> float | None:
     """Seconds at which a Pareto line reaches an error, None where it never does.
 
     Between two points log time is linear in log error; a method whose cheapest point is better still costs that point.
     """
-    best = front(line)
+    best = front(points)
     if not best or error < best[-1][1]:
         return None
     if error >= best[0][1]:

@@ -118,7 +118,7 @@ class StabilityGrid:
 
     def to_json(self) -> dict[str, object]:
         """Plain data; an infinite growth is null."""
-        cells, attacks = ([finite(asdict(one)) for one in found] for found in (self.cells, self.attacks))
+        cells, attacks = ([finite(asdict(one)) for one in results] for results in (self.cells, self.attacks))
         return {"duration_s": self.duration, "growth_limit": GROWTH, "cells": cells, "attacks": attacks}
 
 

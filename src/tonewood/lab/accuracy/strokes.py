@@ -94,8 +94,8 @@ class NoteCase:
     ) -> Renderer:
         """Return a renderer of the note with some options, so many times the force, and overrides of the bundle."""
         instrument = self.instrument.replace(overrides) if overrides else self.instrument
-        held = self.let_go or self.duration
-        note = Note(0.0, held, string=self.string, stop=self.stop, force=self.force * factor)
+        duration = self.let_go or self.duration
+        note = Note(0.0, duration, string=self.string, stop=self.stop, force=self.force * factor)
         return Renderer(Score([note]), instrument, self.fs, max_duration=self.duration, **options)
 
     def strokes(
@@ -118,8 +118,8 @@ class NoteCase:
     def timed(self, options: Sequence[Mapping[str, Any]], repeats: int, tell: Tell = silent) -> list[float]:
         """Seconds of computing per second of sound with each of some options: medians of renders that take turns."""
         tasks = []
-        for given in options:
-            renderer = self.renderer(given)
+        for setting in options:
+            renderer = self.renderer(setting)
             start = renderer.snapshot()
 
             def play(renderer: Renderer = renderer) -> None:

@@ -353,8 +353,8 @@ def measured_period(y: Floats, fs: float, freq: float, cycles: int) -> float:
     shifts = np.linspace(around - 0.05 / freq, around + 0.05 / freq, 81)
     best = shifts[int(np.argmin([miss(s) for s in shifts]))]
     width = shifts[1] - shifts[0]
-    found = minimize_scalar(miss, bounds=(best - width, best + width), method="bounded", options={"xatol": 1e-13})
-    return float(found.x) / cycles
+    minimum = minimize_scalar(miss, bounds=(best - width, best + width), method="bounded", options={"xatol": 1e-13})
+    return float(minimum.x) / cycles
 
 
 def nonlinear_attempt(
@@ -365,18 +365,18 @@ def nonlinear_attempt(
     rate = case.reference_rate
 
     def judge(run: Run, y: Floats, energies: Floats, grows: bool) -> dict[str, Any]:
-        found: dict[str, Any] = {"energy": energy_drift(energies) if case.lossless else np.nan}
+        judged: dict[str, Any] = {"energy": energy_drift(energies) if case.lossless else np.nan}
         if truth is not None:
             errors = wave_errors(y, truth.wave[: len(y)], rate, np.zeros(0, dtype=np.complex128))
-            found |= {"waveform": errors.waveform, "spectral_db": errors.spectral_db}
+            judged |= {"waveform": errors.waveform, "spectral_db": errors.spectral_db}
         if isinstance(run, KernelRun):
             s = run.stepper.statistics
             most, mean = s.most_iterations, s.iterations / max(s.steps, 1)
-            found["note"] = f"{mean:.2g} Newton iterations per step, {most} at most; {source}"
+            judged["note"] = f"{mean:.2g} Newton iterations per step, {most} at most; {source}"
         if case.pitch and not grows:
             freq = 1 / measured_period(y, rate, case.pitch, int(case.duration * case.pitch) - 2)
-            found["cents_median"] = found["cents_worst"] = abs(1200 * float(np.log2(freq / case.pitch)))
-        return found
+            judged["cents_median"] = judged["cents_worst"] = abs(1200 * float(np.log2(freq / case.pitch)))
+        return judged
 
     source = "closed form of the pitch" if truth is None else truth.source
     value, n_modes = value or f"{fs / 1e3:.4g} kHz", case.scene.problem.n_modes

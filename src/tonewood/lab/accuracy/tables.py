@@ -74,16 +74,16 @@ def headline_tables(outcomes: Sequence[Outcome]) -> str:
 def headline_table(outcomes: Sequence[Outcome], measure: Measure) -> str:
     """One of them."""
     columns = [o for o in outcomes if o.headlines.get(measure.name)]
-    found = [{h.method: h.text for h in o.headlines[measure.name]} for o in columns]
-    methods = dict.fromkeys(method for column in found for method in column)
-    rows = [[METHODS[method].title, *(column.get(method, "") for column in found)] for method in methods]
+    cells = [{h.method: h.text for h in o.headlines[measure.name]} for o in columns]
+    methods = dict.fromkeys(method for column in cells for method in column)
+    rows = [[METHODS[method].title, *(column.get(method, "") for column in cells)] for method in methods]
     rows.append(["error there", *(number(o.headlines[measure.name][0].error) for o in columns)])
     return f"By the {measure.title}:\n\n" + markdown(["method", *(o.name for o in columns)], rows)
 
 
 def method_table(outcome: Outcome) -> str:
     """One system: time ratio at equal error by every measure, and the least error of each method."""
-    names = [name for name, found in outcome.headlines.items() if found]
+    names = [name for name, entry in outcome.headlines.items() if entry]
     if not names:
         return "Nothing to compare with in a quick run."
     methods = dict.fromkeys(h.method for name in names for h in outcome.headlines[name])
@@ -91,12 +91,12 @@ def method_table(outcome: Outcome) -> str:
     for method in methods:
         row = [METHODS[method].title]
         for name in names:
-            found = next((h for h in outcome.headlines[name] if h.method == method), None)
-            if found is None:
+            entry = next((h for h in outcome.headlines[name] if h.method == method), None)
+            if entry is None:
                 row += ["", "", ""]
                 continue
-            at_best = "" if found.best is None else "not reached by ours"
-            row += [found.text, number(found.best), number(found.ratio_at_best, 3) or at_best]
+            at_best = "" if entry.best is None else "not reached by ours"
+            row += [entry.text, number(entry.best), number(entry.ratio_at_best, 3) or at_best]
         rows.append(row)
     heads = ["method"]
     for name in names:
@@ -108,11 +108,11 @@ def method_table(outcome: Outcome) -> str:
 def headline(outcome: Outcome) -> str:
     """One sentence per measure."""
     lines = []
-    for name, found in outcome.headlines.items():
+    for name, best_of in outcome.headlines.items():
         ours = usual(outcome.points, MEASURES[name])
-        if ours is None or not found:
+        if ours is None or not best_of:
             continue
-        others = [h for h in found if h.method != "held_position"]
+        others = [h for h in best_of if h.method != "held_position"]
         reached = [f"{METHODS[h.method].title} {h.ratio:.3g}" for h in others if h.ratio is not None]
         never = [METHODS[h.method].title for h in others if h.ratio is None and h.best is not None]
         lost = [METHODS[h.method].title for h in others if h.best is None and h.stable]
@@ -135,7 +135,7 @@ def expectation(outcome: Outcome) -> str:
     ours = usual(outcome.points, PITCH)
     if ours is None:
         return ""
-    held = "confirmed" if ours.cents_20 < EXPECTED_CENTS else "refuted"
+    verdict = "confirmed" if ours.cents_20 < EXPECTED_CENTS else "refuted"
 
     def lowest(method: str) -> str:
         stable = [p for p in outcome.points if p.method == method and p.stable == "stable"]
@@ -147,7 +147,7 @@ def expectation(outcome: Outcome) -> str:
     return (
         f"**Expected** of {outcome.title}: below {EXPECTED_CENTS} cent up to partial 20 at 48 kHz, where "
         "Adams-Bashforth 3 needs about 800 kHz to be stable at all. "
-        f"**Measured:** {number(ours.cents_20)} cent at {ours.value}, {held}. "
+        f"**Measured:** {number(ours.cents_20)} cent at {ours.value}, {verdict}. "
         f"Adams-Bashforth 3 is stable {lowest('ab3')} with the same modes and {lowest('ab3_paper')} with the 150 "
         "string modes of the paper."
     )
@@ -184,9 +184,9 @@ def point_table(outcome: Outcome) -> str:
     def ratio(p: Point) -> str:
         return "" if ours is None or not math.isfinite(p.seconds) else number(p.seconds / ours.seconds, 3)
 
-    known = {k: cell for k, cell in COLUMNS.items() if any(cell(p) for p in outcome.points)} | {"ratio": ratio}
-    rows = [[METHODS[p.method].title, p.value, *(cell(p) for cell in known.values())] for p in outcome.points]
-    return markdown(["method", "dial", *known], rows, left=2)
+    cells = {k: cell for k, cell in COLUMNS.items() if any(cell(p) for p in outcome.points)} | {"ratio": ratio}
+    rows = [[METHODS[p.method].title, p.value, *(cell(p) for cell in cells.values())] for p in outcome.points]
+    return markdown(["method", "dial", *cells], rows, left=2)
 
 
 def section(outcome: Outcome) -> str:

@@ -102,9 +102,9 @@ class Target:
         """
         limits: dict[str, float] = {}
         for part in text.split(","):
-            found = _TARGET.match(part.strip())
-            value = float(found[1]) if found else 0.0
-            unit = found[2].lower().replace(" ", "") if found else ""
+            parsed = _TARGET.match(part.strip())
+            value = float(parsed[1]) if parsed else 0.0
+            unit = parsed[2].lower().replace(" ", "") if parsed else ""
             if unit.startswith("cent") and value > 0:
                 limits["cents"] = value
             elif unit == "%decay" and value > 0:
@@ -121,12 +121,12 @@ class Target:
     def met(self, errors: Worst) -> bool:
         """Whether no error is larger; one that is not known counts as larger."""
         pairs = [(getattr(self.limits, n), getattr(errors, n)) for n in NAMES]
-        return all(limit is None or (found is not None and found <= limit) for limit, found in pairs)
+        return all(limit is None or (error is not None and error <= limit) for limit, error in pairs)
 
     def excess(self, errors: Worst) -> float:
         """Largest ratio of an error to its limit."""
         pairs = [(getattr(self.limits, n), getattr(errors, n)) for n in NAMES]
-        return max(math.inf if found is None else found / limit for limit, found in pairs if limit is not None)
+        return max(math.inf if error is None else error / limit for limit, error in pairs if limit is not None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,8 +224,8 @@ class Frontier:
     def within(self, name: str, value: float) -> Tried | None:
         """The cheapest setting whose error of one measure, the reference's own added, is no larger."""
         own = getattr(self.own, name)
-        found = ((t, getattr(t.errors, name)) for t in self.tried)
-        return next((t for t, e in found if e is not None and own is not None and e + own <= value), None)
+        sizes = ((t, getattr(t.errors, name)) for t in self.tried)
+        return next((t for t, e in sizes if e is not None and own is not None and e + own <= value), None)
 
     def on_front(self, tried: Tried, name: str) -> bool:
         """Whether no cheaper setting has as small an error of one measure."""
@@ -340,8 +340,8 @@ class _Search:
         return self._held_against(self._strokes(setting))
 
     def _held_against(self, strokes: Sequence[Strokes]) -> Worst:
-        found = zip(self.cases, strokes, self.truths, strict=True)
-        return Worst.of([case.errors(own, truth) for case, own, truth in found])
+        triples = zip(self.cases, strokes, self.truths, strict=True)
+        return Worst.of([case.errors(own, truth) for case, own, truth in triples])
 
     def _tried(self, reference: float) -> list[Tried]:
         """Settings from the lowest rate up, until well beyond the first that meets the target."""

@@ -23,18 +23,18 @@ HEADS = {
 }
 
 
-def summary(found: Frontier) -> str:
+def summary(frontier: Frontier) -> str:
     """The answer first, then its grounds, then the table."""
-    lines = [_answer(found), "", *_ground(found), "", table(found)]
+    lines = [_answer(frontier), "", *_ground(frontier), "", table(frontier)]
     return "\n".join(lines)
 
 
-def _answer(found: Frontier) -> str:
-    best, default = found.cheapest, found.default
-    asked = f"{found.target.text} on {found.instrument} ({', '.join(found.notes)})"
+def _answer(frontier: Frontier) -> str:
+    best, default = frontier.cheapest, frontier.default
+    asked = f"{frontier.target.text} on {frontier.instrument} ({', '.join(frontier.notes)})"
     if best is None:
-        near = found.nearest
-        if not found.target.met(found.own):
+        near = frontier.nearest
+        if not frontier.target.met(frontier.own):
             return f"{asked}: no setting can be shown to meet it; the reference itself is not known so well, see below."
         return f"{asked}: no setting tried meets it. The nearest: {near.setting.words} ({_worded(near.errors)})."
     ratio = best.seconds / default.seconds
@@ -46,34 +46,35 @@ def _answer(found: Frontier) -> str:
     )
 
 
-def _ground(found: Frontier) -> list[str]:
+def _ground(frontier: Frontier) -> list[str]:
+    effects = " with all effects" if frontier.default.setting.effects else ""
     out = [
-        f"Errors: worst partial of the first twenty within 40 dB of the loudest, worst note, 2 s at {found.fs} Hz, "
-        f"against {found.reference:g} steps per frame{' with all effects' if found.default.setting.effects else ''}.",
-        f"The reference's own error, by Richardson's extrapolation: {_worded(found.own)}. It is added before an error "
-        "is held against the target.",
+        f"Errors: worst partial of the first twenty within 40 dB of the loudest, worst note, 2 s at {frontier.fs} Hz, "
+        f"against {frontier.reference:g} steps per frame{effects}.",
+        f"The reference's own error, by Richardson's extrapolation: {_worded(frontier.own)}. It is added before an "
+        "error is held against the target.",
         "Part of the instrument and in no error: the limit of its strings' modes; twice as high, it would change "
-        f"{_worded(found.modes)}.",
+        f"{_worded(frontier.modes)}.",
     ]
-    if found.strokes > 1:
+    if frontier.strokes > 1:
         out.append(
-            f"A thousandth more force changes these notes: compared are means over {found.strokes} strokes, and the "
+            f"A thousandth more force changes these notes: compared are means over {frontier.strokes} strokes, and the "
             "difference of two halves of the reference's strokes counts as its own error."
         )
     return out
 
 
-def table(found: Frontier) -> str:
+def table(frontier: Frontier) -> str:
     """A row per setting, from cheap to dear: `>` the cheapest that meets the target; `*` errors on the frontier."""
     rows = []
-    for t in found.tried:
-        cells = [f"{_shown(t.errors, name)}{'*' if found.on_front(t, name) else ''}" for name in NAMES]
-        mark = ">" if t is found.cheapest else "yes" if t.met else ""
+    for t in frontier.tried:
+        cells = [f"{_shown(t.errors, name)}{'*' if frontier.on_front(t, name) else ''}" for name in NAMES]
+        mark = ">" if t is frontier.cheapest else "yes" if t.met else ""
         budgets = (
             t.setting.effects or "" if t.setting.budgets is None else "{:g} cents, {:g} dB".format(*t.setting.budgets)
         )
-        given = [f"{t.setting.oversampling:g}", f"{t.highest / 1e3:.3g}", budgets, str(t.n_modes), *cells]
-        rows.append([mark, *given, number(t.seconds, 3), number(t.seconds / found.default.seconds, 2)])
+        settings = [f"{t.setting.oversampling:g}", f"{t.highest / 1e3:.3g}", budgets, str(t.n_modes), *cells]
+        rows.append([mark, *settings, number(t.seconds, 3), number(t.seconds / frontier.default.seconds, 2)])
     heads = ["meets", "oversampling", "modes to, kHz", "effects", "modes", *(h for h, _ in HEADS.values())]
     note = "`>`: the cheapest that meets the target. `*`: no cheaper one has as small an error."
     return f"{markdown([*heads, 's per s', 'time ratio'], rows, left=1)}\n\n{note}"
@@ -91,29 +92,31 @@ def _worded(errors: Worst) -> str:
     return ", ".join(_shown(errors, name) + unit for name, unit in units.items() if getattr(errors, name) is not None)
 
 
-def to_json(found: Frontier) -> dict[str, object]:
+def to_json(frontier: Frontier) -> dict[str, object]:
     """Everything, with the options of the cheapest setting."""
-    best = found.cheapest
-    return asdict(found) | {"apply": None if best is None else best.setting.words}
+    best = frontier.cheapest
+    return asdict(frontier) | {"apply": None if best is None else best.setting.words}
 
 
-def chart_png(found: Frontier, *, dpi: int = 110) -> bytes:
+def chart_png(frontier: Frontier, *, dpi: int = 110) -> bytes:
     """One quantity a row: error against time, the frontier drawn as a line with the numbers of its settings.
 
     Raises
     ------
     TonewoodError : matplotlib is not installed.
     """
-    shown = [name for name in NAMES if any(getattr(t.errors, name) for t in found.tried)]
-    made, axes = figure(len(shown), heights=[3.6] * len(shown), sharex=True)
-    best = [t for t in sorted(found.tried, key=lambda t: t.seconds) if any(found.on_front(t, name) for name in shown)]
+    shown = [name for name in NAMES if any(getattr(t.errors, name) for t in frontier.tried)]
+    chart, axes = figure(len(shown), heights=[3.6] * len(shown), sharex=True)
+    best = [
+        t for t in sorted(frontier.tried, key=lambda t: t.seconds) if any(frontier.on_front(t, name) for name in shown)
+    ]
     numbers = {id(t): i for i, t in enumerate(best, 1)}
     for ax, name in zip(axes[:, 0], shown, strict=True):
-        _row(ax, found, name, numbers)
+        _row(ax, frontier, name, numbers)
     for i, t in enumerate(best, 1):
         axes[0, 0].plot([], [], marker=f"${i}$", ls="", color="black", ms=11, label=_label(t))
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    made.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=SMALL)
+    chart.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=SMALL)
     from matplotlib.ticker import LogLocator, NullFormatter  # `figure` has refused where there is none
 
     last = axes[-1, 0]
@@ -121,26 +124,26 @@ def chart_png(found: Frontier, *, dpi: int = 110) -> bytes:
     last.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     last.xaxis.set_minor_formatter(NullFormatter())
     last.set_xlabel("s of computing per s of sound")
-    title(axes[0, 0], f"{found.instrument}: {', '.join(found.notes)}")
-    return png(made, dpi)
+    title(axes[0, 0], f"{frontier.instrument}: {', '.join(frontier.notes)}")
+    return png(chart, dpi)
 
 
-def _row(ax: Axes, found: Frontier, name: str, numbers: Mapping[int, int]) -> None:
+def _row(ax: Axes, frontier: Frontier, name: str, numbers: Mapping[int, int]) -> None:
     heading, factor = HEADS[name]
-    points = [(t, factor * e) for t in found.tried if (e := getattr(t.errors, name))]
+    points = [(t, factor * e) for t in frontier.tried if (e := getattr(t.errors, name))]
     ax.plot([t.seconds for t, _ in points], [e for _, e in points], "o", color="0.6", ms=7)
-    front = [(t, e) for t, e in points if found.on_front(t, name)]
+    front = [(t, e) for t, e in points if frontier.on_front(t, name)]
     ax.plot([t.seconds for t, _ in front], [e for _, e in front], "o-", color=COLOURS[0], lw=LINE, ms=9)
     for i, (t, e) in enumerate(sorted(front, key=lambda point: point[0].seconds)):
         at = (t.seconds, e)
         above = (0, -22 if i % 2 else 9)
         ax.annotate(str(numbers[id(t)]), at, xytext=above, ha="center", textcoords="offset points", fontsize=SMALL)
-    best = found.cheapest
+    best = frontier.cheapest
     if best is not None and (error := getattr(best.errors, name)):
         ax.plot(best.seconds, factor * error, "o", color=COLOURS[1], ms=17, mfc="none", mew=3)
     for value, style, text in (
-        (getattr(found.target.limits, name), "-", "target"),
-        (getattr(found.own, name), ":", "the reference's own error"),
+        (getattr(frontier.target.limits, name), "-", "target"),
+        (getattr(frontier.own, name), ":", "the reference's own error"),
     ):
         if value:
             ax.axhline(factor * value, color=COLOURS[1] if style == "-" else "0.3", ls=style, lw=LINE)

@@ -229,8 +229,8 @@ def _newmark_characteristic(scheme: Scheme) -> Matrix:
     def matrix(s: complex) -> Complexes:
         z, u = np.exp(s * scheme.dt), np.expm1(s * scheme.dt)
         v = (c2 + c3 * z) / u
-        known = ca + cu * ((v + c0 + c1 * z) / u) + cv * v
-        return np.asarray(eye + G @ seen(known / (z - known)))
+        explicit = ca + cu * ((v + c0 + c1 * z) / u) + cv * v
+        return np.asarray(eye + G @ seen(explicit / (z - explicit)))
 
     return matrix
 

@@ -154,8 +154,8 @@ def _initial_conditions() -> Iterator[Row]:
         state = initial_state(basis, system.M, system.C, start, [0.0, 0.0])
         worst = 0.0
         for update in UPDATES:
-            found = respond(update, basis, {}, np.arange(n) * dt, state).displacement
-            worst = max(worst, float(np.abs(found - exact[:: update.span][: len(found)]).max()))
+            displacement = respond(update, basis, {}, np.arange(n) * dt, state).displacement
+            worst = max(worst, float(np.abs(displacement - exact[:: update.span][: len(displacement)]).max()))
         yield Row(
             "chinnakonda two masses", f"free motion from u = (1, -1), {name} damping: largest error of any update, m",
             "matrix exponential, Fig. 3.9", 0.0, worst, 1e-11,
@@ -186,18 +186,18 @@ def _stiff() -> Iterator[Row]:
         )
         period = 2 * np.pi / omega[0]
         t = np.arange(101) * period / 20
-        found = two_step(system, 1, t, STIFF_START).displacement
+        displacement = two_step(system, 1, t, STIFF_START).displacement
         shape = sla.eigh(system.K, system.M)[1][:, 0]
         zeta, wd = ratio[0], omega[0] * np.sqrt(1 - ratio[0] ** 2)
         decay = np.exp(-zeta * omega[0] * t) * (np.cos(wd * t) + zeta * omega[0] / wd * np.sin(wd * t))
         closed = np.outer(decay, shape) * (shape @ system.M @ STIFF_START)
         yield Row(
             "chinnakonda stiff", f"{kind}: P1 reduced to one mode, largest error, m", "closed form of one damped mode",
-            0.0, float(np.abs(found - closed).max()), 1e-11,
+            0.0, float(np.abs(displacement - closed).max()), 1e-11,
         )  # fmt: skip
         exact = free_motion(system, STIFF_START, [0.0, 0.0], period / 20, 101)[:, :2]
         direct, _ = HHT.run(system, period / 20, 101, (STIFF_START, np.zeros(2)))
-        error = np.abs(found - exact).max(axis=0)[1], np.abs(direct - exact).max(axis=0)[1]
+        error = np.abs(displacement - exact).max(axis=0)[1], np.abs(direct - exact).max(axis=0)[1]
         yield Row(
             "chinnakonda stiff", f"{kind}: largest error of mass 2, P1 reduced over HHT-alpha", "matrix exponential, "
             "Fig. 3.10: the reduction is the more accurate", 0.0, float(error[0] / error[1]), 0.1,
@@ -241,8 +241,8 @@ def _alternatives() -> Iterator[Row]:
             forces = sampled_forces(np.arange(n) * dt)
             once = split.one_shot(forces, dt)
             # P1 is exact for the same broken line, so the rest is the pseudo-load's own error
-            line = respond(P1, basis_of(system), FORCES, np.arange(n) * dt).displacement
-            errors.append(float(np.abs(once - line).max()))
+            displacement = respond(P1, basis_of(system), FORCES, np.arange(n) * dt).displacement
+            errors.append(float(np.abs(once - displacement).max()))
             if steps == 40:
                 again, _ = split.picard(forces, dt, window=10)
                 yield Row(

@@ -60,8 +60,8 @@ def _displacements() -> Figure:
         for k, axis in enumerate(row):
             axis.plot(fine, exact[:, k], "k", lw=1, label="exact")
             for update, mark in ((P0, "bx"), (P1, "ro")):
-                found = respond(update, basis_of(system), FORCES, np.arange(0, 5 + dt / 2, dt))
-                axis.plot(found.times, found.displacement[:, k], mark, ms=3, mfc="none", label=update.name)
+                response = respond(update, basis_of(system), FORCES, np.arange(0, 5 + dt / 2, dt))
+                axis.plot(response.times, response.displacement[:, k], mark, ms=3, mfc="none", label=update.name)
             axis.set(title=f"mass {k + 1}, {name} damping", ylabel="displacement, m")
     axes[0, 0].legend()
     for axis in axes[-1]:
@@ -116,10 +116,10 @@ def _initial_conditions() -> Figure:
     basis = basis_of(system)
     exact = free_motion(system, start, [0.0, 0.0], 1 / 240, 2401)
     state = initial_state(basis, system.M, system.C, start, [0.0, 0.0])
-    found = respond(P1, basis, {}, np.arange(301) / 30, state)
+    response = respond(P1, basis, {}, np.arange(301) / 30, state)
     for k, axis in enumerate(axes):
         axis.plot(np.arange(2401) / 240, exact[:, k], "k", lw=1, label="exact")
-        axis.plot(found.times, found.displacement[:, k], "ro", ms=2.5, mfc="none", label="P1")
+        axis.plot(response.times, response.displacement[:, k], "ro", ms=2.5, mfc="none", label="P1")
         axis.set(title=f"mass {k + 1}", xlabel="time, s")
     axes[0].set_ylabel("displacement, m")
     axes[0].legend()

@@ -88,10 +88,10 @@ def driven_error(update: Update, c: float, steps_per_period: int) -> tuple[Float
     system = two_masses(c)
     dt = 1 / DRIVE_FREQ / steps_per_period
     n = round(DURATION / dt) + 1
-    found = respond(update, basis_of(system), FORCES, np.arange(n) * dt)
+    response = respond(update, basis_of(system), FORCES, np.arange(n) * dt)
     exact = exact_driven(system, dt, n)
-    error = exact[:: update.span][: len(found.times)] - found.displacement
-    return found.times, error, np.abs(exact).max(axis=0)
+    error = exact[:: update.span][: len(response.times)] - response.displacement
+    return response.times, error, np.abs(exact).max(axis=0)
 
 
 def relative_errors(update: Update, c: float, resolutions: tuple[int, ...] = (20, 40, 80, 160)) -> Floats:
@@ -126,8 +126,8 @@ def two_step(system: Matrices, n_modes: int, times: ArrayLike, start: ArrayLike,
     basis = basis_from_matrices(*small, [f"q{k}" for k in range(n_modes)])
     none = np.zeros(n_modes)
     state = initial_state(basis, small.M, small.C, P.T @ system.M @ np.asarray(start), none)
-    found = respond(update, basis, {}, times, state)
-    return Response(found.times, found.state, found.displacement @ P.T, found.velocity @ P.T)
+    response = respond(update, basis, {}, times, state)
+    return Response(response.times, response.state, response.displacement @ P.T, response.velocity @ P.T)
 
 
 def damped_chain(n: int = 12) -> Matrices:
@@ -175,6 +175,6 @@ def ramp_difference(system: Matrices, update: Update = P1, dt: float = 0.05) -> 
     exact = driven_motion(system, np.eye(size)[0], pieces, dt, n, np.concatenate([x0, v0]))[:, :size]
     basis = basis_from_matrices(*system, [str(k) for k in range(size)])
     state = initial_state(basis, system.M, system.C, x0, v0)
-    line = times[[0, 20, 60]], [0.0, 60 * dt, -140 * dt]
-    found = respond(update, basis, {"0": lambda t: np.interp(t, *line)}, times, state).displacement
-    return float(np.abs(found - exact[:: update.span]).max() / np.abs(exact).max())
+    corners = times[[0, 20, 60]], [0.0, 60 * dt, -140 * dt]
+    displacement = respond(update, basis, {"0": lambda t: np.interp(t, *corners)}, times, state).displacement
+    return float(np.abs(displacement - exact[:: update.span]).max() / np.abs(exact).max())

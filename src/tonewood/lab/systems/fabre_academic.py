@@ -85,10 +85,10 @@ def problem(case: str = "complex") -> Problem:
     return Problem(bases(case), (JUNCTION,), (Term("S1", "m2"),), (Term("S2", "m9"),))
 
 
-def impulse_response(given: Problem, method: str, n: int, fs: float = FS) -> Floats:
+def impulse_response(problem: Problem, method: str, n: int, fs: float = FS) -> Floats:
     """(n,) displacement of m9 after a unit impulse on m2, stepped by a method."""
-    start = given.impulse_columns[:, 0]
-    return METHODS[method].step_matrix(given, 1 / fs).run(np.zeros((n, 1)), start)[:, 0]
+    start = problem.impulse_columns[:, 0]
+    return METHODS[method].step_matrix(problem, 1 / fs).run(np.zeros((n, 1)), start)[:, 0]
 
 
 def exact_impulse_response(system: Matrices, n: int, fs: float = FS) -> Floats:
@@ -165,13 +165,13 @@ def rows() -> Iterator[Row]:
     yield Row(SYSTEM, "block case: third coupled mode, zeta", "case 1", expected_zeta, zeta, 5e-5)
 
 
-def _by_stepper(given: Problem, n: int) -> Floats:
+def _by_stepper(problem: Problem, n: int) -> Floats:
     """(n,) the impulse response by the stepper that renders use."""
-    system = given.system(1 / FS)
+    system = problem.system(1 / FS)
     state = system.start()
-    column = given.impulse_columns[:, 0].reshape(-1, 2)
-    system.modes_of(state, "S1")[:] = column[: given.components["S1"].n_modes].T
-    system.modes_of(state, "S2")[:] = column[given.components["S1"].n_modes :].T
+    column = problem.impulse_columns[:, 0].reshape(-1, 2)
+    system.modes_of(state, "S1")[:] = column[: problem.components["S1"].n_modes].T
+    system.modes_of(state, "S2")[:] = column[problem.components["S1"].n_modes :].T
     return NumpyStepper(system).run(state, n)[0][:, 0]
 
 
@@ -197,9 +197,9 @@ def plots(directory: Path) -> list[Path]:
     written = [save(fig, directory / "fabre_fig3_academic.png")]
 
     fig, axes = figure(2, 5, polar=True, size=(13, 5.6))
-    for line, (name, basis) in zip(axes, bases().items(), strict=True):
+    for row, (name, basis) in zip(axes, bases().items(), strict=True):
         mpc = phase_collinearity(basis.right)
-        for k, axis in enumerate(line):
+        for k, axis in enumerate(row):
             if k >= basis.n_modes:
                 axis.set_axis_off()
                 continue

@@ -258,9 +258,11 @@ def _every_kind() -> Iterator[Row]:
         ties = tuple(
             Connection(f"tie {i}", (Term("S1", "m4"), Term("part", str(i), -1.0))) for i in range(size if twin else 1)
         )
-        given = Problem({"S1": bases()["S1"], "part": basis}, ties, (Term("S1", "m2"),), (Term("part", str(size - 1)),))
-        start = given.impulse_columns[:, 0]
-        y = held_position(given, dt).run(np.zeros((n, 1)), start)[:, 0]
+        joined = Problem(
+            {"S1": bases()["S1"], "part": basis}, ties, (Term("S1", "m2"),), (Term("part", str(size - 1)),)
+        )
+        start = joined.impulse_columns[:, 0]
+        y = held_position(joined, dt).run(np.zeros((n, 1)), start)[:, 0]
         v0 = sla.solve(system.M, np.eye(len(system.M))[1])
         expected = assembled.free_motion(system, 0 * v0, v0, dt, n)[:, len(system.M) - 1]
         error = misfit(y, expected)

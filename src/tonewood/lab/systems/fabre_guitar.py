@@ -66,9 +66,9 @@ def body_receptance(s: complex) -> complex:
     return complex(assembled.receptance(BODY, s, 0, 0)[0])
 
 
-def pluck(given: Problem, fs: float, duration: float) -> Floats:
+def pluck(problem: Problem, fs: float, duration: float) -> Floats:
     """(n,) displacement of the plate: ramp of force for 1 s, release, free motion until `duration`."""
-    step = held_position(given, 1 / fs)
+    step = held_position(problem, 1 / fs)
     ramp = FORCE * np.arange(round(RAMP * fs) + 1)[:, None] / (RAMP * fs)
     driven, x = step.advance(np.zeros(len(step.T)), ramp)
     # released at its peak: free motion from the state there follows

@@ -204,29 +204,29 @@ def _fault(effect: Any, reason: str) -> PluginError:
     return PluginError(named + reason, file=plugin and plugin.files.manifest, key=plugin and plugin.key)
 
 
-def _next_watch(effect: Any, value: Any, given: Mapping[str, Any]) -> None:
-    number(value, "a sample", given["sample"], above=True)
+def _next_watch(effect: Any, value: Any, arguments: Mapping[str, Any]) -> None:
+    number(value, "a sample", arguments["sample"], above=True)
     want(value == int(value) and int(value) % GRID == 0, value, f"a multiple of {GRID} (ta.next_multiple)")
 
 
-def _watched(effect: Any, value: Any, given: Mapping[str, Any]) -> None:
+def _watched(effect: Any, value: Any, arguments: Mapping[str, Any]) -> None:
     if value is None:
         return
     want(isinstance(value, Watched), value, "a ta.Watched or None")
-    known = set(effect.components)
+    components = set(effect.components)
     for component in value.wanted:
-        want(component in known, component, f"one of {', '.join(sorted(known))}", "wanted")
+        want(component in components, component, f"one of {', '.join(sorted(components))}", "wanted")
     for entry in value.bounds:
         fits = isinstance(entry, tuple) and len(entry) == 3 and isinstance(entry[1], Bound)
         want(fits, entry, "(component, ta.Bound, whether it is left out)", "bounds")
-        want(entry[0] in known, entry[0], f"one of {', '.join(sorted(known))}", "bounds")
+        want(entry[0] in components, entry[0], f"one of {', '.join(sorted(components))}", "bounds")
         for name in ("level", "cents"):
             size = getattr(entry[1], name)
             want(size == math.inf or (size >= 0.0), size, "0 or more", f"bound.{name}")
 
 
 def _reports(kind: type) -> Callable[[Any, Any, Mapping[str, Any]], None]:
-    def verify(effect: Any, value: Any, given: Mapping[str, Any]) -> None:
+    def verify(effect: Any, value: Any, arguments: Mapping[str, Any]) -> None:
         fits = isinstance(value, list) and all(isinstance(one, kind) for one in value)
         want(fits, value, f"a list of {kind.__name__}")
 

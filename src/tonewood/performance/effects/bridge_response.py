@@ -49,8 +49,8 @@ class BridgeResponse:
         top = np.pi / system.dt
         grid = np.geomspace(_LOWEST, top, int(_PER_OCTAVE * np.log2(top / _LOWEST)))
         body, form = model.body, real_form(model.body)
-        own = np.abs(body.poles.imag)
-        self.freq_rad = np.unique(np.concatenate([grid, own[(own > _LOWEST) & (own < top)]]))
+        body_freq = np.abs(body.poles.imag)
+        self.freq_rad = np.unique(np.concatenate([grid, body_freq[(body_freq > _LOWEST) & (body_freq < top)]]))
         places = system.layout.places
         ends = [system.connections[places[f"{name}.bridge"]] for name in joined]
         entry = np.zeros((len(self.components), len(body.points)))
@@ -160,8 +160,8 @@ def _over_modes(form: RealForm, freq_rad: Floats, read: Floats, driven: Floats) 
         w = freq_rad[first : first + at_a_time, None]
         real, imag = square - w**2, -trace * w
         size = real**2 + imag**2
-        found = np.concatenate([real / size, -imag / size]) @ numerators
-        inverse = found[: len(w)] + 1j * found[len(w) :]
+        response = np.concatenate([real / size, -imag / size]) @ numerators
+        inverse = response[: len(w)] + 1j * response[len(w) :]
         whole[:, first : first + at_a_time] = (1j * w * inverse[:, :n] + inverse[:, n:]).T
     return whole
 

@@ -47,9 +47,9 @@ class Costs:
 
     def add(self, seconds: float, samples: int, modes: int, loads: Sequence[float]) -> None:
         """Enter a run: how many modes were stepped, and the load of every effect, 0 where it did not run."""
-        known = self._runs.setdefault((modes, *loads), [0.0, 0.0])
-        known[0] += samples
-        known[1] += seconds
+        totals = self._runs.setdefault((modes, *loads), [0.0, 0.0])
+        totals[0] += samples
+        totals[1] += seconds
         self._found = None
 
     def rates(self) -> Rates:
@@ -70,9 +70,11 @@ class Costs:
         declared *= seconds.sum() / (steps @ declared)
         weight = _DECLARED * np.array([squares] + [steps[0] ** 2 / squares, squares] * len(zeros))
         matrix = (samples * each) @ each.T + np.diag(weight)
-        found = not_negative(matrix, each @ seconds + weight * declared).tolist()
+        prices = not_negative(matrix, each @ seconds + weight * declared).tolist()
         names = list(zeros)
-        return Rates(found[0], dict(zip(names, found[1::2], strict=True)), dict(zip(names, found[2::2], strict=True)))
+        return Rates(
+            prices[0], dict(zip(names, prices[1::2], strict=True)), dict(zip(names, prices[2::2], strict=True))
+        )
 
 
 def not_negative(matrix: Floats, right: Floats) -> Floats:

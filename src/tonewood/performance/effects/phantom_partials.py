@@ -158,11 +158,11 @@ class PhantomPartialsEffect(SwitchedEffect):
         """The first string of its key if that is the same but for some cents, else itself."""
         first = self.model.strings[name].group[0]
         pair = [self.model.strings[s] for s in (first, name)]
-        system, known = self.model.system, []
+        system, bounds = self.model.system, []
         for s in pair:
             sizes = [system.compiled[system.slot(c)].basis.n_modes for c in self._planes(s.name)]
-            known.append((s.resonator.parameters, sizes, s.name in self._laws))
-        return first if known[0] == known[1] else name
+            bounds.append((s.resonator.parameters, sizes, s.name in self._laws))
+        return first if bounds[0] == bounds[1] else name
 
     def _bound(self, system: System, name: str, stop: float) -> Phantoms:
         """The bound of a string at a stop: that of the string whose motion along itself is coupled both ways."""
@@ -172,9 +172,9 @@ class PhantomPartialsEffect(SwitchedEffect):
                 self._response = BridgeResponse(self.model)
             law, component, planes = self._laws[name], f"{name}.longitudinal", self._planes(name)
             compiled = {c: system.compiled[system.slot(c)] for c in planes}
-            known = compiled[planes[0]].basis.metadata
+            metadata = compiled[planes[0]].basis.metadata
             lengthwise = string_basis(
-                cast(float, known["length"]), law.axial_stiffness, cast(float, known["linear_density"]), 0.0,
+                cast(float, metadata["length"]), law.axial_stiffness, cast(float, metadata["linear_density"]), 0.0,
                 lambda freq_rad, k: np.full_like(freq_rad, law.loss), freq_upper=0.45 / system.dt,
             )  # fmt: skip
             stretch = GeometricStretch(name, tuple(planes), component, law.axial_stiffness, law.freq_coupled)

@@ -95,19 +95,19 @@ class Phantoms:
         held = {name: HeldModes.of(compiled[name].basis, "bridge") for name in law.transverse}
         n = min(int(np.count_nonzero(h.freq_rad < 2 * np.pi * law.freq_coupled)) for h in held.values())
         freq = np.min([h.freq_rad[:n] for h in held.values()], axis=0)
-        own = HeldModes.of(longitudinal.basis, "bridge")
+        axial = HeldModes.of(longitudinal.basis, "bridge")
         combined = np.stack([np.abs(np.subtract.outer(freq, freq)), np.add.outer(freq, freq)])
         audible = np.stack([~np.eye(n, dtype=bool), np.ones((n, n), dtype=bool)])
         end = law.longitudinal
         per_newton = response.heard_at(end, combined.ravel()).reshape(len(response.heard), *combined.shape)
-        own_per_newton = response.heard_at(end, own.freq_rad)
+        own_per_newton = response.heard_at(end, axial.freq_rad)
         heard, moved = np.zeros((len(per_newton), n, n)), np.zeros((n, n))
-        for order in range(own.n_modes + 1):
+        for order in range(axial.n_modes + 1):
             # the partial of place i is the cosine i + 1
             driven = 0.25 * law.axial_stiffness * np.abs(cosine_products(order, n + 1)[1:, 1:])
             answer, after = np.ones(combined.shape), response.stopped_at(end, response.freq_rad[:1])[:, 0]
             if order:
-                W, s = own.freq_rad[order - 1], own.damping_rate[order - 1]
+                W, s = axial.freq_rad[order - 1], axial.damping_rate[order - 1]
                 away = np.maximum(np.abs(W**2 - combined**2) - 2 * _DRIFT * combined**2, 0.0)
                 answer = np.hypot(combined**2, 2 * s * combined) / np.hypot(away, 2 * s * combined + 1e-9 * W**2)
                 moved += driven * answer.sum(axis=0)

@@ -77,8 +77,8 @@ class Plane:
         freq = np.abs(n + 2 * m * np.array([-1.0, 1.0]))
         away = np.maximum(np.abs(n**2 - freq**2), 2 * freq * (_DRIFT * freq + s[:, None, None]))
         answer, bridge = n**2 / away, freq**2 / away
-        own = np.arange(min(len(w), _BEATING))
-        answer[own, own, 0] = bridge[own, own, 0] = 0.0
+        modes = np.arange(min(len(w), _BEATING))
+        answer[modes, modes, 0] = bridge[modes, modes, 0] = 0.0
         decay = s[:, None, None] + 2 * s[None, :_BEATING, None] + np.zeros(2)
         force = (g / w)[:, None, None] * _resonant(component, basis, held, response, freq, decay, bridge)
         heard = response.heard_at(component, freq.ravel()).reshape(-1, *freq.shape) * force
@@ -93,7 +93,7 @@ class Plane:
                     heard[r] += moved[:, None, None] * answer * freq**power
                     rest[r] += moved * (2.0 + w / w[0]) * w[-1] ** power
         each = np.zeros((*rest.shape, _BEATING + 1))
-        each[..., : len(own)], each[..., -1] = heard.sum(axis=-1), rest
+        each[..., : len(modes)], each[..., -1] = heard.sum(axis=-1), rest
         bent = held.vectors * held.stiffness / w[:, None]
         single = min(_SINGLE, len(w))
         return cls(

@@ -28,7 +28,7 @@ def clear_memory(system: System, state: State, potentials: Collection[str]) -> N
                 state.potentials[memory] = 0.0
 
 
-def switch(effect: SwitchedEffect, moment: Moment, before: Switching, found: Watched) -> Switching:
+def switch(effect: SwitchedEffect, moment: Moment, before: Switching, watched: Watched) -> Switching:
     """Switch components on or off as wanted, where the energy of the switch can be paid; the system is not changed.
 
     The energy is taken from the kinetic energy of the effect's `payers`, in the moment's state. A component that cannot
@@ -36,10 +36,10 @@ def switch(effect: SwitchedEffect, moment: Moment, before: Switching, found: Wat
     """
     on = set(before.on)
     for component in effect.components:
-        wants = component in found.wanted
+        wants = component in watched.wanted
         if wants != (component in before.on) and pay(effect, moment, component, wants):
             (on.add if wants else on.remove)(component)
-    return Switching(frozenset(on), found.wanted - on, found.until)
+    return Switching(frozenset(on), watched.wanted - on, watched.until)
 
 
 def pay(effect: SwitchedEffect, moment: Moment, component: str, on: bool) -> bool:

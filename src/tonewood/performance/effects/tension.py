@@ -359,14 +359,14 @@ class TensionEffect(SwitchedEffect):
         """
         law = self._laws[name]
         compiled = tuple(system.compiled[slot] for slot in self._planes[name])
-        known = self._held.get(name)
-        if known is None or any(a is not b for a, b in zip(known[0], compiled, strict=True)):
+        entry = self._held.get(name)
+        if entry is None or any(a is not b for a, b in zip(entry[0], compiled, strict=True)):
             parts = [part.basis for part in compiled]
             per_newton = [cast(Floats, stretch_weights(basis)) / basis.stiffness for basis in parts]
             length = law.length if isinstance(law, TensionModulation) and law.length else parts[0].metadata["length"]
             tension = 1.0 / float(np.max(np.concatenate(per_newton), initial=_TINY))
-            self._held[name] = known = compiled, tension, float(cast(float, length))
-        return known[1], known[2]
+            self._held[name] = entry = compiled, tension, float(cast(float, length))
+        return entry[1], entry[2]
 
     def wanted(self, bounds: Mapping[str, Bound], on: Collection[str]) -> frozenset[str]:
         """Strings whose tension is to rise: those beyond a budget, or beyond 0.9 of it if they rise now.

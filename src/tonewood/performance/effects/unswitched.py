@@ -46,14 +46,14 @@ class PickupEffect(RuntimeEffect):
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:
         """Recorded groups ran all the time."""
-        made, whole = self._recorded, usage.seconds(usage.samples)
-        return [self._report(name, whole if name in made else 0.0) for name in self.components]
+        recorded, whole = self._recorded, usage.seconds(usage.samples)
+        return [self._report(name, whole if name in recorded else 0.0) for name in self.components]
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
         """Recorded groups will run all the time."""
-        made, whole, out = self._recorded, ((0.0, foreseen.seconds),), []
+        recorded, whole, out = self._recorded, ((0.0, foreseen.seconds),), []
         for name in self.components:
-            spans, why = (whole, "it is recorded") if name in made else ((), "it is not recorded")
+            spans, why = (whole, "it is recorded") if name in recorded else ((), "it is not recorded")
             out.append(PlannedEffect(self.name, name, spans, why, None))
         return out
 
@@ -137,7 +137,7 @@ class ContactEffect(OccasionalEffect):
             law = model.resting.get(connection.name, connection).law
             if connection.part in plugins and not isinstance(law, SpringDashpot):
                 columns[connection.owner].append(j)
-        self._columns = {string: np.array(found) for string, found in columns.items()}
+        self._columns = {string: np.array(numbers) for string, numbers in columns.items()}
 
     def running(self, run: Run) -> Collection[str]:
         """Strings that touched a part."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.references import by_part
+from tonewood.instrument.model.strings import StringModel
 from tonewood.performance.engine.engine import Engine
 from tonewood.performance.player.playing import perform
 from tonewood.performance.player.timeline import GRID
@@ -29,10 +30,9 @@ def try_parts(model: Model) -> None:
         Note(_APART * (i // len(strings)), _APART, string=strings[i % len(strings)], stop=0, technique=name)
         for i, name in enumerate(model.exciters)
     ]
-    for string in strings:
-        held = model.strings[string]
-        if held.n_stops:
-            _same_connections(model, string)
+    for name in strings:
+        if model.strings[name].n_stops:
+            _same_connections(model.strings[name])
     engine = Engine(model, perform(Score(notes), model).timeline)
     last = max(note.time for note in notes) * model.fs
     while engine.state.sample < last + _AFTER * GRID:
@@ -41,15 +41,14 @@ def try_parts(model: Model) -> None:
         effect.report(engine.usage)
 
 
-def _same_connections(model: Model, string: str) -> None:
+def _same_connections(string: StringModel) -> None:
     """Refuse a part whose connections differ at the last stop from those of the open string."""
-    held = model.strings[string]
-    stopped = by_part(held.connections(held.n_stops))
-    for part, own in by_part(held.connections()).items():
+    stopped = by_part(string.connections(string.n_stops))
+    for part, opened in by_part(string.connections()).items():
         now = [(c.name, c.terms) for c in stopped.get(part, ())]
-        if now != [(c.name, c.terms) for c in own] and part in held.touching:
-            plugin = held.touching[part]
+        if now != [(c.name, c.terms) for c in opened] and part in string.touching:
+            plugin = string.touching[part]
             raise plugin.fault(
-                f"{type(plugin).__name__}.attach returns other connections at stop {held.n_stops} of {string} than on "
-                "the open string; the same names and terms are wanted, laws may differ"
+                f"{type(plugin).__name__}.attach returns other connections at stop {string.n_stops} of {string.name} "
+                "than on the open string; the same names and terms are wanted, laws may differ"
             )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import groupby
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.player.timeline import GRID, Change
@@ -96,6 +97,30 @@ class Dampers:
 
     def _position(self, kind: str) -> float:
         return max(self._at[kind].values(), default=0.0)
+
+
+def damper_changes(model: Model, pedals: Sequence[Control], pressed: Sequence[tuple[float, bool, str]]) -> list[Change]:
+    """Return how keys and pedals move dampers; at one time keys come up, then go down, then pedals move.
+
+    Parameters
+    ----------
+    pedals : their moves.
+    pressed : (time, whether it goes down, first string) of keys.
+    """
+    dampers = Dampers(model)
+    events: list[tuple[float, int, Control | str]] = [(time, int(down), name) for time, down, name in pressed]
+    events += [(move.time, 2, move) for move in pedals]
+    out: list[Change] = []
+    for time, together in groupby(sorted(events, key=lambda e: e[:2]), key=lambda e: e[0]):
+        for _, kind, event in together:
+            if isinstance(event, Control):
+                dampers.control(event.kind, event.value, event.channel)
+            elif kind:
+                dampers.press(event)
+            else:
+                dampers.release(event)
+        out += dampers.moved(time)
+    return out
 
 
 def pedal_moves(model: Model, controls: Sequence[Control]) -> tuple[list[Control], list[str]]:

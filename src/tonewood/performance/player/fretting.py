@@ -119,13 +119,14 @@ class FrettedBases:
 
     def _new(self, name: str, fretting: Fretting) -> dict[str, Compiled]:
         """Compile the bases of a string; where only its pluck is elsewhere, from those that it had before."""
-        system, known = self.model.system, self._held.get((name, fretting.unplucked))
-        if known is None:
+        system, compiled = self.model.system, self._held.get((name, fretting.unplucked))
+        if compiled is None:
             return {c: system.compile(c, basis) for c, basis in self._made(name, fretting).items()}
-        before = {c: part.basis for c, part in known.items()}
+        before = {c: part.basis for c, part in compiled.items()}
         bases = self.model.strings[name].plucked_at(before, fretting.stop, fretting.place, fretting.width)
         return {
-            c: known[c] if basis is before[c] else system.compile(c, basis, like=known[c]) for c, basis in bases.items()
+            c: compiled[c] if basis is before[c] else system.compile(c, basis, like=compiled[c])
+            for c, basis in bases.items()
         }
 
     def _made(self, name: str, fretting: Fretting) -> dict[str, ModalBasis]:
@@ -193,8 +194,8 @@ def bridge_forces(system: System, state: State) -> ForceAtBridge:
         rigid = system.elimination.linear.rigid
         R = system.gap_matrix("residual")[np.ix_(rigid, rigid)]
         force = -scaled_pinv(R) @ gaps(system, state)[rigid]
-        held = [c.terms[0].component for c, on in zip(system.connections, rigid, strict=True) if on]
-        return dict(zip(held, force.tolist(), strict=True))
+        components = [c.terms[0].component for c, on in zip(system.connections, rigid, strict=True) if on]
+        return dict(zip(components, force.tolist(), strict=True))
 
     return lambda component: found()[component]
 

@@ -62,12 +62,12 @@ def forces(play: Play, model: Model, system: System, first: int) -> list[Injecti
     _check_names(play, model)
     if play.gesture.noise is not None and not play.gesture.segments:
         return _sampled(play, play.gesture.noise.course(system.dt, time=play.time, first=first), model, system)
-    known = Course.of(play.gesture.segments, system.dt, time=play.time, first=first)
+    course = Course.of(play.gesture.segments, system.dt, time=play.time, first=first)
     if play.gesture.noise is not None:
-        known = _sum(known, play.gesture.noise.course(system.dt, time=play.time, first=first))
+        course = _sum(course, play.gesture.noise.course(system.dt, time=play.time, first=first))
     out: list[Injection] = []
     for component, point, factor in places(play, model):
-        out += known.injections(component, system.compiled[system.slot(component)].impulses(point), factor)
+        out += course.injections(component, system.compiled[system.slot(component)].impulses(point), factor)
     return out
 
 
@@ -94,13 +94,13 @@ def _check_names(play: Play, model: Model) -> None:
                 )
 
 
-def _sampled(play: Play, known: Course, model: Model, system: System) -> list[Injection]:
+def _sampled(play: Play, course: Course, model: Model, system: System) -> list[Injection]:
     """Compile a force that is constant in each step: one vector for each component."""
-    steps = known.values[:1]
+    steps = course.values[:1]
     if not steps.size:
         return []
     return [
-        Injection(c, known.start, factor * system.compiled[system.slot(c)].held_force(point)[None], steps)
+        Injection(c, course.start, factor * system.compiled[system.slot(c)].held_force(point)[None], steps)
         for c, point, factor in places(play, model)
     ]
 

@@ -1,130 +1,325 @@
-"""Hands between the notes of a score: slurs, noises of fingers, and hands that lie on idle strings."""
+"""Hands on strings: notes begin, bend and end, each action at its own time or at a player's pace.
+
+`Hands` know the notes of a score: an action has its exact time, and the gesture of the next note on the string ends the
+one before. `PacedHands` learn of notes as they come and act at points of the control grid, one action at a point.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 
-from tonewood.instrument.bundle.schema import NoteEnd, Playing
-from tonewood.instrument.contract.gestures import Event
+from tonewood.instrument.contract.gestures import Event, Gesture, Place
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.player.timeline import GRID, Change, Play
-from tonewood.performance.score.assignment import Assigned
+from tonewood.performance.player.between_notes import laid_on, touch_at_end
+from tonewood.performance.player.dampers import UNA_CORDA, Dampers, damper_changes
+from tonewood.performance.player.strokes import (
+    BEND_RATE,
+    ended,
+    exciter_of,
+    gripped,
+    hurried,
+    is_where_asked,
+    stopped,
+    stroke,
+    tapped,
+)
+from tonewood.performance.player.timeline import GRID, Change, Play, Timeline
+from tonewood.performance.player.variation import Deviates
+from tonewood.performance.player.voices import CONTINUED, PlayedString, Voice
+from tonewood.performance.score.assignment import PEDALLED, Assigned
+from tonewood.performance.score.controllers import History
+from tonewood.performance.score.fingering import Sounding
+from tonewood.performance.score.note import Control
 
-#: a damped string is released after this many times its T60; then it rings with the others
-LET_GO_AFTER = 1.5
-#: a slide of the hand takes at most this share of the time that there is for it
-_SHARE = 0.4
-
-
-def slurred(line: Sequence[Assigned], playing: Playing) -> list[Assigned]:
-    """Return a string's notes; those that overlap the one before in the score get the technique of a slur.
-
-    A note that names a technique keeps it.
-    """
-    slurs, out = playing.slurs, list(line[:1])
-    for before, assigned in pairwise(line):
-        both = before.note.time + before.note.duration - assigned.note.time
-        steps = assigned.stop - before.stop
-        way = slurs.far if abs(steps) > slurs.reach else slurs.up if steps > 0 else slurs.down
-        if way is not None and steps and both >= slurs.overlap and assigned.note.technique is None:
-            assigned = replace(assigned, note=replace(assigned.note, technique=way))
-        out.append(assigned)
-    return out
-
-
-def damping(end: NoteEnd) -> float:
-    """Decay rate that a hand adds to every mode of a string that it damps, 1/s."""
-    return math.log(1000.0) / end.t60
+#: s, the shortest note
+_SHORTEST = 0.02
 
 
-def let_go(time: float, string: str, stop: float, end: NoteEnd) -> Change:
-    """Take the stopping finger off a damped string; a hand stays on it where idle strings are damped."""
-    return Change(time, string, stop=stop, cents=0.0, added_damping=None if end.idle == "damp" else 0.0)
-
-
-def laid_on(time: float, model: Model) -> list[Change]:
-    """Lay a hand on every string, where idle strings are damped."""
-    end = model.playing.note_end
-    return [Change(time, name, added_damping=damping(end)) for name in model.strings if end.idle == "damp"]
-
-
-def noises(line: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: float) -> Iterator[Play]:
-    """Yield the noises of the hands on one string that fit between the gestures of its notes, in order of time.
+class Hands:
+    """Hands that act at exact times on the strings of one instrument; each string's notes come in the order of time.
 
     Parameters
     ----------
-    line, plays : notes of the string and their gestures.
-    capo : stop at which the string is held before its first note.
+    model : the instrument.
+    capo : stop at which all strings are held that no finger stops.
+    pedals : moves of pedals, in order.
+    source : name of what is played, for errors.
+
+    Attributes
+    ----------
+    strings : first string of a key, or any other -> its voice, stop and bend.
+    changes, plays : that are decided and not taken yet, in the order in which they are made at one sample.
+    n_moved : notes that are played at another place than asked for.
     """
-    wanted, end, kept = model.playing.noises, model.playing.note_end, _kept(model)
-    if not kept:
-        return
-    held, free_from, slurs = capo, -math.inf, model.playing.slurs.named.values()
-    for i, (assigned, play) in enumerate(zip(line, plays, strict=True)):
-        # a stop changes at the last point of the control grid before the gesture that needs it
-        until = _point_before(play.start, model.fs)
-        for kind in ("fretting", "squeak"):
-            far = abs(assigned.stop - held) >= wanted.least_shift and min(assigned.stop, held) > capo
-            moves = assigned.stop != held and not play.gesture.stops and play.exciter not in slurs
-            if kind not in kept or not moves or (kind == "squeak" and not far):
-                continue
-            made = _noise(kept[kind], assigned, held, until, _SHARE * (until - free_from), model)
-            if made is not None:
-                until = made.start
-                yield made
-        held, free_from = assigned.stop, play.stop
-        following = plays[i + 1].start if i + 1 < len(plays) else math.inf
-        if end.kind == "ring" or not math.isfinite(assigned.end) or assigned.end >= following - 1e-3:
-            continue
-        if "touch" in kept and assigned.end >= free_from:
-            # as the string is damped
-            made = _noise(kept["touch"], assigned, held, _point_before(assigned.end, model.fs), math.inf, model)
-            if made is not None and made.stop < following:
-                free_from = made.stop
-                yield made
-        if assigned.end + LET_GO_AFTER * end.t60 < following - 0.1:
-            held = capo
+
+    def __init__(self, model: Model, capo: int = 0, pedals: Sequence[Control] = (), source: str = "score"):
+        self.model, self.capo, self.tick, self._source = model, capo, GRID / model.fs, source
+        self.strings = {name: PlayedString(stop=float(capo)) for name in model.strings}
+        self.changes: list[Change] = []
+        self.plays: list[Play] = []
+        self.n_moved = 0
+        self._pedals = pedals
+        self._una_corda = History([move for move in pedals if move.kind == UNA_CORDA])
+        #: (time, whether it goes down, first string) of keys
+        self._pressed: list[tuple[float, bool, str]] = []
+
+    def begin(self, voice: Voice, values: Mapping[str, float], bend: float = 0.0) -> Play:
+        """Begin a note on the string that it was assigned to; the note before on this string ends.
+
+        Parameters
+        ----------
+        values : of its exciter's parameters.
+        bend : cents, of its channel now, where its course is not known.
+
+        Returns
+        -------
+        The gesture on the first string of its key.
+
+        Raises
+        ------
+        TonewoodError : it cannot be played there.
+        """
+        assigned, model = voice.assigned, self.model
+        assert assigned is not None
+        string, variation = self.strings[assigned.string], model.playing.variation
+        drawn = None if variation.seed is None else Deviates.of(variation.seed, voice.number)
+        plays: list[Play] = []
+        for name in model.groups[assigned.string]:
+            event, play = stroke(
+                assigned, name, model, values, held=string.stop, duration=voice.duration,
+                una_corda=self._has_una_corda(voice), drawn=drawn,
+            )  # fmt: skip
+            if not plays:
+                self.n_moved += not is_where_asked(event, assigned, model, self._source)
+                voice.event = event
+            plays.append(self._prepared(play, voice, string.voice))
+            # a hammer or bow of the first string meets the others of its key, too; known forces act on each of them
+            if play.gesture.on is not None or play.gesture.motions:
+                break
+        voice.string, voice.play = assigned.string, plays[0]
+        self._lay(voice, assigned, plays[0], bend)
+        string.voice, string.stop = voice, assigned.stop
+        self.plays += plays
+        return plays[0]
+
+    def finish(self, voice: Voice, following: float = math.inf) -> None:
+        """Bend the string of a note with its channel, and damp it at the note's end.
+
+        Parameters
+        ----------
+        following : s, when the next gesture on the string begins.
+        """
+        assigned, play = voice.assigned, voice.play
+        assert assigned is not None
+        assert play is not None
+        for bend in voice.bends.between(play.start, assigned.end):
+            self._change(Change(bend.time, assigned.string, cents=assigned.cents + bend.value))
+        if math.isfinite(assigned.end):
+            for change in ended(assigned.end, assigned.string, self.model, self.capo, following):
+                self._change(change)
+        # a key that is struck again does not come up in between
+        up = min(voice.note.key_up, following)
+        if up > play.start:
+            self._pressed += [(play.start, True, assigned.string), (up, False, assigned.string)]
+
+    def taken(self) -> Timeline:
+        """Take the decided changes and gestures, those of dampers last."""
+        changes = self.changes + damper_changes(self.model, self._pedals, self._pressed)
+        timeline, self.changes, self.plays, self._pressed = Timeline(changes, self.plays), [], [], []
+        return timeline
+
+    def _has_una_corda(self, voice: Voice) -> bool:
+        """Whether that pedal is down for a note."""
+        return (self._una_corda.at(voice.note.time) or 0.0) >= 0.5
+
+    def _prepared(self, play: Play, voice: Voice, before: Voice | None) -> Play:
+        """Return the gesture of a note, prepared in the time that there is after the note before."""
+        if before is None or before.play is None:
+            return play
+        return replace(play, gesture=hurried(play.gesture, play.time - before.play.stop))
+
+    def _lay(self, voice: Voice, assigned: Assigned, play: Play, bend: float) -> None:
+        """Stop a string for a note's gesture."""
+        if (before := self.strings[assigned.string].voice) is not None:
+            self.finish(before, play.start)
+        for change in stopped(
+            assigned, play, assigned.string, self.model, assigned.cents + (voice.bends.at(play.start) or bend)
+        ):
+            self._change(change)
+
+    def _change(self, change: Change) -> None:
+        """Change all strings of a key."""
+        self.changes += (replace(change, string=name) for name in self.model.groups[change.string])
 
 
-def touch_at_end(assigned: Assigned | None, play: Play | None, time: float, model: Model) -> list[Play]:
-    """Return the noise of the finger that ends a note at a time (s), as it is played live.
+class PacedHands(Hands):
+    """Hands that act at points of the control grid.
 
-    There is none where the noise is not wanted, or the string is still being plucked. It is the one noise that needs no
-    knowledge of the next note.
+    Parameters
+    ----------
+    model, capo : see `Hands`.
+    ramp : s, longest preparation of a gesture that was not known early enough.
+    spacing : points of the control grid between beginnings of notes that come together.
+
+    Attributes
+    ----------
+    dampers : of the keys.
+    now : sample of the next point of the control grid.
     """
-    name = _kept(model).get("touch")
-    if name is None or assigned is None or (play is not None and play.stop > time):
-        return []
-    made = _noise(name, assigned, assigned.stop, time, math.inf, model)
-    return [] if made is None else [made]
 
+    def __init__(self, model: Model, ramp: float, spacing: int, capo: int):
+        super().__init__(model, capo, source="live")
+        self.dt, self.ramp, self.spacing, self.now = 1.0 / model.fs, ramp, spacing, 0
+        self.dampers = Dampers(model)
+        self.changes = laid_on(0.0, model) + [Change(0.0, name, stop=capo) for name in model.strings if capo]
+        #: technique -> whether its gesture lasts as long as the note, and the seconds for which it is prepared
+        self._sustained: dict[str, bool] = {}
+        self._preparations: dict[str, float] = {}
 
-def not_live(model: Model) -> list[str]:
-    """Noises that are wanted and need a score that is known ahead, as keys of the bundle."""
-    return [f"playing.noises.{kind}" for kind in _kept(model) if kind != "touch"]
+    def taken(self) -> Timeline:
+        """Take the decided changes and gestures."""
+        timeline, self.changes, self.plays = Timeline(self.changes, self.plays), [], []
+        return timeline
 
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is to be done at the next point."""
+        return not self.dampers.stirred and not any(
+            string.later or string.cents != string.wanted or self.is_sustained(string.voice)
+            for string in self.strings.values()
+        )
 
-def _kept(model: Model) -> dict[str, str]:
-    """Noise -> exciter, of those that are wanted and not left out."""
-    wanted = model.playing.noises
-    return {k: name for k, name in wanted.named.items() if wanted.on and model.choice.keeps(model.exciters[name])}
+    def sounding(self) -> dict[str, Sounding]:
+        """Return string -> note on it, for the left hand; its stops count from the capo."""
+        out = {}
+        for name, string in self.strings.items():
+            if (voice := string.voice) is not None:
+                weight = 1.0 if voice.key_down else PEDALLED if voice.pedalled else 0.0
+                out[name] = Sounding(string.stop - self.capo, weight)
+        return out
 
+    def preparation(self, technique: str | None) -> float:
+        """Return for how long the gestures of a technique are prepared, s."""
+        name = technique or self.model.default_exciter
+        if name not in self._preparations:
+            string = next(iter(self.model.groups))
+            at = self.model.exciters[name].at
+            event = Event({}, self.model.strings[string].freq(0), CONTINUED)
+            place = self.model.place(string, 0.0) if at is None else Place(at)
+            self._preparations[name] = -self.model.exciter(name, string).gesture(event, place).start
+        return self._preparations[name]
 
-def _point_before(time: float, fs: float) -> float:
-    """Last point of the control grid, s, at or before a time (s)."""
-    return math.floor(round(time * fs / GRID, 6)) * GRID / fs
+    def is_sustained(self, voice: Voice | None) -> bool:
+        """Whether a note's gesture lasts until its key is released."""
+        if voice is None or voice.play is None or voice.assigned is None:
+            return False
+        name = voice.note.technique or self.model.default_exciter
+        if name not in self._sustained:
+            longer = self._gesture(voice, replace(voice.event, duration=2 * CONTINUED))
+            self._sustained[name] = longer.stop > voice.play.gesture.stop
+        return self._sustained[name]
 
+    def is_young(self, voice: Voice) -> bool:
+        """Whether a note began less than the shortest note ago."""
+        return (self.now - voice.began) * self.dt < _SHORTEST
 
-def _noise(name: str, assigned: Assigned, held: float, time: float, longest: float, model: Model) -> Play | None:
-    """Gesture of an exciter at a time; None if it does nothing, or would be prepared for longer than `longest` (s)."""
-    string = model.strings[assigned.string]
-    event = Event({}, string.freq(assigned.stop), 0.0, assigned.stop, held, string.length(held))
-    gesture = model.exciters[name].gesture(event, model.place(assigned.string, assigned.stop))
-    if gesture.start == gesture.stop or -gesture.start > longest:
-        return None
-    # all that changes at its beginning then changes at one point of the grid; the gesture after it cuts off its end
-    late = -(time + gesture.start) * model.fs / GRID
-    return Play(time + round(late, 6) % 1.0 * GRID / model.fs, gesture, string=assigned.string, exciter=name)
+    def tap(self, voice: Voice) -> bool:
+        """Play a gesture on a point of the body, if the note asks for one; whether it does."""
+        play = tapped(voice.note, self.model)
+        if play is not None:
+            self.plays.append(replace(play, time=max(voice.time, self.now * self.dt - play.gesture.start)))
+        return play is not None
+
+    def finish(self, voice: Voice, following: float = math.inf) -> None:
+        """Damp the string of a note now, or end the gesture that lasts as long as the note."""
+        assert voice.string is not None
+        string, time = self.strings[voice.string], self.now * self.dt
+        self.dampers.release(voice.string)
+        if self.is_sustained(voice):
+            self.go_on(voice, until=self.now)
+            voice.play = None
+        string.voice = None
+        if end := ended(time, voice.string, self.model, self.capo, following):
+            damped, free = end
+            self._change(damped)
+            self.plays += touch_at_end(voice.assigned, voice.play, time, self.model)
+            string.later.append((self.now + math.ceil(round((free.time - time) / self.tick, 6)) * GRID, free))
+            string.wanted = string.cents
+
+    def go_on(self, voice: Voice, until: int | None = None) -> None:
+        """Give a gesture that lasts as long as its note another `CONTINUED` s, or end it at a sample."""
+        assert voice.play is not None
+        ahead = voice.play.time + voice.event.duration - self.now * self.dt
+        if until is None and ahead > CONTINUED / 2:
+            return
+        last = self.now if until is not None else self.now + CONTINUED / self.dt
+        voice.event = replace(voice.event, duration=max(last * self.dt - voice.play.time, _SHORTEST))
+        voice.play = replace(voice.play, gesture=self._gesture(voice, voice.event))
+        self.plays.append(voice.play)
+
+    def follow(self) -> bool:
+        """Make one change that was planned: of a slide, or to let a damped string go; whether there was one."""
+        due = [string for string in self.strings.values() if string.later and string.later[0][0] <= self.now]
+        if not due:
+            return False
+        string = min(due, key=lambda string: string.later[0][0])
+        _, change = string.later.popleft()
+        string.stop = string.stop if change.stop is None else change.stop
+        if change.cents is not None:
+            string.cents = string.wanted = change.cents
+        self._change(replace(change, time=self.now * self.dt))
+        return True
+
+    def bend_one(self) -> bool:
+        """Take the bend of the string that is farthest from where it is wanted a step on; whether there was one."""
+        bent = {
+            name: string
+            for name, string in self.strings.items()
+            if string.voice is not None and string.cents != string.wanted
+        }
+        if not bent:
+            return False
+        name = max(bent, key=lambda name: abs(bent[name].wanted - bent[name].cents))
+        string, step = bent[name], BEND_RATE * 2 * self.spacing * GRID * self.dt
+        way = string.wanted - string.cents
+        string.cents = string.wanted if abs(way) <= step else string.cents + math.copysign(step, way)
+        self._change(Change(self.now * self.dt, name, cents=string.cents))
+        return True
+
+    def move_dampers(self) -> None:
+        """Move the dampers that keys and pedals have stirred."""
+        if self.dampers.stirred:
+            self.changes += self.dampers.moved(self.now * self.dt)
+
+    def _gesture(self, voice: Voice, event: Event) -> Gesture:
+        """Gesture of a note that sounds, with another event."""
+        assert voice.assigned is not None
+        place = self.model.place(voice.assigned.string, voice.assigned.stop)
+        return exciter_of(voice.note, self.model, voice.assigned.string).gesture(event, place)
+
+    def _has_una_corda(self, voice: Voice) -> bool:
+        return self.dampers.una_corda
+
+    def _prepared(self, play: Play, voice: Voice, before: Voice | None) -> Play:
+        """Return the gesture of a note, prepared from now on, and for at most `ramp` where it is late."""
+        begin = self.now * self.dt
+        gesture = gripped(hurried(play.gesture, max(self.ramp, voice.time - begin)))
+        return replace(play, time=max(voice.time, begin - gesture.start), gesture=gesture)
+
+    def _lay(self, voice: Voice, assigned: Assigned, play: Play, bend: float) -> None:
+        """Stop a string for a note's gesture now; its slides and bends follow."""
+        string, begin = self.strings[assigned.string], self.now * self.dt
+        voice.began = self.now
+        if string.voice is not None:
+            string.voice.string = None
+        # the bend follows while the pluck is prepared
+        string.cents, string.wanted = assigned.cents, assigned.cents + bend
+        first, *later = stopped(assigned, play, assigned.string, self.model, assigned.cents)
+        string.later.clear()
+        for change in sorted(later, key=lambda c: c.time):
+            string.later.append((math.floor(change.time / self.tick + 1e-6) * GRID, change))
+        self.dampers.press(assigned.string)
+        self._change(replace(first, time=max(first.time, begin) if voice.time > begin else begin))
+        self.move_dampers()

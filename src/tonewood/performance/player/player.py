@@ -1,15 +1,16 @@
 """A player: notes and controllers to changes and gestures, with as much lookahead as there is.
 
 `Player.feed` takes events as they become known. With all the lookahead there is (`math.inf`) every action is at its
-exact time and knows the notes around it (`playing`). With less, the player acts at points of the control grid, GRID
-samples apart, so that the actions depend only on the events and on the samples after which they came:
+exact time and knows the notes around it (`playing`, `hands.Hands`). With less, the player acts at points of the control
+grid, GRID samples apart (`hands.PacedHands`): the actions depend only on the events and on the samples after which they
+came.
 
 - A note known early enough is prepared in time. Another one begins at the next point with the preparation of its
   gesture, shortened to `ramp`; it sounds when this is over.
 - One thing is done at a point, so that none costs more than a block has time for: notes first, `spacing` points apart
   (twice that after one in an unusual way), then slides and strings let go, ends of notes, bends.
 - A bend follows its wheel at no more than the greatest rate, one string at a time: the farthest from its wheel.
-- A gesture that lasts as long as its note (a bow's stroke) is continued `_CONTINUED` s ahead while the key is down.
+- A gesture that lasts as long as its note (a bow's stroke) is continued `CONTINUED` s ahead while the key is down.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from dataclasses import replace
 from tonewood.errors import TonewoodError
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.scales import note_number
-from tonewood.performance.player.hands import not_live
-from tonewood.performance.player.paced import PacedHands
+from tonewood.performance.player.between_notes import not_live
+from tonewood.performance.player.hands import PacedHands
 from tonewood.performance.player.playing import perform, playable
 from tonewood.performance.player.strokes import beyond_capo, event_values, with_force
 from tonewood.performance.player.techniques import checked_technique, technique_of
@@ -151,10 +152,10 @@ class Player:
 
     def note_off(self, note: float, channel: int = 0) -> bool:
         """Release the key that was struck first of those of this pitch on the channel; whether there was one."""
-        held = self.keys.held.get((channel, note))
-        if not held:
+        voices = self.keys.held.get((channel, note))
+        if not voices:
             return False
-        self.release(held[0])
+        self.release(voices[0])
         return True
 
     def release(self, voice: Voice) -> None:
@@ -179,9 +180,9 @@ class Player:
         """Bend the notes of a channel, or all, to so many cents above their pitches; rounded to a whole one."""
         for at in range(16) if channel is None else (channel,):
             self.controls[at, "bend"] = round(cents)
-        for line in self.hands.lines.values():
-            if line.voice is not None and channel in (None, line.voice.note.channel or 0):
-                line.wanted = self._cents(line.voice)
+        for string in self.hands.strings.values():
+            if string.voice is not None and channel in (None, string.voice.note.channel or 0):
+                string.wanted = self._cents(string.voice)
 
     def all_off(self, channel: int | None = None, *, pedalled: bool = False) -> None:
         """Release all keys of a channel, or of all; with `pedalled` also the notes that the pedal holds."""
@@ -200,14 +201,14 @@ class Player:
     @property
     def n_sounding(self) -> int:
         """Strings with a note whose key or pedal is held."""
-        return sum(line.voice is not None for line in self.hands.lines.values())
+        return sum(string.voice is not None for string in self.hands.strings.values())
 
     def _tick(self, now: int) -> None:
         """Decide what is done at a point of the grid."""
         hands = self.hands
-        for line in hands.lines.values():
-            if line.voice is not None and hands.is_sustained(line.voice):
-                hands.go_on(line.voice)
+        for string in hands.strings.values():
+            if string.voice is not None and hands.is_sustained(string.voice):
+                hands.go_on(string.voice)
         while (voice := self.keys.due(self.keys.falling, self._waits)) is not None and voice.string is not None:
             hands.dampers.release(voice.string)
         hands.move_dampers()
@@ -237,8 +238,8 @@ class Player:
         return with_force(replace(note, technique=technique), self.model, loudness(latest))
 
     def _cents(self, voice: Voice) -> float:
-        own = voice.assigned.cents if voice.assigned is not None else 0.0
-        return own + self.controls.get((voice.note.channel or 0, "bend"), 0.0)
+        cents = voice.assigned.cents if voice.assigned is not None else 0.0
+        return cents + self.controls.get((voice.note.channel or 0, "bend"), 0.0)
 
     def _drop(self, voice: Voice, drop: Dropped) -> None:
         self.counters.dropped[drop.reason] += 1
@@ -276,8 +277,8 @@ class Player:
         )
         lost = {i for i, _ in dropped}
         kept = [i for i in range(len(fresh)) if i not in lost]
-        for i, own in zip(kept, assigned, strict=True):
-            fresh[i].assigned = replace(own, note=notes[i], stop=own.stop + self.capo)
+        for i, choice in zip(kept, assigned, strict=True):
+            fresh[i].assigned = replace(choice, note=notes[i], stop=choice.stop + self.capo)
         for i, drop in dropped:
             self._drop(fresh[i], drop)
 
@@ -288,12 +289,12 @@ class Player:
 
     def _started(self, voice: Voice) -> bool:
         """Begin a note on its string; whether it can be played there."""
-        own, channel = voice.assigned, voice.note.channel or 0
-        assert own is not None
+        assigned, channel = voice.assigned, voice.note.channel or 0
+        assert assigned is not None
         values = event_values(voice.note, self.model, lambda kind: self.controls.get((channel, kind)))
         if "from_bridge" in values:
             values["from_bridge"] = rounded(values["from_bridge"])
-        before = self.hands.lines[own.string].voice
+        before = self.hands.strings[assigned.string].voice
         try:
             self.hands.begin(voice, values, self.controls.get((channel, "bend"), 0.0))
         except TonewoodError as fault:

@@ -4,29 +4,20 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
+from itertools import zip_longest
 
 from tonewood.errors import NothingPlayedError, ScoreError
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.player.dampers import SOSTENUTO, SUSTAIN, UNA_CORDA, Dampers, pedal_moves
-from tonewood.performance.player.hands import laid_on, noises, slurred
-from tonewood.performance.player.strokes import (
-    BEND_RATE,
-    beyond_capo,
-    ended,
-    event_values,
-    hurried,
-    is_where_asked,
-    stopped,
-    stroke,
-    tapped,
-    with_force,
-)
+from tonewood.performance.player.between_notes import laid_on, noises, slurred
+from tonewood.performance.player.dampers import SOSTENUTO, SUSTAIN, UNA_CORDA, pedal_moves
+from tonewood.performance.player.hands import Hands
+from tonewood.performance.player.strokes import BEND_RATE, beyond_capo, event_values, tapped, with_force
 from tonewood.performance.player.techniques import checked_technique, with_marks, with_techniques
-from tonewood.performance.player.timeline import GRID, Change, Play, Timeline
+from tonewood.performance.player.timeline import GRID, Change, Timeline
 from tonewood.performance.player.variation import Deviates, moved
+from tonewood.performance.player.voices import Voice
 from tonewood.performance.score.assignment import Assigned, PlayableString, assign
 from tonewood.performance.score.controllers import Controllers, History, loudness
 from tonewood.performance.score.note import Control, Dropped, Score, ignored_name
@@ -89,24 +80,26 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
     assignment = assign(
         notes, playable(model, capo), channel_per_string=channel_per_string, tuning=model.instrument.tuning
     )
-    by_string: dict[str, list[Assigned]] = defaultdict(list)
-    drawn: dict[int, Deviates] = {}
-    variation = model.playing.variation
-    for i, assigned in enumerate(replace(a, stop=a.stop + capo) if capo else a for a in assignment.notes):
-        if variation.seed is not None:
-            deviates = Deviates.of(variation.seed, i)
-            assigned = moved(assigned, deviates, variation)
-            drawn[id(assigned)] = deviates
-        by_string[assigned.string].append(assigned)
-    reader = _Reader(model, score, controllers, drawn, capo)
-    for name, line in by_string.items():
-        reader.play(name, sorted(line, key=lambda a: a.note.time))
-    plays = [*(tap for tap in body if tap is not None), *reader.plays]
+    bends = {c: History(_glided(wheel, GRID / model.fs)) for c, wheel in _by_channel(score.controls).items()}
+    pedals, pedal_warnings = pedal_moves(model, score.controls)
+    hands, played = Hands(model, capo, pedals, score.place), list[Assigned]()
+    for numbered in _by_string(assignment.notes, model, capo):
+        notes_of_string = [assigned for _, assigned in numbered]
+        gestures = []
+        for (i, own), following in zip_longest(numbered, notes_of_string[1:]):
+            voice = Voice(i, own.note, assigned=own, duration=_duration(own, following, model))
+            voice.bends = bends.get(own.note.channel, voice.bends)
+            gestures.append(hands.begin(voice, event_values(own.note, model, controllers.of(own.note))))
+        hands.finish(voice)
+        hands.plays += noises(notes_of_string, gestures, model, capo)
+        played += notes_of_string
+    decided = hands.taken()
+    plays = [*(tap for tap in body if tap is not None), *decided.plays]
     dropped = [*score.dropped, *assignment.dropped]
     if not plays:
         raise NothingPlayedError(_why_nothing(dropped), file=score.place)
-    warnings = [*score.warnings, *reader.warnings]
-    n_bent = len({(c.string, c.stop, c.cents) for c in reader.changes if c.cents is not None and c.stop is None})
+    warnings = [*score.warnings, *pedal_warnings]
+    n_bent = len({(c.string, c.stop, c.cents) for c in decided.changes if c.cents is not None and c.stop is None})
     if n_bent > _MANY_BENDS:
         warnings.append(
             f"{n_bent} different bends of strings: the modes of each are computed anew, which takes long; "
@@ -114,118 +107,48 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
         )
     if assignment.n_cut:
         warnings.append(f"{assignment.n_cut} notes end early: their string is needed again")
-    if reader.n_moved:
+    if hands.n_moved:
         warnings.append(
-            f"{reader.n_moved} notes are played at another place than asked for: that lies within 1 % of the length of "
+            f"{hands.n_moved} notes are played at another place than asked for: that lies within 1 % of the length of "
             "its ends, or beyond the stop"
         )
     if assignment.doubled:
         warnings.append(f"{len(assignment.doubled)} notes share another voice's pluck of the same pitch")
     first = min([0.0, *(play.start for play in plays)])
-    changes = laid_on(first, model) + reader.changes + _damper_changes(model, reader.pedals, reader.pressed)
+    changes = [*laid_on(first, model), *decided.changes]
     if capo:
         changes += [Change(first, name, stop=capo) for name in model.strings]
     timeline = Timeline(
         sorted(changes, key=lambda c: c.time),
         sorted(plays, key=lambda p: p.start),
     )
-    notes_played = sorted(reader.played, key=lambda a: a.note.time)
+    notes_played = sorted(played, key=lambda a: a.note.time)
     return Performance(timeline, notes_played, sorted(dropped, key=lambda d: d.time), warnings, _ignored(score, model))
 
 
-class _Reader:
-    """Plays strings whose notes are all known.
-
-    Attributes
-    ----------
-    changes, plays, played : of the strings played so far, and their notes.
-    pressed : (time, whether it goes down, first string) of keys.
-    pedals, warnings : moves of pedals, and lines about them.
-    n_moved : notes that are played at another place than asked for.
-    """
-
-    def __init__(self, model: Model, score: Score, controllers: Controllers, drawn: Mapping[int, Deviates], capo: int):
-        self._model, self._capo, self._file = model, capo, score.place
-        self._controllers, self._drawn = controllers, drawn
-        self._bends = {c: History(_glided(line, GRID / model.fs)) for c, line in _by_channel(score.controls).items()}
-        self.pedals, self.warnings = pedal_moves(model, score.controls)
-        self._una_corda = History([move for move in self.pedals if move.kind == UNA_CORDA])
-        self.changes: list[Change] = []
-        self.plays: list[Play] = []
-        self.played: list[Assigned] = []
-        self.pressed: list[tuple[float, bool, str]] = []
-        self.n_moved = 0
-
-    def play(self, name: str, line: Sequence[Assigned]) -> None:
-        """Play the notes of one key, or of one string, in the order of their times."""
-        model = self._model
-        line = slurred(line, model.playing)
-        for string in model.groups[name]:
-            own: list[Play] = []
-            for i, assigned in enumerate(line):
-                held, time = line[i - 1].stop if i else float(self._capo), assigned.note.time
-                event, play = stroke(
-                    assigned, string, model, event_values(assigned.note, model, self._controllers.of(assigned.note)),
-                    held=held, duration=self._duration(assigned, line[i + 1] if i + 1 < len(line) else None, string),
-                    una_corda=(self._una_corda.at(time) or 0.0) >= 0.5, drawn=self._drawn.get(id(assigned)),
-                )  # fmt: skip
-                self.n_moved += string == name and not is_where_asked(event, assigned, model, self._file)
-                if i:
-                    play = replace(play, gesture=hurried(play.gesture, play.time - own[-1].stop))
-                own.append(play)
-            for assigned, play, following in zip(line, own, [*own[1:], None], strict=True):
-                self.changes += self._left_hand(assigned, play, following, string)
-            # a hammer or bow of the first string meets the others of its key, too; known forces act on each of them
-            self.plays += [play for play in own if string == name or not (play.gesture.on or play.gesture.motions)]
-            if string == name:
-                self.played += line
-                self._press(name, line, own)
-                self.plays += noises(line, own, model, self._capo)
-
-    def _duration(self, assigned: Assigned, following: Assigned | None, string: str) -> float:
-        """Return for how long a gesture goes on that lasts as long as its note, s."""
-        duration, name = assigned.end - assigned.note.time, assigned.note.technique or self._model.default_exciter
-        if following is None or (following.note.technique or self._model.default_exciter) != name:
-            return duration
-        free = following.note.time - assigned.note.time - self._model.exciter(name, string).recovery
-        return min(duration, max(free, 0.5 * duration))
-
-    def _left_hand(self, assigned: Assigned, play: Play, following: Play | None, string: str) -> list[Change]:
-        """Stop the string as the pluck begins, bend it with its channel, damp it at the note's end."""
-        bends = self._bends.get(assigned.note.channel, History())
-        first, *later = stopped(assigned, play, string, self._model, assigned.cents + (bends.at(play.start) or 0.0))
-        bent = [Change(b.time, string, cents=assigned.cents + b.value) for b in bends.between(play.start, assigned.end)]
-        following_start = following.start if following else math.inf
-        if not math.isfinite(assigned.end):
-            return [first, *later, *bent]
-        return [first, *later, *bent, *ended(assigned.end, string, self._model, self._capo, following_start)]
-
-    def _press(self, name: str, line: Sequence[Assigned], plays: Sequence[Play]) -> None:
-        """Enter when a key goes down and comes up; struck again it does not come up in between."""
-        for i, (assigned, play) in enumerate(zip(line, plays, strict=True)):
-            up = min(assigned.note.key_up, plays[i + 1].start if i + 1 < len(plays) else math.inf)
-            if up > play.start:
-                self.pressed += [(play.start, True, name), (up, False, name)]
+def _by_string(notes: Sequence[Assigned], model: Model, capo: int) -> Iterator[list[tuple[int, Assigned]]]:
+    """Yield the notes of each key, or string, with their numbers, in the order of their times, varied and slurred."""
+    variation = model.playing.variation
+    by_string: dict[str, list[tuple[int, Assigned]]] = defaultdict(list)
+    for i, assigned in enumerate(notes):
+        if capo:
+            assigned = replace(assigned, stop=assigned.stop + capo)
+        if variation.seed is not None:
+            assigned = moved(assigned, Deviates.of(variation.seed, i), variation)
+        by_string[assigned.string].append((i, assigned))
+    for numbered in by_string.values():
+        numbered.sort(key=lambda pair: pair[1].note.time)
+        slurs = slurred([assigned for _, assigned in numbered], model.playing)
+        yield [(i, slur) for (i, _), slur in zip(numbered, slurs, strict=True)]
 
 
-def _damper_changes(
-    model: Model, pedals: Sequence[Control], pressed: Sequence[tuple[float, bool, str]]
-) -> list[Change]:
-    """Return how keys and pedals move dampers; at one time keys come up, then go down, then pedals move."""
-    dampers = Dampers(model)
-    events: list[tuple[float, int, Control | str]] = [(time, int(down), name) for time, down, name in pressed]
-    events += [(move.time, 2, move) for move in pedals]
-    out: list[Change] = []
-    for time, together in groupby(sorted(events, key=lambda e: e[:2]), key=lambda e: e[0]):
-        for _, kind, event in together:
-            if isinstance(event, Control):
-                dampers.control(event.kind, event.value, event.channel)
-            elif kind:
-                dampers.press(event)
-            else:
-                dampers.release(event)
-        out += dampers.moved(time)
-    return out
+def _duration(assigned: Assigned, following: Assigned | None, model: Model) -> float:
+    """Return for how long a gesture goes on that lasts as long as its note, s."""
+    duration, name = assigned.end - assigned.note.time, assigned.note.technique or model.default_exciter
+    if following is None or (following.note.technique or model.default_exciter) != name:
+        return duration
+    free = following.note.time - assigned.note.time - model.exciter(name, assigned.string).recovery
+    return min(duration, max(free, 0.5 * duration))
 
 
 def _ignored(score: Score, model: Model) -> dict[str, int]:
@@ -268,16 +191,16 @@ def playable(model: Model, capo: int = 0) -> list[PlayableString]:
     ]
 
 
-def _glided(line: Sequence[Control], tick: float) -> list[Control]:
+def _glided(bends: Sequence[Control], tick: float) -> list[Control]:
     """Return the bends with leaps drawn out to steps, one per `tick` (s), at no more than the greatest rate.
 
     Steps on the way are multiples of that rate, so that leaps there and back share the bases of their strings.
     """
     out: list[Control] = []
     value, step = 0.0, BEND_RATE * tick
-    for i, control in enumerate(line):
+    for i, control in enumerate(bends):
         time = control.time
-        until = line[i + 1].time if i + 1 < len(line) else math.inf
+        until = bends[i + 1].time if i + 1 < len(bends) else math.inf
         while value != control.value and time < until:
             way = control.value - value
             on_grid = step * (math.floor(value / step + 1e-9) + 1 if way > 0 else math.ceil(value / step - 1e-9) - 1)

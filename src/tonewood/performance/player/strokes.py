@@ -11,7 +11,7 @@ from tonewood.errors import ScoreError
 from tonewood.instrument.contract.base import Exciter
 from tonewood.instrument.contract.gestures import Event, Gesture, Place, is_played, places
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.player.hands import LET_GO_AFTER, damping, let_go
+from tonewood.performance.player.between_notes import LET_GO_AFTER, damping, let_go
 from tonewood.performance.player.techniques import stop_course, touch_course
 from tonewood.performance.player.timeline import GRID, Change, Play
 from tonewood.performance.player.variation import Deviates, touched
@@ -76,14 +76,14 @@ def event_values(note: Note, model: Model, latest: Callable[[str], float | None]
         value = latest(kind) if exciter == name else None
         if value is not None:
             values[parameter] = control.value(value)
-    given = {
+    by_note = {
         model.playing.velocity.parameter.partition(".")[2]: note.force,
         "from_bridge": note.from_bridge,
         "angle_deg": note.angle_deg,
     }
     # a hammer has no force for a velocity that means one, a bow's stroke no angle
-    known = type(model.exciters[name].parameters).model_fields
-    return values | {k: v for k, v in given.items() if v is not None and k in known}
+    fields = type(model.exciters[name].parameters).model_fields
+    return values | {k: v for k, v in by_note.items() if v is not None and k in fields}
 
 
 def is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) -> bool:

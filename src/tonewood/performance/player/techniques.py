@@ -110,15 +110,15 @@ def with_marks(score: Score, names: Collection[str], strings: Sequence[PlayableS
         for note in _slid(_touched(written, names, lacking), "slide" in names, lacking):
             technique = note.technique
             for mark in note.marks:
-                found = next((name for name in _SIGNS.get(mark, ()) if name in names), None)
+                fitting = next((name for name in _SIGNS.get(mark, ()) if name in names), None)
                 if mark == "tablature":
                     if (_stopped(note), note.stop) not in places and not any(string.continuous for string in strings):
                         lacking["note of the tablature, fingered elsewhere"] += 1
                         note = replace(note, stop=None)
-                elif found is None:
+                elif fitting is None:
                     lacking[f"{mark.replace('_', ' ')}, plucked as any note"] += 1
                 else:
-                    technique = technique or found
+                    technique = technique or fitting
             notes.append(replace(note, note=_stopped(note), technique=technique))
     return replace(score, notes=notes, ignored=dict(Counter(score.ignored) + lacking))
 

@@ -66,10 +66,10 @@ class Timeline:
 
     @cached_property
     def stops(self) -> dict[str, set[float]]:
-        """String -> whole stops at which it is held; those that a slide passes are left out."""
+        """String -> stops at which it is held, those that a slide passes among them."""
         stops: dict[str, set[float]] = {}
         for change in self.changes:
-            if change.stop is not None and change.stop == int(change.stop):
+            if change.stop is not None:
                 stops.setdefault(change.string, set()).add(change.stop)
         return stops
 

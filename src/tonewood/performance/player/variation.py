@@ -60,14 +60,14 @@ def touched(
     length : m, speaking length of the string.
     """
     out, own = dict(values), exciter.parameters
-    known = type(own).model_fields
+    fields = type(own).model_fields
     place = values.get("from_bridge", getattr(own, "from_bridge", None))
     if place is not None:
         metres = place.fraction * length if isinstance(place, Fraction) else float(place)
         at = metres + variation.from_bridge * drawn.place
         out["from_bridge"] = min(max(round(at / _GRAIN) * _GRAIN, 0.02 * length), 0.98 * length)
-    if "angle_deg" in known:
+    if "angle_deg" in fields:
         out["angle_deg"] = values.get("angle_deg", own.angle_deg) + variation.angle_deg * drawn.angle
-    if "nail" in known:
+    if "nail" in fields:
         out["nail"] = min(max(values.get("nail", own.nail) + variation.nail * drawn.nail, 0.0), 1.0)
     return out

@@ -10,8 +10,11 @@ from dataclasses import dataclass, field
 from tonewood.instrument.contract.gestures import Event
 from tonewood.performance.player.timeline import Change, Play
 from tonewood.performance.score.assignment import Assigned
+from tonewood.performance.score.controllers import History
 from tonewood.performance.score.note import Dropped, Note
 
+#: s, by which a gesture that lasts as long as its note is known ahead
+CONTINUED = 0.25
 #: dropped notes that are kept with their reasons; all are counted
 _KEPT = 100
 #: notes of one key that were struck and not released; more of them release the first
@@ -29,6 +32,8 @@ class Voice:
     key_down, pedalled : whether its key is held, or the pedal holds it.
     string : on which it sounds; None before it begins, after it was ended by another one, and on the body.
     time : s, when it is to sound; a note that came without lookahead sounds as soon as it can.
+    duration : s, for which a gesture that lasts as long as its note goes on, as far as that is known.
+    bends : of its channel, where these are known.
     began : sample of its beginning.
     """
 
@@ -38,6 +43,8 @@ class Voice:
     pedalled: bool = False
     string: str | None = None
     time: float = -math.inf
+    duration: float = CONTINUED
+    bends: History = field(default_factory=History)
     began: int = 0
     assigned: Assigned | None = None
     play: Play | None = None
@@ -100,9 +107,9 @@ class HeldKeys:
             return None
         if (before := self.pedalled.pop(key, None)) is not None:
             self.end(before)
-        held = self.held.setdefault(key, [])
-        held.append(voice)
-        return held[0] if len(held) > _STRUCK else None
+        voices = self.held.setdefault(key, [])
+        voices.append(voice)
+        return voices[0] if len(voices) > _STRUCK else None
 
     def release(self, voice: Voice, *, pedal: bool) -> None:
         """Release the key of a note, which ends unless the pedal holds it; that holds one note a key."""

@@ -203,11 +203,11 @@ def ways_to_play(chord: Chord, n_strings: int, costs: FingeringCosts) -> Fingeri
 def _cheapest_completable(ways: list[_Partial], rest: list[tuple[Option, ...]]) -> list[_Partial]:
     """The first `MAX_FINGERINGS` that leave strings for the rest of the chord."""
     kept: list[_Partial] = []
-    known: dict[int, bool] = {}
+    completable: dict[int, bool] = {}
     for way in ways:
-        if way.taken not in known:
-            known[way.taken] = _completable(way.taken, rest)
-        if known[way.taken]:
+        if way.taken not in completable:
+            completable[way.taken] = _completable(way.taken, rest)
+        if completable[way.taken]:
             kept.append(way)
             if len(kept) == MAX_FINGERINGS:
                 break

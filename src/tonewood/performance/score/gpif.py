@@ -14,7 +14,16 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
-from tonewood.performance.score.guitar_pro import DYNAMICS, FEELS, FRETS, GRACES, RASGUEADOS, jump, strummed
+from tonewood.performance.score.guitar_pro import (
+    DYNAMICS,
+    FEELS,
+    FRETS,
+    GRACES,
+    GRADUAL,
+    RASGUEADOS,
+    jump,
+    strummed,
+)
 from tonewood.performance.score.harmonics import touched
 from tonewood.performance.score.limits import Allowance, number, whole
 from tonewood.performance.score.score_clock import near
@@ -34,6 +43,8 @@ _MOST_READ, _CHARACTERS = 20_000_000, 16
 _VALUES = {"Long": 16, "DoubleWhole": 8, "Whole": 4, "Half": 2, "Quarter": 1}
 #: quarter notes that a tempo counts, by the number after it
 _TEMPO_UNITS = {"1": 0.5, "2": 1.0, "3": 1.5, "4": 2.0, "5": 3.0}
+#: second number of a move of the sustain pedal -> its controller
+_PEDALS = {"1": 1.0, "3": 0.0}
 #: strokes of a tremolo, quarter notes
 _TREMOLOS = {"1/2": Fraction(1, 2), "1/4": Fraction(1, 4), "1/8": Fraction(1, 8)}
 _ORNAMENTS = {
@@ -127,6 +138,7 @@ class _Gpif:
         )
         named = text_of(track, "Sounds/Sound/MIDI/Program") or text_of(midi, "Program")
         part = self.part = WrittenPart(text_of(track, "Name"), capo=self.capo, program=_program(named))
+        self._pedals(track)
         #: string -> fret and element of the last note on it
         self.last: dict[int, tuple[int, Element]] = {}
         for i, ids in enumerate(columns):
@@ -145,17 +157,32 @@ class _Gpif:
         self.references.take(len(ids))
         return ids
 
-    def _tempo(self, change: Element) -> None:
-        """Enter a change of tempo, if it says a measure, a place in it and a number."""
+    def _place(self, change: Element) -> tuple[int, Fraction] | None:
+        """Measure of a change, and quarter notes in it; None where it does not say them."""
         i = whole(text_of(change, "Bar", "0"), 0, len(self.out.measures) - 1)
         share = number(text_of(change, "Position", "0"), 0.0, 1.0)
+        if i is None or share is None:
+            return None
+        return i, Fraction(share).limit_denominator(_QUARTER) * self.out.measures[i].length
+
+    def _tempo(self, change: Element) -> None:
+        """Enter a change of tempo, if it says a measure, a place in it and a number."""
         beats, unit, *_ = [*text_of(change, "Value").split(), "", ""]
-        value = number(beats, 0.0, 1e9)
-        if i is None or share is None or value is None:
+        place, value = self._place(change), number(beats, 0.0, 1e9)
+        if place is None or value is None:
             self.ignored["tempo that cannot be read"] += 1
             return
-        at = Fraction(share).limit_denominator(_QUARTER) * self.out.measures[i].length
-        self.out.tempo(self.out.measures[i], at, value * _TEMPO_UNITS.get(unit, 1.0))
+        self.ignored[GRADUAL] += text_of(change, "Linear") == "true"
+        self.out.tempo(self.out.measures[place[0]], place[1], value * _TEMPO_UNITS.get(unit, 1.0))
+
+    def _pedals(self, track: Element) -> None:
+        """Enter moves of the sustain pedal of a track."""
+        for change in track.findall("Automations/Automation"):
+            if text_of(change, "Type") == "SustainPedal":
+                place, value = self._place(change), _PEDALS.get(text_of(change, "Value").partition(" ")[2])
+                self.ignored["sustain pedal that cannot be read"] += place is None or value is None
+                if place is not None and value is not None:
+                    self.part.pedals.append((*place, 0.0, "cc64", value))
 
     def _measure(self, bar: Element) -> Measure:
         over, _, under = text_of(bar, "Time", "4/4").partition("/")
@@ -257,17 +284,17 @@ class _Gpif:
                 for n, pitch in zip(range(len(self.tuning), 0, -1), self.tuning, strict=True)
             ]
         notes = [self._entry("Note", n) for n in listed]
-        found = [n for n in (self._note(e, every) for e in notes if e is not None) if n is not None]
+        sounding = [n for n in (self._note(e, every) for e in notes if e is not None) if n is not None]
         brush = text_of(values.get("Brush"), "Direction") or text_of(beat, "Arpeggio")
         rasgueado = text_of(values.get("Rasgueado"), "Rasgueado").partition("_")
         if rasgueado[0] in RASGUEADOS:
-            return self._rasgueado(found, RASGUEADOS[rasgueado[0]], rasgueado[2] == "2")
+            return self._rasgueado(sounding, RASGUEADOS[rasgueado[0]], rasgueado[2] == "2")
         self.ignored["rasgueado that is not known"] += bool(rasgueado[0])
         if not brush:
-            return found
+            return sounding
         ticks = [text_of(x, "Int") for x in beat.findall("XProperties/XProperty") if x.get("id") == _BRUSH_TIME]
         spread = whole(ticks[0] if ticks else "", 0, 2 * _QUARTER)
-        return strummed(found, brush == "Up", Fraction(_BRUSH if spread is None else spread, _QUARTER))
+        return strummed(sounding, brush == "Up", Fraction(_BRUSH if spread is None else spread, _QUARTER))
 
     def _rasgueado(self, notes: list[WrittenNote], fingers: str, anapaest: bool) -> list[WrittenNote]:
         """Strokes of several fingers, one after the other in the time of a beat; each is a brush of a quarter of it."""
@@ -342,8 +369,8 @@ class _Gpif:
 
 def _program(text: str) -> int | None:
     """Program of General MIDI, from 1, of one that is counted from 0."""
-    found = whole(text, 0, 127)
-    return None if found is None else found + 1
+    program = whole(text, 0, 127)
+    return None if program is None else program + 1
 
 
 def _on(value: Element | None) -> bool:
@@ -373,8 +400,8 @@ def _curve(text: Callable[[str], str]) -> Curve:
     """Course through an origin, a middle that is held between two places, and a destination."""
 
     def value(name: str, default: float) -> float:
-        found = number(text(name), -_BENDS, _BENDS)
-        return default if found is None else found
+        reading = number(text(name), -_BENDS, _BENDS)
+        return default if reading is None else reading
 
     points = [(value("OriginOffset", 0.0), value("OriginValue", 0.0))]
     if number(text("MiddleValue"), -_BENDS, _BENDS) is not None:

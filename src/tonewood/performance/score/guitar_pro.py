@@ -24,6 +24,9 @@ _QUARTER = 960
 #: frets near which a string has a node of a low partial
 _NODES = frozenset({2, 3, 4, 5, 7, 8, 9, 10, 12, 14, 15, 16, 17, 19, 21, 22, 24})
 FRETS = 99
+GRADUAL = "gradual change of tempo, made at once"
+#: what a table of the mix changes that nothing plays
+_MIX = ("instrument", "volume", "balance", "chorus", "reverb", "phaser", "tremolo")
 #: largest bend, quarter tones
 _BENDS = 96.0
 DYNAMICS = {"PPP": 15, "PP": 31, "P": 47, "MP": 63, "MF": 79, "F": 95, "FF": 111, "FFF": 127}
@@ -143,9 +146,8 @@ class _Track:
             notes: list[WrittenNote] = []
             for beat in (beat for voice in measure.voices for beat in voice.beats):
                 at = Fraction((beat.start or measure.header.start) - measure.header.start, _QUARTER)
-                change = beat.effect.mixTableChange
-                if change is not None and change.tempo is not None and i < len(music.measures):
-                    music.tempo(music.measures[i], at, float(change.tempo.value))
+                if beat.effect.mixTableChange is not None and i < len(music.measures):
+                    self._change(beat.effect.mixTableChange, music.measures[i], at)
                 if track.isPercussionTrack:
                     self.ignored["note of a percussion track"] += len(beat.notes)
                     part.n_drums += len(beat.notes)
@@ -154,6 +156,15 @@ class _Track:
                 notes += self._beat(beat, at)
             part.measures.append(notes)
         return part
+
+    def _change(self, change: Any, measure: Measure, at: Fraction) -> None:
+        """Enter a change of tempo; changes of the mix are counted."""
+        if change.tempo is not None:
+            self.music.tempo(measure, at, float(change.tempo.value))
+            self.ignored[GRADUAL] += change.tempo.duration > 0
+        for name in _MIX:
+            self.ignored[f"change of {name}"] += getattr(change, name) is not None
+        self.ignored["wah"] += change.wah is not None and change.wah.value >= 0
 
     def _beat(self, beat: Any, at: Fraction) -> list[WrittenNote]:
         """Notes of one beat."""

@@ -103,12 +103,12 @@ def _beats(midi: MidiFile) -> Beats | None:
 def _parts(notes: Sequence[Note], performance: ChannelReader) -> tuple[ScorePart, ...]:
     """Channels that have notes; those of a zone of MPE are one part, named by its master."""
     master = {member: of for of, members in performance.zones.items() for member in members}
-    found: dict[int, dict[int, Counter[int | None]]] = {}
+    by_master: dict[int, dict[int, Counter[int | None]]] = {}
     for note in notes:
         at = note.channel or 0
-        found.setdefault(master.get(at, at), {}).setdefault(at, Counter())[note.program] += 1
+        by_master.setdefault(master.get(at, at), {}).setdefault(at, Counter())[note.program] += 1
     if performance.n_drums:
-        found.setdefault(_DRUMS, {})
+        by_master.setdefault(_DRUMS, {})
     return tuple(
         ScorePart(
             number + 1,
@@ -116,7 +116,7 @@ def _parts(notes: Sequence[Note], performance: ChannelReader) -> tuple[ScorePart
             programs=sum(by_channel.values(), Counter()),
             n_drums=performance.n_drums if number == _DRUMS else 0,
         )
-        for number, by_channel in sorted(found.items())
+        for number, by_channel in sorted(by_master.items())
     )
 
 

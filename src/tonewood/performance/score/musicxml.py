@@ -42,6 +42,12 @@ _SHARPS, _LETTERS = "FCGDAEB", "CDEFGAB"
 #: a tempo in words: a sign for its note value, if any, and quarter notes of that
 _TEMPO_WORDS = re.compile(r"([♩♪qehw\U0001d15d-\U0001d160]?)(\.?)\s*=\s*(?:ca?\.\s*)?(\d+(?:\.\d+)?)")
 _GLYPHS = {"♪": 0.5, "e": 0.5, "\U0001d160": 0.5, "h": 2.0, "\U0001d15e": 2.0, "w": 4.0, "\U0001d15d": 4.0}
+#: letters of words -> sign of a jump, or of a mark
+_JUMP_WORDS = {"segno": "segno", "coda": "coda", "fine": "fine", "tocoda": "to_coda", "dacoda": "to_coda"} | {
+    word + goal: sign + (f"_al_{goal[2:]}" if goal else "")
+    for word, sign in (("dc", "da_capo"), ("dacapo", "da_capo"), ("ds", "dal_segno"), ("dalsegno", "dal_segno"))
+    for goal in ("", "alfine", "alcoda")
+}
 #: velocity that a hairpin adds or takes where no dynamics follow, and quarter notes after its end in which they may
 _HAIRPIN, _HAIRPIN_ENDS = 16, Fraction(1)
 #: s for which a pedal is up where it changes
@@ -122,6 +128,9 @@ class _Reader:
             number = part if isinstance(part, str) else part.get("id")
             reader.part.name, reader.part.program = names.get(number, ""), programs.get(number)
             music.parts.append(reader.part)
+        if not any(reader.sounded for reader in self._parts.values()):
+            for measure, sign in (one for reader in self._parts.values() for one in reader.written):
+                measure.signs.add(sign)
         _number_endings(music.measures)
         return music
 
@@ -141,7 +150,7 @@ class _PartReader:
 
     def __init__(self, part: WrittenPart, music: WrittenMusic):
         self.part, self.music = part, music
-        self.divisions, self.transpose, self.velocity = 1, 0.0, 80
+        self.divisions, self.transpose, self.velocity = 0, 0.0, 80
         self.tuning: dict[int, float] = {}
         self.ending: frozenset[int] = frozenset()
         self.palm = False
@@ -150,6 +159,8 @@ class _PartReader:
         #: (measure, quarter notes, velocity) of dynamics, and (measure, quarter notes, kind) of ends of hairpins
         self.levels: list[tuple[int, Fraction, int]] = []
         self.wedges: list[tuple[int, Fraction, str]] = []
+        #: whether a sound says a jump, and (measure, sign) of jumps and marks that are only written
+        self.sounded, self.written = False, list[tuple[Measure, str]]()
 
     def _quarters(self, element: Element, path: str = "duration") -> Fraction:
         quarters = number_of(element, path, 0.0)
@@ -169,6 +180,9 @@ class _PartReader:
         notes: list[WrittenNote] = []
         now = longest = began = Fraction(0)
         n_chord = 0
+        if not self.divisions:  # they may stand after the first notes
+            found = (number_of(e, "divisions", 0.0) for e in element.findall("attributes"))
+            self.divisions = next((int(d) for d in found if 1 <= d <= _MOST_DIVISIONS), 1)
         for child in element:
             if child.tag == "note":
                 length = Fraction(0) if child.find("grace") is not None else self._quarters(child)
@@ -232,7 +246,9 @@ class _PartReader:
                     self.velocity = min(max(round(value * 0.9), 1), 127)
             jumps = {"segno": "segno", "coda": "coda", "fine": "fine", "tocoda": "to_coda", "dacapo": "da_capo"}
             jumps |= {"dalsegno": "dal_segno"}
-            measure.signs |= {sign for name, sign in jumps.items() if sound.get(name, "no") not in ("", "no")}
+            said_jumps = {sign for name, sign in jumps.items() if sound.get(name, "no") not in ("", "no")}
+            measure.signs |= said_jumps
+            self.sounded = self.sounded or bool(said_jumps)
             mute = text_of(sound, "play/mute")
             self.palm = mute == "palm" if mute else self.palm
             if (feel := sound.find("swing")) is not None:
@@ -241,6 +257,8 @@ class _PartReader:
             self.music.tempo(measure, now, bpm)
         index, dynamics = len(self.part.measures), sound is not None and "dynamics" in sound.attrib
         for kind in element.findall("direction-type/*"):
+            if sign := _jump(kind):
+                self.written.append((measure, sign))
             if kind.tag == "dynamics":
                 level = next((e.tag for e in kind if e.tag in _DYNAMICS), None)
                 self.velocity = _DYNAMICS[level] if level and not dynamics else self.velocity
@@ -377,7 +395,7 @@ class _PartReader:
     def _steps(self, element: Element) -> tuple[int, int]:
         """Semitones down and up to the neighbours of a note in its key, or by an accidental at its ornament."""
         letter = text_of(element, "pitch/step")
-        own = _STEPS[letter] + round(number_of(element, "pitch/alter", 0.0))
+        pitch = _STEPS[letter] + round(number_of(element, "pitch/alter", 0.0))
         out = []
         for way in (-1, 1):
             other = _LETTERS[(_LETTERS.index(letter) + way) % 7]
@@ -386,7 +404,7 @@ class _PartReader:
             for mark in element.findall("notations/ornaments/accidental-mark"):
                 if (mark.get("placement") == "below") == (way < 0):
                     alter = {"sharp": 1, "natural": 0, "flat": -1}.get((mark.text or "").strip(), alter)
-            step = (_STEPS[other] + alter - own) * way % 12
+            step = (_STEPS[other] + alter - pitch) * way % 12
             out.append(step if 0 < step < 5 else 2)
         return out[0], out[1]
 
@@ -398,11 +416,11 @@ class _PartReader:
         if self.tuning and "harmonic" not in note.signs:
             # the fret counts from the capo, or from the nut
             left = note.pitch - self.tuning.get(int(string), -1e3)
-            found = [left - self.part.capo] if left in (fret, fret + self.part.capo) else []
-            if not found:
+            frets = [left - self.part.capo] if left in (fret, fret + self.part.capo) else []
+            if not frets:
                 self.music.ignored["string and fret that have another pitch than the note"] += 1
                 return replace(note, string=int(string))
-            fret = found[0]
+            fret = frets[0]
         return replace(note, string=int(string), fret=int(fret))
 
 
@@ -421,6 +439,14 @@ def _from_lowest(notes: list[WrittenNote]) -> None:
             notes[i] = replace(note, strum=note.strum - lowest[note.at])
 
 
+def _jump(kind: Element) -> str | None:
+    """Sign of a jump or mark that is drawn or stands in words; nothing for others."""
+    if kind.tag in ("segno", "coda"):
+        return kind.tag
+    words = re.sub(r"[^a-z]", "", (kind.text or "")[:40].lower()) if kind.tag == "words" else ""
+    return _JUMP_WORDS.get(words)
+
+
 def _written_tempo(element: Element) -> float | None:
     """Quarter notes a minute of a metronome mark, or of words in which a number stands."""
     metronome = element.find("direction-type/metronome")
@@ -430,8 +456,8 @@ def _written_tempo(element: Element) -> float | None:
         said = re.search(r"\d+(\.\d+)?", text_of(metronome, "per-minute")[:40])
         return (number(said.group(0), 0.0, MOST) or 0.0) * unit or None if said else None
     for words in element.findall("direction-type/words"):
-        if (found := _TEMPO_WORDS.search((words.text or "")[:200])) is not None:
-            glyph, dot, beats = found.groups()
+        if (tempo_word := _TEMPO_WORDS.search((words.text or "")[:200])) is not None:
+            glyph, dot, beats = tempo_word.groups()
             return (number(beats, 0.0, MOST) or 0.0) * _GLYPHS.get(glyph, 1.0) * (1.5 if dot else 1.0) or None
     return None
 

@@ -36,7 +36,6 @@ class ScoreClock:
         self.starts: list[Fraction] = []
         now, bpm = Fraction(0), 120.0
         self._at, self._time, self._bpm, self._late = [Fraction(0)], [0.0], [bpm], 0.0
-        # of two tempos at one time the faster one
         tempos = [_tempos(m) for m in measures]
         changes = Allowance(MOST_TEMPOS, "tempo changes, repeats unfolded", file)
         for i in played:
@@ -71,8 +70,11 @@ class ScoreClock:
 
 
 def _tempos(measure: Measure) -> list[tuple[Fraction, float | None, float]]:
-    """(quarter notes, tempo if it changes, factor on it) of a measure, where notes are held."""
-    changes: dict[Fraction, float | None] = dict(sorted(measure.tempos))
+    """(quarter notes, tempo if it changes, factor on it) of a measure, where notes are held.
+
+    Of two tempos at one place the one read later holds: a tablature's first beat and later tracks change the tempo.
+    """
+    changes: dict[Fraction, float | None] = dict(measure.tempos)
     for hold in measure.holds:
         for at in hold:
             changes.setdefault(at, None)

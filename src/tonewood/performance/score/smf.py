@@ -175,12 +175,12 @@ def _read_tracks(data: bytes, pos: int, findings: Findings, file: str | None) ->
             findings.add("unknown chunk skipped", repr(name.decode("latin-1")))
             pos = end
         else:
-            found = data.find(b"MTrk", pos)
-            if found < 0 and any(data[pos:]):
+            chunk = data.find(b"MTrk", pos)
+            if chunk < 0 and any(data[pos:]):
                 findings.add("stray bytes at the end of the file")
-            elif found >= 0:
+            elif chunk >= 0:
                 findings.add("stray bytes between chunks skipped", f"at byte {pos}")
-            pos = found if found >= 0 else len(data)
+            pos = chunk if chunk >= 0 else len(data)
     return tracks
 
 

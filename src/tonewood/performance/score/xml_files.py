@@ -59,6 +59,7 @@ def parsed(pieces: Iterable[bytes], path: Path, cell: Cell | None = None) -> Ele
     try:
         for piece in pieces:
             if tree is None:
+                piece = piece.lstrip(b" \r\n\t")  # some write a blank line before the declaration
                 head = piece[:4096]
                 tree = _Tree(path, cell, _encoding(head))
             tree.feed(piece)
@@ -193,8 +194,8 @@ def _archive(data: bytes, path: Path) -> zipfile.ZipFile:
 
 def text_of(element: Element | None, path: str, default: str = "") -> str:
     """Text of a descendant."""
-    found = None if element is None else element.find(path)
-    return default if found is None or found.text is None else found.text.strip()
+    child = None if element is None else element.find(path)
+    return default if child is None or child.text is None else child.text.strip()
 
 
 def number_of(element: Element | None, path: str, default: float, low: float = -MOST, high: float = MOST) -> float:

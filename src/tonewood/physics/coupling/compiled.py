@@ -74,10 +74,10 @@ class Compiled:
 
     def joined(self, name: str, shares: tuple[Any, ...], join: Callable[[tuple[Any, ...]], Any]) -> Any:
         """The potential of a name joined of all its components' shares; the last result is kept with the first one."""
-        known = self._joined.get(name)
-        if known is None or any(a is not b for a, b in zip(known[0], shares, strict=True)):
-            self._joined[name] = known = shares, join(shares)
-        return known[1]
+        entry = self._joined.get(name)
+        if entry is None or any(a is not b for a, b in zip(entry[0], shares, strict=True)):
+            self._joined[name] = entry = shares, join(shares)
+        return entry[1]
 
     def impulses(self, point: str) -> Floats:
         """`propagator.impulse_series` of a named point, kept for use again."""

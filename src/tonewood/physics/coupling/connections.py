@@ -275,10 +275,10 @@ class NonlinearLaws:
 
     def changed(self, laws: Mapping[int, Law], dt: float) -> NonlinearLaws:
         """Return these laws with others at some places; itself if no nonlinear law is concerned."""
-        known = dict(zip(self.index.tolist(), self.laws, strict=True))
-        if not any(j in known or not isinstance(law, (Rigid, SpringDashpot)) for j, law in laws.items()):
+        by_index = dict(zip(self.index.tolist(), self.laws, strict=True))
+        if not any(j in by_index or not isinstance(law, (Rigid, SpringDashpot)) for j, law in laws.items()):
             return self
-        merged: dict[int, Law] = {**known, **laws}
+        merged: dict[int, Law] = {**by_index, **laws}
         chosen = {j: law for j, law in sorted(merged.items()) if not isinstance(law, (Rigid, SpringDashpot))}
         return NonlinearLaws(np.array(list(chosen), dtype=np.intp), tuple(chosen.values()), self.theta)
 

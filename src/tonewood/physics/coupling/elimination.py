@@ -83,11 +83,11 @@ class GapCompliance:
         if hub < 0:
             return found(residual, None)
         at = self.compiled[hub].gaps
-        made = found(residual, self._hub(hub, place))
-        if made is None and np.any(self.compiled[hub].residual) and np.all(laws.rigid[at[place[at] >= 0]]):
+        solution = found(residual, self._hub(hub, place))
+        if solution is None and np.any(self.compiled[hub].residual) and np.all(laws.rigid[at[place[at] >= 0]]):
             # its residual compliance joins connections that are in parts otherwise: it goes with the hub's motions
             return found(np.where(kept, residual, 0.0), self._hub(hub, place, yields=True))
-        return made
+        return solution
 
     def _hub(self, slot: int, place: NDArray[np.intp], *, yields: bool = False) -> Hub:
         """Motions of a component.
@@ -159,11 +159,11 @@ class Elimination:
     @cached_property
     def solve(self) -> LinearSolve:
         """Solve of the linear connections; found once for the same laws between the same components."""
-        known = self.gap.solves
-        if self.linear not in known:
-            known.clear()
-            known[self.linear] = self._solved()
-        return known[self.linear]
+        solves = self.gap.solves
+        if self.linear not in solves:
+            solves.clear()
+            solves[self.linear] = self._solved()
+        return solves[self.linear]
 
     def _solved(self) -> LinearSolve:
         if (by := self.gap.in_parts(self.linear)) is not None:

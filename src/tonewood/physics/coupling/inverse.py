@@ -116,10 +116,10 @@ class InverseInParts:
     @classmethod
     def of(cls, k: int, entries: Entries, hub: Hub | None) -> InverseInParts | None:
         """Invert `entries`, compliance of k connections without the hub; None where the dense inverse is wanted."""
-        found = _parts(k, entries)
-        if found is None:
+        parts = _parts(k, entries)
+        if parts is None:
             return None
-        new = cls(found, hub)
+        new = cls(parts, hub)
         return new if hub is None or np.abs(new._loop).sum(axis=0).max(initial=0.0) < LARGEST_NORM else None
 
     def blocks(self, x: Floats) -> Floats:
@@ -194,10 +194,10 @@ def _parts(k: int, entries: Entries) -> tuple[tuple[Places, Floats], ...] | None
         scale_of_pair = scale[:, :, None] * scale[:, None]
         inverses = np.ones_like(blocks)
         if n > 1:
-            found = [_inverse(block) for block in blocks * scale_of_pair]
-            if any(inverse is None for inverse in found):
+            block_inverses = [_inverse(block) for block in blocks * scale_of_pair]
+            if any(inverse is None for inverse in block_inverses):
                 return None
-            inverses = np.array(found)
+            inverses = np.array(block_inverses)
         inverses = inverses * scale_of_pair
         out.append((order[first[labels][:, None] + np.arange(n)], 0.5 * (inverses + inverses.swapaxes(1, 2))))
     return tuple(out)

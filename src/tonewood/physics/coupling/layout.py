@@ -115,12 +115,12 @@ class Layout:
     @cached_property
     def ports(self) -> Mapping[str, tuple[str, ...]]:
         """Component -> points of it that connections or drives act on, sorted."""
-        found: dict[str, set[str]] = {name: set() for name in self.names}
+        points_of: dict[str, set[str]] = {name: set() for name in self.names}
         for term in (t for c in self.connections for t in c.terms):
-            found[term.component].add(term.point)
+            points_of[term.component].add(term.point)
         for drive in self.drives:
-            found[drive.component].add(drive.point)
-        return {name: tuple(sorted(points)) for name, points in found.items()}
+            points_of[drive.component].add(drive.point)
+        return {name: tuple(sorted(points)) for name, points in points_of.items()}
 
     @cached_property
     def incidence(self) -> tuple[Floats, ...]:
@@ -138,8 +138,8 @@ class Layout:
     @cached_property
     def touching(self) -> tuple[tuple[Places, Floats], ...]:
         """Per component: (g,) connections that it has a share in, driven ones too, and (g, n_ports) these shares."""
-        found = [np.flatnonzero(np.any(a != 0.0, axis=1)) for a in self.incidence]
-        return tuple((on, a[on]) for on, a in zip(found, self.incidence, strict=True))
+        nonzero = [np.flatnonzero(np.any(a != 0.0, axis=1)) for a in self.incidence]
+        return tuple((on, a[on]) for on, a in zip(nonzero, self.incidence, strict=True))
 
     @cached_property
     def gaps(self) -> tuple[Places, ...]:

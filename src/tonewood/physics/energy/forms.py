@@ -106,8 +106,8 @@ class ComponentEnergy:
             self._v_rows = np.concatenate([v, np.zeros((n, 1))], axis=1)[:, None]
             rows = np.sqrt(2 * basis.damping_rate)[:, None] * self._v_rows[:, 0]
             self._N = rows[:, :, None] * rows[:, None, :]
-            given = basis.metadata.get(RADIATED)
-            self.radiated = None if given is None else np.asarray(given, dtype=np.float64)
+            radiated = basis.metadata.get(RADIATED)
+            self.radiated = None if radiated is None else np.asarray(radiated, dtype=np.float64)
             if self.radiated is not None and self.radiated.shape != (n,):
                 raise ValueError(f"{RADIATED} of a basis of {n} modes has {self.radiated.size} shares")
         else:

@@ -107,7 +107,7 @@ class EnergyTrace:
         """
         from tonewood.support.plotting import COLOURS, LINE, figure, legend
 
-        made, axes = figure(3, heights=[4.0, 4.0, 4.0], sharex=True)
+        chart, axes = figure(3, heights=[4.0, 4.0, 4.0], sharex=True)
         above, middle, below = axes[:, 0]
         shown = sorted(self.stored, key=lambda name: -float(self.stored[name].max(initial=0.0)))
         for i, name in enumerate(shown[:12]):
@@ -127,7 +127,7 @@ class EnergyTrace:
         below.semilogy(self.time, total, lw=0.5 * LINE, color=COLOURS[1], label="summed up")
         below.set(xlabel="time, s", ylabel="balance residual\n/ peak energy")
         legend(below)
-        made.savefig(file, dpi=110)
+        chart.savefig(file, dpi=110)
 
 
 def _sum(values: Mapping[str, Floats], size: int) -> Floats:

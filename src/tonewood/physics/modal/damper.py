@@ -63,9 +63,9 @@ def damper_rates(basis: ModalBasis, resistance: float, place: float, width: floa
     rates: Floats = 0.5 * resistance * np.mean(shapes**2, axis=0)
     if basis.n_modes < 2 or not rates.any():
         return rates
-    held = HeldModes.of(basis, "bridge")
-    wanted = 0.5 * resistance * np.mean((shapes @ held.vectors.T) ** 2, axis=0)
-    shares = held.vectors**2
+    modes = HeldModes.of(basis, "bridge")
+    wanted = 0.5 * resistance * np.mean((shapes @ modes.vectors.T) ** 2, axis=0)
+    shares = modes.vectors**2
     target, normal = shares.T @ wanted, shares.T @ shares
     rates = np.maximum(rates, 1e-3 * rates.max())
     for _ in range(_ITERATIONS):

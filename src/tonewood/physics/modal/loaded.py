@@ -79,11 +79,11 @@ def loaded(basis: ModalBasis, rows: ArrayLike, mass: ArrayLike, damping: ArrayLi
     entry = sla.solve(vectors, (B - inject @ (solve @ (inertia @ B))).astype(np.complex128))
     kept = poles.imag >= 0
     right, left = C @ vectors[:, kept], entry[kept].T
-    made = ModalBasis.complex(
+    loaded = ModalBasis.complex(
         poles[kept], dict(zip(basis.points, right, strict=True)), dict(zip(basis.points, left, strict=True))
     )
-    made = made.select(np.flatnonzero(made.natural_freq < 0.1 * far))
-    return replace(made, metadata=dict(basis.metadata))
+    loaded = loaded.select(np.flatnonzero(loaded.natural_freq < 0.1 * far))
+    return replace(loaded, metadata=dict(basis.metadata))
 
 
 def _with_residual_modes(basis: ModalBasis) -> tuple[ModalBasis, float]:

@@ -38,14 +38,14 @@ def lump_change(
     mass, damping, stiffness = lump
     z = mass * lam**2 + damping * lam + stiffness
     slope = 2 * mass * lam + damping
-    own = right[point] * left[point]
+    product = right[point] * left[point]
     gap = lam[:n, None] - lam[None, :]
     same = np.abs(gap) <= SAME * np.abs(lam[:n, None])
     inverse = np.where(same, 0.0, 1.0 / np.where(same, 1.0, gap))
-    rate = -own[:n] * z[:n]
+    rate = -product[:n] * z[:n]
     for k in range(n):
         if (mates := np.flatnonzero(same[k])).size > 1:
-            rate[k] = -own[mates].sum() * z[k] if k == mates[0] else 0.0
+            rate[k] = -product[mates].sum() * z[k] if k == mates[0] else 0.0
     outward, inward = right * left[point], right[point] * left  # (p, 2n): r_p l_a, r_a l_p
     residual = basis.residual[:, point, None] if massive else 0.0
     regular_out, regular_in = outward @ inverse.T + residual, inward @ inverse.T + residual

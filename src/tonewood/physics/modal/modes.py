@@ -140,8 +140,8 @@ class ModalBasis(ModalViews):
             raise ValueError("natural frequencies must be finite and not negative, damping rates finite")
         normal_shape = None
         if shape is not None:
-            given = shape
-            normal_shape = lambda x: np.asarray(given(x), dtype=np.float64) * scale  # noqa: E731
+            unscaled = shape
+            normal_shape = lambda x: np.asarray(unscaled(x), dtype=np.float64) * scale  # noqa: E731
         rows, places = [], {}
         for name, place in points.items():
             given_shape = np.asarray(place, dtype=np.float64)

@@ -187,12 +187,12 @@ class Joint:
 
     def zeros(self, starts: Sequence[complex], *, multiply: Sequence[complex] = ()) -> list[complex]:
         """Zeros of det M, each once, one for each start that leads to another."""
-        found: list[complex] = []
+        roots: list[complex] = []
         for start in starts:
-            s = self.newton(start, multiply=multiply, divide=found)
-            if s is not None and all(abs(s - other) > 1e-9 * abs(s) for other in found):
-                found.append(s)
-        return found
+            s = self.newton(start, multiply=multiply, divide=roots)
+            if s is not None and all(abs(s - other) > 1e-9 * abs(s) for other in roots):
+                roots.append(s)
+        return roots
 
     def zeros_within(
         self, centre: complex, radius: float, *, starts: Sequence[complex] = (), places: int = 48
@@ -218,12 +218,12 @@ class Joint:
         U, size, Vh = np.linalg.svd(hankel(0))
         rank = int(np.count_nonzero(size > _RANK * size[0]))
         small = (U[:, :rank].conj().T @ hankel(1) @ Vh[:rank].conj().T) / size[:rank]
-        found: list[complex] = []
+        roots: list[complex] = []
         for start in (*(centre + radius * np.linalg.eigvals(small)), *starts):
             s = self.newton(complex(start))
-            if s is not None and abs(s - centre) <= radius and all(abs(s - other) > 1e-9 * abs(s) for other in found):
-                found.append(s)
-        return sorted(found, key=lambda s: s.imag)
+            if s is not None and abs(s - centre) <= radius and all(abs(s - other) > 1e-9 * abs(s) for other in roots):
+                roots.append(s)
+        return sorted(roots, key=lambda s: s.imag)
 
 
 class Star(Joint):

@@ -39,13 +39,13 @@ def string_detuned(basis: ModalBasis, tension: float, loss: Callable[[Floats, Fl
     ------
     ValueError : the basis was not made by `string_basis`.
     """
-    known = basis.metadata
-    if missing := {"tension", "tension_part", "bending_part", "bending_stiffness", "wavenumber"} - set(known):
+    metadata = basis.metadata
+    if missing := {"tension", "tension_part", "bending_part", "bending_stiffness", "wavenumber"} - set(metadata):
         raise ValueError(f"the basis was not made by string_basis: its metadata has no {sorted(missing)[0]}")
-    a, b, wavenumber = (cast(Floats, known[key]) for key in ("tension_part", "bending_part", "wavenumber"))
+    a, b, wavenumber = (cast(Floats, metadata[key]) for key in ("tension_part", "bending_part", "wavenumber"))
     old_rad = np.sqrt(basis.stiffness)
-    freq_rad = np.sqrt(tension * a + cast(float, known["bending_stiffness"]) * b)
-    old = old_rad * np.asarray(loss(old_rad, wavenumber, cast(float, known["tension"])))
+    freq_rad = np.sqrt(tension * a + cast(float, metadata["bending_stiffness"]) * b)
+    old = old_rad * np.asarray(loss(old_rad, wavenumber, cast(float, metadata["tension"])))
     new = freq_rad * np.asarray(loss(freq_rad, wavenumber, tension))
     sigma = basis.damping_rate * np.divide(new, old, out=np.ones_like(new), where=old > 0)
     return retuned(basis, freq_rad, sigma, {"tension": tension})

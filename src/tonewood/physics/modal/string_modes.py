@@ -216,19 +216,19 @@ def loss_rates(shares: Floats, partial: Floats, guess: Floats) -> LossRates:
     """
     if not partial.size:
         return LossRates(guess, np.zeros(0))
-    s, column, known = guess, shares.sum(axis=0), partial > 0.0
+    s, column, positive = guess, shares.sum(axis=0), partial > 0.0
     error, before = np.zeros(len(partial)), np.inf
     for i in range(_LOSS_ITERATIONS):
-        found = shares @ s
-        error[known] = found[known] / partial[known] - 1
+        rates = shares @ s
+        error[positive] = rates[positive] / partial[positive] - 1
         worst = np.abs(error).max()
-        if worst <= _LOSS_TOLERANCE or not np.all(found > 0.0):
+        if worst <= _LOSS_TOLERANCE or not np.all(rates > 0.0):
             break
         if i % _LOSS_PATIENCE == 0:
             if worst > 0.95 * before:  # no such rates exist
                 break
             before = worst
-        s = s * ((partial / found) @ shares) / column
+        s = s * ((partial / rates) @ shares) / column
     return LossRates(s, error)
 
 

@@ -264,7 +264,7 @@ def _rank(shapes: Complexes, floor: float) -> int:
 
 def _undamped_residues(poles: Complexes, right: Complexes, left: Complexes, tolerance: float) -> tuple[Violation, ...]:
     """Undamped poles whose residue of the mobility, lambda sum r l^T, is not Hermitian positive semidefinite."""
-    found = []
+    violations = []
     left_over = [int(k) for k in np.flatnonzero((np.abs(poles.real) <= UNDAMPED * np.abs(poles)) & (poles.imag > 0))]
     while left_over:
         first = poles[left_over[0]]
@@ -276,8 +276,8 @@ def _undamped_residues(poles: Complexes, right: Complexes, left: Complexes, tole
         worst = max(-smallest_hermitian(residue) / size, skew)
         if worst > tolerance:
             freq = float(first.imag / (2 * np.pi))
-            found.append(Violation(freq, freq, freq, worst))
-    return tuple(found)
+            violations.append(Violation(freq, freq, freq, worst))
+    return tuple(violations)
 
 
 def _bands(
@@ -307,7 +307,7 @@ def _bands(
     grid = np.unique(np.concatenate([cuts, 0.5 * (cuts[1:] + cuts[:-1])]))
     values = excess(grid)
 
-    found = []
+    violations = []
     negative = np.flatnonzero(values < 0.0)
     for run in np.split(negative, np.flatnonzero(np.diff(negative) > 1) + 1) if negative.size else []:
         first, last = int(run[0]), int(run[-1])
@@ -319,8 +319,8 @@ def _bands(
         worst, value = _lowest(excess, around, (float(grid[worst_at]), float(values[worst_at])))
         if ends_open and negative_at_infinity:
             upper = math.inf
-        found.append(Violation(lower / (2 * np.pi), upper / (2 * np.pi), worst / (2 * np.pi), tolerance - value))
-    return tuple(found)
+        violations.append(Violation(lower / (2 * np.pi), upper / (2 * np.pi), worst / (2 * np.pi), tolerance - value))
+    return tuple(violations)
 
 
 def signature_changes(poles: Complexes, right: Complexes, left: Complexes) -> Floats:
@@ -379,19 +379,19 @@ def _crossing(excess: Callable[[Floats], Floats], outside: float, inside: float)
 
 
 def _lowest(
-    excess: Callable[[Floats], Floats], bounds: tuple[float, float], known: tuple[float, float]
+    excess: Callable[[Floats], Floats], bounds: tuple[float, float], best: tuple[float, float]
 ) -> tuple[float, float]:
     """Lowest excess between two bounds: place and value, not above a known one."""
     from scipy.optimize import minimize_scalar
 
     low, high = bounds
     if not high > low:
-        return known
-    found = minimize_scalar(
+        return best
+    minimum = minimize_scalar(
         lambda w: float(excess(np.array([w]))[0]),
         bounds=(low, high),
         method="bounded",
         options={"xatol": 1e-5 * (high - low)},
     )
-    at, value = float(found.x), float(found.fun)
-    return (at, value) if value < known[1] else known
+    at, value = float(minimum.x), float(minimum.fun)
+    return (at, value) if value < best[1] else best

@@ -210,10 +210,10 @@ def _of_riccati(poles: Complexes, right: Complexes, left: Complexes) -> Complexe
     if W.shape[1] != A.shape[0] - 2 * m or float(np.linalg.svdvals(ports_of)[-1]) < least:
         raise PassivityError("no storage function: mass or stiffness at the ports is singular")
     coordinates = np.linalg.solve(ports_of, gamma)
-    known = 0.5 * np.concatenate([C, -R]).T @ coordinates
+    forces = 0.5 * np.concatenate([C, -R]).T @ coordinates
     rest = W.T @ (np.eye(A.shape[0]) - V @ coordinates)
 
-    P = 0.5 * (known + known.T)
+    P = 0.5 * (forces + forces.T)
     if W.shape[1]:
         damping = -0.5 * (C @ A @ B + (C @ A @ B).T)
         P = P + rest.T @ _riccati(rest @ A @ W, rest @ A @ B, 0.5 * C @ A @ W, damping) @ rest

@@ -175,13 +175,13 @@ def named_modes(freq: Floats, kinetic: Floats, top: Floats) -> dict[str, int]:
     if not freq.all():
         return {}
     low = np.flatnonzero((freq < 400.0) & (kinetic[2] < 0.5))
-    found = {}
+    numbers = {}
     if low.size and kinetic[1, low].max() > 0:
-        found["A0"] = int(low[np.argmax(kinetic[1, low])])
-        low = low[low > found["A0"]]
+        numbers["A0"] = int(low[np.argmax(kinetic[1, low])])
+        low = low[low > numbers["A0"]]
     if low.size:
-        found["T1"] = int(low[np.argmax(np.abs(top)[low] / freq[low] ** 2)])
-    return found
+        numbers["T1"] = int(low[np.argmax(np.abs(top)[low] / freq[low] ** 2)])
+    return numbers
 
 
 def body_modes(drawing: BodyDrawing) -> BodyModes:
@@ -261,12 +261,12 @@ def first_modes(drawing: BodyDrawing, edges: Sequence[Edge], fmax: float = 1500.
     """A0 and T1 (Hz) of the body with its top on each of several edges, from plate modes up to `fmax` (Hz)."""
     typical = drawing.top.thickness if not callable(drawing.top.thickness) else 2.5e-3
     size = drawing.top.size or cell_size(drawing.top.wood, typical, drawing.fmax)
-    low, found = replace(drawing, fmax=min(fmax, drawing.fmax), points=drawing.points[:1]), []
+    low, freqs = replace(drawing, fmax=min(fmax, drawing.fmax), points=drawing.points[:1]), []
     low = replace(low, directions=low.directions[:1], heights=low.heights[:1])
     for edge in edges:
         modes = body_modes(replace(low, top=replace(low.top, edge=edge, size=size)))
-        found.append({name: float(modes.freq[k]) for name, k in modes.named().items()})
-    return found
+        freqs.append({name: float(modes.freq[k]) for name, k in modes.named().items()})
+    return freqs
 
 
 def cell_of(outline: Floats, drawn: PlateDrawing, fmax: float) -> float:
@@ -300,9 +300,9 @@ def _solved(
     name: str = "",
 ) -> PlateModes:
     begin(f"matrices of the {name}")
-    made = made_plate(rings, drawn, fmax)
+    plate = made_plate(rings, drawn, fmax)
     begin(f"vibration of the {name}")
-    return made.modes(fmax)
+    return plate.modes(fmax)
 
 
 def _face(modes: PlateModes) -> tuple[Floats, Floats, Floats]:
@@ -366,8 +366,8 @@ def _with_air(
         compliance = compliance + back.plate.residual(own, back)
     modes = couple_air(freq, outward[0], cavity.volume, hole, (cavity.freq, b, at_hole), compliance)
     stiff = np.eye(1 + m) * cavity.volume / (AIR_DENSITY * SOUND_SPEED**2) + compliance
-    held = lever @ solve(stiff, lever.T, assume_a="pos")
-    return modes, cavity.freq, (rest[:points, :points] - held, lever)
+    added = lever @ solve(stiff, lever.T, assume_a="pos")
+    return modes, cavity.freq, (rest[:points, :points] - added, lever)
 
 
 def point_loads(plate: Plate, drawing: BodyDrawing) -> Floats:

@@ -241,9 +241,9 @@ def _neighbours(sides: list[_Side], i: int, points: Floats, count: int) -> list[
     """Rows of the layers of the sides that meet side i in a corner, at points of its own layer."""
     from scipy.sparse import diags
 
-    found: list[tuple[int, list[csr_matrix]]] = []
+    neighbours: list[tuple[int, list[csr_matrix]]] = []
     if len(sides) < 2:
-        return found
+        return neighbours
     for j, at_start in (((i + 1) % len(sides), True), ((i - 1) % len(sides), False)):
         side = sides[j]
         end = 0 if at_start else len(side.delta) - 1
@@ -255,8 +255,8 @@ def _neighbours(sides: list[_Side], i: int, points: Floats, count: int) -> list[
         near = (s >= 0) & (s <= length) & (d >= 0) & (d <= _BREAKS[-1])
         rows = _rows(side, np.full(len(points), end), np.clip(s / length, 0.0, 1.0), np.where(near, d, 0.0), count)
         only = diags(near.astype(np.float64))
-        found.append((j, [only @ row for row in rows]))
-    return found
+        neighbours.append((j, [only @ row for row in rows]))
+    return neighbours
 
 
 def _plate_rows(grid: SplineGrid, points: Floats) -> list[csr_matrix]:

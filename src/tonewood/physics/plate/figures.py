@@ -32,11 +32,11 @@ def shapes_figure(sources: Sources, freq: Floats, q: Floats, *, count: int = 12,
     """
     shown = min(count, len(freq))
     rows = -(-shown // COLUMNS)
-    made, axes = figure(rows, COLUMNS, heights=[3.6] * rows)
+    chart, axes = figure(rows, COLUMNS, heights=[3.6] * rows)
     draw_shapes(axes.ravel(), sources, freq, q)
     if heading:
-        made.suptitle(plain(heading), fontsize=SMALL + 2)
-    return made
+        chart.suptitle(plain(heading), fontsize=SMALL + 2)
+    return chart
 
 
 def draw_shapes(axes: Iterable[Axes], sources: Sources, freq: Floats, q: Floats) -> None:

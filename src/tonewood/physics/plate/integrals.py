@@ -58,8 +58,8 @@ def integrals(
             chosen, which = chosen[:1], np.zeros_like(which)
         group = (cell[chosen], points[chosen], weights[chosen])
         elements = _elements(quad.grid, fields, group, operator, factor, matrices)
-        for found, element in zip(parts, elements, strict=True):
-            found.append(element[which])
+        for total, element in zip(parts, elements, strict=True):
+            total.append(element[which])
         cells.append(cell)
     every = np.concatenate(cells)
     return [_assembled(quad.grid, fields, every, np.concatenate(part)) for part in parts]
@@ -84,9 +84,9 @@ def _elements(
         scaled = (f if f.ndim in (1, 3) else f[..., None]) * w[..., None]
         flat = b.reshape(len(cell), -1, b.shape[-1]).transpose(0, 2, 1)
         weighted = b * scaled[..., None]
-        for found, matrix in zip(out, matrices, strict=True):
-            found.append(flat @ (matrix @ weighted).reshape(len(cell), -1, b.shape[-1]))
-    return [np.concatenate(found) for found in out]
+        for column, matrix in zip(out, matrices, strict=True):
+            column.append(flat @ (matrix @ weighted).reshape(len(cell), -1, b.shape[-1]))
+    return [np.concatenate(column) for column in out]
 
 
 def _assembled(grid: SplineGrid, fields: int, cells: Places, elements: Floats) -> csr_matrix:

@@ -115,6 +115,6 @@ def _dense(
     moved = solve(root)
     flexible = root.T @ moved
     theta, inside = (a[..., ::-1] for a in eigh(0.5 * (flexible + flexible.T)))
-    found = 1 / theta[theta > 1e-14 * theta[0]] - shift
-    number = min(count, len(found)) if count else int(np.count_nonzero(found <= below))
-    return found[:number], np.asarray(moved @ (inside[:, :number] / theta[:number]))
+    eigenvalues = 1 / theta[theta > 1e-14 * theta[0]] - shift
+    number = min(count, len(eigenvalues)) if count else int(np.count_nonzero(eigenvalues <= below))
+    return eigenvalues[:number], np.asarray(moved @ (inside[:, :number] / theta[:number]))

@@ -103,8 +103,8 @@ def microphone(
     right = np.vstack([(target * weight[:, None]).real, (target * weight[:, None]).imag, np.zeros((2, len(shapes)))])
     size = np.sqrt((rows**2).sum(axis=0))
     size[len(every) :][every.imag == 0] = np.inf  # a real pole has a real residue
-    found = lstsq(rows / size, right, cond=1e-9, lapack_driver="gelsy")[0] / size[:, None]
-    bank = Bank(every, found[: len(every)] + 1j * found[len(every) :], delay, (0.0, 0.0))
+    filters = lstsq(rows / size, right, cond=1e-9, lapack_driver="gelsy")[0] / size[:, None]
+    bank = Bank(every, filters[: len(every)] + 1j * filters[len(every) :], delay, (0.0, 0.0))
     heard = (freq >= _LOWEST) & (freq <= top)
     ratio = bank.response(freq[heard]) - target[heard]
     error = 20 * np.log10(1 + np.abs(ratio) / np.maximum(np.abs(target[heard]), 1e-2 * level[heard, None]))

@@ -90,15 +90,15 @@ def crossing(ring: Floats, other: Floats | None = None) -> Floats | None:
     for i in range(len(a)):
         later = slice(i + 2, len(c) - (i == 0)) if other is None else slice(None)
         p, q = c[later], d[later]
-        own, across = b[i] - a[i], q - p
-        turn = own[0] * across[:, 1] - own[1] * across[:, 0]
+        side, across = b[i] - a[i], q - p
+        turn = side[0] * across[:, 1] - side[1] * across[:, 0]
         gap = p - a[i]
         with np.errstate(divide="ignore", invalid="ignore"):
             s = (gap[:, 0] * across[:, 1] - gap[:, 1] * across[:, 0]) / turn
-            t = (gap[:, 0] * own[1] - gap[:, 1] * own[0]) / turn
+            t = (gap[:, 0] * side[1] - gap[:, 1] * side[0]) / turn
         hit = (turn != 0) & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
         if hit.any():
-            return np.asarray(a[i] + s[np.argmax(hit)] * own)
+            return np.asarray(a[i] + s[np.argmax(hit)] * side)
     return None
 
 
@@ -144,7 +144,7 @@ def quadrature(grid: SplineGrid, rings: Sequence[Floats], strips: int = 4) -> Qu
     weights = np.tile(np.outer(w, w).ravel() * grid.size.prod(), (len(whole), 1))
     groups = [(whole, points, weights)] if len(whole) else []
     same = [True] * len(groups)
-    found: dict[tuple[int, int], list[Floats]] = {}
+    points_of: dict[tuple[int, int], list[Floats]] = {}
     places = [((s + a) / strips, b / strips) for s in range(strips) for a, b in zip(g, w, strict=True)]
     for i in np.flatnonzero(cut.any(axis=1)):
         for place, share in places:
@@ -154,25 +154,25 @@ def quadrature(grid: SplineGrid, rings: Sequence[Floats], strips: int = 4) -> Qu
                     if cut[i, j] and (length := min(stop, j + 1) - max(start, j)) > 0:
                         y = grid.low[1] + grid.size[1] * (max(start, j) + length * g)
                         rows = np.column_stack([np.full_like(y, x), y, share * length * w * grid.size.prod()])
-                        found.setdefault((int(i), j), []).append(rows)
-    if found:
-        blocks = [np.concatenate(rows) for rows in found.values()]
+                        points_of.setdefault((int(i), j), []).append(rows)
+    if points_of:
+        blocks = [np.concatenate(rows) for rows in points_of.values()]
         most = max(map(len, blocks))
         padded = np.array([np.vstack([b, np.tile([*b[0, :2], 0.0], (most - len(b), 1))]) for b in blocks])
-        groups.append((np.array(list(found)), padded[..., :2], padded[..., 2]))
+        groups.append((np.array(list(points_of)), padded[..., :2], padded[..., 2]))
         same.append(False)
     return Quadrature(tuple(groups), grid, tuple(same))
 
 
 def _scan(rings: Sequence[Floats], x: float) -> Floats:
     """(n, 2) intervals of y inside the rings on the line at x, m."""
-    found = []
+    crossings = []
     for ring in rings:
         a, b = ring, np.roll(ring, -1, axis=0)
         hit = (a[:, 0] > x) != (b[:, 0] > x)
         a, b = a[hit], b[hit]
-        found.append(a[:, 1] + (x - a[:, 0]) * (b[:, 1] - a[:, 1]) / (b[:, 0] - a[:, 0]))
-    return np.sort(np.concatenate(found)).reshape(-1, 2)
+        crossings.append(a[:, 1] + (x - a[:, 0]) * (b[:, 1] - a[:, 1]) / (b[:, 0] - a[:, 0]))
+    return np.sort(np.concatenate(crossings)).reshape(-1, 2)
 
 
 def _near_rings(grid: SplineGrid, rings: Sequence[Floats]) -> NDArray[np.bool_]:

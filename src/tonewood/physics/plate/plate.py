@@ -261,14 +261,14 @@ class Plate:
         if not self.wood.shears:
             return []
         outer = not (edge.k_w or edge.k_theta)
-        known = sum(count for _, count in self._bending)
-        found: list[tuple[csr_matrix, csr_matrix, csr_matrix, list[Field]]] = []
+        n_bending = sum(count for _, count in self._bending)
+        layers: list[tuple[csr_matrix, csr_matrix, csr_matrix, list[Field]]] = []
         for ring, around in [(ring, k == 0) for k, ring in enumerate(self.rings) if k or outer]:
             woods = (self.wood, self._layered)
             parts = layer_matrices(self.grid, ring, around, woods, self.grain, self.shear_factor, self.thickness)
-            own = (f"layer {len(found)}", parts[0].shape[0] - known)
-            found.append((*parts, [own, *self._bending]))
-        return found
+            own = (f"layer {len(layers)}", parts[0].shape[0] - n_bending)
+            layers.append((*parts, [own, *self._bending]))
+        return layers
 
     @property
     def stiffness(self) -> csc_matrix:
@@ -410,11 +410,11 @@ class Plate:
         springs = springs + rigid
         # springs that are not finite lose nothing
         lossy = edge.loss * springs if np.isfinite(edge.k_w) and np.isfinite(edge.k_theta) else 0.0 * springs
-        found = [(springs, lossy, self._bending)]
+        terms = [(springs, lossy, self._bending)]
         if self.beams and edge.k_in_plane:
             held = edge.k_in_plane * line_mass
-            found += [(held, edge.loss * held, [field]) for field in self._in_plane]
-        return found
+            terms += [(held, edge.loss * held, [field]) for field in self._in_plane]
+        return terms
 
     def _spread(self, matrix: csr_matrix) -> csr_matrix:
         """Matrix of gamma and w from one of w."""

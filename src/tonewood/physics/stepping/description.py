@@ -64,17 +64,17 @@ def sort_ports(
     contact, fixed = np.flatnonzero(is_contact), np.flatnonzero((touched | needed) & ~is_contact)
     if hub_ports is not None:
         fixed = np.union1d(hub_ports, np.flatnonzero(np.any(acts[kind == 1], axis=0)))
-    own = []
+    numbers = []
     for i, port in zip(*np.nonzero(acts & (kind > 0)[:, None]), strict=True):
         among = contact if is_contact[port] else fixed
-        own.append((int(i), int(np.searchsorted(among, port)), bool(is_contact[port]), float(shares[i, port])))
+        numbers.append((int(i), int(np.searchsorted(among, port)), bool(is_contact[port]), float(shares[i, port])))
     incidence = np.zeros((0 if hub_ports is not None else k, len(fixed)))  # the hub's is that of the parts
     if hub_ports is None:
         incidence[place[place >= 0]] = shares[place >= 0][:, fixed]
     used = np.nonzero(incidence)
     parts = [part.tobytes() for part in (*used, incidence[used], fixed, contact)]
     parts.append(b"coupled" if coupled else b"" if hub_ports is None else b"hub")
-    return PortSets(fixed, contact, incidence, coupled, hub_ports is not None, b"|".join(parts)), own
+    return PortSets(fixed, contact, incidence, coupled, hub_ports is not None, b"|".join(parts)), numbers
 
 
 def describe_component(compiled: Compiled, sets: PortSets, one_way: bool, loaded: bool) -> Description:

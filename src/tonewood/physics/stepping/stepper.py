@@ -210,23 +210,23 @@ class NumpyStepper:
                 moved = over.reach[on] - nonlinear.from_linear @ linear.apply(over.reach)
                 answer = over.answer(moved)
                 Z = Z + moved @ answer
-            found = find_forces(
+            solution = find_forces(
                 nonlinear.laws, Z, here, before, s.dt, partners, guess[on], branches, careful=self._careful
             )
             self.statistics.solves += 1
-            self.statistics.iterations += found.iterations
-            self.statistics.most_iterations = max(self.statistics.most_iterations, found.iterations)
-            if not found.converged:
-                acting = [s.connections[j].name for j in on[found.forces != 0.0]] or [p.name for p in s.potentials]
+            self.statistics.iterations += solution.iterations
+            self.statistics.most_iterations = max(self.statistics.most_iterations, solution.iterations)
+            if not solution.converged:
+                acting = [s.connections[j].name for j in on[solution.forces != 0.0]] or [p.name for p in s.potentials]
                 names = ", ".join(acting or [s.connections[j].name for j in on])
                 raise ValueError(f"the forces of {names} were not found")
-            f = f - nonlinear.answer @ found.forces
+            f = f - nonlinear.answer @ solution.forces
             if over is not None:
-                more = answer @ found.forces
+                more = answer @ solution.forces
                 mean = mean + more
                 f = f - linear.apply(over.reach @ more)
-            f[on] = found.forces
-            series[on] = nonlinear.residual @ found.forces / nonlinear.theta - lag
+            f[on] = solution.forces
+            series[on] = nonlinear.residual @ solution.forces / nonlinear.theta - lag
             for i, friction in branches.items():
                 slip[on[i]] = friction.velocity
         after = [

@@ -69,20 +69,20 @@ def parse_part(text: str) -> EnsemblePart:
     ------
     TonewoodError : one line.
     """
-    found = _PART.fullmatch(text.strip())
+    match = _PART.fullmatch(text.strip())
     values: dict[str, Any] = {}
-    words = found["rest"].split("@")[1:] if found else []
+    words = match["rest"].split("@")[1:] if match else []
     for word in words:
         gain, pan = _GAIN.fullmatch(word.strip()), _PAN.fullmatch(word.strip())
         if gain is None and pan is None:
-            found = None
+            match = None
         elif gain is not None:
             values["gain_db"] = float(gain[1])
         elif pan is not None:
             values["pan"] = float(pan[1])
-    if found is None:
+    if match is None:
         raise TonewoodError(f"{text!r} is not NUMBER=INSTRUMENT[@GAINdB][@panPAN], e.g. 2=electric_bass@-3dB@pan-0.3")
-    values |= {"part": int(found["number"]), "instrument": found["instrument"].strip()}
+    values |= {"part": int(match["number"]), "instrument": match["instrument"].strip()}
     return validated(EnsemblePart, values, key="--part")
 
 
@@ -144,19 +144,19 @@ def render_ensemble(
     if options.lead_in == "auto":
         raise TonewoodError("is auto; parts that begin together need a number of seconds", key="lead_in")
     jobs = [(os.fspath(score), part, options, reading or {}) for part in parts]
-    found: list[tuple[EnsemblePart, Floats, Summary]] = []
+    rendered: list[tuple[EnsemblePart, Floats, Summary]] = []
     for part, result in zip(parts, _all_rendered(jobs, workers, progress), strict=True):
         if not isinstance(result, NothingPlayedError):
-            found.append((part, *result))
+            rendered.append((part, *result))
         elif silent is None or len(parts) == 1:
             raise result
         else:
             silent(part, result.reason)
-    if not found:
+    if not rendered:
         raise NothingPlayedError("no note of any part can be played", file=score)
-    longest = max(len(samples) for _, samples, _ in found)
+    longest = max(len(samples) for _, samples, _ in rendered)
     stems = []
-    for part, samples, summary in found:
+    for part, samples, summary in rendered:
         out = np.zeros((longest, 2))
         out[: len(samples)] = samples
         stems.append(Stem(part, out, summary))

@@ -44,7 +44,7 @@ def read_programs(path: str | os.PathLike[str] | None = None) -> dict[int, str]:
     """
     file = _TABLE if path is None else Path(path)
     table = validated(ProgramTable, load_yaml(file, error=BundleError), key="", file=file).programs
-    found: dict[int, str] = {}
+    by_program: dict[int, str] = {}
     seen: set[int] = set()
     for key, instrument in table.items():
         match = _RANGE.fullmatch(key)
@@ -56,8 +56,8 @@ def read_programs(path: str | os.PathLike[str] | None = None) -> dict[int, str]:
             raise BundleError(f"program {again[0]} stands there twice", file=file, key=f"programs.{key}")
         seen |= set(range(low, high + 1))
         if instrument is not None:
-            found |= dict.fromkeys(range(low, high + 1), instrument)
-    return found
+            by_program |= dict.fromkeys(range(low, high + 1), instrument)
+    return by_program
 
 
 def choose_players(

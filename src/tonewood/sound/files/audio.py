@@ -88,11 +88,11 @@ class Audio:
         """
         shown = min(freq_upper, self.fs / 2)
         time, freq, level = spectrogram(self.samples, self.fs, window=window, columns=1000, freq_upper=shown)
-        made, axes = figure(heights=[4.5])
+        chart, axes = figure(heights=[4.5])
         image = draw_spectrogram(axes[0, 0], time, freq, level - level.max(), floor_db=-range_db)
         axes[0, 0].set_xlabel("time, s")
-        colour_bar(made, image, axes[0, 0], "level\ndB re maximum")
-        return made
+        colour_bar(chart, image, axes[0, 0], "level\ndB re maximum")
+        return chart
 
     def plot_decay(self, *, range_db: float = 80.0) -> Figure:
         """Draw the level over time, 10 lg of the mean square over 20 ms and all channels, dB re full scale.
@@ -102,11 +102,11 @@ class Audio:
         range_db : dB shown below the maximum.
         """
         time, level = level_curve(self.samples, self.fs)
-        made, axes = figure(heights=[4.0])
+        chart, axes = figure(heights=[4.0])
         axes[0, 0].plot(time, level, color=COLOURS[0], lw=LINE)
         top = float(level.max())
         axes[0, 0].set(xlabel="time, s", ylabel="level\ndB re full scale", ylim=(top - range_db, top + 5.0))
-        return made
+        return chart
 
     @property
     def duration(self) -> float:

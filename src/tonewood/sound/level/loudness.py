@@ -105,18 +105,18 @@ def true_peak(audio: Floats) -> float:
     """
     from scipy.signal import resample_poly
 
-    found = float(np.max(np.abs(audio), initial=0.0))
+    peak = float(np.max(np.abs(audio), initial=0.0))
     size = 256
     blocks = np.pad(np.abs(audio).max(axis=1), (0, -len(audio) % size)).reshape(-1, size).max(axis=1)
     around = np.pad(blocks, 1)
     near = np.maximum(np.maximum(around[:-2], around[2:]), blocks)
-    edges = np.flatnonzero(np.diff(near * _REACH_GAIN > found, prepend=False, append=False))
+    edges = np.flatnonzero(np.diff(near * _REACH_GAIN > peak, prepend=False, append=False))
     for first, last in edges.reshape(-1, 2) * size:
         start = max(0, first - 2 * _REACH)
         over = resample_poly(audio[start : last + 2 * _REACH], OVERSAMPLING, 1, axis=0)
         inside = over[(first - start) * OVERSAMPLING : (last - start) * OVERSAMPLING]
-        found = max(found, float(np.max(np.abs(inside), initial=0.0)))
-    return found
+        peak = max(peak, float(np.max(np.abs(inside), initial=0.0)))
+    return peak
 
 
 def matching_gain_db(audio: Floats, fs: int, target_lufs: float) -> float:

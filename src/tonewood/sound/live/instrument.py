@@ -211,7 +211,7 @@ class Live:
         ------
         ScoreError : a value is out of range, or there is no such technique.
         """
-        given = Note(
+        struck = Note(
             self.time,
             1.0,
             note=note,
@@ -224,7 +224,7 @@ class Live:
             from_bridge=from_bridge,
             angle_deg=angle_deg,
         )
-        return self.player.note_on(given)
+        return self.player.note_on(struck)
 
     @alone
     def note_off(self, note: float | str, channel: int = 0) -> bool:

@@ -84,14 +84,14 @@ class MidiInput:
         names = midi_inputs()
         if not names:
             raise TonewoodError("there is no MIDI input; --keyboard plays with the computer's keys", key="--midi-in")
-        found = [n for n in names if n == name] or [n for n in names if name.lower() in n.lower()]
+        matches = [n for n in names if n == name] or [n for n in names if name.lower() in n.lower()]
         if not name:
-            found = names[:1]
-        if len(found) != 1:
-            which = "fits several" if found else "is not there"
-            listed = f"{'' if found else did_you_mean(name, names)}there are {', '.join(found or names)}"
+            matches = names[:1]
+        if len(matches) != 1:
+            which = "fits several" if matches else "is not there"
+            listed = f"{'' if matches else did_you_mean(name, names)}there are {', '.join(matches or names)}"
             raise TonewoodError(f"{name!r} {which}; {listed}", key="--midi-in")
-        self.name: str = found[0]
+        self.name: str = matches[0]
         self._come: deque[tuple[float, list[int]]] = deque()
         try:
             self._port: Any = mido.open_input(self.name, callback=self._take)

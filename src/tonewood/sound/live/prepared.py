@@ -8,10 +8,10 @@ from dataclasses import replace
 
 from tonewood.instrument.contract.gestures import Event
 from tonewood.instrument.model.assembly import Model
+from tonewood.performance.player.between_notes import damping
 from tonewood.performance.player.fretting import FrettedBases, Fretting
-from tonewood.performance.player.hands import damping
-from tonewood.performance.player.paced import CONTINUED
 from tonewood.performance.player.player import rounded
+from tonewood.performance.player.voices import CONTINUED
 
 #: compiled ways to hold a string that are kept, besides those of `prepare`
 _ROOM = 256

@@ -42,6 +42,7 @@ class Playback:
     clipped : samples beyond full scale.
     load : computing time of the blocks re their length, mean.
     worst_block_s : longest computing time of a block.
+    late : underruns in which no block was ready; in the others blocks were, and the device or the system was late.
     """
 
     frames: int
@@ -49,6 +50,7 @@ class Playback:
     clipped: int = 0
     load: float = 0.0
     worst_block_s: float = 0.0
+    late: int = 0
 
 
 class Arrivals(Generic[T]):
@@ -113,7 +115,7 @@ class AudioStream:
     ----------
     fs, block_size, n_channels : Hz, frames, channels given out: one channel is given out twice.
     done : set when the source has ended and everything was given out.
-    frames, underruns, clipped : so far.
+    frames, underruns, clipped, late : so far, as of `Playback`.
     loads : computing time of the last blocks re their length.
     worst_block_s : longest computing time of a block, s.
     device_latency : s, of the sound card, as it says itself once it is open.
@@ -134,8 +136,8 @@ class AudioStream:
             raise TonewoodError(f"is {ahead!r} blocks; 1 to 4096 are allowed", key="ahead")
         if not 1 <= block_size <= 1 << 20:
             raise TonewoodError(f"is {block_size!r} frames; 1 to {1 << 20} are allowed", key="block_size")
-        own = isinstance(source, Live | Renderer)
-        if own == (fs is not None or n_channels is not None):
+        is_ours = isinstance(source, Live | Renderer)
+        if is_ours == (fs is not None or n_channels is not None):
             raise TypeError("fs and n_channels are given with an iterable of blocks, and only then")
         self.fs: int = source.fs if isinstance(source, Live | Renderer) else fs or 0
         channels = len(source.channels) if isinstance(source, Live | Renderer) else n_channels or 0
@@ -146,7 +148,7 @@ class AudioStream:
         self._ready: queue.Queue[Floats | None] = queue.Queue(maxsize=ahead)
         self.done, self._primed = threading.Event(), threading.Event()
         self._failed: list[Exception] = []
-        self.frames = self.underruns = self.clipped = 0
+        self.frames = self.underruns = self.clipped = self.late = 0
         self._blocks_made, self._busy_s, self.worst_block_s = 0, 0.0, 0.0
         self.device_latency = 0.0
         self.loads: deque[float] = deque(maxlen=256)
@@ -213,7 +215,7 @@ class AudioStream:
             raise self._failed[0]
         length = self._blocks_made * self.block_size / self.fs
         load = self._busy_s / length if length else 0.0
-        return Playback(self.frames, self.underruns, self.clipped, load, self.worst_block_s)
+        return Playback(self.frames, self.underruns, self.clipped, load, self.worst_block_s, self.late)
 
     def play(
         self,
@@ -275,7 +277,7 @@ class AudioStream:
         try:
             block = self._ready.get_nowait()
         except queue.Empty:
-            self.underruns += 1
+            self.underruns, self.late = self.underruns + 1, self.late + 1
             out[:] = 0.0
             return False
         if block is None:
@@ -299,19 +301,19 @@ class AudioStream:
 
     def _chained(self) -> Iterator[Floats]:
         """Yield blocks of `block_size` frames out of the chain, the last one shorter."""
-        held = np.zeros((0, 0))
+        pending = np.zeros((0, 0))
         for block in self._source:
             for processor in self._chain:
                 block = np.asarray(processor(block, self.fs), dtype=np.float64)
-            if not len(held) and len(block) == self.block_size:
+            if not len(pending) and len(block) == self.block_size:
                 yield block
                 continue
-            held = np.concatenate([held, block]) if len(held) else block
-            while len(held) >= self.block_size:
-                yield held[: self.block_size]
-                held = held[self.block_size :]
-        if len(held):
-            yield held
+            pending = np.concatenate([pending, block]) if len(pending) else block
+            while len(pending) >= self.block_size:
+                yield pending[: self.block_size]
+                pending = pending[self.block_size :]
+        if len(pending):
+            yield pending
 
     def _take_calls(self) -> None:
         for call in self._calls.due(self._blocks_made * self.block_size):

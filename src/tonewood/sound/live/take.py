@@ -154,10 +154,10 @@ class Replay:
         **settings: Any,
     ):
         messages, end, texts = read_messages(path)
-        found = _settings(texts.get("title", ""))
+        recorded_settings = _settings(texts.get("title", ""))
         options = RenderOptions.of(options, fs, settings)
-        recorded = _number(found, "fs", options.fs, path)
-        if "fs" not in options.model_fields_set and "fs" in found:
+        recorded = _number(recorded_settings, "fs", options.fs, path)
+        if "fs" not in options.model_fields_set and "fs" in recorded_settings:
             options = options.at(fs=int(recorded))
         wrong = [name for name in ("lead_in", "energy", "room") if getattr(options, name)]
         if wrong:
@@ -166,12 +166,12 @@ class Replay:
         ended = {name: getattr(defaults, name) for name in ("tail", "tail_level_db", "max_duration")}
         self.live = Live(
             instrument,
-            ramp=_number(found, "ramp", 5e-3, path) if ramp is None else ramp,
-            spacing=int(_number(found, "spacing", 2, path)) if spacing is None else spacing,
+            ramp=_number(recorded_settings, "ramp", 5e-3, path) if ramp is None else ramp,
+            spacing=int(_number(recorded_settings, "spacing", 2, path)) if spacing is None else spacing,
             prepare=False,
             options=options.at(**ended),
         )
-        played = [int(word) for word in found.get("channels", "").split() if word.isdecimal()]
+        played = [int(word) for word in recorded_settings.get("channels", "").split() if word.isdecimal()]
         self.receiver = MidiReceiver(self.live, channels or played or None)
         self.options, self.fs, self.path = options, options.fs, Path(path)
         self._messages = [(round(time * self.fs), (status, a, b)) for time, status, a, b in messages]
@@ -230,20 +230,20 @@ class Replay:
 
     def summary(self) -> Summary:
         """Return the summary of the frames so far."""
-        found = self.live.summary()
-        cut = [f"{found.cut} notes end early: their string is needed again"] if found.cut else []
+        totals = self.live.summary()
+        cut = [f"{totals.cut} notes end early: their string is needed again"] if totals.cut else []
         return Summary(
-            frames=found.frames,
+            frames=totals.frames,
             fs=self.fs,
-            duration_s=found.frames / self.fs,
-            render_s=found.process_s,
-            realtime_factor=found.frames / self.fs / found.process_s if found.process_s > 0 else 0.0,
+            duration_s=totals.frames / self.fs,
+            render_s=totals.process_s,
+            realtime_factor=totals.frames / self.fs / totals.process_s if totals.process_s > 0 else 0.0,
             n_modes=self.model.n_modes,
-            notes=found.notes,
-            notes_dropped=found.latest_dropped,
-            peak_dbfs=found.peak_dbfs if found.frames else decibels(0.0),
+            notes=totals.notes,
+            notes_dropped=totals.latest_dropped,
+            peak_dbfs=totals.peak_dbfs if totals.frames else decibels(0.0),
             end=self._over or "not ended",
             warnings=[*self.model.warnings, *self._warnings, *cut, *silence(self._loudest, ended=bool(self._over))],
-            effects=found.effects,
-            ignored={**found.ignored, **self.receiver.ignored},
+            effects=totals.effects,
+            ignored={**totals.ignored, **self.receiver.ignored},
         )

@@ -45,8 +45,8 @@ def level_name(given: str | None, *, gain_db: float, limiter: bool) -> LevelName
         if given == name:
             if name != "calibrated" and gain_db:
                 raise TonewoodError(f"the level {name} sets the gain; --gain goes with calibrated", key="--gain")
-            found: LevelName = name
-            return found
+            level: LevelName = name
+            return level
     raise TonewoodError(f"is {given!r}; {', '.join(get_args(LevelName))} are allowed", key="--level")
 
 

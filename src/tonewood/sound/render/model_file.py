@@ -70,12 +70,12 @@ def save_model(
         names = ", ".join(model.strings)
         raise TonewoodError(f"there is no string {min(unknown)}; there are {names}", key="stops")
     exciter = model.exciters[model.default_exciter]
-    known = {"force": force} if "force" in type(exciter.parameters).model_fields else {}
+    values = {"force": force} if "force" in type(exciter.parameters).model_fields else {}
     plays = []
     changes: dict[str, Compiled] = {}
     for name, string in model.strings.items():
         stop = wanted.get(name, 0)
-        gesture = exciter.gesture(Event(known, string.freq(stop), 1.0, stop), model.place(name, stop))
+        gesture = exciter.gesture(Event(values, string.freq(stop), 1.0, stop), model.place(name, stop))
         if gesture.motions or gesture.on is not None:
             reason = f"{model.default_exciter} moves a partner; plucks by known forces can be saved"
             raise TonewoodError(reason, key="exciter")

@@ -128,8 +128,8 @@ class RenderOptions(Parameters):
         """Return `options` with the sampling rate `fs` (Hz) and single settings in their place."""
         if options is not None and fs is None and not settings:
             return options
-        given = {} if options is None else {name: getattr(options, name) for name in options.model_fields_set}
-        return cls(**given | ({} if fs is None else {"fs": fs}) | dict(settings))
+        values = {} if options is None else {name: getattr(options, name) for name in options.model_fields_set}
+        return cls(**values | ({} if fs is None else {"fs": fs}) | dict(settings))
 
     @model_validator(mode="before")
     @classmethod
@@ -162,8 +162,8 @@ class RenderOptions(Parameters):
     def effect_changes(self) -> dict[str, Any]:
         """Overrides of an instrument for the effects and budgets that are given."""
         mode = list(self.effects) if isinstance(self.effects, tuple) else self.effects
-        given = {"mode": mode, "budget_db": self.budget_db, "budget_cents": self.budget_cents}
-        return {f"effects.{key}": value for key, value in given.items() if value is not None}
+        effects = {"mode": mode, "budget_db": self.budget_db, "budget_cents": self.budget_cents}
+        return {f"effects.{key}": value for key, value in effects.items() if value is not None}
 
     def applied_to(self, instrument: Instrument) -> Instrument:
         """Return the instrument with effects, budgets, variation and noises that are given in place of its own.

@@ -199,8 +199,8 @@ def _computing(rates: Mapping[str, SwitchedRate], usage: EffectUsage) -> dict[tu
     for name, rate in rates.items():
         loads = usage.loads[name]
         for component, load in loads.items():
-            own = usage.spans[name, component].samples * load * rate.per_load
-            out[name, component] = own + usage.running[name] * rate.per_sample / len(loads)
+            seconds = usage.spans[name, component].samples * load * rate.per_load
+            out[name, component] = seconds + usage.running[name] * rate.per_sample / len(loads)
     return out
 
 

@@ -83,5 +83,5 @@ class Resampler:
 def _correlated(x: Floats, parts: list[Floats], count: int) -> Floats:
     """Sums over r and i of x[j p + r + i p] parts[r][i], j from 0 to count - 1; they do not depend on `count`."""
     strided = [x[r :: len(parts)] if len(parts) > 1 else x for r in range(len(parts))]
-    sums = [np.correlate(own[: count + len(part) - 1], part) for own, part in zip(strided, parts, strict=True)]
+    sums = [np.correlate(taps[: count + len(part) - 1], part) for taps, part in zip(strided, parts, strict=True)]
     return np.asarray(sum(sums[1:], sums[0]))

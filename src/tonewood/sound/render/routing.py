@@ -82,8 +82,8 @@ class Routing:
     @memory.setter
     def memory(self, value: Memory) -> None:
         self._late, self._equalizer.memory = value[0].copy(), value[1].copy()
-        for converter, own in zip(self._converters.values(), value[2:], strict=True):
-            converter.memory = own.copy()
+        for converter, part in zip(self._converters.values(), value[2:], strict=True):
+            converter.memory = part.copy()
 
     def scaled(self, readouts: Floats) -> Floats:
         """(n, n_channels) from (n, n_readouts), at the engine's rate."""

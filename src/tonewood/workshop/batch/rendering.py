@@ -176,7 +176,7 @@ class ModelCache:
         self.most = most
         self._models: OrderedDict[str, Model] = OrderedDict()
 
-    def of(self, instrument: Instrument, options: RenderOptions, *, by_string: bool = False) -> Model:
+    def of(self, instrument: Instrument, options: RenderOptions, *, by_string: bool) -> Model:
         """The model of an instrument with the options of a render, made if it is not among the last ones."""
         decides = {
             name: getattr(options, name)

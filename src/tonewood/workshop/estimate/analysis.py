@@ -9,18 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.workshop.estimate.body_modes import envelopes
 from tonewood.workshop.estimate.partials import (
     MOST,
     Bands,
     NotePartial,
     find_partials,
     measure_partial,
-    poles,
 )
 from tonewood.workshop.estimate.recordings import FS, SHORTEST, Recording
 from tonewood.workshop.estimate.spectra import bands_over_time, db, find_onset, power_spectrum, running_rms, share
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 
 #: Hz, bands of the measures of modulation, and of the floor between partials
 MODULATED = ((700.0, 1500.0), (1500.0, 3000.0), (3000.0, 6000.0))
@@ -28,15 +29,6 @@ FLOORS = ((80.0, 1000.0), (1000.0, 3000.0), (3000.0, 8000.0))
 #: Hz, band whose share tells how bright a stroke is
 BRIGHT = (3000.0, 8000.0)
 _OFF, _HALF = 60.0, 0.5
-
-
-@dataclass(frozen=True)
-class Knock:
-    """A decaying mode below the fundamental: Hz, Q, dB re the note's strongest partial."""
-
-    freq: float
-    quality: float
-    level: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +40,7 @@ class NoteAnalysis:
     onset : s, in the file.
     f0, b : Hz, and inharmonicity; nan where too few partials are found.
     partials : number -> partial.
-    knock : modes below 0.8 f0 in the first 0.2 s.
+    below : what lies below the fundamental, `body_modes.envelopes`.
     bands : (4, 21) dB, third octaves over time.
     rise : s, from 20 dB below the first peak to it.
     peak, level : dB, largest sample, and rms of the first 500 ms.
@@ -62,7 +54,7 @@ class NoteAnalysis:
     f0: float
     b: float
     partials: Mapping[int, NotePartial]
-    knock: tuple[Knock, ...]
+    below: tuple[Complexes | None, ...]
     bands: Floats
     rise: float
     peak: float
@@ -94,7 +86,7 @@ def analyse(x: Floats, freq: float, guess: float, upper: float = FS / 2) -> Note
     partials = {p.number: p for p in measured if p is not None}
     first = x[onset : onset + FS // 2]
     return NoteAnalysis(
-        onset=onset / FS, f0=f0, b=b, partials=partials, knock=_knock(bands, f0, partials),
+        onset=onset / FS, f0=f0, b=b, partials=partials, below=envelopes(bands, f0),
         bands=bands_over_time(x, onset), rise=(top - onset) / FS, peak=float(20 * np.log10(np.abs(x).max() + 1e-12)),
         level=float(db(float(np.mean(first**2)))), bright=share(x[onset : onset + FS // 10], *BRIGHT),
         modulation=_modulation(bands, partials.values(), f0), floor=_floor(x, onset, f0, b), tail=_tail(bands, f0, b),
@@ -174,31 +166,6 @@ def check_pitches(recordings: Iterable[Recording]) -> tuple[list[Recording], lis
     if not fits:
         raise TonewoodError(f"no recording is of use: {lines[0]}")
     return fits, lines
-
-
-def _knock(bands: Bands, f0: float, partials: Mapping[int, NotePartial]) -> tuple[Knock, ...]:
-    """Modes below 0.8 f0 and 350 Hz in the first 0.2 s, where the string has no partials."""
-    low, top = 60.0, min(0.8 * f0, 350.0)
-    if top < 150 or not partials:
-        return ()
-    centre, half = (low + top) / 2, (top - low) / 2
-    y, t = bands.envelope(centre, half)
-    use = (t > 0.004) & (t < 0.2)
-    y, t = y[use], t[use]
-    z = poles(y, (5,)).get(5)
-    if z is None:
-        return ()
-    from scipy.linalg import lstsq
-
-    s = np.log(z) / (t[1] - t[0])
-    a = lstsq(np.exp(np.outer(t, s)), y)[0]
-    top_level = max(p.level for p in partials.values())
-    out = []
-    for p, q in zip(s, a, strict=True):
-        freq, rate = centre + p.imag / 2 / np.pi, -p.real
-        if rate > 2 and low + 5 < freq < top and np.pi * freq / rate > 3:
-            out.append(Knock(float(freq), float(np.pi * freq / rate), float(20 * np.log10(abs(q) + 1e-12) - top_level)))
-    return tuple(sorted(out, key=lambda k: k.freq))
 
 
 def _modulation(bands: Bands, partials: Iterable[NotePartial], f0: float) -> tuple[float, ...]:

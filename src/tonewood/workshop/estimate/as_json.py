@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from tonewood.support.plain_values import finite
@@ -24,6 +25,13 @@ def to_json(found: Estimate) -> dict[str, Any]:
         "split_cents": {"value": figures.split, "before": found.start.split},
         "gain_db": {"freq_Hz": gain.KNOTS, **figures.gains, "90 %": found.gain_interval},
         "louder": None if found.louder is None else [_louder(row) for row in found.louder],
+        "edge_m": {"value": figures.edge, "before": found.start.edge},
+        "forces_N": {"value": figures.forces, "before": found.start.forces},
+        "body_modes": [asdict(mode) for mode in found.body_modes],
+        "moved_modes": [
+            {"near_Hz": near, "freq_ratio": f, "q_ratio": q} for near, (f, q) in sorted(figures.modes.items())
+        ],
+        "room": None if found.room is None else asdict(found.room),
         "distances": {
             "all notes": {"before": found.before.as_dict(), "after": found.after.as_dict()},
             "held back": [_half(half) for half in found.halves],
@@ -33,7 +41,7 @@ def to_json(found: Estimate) -> dict[str, Any]:
             {
                 "file": p.recording.file, "note": p.recording.note, "string": p.string, "stop": p.stop,
                 "f0_Hz": a.f0, "B": a.b, "partials": len(a.partials), "onset_s": a.onset,
-                "rise_s": a.rise, "knock": [[k.freq, k.quality, k.level] for k in a.knock],
+                "rise_s": a.rise,
             }
             for p, a in zip(found.notes, found.recorded, strict=True)
         ],

@@ -28,6 +28,8 @@ from tonewood.workshop.estimate.playing import strings_of
 UNKNOWN = "unknown"
 #: key of the recordings among a bundle's sources
 SOURCE = "recordings"
+#: preset with the share of the room
+PRESET = "recorded"
 #: figures and all that is known of them, beside the manifest
 RESULT = "estimate.json"
 
@@ -97,8 +99,20 @@ def _edited(text: str, estimate: Estimate, origin: RecordingOrigin) -> str:
     now, name = estimate.instrument.resolved, estimate.instrument.spec.playing.default_exciter
     if estimate.figures.place is not None:
         values["exciters"][name]["from_bridge"] = now["exciters"][name]["from_bridge"]
+    if (edge := now["exciters"][name].get("edge")) is not None:
+        values["exciters"][name]["edge"] = edge
+    if estimate.figures.forces is not None and estimate.figures.forces != estimate.start.forces:
+        values["playing"]["velocity"].update({k: now["playing"]["velocity"][k] for k in ("low", "high")})
+    moved = estimate.figures.moved_modes(estimate.begun_with)
+    if "body" in moved:
+        values["body"]["moved_modes"] = [_flow(yaml, row) for row in moved["body"]]
+    if (room := estimate.room) is not None and room.known:
+        preset = _flow(yaml, {"room": room.room, "room_mix_db": room.mix_db})
+        values.setdefault("presets", {})[PRESET] = preset
     parts = {part["name"]: part for part in now["outputs"]}
     for part in values["outputs"]:
+        if rows := moved.get(f"outputs.{part['name']}"):
+            part["moved_modes"] = [_flow(yaml, row) for row in rows]
         bands = parts[part["name"]]["equalizer"]
         if bands:
             part["equalizer"] = [_flow(yaml, {k: v for k, v in band.items() if v is not None}) for band in bands]
@@ -195,6 +209,15 @@ def _provenance(estimate: Estimate) -> dict[str, str]:
         exciter = estimate.instrument.spec.playing.default_exciter
         scatter = "" if estimate.places is None else f"; notes scatter by {1000 * estimate.places.scatter:.0f} mm"
         out[f"exciters.{exciter}.from_bridge"] = f"median of combs in the levels of partials{scatter}"
+    if figures.edge != estimate.start.edge:
+        exciter = estimate.instrument.spec.playing.default_exciter
+        out[f"exciters.{exciter}.edge"] = "from the change of brightness from soft to loud strokes"
+    if figures.forces != estimate.start.forces:
+        out["playing.velocity"] = "range of forces from the peaks of soft and loud strokes; their middle is begun with"
+    for path in figures.moved_modes(estimate.begun_with):
+        out[f"{path}.moved_modes"] = "frequency and Q from what rings below high notes; modal masses are begun with"
+    if estimate.room is not None and estimate.room.known:
+        out[f"presets.{PRESET}"] = "from the level between partials, to which noise adds: an upper limit"
     for name, curve in figures.gains.items():
         if np.any(curve):
             out[f"outputs.{name}.equalizer"] = "smooth gain: microphone, room, nail and release in one, without a level"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,12 @@ from tonewood.instrument.bundle.loading import Instrument
 from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.estimate import gain, laws, pluck
 from tonewood.workshop.estimate.analysis import NoteAnalysis, analyse, check_pitches
+from tonewood.workshop.estimate.body_modes import HeardMode
 from tonewood.workshop.estimate.distance import Distance, distance, neighbours, strokes
 from tonewood.workshop.estimate.figures import Figures
 from tonewood.workshop.estimate.playing import Played, Stage
 from tonewood.workshop.estimate.recordings import Folder
+from tonewood.workshop.estimate.room import RoomShare, room_share
 from tonewood.workshop.estimate.search import RenderedNotes, Search, seconds
 
 Floats = NDArray[np.float64]
@@ -66,6 +69,8 @@ class Estimate:
     places : of the pluck, in the last iteration; None where it was not estimated.
     louder : (recorded, rendered) change from soft to loud; None without pairs.
     rendered : all notes with the figures.
+    body_modes : that the recorded notes tell.
+    room : share of a room in them; None where none brings the rendered notes nearer, or none can be tried.
     moved : lines on notes put on another string than in the lowest position.
     warnings : one line each.
     """
@@ -86,6 +91,8 @@ class Estimate:
     places: pluck.PluckPlaces | None
     louder: tuple[pluck.Louder, pluck.Louder] | None
     rendered: RenderedNotes
+    body_modes: tuple[HeardMode, ...]
+    room: RoomShare | None
     moved: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -131,7 +138,7 @@ def estimate(
     begun = search.render(search.start, notes)
     before = distance(zip(recorded, begun.main, strict=True))
     tested = [_tested(search, notes, recorded, begun, fold, iterations) for fold in folds]
-    figures = search.fit(notes, recorded, begun, iterations)
+    figures = search.with_strokes(search.fit(notes, recorded, begun, iterations), notes, recorded)
     final = search.render(figures, notes, all_outputs=True)
     figures = search.with_gains(figures, recorded, final, search.outputs[1:])
     main = search.outputs[0]
@@ -154,6 +161,8 @@ def estimate(
         places=_places(search, figures, notes, recorded, final),
         louder=_louder(notes, recorded, final.main),
         rendered=final,
+        body_modes=search.body_modes(recorded),
+        room=_room(notes, recorded, final, warnings),
         moved=tuple(moved),
         warnings=tuple(warnings),
     )
@@ -268,6 +277,17 @@ def _places(
     if figures.place is None:
         return None
     return pluck.places(notes, recorded, final.main, 0.4 * max(p.length for p in notes))
+
+
+def _room(
+    notes: Sequence[Played], recorded: Sequence[NoteAnalysis], final: RenderedNotes, warnings: list[str]
+) -> RoomShare | None:
+    """Share of a room; a warning in place of it where rooms cannot be computed."""
+    if find_spec("pyroomacoustics") is None:
+        warnings.append("the room's share is not estimated: it needs pip install 'tonewood[room]'")
+        return None
+    sounds = [(p.recording.samples, a) for p, a in zip(notes, recorded, strict=True)]
+    return room_share(sounds, list(zip(final.sounds, final.main, strict=True)))
 
 
 def _louder(

@@ -30,6 +30,9 @@ class Figures:
     place : m, or a fraction of the speaking length, as the bundle says it; None where it is not estimated.
     gains : output -> (15,) dB at `gain.KNOTS`, on top of the bundle's own equalizer.
     split : cents, standard deviation between the two polarizations; None where strings have one.
+    modes : Hz of a body mode in its table -> ratios by which its frequency and its Q are moved.
+    edge : m, radius over which the string slips, of the default exciter; None where that has none.
+    forces : N at MIDI velocity 1 and 127; None where the velocity is not a force.
     estimated : string -> whether its own notes say anything; the others follow their neighbours.
     """
 
@@ -38,6 +41,9 @@ class Figures:
     place: float | None
     gains: Mapping[str, Floats]
     split: float | None
+    modes: Mapping[float, tuple[float, float]] = field(default_factory=dict)
+    edge: float | None = None
+    forces: tuple[float, float] | None = None
     estimated: Mapping[str, bool] = field(default_factory=dict)
 
     def overrides(self, instrument: Instrument) -> dict[str, Any]:
@@ -51,9 +57,15 @@ class Figures:
                     out[f"strings.{name}.bending_stiffness"] = _rounded(self.bending[lead])
                 if self.split is not None:
                     out[f"strings.{name}.{split_key(instrument)}"] = _rounded(self.split)
+        exciter = instrument.spec.playing.default_exciter
         if self.place is not None:
-            exciter = instrument.spec.playing.default_exciter
             out[f"exciters.{exciter}.from_bridge"] = _place(instrument, self.place)
+        if self.edge != edge_of(instrument) and self.edge is not None:
+            out[f"exciters.{exciter}.edge"] = _rounded(self.edge)
+        if self.forces != forces_of(instrument) and self.forces is not None:
+            out |= {f"playing.velocity.{k}": _rounded(v) for k, v in zip(("low", "high"), self.forces, strict=True)}
+        for path, moved in self.moved_modes(instrument).items():
+            out[f"{path}.moved_modes"] = moved
         for output, curve in self.gains.items():
             if np.any(curve):
                 bands = gain.bands_of(curve + _own_gain(instrument, output))
@@ -61,6 +73,50 @@ class Figures:
                     {"freq": f, "gain_db": g} | ({} if q is None else {"q": q}) for f, g, q in bands
                 ]
         return out
+
+    def moved_modes(self, instrument: Instrument) -> dict[str, list[dict[str, float]]]:
+        """Path of the body and of outputs with tables that hold a mode -> entries of its `moved_modes`."""
+        out: dict[str, list[dict[str, float]]] = {}
+        for path, (freq, q) in mode_tables(instrument).items():
+            out[path] = []
+            for near, (by_freq, by_q) in self.modes.items():
+                k = int(np.argmin(np.abs(np.log(freq / near))))
+                moves = abs(np.log(by_freq)) > _STILL or abs(np.log(by_q)) > 10 * _STILL
+                if moves and abs(np.log(freq[k] / near)) < np.log(_SAME_MODE):
+                    row = {"near": freq[k], "freq": freq[k] * by_freq, "q": q[k] * by_q}
+                    out[path].append({name: _rounded(value) for name, value in row.items()})
+        return {path: rows for path, rows in out.items() if rows}
+
+
+#: largest ratio between the frequencies of one mode in the tables of a body and of its microphones
+_SAME_MODE = 1.04
+#: logarithm of the ratio of a frequency below which a mode stays; ten times that for Q
+_STILL = 0.003
+
+
+def mode_tables(instrument: Instrument) -> dict[str, tuple[Floats, Floats]]:
+    """Path -> frequencies (Hz) and Q of a table whose modes can be moved: the body's, and those of outputs."""
+    parts = {"body": instrument.body} | {f"outputs.{name}": part for name, part in instrument.pickups.items()}
+    out = {}
+    for path, part in parts.items():
+        if hasattr(part.parameters, "moved_modes"):
+            table = part.files.table(part.parameters.table, f"{path}.table")
+            out[path] = table["f_Hz"], table["Q"] if "Q" in table else 0.5 / table["zeta"]
+    return out if "body" in out else {}
+
+
+def edge_of(instrument: Instrument) -> float | None:
+    """Radius (m) of the edge of the default exciter; None where it has none."""
+    parameters = instrument.exciters[instrument.spec.playing.default_exciter].parameters
+    edge = getattr(parameters, "edge", None)
+    return getattr(getattr(parameters, "tip", None), "edge", None) if edge is None else float(edge)
+
+
+def forces_of(instrument: Instrument) -> tuple[float, float] | None:
+    """Forces (N) at MIDI velocity 1 and 127; None where the velocity is not an exponential curve of a force."""
+    velocity = instrument.spec.playing.velocity
+    is_force = velocity.parameter.endswith(".force") and velocity.curve == "exponential"
+    return (velocity.low, velocity.high) if is_force else None
 
 
 def figures_of(stage: Stage) -> Figures:
@@ -80,7 +136,7 @@ def figures_of(stage: Stage) -> Figures:
     none = np.zeros(len(gain.KNOTS))
     return Figures(
         laws, bending, _place_now(instrument), {part.name: none for part in instrument.spec.outputs},
-        _split_now(instrument),
+        _split_now(instrument), edge=edge_of(instrument), forces=forces_of(instrument),
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from tonewood.instrument.scales import note_name
 from tonewood.sound.files.audio import flac_bytes
 from tonewood.support.plotting import data_uri
 from tonewood.workshop.estimate import laws
-from tonewood.workshop.estimate.bundle import RecordingOrigin
+from tonewood.workshop.estimate.bundle import PRESET, RecordingOrigin
 from tonewood.workshop.estimate.distance import Distance
 from tonewood.workshop.estimate.estimate import Estimate
 from tonewood.workshop.estimate.pictures import gain_picture, rates_picture, spectrograms
@@ -55,6 +55,8 @@ def page(found: Estimate, origin: RecordingOrigin, name: str) -> str:
         place=place_line(found),
         split=split_line(found),
         louder=louder_line(found),
+        modes=mode_lines(found),
+        room=room_line(found),
         rows=list(zip(found.notes, found.recorded, strict=True)),
         note_name=note_name,
     )
@@ -102,7 +104,44 @@ def louder_line(found: Estimate) -> str:
         + (f" and {row.peak:+.1f} dB of peak" if np.isfinite(row.peak) else " (peaks were normalised)")
         for who, row in zip(("recorded", "computed"), found.louder, strict=True)
     ]
-    return f"From soft to loud, {found.louder[0].notes} pairs: {'; '.join(shown)}."
+    figures, start, moved = found.figures, found.start, ""
+    if figures.edge is not None and start.edge is not None and figures.edge != start.edge:
+        moved = f" Edge of the finger: {1e3 * figures.edge:.2g} mm, begun with {1e3 * start.edge:.2g} mm"
+        if figures.forces != start.forces and figures.forces is not None and start.forces is not None:
+            ends = [f"{low:.3g} to {high:.3g} N" for low, high in (figures.forces, start.forces)]
+            moved += f"; forces at velocity 1 and 127: {ends[0]}, begun with {ends[1]}"
+        moved += "."
+    return f"From soft to loud, {found.louder[0].notes} pairs: {'; '.join(shown)}.{moved}"
+
+
+def mode_lines(found: Estimate) -> list[str]:
+    """Body modes that the notes tell, and what was moved."""
+    out = []
+    for mode in found.body_modes:
+        (low, high), (least, most) = mode.freq_interval, mode.q_interval
+        near = [f for f, (ratio, _) in found.figures.modes.items() if abs(np.log(f * ratio / mode.freq)) < np.log(1.1)]
+        moved = "not moved: no mode of the bundle's tables sounds near it"
+        if near:
+            by_freq, by_q = found.figures.modes[near[0]]
+            moved = f"frequency of the bundle's mode at {near[0]:.4g} Hz times {by_freq:.4g}, Q times {by_q:.3g}"
+        figures = f"{mode.freq:.4g} Hz ({low:.4g} to {high:.4g}), Q {mode.q:.2g} ({least:.2g} to {most:.2g})"
+        out.append(f"Body mode at {figures}: {moved}.")
+    return out
+
+
+def room_line(found: Estimate) -> str:
+    """Share of the room; empty where none is told."""
+    room = found.room
+    if room is None:
+        return ""
+    low, high = room.interval
+    if not room.known:
+        return f"Room: not told by these notes; a mix of {low:+.1f} to {high:+.1f} dB of {room.room} would do."
+    return (
+        f"Room: preset {PRESET}, {room.room} with a mix of {room.mix_db:+.1f} dB ({low:+.1f} to {high:+.1f}), an upper "
+        f"limit as noise counts, too. Misfit of levels between partials: {room.dry:.1f} dB, with it {room.wet:.1f} dB, "
+        f"{room.notes} notes."
+    )
 
 
 def heard(found: Estimate) -> list[tuple[int, int]]:

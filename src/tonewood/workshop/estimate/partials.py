@@ -74,28 +74,40 @@ class NotePartial:
 class Bands:
     """Bands of one note, all from one spectrum."""
 
+    _SIZE = 1 << 18
+    _STEP = FS / _SIZE
+
     def __init__(self, x: Floats, onset: int):
-        piece = np.zeros(1 << 18)
+        piece = np.zeros(self._SIZE)
         first = onset - int(_LEAD * FS)
         part = x[max(first, 0) : first + int((_LONGEST + 2 * _LEAD) * FS)]
         begin = max(-first, 0)
         piece[begin : begin + len(part)] = part
         self.end = (begin + len(part)) / FS - _LEAD
         self._spectrum = np.fft.rfft(piece)
-        self._step, self._size = FS / len(piece), len(piece)
+
+    @classmethod
+    def rate(cls, half_width: float) -> float:
+        """Samples per second of the envelope of a band."""
+        return cls._width(half_width)[1] * cls._STEP
+
+    @classmethod
+    def _width(cls, half_width: float) -> tuple[int, int]:
+        """Half of a band with its flanks, in lines of the spectrum, and samples of its envelope."""
+        half = int(1.25 * half_width / cls._STEP)
+        return half, 1 << int(np.ceil(np.log2(2 * half)))
 
     def envelope(self, freq: float, half_width: float) -> tuple[Complexes, Floats]:
         """Complex envelope of the band around `freq` (Hz), and its times from the onset (s)."""
-        k, half = round(freq / self._step), int(1.25 * half_width / self._step)
-        size = 1 << int(np.ceil(np.log2(2 * half)))
+        k, (half, size) = round(freq / self._STEP), self._width(half_width)
         j = np.arange(-half, half)
         flank = np.clip((1 - np.abs(j) / half) / 0.25, 0, 1)
         inside = (k + j >= 0) & (k + j < len(self._spectrum))
         z = np.zeros(size, dtype=np.complex128)
         z[j[inside] % size] = self._spectrum[k + j[inside]] * (0.5 - 0.5 * np.cos(np.pi * flank[inside]))
-        y = 2 * np.fft.ifft(z) * size / self._size
-        t = np.arange(size) / (size * self._step) - _LEAD
-        return y * np.exp(-2j * np.pi * (freq - k * self._step) * t), t
+        y = 2 * np.fft.ifft(z) * size / self._SIZE
+        t = np.arange(size) / (size * self._STEP) - _LEAD
+        return y * np.exp(-2j * np.pi * (freq - k * self._STEP) * t), t
 
 
 def find_partials(x: Floats, onset: int, freq: float, guess: float, upper: float) -> tuple[float, float, Floats]:
@@ -184,16 +196,22 @@ def _inharmonicity(rows: Floats, f: float, b: float, guess: float) -> tuple[floa
     return (float(np.sqrt(c[0])), float(np.clip(c[1] / c[0], 0.0, 20 * guess))) if c[0] > 0 else (f, b)
 
 
-def poles(y: Complexes, orders: Sequence[int]) -> dict[int, Complexes]:
-    """Poles, per sample, of so many damped exponentials in samples, for each of `orders` that these suffice for."""
+def poles(signals: Sequence[Complexes], orders: Sequence[int]) -> dict[int, Complexes]:
+    """Poles, per sample, of so many damped exponentials, for each of `orders` that the samples suffice for.
+
+    Parameters
+    ----------
+    signals : of one length, which share the poles.
+    """
     from scipy.linalg import hankel, lstsq, svd
 
-    rows = len(y) // 3
-    u = svd(hankel(y[:rows], y[rows - 1 :]), full_matrices=False)[0]
+    n = len(signals[0])
+    rows = n // 3
+    u = svd(np.hstack([hankel(y[:rows], y[rows - 1 :]) for y in signals]), full_matrices=False)[0]
     return {
         k: np.asarray(np.linalg.eigvals(lstsq(u[:-1, :k], u[1:, :k])[0]), np.complex128)
         for k in orders
-        if len(y) > 6 * k + 6
+        if n > 6 * k + 6
     }
 
 
@@ -202,7 +220,7 @@ def _modes(y: Complexes, t: Floats) -> tuple[float, tuple[Mode, ...]] | None:
     from scipy.linalg import lstsq
 
     step, best = t[1] - t[0], None
-    for z in poles(y, (1, 2, 3)).values():
+    for z in poles([y], (1, 2, 3)).values():
         s = np.log(z) / step
         if (-s.real < 0.05).any() or (-s.real > 60).any():
             continue

@@ -125,3 +125,30 @@ def louder(notes: Sequence[Played], analyses: Sequence[NoteAnalysis]) -> Louder 
     peaks = [analysis.peak for strokes in by_place.values() for _, analysis in strokes]
     peak, bright, steps = np.median(rows, axis=0)
     return Louder(float(peak) if np.ptp(peaks) > 0.5 else np.nan, float(bright), float(steps), len(rows))
+
+
+def pairs(notes: Sequence[Played]) -> tuple[Played, ...]:
+    """Softest and loudest stroke of each note and place that has two dynamics."""
+    by_place: dict[tuple[str, float], list[Played]] = {}
+    for played in notes:
+        if played.recording.dynamic is not None:
+            by_place.setdefault((played.string, played.stop), []).append(played)
+    out: list[Played] = []
+    for strokes in by_place.values():
+        ends = [pick(strokes, key=lambda p: p.recording.dynamic or 0.0) for pick in (min, max)]
+        if ends[0].recording.dynamic != ends[1].recording.dynamic:
+            out += ends
+    return tuple(out)
+
+
+def scaled_forces(forces: tuple[float, float], ratio: float) -> tuple[float, float]:
+    """Forces at both ends of the velocity curve, whose range in dB is multiplied and whose middle stays."""
+    middle, half = np.sqrt(forces[0] * forces[1]), np.sqrt(forces[1] / forces[0]) ** ratio
+    return float(middle / half), float(middle * half)
+
+
+def edge_for(edges: Floats, changes: Floats, wanted: float) -> float:
+    """Edge (m) whose change of brightness from soft to loud is nearest to the wanted one, between those tried."""
+    grid = np.geomspace(edges[0], edges[-1], 200)
+    between = np.interp(np.log(grid), np.log(edges), changes)
+    return float(grid[np.argmin(np.abs(between - wanted))])

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.scales import note_name
+from tonewood.support.sound_rates import check_rate
 
 Floats = NDArray[np.float64]
 
@@ -235,8 +236,7 @@ def _read(path: Path, row: Recording) -> tuple[Recording, list[str]]:
         raise TonewoodError(f"cannot be read: {str(fault).splitlines()[0]}", file=path.name) from None
     if not len(samples) or not np.all(np.isfinite(samples)):
         raise TonewoodError("holds no finite samples", file=path.name)
-    if fs < 8000:
-        raise TonewoodError(f"has {fs} samples a second; 8000 or more are wanted", file=path.name)
+    check_rate(fs, path.name)
     x, remarks = _mono(samples, path.name)
     peak = float(np.abs(x).max())
     if peak < 1e-5:

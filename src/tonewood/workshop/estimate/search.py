@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.workshop.estimate import gain, laws, pluck
 from tonewood.workshop.estimate.analysis import NoteAnalysis, analyse
-from tonewood.workshop.estimate.figures import Figures, figures_of, in_fractions, with_laws
+from tonewood.workshop.estimate.body_modes import LIMITS, HeardMode, body_modes
+from tonewood.workshop.estimate.figures import Figures, figures_of, in_fractions, mode_tables, with_laws
 from tonewood.workshop.estimate.playing import Played, Stage, render_notes, seconds_of
+from tonewood.workshop.estimate.recordings import FS, Recording
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +26,12 @@ Floats = NDArray[np.float64]
 _MOST_B, _MOST_SPLIT, _MOST_PLACE = 3.0, 1.8, 0.04
 #: cents, range of the splitting
 _SPLITS = (0.05, 12.0)
+#: edges that are tried for pairs of soft and loud, re the present one; most ratio of the range of forces at once
+EDGES, _MOST_RANGE = np.geomspace(0.3, 3.3, 7), 2.0
+#: largest ratio by which Q moves at once, and between the frequencies of a mode recorded and rendered
+_MODE_STEP, _PAIR = 2.0, 1.2
+#: s of a note that tell its brightness
+_SHORT = 0.8
 #: of the open length, farthest place of a pluck
 _FARTHEST = 0.4
 
@@ -74,6 +82,7 @@ class Search:
         self.stage, self._advance = stage, advance
         self.outputs = tuple(part.name for part in stage.instrument.spec.outputs)
         self.start = figures_of(stage)
+        self.body_table = _body_table(stage.instrument)
 
     def instrument(self, figures: Figures) -> Instrument:
         """The instrument with these figures."""
@@ -109,6 +118,7 @@ class Search:
         out = with_laws(figures, values, bending, self.stage)
         out = replace(out, place=self._place(figures, notes, recorded, now.main))
         out = replace(out, split=_split(figures.split, recorded, now.main))
+        out = replace(out, modes=self._modes(figures, recorded, now.main))
         return self.with_gains(out, recorded, now, self.outputs[:1])
 
     def with_gains(
@@ -119,6 +129,52 @@ class Search:
             name: figures.gains[name] + gain.curve(gain.differences(recorded, now.analyses[name])) for name in outputs
         }
         return replace(figures, gains={**figures.gains, **moved})
+
+    def with_strokes(self, figures: Figures, notes: Sequence[Played], recorded: Sequence[NoteAnalysis]) -> Figures:
+        """Figures whose forces and edge change level and brightness from soft to loud as the recordings do.
+
+        The range of forces is that of the recorded peaks, unless these were normalised. Of several edges, each rendered
+        with both strokes, the one that brightens as much; without pairs an edge trades with the gain and stays.
+        """
+        wanted, strokes = pluck.louder(notes, recorded), pluck.pairs(notes)
+        if wanted is None or figures.edge is None:
+            return figures
+        strokes = tuple(replace(p, recording=_shortened(p.recording)) for p in strokes)
+
+        def changes(tried: Figures) -> pluck.Louder:
+            change = pluck.louder(strokes, self.render(tried, strokes).main)
+            assert change is not None, "the rendered strokes are those of the recorded pairs"
+            return change
+
+        if figures.forces is not None and np.isfinite(wanted.peak):
+            ratio = float(np.clip(wanted.peak / changes(figures).peak, 1 / _MOST_RANGE, _MOST_RANGE))
+            figures = replace(figures, forces=pluck.scaled_forces(figures.forces, ratio))
+        edges = float(figures.edge or 0.0) * EDGES
+        bright = np.array([changes(replace(figures, edge=float(edge))).bright for edge in edges])
+        return replace(figures, edge=pluck.edge_for(edges, bright, wanted.bright))
+
+    def _modes(
+        self, figures: Figures, recorded: Sequence[NoteAnalysis], now: Sequence[NoteAnalysis]
+    ) -> dict[float, tuple[float, float]]:
+        """Body modes that both sets of notes tell, moved by the ratios of their frequencies and Q."""
+        out = dict(figures.modes)
+        if not len(self.body_table):
+            return out
+        wanted, heard = (self.body_modes(rows) for rows in (recorded, now))
+        for mode in wanted:
+            pair = min(heard, key=lambda other: abs(np.log(other.freq / mode.freq)), default=None)
+            if pair is None or not 1 / _PAIR < mode.freq / pair.freq < _PAIR:
+                continue
+            near = min(self.body_table, key=lambda f: abs(np.log(f * out.get(f, (1.0, 1.0))[0] / pair.freq)))
+            freq, q = out.get(near, (1.0, 1.0))
+            ratio = float(np.clip(mode.q / pair.q, 1 / _MODE_STEP, _MODE_STEP))
+            out[near] = (freq * mode.freq / pair.freq, q * ratio)
+        return out
+
+    def body_modes(self, notes: Sequence[NoteAnalysis]) -> tuple[HeardMode, ...]:
+        """Modes of the body that notes tell."""
+        open_strings = [440.0 * 2 ** ((self.stage.open_note(name) - 69) / 12) for name in self.stage.instrument.groups]
+        return body_modes((note.below for note in notes), open_strings)
 
     def _strings(
         self, figures: Figures, notes: Sequence[Played], recorded: Sequence[NoteAnalysis], now: Sequence[NoteAnalysis]
@@ -152,6 +208,17 @@ class Search:
             step /= float(np.median([played.length for played in notes]))
             return float(np.clip(figures.place + step, 0.02, 0.5))
         return float(np.clip(figures.place + step, 0.02 * longest, _FARTHEST * longest))
+
+
+def _body_table(instrument: Instrument) -> list[float]:
+    """Hz, modes of a body's table below those that notes can tell; none where it has no table to move."""
+    freq = mode_tables(instrument).get("body", (np.empty(0),))[0]
+    return [float(f) for f in freq if f < 1.5 * LIMITS[-1]]
+
+
+def _shortened(recording: Recording) -> Recording:
+    """The beginning of a recording."""
+    return replace(recording, samples=recording.samples[: round(_SHORT * FS)])
 
 
 def _split(now: float | None, recorded: Sequence[NoteAnalysis], rendered: Sequence[NoteAnalysis]) -> float | None:

@@ -1,9 +1,9 @@
-"""Named arrays of .npz and .mat files, and columns of .csv files, as frequency responses.
+"""Named arrays of .npz, .npy and .mat files, and columns of .csv files, as frequency responses.
 
 Names that say all: ``freq_Hz`` and ``POINT:REFERENCE`` (complex), or its parts ``_re, _im`` or ``_mag, _phase``
 (degrees), and ``POINT:REFERENCE_coherence``; MATLAB's names take ``__`` for the colon. Of other files the vector of
 frequencies and the array of responses are recognised, or named (`chosen`): a response (N,), a column each (N, P), or
-(N, P, R) with a column for each of R references.
+(N, P, R) with a column for each of R references. Of a single matrix the first column may be the frequencies.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _STEP, _FIRST = (
     re.compile("f_?start|f_?min|f0|start_value", re.I),
 )
 _NUMBER, _ANGULAR = re.compile("number_of_values|n_?f"), re.compile("w|om|omega.*|ang.*|.*rad.*", re.I)
-_TIME = re.compile("t|time.*", re.I)
+_TIME, _RATE = re.compile("t|time.*", re.I), re.compile("dt|fs|.*sampl.*rate.*", re.I)
 _FORM = {"recep": "receptance", "mobil": "mobility", "accel": "accelerance", "inert": "accelerance"}
 #: bins that an array of responses has at least
 _FEWEST = 8
@@ -65,18 +65,21 @@ class ResponseTable:
 
 
 def npz_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Arrays of an npz file.
+    """Arrays of an npz file, or the one of an npy file, called as the file.
 
     Raises
     ------
     TonewoodError : it is none.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        content = np.load(path, allow_pickle=False)
+        if isinstance(content, np.ndarray):
+            return {path.stem: content}
+        with content as archive:
             return {name: archive[name] for name in archive.files}
     # an archive that is damaged, encrypted, or of a later version raises any of these
     except (OSError, ValueError, EOFError, RuntimeError, AttributeError, zipfile.BadZipFile, zlib.error) as fault:
-        raise TonewoodError(f"is no npz file of arrays: {fault}", file=path) from None
+        raise TonewoodError(f"is no {path.suffix[1:]} file of arrays: {str(fault)[:_LONGEST]}", file=path) from None
 
 
 def mat_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -122,6 +125,7 @@ def responses_of_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], chosen: 
     ------
     TonewoodError : no frequencies or responses are among them, or it is not clear which they are.
     """
+    arrays, remarks = _frequencies_apart(arrays)
     key, freq = _frequencies(path, arrays)
     arrays, joined = _of_parts(arrays, freq.size)
     named = {name.replace("__", ":", 1): x for name, x in arrays.items() if name != key and _says_pair(name)}
@@ -153,8 +157,23 @@ def responses_of_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], chosen: 
     alike = [x for x in coherent if len(names) == 1 and x.shape == likely[names[0]].shape]
     coherence = {pair: np.asarray(c.real, dtype=np.float64) for x in alike[:1] for pair, c in _pairs_of(names[0], x)}
     forms = {form for name in names for begin, form in _FORM.items() if begin in _last(name).lower()}
-    remarks = [f"{n} of two columns was taken for real and imaginary parts" for n in names if n in joined]
+    remarks += [f"{n} of two columns was taken for real and imaginary parts" for n in names if n in joined]
     return ResponseTable(freq, rows, coherence, forms.pop() if len(forms) == 1 else None, tuple(remarks))
+
+
+def _frequencies_apart(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], list[str]]:
+    """Arrays, of a single matrix that begins with a column of frequencies that column for itself, and a remark."""
+    large = [name for name, x in arrays.items() if x.size >= _FEWEST]
+    if len(large) != 1 or arrays[large[0]].ndim != 2 or arrays[large[0]].shape[1] < 2:
+        return dict(arrays), []
+    name, x = large[0], arrays[large[0]]
+    first, others = x[:, 0], x[:, 1:]
+    real = x.dtype.kind in "iuf"
+    if (real and others.shape[1] != 2) or np.any(first.imag) or first.real[0] < 0 or np.any(np.diff(first.real) <= 0):
+        return dict(arrays), []
+    others = others.squeeze().astype(np.float64 if real else np.complex128)
+    remark = f"the first column of {name} was taken for frequencies in Hz; divide it by 2 pi if it is in rad/s"
+    return {"freq_Hz": first.real, name: others}, [remark]
 
 
 def _of_parts(arrays: Mapping[str, NDArray[Any]], n: int) -> tuple[dict[str, NDArray[Any]], set[str]]:
@@ -215,8 +234,8 @@ def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[str, F
     rising = {_last(name) for name, x in arrays.items() if x.ndim == 1 and x.size > 1 and np.all(np.diff(x.real) > 0)}
     if found := sorted(name for name in rising if _ANGULAR.fullmatch(name)):
         hint = f"; {found[0]} may be in rad/s: save freq_Hz = {found[0]} / (2 pi)"
-    elif found := sorted(name for name in rising if _TIME.fullmatch(name)):
-        hint = "; records over time are read as CSV with the columns time_s, REFERENCE_force and one for each point"
+    elif any(_TIME.fullmatch(name) for name in rising) or any(_RATE.fullmatch(_last(name)) for name in arrays):
+        hint = "; records over time are read as text, one hit a file: columns of time, force, and one for each point"
     raise TonewoodError(f"has no array freq_Hz; there are {_shapes(arrays)}{hint}", file=path)
 
 

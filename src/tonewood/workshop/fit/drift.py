@@ -213,6 +213,8 @@ def brought_together(
     """
     stretch = np.zeros(len(force))
     spectra = Spectra.of(force, motion, fs, stretch)
+    if len(force) < 2:
+        return spectra, stretch, []
     around = np.concatenate([np.arange(0), *(bins for bins, _ in spectra.peaks())])
     if around.size:
         moved, deviation = spectra.moves(around)

@@ -3,11 +3,12 @@
 ===============  =====================================================================================================
 CSV responses    ``freq_Hz`` and for each pair ``POINT:REFERENCE_re, _im`` or ``_mag, _phase`` (degrees); optionally
                  ``POINT:REFERENCE_coherence``
-npz, mat         the same names, or ``POINT:REFERENCE`` (complex), or arrays of any name: see `arrays`
+npz, npy, mat    the same names, or ``POINT:REFERENCE`` (complex), or arrays of any name: see `arrays`
 UFF58            data sets 58 with func_type 4 (responses) and 6 (coherence), and 164 (units); points are named node and
                  direction, as ``12+3``; a direction with a minus turns the sign of its data
 other texts      columns of numbers, the first the frequency: see `texts`
 CSV hits         ``time_s, REFERENCE_force`` (N) and a column per point (m/s^2, m/s or m); a file a hit
+other hits       texts whose first column is time: the force, then the points in order; a file a hit
 WAV hits         channel 1 the force, the others the points in order; a file a hit, scaled by `sensitivity`
 ===============  =====================================================================================================
 
@@ -38,12 +39,17 @@ from tonewood.workshop.fit.arrays import (
 )
 from tonewood.workshop.fit.hits import responses_of_hits
 from tonewood.workshop.fit.responses import FORMS, Complexes, Floats, Responses, to_mobility
-from tonewood.workshop.fit.texts import is_documented, responses_of_text
+from tonewood.workshop.fit.texts import is_documented, record_of_text, responses_of_text
 
-#: numbers a text field may be long
 #: what begins and ends a data set of a universal file
 _BOUND = b"    -1"
+#: characters of another library's message that are shown
 _LONGEST = 64
+#: share of a record by which rounded times may leave a straight line
+_ROUNDED = 2e-3
+#: functions that data sets 58 hold
+_FUNCTIONS = {1: "time response", 2: "auto spectrum", 3: "cross spectrum", 6: "coherence", 9: "power spectral density",
+              12: "spectrum"}  # fmt: skip
 #: numbers that UFF gives the ordinate, and a pressure among them; its number for a force
 _ORDINATES = {8: "receptance", 11: "mobility", 12: "accelerance"}
 _PRESSURE, _FORCES = 15, (0, 13)
@@ -61,9 +67,10 @@ class Reading:
     form : receptance, mobility or accelerance; None where the file says so.
     n_hits : hits that were averaged, for the noise from a coherence.
     window_tau : s, of an exponential window: taken for hits, already in the data for responses.
-    points : names of the responses of WAV channels 2 onwards.
-    references : (point that was driven, beginning of the names of its WAV files, or the reference that it is).
-    sensitivity : N at full scale of channel 1, then m, m/s, m/s^2 or Pa at full scale of each other channel.
+    points : names of the responses of WAV channels 2 onwards, and of the columns after time and force.
+    references : (point that was driven, beginning of the names of its files of hits, or the reference that it is).
+    sensitivity : N at full scale of channel 1, then m, m/s, m/s^2 or Pa at full scale of each other channel; of texts
+        these per unit, 1 where empty.
     estimator : H1 or H2, of hits.
     arrays : names of the arrays that hold responses, of npz and MATLAB files.
     scale : SI units per unit of the data, of responses that are no pressures: 9.80665 where they are in g/N.
@@ -189,16 +196,16 @@ def _kind(path: Path) -> str:
     if suffix == ".wav":
         return "hits"
     if suffix in (".txt", ".tsv", ".dat", ".asc") or (suffix == ".csv" and not is_documented(path)):
-        return "text"
+        return "text" if record_of_text(path) is None else "hits"
     if suffix == ".csv":
         return "hits" if "time_s" in _numbers(path) else "csv"
-    if suffix in (".npz", ".mat"):
-        return suffix[1:]
+    if suffix in (".npz", ".npy", ".mat"):
+        return "mat" if suffix == ".mat" else "npz"
     if suffix in (".uff", ".unv", ".u58", ".58"):
         return "uff"
     raise TonewoodError(
-        "is of no kind that is read; .csv, .txt, .npz, .mat, .uff, .unv and .wav are allowed (export frequency, real "
-        "and imaginary parts as text)", file=path,
+        "is of no kind that is read; .csv, .txt, .npz, .npy, .mat, .uff, .unv and .wav are allowed (export frequency, "
+        "real and imaginary parts as text)", file=path,
     )  # fmt: skip
 
 
@@ -252,7 +259,11 @@ def _uff(path: Path) -> ResponseTable:
     responses = [x for x in sets if x["func_type"] == 4]
     parts = len({str(x[f"{end}_ent_name"]).strip() for x in responses for end in _ENDS})
     if not responses:
-        raise TonewoodError("holds no frequency response (data set 58, function type 4)", file=path)
+        others = sorted({_FUNCTIONS.get(int(x["func_type"]), f"function type {x['func_type']}") for x in sets})
+        raise TonewoodError(
+            "holds no frequency response (data set 58, function type 4)"
+            + (f"; its {len(sets)} sets 58 are of: {', '.join(others)}" if sets else ""), file=path,
+        )  # fmt: skip
     ordinates = {int(x["ordinate_spec_data_type"]) for x in responses} - {_PRESSURE}
     forms = {_ORDINATES.get(ordinate) for ordinate in ordinates}
     freq = np.asarray(responses[0]["x"], dtype=np.float64)
@@ -324,7 +335,7 @@ def _of_hits(paths: Sequence[Path], reading: Reading, hashes: Mapping[str, str])
         raise TonewoodError(f"the quantity measured is not stated; {', '.join(FORMS)} are allowed", key="--form")
     struck: dict[str, list[tuple[Path, _Hit]]] = {}
     for path in paths:
-        hit = _wav_hit(path, reading) if path.suffix.lower() == ".wav" else _csv_hit(path)
+        hit = _hit(path, reading)
         struck.setdefault(hit.reference, []).append((path, hit))
     first = next(iter(struck.values()))[0][1]
     for path, hit in (entry for group in struck.values() for entry in group):
@@ -337,13 +348,12 @@ def _of_hits(paths: Sequence[Path], reading: Reading, hashes: Mapping[str, str])
     parts = [_of_one_reference(name, [hit for _, hit in group], reading) for name, group in struck.items()]
     whole = parts[0]
     for part in parts[1:]:
-        assert whole.coherence is not None
-        assert part.coherence is not None
         assert whole.kept is not None
         assert part.kept is not None
         whole = replace(
             whole, mobility=np.vstack([whole.mobility, part.mobility]), pairs=whole.pairs + part.pairs,
-            coherence=np.vstack([whole.coherence, part.coherence]), n_hits=min(whole.kept[0], part.kept[0]),
+            coherence=None if whole.coherence is None or part.coherence is None
+            else np.vstack([whole.coherence, part.coherence]), n_hits=min(whole.n_hits or 1, part.n_hits or 1),
             pressure={**whole.pressure, **part.pressure},
             kept=(whole.kept[0] + part.kept[0], whole.kept[1] + part.kept[1]), remarks=whole.remarks + part.remarks,
         )  # fmt: skip
@@ -361,7 +371,7 @@ def _of_one_reference(reference: str, hits: Sequence[_Hit], reading: Reading) ->
     except ValueError as fault:
         raise TonewoodError(f"at {reference}: {fault}", key="FILES") from None
     rows = {(name, reference): row for name, row in zip(hits[0].names, made.response, strict=True)}
-    coherence = {(name, reference): row for name, row in zip(hits[0].names, made.coherence, strict=True)}
+    coherence = dict(zip(rows, made.coherence, strict=True))
     motion, pressure = _split(rows)
     pairs = tuple(motion)
     if not pairs:
@@ -369,9 +379,12 @@ def _of_one_reference(reference: str, hits: Sequence[_Hit], reading: Reading) ->
     scaled = reading.scale * np.array([motion[pair] for pair in pairs], dtype=np.complex128)
     mobility = to_mobility(scaled, made.freq, reading.form, made.alpha)
     kept = int(np.count_nonzero(made.kept))
+    remarks = made.drift.lines(("the force", *hits[0].names))
+    if kept == 1:  # its coherence is 1 whatever it holds
+        remarks += (f"one hit at {reference}: its noise is taken from the roughness of the response; five tell more",)
     return Responses(
-        made.freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]), kept, made.alpha, pressure,
-        kept=(kept, len(hits)), remarks=made.drift.lines(("the force", *hits[0].names)),
+        made.freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]) if kept > 1 else None,
+        kept if kept > 1 else None, made.alpha, pressure, kept=(kept, len(hits)), remarks=remarks,
     )  # fmt: skip
 
 
@@ -389,18 +402,44 @@ def _padded(x: NDArray[np.float64]) -> bool:
     return not np.any(x[-max(len(x) // 10, 1) :])
 
 
+def _hit(path: Path, reading: Reading) -> _Hit:
+    if path.suffix.lower() == ".wav":
+        return _wav_hit(path, reading)
+    if path.suffix.lower() == ".csv" and is_documented(path):
+        return _csv_hit(path)
+    record = record_of_text(path)
+    assert record is not None
+    time, force, motion = record
+    if not reading.points:
+        raise TonewoodError(
+            f"holds a record over time, of {np.ptp(time):.3g} s, of a force and {len(motion)} responses: name the "
+            "responses by --points, and the point that was struck by --driving", file=path,
+        )  # fmt: skip
+    sensitivity = reading.sensitivity or (1.0,) * (1 + len(motion))
+    return _scaled(path, _rate(path, time), np.vstack([force, motion]), reading, sensitivity)
+
+
 def _csv_hit(path: Path) -> _Hit:
     columns = _numbers(path)
     time = columns.pop("time_s")
     forces = [name for name in columns if name.endswith("_force")]
     if len(forces) != 1 or len(columns) < 2:
         raise TonewoodError("wants one column REFERENCE_force and one or more of points", file=path)
+    force = columns.pop(forces[0])
+    fs = _rate(path, time)
+    return _Hit(fs, force, np.array(list(columns.values())), tuple(columns), forces[0].removesuffix("_force"))
+
+
+def _rate(path: Path, time: Floats) -> float:
+    """Samples a second of even times; of times with few digits, some of which repeat, where these lie on a line."""
     step = np.diff(time)
+    rounded = time.size > 1 and step.min() == 0 and step.mean() > 0
+    even = np.linspace(time[0], time[-1], time.size)
+    if rounded and np.abs(time - even).max() <= _ROUNDED * np.ptp(time):
+        return float(1 / np.mean(step))
     if time.size < 2 or step.min() <= 0 or step.max() > 1.01 * step.min():
         raise TonewoodError("times are not evenly spaced; a constant step is allowed", file=path, key="time_s")
-    force = columns.pop(forces[0])
-    fs = float((time.size - 1) / (time[-1] - time[0]))
-    return _Hit(fs, force, np.array(list(columns.values())), tuple(columns), forces[0].removesuffix("_force"))
+    return float((time.size - 1) / (time[-1] - time[0]))
 
 
 def _wav_hit(path: Path, reading: Reading) -> _Hit:
@@ -410,22 +449,27 @@ def _wav_hit(path: Path, reading: Reading) -> _Hit:
         samples, fs = sf.read(str(path), dtype="float64", always_2d=True)
     except (sf.LibsndfileError, OSError) as fault:
         raise TonewoodError(f"is no sound file: {str(fault)[:_LONGEST]}", file=path) from None
-    n = samples.shape[1]
     if not len(samples):
         raise TonewoodError("holds no samples", file=path)
+    clipped = np.flatnonzero(np.abs(samples).max(axis=0) >= 1.0)
+    if clipped.size:
+        raise TonewoodError(f"is clipped: samples of channel {clipped[0] + 1} reach full scale", file=path)
+    return _scaled(path, float(fs), samples.T, reading, reading.sensitivity)
+
+
+def _scaled(path: Path, fs: float, channels: Floats, reading: Reading, sensitivity: Sequence[float]) -> _Hit:
+    """The hit of channels without names, the force first, as the command line names and scales them."""
+    n = len(channels)
     if n < 2:
         raise TonewoodError("has one channel; the force and one or more responses are needed", file=path)
     if len(reading.points) != n - 1:
         raise TonewoodError(f"has {n - 1} responses; --points names {len(reading.points)}", file=path, key="--points")
-    if len(reading.sensitivity) != n:
+    if len(sensitivity) != n:
         raise TonewoodError(
-            f"has {n} channels; --sensitivity gives {len(reading.sensitivity)} numbers", file=path, key="--sensitivity"
+            f"has {n} channels; --sensitivity gives {len(sensitivity)} numbers", file=path, key="--sensitivity"
         )
     reference = next((name for name, begin in reading.references if path.name.startswith(begin)), None)
     if reference is None:
         raise TonewoodError("the point that the hammer struck is not named", file=path, key="--driving")
-    clipped = np.flatnonzero(np.abs(samples).max(axis=0) >= 1.0)
-    if clipped.size:
-        raise TonewoodError(f"is clipped: samples of channel {clipped[0] + 1} reach full scale", file=path)
-    scaled = samples.T * np.asarray(reading.sensitivity)[:, None]
-    return _Hit(float(fs), scaled[0], scaled[1:], reading.points, reference)
+    scaled = channels * np.asarray(sensitivity)[:, None]
+    return _Hit(fs, scaled[0], scaled[1:], reading.points, reference)

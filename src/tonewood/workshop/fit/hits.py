@@ -75,12 +75,12 @@ def responses_of_hits(
 
     Raises
     ------
-    ValueError : fewer than two single hits.
+    ValueError : of several hits fewer than two are single; of one hit, it is not.
     """
     kept = np.array([not is_double(hit, fs) for hit in force], dtype=bool)
-    if np.count_nonzero(kept) < 2:
+    if np.count_nonzero(kept) < min(len(force), 2):
         raise ValueError(
-            f"{np.count_nonzero(kept)} of {len(force)} hits are single; 2 or more are needed for a coherence"
+            f"{np.count_nonzero(kept)} of {len(force)} hits are single; {min(len(force), 2)} or more are needed"
         )
     n = force.shape[-1]
     alpha = 0.0 if window_tau is None else 1.0 / window_tau

@@ -84,9 +84,9 @@ def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tupl
             damping = max(damping * 8, 1e-6)
         else:
             break
-        gain = (found.cost - there.cost) / found.cost
+        done = there.cost <= 0 or found.cost - there.cost < enough * found.cost  # the cost of exact data is rounding
         poles, found, damping = moved, there, max(damping / 8, 1e-9)
-        if gain < enough:
+        if done:
             break
     order = np.argsort(poles.log_freq)
     if np.any(np.diff(order) < 0):

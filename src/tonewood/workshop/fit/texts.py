@@ -20,8 +20,10 @@ from tonewood.workshop.fit.arrays import UNNAMED, Pair, ResponseTable
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-#: how records over time are read
-HITS = "records of hits are read as CSV with the columns time_s, REFERENCE_force and one for each point"
+#: name of a column of times, and of a force over time
+_TIME, _FORCE = re.compile(r"\btime\b|\bsec|\[s\]|\(s\)"), re.compile(r"force|hammer|\[n\]|\(n\)")
+#: lines above a table that may name its columns
+_ABOVE = 6
 #: step and end of a first column without a name up to which it holds times
 _TIME_STEP, _TIME_END = 1e-3, 20.0
 #: bytes of a text, and fewest lines of a table
@@ -34,7 +36,7 @@ _KINDS = {
 }  # fmt: skip
 #: units of the head, without blanks
 _FORMS = (
-    ("accelerance", re.compile(r"m/s(\^|\*\*)?[2²]\)?/n|\bg(n)?/n\b")),
+    ("accelerance", re.compile(r"m/s(\^|\*\*)?[2²]\)?[/(]n|\bg(n)?/n\b")),
     ("mobility", re.compile(r"m/s\)?/n")),
     ("receptance", re.compile(r"(^|[^a-z])m/n\b")),
 )
@@ -52,13 +54,6 @@ def responses_of_text(path: Path) -> ResponseTable:
     head, columns, names = _table(path)
     freq = columns[0]
     first, whole = names[0] if names else "", " ".join(head).lower()
-    if re.search(r"\btime\b|\bsec|\[s\]|\(s\)", first) and "hz" not in first:
-        raise TonewoodError(f"the first column is time: {HITS}", file=path)
-    if not first and freq[-1] < _TIME_END and np.median(np.diff(freq)) < _TIME_STEP:
-        raise TonewoodError(
-            f"the first column ends at {freq[-1]:g} in steps of {np.median(np.diff(freq)):.2g}: times, not Hz; {HITS}",
-            file=path,
-        )
     if re.search(r"rad", first):
         raise TonewoodError("the first column is in rad/s: divide it by 2 pi, freq_Hz is in Hz", file=path)
     if re.search(r"khz", first):
@@ -72,6 +67,25 @@ def responses_of_text(path: Path) -> ResponseTable:
     return ResponseTable(freq, rows, coherence, form, tuple(remarks))
 
 
+def record_of_text(path: Path) -> tuple[Floats, Floats, Floats] | None:
+    """Time, force and the other channels, (n,), (n,) and (P, n), of a table over time; None of any other table.
+
+    The force is the column that the head calls so, otherwise the first after time.
+
+    Raises
+    ------
+    TonewoodError : there is no table of numbers.
+    """
+    _, columns, names = _table(path)
+    time, name = columns[0], names[0] if names else ""
+    short = time[-1] < _TIME_END and np.ptp(time) < _TIME_STEP * time.size and np.diff(time).min() >= 0
+    if re.search("hz|freq|rad", name) or not (short or _TIME.search(name)):
+        return None
+    forces = [i for i, name in enumerate(names) if i and _FORCE.search(name)]
+    at = forces[0] if len(forces) == 1 else 1
+    return time, columns[at], np.delete(columns, [0, at], axis=0)
+
+
 def is_documented(path: Path) -> bool:
     """Whether a CSV file has this program's columns: `freq_Hz`, `time_s`, or names with a colon; or no line."""
     with path.open(encoding="utf-8", errors="replace") as file:
@@ -83,7 +97,7 @@ def _numbers(line: str) -> list[float] | None:
     """Numbers of a line; None if one cell is none."""
     line = line.strip().rstrip(";,\t")
     if ";" in line or "\t" in line:
-        cells = re.split(r"\s*[;\t]\s*", line.replace(",", "."))
+        cells = re.split(r"\s*;\s*" if ";" in line else r"\s+", line.replace(",", "."))
     elif re.search(r"\s", line) and re.fullmatch(r"[\s\d,.eE+-]+", line) and not re.search(r",\s|\d,[^,\s]*,", line):
         cells = line.replace(",", ".").split()
     else:
@@ -106,7 +120,10 @@ def _table(path: Path) -> tuple[list[str], Floats, list[str]]:
     raw = path.read_bytes()
     if len(raw) > _LARGEST or b"\0" in raw:
         raise TonewoodError("is no text, or longer than 64 MB", file=path)
-    lines = raw.decode("utf-8-sig", "replace").splitlines()
+    try:
+        lines = raw.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError:  # units with a small 2, of programs for Windows
+        lines = raw.decode("cp1252", "replace").splitlines()
     rows = [_numbers(line) for line in lines]
     runs = [(0, 0, 0)]
     for size, run in groupby(range(len(rows)), key=lambda i: len(rows[i] or ())):
@@ -121,7 +138,7 @@ def _table(path: Path) -> tuple[list[str], Floats, list[str]]:
         )  # fmt: skip
     columns = np.array(rows[first:stop], dtype=np.float64).T
     head = lines[:first]
-    above = [words for line in head[-3:] if len(words := _cells(line)) == len(columns)]
+    above = [words for line in head[-_ABOVE:] if len(words := _cells(line)) == len(columns)]
     names = [" ".join(words).lower() for words in zip(*above, strict=True)]
     return head, columns, names
 

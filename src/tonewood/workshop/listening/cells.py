@@ -21,6 +21,9 @@ def cells_of(
 ) -> Cells | None:
     """Arrange answers; None where no fixed factor varies or listeners are fewer than three.
 
+    Levels of fixed factors that a single listener rated are left out: what they are worth could not be told from who
+    that listener is.
+
     Parameters
     ----------
     rows : answers, with `listener`, `value` and the factors.
@@ -28,17 +31,33 @@ def cells_of(
     levels : factor -> its levels, the first being that of the reference.
     random : factors whose levels are a random sample of many.
     """
+    rows, single = shared(rows, [f for f in factors if f not in random])
     used = [f for f in factors if f not in random and len({row[f] for row in rows}) > 1]
     sampled = [f for f in factors if f in random and len({row[f] for row in rows}) > 1]
     who = unique([str(row["listener"]) for row in rows])
     if not used or len(who) < 3:
         return None
     given = {f: {str(row[f]) for row in rows} for f in used}
-    return Cells(rows, used, sampled, {f: [v for v in levels[f] if v in given[f]] for f in used}, who)
+    return Cells(rows, used, sampled, {f: [v for v in levels[f] if v in given[f]] for f in used}, who, single)
+
+
+def shared(rows: Rows, factors: Sequence[str]) -> tuple[Rows, tuple[str, ...]]:
+    """Answers to levels that several listeners rated, and the names of the other levels."""
+    left: list[str] = []
+    while True:
+        who: dict[tuple[str, str], set[str]] = {}
+        for row in rows:
+            for f in factors:
+                who.setdefault((f, str(row[f])), set()).add(str(row["listener"]))
+        single = {place for place, names in who.items() if len(names) < 2}
+        if not single:
+            return rows, tuple(left)
+        left += [f"{f}={level}" for f, level in sorted(single)]
+        rows = [row for row in rows if not any((f, str(row[f])) in single for f in factors)]
 
 
 class Cells:
-    """Answers by listener, random sound and cell of the fixed factors."""
+    """Answers by listener, random sound and cell of the fixed factors; `single` levels are left out."""
 
     def __init__(
         self,
@@ -47,7 +66,9 @@ class Cells:
         sampled: Sequence[str],
         levels: Mapping[str, Sequence[str]],
         who: list[str],
+        single: tuple[str, ...] = (),
     ):
+        self.single = single
         own = [tuple(str(row[f]) for f in used) for row in rows]
         self.cells = sorted(set(own), key=lambda cell: [levels[f].index(v) for f, v in zip(used, cell, strict=True)])
         items = [tuple(str(row[f]) for f in sampled) for row in rows]

@@ -16,14 +16,14 @@ out is J. E. R. Frijters, Br. J. Math. Stat. Psychol. 32 (1979) 229-241.
 
 Shares have exact (Clopper-Pearson) intervals, in which every answer counts as independent; those of one listener's d'
 follow from them. Over several listeners the listeners' shares are averaged with Student's interval, and d' is that of
-their population (`tonewood.workshop.listening.pooling`).
+their population (`tonewood.workshop.listening.pooling`); None where the answers put no upper bound on it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Literal
 
@@ -33,6 +33,7 @@ from scipy.special import ndtr, ndtri
 from tonewood.workshop.batch.pages import AbPage, AbxPage, AfcPage, AnyPage, StaircasePage
 from tonewood.workshop.listening import pooling
 from tonewood.workshop.listening.means import listener_means, student_interval, unique
+from tonewood.workshop.listening.strata import holm
 
 Task = Literal["more_2", "more_3", "odd_3", "abx", "same"]
 #: share of right answers of somebody who guesses
@@ -50,7 +51,8 @@ class Detection:
     cell : column -> level; with ``listener`` for one listener.
     right, answers, undecided : numbers; undecided answers are not among the others.
     share, low, high : of right answers, with its exact interval.
-    p_value : probability of as many right answers by guessing (binomial test, one-sided).
+    p_value, p_holm : probability of as many right answers by guessing (binomial test, one-sided), and adjusted for the
+        other tests of the same table.
     d_prime, d_low, d_high : sensitivity, with its interval; None where no share gives it.
     listener_mean, listener_low, listener_high : mean of the listeners' shares, with Student's interval.
     """
@@ -70,6 +72,7 @@ class Detection:
     listener_mean: float | None
     listener_low: float | None
     listener_high: float | None
+    p_holm: float | None = None
 
 
 def task_of(page: AnyPage) -> Task | None:
@@ -142,6 +145,13 @@ def detections(rows: Sequence[Mapping[str, Any]], by: Sequence[str], task: Task,
     for row in rows:
         cells.setdefault(tuple(str(row[name]) for name in by), []).append(row)
     return [_detection(dict(zip(by, k, strict=True)), inside, task, confidence) for k, inside in cells.items()]
+
+
+def adjusted(found: Sequence[Detection]) -> tuple[Detection, ...]:
+    """The same with p by Holm over all of them."""
+    tests = [one.p_value for one in found if one.p_value is not None]
+    p = iter(holm(np.array(tests)))
+    return tuple(one if one.p_value is None else replace(one, p_holm=float(next(p))) for one in found)
 
 
 def _detection(cell: dict[str, str], rows: list[Mapping[str, Any]], task: Task, confidence: float) -> Detection:

@@ -16,7 +16,8 @@ with residuals e_i. Its degrees of freedom f are those of Satterthwaite under eq
 matrix of all s_i, f = (tr M)^2 / tr M^2 for one contrast, and that over q_e = (tr K^T Q K)^2 / tr (K^T Q K)^2 for
 several. A difference has t = K^T beta / sqrt V on f degrees of freedom; an effect F = |K^T beta|^2 / tr V, with the
 degrees of freedom of `tonewood.workshop.listening.strata`, f in the place of listeners - 1. Where every listener
-answered every cell all results are those of that module.
+answered every cell all results are those of that module. A contrast that cannot be estimated without one of the
+listeners has no variance that could be known: f and all that follows from it are NaN.
 
 Sources: R. M. Bell & D. F. McCaffrey, Surv. Methodol. 28 (2002) 169-181; J. E. Pustejovsky & E. Tipton, J. Bus. Econ.
 Stat. 36 (2018) 672-683 (CR2, degrees of freedom); E. Brunner, H. Dette & A. Munk, J. Am. Stat. Assoc. 92 (1997)
@@ -35,10 +36,12 @@ from tonewood.workshop.listening.strata import (
     Estimated,
     Parts,
     Tested,
+    largest,
     quasi_interval,
     quasi_test,
     t_interval,
     trace_test,
+    unrounded,
 )
 
 Array = NDArray[np.float64]
@@ -74,6 +77,7 @@ class Clusters:
         self.scores = (turned @ moments[..., None])[..., 0]
         self.products = turned @ products
         self.squares = self.products @ np.swapaxes(turned, -1, -2)
+        self._root, self._alone = root[..., 0, :, :], vectors * (values <= _ALONE)[..., None, :]
 
     def covariance(self, rows: Array) -> tuple[Array, Array]:
         """Covariance matrix V (..., q, q) of K^T beta for K^T (q, p), and its degrees of freedom f."""
@@ -89,7 +93,13 @@ class Clusters:
         )
         model = weights @ np.swapaxes(rows, -1, -2)
         size = np.trace(model, axis1=-2, axis2=-1) ** 2 / np.sum(model**2, axis=(-2, -1))
-        return np.swapaxes(scores, -1, -2) @ scores, np.maximum(trace**2 / np.maximum(square, 1e-300) / size, 1.0)
+        f = np.maximum(trace**2 / np.maximum(square, 1e-300) / size, 1.0)
+        if np.any(self._alone):
+            whole = rows @ self._root
+            part = np.sum((whole[..., None, :, :] @ self._alone) ** 2, axis=-1)
+            alone = part > 1e-6 * np.sum(whole**2, axis=-1)[..., None, :]
+            f = np.where(np.any(alone, axis=(-2, -1)), np.nan, f)
+        return np.swapaxes(scores, -1, -2) @ scores, f
 
 
 class IncompleteFit:
@@ -111,7 +121,7 @@ class IncompleteFit:
         design: Any = there[..., None] * x
         design = there[..., None] * (design - share[..., None] * design.sum(axis=-2, keepdims=True))
         inverse = np.linalg.inv((np.swapaxes(design, -1, -2) @ design).sum(axis=-3))
-        self.x = x
+        self.x, self.scale = x, largest(y, 2)
         self.beta = np.einsum("...pq,...ncq,...nc->...p", inverse, design, own, optimize=True)
         residuals = own - (design @ self.beta[..., None, :, None])[..., 0]
         turned = np.swapaxes(design, -1, -2)
@@ -120,14 +130,18 @@ class IncompleteFit:
     def tested(self, basis: Array) -> Tested:
         """Test an effect of orthonormal contrasts (cells, q) of the modelled cell means."""
         rows = basis.T @ self.x
-        return trace_test(self.beta @ rows.T, *self.clusters.covariance(rows))
+        ((v, f),), mean = unrounded([self.clusters.covariance(rows)], self.beta @ rows.T, self.scale)
+        return trace_test(mean, v, f)
 
     def estimated(self, differences: Array, confidence: float) -> Estimated:
         """Estimate differences (rows, cells) of the modelled cell means, each with its own variance."""
         rows = differences @ self.x
-        each = [self.clusters.covariance(row[None]) for row in rows]
-        v, df = (np.stack(x, axis=-1) for x in ([v[..., 0, 0] for v, _ in each], [f for _, f in each]))
-        return t_interval(self.beta @ rows.T, v, df, confidence)
+        each = [unrounded([self.clusters.covariance(row[None])], self.beta @ row[:, None], self.scale) for row in rows]
+        v, df, mean = (
+            np.stack(x, axis=-1)
+            for x in zip(*((v[..., 0, 0], f, mean[..., 0]) for ((v, f),), mean in each), strict=True)
+        )
+        return t_interval(mean, v, df, confidence)
 
 
 class CrossedFit:
@@ -154,7 +168,7 @@ class CrossedFit:
         design = left[..., :-1]
         turned = np.einsum("...nmci,...nmcj->...ij", design, data, optimize=True)
         inverse = np.linalg.inv(turned[..., :-1])
-        self.x, self.beta = x, (inverse @ turned[..., -1:])[..., 0]
+        self.x, self.beta, self.scale = x, (inverse @ turned[..., -1:])[..., 0], largest(y, 3)
         moments = design * (left[..., -1] - (design @ self.beta[..., None, None, :, None])[..., 0])[..., None]
         of_pairs = np.swapaxes(design, -1, -2) @ design, moments.sum(axis=-2)
         flat = [part.reshape(*y.shape[:-3], -1, *part.shape[y.ndim - 1 :]) for part in of_pairs]
@@ -179,12 +193,13 @@ class CrossedFit:
     def tested(self, basis: Array) -> Tested:
         """Test an effect of orthonormal contrasts (cells, q) of the modelled cell means."""
         rows = basis.T @ self.x
-        return quasi_test(self._parts(rows), self.beta @ rows.T)
+        return quasi_test(*unrounded(self._parts(rows), self.beta @ rows.T, self.scale))
 
     def estimated(self, differences: Array, confidence: float) -> Estimated:
         """Estimate differences (rows, cells) of the modelled cell means, each with its own variance."""
         each = [
-            quasi_interval(self._parts(row[None]), self.beta @ row[:, None], confidence) for row in differences @ self.x
+            quasi_interval(*unrounded(self._parts(row[None]), self.beta @ row[:, None], self.scale), confidence)
+            for row in differences @ self.x
         ]
         return Estimated(*(np.stack(x, axis=-1) for x in zip(*map(astuple, each), strict=True)))
 

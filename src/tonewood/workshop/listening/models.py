@@ -14,8 +14,10 @@ interval of the listeners' shares. Where all n listeners have the same share, an
 change of the scale leaves the share as it is, and so does a scale that ends.
 
 *Bradley-Terry*: P(b over a) = 1 / (1 + e^(v_a - v_b)), sum v = 0, by maximum likelihood; a tie is half an answer each.
-Answers of a listener belong together: the covariance matrix is the sandwich of the listeners' scores, n / (n - 1)
-times, with Student's t on n - 1 degrees of freedom; of a single listener it is that of independent answers.
+One tie is added to each pair of levels that was compared: values stay finite where one always wins, and listeners who
+all agree do not make an interval without width. Answers of a listener belong together: the covariance matrix is the
+sandwich of the listeners' scores, n / (n - 1) times, with Student's t on n - 1 degrees of freedom (the added ties count
+in the sum as one listener); of a single listener it is that of independent answers.
 """
 
 from __future__ import annotations
@@ -178,6 +180,8 @@ def linear_analysis(
     sampled = data.sampled
     contrasts = strata.contrasts(data.cells, data.levels)
     notes = [f"interaction left out, it has empty cells: {' : '.join(e)}" for e in contrasts.without if len(e) > 1]
+    if data.single:
+        notes.append(f"left out, rated by one listener only: {', '.join(data.single)}")
     notes += [f"{e[0]} cannot be told from the other factors" for e in contrasts.without if len(e) == 1]
     if not contrasts.bases:
         return None
@@ -214,26 +218,38 @@ def linear_analysis(
             f"{len(data.sounds)} sounds are few for a random sample: with fewer than {FEW_SOUNDS}, between 1 and 6.5 % "
             "of tests at 5 % are false alarms"
         )
-    terms = []
+    terms, alone, alike = [], [], []
     for effect, one in estimates.items():
-        adjusted = strata.holm(one.p_value)
+        known = np.flatnonzero(np.isfinite(one.p_value))
+        adjusted = strata.holm(one.p_value[known])
+        names = contrasts.names[effect]
+        alone += [name for i, name in enumerate(names) if i not in known]
+        alike += [names[i] for i in known if one.low[i] == one.high[i] and one.difference[i] != 0]
         terms += [
             ModelTerm(
-                name, effect, float(one.difference[i]), float(one.low[i]), float(one.high[i]), float(one.df[i]),
-                float(one.p_value[i]), float(adjusted[i]), float(one.difference[i] / cell_sd) if cell_sd > 0 else 0.0,
+                names[i], effect, float(one.difference[i]), float(one.low[i]), float(one.high[i]), float(one.df[i]),
+                float(one.p_value[i]), float(p), float(one.difference[i] / cell_sd) if cell_sd > 0 else 0.0,
             )
-            for i, name in enumerate(contrasts.names[effect])
+            for i, p in zip(known, adjusted, strict=True)
         ]  # fmt: skip
+    if alone:
+        alone += [" : ".join(e) for e, t in tests.items() if not np.isfinite(t.p_value)]
+        notes.append(f"not stated, because one listener or sound alone decides it: {', '.join(alone)}")
+    if alike:
+        notes.append(
+            "all listeners have the same difference, so that its interval has no width and p is that of the sign test: "
+            + ", ".join(alike)
+        )
     named = [
         FactorTest(
             " : ".join(e), "F", float(t.statistic), float(t.df1), float(t.p_value), df2=float(t.df2),
             p_greenhouse=None if sampled else float(t.p_greenhouse),
         )
-        for e, t in tests.items()
+        for e, t in tests.items() if np.isfinite(t.p_value)
     ]  # fmt: skip
     formula = "value ~ " + " + ".join(":".join(effect) for effect in contrasts.bases)
     return LinearAnalysis(
-        formula, method, exact, len(rows), len(data.who), sampled, tuple(terms), tuple(named), cell_sd, at_ends,
+        formula, method, exact, len(data.value), len(data.who), sampled, tuple(terms), tuple(named), cell_sd, at_ends,
         tuple(notes),
     )  # fmt: skip
 
@@ -263,7 +279,7 @@ def rank_analysis(rows: Rows, factors: Sequence[str], confidence: float = 0.95) 
         if len(levels) < 2 or len(who) < 3:
             continue
         table = np.array([[m[w] for m in means] for w in who])
-        if len(levels) > 2 and np.ptp(table) > 0:
+        if len(levels) > 2 and np.any(np.ptp(table, axis=1) > 0):
             found = friedmanchisquare(*table.T)
             w = float(found.statistic) / (len(who) * (len(levels) - 1))
             tests.append(
@@ -353,13 +369,15 @@ def bradley_terry(rows: Rows, factor: str, confidence: float) -> tuple[ScaleValu
     from scipy.stats import t as student
 
     pairs = [tuple(str(row[factor]).split("|")) for row in rows]
+    ties = unique([tuple(sorted(pair)) for pair in pairs])
+    pairs += ties
     levels = unique([level for pair in pairs for level in pair])
     n = len(levels)
-    design = np.zeros((len(rows), n))
+    design = np.zeros((len(pairs), n))
     for i, (a, b) in enumerate(pairs):
         design[i, levels.index(b)], design[i, levels.index(a)] = 1.0, -1.0
-    y = np.array([row["value"] for row in rows], dtype=np.float64)
-    prior = 1e-3  # of all levels: finite values where one always wins
+    y = np.array([row["value"] for row in rows] + [0.5] * len(ties), dtype=np.float64)
+    prior = 1e-6  # of all levels, some of which may not be compared with the others
     value = np.zeros(n)
     for _ in range(100):
         p = 1 / (1 + np.exp(-design @ value))
@@ -371,8 +389,8 @@ def bradley_terry(rows: Rows, factor: str, confidence: float) -> tuple[ScaleValu
     inverse = np.linalg.inv(information)
     who, of = np.unique([str(row["listener"]) for row in rows], return_inverse=True)
     if len(who) > 1:
-        scores = np.zeros((len(who), n))
-        np.add.at(scores, of, design * (y - p)[:, None])
+        scores = np.zeros((len(who) + 1, n))
+        np.add.at(scores, np.append(of, [len(who)] * len(ties)), design * (y - p)[:, None])
         covariance = len(who) / (len(who) - 1) * (inverse @ scores.T @ scores @ inverse)
         quantile = float(student.ppf((1 + confidence) / 2, len(who) - 1))
     else:

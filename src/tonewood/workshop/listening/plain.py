@@ -11,7 +11,8 @@ from tonewood.support.units import counted
 from tonewood.workshop.batch.pages import PairedPage, StaircasePage
 from tonewood.workshop.listening.definition import ListeningTest
 from tonewood.workshop.listening.detection import Detection, sensitivity, task_of
-from tonewood.workshop.listening.models import END_SHARE, LinearAnalysis, ModelTerm, Superiority
+from tonewood.workshop.listening.models import END_SHARE, FactorTest, LinearAnalysis, ModelTerm, Superiority
+from tonewood.workshop.listening.ordinal import OddsTest
 from tonewood.workshop.listening.results import PageResults, PanelResults
 from tonewood.workshop.listening.table import VERSUS
 
@@ -32,8 +33,9 @@ def _of_page(found: PanelResults, page: PageResults) -> list[str]:
     percent = f"{100 * found.confidence:g} %"
     if page.thresholds is not None:
         return [_threshold(found, page, percent)]
-    if page.detections:
-        return [_detected(found, page, one, percent) for one in page.detections]
+    if page.pairs:
+        lines = [_detected(found, page, one, percent) for one in page.pairs]
+        return lines + ([_cells(page, 1 - found.confidence)] if len(page.detections) > len(page.pairs) else [])
     if page.scale:
         best = max(page.scale, key=lambda s: s.value)
         sure = [s for s in page.scale if s is not best and s.high < best.low]
@@ -44,8 +46,29 @@ def _of_page(found: PanelResults, page: PageResults) -> list[str]:
         return [f"{best.level} is chosen more often than {' and '.join(s.level for s in sure)}{question} "
                 f"({percent} intervals of the Bradley-Terry values do not overlap)."]  # fmt: skip
     if page.linear is None:
-        return []
+        rated = any(row["value"] is not None for row in page.rows)
+        return [_untested(page)] if rated and page.factors else []
     return _rated(found, page, page.linear, percent)
+
+
+def _untested(page: PageResults) -> str:
+    """Why ratings are not tested."""
+    left = f", {counted(len(page.screened), 'listener')} left out by the screening" if page.screened else ""
+    return f"no difference is tested, with answers of {counted(page.listeners, 'listener')}{left}; three are needed."
+
+
+def _cells(page: PageResults, alpha: float) -> str:
+    """The cells of the other factors in which a pair is told apart, p by Holm over the cells."""
+    sure = [one for one in page.detections if one.p_holm is not None and one.p_holm < alpha]
+    of = f"of {len(page.detections)} cells"
+    if not sure:
+        return f"in none {of} is a pair shown to be told apart by the answers of that cell alone (p by Holm)."
+    text = "; ".join(f"{_levels(one)} ({one.right} of {one.answers} right, p {_p(one.p_holm or 0.0)})" for one in sure)
+    return f"in {len(sure)} {of} a pair is told apart by the answers of that cell alone (p by Holm): {text}."
+
+
+def _levels(one: Detection) -> str:
+    return ", ".join(f"{k} {' and '.join(v.split(VERSUS))}" for k, v in one.cell.items())
 
 
 def _rated(found: PanelResults, page: PageResults, linear: LinearAnalysis, percent: str) -> list[str]:
@@ -67,16 +90,35 @@ def _rated(found: PanelResults, page: PageResults, linear: LinearAnalysis, perce
         )
     if page.everybody is not None:
         lines.append(
-            f"{counted(len(page.screened), 'listener')} left out by the ratings of reference and anchors; p is the "
-            "larger of those without and with them, because that choice favours the reference."
+            f"{counted(len(page.screened), 'listener')} left out by the ratings of reference and anchors. That choice "
+            "favours the reference: each line has the figures without or with them, whichever have the larger p."
         )
-    tests = linear.tests if not page.ordinal else page.odds.tests if page.odds is not None else ()
     lines += [
         f"the effect of {' depends on '.join(t.name.split(' : '))} (p {_p(t.p_value)}): see the means per cell."
-        for t in tests
-        if " : " in t.name and t.p_value < alpha
+        for t in map(_least_sure, _interactions(page))
+        if t.p_value < alpha
     ]
-    return lines
+    return lines + [f"{note}." for note in linear.notes if note.startswith(("left out", "not stated"))]
+
+
+def _analyses(page: PageResults) -> tuple[PageResults, ...]:
+    """The page, and its analyses with the listeners who were left out."""
+    return (page,) if page.everybody is None else (page, page.everybody)
+
+
+def _interactions(page: PageResults) -> list[list[FactorTest | OddsTest]]:
+    """Tests of each interaction without and with the listeners who were left out."""
+    tests: dict[str, list[FactorTest | OddsTest]] = {}
+    for one in _analyses(page):
+        own = one.odds if page.ordinal else one.linear
+        for test in own.tests if own is not None else ():
+            if " : " in test.name:
+                tests.setdefault(test.name, []).append(test)
+    return list(tests.values())
+
+
+def _least_sure(tests: list[FactorTest | OddsTest]) -> FactorTest | OddsTest:
+    return max(tests, key=lambda test: test.p_value)
 
 
 def _difference(found: PanelResults, page: PageResults, linear: LinearAnalysis, term: ModelTerm) -> tuple[float, str]:
@@ -93,19 +135,24 @@ def _difference(found: PanelResults, page: PageResults, linear: LinearAnalysis, 
     if page.ordinal and share is not None:
         shown = "" if share.p_holm < alpha else f"no difference between {level} and {first} is shown: "
         return share.p_holm, f"{shown}{rated}{f' ({varied})' if varied else ''}{odds}"
-    p = max([term.p_holm, *(t.p_holm for t in page.everybody.terms if t.name == term.name)]
-            if page.everybody is not None else [term.p_holm])  # fmt: skip
+    terms = [t for one in _analyses(page) if one.linear is not None for t in one.linear.terms if t.name == term.name]
+    term = max(terms, key=lambda t: t.p_holm)
+    p = term.p_holm
     interval = f"{percent} interval {_number(term.low)} to {_number(term.high)}, p {_p(p)}"
+    if term.low == term.high:
+        interval = f"the same for every listener, sign test p {_p(p)}"
     about = f"{varied}; " if varied else ""
     if p < alpha:
         way = "above" if term.difference > 0 else "below"
         text = f"{level} is rated {abs(term.difference):.3g} points {way} {first} ({about}{interval})"
+    elif term.low == term.high == 0:
+        text = f"no difference between {level} and {first} is shown ({about}every listener's answers to both are equal)"
     else:
         most = max(abs(term.low), abs(term.high))
         text = (
-            f"no difference between {level} and {first} is shown ({about}{_number(term.difference)} points, "
-            f"{interval}); one of more than {most:.3g} points is unlikely"
+            f"no difference between {level} and {first} is shown ({about}{_number(term.difference)} points, {interval})"
         )
+        text += f"; one of more than {most:.3g} points is unlikely" if term.low < term.high else ""
     bent = (linear.at_ends or 0.0) > END_SHARE
     return p, text + (f"; {rated}{odds}" if bent and rated else odds)
 
@@ -120,19 +167,22 @@ def _first_level(linear: LinearAnalysis, page: PageResults, term: ModelTerm) -> 
 
 def _superiority(page: PageResults, factor: str, first: str, level: str) -> Superiority | None:
     """Share of comparisons in which `level` is rated above `first`."""
-    for one in page.ranks.superiority if page.ranks is not None else ():
+    shares = []
+    for one in (s for own in _analyses(page) if own.ranks is not None for s in own.ranks.superiority):
         if one.factor != factor:
             continue
         if (one.first, one.second) == (first, level):
-            return one
+            shares.append(one)
         if (one.first, one.second) == (level, first):
-            return replace(one, first=first, second=level, share=1 - one.share, low=1 - one.high, high=1 - one.low)
-    return None
+            back = replace(one, first=first, second=level, share=1 - one.share, low=1 - one.high, high=1 - one.low)
+            shares.append(back)
+    return max(shares, key=lambda one: one.p_holm, default=None)
 
 
 def _odds(page: PageResults, name: str, percent: str) -> str:
     """The ratio of odds of a difference in words; nothing where it is not stated."""
-    term = next((t for t in page.odds.terms if t.name == name), None) if page.odds is not None else None
+    terms = [t for one in _analyses(page) if one.odds is not None for t in one.odds.terms if t.name == name]
+    term = max(terms, key=lambda t: t.p_holm, default=None)
     if term is None:
         return ""
     bounds = f"{percent} interval {_number(term.low)} to {_number(term.high)}"
@@ -140,8 +190,8 @@ def _odds(page: PageResults, name: str, percent: str) -> str:
 
 
 def _detected(found: PanelResults, page: PageResults, one: Detection, percent: str) -> str:
-    cell = ", ".join(f"{k} {' and '.join(v.split(VERSUS))}" for k, v in one.cell.items())
-    if one.share is None or one.p_value is None:
+    cell = _levels(one)
+    if one.share is None or one.p_holm is None:
         return f"{cell}: nobody decided."
     own = found.test.pages[page.page - 1]
     task = task_of(own)
@@ -149,19 +199,23 @@ def _detected(found: PanelResults, page: PageResults, one: Detection, percent: s
     varied = _in_unit(found, *pair) if pair is not None and len(pair) == 3 else ""
     varied = f" ({varied})" if varied else ""
     share = f"{one.right} of {one.answers} answers, {100 * one.share:.0f} %"
-    if one.p_value >= 1 - found.confidence:
+    if one.p_holm >= 1 - found.confidence:
         bound = "" if one.d_high is None else f"; d' is at most {one.d_high:.2g}"
-        return f"{cell}{varied} are not shown to be told apart ({share}, p {_p(one.p_value)}{bound})."
+        return f"{cell}{varied} are not shown to be told apart ({share}, p {_p(one.p_holm)}{bound})."
     jnd = ""
     if one.d_prime is not None and task is not None:
         unit = sensitivity(JND_SHARE, task)
         bounds = (
             ""
-            if one.d_low is None or one.d_high is None
+            if one.d_low is None
+            else f" ({percent} interval from {one.d_low:.2f})"
+            if one.d_high is None
             else f" ({percent} interval {one.d_low:.2f} to {one.d_high:.2f})"
         )
         jnd = f"; d' = {one.d_prime:.2f}{bounds}, {one.d_prime / unit:.2g} just-noticeable differences by these answers"
-    return f"{cell}{varied} are told apart ({share} right, p {_p(one.p_value)}{jnd})."
+    elif one.d_prime is None and one.d_low is not None and task is not None:
+        jnd = f"; d' is at least {one.d_low:.2f}"
+    return f"{cell}{varied} are told apart ({share} right, p {_p(one.p_holm)}{jnd})."
 
 
 def _threshold(found: PanelResults, page: PageResults, percent: str) -> str:
@@ -174,15 +228,24 @@ def _threshold(found: PanelResults, page: PageResults, percent: str) -> str:
     if isinstance(base, (int, float)) and not isinstance(base, bool):
         varied += f", {own.value(fit.mean, base):.4g} instead of {base:g}"
     interval = "of one listener, without an interval of the mean"
-    if fit.low is not None and fit.high is not None:
-        interval = f"{percent} interval {fit.low:.3g} to {fit.high:.3g}{unit}"
-    elif len(fit.listeners) > 1:
-        interval = "its interval passes the levels that can be presented"
+    if len(fit.listeners) > 1:
+        low = own.lowest if fit.low is None else fit.low
+        high = own.highest if fit.high is None else fit.high
+        interval = f"{percent} interval {low:.3g} to {high:.3g}{unit}"
+        if fit.low is None or fit.high is None:
+            ends = "both ends" if fit.low is fit.high else "its lower end" if fit.low is None else "its upper end"
+            interval += f", beyond the levels at {ends}"
     spread = "" if len(fit.listeners) < 2 else (
         f"; listeners differ by a factor of {fit.spread:.2f}" if own.ratio
         else f"; standard deviation {fit.spread:.2g}{unit}"
     )  # fmt: skip
     share = f"at {100 * fit.share:.1f} % right answers"
+    if not own.lowest <= fit.mean <= own.highest:
+        side, end = ("below", own.lowest) if fit.mean < own.lowest else ("above", own.highest)
+        return (
+            f"the just-noticeable difference of {own.path} lies {side} the levels that can be presented, which end at "
+            f"{end:g}{unit}: no more can be said of it ({interval})."
+        )
     return f"the just-noticeable difference is {fit.mean:.3g}{unit}{varied}, {share} ({interval}{spread})."
 
 
@@ -199,7 +262,8 @@ def _in_unit(found: PanelResults, factor: str, first: str, second: str) -> str:
         stairs = found.test.pages[page.page - 1]
         if page.thresholds is None or not isinstance(stairs, StaircasePage) or stairs.path != own.path:
             continue
-        if (x := _as_level(stairs, a, b)) is not None and page.thresholds.mean > 0:
+        seen = stairs.lowest <= page.thresholds.mean <= stairs.highest
+        if (x := _as_level(stairs, a, b)) is not None and page.thresholds.mean > 0 and seen:
             text += f", {abs(x) / page.thresholds.mean:.2g} just-noticeable differences"
         break
     return text
@@ -266,8 +330,10 @@ def methods(found: PanelResults) -> str:
         )
     if any(page.detections for page in found.pages):
         parts.append(
-            "Right answers were tested against guessing by one-sided exact binomial tests; d' is the mean of a normal "
-            "population of listeners, by maximum likelihood of the listeners' counts under the task's model."
+            "Right answers to a pair, over all other factors, were tested against guessing by one-sided exact binomial "
+            "tests, p by Holm over the pairs, and so were those of single cells, p by Holm over the cells; d' is the "
+            "mean of a normal population of listeners, by maximum likelihood of the listeners' counts under the task's "
+            "model."
         )
     if any(page.scale for page in found.pages):
         parts.append(

@@ -7,7 +7,8 @@ with mean mu and standard deviation tau, cut off below 0, and the likelihood of 
     L(mu, tau) = prod_i  int_0^inf  P(right_i | d) N(d; mu, tau) dd / int_0^inf N(d; mu, tau) dd.
 
 The estimate is the population's mean d' at the greatest likelihood; its interval holds every mean whose likelihood,
-maximized over the rest, is within t^2 / 2 of it (t of Student's distribution, listeners - 1). In the same-different
+maximized over the rest, is within t^2 / 2 of it (t of Student's distribution, listeners - 1). A bound or an estimate at
+the upper end of the means that are tried is None: the answers do not limit d' there. In the same-different
 task the listeners' criteria are normal, too; their mean and spread are those of greatest likelihood.
 """
 
@@ -38,7 +39,10 @@ def _population() -> tuple[Array, Array]:
     return weights, weights @ D
 
 
-def pooled(right: Counts, answers: Counts, shares: Array, confidence: float) -> tuple[float, float, float]:
+Pooled = tuple[float | None, float, float | None]
+
+
+def pooled(right: Counts, answers: Counts, shares: Array, confidence: float) -> Pooled:
     """Mean d' of a population with its interval.
 
     Parameters
@@ -52,9 +56,7 @@ def pooled(right: Counts, answers: Counts, shares: Array, confidence: float) -> 
     return _estimate(hits[:, None] * np.log(p) + misses[:, None] * np.log1p(-p), confidence)
 
 
-def pooled_same_different(hits: Counts, different: Counts, alarms: Counts, same: Counts, confidence: float) -> tuple[
-    float, float, float
-]:  # fmt: skip
+def pooled_same_different(hits: Counts, different: Counts, alarms: Counts, same: Counts, confidence: float) -> Pooled:
     """Mean d' of a population by the differencing model of the same-different task.
 
     Parameters
@@ -84,7 +86,7 @@ def pooled_same_different(hits: Counts, different: Counts, alarms: Counts, same:
     return _estimate(np.log(found + 1e-300), confidence)
 
 
-def _estimate(logs: Array, confidence: float) -> tuple[float, float, float]:
+def _estimate(logs: Array, confidence: float) -> Pooled:
     """Estimate and interval from the listeners' logarithms of likelihoods (listeners, d)."""
     from scipy.special import stdtrit
 
@@ -94,4 +96,6 @@ def _estimate(logs: Array, confidence: float) -> tuple[float, float, float]:
     best = int(np.argmax(total))
     t = float(stdtrit(max(len(logs) - 1, 1), (1 + confidence) / 2))
     inside = means[total >= total[best] - t**2 / 2]
-    return float(means[best]), float(inside.min()), float(inside.max())
+    end, high = float(means[len(_TAU) * (len(_MU) - 1)]), float(inside.max())
+    value = float(means[best])
+    return value if value < end else None, float(inside.min()), high if high < end else None

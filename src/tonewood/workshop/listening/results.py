@@ -21,7 +21,7 @@ from tonewood.workshop.batch.pages import (
 )
 from tonewood.workshop.listening.answer_file import LeftOut, ListenerAnswers, answers_of, withdrawn
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest, load_test
-from tonewood.workshop.listening.detection import Detection, detections, task_of
+from tonewood.workshop.listening.detection import Detection, adjusted, detections, task_of
 from tonewood.workshop.listening.means import CellMean, ScreenedListener, cell_means, screen, unique
 from tonewood.workshop.listening.models import (
     END_SHARE,
@@ -51,9 +51,10 @@ class PageResults:
     heading : its title, and the scale.
     rows : answers that count, after screening.
     per_factor, cells, helpers : means by each factor, by all, and of hidden reference and anchors.
-    detections, by_listener : discrimination by cell, and by cell and listener.
+    pairs, detections, by_listener : discrimination of each pair over all other factors, by cell, and by cell and
+        listener.
     scale : Bradley-Terry values by factor.
-    everybody : the linear analysis with the listeners who were left out, if any were.
+    everybody : the analyses with the listeners who were left out, if any were.
     ordinal : whether the scale's grades have an order only.
     odds : the cumulative logit model, where `ordinal` or many answers stand at an end of the scale.
     """
@@ -69,10 +70,11 @@ class PageResults:
     cells: tuple[CellMean, ...] = ()
     helpers: tuple[CellMean, ...] = ()
     linear: LinearAnalysis | None = None
-    everybody: LinearAnalysis | None = None
+    everybody: PageResults | None = None
     ordinal: bool = False
     odds: OrdinalAnalysis | None = None
     ranks: RankAnalysis | None = None
+    pairs: tuple[Detection, ...] = ()
     detections: tuple[Detection, ...] = ()
     by_listener: tuple[Detection, ...] = ()
     scale: tuple[ScaleValue, ...] = ()
@@ -80,7 +82,8 @@ class PageResults:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready, without the rows."""
-        return {k: v for k, v in asdict(replace(self, rows=())).items() if k != "rows"}
+        everybody = None if self.everybody is None else replace(self.everybody, rows=())
+        return {k: v for k, v in asdict(replace(self, rows=(), everybody=everybody)).items() if k != "rows"}
 
 
 @dataclass(frozen=True)
@@ -203,7 +206,7 @@ def _page_results(
         kept = [row for row in rows if row["listener"] not in {s.listener for s in out}]
         if not kept:
             raise ListeningError(f"page {index + 1}: no listener passes the screening; --no-screening keeps all")
-        whole = _rated(base, rows, table, page, confidence, random, (0.0, 100.0)).linear if out else None
+        whole = _rated(base, rows, table, page, confidence, random, (0.0, 100.0)) if out else None
         own = _rated(base, kept, table, page, confidence, random, (0.0, 100.0), out)
         return [replace(own, everybody=whole)]
     if isinstance(page, Bs1116Page):
@@ -232,18 +235,28 @@ def _page_results(
             return [
                 PageResults(
                     **base, listeners=_count(rows), factors=used, rows=tuple(rows),
-                    cells=tuple(cell_means(decided, by, confidence)), scale=bradley_terry(decided, varied, confidence),
+                    cells=tuple(_share(mean) for mean in cell_means(decided, by, confidence)),
+                    scale=bradley_terry(decided, varied, confidence),
                 )
             ]  # fmt: skip
         assert task is not None
+        pair = tuple(f for f in by if any(VERSUS in str(row.get(f)) for row in rows)) or by
         return [
             PageResults(
                 **base, listeners=_count(rows), factors=used, rows=tuple(rows),
-                detections=tuple(detections(rows, by, task, confidence)),
+                pairs=adjusted(detections(rows, pair, task, confidence)),
+                detections=adjusted(detections(rows, by, task, confidence)),
                 by_listener=tuple(detections(rows, (*by, "listener"), task, confidence)),
             )
         ]  # fmt: skip
     return []
+
+
+def _share(mean: CellMean) -> CellMean:
+    """The mean of shares, with bounds between 0 and 1."""
+    if mean.low is None or mean.high is None:
+        return mean
+    return replace(mean, low=max(mean.low, 0.0), high=min(mean.high, 1.0))
 
 
 def _rated(

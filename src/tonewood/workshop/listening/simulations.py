@@ -7,6 +7,7 @@ of staircases are drawn trial by trial. `tonewood.workshop.listening.power` coun
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +19,7 @@ from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening import strata
 from tonewood.workshop.listening.detection import CHANCE, Task, sensitivity, shares_of, task_of
 from tonewood.workshop.listening.incomplete import CrossedFit, IncompleteFit
-from tonewood.workshop.listening.models import superiorities
+from tonewood.workshop.listening.models import ScaleValue, bradley_terry, superiorities
 from tonewood.workshop.listening.ordinal import clustered, fit_counts
 from tonewood.workshop.listening.pooling import D, pooled
 from tonewood.workshop.listening.psychometric import psychometric
@@ -42,6 +43,8 @@ GAPS: dict[str, float | str] = {
     "a third of every fourth listener's": "third",
     "sets of six of nine sounds": "sets",
 }
+#: populations that the analyses were not chosen on; answers of these have no ends
+OTHERS = ("heavy tails", "skewed differently in each level", "three values only", "one listener in ten responds")
 _FACTOR, _SOUND = ("a", "b", "c"), ("s0", "s1", "s2")
 _LEVELS = {"factor": list(_FACTOR), "sound": list(_SOUND)}
 _CELLS = [(f, s) for f in _FACTOR for s in _SOUND]
@@ -65,9 +68,11 @@ def ratings(
 
     Parameters
     ----------
-    null : name in `NULLS`.
+    null : name in `NULLS` or `OTHERS`.
     shift : points by which the second level is higher.
     """
+    if null in OTHERS:
+        return _others(random, (experiments, listeners), null, shift, repetitions)
     law: Any = NULLS[null]
     shape = (experiments, listeners)
     own = random.normal(0, 6, (*shape, 1, 1)) + random.normal(0, 1, (*shape, 3, 1)) * np.array(law["own"])[:, None]
@@ -75,6 +80,33 @@ def ratings(
     noise = random.normal(0, 1, (*shape, 3, 3, repetitions)) * np.array(law["residual"])[:, None, None]
     answers = np.clip(np.broadcast_to(y, (*shape, 3, 3))[..., None] + noise, 0.0, 100.0)
     return np.asarray(answers.reshape(*shape, 9, repetitions))
+
+
+def _others(random: np.random.Generator, shape: tuple[int, int], name: str, shift: float, repetitions: int) -> Array:
+    """Answers of `OTHERS`, as `ratings` draws them.
+
+    *Heavy tails*: listeners' responses to a level of 4 times, single answers of 5 times Student's t with 3 degrees of
+    freedom. *Skewed*: listeners' responses are normal in the first level, 8 (x - 1) in the second and 8 (1 - x) in the
+    third with exponential x. *Three values*: answers below 50 by more than a listener's own limit of 4 to 16 points are
+    20, those above it by more than that 80, all others 50. *One in ten*: a tenth of the listeners, drawn for each of
+    the last two levels, rates it 18 points above the mean of all, the others 2 below.
+    """
+    each = (*shape, 3, 3, repetitions)
+    own = 50 + random.normal(0, 6, (*shape, 1, 1)) + np.array([0.0, shift, 0.0])[:, None]
+    if name == "heavy tails":
+        y = (own + 4 * random.standard_t(3, (*shape, 3, 1)))[..., None] + 5 * random.standard_t(3, each)
+    elif name == "three values only":
+        y = (own + random.normal(0, 8, (*shape, 3, 1)))[..., None] + random.normal(0, 9, each)
+        limit = random.uniform(4, 16, (*shape, 1, 1, 1))
+        y = np.where(y > 50 + limit, 80.0, np.where(y < 50 - limit, 20.0, 50.0))
+    elif name == "one listener in ten responds":
+        own[..., 1:, :] += np.where(random.random((*shape, 2, 1)) < 0.1, 18.0, -2.0)
+        y = own[..., None] + random.normal(0, 6, each)
+    else:
+        x = random.exponential(1, (*shape, 3)) - 1
+        x[..., 0], x[..., 2] = random.standard_normal(shape), -x[..., 2]
+        y = (own + 8 * x[..., None])[..., None] + random.normal(0, 6, each)
+    return np.asarray(y.reshape(*shape, 9, repetitions))
 
 
 def without(random: np.random.Generator, answers: Array, gaps: str) -> Array:
@@ -108,6 +140,10 @@ def rating_rates(
     design = np.hstack([np.ones((9, 1)), *contrasts.bases.values()])
     # the shift is kept off the ends of the scale: a true difference is stated only there
     shift = 5.0 if null != "ratings at the ceiling" else 0.0
+    true = shift
+    if null == "three values only":
+        many = ratings(np.random.default_rng(0), 1, 200_000, null, shift)[0].mean(axis=(0, 2)).reshape(3, 3)
+        true = float(many[1].mean() - many[0].mean())
     alpha = 1 - confidence
 
     def analysed(y: Array) -> tuple[Callable[[Array], strata.Tested], Callable[[Array], strata.Estimated]]:
@@ -127,7 +163,7 @@ def rating_rates(
         main, cross = (tested(contrasts.bases[e]).p_value < alpha for e in (("factor",), ("factor", "sound")))
         terms = estimated(contrasts.differences["factor",]).p_value < alpha
         one = analysed(ratings(random, n, listeners, null, shift))[1](contrasts.differences["factor",])
-        covered = (one.low[:, 0] <= shift) & (shift <= one.high[:, 0])
+        covered = (one.low[:, 0] <= true) & (true <= one.high[:, 0])
         parts.append([main, terms[:, 0], terms[:, 1], cross, covered])
     return RatingRates(*(float(np.mean(np.concatenate(x))) for x in zip(*parts, strict=True)))
 
@@ -223,6 +259,38 @@ def odds_rates(random: np.random.Generator, experiments: int, listeners: int, cu
             [main | ~done, found | ~done, cross | ~done, covered, one.difference / true - 1, (~done + 0.0 + ~also) / 2]
         )
     return tuple(float(np.mean(np.concatenate(x))) for x in zip(*parts, strict=True))
+
+
+def choice_rates(
+    random: np.random.Generator, experiments: int, listeners: int, each: int, sd: float
+) -> tuple[float, float]:
+    """Paired comparisons of three levels: how often one is said to be chosen more than another, and coverage.
+
+    Parameters
+    ----------
+    random, experiments, listeners : source of the answers, and numbers.
+    each : answers of a listener to each pair.
+    sd : standard deviation of listeners' own values of the levels (logits). Without an effect their mean is 0;
+        coverage is of a value of 0.8 for listeners who are alike.
+    """
+    pairs = list(itertools.combinations(range(3), 2))
+
+    def scale(mean: Array, spread: float) -> list[ScaleValue]:
+        own = mean + spread * random.standard_normal((listeners, 3))
+        rows = [
+            {"listener": str(i), "f": f"{a}|{b}", "value": float(random.random() < 1 / (1 + np.exp(v[a] - v[b])))}
+            for i, v in enumerate(own) for a, b in pairs for _ in range(each)
+        ]  # fmt: skip
+        return sorted(bradley_terry(rows, "f", 0.95), key=lambda one: one.level)
+
+    rows = []
+    for _ in range(experiments):
+        found = scale(np.zeros(3), sd)
+        best = max(found, key=lambda one: one.value)
+        last = scale(np.array([-0.4, -0.4, 0.8]), 0.0)[2]
+        rows.append((any(one.high < best.low for one in found), last.low <= 0.8 <= last.high))
+    alarms, covered = (float(x) for x in np.mean(np.array(rows, dtype=np.float64), axis=0))
+    return alarms, covered
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,9 @@ chi-square over its f degrees of freedom,
 
 (not with fewer than six listeners or sounds, whose variances are known too badly for it).
 
+Means and variances that are rounding errors of the answers count as 0. Where all listeners have one and the same
+difference, t and F have no meaning, and p = 2 (1/2)^n is that of the sign test.
+
 Sources: S. W. Greenhouse & S. Geisser, Psychometrika 24 (1959) 95-112; H. Huynh & L. S. Feldt, J. Educ. Stat. 1 (1976)
 69-82; B. Lecoutre, J. Educ. Stat. 16 (1991) 371-372; F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110-114; H. H.
 Clark, J. Verbal Learn. Verbal Behav. 12 (1973) 335-359 (quasi-F); W. G. Cochran, Biometrics 20 (1964) 191-195.
@@ -53,6 +56,8 @@ EffectName = tuple[str, ...]
 Parts = list[tuple[Array, Any]]
 #: degrees of freedom of listeners or sounds, of five and of six with some answers missing
 _FEW = 4.5
+#: share of the largest answer below which means of contrasts are rounding errors
+_ROUNDING = 1e-10
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 
@@ -163,7 +168,7 @@ def tested(y: Array, basis: Array, *, sounds: bool) -> Tested:
     basis : (cells, q) orthonormal contrasts.
     sounds : whether `y` has the axis of sounds, a random sample.
     """
-    parts, mean = _parts(y @ basis, sounds)
+    parts, mean = unrounded(*_parts(y @ basis, sounds), largest(y, 2 + sounds))
     if not sounds:
         return trace_test(mean, parts[0][0], float(parts[0][1]))
     return quasi_test(parts, mean)
@@ -177,7 +182,7 @@ def quasi_test(parts: Parts, mean: Array) -> Tested:
     with np.errstate(invalid="ignore", divide="ignore"):
         square = np.sum(mean**2, axis=-1)
         statistic = np.where(trace > 0, square / trace, np.where(square > 0, np.inf, 0.0))
-    p = fdtrc(df1, df2, statistic)
+    p = np.where(np.isinf(statistic), _of_signs(df2), fdtrc(df1, df2, statistic))
     return Tested(statistic, df1, df2, p, df1 / mean.shape[-1], p)
 
 
@@ -190,7 +195,9 @@ def trace_test(mean: Array, v: Array, f: Any) -> Tested:
         square = np.sum(mean**2, axis=-1)
         statistic = np.where(trace > 0, square / trace, np.where(square > 0, np.inf, 0.0))
     df1, plain = _dimensions(v, f)
-    p, greenhouse = fdtrc(df1, f * df1, statistic), fdtrc(plain, f * plain, statistic)
+    p, greenhouse = (
+        np.where(np.isinf(statistic), _of_signs(f), fdtrc(x, f * x, statistic)) for x in (df1, plain)
+    )  # fmt: skip
     return Tested(statistic, df1, f * df1, p, plain / mean.shape[-1], greenhouse)
 
 
@@ -209,7 +216,7 @@ def estimated(y: Array, rows: Array, confidence: float, *, sounds: bool) -> Esti
     """Estimate differences (rows, cells), each with its own variance; `y` and `sounds` as for `tested`."""
     z = (y @ rows.T)[..., None]
     z = np.moveaxis(z, -2, 0)  # differences first, each with one contrast
-    parts, mean = _parts(z, sounds)
+    parts, mean = unrounded(*_parts(z, sounds), largest(y, 2 + sounds))
     if sounds:
         one = quasi_interval(parts, mean, confidence)
     else:
@@ -230,8 +237,30 @@ def t_interval(value: Array, v: Array, df: Array, confidence: float) -> Estimate
 
     with np.errstate(invalid="ignore", divide="ignore"):
         t = np.where(v > 0, np.abs(value) / np.sqrt(v), np.where(np.abs(value) > 0, np.inf, 0.0))
-    half = stdtrit(df, (1 + confidence) / 2) * np.sqrt(v)
-    return Estimated(value, value - half, value + half, df, 2 * stdtr(df, -t))
+    half = stdtrit(df, (1 + confidence) / 2) * np.sqrt(np.maximum(v, 0.0))
+    p = np.where(np.isinf(t), _of_signs(df), 2 * stdtr(df, -t))
+    return Estimated(value, value - half, value + half, df, p)
+
+
+def _of_signs(f: Any) -> Any:
+    """Probability that f + 1 listeners without a difference have one of the same sign."""
+    return np.minimum(2 * 0.5 ** (np.asarray(f) + 1), 1.0)
+
+
+def largest(y: Array, axes: int) -> Array:
+    """Largest absolute answer over the last `axes` axes of y, in which some may be NaN."""
+    return np.asarray(np.max(np.abs(y), axis=tuple(range(-axes, 0)), where=~np.isnan(y), initial=0.0))
+
+
+def unrounded(parts: Parts, mean: Array, scale: Array) -> tuple[Parts, Array]:
+    """Covariance matrices (..., q, q) and means (..., q) with 0 for rounding errors of answers of a `scale` (...)."""
+    least = (_ROUNDING * scale)[..., None]
+
+    def kept(v: Array) -> Array:
+        small = np.trace(v, axis1=-2, axis2=-1) <= least[..., 0] ** 2
+        return np.where(small[..., None, None], 0.0, v) if np.any(small) else v
+
+    return [(kept(v), f) for v, f in parts], np.where(np.abs(mean) <= least, 0.0, mean)
 
 
 def _parts(z: Array, sounds: bool) -> tuple[Parts, Array]:

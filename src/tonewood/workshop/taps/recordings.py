@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import OutputError, TonewoodError
+from tonewood.support.sound_rates import check_rate
 from tonewood.workshop.taps.cutting import Taps, cut_taps
 
 Floats = NDArray[np.float64]
@@ -55,6 +56,7 @@ def _samples(path: Path, channel: int) -> tuple[Floats, float]:
         raise TonewoodError(f"is no sound file: {str(fault).splitlines()[0][:_LONGEST]}", file=path) from None
     if not len(samples):
         raise TonewoodError("holds no samples", file=path)
+    check_rate(fs, path, lowest=1000)
     if not 1 <= channel <= samples.shape[1]:
         raise TonewoodError(f"is {channel}; 1 to {samples.shape[1]} are allowed", key="--channel", file=path)
     return samples[:, channel - 1], float(fs)

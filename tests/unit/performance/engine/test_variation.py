@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -55,6 +57,21 @@ def test_spreads_are_those_asked_for(guitar: tw.Instrument) -> None:
     drawn = np.array([[d.force, d.time, d.place] for d in (Deviates.of(1, i) for i in range(300))])
     assert np.abs(np.corrcoef(drawn.T) - np.eye(3)).max() < 0.2
     assert np.abs(drawn).max() <= 2.5
+
+
+def test_a_slur_varies_as_a_note_that_names_its_technique() -> None:
+    bass = tw.load_instrument("electric_bass").replace({"playing.variation.seed": 5})
+    model = assemble(bass, 8000, freq_limit=3000)
+    notes = [tw.Note(0.4 * i, 0.45, string="E1", stop=stop, velocity_midi=80) for i, stop in enumerate((2, 5, 3, 12))]
+    slurred = perform(tw.Score(notes), model)
+    names = [assigned.note.technique for assigned in slurred.notes]
+    named = [dataclasses.replace(n, technique=name) for n, name in zip(notes, names, strict=True)]
+    assert names == [None, "hammer_on", "pull_off", "slide"]
+    asked = perform(tw.Score(named), model)
+    assert slurred.timeline.changes == asked.timeline.changes
+    for one, other in zip(slurred.timeline.plays, asked.timeline.plays, strict=True):
+        assert (one.start, one.gesture.segments) == (other.start, other.gesture.segments)
+        assert (one.gesture.from_bridge, one.gesture.angle_deg) == (other.gesture.from_bridge, other.gesture.angle_deg)
 
 
 def test_an_option_of_the_render_gives_the_seed(guitar: tw.Instrument) -> None:

@@ -76,7 +76,7 @@ def test_a_player_is_idle_when_no_bend_is_to_be_done(model: Model) -> None:
         assert point < 1000
         player.feed([], 0.0, point * GRID)
     player.bend(100.0, 0)
-    (line,) = [line for line in player.hands.lines.values() if line.voice is not None]
+    (line,) = [line for line in player.hands.strings.values() if line.voice is not None]
     line.later.clear()
     assert line.cents != line.wanted
     assert not player.hands.idle
@@ -93,13 +93,13 @@ def test_a_note_is_plain_unless_technique_place_or_pitch_is_its_own(model: Model
     def plain(**values: object) -> bool:
         note = tw.Note(0.0, 1.0, note=64, force=2.0, channel=0, **{"technique": None, **values})  # type: ignore[arg-type]
         (_,) = plays_of(player, {0: [note]}, 0.0, 1) or [None]
-        voice = next(line.voice for line in player.hands.lines.values() if line.voice is not None)
+        voice = next(line.voice for line in player.hands.strings.values() if line.voice is not None)
         found = player._is_plain(voice)
         player.release(voice)
         return found
 
     assert plain()
-    voice = next(line.voice for line in player.hands.lines.values() if line.voice is not None)
+    voice = next(line.voice for line in player.hands.strings.values() if line.voice is not None)
     voice.event.values["from_bridge"] = 0.1  # type: ignore[index]
     assert not player._is_plain(voice)
     del voice.event.values["from_bridge"]  # type: ignore[attr-defined]

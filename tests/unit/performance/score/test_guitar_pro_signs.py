@@ -256,3 +256,31 @@ def test_swing_moves_the_second_of_two(tmp_path: Path) -> None:
         swung = ("<Time>4/4</Time>", f"<Time>4/4</Time><TripletFeel>{feel}</TripletFeel>")
         score = edited(tmp_path / "a.gp", eighths, swung)
         assert [n.time for n in score.notes] == pytest.approx([0, late, 1, 1 + late])
+
+
+@pytest.mark.parametrize("version", [3, 4, 5])
+def test_a_tempo_in_the_first_beat_replaces_that_of_the_head(version: int, tmp_path: Path) -> None:
+    """As TuxGuitar reads it; of two tracks the later one decides, as alphaTab and TuxGuitar play it."""
+    import guitarpro as gp
+
+    def change(song: gp.Song, beats: list[gp.Beat]) -> None:
+        song.tracks.append(gp.Track(song, number=2))
+        second = gp.Beat(song.tracks[1].measures[0].voices[0], status=gp.BeatStatus.rest, duration=gp.Duration(1))
+        second.voice.beats.append(second)
+        for beat, bpm, duration in ((beats[0], 90, 0), (second, 80, 0), (beats[2], 120, 2)):
+            tempo = gp.MixTableItem(value=bpm, duration=duration)
+            beat.effect.mixTableChange = gp.MixTableChange(tempo=tempo, volume=gp.MixTableItem(value=9))
+
+    score = tw.read_score(guitar_pro(tmp_path / f"a.gp{version}", change, tempo=100))
+    assert [n.time for n in score.notes] == pytest.approx([0.0, 0.75, 1.5, 2.0])
+    assert score.ignored == {"change of volume": 3, "gradual change of tempo, made at once": 1}
+
+
+def test_sustain_pedal_of_a_track(tmp_path: Path) -> None:
+    """A note that ends while the pedal is down lasts until it comes up; moves that say nothing are counted."""
+    move = "<Automation><Type>SustainPedal</Type><Bar>0</Bar><Position>{}</Position><Value>0 {}</Value></Automation>"
+    moves = "".join(move.format(at, value) for at, value in ((0.375, 1), (0.625, 3), (0.75, 2)))
+    score = edited(tmp_path / "a.gp", ("</Staves></Track>", f"</Staves><Automations>{moves}</Automations></Track>"))
+    assert [n.duration for n in score.notes] == pytest.approx([1.0, 1.5, 1.0, 1.0])
+    assert {(c.time, c.value) for c in score.controls} == {(1.5, 1.0), (2.5, 0.0)}
+    assert score.ignored == {"sustain pedal that cannot be read": 1}

@@ -138,3 +138,27 @@ def test_bytes_that_declare_another_encoding(tmp_path: Path) -> None:
 def test_words_without_a_text_say_nothing(tmp_path: Path) -> None:
     score = read(tmp_path, sign("<words/>") + plain("C"), sign("<words>q = 120</words>") + plain(*"DE"))
     assert [n.time for n in score.notes] == [0.0, 1.0, 1.5]
+
+
+def test_jumps_in_words_hold_where_no_sound_says_any(tmp_path: Path) -> None:
+    """Orders of measures as music21 unfolds them; the first measure is C, the second D, and so on."""
+
+    def played(*signs: str, more: str = "") -> str:
+        bars = [sign(s) + plain(step, duration=16) for s, step in zip(signs, "CDEF", strict=False)]
+        return "".join("C.D.EF"[int(n.note or 0) - 60] for n in read(tmp_path, more + bars[0], *bars[1:]).notes)
+
+    al_coda = ("<segno/>", "<words>To Coda</words>", "<words>D.S. al Coda</words>", "<coda/>")
+    assert played(*al_coda) == "CDECDF"
+    assert played("<words/>", "<words>Fine</words>", "<words>D. C. al Fine</words>") == "CDECD"
+    assert played("<words/>", "<words>segno</words>", "<words>Dal Segno</words>") == "CDEDE"
+    assert played(*al_coda, more='<sound segno="a"/>') == "CDEF"
+    assert played("<words>fine tuning</words>", "<words>D.C. ad lib</words>", "<words/>") == "CDE"
+
+
+def test_divisions_after_the_first_notes_and_a_blank_line_before_all(tmp_path: Path) -> None:
+    bar = plain("C", "D", duration=8) + "<attributes><divisions>8</divisions></attributes>" + plain("E", duration=8)
+    path = tmp_path / "a.xml"
+    path.write_text(
+        f'\n<?xml version="1.0"?><score-partwise><part id="P"><measure>{bar}</measure></part></score-partwise>'
+    )
+    assert [n.time for n in tw.read_score(path).notes] == pytest.approx([0.0, 0.5, 1.0])

@@ -55,6 +55,9 @@ def test_no_parts_no_inverse_in_parts(rng):
     singular = blocks(rng, [1, 2, 1])
     singular[:, 1] = singular[1] = 0.0
     assert InverseInParts.of(4, sparse(singular), None) is None
+    for error, kept in ((1e-14, True), (1e-10, False)):  # beside the largest entry, not beside small ones
+        uneven = np.array([[1.0, 1e-5], [1e-5 + error, 1.0]])
+        assert (InverseInParts.of(2, sparse(uneven), None) is not None) == kept
     chain = np.eye(40) + 0.1 * (np.eye(40, k=1) + np.eye(40, k=-1))
     assert InverseInParts.of(40, sparse(chain), None) is None
 

@@ -186,3 +186,10 @@ class TestFriction:
         assert limit == pytest.approx(2.0 * 0.3 - a + 2 * math.sqrt(d * a), abs=2e-4)
         assert self.law.velocity_after(-1.0, load, 1.0) == 0.0
         assert self.law.velocity_after(-3.0, load, 1.0) < 0.0
+
+
+@pytest.mark.parametrize("values", [{"loss": -1.0}, {"damping": -1.0}, {"loss": float("nan")}])
+def test_a_potential_of_c_functions_with_a_negative_loss_is_refused(values):
+    function = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(lambda d: 0.0)
+    with pytest.raises(ValueError, match="loss and damping must not be negative"):
+        CompiledPotential(function, function, **values)

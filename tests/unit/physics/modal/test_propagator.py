@@ -140,11 +140,11 @@ def test_constant_piece_is_the_step_of_a_held_force():
     np.testing.assert_allclose(added(basis, 0.0, DT, (1.0, 0.0, 0.0)), held, rtol=1e-13)
 
 
-@pytest.mark.parametrize("dt", [DT, 20 * DT])
-def test_what_strings_get_is_what_phi_functions_say(dt):
-    """Pairs up to 0.45 of the sampling rate, and far beyond it where a step has many cells."""
+@pytest.mark.parametrize(("dt", "ends"), [(DT, (0.21, 0.83)), (20 * DT, (0.21, 0.83)), (2.8 * DT, (0.0, 1.0))])
+def test_what_strings_get_is_what_phi_functions_say(dt, ends):
+    """Pairs up to 0.45 of the sampling rate, just before a second cell is full, and far beyond it."""
     basis = ModalBasis.real(2 * np.pi * np.geomspace(20, 21600, 40), np.geomspace(0.1, 900, 40), {"a": np.ones(40)})
-    start, stop, c = 0.21 * dt, 0.83 * dt, (1.0, -3.0 / dt, 5.0 / dt**2)
+    start, stop, c = ends[0] * dt, ends[1] * dt, (1.0, -3.0 / dt, 5.0 / dt**2)
     d = stop - start
     _, p1, p2, p3 = phi(3, basis.poles * d)
     z = np.exp(basis.poles * (dt - stop)) * d * (c[0] * p1 + d * c[1] * p2 + 2 * d**2 * c[2] * p3) * basis.left[0]

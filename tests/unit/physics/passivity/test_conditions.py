@@ -171,6 +171,10 @@ def test_active_bodies_fail_at_the_right_frequency(rng):
     report = check(grows, right, left)
     assert [round(f, 6) for f, _ in report.unstable] == [round(poles[3].imag / 2 / np.pi, 6)]
     assert report.unstable[0][1] == pytest.approx(-poles[3].real)
+    grows[1] = -0.1 * poles[1].conjugate()
+    fastest = max((p for p in grows if p.real > 0), key=lambda p: p.real)
+    said = f"2 pole(s) grow, fastest {fastest.imag / 2 / np.pi:.6g} Hz at {fastest.real:.3g} 1/s"
+    assert said in check(grows, right, left).faults
     negative = left.copy()
     negative[:, 5] *= -1  # negative mass
     report = check(poles, right, negative)

@@ -10,6 +10,8 @@ from random_bodies import DAMPING, body, power_balance
 from tonewood.errors import PassivityError
 from tonewood.physics.modal.conjugates import extend
 from tonewood.physics.modal.mobility import mobility, port_scale
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.passivity.basis import check_basis, repair_basis
 from tonewood.physics.passivity.conditions import check
 from tonewood.physics.passivity.repair import repair
 from tonewood.physics.passivity.storage import storage_matrix
@@ -140,3 +142,17 @@ def test_dependent_ports_cost_nothing(rng):
     assert many.after.passive
     # the norm weighs the directions differently, that is all
     assert many.mobility_change < 2 * one.mobility_change
+
+
+def test_a_residual_compliance_with_a_negative_eigenvalue_becomes_the_nearest_without(rng):
+    """Nearest in the Frobenius norm: negative eigenvalues are zero, other points stay as they are (Higham 1988)."""
+    freq, shapes = 2 * np.pi * np.array([100.0, 210.0, 340.0]), rng.normal(size=(3, 3))
+    residual = 1e-6 * np.array([[1.0, 2.0, 0.1], [2.0, 1.0, 0.2], [0.1, 0.2, -4.0]])
+    basis = ModalBasis.real(freq, 0.01 * freq, dict(zip("abc", shapes, strict=True)), residual=residual)
+    assert any("negative eigenvalue -1e-06 m/N" in fault for fault in check_basis(basis, ["a", "b"]).faults)
+    mended = repair_basis(basis, ["a", "b"], max_change=0.1)
+    expected = residual.copy()
+    expected[:2, :2] = 1.5e-6
+    np.testing.assert_allclose(mended.residual, expected, rtol=1e-12, atol=1e-18)
+    assert mended.metadata["repair"].endswith("residual compliance by 1e-06 m/N")
+    assert check_basis(mended, ["a", "b"]).passive

@@ -80,6 +80,22 @@ def test_mixed_real_modes_balance(rng):
     assert linalg.eigvalsh(storage.P)[0] > -1e-9
 
 
+@pytest.mark.parametrize("silent", [("right",), ("left",), ("right", "left")])
+def test_modes_that_no_port_drives_or_sees_store_nothing(silent):
+    poles = np.array([-5 + 900j, -40 + 2000j, -30.0])
+    right = np.array([[0.3, 1.0, 0.0], [0.8, -0.2, 0.0]]) + 0j
+    left = right * np.array([-0.5j / 900, -0.5j / 2000, 0.0])
+    (right if "right" in silent else left)[:, 1] = 0.0
+    if len(silent) == 2:
+        left[:, 1] = 0.0
+    storage = storage_matrix(poles, right, left)
+    alone = storage_matrix(poles[:1], right[:, :1], left[:, :1])
+    states = [0, 3]  # and conjugate
+    np.testing.assert_allclose(storage.P[np.ix_(states, states)], alone.P, rtol=1e-12)
+    others = [k for k in range(len(storage.P)) if k not in states]
+    assert not storage.P[others].any()
+
+
 def test_undamped_complex_modes_are_stored_too(rng):
     modes = body(1, 0.0, n_dof=8).modes
     turn = np.exp(1j * rng.uniform(0, 6, 8))
@@ -106,8 +122,9 @@ def test_no_storage_for_a_list_that_is_not_passive():
 def test_a_port_without_stiffness_has_no_storage_function():
     """Two modes whose static compliances cancel: H(0) = 0, while the port moves and is driven."""
     poles = np.array([-4 + 500j, -9 + 800j])
-    products = np.array([0.02 - 1.0j, -0.02 + 1.0j])
-    compliance = -2 * (products / poles).real
-    products[1] *= -compliance[0] / compliance[1]
-    with pytest.raises(PassivityError, match="no storage function"):
+    products = np.array([0.02 - 1.0j, -0.02 + 0.0j])  # without a direct term
+    fast = poles[1]
+    products[1] += 1j * (-(products[0] / poles[0]).real * abs(fast) ** 2 + 0.02 * fast.real) / fast.imag
+    assert abs((products / poles).real.sum()) < 1e-15
+    with pytest.raises(PassivityError, match="mass or stiffness at the ports is singular"):
         _of_riccati(poles, np.ones((1, 2)) + 0j, products[None])

@@ -9,7 +9,7 @@ from scipy.special import j1
 
 from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED, air_matrices, couple_air, hole_loss
 from tonewood.physics.plate.microphones import microphone, pressure
-from tonewood.physics.plate.radiation import Sources
+from tonewood.physics.plate.radiation import Sources, gathered_sources
 
 KAPPA = AIR_DENSITY * SOUND_SPEED**2 / 0.0127
 HOLE = (np.pi * 0.0425**2, 0.07)
@@ -199,6 +199,22 @@ def test_a_bank_follows_the_rayleigh_sum(at, median: float, most: float) -> None
     assert bank.delay == pytest.approx(sources.distances(at).min() / SOUND_SPEED)
     low = np.abs(bank.response([0.0, 1.0]))
     assert low.max() < 1e-4 * np.abs(exact).max()
+
+
+def test_sources_gathered_in_squares_keep_area_moment_and_volume(rng: np.random.Generator) -> None:
+    points, weights, shapes = rng.uniform(-0.1, 0.2, (500, 2)), rng.uniform(1e-5, 2e-5, 500), rng.normal(size=(500, 3))
+    centres, area, volumes = gathered_sources(points, weights, shapes, 0.05)
+    assert len(area) <= 49
+    assert area.sum() == pytest.approx(weights.sum(), rel=1e-12)
+    assert area @ centres == pytest.approx(weights @ points, rel=1e-10)
+    assert volumes.sum(axis=0) == pytest.approx(weights @ shapes, rel=1e-9)
+    corner = points.min(axis=0)
+    cells = np.floor((centres - corner) / 0.05)  # each centre lies in a square of its own, with all points of that
+    assert len(np.unique(cells, axis=0)) == len(area)
+    for cell, one, volume in zip(cells, area, volumes, strict=True):
+        inside = np.all(np.floor((points - corner) / 0.05) == cell, axis=1)
+        assert one == pytest.approx(weights[inside].sum(), rel=1e-12)
+        assert volume == pytest.approx(weights[inside] @ shapes[inside], rel=1e-9, abs=1e-18)
 
 
 def test_pressure_is_reciprocal() -> None:

@@ -233,6 +233,24 @@ def test_a_potential_that_is_unbounded_below_ends_the_run(fourth: object, kind: 
             kind(system).run(state, 70)
 
 
+@pytest.mark.parametrize("psi", [0.4, -0.4])
+def test_psi_that_is_put_to_another_energy_keeps_its_sign(psi: float) -> None:
+    """V - least + scale = psi^2 / 2 has two roots: steps may have passed through zero."""
+    energy, y = Fourth(3.0), np.array([0.5, *np.zeros(5)])
+    row = np.array([0.0, 0.3, psi, 0.0])
+    shift, root = energy.begin(y[: energy.n], row, lambda: 1.0)
+    assert root == pytest.approx(np.sign(psi) * np.sqrt(2 * (energy.energy(y[: energy.n]) + shift)), rel=1e-12)
+
+
+def test_a_potential_without_finite_force_at_rest_is_refused() -> None:
+    for value, slope in ((0.0, np.nan), (np.nan, 0.0), (np.inf, 0.0)):
+        energy = Sum((2,), np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros((0, 2)))
+        energy.gradient = lambda y, of=(value, slope): (of[0], np.full(2, of[1]))  # type: ignore[method-assign]
+        potential = ModalPotential("p", ("plate",), lambda shares, made=energy: made)
+        with pytest.raises(TonewoodError, match="potential p: V or dV/dy is not finite at rest"):
+            potential.join([PLATE])
+
+
 def test_rounding_of_a_potential_is_no_fault() -> None:
     """V may be below `least` by 1e-12 J, and by 1e-9 of the energies at hand."""
     energy = Fourth(1.0)

@@ -100,7 +100,7 @@ def test_notes_that_come_together_are_strummed_one_after_the_other(guitar: tw.In
     for note in (40, 47, 52, 56, 59, 64):
         live.note_on(note)
     live.process(4800)
-    began = sorted(line.voice.began for line in live.player.hands.lines.values() if line.voice)
+    began = sorted(line.voice.began for line in live.player.hands.strings.values() if line.voice)
     assert np.diff(began).tolist() == [3 * GRID] * 5
     assert live.summary().notes == 6
 

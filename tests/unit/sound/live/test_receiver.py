@@ -119,7 +119,7 @@ def test_each_voice_of_a_zone_bends_its_own_string(guitar: tw.Instrument) -> Non
     midi.receive((0xE1, 0, 65))
     midi.live.process(2048)
     cents = {
-        name: f.cents for name, f in midi.live.engine.frettings.items() if midi.live.player.hands.lines[name].voice
+        name: f.cents for name, f in midi.live.engine.frettings.items() if midi.live.player.hands.strings[name].voice
     }
     assert sorted(cents.values()) == [0.0, 75.0]
 

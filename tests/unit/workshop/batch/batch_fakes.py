@@ -96,6 +96,8 @@ class FakeRenderer:
             raise ZeroDivisionError("a plugin's mistake")
         if t60 == "silent":
             return Rendered(np.zeros((100, 1)), 48000)
+        if t60 in ("empty", "flat"):
+            return Rendered(np.ones((0, 1) if t60 == "empty" else 100), 48000)
         if t60 == "nan":
             return Rendered(np.full((100, 1), np.nan), 48000)
         fs = condition.render.fs

@@ -105,8 +105,10 @@ def test_few_models_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
         (low, options.at(fs=44100)),
         (high, options),
     ):
-        cache.of(instrument, at)
+        cache.of(instrument, at, by_string=False)
     assert made == [low.content_hash, high.content_hash, low.content_hash, high.content_hash]
+    cache.of(high, options, by_string=True)  # another model than the last one
+    assert len(made) == 5
 
 
 def test_varied_force_scales_a_linear_sound() -> None:

@@ -309,6 +309,8 @@ def test_a_full_disk_stops_the_run_and_keeps_what_is_finished(tmp_path: Path, mo
         ("unknown", "body.t60: unknown is not a number"),
         ("silent", "the sound is silent"),
         ("nan", "the sound is not finite from 0.0000 s on"),
+        ("empty", "a render of shape (n, channels) is wanted, not (0, 1)"),
+        ("flat", "a render of shape (n, channels) is wanted, not (100,)"),
     ],
 )
 def test_one_failing_condition_is_reported_and_the_rest_goes_on(tmp_path: Path, level: str, reason: str) -> None:

@@ -29,20 +29,26 @@ def partials(freq, b, rates, *, seconds=2.0, place=0.15, before=0.1, level=0.3):
     return np.concatenate([np.zeros(round(before * FS)), x]), f
 
 
-def recorded(folder: Path, changes: dict[str, Any], places, *, seconds=1.5) -> None:
+def recorded(folder: Path, changes: dict[str, Any], places, *, seconds=1.5, dynamics=()) -> None:
     """Notes of a changed guitar as recordings with a table of their strings and stops.
 
     places : (string, stop) of each note.
+    dynamics : MIDI velocities of the strokes of each; one of the usual velocity where left out. Levels stay, then.
     """
     truth = Instrument.load(GUITAR).replace(changes)
     stage = Stage(truth)
-    rows, notes = ["file,string,stop"], []
+    rows, notes = ["file,string,stop,dynamic"], []
     for string, stop in places:
         note = round(stage.open_note(string) + stop)
-        notes.append(stage.at(Recording(f"{string}_{stop}", note, np.zeros(round(seconds * FS))), string, float(stop)))
-        rows.append(f"{string}_{stop}.wav,{string},{stop}")
+        for dynamic in dynamics or (None,):
+            name = f"{string}_{stop}" if dynamic is None else f"{string}_{stop}_v{dynamic}"
+            silence = np.zeros(round(seconds * FS))
+            notes.append(stage.at(Recording(name, note, silence, dynamic=dynamic), string, float(stop)))
+            rows.append(f"{name}.wav,{string},{stop},{dynamic or ''}")
     output = truth.spec.outputs[0].name
-    for played, sounds in zip(notes, render_notes(truth, notes, [output]), strict=True):
-        x = sounds[output]
-        sf.write(folder / f"{played.recording.file}.wav", 0.5 * x / np.abs(x).max(), FS, subtype="PCM_24")
+    sounds = [by_output[output] for by_output in render_notes(truth, notes, [output])]
+    loudest = max(float(np.abs(x).max()) for x in sounds)
+    for played, x in zip(notes, sounds, strict=True):
+        peak = loudest if dynamics else np.abs(x).max()
+        sf.write(folder / f"{played.recording.file}.wav", 0.5 * x / peak, FS, subtype="PCM_24")
     (folder / "notes.csv").write_text("\n".join(rows) + "\n")

@@ -177,3 +177,19 @@ def test_errors_are_one_line_and_nothing_is_made(
     out, err = capsys.readouterr()
     refused((ended.value.code, out, err), said)
     assert [path.name for path in tmp_path.iterdir()] == ["empty"]
+
+
+@pytest.mark.parametrize("rate", [4000, 2**31 - 1])
+def test_a_rate_that_no_recording_has_is_one_line(tmp_path, monkeypatch, capsys, rate: int) -> None:
+    """Resampling of the second one would need 320 GiB."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "notes").mkdir()
+    sf.write(tmp_path / "notes" / "A3.wav", 0.1 * np.sin(np.arange(4000)), 48000)
+    with (tmp_path / "notes" / "A3.wav").open("r+b") as stream:
+        stream.seek(24)
+        stream.write(rate.to_bytes(4, "little"))
+    with pytest.raises(SystemExit) as ended:
+        run(["distance", "notes", "notes"])
+    out, err = capsys.readouterr()
+    assert (ended.value.code, out, err.count("\n")) == (2, "", 1)
+    assert f"A3.wav: has {rate} samples a second; 8000 to 400000 are allowed" in err

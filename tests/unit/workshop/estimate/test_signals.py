@@ -71,8 +71,8 @@ def test_two_exponentials_are_told_apart() -> None:
     assert [m.amplitude for m in modes] == pytest.approx([1.0, 0.4], rel=1e-3)
     assert [m.rate for m in modes] == pytest.approx([6.0, 2.0], rel=1e-3)
     assert [m.offset for m in modes] == pytest.approx([-1.1, 0.4], rel=1e-3)
-    assert set(poles(y[:20], (1, 2, 3))) == {1, 2}
-    assert np.sort(np.log(poles(y, (2,))[2]).real * 150) == pytest.approx(np.sort(s.real), rel=1e-6)
+    assert set(poles([y[:20]], (1, 2, 3))) == {1, 2}
+    assert np.sort(np.log(poles([y], (2,))[2]).real * 150) == pytest.approx(np.sort(s.real), rel=1e-6)
 
 
 def test_a_rate_is_that_of_the_first_decibels() -> None:

@@ -150,3 +150,14 @@ def test_modes_beyond_the_band_stand_for_nothing_that_noise_could_be():
     assert body.compliance[0, 0] == pytest.approx(2e-7, rel=0.2)
     lower = body.shapes[0, 0] ** 2
     assert lower == pytest.approx(4.0, rel=0.2)
+
+
+def test_a_descent_on_exact_data_ends_where_the_cost_is_rounding():
+    """A cost of exactly 0, and then one of either sign below it."""
+    costs = iter([0.0, -1e-20, -2e-20, -3e-20])
+
+    def solve(poles, slopes=False):
+        return SimpleNamespace(cost=next(costs), normal=np.eye(2), gradient=np.zeros(2))
+
+    problem: Any = SimpleNamespace(line=SimpleNamespace(freq=np.array([10.0, 20.0]), step=1.0), solve=solve)
+    assert descend(problem, Poles.at([15.0], [10.0]), 9, 1e-6)[1].cost == -1e-20

@@ -17,6 +17,9 @@ from fit_scenes import TAU, random_body
 import tonewood as tw
 from tonewood.cli.main import run
 from tonewood.support.yaml_io import load_yaml
+from tonewood.workshop.fit import figure
+from tonewood.workshop.fit.files import Reading, read_responses
+from tonewood.workshop.fit.fit import fit_responses
 
 FREQ = np.arange(70.0, 600.0)
 TRUTH = random_body(3, seed=2, n_points=2, high=520.0)
@@ -170,7 +173,6 @@ def test_an_instrument_is_not_written_over(folder, capsys):
 
 
 def test_a_folder_that_cannot_be_completed_is_left_as_it_was(folder, monkeypatch):
-    from tonewood.workshop.fit import figure
 
     def broken(fit, path):
         raise OSError(28, "No space left on device")
@@ -238,3 +240,21 @@ def test_ctrl_c_leaves_nothing(folder):
     assert done.returncode == 130
     assert re.fullmatch(r"tonewood: interrupted; nothing was written\n", done.stderr)
     assert not (folder / "fitted").exists()
+
+
+def test_curves_of_the_figure_are_those_of_the_fit(folder, monkeypatch):
+    """Measured and fitted mobility of each pair lie over each other, pairs apart; below them their difference."""
+    made = []
+    monkeypatch.setattr(figure, "save", lambda drawn, path: made.append(drawn))
+    fit = fit_responses(read_responses([folder / "bridge.csv"], Reading("mobility")))
+    figure.draw_fit(fit, folder / "fit.png")
+    top, off = made[0].axes[:2]
+    measured, fitted = top.lines[1::2], top.lines[2::2]
+    assert len(measured) == len(fitted) == len(fit.responses.pairs) == 2
+    for i, (grey, line, error) in enumerate(zip(measured, fitted, off.lines, strict=False)):
+        shift = grey.get_ydata() - 20 * np.log10(np.abs(fit.responses.mobility[i]))
+        assert np.ptp(shift) < 1e-9
+        assert np.ptp(line.get_ydata() - 20 * np.log10(np.abs(fit.mobility[i])) - shift) < 1e-9
+        assert error.get_ydata() == pytest.approx(line.get_ydata() - grey.get_ydata(), abs=1e-9)
+        assert (shift[0] < -1.0) == (i > 0)
+        assert not i or f", {shift[0]:g} dB" in line.get_label()

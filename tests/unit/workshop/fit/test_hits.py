@@ -90,6 +90,8 @@ def test_double_hits_are_distinguished_from_noise():
     ]
     assert sum(is_double(x, FS) for x in single) == 0
     assert sum(is_double(x, FS) for x in double) == 60
+    assert sum(is_double(x[::-1], FS) for x in double) == 60  # the smaller pulse may come first
+    assert sum(is_double(x[::-1], FS) for x in single) == 0
 
 
 def test_two_single_hits_are_needed():

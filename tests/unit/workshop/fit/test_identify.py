@@ -9,7 +9,7 @@ from fit_scenes import guitar, random_body
 
 from tonewood.workshop.fit.identify import identify
 from tonewood.workshop.fit.projection import Line, Poles, Projection, Shape
-from tonewood.workshop.fit.search import NothingFoundError, descend
+from tonewood.workshop.fit.search import NothingFoundError, _unresolved, descend
 
 PAIR = Shape((0,), 2)
 
@@ -169,3 +169,18 @@ def test_thinned_bins_keep_a_sharp_mode_one():
     inside = (found.poles.freq > 3000) & (found.poles.freq < 6000)
     assert np.count_nonzero(inside) == 1
     assert found.poles.quality[inside][0] == pytest.approx(900.0, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("quality", "apart", "gains", "gone"),
+    [
+        (1000.0, 1.0, (9.0, 5.0), [False, True]), (1000.0, 1.0, (5.0, 9.0), [True, False]),
+        (1000.0, 2.5, (9.0, 5.0), [False, False]),  # beyond two bins
+        (20.0, 1.0, (9.0, 5.0), [False, False]),  # 10 Hz wide: bins show both
+    ],
+)  # fmt: skip
+def test_a_narrow_mode_within_two_bins_of_a_larger_one_is_its_peak_s_shape(quality, apart, gains, gone):
+    freq = np.arange(100.0, 301.0)
+    line = Line(freq, np.zeros((1, freq.size), dtype=complex), np.ones((1, freq.size)), 0.0)
+    poles = Poles.at(np.array([200.3, 200.3 + apart]), np.full(2, quality))
+    assert _unresolved(poles, np.array(gains), line).tolist() == gone

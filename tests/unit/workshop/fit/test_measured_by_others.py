@@ -218,6 +218,15 @@ def test_sets_that_are_missing_or_say_no_phase_or_rad_per_s_are_said(tmp_path):
         return read_responses([tmp_path / "a.uff"], Reading())
 
     assert read((1, 2, 3)).remarks == ()
+    pyuff.UFF(str(tmp_path / "b.uff")).write_sets(
+        pyuff.prepare_58(
+            func_type=1, rsp_node=1, rsp_dir=3, ref_node=1, ref_dir=3, rsp_ent_name="NONE", ref_ent_name="NONE",
+            data=np.sin(FREQ), x=FREQ, binary=0, id1="", id2="", id3="", id4="", id5="", load_case_id=0,
+            abscissa_spacing=1, abscissa_spec_data_type=17, ordinate_spec_data_type=12, orddenom_spec_data_type=0,
+        )
+    )  # fmt: skip
+    with pytest.raises(TonewoodError, match="its 1 sets 58 are of: time response"):
+        read_responses([tmp_path / "b.uff"], Reading())
     assert read((1, 2, 3, 6)).remarks == ("a.uff has no response at 2 of its nodes: 4, 5; sets may be missing",)
     with pytest.raises(TonewoodError, match="is real: magnitudes without phase"):
         read((1, 2), magnitude=True)
@@ -243,6 +252,16 @@ def test_arrays_of_any_name_in_mat_and_npz(tmp_path):
     assert c.pairs == d.pairs == tuple((p, "p0") for p in NAMES)
     for read in (a, b, c, d):
         assert np.allclose(read.mobility, rows, rtol=1e-9)
+
+
+def test_several_arrays_that_are_named_are_read_together(tmp_path):
+    rows = mobility()
+    np.savez(tmp_path / "a.npz", Freq=FREQ, H=rows[0], FRF=rows[1], other=rows[2])
+    read = read_responses([tmp_path / "a.npz"], Reading("mobility", arrays=("FRF", "other"), references=(("FRF", ""),)))
+    assert read.pairs == (("FRF", "FRF"), ("other", "FRF"))
+    assert np.allclose(read.mobility, rows[1:], rtol=1e-12)
+    with pytest.raises(TonewoodError, match="'G' is no complex array of 580 bins; H, FRF, other"):
+        read_responses([tmp_path / "a.npz"], Reading("mobility", arrays=("FRF", "G")))
 
 
 @pytest.mark.parametrize(

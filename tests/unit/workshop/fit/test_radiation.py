@@ -54,9 +54,10 @@ def test_two_places_tell_heave_from_rock():
     assert [float(row[2]) for row in rows[1:]] == found.heave[0].real.tolist()
 
 
-def test_one_place_tells_nothing_of_rock():
-    given = measured({"a": 0.0})
-    found = fit_radiation(given, fit_responses(given).body, {})
+@pytest.mark.parametrize("place", [0.0, 0.7])
+def test_one_place_tells_nothing_of_rock(place):
+    given = measured({"a": place})
+    found = fit_radiation(given, fit_responses(given).body, {"a": place} if place else {})
     assert found is not None
     assert not found.moment.any()
     assert np.sqrt(np.mean(found.error_db**2)) < 0.5

@@ -7,6 +7,7 @@ import pytest
 
 from tonewood.errors import TonewoodError
 from tonewood.workshop.fit.files import Reading, read_responses
+from tonewood.workshop.fit.fit import fit_responses
 
 FREQ = np.arange(20.0, 120.0)
 VALUES = (np.array([[1.0], [0.3]]) + 0.01 * FREQ) * np.exp(0.02j * FREQ)
@@ -37,12 +38,13 @@ BOTH = [FREQ, VALUES[0].real, VALUES[0].imag, VALUES[1].real, VALUES[1].imag]
         ("a.txt", "Frequency[Hz]\tMagnitude\tPhase[deg]\n" + text(POLAR, "\t"), None, 1),
         ("a.txt", text(POLAR, "\t"), None, 1),
         ("a.csv", "f,Magnitude (dB),Phase (rad)\n" + text(LEVELS, ","), None, 1),
+        ("a.txt", "Frequency\t Real\t Imaginary\n\nUnits:\nHz\t(m/s²)(N)\t\n" + text(PARTS, "\t"), "accelerance", 1),
         ("a.csv", "freq (kHz),real,imag\n" + text([1e-3 * FREQ, *PARTS[1:]], ","), None, 1),
     ],
 )
 def test_tables_of_other_programs(tmp_path, name, content, form, count):
     path = tmp_path / name
-    path.write_text(content)
+    path.write_text(content, encoding="cp1252")
     read = read_responses([path], Reading(form or "mobility"))
     factor = {"receptance": 2j * np.pi * FREQ, "accelerance": 1 / (2j * np.pi * FREQ)}.get(form, 1.0)
     assert read.freq == pytest.approx(FREQ, rel=1e-8)
@@ -50,6 +52,69 @@ def test_tables_of_other_programs(tmp_path, name, content, form, count):
     if form:
         assert np.allclose(read_responses([path], Reading()).mobility, read.mobility)
     assert bool(read.remarks) == (not content[:1].isalpha())
+
+
+@pytest.mark.parametrize("kind", ["npy", "mat", "real", "rounded"])
+def test_a_matrix_may_begin_with_its_frequencies(tmp_path, kind):
+    """One matrix alone, complex, or real with both parts; the remark names the unit that was taken."""
+    from scipy.io import savemat
+
+    whole = np.stack([FREQ, *VALUES], axis=1)
+    if kind == "real":
+        whole = np.stack(PARTS, axis=1)
+    path = tmp_path / ("a.mat" if kind == "mat" else "a.npy")
+    if kind == "mat":
+        savemat(path, {"FRF": whole})
+    else:
+        np.save(path, whole.astype(np.complex64) if kind == "rounded" else whole)
+    read = read_responses([path], Reading("mobility"))
+    assert np.array_equal(read.freq, FREQ)
+    assert np.allclose(read.mobility, VALUES[: len(read.pairs)], rtol=1e-6)
+    assert len(read.pairs) == (1 if kind == "real" else 2)
+    assert "taken for frequencies in Hz; divide it by 2 pi" in read.remarks[0]
+
+
+def hit(n=4000, fs=8000.0):
+    """Time, force, and acceleration of one mass on a spring and a dashpot, (n,) each, by its impulse response."""
+    t = np.arange(n) / fs
+    force = 40 * np.exp(-0.5 * ((t - 0.004) / 3e-4) ** 2)
+    w, zeta = 2 * np.pi * 200.0, 1 / 60
+    turned = w * np.sqrt(1 - zeta**2)
+    velocity = np.exp(-zeta * w * t) * (np.cos(turned * t) - zeta * w / turned * np.sin(turned * t)) / 0.2
+    velocity[0] /= 2  # the mean of both sides of its step
+    return t, force, np.convolve(force, velocity)[:n] / fs
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "form", "swapped"),
+    [
+        ("a.txt", "", "%.9e", False),
+        ("a.csv", "Time [s];Accel;Hammer [N]\n;;\n", "%.9e", True),
+        ("a.dat", "t (s)\tv\tforce\n", "%.9e", True),
+        ("rounded.txt", "", "%.2e", False),
+    ],
+)
+def test_a_hit_of_any_program_is_a_text_whose_first_column_is_time(tmp_path, name, head, form, swapped):
+    """One mode of 200 Hz, Q 30 and 0.2 kg; the force is the column called so, or the first; times of three digits."""
+    t, force, velocity = hit()
+    columns = [t, velocity, force] if swapped else [t, force, velocity]
+    sign = ";" if ";" in head else "\t"
+    rows = text(columns, sign)
+    if form != "%.9e":  # times with three digits alone
+        rows = "\n".join(
+            form % at + "\t" + line.split("\t", 1)[1] for at, line in zip(t, rows.splitlines(), strict=True)
+        )
+    (tmp_path / name).write_text(head + rows)
+    fit = fit_responses(
+        read_responses([tmp_path / name], Reading("mobility", points=("a",), references=(("a", ""),))),
+        band=(20.0, 1000.0),
+    )
+    row = next(row for row in fit.rows if row["measured"])
+    assert fit.body is not None
+    assert row["freq_Hz"] == pytest.approx(200.0, rel=1e-3)
+    assert row["Q"] == pytest.approx(30.0, rel=0.02)
+    assert row["mass_kg"] == pytest.approx(0.2, rel=0.02)
+    assert any("one hit at a" in line for line in fit.warnings)
 
 
 def test_the_driving_point_may_stand_in_another_file(tmp_path):
@@ -67,14 +132,20 @@ def test_the_driving_point_may_stand_in_another_file(tmp_path):
     [
         ("a.txt", text([FREQ, np.abs(VALUES[0])], "\t"), "magnitudes without phase"),
         ("a.csv", "f,Magnitude\n" + text(POLAR[:2], ","), "magnitudes without phase"),
+        ("a.csv", "f,Magnitude,Magnitude\n" + text([*POLAR[:2], POLAR[1]], ","), "magnitudes without phase"),
+        (
+            "a.csv",
+            "f,Magnitude,Magnitude,Phase\n" + text([*POLAR[:2], *POLAR[1:]], ","),
+            "3 columns after the first are not clear",
+        ),
         ("a.csv", "freq_Hz,a:a_re,a:a_im\n" + text([*PARTS[:2], 0 * FREQ], ","), "magnitudes without phase"),
         ("a.csv", "omega (rad/s),real,imag\n" + text(PARTS, ","), "is in rad/s: divide it by 2 pi"),
         (
             "a.csv",
             "Time (s),force,acc\n" + text(PARTS, ","),
-            "the first column is time: records of hits are read as CSV",
+            "holds a record over time, of 99 s, of a force and 1 resp",
         ),
-        ("a.txt", text([2e-5 * np.arange(100), *PARTS[1:]], "\t"), "in steps of 2e-05: times, not Hz"),
+        ("a.txt", text([2e-5 * np.arange(100), *PARTS[1:]], "\t"), "of a force and 1 responses: name"),
         ("a.txt", text([*PARTS, FREQ], "\t"), "3 columns after the first are not clear"),
         ("a.txt", "no numbers\n", "holds no table of numbers"),
         ("a.txt", "\0", "is no text"),
@@ -111,7 +182,8 @@ def test_arrays_with_a_step_in_place_of_frequencies(tmp_path, kind):
     [
         ({"w": FREQ, "H": VALUES[0]}, "w may be in rad/s: save freq_Hz = w / (2 pi)"),
         ({"omega": FREQ, "H": VALUES[0]}, "omega may be in rad/s"),
-        ({"t": FREQ, "x": VALUES[0].real}, "records over time are read as CSV"),
+        ({"t": FREQ, "x": VALUES[0].real}, "records over time are read as text, one hit a file"),
+        ({"f": np.ones(100), "x": np.ones(100), "dt": np.array(0.1)}, "records over time are read as text"),
         ({"freq": FREQ, "H": np.abs(VALUES[0])}, "H is real: magnitudes without phase"),
     ],
 )

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,6 +17,7 @@ from tonewood.workshop.listening import detection, means, power, thresholds
 from tonewood.workshop.listening.definition import ListeningError
 from tonewood.workshop.listening.models import bradley_terry, linear_analysis, rank_analysis, share_interval
 from tonewood.workshop.listening.panel import SimulatedPanel, read_panel, simulate
+from tonewood.workshop.listening.plain import _as_level
 from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.report import write_report
 from tonewood.workshop.listening.results import analyse, write_tables
@@ -201,6 +203,59 @@ def test_sensitivities_are_those_of_simulated_decisions(rng: np.random.Generator
     assert detection.sensitivity_same_different(hits, alarms) == pytest.approx(d, abs=0.02)
 
 
+@pytest.mark.parametrize("kinds", [(True,), (False,), (True, False)])
+def test_same_or_different_needs_pairs_of_both_kinds(kinds: tuple[bool, ...]) -> None:
+    """Of one listener and of two; without pairs of one kind there is no rate of false alarms, or of hits."""
+    said = {True: "different", False: "same"}
+    for who in ("ab", "a"):
+        rows = [
+            {"listener": name, "value": float(right), "right": right, "response": said[right == pair]}
+            for name in who for pair in kinds for right in (True, True, True, False)
+        ]  # fmt: skip
+        (one,) = detection.detections(rows, (), "same", 0.95)
+        assert one.share == 0.75
+        if len(kinds) == 1:
+            assert (one.d_prime, one.d_low, one.d_high) == (None, None, None)
+        else:  # three of four hits, one false alarm of four, half an answer added to each
+            assert one.d_low < one.d_prime
+            # two listeners, Student's t on one degree of freedom, put no upper bound on their population's d'
+            assert one.d_high is None if who == "ab" else one.d_high > one.d_prime
+            alone = detection.sensitivity_same_different(3.5 / 5, 1.5 / 5)
+            assert one.d_prime == pytest.approx(alone, rel=1e-9 if who == "a" else 0.5)
+
+
+@pytest.mark.parametrize(
+    ("scale", "levels", "step"),
+    [
+        ("value", (3.0, 1.0), -2.0), ("value", (0.0, -1.5), -1.5), ("add", (-1.0, 0.5), 1.5),
+        ("percent", (2.0, 3.0), 50.0), ("percent", (2.0, 1.0), -50.0), ("percent", (-2.0, -1.0), -50.0),
+        ("percent", (0.0, 1.0), None), ("percent", (1.0, 0.0), None), ("percent", (1.0, -2.0), None),
+        ("db", (1.0, 10.0), 20.0), ("db", (10.0, 1.0), -20.0), ("db", (0.0, 1.0), None), ("db", (1.0, 0.0), None),
+        ("value", ({"scale": 2.0}, 1.0), None), ("value", (1.0, {"fraction": 0.2}), None),
+    ],
+)  # fmt: skip
+def test_a_difference_of_levels_on_the_scale_of_a_staircase(scale: str, levels: tuple, step: float | None) -> None:
+    page = StaircasePage.model_validate(fakes.STAIRS).model_copy(update={"scale": scale})
+    found = _as_level(page, *levels)
+    assert found == (None if step is None else pytest.approx(step, rel=1e-12))
+
+
+@pytest.mark.parametrize("careless", [0.0, 1.0])
+def test_listeners_hear_a_large_difference_and_careless_ones_guess(tmp_path: Path, careless: float) -> None:
+    pages = [{"type": "abx", "pairs": {"damping": ["complex", "block"]}, "times": 15}]
+    test = fakes.made(tmp_path, pages)
+    heard = panel(d_prime={"damping": {"block": 30.0}}, careless=careless)
+    simulate(test, heard, 8, seed=4)
+    found = analyse(tmp_path / "out")
+    right = sum(one.right for one in found.pages[0].detections)
+    answers = sum(one.answers for one in found.pages[0].detections)
+    assert answers >= 8 * 15
+    if careless:
+        assert abs(right - answers / 2) < 4 * math.sqrt(answers) / 2
+    else:
+        assert right == answers
+
+
 def test_a_psychometric_function_is_fitted_to_its_own_answers(rng: np.random.Generator) -> None:
     page = StaircasePage.model_validate(fakes.STAIRS)
     levels = rng.choice(np.geomspace(0.05, 5.0, 25), 4000)
@@ -268,11 +323,12 @@ def test_p_values_are_two_sided_and_holm_s_never_fall(rng: np.random.Generator) 
 
 
 def test_bradley_terry_of_two_is_the_log_of_the_odds() -> None:
+    """With one tie added: 30.5 and 10.5 of 41."""
     rows = [row("a", 1.0, f="x|y")] * 30 + [row("a", 0.0, f="x|y")] * 10
     x, y = bradley_terry(rows, "f", 0.95)
-    assert y.value - x.value == pytest.approx(np.log(3), rel=1e-3)
-    error = np.sqrt(1 / 30 + 1 / 10)  # of the log of the odds
-    assert y.high - y.value == pytest.approx(stats.norm.ppf(0.975) * error / 2, rel=2e-3)
+    assert y.value - x.value == pytest.approx(np.log(30.5 / 10.5), rel=1e-5)
+    error = np.sqrt(1 / 30.5 + 1 / 10.5)  # of the log of the odds
+    assert y.high - y.value == pytest.approx(stats.norm.ppf(0.975) * error / 2, rel=1e-5)
 
 
 def test_numbers_of_listeners() -> None:

@@ -30,6 +30,7 @@ from tonewood.workshop.report.comparison import (
     match_wolves,
 )
 from tonewood.workshop.report.page import page
+from tonewood.workshop.report.summary import key_figures, value_words
 
 FS = 48000
 EVIL = '<script>document.title="owned"</script> & "two" $x_1$'
@@ -301,6 +302,24 @@ def test_curves_of_mobility_are_those_of_the_facts(found: Comparison, drawn: lis
         for line, facts in zip(axes.lines, found.instruments, strict=False):
             np.testing.assert_allclose(line.get_xdata(), facts.freq)
             np.testing.assert_allclose(line.get_ydata(), 20 * np.log10(np.abs(facts.mobility[name])), atol=1e-9)
+
+
+def test_a_sweep_is_a_table_and_curves_over_its_value(found: Comparison, drawn: list[Figure]) -> None:
+    """The unkind monochord has 50 N, the other one 58.8 N: rows in the order of values, with the label of each."""
+    swept = replace(found, sweep="strings.A2.tension")
+    texts = [text.strip() for text in Reader(page(swept)).texts if text.strip()]
+    rows = [key_figures(facts) for facts in reversed(found.instruments)]
+    names = list(rows[0])
+    table = [*names]
+    for first, row in zip(("50 (B)", "58.8 (A)"), rows, strict=True):
+        table += [first, *(value_words(*row[name]) for name in names)]
+    begin = texts.index(names[0])
+    assert texts[begin : begin + len(table)] == table
+    panels = next(figure for figure in drawn if figure.axes[0].lines[0].get_xdata().tolist() == [50.0, 58.8])
+    shown = [axes for axes in panels.axes if axes.lines]
+    assert len(shown) == len([name for name in names if all(name in row for row in rows)])
+    for axes, name in zip(shown, names, strict=True):
+        np.testing.assert_allclose(axes.lines[0].get_ydata(), [row[name][0] for row in rows], rtol=1e-12)
 
 
 @pytest.mark.parametrize("quantity", ["t60", "cents_mounted"])

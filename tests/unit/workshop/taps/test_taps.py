@@ -217,6 +217,7 @@ def test_bad_recordings_are_one_line(tmp_path, monkeypatch, capsys):
     sf.write("noise.wav", 0.1 * np.random.default_rng(0).normal(size=FS), FS)
     sf.write("empty.wav", np.zeros(0), FS)
     sf.write("slow.wav", recording(0)[::20], FS // 20)
+    sf.write("few.wav", np.ones(8), 8)
     Path("text.wav").write_text("not a sound")
     sf.write("good.wav", recording(0), FS)
     sf.write("other.wav", recording(0), 2 * FS)
@@ -224,6 +225,7 @@ def test_bad_recordings_are_one_line(tmp_path, monkeypatch, capsys):
         (("quiet.wav",), "quiet.wav: holds no tap"),
         (("noise.wav",), "noise.wav: holds no tap"),
         (("empty.wav",), "empty.wav: holds no samples"),
+        (("few.wav",), "few.wav: has 8 samples a second; 1000 to 400000 are allowed"),
         (("text.wav",), "text.wav: is no sound file"),
         (("none.wav",), "none.wav: is not there"),
         (("slow.wav",), "--band: is 50 1000 Hz; 0 to 600 Hz"),

@@ -274,7 +274,7 @@ def test_measured_plates_of_others(name: str) -> None:
     taps = np.load(PLATES / f"{name}.npz")["acceleration"]
     peaks = strongest([*taps], 48000, (30.0, 800.0))
     plate = Rectangle.of(*size, mass, typical("sitka_spruce", mass / float(np.prod(size))))
-    solution = estimate_board(plate, [p.freq for p in peaks], [p.error for p in peaks], [p.q for p in peaks])
+    solution = estimate_board(plate, [p.freq for p in peaks], [p.error for p in peaks], [p.quality for p in peaks])
     assert len(solution.pairs) >= 11
     assert max(abs(p.computed / p.measured - 1) for p in solution.pairs) < 0.01
     for key, sd in (("E_L", 0.03), ("G_LR", 0.05)):

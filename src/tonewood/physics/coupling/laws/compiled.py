@@ -56,8 +56,8 @@ class CompiledPotential(PotentialLaw):
 
     def __post_init__(self) -> None:
         for name in ("potential", "slope"):
-            given = getattr(self, name)
-            object.__setattr__(self, name, given if isinstance(given, Scalar) else Scalar(given))
+            function = getattr(self, name)
+            object.__setattr__(self, name, function if isinstance(function, Scalar) else Scalar(function))
         if not (self.loss >= 0.0 and self.damping >= 0.0):
             raise ValueError("loss and damping must not be negative")
 

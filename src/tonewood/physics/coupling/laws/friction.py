@@ -189,10 +189,10 @@ def solve_branches(branches: Sequence[FrictionBranch], solve: Callable[[], Found
     ValueError : they are not found.
     """
     for iteration in range((PATIENCE + 1) * len(branches) + 1):
-        found = solve()
+        solution = solve()
         changed = next((friction for friction in branches if friction.changes()), None)
         if changed is None:
-            return found
+            return solution
         if iteration >= PATIENCE * len(branches):
             _halve(changed, solve)
     raise ValueError("friction finds no branch")

@@ -124,23 +124,23 @@ def _find_friction(
     def wrong(f: Floats) -> tuple[Floats, bool]:
         """Set the forces of contacts in f; return the residual of friction, m/s, and whether contacts were found."""
         nonlocal iterations
-        found = True
+        converged = True
         if stored.size:
             rest = (partners.offset_after - free - Z[:, sliding] @ f[sliding])[stored]
-            f[stored], count, found = newton(
+            f[stored], count, converged = newton(
                 potentials, Z[np.ix_(stored, stored)], rest, old, dt, scale, f[stored], noise
             )  # fmt: skip
             iterations += count
         without = (free + Z @ f - gap)[sliding] / dt - own * f[sliding] - partners.velocity[sliding]
         for friction, v, mobility in zip(branches.values(), without, own, strict=True):
             friction.meet(float(v), float(mobility))
-        return own * (np.array([friction.force for friction in branches.values()]) - f[sliding]), found
+        return own * (np.array([friction.force for friction in branches.values()]) - f[sliding]), converged
 
     f = guess.copy()
-    r, found = wrong(f)
+    r, converged = wrong(f)
     for _ in range(MAX_ITERATIONS):
-        made = float(np.abs(Z @ f).max())
-        if found and float(np.abs(r).max()) * dt <= TOLERANCE * made + noise:
+        displaced = float(np.abs(Z @ f).max())
+        if converged and float(np.abs(r).max()) * dt <= TOLERANCE * displaced + noise:
             return Solution(f, iterations, True)
         p = (partners.offset_after - free - Z @ f)[stored]
         slope = np.array([law.force(float(a), float(b), dt)[1] for law, a, b in zip(potentials, p, old, strict=True)])
@@ -154,8 +154,8 @@ def _find_friction(
         for _halved in range(50):
             tried = f.copy()
             tried[sliding] += t * step
-            r, found = wrong(tried)
-            if found and float(np.abs(r).max()) < (1 - 1e-3 * t) * size:
+            r, converged = wrong(tried)
+            if converged and float(np.abs(r).max()) < (1 - 1e-3 * t) * size:
                 break
             t *= 0.5
         else:

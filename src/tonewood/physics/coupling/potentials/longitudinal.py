@@ -61,10 +61,10 @@ def cosine_slopes(name: str, component: str, basis: ModalBasis) -> tuple[Floats,
     ------
     ValueError : the component was not made by `string_basis`.
     """
-    known = basis.metadata
-    if "vec" not in known:
+    metadata = basis.metadata
+    if "vec" not in metadata:
         raise ValueError(f"{name}: {component} does not tell its shapes as a ramp and sines")
-    vec, length = cast(Floats, known["vec"]), cast(float, known["length"])
+    vec, length = cast(Floats, metadata["vec"]), cast(float, metadata["length"])
     wavenumber: Floats = np.asarray(np.arange(len(vec)) * np.pi / length, dtype=np.float64)
     wavenumber[0] = -1.0 / length
     return vec, wavenumber, length

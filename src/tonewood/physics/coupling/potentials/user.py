@@ -233,15 +233,17 @@ class ModalPotential(Potential):
         ------
         TonewoodError : V has more coordinates than a component has modes, or is not finite at rest or below `least`.
         """
-        made = self.energy(shares)
-        for component, size, basis in zip(self.components, made.sizes, shares, strict=True):
+        energies = self.energy(shares)
+        for component, size, basis in zip(self.components, energies.sizes, shares, strict=True):
             if not 0 <= size <= basis.n_modes:
                 raise TonewoodError(
                     f"potential {self.name}: {component} has {basis.n_modes} modes, not {size} coordinates"
                 )
-        value, slope = made.called(np.zeros(made.n))
+        value, slope = energies.called(np.zeros(energies.n))
         if not (np.isfinite(value) and np.all(np.isfinite(slope))):
             raise TonewoodError(f"potential {self.name}: V or dV/dy is not finite at rest")
-        if value < made.least - SAME * abs(made.least):
-            raise TonewoodError(f"potential {self.name}: V = {value:g} J at rest is below `least` = {made.least:g} J")
-        return made
+        if value < energies.least - SAME * abs(energies.least):
+            raise TonewoodError(
+                f"potential {self.name}: V = {value:g} J at rest is below `least` = {energies.least:g} J"
+            )
+        return energies
