@@ -95,6 +95,7 @@ def test_coupled_damping_makes_no_false_modes():
     assert np.count_nonzero(inside) == n
 
 
+@pytest.mark.slow
 def test_no_modes_at_the_ends_of_a_band_whose_noise_is_not_known():
     """The estimate of the noise there must not hang on the last bin."""
     truth, freq = random_body(3, seed=2, high=520.0), np.arange(70.0, 600.0)
