@@ -65,7 +65,7 @@ class Cavity:
 
 def cavity_modes(outline: Floats, depth: float, fmax: float, size: float = 0.02) -> Cavity:
     """Modes of the cavity below an outline up to `fmax` (Hz): -lap psi = (omega / c)^2 psi, psi_n = 0 on the walls."""
-    from scipy.linalg import eigh
+    from tonewood.support.scipy_linalg import sla
 
     grid = SplineGrid.over(outline, size)
     quad = quadrature(grid, [outline])
@@ -75,7 +75,7 @@ def cavity_modes(outline: Floats, depth: float, fmax: float, size: float = 0.02)
     keep = np.flatnonzero(diagonal > 1e-9 * diagonal.max())
     scale = 1 / np.sqrt(diagonal[keep])
     k, m = (a[keep][:, keep].toarray() * np.outer(scale, scale) for a in (stiffness, mass))
-    values, shapes = eigh(k, m)
+    values, shapes = sla.eigh(k, m)
     freq = SOUND_SPEED * np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi)
     few = np.flatnonzero(freq < fmax)[1:]
     area = float(quad.weights.sum())
@@ -126,7 +126,7 @@ def air_matrices(
     cavity : (m,) Hz, (m, n_q) b and (m,) psi at the hole.
     compliance : (1 + m, 1 + m) m^3/Pa, C of plate modes left out; none where left out.
     """
-    from scipy.linalg import solve
+    from tonewood.support.scipy_linalg import sla
 
     kappa = AIR_DENSITY * SOUND_SPEED**2 / volume
     cavity_freq, b, at_hole = cavity
@@ -141,7 +141,7 @@ def air_matrices(
     mass[n + open_hole :] = kappa / (2 * np.pi * cavity_freq) ** 2
     springs = kappa * rows
     if compliance is not None:
-        springs = np.asarray(solve(np.eye(1 + m) / kappa + compliance, rows, assume_a="pos"), dtype=np.float64)
+        springs = np.asarray(sla.solve(np.eye(1 + m) / kappa + compliance, rows, assume_a="pos"), dtype=np.float64)
     stiffness = rows.T @ springs
     stiffness = 0.5 * (stiffness + stiffness.T)
     stiffness[np.arange(n), np.arange(n)] += (2 * np.pi * freq) ** 2
@@ -157,11 +157,11 @@ def couple_air(
     compliance: Floats | None = None,
 ) -> AirModes:
     """Modes of plates with their air; parameters as those of `air_matrices`."""
-    from scipy.linalg import eigh
+    from tonewood.support.scipy_linalg import sla
 
     mass, stiffness, pressure = air_matrices(freq, outward, volume, hole, cavity, compliance)
     scale = 1 / np.sqrt(mass)
-    values, vectors = eigh(stiffness * np.outer(scale, scale))
+    values, vectors = sla.eigh(stiffness * np.outer(scale, scale))
     squares = vectors**2
     shapes = scale[:, None] * vectors
     n, open_hole = len(freq), int(hole is not None)

@@ -124,8 +124,9 @@ def beam_matrices(
     half = diags(np.broadcast_to(below * thickness / 2, place.shape))
     turned_s = [-half @ (c * w_s), -half @ (s * w_s)] if shears else []
     strain = hstack([diags(below * height / 2) @ theta_s, c * w_s, s * w_s, *turned_s, half @ w_ss])
-    others = [0.0 * w_s] * (2 + len(turned_s))
-    bend, twist = hstack([theta_s, *others, 0.0 * w_s]), hstack([0.0 * theta, *others, w_sn])
+    none = csr_matrix(w_s.shape)
+    others = [none] * (2 + len(turned_s))
+    bend, twist = hstack([theta_s, *others, none]), hstack([csr_matrix(theta.shape), *others, w_sn])
     # mean over the width, in which the section stays plane
     lines = _across(grid, beam)[1]
     mean = kron(np.outer(np.ones(len(lines)), lines), eye(len(place) // len(lines)))

@@ -27,6 +27,7 @@ from tonewood.physics.plate.plate import CLAMPED, Edge, Plate, PlateModes, Thick
 from tonewood.physics.plate.radiation import Sources, gathered_sources
 from tonewood.physics.plate.splines import SplineGrid
 from tonewood.physics.plate.wood import Wood
+from tonewood.support.blas import one_blas_thread
 from tonewood.support.stages import stages
 
 Floats = NDArray[np.float64]
@@ -184,6 +185,7 @@ def named_modes(freq: Floats, kinetic: Floats, top: Floats) -> dict[str, int]:
     return numbers
 
 
+@one_blas_thread
 def body_modes(drawing: BodyDrawing) -> BodyModes:
     """Modes of a drawn body up to its `fmax`.
 
@@ -339,7 +341,7 @@ def _with_air(
     modes; (m,) Hz of the cavity; for the plate modes left out, the residual (p, p) m/N and the displacement of the
     points (p,) per pressure of each of the cavity's modes, m/Pa.
     """
-    from scipy.linalg import solve
+    from tonewood.support.scipy_linalg import sla
 
     freq, top = np.concatenate([p.freq for p in plates]), plates[0]
     if drawing.depth == 0:
@@ -366,7 +368,7 @@ def _with_air(
         compliance = compliance + back.plate.residual(own, back)
     modes = couple_air(freq, outward[0], cavity.volume, hole, (cavity.freq, b, at_hole), compliance)
     stiff = np.eye(1 + m) * cavity.volume / (AIR_DENSITY * SOUND_SPEED**2) + compliance
-    added = lever @ solve(stiff, lever.T, assume_a="pos")
+    added = lever @ sla.solve(stiff, lever.T, assume_a="pos")
     return modes, cavity.freq, (rest[:points, :points] - added, lever)
 
 
@@ -379,9 +381,9 @@ def point_loads(plate: Plate, drawing: BodyDrawing) -> Floats:
 
 def _semidefinite(matrix: Floats) -> Floats:
     """Matrix without its negative eigenvalues, which are rounding."""
-    from scipy.linalg import eigh
+    from tonewood.support.scipy_linalg import sla
 
     if not len(matrix):
         return matrix
-    values, vectors = eigh(matrix)
+    values, vectors = sla.eigh(matrix)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 #: vectors in a block
-BLOCK = 24
+BLOCK = 8
 #: largest residual of a pair that counts as converged, of its theta; the eigenvalue is then exact to its square
 _TOLERANCE = 1e-7
 #: unknowns up to which a dense problem is quicker
@@ -43,12 +43,12 @@ def lowest(
     count : number of pairs; 0 for all below `below`.
     below : upper limit of lambda, where `count` is 0.
     """
-    from scipy.linalg import eigh
+    from tonewood.support.scipy_linalg import sla
 
     n = mass.shape[0]
     if n <= _DENSE:
         return _dense(solve, mass, shift, count, below)
-    room = 8 * BLOCK
+    room = 24 * BLOCK
     whole, heavy = (np.empty((n, room), order="F") for _ in range(2))
     projected = np.zeros((room, room))
     block = _orthonormal(solve(np.asarray(mass @ _start(n))), mass)
@@ -70,7 +70,7 @@ def lowest(
         block = _orthonormal(step, mass)
         if size <= check and block.shape[1]:
             continue
-        theta, inside = (a[..., ::-1] for a in eigh(projected[:size, :size]))
+        theta, inside = (a[..., ::-1] for a in sla.eigh(projected[:size, :size]))
         number = count or int(np.count_nonzero(1 / theta[theta > 0] - shift <= below)) + 1
         number = min(number, size)
         tail = np.asarray((mass @ block).T @ step)
@@ -107,14 +107,14 @@ def _dense(
     solve: Callable[[Floats], Floats], mass: csc_matrix, shift: float, count: int, below: float
 ) -> tuple[Floats, Floats]:
     """The same from the dense matrix R^T (K + s^2 M)^-1 R, M = R R^T."""
-    from scipy.linalg import eigh
+    from tonewood.support.scipy_linalg import sla
 
-    values, turn = eigh(mass.toarray())
+    values, turn = sla.eigh(mass.toarray())
     some = values > 1e-13 * values[-1]
     root = turn[:, some] * np.sqrt(values[some])
     moved = solve(root)
     flexible = root.T @ moved
-    theta, inside = (a[..., ::-1] for a in eigh(0.5 * (flexible + flexible.T)))
+    theta, inside = (a[..., ::-1] for a in sla.eigh(0.5 * (flexible + flexible.T)))
     eigenvalues = 1 / theta[theta > 1e-14 * theta[0]] - shift
     number = min(count, len(eigenvalues)) if count else int(np.count_nonzero(eigenvalues <= below))
     return eigenvalues[:number], np.asarray(moved @ (inside[:, :number] / theta[:number]))

@@ -84,7 +84,7 @@ def microphone(
     highest : Hz, that the bank is stepped up to; poles of high damping above it are left out.
     delay : s, taken out; that of the nearest source where left out. A smaller one stays in the bank.
     """
-    from scipy.linalg import lstsq
+    from tonewood.support.scipy_linalg import sla
 
     delay = float(sources.distances(at).min()) / SOUND_SPEED if delay is None else delay
     freq = _frequencies(poles, highest)
@@ -103,7 +103,7 @@ def microphone(
     right = np.vstack([(target * weight[:, None]).real, (target * weight[:, None]).imag, np.zeros((2, len(shapes)))])
     size = np.sqrt((rows**2).sum(axis=0))
     size[len(every) :][every.imag == 0] = np.inf  # a real pole has a real residue
-    filters = lstsq(rows / size, right, cond=1e-9, lapack_driver="gelsy")[0] / size[:, None]
+    filters = sla.lstsq(rows / size, right, cond=1e-9, lapack_driver="gelsy")[0] / size[:, None]
     bank = Bank(every, filters[: len(every)] + 1j * filters[len(every) :], delay, (0.0, 0.0))
     heard = (freq >= _LOWEST) & (freq <= top)
     ratio = bank.response(freq[heard]) - target[heard]

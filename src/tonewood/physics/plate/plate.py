@@ -60,9 +60,9 @@ _TRACE = 1e-9
 SHEAR_FACTOR = 5 / 6
 #: stiff springs that stand for a clamped or hinged edge, in units of D / size^3 and D / size
 STIFF = 1e4
-#: functions of a grid up to which, and beams of which, matrices are kept
-_KEPT_COUNT, _KEPT_BEAMS = 1500, 100
-_BEAMS: dict[Any, tuple[csr_matrix, csr_matrix, csr_matrix]] = {}
+#: functions of a grid up to which results are kept, and how many of each kind: a search changes one part at a time
+_KEPT_COUNT, _KEPT = 1500, {"points": 4, "plate": 4, "beam": 100}
+_RESULTS: dict[str, dict[Any, Any]] = {kind: {} for kind in _KEPT}
 #: s of the shift -s^2 of the eigenproblem in units of sqrt(D_R / rho h) / S: below 0, as free plates have zero modes
 _SHIFT = 20.0
 
@@ -174,18 +174,21 @@ class Plate:
         self._given, self._layered = thickness, layers_of or wood
         self.grain, self.shear_factor = grain, shear_factor
         self.grid = SplineGrid.over(rings[0], size, degree)
-        self.quadrature = quadrature(self.grid, rings)
-        layers = self._layers(edge)
+        self.quadrature = self._kept("points", rings, lambda: quadrature(self.grid, rings))
+        plate = (*rings, thickness, wood, edge, grain, shear_factor, self._layered, bool(beams))
+        layers, bare, springs = self._kept(
+            "plate", plate, lambda: (self._layers(edge), self._plate(), [*self._membrane(), *self._edge(edge)])
+        )
         sections = [(f"beam {i}", rotations(self.grid, beam)) for i, beam in enumerate(beams)]
         in_plane = self._in_plane if beams else []
         fields = [*sections, *(fields[0] for _, _, _, fields in layers), *in_plane, *self._bending]
         stiffness, losses, mass = sums = [_Sum(fields) for _ in range(3)]
-        for part, matrix in zip(sums, self._plate(), strict=True):
+        for part, matrix in zip(sums, bare, strict=True):
             part.add(matrix, self._bending)
         for *matrices, own in layers:
             for part, matrix in zip(sums, matrices, strict=True):
                 part.add(matrix, own)
-        for matrix, lossy, own in [*self._membrane(), *self._edge(edge)]:
+        for matrix, lossy, own in springs:
             stiffness.add(matrix, own)
             losses.add(lossy, own)
         for section, beam in zip(sections, beams, strict=True):
@@ -199,18 +202,26 @@ class Plate:
         self._stiffness, self._losses, self._mass = (m[keep][:, keep].tocsc() for m in totals)
 
     def _of_beam(self, beam: Beam) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
-        """`beam_matrices`, kept for plates of the same grid and thickness: a search changes one beam at a time."""
-        points, _, _ = beam_line(self.grid, beam)
-        if callable(self._given) or self.grid.count > _KEPT_COUNT:
-            return beam_matrices(self.grid, beam, self.thickness(points), self.wood.shears)
-        arrays = (self.grid.low, self.grid.size, self.grid.cells, beam.start, beam.stop, beam.heights)
-        key = (*(np.asarray(a).tobytes() for a in arrays), self.grid.degree, self._given, beam.width, beam.wood,
-               beam.above, self.wood.shears)  # fmt: skip
-        if key not in _BEAMS:
-            while len(_BEAMS) >= _KEPT_BEAMS:
-                _BEAMS.pop(next(iter(_BEAMS)))
-            _BEAMS[key] = beam_matrices(self.grid, beam, self.thickness(points), self.wood.shears)
-        return _BEAMS[key]
+        def make() -> tuple[csr_matrix, csr_matrix, csr_matrix]:
+            return beam_matrices(self.grid, beam, self.thickness(beam_line(self.grid, beam)[0]), self.wood.shears)
+
+        parts = (beam.start, beam.stop, beam.heights, self._given, beam.width, beam.wood, beam.above, self.wood.shears)
+        matrices: tuple[csr_matrix, csr_matrix, csr_matrix] = self._kept("beam", parts, make)
+        return matrices
+
+    def _kept(self, kind: str, parts: Sequence[Any], make: Callable[[], Any]) -> Any:
+        """Result of `make`, which depends on the grid and on `parts`; kept for plates of the same grid."""
+        if any(map(callable, parts)) or self.grid.count > _KEPT_COUNT:
+            return make()
+        grid, kept = (self.grid.low, self.grid.size, self.grid.cells, self.grid.degree), _RESULTS[kind]
+        key = tuple(x.tobytes() if isinstance(x, np.ndarray) else x for x in (*grid, *parts))
+        result = kept.get(key)
+        if result is None:
+            result = make()
+            while len(kept) >= _KEPT[kind]:
+                kept.pop(next(iter(kept)), None)
+            kept[key] = result
+        return result
 
     @property
     def _bending(self) -> list[Field]:

@@ -63,7 +63,7 @@ class LowModes:
     freq : (n,) Hz.
     loss : (n,) loss factors.
     shapes : (p, n) 1/sqrt(kg) at the drawing's points.
-    residual : (p, p) m/N, static compliance of all other modes.
+    residual : (p, p) m/N, static compliance of all other modes; zeros where it was not asked for.
     mass : kg, of plates and lumps.
     named : numbers of A0 and T1.
     """
@@ -187,8 +187,14 @@ class WholeBody:
         """(m,) omega^2 and (n, m) shapes of the modes below `below` (Hz), or of the first `count`."""
         return lowest(self.solve, self.mass_matrix, self.shift, count=count, below=(2 * np.pi * below) ** 2)
 
-    def described(self, values: Floats, vectors: Floats) -> LowModes:
-        """Frequencies, losses, shapes at points and what is left out, of modes of this body."""
+    def described(self, values: Floats, vectors: Floats, residual: bool = True) -> LowModes:
+        """Frequencies, losses, shapes at points and what is left out, of modes of this body.
+
+        Parameters
+        ----------
+        values, vectors : (m,) omega^2 and (n, m).
+        residual : whether the residual is wanted, which takes a factorisation.
+        """
         values = np.maximum(values, 0.0)
         omega = np.sqrt(values)
         safe = np.where(omega > 1.0, omega, np.inf)
@@ -206,9 +212,8 @@ class WholeBody:
         for lump in self.lumps:
             loss = loss + lump.damping * (lump.factor * shapes[lump.point]) ** 2 / safe
         freq = np.where(omega > 1.0, omega, 0.0) / (2 * np.pi)
-        return LowModes(
-            freq, loss, shapes, self._residual(values, shapes), self.mass, named_modes(freq, kinetic, swept)
-        )
+        rest = self._residual(values, shapes) if residual else np.zeros((len(shapes), len(shapes)))
+        return LowModes(freq, loss, shapes, rest, self.mass, named_modes(freq, kinetic, swept))
 
     def _residual(self, values: Floats, shapes: Floats) -> Floats:
         """(p, p) m/N of the modes left out, as `Plate.residual`."""
@@ -253,7 +258,14 @@ class BodyChange:
 
 
 def body_change(
-    body: WholeBody, values: Floats, vectors: Floats, less: WholeBody, more: WholeBody, step: float, count: int
+    body: WholeBody,
+    values: Floats,
+    vectors: Floats,
+    less: WholeBody,
+    more: WholeBody,
+    step: float,
+    count: int,
+    residual: bool = True,
 ) -> BodyChange:
     """Modes of a body at p - step and p + step to first order; their difference over 2 step is the derivative.
 
@@ -265,6 +277,7 @@ def body_change(
     values, vectors : modes of `body`, more than `count`.
     less, more : bodies at p - step and p + step, with the same unknowns.
     count : number of modes wanted.
+    residual : as in `WholeBody.described`.
 
     Raises
     ------
@@ -284,6 +297,7 @@ def body_change(
     )
 
     def beside(other: WholeBody, by: float) -> LowModes:
-        return other.described(values[:count] + by * change.values_rate, change.vectors + by * change.vectors_rate)
+        moved = (values[:count] + by * change.values_rate, change.vectors + by * change.vectors_rate)
+        return other.described(*moved, residual)
 
     return BodyChange(beside(less, -step), beside(more, step), step)

@@ -57,15 +57,20 @@ def changed(instrument: Instrument, free: Sequence[Free], values: Sequence[float
     return instrument.replace(overrides)
 
 
-def design_body(instrument: Instrument, free: Sequence[Free], highest: float) -> DesignBody:
-    """Make the body for parameters, with modes for targets up to `highest` (Hz).
+def design_body(instrument: Instrument, free: Sequence[Free], highest: float, mobility: bool = True) -> DesignBody:
+    """Make the body for parameters.
+
+    Parameters
+    ----------
+    highest : Hz, up to which targets are.
+    mobility : whether its mobility is wanted.
 
     Raises
     ------
     TonewoodError : a parameter is not one that this kind of body can change.
     """
     if isinstance(getattr(instrument.body, "drawing", None), BodyDrawing):
-        return DrawnDesign(instrument, free, highest)
+        return DrawnDesign(instrument, free, highest, mobility)
     for parameter in free:
         for path in parameter.paths:
             if not path.startswith("body.added."):
@@ -80,8 +85,8 @@ def design_body(instrument: Instrument, free: Sequence[Free], highest: float) ->
 class DrawnDesign:
     """A drawn body; see the module."""
 
-    def __init__(self, instrument: Instrument, free: Sequence[Free], highest: float):
-        self._instrument, self._free = instrument, tuple(free)
+    def __init__(self, instrument: Instrument, free: Sequence[Free], highest: float, mobility: bool = True):
+        self._instrument, self._free, self._mobility = instrument, tuple(free), mobility
         self._below = _ABOVE * max(highest, 400.0)
         self._cells = with_cells(_drawing(instrument), self._below)
         self._values: Floats = np.zeros(0)
@@ -103,7 +108,7 @@ class DrawnDesign:
         self._modes = self._whole.modes(below=_HELP * self._below)
         self._count = max(1, int(np.count_nonzero(self._modes[0] < (2 * np.pi * self._below) ** 2)))
         vectors = self._modes[1][:, : self._count]
-        found = self._whole.described(self._modes[0][: self._count], vectors)
+        found = self._whole.described(self._modes[0][: self._count], vectors, self._mobility)
         self._named = self._followed(found.named, vectors)
         self._known = vectors
         return DrawnResonances(replace(found, named=self._named))
@@ -148,7 +153,7 @@ class DrawnDesign:
     def beside(self, i: int) -> tuple[DrawnResonances, DrawnResonances, float]:
         """Return the resonances less and more a step of parameter i, to first order."""
         less, more, step = self._sides(i)
-        found = body_change(self._whole, *self._modes, less, more, step, self._count)
+        found = body_change(self._whole, *self._modes, less, more, step, self._count, self._mobility)
         below, above = (DrawnResonances(replace(x, named=self._named)) for x in (found.less, found.more))
         return below, above, step
 

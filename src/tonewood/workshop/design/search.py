@@ -2,9 +2,10 @@
 
     minimise  sum_t (off_t / weight_t)^2 + sum_i (LEAST (p_i - p_i0) / (high_i - low_i))^2,    low_i <= p_i <= high_i
 
-Of designs that reach all targets, the second sum chooses the one that changes least. A full computation at the result
-gives the difference between its figures and those of the search's coarser body; the search goes on with this difference
-added, and another full computation tells how far each target is off.
+Each step solves this for figures that change by their derivatives alone, and is halved until the sum falls. Of designs
+that reach all targets, the second sum chooses the one that changes least. A full computation at the result gives the
+difference between its figures and those of the search's coarser body; the search goes on with it added, and a second
+full computation tells how far each target is off.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from tonewood.instrument.bundle.added import body_parts
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.physics.plate.body import BodyDrawing, BodyModes
 from tonewood.physics.plate.whole_body import LowModes
+from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.design.bodies import MeasuredDesign, changed, design_body
 from tonewood.workshop.design.figures import DrawnResonances, Resonances, figures, string_ends
 from tonewood.workshop.design.task import Free, Target
@@ -28,7 +30,8 @@ Floats = NDArray[np.float64]
 
 #: weight of a change by the whole range of a parameter
 LEAST = 0.02
-_EVALUATIONS = 12
+#: steps of a search, share of its cost that a step has to gain, and of each range that is no change
+_STEPS, _GAIN, _CLOSE = 12, 0.02, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +67,7 @@ class FoundDesign:
         return all(abs(o) <= t.tolerance for t, o in zip(self.targets, self.off, strict=True))
 
 
+@one_blas_thread
 def find_design(
     instrument: Instrument,
     targets: Sequence[Target],
@@ -118,7 +122,7 @@ class _Search:
         self.targets, self.free = tuple(targets), tuple(free)
         self.points, self.ends = list(instrument.body.points()), string_ends(instrument)
         highest = max((max(t.band[1], t.value if t.kind == "freq" else 0.0) for t in targets), default=0.0)
-        self.body = design_body(instrument, free, highest)
+        self.body = design_body(instrument, free, highest, any(t.kind == "mobility" for t in targets))
         self.start = np.array([p.start for p in free])
         self.low, self.high = (np.array([getattr(p, end) for p in free]) for end in ("low", "high"))
         self.shift = np.zeros(len(targets))
@@ -161,34 +165,45 @@ class _Search:
         return np.asarray(factor[:, None] * self._rates[1])
 
     def run(self, start: Floats) -> Floats:
-        """(n,) values of the nearest design."""
+        """(n,) values of the nearest design: steps to the best one by derivatives, halved until the sum falls."""
+        span = self.high - self.low
+        x = np.clip((start - self.low) / span, 0.0, 1.0)
+        for _ in range(_STEPS):
+            values = self.low + span * x
+            now, self._steps = self.figures_at(values), self._steps + 1
+            offs = ((t, t.off(float(f))) for t, f in zip(self.targets, now, strict=True))
+            shown = ", ".join(f"{t.text} off by {off:+.3g} {t.unit}" for t, off in offs)
+            self._tell(f"step {self._steps}: {shown}")
+            aim = self._best(x, now, self.rates(values) * span)
+            cost, before = np.inf, float(np.sum(self._errors(x, now) ** 2))
+            share, nearest = 2.0, x
+            while cost >= before and share * np.abs(aim - x).max() > 2 * _CLOSE:
+                share /= 2
+                nearest = x + share * (aim - x)
+                cost = float(np.sum(self._errors(nearest, self.figures_at(self.low + span * nearest)) ** 2))
+            if cost >= before:
+                break
+            x = nearest
+            if before - cost < _GAIN * before:
+                break
+        return np.asarray(self.low + span * x)
+
+    def _errors(self, x: Floats, reached: Floats) -> Floats:
+        """(t + n,) errors and changes of which the sum of squares is least."""
+        off = [t.off(float(f)) / t.weight for t, f in zip(self.targets, reached, strict=True)]
+        return np.concatenate([off, LEAST * (x - (self.start - self.low) / (self.high - self.low))])
+
+    def _best(self, x: Floats, now: Floats, rates: Floats) -> Floats:
+        """(n,) best design, 0 to 1 of each range, if figures change by their derivatives (t, n) alone."""
         from scipy.optimize import least_squares
 
-        span = self.high - self.low
+        def linear(y: Floats) -> Floats:
+            reached = now + rates @ (y - x)
+            return self._errors(y, np.where(self._relative, np.maximum(reached, 0.1 * now), reached))
 
-        def residuals(x: Floats) -> Floats:
-            values = self.low + span * x
-            off = [t.off(f) / t.weight for t, f in zip(self.targets, self.figures_at(values), strict=True)]
-            return np.concatenate([off, LEAST * (values - self.start) / span])
-
-        def slopes(x: Floats) -> Floats:
-            values = self.low + span * x
-            self._steps += 1
-            offs = zip(self.targets, self.figures_at(values), strict=True)
-            shown = ", ".join(f"{t.text} off by {t.off(float(f)):+.3g} {t.unit}" for t, f in offs)
-            self._tell(f"step {self._steps}: {shown}")
-            now, rates = self.figures_at(values), self.rates(values) * span
-            rows = [
-                slope(t, float(f)) / t.weight * row if t.off(float(f)) else 0.0 * row
-                for t, f, row in zip(self.targets, now, rates, strict=True)
-            ]
-            return np.vstack([*rows, LEAST * np.eye(len(span))])
-
-        first = np.clip((start - self.low) / span, 1e-6, 1 - 1e-6)
-        found = least_squares(residuals, first, slopes, bounds=(0.0, 1.0), method="trf", ftol=1e-3, xtol=1e-3,
-                              max_nfev=_EVALUATIONS)  # fmt: skip
-        x = np.where(found.active_mask < 0, 0.0, np.where(found.active_mask > 0, 1.0, found.x))
-        return np.asarray(self.low + span * x)
+        fit = least_squares(linear, np.clip(x, 0.01, 0.99), bounds=(0.0, 1.0), xtol=1e-10, ftol=1e-10, gtol=1e-12)
+        y = np.where(fit.active_mask < 0, 0.0, np.where(fit.active_mask > 0, 1.0, fit.x))
+        return np.asarray(np.where(y < 1e-4, 0.0, np.where(y > 1 - 1e-4, 1.0, y)))
 
     def full(self, instrument: Instrument, expected: Floats | None) -> Floats:
         """(t,) figures by the computation that `render` and `compare` use.

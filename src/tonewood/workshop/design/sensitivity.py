@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.physics.plate.body import BodyDrawing
+from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.design.bodies import DrawnDesign, MeasuredDesign
 from tonewood.workshop.design.task import parse_free
 
@@ -22,6 +23,8 @@ Floats = NDArray[np.float64]
 
 #: modes that are told, at most; Hz, below which those of a drawn body are; points on which a gram is put
 _MODES, _BELOW, _POINTS = 8, 650.0, 3
+#: changes that are told, at most
+_ROWS = 40
 #: m, step of a dimension, and kg, of a mass
 _DIMENSION, _MASS = 1e-4, 1e-3
 
@@ -35,13 +38,16 @@ class Sensitivity:
     freq : (n,) Hz; of a drawn body on coarser cells than those of a render.
     labels : (n,) names of the modes, A0 and T1 among them, or their numbers.
     rows : what is changed, with how much -> (n,) cents.
+    remarks : on how they were computed.
     """
 
     freq: Floats
     labels: tuple[str, ...]
     rows: dict[str, Floats]
+    remarks: tuple[str, ...] = ()
 
 
+@one_blas_thread
 def sensitivity(instrument: Instrument) -> Sensitivity:
     """Compute the cents of the lowest modes per 0.1 mm of each part and per gram at strings' ends."""
     drawn = isinstance(getattr(instrument.body, "drawing", None), BodyDrawing)
@@ -53,9 +59,11 @@ def sensitivity(instrument: Instrument) -> Sensitivity:
     if drawn:
         for path in _dimensions(instrument):
             lines[path], names[path] = f"+ 0 .. {_DIMENSION}", f"0.1 mm of {path.removeprefix('body.')}"
-    free = parse_free(dict(list(lines.items())[:40]), massive)
+    remarks = ["frequencies on coarser cells than those of a render"] * drawn
+    remarks += [f"of {len(lines)} changes the first {_ROWS} are told"] * (len(lines) > _ROWS)
+    free = parse_free(dict(list(lines.items())[:_ROWS]), massive)
     start = [p.base[0] if not p.kind else 0.0 for p in free]
-    body = DrawnDesign(massive, free, _BELOW / 1.3) if drawn else MeasuredDesign(massive, free)
+    body = DrawnDesign(massive, free, _BELOW / 1.3, mobility=False) if drawn else MeasuredDesign(massive, free)
     found = body.at(start)
     chosen = np.flatnonzero(found.freq > 1.0)[:_MODES]
     rows = {}
@@ -64,7 +72,8 @@ def sensitivity(instrument: Instrument) -> Sensitivity:
         unit = _DIMENSION if parameter.kind == "+" else _MASS
         rows[names[parameter.name]] = 1200 / np.log(2) * rates[chosen] / found.freq[chosen] * unit
     called = {k: name for name, k in found.named.items()}
-    return Sensitivity(found.freq[chosen], tuple(called.get(int(k), str(n)) for n, k in enumerate(chosen, 1)), rows)
+    labels = tuple(called.get(int(k), str(n)) for n, k in enumerate(chosen, 1))
+    return Sensitivity(found.freq[chosen], labels, rows, (*remarks, "the cents are first derivatives"))
 
 
 def _points(instrument: Instrument) -> list[str]:
@@ -95,7 +104,6 @@ def words(found: Sensitivity) -> list[str]:
     """A table: a row for each change, a column for each mode."""
     heads = ["cents of each mode", *(f"{n} {f:.0f} Hz" for n, f in zip(found.labels, found.freq, strict=True))]
     rows = [[name, *(f"{x:+.1f}" for x in cents)] for name, cents in found.rows.items()]
-    last = "frequencies on coarser cells than those of a render; the cents are first derivatives"
     wide = [max(len(row[k]) for row in [heads, *rows]) for k in range(len(heads))]
     table = [[row[0].ljust(wide[0]), *map(str.rjust, row[1:], wide[1:])] for row in [heads, *rows]]
-    return [*("  ".join(row) for row in table), last]
+    return [*("  ".join(row) for row in table), "; ".join(found.remarks)]

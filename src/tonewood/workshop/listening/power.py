@@ -2,9 +2,11 @@
 
 *Ratings*: the listeners' means of the levels of the factor in question are drawn with the spread that the page expects,
 or with the covariances of a pilot's answers, and analysed by `tonewood.workshop.listening.strata`; the effect counts as
-found where the report says so: p by Holm below alpha. Where sounds are a random sample, they are drawn, too, and the
-analysis is the quasi-F of listeners and sounds. *Ordinal scales*: answers are drawn one by one, cut off at the ends of
-the scale, and the shares of comparisons are tested, which the report's sentence states. *Paired comparisons*:
+found where the report says so: p by Holm below alpha. Where the screening left some of a pilot's listeners out, its
+listeners are drawn, each with the verdict on them, and both analyses of the report must find the effect. Where sounds
+are a random sample, they are drawn, too, and the analysis is the quasi-F of listeners and sounds. *Ordinal scales*:
+answers are drawn one by one, cut off at the ends of the scale, and the shares of comparisons are tested, which the
+report's sentence states. *Paired comparisons*:
 listeners' choices, tested by the Bradley-Terry interval. *Right answers*: the exact binomial test of a pair over all
 cells, one-sided, whose power is a sum and needs no simulation; listeners are taken for alike. *Staircases*: listeners
 take it trial by trial; power is the share of experiments in which the interval of the mean threshold excludes a
@@ -88,9 +90,9 @@ def fewest(power_with: Callable[[int], float], power: float, effect: str) -> int
     """
     low, high = 2, 4
     while power_with(high) < power:
-        low, high = high, 2 * high
-        if high > MOST:
+        if high >= MOST:
             raise TooManyListenersError(f"more than {MOST} listeners would be needed for {effect}")
+        low, high = high, min(2 * high, MOST)
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if power_with(middle) >= power else (middle, high)
@@ -152,6 +154,40 @@ def rating_power(
         p = strata.estimated(y, rows, 1 - alpha, sounds=sampled is not None).p_value
         found += (strata.holm(p) < alpha).sum(axis=0)
     return found / count
+
+
+def screened_power(
+    pilot: Array, kept: NDArray[np.bool_], effects: Array, listeners: int, alpha: float, seed: int = 1
+) -> Array:
+    """Share of experiments with listeners of a pilot in which the report finds each level's difference from the first.
+
+    Parameters
+    ----------
+    pilot : (pilot listeners, levels) their means.
+    kept : (pilot listeners,) whether the screening kept them.
+    effects : (levels,) points, which the pilot's mean effects are moved to.
+    listeners, alpha, seed : as for `rating_power`.
+
+    Returns
+    -------
+    shares : (levels - 1,) found with all listeners and with those who are kept.
+    """
+    from scipy.special import stdtr
+
+    random, n = np.random.default_rng([seed, listeners]), len(pilot)
+    apart = pilot[:, 1:] - pilot[:, :1]
+    apart = (apart - apart.mean(axis=0)) * math.sqrt(n / (n - 1)) + (effects[1:] - effects[0])
+    drawn = random.integers(n, size=(EXPERIMENTS, listeners))
+    found = np.ones((EXPERIMENTS, apart.shape[1]), dtype=bool)
+    for weight in (np.ones(n), kept.astype(np.float64)):
+        w, d = weight[drawn][..., None], apart[drawn]
+        count = w.sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mean = (w * d).sum(axis=1) / count
+            error = np.sqrt((w * (d - mean[:, None]) ** 2).sum(axis=1) / (count * (count - 1)))
+            p = np.where(count > 2, 2 * stdtr(count - 1, -np.abs(mean) / error), 1.0)
+        found &= strata.holm(np.nan_to_num(p, nan=1.0)) < alpha
+    return np.asarray(found.mean(axis=0))
 
 
 def ordinal_power(
@@ -346,7 +382,12 @@ def _rated(
         sound_sd = page.expect_sound_sd or sd
         covariance, sampled = stated_spread(sd, sound_sd, sounds, k)
         text += f", {sounds} random sounds with sd {sound_sd:g}"
-    pilot = None if own is None else _pilot_means(own, reference, manifest.random)
+    found = None if own is None else _pilot_means(own.everybody or own, reference, manifest.random)
+    out = set() if own is None else {one.listener for one in own.screened}
+    pilot, who = (None, []) if found is None else found
+    kept = np.array([name not in out for name in who])
+    if isinstance(page, MushraPage) and pilot is None:
+        text += ", if the screening leaves nobody out"
     if pilot is not None:
         covariance, sampled = _pilot_spread(pilot, sounds)
         k = pilot.shape[2]
@@ -357,6 +398,8 @@ def _rated(
             effect = float(effects[np.argmax(np.abs(effects))])
         text = f"{effect:.3g} points, spread of {len(pilot)} listeners of a pilot"
         text += f" and {sounds} random sounds" if sampled is not None else ""
+        if not kept.all():
+            text += f", {np.sum(~kept)} of whom the screening left out"
     at = int(np.argmax(np.abs(effects[1:]))) if np.any(effects) else 0
     if not np.any(effects):
         effects[1] = effect
@@ -365,7 +408,13 @@ def _rated(
         alone = replace(sampled, pairs=np.zeros((k, k)))
         if rating_power(effects, np.zeros((k, k)), 50, alpha, sampled=alone)[at] < power:
             raise TooManyListenersError(f"no number of listeners is enough for {text}; more sounds are needed")
-    n = fewest(lambda m: float(rating_power(effects, covariance, m, alpha, sampled=sampled)[at]), power, text)
+
+    def reached(m: int) -> float:
+        if pilot is not None and sampled is None and not kept.all():
+            return float(screened_power(pilot.mean(axis=1), kept, effects, m, alpha)[at])
+        return float(rating_power(effects, covariance, m, alpha, sampled=sampled)[at])
+
+    n = fewest(reached, power, text)
     return PowerRow(number, name, text, n, page.expect is not None or pilot is not None)
 
 
@@ -383,7 +432,8 @@ def _graded(manifest: Manifest, page: RatingPage, number: int, name: str, own: P
     effect, sd = page.expect or 0.1 * width, page.expect_sd or 0.15 * width
     effects, sounds = np.zeros(k), math.prod(len(x) for x in manifest.choices().values())
     spread = f"sd {sd:g}"
-    pilot = None if own is None else _pilot_means(own, {}, ())
+    found = None if own is None else _pilot_means(own, {}, ())
+    pilot = None if found is None else found[0]
     if pilot is not None:
         k = pilot.shape[2]
         means = pilot.mean(axis=(0, 1))
@@ -410,8 +460,12 @@ def _sounds(manifest: Manifest) -> int:
     return math.prod(len(choices[f]) for f in manifest.random)
 
 
-def _pilot_means(own: PageResults, reference: Mapping[str, str], random: Sequence[str]) -> Array | None:
+def _pilot_means(
+    own: PageResults, reference: Mapping[str, str], random: Sequence[str]
+) -> tuple[Array, list[str]] | None:
     """Means (listeners, random sounds, levels) of the levels of a page's first factor, of listeners who have all.
+
+    The names of these listeners are returned, too.
 
     None with fewer than three such listeners or two levels.
     """
@@ -428,10 +482,11 @@ def _pilot_means(own: PageResults, reference: Mapping[str, str], random: Sequenc
         cell = sounds.index(tuple(str(row[f]) for f in sampled)), levels.index(str(row[factor]))
         values.setdefault(row["listener"], {}).setdefault(cell, []).append(float(row["value"]))
     cells = [(i, j) for i in range(len(sounds)) for j in range(len(levels))]
-    means = [[np.mean(of[cell]) for cell in cells] for of in values.values() if len(of) == len(cells)]
+    whole = {name: of for name, of in values.items() if len(of) == len(cells)}
+    means = [[np.mean(of[cell]) for cell in cells] for of in whole.values()]
     if len(means) < 3 or len(levels) < 2:
         return None
-    return np.array(means).reshape(len(means), len(sounds), len(levels))
+    return np.array(means).reshape(len(means), len(sounds), len(levels)), list(whole)
 
 
 def _pilot_spread(pilot: Array, count: int) -> tuple[Array, SoundSpread | None]:

@@ -14,6 +14,7 @@ from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.inspection.wolf import WolfNote
 from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.support.blas import one_blas_thread
 from tonewood.support.units import cents
 from tonewood.workshop.report.facts import BodyMode, InstrumentFacts, NoteRow, gather
 from tonewood.workshop.report.tones import place, place_name, play_note
@@ -113,6 +114,7 @@ class Candidate:
     name: str = ""
 
 
+@one_blas_thread
 def compare(
     candidates: Sequence[Candidate],
     *,

@@ -79,7 +79,7 @@ def test_techniques_are_played_where_there_are_some_and_counted_where_not(tmp_pa
     steel = tw.Renderer(score, "steel_guitar", fs=8000).performance
     assert [a.note.technique for a in steel.notes] == ["palm", None, "hammer_on", "pull_off"]
     assert steel.ignored == {}
-    nylon = tw.Renderer(score, "classical_guitar", fs=8000).performance
+    nylon = tw.Renderer(score, "flamenco_guitar", fs=8000).performance
     assert [a.note.technique for a in nylon.notes] == [None] * 4
     assert nylon.ignored == {f"{name}, plucked as any note": 1 for name in ("palm mute", "hammer on", "pull off")}
 

@@ -156,3 +156,19 @@ def test_a_residual_compliance_with_a_negative_eigenvalue_becomes_the_nearest_wi
     np.testing.assert_allclose(mended.residual, expected, rtol=1e-12, atol=1e-18)
     assert mended.metadata["repair"].endswith("residual compliance by 1e-06 m/N")
     assert check_basis(mended, ["a", "b"]).passive
+
+
+def test_the_error_that_is_reported_at_peaks_is_that_of_the_mobility():
+    poles, right, left = body(2, 0.015, n_dof=16, n_ports=2).truncated()
+    new, scale, omega = repair(poles, right, left), port_scale(poles, right, left)[:, None], np.abs(poles.imag)
+
+    def whole(*modes):
+        lam, psi, psi_left = extend(*modes)
+        s = 1j * omega[:, None]
+        return np.einsum("ik,wk,jk->wij", psi / scale, s / (s - lam), psi_left / scale)
+
+    old, made = whole(poles, right, left), whole(new.poles, new.right, new.left)
+    size, moved, level = (np.linalg.norm(y, axis=(1, 2)) for y in (old, made - old, made))
+    assert new.peak_error_db == pytest.approx(20 * np.log10(moved.max() / size.max()), abs=1e-6)
+    change = 20 * np.log10(level / size)
+    assert new.peak_level_db == pytest.approx(change[np.argmax(np.abs(change))], abs=1e-6)

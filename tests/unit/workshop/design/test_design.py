@@ -58,6 +58,23 @@ def test_a_design_reaches_its_targets_and_is_written(box, tmp_path):
 
 
 @pytest.mark.validate
+def test_three_parameters_and_t1_beside_another_mode(box):
+    """Targets that another body has, T1 and its neighbour among them, one of them one-sided."""
+    far = {"body.thickness": 2.9e-3, "body.braces.b.height": 9e-3, "body.soundhole.radius": 0.034}
+    modes = box.replace(far).body.modes_below(math.inf)
+    named = modes.named()
+    beside = named["T1"] + 1
+    assert modes.freq[beside] < 1.25 * modes.freq[named["T1"]]
+    lines = [f"A0 = {modes.freq[named['A0']]:.4f}", f"T1 = {modes.freq[named['T1']]:.4f}"]
+    lines.append(f"mode {beside + 1} >= {modes.freq[beside]:.4f}")
+    bounds = {"body.thickness": "2e-3 .. 4e-3", "body.braces.*.height": "x 0.5 .. 2"}
+    free = parse_free(bounds | {"body.soundhole.radius": "0.02 .. 0.045"}, box)
+    told = []
+    assert find_design(box, parse_targets(lines, box), free, told.append).ok
+    assert sum(line.startswith("step") for line in told) <= 16
+
+
+@pytest.mark.validate
 def test_targets_out_of_reach_are_missed_and_said_so(box):
     targets = parse_targets(["A0 = 130", "mass <= 0.07"], box)
     design = find_design(box, targets, parse_free({"body.thickness": "2.3e-3 .. 2.7e-3"}, box))

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 import re
@@ -10,11 +11,13 @@ from pathlib import Path
 import listening_fakes as fakes
 import numpy as np
 import pytest
+import soundfile
 from scipy import integrate, stats
 
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening import detection, means, power, thresholds
 from tonewood.workshop.listening.definition import ListeningError
+from tonewood.workshop.listening.level_tone import tone
 from tonewood.workshop.listening.models import bradley_terry, linear_analysis, rank_analysis, share_interval
 from tonewood.workshop.listening.panel import SimulatedPanel, read_panel, simulate
 from tonewood.workshop.listening.plain import _as_level
@@ -33,6 +36,7 @@ def row(listener: str, value: float, role: str = "sound", trial: str = "t", **le
     return {"listener": listener, "value": value, "role": role, "trial": trial, "repetition": 1, **levels}
 
 
+@pytest.mark.slow
 def test_a_simulated_panel_s_effects_are_found_again(tmp_path: Path) -> None:
     pages = [
         {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}, "anchors": [3500, 7000]},
@@ -270,6 +274,7 @@ def test_a_psychometric_function_is_fitted_to_its_own_answers(rng: np.random.Gen
     assert at == pytest.approx(2**-0.5, rel=1e-12)  # the share that two down, one up converges to
 
 
+@pytest.mark.slow
 def test_intervals_of_thresholds_hold_their_share(rng: np.random.Generator) -> None:
     grid = thresholds.ThresholdGrid(StaircasePage.model_validate(fakes.STAIRS))
     inside = 0
@@ -303,6 +308,7 @@ def test_differences_are_paired_t_tests_of_listeners(rng: np.random.Generator) -
     )
 
 
+@pytest.mark.slow
 def test_p_values_are_two_sided_and_holm_s_never_fall(rng: np.random.Generator) -> None:
     """Against statsmodels, over draws in which a later pair's product is less than an earlier one's."""
     multipletests = pytest.importorskip("statsmodels.stats.multitest").multipletests
@@ -394,3 +400,42 @@ def test_a_share_of_listeners_is_held_to_a_half_from_both_sides() -> None:
         assert mean == pytest.approx(each.mean())
     for same in (0.0, 1.0):
         assert share_interval(np.full(6, same), 0.95)[3] == pytest.approx(stats.binomtest(6, 6, 0.5).pvalue)
+
+
+@pytest.mark.parametrize(("channels", "target"), [(1, -23.0), (2, -30.0)])
+def test_the_tone_of_the_level_page_is_as_loud_as_the_stimuli_and_loops(
+    tmp_path: Path, channels: int, target: float
+) -> None:
+    """BS.1770: a sine near 1 kHz of amplitude a has -3.01 + 20 log10(a) LUFS in one channel, 3.01 more in two."""
+    stimuli = {"loudness": {"target_lufs": target}, "channels": channels}
+    pages = [{"type": "level", "spl_db": 65.0, "freq": 997.25}, {"type": "afc", "pairs": {"pluck": ["near", "far"]}}]
+    test = fakes.made(tmp_path, pages, stimuli=stimuli)
+    samples, fs = soundfile.read(io.BytesIO(tone(test, test.pages[0])), always_2d=True)
+    assert samples.shape == (2 * fs, channels)
+    level = -3.01 + 20 * np.log10(np.abs(samples).max()) + 10 * np.log10(channels)
+    assert level == pytest.approx(target, abs=0.01)
+    assert np.ptp(samples, axis=1).max() < 1e-6
+    line = np.abs(np.fft.rfft(samples[:, 0]))
+    assert line.argmax() == 1994  # 997 Hz: whole periods in two seconds
+    assert np.sqrt(np.sum(np.delete(line, 1994) ** 2)) < 1e-4 * line[1994]
+    assert abs(samples[0, 0]) < 1e-6
+
+
+def test_power_of_choices_is_that_of_a_test_of_their_share() -> None:
+    """Without an effect the share of false alarms; with one that of the normal approximation of binomial answers."""
+    assert power.choice_power(0.5, 10, 20, 0.05) == pytest.approx(0.05, abs=0.02)
+    for share, each, listeners in ((0.55, 8, 80), (0.45, 8, 80), (0.56, 2, 150), (0.6, 8, 60)):
+        n = each * listeners
+        z = stats.norm.ppf(0.975) * math.sqrt(0.25 / n)
+        deviation = math.sqrt(share * (1 - share) / n)
+        expected = 1 - stats.norm.cdf((0.5 + z - share) / deviation) + stats.norm.cdf((0.5 - z - share) / deviation)
+        assert power.choice_power(share, each, listeners, 0.05) == pytest.approx(expected, abs=0.05)
+
+
+@pytest.mark.parametrize("needed", [1, 3, 4, 5, 57, 8193, power.MOST - 1, power.MOST, power.MOST + 1])
+def test_the_fewest_listeners_are_found_up_to_the_most_that_are_tried(needed: int) -> None:
+    if needed > power.MOST:
+        with pytest.raises(power.TooManyListenersError, match=f"more than {power.MOST} listeners"):
+            power.fewest(lambda n: 0.9 if n >= needed else 0.7, 0.8, "a nuance")
+    else:
+        assert power.fewest(lambda n: 0.8 if n >= needed else 0.7, 0.8, "a nuance") == max(needed, 3)
