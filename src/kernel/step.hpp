@@ -39,7 +39,7 @@ inline Fault run(const Model& model, Workspace& space, const Job& job) {
         phantoms.begin_block();
         resting.begin_block();
         if (const int i = free_motion(block, fused, resting); i >= 0) return {i, start};
-        if (laws.any()) forces.cull.begin_block();
+        if (laws.any()) forces.series.begin_block(), forces.cull.begin_block();
         connections->begin_block();
         for (int b = 0; b < block.nb; ++b) {
             double* now = block.force(b);

@@ -54,6 +54,7 @@ def levels(name: str, edges: np.ndarray) -> np.ndarray:
     return mobility_bands(body, points, edges)
 
 
+@pytest.mark.slow
 def test_the_bridge_moves_as_a_measured_guitars() -> None:
     """Nothing is fitted: octaves of |Y| from 150 Hz to 4.8 kHz within 4 dB of the classical guitar's, 2 dB in all."""
     octaves = 150.0 * 2.0 ** np.arange(6)

@@ -205,13 +205,12 @@ public:
     bool commit_alone(int b, const std::vector<int>& laws, const double* force) {
         give_up();
         rows_.clear_forces(b);
+        ws_.active.assign(laws.begin(), laws.end());
         for (std::size_t i = 0; i < laws.size(); ++i) {
-            const int j = laws[i];
-            ws_.law_force[j] = force[i], ws_.is_active[j] = 1;
-            ws_.active.push_back(j);
-            if (ws_.law_force[j] != 0.0) series_.start(j);
+            ws_.law_force[laws[i]] = force[i];
+            if (force[i] != 0.0) series_.start(laws[i]);
         }
-        potentials_.bound_excursions(b);
+        if (cull_.any_culled()) potentials_.bound_excursions(b);
         const std::size_t before = cull_.candidates().size();
         cull_.add_candidates(b, series_.find(), [](int) {});
         if (cull_.candidates().size() != before) return false;

@@ -127,7 +127,8 @@ private:
         const double theta = nl_.theta, kept = (1 - theta) / theta;
         const PortForces& plain = layout_.direct;
         PortForces& out = to_.forces;
-        out = {int(w), plain.mix, Array<double>(w, 0.0), Array<double>(ports * w, 0.0), Array<double>(ports * w, 0.0)};
+        out = {int(w), plain.mix, Array<double>(w, 0.0), Array<double>(ports * w, 0.0), Array<double>(ports * w, 0.0), {}};
+        for (std::size_t p = 0; p < ports; ++p) out.rows.push_back(int(p));
         to_.memory.assign(n * w, 0.0);
         // the forces that a right side makes
         const auto solve = [&](const auto& side, double* force) {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <vector>
 
 #include "../modal/simd.hpp"
 
@@ -10,28 +11,31 @@ namespace {
 
 constexpr int kSpan = 8;  // samples of a block whose forces reach later lines together
 
-// N vectors of columns of sum = start + matrix^T x. Each number of x is loaded once for all of them; four partial sums
-// break the chain of additions.
-template <int N>
-inline void add_columns(const double* __restrict matrix, int width, const double* __restrict x, int n,
+// N vectors of columns of sum = start + matrix^T x over n rows: all, or those of a list. Each number of x is loaded once
+// for all of them; four partial sums break the chain of additions.
+template <int N, class List>
+inline void add_columns(const double* __restrict matrix, int width, const double* __restrict x, int n, const List& list,
                         const double* start, double* sum) {
     using S = Simd;
     S::V part[4][N];
     for (int j = 0; j < N; ++j)
         part[0][j] = S::load(start + j * S::width), part[1][j] = part[2][j] = part[3][j] = S::V{};
+    const auto add = [&](int i, S::V* to) {
+        const std::ptrdiff_t row = list(i);
+        for (int j = 0; j < N; ++j) to[j] += S::load(matrix + row * width + j * S::width) * x[row];
+    };
     int i = 0;
     for (; i + 4 <= n; i += 4)
-        for (int q = 0; q < 4; ++q, matrix += width)
-            for (int j = 0; j < N; ++j) part[q][j] += S::load(matrix + j * S::width) * x[i + q];
-    for (; i < n; ++i, matrix += width)
-        for (int j = 0; j < N; ++j) part[1][j] += S::load(matrix + j * S::width) * x[i];
+        for (int q = 0; q < 4; ++q) add(i + q, part[q]);
+    for (; i < n; ++i) add(i, part[1]);
     for (int j = 0; j < N; ++j)
         S::store(sum + j * S::width, (part[0][j] + part[1][j]) + (part[2][j] + part[3][j]));
 }
 
-// sum = start + matrix^T x over the rows of a (n, width) matrix, width a multiple of kLane
-inline void add_product(const double* __restrict matrix, int width, const double* __restrict x, int n,
-                        const double* start, double* sum) {
+// sum = start + matrix^T x over n rows of a (., width) matrix, width a multiple of kLane
+template <class List>
+inline void add_listed(const double* __restrict matrix, int width, const double* __restrict x, int n, const List& list,
+                       const double* start, double* sum) {
     constexpr int lanes = Simd::width, most = kPack - 1;
     static_assert(kLane % lanes == 0);
     int k = 0;
@@ -39,12 +43,20 @@ inline void add_product(const double* __restrict matrix, int width, const double
         if (sum != start) std::copy_n(start, width, sum);
         return;
     }
-    for (; k + most * lanes <= width; k += most * lanes) add_columns<most>(matrix + k, width, x, n, start + k, sum + k);
-    if (most > 2 && k + 2 * lanes <= width) add_columns<2>(matrix + k, width, x, n, start + k, sum + k), k += 2 * lanes;
-    for (; k < width; k += lanes) add_columns<1>(matrix + k, width, x, n, start + k, sum + k);
+    const auto columns = [&]<int N>() {
+        add_columns<N>(matrix + k, width, x, n, list, start + k, sum + k);
+        k += N * lanes;
+    };
+    while (k + most * lanes <= width) columns.template operator()<most>();
+    if (most > 2 && k + 2 * lanes <= width) columns.template operator()<2>();
+    while (k < width) columns.template operator()<1>();
 }
 inline void add_product(const double* __restrict matrix, int width, const double* __restrict x, int n, double* sum) {
-    add_product(matrix, width, x, n, sum, sum);
+    add_listed(matrix, width, x, n, [](int i) { return i; }, sum, sum);
+}
+inline void add_product(const double* __restrict matrix, int width, const double* __restrict x,
+                        const std::vector<int>& rows, double* sum) {
+    add_listed(matrix, width, x, int(rows.size()), [at = rows.data()](int i) { return at[i]; }, sum, sum);
 }
 
 inline double dot(const double* a, const double* b, int n) {
@@ -75,9 +87,9 @@ public:
                 S::store(now_.data() + segment.port + i, S::load(at + l_.width) + S::load(at) * by.mix);
                 if (!by.old.empty()) S::store(before_.data() + segment.port + i, S::load(at));
             }
-        const int n = int(l_.port_rows.size());
-        add_product(by.free.data(), by.width, now_.data(), n, by.constant.data(), force);
-        if (!by.old.empty()) add_product(by.old.data(), by.width, before_.data(), n, force);
+        const auto listed = [at = by.rows.data()](int i) { return at[i]; };
+        add_listed(by.free.data(), by.width, now_.data(), int(by.rows.size()), listed, by.constant.data(), force);
+        if (!by.old.empty()) add_product(by.old.data(), by.width, before_.data(), int(l_.port_rows.size()), force);
     }
 
 private:
@@ -117,16 +129,61 @@ private:
         }
     }
 
-    template <int N>
-    void add_span(const double* __restrict force, double* __restrict history) const {
-        for (int i = 0; i < l_.single_width; i += S::width) {
-            const S::V f = S::load(force + i);
-            const double* h = l_.single_response.data() + i;
-            for (int k = 0; k < N; ++k) {
-                double* line = history + std::size_t(k) * l_.width + i;
-                S::store(line, S::load(line) + S::load(h + std::size_t(k) * l_.single_width) * f);
+    // Forces of components with P ports: that on the port p of its component in each lane.
+    template <int P>
+    static S::V on_port(const double* force, int p) {
+        if constexpr (P == 1) return S::load(force);
+        else return on_port(S::load(force), p, std::make_index_sequence<S::width>{});
+    }
+    template <std::size_t... I>
+    static S::V on_port(S::V f, int p, std::index_sequence<I...>) {
+        return p ? __builtin_shufflevector(f, f, int(I | 1)...) : __builtin_shufflevector(f, f, int(I & ~std::size_t(1))...);
+    }
+
+    template <int N, int P>
+    static void near_alike(const Layout::Alike& those, const double* __restrict force, double* __restrict history,
+                           std::ptrdiff_t line_width) {
+        for (int i = 0; i < those.width; i += S::width) {
+            const double* h = those.response.data() + i;
+            double* line = history + those.row + i;
+            S::V f[P];
+            for (int p = 0; p < P; ++p) f[p] = on_port<P>(force + those.force + i, p);
+            for (int k = 0; k < N; ++k, line += line_width) {
+                S::V sum = S::load(line);
+                for (int p = 0; p < P; ++p, h += those.width) sum += S::load(h) * f[p];
+                S::store(line, sum);
             }
         }
+    }
+
+    // Response of the n lines after a span to its forces.
+    template <int P>
+    void far_alike(const Layout::Alike& those, const double* __restrict force, int n,
+                   double* __restrict history) const {
+        for (int i = 0; i < those.width; i += S::width) {
+            S::V f[kSpan][P];
+            for (int q = 0; q < kSpan; ++q)
+                for (int p = 0; p < P; ++p)
+                    f[q][p] = on_port<P>(force + std::size_t(q) * l_.force_width + those.force + i, p);
+            const std::ptrdiff_t step = std::ptrdiff_t(P) * those.width;
+            const double* h = those.response.data() + kSpan * step + i;
+            for (int k = 0; k < n; ++k, h += step) {
+                double* line = history + std::size_t(k) * l_.width + those.row + i;
+                S::V even = S::load(line), odd{};
+                for (int q = 0; q < kSpan; q += 2)
+                    for (int p = 0; p < P; ++p) {
+                        even += S::load(h - q * step + p * those.width) * f[q][p];
+                        odd += S::load(h - (q + 1) * step + p * those.width) * f[q + 1][p];
+                    }
+                S::store(line, even + odd);
+            }
+        }
+    }
+
+    template <int N>
+    void add_span(const double* __restrict force, double* __restrict history) const {
+        near_alike<N, 1>(l_.singles, force, history, l_.width);
+        near_alike<N, 2>(l_.pairs, force, history, l_.width);
         for (const Layout::Several& c : l_.several) {
             const double* __restrict f = force + c.force;
             if (c.stepped) {
@@ -156,21 +213,8 @@ private:
 
     // Response of the n lines after a span to its forces.
     void far(const double* __restrict force, int n, double* __restrict history) const {
-        for (int i = 0; i < l_.single_width; i += S::width) {
-            S::V f[kSpan];
-            for (int q = 0; q < kSpan; ++q) f[q] = S::load(force + std::size_t(q) * l_.force_width + i);
-            const std::ptrdiff_t step = l_.single_width;
-            const double* h = l_.single_response.data() + kSpan * step + i;
-            for (int k = 0; k < n; ++k, h += step) {
-                double* line = history + std::size_t(k) * l_.width + i;
-                S::V even = S::load(line), odd{};
-                for (int q = 0; q < kSpan; q += 2) {
-                    even += S::load(h - q * step) * f[q];
-                    odd += S::load(h - (q + 1) * step) * f[q + 1];
-                }
-                S::store(line, even + odd);
-            }
-        }
+        far_alike<1>(l_.singles, force, n, history);
+        far_alike<2>(l_.pairs, force, n, history);
         for (const Layout::Several& c : l_.several) {
             if (c.stepped) continue;
             const std::ptrdiff_t step = std::ptrdiff_t(c.n_ports) * c.width;

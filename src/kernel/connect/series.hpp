@@ -1,6 +1,9 @@
 // Displacements of the residual compliances in series with nonlinear connections.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
+
 #include "../modal/simd.hpp"
 
 namespace tonewood {
@@ -16,19 +19,24 @@ public:
 
     // Reads the displacements by connection.
     void begin(const double* by_connection) {
-        ws_.any_series = false;
         for (int j = 0; j < nl_.k; ++j)
             if (nl_.series[j] >= 0) ws_.series[nl_.place[j]] = by_connection[j];
-        for (std::size_t g = 0; g < nl_.shared.size(); ++g) {
-            const Nonlinear::Shared& group = nl_.shared[g];
-            ws_.series_most[g] = largest(ws_.series.data() + group.first, group.width);
-            ws_.series_moves[g] = ws_.series_most[g] != 0.0;
-            ws_.any_series = ws_.any_series || ws_.series_moves[g];
-        }
+        begin_block(0.0);
     }
     void finish(double* by_connection) const {
         for (int j = 0; j < nl_.k; ++j)
             if (nl_.series[j] >= 0) by_connection[j] = ws_.series[nl_.place[j]];
+    }
+
+    // Groups whose displacements are at most `rest` do not move.
+    void begin_block(double rest = kSeriesAtRest) {
+        ws_.any_series = false;
+        for (std::size_t g = 0; g < nl_.shared.size(); ++g) {
+            const auto first = ws_.series.begin() + nl_.shared[g].first, end = first + nl_.shared[g].n;
+            const bool moves = std::any_of(first, end, [&](double x) { return !(std::abs(x) <= rest); });
+            if (!moves) std::fill(first, end, 0.0);
+            ws_.series_moves[g] = moves, ws_.any_series = ws_.any_series || moves;
+        }
     }
 
     // Connection j moves the residual compliances of its group.
@@ -43,7 +51,7 @@ public:
         const double* const __restrict before = ws_.series.data();
         double* const __restrict after = ws_.series_after.data();
         for (int i = 0; i < nl_.n_places; i += S::width) S::store(after + i, S::load(before + i) * -old);
-        for (const int q : ws_.active) {  // a force moves its own group alone
+        for (const int q : ws_.active) {  // a force moves its own group alone: the rest of its rows is zero
             if (nl_.series[q] < 0 || !ws_.series_moves[nl_.series[q]]) continue;
             const Nonlinear::Shared& group = nl_.shared[nl_.series[q]];
             const double force = per * ws_.law_force[q];
@@ -51,40 +59,21 @@ public:
             for (int i = 0; i < group.width; i += S::width)
                 S::store(after + group.first + i, S::load(after + group.first + i) + S::load(row + i) * force);
         }
-        double farthest = 0.0;
-        for (std::size_t g = 0; g < nl_.shared.size(); ++g) {
-            ws_.series_most_after[g] = largest(after + nl_.shared[g].first, nl_.shared[g].width);
-            farthest = std::max({farthest, ws_.series_most[g], ws_.series_most_after[g]});
-        }
-        return farthest;
-    }
-
-    // The forces of the sample are final.
-    void commit() {
-        if (!ws_.any_series) return;
-        ws_.any_series = false;
-        for (std::size_t g = 0; g < nl_.shared.size(); ++g) {
-            if (!ws_.series_moves[g]) continue;
-            const Nonlinear::Shared& group = nl_.shared[g];
-            const bool moves = !(ws_.series_most_after[g] < kSeriesAtRest);
-            ws_.series_most[g] = moves ? ws_.series_most_after[g] : 0.0, ws_.series_moves[g] = moves;
-            if (moves)
-                std::copy_n(ws_.series_after.begin() + group.first, group.width, ws_.series.begin() + group.first);
-            else std::fill_n(ws_.series.begin() + group.first, group.width, 0.0);
-            ws_.any_series = ws_.any_series || moves;
-        }
-    }
-
-private:
-    static double largest(const double* x, int n) {
         S::V most{};
-        for (int i = 0; i < n; i += S::width) {
-            const S::V v = S::load(x + i), size = v < 0.0 ? -v : v;
+        for (int i = 0; i < nl_.n_places; i += S::width) {
+            const S::V x = S::load(before + i), y = S::load(after + i);
+            const S::V far = x < 0.0 ? -x : x, other = y < 0.0 ? -y : y, size = far > other ? far : other;
             most = size > most ? size : most;
         }
         return S::largest(most);
     }
 
+    // The forces of the sample are final.
+    void commit() {
+        if (ws_.any_series) std::swap(ws_.series, ws_.series_after);
+    }
+
+private:
     const Nonlinear& nl_;
     ContactState& ws_;
 };

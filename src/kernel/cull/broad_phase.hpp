@@ -78,6 +78,11 @@ public:
 
     const std::vector<int>& candidates() const { return ws_.candidates; }
 
+    // Whether forces of this block could make a culled contact touch.
+    bool any_culled() const {
+        return std::any_of(ws_.n_culled.begin(), ws_.n_culled.end(), [](int n) { return n > 0; });
+    }
+
     // Whether no contact can touch in sample b under the port forces `now` of the linear connections.
     bool contact_free(int b, const double* now) {
         if (!contact_free_) return false;

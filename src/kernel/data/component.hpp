@@ -119,6 +119,7 @@ struct Component {
     Array<double> trace, det, kappa;  // (n): trace and determinant of E, det(I - E)
     std::vector<char> slow;           // by granule of modes: recurrence in differences
     Array<double> slopes;             // (n_rows, 2, n): rows (E - I)
+    Array<double> ratio;              // (n): second of two rows over the first, where one number is; else empty
     Array<double> w_slope;            // (n_ports, 2, n): (E - tr) w; of slow modes (I + E - tr) w
     Array<double> e_block;            // (4, n): E^kBlock
     std::vector<std::vector<Share>> shares;  // by port

@@ -68,8 +68,8 @@ struct Nonlinear {
     std::vector<Term> all_terms;
     // derived by load/contacts.hpp
     std::vector<int> read_forces;  // connections with a weight
-    struct Shared {  // gaps that share residual compliance: places first .. first + width of the displacements
-        int first = 0, width = 0;
+    struct Shared {  // gaps that share residual compliance: places first .. first + n of the displacements
+        int first = 0, n = 0, width = 0;  // width: n, padded
         Array<double> residual;  // (connections, width): displacement of each place per force
     };
     std::vector<Shared> shared;

@@ -73,26 +73,32 @@ struct PortForces {
     int width = 0;
     double mix = 0;
     Array<double> constant, free, old;  // (width), (port_rows, width) twice; `old` is empty if it is zero
+    std::vector<int> rows;              // of `free` that are not zero
 };
 
 // The row history of a block is (kBlock + 1, width): one line of numbers per sample. Components of one port and one row
-// stand first, side by side, so that one vector serves several; every other component begins at a multiple of kLane.
+// stand first, side by side, so that one vector serves several, then those of two ports and two rows; every other
+// component begins at a multiple of kLane.
 // The port forces stand side by side in the same order. The connections are folded into two matrices: f = constant +
 // gather^T (y(b), y_free(b + 1)), port forces = scatter^T f.
 struct Layout {
+    struct Alike {       // components of as many rows as ports, one or two, side by side
+        int row = 0, force = 0, width = 0;  // the first one's row and port; rows, padded
+        Array<double> response;             // (kBlock, ports, width): of each row to a port of its own component
+    };
     struct Several {     // a component of several ports
         int row, force, n_ports, width;
         bool stepped;            // sample by sample: only the response of the next line is needed
         Array<double> response;  // (kBlock, n_ports, width)
     };
-    int width = 0, single_width = 0;       // of a line; of the components of one port and one row in it
+    int width = 0;                         // of a line
     int f_width = 0, force_width = 0;      // connections and ports, padded to kLane
     std::vector<int> row, port;            // first row and first port of each component
     std::vector<char> stepped;             // by component: stepped sample by sample (modal/shape_step.hpp)
     std::vector<int> sample_by_sample;     // these
     std::vector<char> by_itself;           // by component: no linear connection joins it to another one
     std::vector<int> port_rows;            // row of every two-way port
-    Array<double> single_response;         // (kBlock, single_width)
+    Alike singles, pairs;
     std::vector<Several> several;
     std::vector<Array<double>> driven_response;  // by component: (n_ports, n_rows, 2 kBlock), the first half zero
     Array<double> constant;                // (f_width)

@@ -7,11 +7,18 @@
 
 namespace tonewood {
 
+constexpr std::size_t kColumns = 6 * kLane;  // of a block of a matrix (potentials/plane_products.hpp)
+// Columns of the first block of `left`: about as many as of the others.
+constexpr std::size_t block_columns(std::size_t left) {
+    return padded((left + (left + kColumns - 1) / kColumns - 1) / ((left + kColumns - 1) / kColumns));
+}
+
 // A string with longitudinal motion (potentials/longitudinal.hpp).
 struct Stretch {
     struct Planes {  // one or two polarizations, side by side and with the same shapes
         int first = 0, count = 1, n = 0;  // components; lowest modes that take part, padded
-        Array<double> slopes, pulls;      // (n, points) slope at each point per coordinate; (points, n) its transpose
+        // (n, points) slope at each point per coordinate, (points, n) its transpose; by blocks of columns
+        Array<double> slopes, pulls;
     };
     int order = 0;             // P
     int points = 0;            // theta = (j + 1/2) pi / points, a multiple of kLane: sums over them are integrals
@@ -19,7 +26,7 @@ struct Stretch {
     std::vector<int> sizes;    // modes of each component that take part, the lowest; the longitudinal one last
     std::vector<Planes> planes;
     Array<double> project;     // (points, strain_width): s_n per squared slope at each point
-    Array<double> spread;      // (P + 1, points): pull per slope at each point, of s_n + l_n
+    Array<double> spread;      // (P + 1, points): pull per slope at each point, of s_n + l_n; by blocks of columns
     int width = 0, strain_width = 0;  // modes of the longitudinal component, cosines of its strain; padded
     Array<double> weights;            // (strain_width): EA L g_n
     Array<double> strain, back;       // (modes, strain_width), (P + 1, width): strain's cosines per coordinate
@@ -104,6 +111,7 @@ struct Potentials {
     // where the linear connections are one matrix: (ports, force_width) forces on all ports, (ports, f_width) of
     // connections
     Array<double> onto_forces, onto_linear;
+    std::vector<int> answered;          // ports to which linear connections answer: their rows are not zero
 };
 
 constexpr int kSharedSums = 3, kPortSums = 5;  // of a modal pass over a component, and for each of its ports

@@ -23,9 +23,8 @@ struct ContactState {
     Array<double> held, without, load;
     std::vector<char> candidate, is_active, acted;  // acted: in this run
     std::vector<int> candidates, active, previous;
-    // of residual compliances: displacements before and after a step, by place; by group, the largest of each, and
-    // whether it moves
-    Array<double> series, series_after, series_most, series_most_after;
+    // of residual compliances: displacements before and after a step, by place; by group, whether it moves
+    Array<double> series, series_after;
     std::vector<char> series_moves;
     bool any_series = false;
     Array<double> least_clearance;   // by group: of contacts culled when the block began

@@ -58,6 +58,15 @@ inline void derive_recurrences(Component& c) {
         }
         for (int i = 0; i < 4; ++i) c.e_block[i * n + k] = p[i];
     }
+    for (std::size_t k = 0; c.n_rows == 2 && k < n; ++k) {  // real modes: both rows are shapes times the same numbers
+        const double *const at = c.rows.data() + k, x = at[0], y = at[n], x2 = at[2 * n], y2 = at[3 * n];
+        const double size = x * x + y * y, ratio = size > 0.0 ? (x * x2 + y * y2) / size : 0.0;
+        if (!(std::hypot(x2 - ratio * x, y2 - ratio * y) <= 1e-14 * std::hypot(x2, y2))) {
+            c.ratio.clear();
+            break;
+        }
+        c.ratio.push_back(ratio);
+    }
     c.slopes = slopes_of(n, e, c.rows.data(), c.n_rows), c.w_slope = w_slopes_of(c, c.w.data(), c.n_ports);
 }
 

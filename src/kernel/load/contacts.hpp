@@ -34,7 +34,7 @@ inline void make_series(Nonlinear& nl) {
         std::vector<std::size_t> members;
         for (std::size_t j = 0; j < k; ++j)
             if (nl.series[j] == int(g)) members.push_back(j);
-        group.first = nl.n_places, group.width = int(padded(members.size()));
+        group.first = nl.n_places, group.n = int(members.size()), group.width = int(padded(members.size()));
         group.residual.assign(members.size() * group.width, 0.0);
         for (std::size_t i = 0; i < members.size(); ++i)
             for (std::size_t j = 0; j < members.size(); ++j)
@@ -153,7 +153,6 @@ inline void make_buffers(const std::vector<Component>& components, const Nonline
     for (std::vector<int>* list : {&ws.candidates, &ws.active, &ws.previous, &ws.stored, &ws.sliding})
         list->clear(), list->reserve(k);
     ws.series.assign(nl.n_places + kLane, 0.0), ws.series_after = ws.series;
-    ws.series_most.assign(nl.shared.size(), 0.0), ws.series_most_after = ws.series_most;
     ws.series_moves.assign(nl.shared.size(), 0);
     ws.tension_excursion.assign(n * kBlock, 0.0), ws.tension_sensitivity.assign(n, 0.0);
     ws.norm.assign(n, 0.0), ws.added.assign(n, 0.0), ws.has_amplitudes.assign(n, 0);

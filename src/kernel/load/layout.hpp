@@ -7,26 +7,46 @@
 
 namespace tonewood {
 
+// Rows of a (., width) matrix that are not zero.
+inline std::vector<int> rows_in_use(const Array<double>& matrix, std::size_t width) {
+    std::vector<int> rows;
+    for (std::size_t i = 0; i * width < matrix.size(); ++i) {
+        const auto row = matrix.begin() + std::ptrdiff_t(i * width);
+        if (std::any_of(row, row + std::ptrdiff_t(width), [](double x) { return x != 0.0; })) rows.push_back(int(i));
+    }
+    return rows;
+}
+
 // Places every row and port and folds the connections into small matrices; see Layout.
 inline Layout make_layout(const std::vector<Component>& components, const Solve& solve, int n_channels) {
     Layout l;
-    const auto alone = [](const Component& c) { return !c.driven && c.n_ports == 1 && c.n_rows == 1; };
+    // potentials' own passes write the rows of components that are stepped by sample
+    const auto alike = [](const Component& c, int n) {
+        return !c.driven && c.n_ports == n && c.n_rows == n && (n == 1 || !c.by_sample());
+    };
     const int m = solve.m;
     l.row.assign(components.size(), 0), l.port.assign(components.size(), 0);
     l.by_itself = without_neighbours(components, solve);
     l.driven_response.resize(components.size()), l.stepped.assign(components.size(), 0);
     int n_ports = 0;
-    for (std::size_t i = 0; i < components.size(); ++i)
-        if (alone(components[i])) l.row[i] = l.port[i] = n_ports++;
-    l.single_width = l.width = int(padded(n_ports));
-    l.single_response.assign(std::size_t(kBlock) * l.single_width, 0.0);
+    const auto place = [&](Layout::Alike& those, int n) {
+        those.row = l.width, those.force = n_ports;
+        for (std::size_t i = 0; i < components.size(); ++i)
+            if (alike(components[i], n)) {
+                l.row[i] = those.row + n_ports - those.force, l.port[i] = n_ports;
+                n_ports += n;
+            }
+        those.width = int(padded(n_ports - those.force)), l.width += those.width;
+        those.response.assign(std::size_t(kBlock) * n * those.width, 0.0);
+        for (std::size_t i = 0; i < components.size(); ++i)
+            for (int kp = 0; alike(components[i], n) && kp < kBlock * n; ++kp)
+                std::copy_n(components[i].response.data() + kp * n, n,
+                            those.response.data() + std::size_t(kp) * those.width + (l.row[i] - those.row));
+    };
+    place(l.singles, 1), place(l.pairs, 2);
     for (std::size_t i = 0; i < components.size(); ++i) {
         const auto& c = components[i];
-        if (alone(c)) {
-            for (int k = 0; k < kBlock; ++k)
-                l.single_response[std::size_t(k) * l.single_width + l.row[i]] = c.response[k];
-            continue;
-        }
+        if (alike(c, 1) || alike(c, 2)) continue;
         l.port[i] = n_ports, n_ports += c.n_ports;
         if (c.driven) {
             auto& h = l.driven_response[i];
@@ -38,8 +58,8 @@ inline Layout make_layout(const std::vector<Component>& components, const Solve&
         }
         const int width = int(padded(c.n_rows));
         l.row[i] = l.width, l.width += width;
-        if (c.n_ports == 0) continue;
-        const bool stepped = c.shapes.on && !c.contact.n && !c.by_sample();
+        if (c.n_ports == 0 || c.by_sample()) continue;
+        const bool stepped = c.shapes.on && !c.contact.n;
         if (stepped) l.stepped[i] = 1, l.sample_by_sample.push_back(int(i));
         const int lags = stepped ? 1 : kBlock;
         Array<double> response(std::size_t(lags) * c.n_ports * width, 0.0);
@@ -113,6 +133,7 @@ inline Layout make_layout(const std::vector<Component>& components, const Solve&
         scatter_to_ports(old.data(), l.direct.old.data() + p * l.force_width);
     }
     if (mixed_alike) l.direct.old.clear();
+    l.direct.rows = rows_in_use(l.direct.free, l.direct.width);
     return l;
 }
 

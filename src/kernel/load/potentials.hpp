@@ -6,7 +6,7 @@
 #include <string>
 
 #include "../data/state.hpp"
-#include "description.hpp"
+#include "layout.hpp"
 
 namespace tonewood {
 
@@ -102,6 +102,7 @@ inline void make_potentials(const std::vector<Component>& components, const Solv
         std::copy_n(forces, l.force_width, t.onto_forces.data() + p * l.force_width);
         for (std::size_t q = 0; q < n; ++q) t.onto_ports[p * row + t.ports[q].lane] = forces[t.ports[q].force];
     }
+    t.answered = rows_in_use(t.onto_forces, l.force_width);
     const std::size_t n_sums = (t.n_sums + kPadding - 1) / kPadding * kPadding, k = nl.k;
     ws.scaled.assign(kScaledState * capacity, 0.0), ws.known.assign(capacity, 0.0);
     ws.lanes.assign(n_sums * 8, 0.0), ws.sums.assign(n_sums, 0.0);
@@ -124,6 +125,17 @@ inline Array<double> cosines_at_points(std::size_t count, std::size_t points) {
     for (std::size_t n = 0; n < count; ++n)
         for (std::size_t j = 0; j < points; ++j)
             out[n * points + j] = std::cos(kPi * double(n * (2 * j + 1) % (4 * points)) / double(2 * points));
+    return out;
+}
+
+// A (n, width) matrix by blocks of at most kColumns columns, each row after row: they are read as they lie.
+inline Array<double> by_columns(const Array<double>& matrix, std::size_t width) {
+    Array<double> out;
+    for (std::size_t first = 0, end; first < width; first = end) {
+        end = first + block_columns(width - first);
+        for (std::size_t row = 0; row < matrix.size(); row += width)
+            out.insert(out.end(), matrix.begin() + std::ptrdiff_t(row + first), matrix.begin() + std::ptrdiff_t(row + end));
+    }
     return out;
 }
 
@@ -164,6 +176,7 @@ inline Stretch load_stretch(const PotentialDescription& d, const std::vector<Com
             out.spread[i * points + j] = all[i * points + j] * out.scale / double(points);
         }
     }
+    out.spread = by_columns(out.spread, points);
     for (std::size_t q = 0; q < last; ++q) {
         const View& slopes = d.parts[q].slopes;
         const std::size_t n = slopes.shape[1];
@@ -181,6 +194,7 @@ inline Stretch load_stretch(const PotentialDescription& d, const std::vector<Com
         planes.pulls.resize(planes.slopes.size());
         for (std::size_t k = 0, n = std::size_t(planes.n); k < n; ++k)
             for (std::size_t j = 0; j < points; ++j) planes.pulls[j * n + k] = planes.slopes[k * points + j];
+        planes.slopes = by_columns(planes.slopes, points), planes.pulls = by_columns(planes.pulls, std::size_t(planes.n));
     }
     return out;
 }

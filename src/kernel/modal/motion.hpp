@@ -35,7 +35,8 @@ inline int free_motion(Block& block, FusedPass& fused, const Resting& resting) {
             continue;
         }
         if (!fused[i] && inputs.empty() && block.nb == kBlock)
-            recur_read(c, block.x(i), block.y(i), rows);
+            c.ratio.empty() ? recur_read(c, block.x(i), block.y(i), rows)
+                            : recur_read<true>(c, block.x(i), block.y(i), rows);
         else if (!fused[i])
             step_modes<true, false>(c, block.x(i), block.y(i), inputs.data(), int(inputs.size()), block.nb, rows);
         // checked here too, before connections spread a fault to other components

@@ -135,22 +135,31 @@ void step_modes(const Component& c, double* sx, double* sy, const Input* inputs,
     if constexpr (Read) reduce(acc, rows, nb);
 }
 
-// By recurrence over a whole block: values of rows, without inputs. The state stays.
+// By recurrence over a whole block: values of rows, without inputs. The state stays. Two: of both rows of a component
+// whose modes read them in one ratio, which take one recurrence.
+template <bool Two = false>
 void recur_read(const Component& c, const double* sx, const double* sy, const Rows& rows) {
-    constexpr int width = Simd::width;
+    constexpr int width = Simd::width, size = (kBlock + 1) * width;
     static_assert(kBlock % 2 == 0);
     const std::size_t n = c.n;
     double* const acc = accumulators(rows.count);
-    for (int r = 0; r < rows.count; ++r) {
+    for (int r = 0; r < (Two ? 1 : rows.count); ++r) {
         const double* row = rows.rows + 2 * std::size_t(rows[r]) * n;
         const double* slope = rows.slopes + 2 * std::size_t(rows[r]) * n;
-        double* const to = acc + std::size_t(r) * (kBlock + 1) * width;
-        const auto add = [to](int b, const auto& share) {
-            Simd::store(to + b * width, Simd::load(to + b * width) + share.folded());
-        };
+        double* const to = acc + std::size_t(r) * size;
         in_packs<kPack>(n, [&]<int N>(std::size_t k) {
             using P = Pack<N>;
             const P x = P::load(sx + k), y = P::load(sy + k), det = P::load(c.det.data() + k);
+            const P ratio = Two ? P::load(c.ratio.data() + k) : P{};
+            const auto add = [&](int b, const P& share) {
+                double* const at = to + b * width;
+                Simd::store(at, Simd::load(at) + share.folded());
+                if constexpr (Two) {
+                    Simd::V sum = Simd::load(at + size);
+                    add_products(sum, ratio, share);
+                    Simd::store(at + size, sum);
+                }
+            };
             P s = mul_add(P::load(row + k), x, P::load(row + n + k) * y);
             P d = mul_add(P::load(slope + k), x, P::load(slope + n + k) * y);
             add(0, s);

@@ -31,21 +31,28 @@ inline void plane_columns(const double* matrix, int width, int n, const double* 
             S::store(to[p] + at + j * S::width, split == 2 ? sum[0][p][j] + sum[split - 1][p][j] : sum[0][p][j]);
 }
 
-// to[p] = matrix^T x[p]: matrix (n, width), width a multiple of kLane.
+// to[p] = matrix^T x[p]: matrix (n, width) by blocks of columns, width a multiple of kLane.
 template <int Planes>
 inline void multiply_planes(const double* matrix, int width, int n, const double* const* x, double* const* to) {
-    constexpr int lanes = Simd::width, most = kPack > 2 ? 6 : kPack;  // as many as the registers hold
-    int at = 0, left = width / lanes;
-    const auto columns = [&]<int B>(std::integral_constant<int, B>) {
-        plane_columns<Planes, B>(matrix, width, n, x, to, at);
-        at += B * lanes, left -= B;
-    };
-    while (left > most) columns(std::integral_constant<int, most - most / 3>{});
-    const auto rest = [&]<int... B>(std::integer_sequence<int, B...>) {
-        const int wanted = left;
-        (void)((wanted == B + 1 && (columns(std::integral_constant<int, B + 1>{}), true)) || ...);
-    };
-    rest(std::make_integer_sequence<int, most>{});
+    constexpr int lanes = Simd::width, most = kPack > 2 ? int(kColumns) / lanes : kPack;  // as many as the registers hold
+    for (int first = 0, end; first < width; first = end) {
+        const int columns = int(block_columns(std::size_t(width - first)));
+        end = first + columns;
+        double* here[Planes];
+        for (int p = 0; p < Planes; ++p) here[p] = to[p] + first;
+        int at = 0;
+        const auto take = [&]<int B>(std::integral_constant<int, B>) {
+            plane_columns<Planes, B>(matrix, columns, n, x, here, at);
+            at += B * lanes;
+        };
+        while (columns - at > most * lanes) take(std::integral_constant<int, most>{});
+        const auto rest = [&]<int... B>(std::integer_sequence<int, B...>) {
+            const int left = (columns - at) / lanes;
+            (void)((left == B + 1 && (take(std::integral_constant<int, B + 1>{}), true)) || ...);
+        };
+        rest(std::make_integer_sequence<int, most>{});
+        matrix += std::size_t(columns) * std::size_t(n);
+    }
 }
 
 }  // namespace

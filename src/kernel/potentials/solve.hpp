@@ -230,16 +230,22 @@ public:
 
     // Adds the answer of the linear connections to psi_m: port forces `now` (not in parts), or the connections' own
     // forces f.
-    void add_to_ports(double* now) { add(t_.onto_forces.data(), layout_.force_width, now); }
+    void add_to_ports(double* now) {
+        find_moved();
+        add_product(t_.onto_forces.data(), layout_.force_width, ws_.moved.data(), t_.answered, now);
+    }
     void add_to_linear(double* f) {
-        if (!parts_) return add(t_.onto_linear.data(), layout_.f_width, f);
+        if (!parts_) {
+            find_moved();
+            return add_product(t_.onto_linear.data(), layout_.f_width, ws_.moved.data(), t_.answered, f);
+        }
         for (std::size_t p = 0; p < t_.ports.size(); ++p) ws_.y[t_.ports[p].place] = moved(p);
         parts_->subtract_answer(ws_.y.data(), f);
     }
 
     // Adds the product of a matrix (ports, width) and the displacements -psi_m C of the ports.
     void add(const double* matrix, int width, double* to) {
-        for (std::size_t p = 0; p < t_.ports.size(); ++p) ws_.moved[p] = moved(p);
+        find_moved();
         add_product(matrix, width, ws_.moved.data(), int(t_.ports.size()), to);
     }
 
@@ -316,6 +322,9 @@ private:
     }
 
     const PotentialPart& part(int component) const { return run_.parts[run_.part_of[component]]; }
+    void find_moved() {
+        for (std::size_t p = 0; p < t_.ports.size(); ++p) ws_.moved[p] = moved(p);
+    }
     double moved(std::size_t p) const { return -ws_.mean[t_.ports[p].potential] * ws_.reach[p]; }
 
     // use(first mode, xi, v, numbers) of a vector of modes at a time, which may change xi and v.

@@ -37,6 +37,7 @@ def check(n_bodies, low, high):
     assert np.mean(np.array(numbers) == 3) > 0.97
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_of_a_few_bodies():
     """Of 20 bodies, 60 modes: 90 % within three standard deviations of a share of 60."""
     check(20, 0.78, 0.99)

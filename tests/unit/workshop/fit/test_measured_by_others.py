@@ -45,7 +45,14 @@ def command(*words):
 
 
 @pytest.mark.parametrize("structural", [False, True], ids=["viscous", "structural"])
-@pytest.mark.parametrize(("relative", "additive"), [(0.0, 0.0), (1e-3, 0.0), (1e-2, 0.0), (0.0, 1e-3), (3e-3, 1e-4)])
+@pytest.mark.parametrize(
+    ("relative", "additive"),
+    [
+        (0.0, 0.0),
+        (3e-3, 1e-4),
+        *(pytest.param(*noise, marks=pytest.mark.slow) for noise in [(1e-3, 0.0), (1e-2, 0.0), (0.0, 1e-3)]),
+    ],
+)
 def test_three_modes_are_three_whatever_noise_and_damping(structural, relative, additive):
     fit = fit_responses(Responses(FREQ, mobility(structural, relative, additive), tuple((p, "p0") for p in NAMES)))
     rows = measured(fit)
@@ -58,7 +65,7 @@ def test_three_modes_are_three_whatever_noise_and_damping(structural, relative, 
     assert fit.modes.misfit < 1.1
 
 
-@pytest.mark.parametrize("kind", ["rel", "sensor moves", "no driving point"])
+@pytest.mark.parametrize("kind", ["rel", pytest.param("sensor moves", marks=pytest.mark.slow), "no driving point"])
 def test_a_hammer_that_goes_about_tells_what_a_sensor_does_that_does(kind):
     rows = mobility(relative=1e-3)
     pairs = tuple(("p0", p) if kind != "sensor moves" else (p, "p0") for p in NAMES)
@@ -101,7 +108,9 @@ def test_coherences_that_are_no_numbers_are_refused_in_one_line():
         fit_responses(Responses(FREQ, mobility(), pairs, np.full((3, FREQ.size), np.nan), 5))
 
 
-@pytest.mark.parametrize(("factor", "each"), [(3.0, False), (3.0, True), (0.0, False), (30j, False)])
+@pytest.mark.parametrize(
+    ("factor", "each"), [(3.0, True), *(pytest.param(x, False, marks=pytest.mark.slow) for x in [3.0, 0.0, 30j])]
+)
 def test_single_bins_that_are_wrong_are_left_out_and_make_no_mode(factor, each):
     """Twelve bins of all responses, or six of each, at three times their size, at 0, or at thirty times, turned."""
     rows, rng, wrong = mobility(relative=1e-3, additive=1e-4), np.random.default_rng(5), np.zeros((3, FREQ.size), bool)
@@ -116,6 +125,7 @@ def test_single_bins_that_are_wrong_are_left_out_and_make_no_mode(factor, each):
     assert any("disagree with their neighbours" in line for line in fit.warnings)
 
 
+@pytest.mark.slow
 def test_bins_without_numbers_and_frequencies_in_khz_are_said():
     rows, pairs = mobility(relative=1e-3), tuple((p, "p0") for p in NAMES)
     rows[:, 100:105] = np.nan
@@ -124,6 +134,7 @@ def test_bins_without_numbers_and_frequencies_in_khz_are_said():
     assert "5 bins without a finite number were left out" in fit.warnings
 
 
+@pytest.mark.slow
 def test_a_body_lighter_than_any_is_a_matter_of_units():
     rows = 1e3 * mobility(relative=1e-3)
     fit = fit_responses(Responses(FREQ, rows, tuple((p, "p0") for p in NAMES)))
@@ -131,7 +142,14 @@ def test_a_body_lighter_than_any_is_a_matter_of_units():
     assert not any("mm/s" in line for line in fit_responses(Responses(FREQ, 1e-3 * rows, fit.responses.pairs)).warnings)
 
 
-@pytest.mark.parametrize("kind", ["g per N", "complex64", "two close modes", "exponential window", "bins missing"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "complex64",
+        "bins missing",
+        *(pytest.param(x, marks=pytest.mark.slow) for x in ["g per N", "two close modes", "exponential window"]),
+    ],
+)
 def test_other_peoples_arrays_are_three_modes(tmp_path, kind):
     """Units by --scale, short numbers, modes within 1.5 %, a window known to the fit, bins that are no numbers."""
     natural, alpha, reading = NATURAL.copy(), 0.0, Reading("mobility")
@@ -290,6 +308,7 @@ def test_a_damaged_mat_file_is_reported_in_one_line(tmp_path, content):
     assert "\n" not in str(fault.value)
 
 
+@pytest.mark.slow
 def test_a_line_of_the_mains_is_no_mode():
     rows = mobility(relative=1e-3)
     rows[:, 30] += 20 * np.abs(rows[:, 30])  # 50 Hz
@@ -307,6 +326,7 @@ def test_modes_are_dropped_and_kept_by_frequency():
         fit_responses(responses, drop=(250.0,))
 
 
+@pytest.mark.slow
 def test_a_mode_whose_absence_nobody_would_see_is_dropped_unless_it_is_wanted():
     """A mode at 250 Hz that turns the response by 0.3 % (0.03 dB) or by 30 %, far above the noise."""
     w, wn = TAU * FREQ, TAU * 250.0

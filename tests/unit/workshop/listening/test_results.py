@@ -36,6 +36,7 @@ def row(listener: str, value: float, role: str = "sound", trial: str = "t", **le
     return {"listener": listener, "value": value, "role": role, "trial": trial, "repetition": 1, **levels}
 
 
+@pytest.mark.slow
 def test_a_simulated_panel_s_effects_are_found_again(tmp_path: Path) -> None:
     pages = [
         {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}, "anchors": [3500, 7000]},
@@ -273,6 +274,7 @@ def test_a_psychometric_function_is_fitted_to_its_own_answers(rng: np.random.Gen
     assert at == pytest.approx(2**-0.5, rel=1e-12)  # the share that two down, one up converges to
 
 
+@pytest.mark.slow
 def test_intervals_of_thresholds_hold_their_share(rng: np.random.Generator) -> None:
     grid = thresholds.ThresholdGrid(StaircasePage.model_validate(fakes.STAIRS))
     inside = 0
@@ -306,6 +308,7 @@ def test_differences_are_paired_t_tests_of_listeners(rng: np.random.Generator) -
     )
 
 
+@pytest.mark.slow
 def test_p_values_are_two_sided_and_holm_s_never_fall(rng: np.random.Generator) -> None:
     """Against statsmodels, over draws in which a later pair's product is less than an earlier one's."""
     multipletests = pytest.importorskip("statsmodels.stats.multitest").multipletests
@@ -427,3 +430,12 @@ def test_power_of_choices_is_that_of_a_test_of_their_share() -> None:
         deviation = math.sqrt(share * (1 - share) / n)
         expected = 1 - stats.norm.cdf((0.5 + z - share) / deviation) + stats.norm.cdf((0.5 - z - share) / deviation)
         assert power.choice_power(share, each, listeners, 0.05) == pytest.approx(expected, abs=0.05)
+
+
+@pytest.mark.parametrize("needed", [1, 3, 4, 5, 57, 8193, power.MOST - 1, power.MOST, power.MOST + 1])
+def test_the_fewest_listeners_are_found_up_to_the_most_that_are_tried(needed: int) -> None:
+    if needed > power.MOST:
+        with pytest.raises(power.TooManyListenersError, match=f"more than {power.MOST} listeners"):
+            power.fewest(lambda n: 0.9 if n >= needed else 0.7, 0.8, "a nuance")
+    else:
+        assert power.fewest(lambda n: 0.8 if n >= needed else 0.7, 0.8, "a nuance") == max(needed, 3)

@@ -257,6 +257,7 @@ def damaged(value: Any) -> Iterator[Any]:
                 yield {**value, key: part}
 
 
+@pytest.mark.slow
 def test_damaged_answers_are_one_line(test_of_all: ListeningTest) -> None:
     """Each part of a row of each kind, one by one; names of tests and times are not read."""
 

@@ -420,7 +420,9 @@ def test_values_are_grouped_into_grades_that_keep_their_order(rng: np.random.Gen
     assert list(grades(np.array([3.0, 1.0, 3.0, 5.0]), (1.0, 5.0))) == [1, 0, 1, 2]
 
 
-@pytest.mark.parametrize("listeners", [12, 20, 40])
+@pytest.mark.parametrize(
+    "listeners", [pytest.param(12, marks=pytest.mark.slow), 20, pytest.param(40, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("count", [1500, pytest.param(15_000, marks=pytest.mark.validate)])
 @pytest.mark.parametrize("cuts", simulations.CUTS)
 def test_odds_hold_false_alarms_and_coverage(cuts: str, count: int, listeners: int) -> None:
@@ -553,6 +555,7 @@ def test_power_is_that_of_student_s_t() -> None:
     assert power.rating_power([0.0, mean], narrow, 60, 0.05, sampled=sounds)[0] == pytest.approx(true, abs=0.025)
 
 
+@pytest.mark.slow
 def test_power_of_random_sounds_is_had(tmp_path: Path) -> None:
     """Six sounds, which differ in the effect: the power is that of the quasi-F, whatever the number of listeners."""
     own, spread = power.stated_spread(12.0, 5.0, 6, 2)
@@ -574,6 +577,7 @@ def test_power_of_random_sounds_is_had(tmp_path: Path) -> None:
     assert "no number of listeners is enough for 10 points" in str(row)
 
 
+@pytest.mark.slow
 def test_power_of_ordinal_scales_is_that_of_shares_of_comparisons(tmp_path: Path) -> None:
     """Grades are drawn one by one and analysed as in the report; a scale that ends changes little."""
     promised = power.ordinal_power([0.0, 0.6, 0.0], 1.0, 6, (1.0, 5.0), 25, 0.05)[0]
@@ -739,7 +743,9 @@ def test_a_track_of_quest_plus_is_that_of_many_at_once() -> None:
     assert track.done
 
 
-@pytest.mark.parametrize("page", [GUIDE, GUIDE | LEVITT], ids=["QUEST+", "Levitt"])
+@pytest.mark.parametrize(
+    "page", [pytest.param(GUIDE, marks=pytest.mark.slow), GUIDE | LEVITT], ids=["QUEST+", "Levitt"]
+)
 def test_thresholds_are_without_bias(page: dict) -> None:
     people = simulations.Population(5.0, 0.25, 2.0)
     found = simulations.threshold_rates(np.random.default_rng(3), 25, 12, StaircasePage.model_validate(page), people)
@@ -841,6 +847,7 @@ def test_the_first_lines_say_difference_certainty_and_unit(tmp_path: Path) -> No
     assert "Levitt" in methods(found)
 
 
+@pytest.mark.slow
 def test_a_scale_that_ends_is_told(tmp_path: Path) -> None:
     scale = {"name": "dry", "label": "Dry", "low": 0.0, "high": 10.0}
     test = fakes.made(tmp_path, [{"type": "rating", "scales": [scale, scale | {"name": "o", "ordinal": True}]}])

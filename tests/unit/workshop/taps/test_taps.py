@@ -292,7 +292,7 @@ def plate(name):
 
 
 @pytest.mark.skipif(not (PLATES / "2L.npz").exists(), reason="needs measured plates")
-@pytest.mark.parametrize("name", ["1L", "1R", "2L", "2R", "3L"])
+@pytest.mark.parametrize("name", ["2R", *(pytest.param(x, marks=pytest.mark.slow) for x in ["1L", "1R", "2L", "3L"])])
 def test_plates_that_others_measured(name):
     """The maxima of the mean spectrum, each fitted by itself, are modes; there are few more.
 

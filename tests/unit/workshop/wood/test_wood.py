@@ -78,6 +78,7 @@ def test_a_board_is_found_again(rectangle: Rectangle, rng: np.random.Generator) 
     assert len(solution.pairs) >= 12
 
 
+@pytest.mark.slow
 def test_a_sensor_at_a_corner_is_found_and_makes_the_board_no_softer(rectangle: Rectangle) -> None:
     """Against Rayleigh: a small mass m lowers a mode's ln f by m phi^2 / 2; 3 g change E_L and G_LR by 5 % and more."""
     wood, mass = rectangle.nominal, 3e-3
@@ -248,6 +249,7 @@ def simulated(rectangle: Rectangle, rng: np.random.Generator, thickness_error: f
     return [a <= getattr(wood, key) <= b for key, (a, b) in solution.intervals.items()]
 
 
+@pytest.mark.slow
 def test_intervals_of_a_few_boards(rectangle: Rectangle) -> None:
     """Three quarters of them at least; the long tier counts 200 boards."""
     rng = np.random.default_rng(20261124)
@@ -266,6 +268,7 @@ def test_intervals_hold_the_truth_of_200_boards(rectangle: Rectangle) -> None:
 
 @pytest.mark.skipif(not PLATES.is_dir(), reason="other people's plates are not here")
 @pytest.mark.parametrize("name", ["2L", "2R"])
+@pytest.mark.slow
 def test_measured_plates_of_others(name: str) -> None:
     """Peaks within 1 %; E_L, G_LR within two standard deviations (the authors: 3, 5 %)."""
     row = next(r for r in csv.DictReader((PLATES / "plates.csv").open()) if r["plate"] == name)
@@ -284,6 +287,7 @@ def test_measured_plates_of_others(name: str) -> None:
 
 
 @pytest.mark.skipif(not PLATES.is_dir(), reason="other people's plates are not here")
+@pytest.mark.slow
 def test_finite_elements_of_others_are_read_back() -> None:
     """Twelve of their 1200 plates: constants from their frequencies alone, within the intervals nine times in ten."""
     rows = list(csv.DictReader((PLATES / "fem_plates.csv").open()))[::100]
