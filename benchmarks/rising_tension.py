@@ -32,8 +32,8 @@ Floats = NDArray[np.float64]
 
 
 def scene(force: float, rate: float) -> tuple[System, list[Injection], tuple[str, ...]]:
-    """G3 of `steel_guitar` on its body, the force of a ramp on it, and the string's components."""
-    guitar = tw.load_instrument("steel_guitar").replace(
+    """G3 of `steel_strings` on its body, the force of a ramp on it, and the string's components."""
+    guitar = tw.load_instrument("steel_strings").replace(
         {"tuning.compensate": "none", "strings.*.polarizations": ["z", "y"]}
     )
     values = dict(guitar.resolved)
@@ -106,7 +106,7 @@ def error(rough: Floats, exact: Floats) -> str:
 
 
 def main() -> None:
-    print(f"G3 of steel_guitar on its body, first {MODES} modes of each plane, {SECONDS:g} s, {RATE} Hz\n")
+    print(f"G3 of steel_strings on its body, first {MODES} modes of each plane, {SECONDS:g} s, {RATE} Hz\n")
     print("| pluck, N | error |\n|---|---|")
     for force in FORCES:
         print(f"| {force:g} | {error(plucked(force, 1), plucked(force, FINER))} |", flush=True)
