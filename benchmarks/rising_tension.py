@@ -30,8 +30,8 @@ Floats = NDArray[np.float64]
 
 
 def plucked(force: float, times: int) -> Floats:
-    """Lowest modes of G3 of `steel_guitar`, plucked by a ramp, at every 48 000th of a second."""
-    guitar = tw.load_instrument("steel_guitar").replace(
+    """Lowest modes of G3 of `steel_strings`, plucked by a ramp, at every 48 000th of a second."""
+    guitar = tw.load_instrument("steel_strings").replace(
         {"tuning.compensate": "none", "strings.*.polarizations": ["z", "y"]}
     )
     values = dict(guitar.resolved)
@@ -87,7 +87,7 @@ def error(rough: Floats, exact: Floats) -> str:
 
 
 def main() -> None:
-    print(f"G3 of steel_guitar on its body, first {MODES} modes of each plane, {SECONDS:g} s, {RATE} Hz\n")
+    print(f"G3 of steel_strings on its body, first {MODES} modes of each plane, {SECONDS:g} s, {RATE} Hz\n")
     print("| pluck, N | error |\n|---|---|")
     for force in FORCES:
         print(f"| {force:g} | {error(plucked(force, 1), plucked(force, FINER))} |", flush=True)
