@@ -1,6 +1,6 @@
 """Where the time of `--effects auto` goes in dense music whose tensions rise, as multiples of the linear engine's.
 
-    python benchmarks/auto_dense.py [SCORE.mid ...] [--instrument steel_guitar] [--seconds 8] [--budget-db -80]
+    python benchmarks/auto_dense.py [SCORE.mid ...] [--instrument steel_strings] [--seconds 8] [--budget-db -80]
         [--without-connections]
 
 Renders with effects `auto`, `all` and none but the second polarization (linear) take turns, a block each, on one core.
@@ -87,7 +87,7 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scores", nargs="*", type=Path, default=sorted(SCORES.glob("*.mid")))
-    parser.add_argument("--instrument", default="steel_guitar")
+    parser.add_argument("--instrument", default="steel_strings")
     parser.add_argument("--seconds", type=float, default=8.0)
     parser.add_argument("--budget-db", type=float, default=-80.0)
     parser.add_argument("--budget-cents", type=float, default=0.5)

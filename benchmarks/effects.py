@@ -1,11 +1,11 @@
 """Time saved and error made by leaving effects out: one table over scores and instruments.
 
-    python benchmarks/effects.py SCORE.mid ... [--seconds 8] [--instruments steel_guitar african_harp]
+    python benchmarks/effects.py SCORE.mid ... [--seconds 8] [--instruments steel_strings african_harp]
 
 Each score, or its first seconds, is rendered with effects `all`, `auto` and none but the second polarization (linear),
 a block of each in turn, on one core; times are seconds of the processor. `nylon_guitar` is the classical guitar with
-all there is: rising tensions and frets; `steel_guitar` is taken with frets, too. With `_longitudinal` after their names
-the longitudinal motion of their strings is coupled, too: ten times slower than they sound.
+all there is: rising tensions and frets; `steel_strings` is taken with frets, too. With `_longitudinal` after their
+names the longitudinal motion of their strings is coupled, too: ten times slower than they sound.
 Errors are those of `auto` against `all`: the largest sample difference with rising tension always on, over the first
 seconds, in dB re the peak (additive effects alone), and by how much the fundamentals of the notes are off while they
 sound, in cents: 95 % of the windows of 50 ms in which they are within 20 dB of their loudest, and the note that is off
@@ -62,7 +62,7 @@ def instrument(name: str) -> tw.Instrument:
         }
         return tw.Instrument.from_values(values, plain.folder)
     found = tw.load_instrument(name)
-    if name != "steel_guitar" or found.attachments:
+    if name != "steel_strings" or found.attachments:
         return found
     return tw.Instrument.from_values({**found.resolved, "connections": FRETS}, found.folder)
 
@@ -204,7 +204,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scores", nargs="*", type=Path)
     parser.add_argument("--seconds", type=float, default=None, help="of each score; all of it where left out")
-    parser.add_argument("--instruments", nargs="+", default=["nylon_guitar", "steel_guitar", "african_harp"])
+    parser.add_argument("--instruments", nargs="+", default=["nylon_guitar", "steel_strings", "african_harp"])
     parser.add_argument("--no-plan", action="store_true")
     args = parser.parse_args()
     began = time.perf_counter()

@@ -2,10 +2,9 @@
 
     python benchmarks/ladder.py [--seconds 2] [--fs 48000]
 
-Six steel strings on the body of `steel_guitar`, plucked together by ramps of 2 N; one core. Only stepping is timed, not
-the making of the model. Each scene is stepped in turn, three times over, and every block counts as it was quickest, so
-that all see the same machine.
-"""
+Six steel strings on the body of `steel_strings`, plucked together by ramps of 2 N; one core. Only stepping is timed,
+not the making of the model. Each scene is stepped in turn, three times over, and every block counts as it was
+quickest, so that all see the same machine."""
 
 from __future__ import annotations
 
@@ -38,7 +37,7 @@ def assembled(
         changes["strings.*.plugin"] = plugin
     if not tension:
         changes["strings.*.axial_stiffness"] = 0.0
-    guitar = tw.load_instrument("steel_guitar").replace(changes)
+    guitar = tw.load_instrument("steel_strings").replace(changes)
     values = dict(guitar.resolved)
     values["connections"] = {"frets": {"plugin": "frets", **action}} if action else {}
     if finger:

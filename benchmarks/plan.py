@@ -17,11 +17,11 @@ import tonewood as tw
 
 SCORES = Path(__file__).resolve().parents[1] / "examples" / "scores"
 SCENES = [
-    ("steel_guitar", "scale", {}),
-    ("steel_guitar", "prelude", {}),
-    ("steel_guitar", "romance", {"budget_db": -60.0}),
-    ("steel_guitar", "greensleeves", {"budget_cents": 5.0, "budget_db": -40.0}),
-    ("steel_guitar", "chords", {"effects": "all"}),
+    ("steel_strings", "scale", {}),
+    ("steel_strings", "prelude", {}),
+    ("steel_strings", "romance", {"budget_db": -60.0}),
+    ("steel_strings", "greensleeves", {"budget_cents": 5.0, "budget_db": -40.0}),
+    ("steel_strings", "chords", {"effects": "all"}),
     ("classical_guitar", "prelude", {}),
     ("classical_guitar", "greensleeves", {"effects": "none"}),
     ("electric_bass", "scale", {}),

@@ -2,7 +2,7 @@
 
     python benchmarks/slides.py [--force 50] [--rounds 3]
 
-Six strings of `steel_guitar`, frets low enough that the strings buzz. Each string is plucked with --force N at its
+Six strings of `steel_strings`, frets low enough that the strings buzz. Each string is plucked with --force N at its
 second stop, slides to its seventh and back to its third, and is plucked again; 2.5 s of sound at 48 kHz. The linear
 instrument has neither frets nor rising tensions. The scenes take turns, a block each, on one core; a row has the least
 processor time of the rounds per second of sound, over that of the linear one and over the steps of the linear one
@@ -46,7 +46,7 @@ class Spent:
 
 def scenes() -> dict[str, Scene]:
     """The linear instrument, and it with frets, with rising tensions and with both."""
-    guitar = tw.load_instrument("steel_guitar")
+    guitar = tw.load_instrument("steel_strings")
     buzzing = tw.Instrument.from_values({**guitar.resolved, "connections": {"frets": LOW}}, guitar.folder)
     return {
         "linear": Scene(guitar, LINEAR),

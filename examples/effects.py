@@ -12,7 +12,7 @@ import tonewood as tw
 #: instrument -> notes: (time, duration, string, stop, technique, force or velocity of the gesture)
 SCENES: dict[str, list[tw.Note]] = {
     # a soft pluck, a hard one that glides down and turns its plane; then both hands of the left-handed kind
-    "steel_guitar": [
+    "steel_strings": [
         tw.Note(0.0, 0.9, string="A2", stop=0, force=0.8),
         tw.Note(0.9, 1.2, string="A2", stop=0, force=12.0),
         tw.Note(2.1, 0.3, string="D3", stop=2, force=4.0),

@@ -3,8 +3,10 @@
     p(s) = sum_i (H_heave + u_i H_moment) F_i,    H = sum_k R_k / (s - p_k) + conj.,    p = -pi f / Q + 2 pi i f
 
 F_i is the force on the body at the bridge place u_i (-1 bass end .. +1 treble end). Nothing acts back on the body.
+With `driven_by: points` every driven point of the body has a response of its own, H_i in place of that sum.
 
-The table has columns ``f_Hz, Q`` and per channel ``NAME_re, NAME_im, NAME_moment_re, NAME_moment_im``, Pa/N. With
+The table has columns ``f_Hz, Q`` and per channel ``NAME_re, NAME_im, NAME_moment_re, NAME_moment_im``, Pa/N; with
+`driven_by: points` ``NAME_at_POINT_re, NAME_at_POINT_im`` per channel and point. With
 `residue_fs` they are the residues of a discrete bank sum R / (1 - exp(p / residue_fs) / z) fitted at that rate; the
 continuous bank used here, residues R p / (exp(p / residue_fs) - 1), gives the same numbers back at that rate when its
 force is held over a sample, and R (exp(p h) - 1) / (exp(p / residue_fs) - 1) at any other. Without it they are the
@@ -19,6 +21,7 @@ below and above the cut: residues times that factor at each pole, and two real m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -43,7 +46,10 @@ class ModalRadiationParameters(Parameters):
 
     table: str = described("CSV file in the bundle")
     channels: list[str] = described("names of the microphones to use, as in the table's columns", min_length=1)
-    driven_by: Literal["bridge_forces"] = described("forces that drive the bank", default="bridge_forces")
+    driven_by: Literal["bridge_forces", "points"] = described(
+        "bridge_forces: heave and moment of the forces on the bridge; points: the force at each point of the body",
+        default="bridge_forces",
+    )
     force_sign: Literal[1, -1] = described(
         "1 if the table counts a force out of the soundboard (+z) as positive, -1 if into it", default=1
     )
@@ -66,8 +72,11 @@ class ModalRadiation(Microphones[ModalRadiationParameters]):
         return tuple(self.parameters.channels)
 
     def rows(self, name: str, scene: Scene) -> PickupRows:
-        """A component `name` with inputs ``heave`` and ``moment`` and an output per channel."""
+        """A component `name` with inputs ``heave`` and ``moment``, or one a point, and an output per channel."""
         sign, place = float(self.parameters.force_sign), {}
+        if self.parameters.driven_by == "points":
+            driven, drives, inputs = self.at_points(name, scene, sign)
+            return self.bank_rows(name, self.basis(scene.freq_upper, driven), drives, inputs)
         for point, body_point in scene.body_points.items():
             if "u" in body_point.coordinates:
                 place[point] = (body_point.coordinates.get("heave", 1.0), body_point.coordinates["u"])
@@ -86,14 +95,16 @@ class ModalRadiation(Microphones[ModalRadiationParameters]):
         }
         return self.bank_rows(name, self.basis(scene.freq_upper), drives, inputs)
 
-    def basis(self, freq_upper: float) -> ModalBasis:
+    def basis(self, freq_upper: float, driven: Sequence[str] = ()) -> ModalBasis:
         """Modes below `freq_upper` (Hz), once for each channel.
 
-        Points ``heave`` and ``moment`` take forces (N), the channels give pressure (Pa).
+        Points ``heave`` and ``moment``, or ``at_POINT`` of each of the body's points `driven`, take forces (N), the
+        channels give pressure (Pa).
         """
         p = self.parameters
         table = self.files.table(p.table, f"{self.key}.table")
-        wanted = ["f_Hz", "Q"] + [f"{c}{m}_{x}" for c in p.channels for m in ("", "_moment") for x in ("re", "im")]
+        columns = {f"at_{point}": f"_at_{point}" for point in driven} or {"heave": "", "moment": "_moment"}
+        wanted = ["f_Hz", "Q"] + [f"{c}{m}_{x}" for c in p.channels for m in columns.values() for x in ("re", "im")]
         missing = [name for name in wanted if name not in table]
         if missing:
             raise self.fault(f"{p.table}: no column {missing[0]!r}; there are {', '.join(table)}", "table")
@@ -108,22 +119,23 @@ class ModalRadiation(Microphones[ModalRadiationParameters]):
         poles = np.pi * freq * (-1 / quality + 2j)
         gain = np.ones_like(poles) if p.residue_fs is None else poles / np.expm1(poles / p.residue_fs)
         residues = {
-            (c, m): (table[f"{c}{m}_re"] + 1j * table[f"{c}{m}_im"])[keep] * gain
+            (c, point): (table[f"{c}{m}_re"] + 1j * table[f"{c}{m}_im"])[keep] * gain
             for c in p.channels
-            for m in ("", "_moment")
+            for point, m in columns.items()
         }
         if p.low_cut is not None:
             residues = {key: cut_low(poles, np.asarray(r), p.low_cut) for key, r in residues.items()}
             poles = np.concatenate([poles, -_cut_rates(p.low_cut)])
         # each channel has modes of its own, so that the modes of channels that are not recorded are not stepped
-        n, points = len(poles), ("heave", "moment", *p.channels)
-        right = {point: np.zeros(n * len(p.channels), dtype=np.complex128) for point in points}
-        left = {point: array.copy() for point, array in right.items()}
-        for i, c in enumerate(p.channels):
-            columns = slice(i * n, (i + 1) * n)
-            right[c][columns] = 1.0
-            left["heave"][columns], left["moment"][columns] = residues[c, ""], residues[c, "_moment"]
-        return ModalBasis.complex(np.tile(poles, len(p.channels)), right, left)
+        banks = {c: np.array([residues[c, point] for point in columns]) for c in p.channels}
+        heard = {c: bank.any(axis=0) for c, bank in banks.items()}
+        owner = np.repeat(list(heard), [np.count_nonzero(mask) for mask in heard.values()])
+        left = dict(zip(columns, np.hstack([banks[c][:, heard[c]] for c in p.channels]), strict=True))
+        right = {c: (owner == c).astype(np.complex128) for c in p.channels}
+        none = np.zeros(len(owner), dtype=np.complex128)
+        inputs, outputs = dict.fromkeys(left, none), dict.fromkeys(right, none)
+        every = np.concatenate([poles[heard[c]] for c in p.channels])
+        return ModalBasis.complex(every, inputs | right, left | outputs)
 
 
 def _cut_rates(freq: float) -> NDArray[np.float64]:

@@ -42,6 +42,7 @@ PIECES: dict[str, str | list[tuple[int, int, float]]] = {
     "drawn_guitar": "greensleeves",
     "drawn_guitar_x": "chords",
     "steel_guitar": "chords",
+    "steel_strings": "scale",
     "african_harp": "pentatonic",
     "monochord": [(45, 80, 0.8), (52, 80, 0.8), (57, 90, 0.8), (61, 100, 1.6)],
     "electric_bass": [  # keys below the instrument's range choose the technique: pluck, palm, slap, pop

@@ -217,7 +217,7 @@ def test_unknown_commands_and_nothing_at_all(tonewood: Run) -> None:
 def test_plan_names_what_matters_and_verbose_the_rest(tonewood: Run, score: Path) -> None:
     plan = ("plan", score, "-i", "sitar", "--fs", 16000, "--max-duration", 0.5)
     brief, whole = (tonewood(*plan, *more)[1].splitlines()[1:] for more in ((), ("--verbose",)))
-    assert any(line.startswith("  outputs bridge: 0.50 s [0.00-0.50]") for line in whole)
+    assert any(line.startswith("  outputs microphones: 0.50 s [0.00-0.50]") for line in whole)
     assert not any("outputs" in line for line in brief)
     (rest,) = re.findall(r"^  (\d+) more always run or never act: --verbose$", brief[-1])
     names = [line.split()[0] for line in brief[:-1]]

@@ -24,7 +24,7 @@ RAMP = {"plugin": "pluck_ramp", "from_bridge": 0.12, "angle_deg": 60.0, "release
 
 def duet(**effects: Any) -> tw.Instrument:
     """The two highest steel strings on their body: tensions rise, and it is quickly stepped."""
-    guitar = tw.load_instrument("steel_guitar")
+    guitar = tw.load_instrument("steel_strings")
     values = dict(guitar.resolved)
     values["strings"] = {name: values["strings"][name] for name in PITCH}
     body = dict(values["body"])

@@ -17,7 +17,7 @@ from tonewood.performance.score.note import Control
 
 Floats = NDArray[np.float64]
 #: open notes of the strings taken, of a steel-string guitar and of a classical one with rising tensions
-OPEN = {"steel_guitar": {"E2": 40, "G3": 55, "E4": 64}, "classical_guitar": {"A2": 45, "G3": 55, "B3": 59}}
+OPEN = {"steel_strings": {"E2": 40, "G3": 55, "E4": 64}, "classical_guitar": {"A2": 45, "G3": 55, "B3": 59}}
 #: Pa, of nylon: with a string's bending stiffness E pi r^4 / 4 it gives its axial stiffness E pi r^2
 NYLON = 5e9
 SECONDS = 2.4
@@ -25,7 +25,7 @@ SECONDS = 2.4
 GLIDE = 0.08
 #: plucks whose release does not depend on their force
 RAMPS = {
-    "steel_guitar": {"plugin": "pluck_ramp", "from_bridge": 0.12, "angle_deg": 60.0, "release_time": 1e-4},
+    "steel_strings": {"plugin": "pluck_ramp", "from_bridge": 0.12, "angle_deg": 60.0, "release_time": 1e-4},
     "classical_guitar": {"plugin": "pluck_ramp", "from_bridge": 0.105, "angle_deg": 30.0, "release_time": 2e-4},
 }
 

@@ -19,7 +19,7 @@ SCORE = tw.Score([tw.Note(0.25, 3.0, string="G3", force=0.8)])
 
 def rendered(**options: Any) -> tuple[np.ndarray, float]:
     """Sound, and the largest rise of G3 that was left out, cents."""
-    renderer = tw.Renderer(SCORE, tw.load_instrument("steel_guitar"), FS, max_duration=3.0, **options)
+    renderer = tw.Renderer(SCORE, tw.load_instrument("steel_strings"), FS, max_duration=3.0, **options)
     sound = np.concatenate(list(renderer.blocks(4096)))[:, 0].astype(float)
     bounds = [e.bound or 0.0 for e in renderer.summary().effects if e.name == "tension_modulation"]
     return sound, max(bounds)

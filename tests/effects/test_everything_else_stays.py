@@ -25,7 +25,7 @@ INSTRUMENTS = sorted(
     if path.parent.name != "gong"
 )
 
-#: made as `classical_guitar`, `steel_guitar` and `drawn_guitar` are
+#: made as `classical_guitar`, `steel_strings` and `drawn_guitar` are
 LIKE_OTHERS = ("flamenco_guitar", "twelve_string_guitar", "drawn_guitar_x")
 
 

@@ -20,7 +20,7 @@ from tonewood.physics.stepping.kernel import KernelStepper
 from tonewood.physics.stepping.motion import from_motion, share_velocities, to_motion
 
 Floats = NDArray[np.float64]
-STRINGS = [("steel_guitar", "G3"), ("classical_guitar", "B3")]
+STRINGS = [("steel_strings", "G3"), ("classical_guitar", "B3")]
 
 
 def partials(model: Model, name: str, rng: np.random.Generator, cents: dict[int, float]) -> tuple[State, HeldModes]:
@@ -117,7 +117,7 @@ def test_what_is_missing_stays_below_its_bound(guitar_name: str, name: str, seed
 
 def test_energies_are_those_without_the_bridge_s_motion() -> None:
     """Motion in the shape that follows the bridge alone has none; motion across it has all its own."""
-    model = assemble(guitar("steel_guitar", ("G3",), mode="all"), FS)
+    model = assemble(guitar("steel_strings", ("G3",), mode="all"), FS)
     found, motion = bounds(model, "G3", model.system.start())
     name, plane = next(iter(found.planes.items()))
     rng, n = np.random.default_rng(5), len(motion[name][0])
@@ -134,7 +134,7 @@ def test_energies_are_those_without_the_bridge_s_motion() -> None:
 
 
 def test_the_bound_is_cubic_and_grows_by_what_is_pulled() -> None:
-    model = assemble(guitar("steel_guitar", ("G3",), mode="all"), FS)
+    model = assemble(guitar("steel_strings", ("G3",), mode="all"), FS)
     state, _ = partials(model, "G3", np.random.default_rng(3), {1: 0.2, 3: 0.05})
     found, motion = bounds(model, "G3", state)
     peak = np.ones(len(model.system.readouts))
@@ -165,7 +165,7 @@ def test_a_pluck_at_rest_has_the_bound_of_its_shape() -> None:
 
 def test_partials_counted_together_are_bounded_as_if_counted_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of an accelerometer on the string, whose sidebands grow with the square of their frequency."""
-    instrument = guitar("steel_guitar", ("G3",), mode="all")
+    instrument = guitar("steel_strings", ("G3",), mode="all")
     values = dict(instrument.resolved)
     values["strings"]["G3"]["points"] = {"sensor": {"from_bridge": 0.11}}
     sensor = {"plugin": "point_pickup", "name": "sensor", "quantity": "acceleration", "at": "G3.sensor"}

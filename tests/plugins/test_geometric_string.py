@@ -156,7 +156,7 @@ def test_what_is_not_offered_is_refused_in_one_line(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_guitar_of_such_strings_is_stopped_bent_and_damped() -> None:
-    guitar = tw.load_instrument("steel_guitar").replace({"strings.*.plugin": "geometric_string"})
+    guitar = tw.load_instrument("steel_strings").replace({"strings.*.plugin": "geometric_string"})
     notes = (
         tw.Note(0.03, 0.05, string="G3", stop=4, velocity_midi=110),
         tw.Note(0.06, 0.04, string="G3", stop=7, velocity_midi=100, technique="hammer_on"),

@@ -181,7 +181,7 @@ def test_a_noise_needs_its_exciter(guitar: Instrument) -> None:
 
 
 def test_overlapping_notes_of_a_string_are_slurred_where_the_bundle_asks_for_it() -> None:
-    guitar = tw.load_instrument("steel_guitar")
+    guitar = tw.load_instrument("steel_strings")
     asked = {"up": "hammer_on", "down": "pull_off", "far": "slide"}
     notes = [(0.0, 0.55, 2), (0.5, 0.55, 4), (1.0, 0.55, 3), (1.5, 0.5, 12), (2.0, 0.55, 13), (2.5, 0.5, 13)]
     score = tw.Score([tw.Note(t, d, string="G3", stop=stop, force=2.0) for t, d, stop in notes])

@@ -126,3 +126,39 @@ def test_a_low_cut_is_the_high_pass_it_says(tmp_path: Path) -> None:
             np.testing.assert_allclose(
                 cut.frf(freq, channel, point, "receptance"), expected, rtol=1e-10, atol=1e-13 * np.abs(whole).max()
             )
+
+
+def test_every_point_has_a_response_of_its_own(tmp_path: Path) -> None:
+    """H = sum R / (s - p) + conj. of each point and channel, against that sum; a pole that is not heard is left out."""
+    poles = [(120.0, 9.0), (900.0, 30.0), (2500.0, 5.0)]
+    residues = {
+        ("a", "x"): [0.1 + 0.2j, -0.3, 0.0],
+        ("a", "y"): [0.5j, 0.2, 0.0],
+        ("b", "x"): [0.1, 0.4, 0.7],
+        ("b", "y"): [1, 2j, 3],
+    }
+    head = ["f_Hz", "Q", *(f"{c}_at_{p}_{part}" for c, p in residues for part in ("re", "im"))]
+    rows = [
+        [f, q, *(part for values in residues.values() for part in (complex(values[k]).real, complex(values[k]).imag))]
+        for k, (f, q) in enumerate(poles)
+    ]
+    (tmp_path / "table.csv").write_text("\n".join(",".join(map(str, row)) for row in [head, *rows]))
+    values = {"table": "table.csv", "channels": ["a", "b"], "driven_by": "points"}
+    made = plugin("modal_radiation").from_values(values, Files(tmp_path, tmp_path / "instrument.yaml"), "outputs.mics")
+    points = {"x": BodyPoint((0.0, 0.0, 1.0)), "y": BodyPoint((0.0, 1.0, 0.0))}
+    forces = (BridgeForce("s.bridge", "x", -0.9), BridgeForce("t.bridge", "y", -1.0))
+    found = made.rows("mics", scene(body_points=points, bridge_forces=forces))
+    assert [(d.point, d.factor) for d in found.drives] == [("at_x", -0.9), ("at_y", -1.0)]
+    basis = found.components["mics"]
+    assert len(basis.poles) == 5
+    s = 2j * np.pi * 700.0
+    for (channel, point), values in residues.items():
+        expected = 0.0
+        for (f, q), r in zip(poles, values, strict=True):
+            p = np.pi * f * (-1 / q + 2j)
+            expected += r / (s - p) + np.conj(r) / (s - np.conj(p))
+        left, right = basis.left[basis.index(f"at_{point}")], basis.right[basis.index(channel)]
+        both = left * right
+        assert np.sum(both / (s - basis.poles) + both.conj() / (s - basis.poles.conj())) == pytest.approx(
+            expected, rel=1e-9
+        )

@@ -97,9 +97,9 @@ def test_from_a_bundle(tmp_path: Path) -> None:
         play(made, duration=0.01)
 
 
-def test_the_steel_guitar_has_a_plectrum() -> None:
+def test_the_steel_strings_has_a_plectrum() -> None:
     """The note begins at its time, and has the pitch of the string."""
-    guitar = tw.load_instrument("steel_guitar")
+    guitar = tw.load_instrument("steel_strings")
     note = tw.Note(0.1, 1.0, string="D3", stop=0, technique="plectrum")
     x = tw.render(tw.Score([note]), guitar, max_duration=0.6).samples[:, 0]
     before, after = np.abs(x[: int(0.05 * 48000)]).max(), np.abs(x[int(0.1 * 48000) :]).max()

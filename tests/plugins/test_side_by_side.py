@@ -225,7 +225,7 @@ def test_every_bundle_takes_every_kind_of_string(name: str, kind: str) -> None:
 
 def test_quiet_strings_beside_a_loud_one() -> None:
     """Strings that hardly move take part in the same solve as a loud one next to them."""
-    guitar = tw.load_instrument("steel_guitar").replace({"strings.E4.plugin": "geometric_string"})
+    guitar = tw.load_instrument("steel_strings").replace({"strings.E4.plugin": "geometric_string"})
     notes = (
         tw.Note(0.02, 0.5, string="E4", stop=0, velocity_midi=40),
         tw.Note(0.12, 0.5, string="E4", stop=0, velocity_midi=127),

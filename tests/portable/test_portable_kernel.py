@@ -30,9 +30,9 @@ LOW = {"connections.frets.action_first": 2.5e-4, "connections.frets.action_twelf
 SCENES: dict[str, tuple[str, dict[str, Any], int]] = {
     "linear": ("classical_guitar", {}, 4800),
     "in parts": ("classical_guitar", {}, 4800),
-    "contacts": ("steel_guitar", {"strings.*.axial_stiffness": 0.0, **LOW}, 1200),
-    "tension": ("steel_guitar", {}, 2400),
-    "longitudinal": ("steel_guitar", {"strings.*.plugin": "geometric_string"}, 600),
+    "contacts": ("steel_strings", {"strings.*.axial_stiffness": 0.0, **LOW}, 1200),
+    "tension": ("steel_strings", {}, 2400),
+    "longitudinal": ("steel_strings", {"strings.*.plugin": "geometric_string"}, 600),
 }
 
 

@@ -85,8 +85,8 @@ def test_the_rendered_sound_has_this_pitch() -> None:
 
 
 def test_frets_of_a_connection_give_the_action() -> None:
-    """`steel_guitar` states action and relief for its buzz; its own keys come first."""
-    steel = tw.load_instrument("steel_guitar")
+    """`steel_strings` states action and relief for its buzz; its own keys come first."""
+    steel = tw.load_instrument("steel_strings")
     low = steel.replace({"connections.frets.action_twelfth": 1.2e-3})
     own = steel.replace({"strings.E2.fretboard.action_twelfth": 1.2e-3})
     rows = {

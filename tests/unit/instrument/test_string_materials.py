@@ -106,7 +106,7 @@ E4 = "strings.E4.made_of"
 
 
 def test_a_string_of_a_bundle_takes_gauge_and_material() -> None:
-    guitar = tw.load_instrument("steel_guitar")
+    guitar = tw.load_instrument("steel_strings")
     thick = guitar.replace({E4: {"material": "plain_steel", "gauge_inch": 0.013}})
     part = thick.resolved["strings"]["E4"]
     assert part["linear_density"] == pytest.approx(0.6686e-3, rel=1e-3)
@@ -130,8 +130,8 @@ def test_a_string_of_a_bundle_takes_gauge_and_material() -> None:
 
 
 def test_what_a_bundle_states_stays() -> None:
-    values = {**tw.load_instrument("steel_guitar").resolved}
-    folder = tw.load_instrument("steel_guitar").folder
+    values = {**tw.load_instrument("steel_strings").resolved}
+    folder = tw.load_instrument("steel_strings").folder
     e4 = {**values["strings"]["E4"], "made_of": {"material": "plain_steel", "gauge_inch": 0.02}}
     del e4["bending_stiffness"]
     read = tw.Instrument.from_values({**values, "strings": {**values["strings"], "E4": e4}}, folder)
@@ -160,7 +160,7 @@ def test_what_a_bundle_states_stays() -> None:
 )  # fmt: skip
 def test_strings_that_nobody_sells(values: dict[str, object], shown: str) -> None:
     with pytest.raises(TonewoodError, match=shown) as fault:
-        tw.load_instrument("steel_guitar").replace({E4: values})
+        tw.load_instrument("steel_strings").replace({E4: values})
     assert "\n" not in str(fault.value)
 
 

@@ -29,7 +29,7 @@ def test_a_nylon_string_of_which_more_is_published():
 
 
 def test_the_shipped_guitars_are_their_sets():
-    for instrument, name, tolerance in (("classical_guitar", "ej46", 1e-6), ("steel_guitar", "ej16", 3e-3)):
+    for instrument, name, tolerance in (("classical_guitar", "ej46", 1e-6), ("steel_strings", "ej16", 3e-3)):
         bare = tw.load_instrument(instrument)
         strings = bare.replace({"strings_from": name}).resolved["strings"]
         for key, part in bare.resolved["strings"].items():
@@ -95,7 +95,7 @@ def test_check_tells_how_strings_feel(capsys):
     [
         ("classical_guitar", "ej4", "there is no string set 'ej4'; did you mean ej46. there are ej46, ej45"),
         ("monochord", "ej45", "ej45 has 6 strings .E2, A2, D3, G3, B3, E4.; this instrument has 1"),
-        ("steel_guitar", "ej46", "strings.E2.axial_stiffness: the string set does not say it"),
+        ("steel_strings", "ej46", "strings.E2.axial_stiffness: the string set does not say it"),
     ],
 )
 def test_a_set_that_does_not_fit(instrument, name, shown):

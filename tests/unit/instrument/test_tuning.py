@@ -205,7 +205,7 @@ def test_which_of_tension_and_pitch_won_is_said(make: Make) -> None:
     assert not assemble(make(), 16000.0).strings["A2"].tuning.given.noticeable
 
 
-@pytest.mark.parametrize("name", ["classical_guitar", "flamenco_guitar", "african_harp", "steel_guitar"])
+@pytest.mark.parametrize("name", ["classical_guitar", "flamenco_guitar", "african_harp", "steel_strings"])
 def test_no_shipped_tension_is_far_from_its_note(name: str) -> None:
     model = assemble(Instrument.load(name), 48000.0)
     assert [s.name for s in model.strings.values() if s.tuning.given.noticeable] == []

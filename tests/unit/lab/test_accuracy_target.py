@@ -163,7 +163,7 @@ def pitch_errors(sounds: list[NDArray[np.float64]], fs: float, freq: float) -> N
 
 
 @pytest.mark.validate
-@pytest.mark.parametrize(("name", "pitch"), [("classical_guitar", 55), ("steel_guitar", 55)])
+@pytest.mark.parametrize(("name", "pitch"), [("classical_guitar", 55), ("steel_strings", 55)])
 def test_a_render_with_the_options_for_a_copied_bundle_meets_the_target(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, name: str, pitch: int
 ) -> None:
@@ -210,7 +210,7 @@ def test_refusals_are_one_line(options: list[str], said: str, capsys: pytest.Cap
 
 
 @pytest.mark.validate
-@pytest.mark.parametrize("name", ["steel_guitar", "tanpura", "buzzing_monochord"])
+@pytest.mark.parametrize("name", ["steel_strings", "tanpura", "buzzing_monochord"])
 def test_instruments_that_are_not_linear(name: str) -> None:
     instrument = tw.load_instrument(name)
     found = search(instrument, Target.parse("5cent,8dB"), notes=[instrument.string_names[0]])
@@ -218,4 +218,4 @@ def test_instruments_that_are_not_linear(name: str) -> None:
     assert np.isfinite(found.own.cents or np.nan)
     assert (found.strokes > 1) == (name == "buzzing_monochord")
     budgeted = [t for t in found.tried if t.setting.budgets is not None]
-    assert bool(budgeted) == (name == "steel_guitar")
+    assert bool(budgeted) == (name == "steel_strings")

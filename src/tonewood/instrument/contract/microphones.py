@@ -54,7 +54,7 @@ class Microphones(Pickup[P]):
         )
 
     def at_points(
-        self, name: str, scene: Scene
+        self, name: str, scene: Scene, sign: float = 1.0
     ) -> tuple[list[str], list[Drive], dict[str, tuple[tuple[str, str, float], ...]]]:
         """Return the body's driven points, and the drives and inputs of a bank with a point ``at_POINT`` for each.
 
@@ -62,7 +62,8 @@ class Microphones(Pickup[P]):
         ----------
         name : of the group, and of the bank's component.
         scene : points and forces of the instrument.
+        sign : of the bank's inputs re the forces on the body.
         """
         driven = [point for point, place in scene.body_points.items() if place.driven]
-        drives = [Drive(name, f"at_{f.point}", f.connection, f.factor) for f in scene.bridge_forces]
-        return driven, drives, {point: ((name, f"at_{point}", 1.0),) for point in driven}
+        drives = [Drive(name, f"at_{f.point}", f.connection, sign * f.factor) for f in scene.bridge_forces]
+        return driven, drives, {point: ((name, f"at_{point}", sign),) for point in driven}

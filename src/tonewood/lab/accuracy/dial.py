@@ -166,7 +166,7 @@ def _against(
 
 def budgets(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
     """Measure time and errors of effects: the steel-string guitar with all of them, with budgets, without."""
-    instrument = Instrument.load("steel_guitar")
+    instrument = Instrument.load("steel_strings")
     options: dict[str, dict[str, Any]] = {"all": {"effects": "all"}}
     for cents, db in BUDGETS:
         named = f"auto, {cents:g} cents, {db:g} dB"

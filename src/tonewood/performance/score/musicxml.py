@@ -8,7 +8,6 @@ Source: MusicXML 4.0, W3C Music Notation Community Group, 2021.
 
 from __future__ import annotations
 
-import re
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -19,6 +18,7 @@ from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import number, whole
+from tonewood.performance.score.musicxml_words import jump_sign, written_tempo
 from tonewood.performance.score.score_clock import near
 from tonewood.performance.score.unfolding import Measure
 from tonewood.performance.score.written import Curve, WrittenMusic, WrittenNote, WrittenPart, bend_curve
@@ -26,7 +26,6 @@ from tonewood.performance.score.xml_files import MOST, member, number_of, parsed
 
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
 _DYNAMICS = {"pppp": 8, "ppp": 20, "pp": 33, "p": 49, "mp": 64, "mf": 80, "f": 96, "ff": 112, "fff": 126, "ffff": 127}
-_UNITS = {"whole": 4.0, "half": 2.0, "quarter": 1.0, "eighth": 0.5, "16th": 0.25, "32nd": 0.125}
 _SIGNS = {
     "staccato": "staccato", "staccatissimo": "staccato", "accent": "accent", "strong-accent": "marcato",
     "harmonic": "harmonic", "tap": "tapping", "wavy-line": "vibrato", "fingering": "",
@@ -39,15 +38,6 @@ _SIGNS = {
 }  # fmt: skip
 #: letters in the order in which sharps are written, and semitones from each letter to the next one up
 _SHARPS, _LETTERS = "FCGDAEB", "CDEFGAB"
-#: a tempo in words: a sign for its note value, if any, and quarter notes of that
-_TEMPO_WORDS = re.compile(r"([♩♪qehw\U0001d15d-\U0001d160]?)(\.?)\s*=\s*(?:ca?\.\s*)?(\d+(?:\.\d+)?)")
-_GLYPHS = {"♪": 0.5, "e": 0.5, "\U0001d160": 0.5, "h": 2.0, "\U0001d15e": 2.0, "w": 4.0, "\U0001d15d": 4.0}
-#: letters of words -> sign of a jump, or of a mark
-_JUMP_WORDS = {"segno": "segno", "coda": "coda", "fine": "fine", "tocoda": "to_coda", "dacoda": "to_coda"} | {
-    word + goal: sign + (f"_al_{goal[2:]}" if goal else "")
-    for word, sign in (("dc", "da_capo"), ("dacapo", "da_capo"), ("ds", "dal_segno"), ("dalsegno", "dal_segno"))
-    for goal in ("", "alfine", "alcoda")
-}
 #: velocity that a hairpin adds or takes where no dynamics follow, and quarter notes after its end in which they may
 _HAIRPIN, _HAIRPIN_ENDS = 16, Fraction(1)
 #: s for which a pedal is up where it changes
@@ -232,7 +222,7 @@ class _PartReader:
 
     def _direction(self, element: Element, now: Fraction, measure: Measure) -> None:
         sound = element if element.tag == "sound" else element.find("sound")
-        bpm = _written_tempo(element)
+        bpm = written_tempo(element)
         before = self.velocity
         if sound is not None:
             for name in ("tempo", "dynamics"):
@@ -257,7 +247,7 @@ class _PartReader:
             self.music.tempo(measure, now, bpm)
         index, dynamics = len(self.part.measures), sound is not None and "dynamics" in sound.attrib
         for kind in element.findall("direction-type/*"):
-            if sign := _jump(kind):
+            if sign := jump_sign(kind):
                 self.written.append((measure, sign))
             if kind.tag == "dynamics":
                 level = next((e.tag for e in kind if e.tag in _DYNAMICS), None)
@@ -437,29 +427,6 @@ def _from_lowest(notes: list[WrittenNote]) -> None:
     for i, note in enumerate(notes):
         if lowest[note.at] < 0:
             notes[i] = replace(note, strum=note.strum - lowest[note.at])
-
-
-def _jump(kind: Element) -> str | None:
-    """Sign of a jump or mark that is drawn or stands in words; nothing for others."""
-    if kind.tag in ("segno", "coda"):
-        return kind.tag
-    words = re.sub(r"[^a-z]", "", (kind.text or "")[:40].lower()) if kind.tag == "words" else ""
-    return _JUMP_WORDS.get(words)
-
-
-def _written_tempo(element: Element) -> float | None:
-    """Quarter notes a minute of a metronome mark, or of words in which a number stands."""
-    metronome = element.find("direction-type/metronome")
-    if metronome is not None:
-        unit = _UNITS.get(text_of(metronome, "beat-unit"), 1.0)
-        unit *= 1.5 if metronome.find("beat-unit-dot") is not None else 1.0
-        said = re.search(r"\d+(\.\d+)?", text_of(metronome, "per-minute")[:40])
-        return (number(said.group(0), 0.0, MOST) or 0.0) * unit or None if said else None
-    for words in element.findall("direction-type/words"):
-        if (tempo_word := _TEMPO_WORDS.search((words.text or "")[:200])) is not None:
-            glyph, dot, beats = tempo_word.groups()
-            return (number(beats, 0.0, MOST) or 0.0) * _GLYPHS.get(glyph, 1.0) * (1.5 if dot else 1.0) or None
-    return None
 
 
 def _pitch(element: Element | None, step: str, alter: str, octave: str) -> float | None:

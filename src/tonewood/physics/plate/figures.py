@@ -10,33 +10,15 @@ from numpy.typing import NDArray
 
 from tonewood.physics.plate.outline import inside
 from tonewood.physics.plate.radiation import Sources
-from tonewood.support.plotting import SMALL, figure, plain, title
+from tonewood.support.plotting import title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
 
 #: panels in a row
 COLUMNS = 4
-
-
-def shapes_figure(sources: Sources, freq: Floats, q: Floats, *, count: int = 12, heading: str = "") -> Figure:
-    """Figure of the first modes of a plate, seen from the front with the neck on top.
-
-    Parameters
-    ----------
-    sources : with areas and rings.
-    freq, q : (n,) Hz and quality factors of its modes.
-    """
-    shown = min(count, len(freq))
-    rows = -(-shown // COLUMNS)
-    chart, axes = figure(rows, COLUMNS, heights=[3.6] * rows)
-    draw_shapes(axes.ravel(), sources, freq, q)
-    if heading:
-        chart.suptitle(plain(heading), fontsize=SMALL + 2)
-    return chart
 
 
 def draw_shapes(axes: Iterable[Axes], sources: Sources, freq: Floats, q: Floats) -> None:

@@ -104,13 +104,18 @@ class Desk:
         TonewoodError : the change is not allowed; nothing has changed.
         """
         with self.lock:
-            before = self.session.design
+            before, model = self.session.course(), self._model
             act(self.session)
-            if self.session.design is not before:
+            if self.session.design is not before[0]:
                 self.serial += 1
+                try:
+                    self._make(self.session.design)
+                except TonewoodError:
+                    self._model, self.serial = model, self.serial - 1
+                    self.session.go_back(before)
+                    raise
                 self.fault, self._compared = "", ""
                 self.playback.compare(None)
-                self._make(self.session.design)
             return self.serial
 
     def _make(self, design: Design) -> None:
@@ -487,6 +492,8 @@ class Desk:
         design = self._seen
         if design is None:
             raise TonewoodError("there is no model yet: wait for the first sound")
+        if kind == "differences" and design is not self._model and self._model is not None:
+            return ["a coarse preview is seen: what differs is told of the exact model, which follows"]
         return self._views.view(design, kind, argument, of_start=of_start, exact=self._model is not None)
 
 

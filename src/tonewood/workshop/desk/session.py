@@ -123,6 +123,19 @@ class DeskSession:
         """Whether there is an undone change."""
         return bool(self._future)
 
+    def course(self) -> tuple[Design, list[Design], list[Design], str | None]:
+        """Return all that a change alters, for `go_back`."""
+        return self.design, self._past.copy(), self._future.copy(), self._dragged
+
+    def go_back(self, course: tuple[Design, list[Design], list[Design], str | None]) -> None:
+        """Take back a change that cannot be played, as if it had not been made.
+
+        Parameters
+        ----------
+        course : of before.
+        """
+        self.design, self._past, self._future, self._dragged = course
+
     def undo(self) -> None:
         """Go back by one change, if there is one."""
         if self._past:

@@ -152,7 +152,8 @@ def differences(model: Model, start: Model) -> list[str]:
         a, b = match.modes
         if a is not None and b is not None and _differ(a, b):
             moved.append((a, b))
-    for a, b in sorted(moved, key=lambda pair: -pair[0].residue)[:3]:
+    # highest peaks of the mobility first
+    for a, b in sorted(moved, key=lambda pair: -pair[0].residue * pair[0].q / pair[0].freq)[:3]:
         level = 10 * math.log10(b.residue / a.residue) if a.residue > 0 and b.residue > 0 else 0.0
         lines.append(
             f"body mode {a.freq:.1f} → {b.freq:.1f} Hz ({cents(b.freq / a.freq):+.0f} cents), "

@@ -18,7 +18,7 @@ from tonewood.workshop.estimate.partials import (
     measure_partial,
 )
 from tonewood.workshop.estimate.recordings import FS, SHORTEST, Recording
-from tonewood.workshop.estimate.spectra import bands_over_time, db, find_onset, power_spectrum, running_rms, share
+from tonewood.workshop.estimate.spectra import bands_over_time, db, find_onset, power_spectrum, share
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -219,9 +219,3 @@ def _tail(bands: Bands, f0: float, b: float) -> Floats:
         y, t = bands.envelope(float(freq), width)
         powers.append(np.interp(grid, t, np.abs(y) ** 2))
     return np.stack([grid, db(np.mean(powers, 0))], 1) if powers else np.empty((0, 2))
-
-
-def quiet_before(x: Floats, onset: int) -> float:
-    """dB, level of what lies before the onset; -240 where there is less than 20 ms of it."""
-    before = x[: max(0, onset - int(0.01 * FS))]
-    return float(db(np.median(running_rms(before, 0.005)) ** 2)) if len(before) > 0.02 * FS else -240.0

@@ -35,7 +35,7 @@ _STEP, _FIRST = (
     re.compile("df|d_f|delta_?f|f_?step|increment", re.I),
     re.compile("f_?start|f_?min|f0|start_value", re.I),
 )
-_NUMBER, _ANGULAR = re.compile("number_of_values|n_?f"), re.compile("w|om|omega.*|ang.*|.*rad.*", re.I)
+_NUMBER, ANGULAR = re.compile("number_of_values|n_?f"), re.compile("w|om|omega.*|ang.*|.*rad.*", re.I)
 _TIME, _RATE = re.compile("t|time.*", re.I), re.compile("dt|fs|.*sampl.*rate.*", re.I)
 _FORM = {"recep": "receptance", "mobil": "mobility", "accel": "accelerance", "inert": "accelerance"}
 #: bins that an array of responses has at least
@@ -184,6 +184,17 @@ def _of_parts(arrays: Mapping[str, NDArray[Any]], n: int) -> tuple[dict[str, NDA
     return {name: x[:, 0] + 1j * x[:, 1] if name in two else x for name, x in arrays.items()}, two
 
 
+def within_pi(phase: Floats) -> bool:
+    """Whether phases that turn stay within pi, as radians do.
+
+    Parameters
+    ----------
+    phase : (N,) in an unknown unit.
+    """
+    known = phase[np.isfinite(phase)]
+    return bool(known.size and np.abs(known).max() <= 1.001 * np.pi and np.ptp(known) > 1)
+
+
 def pair_of(path: Path, name: str) -> Pair:
     """Return point and reference of POINT:REFERENCE.
 
@@ -232,7 +243,7 @@ def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[str, F
         return steps
     hint = ""
     rising = {_last(name) for name, x in arrays.items() if x.ndim == 1 and x.size > 1 and np.all(np.diff(x.real) > 0)}
-    if found := sorted(name for name in rising if _ANGULAR.fullmatch(name)):
+    if found := sorted(name for name in rising if ANGULAR.fullmatch(name)):
         hint = f"; {found[0]} may be in rad/s: save freq_Hz = {found[0]} / (2 pi)"
     elif any(_TIME.fullmatch(name) for name in rising) or any(_RATE.fullmatch(_last(name)) for name in arrays):
         hint = "; records over time are read as text, one hit a file: columns of time, force, and one for each point"
@@ -294,6 +305,10 @@ def _of_pairs(path: Path, freq: Floats, arrays: Mapping[str, NDArray[Any]]) -> R
         if f"{stem}_{other}" not in arrays:
             raise TonewoodError(f"has no column {stem}_{other} beside {name}", file=path)
         second = arrays[f"{stem}_{other}"]
+        if part == "mag" and values.min(initial=0) < 0:
+            raise TonewoodError("holds a value below 0: dB? 10 ** (dB / 20) is a magnitude", file=path, key=name)
+        if part == "mag" and within_pi(second):
+            raise TonewoodError(f"stays within pi: radians? {stem}_phase is in degrees", file=path, key=f"{stem}_phase")
         if part in ("re", "mag"):
             turned = values + 1j * second if part == "re" else values * np.exp(1j * np.deg2rad(second))
             rows[pair_of(path, stem)] = np.asarray(turned, dtype=np.complex128)

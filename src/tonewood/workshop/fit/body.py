@@ -18,7 +18,6 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.workshop.fit.identify import Modes
-from tonewood.workshop.fit.projection import Poles
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -159,8 +158,3 @@ def _shapes(
         if value > (0.0 if first else 1.5 * _CLEAR * noise):
             shapes.append(vector * np.sqrt(value) * np.sign(vector[np.argmax(np.abs(vector))]))
     return shapes, noise / max(float(values[-1]), 1e-300)
-
-
-def poles_of(body: FittedBody) -> Poles:
-    """Poles of the measured modes."""
-    return Poles.at(body.freq[body.measured], body.quality[body.measured])

@@ -120,6 +120,11 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
         if len(table.freq) != len(freq) or not np.allclose(table.freq, freq, rtol=1e-9, atol=0):
             raise TonewoodError("has other frequencies than the first file", file=path, key="freq_Hz")
     rows = {pair: row for table in tables for pair, row in table.rows.items()}
+    if mirrored := _mirrored([row[freq >= 0] for row in rows.values()]):
+        raise TonewoodError(
+            f"its responses are two-sided: from bin {mirrored + 1} on they are the conjugate of those before, "
+            "backwards; keep the first half", file=paths[0], key="freq_Hz",
+        )  # fmt: skip
     for pair, row in rows.items():
         if not np.any(row.imag[np.isfinite(row)]):
             raise TonewoodError(
@@ -148,6 +153,15 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
         freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]) if known else None, reading.n_hits, alpha,
         pressure, hashes, remarks=remarks,
     )  # fmt: skip
+
+
+def _mirrored(rows: Sequence[Complexes]) -> int:
+    """Bin from which responses repeat those before it, backwards and conjugate, as those of a whole FFT; 0: none."""
+    for first in (0, 1):  # without and with 0 Hz
+        halves = [row[first:] for row in rows]
+        if all(half.size and np.any(half.imag) and np.allclose(half, half[::-1].conj(), rtol=1e-6) for half in halves):
+            return (halves[0].size + 1) // 2 + first
+    return 0
 
 
 def _table(kind: str, path: Path, reading: Reading) -> ResponseTable:

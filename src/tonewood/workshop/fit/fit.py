@@ -340,8 +340,8 @@ def fit_responses(
     body = None
     if no_body is None:
         body = passive_body(modes, r.pairs)
-        if not body.freq.size:
-            body, no_body = None, "no mode has a positive residue where the body was driven"
+        if not np.any(body.measured):
+            body, no_body = None, "no mode of the band has a positive residue where the body was driven"
     if body is not None and body.compliance.any() and sla.eigvalsh(body.compliance).min() < 0:
         values, vectors = sla.eigh(body.compliance)  # to rounding: rank one is on the edge
         body.compliance[:] = (vectors * np.maximum(values, 0)) @ vectors.T

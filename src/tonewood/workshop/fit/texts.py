@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
-from tonewood.workshop.fit.arrays import UNNAMED, Pair, ResponseTable
+from tonewood.workshop.fit.arrays import ANGULAR, UNNAMED, Pair, ResponseTable, within_pi
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -51,17 +51,24 @@ def responses_of_text(path: Path) -> ResponseTable:
     ------
     TonewoodError : there is no table of numbers, or its columns are no responses; the line says what is there.
     """
-    head, columns, names = _table(path)
-    freq = columns[0]
-    first, whole = names[0] if names else "", " ".join(head).lower()
-    if re.search(r"rad", first):
-        raise TonewoodError("the first column is in rad/s: divide it by 2 pi, freq_Hz is in Hz", file=path)
+    head, columns, names, others = _table(path)
+    named = [i for i, name in enumerate(names) if re.search("freq|hz", name)]
+    at = named[0] if len(named) == 1 else 0
+    freq, first, whole = columns[at], names[at] if names else "", " ".join(head).lower()
+    if ANGULAR.fullmatch(first):
+        raise TonewoodError(f"the column {first!r} may be in rad/s: divide it by 2 pi and call it Hz", file=path)
+    if np.all(np.diff(freq) < 0):
+        freq, columns = freq[::-1], columns[:, ::-1]
+    if np.any(np.diff(freq[freq > 0]) <= 0):
+        raise TonewoodError("frequencies do not rise; the first column has to hold them, or one called Hz", file=path)
     if re.search(r"khz", first):
         freq = 1e3 * freq
-    rows, coherence, remark = _rows(path, columns[1:], names[1:])
+    rows, coherence, said = _rows(path, np.delete(columns, at, axis=0), [*names[:at], *names[at + 1 :]])
     flat = re.sub(r"\s", "", whole)
     form = next((form for form, unit in _FORMS if unit.search(flat)), None)
-    remarks = [remark] if remark else []
+    remarks = [f"{path.name}: {line}" for line in said]
+    if others:
+        remarks.append(f"{path.name} holds more than one table: {others} lines of the shorter ones were not read")
     if re.search(r"\bg/n\b", whole):
         remarks.append(f"{path.name} says g/N: --scale 9.80665 makes it (m/s^2)/N, unless you gave it")
     return ResponseTable(freq, rows, coherence, form, tuple(remarks))
@@ -76,7 +83,7 @@ def record_of_text(path: Path) -> tuple[Floats, Floats, Floats] | None:
     ------
     TonewoodError : there is no table of numbers.
     """
-    _, columns, names = _table(path)
+    _, columns, names, _ = _table(path)
     time, name = columns[0], names[0] if names else ""
     short = time[-1] < _TIME_END and np.ptp(time) < _TIME_STEP * time.size and np.diff(time).min() >= 0
     if re.search("hz|freq|rad", name) or not (short or _TIME.search(name)):
@@ -94,18 +101,27 @@ def is_documented(path: Path) -> bool:
 
 
 def _numbers(line: str) -> list[float] | None:
-    """Numbers of a line; None if one cell is none."""
-    line = line.strip().rstrip(";,\t")
+    """Numbers of a line, an empty cell as NaN and a complex number as two; None if one cell is none."""
+    line = line.strip()
+    if re.search(r"\d[ij]\b", line, re.I):
+        line = re.sub(r"(?<=[\d.])\s*([+-])\s*(?=[\d.,]+(e[+-]?\d+)?[ij])", r"\1", re.sub("[()]", "", line), flags=re.I)
     if ";" in line or "\t" in line:
         cells = re.split(r"\s*;\s*" if ";" in line else r"\s+", line.replace(",", "."))
     elif re.search(r"\s", line) and re.fullmatch(r"[\s\d,.eE+-]+", line) and not re.search(r",\s|\d,[^,\s]*,", line):
         cells = line.replace(",", ".").split()
     else:
         cells = re.split(r"\s*,\s*|\s+", line)
+    out: list[float] = []
     try:
-        return [float(cell) for cell in cells]
+        for cell in cells:
+            if re.search(r"\d[ij]$", cell, re.I):
+                value = complex(cell.lower().replace("i", "j"))
+                out += [value.real, value.imag]
+            else:
+                out.append(float(cell) if cell else np.nan)
     except ValueError:
         return None
+    return None if np.isnan(out[0]) else out
 
 
 def _cells(line: str) -> list[str]:
@@ -115,8 +131,8 @@ def _cells(line: str) -> list[str]:
     return [word.strip(" '\"\r\n") for word in words]
 
 
-def _table(path: Path) -> tuple[list[str], Floats, list[str]]:
-    """Head, columns of numbers, and the words above each column (none without a head)."""
+def _table(path: Path) -> tuple[list[str], Floats, list[str], int]:
+    """Head, columns of numbers, the words above each column (none without a head), and lines of other tables."""
     raw = path.read_bytes()
     if len(raw) > _LARGEST or b"\0" in raw:
         raise TonewoodError("is no text, or longer than 64 MB", file=path)
@@ -137,24 +153,27 @@ def _table(path: Path) -> tuple[list[str], Floats, list[str]]:
             "of each response are wanted", file=path,
         )  # fmt: skip
     columns = np.array(rows[first:stop], dtype=np.float64).T
-    head = lines[:first]
+    head, others = lines[:first], sum(count for count, _, _ in runs if count >= _FEWEST) - length
+    while len(columns) > 1 and np.isnan(columns[-1]).all():  # a sign that separates at the end of each line
+        columns = columns[:-1]
     above = [words for line in head[-_ABOVE:] if len(words := _cells(line)) == len(columns)]
     names = [" ".join(words).lower() for words in zip(*above, strict=True)]
-    return head, columns, names
+    return head, columns, names, others
 
 
-def _rows(path: Path, columns: Floats, names: list[str]) -> tuple[dict[Pair, Complexes], dict[Pair, Floats], str]:
-    """Responses, coherences, and a remark on columns that no head names."""
+def _rows(path: Path, columns: Floats, names: list[str]) -> tuple[dict[Pair, Complexes], dict[Pair, Floats], list[str]]:
+    """Responses, coherences, and remarks on what no head says."""
     kinds = [next((kind for kind, word in _KINDS.items() if word.search(name)), "") for name in names]
     stem = re.sub(r"\W", "_", path.stem)
     stem = stem if stem[:1].isalpha() else f"p_{stem}"
     of = {kind: [i for i, k in enumerate(kinds) if k == kind] for kind in _KINDS}
-    remark = ""
+    said: list[str] = []
     if of["re"] and len(of["re"]) == len(of["im"]):
         values = [columns[i] + 1j * columns[j] for i, j in zip(of["re"], of["im"], strict=True)]
     elif of["mag"] and len(of["mag"]) == len(of["phase"]):
         values = [
-            _polar(columns[i], columns[j], names[i], names[j]) for i, j in zip(of["mag"], of["phase"], strict=True)
+            _polar(columns[i], columns[j], names[i], names[j], said)
+            for i, j in zip(of["mag"], of["phase"], strict=True)
         ]
     elif len(columns) == 1 or (of["mag"] and not of["phase"]):
         raise TonewoodError(
@@ -162,10 +181,10 @@ def _rows(path: Path, columns: Floats, names: list[str]) -> tuple[dict[Pair, Com
             "and phase", file=path,
         )  # fmt: skip
     elif len(columns) % 2 == 0 and not any(kinds):
-        degrees = all(np.all(m >= 0) and _DEGREES * m.max() < np.abs(p).max() <= 361 for m, p in _by_two(columns))
-        values = [_polar(m, p, "", "deg") if degrees else m + 1j * p for m, p in _by_two(columns)]
-        said = "magnitude and phase in degrees" if degrees else "real and imaginary parts"
-        remark = f"{path.name} names no columns: after the frequency they were taken for {said}"
+        degrees = all(_looks_polar(m, p) for m, p in _by_two(columns))
+        values = [_polar(m, p, "", "deg", said) if degrees else m + 1j * p for m, p in _by_two(columns)]
+        what = "magnitude and phase in degrees" if degrees else "real and imaginary parts"
+        said.append(f"no columns are named: after the frequency they were taken for {what}")
     else:
         raise TonewoodError(
             f"its {len(columns)} columns after the first are not clear ({', '.join(names) or 'no names above them'}): "
@@ -174,13 +193,32 @@ def _rows(path: Path, columns: Floats, names: list[str]) -> tuple[dict[Pair, Com
     points = [stem] if len(values) == 1 else [f"{stem}_{i + 1}" for i in range(len(values))]
     pairs = [(point, UNNAMED) for point in points]
     coherence = dict(zip(pairs, columns[of["coherence"]], strict=False)) if len(of["coherence"]) == len(pairs) else {}
-    return dict(zip(pairs, (np.asarray(x, dtype=np.complex128) for x in values), strict=True)), coherence, remark
+    return (
+        dict(zip(pairs, (np.asarray(x, dtype=np.complex128) for x in values), strict=True)),
+        coherence,
+        list(dict.fromkeys(said)),
+    )
 
 
 def _by_two(columns: Floats) -> list[tuple[Floats, Floats]]:
     return list(zip(columns[::2], columns[1::2], strict=True))
 
 
-def _polar(size: Floats, phase: Floats, size_name: str, phase_name: str) -> Complexes:
-    level = 10 ** (size / 20) if "db" in size_name else size
-    return np.asarray(level * np.exp(1j * (phase if "rad" in phase_name else np.deg2rad(phase))), dtype=np.complex128)
+def _looks_polar(size: Floats, phase: Floats) -> bool:
+    """Whether the second of two columns turns as degrees do, beside a magnitude or a level."""
+    most = np.nanmax(np.abs(phase))
+    if np.nanmax(size) < 0:
+        return bool(_DEGREES < most <= 361)
+    return bool(np.nanmin(size) >= 0 and _DEGREES * np.nanmax(size) < most <= 361)
+
+
+def _polar(size: Floats, phase: Floats, size_name: str, phase_name: str, said: list[str]) -> Complexes:
+    level, turn = "db" in size_name, "rad" in phase_name
+    if not level and np.nanmin(size) < 0:
+        level = True
+        said.append("magnitudes below 0 were taken for dB")
+    if not turn and "deg" not in phase_name and within_pi(phase):
+        turn = True
+        said.append("phases that stay within pi were taken for radians")
+    size = 10 ** (size / 20) if level else size
+    return np.asarray(size * np.exp(1j * (phase if turn else np.deg2rad(phase))), dtype=np.complex128)

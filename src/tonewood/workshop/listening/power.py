@@ -90,9 +90,9 @@ def fewest(power_with: Callable[[int], float], power: float, effect: str) -> int
     """
     low, high = 2, 4
     while power_with(high) < power:
-        low, high = high, 2 * high
-        if high > MOST:
+        if high >= MOST:
             raise TooManyListenersError(f"more than {MOST} listeners would be needed for {effect}")
+        low, high = high, min(2 * high, MOST)
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if power_with(middle) >= power else (middle, high)

@@ -67,7 +67,7 @@ def balanced(trace: EnergyTrace) -> None:
         "clavichord",
         "tanpura",
         pytest.param("struck_monochord", marks=pytest.mark.validate),
-        pytest.param("steel_guitar", marks=pytest.mark.validate),
+        pytest.param("steel_strings", marks=pytest.mark.validate),
         pytest.param("electric_bass", marks=pytest.mark.validate),
     ],
 )

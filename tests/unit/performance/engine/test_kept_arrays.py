@@ -18,7 +18,7 @@ from tonewood.physics.coupling.system import System
 FS = 48000.0
 
 
-@pytest.fixture(scope="module", params=["classical_guitar", "steel_guitar", "sitar"])
+@pytest.fixture(scope="module", params=["classical_guitar", "steel_strings", "sitar"])
 def model(request: pytest.FixtureRequest) -> Model:
     return assemble(load_instrument(request.param), FS)
 

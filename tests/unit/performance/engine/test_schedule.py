@@ -126,7 +126,7 @@ def test_an_engine_keeps_no_account_and_switches_effects_unless_asked(model: Mod
     assert stepped.energy_budget is None
     assert stepped.only_watch is False
     assert Engine(model, Timeline([], []), energy=True).energy_budget is not None
-    steel = tw.Renderer(tw.Score([tw.Note(0.0, 0.1, note=52, force=4.0)]), tw.load_instrument("steel_guitar"), FS)
+    steel = tw.Renderer(tw.Score([tw.Note(0.0, 0.1, note=52, force=4.0)]), tw.load_instrument("steel_strings"), FS)
     for name, switching in steel.engine.switchings.items():
         assert steel.engine.running(name) == switching.on
     assert any(isinstance(steel.engine.running(name), frozenset) for name in steel.engine.switchings)

@@ -29,7 +29,7 @@ def tablature(**values: Any) -> tw.Note:
 def test_a_harmonic_sounds_its_partial_and_the_multiples(partial: int, stop: int) -> None:
     """A finger on a node of the n-th partial leaves partials n, 2n, ... of the string, and damps all others."""
     note = tablature(note=45.0 + stop + interval(partial), stop=float(stop), partial=partial)
-    renderer = tw.Renderer(tw.Score([note]), "steel_guitar", fs=FS)
+    renderer = tw.Renderer(tw.Score([note]), "steel_strings", fs=FS)
     assert [(a.string, a.stop, a.note.technique) for a in renderer.performance.notes] == [("A2", stop, "harmonic")]
     sound = np.concatenate(list(renderer.blocks())).reshape(-1, len(renderer.channels))[:, 0]
     sound = sound[FS // 2 : 5 * FS // 4]
@@ -69,12 +69,12 @@ def test_a_harmonic_sounds_where_the_string_has_its_partial(
 ) -> None:
     """Up to 16 cents over a multiple of the fundamental, which alone is tuned, and which the body's modes lower."""
     f = 440.0 * 2 ** ((note - 69) / 12)
-    table = Path(__file__).parents[4] / "instruments/steel_guitar/body.csv"
+    table = Path(__file__).parents[4] / "instruments/steel_strings/body.csv"
     wanted, _ = partial_cents({"T": T, "mu": mu, "EI": EI, "L": 0.645, "f": f}, u, table)
     assert max(wanted) > 13.0
     for partial in range(2, 7):
         played = tablature(note=note + float(interval(partial)), stop=0.0, partial=partial, string=string)
-        renderer = tw.Renderer(tw.Score([played]), "steel_guitar", fs=FS, max_duration=1.1)
+        renderer = tw.Renderer(tw.Score([played]), "steel_strings", fs=FS, max_duration=1.1)
         sound = np.concatenate(list(renderer.blocks())).reshape(-1, len(renderer.channels))[FS // 3 :, 0]
         level = np.abs(np.fft.rfft(sound * np.hanning(len(sound)), 16 * len(sound)))
         freq = np.fft.rfftfreq(16 * len(sound), 1 / FS)
@@ -86,7 +86,7 @@ def test_a_harmonic_sounds_where_the_string_has_its_partial(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "near_a_mode"),
-    [("classical_guitar", {("A2", 2)}), ("steel_guitar", {("A2", 2), ("E2", 3)}), ("electric_bass", set())],
+    [("classical_guitar", {("A2", 2)}), ("steel_strings", {("A2", 2), ("E2", 3)}), ("electric_bass", set())],
 )
 def test_harmonics_of_every_string_sound_where_it_has_them(name: str, near_a_mode: set[tuple[str, int]]) -> None:
     """Partials 2 to 5 within 3 cents of the closed form, and 6 dB above those that have no node there.

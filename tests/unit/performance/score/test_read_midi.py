@@ -15,6 +15,7 @@ from tonewood.errors import ScoreError
 from tonewood.performance.score.controllers import Controllers, loudness
 from tonewood.performance.score.midi import MIN_DURATION, read_midi
 from tonewood.performance.score.note import Control, Note, Score
+from tonewood.performance.score.reading import read_score
 
 
 @pytest.fixture
@@ -313,3 +314,17 @@ def test_a_master_cannot_multiply_controllers_beyond_a_limit(read, monkeypatch):
     monkeypatch.setattr("tonewood.performance.score.performance.MAX_CONTROLS", 1000)
     with pytest.raises(ScoreError, match=r"\.mid: more than 1000 changes"):
         read(smf(register(0, 6, 15) + MPE_NOTE + b"".join(event(1, 0xB0, 1, i % 128) for i in range(100))))
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_note_that_is_never_ended_lasts_until_the_longest_track_ends(read, order):
+    held, longer = event(0, 0x90, 60, 80), event(1440, 0x91, 64, 80) + event(480, 0x81, 64, 0)
+    assert spans(read(smf(*[held, longer][::order]))) == [(60, 0.0, 2.0), (64, 1.5, 2.0)]
+
+
+def test_percussion_is_read_where_its_channel_is_asked_for(tmp_path):
+    path = tmp_path / "piece.mid"
+    drum = event(0, 0x99, 36, 80) + event(480, 0x89, 36, 0)
+    path.write_bytes(smf(drum, event(0, 0x90, 60, 80) + event(480, 0x80, 60, 0)))
+    for tracks, notes in ((None, [60]), ([1], [60]), ([10], [36]), ([1, 10], [36, 60])):
+        assert sorted(n.note for n in read_score(path, tracks=tracks).notes) == notes

@@ -76,7 +76,7 @@ def test_techniques_are_played_where_there_are_some_and_counted_where_not(tmp_pa
 
     score = tw.read_score(guitar_pro(tmp_path / "a.gp5", change))
     assert [set(n.marks) - {"tablature"} for n in score.notes] == [{"palm_mute"}, set(), {"hammer_on"}, {"pull_off"}]
-    steel = tw.Renderer(score, "steel_guitar", fs=8000).performance
+    steel = tw.Renderer(score, "steel_strings", fs=8000).performance
     assert [a.note.technique for a in steel.notes] == ["palm", None, "hammer_on", "pull_off"]
     assert steel.ignored == {}
     nylon = tw.Renderer(score, "flamenco_guitar", fs=8000).performance

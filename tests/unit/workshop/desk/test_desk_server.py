@@ -17,6 +17,7 @@ pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
 import tonewood as tw
+import tonewood.authoring as ta
 from tonewood.errors import BundleError
 from tonewood.sound.render.options import RenderOptions
 from tonewood.workshop.desk import models
@@ -126,6 +127,7 @@ def test_other_hosts_and_pages_are_refused(client: Client) -> None:
         ({"act": "set"}, "missing"),
         ({"act": "set", "path": "strings.A2.tension", "value": -5}, "strings.A2.tension"),
         ({"act": "set", "path": "strings.A2.tension", "value": 1e99}, "strings.A2.tension"),
+        ({"act": "set", "path": "exciters.pluck.from_bridge", "value": 99}, "from_bridge"),
         ({"act": "set", "path": "nothing.here", "value": 1}, "nothing"),
         ({"act": "save", "folder": "/proc/desk"}, "cannot be made"),
         ({"act": "phrase", "kind": "notes", "notes": "H9"}, "H9"),
@@ -281,6 +283,13 @@ def test_a_preview_is_named_until_the_exact_sound_follows(monkeypatch: pytest.Mo
     assert coarse[0].resolved["body"]["fmax"] == 1000.0
     assert "preview" in coarse[1]
     assert "fmax 1000" in coarse[1]
+
+
+def test_what_differs_is_not_told_of_a_coarse_preview(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert desk.view("differences") == []
+    coarse = ta.assemble(tw.load_instrument("monochord"), 48000)
+    monkeypatch.setattr(Desk, "_seen", property(lambda self: coarse))
+    assert "preview" in desk.view("differences")[0]
 
 
 def test_the_stream_goes_to_the_newest_page_and_ends_with_it(client: Client, desk: Desk) -> None:

@@ -204,7 +204,7 @@ def test_every_instrument_can_be_copied(tmp_path, name):
 
 
 def test_a_copy_takes_another_string_set(tmp_path):
-    assert command("new", tmp_path / "mine", "--from", "steel_guitar", "--strings", "ej16") == 0
+    assert command("new", tmp_path / "mine", "--from", "steel_strings", "--strings", "ej16") == 0
     mine = tw.load_instrument(tmp_path / "mine")
     assert mine.spec.strings_from == "ej16"
     assert mine.origins.of("strings.E2.tension").source == "strings_ej16"

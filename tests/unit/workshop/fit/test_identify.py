@@ -9,7 +9,7 @@ from fit_scenes import guitar, random_body
 
 from tonewood.workshop.fit.identify import identify
 from tonewood.workshop.fit.projection import Line, Poles, Projection, Shape
-from tonewood.workshop.fit.search import NothingFoundError, _unresolved, descend
+from tonewood.workshop.fit.search import MatchedFilters, NothingFoundError, _unresolved, descend
 
 PAIR = Shape((0,), 2)
 
@@ -185,3 +185,16 @@ def test_a_narrow_mode_within_two_bins_of_a_larger_one_is_its_peak_s_shape(quali
     line = Line(freq, np.zeros((1, freq.size), dtype=complex), np.ones((1, freq.size)), 0.0)
     poles = Poles.at(np.array([200.3, 200.3 + apart]), np.full(2, quality))
     assert _unresolved(poles, np.array(gains), line).tolist() == gone
+
+
+def test_candidates_are_the_modes_of_a_misfit_and_one_to_a_bandwidth():
+    freq = np.arange(100.0, 601.0, 0.5)
+    at, quality, residues = np.array([160.0, 300.0, 470.0]), np.array([40.0, 80.0, 60.0]), np.array([2.0, 1.0, 3.0])
+    s, w = 2j * np.pi * freq[:, None], 2 * np.pi * at
+    misfit = (residues * s / (s * s + w / quality * s + w * w)).sum(axis=1)[None]
+    line = Line(freq, misfit, np.full(misfit.shape, 1e-5), 0.0)
+    found = MatchedFilters(Projection(line, Shape((0,), 1))).candidates(misfit, most=60)
+    assert np.abs(found.freq[:, None] / at - 1).min(axis=0).max() < 0.01
+    apart = np.abs(np.log(found.freq[:, None] / found.freq))
+    width = 0.75 * (1 / found.quality[:, None] + 1 / found.quality)
+    assert np.all((apart > (1 - 1e-9) * width) | np.eye(len(found), dtype=bool))

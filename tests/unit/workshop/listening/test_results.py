@@ -430,3 +430,25 @@ def test_power_of_choices_is_that_of_a_test_of_their_share() -> None:
         deviation = math.sqrt(share * (1 - share) / n)
         expected = 1 - stats.norm.cdf((0.5 + z - share) / deviation) + stats.norm.cdf((0.5 - z - share) / deviation)
         assert power.choice_power(share, each, listeners, 0.05) == pytest.approx(expected, abs=0.05)
+
+
+@pytest.mark.parametrize("needed", [1, 3, 4, 5, 57, 8193, power.MOST - 1, power.MOST, power.MOST + 1])
+def test_the_fewest_listeners_are_found_up_to_the_most_that_are_tried(needed: int) -> None:
+    if needed > power.MOST:
+        with pytest.raises(power.TooManyListenersError, match=f"more than {power.MOST} listeners"):
+            power.fewest(lambda n: 0.9 if n >= needed else 0.7, 0.8, "a nuance")
+    else:
+        assert power.fewest(lambda n: 0.8 if n >= needed else 0.7, 0.8, "a nuance") == max(needed, 3)
+
+
+def test_training_of_a_paired_comparison_has_no_right_answer(tmp_path: Path) -> None:
+    """Of a training page, too, the value is the choice: 1 for the second sound, 0 for the first, 0.5 for a tie."""
+    pages = [
+        {"type": "training", "page": 2, "trials": 1},
+        {"type": "paired_comparison", "pairs": {"pluck": "all"}, "question": "Brighter?", "times": 2},
+    ]
+    test = fakes.made(tmp_path, pages)
+    simulate(test, panel(preference={"pluck": {"middle": 0.7, "far": 1.6}}), 6, seed=3)
+    values = [row["value"] for row in analyse(tmp_path / "out").table.rows]
+    assert len(values) > 6
+    assert set(values) <= {0.0, 0.5, 1.0}

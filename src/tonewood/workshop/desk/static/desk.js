@@ -273,7 +273,7 @@ function handle(brace, end, i, line, root) {
 
 // -- what is seen of the model ------------------------------------------------------------------------------------
 
-const seen = { mobility: null, start: null, strings: null, startStrings: null, shape: null, from: null, moments: [], since: 0 };
+const seen = { mobility: null, start: null, strings: null, startStrings: null, shape: null, from: null, moments: [], since: 0, models: 0 };
 const view = (kind, argument = "", of = "") => api.get(`/api/view/${kind}?argument=${encodeURIComponent(argument)}&of=${of}`);
 
 function options(select, names) {
@@ -350,7 +350,9 @@ async function showWolves() {
   button.disabled = true;
   button.textContent = "Looking …";
   await look("wolf notes", async () => {
-    seen.wolves = await view("wolves");
+    const of = seen.models, found = await view("wolves");
+    if (of !== seen.models) return forgetWolves();
+    seen.wolves = found;
     $("wolves").hidden = false;
     views.wolves($("wolves"), seen.wolves);
     const line = (w) => `${w.string} at ${w.worst_freq.toFixed(1)} Hz (stops ${w.stops.join(", ") || "between"}): severity ${w.severity_cents.toFixed(1)} cents, by the mode at ${w.body_freq.toFixed(1)} Hz`;
@@ -359,6 +361,13 @@ async function showWolves() {
   });
   button.disabled = false;
   button.textContent = "Look again";
+}
+
+// Wolf notes take long: those of the design before are not left standing.
+function forgetWolves() {
+  seen.wolves = null;
+  $("wolves").hidden = true;
+  $("wolves_list").replaceChildren(element("li", { textContent: "another model is seen now: look again" }));
 }
 
 const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -418,6 +427,8 @@ function show(next) {
 let resting = 0;
 function later(exact) {
   clearTimeout(resting);
+  seen.models += 1;
+  if (seen.wolves) forgetWolves();
   if (exact && !state.changes.length) seen.start = seen.startStrings = null;
   resting = setTimeout(showModel, seen.mobility === null ? 0 : 250);
 }
