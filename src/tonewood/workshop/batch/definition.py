@@ -7,6 +7,7 @@ they get one page at a time.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import math
 from collections.abc import Callable, Collection, Sequence
@@ -37,8 +38,14 @@ def definition_of(
     ----------
     folder : the manifest's, to which its paths are relative.
     drops_db : by name of a group, by which its files were lowered.
+
+    Raises
+    ------
+    ManifestError : the room's file cannot be read.
     """
+    room = manifest.stimuli.room
     return {
+        **({} if room is None else {"room_sha256": room_sha256(folder / room)}),
         "schema": SCHEMA,
         "name": manifest.name,
         "folder": str(folder.resolve()),
@@ -56,6 +63,19 @@ def definition_of(
             if set(trial.codes) <= set(codes)
         ],
     }
+
+
+def room_sha256(path: Path) -> str:
+    """SHA-256 of a room's impulse response: the sounds of a test depend on it, its name does not tell.
+
+    Raises
+    ------
+    ManifestError : it cannot be read.
+    """
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as fault:
+        raise ManifestError(f"cannot be read: {fault.strerror}", file=path, key="stimuli.room") from None
 
 
 @dataclass(frozen=True)
