@@ -3,7 +3,8 @@
     python benchmarks/rising_tension.py            # about two minutes on one core
 
 Prints the figures of docs/theory.md: square root of the summed squares of the errors over that of the motion, of modes
-for the first table, of the displacement at a fifth of the string for the second.
+for the first table, of the displacement at a fifth of the string for the third. The second says how often psi of the
+rising tension is negative.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ import tonewood.authoring as ta
 from tonewood.instrument.model.assembly import assemble
 from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
 from tonewood.physics.coupling.system import System
-from tonewood.physics.stepping.forcing import compile_force
+from tonewood.physics.energy.stored import stored_energy
+from tonewood.physics.stepping.forcing import Injection, compile_force
 from tonewood.physics.stepping.kernel import KernelStepper
 from tonewood.physics.stepping.motion import from_motion
 
@@ -29,14 +31,14 @@ HEIGHTS = (5e-4, 2e-3, 6e-3, 2e-2)  # m
 Floats = NDArray[np.float64]
 
 
-def plucked(force: float, times: int) -> Floats:
-    """Lowest modes of G3 of `steel_strings`, plucked by a ramp, at every 48 000th of a second."""
+def scene(force: float, rate: float) -> tuple[System, list[Injection], tuple[str, ...]]:
+    """G3 of `steel_strings` on its body, the force of a ramp on it, and the string's components."""
     guitar = tw.load_instrument("steel_strings").replace(
         {"tuning.compensate": "none", "strings.*.polarizations": ["z", "y"]}
     )
     values = dict(guitar.resolved)
     values["strings"], values["connections"] = {"G3": values["strings"]["G3"]}, {}
-    model = assemble(tw.Instrument.from_values(values, guitar.folder), float(RATE * times))
+    model = assemble(tw.Instrument.from_values(values, guitar.folder), rate)
     gesture = model.exciters["pluck"].gesture(ta.Event({"force": force}, 196.0), model.place("G3"))
     system, injections = model.system, []
     for component, weight in model.strings["G3"].weights(gesture.angle_deg).items():
@@ -44,12 +46,29 @@ def plucked(force: float, times: int) -> Floats:
         injections += compile_force(
             component, basis, "pluck", gesture.segments, system.dt, time=0.021, factor=weight
         )  # fmt: skip
+    return system, injections, model.strings["G3"].components
+
+
+def plucked(force: float, times: int) -> Floats:
+    """Lowest modes of the plucked string at every 48 000th of a second."""
+    system, injections, parts = scene(force, float(RATE * times))
     stepper, state, path = KernelStepper(system), system.start(), []
-    parts = model.strings["G3"].components
     for _ in range(int(SECONDS * RATE)):
         stepper.run(state, times, injections)
         path.append([np.array(system.modes_of(state, name)[0, :MODES]) for name in parts])
     return np.asarray(path)
+
+
+def signs(force: float) -> tuple[float, float]:
+    """Share of steps in which psi is negative; largest rise of the energy in 64 steps after the pluck, relative."""
+    system, injections, _ = scene(force, float(RATE))
+    stepper, state, psi, energies = KernelStepper(system), system.start(), [], []
+    for i in range(int(SECONDS * RATE)):
+        stepper.run(state, 1, injections)
+        psi.append(state.potentials[system.memory[0]][2])
+        if i > 0.03 * RATE and i % 64 == 0:
+            energies.append(stored_energy(system, state).total)
+    return float(np.mean(np.array(psi) < 0.0)), float(np.diff(energies).max() / max(energies))
 
 
 def released(height: float, times: int) -> Floats:
@@ -91,6 +110,10 @@ def main() -> None:
     print("| pluck, N | error |\n|---|---|")
     for force in FORCES:
         print(f"| {force:g} | {error(plucked(force, 1), plucked(force, FINER))} |", flush=True)
+    print("\n| pluck, N | steps with psi < 0 | largest rise of the energy |\n|---|---|---|")
+    for force in (500.0, 1000.0):
+        share, rise = signs(force)
+        print(f"| {force:g} | {100 * share:.2g} % | {rise:.1g} |", flush=True)
     print(f"\nsteel string with longitudinal motion, rigid ends, 10 ms, {RATE} Hz\n")
     print("| triangle, mm | error |\n|---|---|")
     for height in HEIGHTS:

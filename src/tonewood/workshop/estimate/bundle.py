@@ -65,12 +65,12 @@ def write_bundle(
     ------
     BundleError, OutputError : as `new_bundle`; nothing stays behind.
     """
-    begun = new_bundle(folder, source, allow_code=allow_code)
+    new_bundle(folder, source, allow_code=allow_code)
     try:
         manifest = folder / MANIFEST
         text = manifest.read_text(encoding="utf-8")
-        if begun.spec.keys is not None and begun.spec.keys.table is not None:
-            table = folder / begun.spec.keys.table
+        if (name := _table_of_keys(text)) is not None:
+            table = folder / name
             write_whole(table, _keyed(table.read_text(encoding="utf-8"), estimate))
         write_whole(manifest, _edited(text, estimate, origin))
         write_whole(folder / RESULT, json.dumps(to_json(estimate), indent=1, allow_nan=False) + "\n")
@@ -129,6 +129,14 @@ def _edited(text: str, estimate: Estimate, origin: RecordingOrigin) -> str:
     stream = io.StringIO()
     yaml.dump(values, stream)
     return stream.getvalue()
+
+
+def _table_of_keys(text: str) -> str | None:
+    """Name of the file with a row for each key, if a manifest has one: the spec holds its rows as entries."""
+    from ruamel.yaml import YAML
+
+    keys = YAML(typ="safe").load(text).get("keys")
+    return None if keys is None else keys.get("table")
 
 
 def _flow(yaml: Any, values: Mapping[str, Any]) -> Any:

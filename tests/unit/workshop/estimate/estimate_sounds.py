@@ -29,13 +29,13 @@ def partials(freq, b, rates, *, seconds=2.0, place=0.15, before=0.1, level=0.3):
     return np.concatenate([np.zeros(round(before * FS)), x]), f
 
 
-def recorded(folder: Path, changes: dict[str, Any], places, *, seconds=1.5, dynamics=()) -> None:
-    """Notes of a changed guitar as recordings with a table of their strings and stops.
+def recorded(folder: Path, changes: dict[str, Any], places, *, seconds=1.5, dynamics=(), guitar=GUITAR) -> None:
+    """Notes of a changed guitar, or another instrument, as recordings with a table of their strings and stops.
 
     places : (string, stop) of each note.
     dynamics : MIDI velocities of the strokes of each; one of the usual velocity where left out. Levels stay, then.
     """
-    truth = Instrument.load(GUITAR).replace(changes)
+    truth = Instrument.load(guitar).replace(changes)
     stage = Stage(truth)
     rows, notes = ["file,string,stop,dynamic"], []
     for string, stop in places:

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from estimate_sounds import GUITAR, recorded
 
+from pianos import some_keys
 from tonewood.cli.main import run
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.sound.equalizer import response_db
+from tonewood.workshop.estimate.bundle import RecordingOrigin, write_bundle
 from tonewood.workshop.estimate.estimate import alternating, estimate
 from tonewood.workshop.estimate.gain import KNOTS
 from tonewood.workshop.estimate.playing import Stage
@@ -84,6 +86,26 @@ def test_a_string_of_known_figures_is_found_again_by_the_command(tmp_path, monke
     page = (tmp_path / "mine.html").read_text()
     assert "a &lt;guitar&gt;" in page
     assert "http" not in page.replace("http-equiv", "").replace("http://www.w3.org", "")
+
+
+@pytest.mark.slow
+def test_strings_of_a_table_of_keys_are_written_there(tmp_path) -> None:
+    piano = some_keys(tmp_path / "three_keys", ["A3", "C4", "E4"])
+    begun = Instrument.load(piano)
+    leads = [key.strings[0] for key in begun.spec.keys.entries.values()]
+    stiffer = {
+        f"strings.{name}.bending_stiffness": 1.2 * begun.resolved["strings"][name]["bending_stiffness"]
+        for key in begun.spec.keys.entries.values()
+        for name in key.strings
+    }
+    (tmp_path / "notes").mkdir()
+    recorded(tmp_path / "notes", stiffer, [(name, 0) for name in leads], guitar=piano)
+    found = estimate(read_folder(tmp_path / "notes"), begun, iterations=2)
+    made = write_bundle(found, tmp_path / "mine", str(piano), RecordingOrigin(licence="CC0-1.0"))
+    for name, wanted in stiffer.items():
+        string = name.split(".")[1]
+        assert made.resolved["strings"][string]["bending_stiffness"] == pytest.approx(wanted, rel=0.03)
+        assert made.resolved["strings"][string]["loss"] == found.instrument.resolved["strings"][string]["loss"]
 
 
 @pytest.mark.validate
