@@ -4,7 +4,7 @@
     python benchmarks/in_the_air.py grand_piano
     python benchmarks/in_the_air.py --struck steel_guitar drawn_guitar_x electric_bass   # do strings strike frets?
 
-Plucked instruments are played by `--velocity` (100) in the lowest position, every third semitone; medians over the notes.
+Plucked instruments are played by `--velocity` (100) in the lowest position, every third semitone; medians.
 T60 is that of the partials in a band; the onset is the loudest 3 ms of a band re the loudest 3 ms of all.
 """
 
@@ -45,7 +45,7 @@ def played(instrument: tw.Instrument, note: int, string: str | None, velocity: i
 
 
 def lowest(instrument: tw.Instrument, step: int) -> list[tuple[int, str]]:
-    """Notes from the lowest open one (E2 of a guitar) to E5, `step` semitones apart, each on the string with the highest open note that reaches it.
+    """Notes from the lowest open one to E5, `step` semitones apart, on the string with the highest open note that fits.
 
     Strings without stops have their open notes.
     """
