@@ -91,7 +91,7 @@ def test_written_scores_are_rendered_and_lacking_techniques_counted(tonewood: Ru
             "render",
             path,
             "-i",
-            "classical_guitar",
+            "flamenco_guitar",
             "--fs",
             8000,
             "--max-duration",

@@ -120,8 +120,6 @@ def flow(basis: ModalBasis, dt: float, order: int = 1) -> Floats:
 
 def _block_flow(stiffness: Floats, damping_rate: Floats, dt: float, order: int) -> Floats:
     """Blocks of [[0, 1], [-omega^2, -2 sigma]] dt: first block row of the exponential of an augmented matrix."""
-    from tonewood.support.scipy_linalg import sla
-
     n, m = stiffness.size, 2 * (order + 1)
     big = np.zeros((n, m, m))
     # velocities in units of 1/dt keep the entries of one size, whatever the step
@@ -130,11 +128,29 @@ def _block_flow(stiffness: Floats, damping_rate: Floats, dt: float, order: int) 
     big[:, 1, 1] = -2 * damping_rate * dt
     for k in range(order):
         big[:, 2 * k, 2 * k + 2] = big[:, 2 * k + 1, 2 * k + 3] = 1.0
-    full = sla.expm(big)[:, :2, :].reshape(n, 2, order + 1, 2).transpose(2, 0, 1, 3)
+    full = np.array([_exponential(a) for a in big])[:, :2, :].reshape(n, 2, order + 1, 2).transpose(2, 0, 1, 3)
     out = np.array(full)
     out[..., 0, 1] *= dt
     out[..., 1, 0] /= dt
     return out
+
+
+def _exponential(a: Floats) -> Floats:
+    """Exponential of a small matrix: Taylor's series of a / 2^s, of norm 1/2 at most, squared s times.
+
+    `scipy.linalg` has one, too, but its import takes longer than all else up to a first block.
+    """
+    squarings = max(0, int(np.ceil(np.log2(max(float(np.abs(a).sum(axis=1).max()), 0.5)))) + 1)
+    scaled, out = a / 2.0**squarings, np.eye(len(a))
+    for k in range(_TAYLOR, 0, -1):
+        out = np.eye(len(a)) + scaled @ out / k
+    for _ in range(squarings):
+        out = out @ out
+    return np.asarray(out)
+
+
+#: terms of Taylor's series: 0.5^19 / 19! is 2e-23
+_TAYLOR = 18
 
 
 def apply(blocks: Floats, x: Floats) -> Floats:

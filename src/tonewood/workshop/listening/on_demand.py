@@ -79,21 +79,19 @@ class RenderedPairs:
         self._lock = threading.Lock()
 
     def changes(self) -> list[str]:
-        """A line for each staircase whose sounds may differ from those of the batch.
-
-        Raises
-        ------
-        TonewoodError : a sound cannot be resolved any more.
-        """
+        """A line for each staircase whose sounds cannot be made, or may differ from those of the batch."""
         reason = (
             f"its sound of the batch is not in {self._store.folder}: the folder was cleared, or instrument, plugins, "
             "version or machine are others than at `tonewood batch`, and levels are rendered with these"
         )
-        return [
-            f"page {index + 1}: {reason}"
-            for index, condition in self.conditions.items()
-            if not self._store.has(content_key(self.renderer.identity(condition)))
-        ]
+        lines = []
+        for index, condition in self.conditions.items():
+            try:
+                if not self._store.has(content_key(self.renderer.identity(condition))):
+                    lines.append(f"page {index + 1}: {reason}")
+            except TonewoodError as fault:  # the other pages go on; this one says so when it is reached
+                lines.append(f"page {index + 1}: its levels cannot be made: {fault}")
+        return lines
 
     def pair(self, page: int, level: float) -> PairOfSounds:
         """Sounds of page `page` (from 0) at a level; waits for them.

@@ -16,9 +16,8 @@ threshold that is `margin` away.
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -37,19 +36,26 @@ from tonewood.workshop.batch.pages import (
     as_pairs,
     localised,
 )
-from tonewood.workshop.listening import simulations, strata
-from tonewood.workshop.listening.definition import ListeningError
+from tonewood.workshop.listening import simulations
 from tonewood.workshop.listening.detection import CHANCE, sensitivity, task_of
-from tonewood.workshop.listening.means import LIMIT_SCORE, LIMIT_SHARE, unique
-from tonewood.workshop.listening.models import share_test
-from tonewood.workshop.listening.panel import SimulatedPanel
+from tonewood.workshop.listening.means import unique
 from tonewood.workshop.listening.results import PageResults, PanelResults
-from tonewood.workshop.listening.thresholds import ThresholdGrid
+from tonewood.workshop.listening.simulated_power import (
+    MushraListeners,
+    SoundSpread,
+    TooManyListenersError,
+    answers_for_share,
+    choice_power,
+    fewest,
+    mushra_power,
+    ordinal_power,
+    rating_power,
+    screened_power,
+    stated_spread,
+    threshold_listeners,
+)
 
 Array = NDArray[np.float64]
-MOST = 10_000
-#: simulated experiments: of ratings and choices, and of staircases
-EXPERIMENTS, STAIRCASES = 4000, 100
 #: standard deviations of listeners' differences where a page states none: points of 100, of grades 1 to 5, of a scale
 _SD = {"mushra": 15.0, "bs1116": 0.8}
 #: effects where a page states none
@@ -57,10 +63,6 @@ _EFFECT = {"mushra": 10.0, "bs1116": 0.5}
 _SHARE = 0.70
 #: slope over the range of levels, where a page states none
 _STEEPNESS = 10.0
-
-
-class TooManyListenersError(ListeningError):
-    """No number of listeners up to `MOST` is enough."""
 
 
 @dataclass(frozen=True)
@@ -81,359 +83,6 @@ class PowerRow:
         if self.listeners is None:
             return f"page {self.page}, {self.name}: {self.effect}{default}"
         return f"page {self.page}, {self.name}: {self.listeners} listeners for {self.effect}{default}"
-
-
-def fewest(power_with: Callable[[int], float], power: float, effect: str) -> int:
-    """Fewest listeners, from 3 on, with whom a simulated power is reached.
-
-    Raises
-    ------
-    TooManyListenersError : more than `MOST` are needed.
-    """
-    low, high = 2, 4
-    while power_with(high) < power:
-        if high >= MOST:
-            raise TooManyListenersError(f"more than {MOST} listeners would be needed for {effect}")
-        low, high = high, min(2 * high, MOST)
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if power_with(middle) >= power else (middle, high)
-    return high
-
-
-@dataclass(frozen=True)
-class SoundSpread:
-    """A random sample of sounds.
-
-    Attributes
-    ----------
-    count : number of sounds.
-    sounds : covariance (levels, levels) of the sounds' own means of the levels, the same for all listeners.
-    pairs : that of the answers of one listener to one sound, beyond both.
-    """
-
-    count: int
-    sounds: Array
-    pairs: Array
-
-
-def rating_power(
-    effects: Sequence[float] | Array,
-    covariance: Array,
-    listeners: int,
-    alpha: float,
-    seed: int = 1,
-    sampled: SoundSpread | None = None,
-) -> Array:
-    """Share of simulated experiments in which the report finds each level's difference from the first.
-
-    Parameters
-    ----------
-    effects : (levels,) points.
-    covariance : (levels, levels) of the listeners' means of the levels.
-    listeners, alpha : of the experiment, and of its tests.
-    seed : of the draws.
-    sampled : the sounds, where the manifest's `random` names them.
-
-    Returns
-    -------
-    shares : (levels - 1,).
-    """
-    k = len(effects)
-    names = [str(i) for i in range(k)]
-    rows = strata.contrasts([(name,) for name in names], {"factor": names}).differences["factor",]
-    random = np.random.default_rng([seed, listeners])
-    most = max(1, 4_000_000 // (listeners * k * (1 if sampled is None else sampled.count)))
-    count, found = max(200, min(EXPERIMENTS, most)), np.zeros(k - 1)
-    for begin in range(0, count, most):
-        n = min(most, count - begin)
-        if sampled is None:
-            y = np.asarray(effects) + _draws(random, covariance, n, listeners)
-        else:
-            y = np.asarray(effects) + _draws(random, covariance, n, listeners, 1)
-            y = y + _draws(random, sampled.sounds, n, 1, sampled.count)
-            y = y + _draws(random, sampled.pairs, n, listeners, sampled.count)
-        p = strata.estimated(y, rows, 1 - alpha, sounds=sampled is not None).p_value
-        found += (strata.holm(p) < alpha).sum(axis=0)
-    return found / count
-
-
-def screened_found(y: Array, kept: NDArray[np.bool_], alpha: float, *, sounds: bool = False) -> NDArray[np.bool_]:
-    """Whether the report finds each level's difference from the first, with all listeners and with those kept.
-
-    Parameters
-    ----------
-    y : (experiments, listeners, levels) listeners' means, or (experiments, listeners, sounds, levels).
-    kept : (experiments, listeners) whether the screening keeps them; fewer than three are not analysed.
-    alpha : of the tests.
-    sounds : whether `y` has the axis of sounds, a random sample.
-
-    Returns
-    -------
-    found : (experiments, levels - 1).
-    """
-    names = [str(i) for i in range(y.shape[-1])]
-    rows = strata.contrasts([(name,) for name in names], {"factor": names}).differences["factor",]
-    found = np.zeros((len(y), len(rows)), dtype=bool)
-    counts = kept.sum(axis=1)
-    whole = _differs(y, rows, alpha, sounds)
-    for count in np.unique(counts[counts > 2]):
-        own = counts == count
-        rest = y[own][kept[own]].reshape(np.sum(own), count, *y.shape[2:])
-        found[own] = whole[own] & (_differs(rest, rows, alpha, sounds) if count < y.shape[1] else True)
-    return found
-
-
-def _differs(y: Array, rows: Array, alpha: float, sounds: bool) -> NDArray[np.bool_]:
-    return np.asarray(strata.holm(strata.estimated(y, rows, 1 - alpha, sounds=sounds).p_value) < alpha)
-
-
-def screened_power(
-    pilot: Array,
-    kept: NDArray[np.bool_],
-    effects: Array,
-    listeners: int,
-    alpha: float,
-    seed: int = 1,
-    sampled: SoundSpread | None = None,
-) -> Array:
-    """Share of experiments with listeners of a pilot in which the report finds each level's difference from the first.
-
-    Parameters
-    ----------
-    pilot : (pilot listeners, levels) their means.
-    kept : (pilot listeners,) whether the screening kept them.
-    effects : (levels,) points, which the pilot's mean effects are moved to.
-    listeners, alpha, seed : as for `rating_power`.
-    sampled : random sounds; listeners then differ by as much less as single answers of the pilot account for.
-
-    Returns
-    -------
-    shares : (levels - 1,) found with all listeners and with those who are kept.
-    """
-    random, n = np.random.default_rng([seed, listeners]), len(pilot)
-    own = (pilot - pilot.mean(axis=0)) * math.sqrt(n / (n - 1))
-    if sampled is None:
-        drawn = random.integers(n, size=(EXPERIMENTS, listeners))
-        return np.asarray(screened_found(effects + own[drawn], kept[drawn], alpha).mean(axis=0))
-    apart = np.var(own[:, 1:] - own[:, :1], axis=0).sum()
-    single = (np.diag(sampled.pairs)[1:] + sampled.pairs[0, 0] - 2 * sampled.pairs[0, 1:]).sum() / sampled.count
-    own = own * math.sqrt(max(1 - single / apart, 0.0)) if apart > 0 else own
-    found = []
-    for size in _batches(listeners * sampled.count * len(effects)):
-        drawn = random.integers(n, size=(size, listeners))
-        y = effects + own[drawn][:, :, None] + _draws(random, sampled.sounds, size, 1, sampled.count)
-        y = y + _draws(random, sampled.pairs, size, listeners, sampled.count)
-        found.append(screened_found(y, kept[drawn], alpha, sounds=True))
-    return np.asarray(np.concatenate(found).mean(axis=0))
-
-
-def _batches(size: int) -> list[int]:
-    """Numbers of experiments to be simulated at once, of `size` answers each."""
-    most = max(1, 2_000_000 // size)
-    count = max(200, min(EXPERIMENTS, 4 * most))
-    return [min(most, count - begin) for begin in range(0, count, most)]
-
-
-@dataclass(frozen=True)
-class MushraListeners:
-    """What listeners of a MUSHRA page hear, as simulated panels do.
-
-    Attributes
-    ----------
-    effects : (levels,) points by which sounds of a level are heard above the reference, which has the first level.
-    sounds, trials, cells : random sounds (1: none), trials of each, and sounds of one level in a trial.
-    own_sd, slope_sd, residual_sd, sound_sd : points, of listeners' use of the scale, of their responses to each level,
-        of single answers, and of random sounds' differences from the first level.
-    """
-
-    effects: Array
-    sounds: int
-    trials: int
-    cells: int
-    own_sd: float
-    slope_sd: float
-    residual_sd: float
-    sound_sd: float = 0.0
-
-    @classmethod
-    def stated(
-        cls, effects: Array, sd: float, sounds: int = 1, trials: int = 1, cells: int = 1, sound_sd: float = 0.0
-    ) -> MushraListeners:
-        """Listeners whose differences have a standard deviation `sd`.
-
-        Their use of the scale and single answers have the spread of simulated panels, but either at most a quarter of
-        the variance; the rest is that of listeners' responses to the levels.
-        """
-        answers = sounds * trials * cells
-        own = min(SimulatedPanel.model_fields["listener_sd"].default, sd / 2)
-        single = min(SimulatedPanel.model_fields["residual_sd"].default, sd / 2 * math.sqrt(answers))
-        slope = math.sqrt((sd**2 - own**2 - single**2 / answers) / 2)
-        return cls(np.asarray(effects, dtype=np.float64), sounds, trials, cells, own, slope, single, sound_sd)
-
-    def drawn(self, random: np.random.Generator, experiments: int, listeners: int) -> tuple[Array, NDArray[np.bool_]]:
-        """Draw listeners' means (experiments, listeners, sounds, levels), and whether the screening keeps them.
-
-        The reference is among the first level's sounds. The sound that is heard as best gets 100, the others 100 plus
-        what is heard and the listener's own deviation, within the scale. Anchors are not drawn: no listener with such
-        spreads takes them for the reference, or rates that of 7 kHz above 90 in many trials.
-        """
-        k, shape = len(self.effects), (experiments, listeners)
-        slopes = random.normal(0, self.slope_sd, (*shape, 1, k)) if self.slope_sd > 0 else np.zeros((*shape, 1, k))
-        heard = self.effects + slopes - slopes[..., :1]
-        if self.sounds > 1:
-            by_sound = random.normal(0, self.sound_sd / math.sqrt(2), (experiments, 1, self.sounds, k))
-            heard = heard + by_sound - by_sound[..., :1]
-        heard = heard[..., None, None, :] + random.normal(
-            0, self.residual_sd, (*shape, self.sounds, self.trials, self.cells, k)
-        )
-        own = random.normal(0, self.own_sd, (*shape, 1, 1, 1, 1))
-        best = heard == heard.max(axis=(-2, -1), keepdims=True)
-        rated = np.where(best, 100.0, np.clip(100 + own + heard, 0, 100))
-        missed = (rated[..., 0, 0] < LIMIT_SCORE).mean(axis=(-2, -1))
-        return rated.mean(axis=(-3, -2)), missed <= LIMIT_SHARE
-
-
-def mushra_power(people: MushraListeners, listeners: int, alpha: float, seed: int = 1) -> Array:
-    """Share of experiments in which the report of a MUSHRA page, with its screening, finds each level's difference.
-
-    Parameters
-    ----------
-    people : what the listeners hear.
-    listeners, alpha, seed : as for `rating_power`.
-
-    Returns
-    -------
-    shares : (levels - 1,) found with all listeners and with those who are kept.
-    """
-    random, found = np.random.default_rng([seed, listeners]), []
-    for size in _batches(listeners * people.sounds * people.trials * people.cells * len(people.effects)):
-        y, kept = people.drawn(random, size, listeners)
-        sampled = people.sounds > 1
-        found.append(screened_found(y if sampled else y[:, :, 0], kept, alpha, sounds=sampled))
-    return np.asarray(np.concatenate(found).mean(axis=0))
-
-
-def ordinal_power(
-    effects: Sequence[float] | Array,
-    sd: float,
-    cells: int,
-    ends: tuple[float, float],
-    listeners: int,
-    alpha: float,
-    seed: int = 1,
-) -> Array:
-    """Share of simulated experiments in which the report finds each level rated above or below the first.
-
-    Parameters
-    ----------
-    effects : (levels,) points, from the middle of the scale.
-    sd : standard deviation of listeners' differences; half of the variance is that of single answers.
-    cells : answers of a listener to each level.
-    ends : of the scale.
-    listeners, alpha, seed : as for `rating_power`.
-
-    Returns
-    -------
-    shares : (levels - 1,).
-    """
-    k, random = len(effects), np.random.default_rng([seed, listeners])
-    most = max(1, 2_000_000 // (listeners * k * cells))
-    count, found = max(200, min(EXPERIMENTS, 4 * most)), np.zeros(k - 1)
-    for begin in range(0, count, most):
-        n = min(most, count - begin)
-        y = sum(ends) / 2 + np.asarray(effects) + random.normal(0, sd / 2, (n, listeners, 1, k))
-        y = np.clip(y + random.normal(0, sd / 2 * math.sqrt(cells), (n, listeners, cells, k)), *ends)
-        pairs = [np.sign(y[..., j] - y[..., i]).mean(axis=-1) for i, j in itertools.combinations(range(k), 2)]
-        p = share_test(0.5 + 0.5 * np.stack(pairs, axis=1))
-        found += (strata.holm(p) < alpha)[:, : k - 1].sum(axis=0)
-    return found / count
-
-
-def stated_spread(sd: float, sound_sd: float, sounds: int, levels: int) -> tuple[Array, SoundSpread]:
-    """Covariances of differences with standard deviations `sd` (listeners) and `sound_sd` (random sounds).
-
-    Half of the variance of a listener's difference is that of single answers, of one to each sound.
-    """
-    one = np.eye(levels)
-    return sd**2 / 4 * one, SoundSpread(sounds, sound_sd**2 / 2 * one, sounds * sd**2 / 4 * one)
-
-
-def _draws(random: np.random.Generator, covariance: Array, *shape: int) -> Array:
-    """Normal numbers (*shape, levels) of a covariance matrix, whose negative eigenvalues are taken as 0."""
-    values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    return np.asarray(random.standard_normal((*shape, len(covariance))) @ root.T)
-
-
-def choice_power(share: float, each: int, listeners: int, alpha: float, seed: int = 1) -> float:
-    """Share of simulated experiments in which the Bradley-Terry interval of a pair excludes 0.
-
-    Parameters
-    ----------
-    share : of choices of one of the two.
-    each : choices of a listener.
-    listeners, alpha, seed : as for `rating_power`.
-    """
-    from scipy.special import stdtrit
-
-    chosen = np.random.default_rng([seed, listeners]).binomial(each, share, (EXPERIMENTS, listeners))
-    answers = each * listeners + 1  # a tie is added
-    mean = (chosen.sum(axis=1) + 0.5) / answers
-    squares = np.sum((chosen - each * mean[:, None]) ** 2, axis=1) + (0.5 - mean) ** 2
-    error = np.sqrt(listeners / (listeners - 1) * squares) / answers
-    value = np.log(mean / (1 - mean)) * mean * (1 - mean)
-    return float(np.mean(np.abs(value) > stdtrit(listeners - 1, 1 - alpha / 2) * error))
-
-
-def threshold_listeners(
-    page: StaircasePage, people: simulations.Population, margin: float, alpha: float, power: float, seed: int = 1
-) -> int:
-    """Listeners with whom the interval of the mean threshold excludes one that is a margin (of u) away.
-
-    Raises
-    ------
-    TooManyListenersError : more than `MOST` are needed.
-    """
-    random = np.random.default_rng(seed)
-    pool, grid, centre = 200, ThresholdGrid(page), page.transformed(people.mean)
-    true = centre + people.sd * random.standard_normal(pool)
-    slopes = people.slope * np.exp(people.slope_sd * random.standard_normal(pool))
-    levels, right = simulations.trials(page, true, slopes, people.lapses, random)
-    tables = np.array([grid.likelihood(x, r) for x, r in zip(levels, right, strict=True)])
-    spread = float(np.std(grid.fit(tables, 1 - alpha).alone))
-    n = max(3, math.ceil((2.8 * spread / margin) ** 2))
-    while n <= MOST:
-        drawn = random.integers(pool, size=(STAIRCASES, n))
-        intervals = [grid.fit(tables[own], 1 - alpha).interval for own in drawn]
-        if np.mean([not low <= centre + margin <= high for low, high in intervals]) >= power:
-            return n
-        n = max(n + 1, math.ceil(1.15 * n))
-    raise TooManyListenersError(f"more than {MOST} listeners would be needed for a margin of {margin:g}")
-
-
-def answers_for_share(share: float, chance: float, alpha: float, power: float) -> int:
-    """Fewest answers from which on a one-sided binomial test against guessing has the power.
-
-    The power of an exact test goes up and down with the number of answers; from this number on it stays above.
-
-    Raises
-    ------
-    TooManyListenersError : more than `MOST` are needed.
-    ListeningError : the share is not above guessing.
-    """
-    import numpy as np
-    from scipy.stats import binom
-
-    if share <= chance:
-        raise ListeningError(f"a share of {share:g} is not above guessing ({chance:.3g})")
-    n = np.arange(1, MOST + 1)
-    fewest = binom.isf(alpha, n, chance) + 1
-    short = np.flatnonzero(binom.sf(fewest - 1, n, share) < power)
-    last = int(short[-1]) + 2 if short.size else 1
-    if last > MOST:
-        raise TooManyListenersError(f"more than {MOST} answers would be needed for a share of {share:g}")
-    return last
 
 
 def power_of(manifest: Manifest, trials: dict[int, int], pilot: PanelResults | None = None) -> list[PowerRow]:

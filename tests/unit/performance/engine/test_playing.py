@@ -112,7 +112,7 @@ def test_a_technique_may_play_the_body(guitar: Model) -> None:
     (tap,) = played.timeline.plays
     assert (tap.string, tap.at) == (None, "body.bridge_G3")
     assert max(tap.gesture.force(t) for t in np.linspace(0, 1e-3, 101)) == pytest.approx(7.0)
-    with pytest.raises(ScoreError, match="there is no technique 'kick'; there are pluck, rest, flesh, tap"):
+    with pytest.raises(ScoreError, match="there is no technique 'kick'; there are pluck, rest, flesh, harmonic, palm"):
         perform(tw.Score([tw.Note(0.1, technique="kick")]), guitar)
 
 

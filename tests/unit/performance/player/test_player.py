@@ -169,7 +169,7 @@ def test_actions_in_a_window_sound(model: Model) -> None:
 def test_every_string_of_a_course_is_plucked_by_its_own_gesture() -> None:
     """Live as in a score: the second string of a course has its own pitch, and the gesture the name of its exciter."""
     model = assemble(tw.load_instrument("twelve_string_guitar"), FS)
-    note = tw.Note(0.2, 0.5, note=43.0, force=1.0)
+    note = tw.Note(0.2, 0.5, note=43.0, force=1.0, technique="pluck")
 
     def strokes(timeline: Timeline) -> dict[str, tuple[object, ...]]:
         return {str(p[1]): (p[2], p[3], *p[5:]) for p in plain(timeline)}
