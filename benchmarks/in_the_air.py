@@ -49,7 +49,7 @@ def lowest(instrument: tw.Instrument, step: int) -> list[tuple[int, str]]:
 
     Strings without stops have their open notes.
     """
-    opens = {name: instrument.open_note(name) for name in instrument.string_names}
+    opens = {name: instrument.open_note(name) for name in instrument.groups}
     if instrument.spec.stops.kind == "none":
         return [(round(note), name) for name, note in opens.items()]
     below = {n: [s for s in opens if opens[s] <= n + 0.5] for n in range(40, 77, step)}

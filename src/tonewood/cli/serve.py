@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -47,6 +48,8 @@ def serve(
         test = load_test(folder)
         clear_parts(test)
         pairs = RenderedPairs(test, EngineRenderer(allow_code)) if has_staircase(test) else None
+        for change in pairs.changes() if pairs else ():
+            print(f"tonewood: {change}", file=sys.stderr, flush=True)
         application = ListeningServer(test, pairs).application(host, name or ())
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

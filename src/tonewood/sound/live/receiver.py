@@ -18,6 +18,15 @@ PERCUSSION = 10
 _LENGTHS = {0x80: 2, 0x90: 2, 0xA0: 2, 0xB0: 2, 0xC0: 1, 0xD0: 1, 0xE0: 2}
 
 
+def channel_message(message: Sequence[int]) -> bytes | None:
+    """Return a channel message without bytes after its end; None where it is another kind, incomplete or damaged."""
+    status = message[0] if message else 0
+    length = _LENGTHS.get(status & 0xF0) if 0x80 <= status < 0xF0 else None
+    if length is None or len(message) <= length or not all(0 <= byte <= 127 for byte in message[1 : length + 1]):
+        return None
+    return bytes(message[: length + 1])
+
+
 class MidiReceiver:
     """Plays MIDI messages on an instrument.
 
@@ -47,16 +56,15 @@ class MidiReceiver:
     def receive(self, message: Sequence[int]) -> None:
         """Take one message, as its bytes. Messages that are incomplete or of no use here are counted in `ignored`."""
         self.messages += 1
-        status = message[0] if message else 0
-        kind, number = status & 0xF0, status & 0x0F
-        if kind == 0xF0:
-            self.ignored["system exclusive" if status == 0xF0 else "system message"] += 1
+        if message and message[0] & 0xF0 == 0xF0:
+            self.ignored["system exclusive" if message[0] == 0xF0 else "system message"] += 1
             return
-        length = _LENGTHS.get(kind)
-        if length is None or len(message) <= length or max(message[1 : length + 1]) > 127:
+        whole = channel_message(message)
+        if whole is None:
             self.ignored["damaged message"] += 1
             return
-        a, b = message[1], message[2] if length == 2 else 0
+        kind, number = whole[0] & 0xF0, whole[0] & 0x0F
+        a, b = whole[1], whole[2] if len(whole) == 3 else 0
         if kind in (0x80, 0x90) and not self._is_played(number):
             if kind == 0x90 and b:
                 self.ignored[f"note of channel {number + 1}, left out (--tracks {number + 1} plays it)"] += 1

@@ -21,7 +21,7 @@ from tonewood.performance.score.note import Dropped
 from tonewood.sound.files.audio import decibels
 from tonewood.sound.files.inputs import InstrumentLike
 from tonewood.sound.live.instrument import Live
-from tonewood.sound.live.receiver import MidiReceiver
+from tonewood.sound.live.receiver import MidiReceiver, channel_message
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import Summary, silence
 from tonewood.support.whole_files import write_whole
@@ -63,9 +63,12 @@ class Take:
         self._encoded, self._n_encoded, self._frame = bytearray(), 0, 0
 
     def add(self, frame: int, message: Sequence[int]) -> None:
-        """Add a channel message that came before a frame; others are left out."""
-        if message and 0x80 <= message[0] < 0xF0:
-            self.messages.append((frame, bytes(message)))
+        """Add a channel message that came before a frame; others, and damaged ones, are left out.
+
+        Each byte of the file depends on those before: one that is missing or added would change all later messages.
+        """
+        if (whole := channel_message(message)) is not None:
+            self.messages.append((frame, whole))
 
     def save(self, path: str | os.PathLike[str], live: Live, frames: int) -> None:
         """Write a MIDI file, of a length in frames; whole or not at all, and again whenever there are more messages.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -64,7 +63,7 @@ def write_outputs(
     if "json" in formats:
         record = records.batch_record(manifest, rows, faults, notes)
         if plan.room is not None:
-            record["room_sha256"] = hashlib.sha256(plan.room.read_bytes()).hexdigest()
+            record["room_sha256"] = definition.room_sha256(plan.room)
         records.write_json(folder / records.RECORD_JSON, record)
     write_data_sheet(folder, _subject(manifest, files), [plan.identities[key] for key in renders])
     records.write_json(folder / manifest.output.key, records.key_of(manifest, groups, conditions))

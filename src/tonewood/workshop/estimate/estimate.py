@@ -138,6 +138,12 @@ def estimate(
     begun = search.render(search.start, notes)
     before = distance(zip(recorded, begun.main, strict=True))
     tested = [_tested(search, notes, recorded, begun, fold, iterations) for fold in folds]
+    search.keeps_loss = loss_is_unknown(tested)
+    if search.keeps_loss:
+        changes = ", ".join(f"{half.before.decays:.2f} to {half.after.decays:.2f}" for half in tested)
+        warnings.append(
+            f"the loss of the strings is kept: moved, it brings the decays of held-back notes farther off ({changes})"
+        )
     figures = search.with_strokes(search.fit(notes, recorded, begun, iterations), notes, recorded)
     final = search.render(figures, notes, all_outputs=True)
     figures = search.with_gains(figures, recorded, final, search.outputs[1:])
@@ -218,6 +224,11 @@ def alternating(notes: Sequence[Played]) -> tuple[tuple[int, ...], tuple[int, ..
     even = {pitch for i, pitch in enumerate(pitches) if i % 2 == 0}
     rows = [(i, p.recording.note in even) for i, p in enumerate(notes)]
     return tuple(i for i, is_even in rows if is_even), tuple(i for i, is_even in rows if not is_even)
+
+
+def loss_is_unknown(halves: Sequence[Half]) -> bool:
+    """Whether decays of held-back notes come farther off in every half: too few notes of a string tell its loss."""
+    return len(halves) > 0 and all(half.after.decays > half.before.decays for half in halves)
 
 
 def _tested(

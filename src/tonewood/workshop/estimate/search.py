@@ -76,7 +76,13 @@ class Search:
     ----------
     stage : with the instrument that is begun with.
     advance : called with the seconds of sound rendered since the last call.
+
+    Attributes
+    ----------
+    keeps_loss : whether the loss of strings stays as it is begun with.
     """
+
+    keeps_loss = False
 
     def __init__(self, stage: Stage, advance: Callable[[float], None] = lambda seconds: None):
         self.stage, self._advance = stage, advance
@@ -186,7 +192,7 @@ class Search:
             if not at:
                 continue
             rec, syn = (laws.rates_of([rows[i] for i in at]) for rows in (recorded, now))
-            if len(rec) >= laws.FEWEST and len(syn) >= laws.FEWEST:
+            if not self.keeps_loss and len(rec) >= laws.FEWEST and len(syn) >= laws.FEWEST:
                 values[name] = laws.moved(law, rec, syn)
             ratios = [recorded[i].b / now[i].b for i in at if now[i].b > 0 and recorded[i].b > 0]
             ratios = [r for r in ratios if 1 / _MOST_B < r < _MOST_B]

@@ -46,6 +46,7 @@ class ListeningTest:
     folder : of the batch, with sounds and answers.
     source : the manifest's folder.
     sha256 : of the definition's bytes; answers are given to one definition.
+    room_sha256 : of the room's impulse response; empty where there is none.
     """
 
     folder: Path
@@ -53,6 +54,7 @@ class ListeningTest:
     manifest: Manifest
     trials: tuple[ServedTrial, ...]
     sha256: str
+    room_sha256: str = ""
 
     @cached_property
     def pages(self) -> tuple[AnyPage, ...]:
@@ -70,7 +72,7 @@ class ListeningTest:
         """File of a code."""
         return self.folder / SOUNDS / f"{code}.wav"
 
-    @property
+    @cached_property
     def languages(self) -> list[str]:
         """Languages of the texts, that of the manifest first."""
         found = dict.fromkeys([self.manifest.language, *built_in_texts(), *self.manifest.texts])
@@ -119,10 +121,11 @@ def load_test(folder: Path) -> ListeningTest:
             ServedTrial(row["id"], row["page"] - 1, row["reference"], tuple(row["stimuli"]), row["drop_db"])
             for row in data["trials"]
         )
-        source, manifest = Path(data["folder"]), data["manifest"]
+        source, manifest, room = Path(data["folder"]), data["manifest"], str(data.get("room_sha256", ""))
     except (KeyError, TypeError) as fault:
         raise ListeningError(f"not a whole test: {fault}", file=path) from None
-    test = ListeningTest(folder, source, check_manifest(manifest, file=path), trials, hashlib.sha256(raw).hexdigest())
+    sha256 = hashlib.sha256(raw).hexdigest()
+    test = ListeningTest(folder, source, check_manifest(manifest, file=path), trials, sha256, room)
     unknown = sorted({key for words in test.manifest.texts.values() for key in words} - set(built_in_texts()["en"]))
     if unknown:
         raise ListeningError(f"texts: {unknown[0]} is not one of {', '.join(built_in_texts()['en'])}", file=path)

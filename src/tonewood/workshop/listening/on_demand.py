@@ -20,14 +20,14 @@ from tonewood.errors import NumericalError, OutputError
 from tonewood.support.units import decibel
 from tonewood.workshop.batch import stimuli as st
 from tonewood.workshop.batch.conditions import Condition, expand
-from tonewood.workshop.batch.definition import changed_condition, with_value
+from tonewood.workshop.batch.definition import changed_condition, room_sha256, with_value
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.batch.plan import StimulusRenderer
 from tonewood.workshop.batch.production import encoded_wav, levelled
 from tonewood.workshop.batch.runner import WORK
 from tonewood.workshop.batch.seeds import generator
 from tonewood.workshop.batch.store import Rendered, Store, content_key
-from tonewood.workshop.listening.definition import ListeningTest
+from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.session import CHANGED, STANDARD
 
 #: trials of which the sounds stay in memory
@@ -55,6 +55,10 @@ class RenderedPairs:
     ----------
     test : the definition.
     renderer : as for a batch.
+
+    Raises
+    ------
+    TonewoodError : the manifest's files cannot be used, or the room is not that of the batch.
     """
 
     def __init__(self, test: ListeningTest, renderer: StimulusRenderer):
@@ -66,9 +70,30 @@ class RenderedPairs:
                 found = found or expand(test.manifest, test.source)
                 self.conditions[index] = changed_condition(test.manifest, found, index)
         self._store = Store(test.folder / WORK)
+        self._room = None if test.manifest.stimuli.room is None else test.source / test.manifest.stimuli.room
+        if self._room is not None and test.room_sha256 and room_sha256(self._room) != test.room_sha256:
+            reason = "was changed after `tonewood batch`: staircases would sound in another room; restore it"
+            raise ListeningError(reason, file=self._room)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="staircase")
         self._pairs: OrderedDict[tuple[int, float], Future[PairOfSounds]] = OrderedDict()
         self._lock = threading.Lock()
+
+    def changes(self) -> list[str]:
+        """A line for each staircase whose sounds may differ from those of the batch.
+
+        Raises
+        ------
+        TonewoodError : a sound cannot be resolved any more.
+        """
+        reason = (
+            f"its sound of the batch is not in {self._store.folder}: the folder was cleared, or instrument, plugins, "
+            "version or machine are others than at `tonewood batch`, and levels are rendered with these"
+        )
+        return [
+            f"page {index + 1}: {reason}"
+            for index, condition in self.conditions.items()
+            if not self._store.has(content_key(self.renderer.identity(condition)))
+        ]
 
     def pair(self, page: int, level: float) -> PairOfSounds:
         """Sounds of page `page` (from 0) at a level; waits for them.
@@ -102,13 +127,12 @@ class RenderedPairs:
         page = self.test.manifest.pages[index]
         assert isinstance(page, StaircasePage)
         base, settings = self.conditions[index], self.test.manifest.stimuli
-        room = None if settings.room is None else self.test.source / settings.room
         standard = base if page.reference is None else with_value(self.test.manifest, base, page.path, page.reference)
         value = page.value(level, self.renderer.own_value(base, page.path))
         changed = with_value(self.test.manifest, base, page.path, value)
         made = {}
         for name, condition in ((STANDARD, standard), (CHANGED, changed)):
-            made[name] = levelled(self._rendered(condition), settings, room)
+            made[name] = levelled(self._rendered(condition), settings, self._room)
         peaks = [decibel(st.true_peak(sound)) for sound in made.values()]
         drop = st.page_drop_db(peaks, settings.loudness.true_peak_dbtp)
         length = max(map(len, made.values()))

@@ -369,7 +369,7 @@ def checked(page: AnyPage, step: Step, given: Mapping[str, Any]) -> dict[str, An
     if (shares := given.get("heard")) is not None:
         found["heard"] = _heard(page, step, _mapping(shares, "heard"))
     if comment := given.get("comment"):
-        found["comment"] = _text(comment, "comment")[:2000]
+        found["comment"] = _text(comment, "comment", 2000)
     if allowed := choices(page, step):
         choice = given.get("choice")
         if choice not in allowed:
@@ -431,7 +431,7 @@ def _questionnaire(page: QuestionnairePage, values: Mapping[str, Any]) -> dict[s
                 raise ListeningError("is missing", key=key)
             continue
         if question.kind == "text":
-            found[question.name] = _text(value, key)[:10_000]
+            found[question.name] = _text(value, key, 10_000)
         elif question.kind == "choice":
             if not isinstance(value, str) or value not in (question.choices or {}):
                 raise ListeningError(f"{value!r} is not one of {', '.join(question.choices or {})}", key=key)
@@ -448,9 +448,11 @@ def _mapping(value: Any, key: str) -> Mapping[str, Any]:
     return value
 
 
-def _text(value: Any, key: str) -> str:
+def _text(value: Any, key: str, most: int) -> str:
     if not isinstance(value, str):
         raise ListeningError("is no text", key=key)
+    if len(value) > most:  # cut off, a part of a confirmed answer would be lost
+        raise ListeningError(f"has {len(value)} characters, {most} are allowed", key=key)
     return value
 
 

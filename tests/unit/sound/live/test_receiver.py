@@ -185,6 +185,23 @@ def test_a_take_is_kept_while_it_is_recorded(monochord: tw.Instrument, tmp_path:
     assert [p.name for p in tmp_path.iterdir()] == ["take.mid"]
 
 
+@pytest.mark.parametrize(
+    "message",
+    [(0x90,), (0x90, 47), (0x90, 47, 200), (0x90, 300, 64), (0x90, -1, 64), (0xE0, 0), (47, 100), (0x190, 47, 64), ()],
+)
+def test_a_damaged_message_changes_no_other_of_the_take(
+    monochord: tw.Instrument, tmp_path: Path, message: tuple[int, ...]
+) -> None:
+    midi, take = receiver(monochord), Take(48000)
+    for frame, one in ((0, (0x90, 45, 90)), (10, message), (20, (0xC0, 5, 6, 7)), (30, (0x80, 45, 0, 1))):
+        midi.receive(one)
+        take.add(frame, one)
+    assert midi.ignored["damaged message"] == 1
+    take.save(tmp_path / "take.mid", midi.live, 40)
+    messages = [m.bytes() for m in mido.MidiFile(tmp_path / "take.mid").tracks[0] if not m.is_meta]
+    assert messages == [[0x90, 45, 90], [0xC0, 5], [0x80, 45, 0]]
+
+
 def test_a_replay_at_another_rate_says_so(monochord: tw.Instrument, tmp_path: Path) -> None:
     live, take = tw.Live(monochord, 44100, prepare=False), Take(44100)
     take.add(0, (0x90, 45, 90))

@@ -11,11 +11,14 @@ from tonewood.instrument.bundle.loading import Instrument
 from tonewood.sound.room import room_response
 from tonewood.workshop.estimate.analysis import analyse
 from tonewood.workshop.estimate.body_modes import FEWEST, body_modes, envelopes
-from tonewood.workshop.estimate.estimate import estimate
+from tonewood.workshop.estimate.distance import Distance
+from tonewood.workshop.estimate.estimate import Half, estimate, loss_is_unknown, placed_notes
 from tonewood.workshop.estimate.partials import Bands
+from tonewood.workshop.estimate.playing import Stage
 from tonewood.workshop.estimate.pluck import edge_for, scaled_forces
 from tonewood.workshop.estimate.recordings import FS, read_folder
 from tonewood.workshop.estimate.room import room_share
+from tonewood.workshop.estimate.search import Search
 
 OPEN = (82.41, 110.0, 146.83, 196.0, 246.94, 329.63)
 
@@ -84,6 +87,32 @@ def test_edges_between_those_tried_and_ranges_of_forces() -> None:
     low, high = scaled_forces((0.2, 5.0), 2.0)
     assert low * high == pytest.approx(1.0)
     assert high / low == pytest.approx(25.0**2)
+
+
+@pytest.mark.parametrize(("changes", "unknown"), [((), False), ((0.1, 0.2), True), ((0.1, -0.2), False)])
+def test_loss_is_kept_where_held_back_notes_say_so(changes, unknown) -> None:
+    none = np.nan
+    halves = [
+        Half((), (), *(Distance(none, none, decays, none, none, none, 1, 1) for decays in (1.5, 1.5 + by)), {}, {})
+        for by in changes
+    ]
+    assert loss_is_unknown(halves) is unknown
+
+
+def test_a_search_that_keeps_loss_moves_stiffness_alone(tmp_path) -> None:
+    changes = {"strings.A2.loss.eta_f": 4e-4, "strings.A2.bending_stiffness": 6e-5}
+    recorded(tmp_path, changes, [("A2", 0), ("A2", 5)], seconds=1.0)
+    stage = Stage(Instrument.load(GUITAR))
+    notes, _ = placed_notes(read_folder(tmp_path), stage)
+    analyses = [analyse(p.recording.samples, p.recording.freq, p.b, p.recording.freq_upper) for p in notes]
+    search = Search(stage)
+    start = search.render(search.start, notes)
+    moved = search.fit(notes, analyses, start, 1)
+    search.keeps_loss = True
+    kept = search.fit(notes, analyses, start, 1)
+    np.testing.assert_array_equal(kept.laws["A2"].values, search.start.laws["A2"].values)
+    assert np.any(moved.laws["A2"].values != search.start.laws["A2"].values)
+    assert kept.bending["A2"] == moved.bending["A2"] != search.start.bending["A2"]
 
 
 @pytest.mark.slow

@@ -9,17 +9,22 @@ import socket
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import listening_fakes as fakes
+import numpy as np
 import pytest
+import soundfile
 from listening_fakes import request
 
 from tonewood.errors import OutputError, TonewoodError
+from tonewood.workshop.batch.manifest import ManifestError
+from tonewood.workshop.listening import definition
 from tonewood.workshop.listening import server as server_module
 from tonewood.workshop.listening.answer_file import answers_of
-from tonewood.workshop.listening.definition import ListeningTest
+from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.on_demand import RenderedPairs
 from tonewood.workshop.listening.server import ListeningServer
 from tonewood.workshop.web import requests
@@ -390,3 +395,40 @@ def test_levels_that_differ_in_their_thirteenth_decimal_have_sounds_of_their_own
         assert first is not second
     finally:
         pairs.close()
+
+
+def test_a_staircase_is_not_served_with_other_sounds_than_its_batch(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    room = tmp_path / "in" / "room.wav"
+    soundfile.write(room, np.array([1.0, 0.5]), 48000)
+    test = fakes.made(tmp_path, [fakes.STAIRS], stimuli={"room": "room.wav"})
+    pairs = RenderedPairs(test, fakes.fakes.FakeRenderer())
+    assert pairs.changes() == []
+    pairs.close()
+    pairs = RenderedPairs(test, fakes.fakes.FakeRenderer(version="2"))
+    (line,) = pairs.changes()
+    assert line.startswith("page 1: its sound of the batch is not in ")
+    pairs.close()
+    soundfile.write(room, np.array([1.0, -0.5]), 48000)
+    with pytest.raises(ListeningError, match=r"room\.wav: was changed after `tonewood batch`"):
+        RenderedPairs(test, fakes.fakes.FakeRenderer())
+    room.unlink()
+    with pytest.raises(ManifestError, match=r"room\.wav: stimuli\.room: cannot be read"):
+        RenderedPairs(test, fakes.fakes.FakeRenderer())
+
+
+def test_languages_are_not_read_once_for_each_wish(test: ListeningTest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A body of 60 000 bytes can hold 30 000 wishes; while they are read nobody else is served."""
+    calls = 0
+    read = definition.built_in_texts
+
+    def counted() -> dict[str, dict[str, str]]:
+        nonlocal calls
+        calls += 1
+        return read()
+
+    monkeypatch.setattr(definition, "built_in_texts", counted)
+    application = ListeningServer(replace(test)).application()
+    session = begun(application, language="x," * 2000 + "de")
+    assert json.loads(request(application, "GET", session)[2])["type"] == "consent"
+    assert calls < 10

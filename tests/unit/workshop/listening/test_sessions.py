@@ -127,6 +127,7 @@ def test_texts_are_in_the_listener_s_language(test_of_all: ListeningTest) -> Non
         ("level", {"spl_db": None}, "spl_db: None is not a number from 0 to 130"),
         ("mushra", {"ratings": {"A": 1}}, "ratings.B: None is not a number from 0 to 100"),
         ("mushra", {"ratings": "x"}, "ratings: is no mapping"),
+        ("mushra", {"comment": "\u00e9" * 2001}, "comment: has 2001 characters, 2000 are allowed"),
         ("bs1116", {"ratings": {"A": 3, "B": 4}}, "ratings: one of the two is the reference: its grade is 5.0"),
         ("abx", {"choice": "C"}, "choice: 'C' is not one of A, B, undecided"),
         ("ab", {"choice": "A"}, "choice: 'A' is not one of same, different"),

@@ -373,7 +373,7 @@ function rated(low, high, stepSize, words, kind) {
     box.append(make("div", { class: "slider" }, soundButton(slot), input, shown));
   }
   main.append(box);
-  const comment = make("textarea", { rows: 2, value: draft.read().comment || "" });
+  const comment = make("textarea", { rows: 2, maxLength: 2000, value: draft.read().comment || "" });
   comment.addEventListener("input", () => draft.write({ comment: comment.value }));
   main.append(make("label", { class: "field" }, make("span", {}, texts.comment), comment));
   return () => {
@@ -437,7 +437,7 @@ function fields(questions) {
       return [() => (input.classList.contains("unset") ? null : Number(input.value)), input];
     }
     const input = make("input", { type: question.kind === "number" ? "number" : "text", name: question.name, step: "any",
-      value: kept === undefined ? "" : kept });
+      maxLength: 10000, value: kept === undefined ? "" : kept });
     const read = () => (input.value === "" ? null : question.kind === "number" ? Number(input.value) : input.value);
     input.addEventListener("input", () => keep(question.name, read() ?? ""));
     main.append(make("label", { class: "field" }, label, input));
