@@ -89,7 +89,7 @@ def run_page(page: Path, folder: Path, whole: bool) -> dict[str, Any]:
         if block.marker == "not run" or (block.marker == "run in full" and not whole):
             continue
         if block.language == "python":
-            exec(compile(block.text, str(page), "exec"), scope)
+            exec(compile(block.text, str(page), "exec", dont_inherit=True), scope)
         elif block.language == "sh":
             for words in commands(block):
                 if words[0] == "tonewood":

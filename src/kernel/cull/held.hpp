@@ -1,7 +1,7 @@
-// States in which the means of known forces would hold a component.
+// Static states of components under the means of their known forces.
 //
-// A known force of mean f holds the modes at (I - E)^-1 W f. The motion about that state is bounded instead of the
-// whole one: a string that is drawn aside slowly moves little about it, however far the force draws it.
+// A constant force f holds the modes at (I - E)^-1 W f. Bounds are put on the motion about that state, not on the whole
+// motion: a string that is displaced slowly moves little about it, however large the displacement.
 #pragma once
 
 #include <deque>
@@ -15,8 +15,8 @@ class HeldStates {
 public:
     explicit HeldStates(Block& block) : block_(block), states_(block.model.components.size()) {}
 
-    // Counts the state of component i from where the means of its known forces over the block would hold it. Returns a
-    // bound on the change of its norm by the deviations from the means.
+    // Subtracts from the state of component i its static state under the mean forces of the block. Returns a bound on the
+    // change of its norm by the deviations of the forces from their means.
     double begin_block(int i) {
         const Component& c = block_.model.components[i];
         const std::size_t n = c.n;
@@ -37,7 +37,7 @@ public:
         return added;
     }
 
-    // The modes counted from there, and contact rows there.
+    // The modes relative to the static state, and the contact rows of the static state.
     const double* x(int i) const { return block_.inputs[i].empty() ? block_.x(i) : states_[i].modes.data(); }
     const double* y(int i) const {
         return block_.inputs[i].empty() ? block_.y(i) : states_[i].modes.data() + block_.model.components[i].n;
@@ -51,7 +51,7 @@ private:
     struct Held {
         const double* vector;
         Array<double> modes, rows;  // per newton
-        double norm;                // of the state that one step of one newton gives
+        double norm;                // of the state after one step under one newton
         bool exists;                // no mode drifts under the force
     };
 

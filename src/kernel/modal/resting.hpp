@@ -1,5 +1,5 @@
-// Components at rest that nothing can move: their linear connections are their own (a plane of motion whose end is
-// rigid), no law and no known force acts on them. They stay at rest exactly and are not stepped.
+// Components at rest on which no nonlinear law and no known force acts, and whose linear connections join no other
+// component (a plane of motion with a rigid end). They stay exactly at rest and are not stepped.
 #pragma once
 
 #include <algorithm>

@@ -1,10 +1,10 @@
-"""A room about the instrument: impulse responses, and their convolution with a sound; not measured with it.
+"""Reverberation: impulse responses of rooms, computed or from a file, and their convolution with a sound.
 
 ``studio``, ``small`` and ``hall`` are boxes whose image sources `pyroomacoustics` sums (J. B. Allen and D. A. Berkley,
-J. Acoust. Soc. Am. 65 (1979) 943), with one absorption for all walls after Sabine. A sound file holds a response of
-its own. Either begins with its direct sound, which has a gain of 1: the room only adds. In a box the reverberation
-re the direct sound depends on the distance: both are equally strong where 16 pi d^2 is the room's absorption,
-0.161 V / T60 after Sabine, thus at d = 0.057 sqrt(V / T60) (m, m^3, s).
+J. Acoust. Soc. Am. 65 (1979) 943), with one absorption for all walls after Sabine. A sound file can give another
+response. Each response begins with the direct sound at a gain of 1, so the room only adds to it. In a box the
+reverberation re the direct sound depends on the distance: both are equally strong where 16 pi d^2 is the room's
+absorption, 0.161 V / T60 after Sabine, thus at d = 0.057 sqrt(V / T60) (m, m^3, s).
 """
 
 from __future__ import annotations

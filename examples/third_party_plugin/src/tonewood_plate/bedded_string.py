@@ -1,8 +1,9 @@
-"""A string on a bed of soft rubber that stiffens with the third power of its motion.
+"""A string on a bed of soft rubber whose force grows with the third power of the displacement.
 
     V = k/4 int_0^L (u_y^2 + u_z^2)^2 dx,
 
-beside the energy of a string under tension. A loud note is sharp and glides down; both planes push the same rubber.
+in addition to the energy of a string under tension. A loud note starts sharp and glides down. Both planes act on the
+same rubber.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ class BeddedStringParameters(ta.Parameters):
     tension: float = ta.quantity("N", low=0.1, high=5000.0, doc="tension before tuning")
     linear_density: float = ta.quantity("kg/m", low=1e-5, high=0.1, doc="mass per length")
     t60: float = ta.quantity("s", low=0.01, high=100.0, doc="time in which each partial falls by 60 dB")
-    bed: float = ta.quantity("N/m^4", low=0.0, high=1e14, doc="k, force per length and third power of the motion")
+    bed: float = ta.quantity("N/m^4", low=0.0, high=1e14, doc="k, force per length and cubed displacement")
 
 
 class Bed(ta.PotentialEnergy):

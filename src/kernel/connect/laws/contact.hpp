@@ -1,4 +1,5 @@
-// Contact that pushes one way.
+// One-sided contact K p^n (1 + loss p'), by the discrete gradient of its potential; the equations are in
+// tonewood.physics.coupling.laws.contact.
 #pragma once
 
 #include "base.hpp"

@@ -1,4 +1,4 @@
-"""Geometry of a string's stops: the pitch of each, and where on the string it lies."""
+"""Nominal pitch and position of each stop of a string; `string_tuning` finds its tension."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from tonewood.instrument.model.string_setup import Stopping
 class StopTable:
     """Pitch, place and length of a string at its stops; those of whole stops are computed once.
 
-    A stop lies where the ideal string sounds its pitch: x = L (1 - f_0 / f), from the nut. Over real frets it lies
-    where the string, hinged there, speaks as the fretted one does.
+    A stop is at x = L (1 - f_0 / f) from the nut, where the ideal string sounds its pitch. Over real frets it is where
+    a string hinged at the stop has the pitch of the fretted string.
 
     Attributes
     ----------

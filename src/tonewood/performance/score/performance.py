@@ -1,4 +1,4 @@
-"""MIDI messages in time order, on sixteen channels, to notes with an end, and controls."""
+"""Turn MIDI messages in time order, on sixteen channels, into notes with an end, and controls."""
 
 from __future__ import annotations
 

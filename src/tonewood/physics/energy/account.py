@@ -4,10 +4,10 @@ For every step of a run
 
     residual = [stored after] - [stored before] - [work of known forces] + [dissipated] - [booked].
 
-The terms are found apart from each other: stored energy from the states, dissipation and work in closed form from the
+The terms are computed independently: stored energy from the states, dissipation and work in closed form from the
 state a step begins with and the forces over it (`physics.energy.forms`), losses of connections from their laws
 (`physics.energy.laws`). Whoever changes the energy between two steps (a string stopped, bent or joined anew) books
-the change. So the residual is rounding, or a mistake.
+the change. A residual above rounding is therefore an error.
 
 Components that are driven one way (microphones) carry no energy of the instrument and are left out. Sound has
 an entry ``COMPONENT.sound`` of its own where a basis says which share of each mode's loss is radiated.

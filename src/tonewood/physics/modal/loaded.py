@@ -1,4 +1,4 @@
-"""A component with masses, springs and dashpots fixed to it: the modes of the whole.
+"""Modes of a component with masses, springs and dashpots fixed to it.
 
 At points a = P y of a component x' = A x + B f, y = C x, lumps pull with
 
@@ -8,9 +8,9 @@ so that with a'' = P C A^2 x + P C A B f the component obeys x' = (A - B G) x + 
 
     G = (1 + M P C A B P^T)^-1 P (K C + D C A + M C A^2),    N = (1 + M P C A B P^T)^-1 M P C A B.
 
-A force makes no velocity jump, C B = 0, as in everything that has mass. The mobility is that of both in parallel,
-Y - Y_a (1/Z + Y_aa)^-1 Y_a, where a single mass m is Y / (1 + i omega m Y). A passive component with such lumps is
-passive. The modes are complex where damping couples them.
+A finite force causes no jump of velocity: C B = 0. With Z the impedance of the lumps the mobility becomes
+Y - Y_a (1/Z + Y_aa)^-1 Y_a; for a single mass m, at the mass, Y / (1 + i omega m Y). A passive component with such
+lumps is passive. The modes are complex where damping couples them.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ _WORST = 1e12
 def loaded(basis: ModalBasis, rows: ArrayLike, mass: ArrayLike, damping: ArrayLike, stiffness: ArrayLike) -> ModalBasis:
     """Fix lumps to a component.
 
-    A residual compliance R is taken for modes at 1000 times the highest frequency, whose share of the motion at the
-    highest is right within 1e-6. A lump with a mass lies on R, a spring or a dashpot alone acts on the modes alone, as
+    A residual compliance R is represented by modes at 1000 times the highest frequency, with an error of 1e-6 of its
+    motion there. A lump with a mass is in series with R; a spring or a dashpot without mass acts on the modes only, as
     in `physics.coupling.connections`.
 
     Parameters

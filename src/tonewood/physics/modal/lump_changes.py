@@ -1,4 +1,4 @@
-"""How the modes of a component change as a mass, a spring or a dashpot at one of its points grows."""
+"""Derivatives of the modes of a component by a mass, a spring or a dashpot at one of its points."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ def lump_change(
         lambda_k' = -(r_a l_a)_k z(lambda_k),    H_pp' = -H_pa z H_ap,    H_pa = sum_k r_p l_a / (s - lambda_k) + R
 
     The residue's derivative is the coefficient of 1 / (s - lambda_k) in H_pp', by expansion in all modes. Of poles that
-    coincide one moves, by the sum of their r_a l_a; terms between them are in halves, as their residues count together.
+    coincide only one moves, by the sum of their r_a l_a; the terms between them are halved, because their residues add
+    up.
 
     Parameters
     ----------

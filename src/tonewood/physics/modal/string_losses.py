@@ -1,8 +1,9 @@
-"""Loss of a string's modes from the law of its partials: at another tension, and for modes of one's own.
+"""Damping rates of a string's modes such that its partials decay by a loss law: after retuning, and for any real modes.
 
-A law is measured on partials between fixed ends. Modes with the bridge end free have rates of their own, with which the
-partials, mixtures of these modes, decay by the law (`string_modes.loss_rates`). Rates that the law gives at the modes'
-own frequencies are others: the partials then miss the law by 4 to 19 % at the first ones.
+The laws themselves are plugins (base class `tonewood.instrument.contract.losses.Loss`, built-in ones in
+``plugins/loss_laws.py``). A law holds for partials between fixed ends, and these are mixtures of the modes with the
+bridge end free. The rates of the modes are therefore solved for (`string_modes.loss_rates`). The law evaluated at the
+modes' own frequencies would give the first partials decay rates that are 4 to 19 % off.
 """
 
 from __future__ import annotations
@@ -26,8 +27,9 @@ def string_detuned(basis: ModalBasis, tension: float, loss: Callable[[Floats, Fl
 
         omega^2 = T a_k + EI b_k,      s_k(T) = s_k sigma(omega(T), k, T) / sigma(omega, k, T0)
 
-    Shapes stay; each mode's rate goes as the law goes from its old frequency to its new one, so that partials go on to
-    follow the law: exactly if it is a power of the frequency, within some 0.6 % over 200 cents for the laws of strings.
+    Shapes stay. Each mode's rate is scaled by the ratio of the law at its new and its old frequency, so that the
+    partials still follow the law: exactly if it is a power of the frequency, within some 0.6 % over 200 cents for the
+    laws of strings.
 
     Parameters
     ----------

@@ -8,13 +8,13 @@ Fixed-base modes sin(n pi x / L), n = 1 .. N, and one constraint mode, the stati
 
     M = [[mu L / 3, b^T], [b, mu L / 2]],  b_n = mu L / (n pi),      K = diag(T / L, L/2 (T k_n^2 + EI k_n^4)),
 
-and its N + 1 modes are those of the string with its bridge end free. Unlike modes cos((2n - 1) pi x / 2L), whose
-slope at the bridge is zero, they converge at once: a body joined to them meets the string's true end impedance.
+and its N + 1 modes are those of the string with its bridge end free. Modes cos((2n - 1) pi x / 2L) have zero slope at
+the bridge and converge slowly; these converge fast, because the ramp gives a body the string's true end impedance.
 
-Loss. A law gives the decay rate of the partials between *fixed* ends, sigma_n: so strings are measured, and the end on
-a bridge is nearly fixed. Fixed-end partial n is a mixture of the free-end modes k, with shares P_nk of its
-mass (rows sum to 1), so that to first order in the loss it decays at sum_k P_nk s_k. Rates s_k = sigma(omega_k) would
-give another law: a mean over the neighbours n +- 1/2 and a long tail, 19 % too low at n = 1 if eta is constant.
+Loss. A law gives the decay rate sigma_n of the partials between *fixed* ends, because strings are measured in this way
+and the end on a bridge is nearly fixed. Fixed-end partial n is a mixture of the free-end modes k, with shares P_nk of
+its mass (rows sum to 1), so that to first order in the loss it decays at sum_k P_nk s_k. Rates s_k = sigma(omega_k)
+would not reproduce the law but average it over n +- 1/2 and a long tail: 19 % too low at n = 1 if eta is constant.
 Therefore s_k >= 0 is found from sum_k P_nk s_k = sigma_n (`loss_rates`). The modes stay real, so the string is passive
 whatever the law, and so is any part of its modes.
 """

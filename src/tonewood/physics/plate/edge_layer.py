@@ -1,13 +1,13 @@
-"""Layer of shear along a free edge of a plate.
+"""Shear layer along a free edge of a plate.
 
-Kirchhoff's plate lets its twisting moment end abruptly at a free edge. In a plate that shears, the strain gamma_t along
-the edge falls off from it as exp(-d / delta), d the distance from the edge,
+In a Kirchhoff plate the twisting moment ends abruptly at a free edge. In a plate with shear deformation the strain
+gamma_t along the edge decays as exp(-d / delta) with the distance d from the edge,
 
     delta = sqrt(h^2 G_tn / (12 k G_tz)),
 
-0.32 h of an isotropic plate. Cells are much wider; so gamma_t = g(s) exp(-d / delta) is sought besides, g a spline of
-the place s on the edge. It is Saint-Venant's correction of a strip in torsion, J = b h^3 / 3 (1 - 2 delta / b): it
-lowers the first mode of a free top 217 mm wide and 4 mm thick by 0.6 %.
+0.32 h for an isotropic plate. Cells of the grid are much wider, so gamma_t = g(s) exp(-d / delta) is added as an
+unknown, g a spline of the position s along the edge. This agrees with Saint-Venant's correction of a strip in torsion,
+J = b h^3 / 3 (1 - 2 delta / b): it lowers the first mode of a free top 217 mm wide and 4 mm thick by 0.6 %.
 
 Sides between corners have functions of their own; in a corner the layers of both sides overlap. The curvature of a side
 is left out.

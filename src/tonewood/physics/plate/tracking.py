@@ -1,7 +1,7 @@
-"""Modes of a body that changes in small steps, each followed by its shape.
+"""Track the modes of a body by their shapes while the body changes in small steps.
 
-Modes of different symmetry pass each other without a gap, and close ones veer: the n-th frequency of a list is then
-another mode than it was a step before.
+Modes of different symmetry cross, and close ones veer. The n-th frequency of a list can then belong to another mode
+than it did one step before.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ Floats = NDArray[np.float64]
 def followed(steps: Sequence[BodyModes], count: int) -> Floats:
     """(steps, count) Hz: frequencies of the first step's first modes, in all steps.
 
-    From one step to the next modes are paired so that the correlations |u v| / |u| |v| of the volumes they displace add
-    up to the most.
+    From one step to the next, modes are paired so that the sum of the correlations |u v| / |u| |v| of the volumes that
+    they displace is largest.
     """
     from scipy.optimize import linear_sum_assignment
 

@@ -1,4 +1,7 @@
-"""MIDI messages to calls of `Live`; `performance.score.channels` knows ranges of bends and the zones of MPE."""
+"""Turn live MIDI messages into calls of `Live`.
+
+`performance.score.channels` knows the ranges of bends and the zones of MPE.
+"""
 
 from __future__ import annotations
 

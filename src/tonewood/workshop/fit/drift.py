@@ -13,7 +13,7 @@ Complexes = NDArray[np.complex128]
 
 #: share of a record, its end, in which a body is nearly silent; least share before the hit that shows a slope
 _TAIL, _BEFORE = 0.1, 0.01
-#: standard deviations beyond which a drift is one; least drift of a zero re the peak of its channel
+#: standard deviations above which a drift is significant; least drift of a zero re the peak of its channel
 _SURE, _LEAST_ZERO = 5.0, 1e-3
 #: bins over which the variance of hits is smoothed; rounds in which frequencies are brought together
 _SMOOTHED, _ROUNDS = 31, 4
@@ -29,7 +29,7 @@ class Spectra:
     ----------
     freq : (N,) Hz.
     force, motion : (n_hits, N) and (n_hits, P, N).
-    force_slope, motion_slope : the same by frequency, per Hz, if time began at the hit.
+    force_slope, motion_slope : their derivatives by frequency, per Hz, with time counted from the hit.
     """
 
     freq: Floats

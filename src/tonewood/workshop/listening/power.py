@@ -9,8 +9,8 @@ sounds are a random sample, they are drawn, too, and the analysis is the quasi-F
 *Ordinal scales*: answers are drawn one by one, cut off at the ends of the scale, and the shares of comparisons are
 tested, which the report's sentence states. *Paired comparisons*:
 listeners' choices, tested by the Bradley-Terry interval. *Right answers*: the exact binomial test of a pair over all
-cells, one-sided, whose power is a sum and needs no simulation; listeners are taken for alike. *Staircases*: listeners
-take it trial by trial; power is the share of experiments in which the interval of the mean threshold excludes a
+cells, one-sided, whose power is a sum and needs no simulation; listeners are assumed alike. *Staircases*: listeners
+are simulated trial by trial; power is the share of experiments in which the interval of the mean threshold excludes a
 threshold that is `margin` away.
 """
 

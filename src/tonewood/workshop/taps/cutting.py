@@ -1,4 +1,4 @@
-"""Where taps begin in a recording, and how long each rings."""
+"""Find the onset of each tap in a recording, and how long each rings."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from tonewood.errors import TonewoodError
 
 Floats = NDArray[np.float64]
 
-#: s, a block of the level; blocks that a rise is measured over
+#: s, block over which the level is taken; blocks over which its rise is measured
 _BLOCK, _BEFORE = 2e-3, 8
 #: rise of the level that is a tap, as a ratio of powers (12 dB), and least power of one re the strongest (-30 dB)
 _RISE, _WEAKEST = 16.0, 1e-3
-#: s after the onset when hand and body are apart; s that a tap has to ring for at least
+#: s after the onset until hand and body are apart; shortest ringing of a tap that is used, s
 CONTACT, SHORTEST = 5e-3, 0.1
-#: s that are analysed, at least where the next tap is not nearer, and at most
+#: shortest (unless the next tap comes earlier) and longest time that is analysed, s
 LEAST, MOST = 0.25, 4.0
 #: s, block of the ring-out; ratio of power to that of the noise at which a tap has decayed
 _SLOW, _DECAYED = 0.02, 2.0
-#: Hz, below which is handling noise
+#: Hz, below this is handling noise
 _RUMBLE = 30.0
 #: samples in a row at full scale that are clipped
 _CLIPPED = 3

@@ -1,4 +1,4 @@
-"""Frequencies and Q of what rings, from several taps at once."""
+"""Frequencies and Q of modes, with their intervals, from several taps at once."""
 
 from __future__ import annotations
 
@@ -64,16 +64,16 @@ class Peak:
 
 @one_blas_thread
 def ringing(taps: Sequence[Floats], fs: float, band: tuple[float, float] = (50.0, 1000.0)) -> list[Peak]:
-    """Frequencies, Q and their intervals of what rings after taps.
+    """Estimate frequencies and Q of the modes that ring after taps, with their intervals.
 
-    After the contact x(t) = Re sum_k c_k exp(p_k t). The transform of T seconds, at bins n / T, has the same poles
+    After the contact, x(t) = Re sum_k c_k exp(p_k t). The transform of T seconds, at bins n / T, has the same poles
 
         X(s) = sum_k c_k (1 - exp(p_k T)) / (2 (s - p_k)) + conjugates,
 
-    whether or not the sound has ended: nothing leaks. Poles are common to all taps, residues are each tap's own.
+    whether or not the sound has ended, so there is no leakage. All taps share the poles; each has its own residues.
 
-    A body that is held is no linear one to the last: a support slips between taps, damping depends on amplitude. No
-    mode is sought for errors below 10 %, and one whose own part is less than 0.35 of the level at its frequency (r.m.s.
+    A body on supports is not exactly linear: a support slips between taps, and damping depends on amplitude. No mode is
+    added to explain errors below 10 %. A mode whose own part is less than 0.35 of the level at its frequency (r.m.s.
     of the taps) is the misfit of its neighbour's skirt: the others are fitted without it.
 
     Parameters
