@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from tonewood.errors import NumericalError, OutputError
+from tonewood.errors import NumericalError, OutputError, TonewoodError
 from tonewood.support.units import decibel
 from tonewood.workshop.batch import stimuli as st
 from tonewood.workshop.batch.conditions import Condition, expand
