@@ -16,7 +16,7 @@ MOST_MODES = 400
 
 
 def differences(model: Model, start: Model) -> list[str]:
-    """Return what differs from the start, in words: the strongest modes that moved, and open strings.
+    """Return what differs from the start, in words: strongest modes moved or without a counterpart, open strings.
 
     Parameters
     ----------
@@ -25,10 +25,12 @@ def differences(model: Model, start: Model) -> list[str]:
     """
     lines: list[str] = []
     before, after = body_modes(start)[:MOST_MODES], body_modes(model)[:MOST_MODES]
-    moved = []
+    moved, alone = [], []
     for match in match_modes([before, after]):
         a, b = match.modes
-        if a is not None and b is not None and _differ(a, b):
+        if a is None or b is None:
+            alone += [(mode, words) for mode, words in ((a, "of the start"), (b, "of the design")) if mode is not None]
+        elif _differ(a, b):
             moved.append((a, b))
     # highest peaks of the mobility first
     for a, b in sorted(moved, key=lambda pair: -pair[0].residue * pair[0].q / pair[0].freq)[:3]:
@@ -37,6 +39,10 @@ def differences(model: Model, start: Model) -> list[str]:
             f"body mode {a.freq:.1f} → {b.freq:.1f} Hz ({cents(b.freq / a.freq):+.0f} cents), "
             f"Q {a.q:.0f} → {b.q:.0f}, at the bridge {level:+.1f} dB"
         )
+    alone.sort(key=lambda pair: -pair[0].residue * pair[0].q / pair[0].freq)
+    lines += [f"mode {words} at {mode.freq:.1f} Hz has no counterpart" for mode, words in alone[:3]]
+    if len(alone) > 3:
+        lines.append(f"{len(alone) - 3} weaker modes have no counterpart")
     lost, more = len(before), len(after)
     if lost != more:
         lines.append(f"modes of the body: {lost} → {more}")

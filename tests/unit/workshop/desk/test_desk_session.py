@@ -13,7 +13,7 @@ from tonewood.cli.main import run
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.overrides import parse_assignment
 from tonewood.instrument.contract.base import Body
-from tonewood.workshop.desk.differences import wolf_words
+from tonewood.workshop.desk.differences import differences, wolf_words
 from tonewood.workshop.desk.knobs import acts_at_once, groups, knobs, same_strings_and_body, span
 from tonewood.workshop.desk.phrase import phrase
 from tonewood.workshop.desk.session import MOST_CHANGES, MOST_SNAPSHOTS, DeskSession, assignment
@@ -229,3 +229,13 @@ def test_mobility_and_shapes_are_those_of_two_modes() -> None:
 def test_bodies_declare_no_preview_unless_they_need_one() -> None:
     assert dict(Body.preview) == {}
     assert dict(type(tw.load_instrument("drawn_guitar").body).preview) == {"fmax": 1000.0, "cell": 0.04}
+
+
+def test_modes_without_a_counterpart_are_said() -> None:
+    """Modes that no mode of the other design pairs with, of the start and of the design."""
+    from tonewood.instrument.model.assembly import assemble
+
+    start, other = (assemble(tw.load_instrument(name), 48000.0) for name in ("monochord", "classical_guitar"))
+    said = [line for line in differences(other, start) if line.endswith("no counterpart")]
+    assert said
+    assert not [line for line in differences(start, start) if "counterpart" in line]
