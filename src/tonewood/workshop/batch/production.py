@@ -18,6 +18,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from tonewood.errors import TonewoodError
+from tonewood.support.sound_rates import read_samples
 from tonewood.support.whole_files import whole_file
 from tonewood.workshop.batch import stimuli as st
 from tonewood.workshop.batch import trimming
@@ -221,8 +222,7 @@ def room_response(path: Path, settings: Stimuli) -> st.Samples:
     import soundfile
 
     try:
-        with path.open("rb") as stream:
-            samples, fs = soundfile.read(stream, dtype="float64", always_2d=True)
+        samples, fs = read_samples(path)
     except OSError as fault:
         raise st.StimulusError(f"cannot be read: {fault.strerror or fault}", file=path) from None
     except soundfile.LibsndfileError as fault:

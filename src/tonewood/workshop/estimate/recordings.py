@@ -234,6 +234,8 @@ def _read(path: Path, row: Recording) -> tuple[Recording, list[str]]:
             samples = file.read(int(_LONGEST * fs), dtype="float64", always_2d=True)
     except (sf.LibsndfileError, RuntimeError, OSError) as fault:
         raise TonewoodError(f"cannot be read: {str(fault).splitlines()[0]}", file=path.name) from None
+    if row.note > 127 or (row.note < 0 and row.stop is None):
+        raise TonewoodError(f"is of note {row.note}; 0 to 127 are allowed", file=path.name)
     if not len(samples) or not np.all(np.isfinite(samples)):
         raise TonewoodError("holds no finite samples", file=path.name)
     check_rate(fs, path.name)

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.contract.files import Files
+from tonewood.support.sound_rates import read_samples
 from tonewood.workshop.fit.arrays import (
     UNNAMED,
     Pair,
@@ -460,7 +461,7 @@ def _wav_hit(path: Path, reading: Reading) -> _Hit:
     import soundfile as sf
 
     try:
-        samples, fs = sf.read(str(path), dtype="float64", always_2d=True)
+        samples, fs = read_samples(path)
     except (sf.LibsndfileError, OSError) as fault:
         raise TonewoodError(f"is no sound file: {str(fault)[:_LONGEST]}", file=path) from None
     if not len(samples):

@@ -72,11 +72,21 @@ class Taps:
         ------
         TonewoodError : there is no tap; the message says why those recorded were left out.
         """
+        samples = self.usable()
+        n = round(min(max(self.ring_out, LEAST), MOST) * self.fs)
+        n = min(n, *(x.size for x in samples))
+        return [x[:n] for x in samples]
+
+    def usable(self) -> tuple[Floats, ...]:
+        """Return the taps' samples.
+
+        Raises
+        ------
+        TonewoodError : there is no tap; the message says why those recorded were left out.
+        """
         if not self.samples:
             raise TonewoodError(f"no tap can be used: {'; '.join(self.left_out[:2])}", key="FILES")
-        n = round(min(max(self.ring_out, LEAST), MOST) * self.fs)
-        n = min(n, *(x.size for x in self.samples))
-        return [x[:n] for x in self.samples]
+        return self.samples
 
 
 def cut_taps(samples: Floats, fs: float, name: str = "recording", full_scale: float = 1.0) -> Taps:

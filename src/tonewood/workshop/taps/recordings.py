@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import OutputError, TonewoodError
-from tonewood.support.sound_rates import check_rate
+from tonewood.support.sound_rates import check_rate, read_samples
 from tonewood.workshop.taps.cutting import Taps, cut_taps
 
 Floats = NDArray[np.float64]
@@ -51,7 +51,7 @@ def _samples(path: Path, channel: int) -> tuple[Floats, float]:
     if not path.is_file():
         raise TonewoodError("is not there", file=path)
     try:
-        samples, fs = sf.read(str(path), dtype="float64", always_2d=True)
+        samples, fs = read_samples(path)
     except (sf.LibsndfileError, OSError) as fault:
         raise TonewoodError(f"is no sound file: {str(fault).splitlines()[0][:_LONGEST]}", file=path) from None
     if not len(samples):

@@ -54,7 +54,7 @@ def read_peaks(paths: Sequence[Path], band: tuple[float, float]) -> list[BoardPe
 
 def _taps(paths: Sequence[Path], band: tuple[float, float]) -> list[BoardPeak]:
     taps = read_taps(paths)
-    return [BoardPeak(peak.freq, peak.error, peak.quality) for peak in strongest(taps.samples, taps.fs, band)]
+    return [BoardPeak(peak.freq, peak.error, peak.quality) for peak in strongest(taps.usable(), taps.fs, band)]
 
 
 def _table(path: Path) -> list[BoardPeak]:

@@ -193,3 +193,13 @@ def test_a_rate_that_no_recording_has_is_one_line(tmp_path, monkeypatch, capsys,
     out, err = capsys.readouterr()
     assert (ended.value.code, out, err.count("\n")) == (2, "", 1)
     assert f"A3.wav: has {rate} samples a second; 8000 to 400000 are allowed" in err
+
+
+@pytest.mark.parametrize("name", ["999", "C12", "C-3"])
+def test_a_note_beyond_all_keys_is_left_out(tmp_path, name: str) -> None:
+    """Its frequency would lie above half of the rate, or far below what is heard."""
+    for stem in ("A3", name):
+        sf.write(tmp_path / f"{stem}.wav", 0.3 * np.sin(np.arange(FS) * 2 * np.pi * 220 / FS), FS)
+    folder = read_folder(tmp_path)
+    assert [r.note for r in folder.recordings] == [57]
+    assert any(f"left out: {name}.wav: is of note" in w and "0 to 127 are allowed" in w for w in folder.warnings)

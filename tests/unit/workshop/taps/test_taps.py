@@ -282,6 +282,44 @@ def test_lost_samples_end_a_recording():
         record_taps(1, fs=FS, stream=lambda **options: Losing(recording(2), **options))
 
 
+@pytest.mark.parametrize("command", ["taptone", "wood", "fit"])
+def test_hours_in_a_small_file_are_refused_before_they_fill_the_memory(tmp_path, monkeypatch, capsys, command):
+    monkeypatch.setattr("tonewood.support.sound_rates.MOST_SAMPLES", 40_000)
+    sf.write(tmp_path / "long.wav", np.zeros((20_001, 2)), 8000)
+    monkeypatch.chdir(tmp_path)
+    board = ["--length", "0.5", "--width", "0.2", "--thickness", "0.003", "--mass", "0.12"]
+    hit = ["-o", "out", "--points", "a", "--sensitivity", "1,1", "--driving", "a"]
+    with pytest.raises(SystemExit) as end:
+        run([command, "long.wav", *{"wood": board, "fit": hit}.get(command, [])])
+    out, err = capsys.readouterr()
+    assert (end.value.code, out, err.count("\n")) == (2, "", 1)
+    assert "long.wav: lasts longer than 2 s; 40000 samples of 2 channel(s) are allowed" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_board_of_which_every_tap_is_clipped_is_one_line(tmp_path, capsys):
+    x = np.concatenate([np.zeros(FS), np.clip(20 * decaying(np.random.default_rng(3), 2.0), -1.0, 1.0)])
+    sf.write(tmp_path / "tap.wav", x, FS)
+    with pytest.raises(SystemExit) as end:
+        run(
+            [
+                "wood",
+                str(tmp_path / "tap.wav"),
+                "--length",
+                "0.5",
+                "--width",
+                "0.2",
+                "--thickness",
+                "0.003",
+                "--mass",
+                "0.12",
+            ]
+        )
+    err = capsys.readouterr().err
+    assert (end.value.code, err.count("\n")) == (2, 1)
+    assert "no tap can be used: tap.wav: tap at 1.00 s left out: it is clipped" in err
+
+
 def plate(name):
     """Five hits on a plate measured by others, each a tap."""
     taps = [cut_taps(row, 48000, "hit", np.inf) for row in np.load(PLATES / f"{name}.npz")["acceleration"]]
