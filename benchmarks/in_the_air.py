@@ -4,7 +4,7 @@
     python benchmarks/in_the_air.py grand_piano
     python benchmarks/in_the_air.py --struck steel_guitar drawn_guitar_x electric_bass   # do strings strike frets?
 
-Plucked instruments are played by `VELOCITY` in the lowest position, every third semitone; medians over the notes.
+Plucked instruments are played by `--velocity` (100) in the lowest position, every third semitone; medians.
 T60 is that of the partials in a band; the onset is the loudest 3 ms of a band re the loudest 3 ms of all.
 """
 
@@ -45,14 +45,14 @@ def played(instrument: tw.Instrument, note: int, string: str | None, velocity: i
 
 
 def lowest(instrument: tw.Instrument, step: int) -> list[tuple[int, str]]:
-    """Notes from E2 to E5, `step` semitones apart, each on the string with the highest open note that reaches it.
+    """Notes from the lowest open one to E5, `step` semitones apart, on the string with the highest open note that fits.
 
     Strings without stops have their open notes.
     """
     opens = {name: instrument.open_note(name) for name in instrument.groups}
     if instrument.spec.stops.kind == "none":
         return [(round(note), name) for name, note in opens.items()]
-    below = {n: [s for s in opens if opens[s] <= n + 0.5] for n in range(40, 77, step)}
+    below = {n: [s for s in opens if opens[s] <= n + 0.5] for n in range(round(min(opens.values())), 77, step)}
     places = [(n, max(names, key=opens.__getitem__)) for n, names in below.items() if names]
     return [(n, s) for n, s in places if n - opens[s] <= instrument.spec.stops.count]
 
@@ -74,11 +74,11 @@ def onset_level(x: Floats, onset: int, low: float, high: float) -> float:
     return float(20 * np.log10(loudest / running_rms(x, 0.003)[onset : onset + FS // 10].max()))
 
 
-def plucked(instrument: tw.Instrument, output: str | None) -> None:
+def plucked(instrument: tw.Instrument, output: str | None, velocity: int) -> None:
     """Print the medians of an instrument."""
     rows, decays, levels = [], [], []
     for note, string in lowest(instrument, 3):
-        x = played(instrument, note, string, VELOCITY, output)
+        x = played(instrument, note, string, velocity, output)
         f = 440 * 2 ** ((note - 69) / 12)
         found = analyse(x, f, 1e-4)
         onset = round(found.onset * FS)
@@ -151,6 +151,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("instruments", nargs="+")
     parser.add_argument("--output", help="name of the output that is heard; the first where left out")
+    parser.add_argument("--velocity", type=int, default=VELOCITY, help="of plucked instruments")
     parser.add_argument("--struck", action="store_true", help="look for strings that strike frets")
     given = parser.parse_args()
     head = PIANO_HEAD if "grand_piano" in given.instruments else PLUCKED_HEAD
@@ -163,7 +164,7 @@ def main() -> None:
         elif name == "grand_piano":
             piano(instrument, 80)
         else:
-            plucked(instrument, given.output)
+            plucked(instrument, given.output, given.velocity)
 
 
 if __name__ == "__main__":

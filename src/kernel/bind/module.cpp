@@ -255,6 +255,7 @@ std::pair<int, std::int64_t> run(Kernel& kernel, Out modes, Out out, Out forces,
 
 NB_MODULE(_kernel, m) {
     m.doc() = "Steps modal systems; see tonewood.physics.stepping.kernel.";
+    nb::set_leak_warnings(false); // a process that is interrupted still holds models when it ends
     m.attr("BLOCK_SIZE") = kBlock;
     m.attr("PADDING") = kPadding;
 #ifdef __clang__

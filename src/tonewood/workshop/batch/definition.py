@@ -200,6 +200,11 @@ def check_rendering(levels: Sequence[StaircaseLevel], render: Callable[[Conditio
             raise ManifestError(f"the level cannot be rendered: {reason}", key=level.key) from None
 
 
+def count_answers(path: Path) -> int:
+    """Number of lines after the first one of a file of answers; 0 of what is no file, as a pipe has no end."""
+    return max(path.read_bytes().count(b"\n") - 1, 0) if path.is_file() else 0
+
+
 def check_answers(folder: Path, manifest: Manifest, source: Path, groups: Sequence[Group], todo: int) -> None:
     """Check that a batch leaves a test as it is to which answers were given.
 
@@ -212,9 +217,15 @@ def check_answers(folder: Path, manifest: Manifest, source: Path, groups: Sequen
 
     Raises
     ------
-    ManifestError : the test or its sounds would be replaced.
+    ManifestError : the test or its sounds would be replaced, or it is unknown whether answers were given.
     """
-    answers = sum(max(path.read_bytes().count(b"\n") - 1, 0) for path in (folder / ANSWERS).glob("*.jsonl"))
+    answers = 0
+    for path in (folder / ANSWERS).glob("*.jsonl"):
+        try:
+            answers += count_answers(path)
+        except OSError as fault:
+            reason = f"cannot be read: {fault.strerror}; there may be answers to this test in it"
+            raise ManifestError(reason, file=path) from None
     if not answers:
         return
     planned = definition_of(manifest, groups, {s.code for g in groups for s in g.stimuli}, source, {})

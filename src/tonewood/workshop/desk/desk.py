@@ -7,7 +7,7 @@ import secrets
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -22,9 +22,9 @@ from tonewood.support.units import decibel
 from tonewood.workshop.desk import views
 from tonewood.workshop.desk.advice import Adviser, offered
 from tonewood.workshop.desk.kept_views import KeptViews
-from tonewood.workshop.desk.knobs import groups, knobs, same_strings_and_body
+from tonewood.workshop.desk.knobs import groups, same_strings_and_body, shown
 from tonewood.workshop.desk.models import KeptModels, ModelMaker, Wanted, previewed
-from tonewood.workshop.desk.phrase import LONGEST, phrase, phrase_of_file
+from tonewood.workshop.desk.phrase import LONGEST, ChosenPhrase
 from tonewood.workshop.desk.playback import ComparedTakes, DeskSound
 from tonewood.workshop.desk.session import Design, DeskSession
 from tonewood.workshop.desk.take import PhraseTake, with_hands
@@ -58,9 +58,8 @@ class Desk:
         self.session, self.lock = session, threading.RLock()
         self._temporary = None if folder is not None else tempfile.TemporaryDirectory(prefix="tonewood-desk-")
         self.folder = folder if folder is not None else Path(str(self._temporary and self._temporary.name))
-        self._given, self._file = score, self.folder / "phrase.mid"
-        self._asked: dict[str, Any] = {"kind": "file" if score else "chord", "notes": "", "velocity": 80}
-        self.score: Score = self._phrase()
+        self.phrase = ChosenPhrase(score, self.folder / "phrase.mid")
+        self.score: Score = self.phrase.score(session.instrument)
         self.options = RenderOptions(fs=fs, tail=TAIL, max_duration=LONGEST)
         self.playback = DeskSound(fs)
         self._gain: float | None = None
@@ -253,15 +252,15 @@ class Desk:
         TonewoodError : it cannot be played.
         """
         with self.lock:
-            before = self._asked
-            self._asked = {"kind": kind, "notes": notes, "velocity": velocity}
+            instrument, before = self.session.instrument, self.phrase.asked
+            self.phrase.asked = {"kind": kind, "notes": notes, "velocity": velocity}
             try:
-                score = self._phrase()
+                score = self.phrase.score(instrument)
                 if self._model is not None:
                     PhraseTake(score, self._model, self.options, {})
             except TonewoodError:
-                self._asked = before
-                self._phrase()
+                self.phrase.asked = before
+                self.phrase.score(instrument)
                 raise
             self.score, self._gain = score, None
             self.serial += 1
@@ -269,21 +268,6 @@ class Desk:
             if self._model is not None:
                 take = PhraseTake(score, self._model, self._leveled(self._model), dict(self.session.design.changes))
                 self.playback.swap(take, serial=self.serial)
-
-    def _phrase(self) -> Score:
-        asked = self._asked
-        if asked["kind"] == "file":
-            if self._given is None:
-                raise TonewoodError("no file was given on the command line: --phrase FILE", key="phrase")
-            return phrase_of_file(self._given, LONGEST)
-        return phrase(
-            asked["kind"], self.session.instrument, self._file, notes=asked["notes"], velocity=asked["velocity"]
-        )
-
-    @property
-    def phrase_file(self) -> Path:
-        """File of the phrase, as a command names it."""
-        return self._given if self._asked["kind"] == "file" and self._given is not None else self._file
 
     def key(self, note: float | str, velocity: float, *, on: bool) -> None:
         """Press or release a key; `state` tells of notes that cannot be played.
@@ -371,7 +355,7 @@ class Desk:
     def command(self) -> str:
         """Return the command line that renders what is heard."""
         gain = self._gain or 0.0
-        return self.session.command(str(self.phrase_file), f"{self.session.instrument.name}.wav", gain, TAIL)
+        return self.session.command(str(self.phrase.file), f"{self.session.instrument.name}.wav", gain, TAIL)
 
     def state(self) -> dict[str, Any]:
         """Return all that the page shows besides knobs and pictures."""
@@ -402,12 +386,12 @@ class Desk:
                 "dropped": self._dropped(),
                 "playing": playback.playing,
                 "loop": playback.loop,
-                "phrase": self._asked,
+                "phrase": self.phrase.asked,
                 "gain_db": self._gain,
                 "fs": playback.fs,
-                "has_file": self._given is not None,
+                "has_file": self.phrase.given is not None,
                 "compared": self._compared,
-                "pair": None if pair is None else _pair(pair),
+                "pair": None if pair is None else pair.state(),
                 "command": self.command(),
                 "advice": self.adviser.state() | {"offered": offered(session.instrument)},
             }
@@ -459,14 +443,7 @@ class Desk:
         ----------
         group : one of `groups`.
         """
-        design, out = self.session.design, []
-        start = {knob.path: knob.value for knob in knobs(self.session.start.instrument, group)}
-        for knob in knobs(design.instrument, group, self.session.start.instrument):
-            shown = asdict(knob) | {"start_value": start.get(knob.path)}
-            if knob.kind == "factor" and isinstance(changed := design.changes.get(knob.path), Mapping):
-                shown["value"] = changed.get("scale", 1.0)
-            out.append(shown)
-        return out
+        return shown(self.session.design.instrument, self.session.start.instrument, self.session.design.changes, group)
 
     @property
     def _seen(self) -> Model | None:
@@ -495,8 +472,3 @@ class Desk:
         if kind == "differences" and design is not self._model and self._model is not None:
             return ["a coarse preview is seen: what differs is told of the exact model, which follows"]
         return self._views.view(design, kind, argument, of_start=of_start, exact=self._model is not None)
-
-
-def _pair(pair: ComparedTakes) -> dict[str, Any]:
-    names = ["X", "Y"] if pair.blind else [f"{'AB'[i]}: {pair.names[i]}" for i in pair.order]
-    return {"names": names, "which": pair.order.index(pair.which), "blind": pair.blind}

@@ -12,6 +12,7 @@ from tonewood.instrument.inspection.wolf import WolfNote, wolf_notes
 from tonewood.instrument.model.assembly import Model
 from tonewood.sound.render.options import RenderOptions
 from tonewood.workshop.desk import views
+from tonewood.workshop.desk.differences import differences, wolf_words
 from tonewood.workshop.desk.models import KeptModels
 
 #: views that are kept
@@ -87,11 +88,11 @@ class KeptViews:
         if kind == "wolves":
             found, start = self._wolves(model), self._wolves(self._start_model(model, exact))
             shown = {"wolves": [asdict(w) for w in found], "start": [asdict(w) for w in start]}
-            return {**shown, "neck": views.neck(model), "words": views.wolf_words(start, found)}
+            return {**shown, "neck": views.neck(model), "words": wolf_words(start, found)}
         if kind == "force":
             return views.force(model.instrument, argument or next(iter(model.groups)), self._options)
         if kind == "differences":
-            return views.differences(model, self._start_model(model, exact))
+            return differences(model, self._start_model(model, exact))
         known = "mobility, shape, strings, wolves, force, drawing, differences"
         raise TonewoodError(f"is {kind!r}; {known} are allowed", key="view")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic.fields import FieldInfo
@@ -100,6 +100,25 @@ def knobs(instrument: Instrument, group: str, about: Instrument | None = None) -
         if not any(path.startswith(f"{other}.") for other in taken)
         and (knob := _knob(instrument, path, group, value, middle.get(path, value)))
     ]
+
+
+def shown(design: Instrument, start: Instrument, changes: Mapping[str, Any], group: str) -> list[dict[str, Any]]:
+    """Return the knobs of a group as plain data, with the values of the design and of the start.
+
+    Parameters
+    ----------
+    design, start : both instruments.
+    changes : of the design.
+    group : one of `groups`.
+    """
+    before = {knob.path: knob.value for knob in knobs(start, group)}
+    out = []
+    for knob in knobs(design, group, start):
+        values = asdict(knob) | {"start_value": before.get(knob.path)}
+        if knob.kind == "factor" and isinstance(changed := changes.get(knob.path), Mapping):
+            values["value"] = changed.get("scale", 1.0)
+        out.append(values)
+    return out
 
 
 def _under(values: Any, group: str) -> Any:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
-from tonewood.errors import ScoreError
+from tonewood.errors import ScoreError, TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.scales import note_number
 from tonewood.performance.score.midi import read_midi, write_midi
@@ -61,16 +62,39 @@ def phrase(kind: str, instrument: Instrument, file: Path, *, notes: str = "", ve
     return read_midi(file)
 
 
-def phrase_of_file(file: Path, longest: float) -> Score:
-    """Read a phrase from any score's file, its first `longest` seconds.
+class ChosenPhrase:
+    """The phrase that the page asks for, and its file.
 
     Parameters
     ----------
-    file : MIDI, MusicXML or Guitar Pro.
-    longest : s.
-
-    Raises
-    ------
-    ScoreError : it cannot be read.
+    given : score of the command line; None without one.
+    file : where chords, scales and notes are written.
     """
-    return read_score(file, stop=longest)
+
+    def __init__(self, given: Path | None, file: Path):
+        self.given, self._file = given, file
+        #: kind, notes and velocity as for `phrase`; the kind ``file`` is the score of the command line
+        self.asked: dict[str, Any] = {"kind": "file" if given else "chord", "notes": "", "velocity": 80}
+
+    @property
+    def file(self) -> Path:
+        """File of the phrase, as a command names it."""
+        return self.given if self.asked["kind"] == "file" and self.given is not None else self._file
+
+    def score(self, instrument: Instrument) -> Score:
+        """Return the notes of the phrase, of a file the first `LONGEST` seconds.
+
+        Parameters
+        ----------
+        instrument : that plays them.
+
+        Raises
+        ------
+        TonewoodError : the phrase cannot be read, or no file was given.
+        """
+        asked = self.asked
+        if asked["kind"] != "file":
+            return phrase(asked["kind"], instrument, self._file, notes=asked["notes"], velocity=asked["velocity"])
+        if self.given is None:
+            raise TonewoodError("no file was given on the command line: --phrase FILE", key="phrase")
+        return read_score(self.given, stop=LONGEST)

@@ -49,6 +49,11 @@ class ComparedTakes:
     blind: bool = False
     order: tuple[int, int] = (0, 1)
 
+    def state(self) -> dict[str, Any]:
+        """Return the names in the order of the page, and which of them is heard."""
+        names = ["X", "Y"] if self.blind else [f"{'AB'[i]}: {self.names[i]}" for i in self.order]
+        return {"names": names, "which": self.order.index(self.which), "blind": self.blind}
+
 
 @dataclass(eq=False)
 class Meter:

@@ -190,7 +190,7 @@ def _changes(use: Callable[[DeskSession, dict[str, Any]], None]) -> Callable[[De
 def _save(desk: Desk, given: dict[str, Any]) -> str:
     folder = Path(str(given["folder"])).expanduser()
     desk.session.save(folder)
-    return f"saved in {folder.resolve()}: tonewood render {desk.phrase_file} -i {folder}"
+    return f"saved in {folder.resolve()}: tonewood render {desk.phrase.file} -i {folder}"
 
 
 def _play(desk: Desk, given: dict[str, Any]) -> None:

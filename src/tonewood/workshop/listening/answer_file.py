@@ -24,7 +24,7 @@ from typing import Any
 
 from tonewood.errors import OutputError
 from tonewood.support.whole_files import remove
-from tonewood.workshop.batch.definition import ANSWERS
+from tonewood.workshop.batch.definition import ANSWERS, count_answers
 from tonewood.workshop.batch.pages import TrialPage
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.session import Session
@@ -362,7 +362,7 @@ def answers_of(test: ListeningTest) -> Answers:
 
 def _lines_after_the_first(path: Path) -> int:
     try:
-        return max(path.read_bytes().count(b"\n") - 1, 0) if path.is_file() else 0
+        return count_answers(path)
     except OSError:
         return 0
 

@@ -3,10 +3,11 @@
 *Ratings*: the listeners' means of the levels of the factor in question are drawn with the spread that the page expects,
 or with the covariances of a pilot's answers, and analysed by `tonewood.workshop.listening.strata`; the effect counts as
 found where the report says so: p by Holm below alpha. Where the screening left some of a pilot's listeners out, its
-listeners are drawn, each with the verdict on them, and both analyses of the report must find the effect. Where sounds
-are a random sample, they are drawn, too, and the analysis is the quasi-F of listeners and sounds. *Ordinal scales*:
-answers are drawn one by one, cut off at the ends of the scale, and the shares of comparisons are tested, which the
-report's sentence states. *Paired comparisons*:
+listeners are drawn, each with the verdict on them, and both analyses of the report must find the effect. Stated effects
+of a MUSHRA page are heard, rated and screened as by a simulated panel (`tonewood.workshop.listening.panel`). Where
+sounds are a random sample, they are drawn, too, and the analysis is the quasi-F of listeners and sounds.
+*Ordinal scales*: answers are drawn one by one, cut off at the ends of the scale, and the shares of comparisons are
+tested, which the report's sentence states. *Paired comparisons*:
 listeners' choices, tested by the Bradley-Terry interval. *Right answers*: the exact binomial test of a pair over all
 cells, one-sided, whose power is a sum and needs no simulation; listeners are taken for alike. *Staircases*: listeners
 take it trial by trial; power is the share of experiments in which the interval of the mean threshold excludes a
@@ -39,8 +40,9 @@ from tonewood.workshop.batch.pages import (
 from tonewood.workshop.listening import simulations, strata
 from tonewood.workshop.listening.definition import ListeningError
 from tonewood.workshop.listening.detection import CHANCE, sensitivity, task_of
-from tonewood.workshop.listening.means import unique
+from tonewood.workshop.listening.means import LIMIT_SCORE, LIMIT_SHARE, unique
 from tonewood.workshop.listening.models import share_test
+from tonewood.workshop.listening.panel import SimulatedPanel
 from tonewood.workshop.listening.results import PageResults, PanelResults
 from tonewood.workshop.listening.thresholds import ThresholdGrid
 
@@ -156,8 +158,44 @@ def rating_power(
     return found / count
 
 
+def screened_found(y: Array, kept: NDArray[np.bool_], alpha: float, *, sounds: bool = False) -> NDArray[np.bool_]:
+    """Whether the report finds each level's difference from the first, with all listeners and with those kept.
+
+    Parameters
+    ----------
+    y : (experiments, listeners, levels) listeners' means, or (experiments, listeners, sounds, levels).
+    kept : (experiments, listeners) whether the screening keeps them; fewer than three are not analysed.
+    alpha : of the tests.
+    sounds : whether `y` has the axis of sounds, a random sample.
+
+    Returns
+    -------
+    found : (experiments, levels - 1).
+    """
+    names = [str(i) for i in range(y.shape[-1])]
+    rows = strata.contrasts([(name,) for name in names], {"factor": names}).differences["factor",]
+    found = np.zeros((len(y), len(rows)), dtype=bool)
+    counts = kept.sum(axis=1)
+    whole = _differs(y, rows, alpha, sounds)
+    for count in np.unique(counts[counts > 2]):
+        own = counts == count
+        rest = y[own][kept[own]].reshape(np.sum(own), count, *y.shape[2:])
+        found[own] = whole[own] & (_differs(rest, rows, alpha, sounds) if count < y.shape[1] else True)
+    return found
+
+
+def _differs(y: Array, rows: Array, alpha: float, sounds: bool) -> NDArray[np.bool_]:
+    return np.asarray(strata.holm(strata.estimated(y, rows, 1 - alpha, sounds=sounds).p_value) < alpha)
+
+
 def screened_power(
-    pilot: Array, kept: NDArray[np.bool_], effects: Array, listeners: int, alpha: float, seed: int = 1
+    pilot: Array,
+    kept: NDArray[np.bool_],
+    effects: Array,
+    listeners: int,
+    alpha: float,
+    seed: int = 1,
+    sampled: SoundSpread | None = None,
 ) -> Array:
     """Share of experiments with listeners of a pilot in which the report finds each level's difference from the first.
 
@@ -167,27 +205,113 @@ def screened_power(
     kept : (pilot listeners,) whether the screening kept them.
     effects : (levels,) points, which the pilot's mean effects are moved to.
     listeners, alpha, seed : as for `rating_power`.
+    sampled : random sounds; listeners then differ by as much less as single answers of the pilot account for.
 
     Returns
     -------
     shares : (levels - 1,) found with all listeners and with those who are kept.
     """
-    from scipy.special import stdtr
-
     random, n = np.random.default_rng([seed, listeners]), len(pilot)
-    apart = pilot[:, 1:] - pilot[:, :1]
-    apart = (apart - apart.mean(axis=0)) * math.sqrt(n / (n - 1)) + (effects[1:] - effects[0])
-    drawn = random.integers(n, size=(EXPERIMENTS, listeners))
-    found = np.ones((EXPERIMENTS, apart.shape[1]), dtype=bool)
-    for weight in (np.ones(n), kept.astype(np.float64)):
-        w, d = weight[drawn][..., None], apart[drawn]
-        count = w.sum(axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            mean = (w * d).sum(axis=1) / count
-            error = np.sqrt((w * (d - mean[:, None]) ** 2).sum(axis=1) / (count * (count - 1)))
-            p = np.where(count > 2, 2 * stdtr(count - 1, -np.abs(mean) / error), 1.0)
-        found &= strata.holm(np.nan_to_num(p, nan=1.0)) < alpha
-    return np.asarray(found.mean(axis=0))
+    own = (pilot - pilot.mean(axis=0)) * math.sqrt(n / (n - 1))
+    if sampled is None:
+        drawn = random.integers(n, size=(EXPERIMENTS, listeners))
+        return np.asarray(screened_found(effects + own[drawn], kept[drawn], alpha).mean(axis=0))
+    apart = np.var(own[:, 1:] - own[:, :1], axis=0).sum()
+    single = (np.diag(sampled.pairs)[1:] + sampled.pairs[0, 0] - 2 * sampled.pairs[0, 1:]).sum() / sampled.count
+    own = own * math.sqrt(max(1 - single / apart, 0.0)) if apart > 0 else own
+    found = []
+    for size in _batches(listeners * sampled.count * len(effects)):
+        drawn = random.integers(n, size=(size, listeners))
+        y = effects + own[drawn][:, :, None] + _draws(random, sampled.sounds, size, 1, sampled.count)
+        y = y + _draws(random, sampled.pairs, size, listeners, sampled.count)
+        found.append(screened_found(y, kept[drawn], alpha, sounds=True))
+    return np.asarray(np.concatenate(found).mean(axis=0))
+
+
+def _batches(size: int) -> list[int]:
+    """Numbers of experiments to be simulated at once, of `size` answers each."""
+    most = max(1, 2_000_000 // size)
+    count = max(200, min(EXPERIMENTS, 4 * most))
+    return [min(most, count - begin) for begin in range(0, count, most)]
+
+
+@dataclass(frozen=True)
+class MushraListeners:
+    """What listeners of a MUSHRA page hear, as simulated panels do.
+
+    Attributes
+    ----------
+    effects : (levels,) points by which sounds of a level are heard above the reference, which has the first level.
+    sounds, trials, cells : random sounds (1: none), trials of each, and sounds of one level in a trial.
+    own_sd, slope_sd, residual_sd, sound_sd : points, of listeners' use of the scale, of their responses to each level,
+        of single answers, and of random sounds' differences from the first level.
+    """
+
+    effects: Array
+    sounds: int
+    trials: int
+    cells: int
+    own_sd: float
+    slope_sd: float
+    residual_sd: float
+    sound_sd: float = 0.0
+
+    @classmethod
+    def stated(
+        cls, effects: Array, sd: float, sounds: int = 1, trials: int = 1, cells: int = 1, sound_sd: float = 0.0
+    ) -> MushraListeners:
+        """Listeners whose differences have a standard deviation `sd`.
+
+        Their use of the scale and single answers have the spread of simulated panels, but either at most a quarter of
+        the variance; the rest is that of listeners' responses to the levels.
+        """
+        answers = sounds * trials * cells
+        own = min(SimulatedPanel.model_fields["listener_sd"].default, sd / 2)
+        single = min(SimulatedPanel.model_fields["residual_sd"].default, sd / 2 * math.sqrt(answers))
+        slope = math.sqrt((sd**2 - own**2 - single**2 / answers) / 2)
+        return cls(np.asarray(effects, dtype=np.float64), sounds, trials, cells, own, slope, single, sound_sd)
+
+    def drawn(self, random: np.random.Generator, experiments: int, listeners: int) -> tuple[Array, NDArray[np.bool_]]:
+        """Draw listeners' means (experiments, listeners, sounds, levels), and whether the screening keeps them.
+
+        The reference is among the first level's sounds. The sound that is heard as best gets 100, the others 100 plus
+        what is heard and the listener's own deviation, within the scale. Anchors are not drawn: no listener with such
+        spreads takes them for the reference, or rates that of 7 kHz above 90 in many trials.
+        """
+        k, shape = len(self.effects), (experiments, listeners)
+        slopes = random.normal(0, self.slope_sd, (*shape, 1, k)) if self.slope_sd > 0 else np.zeros((*shape, 1, k))
+        heard = self.effects + slopes - slopes[..., :1]
+        if self.sounds > 1:
+            by_sound = random.normal(0, self.sound_sd / math.sqrt(2), (experiments, 1, self.sounds, k))
+            heard = heard + by_sound - by_sound[..., :1]
+        heard = heard[..., None, None, :] + random.normal(
+            0, self.residual_sd, (*shape, self.sounds, self.trials, self.cells, k)
+        )
+        own = random.normal(0, self.own_sd, (*shape, 1, 1, 1, 1))
+        best = heard == heard.max(axis=(-2, -1), keepdims=True)
+        rated = np.where(best, 100.0, np.clip(100 + own + heard, 0, 100))
+        missed = (rated[..., 0, 0] < LIMIT_SCORE).mean(axis=(-2, -1))
+        return rated.mean(axis=(-3, -2)), missed <= LIMIT_SHARE
+
+
+def mushra_power(people: MushraListeners, listeners: int, alpha: float, seed: int = 1) -> Array:
+    """Share of experiments in which the report of a MUSHRA page, with its screening, finds each level's difference.
+
+    Parameters
+    ----------
+    people : what the listeners hear.
+    listeners, alpha, seed : as for `rating_power`.
+
+    Returns
+    -------
+    shares : (levels - 1,) found with all listeners and with those who are kept.
+    """
+    random, found = np.random.default_rng([seed, listeners]), []
+    for size in _batches(listeners * people.sounds * people.trials * people.cells * len(people.effects)):
+        y, kept = people.drawn(random, size, listeners)
+        sampled = people.sounds > 1
+        found.append(screened_found(y if sampled else y[:, :, 0], kept, alpha, sounds=sampled))
+    return np.asarray(np.concatenate(found).mean(axis=0))
 
 
 def ordinal_power(
@@ -386,8 +510,15 @@ def _rated(
     out = set() if own is None else {one.listener for one in own.screened}
     pilot, who = (None, []) if found is None else found
     kept = np.array([name not in out for name in who])
+    people = None
     if isinstance(page, MushraPage) and pilot is None:
-        text += ", if the screening leaves nobody out"
+        effects[1] = -effect  # below the reference
+        people = MushraListeners.stated(
+            effects, sd, sounds, *_trials(manifest, page, k, sounds), 0.0 if sampled is None else sound_sd
+        )
+        y, stays = people.drawn(np.random.default_rng(1), 1, 2000)
+        mean = float((y[..., 1] - y[..., 0]).mean())
+        text += f", as heard (rated {mean:.3g}; {100 * np.mean(~stays):.0f} % of listeners left out by the screening)"
     if pilot is not None:
         covariance, sampled = _pilot_spread(pilot, sounds)
         k = pilot.shape[2]
@@ -410,12 +541,30 @@ def _rated(
             raise TooManyListenersError(f"no number of listeners is enough for {text}; more sounds are needed")
 
     def reached(m: int) -> float:
-        if pilot is not None and sampled is None and not kept.all():
-            return float(screened_power(pilot.mean(axis=1), kept, effects, m, alpha)[at])
+        if people is not None:
+            return float(mushra_power(people, m, alpha)[at])
+        if pilot is not None and not kept.all():
+            return float(screened_power(pilot.mean(axis=1), kept, effects, m, alpha, sampled=sampled)[at])
         return float(rating_power(effects, covariance, m, alpha, sampled=sampled)[at])
 
     n = fewest(reached, power, text)
     return PowerRow(number, name, text, n, page.expect is not None or pilot is not None)
+
+
+def _trials(manifest: Manifest, page: MushraPage, levels: int, sounds: int) -> tuple[int, int]:
+    """Trials of a listener with each random sound, and sounds of one level in a trial."""
+    choices = manifest.choices()
+    rows = manifest.conditions
+    grouped = [f for f in page.group_by if f in choices]
+    trials = math.prod(len(choices[f]) for f in grouped)
+    conditions = math.prod(len(x) for x in choices.values())
+    if rows is not None:
+        trials, conditions = len({tuple(row.get(f) for f in grouped) for row in rows}), len(rows)
+    cells = max(1, round(conditions / (trials * levels)))
+    trials = min(trials * manifest.repeats, page.subset or trials * manifest.repeats)
+    if any(f not in page.group_by for f in manifest.random):  # sounds within a trial
+        cells = max(1, cells // sounds)
+    return max(1, round(trials / sounds)), cells
 
 
 def _levels(manifest: Manifest, page: MushraPage | Bs1116Page | RatingPage) -> int:

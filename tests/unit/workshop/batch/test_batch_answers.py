@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,28 @@ def test_a_room_under_its_name_is_not_replaced_under_answers(tmp_path: Path) -> 
     with pytest.raises(ManifestError, match=r"1 answers were given to this test, and test\.json would be replaced"):
         run_batch(path, out, FakeRenderer())
     assert files(out) == before
+
+
+def test_what_is_no_file_of_answers_stops_no_batch_and_one_that_cannot_be_read_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, out = fakes.write(tmp_path, fakes.manifest(**SMALL)), tmp_path / "out"
+    (out / "answers" / "folder.jsonl").mkdir(parents=True)
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(out / "answers" / "pipe.jsonl")
+    assert run_batch(path, out, FakeRenderer()).ok
+    (out / "answers" / "1.jsonl").write_text("{}\n{}\n")
+    fakes.write(tmp_path, fakes.manifest(**SMALL, title="second"))
+    read = Path.read_bytes
+
+    def away(self: Path) -> bytes:
+        if self.name == "1.jsonl":
+            raise PermissionError(13, "Permission denied")
+        return read(self)
+
+    monkeypatch.setattr(Path, "read_bytes", away)
+    with pytest.raises(ManifestError, match=r"1\.jsonl: cannot be read: Permission denied; there may be answers"):
+        run_batch(path, out, FakeRenderer())
 
 
 def test_a_batch_does_not_write_under_a_server(tmp_path: Path) -> None:

@@ -96,7 +96,7 @@ def heard(desk: Desk, frames: int) -> np.ndarray[Any, np.dtype[np.float32]]:
 def offline(desk: Desk, session: DeskSession) -> np.ndarray[Any, np.dtype[np.float32]]:
     """The render of a command line, in single precision."""
     options = RenderOptions(fs=48000, tail=TAIL, max_duration=LONGEST, gain_db=desk.state()["gain_db"])
-    found = tw.render(desk.phrase_file, session.instrument, options=options).samples
+    found = tw.render(desk.phrase.file, session.instrument, options=options).samples
     return np.stack([found[:, 0], found[:, -1]], axis=1).astype(np.float32)
 
 

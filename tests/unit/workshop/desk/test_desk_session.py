@@ -13,10 +13,11 @@ from tonewood.cli.main import run
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.overrides import parse_assignment
 from tonewood.instrument.contract.base import Body
+from tonewood.workshop.desk.differences import wolf_words
 from tonewood.workshop.desk.knobs import acts_at_once, groups, knobs, same_strings_and_body, span
 from tonewood.workshop.desk.phrase import phrase
 from tonewood.workshop.desk.session import MOST_CHANGES, MOST_SNAPSHOTS, DeskSession, assignment
-from tonewood.workshop.desk.views import mobility, shape, wolf_words
+from tonewood.workshop.desk.views import mobility, shape
 
 TENSION = "strings.A2.tension"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import astuple, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from scipy import stats
 from tonewood.cli.main import run
 from tonewood.workshop.batch.manifest import ManifestError, check_manifest
 from tonewood.workshop.batch.pages import StaircasePage
-from tonewood.workshop.listening import models, pooling, power, simulations, strata
+from tonewood.workshop.listening import models, pooling, power, results, simulations, strata
 from tonewood.workshop.listening.detection import sensitivity, shares_of
 from tonewood.workshop.listening.incomplete import CrossedFit, IncompleteFit
 from tonewood.workshop.listening.models import bradley_terry, linear_analysis, rank_analysis
@@ -604,6 +605,45 @@ def test_a_pilot_s_spread_is_of_listeners_sounds_and_pairs() -> None:
     assert sounds.count == 5
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("listeners", "random"), [(14, False), (24, True)])
+def test_power_of_stated_effects_with_screening_is_had(
+    listeners: int, random: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Panels take the test and their answers are analysed and screened; of 300 tests, the standard error is 2.8 %."""
+    for unused in ("ordinal_analysis", "rank_analysis"):  # p of points does not depend on them
+        monkeypatch.setattr(results, unused, lambda *_: None)
+    page = {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}, "anchors": [7000]}
+    factors = copy.deepcopy(fakes.BASE["factors"])
+    sounds, rng = {}, np.random.default_rng(4)
+    if random:
+        factors["pluck"]["levels"] = {f"p{i}": 1 + i / 1000 for i in range(6)}
+        test = fakes.made(tmp_path, [page], factors=factors, random=["pluck"])
+        people = power.MushraListeners.stated(np.array([0.0, 0.0, -10.0]), 12.0, sounds=6, sound_sd=5.0)
+        sounds = {f"damping={d}, pluck={p}": 5 / math.sqrt(2) for d in factors["damping"]["levels"]
+                  for p in factors["pluck"]["levels"]}  # fmt: skip
+    else:
+        test = fakes.made(tmp_path, [page])
+        people = power.MushraListeners.stated(np.array([0.0, 0.0, -10.0]), 12.0, trials=3)
+    promised = power.mushra_power(people, listeners, 0.05)[1]
+    taken, left_out = 300, 0
+    had = []
+    for seed in range(taken):
+        for old in (tmp_path / "out" / "answers").glob("*"):
+            old.unlink()
+        drawn = {rule: sd * rng.standard_normal() for rule, sd in sounds.items()}
+        own = panel(listener_sd=people.own_sd, slope_sd=people.slope_sd, residual_sd=people.residual_sd,
+                    ratings={"damping": {"block": -10.0}}, interactions=drawn)  # fmt: skip
+        simulate(test, own, listeners, seed=seed)
+        found = analyse(tmp_path / "out")
+        left_out += len(found.pages[0].screened)
+        had.append(any(": block is rated" in line for line in summary(found)))
+    assert 0.5 < promised < 0.9
+    assert np.mean(had) == pytest.approx(promised, abs=0.05)
+    stays = people.drawn(np.random.default_rng(1), 200, 100)[1]
+    assert left_out / (taken * listeners) == pytest.approx(1 - stays.mean(), abs=0.04)
+
+
 def test_power_counts_those_whom_the_screening_leaves_out() -> None:
     """With nobody left out it is that of the pilot's spread; with half of them it is near that of half as many."""
     pilot = np.repeat(np.random.default_rng(8).normal(50, 6, (200, 2)), 2, axis=0)  # half of them are as all are
@@ -617,6 +657,11 @@ def test_power_counts_those_whom_the_screening_leaves_out() -> None:
     screened = power.screened_power(pilot, half, effects, 40, 0.05)[0]
     assert screened < plain(20) + 0.03  # standard error 1 %
     assert screened == pytest.approx(plain(20), abs=0.1)
+    _, spread = power.stated_spread(6.0 * math.sqrt(2), 2.0, 8, 2)
+    shares = [power.screened_power(pilot, who, effects, 20, 0.05, sampled=spread)[0] for who in (half | True, half)]
+    listeners = np.cov(pilot, rowvar=False) - spread.pairs / 8
+    assert shares[0] == pytest.approx(power.rating_power(effects, listeners, 20, 0.05, sampled=spread)[0], abs=0.05)
+    assert shares[1] < shares[0] - 0.1
 
 
 def test_power_takes_a_pilot_s_answers(tmp_path: Path) -> None:
