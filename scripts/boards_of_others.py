@@ -36,7 +36,9 @@ def solution(folder: Path, row: dict[str, str]) -> Board:
 def main(folder: Path) -> None:
     """Print a row a board."""
     print(
-        "| board | peaks used | worst, % | r.m.s., % | not used, Hz | " + " | ".join(NAMES) + " | re the authors', % |"
+        "| board | peaks used | worst, % | r.m.s., % | not used, Hz | "
+        + " | ".join(NAMES)
+        + " | E_L, E_R, G_LR re the authors', % |"
     )
     print("|---|---:|---:|---:|---|---:|---:|---:|---|")
     for row in csv.DictReader((folder / "plates.csv").open(encoding="utf-8")):

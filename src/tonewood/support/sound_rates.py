@@ -14,8 +14,8 @@ from tonewood.errors import TonewoodError
 
 #: Hz
 _HIGHEST = 400_000
-#: samples of all channels (240 MB); two minutes at 192 kHz are 23 million
-MOST_SAMPLES = 30_000_000
+#: samples of all channels (480 MB): ten minutes of two at 48 kHz
+MOST_SAMPLES = 60_000_000
 
 
 def check_rate(fs: int, file: str | Path, lowest: int = 8000) -> None:

@@ -288,7 +288,7 @@ def test_hours_in_a_small_file_are_refused_before_they_fill_the_memory(tmp_path,
     sf.write(tmp_path / "long.wav", np.zeros((20_001, 2)), 8000)
     monkeypatch.chdir(tmp_path)
     board = ["--length", "0.5", "--width", "0.2", "--thickness", "0.003", "--mass", "0.12"]
-    hit = ["-o", "out", "--points", "a", "--sensitivity", "1,1", "--driving", "a"]
+    hit = ["-o", "out", "--points", "a", "--sensitivity", "1,1", "--driving", "a", "--form", "mobility"]
     with pytest.raises(SystemExit) as end:
         run([command, "long.wav", *{"wood": board, "fit": hit}.get(command, [])])
     out, err = capsys.readouterr()

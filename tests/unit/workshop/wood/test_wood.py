@@ -291,7 +291,7 @@ def test_measured_plates_of_others(name: str) -> None:
     "every", [pytest.param(600, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.validate)]
 )
 def test_finite_elements_of_others_are_read_back(every: int) -> None:
-    """Two, and twelve, of their 1200 plates: constants from frequencies alone, within the intervals nine times in ten."""
+    """Two, and twelve, of their 1200 plates: constants from frequencies alone, nine in ten within the intervals."""
     rows = list(csv.DictReader((PLATES / "fem_plates.csv").open()))[::every]
     inside = []
     for row in rows:
