@@ -165,9 +165,11 @@ def _rated(
         people = MushraListeners.stated(
             effects, sd, sounds, *_trials(manifest, page, k, sounds), 0.0 if sampled is None else sound_sd
         )
-        y, stays = people.drawn(np.random.default_rng(1), 1, 2000)
+        y, stays = people.drawn(np.random.default_rng(1), 1, 4000)
         mean = float((y[..., 1] - y[..., 0]).mean())
-        text += f", as heard (rated {mean:.3g}; {100 * np.mean(~stays):.0f} % of listeners left out by the screening)"
+        if sounds == 1 and abs(mean + effect) > 0.1 * effect:
+            text += f" (with such a spread the mean of ratings is {-mean:.3g})"
+        text += f", {100 * np.mean(~stays):.0f} % of listeners left out by the screening"
     if pilot is not None:
         covariance, sampled = _pilot_spread(pilot, sounds)
         k = pilot.shape[2]

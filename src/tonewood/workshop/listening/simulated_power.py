@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from tonewood.workshop.listening.thresholds import ThresholdGrid
 Array = NDArray[np.float64]
 #: listeners, or answers, that are tried at most
 MOST = 10_000
+#: steps of the search for what listeners hear, and listeners drawn in each
+_SEARCH, _SEARCHED = 12, 4000
 #: simulated experiments: of ratings and choices, and of staircases
 EXPERIMENTS, STAIRCASES = 4000, 100
 
@@ -208,16 +210,33 @@ class MushraListeners:
     def stated(
         cls, effects: Array, sd: float, sounds: int = 1, trials: int = 1, cells: int = 1, sound_sd: float = 0.0
     ) -> MushraListeners:
-        """Listeners whose differences have a standard deviation `sd`.
+        """Listeners whose rated differences have these means and, at the largest, the standard deviation `sd`.
 
         Their use of the scale and single answers have the spread of simulated panels, but either at most a quarter of
-        the variance; the rest is that of listeners' responses to the levels.
+        the variance; the rest is that of listeners' responses to the levels. The end of the scale and the 100 points of
+        the best sound change means and spreads, so that what is heard is searched for by simulation, from the stated
+        figures; where no spread reaches them, the nearest that the search has come to.
         """
         answers = sounds * trials * cells
         own = min(SimulatedPanel.model_fields["listener_sd"].default, sd / 2)
         single = min(SimulatedPanel.model_fields["residual_sd"].default, sd / 2 * math.sqrt(answers))
         slope = math.sqrt((sd**2 - own**2 - single**2 / answers) / 2)
-        return cls(np.asarray(effects, dtype=np.float64), sounds, trials, cells, own, slope, single, sound_sd)
+        wanted = np.asarray(effects, dtype=np.float64)
+        people = cls(wanted, sounds, trials, cells, own, slope, single, sound_sd)
+        at = int(np.argmax(np.abs(wanted)))
+        if wanted[at] == 0 or sd <= 0:
+            return people
+        for _ in range(_SEARCH):
+            y, _ = replace(people, sound_sd=0.0).drawn(np.random.default_rng(1), 1, _SEARCHED)
+            differences = (y - y[..., :1]).mean(axis=(0, 2))
+            means, spread = differences.mean(axis=0), float(differences[:, at].std())
+            by = np.clip(np.divide(wanted, means, out=np.ones_like(wanted), where=wanted * means > 0), 0.5, 2.0)
+            wider = min(max(sd / max(spread, 1e-9), 0.5), 2.0)
+            people = replace(
+                people, effects=people.effects * by, own_sd=people.own_sd * wider, slope_sd=people.slope_sd * wider,
+                residual_sd=people.residual_sd * wider,
+            )  # fmt: skip
+        return people
 
     def drawn(self, random: np.random.Generator, experiments: int, listeners: int) -> tuple[Array, NDArray[np.bool_]]:
         """Draw listeners' means (experiments, listeners, sounds, levels), and whether the screening keeps them.

@@ -605,6 +605,19 @@ def test_a_pilot_s_spread_is_of_listeners_sounds_and_pairs() -> None:
     assert sounds.count == 5
 
 
+@pytest.mark.parametrize(("effect", "sd", "trials"), [(5.0, 12.0, 1), (10.0, 15.0, 4), (20.0, 20.0, 1)])
+def test_stated_effects_are_those_of_the_ratings(effect: float, sd: float, trials: int) -> None:
+    """Mean and spread of the rated differences, cut off at 100, are the stated ones; listeners as of a t test."""
+    people = power.MushraListeners.stated(np.array([0.0, -effect]), sd, trials=trials)
+    y, _ = people.drawn(np.random.default_rng(7), 1, 20_000)
+    differences = (y[..., 1] - y[..., 0]).mean(axis=(0, 2))
+    assert differences.mean() == pytest.approx(-effect, rel=0.04)
+    assert differences.std() == pytest.approx(sd, rel=0.03)
+    wanted = (sum(stats.norm.ppf([0.975, 0.8])) * sd / effect) ** 2
+    needed = power.fewest(lambda m: float(power.mushra_power(people, m, 0.05)[0]), 0.8, "")
+    assert needed == pytest.approx(wanted + 1.9, abs=0.1 * wanted + 1)  # t with small samples needs two more
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("listeners", "random"), [(14, False), (24, True)])
 def test_power_of_stated_effects_with_screening_is_had(
@@ -633,7 +646,7 @@ def test_power_of_stated_effects_with_screening_is_had(
             old.unlink()
         drawn = {rule: sd * rng.standard_normal() for rule, sd in sounds.items()}
         own = panel(listener_sd=people.own_sd, slope_sd=people.slope_sd, residual_sd=people.residual_sd,
-                    ratings={"damping": {"block": -10.0}}, interactions=drawn)  # fmt: skip
+                    ratings={"damping": {"block": float(people.effects[2])}}, interactions=drawn)  # fmt: skip
         simulate(test, own, listeners, seed=seed)
         found = analyse(tmp_path / "out")
         left_out += len(found.pages[0].screened)
