@@ -15,7 +15,7 @@ import soundfile
 from scipy import integrate, stats
 
 from tonewood.workshop.batch.pages import StaircasePage
-from tonewood.workshop.listening import detection, means, power, thresholds
+from tonewood.workshop.listening import detection, means, power, simulated_power, thresholds
 from tonewood.workshop.listening.definition import ListeningError
 from tonewood.workshop.listening.level_tone import tone
 from tonewood.workshop.listening.models import bradley_terry, linear_analysis, rank_analysis, share_interval
@@ -432,10 +432,12 @@ def test_power_of_choices_is_that_of_a_test_of_their_share() -> None:
         assert power.choice_power(share, each, listeners, 0.05) == pytest.approx(expected, abs=0.05)
 
 
-@pytest.mark.parametrize("needed", [1, 3, 4, 5, 57, 8193, power.MOST - 1, power.MOST, power.MOST + 1])
+@pytest.mark.parametrize(
+    "needed", [1, 3, 4, 5, 57, 8193, simulated_power.MOST - 1, simulated_power.MOST, simulated_power.MOST + 1]
+)
 def test_the_fewest_listeners_are_found_up_to_the_most_that_are_tried(needed: int) -> None:
-    if needed > power.MOST:
-        with pytest.raises(power.TooManyListenersError, match=f"more than {power.MOST} listeners"):
+    if needed > simulated_power.MOST:
+        with pytest.raises(power.TooManyListenersError, match=f"more than {simulated_power.MOST} listeners"):
             power.fewest(lambda n: 0.9 if n >= needed else 0.7, 0.8, "a nuance")
     else:
         assert power.fewest(lambda n: 0.8 if n >= needed else 0.7, 0.8, "a nuance") == max(needed, 3)
