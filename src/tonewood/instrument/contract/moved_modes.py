@@ -24,7 +24,16 @@ class MovedMode(Parameters):
 
 
 def with_moved_modes(freq: Floats, q: Floats, moved: Sequence[MovedMode]) -> tuple[Floats, Floats]:
-    """Frequencies (n,) Hz and Q (n,) of a table with those of some modes replaced.
+    """Return the frequencies and Q of a table with those of some modes replaced.
+
+    Parameters
+    ----------
+    freq, q : (n,) Hz and 1, of the table.
+    moved : new figures; each is for the mode of the table that is nearest to its `near`.
+
+    Returns
+    -------
+    freq, q : (n,) new arrays.
 
     Raises
     ------
