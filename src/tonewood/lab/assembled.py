@@ -11,14 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.errors import NumericalError
 from tonewood.physics.coupling.laws import Contact, HardeningSpring
 from tonewood.physics.stepping.forcing import Segment
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 
 class Matrices(NamedTuple):

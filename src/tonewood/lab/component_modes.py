@@ -22,8 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import basis_from_matrices, real_modes
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,9 +31,7 @@ from numpy.typing import NDArray
 from tonewood.lab.interpolatory import Update
 from tonewood.physics.modal.modes import BLOCK, PAIR, ModalBasis
 from tonewood.physics.modal.propagator import phi
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 
 def kernels(degree: int, z: Complexes) -> tuple[Complexes, Complexes]:

@@ -24,12 +24,11 @@ from itertools import pairwise
 from math import factorial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import apply, flow, real_form
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)

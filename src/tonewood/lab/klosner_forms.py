@@ -16,8 +16,7 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.lab.component_modes import FixedBaseModes, FreeFreeModes
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)

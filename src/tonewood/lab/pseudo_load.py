@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.errors import NumericalError
 from tonewood.lab.assembled import Matrices
@@ -27,8 +27,7 @@ from tonewood.lab.interpolatory import P1
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import flow, real_form
 from tonewood.physics.modal.synthesis import real_modes
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,9 @@ from dataclasses import asdict, dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes
 
 
 @dataclass(frozen=True, slots=True)

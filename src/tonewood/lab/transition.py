@@ -13,12 +13,11 @@ from math import factorial
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.lab.assembled import Matrices, state_matrix
 from tonewood.lab.interpolatory import Update, lagrange
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
+
 #: Hz, dB, and the quality of a bell; None for a shelf
 Band = tuple[float, float, float | None]
 

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.support.arrays import Floats
 from tonewood.support.sound_rates import check_rate
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,13 +7,11 @@ import math
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import BundleError
+from tonewood.support.arrays import Floats
 from tonewood.support.text_files import decoded
 from tonewood.support.units import number_in
-
-Floats = NDArray[np.float64]
 
 #: longest table that is read, bytes
 MAX_TABLE = 64_000_000

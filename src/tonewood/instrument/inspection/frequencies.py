@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.strings import StringModel
@@ -16,10 +16,8 @@ from tonewood.instrument.model.tuning import CoupledMode, TunedStop, ends_at_res
 from tonewood.instrument.model.untuned_bases import held_freq
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.receptance import Joint, Ports
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.support.units import cents, t60
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: a string-dominated mode farther than this from its pitch is reported, cents
 TOLERANCE_CENTS = 1.0

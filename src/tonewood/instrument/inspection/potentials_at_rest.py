@@ -8,13 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.physics.coupling.potentials.user import ModalPotential, PotentialEnergy
+from tonewood.support.arrays import Floats
 from tonewood.support.units import cents
-
-Floats = NDArray[np.float64]
 
 #: J of the motion in one mode with which H is measured: a fourth power of stiff rubber is not seen in it
 _ENERGY = 1e-16

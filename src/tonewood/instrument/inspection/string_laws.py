@@ -9,15 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.strings import StringModel
 from tonewood.instrument.model.tuning import ends_at_rest
 from tonewood.physics.modal.held_modes import HeldModes
+from tonewood.support.arrays import Floats
 from tonewood.support.units import ratio_of_cents
-
-Floats = NDArray[np.float64]
 
 #: bend at which strings are compared, cents
 BEND_CENTS = 200.0

@@ -31,13 +31,11 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.tuning import StringOnBody, of_second_polarization
+from tonewood.support.arrays import Floats
 from tonewood.support.units import cents, ratio_of_cents
-
-Floats = NDArray[np.float64]
 
 #: least share of the string's energy in other modes that counts
 LEAST_SHARE = 0.2

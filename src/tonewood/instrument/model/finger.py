@@ -19,14 +19,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.schema import Finger
 from tonewood.instrument.contract.attached import Attached, Site, loose_mass
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: point of the string under the finger
 POINT = "finger"

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.contract.base import Longitudinal
 from tonewood.instrument.model.finger import POINT
@@ -18,8 +17,7 @@ from tonewood.physics.modal.damper import damper_rates
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.points import below, damped, moved, with_points
 from tonewood.physics.modal.string_transfer import retuned
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: bases with their named points that are kept for other tensions: of the last stops and places of a pluck
 _PLACED = 8

@@ -6,9 +6,6 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tonewood.instrument.contract.attached import Attached, Site
 from tonewood.instrument.contract.base import Attachment, Exciter, Resonator, StringMotion
 from tonewood.instrument.model.finger import POINT, fingertips, laid_down
@@ -19,8 +16,7 @@ from tonewood.instrument.model.tuning import TunedStop
 from tonewood.physics.coupling.connections import Connection
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_transfer import string_carry, string_transfer
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 class StringModel:

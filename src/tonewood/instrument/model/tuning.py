@@ -12,14 +12,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.receptance import Joint, Ports
+from tonewood.support.arrays import Complexes
 from tonewood.support.units import cents, decibel
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: a second mode this near and this strong makes a wolf note
 WOLF_CENTS, WOLF_DB = 60.0, 6.0

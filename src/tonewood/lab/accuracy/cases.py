@@ -12,7 +12,6 @@ from functools import cached_property, lru_cache, partial
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab.methods.pole_search import continuous_matrix, nearest_zero
 from tonewood.lab.methods.problem import Problem
@@ -24,9 +23,7 @@ from tonewood.physics.modal.damping import with_damping_case
 from tonewood.physics.modal.modes import PAIR, ModalBasis
 from tonewood.physics.modal.receptance import Joint, Ports
 from tonewood.physics.modal.string_modes import held_string_compliance
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: Hz, modes of strings that every method steps unless its dial says otherwise
 FREQ_UPPER = 20000.0

@@ -11,8 +11,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: centres of the third-octave bands that are compared, Hz, and how far below the loudest, dB
 BANDS, BAND_FLOOR = 1000.0 * 2.0 ** (np.arange(-13, 13) / 3), -80.0

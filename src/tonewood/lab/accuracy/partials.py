@@ -14,8 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: partials that are looked for, and how far below the loudest they may be, dB
 PARTIALS, RANGE_DB = 20, 40.0

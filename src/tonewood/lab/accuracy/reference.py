@@ -13,14 +13,11 @@ from typing import Protocol
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab.accuracy.runs import KernelRun, Scene
 from tonewood.lab.methods.problem import Problem
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: samples per second of a reference that has to be computed
 FINE_RATE = 32 * 48000

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood import _methods
 from tonewood.errors import NumericalError
@@ -21,8 +20,7 @@ from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.modal.propagator import apply
 from tonewood.physics.stepping.kernel import KernelStepper, instruction_set
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 class Run(Protocol):

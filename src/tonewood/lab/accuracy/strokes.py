@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.lab.accuracy.partials import PartialErrors, compare
 from tonewood.lab.accuracy.timing import Task, Tell, measure, silent
 from tonewood.performance.score.note import Note, Score
 from tonewood.sound.render.renderer import Renderer
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: of the note; s of it, from when on partials are compared
 VELOCITY_MIDI, STEADY = 64, 0.1

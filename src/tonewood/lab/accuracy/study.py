@@ -32,9 +32,7 @@ from tonewood.lab.systems import fabre_guitar
 from tonewood.physics.coupling.connections import Term
 from tonewood.physics.coupling.laws import Contact
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: s of free motion that waveforms are compared over
 DURATION = 1.0

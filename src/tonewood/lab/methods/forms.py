@@ -18,16 +18,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.lab.assembled import Matrices
 from tonewood.lab.methods.problem import Array, Problem, RealModes
 from tonewood.physics.coupling.connections import Term
 from tonewood.physics.modal.damping import hermitian_mass_inverse, reciprocal_shapes
 from tonewood.physics.modal.modes import PAIR
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 
 @dataclass(frozen=True, eq=False)

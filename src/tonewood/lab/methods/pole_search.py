@@ -15,9 +15,7 @@ from scipy.linalg import lapack
 
 from tonewood.lab.methods.problem import Problem
 from tonewood.physics.modal.propagator import apply
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 
 @dataclass(frozen=True, eq=False)

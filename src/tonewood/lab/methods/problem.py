@@ -21,8 +21,8 @@ from tonewood.physics.coupling.inverse import scaled_pinv
 from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.modal.modes import PAIR, ModalBasis
 from tonewood.physics.modal.propagator import apply, flow, real_form
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 Array = NDArray[np.float64] | NDArray[np.complex128]
 #: sums of points with factors
 Sums = Sequence[Sequence[Term]]

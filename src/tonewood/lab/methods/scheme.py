@@ -7,16 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood import _methods
 from tonewood.lab.methods.pole_search import Products, Transfer, nearest_zero
 from tonewood.lab.methods.problem import Problem, product, through
 from tonewood.physics.modal.propagator import apply
 from tonewood.physics.stepping.kernel import instruction_set
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab.assembled import Matrices, free_motion
 from tonewood.lab.estimates import sine_error
@@ -46,8 +45,6 @@ from tonewood.lab.systems.chinnakonda_problems import (
 )
 from tonewood.lab.transition import Transition
 from tonewood.physics.modal.synthesis import basis_from_matrices, initial_state
-
-Floats = NDArray[np.float64]
 
 #: largest relative error of mass 1 over 10 s with 20, 40, 80, 160 steps per period, light damping: the thesis' system
 #: (its Fig. 3.8a shows them as points), computed independently, to the digits given

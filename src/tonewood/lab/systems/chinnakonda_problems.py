@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.lab.assembled import Matrices, driven_motion, state_matrix
 from tonewood.lab.interpolatory import P1, Response, Update, respond
@@ -24,8 +24,7 @@ from tonewood.lab.nonproportionality import reduced, reduction_shapes
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import basis_from_matrices, initial_state
 from tonewood.physics.stepping.forcing import Segment
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 SPRING = 4 * np.pi**2
 #: N s/m

@@ -46,8 +46,7 @@ from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import real_modes
 from tonewood.physics.stepping.forcing import Segment, compile_force
 from tonewood.physics.stepping.stepper import NumpyStepper
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 FORMS = ("fixed-base", "free-free")
 

@@ -35,9 +35,8 @@ from tonewood.performance.effects.usage import Bound, EffectUsage
 from tonewood.performance.player.fretting import Fretting
 from tonewood.performance.player.timeline import GRID, Play, Timeline
 from tonewood.physics.coupling.system import State, System
+from tonewood.support.arrays import Floats
 from tonewood.support.units import decibel
-
-Floats = NDArray[np.float64]
 
 #: an amplitude ratio that is as good as silence: -400 dB
 _SILENCE = 1e-20

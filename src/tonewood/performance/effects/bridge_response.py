@@ -13,9 +13,7 @@ from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
 from tonewood.physics.coupling.system import System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import RealForm, real_form
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: frequencies per octave besides the body's own resonances
 _PER_OCTAVE = 24

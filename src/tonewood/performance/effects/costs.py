@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: weight of the declared costs beside the measured times: they decide where nothing was measured
 _DECLARED = 1e-4

@@ -19,14 +19,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.performance.effects.bridge_response import BridgeResponse
 from tonewood.physics.coupling.potentials.longitudinal import GeometricShare, GeometricStretch, cosine_products
 from tonewood.physics.coupling.system import Compiled
 from tonewood.physics.modal.held_modes import HeldModes
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: relative; partials are off by so much at most: 1 cent
 _DRIFT = 0.0006

@@ -27,15 +27,13 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.performance.effects.bridge_response import BridgeResponse
 from tonewood.physics.coupling.potentials.tension import stretch_weights
 from tonewood.physics.coupling.system import Compiled, System
 from tonewood.physics.modal.held_modes import HeldModes
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: lowest partials whose beats are counted one by one; those above are taken together
 _BEATING = 12

@@ -23,7 +23,6 @@ from itertools import accumulate, zip_longest
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.contract.base import Plugin
 from tonewood.instrument.contract.effects import Effect, Norms, rise_of_tension
@@ -43,8 +42,7 @@ from tonewood.physics.coupling.potentials.tension import TensionModulation, stre
 from tonewood.physics.coupling.system import Compiled, State, System
 from tonewood.physics.stepping.forcing import Segment
 from tonewood.physics.stepping.motion import to_motion
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: points of the control grid between two looks at energies while some tensions rise and others do not, and between
 #: two looks at all bounds, after which tensions may be left out

@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.player.gestures import Active, places
 from tonewood.physics.coupling.system import Injection, PrescribedMotion, State, System
 from tonewood.physics.energy.account import EnergyAccount, EnergyTrace, KnownForce
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 class EnergyBudget:

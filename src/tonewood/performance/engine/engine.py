@@ -30,6 +30,7 @@ from tonewood.physics.coupling.connections import Connection
 from tonewood.physics.coupling.system import Compiled, Injection, PrescribedMotion, State, System
 from tonewood.physics.stepping.kernel import KernelStepper
 from tonewood.physics.stepping.motion import share_velocities
+from tonewood.support.arrays import Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.support.units import decibel
 
@@ -38,7 +39,6 @@ __all__ = ["GRID", "Counters", "Engine", "Snapshot"]
 if TYPE_CHECKING:
     from tonewood.performance.engine.energy_budget import EnergyBudget
 
-Floats = NDArray[np.float64]
 
 #: points of the control grid after which the engine stops at the latest
 _LONGEST = 64

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.strings import StringModel
@@ -19,8 +18,8 @@ from tonewood.physics.energy.stored import gaps
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.points import damped
 from tonewood.physics.stepping.motion import from_motion, to_motion
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 #: component -> force of its bridge on a string's end, N
 ForceAtBridge = Callable[[str], float]
 

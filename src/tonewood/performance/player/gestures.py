@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import BundleError
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.player.timeline import GRID, Play
 from tonewood.physics.coupling.system import Injection, PrescribedMotion, System
 from tonewood.physics.stepping.forcing import Course, course
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: steps in which a finger's dashpot grows
 _HOLD_LEVELS = 3

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from tonewood.physics.coupling.potentials.coordinates import ModalCoordinates
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import RealForm, apply, impulse_series
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: samples that the kernel steps at a time: the reach of `Compiled.history`
 BLOCK_SIZE = 16

@@ -38,8 +38,7 @@ from numpy.typing import NDArray
 
 from tonewood.physics.coupling.inverse import DenseInverse, InverseInParts, scaled_pinv
 from tonewood.physics.coupling.laws import NonlinearLaw
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)

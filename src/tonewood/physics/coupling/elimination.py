@@ -20,8 +20,7 @@ from tonewood.physics.coupling.connections import (
 )
 from tonewood.physics.coupling.inverse import MOST_IN_PART, Hub, InverseInParts
 from tonewood.physics.coupling.layout import Layout
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: linear connections from which on their compliance is inverted in parts: below, one dense matrix is quicker
 LEAST_IN_PARTS = 64

@@ -19,12 +19,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
+from tonewood.support.arrays import Floats, Indices
+
 #: (e,) rows, columns and values of a sparse matrix; those of one place add up
-Entries = tuple[Places, Places, Floats]
+Entries = tuple[Indices, Indices, Floats]
 
 #: connections of one part at most
 MOST_IN_PART = 12
@@ -72,8 +71,8 @@ class Hub:
     """
 
     slot: int
-    ports: Places
-    point: Places
+    ports: Indices
+    point: Indices
     factor: Floats
     span: Floats
     compliance: Floats
@@ -110,7 +109,7 @@ class InverseInParts:
     hub : None if no connection needs it.
     """
 
-    parts: tuple[tuple[Places, Floats], ...]
+    parts: tuple[tuple[Indices, Floats], ...]
     hub: Hub | None
 
     @classmethod
@@ -161,7 +160,7 @@ class InverseInParts:
         return self.apply(np.eye(sum(places.size for places, _ in self.parts)))
 
 
-def _parts(k: int, entries: Entries) -> tuple[tuple[Places, Floats], ...] | None:
+def _parts(k: int, entries: Entries) -> tuple[tuple[Indices, Floats], ...] | None:
     """Connected parts of a sparse symmetric matrix, and their inverses, by size; None if it has none or is singular."""
     rows, columns, values = (a[entries[2] != 0.0] for a in entries)
     label = np.arange(k)

@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.coupling.compiled import BLOCK_SIZE, PADDING, Compiled, Injection, PrescribedMotion, State
 from tonewood.physics.coupling.connections import Connection, LinearSolve, NonlinearSolve, Term
@@ -24,6 +23,7 @@ from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.coupling.potentials.user import ModalPotential
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import apply, flow, powers, real_form
+from tonewood.support.arrays import Floats
 
 __all__ = [
     "BLOCK_SIZE",
@@ -37,8 +37,6 @@ __all__ = [
     "System",
     "Term",
 ]
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from tonewood.physics.modal.modes import BLOCK, PAIR, REAL, ModalBasis
 from tonewood.physics.modal.propagator import real_form
 from tonewood.physics.passivity.storage import Storage
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 # Gauss-Legendre rule and Taylor order that are exact to rounding where |M tau| <= 1/2
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)

@@ -18,8 +18,7 @@ from tonewood.physics.coupling.connections import Rigid, SpringDashpot
 from tonewood.physics.coupling.inverse import scaled_pinv
 from tonewood.physics.coupling.laws import NonlinearLaw, PotentialLaw
 from tonewood.physics.coupling.system import System
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: numbers of nonlinear laws that make them lose energy
 _LOSSES = ("loss", "damping", "quadratic_damping")

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from tonewood.physics.energy.forms import ComponentEnergy
 from tonewood.physics.stepping.forcing import SampledForce, Segment
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)

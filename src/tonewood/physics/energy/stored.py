@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.coupling.connections import Rigid, SpringDashpot
 from tonewood.physics.coupling.inverse import scaled_pinv
@@ -13,8 +12,7 @@ from tonewood.physics.coupling.laws import PotentialLaw
 from tonewood.physics.coupling.potentials.solve import PotentialSolve
 from tonewood.physics.coupling.system import State, System
 from tonewood.physics.stepping.motion import to_motion
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,12 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import PassivityError
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 
 def conjugate_weights(poles: Complexes) -> Floats:

@@ -27,12 +27,10 @@ M. E. Daube-Witherspoon and G. Muehllehner, IEEE Trans. Med. Imaging 5 (1986) 61
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.modal.held_modes import HeldModes
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: places over the felt's width at which the shapes are squared
 _PLACES = 9

@@ -20,11 +20,10 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.support.units import cents
 
-Floats = NDArray[np.float64]
 _Point = tuple[float, float]
 
 #: the finger lies at most this share of the space behind its fret away from it

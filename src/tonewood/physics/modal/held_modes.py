@@ -15,12 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.secular import secular_roots
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)

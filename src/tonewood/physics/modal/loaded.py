@@ -24,8 +24,6 @@ from numpy.typing import ArrayLike, NDArray
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import real_form
 
-Floats = NDArray[np.float64]
-
 #: frequency of the modes that stand for a residual compliance, re the highest mode
 _FAR = 1e3
 #: condition of the eigenvectors beyond which modes cannot be distinguished

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tonewood.physics.modal.conjugates import Complexes, extend
+from tonewood.physics.modal.conjugates import extend
 from tonewood.physics.modal.modes import ModalBasis
+from tonewood.support.arrays import Complexes
 
 #: relative distance of poles below which they count as one
 SAME = 1e-9

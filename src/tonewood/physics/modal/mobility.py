@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.physics.modal.conjugates import Complexes, Floats, extend
+from tonewood.physics.modal.conjugates import extend
+from tonewood.support.arrays import Complexes, Floats
 
 #: share of the largest singular value at which a direction of the port space counts as absent
 PORT_RANK = 1e-8

@@ -24,9 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.physics.modal.modes import BLOCK, PAIR, ModalBasis
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 
 def phi(order: int, z: Complexes) -> Complexes:

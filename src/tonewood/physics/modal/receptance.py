@@ -12,12 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.modal.modes import BLOCK, PAIR, ModalBasis
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: moments of the integrals that `Joint.zeros_within` takes, per Hankel matrix, and their smallest singular value
 _MOMENTS, _RANK = 3, 1e-7

@@ -25,12 +25,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.secular import secular_roots
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 #: eta(omega rad/s, k 1/m) -> loss factor; the decay rate of a partial is sigma = omega eta / 2
 LossFactor = Callable[[Floats, Floats], ArrayLike]
 

@@ -18,13 +18,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.physics.modal.complex_modes import complex_modes
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import real_form
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: off-diagonal modal damping, relative to its row and column, that counts as none
 _PROPORTIONAL = 1e-11

@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.errors import PassivityError
-from tonewood.physics.modal.conjugates import Complexes, Floats, conjugate_weights, extend, halve, real_form
+from tonewood.physics.modal.conjugates import conjugate_weights, extend, halve, real_form
 from tonewood.physics.modal.mobility import (
     PORT_RANK,
     balanced,
@@ -44,6 +44,7 @@ from tonewood.physics.modal.mobility import (
     smallest_hermitian,
     step_gain,
 )
+from tonewood.support.arrays import Complexes, Floats
 
 #: default tolerance: share of |Y| (or of the quantity it is compared with) by which a sign may be wrong. Rounding of a
 #: 40-degree-of-freedom eigenproblem reaches 1e-11; the growth 1e-9 allows takes days to be heard.

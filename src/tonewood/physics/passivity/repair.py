@@ -24,10 +24,11 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from tonewood.errors import PassivityError
-from tonewood.physics.modal.conjugates import Complexes, Floats, conjugate_weights, extend, halve, real_form
+from tonewood.physics.modal.conjugates import conjugate_weights, extend, halve, real_form
 from tonewood.physics.modal.mobility import PORT_RANK, mobility, port_scale
 from tonewood.physics.passivity.conditions import UNDAMPED, PassivityReport, check
 from tonewood.physics.passivity.storage import Storage, lyapunov_dissipation
+from tonewood.support.arrays import Complexes, Floats
 
 #: relative H2 change of the mobility above which a repair is refused
 MAX_CHANGE = 0.1

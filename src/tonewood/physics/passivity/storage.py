@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tonewood.errors import PassivityError
-from tonewood.physics.modal.conjugates import Complexes, Floats, extend, halve, real_form
+from tonewood.physics.modal.conjugates import extend, halve, real_form
 from tonewood.physics.modal.mobility import port_directions, port_scale
 from tonewood.physics.passivity.conditions import UNDAMPED, modal_partners
+from tonewood.support.arrays import Complexes, Floats
 
 _EXACT = 1e-8  # share by which P B = (R A)^H / 2 may be missed before the result is refused
 

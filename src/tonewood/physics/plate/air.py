@@ -26,13 +26,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.integrals import displacement, integrals
 from tonewood.physics.plate.outline import quadrature
 from tonewood.physics.plate.splines import SplineGrid
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 Pair = tuple[float, float]
 
 #: kg/m^3 and m/s, air at 20 degrees Celsius

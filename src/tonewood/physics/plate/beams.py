@@ -24,15 +24,14 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.splines import SplineGrid, line_functions
 from tonewood.physics.plate.wood import Wood
+from tonewood.support.arrays import Floats
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-Floats = NDArray[np.float64]
 
 #: Timoshenko's shear coefficient of a rectangle
 _SHEAR = 5 / 6

@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED, AirModes, cavity_modes, couple_air, hole_loss
 from tonewood.physics.plate.beams import Beam
@@ -27,10 +26,9 @@ from tonewood.physics.plate.plate import CLAMPED, Edge, Plate, PlateModes, Thick
 from tonewood.physics.plate.radiation import Sources, gathered_sources
 from tonewood.physics.plate.splines import SplineGrid
 from tonewood.physics.plate.wood import Wood
+from tonewood.support.arrays import Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.support.stages import stages
-
-Floats = NDArray[np.float64]
 
 #: coefficients of a plate's displacements
 MOST_UNKNOWNS = 25_000

@@ -22,16 +22,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.splines import SplineGrid, line_functions
 from tonewood.physics.plate.wood import Wood
+from tonewood.support.arrays import Floats, Indices
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
 
 #: breaks of the integrals, in units of delta; the layer ends at the last
 _BREAKS = np.array([0.0, 1.5, 5.0, 12.0])
@@ -188,7 +186,7 @@ def _depth(wood: Wood, grain: float, shear_factor: float) -> float:
     return float(np.sqrt(wood.stiffness(grain)[2, 2] / (12 * shear_factor * wood.transverse(grain)[0, 0])))
 
 
-def _strip(side: _Side, before: float, after: float) -> tuple[Floats, Floats, Places, Floats, Floats]:
+def _strip(side: _Side, before: float, after: float) -> tuple[Floats, Floats, Indices, Floats, Floats]:
     """Points of integrals over a side's layer.
 
     Parameters
@@ -219,7 +217,7 @@ def _strip(side: _Side, before: float, after: float) -> tuple[Floats, Floats, Pl
     return points.reshape(-1, 2), weights.ravel(), np.repeat(segment, n), np.repeat(s / length, n), np.tile(d, len(s))
 
 
-def _rows(side: _Side, segment: Places, place: Floats, depth: Floats, count: int) -> list[csr_matrix]:
+def _rows(side: _Side, segment: Indices, place: Floats, depth: Floats, count: int) -> list[csr_matrix]:
     """Rows (kappa, gamma, beta) of the functions g of one side, among `count` of all sides."""
     from scipy.sparse import csr_matrix, diags, hstack
 

@@ -18,9 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tonewood.physics.plate.air import SOUND_SPEED
 from tonewood.physics.plate.radiation import Sources
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: Hz, lowest frequency of equal relative error
 _LOWEST = 50.0

@@ -23,9 +23,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: relative distance of eigenvalues below which they count as one
 SAME = 1e-9

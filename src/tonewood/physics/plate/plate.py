@@ -31,7 +31,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.physics.plate.beams import Beam, beam_line, beam_matrices, rotations
 from tonewood.physics.plate.edge_layer import layer_matrices
@@ -40,13 +40,12 @@ from tonewood.physics.plate.lanczos import lowest
 from tonewood.physics.plate.outline import quadrature, refined
 from tonewood.physics.plate.splines import Order, SplineGrid
 from tonewood.physics.plate.wood import Wood
+from tonewood.support.arrays import Floats, Indices
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix, csr_matrix
     from scipy.sparse.linalg import SuperLU
 
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
 #: name and number of unknowns
 Field = tuple[str, int]
 #: thickness (m) at points (..., 2)
@@ -123,7 +122,7 @@ class _Sum:
         counts = [count for _, count in fields]
         starts = np.concatenate([[0], np.cumsum(counts)])
         self.size, self.slots = int(starts[-1]), dict(zip((name for name, _ in fields), map(int, starts), strict=False))
-        self._parts: list[tuple[Floats, Places, Places]] = []
+        self._parts: list[tuple[Floats, Indices, Indices]] = []
 
     def add(self, part: csr_matrix, fields: Sequence[Field]) -> None:
         """Add a matrix of some fields, in their order there."""
@@ -448,7 +447,7 @@ def cell_size(wood: Wood, thickness: float, fmax: float) -> float:
     return float(min(0.3 * wavelength, 0.02))
 
 
-def _kept(stiffness: Floats, mass: Floats, slots: Mapping[str, int], fields: Sequence[Field]) -> Places:
+def _kept(stiffness: Floats, mass: Floats, slots: Mapping[str, int], fields: Sequence[Field]) -> Indices:
     """Unknowns whose functions touch the plate, by their energy beside that of others of their field."""
     keep = [np.arange(slots[fields[0][0]])]
     for name, count in fields:

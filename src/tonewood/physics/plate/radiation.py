@@ -25,9 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: rows of a block of distances between sources
 _ROWS = 128

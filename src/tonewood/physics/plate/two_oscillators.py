@@ -21,11 +21,9 @@ Phases between modes above T1 are made up: this estimates levels in bands, not a
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 def displaced_volumes(freq: tuple[float, float], shapes: tuple[float, float], volume: float) -> tuple[float, float]:

@@ -19,18 +19,17 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED, Cavity, cavity_modes, hole_loss
 from tonewood.physics.plate.body import BodyDrawing, cell_of, made_plate, mouth_of, named_modes, opening_of, point_loads
 from tonewood.physics.plate.lanczos import lowest
 from tonewood.physics.plate.mode_changes import ModeChange, mode_change
 from tonewood.physics.plate.radiation import Sources, gathered_sources
+from tonewood.support.arrays import Floats
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
 
-Floats = NDArray[np.float64]
 
 #: m, squares in which a plate's motion is gathered for its sound
 _SQUARE = 0.02

@@ -17,8 +17,8 @@ from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
 from tonewood.physics.coupling.potentials.solve import force_vector
 from tonewood.physics.coupling.potentials.tension import TensionShare
 from tonewood.physics.coupling.system import Compiled, System
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 #: arrays and numbers by name
 Description = dict[str, Any]
 

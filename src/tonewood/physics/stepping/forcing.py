@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from tonewood.physics.coupling.system import Injection
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import SERIES_TERMS, impulse_series, moments, real_form
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: steps with breakpoints that lie so far apart are injected one by one, others together
 _APART = 64

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from tonewood.physics.coupling.inverse import scaled_pinv
 from tonewood.physics.coupling.system import State, System
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 def to_motion(basis: ModalBasis, modes: Floats) -> tuple[Floats, Floats]:

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import NumericalError
 from tonewood.physics.coupling.laws.friction import Friction, FrictionBranch, solve_branches
@@ -23,8 +22,7 @@ from tonewood.physics.coupling.laws.solve import Partners, find_forces
 from tonewood.physics.coupling.potentials.solve import DrivenForces, PotentialSolve, PotentialsOverStep
 from tonewood.physics.coupling.system import Injection, PrescribedMotion, State, System
 from tonewood.physics.modal.propagator import apply
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass

@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import BundleError, DroppedNotesWarning, NothingPlayedError, TonewoodError
 from tonewood.instrument.model.output_assembly import pan_gains
@@ -33,10 +32,10 @@ from tonewood.performance.score.note import Control, Score
 from tonewood.performance.score.reading import read_score
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import Renderer, Summary, silence, warn_of_dropped_notes
+from tonewood.support.arrays import Floats
 from tonewood.support.params import Parameters, described, quantity, validated
 from tonewood.support.yaml_io import load_yaml
 
-Floats = NDArray[np.float64]
 #: controllers that act on a part's sound in the mix
 MIXED = ("cc7", "cc10", "cc11")
 #: s that a change of one of them takes

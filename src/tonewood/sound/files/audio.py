@@ -12,20 +12,19 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import OutputError
 from tonewood.performance.score.note import Dropped
 from tonewood.physics.energy.trace import EnergyTrace
 from tonewood.sound.files.tags import NO_TAGS, Tags
 from tonewood.sound.level.spectrum import level_curve, spectrogram
+from tonewood.support.arrays import Floats
 from tonewood.support.plotting import COLOURS, LINE, colour_bar, data_uri, draw_spectrogram, figure
 from tonewood.support.whole_files import AtomicFile
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
 
 #: bytes a plain WAV file can hold; larger files become RF64
 _WAV_LIMIT = 4_000_000_000

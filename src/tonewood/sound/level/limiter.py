@@ -14,11 +14,9 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: samples worked on at a time, counted from the first one: the result does not depend on the blocks that come in
 _CHUNK = 4096

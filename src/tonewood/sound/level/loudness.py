@@ -11,12 +11,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import OutputError
+from tonewood.support.arrays import Floats
 from tonewood.support.units import decibel
-
-Floats = NDArray[np.float64]
 
 BLOCK = 0.400  # s, gating block of BS.1770
 _REACH, _REACH_GAIN = 10, 2.25  # of scipy's fourfold filter: samples each side, and sum of |h| (2.2414) over them

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: level of silence, dB re full scale
 SILENCE_DB = -200.0

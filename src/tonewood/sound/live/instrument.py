@@ -9,7 +9,6 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.model.assembly import Model
@@ -28,10 +27,9 @@ from tonewood.sound.render.presets import with_preset
 from tonewood.sound.render.renderer import assembled
 from tonewood.sound.render.resampling import Resampler
 from tonewood.sound.render.routing import Routing
+from tonewood.support.arrays import Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.support.one_user import OneUser, alone
-
-Floats = NDArray[np.float64]
 
 #: options of a render that need its end or its past
 _NOT_LIVE = ("tail", "tail_level_db", "max_duration", "lead_in", "energy", "room")

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.sound.live.instrument import Live
 from tonewood.sound.render.renderer import Renderer
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 #: takes a block (n, n_channels) and the sampling rate in Hz, returns one of as many channels
 Processor = Callable[[Floats, int], Floats]
 

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.performance.score.midi import read_messages
@@ -24,9 +23,8 @@ from tonewood.sound.live.instrument import Live
 from tonewood.sound.live.receiver import MidiReceiver, channel_message
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import Summary, silence
+from tonewood.support.arrays import Floats
 from tonewood.support.whole_files import write_whole
-
-Floats = NDArray[np.float64]
 
 _HEADING = "tonewood take"
 #: ticks before an event, most

@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import NothingPlayedError, TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
@@ -21,7 +20,6 @@ from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import Renderer
 from tonewood.support.units import decibel
 
-Floats = NDArray[np.float64]
 LevelName = Literal["calibrated", "peak", "LUFS"]
 
 #: dBFS, largest sample where the level is `peak` or `LUFS`; LUFS, the loudness of EBU R 128

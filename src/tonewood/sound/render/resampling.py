@@ -5,9 +5,8 @@ from __future__ import annotations
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: attenuation of frequencies that would alias, dB; width of the transition re the lower of the two rates
 _ATTENUATION_DB, _TRANSITION = 110.0, 0.1

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from itertools import accumulate, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.contract.conversion import Converter
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.output_assembly import OutputGroup
 from tonewood.sound.equalizer import Equalizer
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 #: of the delays, of the equalizers, then of every converter
 Memory = tuple[Floats, ...]
 

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.estimate.body_modes import envelopes
 from tonewood.workshop.estimate.partials import (
     MOST,
@@ -19,9 +19,6 @@ from tonewood.workshop.estimate.partials import (
 )
 from tonewood.workshop.estimate.recordings import FS, SHORTEST, Recording
 from tonewood.workshop.estimate.spectra import bands_over_time, db, find_onset, power_spectrum, share
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: Hz, bands of the measures of modulation, and of the floor between partials
 MODULATED = ((700.0, 1500.0), (1500.0, 3000.0), (3000.0, 6000.0))

@@ -14,10 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.estimate.partials import Bands, poles
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: Hz, lower end of the bands, and their upper ends; s after the onset that are used
 _LOW, LIMITS = 70.0, (250.0, 350.0)

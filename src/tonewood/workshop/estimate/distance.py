@@ -17,11 +17,8 @@ from dataclasses import dataclass, fields
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.workshop.estimate.analysis import NoteAnalysis
-
-Floats = NDArray[np.float64]
 
 #: dB below the loudest band, and most that a difference counts
 _RANGE, _MOST = 50.0, 20.0

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.support.arrays import Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.estimate import gain, laws, pluck
 from tonewood.workshop.estimate.analysis import NoteAnalysis, analyse, check_pitches
@@ -21,8 +21,6 @@ from tonewood.workshop.estimate.playing import Played, Stage
 from tonewood.workshop.estimate.recordings import Folder
 from tonewood.workshop.estimate.room import RoomShare, room_share
 from tonewood.workshop.estimate.search import RenderedNotes, Search, seconds
-
-Floats = NDArray[np.float64]
 
 #: notes that an estimate needs, and of which halves are held back
 FEWEST_NOTES, FEWEST_HALVED = 3, 8

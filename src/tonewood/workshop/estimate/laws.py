@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from tonewood.instrument.contract.base import Loss
 from tonewood.instrument.contract.losses import StringData
+from tonewood.support.arrays import Floats
 from tonewood.workshop.estimate.analysis import NoteAnalysis
-
-Floats = NDArray[np.float64]
 
 #: partials that a law needs; Hz below which strings move with the body
 FEWEST, LOWEST = 8, 150.0

@@ -6,10 +6,10 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.scales import note_name
 from tonewood.sound.files.audio import flac_bytes
+from tonewood.support.arrays import Floats
 from tonewood.support.plotting import data_uri
 from tonewood.workshop.estimate import laws
 from tonewood.workshop.estimate.bundle import PRESET, RecordingOrigin
@@ -19,8 +19,6 @@ from tonewood.workshop.estimate.pictures import gain_picture, rates_picture, spe
 from tonewood.workshop.estimate.recordings import FS
 from tonewood.workshop.estimate.spectra import find_onset
 from tonewood.workshop.report.offline import offline_page
-
-Floats = NDArray[np.float64]
 
 #: notes held back that are heard, from each half; s before the onset, of a sound, and of its fade
 _HEARD, _BEFORE, _LENGTH, _FADE = 3, 0.03, 3.0, 0.05

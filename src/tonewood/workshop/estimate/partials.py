@@ -15,13 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.estimate.recordings import FS
 from tonewood.workshop.estimate.spectra import db, power_spectrum
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: Hz, highest partial that is looked for; most partials of a note that are analysed
 HIGHEST, MOST = 9000.0, 45

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
@@ -14,9 +13,8 @@ from tonewood.instrument.scales import note_name
 from tonewood.performance.score.note import Note, Score
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import Renderer, assembled
+from tonewood.support.arrays import Floats
 from tonewood.workshop.estimate.recordings import FS, Recording
-
-Floats = NDArray[np.float64]
 
 #: MIDI velocity of notes whose dynamic nobody says
 VELOCITY = 96.0

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.estimate.analysis import NoteAnalysis
 from tonewood.workshop.estimate.playing import Played
-
-Floats = NDArray[np.float64]
 
 #: m, step of the search; partials that are looked at; dB at which a partial's misfit counts no more
 _STEP, _MOST, _OUTLIER = 0.001, 22, 12.0

@@ -15,13 +15,11 @@ from math import gcd
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.scales import note_name
+from tonewood.support.arrays import Floats
 from tonewood.support.sound_rates import check_rate
-
-Floats = NDArray[np.float64]
 
 #: Hz, rate of the analysis, to which every recording is brought
 FS = 44100

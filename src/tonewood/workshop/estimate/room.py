@@ -12,15 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.sound.room import room_response
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.estimate.analysis import NoteAnalysis
 from tonewood.workshop.estimate.partials import Bands
 from tonewood.workshop.estimate.recordings import FS
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: s after the onset at which levels are compared
 TIMES = np.arange(0.05, 0.5, 0.01)

@@ -10,17 +10,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.support.arrays import Floats
 from tonewood.workshop.estimate import gain, laws, pluck
 from tonewood.workshop.estimate.analysis import NoteAnalysis, analyse
 from tonewood.workshop.estimate.body_modes import LIMITS, HeardMode, body_modes
 from tonewood.workshop.estimate.figures import Figures, figures_of, in_fractions, mode_tables, with_laws
 from tonewood.workshop.estimate.playing import Played, Stage, render_notes, seconds_of
 from tonewood.workshop.estimate.recordings import FS, Recording
-
-Floats = NDArray[np.float64]
 
 #: most that a figure moves at once: ratio of B, ratio of the splitting, m of the place
 _MOST_B, _MOST_SPLIT, _MOST_PLACE = 3.0, 1.8, 0.04

@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.listening import strata
 from tonewood.workshop.listening.means import unique
 
-Array = NDArray[np.float64]
 Rows = Sequence[Mapping[str, Any]]
 
 
@@ -106,6 +105,6 @@ class Cells:
             for e in contrasts.bases
         }  # fmt: skip
 
-    def design(self, contrasts: strata.Contrasts) -> Array:
+    def design(self, contrasts: strata.Contrasts) -> Floats:
         """Columns (cells, p) of the model, the mean first."""
         return np.hstack([np.ones((len(self.cells), 1)), *self.columns(contrasts).values()])

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.batch.pages import (
     StaircasePage,
 )
@@ -20,7 +21,6 @@ from tonewood.workshop.listening.models import share_test
 from tonewood.workshop.listening.panel import SimulatedPanel
 from tonewood.workshop.listening.thresholds import ThresholdGrid
 
-Array = NDArray[np.float64]
 #: listeners, or answers, that are tried at most
 MOST = 10_000
 #: steps of the search for what listeners hear, and listeners drawn in each
@@ -63,18 +63,18 @@ class SoundSpread:
     """
 
     count: int
-    sounds: Array
-    pairs: Array
+    sounds: Floats
+    pairs: Floats
 
 
 def rating_power(
-    effects: Sequence[float] | Array,
-    covariance: Array,
+    effects: Sequence[float] | Floats,
+    covariance: Floats,
     listeners: int,
     alpha: float,
     seed: int = 1,
     sampled: SoundSpread | None = None,
-) -> Array:
+) -> Floats:
     """Share of simulated experiments in which the report finds each level's difference from the first.
 
     Parameters
@@ -108,7 +108,7 @@ def rating_power(
     return found / count
 
 
-def screened_found(y: Array, kept: NDArray[np.bool_], alpha: float, *, sounds: bool = False) -> NDArray[np.bool_]:
+def screened_found(y: Floats, kept: NDArray[np.bool_], alpha: float, *, sounds: bool = False) -> NDArray[np.bool_]:
     """Whether the report finds each level's difference from the first, with all listeners and with those kept.
 
     Parameters
@@ -134,19 +134,19 @@ def screened_found(y: Array, kept: NDArray[np.bool_], alpha: float, *, sounds: b
     return found
 
 
-def _differs(y: Array, rows: Array, alpha: float, sounds: bool) -> NDArray[np.bool_]:
+def _differs(y: Floats, rows: Floats, alpha: float, sounds: bool) -> NDArray[np.bool_]:
     return np.asarray(strata.holm(strata.estimated(y, rows, 1 - alpha, sounds=sounds).p_value) < alpha)
 
 
 def screened_power(
-    pilot: Array,
+    pilot: Floats,
     kept: NDArray[np.bool_],
-    effects: Array,
+    effects: Floats,
     listeners: int,
     alpha: float,
     seed: int = 1,
     sampled: SoundSpread | None = None,
-) -> Array:
+) -> Floats:
     """Share of experiments with listeners of a pilot in which the report finds each level's difference from the first.
 
     Parameters
@@ -197,7 +197,7 @@ class MushraListeners:
         of single answers, and of random sounds' differences from the first level.
     """
 
-    effects: Array
+    effects: Floats
     sounds: int
     trials: int
     cells: int
@@ -208,7 +208,7 @@ class MushraListeners:
 
     @classmethod
     def stated(
-        cls, effects: Array, sd: float, sounds: int = 1, trials: int = 1, cells: int = 1, sound_sd: float = 0.0
+        cls, effects: Floats, sd: float, sounds: int = 1, trials: int = 1, cells: int = 1, sound_sd: float = 0.0
     ) -> MushraListeners:
         """Listeners whose rated differences have these means and, at the largest, the standard deviation `sd`.
 
@@ -238,7 +238,7 @@ class MushraListeners:
             )  # fmt: skip
         return people
 
-    def drawn(self, random: np.random.Generator, experiments: int, listeners: int) -> tuple[Array, NDArray[np.bool_]]:
+    def drawn(self, random: np.random.Generator, experiments: int, listeners: int) -> tuple[Floats, NDArray[np.bool_]]:
         """Draw listeners' means (experiments, listeners, sounds, levels), and whether the screening keeps them.
 
         The reference is among the first level's sounds. The sound that is heard as best gets 100, the others 100 plus
@@ -261,7 +261,7 @@ class MushraListeners:
         return rated.mean(axis=(-3, -2)), missed <= LIMIT_SHARE
 
 
-def mushra_power(people: MushraListeners, listeners: int, alpha: float, seed: int = 1) -> Array:
+def mushra_power(people: MushraListeners, listeners: int, alpha: float, seed: int = 1) -> Floats:
     """Share of experiments in which the report of a MUSHRA page, with its screening, finds each level's difference.
 
     Parameters
@@ -282,14 +282,14 @@ def mushra_power(people: MushraListeners, listeners: int, alpha: float, seed: in
 
 
 def ordinal_power(
-    effects: Sequence[float] | Array,
+    effects: Sequence[float] | Floats,
     sd: float,
     cells: int,
     ends: tuple[float, float],
     listeners: int,
     alpha: float,
     seed: int = 1,
-) -> Array:
+) -> Floats:
     """Share of simulated experiments in which the report finds each level rated above or below the first.
 
     Parameters
@@ -317,7 +317,7 @@ def ordinal_power(
     return found / count
 
 
-def stated_spread(sd: float, sound_sd: float, sounds: int, levels: int) -> tuple[Array, SoundSpread]:
+def stated_spread(sd: float, sound_sd: float, sounds: int, levels: int) -> tuple[Floats, SoundSpread]:
     """Covariances of differences with standard deviations `sd` (listeners) and `sound_sd` (random sounds).
 
     Half of the variance of a listener's difference is that of single answers, of one to each sound.
@@ -326,7 +326,7 @@ def stated_spread(sd: float, sound_sd: float, sounds: int, levels: int) -> tuple
     return sd**2 / 4 * one, SoundSpread(sounds, sound_sd**2 / 2 * one, sounds * sd**2 / 4 * one)
 
 
-def _draws(random: np.random.Generator, covariance: Array, *shape: int) -> Array:
+def _draws(random: np.random.Generator, covariance: Floats, *shape: int) -> Floats:
     """Normal numbers (*shape, levels) of a covariance matrix, whose negative eigenvalues are taken as 0."""
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from tonewood.physics.coupling.laws.base import NonlinearLaw, PotentialLaw
 from tonewood.physics.coupling.laws.friction import FrictionBranch
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: of the displacement that the forces make, and of the gaps themselves (rounding)
 TOLERANCE, ROUNDING = 1e-12, 4e-16

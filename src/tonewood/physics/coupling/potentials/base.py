@@ -27,12 +27,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
-
+from tonewood.support.arrays import Floats
 
 #: of an energy, by which two sums of it may differ
 SAME = 1e-13

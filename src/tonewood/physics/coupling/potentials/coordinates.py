@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.modal.modes import PAIR, ModalBasis
 from tonewood.physics.modal.propagator import apply
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: share of the kinetic energy that is taken or given at once, at most
 PAID_AT_ONCE = 0.25

@@ -41,12 +41,10 @@ from itertools import pairwise
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.coupling.potentials.base import JoinedPotential, Kind, MiddleOfStep, Potential
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: cosines of the slope beyond the number of modes: the bridge's motion spreads a mode over its neighbours
 MORE_COSINES = 12

@@ -30,13 +30,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.coupling.potentials.base import Kind, Potential
 from tonewood.physics.coupling.potentials.longitudinal import MORE_COSINES, cosine_products, cosine_slopes
 from tonewood.physics.modal.modes import PAIR, ModalBasis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: samples by which the force is late
 DELAY = 16

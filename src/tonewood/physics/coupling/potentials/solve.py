@@ -17,15 +17,13 @@ from functools import cached_property, partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.coupling.potentials.base import JoinedPotential, MiddleOfStep
 from tonewood.physics.coupling.potentials.coordinates import ModalCoordinates, pay_from_motion
 from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal, PhantomShares
 from tonewood.physics.coupling.system import System
 from tonewood.physics.modal.propagator import apply
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: steps after which psi is put back to the root of its potential
 RESET_STEPS = 64
