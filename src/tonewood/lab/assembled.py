@@ -32,8 +32,6 @@ def chain(
 ) -> Matrices:
     """Masses in a row; one link per mass, the odd one to a wall on the ``left`` or the ``right``.
 
-    Parameters
-    ----------
     masses : n, kg.
     dashpots, springs : n links in their order from left to right, N s/m and N/m.
     """
@@ -114,16 +112,11 @@ def ramp_and_release(
 ) -> Floats:
     """Displacement under a force that grows from zero and is let go, from the eigenvectors of the system.
 
-    Parameters
-    ----------
     direction : (n_dof,) share of each dof in the force.
     rate : N/s, until `release`, s.
     times : (n,) s.
     output : (n_dof,) share of each dof in the displacement.
-
-    Returns
-    -------
-    (n,) m.
+    Returns (n,) m.
     """
     n = len(system.M)
     values, vectors, scale = _eigenvectors(system)
@@ -193,8 +186,6 @@ def driven_motion(
 ) -> Floats:
     """(n, 2 n_dof) x and x' of M x'' + C x' + K x = direction F(t).
 
-    Parameters
-    ----------
     direction : (n_dof,).
     pieces : F(t), N.
     start : (2 n_dof,) x and x' at time 0, rest if left out.
@@ -219,9 +210,7 @@ def integrated(
 ) -> Floats:  # fmt: skip
     """(n, n_states) y at rising times of y' = rate(t, y) by DOP853, restarted at each of `edges` (s).
 
-    Raises
-    ------
-    NumericalError : an interval cannot be integrated to that tolerance.
+    Raises NumericalError : an interval cannot be integrated to that tolerance.
     """
     from scipy.integrate import solve_ivp
 

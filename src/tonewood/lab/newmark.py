@@ -27,8 +27,6 @@ from tonewood.support.arrays import Floats
 class Newmark:
     """A method of the family; see the module.
 
-    Attributes
-    ----------
     name : short.  alpha, beta, gamma : unit-free.  order : stated order in h.
     """
 

@@ -34,8 +34,6 @@ from tonewood.support.arrays import Floats
 class PseudoLoad:
     """A system in real modes, the off-diagonal modal damping apart.
 
-    Attributes
-    ----------
     shapes : (n_dof, n_modes) mass-normalised.  basis : modes with the diagonal of C*, driven at ``0``, ``1``, ...
     coupling : (n_modes, n_modes) X, 1/s.
     """
@@ -92,13 +90,8 @@ class PseudoLoad:
     ) -> tuple[Floats, float]:
         """Return the response by iteration over windows of some steps.
 
-        Returns
-        -------
-        displacements : (n, n_dof).  iterations : mean number per window.
-
-        Raises
-        ------
-        NumericalError : an iteration does not converge within `max_iterations`, or overflows.
+        Returns displacements : (n, n_dof).  iterations : mean number per window.
+        Raises NumericalError : an iteration does not converge within `max_iterations`, or overflows.
         """
         Q, q, v = self._begin(forces, start)
         E, W1, W2 = self._step(h)

@@ -20,8 +20,6 @@ from tonewood.support.arrays import Complexes
 class Row:
     """A value held against a reference that the code under test did not produce, or, as a regression, was made to give.
 
-    Attributes
-    ----------
     system, quantity : the quantity computed, and its system.
     source : where the reference comes from (paper and equation or table, closed form, direct solution).
     reference, value : in the unit named by `quantity`.

@@ -24,8 +24,6 @@ from tonewood.support.arrays import Floats
 class Transition:
     """One update of the whole system: x+ = E x + sum_i W_i F(t_i).
 
-    Attributes
-    ----------
     update : gives nodes and polynomials.  dt : s between samples.
     E : (2n, 2n).  W : (n_nodes, 2n, n).
     """

@@ -25,13 +25,8 @@ _HIGHEST = 0.49
 class Equalizer:
     """Filters the channels of a streamed sound; samples do not depend on the size of blocks.
 
-    Parameters
-    ----------
     bands : of each channel. One whose middle lies above 0.49 `fs` is left out.
     fs : sampling rate, Hz.
-
-    Attributes
-    ----------
     memory : (n_sections, n_channels, 2) state of the filters.
     """
 

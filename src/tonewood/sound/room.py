@@ -25,8 +25,6 @@ from tonewood.support.sound_rates import check_rate
 class Box:
     """A room with plane walls.
 
-    Attributes
-    ----------
     size : m, length, width, height.
     t60 : s, after Sabine.
     source : m, place of the instrument.
@@ -168,13 +166,8 @@ class Room:
     The convolution is partitioned (W. G. Gardner, J. Audio Eng. Soc. 43 (1995) 127): the sound that comes out is up
     to 1023 frames shorter than what went in, until the last piece brings the rest and the reverberation.
 
-    Parameters
-    ----------
     responses : (n, channels).
     sources : channel of the dry sound for each of the channels; the same numbers where left out.
-
-    Attributes
-    ----------
     memory : arrays that hold all that moves, for snapshots.
     """
 

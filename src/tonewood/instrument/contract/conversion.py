@@ -73,14 +73,9 @@ class Conversion:
 class Converter:
     """A conversion that runs: applied to one block after another.
 
-    Parameters
-    ----------
     conversion : of the pickup.
     dt : step, s.
     n_channels : of the pickup.
-
-    Attributes
-    ----------
     memory : (order, n_channels) of the circuit's filter.
     """
 

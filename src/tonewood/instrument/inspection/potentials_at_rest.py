@@ -24,8 +24,6 @@ TOLERANCE_CENTS, _AT_REST = 1.0, 1e-12
 class SmallMotion:
     """A potential near rest.
 
-    Attributes
-    ----------
     name : of the potential.
     freq_modes, freq : Hz, lowest frequency of its components by their modes alone, and with the potential.
     energy : J, that the force at rest sets free.

@@ -27,8 +27,6 @@ _PLACED = 8
 class StringPlaces:
     """Places on a string, m from the bridge.
 
-    Attributes
-    ----------
     pluck, pluck_width : of the pluck where a gesture gives none, and how far it is spread.
     points : those that the bundle names.
     widths : name of a point -> width (m) of the string about it whose mean it stands for.
@@ -45,8 +43,6 @@ class StringPlaces:
 class StringBases:
     """Bases of a string as the engine steps it; the last ones are kept.
 
-    Parameters
-    ----------
     tuning : tensions of its stops.
     places : on it.
     longitudinal : its longitudinal motion, if that is stepped.

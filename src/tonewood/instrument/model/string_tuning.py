@@ -25,13 +25,8 @@ _RETENSION = 5.0
 class StringTuning:
     """Table of a string's tensions: stop -> tension and coupled modes; an entry is computed when it is first needed.
 
-    Attributes
-    ----------
     stops : geometry.
     untuned : bases before tuning.
-
-    Parameters
-    ----------
     body : `Ports` of the body, one row per polarization.
     pluck_from_bridge : m, for the strength of coupled modes.
     kept : tunings of open strings from an earlier run.
@@ -84,9 +79,7 @@ class StringTuning:
     def under(self, tension: float, stop: float = 0) -> TunedStop:
         """Return the coupled modes of a stop at a given tension (N), without tuning.
 
-        Raises
-        ------
-        BundleError : none lies near the pitch of the stop.
+        Raises BundleError : none lies near the pitch of the stop.
         """
         return self._at(tension, stop, self.freq(stop))
 

@@ -22,8 +22,6 @@ from tonewood.support.arrays import Floats
 class StringModel:
     """One string; immutable but for what its parts keep of their results.
 
-    Attributes
-    ----------
     name : of the string.
     open_note : note number of the open string.
     tuning : geometry (`tuning.stops`), tensions and coupled modes of its stops.
@@ -32,9 +30,6 @@ class StringModel:
     potentials : energies that it stores beside those of its modes, those that are left out among them.
     group : strings that a note on the first of them plays together; itself among them.
     touching : attachments and exciters that may add parts to it, by name.
-
-    Parameters
-    ----------
     freq_limit : Hz, no mode is stepped above it.
     tilt_deg : of its principal axes.
     end_shares : body point -> share of its displacement in that of the string's end along the string.
@@ -160,8 +155,6 @@ class StringModel:
     ) -> dict[str, ModalBasis]:
         """Component -> basis, with the points ``bridge``, ``pluck`` and those named in the bundle.
 
-        Parameters
-        ----------
         stop : 0 is open; a fraction on a continuous string.
         bend_cents : change of pitch by a change of tension.
         added_damping : 1/s, added to every mode's damping rate.

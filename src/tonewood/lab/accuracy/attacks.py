@@ -54,8 +54,6 @@ LOSSLESS = {"law": "woodhouse", "eta_a": 0.0, "eta_f": 0.0, "eta_b": 0.0}
 class Attack:
     """Result of one attack.
 
-    Attributes
-    ----------
     name : in words.
     steps : made.
     growth : largest rise of the stored energy above its lowest value before, nothing acting from outside, relative to

@@ -34,8 +34,6 @@ PARTIALS = 40
 class Case:
     """One linear system.
 
-    Attributes
-    ----------
     name, title : short, and as a heading.
     build : highest string mode in Hz -> problem, one driven and one read point.
     true_poles : poles of partials 1, 2, ..., 1/s, by a way that knows no modes of strings.
@@ -210,8 +208,6 @@ def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None
     Its joints are made rigid (the seat of a string on the saddle gives way by 2e-8 m/N, for which methods that
     constrain accelerations have no place), and it is heard at one point of the bridge.
 
-    Parameters
-    ----------
     n_partials : of each string, whose true poles are wanted.
     strings : whose; all.
     """

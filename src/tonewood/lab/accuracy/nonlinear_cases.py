@@ -36,8 +36,6 @@ class Truth:
 class NonlinearCase:
     """A nonlinear system of real modes, let go from a state.
 
-    Attributes
-    ----------
     name, title : short, and as a heading.
     scene : problem of one read point, laws, tensions, and the state.
     duration : s that waveforms are compared over.

@@ -40,8 +40,6 @@ class Run(Protocol):
 class Scene:
     """What a method steps, and from where: a problem, nonlinear connections and strings of rising tension.
 
-    Attributes
-    ----------
     problem : components and rigid connections.
     x : (n, 2) state at the start.
     laws : connections whose laws are `Contact` or `HardeningSpring`; real modes only, as for tensions.
@@ -88,8 +86,6 @@ class SchemeRun:
 class KernelRun:
     """The kernel of this project.
 
-    Parameters
-    ----------
     residual : whether contacts see the residual compliance of the components.
     """
 
@@ -129,8 +125,6 @@ def _laws(scene: Scene) -> tuple[Contact | HardeningSpring, ...]:
 class Arrays:
     """Equation of motion q'' = P (-w2 q - 2 sigma q' - sum EA/2L S k q + phi f), S = sum k q^2.
 
-    Attributes
-    ----------
     modes : frequencies, decay rates, shapes at rigid gaps and readouts.
     law : (l, n) shapes at the gaps of laws.
     weights : (n_tensions, n) k.

@@ -28,8 +28,6 @@ SPREAD = 0.01
 class Strokes:
     """Sounds of one note with one setting.
 
-    Attributes
-    ----------
     sounds : (n_strokes, n).
     seconds : of computing per second of sound.
     n_modes : stepped.
@@ -54,8 +52,6 @@ def forces(n: int) -> tuple[float, ...]:
 class NoteCase:
     """A note of one string.
 
-    Attributes
-    ----------
     instrument, string, stop : of the note.
     force : N or m/s, as the exciter has it.
     let_go : s, of a note that is driven until then; 0 if it is left alone from the first.

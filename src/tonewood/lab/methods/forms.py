@@ -32,8 +32,6 @@ from tonewood.support.arrays import Complexes, Floats
 class Ode:
     """q' = F q + G u + H b,  y = Re(C q).
 
-    Attributes
-    ----------
     F : (k, k) 1/s.
     G : (k, n_inputs).
     C : (n_outputs, k).
@@ -51,8 +49,6 @@ class Ode:
 def physical(system: Matrices, constraints: ArrayLike, directions: ArrayLike, outputs: ArrayLike) -> Ode:
     """Eq. 7: x'' = x_u'' + M^-1/2 B^+ (b - A x_u''),  M x_u'' = D^T f - C x' - K x,  B = A M^-1/2; state (x, x').
 
-    Parameters
-    ----------
     system : matrices of the uncoupled subsystems, on the diagonal.
     constraints : A (m, n_dof), of any rank.
     directions : (n_inputs, n_dof) of the known forces.

@@ -20,8 +20,6 @@ from tonewood.support.arrays import Complexes, Floats
 class Scheme:
     """One method on one problem at one step length.
 
-    Attributes
-    ----------
     problem : of the method.  dt : s.
     rule : of the compiled loop: flow, adams_bashforth, verlet or newmark.
     coef : (n_coef, n) of every mode.
@@ -66,8 +64,6 @@ class Scheme:
     def poles(self, starts: Complexes, joints: Sequence[int] | None = None) -> Complexes:
         """(k,) poles nearest to given ones; nan where Newton's method diverges; see `pole_search.nearest_zero`.
 
-        Parameters
-        ----------
         joints : for each pole, the connection whose force is large in it.
         """
         # a step of several samples has the unknown forces of each

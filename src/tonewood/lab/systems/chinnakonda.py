@@ -69,9 +69,7 @@ def measured_order(update: Update, c: float) -> float:
 def reduction_table() -> dict[int, dict[str, float]]:
     """Non-proportionality of a chain with one dashpot, reduced to 1, 2, ... real modes.
 
-    Returns
-    -------
-    n_modes -> index name -> value; of `nonproportionality.imaginary_part` the largest over the modes.
+    Returns n_modes -> index name -> value; of `nonproportionality.imaginary_part` the largest over the modes.
     """
     whole = damped_chain()
     out = {}

@@ -117,9 +117,7 @@ STIFF_DAMPING = {True: 4 * np.pi / 10, False: 4 * np.pi / 5}
 def two_step(system: Matrices, n_modes: int, times: ArrayLike, start: ArrayLike, update: Update = P1) -> Response:
     """Real modal reduction first, complex modes of the reduced system second (the thesis' algorithm, p. 17).
 
-    Returns
-    -------
-    Response with displacements at the physical dofs.
+    Returns Response with displacements at the physical dofs.
     """
     small, P = reduced(system, n_modes), reduction_shapes(system, n_modes)
     basis = basis_from_matrices(*small, [f"q{k}" for k in range(n_modes)])

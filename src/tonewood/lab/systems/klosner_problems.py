@@ -55,8 +55,6 @@ FORMS = ("fixed-base", "free-free")
 class Problem:
     """A main structure, a substructure, their connection and the forces that drive them.
 
-    Attributes
-    ----------
     name : A, B, C or D.
     main : matrices of S, undamped.
     attachment : (n_main,) direction in which S is driven and carries the substructure.

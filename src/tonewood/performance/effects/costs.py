@@ -18,8 +18,6 @@ _DECLARED = 1e-4
 class Rates:
     """Seconds of the processor.
 
-    Attributes
-    ----------
     mode : per step of one mode.
     running : effect -> per sample in which it runs on any component, besides.
     load : effect -> per sample and unit of its load (`SwitchedEffect.load`), besides.
@@ -33,8 +31,6 @@ class Rates:
 class Costs:
     """Least squares of the times of runs over the modes and effects stepped in them; no rate is negative.
 
-    Parameters
-    ----------
     declared : switched effect -> its declared cost per unit of load, in steps of one mode.
     """
 
@@ -81,8 +77,6 @@ def not_negative(matrix: Floats, right: Floats) -> Floats:
 
     For a few unknowns. `scipy.optimize.nnls` is general, but importing it takes longer than the sums of a short render.
 
-    Parameters
-    ----------
     matrix, right : (n, n) positive definite, and (n,).
     """
     best, least = np.zeros(right.size), 0.0

@@ -291,8 +291,6 @@ class TensionEffect(SwitchedEffect):
         The strings with the least level share the budget: a string's level is the sum of its own and of all lower
         ones. A string beyond the budget of cents is not looked at further, its level is infinite.
 
-        Parameters
-        ----------
         cents : string -> mean rise of its pitch.
         """
         system, state, peak = moment.system, moment.state, np.maximum(moment.peak, _SILENT)
@@ -370,8 +368,6 @@ class TensionEffect(SwitchedEffect):
     def wanted(self, bounds: Mapping[str, Bound], on: Collection[str]) -> frozenset[str]:
         """Strings whose tension is to rise: those beyond a budget, or beyond 0.9 of it if they rise now.
 
-        Parameters
-        ----------
         bounds : string -> bound without its rise.
         on : those that rise now.
         """

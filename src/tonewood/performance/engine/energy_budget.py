@@ -15,8 +15,6 @@ from tonewood.support.arrays import Floats
 class EnergyBudget:
     """Keeps an `EnergyAccount` while an engine steps; it reads the engine's state and never writes it.
 
-    Parameters
-    ----------
     system, state : where it begins.
     model : of the engine.
     interval : steps per entry.

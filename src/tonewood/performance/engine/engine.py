@@ -66,8 +66,6 @@ class Snapshot:
 class Counters:
     """Counts of the work that an engine did.
 
-    Attributes
-    ----------
     exchanges : bases of strings that were exchanged.
     strings_played : names.
     stepping_s, control_s : seconds of the processor in steps and between them.
@@ -82,14 +80,9 @@ class Counters:
 class Engine:
     """Steps one model through one timeline.
 
-    Parameters
-    ----------
     model : assembled instrument.
     timeline : changes and gestures.
     energy : keep an `energy_budget`; many times slower, with the same samples.
-
-    Attributes
-    ----------
     system, state : system that is stepped, and its motion.
     effects : of the model.
     switchings : switched effect -> components on which it runs: all that moves of it.

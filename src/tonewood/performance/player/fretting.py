@@ -31,8 +31,6 @@ _CACHE, _WAYS = 768, 10
 class Fretting:
     """How a string is held now.
 
-    Attributes
-    ----------
     stop : number of the stop, 0 open; a fraction where stops are continuous.
     cents : bend from the stop's own pitch.
     added_damping : 1/s, added to every mode's decay rate.
@@ -153,14 +151,9 @@ class FrettedBases:
     ) -> dict[str, Floats]:
         """Project the motion of a string to the bases of another way to hold it.
 
-        Parameters
-        ----------
         modes : component -> (2, n_modes) as it is stepped before.
         bridge_force : component -> N, of the bridge on its end, see `bridge_forces`; called only where modes come back.
-
-        Returns
-        -------
-        Component -> (2, n_modes) as it is stepped after.
+        Returns Component -> (2, n_modes) as it is stepped after.
         """
         old, new = self.bases(name, before), self.bases(name, after)
         if before.stop == after.stop:

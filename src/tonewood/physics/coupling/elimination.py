@@ -91,8 +91,6 @@ class GapCompliance:
     def _hub(self, slot: int, place: NDArray[np.intp], *, yields: bool = False) -> Hub:
         """Motions of a component.
 
-        Parameters
-        ----------
         place : (m,) of each connection that can carry force, -1 of the others.
         yields : its residual compliance, of which rigid connections see twice as much, is in that of the motions.
         """

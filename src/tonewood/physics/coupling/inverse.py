@@ -60,8 +60,6 @@ def _inverse(matrix: Floats) -> Floats | None:
 class Hub:
     """The component on which most connections meet.
 
-    Attributes
-    ----------
     slot : of the component.
     ports : (r,) its ports whose displacements are the motions.
     point : (k,) point of it in each connection, -1 for connections that it is no part of.
@@ -87,8 +85,6 @@ class Hub:
 class DenseInverse:
     """The inverse as one matrix.
 
-    Attributes
-    ----------
     dense : (k, k) N/m.
     """
 
@@ -103,8 +99,6 @@ class DenseInverse:
 class InverseInParts:
     """The inverse as small blocks and the motions of a hub.
 
-    Attributes
-    ----------
     parts : (b, n) places among the k connections, and (b, n, n) N/m inverses, of parts of n connections each.
     hub : None if no connection needs it.
     """

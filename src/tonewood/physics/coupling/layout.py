@@ -72,8 +72,6 @@ class Drive:
 class Layout:
     """Indices of m connections between named components.
 
-    Attributes
-    ----------
     names : of the components.
     capacities : modes that the state has room for, one per component.
     connections : of which only names and terms are looked at.

@@ -46,8 +46,6 @@ class System:
     Build with `System.build`; exchange a component with `with_basis`, connections' laws with `with_laws`, and switch
     potentials with `with_potentials`.
 
-    Attributes
-    ----------
     potentials : energies beside those of the modes, of any kinds.
     on : which of them act.
     """
@@ -319,9 +317,7 @@ class System:
     def check_potentials(self, state: State) -> None:
         """Check that potentials of one's own are bounded from below in the motion so far.
 
-        Raises
-        ------
-        TonewoodError : the V of one has fallen below its `least`; one line.
+        Raises TonewoodError : the V of one has fallen below its `least`; one line.
         """
         for index in self._own_potentials:
             if self.on[index]:
@@ -334,9 +330,7 @@ class System:
     def controlled(self, controls: Sequence[PrescribedMotion], start: int, n: int) -> dict[int, Floats]:
         """(4, n) offset at the beginning and the end of each step, velocity and scale, of controlled connections.
 
-        Returns
-        -------
-        Place among `nonlinear` -> array, for the connections that `controls` touch in the n steps from `start`.
+        Returns Place among `nonlinear` -> array, for the connections that `controls` touch in the n steps from `start`.
         """
         out: dict[int, Floats] = {}
         for control in controls:

@@ -55,8 +55,6 @@ class _Record:
 class EnergyAccount:
     """Follows the steps of a run and keeps the account.
 
-    Parameters
-    ----------
     system, state : where the account begins.
     interval : steps to one entry, counted from the beginning of each run that is followed.
     storages : storage functions of components whose modes are not real, for the points that connections and

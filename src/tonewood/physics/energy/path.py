@@ -16,8 +16,6 @@ from tonewood.support.arrays import Floats
 class Path:
     """T steps of the two-way components.
 
-    Attributes
-    ----------
     states : name -> (T + 1, n_modes, 2).
     modal_forces : name -> (T, n_modes), of potentials, for components that have one.
     memory : (T + 1, size) numbers of the potentials in the state.
@@ -40,8 +38,6 @@ def step_again(
 ) -> Path:
     """Step the two-way components under known connection forces.
 
-    Parameters
-    ----------
     start : name -> (n_modes, 2).
     memory : numbers of the potentials at the start, as in the state.
     sample : absolute number of the first step.

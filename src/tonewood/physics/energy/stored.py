@@ -19,8 +19,6 @@ from tonewood.support.arrays import Floats
 class Energy:
     """Joules.
 
-    Attributes
-    ----------
     modes : kinetic and potential energy of all two-way components.
     potentials : psi^2 / 2 - C of the potentials that are on: V but for the error of the steps; may be negative.
     connections : of springs and nonlinear potentials.
@@ -46,9 +44,7 @@ def gaps(system: System, state: State) -> Floats:
 def stored_energy(system: System, state: State) -> Energy:
     """Stored energy of a state.
 
-    Raises
-    ------
-    ValueError : a two-way component's modes are not real: their energy is not theirs alone to tell.
+    Raises ValueError : a two-way component's modes are not real: their energy is not theirs alone to tell.
     """
     modes = springs = 0.0
     for slot, (name, compiled) in enumerate(zip(system.names, system.compiled, strict=True)):

@@ -17,8 +17,6 @@ from tonewood.support.arrays import Floats
 class EnergyTrace:
     """Energy over k intervals; all in J, each interval from the end of the one before.
 
-    Attributes
-    ----------
     time : (k,) s, end of each interval.
     steps : (k,) steps in each.
     dt : s, one step.

@@ -25,8 +25,6 @@ from tonewood.support.arrays import Floats
 class HeldModes:
     """Modes of a component of real modes with one of its points held.
 
-    Attributes
-    ----------
     stiffness, shape : (n,) w_k^2 (1/s^2) and a_k (1/sqrt(kg)) of the free-interface modes, in order of frequency.
     freq_rad : (n - 1,) W_j, rad/s, one between every two w_k.
     damping_rate : (n - 1,) s_j, 1/s.
@@ -45,9 +43,7 @@ class HeldModes:
     def of(cls, basis: ModalBasis, point: str) -> HeldModes:
         """Hold `point` of a basis of real modes with stiffness.
 
-        Raises
-        ------
-        ValueError : modes are not real, or one has no stiffness, or the point does not move.
+        Raises ValueError : modes are not real, or one has no stiffness, or the point does not move.
         """
         if not basis.is_real or np.any(basis.stiffness <= 0):
             raise ValueError("only a component of real modes with stiffness can be held")

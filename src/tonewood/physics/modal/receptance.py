@@ -24,8 +24,6 @@ _MOMENTS, _RANK = 3, 1e-7
 class Ports:
     """One component at some rows over its points.
 
-    Attributes
-    ----------
     poles : (n,) 1/s, both of each pair.
     right, left : (p, n).
     weight : (n,) energy of |z|^2 = 1: omega |r| / |l| / 2 over all points of the component.
@@ -81,8 +79,6 @@ class Ports:
 class Joint:
     """Components joined at p gaps: M(s), the sum of their receptances.
 
-    Parameters
-    ----------
     parts : each with p ports, one per gap (rows of zeros where it does not take part).
     """
 
@@ -226,8 +222,6 @@ class Joint:
 class Star(Joint):
     """One component with p ports, and at each of them another one with one port: strings on a body.
 
-    Parameters
-    ----------
     centre : with p ports.
     rays : p components with one port each; they meet through the centre only.
     """

@@ -208,8 +208,6 @@ def loss_rates(shares: Floats, partial: Floats, guess: Floats) -> LossRates:
     air), or that has a narrow peak, asks for negative ones. Then the low partials decay too quickly, and `error` says
     by how much.
 
-    Parameters
-    ----------
     shares : (n_partials, n_modes) P_nk >= 0 of each partial's mass; rows sum to 1.
     partial : (n_partials,) sigma_n >= 0, 1/s.
     guess : (n_modes,) >= 0, 1/s, s_k to begin with; those that are 0 stay so.

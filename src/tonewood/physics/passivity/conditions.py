@@ -61,8 +61,6 @@ _ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 class Violation:
     """A band in which the mobility creates power.
 
-    Attributes
-    ----------
     lower_hz, upper_hz : its ends; the upper one is inf if the direct term is negative.
     worst_hz : where it is worst, among frequencies up to 30 times the highest pole.
     size : smallest eigenvalue of the Hermitian part of Y there, negated, relative to |Y| (Frobenius), ports scaled
@@ -79,8 +77,6 @@ class Violation:
 class PassivityReport:
     """Result of `check`; plain data.
 
-    Attributes
-    ----------
     faults : one clause per failed test; empty when the basis is passive.
     method : ``each mode`` (all passive by themselves) or ``pencil``; ``none`` if the list was not fit to be tested.
     right_rank, left_rank : dimensions of the port space that the right and left shapes span.
@@ -233,9 +229,7 @@ def modal_partners(poles: Complexes, right: Complexes, left: Complexes) -> tuple
     * a real pole with r l^T positive semidefinite;
     * two real poles with opposite residues: an overdamped real mode.
 
-    Returns
-    -------
-    (n,) passive or not, and for each mode the slow partner of an overdamped one, -1 for all others.
+    Returns (n,) passive or not, and for each mode the slow partner of an overdamped one, -1 for all others.
     """
     residues = np.einsum("ik,jk->kij", right, left)
     slack = _STRUCTURAL * np.abs(residues).sum(axis=(1, 2))

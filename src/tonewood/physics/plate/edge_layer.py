@@ -43,8 +43,6 @@ _DEEPEST = 0.45
 class _Side:
     """Polyline between two corners, or a whole ring without any.
 
-    Attributes
-    ----------
     points : (n + 1, 2) m.
     left : whether the plate lies to the left of it.
     delta : (n,) m, of each segment.
@@ -92,8 +90,6 @@ def layer_matrices(
 ) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
     """Stiffness, losses and mass that layers along a ring add, in the fields (g, gamma_x, gamma_y, w).
 
-    Parameters
-    ----------
     grid : of w and gamma.
     ring : (n, 2) m, free edge of the plate.
     outer : whether the plate lies inside of it.
@@ -189,13 +185,8 @@ def _depth(wood: Wood, grain: float, shear_factor: float) -> float:
 def _strip(side: _Side, before: float, after: float) -> tuple[Floats, Floats, Indices, Floats, Floats]:
     """Points of integrals over a side's layer.
 
-    Parameters
-    ----------
     before, after : m, delta of the sides that meet it at its start and end, whose layers cross it there.
-
-    Returns
-    -------
-    points (n, 2) m, weights (n,) m^2, segment (n,), place s / L (n,), depth d / delta (n,).
+    Returns points (n, 2) m, weights (n,) m^2, segment (n,), place s / L (n,), depth d / delta (n,).
     """
     g, w = np.polynomial.legendre.leggauss(4)
     starts = side.starts

@@ -41,8 +41,6 @@ def integrals(
 ) -> list[Any]:
     """Sparse integrals of (B a)^T diag(factor) Q (B b) dA over all pairs of functions a, b.
 
-    Parameters
-    ----------
     fields : number of fields, each a sum of the functions of the grid of `quad`.
     operator : from `Values` of each field, the rows B (..., r, n) with the functions of all fields, in their order.
     factor : of points, for all rows or for each; or a constant, a number or (r,).

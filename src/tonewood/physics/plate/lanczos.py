@@ -35,8 +35,6 @@ def lowest(
 ) -> tuple[Floats, Floats]:
     """Eigenvalues (m,) lambda, ascending, and vectors (n, m) with x^T M x = 1.
 
-    Parameters
-    ----------
     solve : (K + shift M)^-1 applied to (n, k).
     mass : M, symmetric and semidefinite.
     shift : s^2 > 0.

@@ -104,8 +104,6 @@ def crossing(ring: Floats, other: Floats | None = None) -> Floats | None:
 class Quadrature:
     """Points and weights of integrals over a plate, in groups of cells with the same number of points.
 
-    Attributes
-    ----------
     groups : (cells (n, 2), points (n, q, 2) in m, weights (n, q) in m^2), weights of unused points 0.
     grid : of its cells.
     whole : (groups,) whether the cells of a group lie inside, with the same points and weights in each.

@@ -70,8 +70,6 @@ _SHIFT = 20.0
 class Edge:
     """Springs on the outline, per length.
 
-    Attributes
-    ----------
     k_w : N/m^2, against displacement; infinite for an edge that does not move.
     k_theta : N, against the turn across the edge; infinite for an edge that does not turn.
     k_in_plane : N/m^2, against displacement in the plate's plane.
@@ -91,8 +89,6 @@ FREE, HINGED, CLAMPED = Edge(), Edge(np.inf, 0.0), Edge(np.inf, np.inf)
 class PlateModes:
     """Modes of a plate in vacuum, mass-normalised.
 
-    Attributes
-    ----------
     freq : (n,) Hz.
     loss : (n,) loss factors of wood, braces and edge.
     vectors : (functions, n) shapes of w, 1/sqrt(kg).
@@ -112,8 +108,6 @@ class PlateModes:
 class _Sum:
     """A matrix of all unknowns as a sum of parts: beams' rotations, edge layers, u and v, gamma, and w last.
 
-    Attributes
-    ----------
     size : number of all.
     slots : name -> first unknown of a field.
     """
@@ -141,8 +135,6 @@ class _Sum:
 class Plate:
     """A plate's matrices.
 
-    Parameters
-    ----------
     rings : outline first, then holes, each (n, 2) m. A curved side needs points much closer than `size`: stiff springs
         against displacement alone on the sides of a coarse polygon clamp it (Babuska's paradox).
     wood : of the plate.
@@ -316,12 +308,7 @@ class Plate:
         return self.grid.at(points, order)[:, self._keep]
 
     def modes(self, fmax: float | None = None, count: int | None = None) -> PlateModes:
-        """Modes up to `fmax` (Hz), or the first `count`.
-
-        Raises
-        ------
-        ValueError : neither is given.
-        """
+        """Modes up to `fmax` (Hz), or the first `count`. Raises ValueError : neither is given."""
         values, whole = self.solution(fmax, count)
         lost = np.einsum("ij,ij->j", whole, self._losses @ whole)
         loss = np.where(values > 1e-6, lost / np.maximum(values, 1e-6), 0.0)
@@ -330,9 +317,7 @@ class Plate:
     def solution(self, fmax: float | None = None, count: int | None = None) -> tuple[Floats, Floats]:
         """(n,) omega^2 and (unknowns, n) mass-normalised vectors of all unknowns; as `modes`.
 
-        Raises
-        ------
-        ValueError : neither is given.
+        Raises ValueError : neither is given.
         """
         if count is None and fmax is None:
             raise ValueError("fmax or count is wanted")

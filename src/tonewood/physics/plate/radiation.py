@@ -35,8 +35,6 @@ _ROWS = 128
 class Sources:
     """Small volume sources of modes, in the plane z = 0.
 
-    Attributes
-    ----------
     points : (n, 2) m.
     volumes : (n, modes) m^3 displaced by each cell per unit of the mode's coordinate, counted towards +z.
     baffled : whether the plane about them is rigid; else the shelf of this module stands for free air.

@@ -47,8 +47,6 @@ def _pieces(degree: int, order: int) -> Floats:
 class SplineGrid:
     """Functions of degree p on n_x by n_y cells.
 
-    Attributes
-    ----------
     low : (2,) m, corner of the first cell.
     size : (2,) m, of a cell.
     cells : (2,) number of cells along x and y.

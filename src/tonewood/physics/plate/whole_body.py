@@ -39,8 +39,6 @@ _SQUARE = 0.02
 class Lump:
     """A mass, a spring and a dashpot fixed to one of the drawing's points.
 
-    Attributes
-    ----------
     point : number of the point.
     factor : its displacement per displacement of the point along its own direction.
     mass, stiffness, damping : kg, N/m, N s/m.
@@ -57,8 +55,6 @@ class Lump:
 class LowModes:
     """Lowest modes of a body, mass-normalised.
 
-    Attributes
-    ----------
     freq : (n,) Hz.
     loss : (n,) loss factors.
     shapes : (p, n) 1/sqrt(kg) at the drawing's points.
@@ -84,8 +80,6 @@ def _cavity(outline: bytes, fmax: float) -> Cavity:
 class WholeBody:
     """Matrices of a drawn body.
 
-    Parameters
-    ----------
     drawing : with cells of a size given in its plates, so that bodies of similar drawings have the same unknowns.
     lumps : fixed to its points.
     """
@@ -189,8 +183,6 @@ class WholeBody:
     def described(self, values: Floats, vectors: Floats, residual: bool = True) -> LowModes:
         """Frequencies, losses, shapes at points and what is left out, of modes of this body.
 
-        Parameters
-        ----------
         values, vectors : (m,) omega^2 and (n, m).
         residual : whether the residual is wanted, which takes a factorisation.
         """
@@ -271,16 +263,11 @@ def body_change(
     Derivatives of the matrices are central differences of matrices that are polynomials of most parameters; those of
     eigenvalues and shapes are `mode_change`; of all that follows from these, directional differences.
 
-    Parameters
-    ----------
     values, vectors : modes of `body`, more than `count`.
     less, more : bodies at p - step and p + step, with the same unknowns.
     count : number of modes wanted.
     residual : as in `WholeBody.described`.
-
-    Raises
-    ------
-    ValueError : the bodies do not have the same unknowns.
+    Raises ValueError : the bodies do not have the same unknowns.
     """
     if not less.size == body.size == more.size:
         raise ValueError("the drawing's unknowns change with this parameter")

@@ -104,8 +104,6 @@ class SampledForce:
 class Course:
     """A known force from step to step, whatever it acts on.
 
-    Attributes
-    ----------
     dt : s, step; step n is [n dt, (n + 1) dt].
     parts : step, and the part of it that the force fills: begin and end (s from its beginning), coefficients there; of
         steps with breakpoints.
@@ -215,8 +213,6 @@ def compile_force(
     Steps that lie inside one piece share three vectors (constant, linear and quadratic part); a step with a
     breakpoint gets a vector of its own, to which each part of the step adds exactly.
 
-    Parameters
-    ----------
     pieces : in time order, not overlapping, times relative to `time`.
     dt : s, step.
     time : s, absolute time of the pieces' origin; step n is [n dt, (n + 1) dt].

@@ -95,8 +95,6 @@ class Shortcuts:
 class KernelStepper:
     """Steps a `System` in C++.
 
-    Parameters
-    ----------
     system : to be stepped.
     isa : instruction set, by default `instruction_set()`.
     shortcuts : which shortcuts of the kernel are on, by default all.

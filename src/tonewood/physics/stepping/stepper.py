@@ -29,8 +29,6 @@ from tonewood.support.arrays import Floats
 class Statistics:
     """Counts of a stepper's nonlinear solves since it was made.
 
-    Attributes
-    ----------
     steps : samples stepped.
     solves : nonlinear solves of a step's forces.
     iterations, most_iterations : of Newton's method on the forces, in all, and in one step at most.
@@ -72,14 +70,9 @@ class NumpyStepper:
     ) -> tuple[Floats, Floats]:
         """Advance `state` in place by n steps.
 
-        Returns
-        -------
-        out : (n, n_readouts).
+        Returns out : (n, n_readouts).
         forces : (n, m) N, connection forces, each constant over its step.
-
-        Raises
-        ------
-        NumericalError : the state is no longer finite, or a step's forces were not found; names component or
+        Raises NumericalError : the state is no longer finite, or a step's forces were not found; names component or
             connection, and time.
         """
         s = self.system

@@ -25,15 +25,10 @@ _CHUNK = 4096
 class Limiter:
     """Limits a stream; one object per stream.
 
-    Parameters
-    ----------
     fs : sampling rate, Hz.
     ceiling_db : largest level let through, dB re full scale, below 0.
     look_ahead : s.
     release_db_s : how fast the gain comes back, dB/s.
-
-    Attributes
-    ----------
     reduction_db : largest reduction so far, 0 where nothing was limited.
     """
 
@@ -50,8 +45,6 @@ class Limiter:
     def process(self, blocks: Iterable[Floats]) -> Iterator[Floats]:
         """Yield the same number of samples in blocks of the same sizes; the delay of L samples is taken out again.
 
-        Parameters
-        ----------
         blocks : (n, n_channels) each.
         """
         waiting: list[int] = []

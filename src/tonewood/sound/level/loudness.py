@@ -79,8 +79,6 @@ def loudest(audio: Floats, fs: int, window: float = BLOCK) -> float:
 
     A shorter sound is padded to T; silence gives -inf. Source: BS.1770-4; EBU Tech 3341 for T = 400 ms.
 
-    Parameters
-    ----------
     audio : (n, channels).
     fs : Hz.
     window : T, s.
@@ -123,9 +121,7 @@ def matching_gain_db(audio: Floats, fs: int, target_lufs: float) -> float:
     The absolute gate (-70 LUFS) depends on the level itself, so the gated loudness is measured again at the level
     found, until it stays.
 
-    Raises
-    ------
-    OutputError : the sound is silent.
+    Raises OutputError : the sound is silent.
     """
     peak = float(np.max(np.abs(audio), initial=0.0))
     if peak == 0.0:

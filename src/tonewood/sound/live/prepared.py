@@ -20,8 +20,6 @@ _ROOM = 256
 class PreparedBases:
     """Compiles how strings are held, all at once or while nothing else is to be done; the samples do not depend on it.
 
-    Parameters
-    ----------
     model : instrument.
     fingerboard : that keeps the bases.
     capo : stop of the idle strings.

@@ -58,8 +58,6 @@ class Arrivals(Generic[T]):
     One that has just come is due at once. Where the oldest has waited for longer than `PATIENCE`, because sound had not
     begun or was interrupted, messages keep their distances: they come as late as that one, until none waits any more.
 
-    Parameters
-    ----------
     fs, block_size : Hz, frames per block.
     clock : s, of the times of arrival.
     """

@@ -33,9 +33,7 @@ _MARGIN = 3.0
 def level_name(given: str | None, *, gain_db: float, limiter: bool) -> LevelName:
     """Check the name of a level; left out it is `peak`, or `calibrated` where a gain or a limiter is asked for.
 
-    Raises
-    ------
-    TonewoodError : the name is unknown, or a gain or limiter is given with a level that sets the gain itself.
+    Raises TonewoodError : the name is unknown, or a gain or limiter is given with a level that sets the gain itself.
     """
     if given is None:
         return "calibrated" if gain_db or limiter else "peak"

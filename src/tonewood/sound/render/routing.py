@@ -30,14 +30,9 @@ def columns_of(outputs: Sequence[OutputGroup], *, in_room: bool) -> list[list[in
 class Routing:
     """Converts readouts, scales them to full scale, gives them to channels, filters these and delays them by frames.
 
-    Parameters
-    ----------
     model : with its output groups.
     fs : sampling rate, Hz.
     gain_db : of all channels.
-
-    Attributes
-    ----------
     channels : names, ``GROUP.CHANNEL`` where there are several groups.
     scale : (n_channels,) 1 per unit of each channel.
     delays : (n_channels,) frames, the nearest to those of the outputs.

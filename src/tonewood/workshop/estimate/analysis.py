@@ -32,8 +32,6 @@ _OFF, _HALF = 60.0, 0.5
 class NoteAnalysis:
     """Figures of one note.
 
-    Attributes
-    ----------
     onset : s, in the file.
     f0, b : Hz, and inharmonicity; nan where too few partials are found.
     partials : number -> partial.
@@ -65,16 +63,11 @@ class NoteAnalysis:
 def analyse(x: Floats, freq: float, guess: float, upper: float = FS / 2) -> NoteAnalysis:
     """Analyse a note.
 
-    Parameters
-    ----------
     x : (n,) at `recordings.FS`.
     freq : Hz, its pitch, within 60 cents.
     guess : B of the string that is expected.
     upper : Hz, end of the band that the sound holds.
-
-    Returns
-    -------
-    The figures; those that the sound is too short for are nan.
+    Returns The figures; those that the sound is too short for are nan.
     """
     onset, top = find_onset(x, freq)
     f0, b, rows = find_partials(x, onset, freq, guess, upper)
@@ -140,9 +133,7 @@ def pitch_offset(x: Floats, onset: int, freq: float) -> float:
 def check_pitches(recordings: Iterable[Recording]) -> tuple[list[Recording], list[str]]:
     """Return the recordings whose pitch is that of their names, and a line on each of the others.
 
-    Raises
-    ------
-    TonewoodError : most of them sound by the same interval off, or none is of use.
+    Raises TonewoodError : most of them sound by the same interval off, or none is of use.
     """
     rows, fits, lines, offsets = list(recordings), [], [], []
     for recording in rows:

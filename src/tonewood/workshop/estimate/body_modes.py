@@ -57,8 +57,6 @@ def envelopes(bands: Bands, f0: float) -> tuple[Complexes | None, ...]:
 def body_modes(notes: Iterable[Sequence[Complexes | None]], open_strings: Sequence[float]) -> tuple[HeardMode, ...]:
     """Modes that the notes share, from low to high; none with fewer than six notes that are high enough.
 
-    Parameters
-    ----------
     notes : `envelopes` of each.
     open_strings : Hz, whose partials ring along and are no modes.
     """

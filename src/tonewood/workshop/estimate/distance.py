@@ -28,8 +28,6 @@ _RANGE, _MOST = 50.0, 20.0
 class Distance:
     """Distance between two sets of notes, see the module; nan where nothing could be compared.
 
-    Attributes
-    ----------
     third_octaves, onset, levels : dB rms.
     decays, early_decays : factors, of the first 30 and 15 dB.
     rise : ms.
@@ -74,8 +72,6 @@ def bands_apart(a: NoteAnalysis, b: NoteAnalysis, parts: slice = slice(None)) ->
 def distance(pairs: Iterable[tuple[NoteAnalysis, NoteAnalysis]]) -> Distance:
     """Distance between notes, pair by pair.
 
-    Parameters
-    ----------
     pairs : note of one set, note of the other. Partials count in decays if both are clear (`NotePartial.clear`).
     """
     third, onset, levels, rise, late, early = [], [], [], [], [], []

@@ -33,8 +33,6 @@ _OFF_STRING, _ON_STRING = 1.7, 1.35
 class Half:
     """One half of the notes fitted, the other held back.
 
-    Attributes
-    ----------
     fitted, held_back : numbers of the notes.
     before, after : distances of the held-back notes, with the figures begun with and the fitted ones.
     sounds, begun : note -> its sound with the fitted figures and with those begun with, of the held-back ones.
@@ -52,8 +50,6 @@ class Half:
 class Estimate:
     """Result of an estimate.
 
-    Attributes
-    ----------
     instrument : with the figures of all notes.
     begun_with : the instrument before.
     notes, recorded : the notes that were used, and their analyses.
@@ -105,16 +101,11 @@ def estimate(
 ) -> Estimate:
     """Estimate an instrument from recorded notes.
 
-    Parameters
-    ----------
     folder : recordings.
     instrument : to begin with: its strings, stops, body, exciter and outputs are kept, figures of them moved.
     iterations : of the search; three bring figures to where the scatter of notes is larger than a further step.
     advance : called with the share of the work that is done, 0 to 1.
-
-    Raises
-    ------
-    TonewoodError : fewer than three notes are of use, or none of the instrument's strings has them.
+    Raises TonewoodError : fewer than three notes are of use, or none of the instrument's strings has them.
     """
     stage = Stage(instrument)
     notes, warnings = placed_notes(folder, stage)

@@ -21,8 +21,6 @@ from tonewood.workshop.estimate.playing import Stage, strings_of
 class Figures:
     """Figures in one state of the estimate.
 
-    Attributes
-    ----------
     laws : string that gives a pitch -> its loss law.
     bending : string -> N m^2.
     place : m, or a fraction of the speaking length, as the bundle says it; None where it is not estimated.

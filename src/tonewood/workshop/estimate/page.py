@@ -27,12 +27,7 @@ _RMS, _PEAK = 0.08, 0.9
 
 
 def page(found: Estimate, origin: RecordingOrigin, name: str) -> str:
-    """Page of an estimate; every text of a file is escaped.
-
-    Raises
-    ------
-    TonewoodError : jinja2 is not installed.
-    """
+    """Page of an estimate; every text of a file is escaped. Raises TonewoodError : jinja2 is not installed."""
     template = (files("tonewood.workshop.estimate") / "page.html").read_text(encoding="utf-8")
     columns = columns_of(found)
     return offline_page(

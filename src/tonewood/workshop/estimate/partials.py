@@ -41,8 +41,6 @@ class Mode:
 class NotePartial:
     """A partial.
 
-    Attributes
-    ----------
     number, freq : n, and Hz.
     level : dB, highest after the first 45 ms.
     rate, early : 1/s, decay of the first 30 and 15 dB.
@@ -110,16 +108,11 @@ class Bands:
 def find_partials(x: Floats, onset: int, freq: float, guess: float, upper: float) -> tuple[float, float, Floats]:
     """f0 (Hz), B, and rows (n, Hz, dB, dB over the noise) of the partials.
 
-    Parameters
-    ----------
     x, onset : sound and sample of its onset.
     freq : Hz, the note's pitch, within 60 cents.
     guess : B of the string that is expected.
     upper : Hz, end of the band.
-
-    Returns
-    -------
-    B is nan, and there are no rows, where fewer than three partials are found.
+    Returns B is nan, and there are no rows, where fewer than three partials are found.
     """
     start = onset + int(0.05 * FS)
     piece = x[start : start + int(max(0.8, 45.0 / freq) * FS)]
@@ -196,8 +189,6 @@ def _inharmonicity(rows: Floats, f: float, b: float, guess: float) -> tuple[floa
 def poles(signals: Sequence[Complexes], orders: Sequence[int]) -> dict[int, Complexes]:
     """Poles, per sample, of so many damped exponentials, for each of `orders` that the samples suffice for.
 
-    Parameters
-    ----------
     signals : of one length, which share the poles.
     """
     from scipy.linalg import hankel, lstsq, svd

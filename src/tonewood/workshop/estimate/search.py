@@ -38,8 +38,6 @@ _FARTHEST = 0.4
 class RenderedNotes:
     """Notes of an instrument, rendered and analysed.
 
-    Attributes
-    ----------
     sounds : of the first output, one a note.
     analyses : output -> one a note.
     """
@@ -70,13 +68,8 @@ def rendered(
 class Search:
     """Moves the figures of an instrument towards recorded notes.
 
-    Parameters
-    ----------
     stage : with the instrument that is begun with.
     advance : called with the seconds of sound rendered since the last call.
-
-    Attributes
-    ----------
     keeps_loss : whether the loss of strings stays as it is begun with.
     """
 
@@ -102,8 +95,6 @@ class Search:
     ) -> Figures:
         """Figures after some iterations.
 
-        Parameters
-        ----------
         notes, recorded : those to fit, and their analyses.
         start : the same notes, rendered with the figures that are begun with.
         """

@@ -23,8 +23,6 @@ def cells_of(
     Levels of fixed factors that a single listener rated are left out: what they are worth could not be told from who
     that listener is.
 
-    Parameters
-    ----------
     rows : answers, with `listener`, `value` and the factors.
     factors : columns that may vary.
     levels : factor -> its levels, the first being that of the reference.

@@ -57,8 +57,6 @@ class Clusters:
     With R = Q^(1/2) the correction is (I - X_i Q X_i^T)^(-1/2) X_i = X_i R (I - R X_i^T X_i R)^(-1/2) R^-1, so that
     products of columns are all that is needed of a cluster.
 
-    Parameters
-    ----------
     products : (..., clusters, p, p), X_i^T X_i.
     moments : (..., clusters, p), X_i^T e_i.
     inverse : (..., p, p), Q.
@@ -105,8 +103,6 @@ class Clusters:
 class IncompleteFit:
     """Least squares fit of incomplete cell means, for any number of experiments at once.
 
-    Parameters
-    ----------
     y : (..., listeners, cells) means of the listeners' answers, NaN where one is missing.
     x : (cells, p) columns of the model, of full rank over the answers.
     """
@@ -154,8 +150,6 @@ class CrossedFit:
     C is that of answers within a pair: where no answer is missing V is that of the quasi-F. With fewer than n + m pairs
     C is not known, and V = A + B, which is too large.
 
-    Parameters
-    ----------
     y : (..., listeners, sounds, cells) means, NaN where one is missing; axes in front are experiments.
     x : (cells, p) columns of the model.
     """

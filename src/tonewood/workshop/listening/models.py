@@ -83,8 +83,6 @@ class FactorTest:
 class LinearAnalysis:
     """Differences of means and their tests.
 
-    Attributes
-    ----------
     formula, method : the effects, and the analysis in words.
     exact : whether every listener answered every cell.
     random : factors whose levels are a sample.
@@ -165,8 +163,6 @@ def linear_analysis(
 ) -> LinearAnalysis | None:
     """Estimate and test differences of means; None where no fixed factor varies or listeners are fewer than three.
 
-    Parameters
-    ----------
     rows : answers, with `listener`, `value` and the factors.
     factors : columns that may vary.
     levels : factor -> its levels; differences are from the first that is there.

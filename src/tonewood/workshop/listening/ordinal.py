@@ -67,8 +67,6 @@ class OddsTest:
 class OrdinalAnalysis:
     """Odds of higher grades and their tests.
 
-    Attributes
-    ----------
     grades, listeners : numbers of them.
     terms, tests : differences and effects whose odds are finite.
     converged : whether the search ended.
@@ -86,15 +84,10 @@ class OrdinalAnalysis:
 def fit_counts(counts: Floats, x: Floats, prior: float = PRIOR) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Fit tables of counts.
 
-    Parameters
-    ----------
     counts : (..., cells, grades), no grade without an answer in the table with the most answers.
     x : (cells, p) columns without a constant.
     prior : answers added to each cell.
-
-    Returns
-    -------
-    beta : (..., p).
+    Returns beta : (..., p).
     alpha : (..., grades - 1).
     converged : (...) whether the search by Fisher's scoring ended.
     """
@@ -152,8 +145,6 @@ def _filled(counts: Floats, prior: float) -> Floats:
 def clustered(counts: Floats, x: Floats, prior: float = PRIOR) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Log odds (..., cells), their covariance matrix by listeners, and whether the search ended.
 
-    Parameters
-    ----------
     counts : (..., listeners, cells, grades); axes in front are experiments.
     x : (cells, p) columns without a constant.
     prior : answers added to each cell.

@@ -46,8 +46,6 @@ Pooled = tuple[float | None, float, float | None]
 def pooled(right: Counts, answers: Counts, shares: Floats, confidence: float) -> Pooled:
     """Mean d' of a population with its interval.
 
-    Parameters
-    ----------
     right, answers : (listeners,) counts.
     shares : (161,) of right answers at `D`.
     confidence : of the interval.
@@ -60,8 +58,6 @@ def pooled(right: Counts, answers: Counts, shares: Floats, confidence: float) ->
 def pooled_same_different(hits: Counts, different: Counts, alarms: Counts, same: Counts, confidence: float) -> Pooled:
     """Mean d' of a population by the differencing model of the same-different task.
 
-    Parameters
-    ----------
     hits, different : (listeners,) answers "different" to different sounds, and their trials.
     alarms, same : the same of equal sounds.
     confidence : of the interval.

@@ -87,8 +87,6 @@ class PowerRow:
 def power_of(manifest: Manifest, trials: dict[int, int], pilot: PanelResults | None = None) -> list[PowerRow]:
     """Listeners that each page needs.
 
-    Parameters
-    ----------
     manifest : with the effects that its pages expect, and the probabilities of errors.
     trials : page (from 0) -> trials that a listener gets of one pair on it.
     pilot : results of listeners who took the same pages; their spread, and their effects where a page expects none,

@@ -39,8 +39,6 @@ _EQUAL = 1e-9
 class QuestTable:
     """Probabilities of right answers (levels, parameter sets), and the products that entropies need.
 
-    Parameters
-    ----------
     right : (levels, sets) probabilities strictly between 0 and 1.
     prior : (sets,) of the parameter sets.
     """
@@ -87,8 +85,6 @@ def table_of(page: StaircasePage) -> tuple[Floats, QuestTable]:
 class QuestTrack:
     """One track of QUEST+, at the level of its next trial; `StaircaseTrack` is the other method.
 
-    Attributes
-    ----------
     level : of the next trial; the first is the page's `start`.
     levels, right : of the trials so far.
     reversal_levels : empty; this method has none.

@@ -36,9 +36,7 @@ class TooManyListenersError(ListeningError):
 def fewest(power_with: Callable[[int], float], power: float, effect: str) -> int:
     """Fewest listeners, from 3 on, with whom a simulated power is reached.
 
-    Raises
-    ------
-    TooManyListenersError : more than `MOST` are needed.
+    Raises TooManyListenersError : more than `MOST` are needed.
     """
     low, high = 2, 4
     while power_with(high) < power:
@@ -55,8 +53,6 @@ def fewest(power_with: Callable[[int], float], power: float, effect: str) -> int
 class SoundSpread:
     """A random sample of sounds.
 
-    Attributes
-    ----------
     count : number of sounds.
     sounds : covariance (levels, levels) of the sounds' own means of the levels, the same for all listeners.
     pairs : that of the answers of one listener to one sound, beyond both.
@@ -77,17 +73,12 @@ def rating_power(
 ) -> Floats:
     """Share of simulated experiments in which the report finds each level's difference from the first.
 
-    Parameters
-    ----------
     effects : (levels,) points.
     covariance : (levels, levels) of the listeners' means of the levels.
     listeners, alpha : of the experiment, and of its tests.
     seed : of the draws.
     sampled : the sounds, where the manifest's `random` names them.
-
-    Returns
-    -------
-    shares : (levels - 1,).
+    Returns shares : (levels - 1,).
     """
     k = len(effects)
     names = [str(i) for i in range(k)]
@@ -111,16 +102,11 @@ def rating_power(
 def screened_found(y: Floats, kept: NDArray[np.bool_], alpha: float, *, sounds: bool = False) -> NDArray[np.bool_]:
     """Whether the report finds each level's difference from the first, with all listeners and with those kept.
 
-    Parameters
-    ----------
     y : (experiments, listeners, levels) listeners' means, or (experiments, listeners, sounds, levels).
     kept : (experiments, listeners) whether the screening keeps them; fewer than three are not analysed.
     alpha : of the tests.
     sounds : whether `y` has the axis of sounds, a random sample.
-
-    Returns
-    -------
-    found : (experiments, levels - 1).
+    Returns found : (experiments, levels - 1).
     """
     names = [str(i) for i in range(y.shape[-1])]
     rows = strata.contrasts([(name,) for name in names], {"factor": names}).differences["factor",]
@@ -149,17 +135,12 @@ def screened_power(
 ) -> Floats:
     """Share of experiments with listeners of a pilot in which the report finds each level's difference from the first.
 
-    Parameters
-    ----------
     pilot : (pilot listeners, levels) their means.
     kept : (pilot listeners,) whether the screening kept them.
     effects : (levels,) points, which the pilot's mean effects are moved to.
     listeners, alpha, seed : as for `rating_power`.
     sampled : random sounds; listeners then differ by as much less as single answers of the pilot account for.
-
-    Returns
-    -------
-    shares : (levels - 1,) found with all listeners and with those who are kept.
+    Returns shares : (levels - 1,) found with all listeners and with those who are kept.
     """
     random, n = np.random.default_rng([seed, listeners]), len(pilot)
     own = (pilot - pilot.mean(axis=0)) * math.sqrt(n / (n - 1))
@@ -189,8 +170,6 @@ def _batches(size: int) -> list[int]:
 class MushraListeners:
     """What listeners of a MUSHRA page hear, as simulated panels do.
 
-    Attributes
-    ----------
     effects : (levels,) points by which sounds of a level are heard above the reference, which has the first level.
     sounds, trials, cells : random sounds (1: none), trials of each, and sounds of one level in a trial.
     own_sd, slope_sd, residual_sd, sound_sd : points, of listeners' use of the scale, of their responses to each level,
@@ -264,14 +243,9 @@ class MushraListeners:
 def mushra_power(people: MushraListeners, listeners: int, alpha: float, seed: int = 1) -> Floats:
     """Share of experiments in which the report of a MUSHRA page, with its screening, finds each level's difference.
 
-    Parameters
-    ----------
     people : what the listeners hear.
     listeners, alpha, seed : as for `rating_power`.
-
-    Returns
-    -------
-    shares : (levels - 1,) found with all listeners and with those who are kept.
+    Returns shares : (levels - 1,) found with all listeners and with those who are kept.
     """
     random, found = np.random.default_rng([seed, listeners]), []
     for size in _batches(listeners * people.sounds * people.trials * people.cells * len(people.effects)):
@@ -292,17 +266,12 @@ def ordinal_power(
 ) -> Floats:
     """Share of simulated experiments in which the report finds each level rated above or below the first.
 
-    Parameters
-    ----------
     effects : (levels,) points, from the middle of the scale.
     sd : standard deviation of listeners' differences; half of the variance is that of single answers.
     cells : answers of a listener to each level.
     ends : of the scale.
     listeners, alpha, seed : as for `rating_power`.
-
-    Returns
-    -------
-    shares : (levels - 1,).
+    Returns shares : (levels - 1,).
     """
     k, random = len(effects), np.random.default_rng([seed, listeners])
     most = max(1, 2_000_000 // (listeners * k * cells))
@@ -336,8 +305,6 @@ def _draws(random: np.random.Generator, covariance: Floats, *shape: int) -> Floa
 def choice_power(share: float, each: int, listeners: int, alpha: float, seed: int = 1) -> float:
     """Share of simulated experiments in which the Bradley-Terry interval of a pair excludes 0.
 
-    Parameters
-    ----------
     share : of choices of one of the two.
     each : choices of a listener.
     listeners, alpha, seed : as for `rating_power`.
@@ -358,9 +325,7 @@ def threshold_listeners(
 ) -> int:
     """Listeners with whom the interval of the mean threshold excludes one that is a margin (of u) away.
 
-    Raises
-    ------
-    TooManyListenersError : more than `MOST` are needed.
+    Raises TooManyListenersError : more than `MOST` are needed.
     """
     random = np.random.default_rng(seed)
     pool, grid, centre = 200, ThresholdGrid(page), page.transformed(people.mean)
@@ -384,10 +349,8 @@ def answers_for_share(share: float, chance: float, alpha: float, power: float) -
 
     The power of an exact test goes up and down with the number of answers; from this number on it stays above.
 
-    Raises
-    ------
-    TooManyListenersError : more than `MOST` are needed.
-    ListeningError : the share is not above guessing.
+    Raises TooManyListenersError : more than `MOST` are needed.
+    Raises ListeningError : the share is not above guessing.
     """
     import numpy as np
     from scipy.stats import binom

@@ -66,8 +66,6 @@ def ratings(
 ) -> Floats:
     """Draw answers (experiments, listeners, 9 cells, repetitions) of three levels and three sounds.
 
-    Parameters
-    ----------
     null : name in `NULLS` or `OTHERS`.
     shift : points by which the second level is higher.
     """
@@ -112,8 +110,6 @@ def _others(random: np.random.Generator, shape: tuple[int, int], name: str, shif
 def without(random: np.random.Generator, answers: Floats, gaps: str) -> Floats:
     """Cell means (experiments, listeners, 9) of the answers that are left, NaN where none is.
 
-    Parameters
-    ----------
     random : decides which answers are missing.
     answers : (experiments, listeners, 9, repetitions).
     gaps : name in `GAPS`.
@@ -181,8 +177,6 @@ def sampled_rates(
     Single answers have a standard deviation of 9 points, one for each sound and level; the second level is 5 points
     higher where coverage is asked for.
 
-    Parameters
-    ----------
     random, experiments, listeners, sounds : source of the answers, and numbers.
     missing : share of answers.
     spread : name in `SPREADS`.
@@ -215,8 +209,6 @@ def graded(random: np.random.Generator, experiments: int, listeners: int, cuts: 
 
     Latent answers are logistic, with deviations of listeners of 1 and of their responses to each level of 0.7.
 
-    Parameters
-    ----------
     random, experiments, listeners : source of the answers, and numbers.
     cuts : name in `CUTS`.
     shift : by which the second level is higher (logits of one listener).
@@ -266,8 +258,6 @@ def choice_rates(
 ) -> tuple[float, float]:
     """Paired comparisons of three levels: how often one is said to be chosen more than another, and coverage.
 
-    Parameters
-    ----------
     random, experiments, listeners : source of the answers, and numbers.
     each : answers of a listener to each pair.
     sd : standard deviation of listeners' own values of the levels (logits). Without an effect their mean is 0;
@@ -309,17 +299,12 @@ def trials(
 ) -> tuple[list[Floats], list[NDArray[np.bool_]]]:
     """Let listeners take a staircase.
 
-    Parameters
-    ----------
     page : of the staircase.
     thresholds : (listeners,) transformed.
     slopes : (listeners,) per unit of u.
     lapses : lapse rate.
     random : source of the answers.
-
-    Returns
-    -------
-    levels : of each listener (trials,), all tracks.
+    Returns levels : of each listener (trials,), all tracks.
     right : of each listener (trials,).
     """
     task = task_of(page)
@@ -415,8 +400,6 @@ def sensitivity_rates(
 def power_had(random: np.random.Generator, experiments: int, listeners: int, shift: float, sd: float) -> float:
     """Share of experiments, drawn answer by answer, in which the report finds the second of three levels.
 
-    Parameters
-    ----------
     random : source of the answers.
     experiments, listeners : numbers of them.
     shift : points by which the second level is higher.
@@ -438,8 +421,6 @@ def power_had_by_sounds(
 ) -> float:
     """Share of experiments, drawn answer by answer, in which the report finds one of two levels; sounds are a sample.
 
-    Parameters
-    ----------
     random : source of the answers.
     experiments, listeners, sounds : numbers of them.
     shift : points by which the second level is higher.
@@ -461,8 +442,6 @@ def power_had_by_shares(
 ) -> float:
     """Share of experiments on an ordinal scale of 1 to 5 in which the report finds the second of three levels.
 
-    Parameters
-    ----------
     random, experiments, listeners : source of the answers, and numbers.
     shift : points by which the second of three levels is higher; the scale cuts answers off.
     sd : standard deviation of listeners' differences, half of whose variance is that of single answers, to six sounds.

@@ -66,8 +66,6 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 class Contrasts:
     """Effects of a set of cells.
 
-    Attributes
-    ----------
     bases : effect -> orthonormal contrasts (cells, q), orthogonal to all other effects.
     differences : effect -> rows of contrasts (differences, cells): from the first level, over all cells; for an
         interaction differences of differences.
@@ -84,8 +82,6 @@ class Contrasts:
 def contrasts(cells: Sequence[Sequence[str]], levels: Mapping[str, Sequence[str]]) -> Contrasts:
     """Contrasts of main effects and of interactions of two factors.
 
-    Parameters
-    ----------
     cells : level of each factor, in the order of `levels`, for each cell that is there.
     levels : factor -> its levels, the first being that of the reference.
     """
@@ -162,8 +158,6 @@ class Estimated:
 def tested(y: Floats, basis: Floats, *, sounds: bool) -> Tested:
     """Test an effect.
 
-    Parameters
-    ----------
     y : (..., listeners, cells) means of the listeners' answers, or (..., listeners, sounds, cells); axes in front are
         experiments.
     basis : (cells, q) orthonormal contrasts.

@@ -52,8 +52,6 @@ _ROUNDS = 6
 class ListenerThreshold:
     """Threshold of one listener.
 
-    Attributes
-    ----------
     reversals : mean of the tracks' thresholds from their reversals, corrected; None if no track has them.
     threshold, low, high : of the hierarchical fit; a bound at the end of the levels is None.
     alone, alone_low, alone_high : of this listener's answers alone.
@@ -143,8 +141,6 @@ def thresholds(rows: Sequence[Mapping[str, Any]], page: StaircasePage, unit: str
 class PopulationFit:
     """A hierarchical fit, in transformed levels u; arrays have an entry for each listener.
 
-    Attributes
-    ----------
     mean, interval, spread, slope : mu, its interval, tau and b of the population.
     listeners, intervals : (n,) and (n, 2) thresholds in the population.
     alone, alone_intervals : thresholds of each listener's answers alone.

@@ -25,8 +25,6 @@ _BLOCK = 8192
 class Stroke:
     """One rendered note.
 
-    Attributes
-    ----------
     key, velocity, repeat : MIDI numbers, and the count of round robins from 1.
     samples : (n, n_channels) at the instrument's calibrated level.
     """

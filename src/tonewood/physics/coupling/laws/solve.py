@@ -33,8 +33,6 @@ FEW_SWEEPS = 10
 class Partners:
     """Prescribed motion of the partners of nonlinear laws over one step.
 
-    Attributes
-    ----------
     offset, offset_after : (k,) m at the beginning and the end of the step.
     velocity : (k,) m/s of friction's partner.
     scale : (k,) factor on the force of the law.
@@ -61,8 +59,6 @@ def find_forces(
 ) -> Solution:  # fmt: skip
     """Find the forces of all laws over one step.
 
-    Parameters
-    ----------
     laws : k laws.
     Z : (k, k) m/N.
     free, gap : (k,) m, g_u and g.

@@ -85,8 +85,6 @@ class Potential(ABC):
 class MiddleOfStep:
     """What the direction of one potential over one step may depend on.
 
-    Attributes
-    ----------
     middle : (n,) coordinates in the middle of the step (`ModalCoordinates.middle`), under all forces but those of
         potentials and nonlinear connections.
     answered : (n,) the same under the forces on fast coordinates too (`JoinedPotential.fast`).

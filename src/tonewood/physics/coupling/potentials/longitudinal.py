@@ -55,9 +55,7 @@ LEAST_SHIFT = 1e-8
 def cosine_slopes(name: str, component: str, basis: ModalBasis) -> tuple[Floats, Floats, float]:
     """Return shapes as a ramp and sines (rows, n_modes), wavenumbers of their slopes' cosines (rows,), and the length.
 
-    Raises
-    ------
-    ValueError : the component was not made by `string_basis`.
+    Raises ValueError : the component was not made by `string_basis`.
     """
     metadata = basis.metadata
     if "vec" not in metadata:
@@ -121,8 +119,6 @@ class GeometricStretch(Potential):
 class GeometricShare:
     """One component's share.
 
-    Attributes
-    ----------
     slopes : (n_cosines, n) cosine coefficients of the slope (of the longitudinal component: strain) per coordinate.
     scale : EA L, N m.
     """

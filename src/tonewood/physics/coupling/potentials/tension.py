@@ -102,8 +102,6 @@ class TensionModulation(Potential):
 class TensionShare:
     """One component's share of a tension.
 
-    Attributes
-    ----------
     weights : (n_modes,) a.
     kappa : EA/(4 L), N/m.
     """
