@@ -59,6 +59,10 @@ class StringBases:
         self._damper_rates: dict[tuple[int, float], Floats] = {}
         self._lengthwise: dict[float, ModalBasis] = {}
 
+    def tuned_by(self, tuning: StringTuning) -> StringBases:
+        """Return bases of the same string by another table of tensions."""
+        return StringBases(tuning, self.places, self._longitudinal, self._limit)
+
     def made(
         self,
         stop: float,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from copy import copy
 from typing import Any
 
 from tonewood.instrument.contract.attached import Attached, Site
@@ -102,6 +103,16 @@ class StringModel:
     def ends(self) -> tuple[Polarization | LongitudinalMotion, ...]:
         """Motions that are joined to the bridge: polarizations, then longitudinal motion."""
         return (*self.polarizations, *([self.longitudinal] if self.longitudinal else []))
+
+    def for_live(self) -> StringModel:
+        """Return the string with tensions between whole stops from a table, see `StringTuning.interpolated`."""
+        tuning = self.tuning.interpolated()
+        if tuning is self.tuning:
+            return self
+        other = copy(self)
+        other.tuning, other._attached = tuning, {}
+        other._bases = self._bases.tuned_by(tuning)
+        return other
 
     def freq(self, stop: float = 0) -> float:
         """Return the pitch that a stop should sound, Hz."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -136,7 +136,8 @@ class Live:
         steps = LEVELS[options.accuracy].oversampling(self.instrument.spec)
         if options.oversampling is not None:
             steps = Fraction(options.oversampling)
-        self.model = assembled(self.instrument, options) if model is None else model
+        made = assembled(self.instrument, options) if model is None else model
+        self.model = replace(made, strings={name: string.for_live() for name, string in made.strings.items()})
         self.engine = Engine(self.model, Timeline((), ()))
         self.player = Player(
             self.model,
