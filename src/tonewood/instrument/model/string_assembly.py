@@ -44,20 +44,12 @@ def string_models(
 ) -> dict[str, StringModel]:
     """Make every string of an instrument.
 
-    Parameters
-    ----------
     body, body_points : the body's modes below the limit, and its points.
     limit : Hz, no mode is stepped above it.
     choice : effects that may run.
     kept : tunings of open strings from an earlier run.
-
-    Returns
-    -------
-    name -> string, from bass to treble; without those of keys whose pitch is too high for the limit.
-
-    Raises
-    ------
-    BundleError : a point of a string does not lie on its speaking part at the last stop.
+    Returns name -> string, from bass to treble; without those of keys whose pitch is too high for the limit.
+    Raises BundleError : a point of a string does not lie on its speaking part at the last stop.
     """
     stretch = stretch_cents(instrument)
     copies = {

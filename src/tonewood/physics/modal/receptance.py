@@ -12,12 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.modal.modes import BLOCK, PAIR, ModalBasis
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: moments of the integrals that `Joint.zeros_within` takes, per Hankel matrix, and their smallest singular value
 _MOMENTS, _RANK = 3, 1e-7
@@ -27,8 +24,6 @@ _MOMENTS, _RANK = 3, 1e-7
 class Ports:
     """One component at some rows over its points.
 
-    Attributes
-    ----------
     poles : (n,) 1/s, both of each pair.
     right, left : (p, n).
     weight : (n,) energy of |z|^2 = 1: omega |r| / |l| / 2 over all points of the component.
@@ -84,8 +79,6 @@ class Ports:
 class Joint:
     """Components joined at p gaps: M(s), the sum of their receptances.
 
-    Parameters
-    ----------
     parts : each with p ports, one per gap (rows of zeros where it does not take part).
     """
 
@@ -236,8 +229,6 @@ class Joint:
 class Star(Joint):
     """One component with p ports, and at each of them another one with one port: strings on a body.
 
-    Parameters
-    ----------
     centre : with p ports.
     rays : p components with one port each; they meet through the centre only.
     """

@@ -24,15 +24,14 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.splines import SplineGrid, line_functions
 from tonewood.physics.plate.wood import Wood
+from tonewood.support.arrays import Floats
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-Floats = NDArray[np.float64]
 
 #: Timoshenko's shear coefficient of a rectangle
 _SHEAR = 5 / 6
@@ -42,8 +41,6 @@ _SHEAR = 5 / 6
 class Beam:
     """A brace or a bridge of rectangular section.
 
-    Attributes
-    ----------
     start, stop : (2,) m, ends of its axis.
     width : m.
     heights : (n,) m, at n places spread evenly from start to stop, linear between them; one for a constant height.
@@ -100,14 +97,9 @@ def beam_matrices(
 ) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
     """Stiffness and losses of one beam in the fields (theta, u, v, gamma_x, gamma_y, w), and mass (N, N) of w.
 
-    Parameters
-    ----------
     thickness : m, of the plate, or at the points of `beam_line`.
     shears : whether the plate has the fields gamma.
-
-    Returns
-    -------
-    two (r + 5N, r + 5N) matrices, r = `rotations`, (r + 3N) without gamma, and one (N, N).
+    Returns two (r + 5N, r + 5N) matrices, r = `rotations`, (r + 3N) without gamma, and one (N, N).
     """
     from scipy.sparse import csr_matrix, diags, eye, hstack, kron, vstack
 

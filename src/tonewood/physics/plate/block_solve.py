@@ -18,12 +18,11 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from tonewood.support.arrays import Floats
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix, csr_matrix
-
-Floats = NDArray[np.float64]
 
 #: least unknowns of a block
 _LEAST = 64

@@ -15,12 +15,12 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from tonewood.support.arrays import Floats
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
 
-Floats = NDArray[np.float64]
 
 #: vectors in a block
 BLOCK = 16
@@ -35,8 +35,6 @@ def lowest(
 ) -> tuple[Floats, Floats]:
     """Eigenvalues (m,) lambda, ascending, and vectors (n, m) with x^T M x = 1.
 
-    Parameters
-    ----------
     solve : (K + shift M)^-1 applied to (n, k).
     mass : M, symmetric and semidefinite.
     shift : s^2 > 0.

@@ -31,7 +31,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.physics.plate.beams import Beam, beam_line, beam_matrices, rotations
 from tonewood.physics.plate.block_solve import BlockSolver
@@ -41,12 +41,11 @@ from tonewood.physics.plate.lanczos import lowest
 from tonewood.physics.plate.outline import quadrature, refined
 from tonewood.physics.plate.splines import Order, SplineGrid
 from tonewood.physics.plate.wood import Wood
+from tonewood.support.arrays import Floats, Indices
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix, csr_matrix
 
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
 #: name and number of unknowns
 Field = tuple[str, int]
 #: thickness (m) at points (..., 2)
@@ -71,8 +70,6 @@ _SHIFT = 20.0
 class Edge:
     """Springs on the outline, per length.
 
-    Attributes
-    ----------
     k_w : N/m^2, against displacement; infinite for an edge that does not move.
     k_theta : N, against the turn across the edge; infinite for an edge that does not turn.
     k_in_plane : N/m^2, against displacement in the plate's plane.
@@ -92,8 +89,6 @@ FREE, HINGED, CLAMPED = Edge(), Edge(np.inf, 0.0), Edge(np.inf, np.inf)
 class PlateModes:
     """Modes of a plate in vacuum, mass-normalised.
 
-    Attributes
-    ----------
     freq : (n,) Hz.
     loss : (n,) loss factors of wood, braces and edge.
     vectors : (functions, n) shapes of w, 1/sqrt(kg).
@@ -113,8 +108,6 @@ class PlateModes:
 class _Sum:
     """A matrix of all unknowns as a sum of parts: beams' rotations, edge layers, u and v, gamma, and w last.
 
-    Attributes
-    ----------
     size : number of all.
     slots : name -> first unknown of a field.
     """
@@ -123,7 +116,7 @@ class _Sum:
         counts = [count for _, count in fields]
         starts = np.concatenate([[0], np.cumsum(counts)])
         self.size, self.slots = int(starts[-1]), dict(zip((name for name, _ in fields), map(int, starts), strict=False))
-        self._parts: list[tuple[Floats, Places, Places]] = []
+        self._parts: list[tuple[Floats, Indices, Indices]] = []
 
     def add(self, part: csr_matrix, fields: Sequence[Field]) -> None:
         """Add a matrix of some fields, in their order there."""
@@ -142,8 +135,6 @@ class _Sum:
 class Plate:
     """A plate's matrices.
 
-    Parameters
-    ----------
     rings : outline first, then holes, each (n, 2) m. A curved side needs points much closer than `size`: stiff springs
         against displacement alone on the sides of a coarse polygon clamp it (Babuska's paradox).
     wood : of the plate.
@@ -319,12 +310,7 @@ class Plate:
         return self.grid.at(points, order)[:, self._keep]
 
     def modes(self, fmax: float | None = None, count: int | None = None) -> PlateModes:
-        """Modes up to `fmax` (Hz), or the first `count`.
-
-        Raises
-        ------
-        ValueError : neither is given.
-        """
+        """Modes up to `fmax` (Hz), or the first `count`. Raises ValueError : neither is given."""
         values, whole = self.solution(fmax, count)
         lost = np.einsum("ij,ij->j", whole, self._losses @ whole)
         loss = np.where(values > 1e-6, lost / np.maximum(values, 1e-6), 0.0)
@@ -333,9 +319,7 @@ class Plate:
     def solution(self, fmax: float | None = None, count: int | None = None) -> tuple[Floats, Floats]:
         """(n,) omega^2 and (unknowns, n) mass-normalised vectors of all unknowns; as `modes`.
 
-        Raises
-        ------
-        ValueError : neither is given.
+        Raises ValueError : neither is given.
         """
         if count is None and fmax is None:
             raise ValueError("fmax or count is wanted")
@@ -431,7 +415,7 @@ def cell_size(wood: Wood, thickness: float, fmax: float) -> float:
     return float(min(0.3 * wavelength, 0.02))
 
 
-def _kept(stiffness: Floats, mass: Floats, slots: Mapping[str, int], fields: Sequence[Field]) -> Places:
+def _kept(stiffness: Floats, mass: Floats, slots: Mapping[str, int], fields: Sequence[Field]) -> Indices:
     """Unknowns whose functions touch the plate, by their energy beside that of others of their field."""
     keep = [np.arange(slots[fields[0][0]])]
     for name, count in fields:

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED, Cavity, cavity_modes, hole_loss
 from tonewood.physics.plate.block_solve import BlockSolver
@@ -26,8 +25,7 @@ from tonewood.physics.plate.body import BodyDrawing, cell_of, made_plate, mouth_
 from tonewood.physics.plate.lanczos import lowest
 from tonewood.physics.plate.mode_changes import ModeChange, mode_change
 from tonewood.physics.plate.radiation import Sources, gathered_sources
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: m, squares in which a plate's motion is gathered for its sound
 _SQUARE = 0.02
@@ -37,8 +35,6 @@ _SQUARE = 0.02
 class Lump:
     """A mass, a spring and a dashpot fixed to one of the drawing's points.
 
-    Attributes
-    ----------
     point : number of the point.
     factor : its displacement per displacement of the point along its own direction.
     mass, stiffness, damping : kg, N/m, N s/m.
@@ -55,8 +51,6 @@ class Lump:
 class LowModes:
     """Lowest modes of a body, mass-normalised.
 
-    Attributes
-    ----------
     freq : (n,) Hz.
     loss : (n,) loss factors.
     shapes : (p, n) 1/sqrt(kg) at the drawing's points.
@@ -82,8 +76,6 @@ def _cavity(outline: bytes, fmax: float) -> Cavity:
 class WholeBody:
     """Matrices of a drawn body.
 
-    Parameters
-    ----------
     drawing : with cells of a size given in its plates, so that bodies of similar drawings have the same unknowns.
     lumps : fixed to its points.
     """
@@ -183,8 +175,6 @@ class WholeBody:
     def described(self, values: Floats, vectors: Floats, residual: bool = True) -> LowModes:
         """Frequencies, losses, shapes at points and what is left out, of modes of this body.
 
-        Parameters
-        ----------
         values, vectors : (m,) omega^2 and (n, m).
         residual : whether the residual is wanted, which takes a factorisation.
         """
@@ -265,16 +255,11 @@ def body_change(
     Derivatives of the matrices are central differences of matrices that are polynomials of most parameters; those of
     eigenvalues and shapes are `mode_change`; of all that follows from these, directional differences.
 
-    Parameters
-    ----------
     values, vectors : modes of `body`, more than `count`.
     less, more : bodies at p - step and p + step, with the same unknowns.
     count : number of modes wanted.
     residual : as in `WholeBody.described`.
-
-    Raises
-    ------
-    ValueError : the bodies do not have the same unknowns.
+    Raises ValueError : the bodies do not have the same unknowns.
     """
     if not less.size == body.size == more.size:
         raise ValueError("the drawing's unknowns change with this parameter")

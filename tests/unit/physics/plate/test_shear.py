@@ -81,6 +81,7 @@ def hinged(wood: Wood, size: tuple[float, float], h: float, count: int) -> np.nd
     return np.sqrt(np.sort(found)[:count]) / (2 * np.pi)
 
 
+@pytest.mark.slow
 def test_hinged_plate_has_naviers_frequencies() -> None:
     """40 modes within 0.1 %, of a plate so thick that shear lowers them by up to a fifth."""
     h, size = 0.008, (0.4, 0.3)
@@ -107,6 +108,7 @@ def test_a_thin_plate_is_kirchhoffs(edge: object) -> None:
     assert apart[2] < 5e-4
 
 
+@pytest.mark.slow
 def test_a_free_strip_twists_as_saint_venant_says() -> None:
     """Isotropic strip 20 h wide: J = b h^3 / 3 (1 - 0.630 h / b) but for shear; Kirchhoff's plate has b h^3 / 3."""
     iso = Wood(10e9, 10e9, 10e9 / 2.6, 0.3, 500.0, G_LT=10e9 / 2.6, G_RT=10e9 / 2.6)
@@ -142,6 +144,7 @@ def test_rigid_motion_has_no_frequency() -> None:
     assert plate.mass == pytest.approx((0.1 - np.pi * 9e-4) * 0.003 * 440 + beam.mass, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_brace_keeps_its_offset() -> None:
     """A strip that cannot shear across and one that shears freely: the brace's composite stiffness stays, to shear."""
     e = Wood(10e9, 10e9, 5e9, 0.0, 450.0, G_LT=5e9, G_RT=5e9)

@@ -363,6 +363,7 @@ def test_views_are_given_and_unknown_ones_refused(client: Client, desk: Desk) ->
     assert set(rings) >= {"moments", "effects", "load"}
 
 
+@pytest.mark.slow
 def test_a_design_is_found_beside_the_sound_and_taken(client: Client, desk: Desk) -> None:
     client.act("set", path="body.added", value=[{"at": "bridge", "mass": 0.01}])
     offered = client.ask("/api/state")[1]["advice"]["offered"]
