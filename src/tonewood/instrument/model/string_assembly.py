@@ -16,7 +16,7 @@ from tonewood.instrument.contract.registry import MANIFEST
 from tonewood.instrument.model.choice import Choice
 from tonewood.instrument.model.fretboard import fretted_string
 from tonewood.instrument.model.kept_tunings import KeptTunings
-from tonewood.instrument.model.stops import StopTable
+from tonewood.instrument.model.stop_table import StopTable
 from tonewood.instrument.model.stretch import inharmonicity, octave_stretch
 from tonewood.instrument.model.string_bases import StringPlaces
 from tonewood.instrument.model.string_setup import LongitudinalMotion, Polarization, Stopping
