@@ -16,20 +16,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED, Cavity, cavity_modes, hole_loss
+from tonewood.physics.plate.block_solve import BlockSolver
 from tonewood.physics.plate.body import BodyDrawing, cell_of, made_plate, mouth_of, named_modes, opening_of, point_loads
 from tonewood.physics.plate.lanczos import lowest
 from tonewood.physics.plate.mode_changes import ModeChange, mode_change
 from tonewood.physics.plate.radiation import Sources, gathered_sources
 from tonewood.support.arrays import Floats
-
-if TYPE_CHECKING:
-    from scipy.sparse.linalg import SuperLU
-
 
 #: m, squares in which a plate's motion is gathered for its sound
 _SQUARE = 0.02
@@ -156,24 +152,20 @@ class WholeBody:
         return self.plates[0].shift ** 2
 
     @cached_property
-    def _factors(self) -> tuple[SuperLU, Floats, Floats, Floats]:
-        """Factors of D (K - kappa P^T P + s^2 M) D, D, and what the air adds to their solution."""
-        from scipy.sparse import diags
-        from scipy.sparse.linalg import splu
-
-        matrix = self.flexible + self.shift * self.mass_matrix
-        scale = np.asarray(1.0 / np.sqrt(matrix.diagonal()))
-        d = diags(scale)
-        lu = splu((d @ matrix @ d).tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
-                  options={"SymmetricMode": True})  # fmt: skip
-        moved = scale[:, None] * lu.solve(scale[:, None] * self.pressed.T)
+    def _solver(self) -> tuple[BlockSolver, Floats, Floats]:
+        """Of K - kappa P^T P + s^2 M, and what the air adds to its solution."""
+        places = np.full(self.size, self._starts[-1], dtype=np.float64)
+        for first, plate in zip(self._starts, self.plates, strict=False):
+            places[first : first + len(plate.places)] = first + plate.places  # one plate after the other
+        whole = BlockSolver(self.flexible + self.shift * self.mass_matrix, places)
+        moved = whole.solve(self.pressed.T)
         small = np.eye(len(self.pressed)) / self.kappa + self.pressed @ moved if self.kappa else np.zeros((0, 0))
-        return lu, scale, moved, small
+        return whole, moved, small
 
     def solve(self, forces: Floats) -> Floats:
         """(n, k) (K + s^2 M)^-1 applied to forces (n, k)."""
-        lu, scale, moved, small = self._factors
-        y = scale[:, None] * lu.solve(scale[:, None] * forces)
+        whole, moved, small = self._solver
+        y = whole.solve(forces)
         return y - moved @ np.linalg.solve(small, self.pressed @ y) if len(small) else y
 
     def modes(self, *, below: float = 0.0, count: int = 0) -> tuple[Floats, Floats]:
