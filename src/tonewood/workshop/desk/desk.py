@@ -165,15 +165,15 @@ class Desk:
         with self.playback.lock:
             forked = None
             if self.playback.playing and not take.ended and not take.preview:
-                forked = take.forked(self.playback.at, design.instrument, dict(design.changes))
-            fresh = PhraseTake(
-                self.score, with_hands(take.model, design.instrument), take.options, dict(design.changes)
-            )
+                first = self.playback.at - self.playback.unheard
+                forked = take.forked(first, design.instrument, dict(design.changes))
             if forked is not None:
                 self.playback.fork(*forked, self.serial)
-                self.playback.following = fresh
             else:
-                self.playback.swap(fresh, serial=self.serial)
+                model = with_hands(take.model, design.instrument)
+                self.playback.swap(
+                    PhraseTake(self.score, model, take.options, dict(design.changes)), serial=self.serial
+                )
 
     def _ready(self, model: Model, wanted: Wanted) -> None:
         """Let a model be heard that has been made."""
@@ -193,14 +193,11 @@ class Desk:
         playback = self.playback
         goes_on = playback.take is not None and bool(playback.take.preview) and playback.playing
         goes_on = goes_on and playback.serial == wanted.serial
-        at = playback.at + _READY if goes_on else 0
-        take.ensure(at + _READY)
+        take.ensure((playback.at if goes_on else 0) + 2 * _READY)
         with self.lock:
             if wanted.serial != self.serial or score is not self.score:
                 return
-            with playback.lock:
-                at = min(playback.at, take.frames) if goes_on else 0
-                playback.swap(take, at, serial=wanted.serial)
+            playback.swap(take, goes_on=goes_on, serial=wanted.serial)
             if not wanted.preview:
                 self._quick.forget()
                 self._model = model
