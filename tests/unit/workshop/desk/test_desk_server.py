@@ -21,6 +21,7 @@ import tonewood.authoring as ta
 from tonewood.errors import BundleError
 from tonewood.sound.render.options import RenderOptions
 from tonewood.workshop.desk import models
+from tonewood.workshop.desk.ahead import Ahead
 from tonewood.workshop.desk.desk import TAIL, Desk
 from tonewood.workshop.desk.phrase import LONGEST
 from tonewood.workshop.desk.server import DeskServer
@@ -285,6 +286,49 @@ def test_a_preview_is_named_until_the_exact_sound_follows(monkeypatch: pytest.Mo
     assert "fmax 1000" in coarse[1]
 
 
+def test_undoing_a_preview_brings_the_start_back(
+    client: Client, desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(type(desk.session.instrument.body), "preview", {"max_change": 0.09})
+    monkeypatch.setattr("tonewood.workshop.desk.making._REST", 1e6)
+    client.act("set", path="body.added", value=[{"at": "bridge", "mass": 0.02}])
+    until(lambda: desk.state()["preview"])
+    client.act("undo")
+    until(lambda: not desk.state()["preview"])
+    client.act("play", on=True)
+    assert np.array_equal(heard(desk, 9600), offline(desk, desk.session)[:9600])
+
+
+def test_the_exact_model_follows_from_a_process_of_its_own(
+    client: Client, desk: Desk, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
+) -> None:
+    monkeypatch.setenv("TONEWOOD_CACHE", str(tmp_path))
+    monkeypatch.setattr(type(desk.session.instrument.body), "preview", {"max_change": 0.09})
+    monkeypatch.setattr("tonewood.workshop.desk.making._REST", 0.0)
+    client.act("set", path="body.added", value=[{"at": "bridge", "mass": 0.02}])
+    until(lambda: desk.state()["preview"])
+    until(lambda: not desk.state()["preview"])
+    assert desk.state()["making"] is None
+    assert list(tmp_path.rglob("*")) != []
+    client.act("play", on=True)
+    assert np.array_equal(heard(desk, 9600), offline(desk, desk.session)[:9600])
+
+
+def test_a_design_that_is_turned_away_from_is_not_made(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, called = Ahead("monochord", 48000, allow_code=False), []
+    monkeypatch.delenv("TONEWOOD_CACHE", raising=False)
+    begun.make(desk.session.design, lambda: called.append(1))
+    process = begun._process
+    assert process is not None
+    begun.make(desk.session.design, lambda: called.append(2))
+    assert begun._process is process
+    desk.session.set("body.added", [{"at": "bridge", "mass": 0.02}])
+    begun.turn_to(desk.session.design)
+    assert process.wait(60) != 0
+    time.sleep(0.1)
+    assert called == []
+
+
 def test_what_differs_is_not_told_of_a_coarse_preview(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     assert desk.view("differences") == []
     coarse = ta.assemble(tw.load_instrument("monochord"), 48000)
@@ -355,9 +399,7 @@ def test_a_change_is_heard_before_sound_that_was_sent(
     assert np.array_equal(begun[start + 1440 : start + 12000], after[1440:12000])
 
 
-def test_keys_ring_on_while_a_phrase_is_sent_again(
-    desk: Desk, client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_keys_ring_on_while_a_phrase_is_sent_again(desk: Desk, client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tonewood.workshop.desk.playback._TRUSTED", 0.0)
 
     def keys(*, again: bool) -> np.ndarray[Any, np.dtype[np.float32]]:
