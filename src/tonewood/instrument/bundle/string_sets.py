@@ -41,12 +41,7 @@ def string_sets() -> Mapping[str, StringSet]:
 
 
 def string_set(name: str, *, file: Any = None) -> StringSet:
-    """Find a set by its name.
-
-    Raises
-    ------
-    BundleError : there is none; names those there are.
-    """
+    """Find a set by its name. Raises BundleError : there is none; names those there are."""
     sets = string_sets()
     if name not in sets:
         reason = f"there is no string set {name!r}; {did_you_mean(name, sets)}there are {', '.join(sets)}"
@@ -130,14 +125,9 @@ def _length(part: Mapping[str, Any], key: str, file: Any) -> float:
 def with_materials(values: Mapping[str, Any], *, over: Collection[str] = (), file: Any = None) -> dict[str, Any]:
     """Return values of a bundle with mass, stiffness and loss of its strings from their `made_of`.
 
-    Parameters
-    ----------
     values : of the bundle, `strings.defaults` merged.
     over : strings of which gauge and materials replace what the bundle states; of all others they fill in.
-
-    Raises
-    ------
-    BundleError : names file, string, key, value and the values allowed.
+    Raises BundleError : names file, string, key, value and the values allowed.
     """
     strings, out = values.get("strings"), dict(values)
     parts = strings.items() if isinstance(strings, Mapping) else ()

@@ -311,8 +311,6 @@ CHECKS: dict[str, dict[str, Any]] = {
 def check_results(cls: type[Any], checks: Mapping[str, Any], fault: Callable[[Any, str], TonewoodError]) -> None:
     """Replace the methods of a class that `checks` names by ones whose results are checked.
 
-    Parameters
-    ----------
     cls : the class; inherited methods are left as they are.
     checks : name -> check of a result: object, result, arguments by name; raises `WrongResultError`.
     fault : makes the error of an object and a reason.

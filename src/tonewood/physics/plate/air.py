@@ -27,13 +27,12 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.integrals import displacement, integrals
 from tonewood.physics.plate.outline import quadrature
 from tonewood.physics.plate.splines import SplineGrid
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 Pair = tuple[float, float]
 
 #: kg/m^3 and m/s, air at 20 degrees Celsius
@@ -46,8 +45,6 @@ VISCOSITY = 1.5e-5
 class Cavity:
     """Modes of a flat cavity with rigid walls, uniform over its depth.
 
-    Attributes
-    ----------
     freq : (m,) Hz, without the one at 0.
     vectors : (functions, m) shapes psi of mean square 1.
     grid : of their functions.
@@ -103,8 +100,6 @@ def _cavity(ring: bytes, fmax: float, size: float) -> Cavity:
 class AirModes:
     """Modes of plates and air together, mass-normalised.
 
-    Attributes
-    ----------
     freq : (n,) Hz, ascending.
     plates : (n_q, n) share of each plate mode q.
     hole : (n,) Y, m^3 per unit of the mode's coordinate; 0 without a hole.
@@ -133,8 +128,6 @@ def air_matrices(
 ) -> tuple[Floats, Floats, Floats]:
     """Mass (n,), a diagonal, stiffness (n, n) and pressures (1 + m, n) of the coordinates q, Y (with a hole) and eta.
 
-    Parameters
-    ----------
     freq, outward : (n_q,) Hz and a_n of the plates' modes.
     volume : m^3.
     hole : area S (m^2) and length L (m) of the air that moves in it; None for a closed body.
@@ -197,8 +190,6 @@ def couple_air(
 def hole_loss(freq: Floats, flow: Floats, opening: float, wall: float) -> Floats:
     """(n,) loss factors of modes by friction in a round hole, r Y^2 / (S omega).
 
-    Parameters
-    ----------
     freq, flow : (n,) Hz and Y of each mode.
     opening, wall : m^2 and m, area S of the hole and thickness t.
     """

@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.physics.plate.splines import SplineGrid
-
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
+from tonewood.support.arrays import Floats, Indices
 
 #: a classical guitar's outline, made up: x (m from the neck joint) and half of the width there (m), neck to tail
 _HALF = np.array(
@@ -110,14 +108,12 @@ def crossing(ring: Floats, other: Floats | None = None) -> Floats | None:
 class Quadrature:
     """Points and weights of integrals over a plate, in groups of cells with the same number of points.
 
-    Attributes
-    ----------
     groups : (cells (n, 2), points (n, q, 2) in m, weights (n, q) in m^2), weights of unused points 0.
     grid : of its cells.
     whole : (groups,) whether the cells of a group lie inside, with the same points and weights in each.
     """
 
-    groups: tuple[tuple[Places, Floats, Floats], ...]
+    groups: tuple[tuple[Indices, Floats, Floats], ...]
     grid: SplineGrid
     whole: tuple[bool, ...]
 

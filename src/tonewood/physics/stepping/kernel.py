@@ -36,8 +36,8 @@ from tonewood.physics.stepping.description import (
     sort_ports,
 )
 from tonewood.physics.stepping.stepper import NumpyStepper, Statistics
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 _NONE = np.zeros(0, dtype=np.intp)
 _NO_MATRIX = np.zeros((0, 0))
 #: samples, at multiples of which a run may be cut without changing a bit
@@ -95,8 +95,6 @@ class Shortcuts:
 class KernelStepper:
     """Steps a `System` in C++.
 
-    Parameters
-    ----------
     system : to be stepped.
     isa : instruction set, by default `instruction_set()`.
     shortcuts : which shortcuts of the kernel are on, by default all.

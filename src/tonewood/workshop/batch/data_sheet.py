@@ -25,8 +25,6 @@ _NOT_STATED = "not stated"
 class Subject:
     """What a data sheet is of.
 
-    Attributes
-    ----------
     name, title, licence : of the sounds.
     manifest : as plain data; its hash is that of its JSON with sorted keys.
     facts : name -> value, of the sounds.
@@ -44,8 +42,6 @@ class Subject:
 def write_data_sheet(folder: Path, subject: Subject, identities: Iterable[Mapping[str, Any]]) -> None:
     """Write the data sheet into a folder; raises as `whole_file`.
 
-    Parameters
-    ----------
     identities : everything that decided the samples of each sound (`StimulusRenderer.identity`).
     """
     with whole_file(folder / FILE, make_folder=True) as stream:

@@ -34,14 +34,9 @@ def definition_of(
 ) -> dict[str, Any]:
     """The definition as plain data; trials with a sound that is not in `codes` are left out.
 
-    Parameters
-    ----------
     folder : the manifest's, to which its paths are relative.
     drops_db : by name of a group, by which its files were lowered.
-
-    Raises
-    ------
-    ManifestError : the room's file cannot be read.
+    Raises ManifestError : the room's file cannot be read.
     """
     room = manifest.stimuli.room
     return {
@@ -68,9 +63,7 @@ def definition_of(
 def room_sha256(path: Path) -> str:
     """SHA-256 of a room's impulse response: the sounds of a test depend on it, its name does not tell.
 
-    Raises
-    ------
-    ManifestError : it cannot be read.
+    Raises ManifestError : it cannot be read.
     """
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
@@ -89,9 +82,7 @@ class StaircaseLevel:
 def changed_condition(manifest: Manifest, conditions: Sequence[Condition], index: int) -> Condition:
     """The one condition that the staircase of page `index` (from 0) changes.
 
-    Raises
-    ------
-    ManifestError : its `of` fits no condition, or several.
+    Raises ManifestError : its `of` fits no condition, or several.
     """
     page = manifest.pages[index]
     assert isinstance(page, StaircasePage)
@@ -186,9 +177,7 @@ def _levels_of(
 def check_rendering(levels: Sequence[StaircaseLevel], render: Callable[[Condition], Any]) -> None:
     """Render a short piece of each level: values that are allowed one by one may not fit together.
 
-    Raises
-    ------
-    ManifestError : one cannot be rendered; names the page and the key.
+    Raises ManifestError : one cannot be rendered; names the page and the key.
     """
     for level in levels:
         settings = level.condition.render
@@ -208,16 +197,11 @@ def count_answers(path: Path) -> int:
 def check_answers(folder: Path, manifest: Manifest, source: Path, groups: Sequence[Group], todo: int) -> None:
     """Check that a batch leaves a test as it is to which answers were given.
 
-    Parameters
-    ----------
     folder : of the batch.
     source : the manifest's.
     groups : that are planned.
     todo : sounds that would be rendered.
-
-    Raises
-    ------
-    ManifestError : the test or its sounds would be replaced, or it is unknown whether answers were given.
+    Raises ManifestError : the test or its sounds would be replaced, or it is unknown whether answers were given.
     """
     answers = 0
     for path in (folder / ANSWERS).glob("*.jsonl"):

@@ -71,9 +71,7 @@ class Group:
 def lay_out(manifest: Manifest, conditions: Sequence[Condition]) -> tuple[tuple[Group, ...], list[str]]:
     """All groups of a batch in the manifest's order, and notes on them.
 
-    Raises
-    ------
-    ManifestError
+    Raises ManifestError
         A page has not exactly one reference, holds more than `MAX_SIGNALS`, or pairs nothing.
     """
     drafts: list[_Draft] = []

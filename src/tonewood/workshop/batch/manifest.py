@@ -306,8 +306,6 @@ class Manifest(Section):
     def misfits(self, replaced: Collection[int] = ()) -> Iterator[Misfit]:
         """Names that are not there and parts that do not fit together, in the manifest's order.
 
-        Parameters
-        ----------
         replaced : pages (from 0) that stand for faulty ones: nothing is said of them.
         """
         choices = self.choices()
@@ -390,9 +388,7 @@ def _misfits_of_levels(row: Levels, choices: dict[str, list[str]], key: str) -> 
 def load_manifest(path: str | os.PathLike[str]) -> Manifest:
     """Read and check a manifest.
 
-    Raises
-    ------
-    ManifestError
+    Raises ManifestError
         A line for each fault: file, key, fault and the values allowed.
     """
     return check_manifest(load_yaml(path, error=ManifestError), file=Path(path))

@@ -113,17 +113,12 @@ def make_files(
 ) -> tuple[list[SoundFile], list[Fault], list[str]]:
     """Write the files of all groups.
 
-    Parameters
-    ----------
     groups : with stimuli whose condition is in `keys` only.
     keys : content key of each condition's render in `store`.
     folder : the batch's output folder.
     room : file of the impulse response of `settings`.
     advance : called twice per file.
-
-    Returns
-    -------
-    files, faults, notes : in the order of `groups`; notes tell which groups were lowered.
+    Returns files, faults, notes : in the order of `groups`; notes tell which groups were lowered.
     """
     jobs = [_Job(s, g.name, store.folder, keys[s.condition], settings, room, seed) for g in groups for s in g.stimuli]
     levels: dict[str, _Level] = {}
@@ -188,12 +183,7 @@ def prepared(rendered: Rendered, settings: Stimuli, role: str = "sound", room: P
 
 
 def levelled(rendered: Rendered, settings: Stimuli, room: Path | None = None) -> st.Samples:
-    """A prepared sound at its loudness.
-
-    Raises
-    ------
-    TonewoodError : it is silent, or has other channels.
-    """
+    """A prepared sound at its loudness. Raises TonewoodError : it is silent, or has other channels."""
     sound = prepared(rendered, settings, room=room)
     gain = st.level_gain_db(sound, settings.fs, *level_settings(settings.loudness))
     return np.asarray(sound * 10.0 ** (gain / 20.0), dtype=np.float64)

@@ -66,8 +66,6 @@ def file_records(
 ) -> list[dict[str, Any]]:
     """One record per file: the condition, its sources, facts about the render, and the file itself.
 
-    Parameters
-    ----------
     files : that were written.
     conditions : by name.
     identities, renders : by content key; the renderer's identity of a sound, and its facts about the render.

@@ -34,8 +34,6 @@ def jams(
 ) -> str:
     """A JAMS file.
 
-    Parameters
-    ----------
     name : title of the sound.
     seconds : its length.
     parameters : of the data set, kept in the file's sandbox.
@@ -74,9 +72,7 @@ def _facts(note: PlayedNote) -> dict[str, Any]:
 def midi(notes: Sequence[PlayedNote], fs: int) -> bytes:
     """A MIDI file of type 1 in which a tick is one sample.
 
-    Raises
-    ------
-    ValueError : no clock of MIDI has ticks of one sample at this rate.
+    Raises ValueError : no clock of MIDI has ticks of one sample at this rate.
     """
     import mido
 

@@ -202,9 +202,7 @@ def midi_clock(fs: float) -> tuple[int, int] | None:
 def check_dataset(data: dict[str, Any], *, file: Path | None = None) -> Dataset:
     """Check the manifest of a data set.
 
-    Raises
-    ------
-    ManifestError : a line for each fault: file, dotted key, fault and the values allowed.
+    Raises ManifestError : a line for each fault: file, dotted key, fault and the values allowed.
     """
     try:
         dataset = Dataset.model_validate(data)

@@ -41,8 +41,6 @@ Progress = Callable[[str, int, int], None]
 class DatasetPlan:
     """The work of a data set, before anything is rendered.
 
-    Attributes
-    ----------
     samples : all sounds.
     tasks : shards that are not made yet.
     keys : of all shards, by number.
@@ -110,16 +108,11 @@ def plan_dataset(
 ) -> DatasetPlan:
     """List the shards that are not made yet; nothing is written.
 
-    Parameters
-    ----------
     dataset : checked manifest.
     source : its folder.
     folder : of the data set.
     predict : try some sounds, and predict time and length.
-
-    Raises
-    ------
-    TonewoodError : a score cannot be read, or no sound can be resolved.
+    Raises TonewoodError : a score cannot be read, or no sound can be resolved.
     """
     every = tuple(samples(dataset, source))
     size = dataset.sounds.per_shard
@@ -207,15 +200,10 @@ def run_dataset(
 ) -> DatasetReport:
     """Make the missing shards, and the record of the whole.
 
-    Parameters
-    ----------
     dataset, source, folder, renderer : as for `plan_dataset`.
     workers : where shards are rendered; only this process writes.
     progress : called with the stage's name, the number done and the number in all.
-
-    Raises
-    ------
-    TonewoodError : the manifest is wrong, the disk is full, the workers are gone. Finished shards are kept.
+    Raises TonewoodError : the manifest is wrong, the disk is full, the workers are gone. Finished shards are kept.
     """
     started = time.perf_counter()
     plan = plan_dataset(dataset, source, folder, renderer)

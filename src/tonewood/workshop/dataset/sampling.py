@@ -30,8 +30,6 @@ MIDI_SUFFIXES = (".mid", ".midi")
 class Sample:
     """One sound to be made.
 
-    Attributes
-    ----------
     index : its number in the data set, from 0.
     parameters : name -> value.
     condition : all that is rendered.
@@ -66,9 +64,7 @@ def points(dataset: Dataset, labels: tuple[str, ...]) -> Iterator[dict[str, Any]
 def sources(dataset: Dataset, folder: Path) -> dict[str, dict[str, Any]]:
     """Fields `notes`, or `midi` and `midi_sha256`, of a condition for each score: those written, and the folder's.
 
-    Raises
-    ------
-    ManifestError : a file or the folder cannot be read, or holds no MIDI files.
+    Raises ManifestError : a file or the folder cannot be read, or holds no MIDI files.
     """
     found = {name: _source(name, score, folder) for name, score in dataset.scores.items()}
     if dataset.folder is None:
@@ -88,13 +84,8 @@ def sources(dataset: Dataset, folder: Path) -> dict[str, dict[str, Any]]:
 def samples(dataset: Dataset, folder: Path) -> list[Sample]:
     """All sounds of a data set, in order.
 
-    Parameters
-    ----------
     folder : the manifest's, to which its paths are relative.
-
-    Raises
-    ------
-    ManifestError : a score's file cannot be read, or there are more than `MAX_SOUNDS`.
+    Raises ManifestError : a score's file cannot be read, or there are more than `MAX_SOUNDS`.
     """
     scores = sources(dataset, folder)
     each = dataset.size or math.prod(len(p.grid()) for p in dataset.parameters.values())

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.estimate.body_modes import envelopes
 from tonewood.workshop.estimate.partials import (
     MOST,
@@ -19,9 +19,6 @@ from tonewood.workshop.estimate.partials import (
 )
 from tonewood.workshop.estimate.recordings import FS, SHORTEST, Recording
 from tonewood.workshop.estimate.spectra import bands_over_time, db, find_onset, power_spectrum, share
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: Hz, bands of the measures of modulation, and of the floor between partials
 MODULATED = ((700.0, 1500.0), (1500.0, 3000.0), (3000.0, 6000.0))
@@ -35,8 +32,6 @@ _OFF, _HALF = 60.0, 0.5
 class NoteAnalysis:
     """Figures of one note.
 
-    Attributes
-    ----------
     onset : s, in the file.
     f0, b : Hz, and inharmonicity; nan where too few partials are found.
     partials : number -> partial.
@@ -68,16 +63,11 @@ class NoteAnalysis:
 def analyse(x: Floats, freq: float, guess: float, upper: float = FS / 2) -> NoteAnalysis:
     """Analyse a note.
 
-    Parameters
-    ----------
     x : (n,) at `recordings.FS`.
     freq : Hz, its pitch, within 60 cents.
     guess : B of the string that is expected.
     upper : Hz, end of the band that the sound holds.
-
-    Returns
-    -------
-    The figures; those that the sound is too short for are nan.
+    Returns The figures; those that the sound is too short for are nan.
     """
     onset, top = find_onset(x, freq)
     f0, b, rows = find_partials(x, onset, freq, guess, upper)
@@ -143,9 +133,7 @@ def pitch_offset(x: Floats, onset: int, freq: float) -> float:
 def check_pitches(recordings: Iterable[Recording]) -> tuple[list[Recording], list[str]]:
     """Return the recordings whose pitch is that of their names, and a line on each of the others.
 
-    Raises
-    ------
-    TonewoodError : most of them sound by the same interval off, or none is of use.
+    Raises TonewoodError : most of them sound by the same interval off, or none is of use.
     """
     rows, fits, lines, offsets = list(recordings), [], [], []
     for recording in rows:

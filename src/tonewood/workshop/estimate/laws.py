@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from tonewood.instrument.contract.base import Loss
 from tonewood.instrument.contract.losses import StringData
+from tonewood.support.arrays import Floats
 from tonewood.workshop.estimate.analysis import NoteAnalysis
-
-Floats = NDArray[np.float64]
 
 #: partials that a law needs; Hz below which strings move with the body
 FEWEST, LOWEST = 8, 150.0
@@ -64,8 +63,6 @@ def rates_of(notes: Sequence[NoteAnalysis], scale: float = 1.0) -> DecayRates:
 class LinearLoss:
     """A loss law whose rate is a sum over some of its parameters, at a string.
 
-    Attributes
-    ----------
     loss : the plugin with its present numbers.
     string : tension, mass and stiffness.
     names : parameters in which the rate is linear.
@@ -134,8 +131,6 @@ def _linear(loss: Loss[Any], string: StringData, name: str) -> bool:
 def fit_law(rates: DecayRates, law: LinearLoss) -> tuple[Floats, float]:
     """Parameters of a law and loss at the bridge per period, robust: soft L1 of the logarithm of the rate.
 
-    Parameters
-    ----------
     rates : of one string; weak priors, a factor of 20, hold the numbers of which these say nothing.
     law : with the numbers to begin with.
     """
@@ -183,8 +178,6 @@ def moved(law: LinearLoss, recorded: DecayRates, rendered: DecayRates) -> Floats
 class Interval:
     """90 % intervals by bootstrap over notes and partials.
 
-    Attributes
-    ----------
     rates : (2, 4) 1/s at `STATED`, low and high.
     values : (2, n) of each parameter.
     bridge : (2,) of the loss at the bridge, per period.

@@ -6,10 +6,10 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.scales import note_name
 from tonewood.sound.files.audio import flac_bytes
+from tonewood.support.arrays import Floats
 from tonewood.support.plotting import data_uri
 from tonewood.workshop.estimate import laws
 from tonewood.workshop.estimate.bundle import PRESET, RecordingOrigin
@@ -20,8 +20,6 @@ from tonewood.workshop.estimate.recordings import FS
 from tonewood.workshop.estimate.spectra import find_onset
 from tonewood.workshop.report.offline import offline_page
 
-Floats = NDArray[np.float64]
-
 #: notes held back that are heard, from each half; s before the onset, of a sound, and of its fade
 _HEARD, _BEFORE, _LENGTH, _FADE = 3, 0.03, 3.0, 0.05
 #: rms and largest sample of the sounds
@@ -29,12 +27,7 @@ _RMS, _PEAK = 0.08, 0.9
 
 
 def page(found: Estimate, origin: RecordingOrigin, name: str) -> str:
-    """Page of an estimate; every text of a file is escaped.
-
-    Raises
-    ------
-    TonewoodError : jinja2 is not installed.
-    """
+    """Page of an estimate; every text of a file is escaped. Raises TonewoodError : jinja2 is not installed."""
     template = (files("tonewood.workshop.estimate") / "page.html").read_text(encoding="utf-8")
     columns = columns_of(found)
     return offline_page(

@@ -15,13 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.estimate.recordings import FS
 from tonewood.workshop.estimate.spectra import db, power_spectrum
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: Hz, highest partial that is looked for; most partials of a note that are analysed
 HIGHEST, MOST = 9000.0, 45
@@ -44,8 +41,6 @@ class Mode:
 class NotePartial:
     """A partial.
 
-    Attributes
-    ----------
     number, freq : n, and Hz.
     level : dB, highest after the first 45 ms.
     rate, early : 1/s, decay of the first 30 and 15 dB.
@@ -113,16 +108,11 @@ class Bands:
 def find_partials(x: Floats, onset: int, freq: float, guess: float, upper: float) -> tuple[float, float, Floats]:
     """f0 (Hz), B, and rows (n, Hz, dB, dB over the noise) of the partials.
 
-    Parameters
-    ----------
     x, onset : sound and sample of its onset.
     freq : Hz, the note's pitch, within 60 cents.
     guess : B of the string that is expected.
     upper : Hz, end of the band.
-
-    Returns
-    -------
-    B is nan, and there are no rows, where fewer than three partials are found.
+    Returns B is nan, and there are no rows, where fewer than three partials are found.
     """
     start = onset + int(0.05 * FS)
     piece = x[start : start + int(max(0.8, 45.0 / freq) * FS)]
@@ -199,8 +189,6 @@ def _inharmonicity(rows: Floats, f: float, b: float, guess: float) -> tuple[floa
 def poles(signals: Sequence[Complexes], orders: Sequence[int]) -> dict[int, Complexes]:
     """Poles, per sample, of so many damped exponentials, for each of `orders` that the samples suffice for.
 
-    Parameters
-    ----------
     signals : of one length, which share the poles.
     """
     from scipy.linalg import hankel, lstsq, svd

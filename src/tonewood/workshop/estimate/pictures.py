@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.sound.level.spectrum import spectrogram
+from tonewood.support.arrays import Floats
 from tonewood.support.plotting import (
     COLOURS,
     LINE,
@@ -28,8 +28,6 @@ from tonewood.workshop.estimate import gain, laws
 from tonewood.workshop.estimate.estimate import Estimate
 from tonewood.workshop.estimate.recordings import FS
 from tonewood.workshop.report.figures import Picture
-
-Floats = NDArray[np.float64]
 
 #: dB and Hz shown of a spectrogram; strings that are drawn
 _RANGE, _TOP, _MOST = 80.0, 10000.0, 12

@@ -10,17 +10,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.support.arrays import Floats
 from tonewood.workshop.estimate import gain, laws, pluck
 from tonewood.workshop.estimate.analysis import NoteAnalysis, analyse
 from tonewood.workshop.estimate.body_modes import LIMITS, HeardMode, body_modes
 from tonewood.workshop.estimate.figures import Figures, figures_of, in_fractions, mode_tables, with_laws
 from tonewood.workshop.estimate.playing import Played, Stage, render_notes, seconds_of
 from tonewood.workshop.estimate.recordings import FS, Recording
-
-Floats = NDArray[np.float64]
 
 #: most that a figure moves at once: ratio of B, ratio of the splitting, m of the place
 _MOST_B, _MOST_SPLIT, _MOST_PLACE = 3.0, 1.8, 0.04
@@ -40,8 +38,6 @@ _FARTHEST = 0.4
 class RenderedNotes:
     """Notes of an instrument, rendered and analysed.
 
-    Attributes
-    ----------
     sounds : of the first output, one a note.
     analyses : output -> one a note.
     """
@@ -72,13 +68,8 @@ def rendered(
 class Search:
     """Moves the figures of an instrument towards recorded notes.
 
-    Parameters
-    ----------
     stage : with the instrument that is begun with.
     advance : called with the seconds of sound rendered since the last call.
-
-    Attributes
-    ----------
     keeps_loss : whether the loss of strings stays as it is begun with.
     """
 
@@ -104,8 +95,6 @@ class Search:
     ) -> Figures:
         """Figures after some iterations.
 
-        Parameters
-        ----------
         notes, recorded : those to fit, and their analyses.
         start : the same notes, rendered with the figures that are begun with.
         """

@@ -67,9 +67,7 @@ class _Given:
 def read_answers(path: Path, test: ListeningTest) -> Imported:
     """Read a table of answers; rows that do not fit the test are left out, and named by file and line.
 
-    Raises
-    ------
-    ListeningError : the file cannot be read, is no such table, or no row of it fits.
+    Raises ListeningError : the file cannot be read, is no such table, or no row of it fits.
     """
     rows, columns = _table(path)
     kind = next((kind for column, kind in _WEBMUSHRA.items() if column in columns), None)
@@ -133,12 +131,7 @@ def _table(path: Path) -> tuple[list[Row], set[str]]:
 
 
 def _who(row: Row, path: Path, line: int) -> str:
-    """Name of the listener of a row.
-
-    Raises
-    ------
-    ListeningError : there is none.
-    """
+    """Name of the listener of a row. Raises ListeningError : there is none."""
     for name in ("listener", "participant", "session_uuid", "email"):
         if row.get(name):
             return row[name]
@@ -257,9 +250,7 @@ def _choices(page: AnyPage, slots: Mapping[str, str]) -> list[str]:
 def _right(page: AnyPage, trial: ServedTrial, slots: Mapping[str, str], response: str) -> bool | None:
     """Whether a response is right; None where none is.
 
-    Raises
-    ------
-    ListeningError : the slots are not those of such a page.
+    Raises ListeningError : the slots are not those of such a page.
     """
     reference, other = trial.reference or "", trial.stimuli[0]
     wanted: Sequence[str] = ("A", "B", "X") if isinstance(page, AbxPage) else ("A", "B")

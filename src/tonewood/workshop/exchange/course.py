@@ -135,9 +135,7 @@ def codes_of(rows: Iterable[dict[str, Any]]) -> list[str]:
 def copy_sounds(test: ListeningTest, codes: Iterable[str], folder: Path) -> None:
     """Copy sounds into a folder, and write the tones of pages that set the level.
 
-    Raises
-    ------
-    OutputError : one cannot be written.
+    Raises OutputError : one cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -46,9 +46,7 @@ _VERSION = "2025.1.0"
 def write(test: ListeningTest, folder: Path) -> Exported:
     """Write ``NAME.psyexp``, ``conditions/courseN_pageM.csv`` and the sounds.
 
-    Raises
-    ------
-    OutputError : a file cannot be written.
+    Raises OutputError : a file cannot be written.
     """
     courses = [course(test, number) for number in range(COURSES)]
     lengths = {code: soundfile.info(test.sound(code)).duration for rows in courses for code in codes_of(rows)}

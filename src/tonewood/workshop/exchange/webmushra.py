@@ -33,9 +33,7 @@ _KEPT = (ConsentPage, InstructionsPage, LevelPage, MushraPage, Bs1116Page, AbxPa
 def write(test: ListeningTest, folder: Path) -> Exported:
     """Write ``configs/NAME.yaml`` and its sounds into a folder whose contents go into that of webMUSHRA.
 
-    Raises
-    ------
-    OutputError : a file cannot be written.
+    Raises OutputError : a file cannot be written.
     """
     from ruamel.yaml import YAML
 

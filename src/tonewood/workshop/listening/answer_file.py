@@ -51,8 +51,6 @@ class LeftOut:
 class ListenerAnswers:
     """A file of answers.
 
-    Attributes
-    ----------
     header : token, listener, language, seed, sha256 of the definition, started, simulated.
     records : answers in the order they were given.
     lines : number of the file's line of each record.
@@ -98,9 +96,7 @@ def listener_of(header: Mapping[str, Any]) -> str:
 def read(path: Path) -> ListenerAnswers:
     """Read a file of answers; a last line without its end is left out, and so are lines that are no JSON objects.
 
-    Raises
-    ------
-    ListeningError : it cannot be read, or its first line is damaged; names the line.
+    Raises ListeningError : it cannot be read, or its first line is damaged; names the line.
     """
     try:
         if path.exists() and not path.is_file():  # a pipe or a device may have no end
@@ -151,8 +147,6 @@ def _row(line: bytes) -> dict[str, Any]:
 class OpenSession:
     """A session whose answers are kept on disk.
 
-    Attributes
-    ----------
     session : its course.
     header : first line of its file.
     length : of its file, bytes.
@@ -211,9 +205,7 @@ def free_place(test: ListeningTest) -> int:
 def place_of(header: Mapping[str, Any]) -> int:
     """Place of a listener; 0 in files of earlier versions, which had none.
 
-    Raises
-    ------
-    ListeningError : it is no such number.
+    Raises ListeningError : it is no such number.
     """
     place = header.get("place", 0)
     if type(place) is not int or not 0 <= place < 2**31:
@@ -224,9 +216,7 @@ def place_of(header: Mapping[str, Any]) -> int:
 def withdraw(test: ListeningTest, token: str, *, now: str) -> bool:
     """Delete the answers of a session, damaged or not; returns whether there were any.
 
-    Raises
-    ------
-    OutputError : the file cannot be removed.
+    Raises OutputError : the file cannot be removed.
     """
     path = test.folder / FOLDER / f"{token}.jsonl"
     try:
@@ -265,9 +255,7 @@ def begin(
 ) -> OpenSession:
     """Begin a session: make its file. Two calls at one time would give one place twice.
 
-    Raises
-    ------
-    OutputError : it cannot be written.
+    Raises OutputError : it cannot be written.
     """
     token = secrets.token_hex(16)
     own_seed = secrets.randbits(48) if seed is None else seed
@@ -428,8 +416,6 @@ def _misfit(session: Session, record: Mapping[str, Any]) -> ListeningError | Non
 def _append(path: Path, line: bytes, *, at: int, sync: bool = True) -> None:
     """Append a line by one write and wait until it is on the disk; the part that a full disk took is cut off again.
 
-    Parameters
-    ----------
     at : length that the file must have: no other program may have written to it.
     sync : wait; answers of simulated listeners can be had again.
     """

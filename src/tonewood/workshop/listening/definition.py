@@ -41,8 +41,6 @@ class ServedTrial:
 class ListeningTest:
     """A test and the folder of its batch.
 
-    Attributes
-    ----------
     folder : of the batch, with sounds and answers.
     source : the manifest's folder.
     sha256 : of the definition's bytes; answers are given to one definition.
@@ -100,12 +98,7 @@ def built_in_texts() -> dict[str, dict[str, str]]:
 
 
 def load_test(folder: Path) -> ListeningTest:
-    """Open the test of a batch's folder.
-
-    Raises
-    ------
-    ListeningError : there is none, or it is damaged; one line.
-    """
+    """Open the test of a batch's folder. Raises ListeningError : there is none, or it is damaged; one line."""
     path = folder / FILE
     try:
         raw = path.read_bytes()

@@ -46,8 +46,6 @@ _LARGEST = 12.0
 class Detection:
     """Answers to one pair of levels, or of one listener to it.
 
-    Attributes
-    ----------
     cell : column -> level; with ``listener`` for one listener.
     right, answers, undecided : numbers; undecided answers are not among the others.
     share, low, high : of right answers, with its exact interval.

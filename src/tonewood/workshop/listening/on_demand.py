@@ -51,14 +51,9 @@ class PairSource(Protocol):
 class RenderedPairs:
     """Renders pairs on one thread, each level once.
 
-    Parameters
-    ----------
     test : the definition.
     renderer : as for a batch.
-
-    Raises
-    ------
-    TonewoodError : the manifest's files cannot be used, or the room is not that of the batch.
+    Raises TonewoodError : the manifest's files cannot be used, or the room is not that of the batch.
     """
 
     def __init__(self, test: ListeningTest, renderer: StimulusRenderer):
@@ -96,9 +91,7 @@ class RenderedPairs:
     def pair(self, page: int, level: float) -> PairOfSounds:
         """Sounds of page `page` (from 0) at a level; waits for them.
 
-        Raises
-        ------
-        TonewoodError : a value does not fit, or a render fails.
+        Raises TonewoodError : a value does not fit, or a render fails.
         """
         return self._future(page, level).result()
 

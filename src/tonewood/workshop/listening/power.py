@@ -22,8 +22,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.support.units import counted
 from tonewood.workshop.batch.manifest import Manifest
 from tonewood.workshop.batch.pages import (
@@ -55,7 +55,6 @@ from tonewood.workshop.listening.simulated_power import (
     threshold_listeners,
 )
 
-Array = NDArray[np.float64]
 #: standard deviations of listeners' differences where a page states none: points of 100, of grades 1 to 5, of a scale
 _SD = {"mushra": 15.0, "bs1116": 0.8}
 #: effects where a page states none
@@ -88,8 +87,6 @@ class PowerRow:
 def power_of(manifest: Manifest, trials: dict[int, int], pilot: PanelResults | None = None) -> list[PowerRow]:
     """Listeners that each page needs.
 
-    Parameters
-    ----------
     manifest : with the effects that its pages expect, and the probabilities of errors.
     trials : page (from 0) -> trials that a listener gets of one pair on it.
     pilot : results of listeners who took the same pages; their spread, and their effects where a page expects none,
@@ -262,7 +259,7 @@ def _sounds(manifest: Manifest) -> int:
 
 def _pilot_means(
     own: PageResults, reference: Mapping[str, str], random: Sequence[str]
-) -> tuple[Array, list[str]] | None:
+) -> tuple[Floats, list[str]] | None:
     """Means (listeners, random sounds, levels) of the levels of a page's first factor, of listeners who have all.
 
     The names of these listeners are returned, too.
@@ -289,7 +286,7 @@ def _pilot_means(
     return np.array(means).reshape(len(means), len(sounds), len(levels)), list(whole)
 
 
-def _pilot_spread(pilot: Array, count: int) -> tuple[Array, SoundSpread | None]:
+def _pilot_spread(pilot: Floats, count: int) -> tuple[Floats, SoundSpread | None]:
     """Covariances of listeners, and of `count` random sounds, from means (listeners, sounds, levels)."""
     n, m, _ = pilot.shape
     listeners = np.cov(pilot.mean(axis=1), rowvar=False)

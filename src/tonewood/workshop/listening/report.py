@@ -19,13 +19,8 @@ from tonewood.workshop.listening.results import PanelResults
 def write_report(found: PanelResults, folder: Path, facts: dict[str, Any] | None = None) -> Path:
     """Write ``report.html``, and its figures as PNG beside it.
 
-    Parameters
-    ----------
     facts : of the stimuli, as ``manifest.json`` has them; None leaves that section out.
-
-    Raises
-    ------
-    TonewoodError : jinja2 or matplotlib is not installed.
+    Raises TonewoodError : jinja2 or matplotlib is not installed.
     """
     try:
         from jinja2 import Environment, StrictUndefined

@@ -44,8 +44,6 @@ FOLDER = "results"
 class PageResults:
     """Results of one page, or of one scale of a page with several.
 
-    Attributes
-    ----------
     page : its number, from 1.
     kind : type of the page.
     heading : its title, and the scale.
@@ -90,8 +88,6 @@ class PageResults:
 class PanelResults:
     """Results of a test.
 
-    Attributes
-    ----------
     simulated : listeners among them that are simulated.
     unfinished : listeners who did not finish.
     left_out : answers that do not count because their files are damaged, or of another version of the test.
@@ -143,17 +139,12 @@ def analyse(
 ) -> PanelResults:
     """Read the answers in a batch's folder and work out the results.
 
-    Parameters
-    ----------
     folder : of the batch, with ``test.json`` and ``answers/``.
     key : if it is not in the folder.
     confidence : of all intervals, between 0 and 1.
     screening : leave listeners out after BS.1534-3 (MUSHRA pages only).
     others, others_left_out : answers that were given elsewhere, and those of them that do not count.
-
-    Raises
-    ------
-    ListeningError : a file cannot be read, something does not fit, or there are no answers.
+    Raises ListeningError : a file cannot be read, something does not fit, or there are no answers.
     """
     if not 0.0 < confidence < 1.0:
         raise ListeningError(f"is {confidence:g}; a number between 0 and 1 is allowed", key="--confidence")

@@ -48,8 +48,6 @@ _LONGEST = 3.2e8
 class Step:
     """One page as a listener meets it.
 
-    Attributes
-    ----------
     index : counted from 0 over the session.
     page : index of the manifest's page.
     trial : blind id of its trial; empty for a page without sounds.
@@ -74,14 +72,9 @@ class Step:
 class Session:
     """The course of a test for one listener.
 
-    Parameters
-    ----------
     test : the definition.
     seed : the listener's; it decides orders and right answers.
     place : number of the listener, from 0; it decides which trials of a `subset` are theirs.
-
-    Attributes
-    ----------
     step : the one to answer; None after the last.
     failed : the page (from 0) of the check of headphones that ended the test, or None.
     answers : records of the answers taken.
@@ -129,9 +122,7 @@ class Session:
     def answer(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Check the answer to the step, take it, and go on; returns the record of it.
 
-        Raises
-        ------
-        ListeningError : it does not fit the step; one line.
+        Raises ListeningError : it does not fit the step; one line.
         """
         record = self.record(given)
         self.take(record)
@@ -140,9 +131,7 @@ class Session:
     def record(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Check the answer to the step; returns the record of it and changes nothing.
 
-        Raises
-        ------
-        ListeningError : it does not fit the step; one line.
+        Raises ListeningError : it does not fit the step; one line.
         """
         step, page = self.step, self.page
         if step is None or page is None:
@@ -167,9 +156,7 @@ class Session:
     def take(self, record: dict[str, Any]) -> None:
         """Go on by an answer that was checked before.
 
-        Raises
-        ------
-        ListeningError : it belongs to another step: the file is damaged, or the test is another one.
+        Raises ListeningError : it belongs to another step: the file is damaged, or the test is another one.
         """
         step = self.step
         same = step is not None and all(
@@ -354,9 +341,7 @@ def choices(page: AnyPage, step: Step) -> list[str]:
 def checked(page: AnyPage, step: Step, given: Mapping[str, Any]) -> dict[str, Any]:
     """The answer to a step, with nothing in it beside the fields asked for.
 
-    Raises
-    ------
-    ListeningError : something is missing or not allowed.
+    Raises ListeningError : something is missing or not allowed.
     """
     found: dict[str, Any] = {
         "seconds": _number(given.get("seconds", 0.0), "seconds", 0.0, _LONGEST),

@@ -29,8 +29,6 @@ from tonewood.workshop.listening.session import OPEN, Session, Step, choices, sh
 def shown(test: ListeningTest, session: Session, language: str, listener: str = "", own: str = "") -> dict[str, Any]:
     """The step of a session; ``{"type": "done"}`` after the last one, ``{"type": "failed"}`` after a check not passed.
 
-    Parameters
-    ----------
     test, session : what is shown.
     language : of the texts.
     listener : name given by the listener or the address; own name of the session, if there is none.

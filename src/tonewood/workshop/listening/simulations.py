@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening import strata
 from tonewood.workshop.listening.detection import CHANCE, Task, sensitivity, shares_of, task_of
@@ -27,7 +28,6 @@ from tonewood.workshop.listening.quest import table_of
 from tonewood.workshop.listening.staircase import StaircaseTrack
 from tonewood.workshop.listening.thresholds import ThresholdGrid
 
-Array = NDArray[np.float64]
 #: populations without an effect: listeners' own deviations in each level, spread of single answers by level, mean
 NULLS = {
     "no effect": {"own": (0.0, 0.0, 0.0), "residual": (9.0, 9.0, 9.0), "mean": 60.0},
@@ -63,11 +63,9 @@ class RatingRates:
 
 def ratings(
     random: np.random.Generator, experiments: int, listeners: int, null: str, shift: float = 0.0, repetitions: int = 2
-) -> Array:
+) -> Floats:
     """Draw answers (experiments, listeners, 9 cells, repetitions) of three levels and three sounds.
 
-    Parameters
-    ----------
     null : name in `NULLS` or `OTHERS`.
     shift : points by which the second level is higher.
     """
@@ -82,7 +80,7 @@ def ratings(
     return np.asarray(answers.reshape(*shape, 9, repetitions))
 
 
-def _others(random: np.random.Generator, shape: tuple[int, int], name: str, shift: float, repetitions: int) -> Array:
+def _others(random: np.random.Generator, shape: tuple[int, int], name: str, shift: float, repetitions: int) -> Floats:
     """Answers of `OTHERS`, as `ratings` draws them.
 
     *Heavy tails*: listeners' responses to a level of 4 times, single answers of 5 times Student's t with 3 degrees of
@@ -109,11 +107,9 @@ def _others(random: np.random.Generator, shape: tuple[int, int], name: str, shif
     return np.asarray(y.reshape(*shape, 9, repetitions))
 
 
-def without(random: np.random.Generator, answers: Array, gaps: str) -> Array:
+def without(random: np.random.Generator, answers: Floats, gaps: str) -> Floats:
     """Cell means (experiments, listeners, 9) of the answers that are left, NaN where none is.
 
-    Parameters
-    ----------
     random : decides which answers are missing.
     answers : (experiments, listeners, 9, repetitions).
     gaps : name in `GAPS`.
@@ -146,7 +142,7 @@ def rating_rates(
         true = float(many[1].mean() - many[0].mean())
     alpha = 1 - confidence
 
-    def analysed(y: Array) -> tuple[Callable[[Array], strata.Tested], Callable[[Array], strata.Estimated]]:
+    def analysed(y: Floats) -> tuple[Callable[[Floats], strata.Tested], Callable[[Floats], strata.Estimated]]:
         if not gaps:
             means = y.mean(axis=-1)
             return (
@@ -181,8 +177,6 @@ def sampled_rates(
     Single answers have a standard deviation of 9 points, one for each sound and level; the second level is 5 points
     higher where coverage is asked for.
 
-    Parameters
-    ----------
     random, experiments, listeners, sounds : source of the answers, and numbers.
     missing : share of answers.
     spread : name in `SPREADS`.
@@ -210,13 +204,11 @@ def sampled_rates(
 CUTS = {"five grades": (-2.0, -0.5, 0.7, 2.0), "five grades, half of the answers the highest": (-4.0, -3.0, -1.5, 0.0)}
 
 
-def graded(random: np.random.Generator, experiments: int, listeners: int, cuts: str, shift: float) -> Array:
+def graded(random: np.random.Generator, experiments: int, listeners: int, cuts: str, shift: float) -> Floats:
     """Draw counts (experiments, listeners, 9 cells, grades) of two answers each.
 
     Latent answers are logistic, with deviations of listeners of 1 and of their responses to each level of 0.7.
 
-    Parameters
-    ----------
     random, experiments, listeners : source of the answers, and numbers.
     cuts : name in `CUTS`.
     shift : by which the second level is higher (logits of one listener).
@@ -240,7 +232,7 @@ def odds_rates(random: np.random.Generator, experiments: int, listeners: int, cu
     many = graded(np.random.default_rng(0), 1, 40_000, cuts, 1.0)[0].sum(axis=0)
     true = float(first @ x @ fit_counts(many, x)[0])
 
-    def difference(eta: Array, v: Array) -> strata.Estimated:
+    def difference(eta: Floats, v: Floats) -> strata.Estimated:
         return strata.t_interval(eta @ first, first @ v @ first, np.full(len(eta), listeners - 1.0), 0.95)
 
     parts = []
@@ -266,8 +258,6 @@ def choice_rates(
 ) -> tuple[float, float]:
     """Paired comparisons of three levels: how often one is said to be chosen more than another, and coverage.
 
-    Parameters
-    ----------
     random, experiments, listeners : source of the answers, and numbers.
     each : answers of a listener to each pair.
     sd : standard deviation of listeners' own values of the levels (logits). Without an effect their mean is 0;
@@ -275,7 +265,7 @@ def choice_rates(
     """
     pairs = list(itertools.combinations(range(3), 2))
 
-    def scale(mean: Array, spread: float) -> list[ScaleValue]:
+    def scale(mean: Floats, spread: float) -> list[ScaleValue]:
         own = mean + spread * random.standard_normal((listeners, 3))
         rows = [
             {"listener": str(i), "f": f"{a}|{b}", "value": float(random.random() < 1 / (1 + np.exp(v[a] - v[b])))}
@@ -305,21 +295,16 @@ class Population:
 
 
 def trials(
-    page: StaircasePage, thresholds: Array, slopes: Array, lapses: float, random: np.random.Generator
-) -> tuple[list[Array], list[NDArray[np.bool_]]]:
+    page: StaircasePage, thresholds: Floats, slopes: Floats, lapses: float, random: np.random.Generator
+) -> tuple[list[Floats], list[NDArray[np.bool_]]]:
     """Let listeners take a staircase.
 
-    Parameters
-    ----------
     page : of the staircase.
     thresholds : (listeners,) transformed.
     slopes : (listeners,) per unit of u.
     lapses : lapse rate.
     random : source of the answers.
-
-    Returns
-    -------
-    levels : of each listener (trials,), all tracks.
+    Returns levels : of each listener (trials,), all tracks.
     right : of each listener (trials,).
     """
     task = task_of(page)
@@ -415,8 +400,6 @@ def sensitivity_rates(
 def power_had(random: np.random.Generator, experiments: int, listeners: int, shift: float, sd: float) -> float:
     """Share of experiments, drawn answer by answer, in which the report finds the second of three levels.
 
-    Parameters
-    ----------
     random : source of the answers.
     experiments, listeners : numbers of them.
     shift : points by which the second level is higher.
@@ -438,8 +421,6 @@ def power_had_by_sounds(
 ) -> float:
     """Share of experiments, drawn answer by answer, in which the report finds one of two levels; sounds are a sample.
 
-    Parameters
-    ----------
     random : source of the answers.
     experiments, listeners, sounds : numbers of them.
     shift : points by which the second level is higher.
@@ -461,8 +442,6 @@ def power_had_by_shares(
 ) -> float:
     """Share of experiments on an ordinal scale of 1 to 5 in which the report finds the second of three levels.
 
-    Parameters
-    ----------
     random, experiments, listeners : source of the answers, and numbers.
     shift : points by which the second of three levels is higher; the scale cuts answers off.
     sd : standard deviation of listeners' differences, half of whose variance is that of single answers, to six sounds.

@@ -286,9 +286,7 @@ def test_a_preview_is_named_until_the_exact_sound_follows(monkeypatch: pytest.Mo
     assert "fmax 1000" in coarse[1]
 
 
-def test_undoing_a_preview_brings_the_start_back(
-    client: Client, desk: Desk, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_undoing_a_preview_brings_the_start_back(client: Client, desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(type(desk.session.instrument.body), "preview", {"max_change": 0.09})
     monkeypatch.setattr("tonewood.workshop.desk.making._REST", 1e6)
     client.act("set", path="body.added", value=[{"at": "bridge", "mass": 0.02}])
@@ -468,6 +466,7 @@ def test_views_are_given_and_unknown_ones_refused(client: Client, desk: Desk) ->
     assert set(rings) >= {"moments", "effects", "load"}
 
 
+@pytest.mark.slow
 def test_a_design_is_found_beside_the_sound_and_taken(client: Client, desk: Desk) -> None:
     client.act("set", path="body.added", value=[{"at": "bridge", "mass": 0.01}])
     offered = client.ask("/api/state")[1]["advice"]["offered"]
