@@ -124,6 +124,7 @@ def test_a_string_with_longitudinal_motion_is_foreseen_as_it_runs() -> None:
         assert active[effect, "B3"] < 0.29
 
 
+@pytest.mark.slow
 def test_contacts_and_outputs_are_foreseen() -> None:
     low = {"connections.frets.action_first": 2e-4, "connections.frets.action_twelfth": 5e-4}
     bass = tw.load_instrument("electric_bass").replace(low)
@@ -135,6 +136,7 @@ def test_contacts_and_outputs_are_foreseen() -> None:
     assert list(recorded.values()).count("it is recorded") == 1
 
 
+@pytest.mark.slow
 def test_the_command_tells_as_text_and_json(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["plan", str(SCALE), "-i", "monochord", "--max-duration", "0.3"]
     assert run(arguments) == 0

@@ -56,12 +56,7 @@ def results(
 
 
 def _facts(folder: Path) -> dict[str, Any] | None:
-    """Facts of the stimuli, from the record of the batch if it was written.
-
-    Raises
-    ------
-    TonewoodError : it is damaged.
-    """
+    """Facts of the stimuli, from the record of the batch if it was written. Raises TonewoodError : it is damaged."""
     path = folder / "manifest.json"
     if not path.exists():
         return None

@@ -17,17 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.support.arrays import Floats
 from tonewood.support.sound_rates import check_rate
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
     """A room with plane walls.
 
-    Attributes
-    ----------
     size : m, length, width, height.
     t60 : s, after Sabine.
     source : m, place of the instrument.
@@ -169,13 +166,8 @@ class Room:
     The convolution is partitioned (W. G. Gardner, J. Audio Eng. Soc. 43 (1995) 127): the sound that comes out is up
     to 1023 frames shorter than what went in, until the last piece brings the rest and the reverberation.
 
-    Parameters
-    ----------
     responses : (n, channels).
     sources : channel of the dry sound for each of the channels; the same numbers where left out.
-
-    Attributes
-    ----------
     memory : arrays that hold all that moves, for snapshots.
     """
 

@@ -22,15 +22,10 @@ _SAMPLE, _SHARE = 200, 0.2
 def decoded(raw: bytes, *, file: str | os.PathLike[str], error: type[TonewoodError] = TonewoodError) -> str:
     """Decode UTF-8, with one byte-order mark or none.
 
-    Parameters
-    ----------
     raw : content of the file, whole.
     file : named in errors.
     error : class of the error raised.
-
-    Raises
-    ------
-    TonewoodError
+    Raises TonewoodError
         It has another encoding, several byte-order marks, or zero bytes; the line says which, and what to do.
     """
     reason = other_encoding(raw)

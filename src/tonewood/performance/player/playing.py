@@ -32,8 +32,6 @@ _MANY_BENDS = 2000
 class Performance:
     """A score made playable on one instrument.
 
-    Attributes
-    ----------
     timeline : changes and gestures.
     notes : every note played, with its string and stop.
     dropped : notes that cannot be played, and why.
@@ -171,9 +169,7 @@ def _why_nothing(dropped: Sequence[Dropped]) -> str:
 def playable(model: Model, capo: int = 0) -> list[PlayableString]:
     """Return the strings as the left hand sees them, beyond a capo.
 
-    Raises
-    ------
-    ScoreError : a string has no stops beyond the capo.
+    Raises ScoreError : a string has no stops beyond the capo.
     """
     shortest = min((s.n_stops for s in model.strings.values()), default=0)
     if capo and not 0 < capo < shortest:

@@ -51,8 +51,6 @@ def with_techniques(score: Score, playing: Playing) -> Score:
 def technique_of(note: Note, keyed: str | None, playing: Playing, latest: Callable[[str], float | None]) -> str | None:
     """Return the technique that a note names, or that keys and controllers ask for; None for the usual one.
 
-    Parameters
-    ----------
     keyed : technique of the last keyswitch on the note's channel.
     latest : kind of controller -> its value on the note's channel, None before its first.
     """

@@ -304,8 +304,6 @@ class _PartReader:
     def hairpins(self, starts: list[Fraction]) -> None:
         """Let notes grow and fade between dynamics; after a hairpin without any that follow they keep its end.
 
-        Parameters
-        ----------
         starts : quarter notes at which measures begin.
         """
         levels = sorted((starts[i] + at, velocity) for i, at, velocity in self.levels)

@@ -20,9 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.physics.modal.modes import BLOCK, PAIR, REAL
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: poles nearer than this, relative to themselves, are treated together
 _NEAR = 1e-3

@@ -18,13 +18,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.physics.modal.complex_modes import complex_modes
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import real_form
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: off-diagonal modal damping, relative to its row and column, that counts as none
 _PROPORTIONAL = 1e-11
@@ -155,15 +154,10 @@ def initial_state(
 
         x(0) = B (M v0 + C x0) + A B M x0.
 
-    Parameters
-    ----------
     basis : with one point per dof, in their order.
     M, C : (n_dof, n_dof) of the same component.
     displacement, velocity : (n_dof,) m, m/s.
-
-    Returns
-    -------
-    (n_modes, 2) real state of every mode (see `propagator`).
+    Returns (n_modes, 2) real state of every mode (see `propagator`).
     """
     M, C, x0, v0 = (np.asarray(a, dtype=np.float64) for a in (M, C, displacement, velocity))
     if len(basis.points) != M.shape[0]:
@@ -177,16 +171,11 @@ def initial_state(
 def real_modes(M: Floats, K: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Modes of M x'' + K x = f with M and K symmetric positive semi-definite.
 
-    Returns
-    -------
-    shapes : (n_dof, n_modes) mass-normalised, 1/sqrt(kg).
+    Returns shapes : (n_dof, n_modes) mass-normalised, 1/sqrt(kg).
     omega : (n_modes,) rad/s, rising; exactly 0 for rigid-body modes.
     static : (n_dof, n_dof) m/N, compliance of the motion that has no mass (modes of infinite frequency).
     massless : (n_dof, n_massless) directions without mass.
-
-    Raises
-    ------
-    ValueError : M or K is indefinite, or a direction has neither mass nor stiffness.
+    Raises ValueError : M or K is indefinite, or a direction has neither mass nor stiffness.
     """
     from tonewood.support.scipy_linalg import sla
 

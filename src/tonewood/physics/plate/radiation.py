@@ -25,9 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: rows of a block of distances between sources
 _ROWS = 128
@@ -37,8 +35,6 @@ _ROWS = 128
 class Sources:
     """Small volume sources of modes, in the plane z = 0.
 
-    Attributes
-    ----------
     points : (n, 2) m.
     volumes : (n, modes) m^3 displaced by each cell per unit of the mode's coordinate, counted towards +z.
     baffled : whether the plane about them is rigid; else the shelf of this module stands for free air.

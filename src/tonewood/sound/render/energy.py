@@ -47,10 +47,8 @@ def energy_csv(trace: EnergyTrace) -> str:
 def save_energy(trace: EnergyTrace, path: Path) -> None:
     """Write an account to a file that appears only when it is complete.
 
-    Raises
-    ------
-    TonewoodError : see `check_energy_file`.
-    OutputError : it cannot be written.
+    Raises TonewoodError : see `check_energy_file`.
+    Raises OutputError : it cannot be written.
     """
     check_energy_file(path)
     ending = path.suffix.lower()

@@ -216,8 +216,6 @@ class SwitchedRate:
 def predicted(timed: Spent, extra: float, first: Spent, whole: Spent) -> float:
     """Seconds for a whole score without the time of switched effects.
 
-    Parameters
-    ----------
     timed : of its beginning as it will be rendered; `extra` of its steps are due to switched effects.
     first, whole : of the same beginning, and of the whole score, in a sketch.
     """

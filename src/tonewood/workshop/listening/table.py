@@ -70,8 +70,6 @@ class Key(BaseModel):
 class AnswerTable:
     """Answers of all listeners.
 
-    Attributes
-    ----------
     factors : columns of factors with more than one level.
     levels : factor -> its levels in the manifest's order.
     rows : one an answer; values are str, float, bool or None.
@@ -93,12 +91,7 @@ class AnswerTable:
 
 
 def read_key(path: Path) -> Key:
-    """Read the key of a batch.
-
-    Raises
-    ------
-    ListeningError : it cannot be read, or is no key.
-    """
+    """Read the key of a batch. Raises ListeningError : it cannot be read, or is no key."""
     try:
         data = json_value(path.read_bytes())
     except OSError as fault:
@@ -115,12 +108,7 @@ def read_key(path: Path) -> Key:
 
 
 def tidy(test: ListeningTest, key: Key, answers: Sequence[ListenerAnswers]) -> AnswerTable:
-    """The table of all answers.
-
-    Raises
-    ------
-    ListeningError : a code is not in the key.
-    """
+    """The table of all answers. Raises ListeningError : a code is not in the key."""
     names = _listener_names(answers)
     trials = {trial.id: trial for trial in test.trials}
     factors = tuple(f for f in key.factors if len({s.levels[f] for s in key.stimuli.values()}) > 1)

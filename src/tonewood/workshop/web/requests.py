@@ -42,15 +42,10 @@ async def mistake(request: Request, fault: Exception) -> Response:
 async def json_body(request: Request, error: type[TonewoodError] = TonewoodError) -> dict[str, Any]:
     """Return the body of a request as a mapping; characters that are no text are replaced.
 
-    Parameters
-    ----------
     request : whose body is read.
     error : class of the error where it is no JSON object.
-
-    Raises
-    ------
-    TonewoodError : it is no JSON object, or nested too deeply.
-    RefusalError : it is too long, too slow, or of another type.
+    Raises TonewoodError : it is no JSON object, or nested too deeply.
+    Raises RefusalError : it is too long, too slow, or of another type.
     """
     kind = request.headers.get("content-type")
     if kind is not None and kind.partition(";")[0].strip().lower() != "application/json":

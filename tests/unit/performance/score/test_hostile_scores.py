@@ -120,6 +120,7 @@ def test_an_archive_that_expands_is_left_while_it_expands(tmp_path: Path, monkey
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("inside", "line"),
     [

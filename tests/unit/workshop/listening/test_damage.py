@@ -176,6 +176,7 @@ def test_each_line_may_be_damaged_and_the_others_count(test: ListeningTest) -> N
             assert set(indices) >= {i for i in whole if i != k + 1 and i not in stairs}
 
 
+@pytest.mark.slow
 def test_results_name_and_count_what_they_leave_out(test: ListeningTest, tmp_path: Path) -> None:
     whole, broken, torn, other = (opened(test, name=f"L{k}", seed=k) for k in range(4))
     lines = broken.path.read_bytes().splitlines(keepends=True)
