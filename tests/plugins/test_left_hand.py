@@ -279,3 +279,30 @@ def test_any_sequence_of_techniques(model: str, line: list[tuple[float, str | No
     x = tw.render(tw.Score(notes), made, fs=16000, max_duration=time + 0.1).samples * 4.0
     assert np.all(np.isfinite(x))
     assert np.abs(x).max() < 3 * sum(force for _, _, force, _ in line)
+
+
+def test_live_slides_search_for_no_tension(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stops that a slide passes, and bends of them, take their tension from a table made before the sound."""
+    made = monochord("ideal")
+    live = tw.Live(made, FS)
+
+    def searched(*_: object) -> None:
+        raise AssertionError("searched for a tension in mid-sound")
+
+    exact = assemble(made, FS).strings["A2"].tuning
+    stops = np.random.default_rng(5).uniform(0, 24, 40)
+    table = live.model.strings["A2"].tuning
+    errors = [600 * np.log2(table.tension(stop) / exact.tension(stop)) for stop in stops.tolist()]
+    assert np.abs(errors).max() < 0.5
+    assert all(table.tension(stop) == exact.tension(stop) for stop in range(25))
+
+    monkeypatch.setattr(string_tuning, "tune", searched)
+    monkeypatch.setattr(string_tuning, "held_freq", searched)
+    live.note_on(string="A2", stop=2.0, force=2.0)
+    before = live.process(FS // 4)
+    live.note_on(string="A2", stop=6.4, force=2.0, technique="slide")
+    live.bend(30.0)
+    after = live.process(FS)
+    assert np.abs(before).max() > 0
+    freq = 110.0 * 2 ** ((6.4 + 0.3) / 12)
+    assert 1200 * abs(np.log2(pitch(after[:, 0], 0.4, 1.0) / freq)) < 3.0

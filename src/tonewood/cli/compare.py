@@ -113,12 +113,7 @@ def compare(
 
 
 def _swept(text: str, most: int) -> tuple[str, list[float]]:
-    """Key and values of a sweep.
-
-    Raises
-    ------
-    TonewoodError : the text is none, or has more values than there is room for.
-    """
+    """Key and values of a sweep. Raises TonewoodError : the text is none, or has more values than there is room for."""
     path, equals, rest = text.partition("=")
     words = rest.split(":")
     low, high, count = (number_in(word) for word in [*words, *["nan"] * 3][:3])
