@@ -226,9 +226,7 @@ class _Order:
         return problem.solve(real).cost + problem.price * len(real)
 
 
-def _ordered(
-    line: Line, shape: Shape, least_error: float, note: Callable[[Iteration], None]
-) -> _Order:
+def _ordered(line: Line, shape: Shape, least_error: float, note: Callable[[Iteration], None]) -> _Order:
     """Modes, as many as it takes until the misfit is noise."""
     size, poles = np.abs(line.mobility), Poles.none()
     lines: tuple[float, ...] = ()

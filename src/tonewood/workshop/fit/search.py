@@ -33,9 +33,11 @@ CHANGE, UNKNOWN = 0.05, 0.1
 _QUALITIES = (3, 6, 12, 25, 50, 100, 200, 400, 800)
 #: modes added in an iteration, and most iterations
 _AT_ONCE, _ITERATIONS = 12, 16
-#: chi-squared per number that is none; share of what ends a descent that a step of the poles' grid costs; damping of its
-#: steps at least: what rounding does to a step must be far below the grid
-_NOTHING, _GRID, _LEAST_DAMPING = 1e-3, 1e-2, 1e-5
+#: chi-squared per number that counts as none; least damping of steps: the error that rounding makes in a step must be
+#: far below the grid of the poles
+_NOTHING, _LEAST_DAMPING = 1e-3, 1e-5
+#: cost of one step of that grid, re the gain that ends a descent
+_GRID = 1e-2
 #: modes of a group that is moved by itself
 _GROUP = 8
 #: modes on each side that move with two that may be one; prices that these may cost there to be tried with all moving
@@ -79,7 +81,8 @@ def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tupl
         grid = np.exp2(np.floor(np.log2(unit * np.sqrt(_GRID * tolerance))))
         size, vectors = sla.eigh(found.normal * np.outer(unit, unit))
         size, slope = np.maximum(size, 0.0), vectors.T @ (unit * found.gradient)
-        for tries in range(6):
+        rejected = False
+        for _ in range(6):
             step = unit * (vectors @ (slope / (size + damping)))
             zeta = np.exp(poles.log_zeta)
             moved = Poles(
@@ -90,11 +93,11 @@ def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tupl
             there = problem.solve(moved, slopes=True)
             if there.cost < found.cost - _GRID * tolerance:
                 break
-            damping *= 8
+            damping, rejected = 8 * damping, True
         else:
             break
         done = found.cost - there.cost < tolerance
-        poles, found, damping = moved, there, damping if tries else max(damping / 8, _LEAST_DAMPING)
+        poles, found, damping = moved, there, damping if rejected else max(damping / 8, _LEAST_DAMPING)
         if done:
             break
     order = np.argsort(poles.log_freq)
@@ -140,20 +143,20 @@ def _around(problem: Projection, poles: Poles, residues: Floats, mine: NDArray[n
 
 
 def prices(problem: Projection, poles: Poles, found: LinearFit) -> Floats:
-    """(K,) chi-squared that each mode has to gain: the price, times what is left per number around it where that is above 1.
+    """(K,) chi-squared that each mode has to gain: the price, times the misfit per number around it if above 1.
 
-    Where no number of modes reaches the noise, what is left is the model's error and not the noise's, and modes that take
-    as little from it as they would from noise of that size are no modes.
+    Where no number of modes reaches the noise, the misfit is the model's error. A mode that gains no more than chance
+    would in noise of that size is no mode.
     """
     line = problem.line
     left = (np.abs(problem.misfit(poles, found.residues)) ** 2 / line.sigma**2).mean(axis=0)
     total = np.concatenate([[0.0], np.cumsum(left)])
-    first, stop = (np.searchsorted(line.freq, poles.freq + side * _surroundings(line, poles)) for side in (-1, 1))
+    first, stop = (np.searchsorted(line.freq, poles.freq + side * _reaches(line, poles)) for side in (-1, 1))
     count = np.maximum(stop - first, 1)
     return np.asarray(problem.price * np.maximum(1.0, (total[stop] - total[first]) / count))
 
 
-def _surroundings(line: Line, poles: Poles) -> Floats:
+def _reaches(line: Line, poles: Poles) -> Floats:
     """(K,) Hz on both sides of modes: two bandwidths, and ten bins in all at least."""
     return np.asarray(2 * poles.freq / poles.quality + 5 * np.interp(poles.freq, line.freq, np.gradient(line.freq)))
 
@@ -233,7 +236,7 @@ def inaudible(problem: Projection, poles: Poles, wanted: Floats) -> NDArray[np.i
     peak's departure from the model.
     """
     line, full, doubt = problem.line, problem.solve(poles), problem.deviations(poles)[1]
-    level, around = np.abs(line.mobility), _surroundings(problem.line, poles)
+    level, around = np.abs(line.mobility), _reaches(problem.line, poles)
     best = _decibels(level, problem.model(poles, full.residues))
     found: tuple[float, int] = (CHANGE, -1)
     for i in range(len(poles) if len(poles) > 1 else 0):

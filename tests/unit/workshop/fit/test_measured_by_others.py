@@ -413,7 +413,7 @@ def test_public_files_of_one_transfer(name, freq, quality):
 
 
 def yielding():
-    """Structural damping, two modes in one bandwidth, frequencies that fall with motion: no linear modes reach its noise."""
+    """Structural damping, two modes in one bandwidth, frequencies that fall with motion: no linear modes fit."""
     w, natural = TAU * FREQ, np.append(NATURAL, 106.0)
     shapes, mass = np.column_stack([SHAPES, [1, 0.6, -0.4]]), np.append(MASS, 0.12)
     size = np.abs(mobility())
