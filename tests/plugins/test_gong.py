@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 from scipy.special import ellipk
 from tonewood.plugins import gong as plugin
-from tonewood.plugins._gong_plate import GongPlate, PlateGrid, biharmonic
+from tonewood.plugins._gong_energy import GongPlate, PlateGrid, biharmonic
 from tonewood.plugins.gong import Gong, PlateEnergy, stiffening
 
 import tonewood as tw

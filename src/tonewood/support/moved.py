@@ -47,7 +47,7 @@ _MODULES = {
     "string_setup string_stems strings tuning",
     ("instrument", "instrument.inspection"): "wolf modal_export mounted",
     ("score", "instrument"): "scales",
-    ("score", "performance.score"): "causal=assignment",
+    ("score", "performance.score"): "causal=assignment performance=channel_reader",
     (
         "engine",
         "performance.player",

@@ -39,7 +39,7 @@ from tonewood.instrument.contract.string_motion import Longitudinal, StringMotio
 from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.coupling.system import Drive, Readout
 from tonewood.physics.modal.modes import ModalBasis
-from tonewood.physics.modal.string_losses import string_detuned
+from tonewood.physics.modal.partial_decays import string_detuned
 from tonewood.physics.modal.string_modes import string_basis, wavenumber
 from tonewood.physics.modal.string_transfer import string_carry, string_transfer
 from tonewood.physics.modal.views import SHOWN_TO, ModalViews

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tonewood.instrument.contract.base import Resonator
-from tonewood.instrument.model.stops import StopTable
+from tonewood.instrument.model.stop_table import StopTable
 from tonewood.instrument.model.string_setup import Polarization
 from tonewood.instrument.model.tuning import ends_at_rest
 from tonewood.physics.modal.modes import ModalBasis

@@ -25,9 +25,9 @@ from operator import itemgetter
 from pathlib import Path
 
 from tonewood.errors import ScoreError
+from tonewood.performance.score.channel_reader import ChannelReader, where
 from tonewood.performance.score.file_bytes import file_bytes
 from tonewood.performance.score.note import Beats, Control, Note, Score, ScorePart
-from tonewood.performance.score.performance import ChannelReader, where
 from tonewood.performance.score.smf import Findings, MidiFile, Track, parse_smf
 from tonewood.support.whole_files import whole_file
 

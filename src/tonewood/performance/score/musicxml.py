@@ -171,8 +171,8 @@ class _PartReader:
         now = longest = began = Fraction(0)
         n_chord = 0
         if not self.divisions:  # they may stand after the first notes
-            found = (number_of(e, "divisions", 0.0) for e in element.findall("attributes"))
-            self.divisions = next((int(d) for d in found if 1 <= d <= _MOST_DIVISIONS), 1)
+            divisions = (number_of(e, "divisions", 0.0) for e in element.findall("attributes"))
+            self.divisions = next((int(d) for d in divisions if 1 <= d <= _MOST_DIVISIONS), 1)
         for child in element:
             if child.tag == "note":
                 length = Fraction(0) if child.find("grace") is not None else self._quarters(child)

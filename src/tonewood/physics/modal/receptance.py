@@ -96,9 +96,16 @@ class Joint:
         self._residual = np.sum([p.residual for p in parts], axis=0)
 
     def receptance(self, s: complex) -> tuple[Complexes, Complexes]:
-        """M(s) and its derivative, (p, p) each."""
-        at = np.array([s])
-        return self.receptances(at)[0], self.receptances(at, slope=True)[0]
+        """M(s) and its derivative, (p, p) each; what a search asks for most often."""
+        reach = 1 / (s - self._poles)
+        reached = self._right * reach
+        M, D = reached @ self._left.T + self._residual, -(reached * reach) @ self._left.T
+        if self._stiffness.size:
+            at = np.array([s])
+            for out, slope in ((M, False), (D, True)):
+                blocks = _blocks(at, self._stiffness, self._damping_rate, slope)[0]
+                out += (self._block_right * blocks) @ self._block_left.T
+        return np.asarray(M), np.asarray(D)
 
     def receptances(self, s: Complexes, slope: bool = False) -> Complexes:
         """(n, p, p) M at n places, or M'."""
@@ -234,6 +241,11 @@ class Star(Joint):
         self._ray_residues = np.concatenate([(r.right * r.left)[0] for r in rays])
         self._first = np.cumsum([0, *(r.poles.size for r in rays[:-1])])
         self._diagonal = np.array([r.residual[0, 0] for r in rays])
+
+    def receptance(self, s: complex) -> tuple[Complexes, Complexes]:
+        """M(s) and its derivative, (p, p) each."""
+        at = np.array([s])
+        return self.receptances(at)[0], self.receptances(at, slope=True)[0]
 
     def receptances(self, s: Complexes, slope: bool = False) -> Complexes:
         """(n, p, p) M at n places, or M'."""

@@ -126,7 +126,6 @@ def beam_matrices(
 
     long = [wood.E_L * b * height, wood.E_L * b * height**3 / 12]
     cross = [wood.G_LR * torsion_constant(b, height), _SHEAR * wood.G_LR * b * height]
-    rows = vstack([strain, bend, twist, shear]).tocsr()
 
     def integral(factors: list[Floats], operator: csr_matrix) -> csr_matrix:
         return csr_matrix(operator.T @ diags(np.concatenate([weights * f for f in factors])) @ operator)
@@ -134,8 +133,8 @@ def beam_matrices(
     m, offset = wood.density * b * height, (height + thickness) / 2
     turning = m * (height**2 / 12 + offset**2)
     mass = integral([m, turning, turning], vstack([grid.at(points), w_s, w_n]).tocsr())
-    lost = [*(wood.loss_L * f for f in long), *(wood.loss_shear * f for f in cross)]
-    return integral([*long, *cross], rows), integral(lost, rows), mass
+    straight, sheared = integral(long, vstack([strain, bend]).tocsr()), integral(cross, vstack([twist, shear]).tocsr())
+    return straight + sheared, wood.loss_L * straight + wood.loss_shear * sheared, mass
 
 
 def rotations(grid: SplineGrid, beam: Beam) -> int:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 #: vectors in a block
-BLOCK = 8
+BLOCK = 16
 #: largest residual of a pair that counts as converged, of its theta; the eigenvalue is then exact to its square
 _TOLERANCE = 1e-7
 #: unknowns up to which a dense problem is quicker
@@ -46,7 +46,7 @@ def lowest(
     n = mass.shape[0]
     if n <= _DENSE:
         return _dense(solve, mass, shift, count, below)
-    room = 24 * BLOCK
+    room = 12 * BLOCK
     whole, heavy = (np.empty((n, room), order="F") for _ in range(2))
     projected = np.zeros((room, room))
     block = _orthonormal(solve(np.asarray(mass @ _start(n))), mass)

@@ -34,6 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tonewood.physics.plate.beams import Beam, beam_line, beam_matrices, rotations
+from tonewood.physics.plate.block_solve import BlockSolver
 from tonewood.physics.plate.edge_layer import layer_matrices
 from tonewood.physics.plate.integrals import Values, displacement, integrals
 from tonewood.physics.plate.lanczos import lowest
@@ -44,7 +45,6 @@ from tonewood.support.arrays import Floats, Indices
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix, csr_matrix
-    from scipy.sparse.linalg import SuperLU
 
 #: name and number of unknowns
 Field = tuple[str, int]
@@ -190,6 +190,8 @@ class Plate:
         totals = [part.total() for part in sums]
         keep = _kept(totals[0].diagonal(), totals[2].diagonal(), stiffness.slots, [*in_plane, *self._bending])
         self._keep = keep[keep >= stiffness.slots["w"]] - stiffness.slots["w"]
+        first = stiffness.slots[[*in_plane, *self._bending][0][0]]
+        self.places = np.where(keep < first, np.nan, self.grid.places[(keep - first) % self.grid.count])
         self._stiffness, self._losses, self._mass = (m[keep][:, keep].tocsc() for m in totals)
 
     def _of_beam(self, beam: Beam) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
@@ -321,12 +323,9 @@ class Plate:
         """
         if count is None and fmax is None:
             raise ValueError("fmax or count is wanted")
-        solve, scale = self._factored
-        spread = scale[:, None]
-        mass = self._balanced(self._mass)
         limit = (2 * np.pi * (fmax or 0.0)) ** 2
-        values, vectors = lowest(solve.solve, mass, self.shift**2, count=count or 0, below=limit)
-        return np.maximum(values, 0.0), spread * vectors
+        values, vectors = lowest(self._solver.solve, self._mass, self.shift**2, count=count or 0, below=limit)
+        return np.maximum(values, 0.0), vectors
 
     def stored(self, vectors: Floats) -> Floats:
         """(n, n) products v^T K v of vectors (unknowns, n) of `solution`."""
@@ -338,10 +337,9 @@ class Plate:
         The difference of two sums over modes of phi phi^T (1 / (omega^2 + s^2) + s^2 / (omega^2 + s^2)^2): all of them
         from the factored stiffness, less those that are kept. It is 1 / omega^2 but for (s / omega)^4, s the shift.
         """
-        solve, scale = self._factored
         rhs = np.zeros((self._stiffness.shape[0], len(loads)))
         rhs[-self.functions :] = loads.T
-        moved = scale[:, None] * solve.solve(scale[:, None] * rhs)
+        moved = self._solver.solve(rhs)
         kept, soft = loads @ modes.vectors, 1 / ((2 * np.pi * modes.freq) ** 2 + self.shift**2)
         rest = loads @ moved[-self.functions :] + self.shift**2 * (moved.T @ (self._mass @ moved))
         rest = rest - (kept * (soft + self.shift**2 * soft**2)) @ kept.T
@@ -354,24 +352,9 @@ class Plate:
         return float(_SHIFT * np.sqrt(self.wood.stiffness()[1, 1] * h**2 / 12 / self.wood.density) / self.area)
 
     @cached_property
-    def _factored(self) -> tuple[SuperLU, Floats]:
-        """Factors of D (K + s^2 M) D, and D, which gives it a diagonal of ones."""
-        from scipy.sparse.linalg import splu
-
-        options = {"SymmetricMode": True}
-        balanced = self._balanced(self._stiffness + self.shift**2 * self._mass)
-        return splu(balanced, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options), self._scale
-
-    @cached_property
-    def _scale(self) -> Floats:
-        return np.asarray(1.0 / np.sqrt((self._stiffness + self.shift**2 * self._mass).diagonal()))
-
-    def _balanced(self, matrix: csc_matrix) -> csc_matrix:
-        from scipy.sparse import diags
-
-        spread = diags(self._scale)
-        balanced: csc_matrix = (spread @ matrix @ spread).tocsc()
-        return balanced
+    def _solver(self) -> BlockSolver:
+        """Of K + s^2 M."""
+        return BlockSolver(self._stiffness + self.shift**2 * self._mass, self.places)
 
     def _edge(self, edge: Edge) -> list[tuple[csr_matrix, csr_matrix, list[Field]]]:
         """Stiffness and losses of the springs on the outline.

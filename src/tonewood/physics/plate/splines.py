@@ -75,6 +75,11 @@ class SplineGrid:
         """Functions that do not vanish on a cell, (p + 1)^2."""
         return (self.degree + 1) ** 2
 
+    @property
+    def places(self) -> Floats:
+        """(count,) place of each function along the side with more cells, in cells."""
+        return np.asarray(np.indices(tuple(self.cells + self.degree))[np.argmax(self.cells)].ravel(), dtype=np.float64)
+
     def cell_of(self, points: Floats) -> Indices:
         """(..., 2) cell of each point (..., 2), the nearest one outside of the grid."""
         return np.clip(np.floor((points - self.low) / self.size).astype(np.intp), 0, self.cells - 1)

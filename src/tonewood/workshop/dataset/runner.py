@@ -222,11 +222,11 @@ def run_dataset(
         for stray in place.glob("*.*"):
             if stray.name.partition(".")[0] not in {shard_name(number) for number in plan.keys}:
                 remove(stray)
-        found = _records(folder, plan.keys)
-        digests = sorted((name, digest) for record in found for name, digest in record["sounds"].items())
+        records = _records(folder, plan.keys)
+        digests = sorted((name, digest) for record in records for name, digest in record["sounds"].items())
         whole = hashlib.sha256(json.dumps(digests).encode()).hexdigest()
-        seconds = sum(record["seconds"] for record in found)
-        write_json(folder / RECORD, _record(plan, found, whole, seconds, faults))
+        seconds = sum(record["seconds"] for record in records)
+        write_json(folder / RECORD, _record(plan, records, whole, seconds, faults))
         write_data_sheet(folder, _subject(plan, seconds, dict(digests)), _identities(plan, renderer))
     return DatasetReport(
         name=dataset.name,
@@ -255,12 +255,12 @@ def _subject(plan: DatasetPlan, seconds: float, digests: dict[str, str]) -> Subj
 
 def _identities(plan: DatasetPlan, renderer: EngineRenderer) -> list[dict[str, Any]]:
     """Identities of the first sound that can be made on each instrument."""
-    found: dict[str, dict[str, Any]] = {}
+    identities: dict[str, dict[str, Any]] = {}
     for sample in plan.samples:
-        if sample.condition.bundle not in found:
+        if sample.condition.bundle not in identities:
             with suppress(TonewoodError):
-                found[sample.condition.bundle] = renderer.identity(sample.condition)
-    return list(found.values())
+                identities[sample.condition.bundle] = renderer.identity(sample.condition)
+    return list(identities.values())
 
 
 def _write(folder: Path, shard: Shard, key: str) -> None:

@@ -62,8 +62,8 @@ class ListeningTest:
 
     def trials_of(self, page: int) -> list[ServedTrial]:
         """Trials of a page, counted from 0, in the manifest's order; of a page that is trained, for training."""
-        found = self.pages[page]
-        wanted = found.page - 1 if isinstance(found, TrainingPage) else page
+        trials = self.pages[page]
+        wanted = trials.page - 1 if isinstance(trials, TrainingPage) else page
         return [trial for trial in self.trials if trial.page == wanted]
 
     def sound(self, code: str) -> Path:
@@ -73,8 +73,8 @@ class ListeningTest:
     @cached_property
     def languages(self) -> list[str]:
         """Languages of the texts, that of the manifest first."""
-        found = dict.fromkeys([self.manifest.language, *built_in_texts(), *self.manifest.texts])
-        return list(found)
+        languages = dict.fromkeys([self.manifest.language, *built_in_texts(), *self.manifest.texts])
+        return list(languages)
 
     def texts(self, language: str) -> dict[str, str]:
         """Words of the pages in a language; missing ones are in English."""
