@@ -27,6 +27,7 @@ def test_the_string_set_without_a_wolf_is_chosen(tonewood: Run) -> None:
     assert tonewood("design", "classical_guitar", *wolf[:2], "--free", "strings=ej16")[0] == 1
 
 
+@pytest.mark.slow
 def test_modes_of_a_free_plate_are_counted_without_its_rigid_motion(tonewood: Run, tmp_path: Path) -> None:
     """The first mode of a free plate is proportional to its thickness, nearly."""
     text = {"schema": "tonewood-instrument/2", "name": "top", "body": PLATE}
