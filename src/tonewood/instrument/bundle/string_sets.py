@@ -94,16 +94,16 @@ def _of_string(
 ) -> dict[str, Any]:
     """Values of one string of the bundle, as its plugin takes them."""
     fields = _fields(part, key, file)
-    found = figures(entry, chosen, _length(part, key, file), _freq(part, entry.note, key, file))
+    data = figures(entry, chosen, _length(part, key, file), _freq(part, entry.note, key, file))
     if entry.made_of is not None:
-        found["made_of"] = entry.made_of.model_dump(exclude_none=True)
+        data["made_of"] = entry.made_of.model_dump(exclude_none=True)
     for name in _KEYS:
         # that of another set's strings does not hold
         kept = () if name == "axial_stiffness" else part
-        if name in fields and fields[name].is_required() and name not in found and name not in kept:
+        if name in fields and fields[name].is_required() and name not in data and name not in kept:
             reason = f"the string set does not say it, and {part['plugin']} needs it"
             raise BundleError(reason, file=file, key=f"{key}.{name}")
-    return {name: value for name, value in found.items() if name in fields or name in _OWN}
+    return {name: value for name, value in data.items() if name in fields or name in _OWN}
 
 
 def _fields(part: Mapping[str, Any], key: str, file: Any) -> Mapping[str, Any]:
@@ -139,12 +139,12 @@ def with_materials(values: Mapping[str, Any], *, over: Collection[str] = (), fil
         key = f"strings.{name}"
         bought = validated(MadeOf, part["made_of"], key=f"{key}.made_of", file=file)
         length, freq = _length(part, key, file), _freq(part, None, key, file)
-        found = made_figures(bought, length, freq, key=f"{key}.made_of", file=file)
+        data = made_figures(bought, length, freq, key=f"{key}.made_of", file=file)
         fields = _fields(part, key, file)
-        keys = [k for k in found.kinds if k in fields or k in _OWN]
+        keys = [k for k in data.kinds if k in fields or k in _OWN]
         chosen = [k for k in keys if name in over or part.get(k) is None]
-        made[name] = {**part, **{k: dict(found.loss) if k == "loss" else getattr(found, k) for k in chosen}}
-        provenance, sources = _with_kinds(provenance, sources, name, chosen, found)
+        made[name] = {**part, **{k: dict(data.loss) if k == "loss" else getattr(data, k) for k in chosen}}
+        provenance, sources = _with_kinds(provenance, sources, name, chosen, data)
     if made:
         out |= {"strings": {**dict(parts), **made}, "provenance": provenance, "sources": sources}
     return out

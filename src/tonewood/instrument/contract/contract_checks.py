@@ -254,8 +254,8 @@ def _loss_factor(plugin: Any, value: Any, arguments: Mapping[str, Any]) -> None:
 
 def _class(module: str, name: str) -> type[Any]:
     """Class of a module that imports this one, or that only a plugin that uses it has imported."""
-    found: type[Any] = getattr(sys.modules[module], name, type(None)) if module in sys.modules else type(None)
-    return found
+    cls: type[Any] = getattr(sys.modules[module], name, type(None)) if module in sys.modules else type(None)
+    return cls
 
 
 def _of_type(module: str, name: str) -> Verify:

@@ -87,8 +87,8 @@ def stretch_cents(instrument: Instrument) -> dict[str, float]:
     notes = {name: instrument.open_note(name) for name in instrument.groups}
     freqs = {name: instrument.tuning.freq(note) for name, note in notes.items()}
     B = {name: inharmonicity(instrument.resonators[name], freq) for name, freq in freqs.items()}
-    found = octave_stretch(notes, freqs, B)
-    return {string: found[leader] for leader, strings in instrument.groups.items() for string in strings}
+    stretch = octave_stretch(notes, freqs, B)
+    return {string: stretch[leader] for leader, strings in instrument.groups.items() for string in strings}
 
 
 def _string(

@@ -219,8 +219,8 @@ def _newmark_order(method: Newmark) -> float:
         n = round(DURATION / dt) + 1
         system = two_masses(LIGHT)
         rest = (np.zeros(2), np.zeros(2))
-        found, _ = method.run(system, dt, n, rest, lambda t: sampled_forces(t)[0])
-        error.append(np.abs(found - exact_driven(system, dt, n)).max())
+        motion, _ = method.run(system, dt, n, rest, lambda t: sampled_forces(t)[0])
+        error.append(np.abs(motion - exact_driven(system, dt, n)).max())
     return halving_order(error[0], error[1])
 
 

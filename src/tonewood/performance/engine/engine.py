@@ -270,14 +270,14 @@ class Engine:
         for effect in self._watched:
             before = self.switchings[effect.name]
             moment = Moment(self.system, self.state, self.frettings, self.peak, moved, fresh, busy, self._until)
-            found = effect.watch(moment, before)
-            if found is None:
+            decision = effect.watch(moment, before)
+            if decision is None:
                 continue
-            self.usage.enter(effect.name, found.bounds)
+            self.usage.enter(effect.name, decision.bounds)
             if self.only_watch:
-                self.switchings[effect.name] = Switching(found.wanted, until=found.until)
+                self.switchings[effect.name] = Switching(decision.wanted, until=decision.until)
                 continue
-            after = switch(effect, moment, before, found)
+            after = switch(effect, moment, before, decision)
             self.switchings[effect.name] = after
             if after.on != before.on:
                 effect.reset(self.system, self.state, after.on ^ before.on)

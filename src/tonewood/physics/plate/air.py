@@ -23,7 +23,8 @@ Friction of the air at the edge of the hole, of diameter d and wall t, is a resi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -61,9 +62,20 @@ class Cavity:
 
 
 def cavity_modes(outline: Floats, depth: float, fmax: float, size: float = 0.02) -> Cavity:
-    """Modes of the cavity below an outline up to `fmax` (Hz): -lap psi = (omega / c)^2 psi, psi_n = 0 on the walls."""
+    """Modes of the cavity below an outline up to `fmax` (Hz): -lap psi = (omega / c)^2 psi, psi_n = 0 on the walls.
+
+    They do not depend on the depth; those of the last outlines are kept, and cannot be written to.
+    """
+    shallow = _cavity(np.ascontiguousarray(outline, dtype=np.float64).tobytes(), fmax, size)
+    return replace(shallow, volume=shallow.volume * depth)
+
+
+@lru_cache(maxsize=8)
+def _cavity(ring: bytes, fmax: float, size: float) -> Cavity:
+    """Cavity of depth 1 m below an outline, the bytes of an (n, 2) array."""
     from tonewood.support.scipy_linalg import sla
 
+    outline = np.frombuffer(ring).reshape(-1, 2)
     grid = SplineGrid.over(outline, size)
     quad = quadrature(grid, [outline])
     (stiffness,) = integrals(1, quad, lambda psi: np.stack([psi((1, 0)), psi((0, 1))], axis=-2), 1.0, [np.eye(2)])
@@ -78,7 +90,10 @@ def cavity_modes(outline: Floats, depth: float, fmax: float, size: float = 0.02)
     area = float(quad.weights.sum())
     vectors = np.zeros((grid.count, len(few)))
     vectors[keep] = scale[:, None] * shapes[:, few] * np.sqrt(area)
-    return Cavity(freq[few], vectors, grid, area * depth)
+    freq = freq[few]
+    for array in (freq, vectors):
+        array.setflags(write=False)
+    return Cavity(freq, vectors, grid, area)
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,8 @@ _HALF = np.array(
 )  # fmt: skip
 #: its length, and where its upper bout, waist and lower bout are widest or narrowest (m)
 _LENGTH, _BOUTS = 0.485, (0.090, 0.200, 0.365)
+#: points that are compared with a ring at once
+_AT_ONCE = 256
 
 
 def circle(radius: float, centre: ArrayLike = (0.0, 0.0), count: int = 720) -> Floats:
@@ -75,9 +77,11 @@ def inside(points: ArrayLike, rings: Sequence[Floats]) -> NDArray[np.bool_]:
     for ring in rings:
         a, b = ring, np.roll(ring, -1, axis=0)
         rise = np.where(b[:, 1] == a[:, 1], 1.0, b[:, 1] - a[:, 1])
-        for i, (x, y) in enumerate(p):
+        for first in range(0, len(p), _AT_ONCE):
+            x, y = p[first : first + _AT_ONCE].T[:, :, None]
             level = (a[:, 1] > y) != (b[:, 1] > y)
-            odd[i] ^= bool(np.count_nonzero(level & (x < a[:, 0] + (y - a[:, 1]) * (b[:, 0] - a[:, 0]) / rise)) % 2)
+            left = x < a[:, 0] + (y - a[:, 1]) * (b[:, 0] - a[:, 0]) / rise
+            odd[first : first + _AT_ONCE] ^= (np.count_nonzero(level & left, axis=1) % 2).astype(bool)
     return odd
 
 

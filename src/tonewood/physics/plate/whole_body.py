@@ -15,11 +15,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
-from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED, Cavity, cavity_modes, hole_loss
+from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED, cavity_modes, hole_loss
 from tonewood.physics.plate.block_solve import BlockSolver
 from tonewood.physics.plate.body import BodyDrawing, cell_of, made_plate, mouth_of, named_modes, opening_of, point_loads
 from tonewood.physics.plate.lanczos import lowest
@@ -67,12 +67,6 @@ class LowModes:
     named: dict[str, int]
 
 
-@lru_cache(maxsize=8)
-def _cavity(outline: bytes, fmax: float) -> Cavity:
-    """Cavity of depth 1 m; its modes do not depend on the depth."""
-    return cavity_modes(np.frombuffer(outline).reshape(-1, 2), 1.0, fmax)
-
-
 class WholeBody:
     """Matrices of a drawn body.
 
@@ -114,7 +108,7 @@ class WholeBody:
         drawing, plates = self.drawing, int(self._starts[-1])
         if drawing.depth == 0:
             return np.zeros(0), np.zeros((0, plates)), 0.0
-        cavity = _cavity(np.ascontiguousarray(drawing.outline).tobytes(), drawing.cavity_to)
+        cavity = cavity_modes(drawing.outline, 1.0, drawing.cavity_to)
         kappa = AIR_DENSITY * SOUND_SPEED**2 / (cavity.volume * drawing.depth)
         m, hole = len(cavity.freq), int(self.mouth is not None)
         rows = np.zeros((1 + m, plates + hole + m))

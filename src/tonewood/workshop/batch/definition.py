@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from tonewood.errors import TonewoodError, together
+from tonewood.support.text_files import json_value
 from tonewood.workshop.batch.conditions import Condition, expand
 from tonewood.workshop.batch.layout import Group
 from tonewood.workshop.batch.manifest import Manifest, ManifestError
@@ -86,13 +87,13 @@ def changed_condition(manifest: Manifest, conditions: Sequence[Condition], index
     """
     page = manifest.pages[index]
     assert isinstance(page, StaircasePage)
-    found = [c for c in conditions if page.of.items() <= c.all_levels.items()]
-    if len(found) != 1:
+    candidates = [c for c in conditions if page.of.items() <= c.all_levels.items()]
+    if len(candidates) != 1:
         raise ManifestError(
-            f"fits {len(found)} conditions, one is wanted: name levels of {', '.join(manifest.choices())}, repeat",
+            f"fits {len(candidates)} conditions, one is wanted: name levels of {', '.join(manifest.choices())}, repeat",
             key=f"pages.{index}.of",
         )
-    return found[0]
+    return candidates[0]
 
 
 def with_value(manifest: Manifest, condition: Condition, path: str, value: Any) -> Condition:
@@ -121,16 +122,16 @@ def staircase_levels(manifest: Manifest, folder: Path, own: Callable[[Condition,
     """
     pages = [(index, page) for index, page in enumerate(manifest.pages) if isinstance(page, StaircasePage)]
     conditions = expand(manifest, folder) if pages else ()
-    found: list[StaircaseLevel] = []
+    levels: list[StaircaseLevel] = []
     faults: list[TonewoodError] = []
     for index, page in pages:
         try:
-            found += _levels_of(manifest, conditions, index, page, own)
+            levels += _levels_of(manifest, conditions, index, page, own)
         except ManifestError as fault:
             faults.append(fault)
     if faults:
         raise together(faults)
-    return found
+    return levels
 
 
 def _levels_of(
@@ -141,7 +142,7 @@ def _levels_of(
     own: Callable[[Condition, str], Any],
 ) -> list[StaircaseLevel]:
     condition = changed_condition(manifest, conditions, index)
-    found = []
+    levels = []
     try:
         base = own(condition, page.path)
     except TonewoodError as fault:
@@ -167,11 +168,11 @@ def _levels_of(
             values[name] = own(level, page.path)
         except TonewoodError as fault:
             raise ManifestError(f"the level cannot be rendered: {fault}", key=key) from None
-        found.append(StaircaseLevel(key, level))
+        levels.append(StaircaseLevel(key, level))
     if values["lowest"] == values["highest"]:
         reason = f"{page.path} is {values['lowest']} at the lowest and at the highest level: levels change nothing"
         raise ManifestError(reason, key=f"pages.{index}.scale")
-    return found
+    return levels
 
 
 def check_rendering(levels: Sequence[StaircaseLevel], render: Callable[[Condition], Any]) -> None:
@@ -214,7 +215,7 @@ def check_answers(folder: Path, manifest: Manifest, source: Path, groups: Sequen
         return
     planned = definition_of(manifest, groups, {s.code for g in groups for s in g.stimuli}, source, {})
     try:
-        old = json.loads((folder / FILE).read_bytes())
+        old = json_value((folder / FILE).read_bytes())
         drops = [row.pop("drop_db") for row in old["trials"]]
     except (OSError, ValueError, RecursionError, LookupError, TypeError, AttributeError):
         old, drops = None, []

@@ -173,8 +173,8 @@ def prepared(rendered: Rendered, settings: Stimuli, role: str = "sound", room: P
         dry = st.with_channels(audio, audio.shape[1] if audio.shape[1] == settings.channels else 1, settings.downmix)
         audio = trimming.convolved(dry, response)
     lead = round(settings.onset.at * settings.fs)
-    found = trimming.onset(audio, settings.onset.level_db) if settings.onset.align == "detected" else 0
-    audio = trimming.shifted(audio, lead - found)[: longest(settings)]
+    onset = trimming.onset(audio, settings.onset.level_db) if settings.onset.align == "detected" else 0
+    audio = trimming.shifted(audio, lead - onset)[: longest(settings)]
     if settings.trim.level_db is not None:
         audio = audio[: trimming.end(audio, max(1, round(settings.trim.block * settings.fs)), settings.trim.level_db)]
     if role in _CUTOFF:
@@ -261,7 +261,7 @@ def _write(task: tuple[_Job, int, float, float, Path, bool]) -> SoundFile:
     heard = samples / 2.0 ** (st.BITS[settings.subtype] - 1)
     if pictures:
         write_picture(folder / PICTURES / f"{code}.png", heard, settings.fs)
-    found = st.measured(heard, settings.fs)
+    measured = st.measured(heard, settings.fs)
     return SoundFile(
         code=code,
         group=job.group,
@@ -275,11 +275,11 @@ def _write(task: tuple[_Job, int, float, float, Path, bool]) -> SoundFile:
         frames=len(samples),
         gain_db=gain,
         page_drop_db=drop,
-        lufs=_finite(found.lufs),
-        momentary_lufs=_finite(found.momentary_lufs),
-        loudness_gated=found.gated,
-        peak_dbfs=_finite(found.peak_dbfs),
-        true_peak_dbtp=_finite(found.true_peak_dbtp),
+        lufs=_finite(measured.lufs),
+        momentary_lufs=_finite(measured.momentary_lufs),
+        loudness_gated=measured.gated,
+        peak_dbfs=_finite(measured.peak_dbfs),
+        true_peak_dbtp=_finite(measured.true_peak_dbtp),
         sha256=st.samples_sha256(samples),
     )
 

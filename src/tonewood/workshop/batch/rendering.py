@@ -293,4 +293,4 @@ def _numbers(values: Any, path: str, place: str = "") -> list[tuple[str, float]]
     if not isinstance(values, Mapping) or (first != "*" and first not in values):
         raise TonewoodError(f"there is no {first!r}", key=f"vary.{place}.{path}" if place else f"vary.{path}")
     names = list(values) if first == "*" else [first]
-    return [found for n in names for found in _numbers(values[n], rest, f"{place}.{n}" if place else n)]
+    return [number for n in names for number in _numbers(values[n], rest, f"{place}.{n}" if place else n)]

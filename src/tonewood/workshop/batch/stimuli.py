@@ -107,8 +107,8 @@ def level_gain_db(audio: Samples, fs: int, method: str, target_lufs: float, wind
     """
     if method == "none":
         return 0.0
-    found = loudest(audio, fs, window) if method == "loudest" else -math.inf
-    return target_lufs - found if math.isfinite(found) else matching_gain_db(audio, fs, target_lufs)
+    level = loudest(audio, fs, window) if method == "loudest" else -math.inf
+    return target_lufs - level if math.isfinite(level) else matching_gain_db(audio, fs, target_lufs)
 
 
 def page_drop_db(true_peaks_dbtp: list[float], limit_dbtp: float) -> float:

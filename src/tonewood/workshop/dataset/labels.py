@@ -23,10 +23,10 @@ _FACTS = ("stop", "onset_frame", "technique", "force", "from_bridge", "length", 
 
 def by_string(notes: Sequence[PlayedNote]) -> dict[str, list[PlayedNote]]:
     """Notes of each string, in time order."""
-    found: dict[str, list[PlayedNote]] = {}
+    notes_of: dict[str, list[PlayedNote]] = {}
     for note in notes:
-        found.setdefault(note.string, []).append(note)
-    return found
+        notes_of.setdefault(note.string, []).append(note)
+    return notes_of
 
 
 def jams(

@@ -81,8 +81,8 @@ class Parameter(Section):
     @property
     def range(self) -> Range | None:
         """Ends of a range."""
-        found = self.uniform or self.log_uniform
-        return None if found is None else (found[0], found[1])
+        limits = self.uniform or self.log_uniform
+        return None if limits is None else (limits[0], limits[1])
 
     def _check_notes(self, name: str) -> None:
         for value in self.values or self.range or ():

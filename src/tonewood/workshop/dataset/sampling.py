@@ -66,19 +66,19 @@ def sources(dataset: Dataset, folder: Path) -> dict[str, dict[str, Any]]:
 
     Raises ManifestError : a file or the folder cannot be read, or holds no MIDI files.
     """
-    found = {name: _source(name, score, folder) for name, score in dataset.scores.items()}
+    by_name = {name: _source(name, score, folder) for name, score in dataset.scores.items()}
     if dataset.folder is None:
-        return found
+        return by_name
     root = folder / dataset.folder
     files = sorted(p for p in root.rglob("*") if p.suffix.lower() in MIDI_SUFFIXES and p.is_file())
     if not files:
         raise ManifestError(f"{dataset.folder} holds no MIDI files ({', '.join(MIDI_SUFFIXES)})", key="folder")
     for path in files:
         name = path.relative_to(root).with_suffix("").as_posix()
-        if name in found:
+        if name in by_name:
             raise ManifestError(f"{dataset.folder}: two scores are called {name}", key="folder")
-        found[name] = _midi(path, "folder", {"start": 0.0, "stop": None, "channel_per_string": False})
-    return found
+        by_name[name] = _midi(path, "folder", {"start": 0.0, "stop": None, "channel_per_string": False})
+    return by_name
 
 
 def samples(dataset: Dataset, folder: Path) -> list[Sample]:

@@ -121,12 +121,12 @@ def played(renderer: Renderer, condition: Condition) -> tuple[PlayedNote, ...]:
         (play.string, play.time): play for play in performance.timeline.plays if play.string is not None
     }
     pitches = {string.name: string for string in playable(renderer.model, condition.render.capo)}
-    found = []
+    notes = []
     for assigned in performance.notes:
         stop = assigned.stop - condition.render.capo
         pitch = pitches[assigned.string].pitch_at(stop)
-        found.append(_label(renderer, assigned, gestures, pitch))
-    return tuple(sorted(found, key=lambda note: (note.onset, note.string)))
+        notes.append(_label(renderer, assigned, gestures, pitch))
+    return tuple(sorted(notes, key=lambda note: (note.onset, note.string)))
 
 
 def _label(

@@ -123,11 +123,11 @@ def pitch_offset(x: Floats, onset: int, freq: float) -> float:
         return float(over[at].sum() - np.maximum(over[between], 0).sum() - 2.0 * (8 - len(at)))
 
     cents = np.arange(-1900, 1901, 5)
-    found = np.array([score(freq * 2 ** (c / 1200)) for c in cents])
+    scores = np.array([score(freq * 2 ** (c / 1200)) for c in cents])
     near = np.abs(cents) <= _OFF
-    if found[near].max() >= 0.6 * found.max() and found[near].max() > 15.0:
-        return float(cents[near][np.argmax(found[near])])
-    return float(cents[np.argmax(found)]) if found.max() > 15.0 else np.nan
+    if scores[near].max() >= 0.6 * scores.max() and scores[near].max() > 15.0:
+        return float(cents[near][np.argmax(scores[near])])
+    return float(cents[np.argmax(scores)]) if scores.max() > 15.0 else np.nan
 
 
 def check_pitches(recordings: Iterable[Recording]) -> tuple[list[Recording], list[str]]:
@@ -158,7 +158,7 @@ def check_pitches(recordings: Iterable[Recording]) -> tuple[list[Recording], lis
 
 def _modulation(bands: Bands, partials: Iterable[NotePartial], f0: float) -> tuple[float, ...]:
     """Median, by band, of the rms of partials' envelopes about a parabola from 60 to 460 ms."""
-    found: list[list[float]] = [[] for _ in MODULATED]
+    values: list[list[float]] = [[] for _ in MODULATED]
     if bands.end < 0.55:
         return (np.nan,) * len(MODULATED)
     for partial in partials:
@@ -172,8 +172,8 @@ def _modulation(bands: Bands, partials: Iterable[NotePartial], f0: float) -> tup
             levels.append(db(np.abs(y[use]) ** 2))
         if np.median(levels[0]) - np.median(levels[1]) > 25:
             x = np.linspace(-1, 1, len(levels[0]))
-            found[of[0]].append(float(np.std(levels[0] - np.polyval(np.polyfit(x, levels[0], 2), x))))
-    return tuple(float(np.median(row)) if row else np.nan for row in found)
+            values[of[0]].append(float(np.std(levels[0] - np.polyval(np.polyfit(x, levels[0], 2), x))))
+    return tuple(float(np.median(row)) if row else np.nan for row in values)
 
 
 def _floor(x: Floats, onset: int, f0: float, b: float) -> tuple[float, ...]:

@@ -68,7 +68,7 @@ def body_modes(notes: Iterable[Sequence[Complexes | None]], open_strings: Sequen
             continue
         for k in range(_DRAWS):
             picked = range(len(own)) if k == 0 else rng.integers(0, len(own), len(own))
-            draws += [_kept(found, open_strings) for found in _found([own[j] for j in picked], limit)]
+            draws += [_kept(sample, open_strings) for sample in _found([own[j] for j in picked], limit)]
     pool = np.array([(i, *pole) for i, draw in enumerate(draws) for pole in draw]).reshape(-1, 3)
     modes: list[HeardMode] = []
     while len(pool):

@@ -232,11 +232,11 @@ def _tested(
         {name: tuple(rows[i] for i in fitted) for name, rows in begun.analyses.items()},
     )
     figures = search.fit([notes[i] for i in fitted], [recorded[i] for i in fitted], start, iterations)
-    found = search.render(figures, [notes[i] for i in rest])
+    sounds = search.render(figures, [notes[i] for i in rest])
     target = [recorded[i] for i in rest]
     return Half(
         fitted, rest, distance(zip(target, (begun.main[i] for i in rest), strict=True)),
-        distance(zip(target, found.main, strict=True)), dict(zip(rest, found.sounds, strict=True)),
+        distance(zip(target, sounds.main, strict=True)), dict(zip(rest, sounds.sounds, strict=True)),
         {i: begun.sounds[i] for i in rest},
     )  # fmt: skip
 
@@ -293,5 +293,5 @@ def _room(
 def _louder(
     notes: Sequence[Played], recorded: Sequence[NoteAnalysis], final: Sequence[NoteAnalysis]
 ) -> tuple[pluck.Louder, pluck.Louder] | None:
-    found = pluck.louder(notes, recorded), pluck.louder(notes, final)
-    return None if found[0] is None or found[1] is None else (found[0], found[1])
+    ratios = pluck.louder(notes, recorded), pluck.louder(notes, final)
+    return None if ratios[0] is None or ratios[1] is None else (ratios[0], ratios[1])

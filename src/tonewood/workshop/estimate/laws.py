@@ -198,20 +198,20 @@ class Interval:
 
 def bootstrap(rates: DecayRates, law: LinearLoss, rng: np.random.Generator, draws: int = 40) -> Interval:
     """Draw notes, and partials of them, with replacement, and fit each draw."""
-    found, at_bridge, stated = [], [], []
+    slopes, at_bridge, stated = [], [], []
     ids = np.unique(rates.note)
     members = [np.flatnonzero(rates.note == i) for i in ids]
     for _ in range(draws):
         picked = [members[i] for i in rng.integers(0, len(ids), len(ids))]
         at = np.concatenate([rng.choice(own, len(own)) for own in picked])
         values, bridge = fit_law(rates.taken(at), law)
-        found.append(values)
+        slopes.append(values)
         at_bridge.append(bridge)
         stated.append(law.rate(STATED, values))
     low_high = [5.0, 95.0]
     return Interval(
-        np.percentile(stated, low_high, axis=0), np.percentile(found, low_high, axis=0),
-        np.percentile(at_bridge, low_high), _rank_correlations(np.column_stack([found, at_bridge])),
+        np.percentile(stated, low_high, axis=0), np.percentile(slopes, low_high, axis=0),
+        np.percentile(at_bridge, low_high), _rank_correlations(np.column_stack([slopes, at_bridge])),
     )  # fmt: skip
 
 

@@ -216,8 +216,8 @@ def _modes(y: Complexes, t: Floats) -> tuple[float, tuple[Mode, ...]] | None:
         a = lstsq(basis, y)[0]
         misfit = float(db(np.mean(np.abs(y - basis @ a) ** 2) / np.mean(np.abs(y) ** 2)))
         if best is None or misfit < best[0] - 5:
-            found = [Mode(float(p.imag / 2 / np.pi), float(-p.real), float(abs(q))) for p, q in zip(s, a, strict=True)]
-            best = (misfit, tuple(sorted(found, key=lambda m: -m.amplitude)))
+            modes = [Mode(float(p.imag / 2 / np.pi), float(-p.real), float(abs(q))) for p, q in zip(s, a, strict=True)]
+            best = (misfit, tuple(sorted(modes, key=lambda m: -m.amplitude)))
     return best
 
 
@@ -240,11 +240,11 @@ def measure_partial(bands: Bands, number: int, freq: float, f0: float) -> NotePa
     y, t, level = y[:end], t[:end], level[:end]
     top = int(np.argmax(level[: max(3, end // 4)]))
     late, early = (_rate(t, level, top, fall) for fall in (LATE, EARLY))
-    found = _modes(y, t)
-    if found is None or not np.isfinite(late):
+    modes = _modes(y, t)
+    if modes is None or not np.isfinite(late):
         return None
     fell = float(level[top] - level[-1])
-    return NotePartial(number, float(freq), float(level[top]), late, early, fell, found[1], found[0], noise)
+    return NotePartial(number, float(freq), float(level[top]), late, early, fell, modes[1], modes[0], noise)
 
 
 def _rate(t: Floats, level: Floats, top: int, fall: float) -> float:

@@ -61,19 +61,19 @@ def places(
 
     Notes whose place was told are left out.
     """
-    found = []
+    positions = []
     for played, rec, syn in zip(notes, recorded, rendered, strict=True):
         pair = [place_of(a, played.length, longest) for a in (rec, syn)]
         if np.isfinite(pair).all() and played.recording.place is None:
-            found.append(pair)
-    if len(found) < 3:
+            positions.append(pair)
+    if len(positions) < 3:
         return None
-    table = np.array(found)
+    table = np.array(positions)
     # of the recorded combs that are mistaken for another one, most are far off: a median of differences is robust
     shift = float(np.median(table[:, 0] - table[:, 1]))
     middle = float(np.median(table[:, 1]))
     scatter = float(1.4826 * np.median(np.abs(table[:, 0] - np.median(table[:, 0]))))
-    return PluckPlaces(middle + shift, middle, scatter, len(found))
+    return PluckPlaces(middle + shift, middle, scatter, len(positions))
 
 
 @dataclass(frozen=True)

@@ -120,10 +120,10 @@ def note_of_name(stem: str) -> int | None:
     """Return the MIDI number that a file's name tells: a number alone, or the first note name in it; None without."""
     if re.fullmatch(r"\d{1,3}", stem):
         return int(stem)
-    found = _NOTE.search(stem)
-    if found is None:
+    match = _NOTE.search(stem)
+    if match is None:
         return None
-    letter, sign, octave = found.groups()
+    letter, sign, octave = match.groups()
     return _SEMITONES[letter.upper()] + _SIGNS.get(sign or "", 0) + 12 * (int(octave) + 1)
 
 
@@ -133,8 +133,8 @@ def dynamic_of(text: str) -> float | None:
     for word in sorted(words, key=len):  # `piano` may be the instrument: pp, mf come first
         if word in DYNAMICS:
             return float(DYNAMICS[word])
-        if (found := re.fullmatch(r"(?:v|vel|velocity)(\d{1,3})", word)) and 1 <= int(found[1]) <= 127:
-            return float(found[1])
+        if (match := re.fullmatch(r"(?:v|vel|velocity)(\d{1,3})", word)) and 1 <= int(match[1]) <= 127:
+            return float(match[1])
     return None
 
 

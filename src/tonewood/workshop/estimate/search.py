@@ -56,13 +56,13 @@ def rendered(
 ) -> RenderedNotes:
     """Render notes and analyse them as the recorded ones are, with the same end of the band."""
     sounds = render_notes(instrument, notes, outputs, advance)
-    found: dict[str, list[NoteAnalysis]] = {name: [] for name in outputs}
+    analyses: dict[str, list[NoteAnalysis]] = {name: [] for name in outputs}
     for played, by_output in zip(notes, sounds, strict=True):
         for name, x in by_output.items():
-            found[name].append(analyse(x, played.recording.freq, played.b, played.recording.freq_upper))
+            analyses[name].append(analyse(x, played.recording.freq, played.b, played.recording.freq_upper))
         advance(0.0)
     first = next(iter(outputs))
-    return RenderedNotes(tuple(row[first] for row in sounds), {name: tuple(rows) for name, rows in found.items()})
+    return RenderedNotes(tuple(row[first] for row in sounds), {name: tuple(rows) for name, rows in analyses.items()})
 
 
 class Search:
@@ -195,10 +195,10 @@ class Search:
         if figures.place is None:
             return None
         longest = max(played.length for played in notes)
-        found = pluck.places(notes, recorded, now, _FARTHEST * longest)
-        if found is None:
+        positions = pluck.places(notes, recorded, now, _FARTHEST * longest)
+        if positions is None:
             return figures.place
-        step = float(np.clip(found.moved, -_MOST_PLACE, _MOST_PLACE))
+        step = float(np.clip(positions.moved, -_MOST_PLACE, _MOST_PLACE))
         if in_fractions(self.stage.instrument):
             step /= float(np.median([played.length for played in notes]))
             return float(np.clip(figures.place + step, 0.02, 0.5))

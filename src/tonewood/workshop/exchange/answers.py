@@ -297,18 +297,18 @@ def _record(test: ListeningTest, one: _Given, index: int) -> dict[str, Any]:
     """A record as the files of this test have them."""
     page, answer = test.pages[one.page], {"seconds": one.seconds}
     slots: dict[str, str] = one.slots
-    found: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     if isinstance(page, PairPage):
-        found = {"choice": one.choice}
+        fields = {"choice": one.choice}
     elif isinstance(page, RatingPage):
         slots = {"A": one.trial.stimuli[0]}
-        found = {"values": {item: value for (_, item), value in one.ratings.items()}}
+        fields = {"values": {item: value for (_, item), value in one.ratings.items()}}
     else:
         codes = [code for code, _ in one.ratings]
         slots = {OPEN: one.trial.reference or "", **{LETTERS[i]: code for i, code in enumerate(codes)}}
-        found = {"ratings": {LETTERS[i]: one.ratings[code, ""] for i, code in enumerate(codes)}}
+        fields = {"ratings": {LETTERS[i]: one.ratings[code, ""] for i, code in enumerate(codes)}}
     record = {
         "index": index, "page": one.page + 1, "type": page.type, "trial": one.trial.id, "training": False,
-        "repetition": one.repetition, "slots": slots, "answer": {**answer, **found},
+        "repetition": one.repetition, "slots": slots, "answer": {**answer, **fields},
     }  # fmt: skip
     return record if one.right is None else {**record, "right": one.right}

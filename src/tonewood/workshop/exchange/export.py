@@ -34,9 +34,9 @@ def export(folder: Path, programs: Sequence[str]) -> list[Exported]:
 
     check_programs(programs)
     test = load_test(folder)
-    found = []
+    files = []
     for name in dict.fromkeys(programs):
         place = folder / FOLDER / name
         shutil.rmtree(place, ignore_errors=True)
-        found.append(PROGRAMS[name](test, place))
-    return found
+        files.append(PROGRAMS[name](test, place))
+    return files

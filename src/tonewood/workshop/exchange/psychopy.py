@@ -86,12 +86,12 @@ def _rows(test: ListeningTest, row: dict[str, Any], lengths: dict[str, float]) -
 
 def _sequence(codes: list[str], lengths: dict[str, float]) -> dict[str, Any]:
     """Files of sounds that follow each other, with their beginnings, and the end of the last."""
-    found: dict[str, Any] = {}
+    row: dict[str, Any] = {}
     time = _PAUSE
     for i, code in enumerate(codes, start=1):
-        found |= {f"sound{i}": f"stimuli/{code}.wav", f"start{i}": round(time, 3)}
+        row |= {f"sound{i}": f"stimuli/{code}.wav", f"start{i}": round(time, 3)}
         time += lengths[code] + _PAUSE
-    return {**found, "ends": round(time - _PAUSE, 3)}
+    return {**row, "ends": round(time - _PAUSE, 3)}
 
 
 def _experiment(test: ListeningTest, rows: list[dict[str, Any]]) -> ET.Element:

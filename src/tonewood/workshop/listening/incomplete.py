@@ -207,5 +207,5 @@ def _levels(there: NDArray[np.bool_], data: Floats) -> Floats:
     normal[..., at, at], normal[..., also, also] = count.sum(axis=-1), count.sum(axis=-2)
     normal[..., :n, n:], normal[..., n:, :n] = count, np.swapaxes(count, -1, -2)
     sums = np.concatenate([data.sum(axis=(-3, -2)), data.sum(axis=(-4, -2))], axis=-2)
-    found = np.linalg.solve(normal + np.eye(n + m) / _LEVELS, sums)
-    return np.asarray(found[..., :n, None, None, :] + found[..., None, n:, None, :])
+    solution = np.linalg.solve(normal + np.eye(n + m) / _LEVELS, sums)
+    return np.asarray(solution[..., :n, None, None, :] + solution[..., None, n:, None, :])

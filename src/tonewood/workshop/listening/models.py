@@ -275,15 +275,15 @@ def rank_analysis(rows: Rows, factors: Sequence[str], confidence: float = 0.95) 
             continue
         table = np.array([[m[w] for m in means] for w in who])
         if len(levels) > 2 and np.any(np.ptp(table, axis=1) > 0):
-            found = friedmanchisquare(*table.T)
-            w = float(found.statistic) / (len(who) * (len(levels) - 1))
+            test = friedmanchisquare(*table.T)
+            w = float(test.statistic) / (len(who) * (len(levels) - 1))
             tests.append(
                 FactorTest(
                     factor,
                     "Friedman chi^2",
-                    float(found.statistic),
+                    float(test.statistic),
                     len(levels) - 1,
-                    float(found.pvalue),
+                    float(test.pvalue),
                     w,
                     "Kendall's W",
                 )
@@ -300,7 +300,7 @@ def rank_analysis(rows: Rows, factors: Sequence[str], confidence: float = 0.95) 
 
 def superiorities(rows: Rows, factors: Sequence[str], confidence: float) -> list[Superiority]:
     """Shares of preference of each pair of levels."""
-    found = []
+    comparisons = []
     for factor in factors:
         own: dict[tuple[str, ...], dict[str, list[float]]] = {}
         for row in rows:
@@ -317,8 +317,8 @@ def superiorities(rows: Rows, factors: Sequence[str], confidence: float) -> list
                 each = np.array([np.mean(s) for s in shares.values()])
                 pairs.append((a, b, len(each), *share_interval(each, confidence)))
         adjusted = strata.holm(np.array([pair[-1] for pair in pairs]))
-        found += [Superiority(factor, *pair, float(p)) for pair, p in zip(pairs, adjusted, strict=True)]
-    return found
+        comparisons += [Superiority(factor, *pair, float(p)) for pair, p in zip(pairs, adjusted, strict=True)]
+    return comparisons
 
 
 def share_interval(shares: Floats, confidence: float) -> tuple[float, float, float, float]:

@@ -59,11 +59,11 @@ class RenderedPairs:
     def __init__(self, test: ListeningTest, renderer: StimulusRenderer):
         self.test, self.renderer = test, renderer
         self.conditions: dict[int, Condition] = {}
-        found: tuple[Condition, ...] | None = None
+        conditions: tuple[Condition, ...] | None = None
         for index, page in enumerate(test.manifest.pages):
             if isinstance(page, StaircasePage):
-                found = found or expand(test.manifest, test.source)
-                self.conditions[index] = changed_condition(test.manifest, found, index)
+                conditions = conditions or expand(test.manifest, test.source)
+                self.conditions[index] = changed_condition(test.manifest, conditions, index)
         self._store = Store(test.folder / WORK)
         self._room = None if test.manifest.stimuli.room is None else test.source / test.manifest.stimuli.room
         if self._room is not None and test.room_sha256 and room_sha256(self._room) != test.room_sha256:

@@ -102,7 +102,7 @@ def simulate(test: ListeningTest, panel: SimulatedPanel, listeners: int, seed: i
     """
     key = read_key(test.folder / test.manifest.output.key)
     _check(panel, test)
-    found = []
+    answers = []
     for k in range(listeners):
         random = generator(seed, "simulated listener", test.manifest.name, k)
         opened = begin(
@@ -112,8 +112,8 @@ def simulate(test: ListeningTest, panel: SimulatedPanel, listeners: int, seed: i
         listener = _Listener(panel, key, test, random)
         while opened.session.step is not None:
             opened.answer(listener.answer(opened.session), now=_now())
-        found.append(opened.path)
-    return found
+        answers.append(opened.path)
+    return answers
 
 
 class _Listener:

@@ -72,15 +72,15 @@ def pooled_same_different(hits: Counts, different: Counts, alarms: Counts, same:
     most = logs.max(axis=(1, 2), keepdims=True)
     like = np.exp(logs - most)
     weights, _ = _population()
-    best, found = -np.inf, like.sum(axis=2)
+    best, estimate = -np.inf, like.sum(axis=2)
     for centre in np.linspace(0.4, 4.0, 13):
         for spread in (0.05, 0.2, 0.4, 0.7, 1.1):
             law = np.exp(-(((k - centre) / spread) ** 2) / 2)
             own = like @ (law / law.sum())
             value = float(np.max(np.sum(np.log(own @ weights.T + 1e-300), axis=0)))
             if value > best:
-                best, found = value, own
-    return _estimate(np.log(found + 1e-300), confidence)
+                best, estimate = value, own
+    return _estimate(np.log(estimate + 1e-300), confidence)
 
 
 def _estimate(logs: Floats, confidence: float) -> Pooled:

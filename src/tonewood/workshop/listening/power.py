@@ -152,9 +152,9 @@ def _rated(
         sound_sd = page.expect_sound_sd or sd
         covariance, sampled = stated_spread(sd, sound_sd, sounds, k)
         text += f", {sounds} random sounds with sd {sound_sd:g}"
-    found = None if own is None else _pilot_means(own.everybody or own, reference, manifest.random)
+    pilot_means = None if own is None else _pilot_means(own.everybody or own, reference, manifest.random)
     out = set() if own is None else {one.listener for one in own.screened}
-    pilot, who = (None, []) if found is None else found
+    pilot, who = (None, []) if pilot_means is None else pilot_means
     kept = np.array([name not in out for name in who])
     people = None
     if isinstance(page, MushraPage) and pilot is None:
@@ -229,8 +229,8 @@ def _graded(manifest: Manifest, page: RatingPage, number: int, name: str, own: P
     effect, sd = page.expect or 0.1 * width, page.expect_sd or 0.15 * width
     effects, sounds = np.zeros(k), math.prod(len(x) for x in manifest.choices().values())
     spread = f"sd {sd:g}"
-    found = None if own is None else _pilot_means(own, {}, ())
-    pilot = None if found is None else found[0]
+    pilot_means = None if own is None else _pilot_means(own, {}, ())
+    pilot = None if pilot_means is None else pilot_means[0]
     if pilot is not None:
         k = pilot.shape[2]
         means = pilot.mean(axis=(0, 1))

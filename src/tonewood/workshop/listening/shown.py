@@ -47,7 +47,7 @@ def shown(test: ListeningTest, session: Session, language: str, listener: str = 
     kind = kind_of_texts(page)
     content = [paragraph for part in (manifest_page, page) if (paragraph := text(part.content))]
     default = words.get(f"{kind}_text", "")
-    found: dict[str, Any] = {
+    view: dict[str, Any] = {
         "type": page.type,
         "index": step.index,
         "progress": step.index / max(session.total, 1),
@@ -67,7 +67,7 @@ def shown(test: ListeningTest, session: Session, language: str, listener: str = 
         "waveform": bool(getattr(page, "waveform", False)),
         "last": page.type == "finish",
     }
-    return found | _details(test, page, step, text, words)
+    return view | _details(test, page, step, text, words)
 
 
 def _back(test: ListeningTest, session: Session, listener: str, own: str) -> dict[str, Any]:

@@ -85,7 +85,7 @@ def rating_power(
     rows = strata.contrasts([(name,) for name in names], {"factor": names}).differences["factor",]
     random = np.random.default_rng([seed, listeners])
     most = max(1, 4_000_000 // (listeners * k * (1 if sampled is None else sampled.count)))
-    count, found = max(200, min(EXPERIMENTS, most)), np.zeros(k - 1)
+    count, detected = max(200, min(EXPERIMENTS, most)), np.zeros(k - 1)
     for begin in range(0, count, most):
         n = min(most, count - begin)
         if sampled is None:
@@ -95,8 +95,8 @@ def rating_power(
             y = y + _draws(random, sampled.sounds, n, 1, sampled.count)
             y = y + _draws(random, sampled.pairs, n, listeners, sampled.count)
         p = strata.estimated(y, rows, 1 - alpha, sounds=sampled is not None).p_value
-        found += (strata.holm(p) < alpha).sum(axis=0)
-    return found / count
+        detected += (strata.holm(p) < alpha).sum(axis=0)
+    return detected / count
 
 
 def screened_found(y: Floats, kept: NDArray[np.bool_], alpha: float, *, sounds: bool = False) -> NDArray[np.bool_]:
@@ -106,18 +106,18 @@ def screened_found(y: Floats, kept: NDArray[np.bool_], alpha: float, *, sounds: 
     kept : (experiments, listeners) whether the screening keeps them; fewer than three are not analysed.
     alpha : of the tests.
     sounds : whether `y` has the axis of sounds, a random sample.
-    Returns found : (experiments, levels - 1).
+    Returns detected : (experiments, levels - 1).
     """
     names = [str(i) for i in range(y.shape[-1])]
     rows = strata.contrasts([(name,) for name in names], {"factor": names}).differences["factor",]
-    found = np.zeros((len(y), len(rows)), dtype=bool)
+    detected = np.zeros((len(y), len(rows)), dtype=bool)
     counts = kept.sum(axis=1)
     whole = _differs(y, rows, alpha, sounds)
     for count in np.unique(counts[counts > 2]):
         own = counts == count
         rest = y[own][kept[own]].reshape(np.sum(own), count, *y.shape[2:])
-        found[own] = whole[own] & (_differs(rest, rows, alpha, sounds) if count < y.shape[1] else True)
-    return found
+        detected[own] = whole[own] & (_differs(rest, rows, alpha, sounds) if count < y.shape[1] else True)
+    return detected
 
 
 def _differs(y: Floats, rows: Floats, alpha: float, sounds: bool) -> NDArray[np.bool_]:
@@ -150,13 +150,13 @@ def screened_power(
     apart = np.var(own[:, 1:] - own[:, :1], axis=0).sum()
     single = (np.diag(sampled.pairs)[1:] + sampled.pairs[0, 0] - 2 * sampled.pairs[0, 1:]).sum() / sampled.count
     own = own * math.sqrt(max(1 - single / apart, 0.0)) if apart > 0 else own
-    found = []
+    powers = []
     for size in _batches(listeners * sampled.count * len(effects)):
         drawn = random.integers(n, size=(size, listeners))
         y = effects + own[drawn][:, :, None] + _draws(random, sampled.sounds, size, 1, sampled.count)
         y = y + _draws(random, sampled.pairs, size, listeners, sampled.count)
-        found.append(screened_found(y, kept[drawn], alpha, sounds=True))
-    return np.asarray(np.concatenate(found).mean(axis=0))
+        powers.append(screened_found(y, kept[drawn], alpha, sounds=True))
+    return np.asarray(np.concatenate(powers).mean(axis=0))
 
 
 def _batches(size: int) -> list[int]:
@@ -247,12 +247,12 @@ def mushra_power(people: MushraListeners, listeners: int, alpha: float, seed: in
     listeners, alpha, seed : as for `rating_power`.
     Returns shares : (levels - 1,) found with all listeners and with those who are kept.
     """
-    random, found = np.random.default_rng([seed, listeners]), []
+    random, detected = np.random.default_rng([seed, listeners]), []
     for size in _batches(listeners * people.sounds * people.trials * people.cells * len(people.effects)):
         y, kept = people.drawn(random, size, listeners)
         sampled = people.sounds > 1
-        found.append(screened_found(y if sampled else y[:, :, 0], kept, alpha, sounds=sampled))
-    return np.asarray(np.concatenate(found).mean(axis=0))
+        detected.append(screened_found(y if sampled else y[:, :, 0], kept, alpha, sounds=sampled))
+    return np.asarray(np.concatenate(detected).mean(axis=0))
 
 
 def ordinal_power(
@@ -275,15 +275,15 @@ def ordinal_power(
     """
     k, random = len(effects), np.random.default_rng([seed, listeners])
     most = max(1, 2_000_000 // (listeners * k * cells))
-    count, found = max(200, min(EXPERIMENTS, 4 * most)), np.zeros(k - 1)
+    count, detected = max(200, min(EXPERIMENTS, 4 * most)), np.zeros(k - 1)
     for begin in range(0, count, most):
         n = min(most, count - begin)
         y = sum(ends) / 2 + np.asarray(effects) + random.normal(0, sd / 2, (n, listeners, 1, k))
         y = np.clip(y + random.normal(0, sd / 2 * math.sqrt(cells), (n, listeners, cells, k)), *ends)
         pairs = [np.sign(y[..., j] - y[..., i]).mean(axis=-1) for i, j in itertools.combinations(range(k), 2)]
         p = share_test(0.5 + 0.5 * np.stack(pairs, axis=1))
-        found += (strata.holm(p) < alpha)[:, : k - 1].sum(axis=0)
-    return found / count
+        detected += (strata.holm(p) < alpha)[:, : k - 1].sum(axis=0)
+    return detected / count
 
 
 def stated_spread(sd: float, sound_sd: float, sounds: int, levels: int) -> tuple[Floats, SoundSpread]:

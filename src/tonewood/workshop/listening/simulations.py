@@ -243,12 +243,12 @@ def odds_rates(random: np.random.Generator, experiments: int, listeners: int, cu
             strata.trace_test(eta @ basis, basis.T @ v @ basis, listeners - 1.0).p_value < 0.05
             for basis in (contrasts.bases["factor",], contrasts.bases["factor", "sound"])
         )
-        found = difference(eta, v).p_value < 0.05
+        factor = difference(eta, v).p_value < 0.05
         eta, v, also = clustered(graded(random, n, listeners, cuts, 1.0), x)
         one = difference(eta, v)
         covered = also & (one.low <= true) & (true <= one.high)
         parts.append(
-            [main | ~done, found | ~done, cross | ~done, covered, one.difference / true - 1, (~done + 0.0 + ~also) / 2]
+            [main | ~done, factor | ~done, cross | ~done, covered, one.difference / true - 1, (~done + 0.0 + ~also) / 2]
         )
     return tuple(float(np.mean(np.concatenate(x))) for x in zip(*parts, strict=True))
 
@@ -275,10 +275,10 @@ def choice_rates(
 
     rows = []
     for _ in range(experiments):
-        found = scale(np.zeros(3), sd)
-        best = max(found, key=lambda one: one.value)
+        choices = scale(np.zeros(3), sd)
+        best = max(choices, key=lambda one: one.value)
         last = scale(np.array([-0.4, -0.4, 0.8]), 0.0)[2]
-        rows.append((any(one.high < best.low for one in found), last.low <= 0.8 <= last.high))
+        rows.append((any(one.high < best.low for one in choices), last.low <= 0.8 <= last.high))
     alarms, covered = (float(x) for x in np.mean(np.array(rows, dtype=np.float64), axis=0))
     return alarms, covered
 
@@ -325,7 +325,7 @@ def trials(
                 at = table.best(posterior)
         back = np.exp(levels) if page.ratio else levels
         return list(back.reshape(n, -1)), list(rights.reshape(n, -1))
-    found, answers = [], []
+    estimates, answers = [], []
     for t, b in zip(thresholds, slopes, strict=True):
         own: list[float] = []
         right_of: list[bool] = []
@@ -335,9 +335,9 @@ def trials(
                 p = float(psychometric(page.transformed(track.level), t, b, guess, page.share, lapses))
                 track.answer(bool(random.random() < p))
             own, right_of = own + track.levels, right_of + track.right
-        found.append(np.array(own))
+        estimates.append(np.array(own))
         answers.append(np.array(right_of))
-    return found, answers
+    return estimates, answers
 
 
 @dataclass(frozen=True)
@@ -428,13 +428,13 @@ def power_had_by_sounds(
     sound_sd : standard deviation of the sounds' differences.
     """
     rows = strata.contrasts([("a",), ("b",)], {"factor": ["a", "b"]}).differences["factor",]
-    found = 0.0
+    detected = 0.0
     for _ in range(experiments):
         y = np.array([50.0, 50.0 + shift]) + random.normal(0, sd / 2, (listeners, 1, 2))
         y = y + random.normal(0, sound_sd / np.sqrt(2), (1, sounds, 2)) + random.normal(0, 6, (listeners, 1, 1))
         y = y + random.normal(0, sd / 2 * np.sqrt(sounds), (listeners, sounds, 2))
-        found += float(strata.estimated(y, rows, 0.95, sounds=True).p_value[0] < 0.05)
-    return found / experiments
+        detected += float(strata.estimated(y, rows, 0.95, sounds=True).p_value[0] < 0.05)
+    return detected / experiments
 
 
 def power_had_by_shares(
@@ -446,7 +446,7 @@ def power_had_by_shares(
     shift : points by which the second of three levels is higher; the scale cuts answers off.
     sd : standard deviation of listeners' differences, half of whose variance is that of single answers, to six sounds.
     """
-    found = 0
+    detected = 0
     for _ in range(experiments):
         own = random.normal(3.0, sd / 2, (listeners, 1, 3)) + np.array([0.0, shift, 0.0])
         y = np.clip(own + random.normal(0, sd / 2 * np.sqrt(6), (listeners, 6, 3)), 1, 5)
@@ -454,8 +454,8 @@ def power_had_by_shares(
             {"listener": str(i), "sound": str(j), "factor": _FACTOR[k], "value": float(v)}
             for (i, j, k), v in np.ndenumerate(y)
         ]
-        found += superiorities(rows, ["factor", "sound"], 0.95)[0].p_holm < 0.05
-    return found / experiments
+        detected += superiorities(rows, ["factor", "sound"], 0.95)[0].p_holm < 0.05
+    return detected / experiments
 
 
 def excluded(

@@ -119,7 +119,7 @@ def thresholds(rows: Sequence[Mapping[str, Any]], page: StaircasePage, unit: str
         counts.append(len(own))
     fit = grid.fit(np.array(tables), confidence)
     error = _error_of_reversals(page, fit) if any(x is not None for x in reversals) else None
-    found = [
+    estimates = [
         ListenerThreshold(
             name, counts[i], page.tracks, None if (r := reversals[i]) is None else page.level_of(r - (error or 0.0)),
             page.level_of(fit.listeners[i]), grid.bound(fit.intervals[i, 0]), grid.bound(fit.intervals[i, 1]),
@@ -128,10 +128,10 @@ def thresholds(rows: Sequence[Mapping[str, Any]], page: StaircasePage, unit: str
         )
         for i, name in enumerate(who)
     ]  # fmt: skip
-    middle = float(np.median([one.threshold for one in found]))
+    middle = float(np.median([one.threshold for one in estimates]))
     low, high = (grid.bound(x) if len(who) > 1 else None for x in fit.interval)
     return Thresholds(
-        unit, page.share, tuple(found), page.level_of(fit.mean), low, high, middle,
+        unit, page.share, tuple(estimates), page.level_of(fit.mean), low, high, middle,
         math.exp(fit.spread) if page.ratio else fit.spread, fit.slope,
         None if error is None else math.exp(error) if page.ratio else error,
     )  # fmt: skip
@@ -260,8 +260,8 @@ class ThresholdGrid:
         """Normal weights over the thresholds' grid that sum to 1, with the width of a step added."""
         step = self.u[1] - self.u[0]
         x = (self.u - np.asarray(mu)[..., None]) / np.sqrt(np.asarray(tau)[..., None] ** 2 + step**2 / 4)
-        found = np.exp(-0.5 * np.minimum(x**2, 1400.0))
-        return np.asarray(found / found.sum(axis=-1, keepdims=True))
+        density = np.exp(-0.5 * np.minimum(x**2, 1400.0))
+        return np.asarray(density / density.sum(axis=-1, keepdims=True))
 
     def _kernel(self, mu: Floats, tau: Floats) -> Floats:
         a, b = np.meshgrid(mu, tau, indexing="ij")
