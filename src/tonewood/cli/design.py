@@ -64,17 +64,18 @@ def design(
         check_folder(output)
     sets = [name.strip() for name in parameters.pop("strings", "").split(",") if name.strip()]
     if sets and strings is not None:
-        raise TonewoodError(f"stands beside --free strings={','.join(sets)}; one of the two is allowed", key="--strings")
-    bundles = [load(instrument, settings, allow_code, name) for name in sets or [strings]]
+        raise TonewoodError(
+            f"stands beside --free strings={','.join(sets)}; one of the two is allowed", key="--strings"
+        )
+    tried: list[str | None] = [*sets] or [strings]
+    bundles = [load(instrument, settings, allow_code, name) for name in tried]
     tasks = [
         (bundle, parse_targets(texts, bundle), parse_free(parameters, bundle) if parameters or not sets else [])
         for bundle in bundles
     ]
-    designs = [
-        find_design(*each, lambda line: print(f"design: {line}", file=sys.stderr, flush=True)) for each in tasks
-    ]
+    designs = [find_design(*each, lambda line: print(f"design: {line}", file=sys.stderr, flush=True)) for each in tasks]
     best = min(designs, key=lambda design: design.cost)
-    chosen = sets[designs.index(best)] if sets else strings
+    chosen = tried[designs.index(best)]
     if output is not None:
         write_design(best, output)
     if as_json:

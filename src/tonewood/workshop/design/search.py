@@ -63,7 +63,7 @@ class FoundDesign:
 
     @property
     def cost(self) -> tuple[float, float]:
-        """Sum of squares of the errors of missed targets in units of what is noticed, and of changes re their ranges."""
+        """Sums of squares: errors of missed targets re what is noticed, and changes re their ranges."""
         missed = [o / t.weight for t, o in zip(self.targets, self.off, strict=True) if abs(o) > t.tolerance]
         span = np.array([p.high - p.low for p in self.free])
         return float(np.square(missed).sum()), float(np.square((self.values - self.before) / span).sum())
