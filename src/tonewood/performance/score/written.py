@@ -228,6 +228,10 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
         part = music.parts[number - 1]
         about.append(ScorePart(number, part.name, (), {part.program: len(own)} if own else {}, part.n_drums))
     ignored.update(lost_jumps(music.measures, tablature=music.tablature))
+    for i in set(range(len(music.measures))) - set(played):
+        ignored["note in a measure that no pass reaches"] += sum(
+            len(music.parts[number - 1].measures[i]) for number in chosen if i < len(music.parts[number - 1].measures)
+        )
     warnings = list(music.warnings)
     if len(channels) > 16 and controls:
         warnings.append("more than 16 strings: bends of some are those of others, too; choose fewer --tracks")

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from tonewood.errors import TonewoodError, together
+from tonewood.support.text_files import json_value
 from tonewood.workshop.batch.conditions import Condition, expand
 from tonewood.workshop.batch.layout import Group
 from tonewood.workshop.batch.manifest import Manifest, ManifestError
@@ -214,7 +215,7 @@ def check_answers(folder: Path, manifest: Manifest, source: Path, groups: Sequen
         return
     planned = definition_of(manifest, groups, {s.code for g in groups for s in g.stimuli}, source, {})
     try:
-        old = json.loads((folder / FILE).read_bytes())
+        old = json_value((folder / FILE).read_bytes())
         drops = [row.pop("drop_db") for row in old["trials"]]
     except (OSError, ValueError, RecursionError, LookupError, TypeError, AttributeError):
         old, drops = None, []

@@ -17,6 +17,7 @@ from typing import Any
 
 from tonewood.errors import TonewoodError
 from tonewood.support.folder_lock import locked
+from tonewood.support.text_files import json_value
 from tonewood.support.whole_files import remove, write_whole
 from tonewood.workshop.batch.data_sheet import Subject, write_data_sheet
 from tonewood.workshop.batch.manifest import ManifestError
@@ -148,7 +149,7 @@ def _version() -> str:
 def _is_made(folder: Path, number: int, key: str) -> bool:
     """Whether a shard is there, whole and of this key, with no sound that failed."""
     try:
-        record = json.loads((folder / SHARDS / f"{shard_name(number)}.json").read_bytes())
+        record = json_value((folder / SHARDS / f"{shard_name(number)}.json").read_bytes())
         same = record["key"] == key and not record["failed"]
         return bool(same) and all(
             hashlib.sha256((folder / SHARDS / name).read_bytes()).hexdigest() == digest

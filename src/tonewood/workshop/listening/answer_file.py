@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from tonewood.errors import OutputError
+from tonewood.support.text_files import json_value
 from tonewood.support.whole_files import remove
 from tonewood.workshop.batch.definition import ANSWERS, count_answers
 from tonewood.workshop.batch.pages import TrialPage
@@ -135,7 +136,7 @@ def _parsed(path: Path, raw: bytes) -> ListenerAnswers:
 
 def _row(line: bytes) -> dict[str, Any]:
     try:
-        row = json.loads(line)
+        row = json_value(line)
         json.dumps(row, ensure_ascii=False).encode()  # half a surrogate pair can be escaped, but is no text
     except (ValueError, RecursionError) as fault:
         raise ListeningError(f"not JSON: {fault}") from None

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tonewood.errors import TonewoodError
+from tonewood.support.text_files import json_value
 from tonewood.workshop.batch.definition import FILE, SCHEMA
 from tonewood.workshop.batch.manifest import Manifest, check_manifest
 from tonewood.workshop.batch.pages import AnyPage, FinishPage, TrainingPage, localised
@@ -102,7 +103,7 @@ def load_test(folder: Path) -> ListeningTest:
     path = folder / FILE
     try:
         raw = path.read_bytes()
-        data: Any = json.loads(raw)
+        data: Any = json_value(raw)
     except OSError as fault:
         raise ListeningError(f"cannot be read: {fault.strerror}; `tonewood batch` writes it", file=path) from None
     except (ValueError, RecursionError) as fault:

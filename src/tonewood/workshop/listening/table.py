@@ -10,7 +10,6 @@ for a tie.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from pydantic_core import PydanticCustomError
 
 from tonewood.support.csv_text import csv_text
+from tonewood.support.text_files import json_value
 from tonewood.support.validation_messages import first_message
 from tonewood.support.whole_files import whole_file
 from tonewood.workshop.batch.pages import PairedPage
@@ -93,7 +93,7 @@ class AnswerTable:
 def read_key(path: Path) -> Key:
     """Read the key of a batch. Raises ListeningError : it cannot be read, or is no key."""
     try:
-        data = json.loads(path.read_bytes())
+        data = json_value(path.read_bytes())
     except OSError as fault:
         raise ListeningError(f"cannot be read: {fault.strerror}", file=path) from None
     except (ValueError, RecursionError) as fault:

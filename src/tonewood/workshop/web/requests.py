@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import re
 from typing import Any
 
@@ -11,6 +10,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 
 from tonewood.errors import TonewoodError
+from tonewood.support.text_files import json_value
 from tonewood.workshop.web.guard import SECONDS
 
 #: bytes of a request's body, and depth of its JSON
@@ -58,7 +58,7 @@ async def json_body(request: Request, error: type[TonewoodError] = TonewoodError
     except ClientDisconnect:
         raise RefusalError(400, "the connection broke off") from None
     try:
-        data = json.loads(bytes(raw) or b"{}")
+        data = json_value(bytes(raw) or b"{}")
     except (ValueError, RecursionError):
         raise error("no JSON") from None
     if not isinstance(data, dict):

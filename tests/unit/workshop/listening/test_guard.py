@@ -122,6 +122,7 @@ def test_json_alone_is_read(test: ListeningTest) -> None:
     body = json.dumps({"index": 0, "agreed": True}).encode()
     for kind in ("text/plain", "application/x-www-form-urlencoded", "multipart/form-data", "application/jsonp"):
         assert request(application, "POST", base, body, {"Content-Type": kind})[0] == 415
+    assert request(application, "POST", base, body[:-1] + b', "index": 1}')[0] == 400  # two values of one key
     assert json.loads(request(application, "GET", base)[2])["index"] == 0
     assert request(application, "POST", base, body, {"Content-Type": "Application/JSON; charset=utf-8"})[0] == 200
 
