@@ -96,7 +96,7 @@ def _sources(options: Mapping[str, Any]) -> Iterator[Path]:
         if name in _READ and isinstance(value, Path | str):
             yield Path(value)
         elif name == _INSTRUMENT and isinstance(value, Path | str) and "\0" not in str(value):
-            yield from Path(value).glob("*.*") if Path(value).is_dir() else ()
+            yield from Path(value).glob("*.*") if os.path.isdir(value) else ()
 
 
 def _is_file(name: Path | str) -> bool:

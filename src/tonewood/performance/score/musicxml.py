@@ -56,10 +56,8 @@ _NUMBERS = {
 _PROGRAM = "midi-instrument/midi-program"
 #: kinds of what is left out, from which on names of signs are left out, and characters of a name
 _MOST_UNKNOWN, _LONGEST_SIGN = 100, 40
-#: times that a measure is repeated, number of an ending, and of a line of a staff
-_MOST_TIMES, _MOST_ENDING, _MOST_LINES = 32, 9999, 1000
-#: parts, and numbers of one ending
-_MOST_PARTS, _MOST_NUMBERS = 2000, 100
+#: times that a measure is repeated, number of an ending and of a line of a staff, parts, numbers of one ending
+_MOST_TIMES, _MOST_ENDING, _MOST_LINES, _MOST_PARTS, _MOST_NUMBERS = 32, 9999, 1000, 2000, 100
 
 
 def read_musicxml(data: bytes, path: Path) -> WrittenMusic:
@@ -346,11 +344,9 @@ class _PartReader:
         if ending is not None and ending.get("type") == "start":
             words = ending.get("number", "1").replace(",", " ").split()
             numbers = [whole(n, 1, _MOST_ENDING) for n in words[:_MOST_NUMBERS]]
-            self.music.ignored["number of an ending that cannot be read"] += None in numbers or len(numbers) < len(
-                words
-            )
-            self.ending = frozenset(n for n in numbers if n is not None)
-            self.ending = self.ending or frozenset({1})
+            lost = None in numbers or len(numbers) < len(words)
+            self.music.ignored["number of an ending that cannot be read"] += lost
+            self.ending = frozenset(n for n in numbers if n is not None) or frozenset({1})
             measure.endings = self.ending
         if repeat is not None and repeat.get("direction") == "forward":
             measure.opens = True
