@@ -11,6 +11,8 @@ T60 is that of the partials in a band; the onset is the loudest 3 ms of a band r
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +21,7 @@ import tonewood as tw
 from tonewood.instrument.scales import note_name
 from tonewood.workshop.estimate.analysis import analyse
 from tonewood.workshop.estimate.partials import Bands
-from tonewood.workshop.estimate.recordings import FS
+from tonewood.workshop.estimate.recordings import FS, read_folder
 from tonewood.workshop.estimate.spectra import db, find_onset, power_spectrum, running_rms, share
 
 Floats = NDArray[np.float64]
@@ -96,10 +98,9 @@ def plucked(instrument: tw.Instrument, output: str | None, velocity: int) -> Non
     print(f"| {name} | {late:.0f} | {t60} | {onset_db:.0f} | {bright:.0f} | {np.std(levels):.1f} | {len(rows)} |")
 
 
-def piano(instrument: tw.Instrument, velocity: int) -> None:
-    """Print the figures of the keys `PIANO`."""
-    for note in PIANO:
-        x = played(instrument, note, None, velocity, None)
+def piano(sounds: Mapping[int, Floats]) -> None:
+    """Print the figures of notes of a piano, each from before its blow on."""
+    for note, x in sounds.items():
         f0 = 440 * 2 ** ((note - 69) / 12)
         onset, _ = find_onset(x, f0)
         found = analyse(x, f0, 4e-4)
@@ -149,20 +150,23 @@ def struck(instrument: tw.Instrument) -> None:
 def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("instruments", nargs="+")
+    parser.add_argument("instruments", nargs="*")
+    parser.add_argument("--sounds", type=Path, help="folder of recorded notes of a piano, measured likewise")
     parser.add_argument("--output", help="name of the output that is heard; the first where left out")
     parser.add_argument("--velocity", type=int, default=VELOCITY, help="of plucked instruments")
     parser.add_argument("--struck", action="store_true", help="look for strings that strike frets")
     given = parser.parse_args()
-    head = PIANO_HEAD if "grand_piano" in given.instruments else PLUCKED_HEAD
+    head = PIANO_HEAD if given.sounds or "grand_piano" in given.instruments else PLUCKED_HEAD
     if not given.struck:
         print(head + "\n|---" + "|---:" * (head.count("|") - 2) + "|")
+    if given.sounds:
+        piano({r.note: r.samples for r in read_folder(given.sounds).recordings if r.note in PIANO})
     for name in given.instruments:
         instrument = tw.load_instrument(name)
         if given.struck:
             struck(instrument)
         elif name == "grand_piano":
-            piano(instrument, 80)
+            piano({note: played(instrument, note, None, 80, None) for note in PIANO})
         else:
             plucked(instrument, given.output, given.velocity)
 
