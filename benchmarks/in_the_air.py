@@ -2,6 +2,8 @@
 
     python benchmarks/in_the_air.py steel_guitar twelve_string_guitar drawn_guitar_x     # some minutes
     python benchmarks/in_the_air.py grand_piano
+    python benchmarks/in_the_air.py --sounds FOLDER                                      # A2.ogg ... of a piano
+    python benchmarks/in_the_air.py --rise monochord classical_guitar
     python benchmarks/in_the_air.py --struck steel_guitar drawn_guitar_x electric_bass   # do strings strike frets?
 
 Plucked instruments are played by `--velocity` (100) in the lowest position, every third semitone; medians.
@@ -38,11 +40,19 @@ DURATION = 4.0
 PIANO = (45, 57, 69, 81, 93)
 
 
-def played(instrument: tw.Instrument, note: int, string: str | None, velocity: int, output: str | None) -> Floats:
+def played(
+    instrument: tw.Instrument,
+    note: int,
+    string: str | None,
+    velocity: int,
+    output: str | None,
+    preset: str = "dry",
+    seconds: float = DURATION,
+) -> Floats:
     """Sound of one note, mean of its channels, at `FS`."""
-    score = tw.Score([tw.Note(0.1, DURATION, note=note, string=string, velocity_midi=velocity)])
+    score = tw.Score([tw.Note(0.1, seconds, note=note, string=string, velocity_midi=velocity)])
     options = {"outputs": (output,)} if output else {}
-    sound = tw.render(score, instrument, max_duration=DURATION, fs=FS, **options)
+    sound = tw.render(score, instrument, max_duration=seconds, fs=FS, preset=preset, **options)
     return np.asarray(sound.samples, dtype=np.float64).mean(axis=1)
 
 
@@ -134,6 +144,20 @@ def piano(sounds: Mapping[int, Floats]) -> None:
         )
 
 
+def rises(instrument: tw.Instrument) -> None:
+    """Print the time from 20 dB below the first peak to it, ms: medians of notes, in two presets."""
+    places = [(n, None) for n in PIANO[1:4]] if instrument.name == "grand_piano" else lowest(instrument, 7)
+    places = places[:: max(1, len(places) // 3)][:3]
+    cells = []
+    for preset in ("dry", "studio"):
+        sounds = [
+            (played(instrument, n, s, VELOCITY, None, preset, 0.7), 440 * 2 ** ((n - 69) / 12)) for n, s in places
+        ]
+        found = [find_onset(x, f) for x, f in sounds]
+        cells.append(f"{np.median([1e3 * (top - onset) / FS for onset, top in found]):.1f}")
+    print(f"| `{instrument.name}` | {' | '.join(cells)} | {len(places)} |")
+
+
 def struck(instrument: tw.Instrument) -> None:
     """Print notes of velocity `STRUCK` whose sound differs from that of the same strings with no fret in reach."""
     far = instrument.replace({"connections.frets.action_first": 0.02, "connections.frets.action_twelfth": 0.03})
@@ -154,9 +178,12 @@ def main() -> None:
     parser.add_argument("--sounds", type=Path, help="folder of recorded notes of a piano, measured likewise")
     parser.add_argument("--output", help="name of the output that is heard; the first where left out")
     parser.add_argument("--velocity", type=int, default=VELOCITY, help="of plucked instruments")
+    parser.add_argument("--rise", action="store_true", help="times of the rise in the presets dry and studio")
     parser.add_argument("--struck", action="store_true", help="look for strings that strike frets")
     given = parser.parse_args()
     head = PIANO_HEAD if given.sounds or "grand_piano" in given.instruments else PLUCKED_HEAD
+    if given.rise:
+        head = "| instrument | rise dry, ms | studio, ms | notes |"
     if not given.struck:
         print(head + "\n|---" + "|---:" * (head.count("|") - 2) + "|")
     if given.sounds:
@@ -165,6 +192,8 @@ def main() -> None:
         instrument = tw.load_instrument(name)
         if given.struck:
             struck(instrument)
+        elif given.rise:
+            rises(instrument)
         elif name == "grand_piano":
             piano({note: played(instrument, note, None, 80, None) for note in PIANO})
         else:

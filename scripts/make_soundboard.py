@@ -3,8 +3,8 @@
     python scripts/make_soundboard.py instruments/grand_piano     # one to two minutes
     python scripts/make_soundboard.py                             # mobility at the bridges alone, printed
 
-Up to `LIMIT` the modes are those of a drawing: a clamped spruce plate with 16 ribs below and two bridges on it, solved as
-`drawn_body` is. Above, waves run between ribs, and the modes are too many for a drawing. Their density and loss are
+Up to `LIMIT` the modes are those of a drawing: a clamped spruce plate with 16 ribs below and two bridges on it, solved
+as `drawn_body` is. Above, waves run between ribs, and the modes are too many for a drawing. Their density and loss are
 published statistics. Their modal mass m follows from the mean mobility of a plate (Skudrzyk), Y = n(f) / (4 m): at the
 limit Y is the drawing's, and above it falls as that of a beam, the bridge, f^-1/2 (Cremer, Heckl and Petersson,
 Structure-borne sound). Shapes are straight between knots along each bridge.
@@ -19,6 +19,7 @@ from __future__ import annotations
 import csv
 import sys
 import tempfile
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -104,7 +105,7 @@ def drawing() -> dict[str, Any]:
         height = [RIB_END, *[RIB_HEIGHT] * middle, RIB_END]
         beams[f"rib_{k + 1}"] = {"start": start, "stop": stop, "width": RIB_WIDTH, "height": height, "wood": RIB_WOOD}
     for name, path in (("bass", BASS), ("treble", TREBLE)):
-        for k, (start, stop) in enumerate(zip(path, path[1:], strict=False)):
+        for k, (start, stop) in enumerate(pairwise(path)):
             section = {"width": BRIDGE_WIDTH, "height": BRIDGE_HEIGHT, "above": True, "wood": BRIDGE_WOOD}
             beams[f"{name}_{k + 1}"] = {"start": start, "stop": stop, **section}
     knots = np.vstack([along(BASS, BASS_KNOTS)[0], along(TREBLE, TREBLE_KNOTS)[0]])

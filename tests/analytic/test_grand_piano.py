@@ -25,7 +25,7 @@ from tonewood.support.units import cents, decibel, ratio_of_cents
 
 #: B of a recorded Yamaha C5 (Salamander samples), by partials 1 to 8: tuning report of kasper0406/piano-emulator
 MEASURED_B = {"C3": 1.20e-4, "C4": 2.93e-4, "C5": 8.05e-4, "C6": 2.70e-3}
-#: s, prompt T60 of recorded keys (the same piano, velocity layer 10, `benchmarks/in_the_air.py --sounds`), octaves from C4
+#: s, prompt T60 of the same piano's samples (`benchmarks/in_the_air.py --sounds`): medians of octaves from C4
 RECORDED = (2.75, 1.9, 1.3)
 
 
