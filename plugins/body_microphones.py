@@ -18,17 +18,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.authoring import (
-    Microphones,
-    ModalBasis,
-    Parameters,
-    PickupRows,
-    Scene,
-    Vector,
-    cached_arrays,
-    described,
-    plate,
-)
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 #: m, least distance of a microphone from the surface; its squares are 10 mm wide
 NEAREST = 0.03
@@ -39,12 +30,12 @@ FARTHEST = 1.7
 class BodyMicrophonesParameters(Parameters):
     """Parameters of the microphones."""
 
-    at: dict[str, Vector] = described(
+    at: dict[str, ta.Vector] = ta.described(
         "name -> [x, y, z] in m: of the body's drawing, z out of the top", min_length=1, max_length=16
     )
 
 
-class BodyMicrophones(Microphones[BodyMicrophonesParameters]):
+class BodyMicrophones(ta.Microphones[BodyMicrophonesParameters]):
     """The microphones; see the module."""
 
     api = 1
@@ -55,7 +46,7 @@ class BodyMicrophones(Microphones[BodyMicrophonesParameters]):
         """The microphones."""
         return tuple(self.parameters.at)
 
-    def rows(self, name: str, scene: Scene) -> PickupRows:
+    def rows(self, name: str, scene: ta.Scene) -> ta.PickupRows:
         """A component `name` with an input per driven point of the body and an output per channel."""
         sources = None if scene.body is None else scene.body.sources(scene.freq_upper)
         if scene.body is None or sources is None:
@@ -64,7 +55,9 @@ class BodyMicrophones(Microphones[BodyMicrophonesParameters]):
         basis = self._basis(scene.body.basis(scene.freq_upper), sources, driven, scene.freq_upper)
         return self.bank_rows(name, basis, drives, inputs)
 
-    def _basis(self, body: ModalBasis, sources: plate.Sources, driven: Sequence[str], highest: float) -> ModalBasis:
+    def _basis(
+        self, body: ta.ModalBasis, sources: ta.plate.Sources, driven: Sequence[str], highest: float
+    ) -> ta.ModalBasis:
         """Bank of all microphones; each has modes of its own, so that those that are not recorded are not stepped."""
         shapes = np.array([body.right[body.index(point)].real for point in driven])
         place = self.parameters.at
@@ -72,7 +65,7 @@ class BodyMicrophones(Microphones[BodyMicrophonesParameters]):
         far = max(nearest, key=lambda name: nearest[name])
         if nearest[far] - min(nearest.values()) > FARTHEST:
             raise self.fault(f"is more than {FARTHEST:g} m farther from the body than the nearest one", f"at.{far}")
-        delay = min(nearest.values()) / plate.SOUND_SPEED
+        delay = min(nearest.values()) / ta.plate.SOUND_SPEED
         digest = hashlib.sha256(f"{highest!r} {sources.baffled} {delay!r}".encode())
         for array in (body.poles, shapes, sources.points, sources.volumes):
             digest.update(np.ascontiguousarray(array).tobytes())
@@ -81,11 +74,11 @@ class BodyMicrophones(Microphones[BodyMicrophonesParameters]):
             if nearest[name] < NEAREST:
                 raise self.fault(f"is nearer than {NEAREST:g} m to the body", f"at.{name}")
 
-            def fitted(at: Vector = at) -> dict[str, NDArray[np.complex128]]:
-                bank = plate.microphone(sources, at, body.poles, shapes, highest, delay)
+            def fitted(at: ta.Vector = at) -> dict[str, NDArray[np.complex128]]:
+                bank = ta.plate.microphone(sources, at, body.poles, shapes, highest, delay)
                 return {"poles": bank.poles, "residues": bank.residues}
 
-            bank = cached_arrays({"sources": digest.hexdigest(), "at": list(at)}, fitted)
+            bank = ta.cached_arrays({"sources": digest.hexdigest(), "at": list(at)}, fitted)
             poles.append(bank["poles"])
             residues.append(bank["residues"])
             index.append(np.full(len(bank["poles"]), k))
@@ -94,4 +87,4 @@ class BodyMicrophones(Microphones[BodyMicrophonesParameters]):
         right = {name: (owner == k).astype(np.complex128) for k, name in enumerate(place)}
         none = np.zeros(len(owner), dtype=np.complex128)
         inputs, outputs = dict.fromkeys(left, none), dict.fromkeys(right, none)
-        return ModalBasis.complex(np.concatenate(poles), inputs | right, left | outputs)
+        return ta.ModalBasis.complex(np.concatenate(poles), inputs | right, left | outputs)

@@ -24,88 +24,67 @@ from __future__ import annotations
 
 import math
 
-from tonewood.authoring import (
-    Attached,
-    Connection,
-    Direction,
-    Event,
-    Exciter,
-    Friction,
-    Gesture,
-    Motion,
-    Parameters,
-    Place,
-    Segment,
-    Site,
-    StringPlace,
-    Term,
-    contact_effect,
-    described,
-    loose_mass,
-    metres,
-    quantity,
-    smooth_step,
-    unit_vector,
-)
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 
 class BowParameters(Parameters):
     """Parameters of the bow and its stroke."""
 
-    from_bridge: StringPlace = described("m, or {fraction: of the speaking length}", default=0.05)
-    force: float = quantity("N", low=0.0, high=50.0, default=1.0, doc="with which it is pressed on the string")
-    velocity: float = quantity("m/s", low=-5.0, high=5.0, default=0.2, doc="of the hair; its sign is the stroke's")
-    static: float = quantity("1", low=0.0, high=5.0, default=0.8, doc="coefficient of friction at rest")
-    dynamic: float = quantity("1", low=0.0, high=5.0, default=0.3, doc="coefficient of friction at great speed")
-    speed: float = quantity("m/s", low=1e-4, high=10.0, default=0.1, doc="of half of the difference")
-    attack_time: float = quantity("s", low=1e-4, high=5.0, default=0.03, doc="in which force and velocity grow")
-    release_time: float = quantity("s", low=1e-4, high=5.0, default=0.05, doc="in which they vanish")
-    roll_impedance: float = quantity("N s/m", low=1e-3, high=1e4, default=4.0, doc="2 Z_R, of the string rolling")
-    roll_compliance: float = quantity("m/N", low=1e-9, high=1e-2, default=2e-5, doc="C, of the string rolling")
-    roll_mass: float = quantity("kg", low=1e-8, high=1e-2, default=1e-5, doc="m, of the string under the hair")
-    sustain: float = quantity("s", low=0.0, high=60.0, default=2.0, doc="of a note without an end")
-    slide_time: float = quantity(
+    from_bridge: ta.StringPlace = ta.described("m, or {fraction: of the speaking length}", default=0.05)
+    force: float = ta.quantity("N", low=0.0, high=50.0, default=1.0, doc="with which it is pressed on the string")
+    velocity: float = ta.quantity("m/s", low=-5.0, high=5.0, default=0.2, doc="of the hair; its sign is the stroke's")
+    static: float = ta.quantity("1", low=0.0, high=5.0, default=0.8, doc="coefficient of friction at rest")
+    dynamic: float = ta.quantity("1", low=0.0, high=5.0, default=0.3, doc="coefficient of friction at great speed")
+    speed: float = ta.quantity("m/s", low=1e-4, high=10.0, default=0.1, doc="of half of the difference")
+    attack_time: float = ta.quantity("s", low=1e-4, high=5.0, default=0.03, doc="in which force and velocity grow")
+    release_time: float = ta.quantity("s", low=1e-4, high=5.0, default=0.05, doc="in which they vanish")
+    roll_impedance: float = ta.quantity("N s/m", low=1e-3, high=1e4, default=4.0, doc="2 Z_R, of the string rolling")
+    roll_compliance: float = ta.quantity("m/N", low=1e-9, high=1e-2, default=2e-5, doc="C, of the string rolling")
+    roll_mass: float = ta.quantity("kg", low=1e-8, high=1e-2, default=1e-5, doc="m, of the string under the hair")
+    sustain: float = ta.quantity("s", low=0.0, high=60.0, default=2.0, doc="of a note without an end")
+    slide_time: float = ta.quantity(
         "s", low=0.0, high=5.0, default=0.0, doc="in which the stop slides under the bow from that of the note before"
     )
-    direction: Direction = described("of the stroke", default="y")
+    direction: ta.Direction = ta.described("of the stroke", default="y")
 
 
-class Bow(Exciter[BowParameters]):
+class Bow(ta.Exciter[BowParameters]):
     """The bow; see the module."""
 
     api = 1
-    effects = (contact_effect("bow", "hair that sticks and slips, while a gesture moves it", basic=True),)
+    effects = (ta.contact_effect("bow", "hair that sticks and slips, while a gesture moves it", basic=True),)
     Parameters = BowParameters
 
-    def attach(self, name: str, site: Site) -> Attached:
+    def attach(self, name: str, site: ta.Site) -> ta.Attached:
         """The hair on the string, without force until a stroke begins."""
         p, hair = self.parameters, f"{site.string}.{name}.hair"
         if p.static < p.dynamic:
             raise self.fault(f"must not be less than dynamic, {p.dynamic:g}", "static")
-        terms = site.motion("pluck", unit_vector(p.direction))
+        terms = site.motion("pluck", ta.unit_vector(p.direction))
         if not terms:
             raise self.fault(f"string {site.string} does not move in this direction", "direction")
         # for a normal force of 1 N: the scale of the partner's motion is then the bow force in N
-        law = Friction(1.0, p.static, p.dynamic, p.speed)
+        law = ta.Friction(1.0, p.static, p.dynamic, p.speed)
         # the string's surface under the hair rolls back as it is pushed
         own, m = f"{site.string}.{name}.roll", p.roll_mass
-        roll = loose_mass(m, math.sqrt(1 / (p.roll_compliance * m)), 0.5 * p.roll_impedance / m)
-        terms = (*terms, Term(own, "mass", 1.0))
-        return Attached(components={own: roll}, connections=(Connection(hair, terms, law),), resting=(hair,))
+        roll = ta.loose_mass(m, math.sqrt(1 / (p.roll_compliance * m)), 0.5 * p.roll_impedance / m)
+        terms = (*terms, ta.Term(own, "mass", 1.0))
+        return ta.Attached(components={own: roll}, connections=(ta.Connection(hair, terms, law),), resting=(hair,))
 
-    def gesture(self, event: Event, place: Place) -> Gesture:
+    def gesture(self, event: ta.Event, place: ta.Place) -> ta.Gesture:
         """A stroke that begins at time 0."""
         p = self.adjusted(event.values)
         hair = f"{place.name}.{self.name}.hair"
         held = event.duration if math.isfinite(event.duration) else p.sustain
         end = max(held, p.attack_time)
 
-        def course(value: float) -> tuple[Segment, ...]:
-            steady = (Segment(p.attack_time, end, value),) if end > p.attack_time else ()
-            grow = smooth_step(0.0, p.attack_time, 0.0, value)
-            return grow + steady + smooth_step(end, end + p.release_time, value, 0.0)
+        def course(value: float) -> tuple[ta.Segment, ...]:
+            steady = (ta.Segment(p.attack_time, end, value),) if end > p.attack_time else ()
+            grow = ta.smooth_step(0.0, p.attack_time, 0.0, value)
+            return grow + steady + ta.smooth_step(end, end + p.release_time, value, 0.0)
 
-        motions = (Motion(hair, "scale", course(p.force)), Motion(hair, "velocity", course(p.velocity)))
+        motions = (ta.Motion(hair, "scale", course(p.force)), ta.Motion(hair, "velocity", course(p.velocity)))
         slides = p.slide_time > 0 and event.stop != event.stop_before
-        stops = smooth_step(0.0, p.slide_time, event.stop_before, event.stop) if slides else ()
-        return Gesture((), metres(p.from_bridge, place), motions=motions, stops=stops)
+        stops = ta.smooth_step(0.0, p.slide_time, event.stop_before, event.stop) if slides else ()
+        return ta.Gesture((), ta.metres(p.from_bridge, place), motions=motions, stops=stops)

@@ -24,24 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
-from tonewood.authoring import (
-    Body,
-    BodyPoint,
-    Direction,
-    ModalBasis,
-    Number,
-    Parameters,
-    cached_arrays,
-    described,
-    plate,
-    quantity,
-    svg_ring,
-    unit_vector,
-)
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 Floats = NDArray[np.float64]
 #: x and y, m
-Coordinates = tuple[Number, Number]
+Coordinates = tuple[ta.Number, ta.Number]
 
 #: bytes of a drawing that is read
 MOST_SVG = 4_000_000
@@ -55,32 +43,34 @@ _USUAL = (5e7, 5e10)
 class WoodParameters(Parameters):
     """A wood by its species, or by its constants; a constant that is given goes before that of the species."""
 
-    species: str | None = described("name in the table of woods", default=None)
-    E_L: float | None = quantity(
+    species: str | None = ta.described("name in the table of woods", default=None)
+    E_L: float | None = ta.quantity(
         "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="Young's modulus along the grain"
     )
-    E_R: float | None = quantity(
+    E_R: float | None = ta.quantity(
         "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="Young's modulus across the grain"
     )
-    G_LR: float | None = quantity(
+    G_LR: float | None = ta.quantity(
         "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="shear modulus in the plate's plane"
     )
-    nu_LR: float | None = quantity("1", low=0.0, high=0.99, default=None, doc="Poisson's ratio, pulled along the grain")
-    density: float | None = quantity("kg/m^3", low=10.0, high=2e4, default=None, doc="mass per volume")
-    loss_L: float | None = quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of E_L")
-    loss_R: float | None = quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of E_R")
-    loss_shear: float | None = quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of the shear moduli")
-    G_LT: float | None = quantity(
+    nu_LR: float | None = ta.quantity(
+        "1", low=0.0, high=0.99, default=None, doc="Poisson's ratio, pulled along the grain"
+    )
+    density: float | None = ta.quantity("kg/m^3", low=10.0, high=2e4, default=None, doc="mass per volume")
+    loss_L: float | None = ta.quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of E_L")
+    loss_R: float | None = ta.quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of E_R")
+    loss_shear: float | None = ta.quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of the shear moduli")
+    G_LT: float | None = ta.quantity(
         "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="shear modulus through the thickness, along the grain"
     )
-    G_RT: float | None = quantity(
+    G_RT: float | None = ta.quantity(
         "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="the same across the grain: rolling shear"
     )
 
     @model_validator(mode="after")
     def _known(self) -> WoodParameters:
-        if self.species is not None and self.species not in plate.SPECIES:
-            raise ValueError(f"there is no species {self.species!r}; there are {', '.join(plate.SPECIES)}")
+        if self.species is not None and self.species not in ta.plate.SPECIES:
+            raise ValueError(f"there is no species {self.species!r}; there are {', '.join(ta.plate.SPECIES)}")
         values = {k: v for k, v in self.model_dump().items() if v is not None}
         missing = [k for k in ("E_L", "E_R", "G_LR", "nu_LR", "density") if k not in values]
         if self.species is None and missing:
@@ -94,43 +84,47 @@ class WoodParameters(Parameters):
             )
         return self
 
-    def wood(self) -> plate.Wood:
+    def wood(self) -> ta.plate.Wood:
         """Constants of the species with those that are given in their place."""
         names = ("E_L", "E_R", "G_LR", "nu_LR", "density", "loss_L", "loss_R", "loss_shear", "G_LT", "G_RT")
         base = (
-            plate.SPECIES[self.species].wood if self.species else plate.Wood(0.0, 0.0, 0.0, 0.0, 0.0, 0.01, 0.02, 0.02)
+            ta.plate.SPECIES[self.species].wood
+            if self.species
+            else ta.plate.Wood(0.0, 0.0, 0.0, 0.0, 0.0, 0.01, 0.02, 0.02)
         )
         values = {name: getattr(self, name) for name in names}
-        return plate.Wood(**{name: getattr(base, name) if v is None else v for name, v in values.items()})
+        return ta.plate.Wood(**{name: getattr(base, name) if v is None else v for name, v in values.items()})
 
 
 class GuitarOutline(Parameters):
     """Outline of a guitar, from a made-up shape that is scaled."""
 
-    length: float = quantity("m", low=0.05, high=3.0, doc="of the body, from the neck joint to the tail")
-    upper: float = quantity("m", low=0.02, high=2.0, doc="width of the upper bout")
-    waist: float = quantity("m", low=0.02, high=2.0, doc="width of the waist")
-    lower: float = quantity("m", low=0.02, high=2.0, doc="width of the lower bout")
+    length: float = ta.quantity("m", low=0.05, high=3.0, doc="of the body, from the neck joint to the tail")
+    upper: float = ta.quantity("m", low=0.02, high=2.0, doc="width of the upper bout")
+    waist: float = ta.quantity("m", low=0.02, high=2.0, doc="width of the waist")
+    lower: float = ta.quantity("m", low=0.02, high=2.0, doc="width of the lower bout")
 
 
 class SvgOutline(Parameters):
     """A path of a drawing."""
 
-    file: str = described("SVG file in the bundle")
-    id: str | None = described("id of the path; the first path where left out", default=None)
-    scale: float = quantity("m", low=1e-7, high=10.0, default=1e-3, doc="length of the drawing's unit")
+    file: str = ta.described("SVG file in the bundle")
+    id: str | None = ta.described("id of the path; the first path where left out", default=None)
+    scale: float = ta.quantity("m", low=1e-7, high=10.0, default=1e-3, doc="length of the drawing's unit")
 
 
 class Outline(Parameters):
     """Outline of a plate, in one of four ways."""
 
-    guitar: GuitarOutline | None = described("a guitar by its length and three widths", default=None)
-    points: list[Coordinates] | None = described(
+    guitar: GuitarOutline | None = ta.described("a guitar by its length and three widths", default=None)
+    points: list[Coordinates] | None = ta.described(
         "[x, y] of its corners, m", default=None, min_length=3, max_length=4000
     )
-    table: str | None = described("CSV file in the bundle with columns x and y, m", default=None)
-    svg: SvgOutline | None = described("a path of an SVG drawing, y downwards", default=None)
-    smooth: bool = described("a smooth curve through the points instead of straight sides", default=False, strict=True)
+    table: str | None = ta.described("CSV file in the bundle with columns x and y, m", default=None)
+    svg: SvgOutline | None = ta.described("a path of an SVG drawing, y downwards", default=None)
+    smooth: bool = ta.described(
+        "a smooth curve through the points instead of straight sides", default=False, strict=True
+    )
 
     @model_validator(mode="after")
     def _one(self) -> Outline:
@@ -142,32 +136,36 @@ class Outline(Parameters):
 class EdgeParameters(Parameters):
     """Fixing of a plate's edge to the sides."""
 
-    kind: Literal["free", "hinged", "clamped", "springs"] = described("how the edge is held", default="clamped")
-    k_w: float = quantity("N/m^2", low=0.0, high=1e14, default=0.0, doc="springs: stiffness per length against motion")
-    k_theta: float = quantity(
+    kind: Literal["free", "hinged", "clamped", "springs"] = ta.described("how the edge is held", default="clamped")
+    k_w: float = ta.quantity(
+        "N/m^2", low=0.0, high=1e14, default=0.0, doc="springs: stiffness per length against motion"
+    )
+    k_theta: float = ta.quantity(
         "N", low=0.0, high=1e10, default=0.0, doc="springs: against turning, per length and angle"
     )
-    k_in_plane: float = quantity(
+    k_in_plane: float = ta.quantity(
         "N/m^2", low=0.0, high=1e14, default=0.0, doc="stiffness in the plate's plane, per length"
     )
-    loss: float = quantity("1", low=0.0, high=0.5, default=0.02, doc="loss factor of these springs")
+    loss: float = ta.quantity("1", low=0.0, high=0.5, default=0.02, doc="loss factor of these springs")
 
-    def edge(self) -> plate.Edge:
+    def edge(self) -> ta.plate.Edge:
         """Springs of this kind."""
         stiff = {"free": (0.0, 0.0), "hinged": (np.inf, 0.0), "clamped": (np.inf, np.inf)}
         w, theta = stiff.get(self.kind, (self.k_w, self.k_theta))
-        return plate.Edge(w, theta, self.k_in_plane, self.loss)
+        return ta.plate.Edge(w, theta, self.k_in_plane, self.loss)
 
 
 class Brace(Parameters):
     """A brace of rectangular section below the plate, or a bridge above it; its grain runs from start to stop."""
 
-    start: Coordinates = described("[x, y] of its first end, m")
-    stop: Coordinates = described("[x, y] of its other end, m")
-    width: float = quantity("m", low=1e-4, high=0.5, doc="of its section, in the plate's plane")
-    height: Number | list[Number] = described("m, of its section; a list for heights spread evenly from start to stop")
-    wood: WoodParameters | None = described("of which it is made; that of the plate where left out", default=None)
-    above: bool = described("whether it stands on the plate instead of hanging below", default=False, strict=True)
+    start: Coordinates = ta.described("[x, y] of its first end, m")
+    stop: Coordinates = ta.described("[x, y] of its other end, m")
+    width: float = ta.quantity("m", low=1e-4, high=0.5, doc="of its section, in the plate's plane")
+    height: ta.Number | list[ta.Number] = ta.described(
+        "m, of its section; a list for heights spread evenly from start to stop"
+    )
+    wood: WoodParameters | None = ta.described("of which it is made; that of the plate where left out", default=None)
+    above: bool = ta.described("whether it stands on the plate instead of hanging below", default=False, strict=True)
 
     @model_validator(mode="after")
     def _solid(self) -> Brace:
@@ -182,7 +180,7 @@ class Brace(Parameters):
 class ThicknessMap(Parameters):
     """A thickness that differs from place to place."""
 
-    table: str = described(
+    table: str = ta.described(
         "CSV file in the bundle with columns x, y and h (m) of a full grid; linear between its points"
     )
 
@@ -190,13 +188,13 @@ class ThicknessMap(Parameters):
 class PlateParameters(Parameters):
     """A plate: the top, or the back."""
 
-    wood: WoodParameters = described("of the plate")
-    thickness: Number | ThicknessMap = described("m")
-    grain_deg: float = quantity(
+    wood: WoodParameters = ta.described("of the plate")
+    thickness: ta.Number | ThicknessMap = ta.described("m")
+    grain_deg: float = ta.quantity(
         "degree", low=-180.0, high=180.0, default=0.0, doc="angle of the grain from x towards y"
     )
-    edge: EdgeParameters = described("how the sides hold it", default=EdgeParameters())
-    braces: dict[str, Brace] = described("name -> brace", default={}, max_length=MOST_BRACES)
+    edge: EdgeParameters = ta.described("how the sides hold it", default=EdgeParameters())
+    braces: dict[str, Brace] = ta.described("name -> brace", default={}, max_length=MOST_BRACES)
 
     @model_validator(mode="after")
     def _thick(self) -> PlateParameters:
@@ -208,71 +206,73 @@ class PlateParameters(Parameters):
 class Soundhole(Parameters):
     """A round hole in the top."""
 
-    centre: Coordinates = described("[x, y], m")
-    radius: float = quantity("m", low=1e-3, high=1.0, doc="of the hole")
+    centre: Coordinates = ta.described("[x, y], m")
+    radius: float = ta.quantity("m", low=1e-3, high=1.0, doc="of the hole")
 
 
 class Air(Parameters):
     """The air in the body."""
 
-    depth: float = quantity("m", low=1e-3, high=2.0, doc="of the cavity between top and back")
-    cavity_to: float = quantity("Hz", low=0.0, high=4e3, default=1600.0, doc="modes of the cavity below it take part")
-    end_correction: float = quantity(
+    depth: float = ta.quantity("m", low=1e-3, high=2.0, doc="of the cavity between top and back")
+    cavity_to: float = ta.quantity(
+        "Hz", low=0.0, high=4e3, default=1600.0, doc="modes of the cavity below it take part"
+    )
+    end_correction: float = ta.quantity(
         "1", low=0.0, high=3.0, default=1.5, doc="length of air beside the hole, in radii, both ends together"
     )
-    loss: float = quantity("1", low=0.0, high=0.5, default=0.02, doc="loss factor of the air")
+    loss: float = ta.quantity("1", low=0.0, high=0.5, default=0.02, doc="loss factor of the air")
 
 
 class PlatePoint(Parameters):
     """A place of the top: where a string ends, a finger taps, a pickup reads."""
 
-    at: Coordinates = described("[x, y], m")
-    direction: Direction = described("x, y, z or a unit vector: displacement is counted along it", default="z")
-    height: float | None = quantity(
+    at: Coordinates = ta.described("[x, y], m")
+    direction: ta.Direction = ta.described("x, y, z or a unit vector: displacement is counted along it", default="z")
+    height: float | None = ta.quantity(
         "m", low=0.0, high=0.5, default=None, doc="above the top's middle surface; saddle_height where left out"
     )
-    driven: bool = described("whether forces act here", default=True, strict=True)
+    driven: bool = ta.described("whether forces act here", default=True, strict=True)
 
 
 class DrawnBodyParameters(PlateParameters):
     """Parameters of the body: those of its top, and the rest."""
 
-    outline: Outline = described("of top and back")
-    soundhole: Soundhole | None = described("in the top; none where left out", default=None)
-    bridge: Brace | None = described("a beam glued on the top; none where left out", default=None)
-    air: Air | None = described("behind the top; a plate in the open where left out", default=None)
-    back: PlateParameters | Literal["rigid"] = described(
+    outline: Outline = ta.described("of top and back")
+    soundhole: Soundhole | None = ta.described("in the top; none where left out", default=None)
+    bridge: Brace | None = ta.described("a beam glued on the top; none where left out", default=None)
+    air: Air | None = ta.described("behind the top; a plate in the open where left out", default=None)
+    back: PlateParameters | Literal["rigid"] = ta.described(
         "a second plate of the same outline, or rigid", default="rigid"
     )
-    baffle: Literal["none", "infinite"] = described(
+    baffle: Literal["none", "infinite"] = ta.described(
         "none: the body radiates as in free air; infinite: from a rigid wall", default="none"
     )
-    fmax: float = quantity("Hz", low=50.0, high=2e4, default=6000.0, doc="highest mode")
-    cell: float | None = quantity("m", low=1e-3, high=0.2, default=None, doc="size of a cell of the solution's grid")
-    extra_loss: float = quantity(
+    fmax: float = ta.quantity("Hz", low=50.0, high=2e4, default=6000.0, doc="highest mode")
+    cell: float | None = ta.quantity("m", low=1e-3, high=0.2, default=None, doc="size of a cell of the solution's grid")
+    extra_loss: float = ta.quantity(
         "1", low=0.0, high=0.5, default=0.008, doc="loss factor added to wood: glue, edge, finish"
     )
-    saddle_height: float = quantity(
+    saddle_height: float = ta.quantity(
         "m", low=0.0, high=0.2, default=0.01, doc="of strings above the top's middle surface"
     )
-    points: dict[str, PlatePoint] = described(
+    points: dict[str, PlatePoint] = ta.described(
         "name -> place and direction; `corner`, a place near the first point of the outline, where left out",
         default={},
         max_length=256,
     )
 
 
-class DrawnBody(Body[DrawnBodyParameters]):
+class DrawnBody(ta.Body[DrawnBodyParameters]):
     """The body; see the module."""
 
     api = 1
     Parameters = DrawnBodyParameters
     preview = MappingProxyType({"fmax": 1000.0, "cell": 0.04})
 
-    def points(self) -> Mapping[str, BodyPoint]:
+    def points(self) -> Mapping[str, ta.BodyPoint]:
         """Every point with its direction and place."""
         return {
-            name: BodyPoint(unit_vector(p.direction), {"x": p.at[0], "y": p.at[1]}, driven=p.driven)
+            name: ta.BodyPoint(ta.unit_vector(p.direction), {"x": p.at[0], "y": p.at[1]}, driven=p.driven)
             for name, p in self._places.items()
         }
 
@@ -285,7 +285,7 @@ class DrawnBody(Body[DrawnBodyParameters]):
         x, y = ring[0] + 0.04 * (ring.mean(axis=0) - ring[0])
         return {"corner": PlatePoint(at=(float(x), float(y)))}
 
-    def basis(self, freq_upper: float) -> ModalBasis:
+    def basis(self, freq_upper: float) -> ta.ModalBasis:
         """Modes below `freq_upper` (Hz) and `fmax`.
 
         Raises
@@ -296,16 +296,16 @@ class DrawnBody(Body[DrawnBodyParameters]):
         omega = 2 * np.pi * modes.freq
         shapes = dict(zip(self._places, modes.shapes, strict=True))
         heard = np.divide(modes.radiation_loss, modes.loss, out=np.zeros(len(omega)), where=modes.loss > 0)
-        return ModalBasis.real(
+        return ta.ModalBasis.real(
             omega, modes.loss * omega / 2, shapes, residual=modes.residual, metadata={"radiated": heard}
         )
 
-    def sources(self, freq_upper: float) -> plate.Sources:
+    def sources(self, freq_upper: float) -> ta.plate.Sources:
         """Squares of 10 mm of the top, and the hole."""
         modes, drawing = self.modes_below(freq_upper), self.drawing
         rings = (drawing.outline,) if drawing.hole is None else (drawing.outline, drawing.hole)
         behind = np.column_stack([modes.back_sources, np.full(len(modes.back_sources), -drawing.depth)])
-        return plate.Sources(
+        return ta.plate.Sources(
             modes.sources,
             modes.volumes,
             drawing.baffled,
@@ -316,17 +316,17 @@ class DrawnBody(Body[DrawnBodyParameters]):
             modes.back_volumes,
         )
 
-    def modes_below(self, freq_upper: float) -> plate.BodyModes:
+    def modes_below(self, freq_upper: float) -> ta.plate.BodyModes:
         """All that is known of the modes below `freq_upper` (Hz), computed once for a drawing."""
         return self._modes.below(freq_upper)
 
     @cached_property
-    def _modes(self) -> plate.BodyModes:
+    def _modes(self) -> ta.plate.BodyModes:
         try:
-            arrays = cached_arrays(self._inputs(), lambda: plate.body_modes(self.drawing).arrays())
+            arrays = ta.cached_arrays(self._inputs(), lambda: ta.plate.body_modes(self.drawing).arrays())
         except ValueError as fault:
             raise self.fault(str(fault), "fmax") from None
-        return plate.BodyModes(**arrays)
+        return ta.plate.BodyModes(**arrays)
 
     def _inputs(self) -> dict[str, Any]:
         """All that decides on the modes: parameters, and the hash of every file of the drawing."""
@@ -382,7 +382,7 @@ class DrawnBody(Body[DrawnBodyParameters]):
             lines.append(f"{100 * share:.0f} % of the loss of T1 is radiated")
         return lines
 
-    def _woods(self) -> list[tuple[str, plate.Wood]]:
+    def _woods(self) -> list[tuple[str, ta.plate.Wood]]:
         """Key and wood of each plate."""
         p = self.parameters
         backs = [] if isinstance(p.back, str) else [("back.wood", p.back.wood.wood())]
@@ -392,14 +392,14 @@ class DrawnBody(Body[DrawnBodyParameters]):
         """T1 (Hz) on a hinged and on a clamped edge; 0 where there is none."""
 
         def computed() -> dict[str, Floats]:
-            modes = plate.first_modes(self.drawing, [plate.Edge(np.inf, 0.0), plate.Edge(np.inf, np.inf)])
+            modes = ta.plate.first_modes(self.drawing, [ta.plate.Edge(np.inf, 0.0), ta.plate.Edge(np.inf, np.inf)])
             return {"T1": np.array([f.get("T1", 0.0) for f in modes])}
 
-        hinged, clamped = cached_arrays({"edges": self._inputs()}, computed)["T1"]
+        hinged, clamped = ta.cached_arrays({"edges": self._inputs()}, computed)["T1"]
         return float(hinged), float(clamped)
 
     @cached_property
-    def drawing(self) -> plate.BodyDrawing:
+    def drawing(self) -> ta.plate.BodyDrawing:
         """The drawing as arrays, checked.
 
         Raises
@@ -408,14 +408,16 @@ class DrawnBody(Body[DrawnBodyParameters]):
         """
         p = self.parameters
         outline = self._outline()
-        hole = None if p.soundhole is None else plate.circle(p.soundhole.radius, p.soundhole.centre, 360)
-        if hole is not None and (not plate.inside(hole, [outline]).all() or plate.crossing(hole, outline) is not None):
+        hole = None if p.soundhole is None else ta.plate.circle(p.soundhole.radius, p.soundhole.centre, 360)
+        if hole is not None and (
+            not ta.plate.inside(hole, [outline]).all() or ta.plate.crossing(hole, outline) is not None
+        ):
             raise self.fault(f"the hole about {_shown(hole.mean(axis=0))} leaves the outline", "soundhole")
         rings = [outline] if hole is None else [outline, hole]
         beams = {f"braces.{name}": b for name, b in p.braces.items()} | ({"bridge": p.bridge} if p.bridge else {})
         top = self._plate(p, rings, beams, above="bridge")
         for name, point in self._places.items():
-            if not plate.inside([point.at], rings)[0]:
+            if not ta.plate.inside([point.at], rings)[0]:
                 raise self.fault(f"{_shown(point.at)} is not on the top", f"points.{name}.at")
         back = None
         if not isinstance(p.back, str):
@@ -424,7 +426,7 @@ class DrawnBody(Body[DrawnBodyParameters]):
             back = self._plate(p.back, [outline], {f"back.braces.{n}": b for n, b in p.back.braces.items()})
         every = list(self._places.values())
         air = p.air or Air(depth=1e-3)
-        return plate.BodyDrawing(
+        return ta.plate.BodyDrawing(
             outline=outline,
             hole=hole,
             top=top,
@@ -437,28 +439,28 @@ class DrawnBody(Body[DrawnBodyParameters]):
             baffled=p.baffle == "infinite",
             fmax=p.fmax,
             points=np.array([q.at for q in every], dtype=np.float64),
-            directions=np.array([unit_vector(q.direction) for q in every]),
+            directions=np.array([ta.unit_vector(q.direction) for q in every]),
             heights=np.array([p.saddle_height if q.height is None else q.height for q in every]),
         )
 
     def _plate(
         self, p: PlateParameters, rings: list[Floats], beams: Mapping[str, Brace], above: str = ""
-    ) -> plate.PlateDrawing:
+    ) -> ta.plate.PlateDrawing:
         made = []
         for name, brace in beams.items():
             start, stop = np.array(brace.start), np.array(brace.stop)
             samples = start + np.linspace(0.0, 1.0, 201)[:, None] * (stop - start)
-            fine = plate.inside(samples, rings)
+            fine = ta.plate.inside(samples, rings)
             if not fine.all():
                 where = samples[np.argmin(fine)]
-                which = "in the soundhole" if plate.inside([where], rings[:1])[0] else "outside of the outline"
+                which = "in the soundhole" if ta.plate.inside([where], rings[:1])[0] else "outside of the outline"
                 raise self.fault(f"{_shown(where)} is {which}", name)
             wood = (brace.wood or p.wood).wood()
             heights = np.atleast_1d(np.asarray(brace.height, dtype=np.float64))
-            made.append(plate.Beam(start, stop, brace.width, heights, wood, brace.above or name == above))
+            made.append(ta.plate.Beam(start, stop, brace.width, heights, wood, brace.above or name == above))
         edge, grain = p.edge.edge(), float(np.radians(p.grain_deg))
         cell = self.parameters.cell or 0.0
-        return plate.PlateDrawing(p.wood.wood(), self._thickness(p.thickness), edge, made, grain, cell)
+        return ta.plate.PlateDrawing(p.wood.wood(), self._thickness(p.thickness), edge, made, grain, cell)
 
     def _thickness(self, thickness: float | ThicknessMap) -> Any:
         if isinstance(thickness, float):
@@ -484,20 +486,20 @@ class DrawnBody(Body[DrawnBodyParameters]):
     def _outline(self) -> Floats:
         p = self.parameters.outline
         if p.guitar is not None:
-            ring = plate.guitar_outline(p.guitar.length, p.guitar.upper, p.guitar.waist, p.guitar.lower)
+            ring = ta.plate.guitar_outline(p.guitar.length, p.guitar.upper, p.guitar.waist, p.guitar.lower)
             coarse = ring[::8]
         else:
             corners = np.array(p.points, dtype=np.float64) if p.points is not None else self._read_outline()
-            ring = plate.smooth_ring(corners) if p.smooth else corners
+            ring = ta.plate.smooth_ring(corners) if p.smooth else corners
             coarse = ring
         if len(ring) > 8000:
             raise self.fault(f"{len(ring)} points; 8000 are allowed", "outline")
-        place = plate.crossing(coarse)
+        place = ta.plate.crossing(coarse)
         if place is not None:
             raise self.fault(f"the outline crosses itself at {_shown(place)}", "outline")
-        if plate.area(ring) < 1e-4 or np.ptp(ring, axis=0).max() > 5.0:
+        if ta.plate.area(ring) < 1e-4 or np.ptp(ring, axis=0).max() > 5.0:
             raise self.fault(
-                f"encloses {plate.area(ring):.3g} m^2; 1 cm^2 and more, up to 5 m long, are allowed", "outline"
+                f"encloses {ta.plate.area(ring):.3g} m^2; 1 cm^2 and more, up to 5 m long, are allowed", "outline"
             )
         return ring
 
@@ -523,7 +525,7 @@ class DrawnBody(Body[DrawnBodyParameters]):
             names = ", ".join(e.get("id") or "(no id)" for e in paths) or "none"
             raise self.fault(f"{p.svg.file}: there is no path {p.svg.id!r}; there are {names}", "outline.svg.id")
         try:
-            ring = svg_ring(named[0].get("d") or "")
+            ring = ta.svg_ring(named[0].get("d") or "")
         except ValueError as fault:
             raise self.fault(f"{p.svg.file}: {fault}", "outline.svg") from None
         return np.asarray(ring * [p.svg.scale, -p.svg.scale])

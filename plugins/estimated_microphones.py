@@ -11,24 +11,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from tonewood.authoring import Drive, Microphones, ModalBasis, Parameters, PickupRows, Scene, described, plate, quantity
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 
 class EstimatedMicrophonesParameters(Parameters):
     """Parameters of the estimate."""
 
-    A0: float = quantity("Hz", low=20.0, high=1000.0, doc="air mode of the body: the mode nearest to it is taken")
-    T1: float = quantity("Hz", low=20.0, high=2000.0, doc="first mode of the top, likewise")
-    volume: float = quantity("m^3", low=1e-4, high=1.0, doc="of the body's cavity")
-    distance: float = quantity("m", low=0.5, high=100.0, default=1.0, doc="from the body")
-    radiation_loss: float = quantity(
+    A0: float = ta.quantity("Hz", low=20.0, high=1000.0, doc="air mode of the body: the mode nearest to it is taken")
+    T1: float = ta.quantity("Hz", low=20.0, high=2000.0, doc="first mode of the top, likewise")
+    volume: float = ta.quantity("m^3", low=1e-4, high=1.0, doc="of the body's cavity")
+    distance: float = ta.quantity("m", low=0.5, high=100.0, default=1.0, doc="from the body")
+    radiation_loss: float = ta.quantity(
         "1", low=0.0, high=0.1, default=0.004, doc="loss factor by radiation of modes above T1"
     )
-    channels: list[str] = described("names", default=["left", "right"], min_length=1, max_length=16)
-    seed: int = described("of the signs", default=1, ge=0)
+    channels: list[str] = ta.described("names", default=["left", "right"], min_length=1, max_length=16)
+    seed: int = ta.described("of the signs", default=1, ge=0)
 
 
-class EstimatedMicrophones(Microphones[EstimatedMicrophonesParameters]):
+class EstimatedMicrophones(ta.Microphones[EstimatedMicrophonesParameters]):
     """The microphones; see the module."""
 
     api = 1
@@ -39,7 +40,7 @@ class EstimatedMicrophones(Microphones[EstimatedMicrophonesParameters]):
         """The microphones."""
         return tuple(self.parameters.channels)
 
-    def rows(self, name: str, scene: Scene) -> PickupRows:
+    def rows(self, name: str, scene: ta.Scene) -> ta.PickupRows:
         """A component `name` with the body's modes, driven one way; pressure is the acceleration of its channels."""
         driven, drives, inputs = self.at_points(name, scene)
         if scene.body is None:
@@ -47,7 +48,7 @@ class EstimatedMicrophones(Microphones[EstimatedMicrophonesParameters]):
         body = scene.body.basis(scene.freq_upper)
         return self.bank_rows(name, self._basis(body, driven, drives), drives, inputs, "acceleration")
 
-    def _basis(self, body: ModalBasis, driven: list[str], drives: list[Drive]) -> ModalBasis:
+    def _basis(self, body: ta.ModalBasis, driven: list[str], drives: list[ta.Drive]) -> ta.ModalBasis:
         p = self.parameters
         if not body.is_real:
             raise self.fault("needs a body of real modes")
@@ -62,8 +63,8 @@ class EstimatedMicrophones(Microphones[EstimatedMicrophonesParameters]):
         rng = np.random.default_rng(p.seed)
         signs = np.stack([rng.choice([-1.0, 1.0], size=len(freq)) for _ in p.channels])
         try:
-            heard = plate.pressure_shapes(freq, loss, bridge, pair, p.volume, p.distance, p.radiation_loss, signs)
+            heard = ta.plate.pressure_shapes(freq, loss, bridge, pair, p.volume, p.distance, p.radiation_loss, signs)
         except ValueError as fault:
             raise self.fault(str(fault), "A0") from None
         points = {f"at_{point}": body.right[body.index(point)].real for point in driven}
-        return ModalBasis.real(omega, body.damping_rate, points | dict(zip(p.channels, heard, strict=True)))
+        return ta.ModalBasis.real(omega, body.damping_rate, points | dict(zip(p.channels, heard, strict=True)))

@@ -39,22 +39,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from tonewood.authoring import (
-    DAMPERS,
-    Event,
-    Exciter,
-    Gesture,
-    Hold,
-    Parameters,
-    Place,
-    SampledForce,
-    Segment,
-    StringPlace,
-    described,
-    metres,
-    quantity,
-    smooth_step,
-)
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 #: N and Hz, of a string whose tension or pitch is not known: a nylon string's
 _TENSION, _FREQ = 70.0, 200.0
@@ -80,21 +66,25 @@ FLESH, NAIL = Tip(1.0e-3, 10e-3, 2e3), Tip(0.2e-3, 3e-3, 2e4)
 class FingerPluckParameters(Parameters):
     """Parameters of the pluck."""
 
-    force: float = quantity("N", low=0.0, high=1000.0, default=2.0, doc="at which the string begins to slip")
-    from_bridge: StringPlace = described("m, or {fraction: of the speaking length}", default=0.1)
-    angle_deg: float = quantity(
+    force: float = ta.quantity("N", low=0.0, high=1000.0, default=2.0, doc="at which the string begins to slip")
+    from_bridge: ta.StringPlace = ta.described("m, or {fraction: of the speaking length}", default=0.1)
+    angle_deg: float = ta.quantity(
         "deg", low=-360.0, high=360.0, default=0.0, doc="of the force, from the first polarization to the second"
     )
-    draw_time: float = quantity("s", low=1e-3, high=5.0, default=0.02, doc="from the first touch to the slip")
-    nail: float = quantity("1", low=0.0, high=1.0, default=0.8, doc="0 flesh, 1 nail: sets the values left out below")
-    edge: float | None = quantity("m", low=1e-5, high=0.02, default=None, doc="radius of the edge; 1 to 0.2 mm")
-    width: float | None = quantity("m", low=0.0, high=0.05, default=None, doc="of the contact; 10 to 3 mm")
-    stiffness: float | None = quantity("N/m", low=10.0, high=1e7, default=None, doc="of the fingertip; 2e3 to 2e4")
-    mass: float = quantity("kg", low=1e-6, high=0.1, default=5e-4, doc="of the fingertip that leaps ahead")
-    roughness: float = quantity("1", low=0.0, high=1.0, default=4e-3, doc="rms of the force's random part, re it")
-    seed: int = described("of the random part", default=0, ge=0)
-    hold_dashpot: float = quantity("N s/m", low=0.0, high=100.0, default=0.5, doc="damping of the finger on the string")
-    linear: bool = described(
+    draw_time: float = ta.quantity("s", low=1e-3, high=5.0, default=0.02, doc="from the first touch to the slip")
+    nail: float = ta.quantity(
+        "1", low=0.0, high=1.0, default=0.8, doc="0 flesh, 1 nail: sets the values left out below"
+    )
+    edge: float | None = ta.quantity("m", low=1e-5, high=0.02, default=None, doc="radius of the edge; 1 to 0.2 mm")
+    width: float | None = ta.quantity("m", low=0.0, high=0.05, default=None, doc="of the contact; 10 to 3 mm")
+    stiffness: float | None = ta.quantity("N/m", low=10.0, high=1e7, default=None, doc="of the fingertip; 2e3 to 2e4")
+    mass: float = ta.quantity("kg", low=1e-6, high=0.1, default=5e-4, doc="of the fingertip that leaps ahead")
+    roughness: float = ta.quantity("1", low=0.0, high=1.0, default=4e-3, doc="rms of the force's random part, re it")
+    seed: int = ta.described("of the random part", default=0, ge=0)
+    hold_dashpot: float = ta.quantity(
+        "N s/m", low=0.0, high=100.0, default=0.5, doc="damping of the finger on the string"
+    )
+    linear: bool = ta.described(
         "notes scale with their force and superpose at fixed stops: the slip is that of the bundle's `force`, "
         "without `hold_dashpot`",
         default=False,
@@ -115,20 +105,20 @@ class FingerPluckParameters(Parameters):
         )
 
 
-class FingerPluck(Exciter[FingerPluckParameters]):
+class FingerPluck(ta.Exciter[FingerPluckParameters]):
     """The finger; see the module."""
 
     api = 1
-    effects = (DAMPERS,)
+    effects = (ta.DAMPERS,)
     Parameters = FingerPluckParameters
 
-    def gesture(self, event: Event, place: Place) -> Gesture:
+    def gesture(self, event: ta.Event, place: ta.Place) -> ta.Gesture:
         """Landing, drawing, slip; the slip begins at time 0."""
         p = self.adjusted(event.values)
         wanted, force = p.force, self.parameters.force if p.linear else p.force
         if p.linear and force <= 0.0:
             raise self.fault("is 0 N; `linear` needs a force above 0 of which the slip is taken", "force")
-        tip, x = p.tip, metres(p.from_bridge, place)
+        tip, x = p.tip, ta.metres(p.from_bridge, place)
         tension, freq = place.tension or _TENSION, event.freq or _FREQ
         impedance = tension / (2 * place.length * freq)
         compliance = x * (place.length - x) / (tension * place.length) + 1 / tip.stiffness
@@ -136,19 +126,19 @@ class FingerPluck(Exciter[FingerPluckParameters]):
         speed = force * compliance / draw
         landed = min(2 * impedance * speed, 0.5 * force)
         rise = min(4 * impedance / tip.stiffness, 0.25 * draw)
-        touch = smooth_step(-draw, rise - draw, 0.0, landed)
-        drawing = smooth_step(rise - draw, 0.0, landed, force)
+        touch = ta.smooth_step(-draw, rise - draw, 0.0, landed)
+        drawing = ta.smooth_step(rise - draw, 0.0, landed, force)
         release = slip(force, impedance, speed, tip, p.mass)
-        hold = Hold(-draw, -draw / 2, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 and not p.linear else None
+        hold = ta.Hold(-draw, -draw / 2, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 and not p.linear else None
         segments = touch + drawing + release
         label = f"{p.seed} {place.name} {event.stop:g} {force!r} {x!r}"
         noise = roughness(segments, p.roughness, zlib.crc32(label.encode())) if p.roughness * force > 0 else None
         if p.linear:
             segments, noise = _scaled(segments, noise, wanted / force)
-        return Gesture(segments, x, p.angle_deg, hold, width=min(tip.width, x, place.length - x), noise=noise)
+        return ta.Gesture(segments, x, p.angle_deg, hold, width=min(tip.width, x, place.length - x), noise=noise)
 
 
-def slip(force: float, impedance: float, speed: float, tip: Tip, mass: float) -> tuple[Segment, ...]:
+def slip(force: float, impedance: float, speed: float, tip: Tip, mass: float) -> tuple[ta.Segment, ...]:
     """Force of a string that slips over an edge from time 0 on, see the module; continuous with its rate.
 
     Parameters
@@ -176,7 +166,7 @@ def slip(force: float, impedance: float, speed: float, tip: Tip, mass: float) ->
         x = (i + 1) * dx
         times.append(time)
         rates.append(max(speed + force * x * x * (3.0 - 2.0 * x) / (2 * impedance) + leap, speed))
-    out: list[Segment] = []
+    out: list[ta.Segment] = []
     for a, b in pairwise(_NODES):
         (f0, d0), (f1, d1) = (_force_and_rate(force, i * dx, rates[i] / tip.edge) for i in (a, b))
         out += _pair(times[a], times[b], f0, d0, f1, d1)
@@ -184,8 +174,8 @@ def slip(force: float, impedance: float, speed: float, tip: Tip, mass: float) ->
 
 
 def _scaled(
-    segments: tuple[Segment, ...], noise: SampledForce | None, factor: float
-) -> tuple[tuple[Segment, ...], SampledForce | None]:
+    segments: tuple[ta.Segment, ...], noise: ta.SampledForce | None, factor: float
+) -> tuple[tuple[ta.Segment, ...], ta.SampledForce | None]:
     """Forces times a factor."""
     louder = tuple(replace(s, c0=factor * s.c0, c1=factor * s.c1, c2=factor * s.c2) for s in segments)
     return louder, None if noise is None else replace(noise, values=factor * noise.values)
@@ -196,19 +186,19 @@ def _force_and_rate(force: float, x: float, rate: float) -> tuple[float, float]:
     return force * (1 - x * x * (3 - 2 * x)), -force * 6 * x * (1 - x) * rate
 
 
-def _pair(start: float, stop: float, f0: float, d0: float, f1: float, d1: float) -> tuple[Segment, Segment]:
+def _pair(start: float, stop: float, f0: float, d0: float, f1: float, d1: float) -> tuple[ta.Segment, ta.Segment]:
     """Two parabolas that meet in the middle and have these values (N) and rates (N/s) at both ends."""
     half = (stop - start) / 2
     middle_rate = (f1 - f0) / half - (d0 + d1) / 2
     c2 = (middle_rate - d0) / (2 * half)
     middle = f0 + half * (d0 + c2 * half)
     return (
-        Segment(start, start + half, f0, d0, c2),
-        Segment(start + half, stop, middle, middle_rate, (d1 - middle_rate) / (2 * half)),
+        ta.Segment(start, start + half, f0, d0, c2),
+        ta.Segment(start + half, stop, middle, middle_rate, (d1 - middle_rate) / (2 * half)),
     )
 
 
-def roughness(segments: tuple[Segment, ...], share: float, seed: int) -> SampledForce:
+def roughness(segments: tuple[ta.Segment, ...], share: float, seed: int) -> ta.SampledForce:
     """Random force with an rms of `share` times the force of the segments at each moment."""
     start, stop = segments[0].start, segments[-1].stop
     n = max(math.ceil((stop - start) * _NOISE_FS), 2)
@@ -221,4 +211,4 @@ def roughness(segments: tuple[Segment, ...], share: float, seed: int) -> Sampled
     white = np.random.Generator(np.random.PCG64(seed)).standard_normal(n + 1)
     values = share * level * white
     values[0] = values[-1] = 0.0
-    return SampledForce(start, (stop - start) / n, values)
+    return ta.SampledForce(start, (stop - start) / n, values)

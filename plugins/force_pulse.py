@@ -8,33 +8,24 @@ from __future__ import annotations
 
 from typing import Literal
 
-from tonewood.authoring import (
-    Event,
-    Exciter,
-    Gesture,
-    Parameters,
-    Place,
-    Segment,
-    StringPlace,
-    described,
-    metres,
-    quantity,
-    smooth_step,
-)
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 
 class PulseParameters(Parameters):
     """Parameters of the pulse."""
 
-    at: str | None = described("point it acts on, e.g. body.bridge_G3; left out: the string played", default=None)
-    force: float = quantity("N", low=-1e4, high=1e4, default=1.0, doc="peak")
-    duration: float = quantity("s", low=1e-6, high=1.0, default=1e-3, doc="from first to last contact")
-    shape: Literal["smooth", "triangle"] = described("course of the force", default="smooth")
-    from_bridge: StringPlace = described("on a string: m, or {fraction: of its length}", default=0.1)
-    angle_deg: float = quantity("deg", low=-360.0, high=360.0, default=0.0, doc="on a string: direction of the force")
+    at: str | None = ta.described("point it acts on, e.g. body.bridge_G3; left out: the string played", default=None)
+    force: float = ta.quantity("N", low=-1e4, high=1e4, default=1.0, doc="peak")
+    duration: float = ta.quantity("s", low=1e-6, high=1.0, default=1e-3, doc="from first to last contact")
+    shape: Literal["smooth", "triangle"] = ta.described("course of the force", default="smooth")
+    from_bridge: ta.StringPlace = ta.described("on a string: m, or {fraction: of its length}", default=0.1)
+    angle_deg: float = ta.quantity(
+        "deg", low=-360.0, high=360.0, default=0.0, doc="on a string: direction of the force"
+    )
 
 
-class ForcePulse(Exciter[PulseParameters]):
+class ForcePulse(ta.Exciter[PulseParameters]):
     """The pulse; see the module."""
 
     api = 1
@@ -45,15 +36,15 @@ class ForcePulse(Exciter[PulseParameters]):
         """``component.point`` it acts on, or None."""
         return self.parameters.at
 
-    def gesture(self, event: Event, place: Place) -> Gesture:
+    def gesture(self, event: ta.Event, place: ta.Place) -> ta.Gesture:
         """Force from time 0 on."""
         p = self.adjusted(event.values)
         half, end = p.duration / 2, p.duration
         if p.shape == "smooth":
-            segments = smooth_step(0.0, half, 0.0, p.force) + smooth_step(half, end, p.force, 0.0)
+            segments = ta.smooth_step(0.0, half, 0.0, p.force) + ta.smooth_step(half, end, p.force, 0.0)
         else:
             slope = p.force / half
-            segments = (Segment(0.0, half, 0.0, slope), Segment(half, end, p.force, -slope))
+            segments = (ta.Segment(0.0, half, 0.0, slope), ta.Segment(half, end, p.force, -slope))
         if self.at is not None:
-            return Gesture(segments)
-        return Gesture(segments, metres(p.from_bridge, place), p.angle_deg)
+            return ta.Gesture(segments)
+        return ta.Gesture(segments, ta.metres(p.from_bridge, place), p.angle_deg)

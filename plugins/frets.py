@@ -12,20 +12,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from tonewood.authoring import (
-    Attached,
-    Attachment,
-    Connection,
-    Contact,
-    Direction,
-    Number,
-    Parameters,
-    Site,
-    contact_effect,
-    described,
-    quantity,
-    unit_vector,
-)
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 FretNumber = Annotated[str, Field(pattern=r"^[1-9][0-9]?$")]
 
@@ -33,24 +21,24 @@ FretNumber = Annotated[str, Field(pattern=r"^[1-9][0-9]?$")]
 class FretsParameters(Parameters):
     """Parameters of the frets."""
 
-    action_first: float = quantity("m", low=0.0, high=0.05, doc="clearance of the open string at the first fret")
-    action_twelfth: float = quantity("m", low=0.0, high=0.05, doc="clearance of the open string at half its length")
-    relief: float = quantity("m", low=0.0, high=0.01, default=0.0, doc="hollow of the neck, midway nut to last fret")
-    heights: dict[FretNumber, Number] = described("number of a fret -> m by which it stands out", default={})
-    stiffness: float = quantity("N/m^exponent", low=0.0, high=1e16, default=1e9, doc="K of the contact")
-    exponent: float = quantity("1", low=1.0, high=4.0, default=1.5, doc="alpha of the contact")
-    loss: float = quantity("s/m", low=0.0, high=100.0, default=0.5, doc="of Hunt and Crossley")
-    direction: Direction = described("from the frets to the string", default="z")
+    action_first: float = ta.quantity("m", low=0.0, high=0.05, doc="clearance of the open string at the first fret")
+    action_twelfth: float = ta.quantity("m", low=0.0, high=0.05, doc="clearance of the open string at half its length")
+    relief: float = ta.quantity("m", low=0.0, high=0.01, default=0.0, doc="hollow of the neck, midway nut to last fret")
+    heights: dict[FretNumber, ta.Number] = ta.described("number of a fret -> m by which it stands out", default={})
+    stiffness: float = ta.quantity("N/m^exponent", low=0.0, high=1e16, default=1e9, doc="K of the contact")
+    exponent: float = ta.quantity("1", low=1.0, high=4.0, default=1.5, doc="alpha of the contact")
+    loss: float = ta.quantity("s/m", low=0.0, high=100.0, default=0.5, doc="of Hunt and Crossley")
+    direction: ta.Direction = ta.described("from the frets to the string", default="z")
 
 
-class Frets(Attachment[FretsParameters]):
+class Frets(ta.Attachment[FretsParameters]):
     """The frets; see the module."""
 
     api = 1
-    effects = (contact_effect("frets", "buzz and slap where the string reaches a fret"),)
+    effects = (ta.contact_effect("frets", "buzz and slap where the string reaches a fret"),)
     Parameters = FretsParameters
 
-    def clearance(self, x: float, site: Site) -> float:
+    def clearance(self, x: float, site: ta.Site) -> float:
         """Clearance under the open string x metres from the bridge, without heights of single frets, m."""
         p = self.parameters
         first, twelfth, last = site.stops[1], site.open_length / 2, site.stops[-1]
@@ -58,12 +46,12 @@ class Frets(Attachment[FretsParameters]):
         share = (site.open_length - x) / (site.open_length - last)
         return line + 4 * p.relief * share * (1 - share)
 
-    def attach(self, name: str, site: Site) -> Attached:
+    def attach(self, name: str, site: ta.Site) -> ta.Attached:
         """One contact for every stop of the string."""
         if len(site.stops) < 2:
             raise self.fault(f"string {site.string} has no stops, so it has no frets")
         p = self.parameters
-        direction = unit_vector(p.direction)
+        direction = ta.unit_vector(p.direction)
 
         def crown(x: float) -> float:
             number = min(range(1, len(site.stops)), key=lambda i: abs(site.stops[i] - x))
@@ -74,6 +62,6 @@ class Frets(Attachment[FretsParameters]):
             point = f"{name}.{number}"
             # behind the stop, and under the stop itself, where the string is held
             places[point] = x if x < 0.999 * site.length else site.open_length
-            law = Contact(p.stiffness, p.exponent, p.loss, offset=-max(site.lowered(x, crown), 0.0))
-            connections.append(Connection(f"{site.string}.{point}", site.motion(point, direction), law))
-        return Attached(places, connections=tuple(connections))
+            law = ta.Contact(p.stiffness, p.exponent, p.loss, offset=-max(site.lowered(x, crown), 0.0))
+            connections.append(ta.Connection(f"{site.string}.{point}", site.motion(point, direction), law))
+        return ta.Attached(places, connections=tuple(connections))

@@ -23,29 +23,20 @@ import numpy as np
 from pydantic import model_validator
 from tonewood.plugins.tension_modulated_string import TensionModulatedParameters, TensionModulatedString
 
-from tonewood.authoring import (
-    LONGITUDINAL,
-    GeometricStretch,
-    Longitudinal,
-    ModalBasis,
-    Potential,
-    StringMotion,
-    quantity,
-    string_basis,
-)
+import tonewood.authoring as ta
 
 
 class GeometricParameters(TensionModulatedParameters):
     """Parameters of the open string."""
 
-    axial_stiffness: float = quantity("N", low=1.0, high=1e7, doc="E A")
-    freq_coupled: float = quantity(
+    axial_stiffness: float = ta.quantity("N", low=1.0, high=1e7, doc="E A")
+    freq_coupled: float = ta.quantity(
         "Hz", low=20.0, high=1e5, default=4000.0, doc="transverse modes below it drive the longitudinal ones"
     )
-    longitudinal_loss: float = quantity(
+    longitudinal_loss: float = ta.quantity(
         "1", low=0.0, high=1.0, default=2e-3, doc="loss factor of longitudinal modes, 2 sigma / omega"
     )
-    bridge_leverage: float = quantity(
+    bridge_leverage: float = ta.quantity(
         "1", low=-2.0, high=2.0, default=0.1, doc="motion of the string's end along it per motion of the body's point"
     )
 
@@ -63,30 +54,32 @@ class GeometricString(TensionModulatedString):
     """The string; see the module."""
 
     api = 1
-    effects = (*TensionModulatedString.effects, LONGITUDINAL)
+    effects = (*TensionModulatedString.effects, ta.LONGITUDINAL)
     Parameters = GeometricParameters
     parameters: GeometricParameters
 
     @property
-    def longitudinal(self) -> Longitudinal:
+    def longitudinal(self) -> ta.Longitudinal:
         """Motion along the string."""
-        return Longitudinal(self._longitudinal, self.parameters.bridge_leverage)
+        return ta.Longitudinal(self._longitudinal, self.parameters.bridge_leverage)
 
-    def potentials(self, string: StringMotion) -> Sequence[Potential]:
+    def potentials(self, string: ta.StringMotion) -> Sequence[ta.Potential]:
         """The coupling to the longitudinal motion; where that is left out, the rising tension alone."""
         if string.longitudinal is None:
             return super().potentials(string)
         p = self.parameters
-        return [GeometricStretch(string.name, string.planes, string.longitudinal, p.axial_stiffness, p.freq_coupled)]
+        return [ta.GeometricStretch(string.name, string.planes, string.longitudinal, p.axial_stiffness, p.freq_coupled)]
 
-    def _longitudinal(self, freq_upper: float, stop: float) -> ModalBasis:
+    def _longitudinal(self, freq_upper: float, stop: float) -> ta.ModalBasis:
         p = self.parameters
 
         def loss(freq_rad: np.ndarray, wavenumber: np.ndarray) -> np.ndarray:
             return np.full_like(freq_rad, p.longitudinal_loss)
 
         try:
-            return string_basis(p.length - stop, p.axial_stiffness, p.linear_density, 0.0, loss, freq_upper=freq_upper)
+            return ta.string_basis(
+                p.length - stop, p.axial_stiffness, p.linear_density, 0.0, loss, freq_upper=freq_upper
+            )
         except ValueError:
             raise self.fault(
                 f"has no longitudinal mode below {freq_upper:g} Hz where it is {p.length - stop:g} m long: use "

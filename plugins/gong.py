@@ -6,8 +6,8 @@ those of a simply supported plate,
 
     omega = sqrt(D / rho h) pi^2 (m^2 / a^2 + n^2 / b^2),    damping rate sigma0 + sigma2 omega^2.
 
-Those below `freq_coupled` share the energy V of the stretched middle surface (`_gong_plate`: von Karman's equations), a
-potential that the engine steps with them; higher ones are stepped without it. `edges` is the support of the plate in
+Those below `freq_coupled` share the energy V of the stretched middle surface (`_gong_energy`: von Karman's equations),
+a potential that the engine steps with them; higher ones are stepped without it. `edges` is the support of the plate in
 its plane. With Numba (``pip install "tonewood[plates]"``) V is compiled; without it, NumPy computes V at every step,
 three to five times slower.
 
@@ -32,7 +32,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
-from tonewood.plugins._gong_plate import GongPlate, PlateGrid
+from tonewood.plugins._gong_energy import GongPlate, PlateGrid
 
 import tonewood.authoring as ta
 
@@ -110,7 +110,7 @@ class PlateEnergy(ta.PotentialEnergy):
             text = 'Numba is not installed: a gong takes three to five times as long; pip install "tonewood[plates]"'
             warnings.warn(text, stacklevel=2)
             return None
-        from tonewood.plugins._gong_compiled import compiled
+        from tonewood.plugins._gong_energy_numba import compiled
 
         return ta.PotentialFunction(compiled.ctypes, data=self.grid.packed, scratch=self.grid.scratch)
 

@@ -22,29 +22,8 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-from tonewood.authoring import (
-    Attached,
-    Connection,
-    Contact,
-    Direction,
-    Event,
-    Exciter,
-    Gesture,
-    Motion,
-    Parameters,
-    Place,
-    Segment,
-    Site,
-    StringPlace,
-    Term,
-    contact_effect,
-    described,
-    loose_mass,
-    metres,
-    quantity,
-    smooth_step,
-    unit_vector,
-)
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 #: periods of its suspension after which a hammer that was thrown is away from the string for good
 _FALLS = 2.0
@@ -55,31 +34,31 @@ _NODES, _STEPS = 32, 32
 class HammerParameters(Parameters):
     """Parameters of the hammer."""
 
-    from_bridge: StringPlace = described("m, or {fraction: of the speaking length}", default=0.1)
-    velocity: float = quantity("m/s", low=0.0, high=20.0, default=2.0, doc="with which it meets the string")
-    mass: float = quantity("kg", low=1e-6, high=1.0, doc="of the hammer's head, or of tangent and key")
-    stiffness: float = quantity("N/m^exponent", low=0.0, high=1e16, doc="K of the felt")
-    exponent: float = quantity("1", low=1.0, high=6.0, default=2.5, doc="alpha of the felt")
-    loss: float = quantity("s/m", low=0.0, high=100.0, default=0.0, doc="of Hunt and Crossley")
-    clearance: float = quantity("m", low=1e-5, high=0.1, default=2e-3, doc="from its rest to the string")
-    throw_time: float = quantity("s", low=1e-4, high=0.1, default=1.5e-3, doc="of the push; shorter if it must be")
-    return_freq: float = quantity("Hz", low=0.1, high=100.0, default=4.0, doc="of the spring that brings it back")
-    return_damping: float = quantity("1", low=0.0, high=5.0, default=0.7, doc="damping ratio of that spring")
-    free_time: float = quantity(
+    from_bridge: ta.StringPlace = ta.described("m, or {fraction: of the speaking length}", default=0.1)
+    velocity: float = ta.quantity("m/s", low=0.0, high=20.0, default=2.0, doc="with which it meets the string")
+    mass: float = ta.quantity("kg", low=1e-6, high=1.0, doc="of the hammer's head, or of tangent and key")
+    stiffness: float = ta.quantity("N/m^exponent", low=0.0, high=1e16, doc="K of the felt")
+    exponent: float = ta.quantity("1", low=1.0, high=6.0, default=2.5, doc="alpha of the felt")
+    loss: float = ta.quantity("s/m", low=0.0, high=100.0, default=0.0, doc="of Hunt and Crossley")
+    clearance: float = ta.quantity("m", low=1e-5, high=0.1, default=2e-3, doc="from its rest to the string")
+    throw_time: float = ta.quantity("s", low=1e-4, high=0.1, default=1.5e-3, doc="of the push; shorter if it must be")
+    return_freq: float = ta.quantity("Hz", low=0.1, high=100.0, default=4.0, doc="of the spring that brings it back")
+    return_damping: float = ta.quantity("1", low=0.0, high=5.0, default=0.7, doc="damping ratio of that spring")
+    free_time: float = ta.quantity(
         "s", low=0.0, high=0.05, default=0.0, doc="after it met the string, until the spring may brake it"
     )
-    press: float = quantity("N", low=0.0, high=50.0, default=0.0, doc="with which it is held against the string")
-    press_time: float = quantity("s", low=1e-4, high=1.0, default=3e-3, doc="in which that force grows and vanishes")
-    sustain: float = quantity("s", low=0.0, high=60.0, default=2.0, doc="of a press without an end")
-    felt_width: float = quantity("m", low=0.0, high=0.1, default=0.0, doc="of the string that the felt covers")
-    direction: Direction = described("in which it strikes", default="z")
+    press: float = ta.quantity("N", low=0.0, high=50.0, default=0.0, doc="with which it is held against the string")
+    press_time: float = ta.quantity("s", low=1e-4, high=1.0, default=3e-3, doc="in which that force grows and vanishes")
+    sustain: float = ta.quantity("s", low=0.0, high=60.0, default=2.0, doc="of a press without an end")
+    felt_width: float = ta.quantity("m", low=0.0, high=0.1, default=0.0, doc="of the string that the felt covers")
+    direction: ta.Direction = ta.described("in which it strikes", default="z")
 
 
-class Hammer(Exciter[HammerParameters]):
+class Hammer(ta.Exciter[HammerParameters]):
     """The hammer; see the module."""
 
     api = 1
-    effects = (contact_effect("hammer", "a mass thrown at the string, while a gesture moves it", basic=True),)
+    effects = (ta.contact_effect("hammer", "a mass thrown at the string, while a gesture moves it", basic=True),)
     Parameters = HammerParameters
 
     @property
@@ -88,59 +67,59 @@ class Hammer(Exciter[HammerParameters]):
         p = self.parameters
         return p.press_time + 0.5 / p.return_freq if p.press > 0.0 else 0.0
 
-    def attach(self, name: str, site: Site) -> Attached:
+    def attach(self, name: str, site: ta.Site) -> ta.Attached:
         """Return the felt on each string, and one mass for all strings of a key."""
         p, point = self.parameters, f"{site.leader}.{name}"
-        terms = (*site.motion("pluck", unit_vector(p.direction)), Term(f"{point}.head", "mass", -1.0))
+        terms = (*site.motion("pluck", ta.unit_vector(p.direction)), ta.Term(f"{point}.head", "mass", -1.0))
         if len(terms) < 2:
             raise self.fault(f"string {site.string} does not move in this direction", "direction")
-        felt = Contact(p.stiffness, p.exponent, p.loss, offset=-p.clearance)
-        connections = (Connection(f"{site.string}.{name}.felt", terms, felt),)
+        felt = ta.Contact(p.stiffness, p.exponent, p.loss, offset=-p.clearance)
+        connections = (ta.Connection(f"{site.string}.{name}.felt", terms, felt),)
         resting = tuple(c.name for c in connections) if site.group else ()
         if site.string != site.leader:
-            return Attached(connections=connections, resting=resting)
+            return ta.Attached(connections=connections, resting=resting)
         omega = 2 * math.pi * p.return_freq
-        return Attached(
-            components={f"{point}.head": loose_mass(p.mass, omega, p.return_damping * omega)},
+        return ta.Attached(
+            components={f"{point}.head": ta.loose_mass(p.mass, omega, p.return_damping * omega)},
             connections=connections,
             inputs={f"{point}.push": ((f"{point}.head", "mass", 1.0),)},
             resting=resting,
         )
 
-    def gesture(self, event: Event, place: Place) -> Gesture:
+    def gesture(self, event: ta.Event, place: ta.Place) -> ta.Gesture:
         """Push, flight, and the force that keeps it there; it arrives at time 0."""
         p = self.adjusted(event.values)
-        on, at = f"{place.name}.{self.name}.push", metres(p.from_bridge, place)
+        on, at = f"{place.name}.{self.name}.push", ta.metres(p.from_bridge, place)
         if p.velocity == 0.0:
-            return Gesture((Segment(0.0, 1e-3, 0.0),), at, on=on)
+            return ta.Gesture((ta.Segment(0.0, 1e-3, 0.0),), at, on=on)
         throw = min(p.throw_time, p.clearance / p.velocity)
         # distance covered during the push, whose rise and fall are alike: throw x velocity / 2
         start = -(throw + (p.clearance - throw * p.velocity / 2) / p.velocity)
         peak = 2 * p.mass * p.velocity / throw
         half = start + throw / 2
-        push = smooth_step(start, half, 0.0, peak) + smooth_step(half, start + throw, peak, 0.0)
+        push = ta.smooth_step(start, half, 0.0, peak) + ta.smooth_step(half, start + throw, peak, 0.0)
         # compensates the velocity that the suspension takes away on the way
         omega = 2 * math.pi * p.return_freq
         drag, pull = 2 * p.return_damping * omega * p.mass * p.velocity, omega**2 * p.mass
-        kept = smooth_step(start, start + throw, 0.0, drag)
+        kept = ta.smooth_step(start, start + throw, 0.0, drag)
         segments = tuple(_sum(piece, kept[i // 2]) for i, piece in enumerate(push))
-        segments += (Segment(start + throw, 0.0, drag + pull * throw * p.velocity / 2, pull * p.velocity),)
+        segments += (ta.Segment(start + throw, 0.0, drag + pull * throw * p.velocity / 2, pull * p.velocity),)
         if p.free_time > 0.0:
             segments += self._made_up_for(p, event, place, at)
         if p.press > 0.0:
             held = max(event.duration if math.isfinite(event.duration) else p.sustain, 2 * p.press_time)
-            segments += smooth_step(0.0, p.press_time, 0.0, p.press)
-            segments += (Segment(p.press_time, held, p.press),)
-            segments += smooth_step(held, held + p.press_time, p.press, 0.0)
+            segments += ta.smooth_step(0.0, p.press_time, 0.0, p.press)
+            segments += (ta.Segment(p.press_time, held, p.press),)
+            segments += ta.smooth_step(held, held + p.press_time, p.press, 0.0)
         # of a key: its felts act until the hammer has fallen back
         away = p.free_time + _FALLS / p.return_freq
         motions = tuple(
-            Motion(f"{string}.{self.name}.felt", "scale", (Segment(start, away, factor),))
+            ta.Motion(f"{string}.{self.name}.felt", "scale", (ta.Segment(start, away, factor),))
             for string, factor in place.strings
         )
-        return Gesture(segments, at, on=on, motions=motions)
+        return ta.Gesture(segments, at, on=on, motions=motions)
 
-    def _made_up_for(self, p: HammerParameters, event: Event, place: Place, at: float) -> tuple[Segment, ...]:
+    def _made_up_for(self, p: HammerParameters, event: ta.Event, place: ta.Place, at: float) -> tuple[ta.Segment, ...]:
         """Force that balances the suspension from the blow on, as far as the hammer's course is foreseen."""
         omega = 2 * math.pi * p.return_freq
         times, x, v = _course(p, event, place, at)
@@ -148,10 +127,14 @@ class Hammer(Exciter[HammerParameters]):
             p.mass * (2 * p.return_damping * omega * v_ + omega**2 * (p.clearance + x_))
             for x_, v_ in zip(x, v, strict=True)
         ]
-        return tuple(Segment(a, b, f, (g - f) / (b - a)) for (a, f), (b, g) in pairwise(zip(times, force, strict=True)))
+        return tuple(
+            ta.Segment(a, b, f, (g - f) / (b - a)) for (a, f), (b, g) in pairwise(zip(times, force, strict=True))
+        )
 
 
-def _course(p: HammerParameters, event: Event, place: Place, at: float) -> tuple[list[float], list[float], list[float]]:
+def _course(
+    p: HammerParameters, event: ta.Event, place: ta.Place, at: float
+) -> tuple[list[float], list[float], list[float]]:
     """Times, places from the resting string and velocities of a hammer from the blow on, `_NODES` of each."""
     speed = 2 * place.length * (event.freq or 1.0)
     impedance = max(place.tension, 1.0) / speed
@@ -176,7 +159,7 @@ def _course(p: HammerParameters, event: Event, place: Place, at: float) -> tuple
     return times, xs, vs
 
 
-def _sum(a: Segment, b: Segment) -> Segment:
+def _sum(a: ta.Segment, b: ta.Segment) -> ta.Segment:
     """Product of two courses, over the times of the first."""
     c0, c1, c2 = b.shifted(a.start - b.start)
-    return Segment(a.start, a.stop, a.c0 + c0, a.c1 + c1, a.c2 + c2)
+    return ta.Segment(a.start, a.stop, a.c0 + c0, a.c1 + c1, a.c2 + c2)

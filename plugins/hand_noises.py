@@ -33,20 +33,8 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.authoring import (
-    FRETTING_NOISE,
-    SQUEAK,
-    TOUCH_NOISE,
-    Event,
-    Exciter,
-    Gesture,
-    Hold,
-    Parameters,
-    Place,
-    SampledForce,
-    described,
-    quantity,
-)
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 Floats = NDArray[np.float64]
 
@@ -61,51 +49,57 @@ _BESIDE = 0.99
 class NoiseParameters(Parameters):
     """Parameters that fingers on a string have in common."""
 
-    roughness: float = quantity("1", low=0.0, high=1.0, default=0.02, doc="rms of the force's random part, re it")
-    seed: int = described("of the random part", default=0, ge=0)
+    roughness: float = ta.quantity("1", low=0.0, high=1.0, default=0.02, doc="rms of the force's random part, re it")
+    seed: int = ta.described("of the random part", default=0, ge=0)
 
 
 class FrettingNoiseParameters(NoiseParameters):
     """Parameters of a finger that comes or goes."""
 
-    speed: float = quantity("m/s", low=0.0, high=10.0, default=0.1, doc="of the finger that presses the string down")
-    time: float = quantity("s", low=1e-3, high=1.0, default=0.015, doc="it takes")
-    lift: float = quantity("1", low=0.0, high=10.0, default=0.5, doc="force of a finger that leaves, re one that comes")
-    hold_dashpot: float = quantity("N s/m", low=0.0, high=100.0, default=1.0, doc="damping of the skin on the string")
+    speed: float = ta.quantity("m/s", low=0.0, high=10.0, default=0.1, doc="of the finger that presses the string down")
+    time: float = ta.quantity("s", low=1e-3, high=1.0, default=0.015, doc="it takes")
+    lift: float = ta.quantity(
+        "1", low=0.0, high=10.0, default=0.5, doc="force of a finger that leaves, re one that comes"
+    )
+    hold_dashpot: float = ta.quantity(
+        "N s/m", low=0.0, high=100.0, default=1.0, doc="damping of the skin on the string"
+    )
 
 
 class TouchNoiseParameters(NoiseParameters):
     """Parameters of a finger that ends a note."""
 
-    speed: float = quantity("m/s", low=0.0, high=10.0, default=0.05, doc="of the finger that falls on the string")
-    time: float = quantity("s", low=2e-3, high=10.0, default=0.02, doc="for which its force lasts")
+    speed: float = ta.quantity("m/s", low=0.0, high=10.0, default=0.05, doc="of the finger that falls on the string")
+    time: float = ta.quantity("s", low=2e-3, high=10.0, default=0.02, doc="for which its force lasts")
 
 
 class SqueakParameters(Parameters):
     """Parameters of a finger that slides."""
 
-    strings: tuple[str, ...] = described("those that are wound; none: all", default=())
-    windings: float = quantity("1/m", low=100.0, high=20000.0, default=4000.0, doc="turns of wire per metre")
-    depth: float = quantity("N", low=0.0, high=10.0, default=0.01, doc="of the push of a winding, at the top speed")
-    time: float = quantity("s", low=0.01, high=5.0, default=0.08, doc="of the slide")
-    jitter: float = quantity("1", low=0.0, high=1.0, default=0.05, doc="turns by which turns wander")
-    hold_dashpot: float = quantity("N s/m", low=0.0, high=100.0, default=0.3, doc="damping of the skin on the string")
-    seed: int = described("of the windings", default=0, ge=0)
+    strings: tuple[str, ...] = ta.described("those that are wound; none: all", default=())
+    windings: float = ta.quantity("1/m", low=100.0, high=20000.0, default=4000.0, doc="turns of wire per metre")
+    depth: float = ta.quantity("N", low=0.0, high=10.0, default=0.01, doc="of the push of a winding, at the top speed")
+    time: float = ta.quantity("s", low=0.01, high=5.0, default=0.08, doc="of the slide")
+    jitter: float = ta.quantity("1", low=0.0, high=1.0, default=0.05, doc="turns by which turns wander")
+    hold_dashpot: float = ta.quantity(
+        "N s/m", low=0.0, high=100.0, default=0.3, doc="damping of the skin on the string"
+    )
+    seed: int = ta.described("of the windings", default=0, ge=0)
 
 
-def impedance(event: Event, place: Place) -> float:
+def impedance(event: ta.Event, place: ta.Place) -> float:
     """Wave impedance of the string, N s/m."""
     return (place.tension or _TENSION) / (2 * place.length * (event.freq or _FREQ))
 
 
-class FrettingNoise(Exciter[FrettingNoiseParameters]):
+class FrettingNoise(ta.Exciter[FrettingNoiseParameters]):
     """A finger that comes to a stop, or leaves one; see the module."""
 
     api = 1
-    effects = (FRETTING_NOISE,)
+    effects = (ta.FRETTING_NOISE,)
     Parameters = FrettingNoiseParameters
 
-    def gesture(self, event: Event, place: Place) -> Gesture:
+    def gesture(self, event: ta.Event, place: ta.Place) -> ta.Gesture:
         """Return a gesture that ends at time 0, when the string has its new stop; `place` is that of the new one."""
         p = self.adjusted(event.values)
         before = event.length_before or place.length
@@ -113,40 +107,40 @@ class FrettingNoise(Exciter[FrettingNoiseParameters]):
         force = 2 * impedance(event, place) * p.speed * (1.0 if comes else p.lift)
         label = f"fret {place.name} {event.stop_before:g} {event.stop:g}"
         noise = pressed(-p.time, p.time, (0.25, 0.02), force, p, label)
-        hold = Hold(-p.time, -p.time, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 else None
+        hold = ta.Hold(-p.time, -p.time, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 else None
         at = place.length if comes else _BESIDE * before
-        return Gesture((), at, 180.0 if comes else 90.0, hold, noise=noise)
+        return ta.Gesture((), at, 180.0 if comes else 90.0, hold, noise=noise)
 
 
-class TouchNoise(Exciter[TouchNoiseParameters]):
+class TouchNoise(ta.Exciter[TouchNoiseParameters]):
     """A finger that falls on a string; see the module."""
 
     api = 1
-    effects = (TOUCH_NOISE,)
+    effects = (ta.TOUCH_NOISE,)
     Parameters = TouchNoiseParameters
 
-    def gesture(self, event: Event, place: Place) -> Gesture:
+    def gesture(self, event: ta.Event, place: ta.Place) -> ta.Gesture:
         """Return a gesture that begins at time 0."""
         p = self.adjusted(event.values)
         force = 2 * impedance(event, place) * p.speed
         noise = pressed(0.0, p.time, (0.025, 0.975), force, p, f"touch {place.name} {event.stop:g}")
-        return Gesture((), None, 180.0, noise=noise)
+        return ta.Gesture((), None, 180.0, noise=noise)
 
 
-class Squeak(Exciter[SqueakParameters]):
+class Squeak(ta.Exciter[SqueakParameters]):
     """A finger that slides along windings; see the module."""
 
     api = 1
-    effects = (SQUEAK,)
+    effects = (ta.SQUEAK,)
     Parameters = SqueakParameters
 
-    def gesture(self, event: Event, place: Place) -> Gesture:
+    def gesture(self, event: ta.Event, place: ta.Place) -> ta.Gesture:
         """Return a gesture that ends at time 0, at the new stop; none on strings that are not wound."""
         p = self.adjusted(event.values)
         before = event.length_before or place.length
         way = abs(before - place.length)
         if way == 0.0 or (p.strings and place.name not in p.strings):
-            return Gesture(())
+            return ta.Gesture(())
         n = math.ceil(p.time * _NOISE_FS)
         share = np.linspace(0.0, 1.0, n + 1)
         travelled = way * _smooth(share)
@@ -156,15 +150,15 @@ class Squeak(Exciter[SqueakParameters]):
         passed = p.windings * travelled + np.cumsum(p.jitter * per_value * random.standard_normal(n + 1))
         rate = 1.5 * p.windings * way / p.time * relative_speed
         values = sum(np.sin(2 * np.pi * k * passed) / k * (k * rate < _HIGHEST) for k in (1, 2, 3))
-        noise = SampledForce(-p.time, p.time / n, np.asarray(p.depth * relative_speed * values))
-        hold = Hold(-p.time, -p.time, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 else None
+        noise = ta.SampledForce(-p.time, p.time / n, np.asarray(p.depth * relative_speed * values))
+        hold = ta.Hold(-p.time, -p.time, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 else None
         at = min((before + place.length) / 2, _BESIDE * before)
-        return Gesture((), at, 180.0, hold, noise=noise)
+        return ta.Gesture((), at, 180.0, hold, noise=noise)
 
 
 def pressed(
     start: float, time: float, shares: tuple[float, float], force: float, p: NoiseParameters, label: str
-) -> SampledForce:
+) -> ta.SampledForce:
     """Force that rises smoothly to `force`, stays and falls smoothly, with its random part.
 
     Parameters
@@ -177,7 +171,7 @@ def pressed(
     share = np.linspace(0.0, 1.0, n + 1)
     level = force * _smooth(share / shares[0]) * _smooth((1.0 - share) / shares[1])
     white = np.random.Generator(np.random.PCG64(zlib.crc32(f"{p.seed} {label}".encode()))).standard_normal(n + 1)
-    return SampledForce(start, time / n, level * (1.0 + p.roughness * white))
+    return ta.SampledForce(start, time / n, level * (1.0 + p.roughness * white))
 
 
 def _smooth(x: Floats) -> Floats:

@@ -15,19 +15,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-from tonewood.authoring import (
-    Event,
-    Exciter,
-    Gesture,
-    Parameters,
-    Place,
-    Segment,
-    StringPlace,
-    described,
-    metres,
-    quantity,
-    smooth_step,
-)
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 #: s after a hammer-on's push until the stop has changed: more than a tick of the control grid
 _STOPPED = 2e-3
@@ -36,36 +25,36 @@ _STOPPED = 2e-3
 class LeftHandParameters(Parameters):
     """Parameters of the hand."""
 
-    action: Literal["slide", "hammer_on", "pull_off"] = described("kind of slur")
-    time: float | None = quantity(
+    action: Literal["slide", "hammer_on", "pull_off"] = ta.described("kind of slur")
+    time: float | None = ta.quantity(
         "s", low=5e-4, high=5.0, default=None, doc="it takes; slide 0.15, hammer_on 0.003, pull_off 0.004"
     )
-    force: float = quantity("N", low=0.0, high=1000.0, default=2.0, doc="of the note, as a pluck would have it")
-    share: float = quantity("1", low=0.0, high=10.0, default=0.3, doc="of it that the stopping finger uses")
-    angle_deg: float = quantity(
+    force: float = ta.quantity("N", low=0.0, high=1000.0, default=2.0, doc="of the note, as a pluck would have it")
+    share: float = ta.quantity("1", low=0.0, high=10.0, default=0.3, doc="of it that the stopping finger uses")
+    angle_deg: float = ta.quantity(
         "deg", low=-360.0, high=360.0, default=0.0, doc="of its push, from the first polarization to the second"
     )
-    from_bridge: StringPlace = described("where the other hand is meanwhile", default=0.1)
+    from_bridge: ta.StringPlace = ta.described("where the other hand is meanwhile", default=0.1)
 
 
-class LeftHand(Exciter[LeftHandParameters]):
+class LeftHand(ta.Exciter[LeftHandParameters]):
     """The hand; see the module."""
 
     api = 1
     Parameters = LeftHandParameters
 
-    def gesture(self, event: Event, place: Place) -> Gesture:
+    def gesture(self, event: ta.Event, place: ta.Place) -> ta.Gesture:
         """A slide ends at time 0, a push begins before it and ends there."""
         p = self.adjusted(event.values)
         time = p.time or {"slide": 0.15, "hammer_on": 3e-3, "pull_off": 4e-3}[p.action]
         force = p.share * p.force
         if p.action == "slide":
-            course = smooth_step(-time, 0.0, event.stop_before, event.stop)
-            return Gesture((Segment(-time, 0.0, 0.0),), metres(p.from_bridge, place), stops=course)
+            course = ta.smooth_step(-time, 0.0, event.stop_before, event.stop)
+            return ta.Gesture((ta.Segment(-time, 0.0, 0.0),), ta.metres(p.from_bridge, place), stops=course)
         if p.action == "hammer_on":
-            push = smooth_step(-time, -time / 2, 0.0, force) + smooth_step(-time / 2, 0.0, force, 0.0)
-            until = Segment(-time, _STOPPED, event.stop_before)
-            return Gesture(push, place.length, p.angle_deg, stops=(until,))
-        drag = smooth_step(-time, 0.0, 0.0, force) + smooth_step(0.0, 2e-4, force, 0.0)
+            push = ta.smooth_step(-time, -time / 2, 0.0, force) + ta.smooth_step(-time / 2, 0.0, force, 0.0)
+            until = ta.Segment(-time, _STOPPED, event.stop_before)
+            return ta.Gesture(push, place.length, p.angle_deg, stops=(until,))
+        drag = ta.smooth_step(-time, 0.0, 0.0, force) + ta.smooth_step(0.0, 2e-4, force, 0.0)
         left = min(event.length_before, 0.99 * place.length)
-        return Gesture(drag, left if left > 0 else metres(p.from_bridge, place), p.angle_deg)
+        return ta.Gesture(drag, left if left > 0 else ta.metres(p.from_bridge, place), p.angle_deg)

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.authoring import Loss, Parameters, StringData, quantity
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 Floats = NDArray[np.float64]
 
@@ -17,12 +18,12 @@ Floats = NDArray[np.float64]
 class WoodhouseParameters(Parameters):
     """Loss factors of a polymer string."""
 
-    eta_f: float = quantity("1", low=0.0, high=1.0, doc="loss of stretching, the same at every frequency")
-    eta_b: float = quantity("1", low=0.0, high=1.0, doc="loss of bending")
-    eta_a: float = quantity("1/s", low=0.0, high=1e3, doc="loss to the air")
+    eta_f: float = ta.quantity("1", low=0.0, high=1.0, doc="loss of stretching, the same at every frequency")
+    eta_b: float = ta.quantity("1", low=0.0, high=1.0, doc="loss of bending")
+    eta_a: float = ta.quantity("1/s", low=0.0, high=1e3, doc="loss to the air")
 
 
-class Woodhouse(Loss[WoodhouseParameters]):
+class Woodhouse(ta.Loss[WoodhouseParameters]):
     """Friction, air and bending losses of a polymer string.
 
         eta = [T (eta_f + eta_a / omega) + EI eta_b k^2] / [T + EI k^2]
@@ -33,7 +34,7 @@ class Woodhouse(Loss[WoodhouseParameters]):
     api = 1
     Parameters = WoodhouseParameters
 
-    def eta(self, omega: Floats, k: Floats, string: StringData) -> Floats:
+    def eta(self, omega: Floats, k: Floats, string: ta.StringData) -> Floats:
         """As `Loss.eta`."""
         p, bending = self.parameters, string.bending_stiffness * k**2
         lost = string.tension * (p.eta_f + p.eta_a / omega) + bending * p.eta_b
@@ -43,11 +44,11 @@ class Woodhouse(Loss[WoodhouseParameters]):
 class SigmaParameters(Parameters):
     """Damping rates."""
 
-    sigma0: float = quantity("1/s", low=0.0, high=1e4, doc="damping rate at low frequency")
-    sigma1: float = quantity("m^2/s", low=0.0, high=1.0, default=0.0, doc="growth of the damping rate with k^2")
+    sigma0: float = ta.quantity("1/s", low=0.0, high=1e4, doc="damping rate at low frequency")
+    sigma1: float = ta.quantity("m^2/s", low=0.0, high=1.0, default=0.0, doc="growth of the damping rate with k^2")
 
 
-class Sigma(Loss[SigmaParameters]):
+class Sigma(ta.Loss[SigmaParameters]):
     """Damping rates that grow with the square of the wavenumber.
 
         sigma = sigma0 + sigma1 k^2:    u_tt = ... - 2 sigma0 u_t + 2 sigma1 u_txx
@@ -58,7 +59,7 @@ class Sigma(Loss[SigmaParameters]):
     api = 1
     Parameters = SigmaParameters
 
-    def eta(self, omega: Floats, k: Floats, string: StringData) -> Floats:
+    def eta(self, omega: Floats, k: Floats, string: ta.StringData) -> Floats:
         """As `Loss.eta`."""
         return np.asarray(2 * (self.parameters.sigma0 + self.parameters.sigma1 * k**2) / omega)
 
@@ -66,14 +67,14 @@ class Sigma(Loss[SigmaParameters]):
 class ValetteParameters(Parameters):
     """Losses of a metal string in air."""
 
-    diameter: float = quantity("m", low=1e-5, high=0.05, doc="of the string, as the air meets it")
-    delta_ve: float = quantity("1", low=0.0, high=1.0, doc="visco-elastic loss angle of bending")
-    inverse_q_te: float = quantity("1", low=0.0, high=1.0, default=0.0, doc="thermo-elastic and dislocation loss")
-    air_viscosity: float = quantity("kg/(m s)", low=0.0, high=1e-3, default=1.8e-5, doc="dynamic viscosity of air")
-    air_density: float = quantity("kg/m^3", low=0.0, high=10.0, default=1.2, doc="density of air")
+    diameter: float = ta.quantity("m", low=1e-5, high=0.05, doc="of the string, as the air meets it")
+    delta_ve: float = ta.quantity("1", low=0.0, high=1.0, doc="visco-elastic loss angle of bending")
+    inverse_q_te: float = ta.quantity("1", low=0.0, high=1.0, default=0.0, doc="thermo-elastic and dislocation loss")
+    air_viscosity: float = ta.quantity("kg/(m s)", low=0.0, high=1e-3, default=1.8e-5, doc="dynamic viscosity of air")
+    air_density: float = ta.quantity("kg/m^3", low=0.0, high=10.0, default=1.2, doc="density of air")
 
 
-class Valette(Loss[ValetteParameters]):
+class Valette(ta.Loss[ValetteParameters]):
     """Air, visco-elastic and thermo-elastic losses of a metal string.
 
         eta = R / (2 pi mu nu) + delta_ve EI k^2 / T + inverse_q_te,   nu = omega / 2 pi,
@@ -86,7 +87,7 @@ class Valette(Loss[ValetteParameters]):
     api = 1
     Parameters = ValetteParameters
 
-    def eta(self, omega: Floats, k: Floats, string: StringData) -> Floats:
+    def eta(self, omega: Floats, k: Floats, string: ta.StringData) -> Floats:
         """As `Loss.eta`."""
         p, nu = self.parameters, omega / (2 * np.pi)
         drag = 2 * np.pi * (p.air_viscosity + p.diameter * np.sqrt(np.pi * p.air_viscosity * p.air_density * nu))

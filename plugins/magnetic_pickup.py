@@ -21,18 +21,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.authoring import (
-    Circuit,
-    Conversion,
-    Parameters,
-    Pickup,
-    PickupRows,
-    Readout,
-    Scene,
-    Term,
-    described,
-    quantity,
-)
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 Floats = NDArray[np.float64]
 #: quantities that are read of each string, in order; motion towards the pole is along -z
@@ -42,35 +32,37 @@ _READ = (("velocity", 2), ("velocity", 1), ("displacement", 2), ("displacement",
 class Coil(Parameters):
     """Equivalent circuit of a pickup."""
 
-    resistance: float = quantity("ohm", low=0.0, high=1e6, doc="of the wire")
-    inductance: float = quantity("H", low=1e-3, high=100.0, doc="of the coil")
-    capacitance: float = quantity("F", low=0.0, high=1e-8, doc="between its windings")
+    resistance: float = ta.quantity("ohm", low=0.0, high=1e6, doc="of the wire")
+    inductance: float = ta.quantity("H", low=1e-3, high=100.0, doc="of the coil")
+    capacitance: float = ta.quantity("F", low=0.0, high=1e-8, doc="between its windings")
 
 
 class Load(Parameters):
     """All that the coil feeds."""
 
-    volume: float = quantity("ohm", low=1e3, high=1e8, default=250e3, doc="volume control, turned up")
-    tone: float = quantity("ohm", low=0.0, high=1e8, default=250e3, doc="tone control: resistance in series")
-    tone_capacitor: float = quantity("F", low=0.0, high=1e-5, default=0.0, doc="of the tone control; 0 without one")
-    cable: float = quantity("F", low=0.0, high=1e-7, default=500e-12, doc="cable")
-    input: float = quantity("ohm", low=1e3, high=1e9, default=1e6, doc="input resistance of the amplifier")
+    volume: float = ta.quantity("ohm", low=1e3, high=1e8, default=250e3, doc="volume control, turned up")
+    tone: float = ta.quantity("ohm", low=0.0, high=1e8, default=250e3, doc="tone control: resistance in series")
+    tone_capacitor: float = ta.quantity("F", low=0.0, high=1e-5, default=0.0, doc="of the tone control; 0 without one")
+    cable: float = ta.quantity("F", low=0.0, high=1e-7, default=500e-12, doc="cable")
+    input: float = ta.quantity("ohm", low=1e3, high=1e9, default=1e6, doc="input resistance of the amplifier")
 
 
 class MagneticPickupParameters(Parameters):
     """Parameters of the pickup."""
 
-    at: str = described("name of the point that the strings have over the poles, or of one string: STRING.POINT")
-    sensitivity: float = quantity("V s/m", low=1e-6, high=1e3, default=0.1, doc="voltage per velocity, coil unloaded")
-    coil: Coil = described("equivalent circuit")
-    load: Load = described("controls, cable and input", default=Load())
-    gap: float | None = quantity(
+    at: str = ta.described("name of the point that the strings have over the poles, or of one string: STRING.POINT")
+    sensitivity: float = ta.quantity(
+        "V s/m", low=1e-6, high=1e3, default=0.1, doc="voltage per velocity, coil unloaded"
+    )
+    coil: Coil = ta.described("equivalent circuit")
+    load: Load = ta.described("controls, cable and input", default=Load())
+    gap: float | None = ta.quantity(
         "m", low=1e-4, high=0.05, default=None, doc="string at rest to the pole's face; without it the pickup is linear"
     )
-    radius: float = quantity("m", low=1e-4, high=0.05, default=2.4e-3, doc="of the pole's face")
+    radius: float = ta.quantity("m", low=1e-4, high=0.05, default=2.4e-3, doc="of the pole's face")
 
 
-class MagneticPickup(Pickup[MagneticPickupParameters]):
+class MagneticPickup(ta.Pickup[MagneticPickupParameters]):
     """The pickup; see the module."""
 
     api = 1
@@ -86,7 +78,7 @@ class MagneticPickup(Pickup[MagneticPickupParameters]):
         """Voltage."""
         return "V"
 
-    def rows(self, name: str, scene: Scene) -> PickupRows:
+    def rows(self, name: str, scene: ta.Scene) -> ta.PickupRows:
         """Read the velocity of all strings at once, or each string's motion in both directions."""
         p = self.parameters
         over = [point for point in scene.string_points if p.at in (point, point.partition(".")[2])]
@@ -95,16 +87,16 @@ class MagneticPickup(Pickup[MagneticPickupParameters]):
             raise self.fault(f"no string has a point {p.at!r}; there are {', '.join(points)}", "at")
         if p.gap is None:
             terms = tuple(term for point in over for term in _terms(scene, point, 2))
-            return PickupRows((Readout(f"{name}.voltage", "velocity", terms),), conversion=self._conversion(None))
+            return ta.PickupRows((ta.Readout(f"{name}.voltage", "velocity", terms),), conversion=self._conversion(None))
         readouts = []
         for point in over:
             for quantity_read, axis in _READ:
                 # a string without a second plane has no motion there: its first plane's point with the factor 0
-                terms = _terms(scene, point, axis) or (Term(*scene.string_points[point][0][:2], 0.0),)
-                readouts.append(Readout(f"{name}.{point}.{quantity_read}.{'xyz'[axis]}", quantity_read, terms))
-        return PickupRows(tuple(readouts), conversion=self._conversion(p.gap))
+                terms = _terms(scene, point, axis) or (ta.Term(*scene.string_points[point][0][:2], 0.0),)
+                readouts.append(ta.Readout(f"{name}.{point}.{quantity_read}.{'xyz'[axis]}", quantity_read, terms))
+        return ta.PickupRows(tuple(readouts), conversion=self._conversion(p.gap))
 
-    def circuit(self) -> Circuit:
+    def circuit(self) -> ta.Circuit:
         """Return H(s) S, V s/m."""
         p = self.parameters
         coil, load = p.coil, p.load
@@ -117,12 +109,12 @@ class MagneticPickup(Pickup[MagneticPickupParameters]):
         )  # times `lag`
         denominator = np.trim_zeros(np.polyadd(lag, np.polymul(source, admittance)), "f")
         numerator = np.trim_zeros(p.sensitivity * lag, "f")
-        return Circuit(tuple(map(float, numerator)), tuple(map(float, denominator)))
+        return ta.Circuit(tuple(map(float, numerator)), tuple(map(float, denominator)))
 
-    def _conversion(self, gap: float | None) -> Conversion:
+    def _conversion(self, gap: float | None) -> ta.Conversion:
         radius = self.parameters.radius
         function = None if gap is None else lambda readouts: induced(readouts, gap, radius)
-        return Conversion(function, self.circuit())
+        return ta.Conversion(function, self.circuit())
 
 
 def field(r: Floats, radius: float) -> tuple[Floats, Floats]:
@@ -146,5 +138,5 @@ def induced(readouts: Floats, gap: float, radius: float) -> Floats:
     return np.asarray(np.sum(here * slope / (rest * slope_at_rest) * rate, axis=1, keepdims=True))
 
 
-def _terms(scene: Scene, point: str, axis: int) -> tuple[Term, ...]:
-    return tuple(Term(c, p, float(v[axis])) for c, p, v in scene.string_points[point] if abs(v[axis]) > 1e-12)
+def _terms(scene: ta.Scene, point: str, axis: int) -> tuple[ta.Term, ...]:
+    return tuple(ta.Term(c, p, float(v[axis])) for c, p, v in scene.string_points[point] if abs(v[axis]) > 1e-12)

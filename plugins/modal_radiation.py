@@ -27,40 +27,30 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.authoring import (
-    Drive,
-    Microphones,
-    ModalBasis,
-    MovedMode,
-    Parameters,
-    PickupRows,
-    Scene,
-    described,
-    quantity,
-    with_moved_modes,
-)
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 
 class ModalRadiationParameters(Parameters):
     """Parameters of the microphones."""
 
-    table: str = described("CSV file in the bundle")
-    channels: list[str] = described("names of the microphones to use, as in the table's columns", min_length=1)
-    driven_by: Literal["bridge_forces", "points"] = described(
+    table: str = ta.described("CSV file in the bundle")
+    channels: list[str] = ta.described("names of the microphones to use, as in the table's columns", min_length=1)
+    driven_by: Literal["bridge_forces", "points"] = ta.described(
         "bridge_forces: heave and moment of the forces on the bridge; points: the force at each point of the body",
         default="bridge_forces",
     )
-    force_sign: Literal[1, -1] = described(
+    force_sign: Literal[1, -1] = ta.described(
         "1 if the table counts a force out of the soundboard (+z) as positive, -1 if into it", default=1
     )
-    residue_fs: float | None = quantity("Hz", low=1e3, default=None, doc="rate of a discrete fit")
-    moved_modes: list[MovedMode] = described("modes of the table with another frequency and Q", default=[])
-    low_cut: float | None = quantity(
+    residue_fs: float | None = ta.quantity("Hz", low=1e3, default=None, doc="rate of a discrete fit")
+    moved_modes: list[ta.MovedMode] = ta.described("modes of the table with another frequency and Q", default=[])
+    low_cut: float | None = ta.quantity(
         "Hz", low=1.0, high=200.0, default=None, doc="second-order high-pass below the range of the fit"
     )
 
 
-class ModalRadiation(Microphones[ModalRadiationParameters]):
+class ModalRadiation(ta.Microphones[ModalRadiationParameters]):
     """The microphones; see the module."""
 
     api = 1
@@ -71,7 +61,7 @@ class ModalRadiation(Microphones[ModalRadiationParameters]):
         """The microphones."""
         return tuple(self.parameters.channels)
 
-    def rows(self, name: str, scene: Scene) -> PickupRows:
+    def rows(self, name: str, scene: ta.Scene) -> ta.PickupRows:
         """A component `name` with inputs ``heave`` and ``moment``, or one a point, and an output per channel."""
         sign, place = float(self.parameters.force_sign), {}
         if self.parameters.driven_by == "points":
@@ -88,14 +78,14 @@ class ModalRadiation(Microphones[ModalRadiationParameters]):
             if abs(u) > 1.0:
                 raise self.fault(f"the body's point {force.point!r} lies at u = {u:g}; -1 to 1 are allowed")
             factor = sign * force.factor
-            drives.append(Drive(name, "heave", force.connection, factor * heave))
-            drives.append(Drive(name, "moment", force.connection, factor * u))
+            drives.append(ta.Drive(name, "heave", force.connection, factor * heave))
+            drives.append(ta.Drive(name, "moment", force.connection, factor * u))
         inputs = {
             point: ((name, "heave", sign * heave), (name, "moment", sign * u)) for point, (heave, u) in place.items()
         }
         return self.bank_rows(name, self.basis(scene.freq_upper), drives, inputs)
 
-    def basis(self, freq_upper: float, driven: Sequence[str] = ()) -> ModalBasis:
+    def basis(self, freq_upper: float, driven: Sequence[str] = ()) -> ta.ModalBasis:
         """Modes below `freq_upper` (Hz), once for each channel.
 
         Points ``heave`` and ``moment``, or ``at_POINT`` of each of the body's points `driven`, take forces (N), the
@@ -111,7 +101,7 @@ class ModalRadiation(Microphones[ModalRadiationParameters]):
         if np.any(table["f_Hz"] <= 0) or np.any(table["Q"] <= 0):
             raise self.fault(f"{p.table}: f_Hz and Q must be above 0", "table")
         try:
-            freq, quality = with_moved_modes(table["f_Hz"], table["Q"], p.moved_modes)
+            freq, quality = ta.with_moved_modes(table["f_Hz"], table["Q"], p.moved_modes)
         except ValueError as fault:
             raise self.fault(f"{p.table}: {fault}", "moved_modes") from None
         keep = freq < freq_upper
@@ -135,7 +125,7 @@ class ModalRadiation(Microphones[ModalRadiationParameters]):
         none = np.zeros(len(owner), dtype=np.complex128)
         inputs, outputs = dict.fromkeys(left, none), dict.fromkeys(right, none)
         every = np.concatenate([poles[heard[c]] for c in p.channels])
-        return ModalBasis.complex(every, inputs | right, left | outputs)
+        return ta.ModalBasis.complex(every, inputs | right, left | outputs)
 
 
 def _cut_rates(freq: float) -> NDArray[np.float64]:

@@ -27,24 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
-from tonewood.authoring import (
-    Body,
-    BodyPoint,
-    Direction,
-    ModalBasis,
-    MovedMode,
-    Number,
-    Parameters,
-    PassivityError,
-    check_basis,
-    described,
-    plate,
-    quantity,
-    repair_basis,
-    unit_vector,
-    with_damping_case,
-    with_moved_modes,
-)
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 Floats = NDArray[np.float64]
 
@@ -62,21 +46,21 @@ MOST_COMPLIANCE = 1.0
 class Point(Parameters):
     """A place of the body."""
 
-    direction: Direction = described("x, y, z or a unit vector: displacement is counted along it", default="z")
-    u: float | None = quantity("1", default=None, doc="heave_rock: place along the line, -1 .. 1 between the feet")
-    lever: float | None = quantity(
+    direction: ta.Direction = ta.described("x, y, z or a unit vector: displacement is counted along it", default="z")
+    u: float | None = ta.quantity("1", default=None, doc="heave_rock: place along the line, -1 .. 1 between the feet")
+    lever: float | None = ta.quantity(
         "1",
         low=-1.0,
         high=1.0,
         default=None,
         doc="heave_rock, instead of u: height above the soundboard re half the distance of the feet, moved along y",
     )
-    column: str | None = described("name of the point in the table; the point's own where left out", default=None)
-    place: tuple[Number, Number] | None = described("[x, y] on the body, m; with `area`", default=None)
-    area: float | None = quantity(
+    column: str | None = ta.described("name of the point in the table; the point's own where left out", default=None)
+    place: tuple[ta.Number, ta.Number] | None = ta.described("[x, y] on the body, m; with `area`", default=None)
+    area: float | None = ta.quantity(
         "m^2", low=1e-8, high=1.0, default=None, doc="of the surface that moves as this point: body_microphones hear it"
     )
-    driven: bool = described(
+    driven: bool = ta.described(
         "whether forces act here; false for a point that is only heard, which the test of passivity leaves out",
         default=True,
         strict=True,
@@ -92,7 +76,7 @@ class Point(Parameters):
 class Truncation(Parameters):
     """Static compliance of modes that the table leaves out."""
 
-    residual_compliance: Number | list[Number] | list[list[Number]] = described(
+    residual_compliance: ta.Number | list[ta.Number] | list[list[ta.Number]] = ta.described(
         "m/N: one number for every point; heave_rock: [heave, cross, rock]; or a matrix over the points", default=0.0
     )
 
@@ -100,23 +84,23 @@ class Truncation(Parameters):
 class ModalTableParameters(Parameters):
     """Parameters of the body."""
 
-    table: str = described("CSV file in the bundle")
-    shapes: Literal["points", "residues", "heave_rock", "complex"] = described("how the table gives shapes")
-    points: dict[str, Point] = described("name -> place and direction", default={}, max_length=MOST_POINTS)
-    columns: Literal["named", "all"] = described(
+    table: str = ta.described("CSV file in the bundle")
+    shapes: Literal["points", "residues", "heave_rock", "complex"] = ta.described("how the table gives shapes")
+    points: dict[str, Point] = ta.described("name -> place and direction", default={}, max_length=MOST_POINTS)
+    columns: Literal["named", "all"] = ta.described(
         "points: all makes every further column of the table a point along z", default="named"
     )
-    reference: str | None = described("residues: the point at which the table's responses were driven", default=None)
-    moved_modes: list[MovedMode] = described("modes of the table with another frequency and Q", default=[])
-    truncation: Truncation = described("compliance of modes that are not in the table", default=Truncation())
-    damping_case: Literal["complex", "proportional", "block"] = described(
+    reference: str | None = ta.described("residues: the point at which the table's responses were driven", default=None)
+    moved_modes: list[ta.MovedMode] = ta.described("modes of the table with another frequency and Q", default=[])
+    truncation: Truncation = ta.described("compliance of modes that are not in the table", default=Truncation())
+    damping_case: Literal["complex", "proportional", "block"] = ta.described(
         "complex: modes as they are; proportional: falsely complex; block: damping couples near modes only",
         default="complex",
     )
-    repair: Literal["refuse", "passive"] = described(
+    repair: Literal["refuse", "passive"] = ta.described(
         "treatment of complex modes that would create energy", default="refuse"
     )
-    max_change: float = quantity(
+    max_change: float = ta.quantity(
         "1", low=0.0, high=1.0, default=0.1, doc="largest relative change of the mobility a repair may make"
     )
 
@@ -129,16 +113,17 @@ class ModalTableParameters(Parameters):
         return self
 
 
-class ModalTable(Body[ModalTableParameters]):
+class ModalTable(ta.Body[ModalTableParameters]):
     """The body; see the module."""
 
     api = 1
     Parameters = ModalTableParameters
 
-    def points(self) -> Mapping[str, BodyPoint]:
+    def points(self) -> Mapping[str, ta.BodyPoint]:
         """Every point with its direction; of heave_rock with its shares of both, ``heave`` and ``u``."""
         return {
-            name: BodyPoint(unit_vector(p.direction), _place(p), driven=p.driven) for name, p in self._named.items()
+            name: ta.BodyPoint(ta.unit_vector(p.direction), _place(p), driven=p.driven)
+            for name, p in self._named.items()
         }
 
     @cached_property
@@ -151,7 +136,7 @@ class ModalTable(Body[ModalTableParameters]):
         names = [name for name in self.files.table(p.table, f"{self.key}.table") if name not in taken]
         return {**{name: Point() for name in names}, **p.points}
 
-    def basis(self, freq_upper: float) -> ModalBasis:
+    def basis(self, freq_upper: float) -> ta.ModalBasis:
         """Modes below `freq_upper` (Hz).
 
         Raises
@@ -185,36 +170,36 @@ class ModalTable(Body[ModalTableParameters]):
             maker = {"points": self._points, "residues": self._residues, "heave_rock": self._heave_rock}[p.shapes]
             which, shapes = maker(table)
             self._sane(*shapes.values())
-            basis = ModalBasis.real(freq_rad[which], (zeta * freq_rad)[which], shapes, residual=self._residual())
+            basis = ta.ModalBasis.real(freq_rad[which], (zeta * freq_rad)[which], shapes, residual=self._residual())
         if p.damping_case != "complex":
             try:
-                basis = with_damping_case(basis, p.damping_case)
+                basis = ta.with_damping_case(basis, p.damping_case)
             except ValueError as fault:
                 raise self.fault(str(fault), "damping_case") from None
         # some modes of a passive set of complex modes need not be passive: the test is of those that are stepped
         basis = basis.select(np.flatnonzero(basis.natural_freq < freq_upper))
         return basis if basis.is_real else self._passive(basis)
 
-    def sources(self, freq_upper: float) -> plate.Sources | None:
+    def sources(self, freq_upper: float) -> ta.plate.Sources | None:
         """Points along z that have an area, each a piston of it; None where there are none or modes are complex."""
         basis = self.basis(freq_upper)
         heard = {
             name: p
             for name, p in self._named.items()
-            if p.area is not None and abs(unit_vector(p.direction)[2]) > 0.999
+            if p.area is not None and abs(ta.unit_vector(p.direction)[2]) > 0.999
         }
         if not heard or not basis.is_real:
             return None
         areas = np.array([p.area for p in heard.values()], dtype=np.float64)
-        signs = np.array([np.sign(unit_vector(p.direction)[2]) for p in heard.values()])
+        signs = np.array([np.sign(ta.unit_vector(p.direction)[2]) for p in heard.values()])
         shapes = np.array([basis.right[basis.index(name)].real for name in heard])
         places = np.array([p.place for p in heard.values()], dtype=np.float64)
-        return plate.Sources(places, (areas * signs)[:, None] * shapes, baffled=False)
+        return ta.plate.Sources(places, (areas * signs)[:, None] * shapes, baffled=False)
 
     def _moved(self, freq: Floats, zeta: Floats) -> tuple[Floats, Floats]:
         """Frequencies and damping ratios with those that the bundle moves."""
         try:
-            freq, quality = with_moved_modes(freq, 0.5 / zeta, self.parameters.moved_modes)
+            freq, quality = ta.with_moved_modes(freq, 0.5 / zeta, self.parameters.moved_modes)
         except ValueError as fault:
             raise self.fault(f"{self.parameters.table}: {fault}", "moved_modes") from None
         return freq, 0.5 / quality
@@ -254,7 +239,7 @@ class ModalTable(Body[ModalTableParameters]):
         for name, point in self.parameters.points.items():
             if (point.u is None) == (point.lever is None):
                 raise self.fault("heave_rock needs the place u, or else a lever, of every point", f"points.{name}")
-            if unit_vector(point.direction) != ((0.0, 0.0, 1.0) if point.lever is None else (0.0, 1.0, 0.0)):
+            if ta.unit_vector(point.direction) != ((0.0, 0.0, 1.0) if point.lever is None else (0.0, 1.0, 0.0)):
                 raise self.fault(
                     "heave_rock knows motion along z at u, and along y with a lever", f"points.{name}.direction"
                 )
@@ -268,7 +253,7 @@ class ModalTable(Body[ModalTableParameters]):
         v = vectors[row, :, branch] * amplitude[:, None]
         return row, {name: at["heave"] * v[:, 0] + at["u"] * v[:, 1] for name, at in places.items()}
 
-    def _complex(self, table: Mapping[str, Floats], freq_rad: Floats, zeta: Floats) -> ModalBasis:
+    def _complex(self, table: Mapping[str, Floats], freq_rad: Floats, zeta: Floats) -> ta.ModalBasis:
         if np.any(zeta >= 1):
             raise self.fault(f"{self.parameters.table}: complex modes need zeta below 1", "table")
 
@@ -283,7 +268,7 @@ class ModalTable(Body[ModalTableParameters]):
         self._sane(*right.values())
         self._sane(*left.values())
         poles = freq_rad * (-zeta + 1j * np.sqrt(1 - zeta**2))
-        return ModalBasis.complex(poles, right, left, residual=self._residual())
+        return ta.ModalBasis.complex(poles, right, left, residual=self._residual())
 
     def _sane(self, *shapes: NDArray[np.inexact]) -> None:
         """Refuse shapes of modes lighter than a millionth of a milligram, which may overflow."""
@@ -314,20 +299,20 @@ class ModalTable(Body[ModalTableParameters]):
             raise self.fault("is not positive semidefinite: it would create energy", "truncation.residual_compliance")
         return out
 
-    def _passive(self, basis: ModalBasis) -> ModalBasis:
+    def _passive(self, basis: ta.ModalBasis) -> ta.ModalBasis:
 
         p = self.parameters
         driven = [name for name, point in p.points.items() if point.driven]
-        report = check_basis(basis, driven)
+        report = ta.check_basis(basis, driven)
         if report.passive:
             return basis
         if p.repair == "refuse":
             reason = f"{p.table}: {report.summary()}; `repair: passive` mends it"
-            raise PassivityError(reason, file=self.files.manifest, key=self.key)
+            raise ta.PassivityError(reason, file=self.files.manifest, key=self.key)
         try:
-            return repair_basis(basis, driven, max_change=p.max_change)
-        except PassivityError as fault:
-            raise PassivityError(f"{p.table}: {fault.reason}", file=self.files.manifest, key=self.key) from None
+            return ta.repair_basis(basis, driven, max_change=p.max_change)
+        except ta.PassivityError as fault:
+            raise ta.PassivityError(f"{p.table}: {fault.reason}", file=self.files.manifest, key=self.key) from None
 
 
 def _place(point: Point) -> dict[str, float]:

@@ -17,20 +17,20 @@ from collections.abc import Sequence
 
 from tonewood.plugins.stiff_string import StiffString, StiffStringParameters
 
-from tonewood.authoring import PHANTOM_PARTIALS, DrivenLongitudinal, Potential, StringMotion, quantity
+import tonewood.authoring as ta
 
 
 class PhantomStringParameters(StiffStringParameters):
     """Parameters of the open string."""
 
-    axial_stiffness: float = quantity("N", low=1.0, high=1e7, doc="E A of the core")
-    freq_coupled: float = quantity(
+    axial_stiffness: float = ta.quantity("N", low=1.0, high=1e7, doc="E A of the core")
+    freq_coupled: float = ta.quantity(
         "Hz", low=20.0, high=1e5, default=3000.0, doc="transverse modes below it drive the longitudinal ones"
     )
-    longitudinal_loss: float = quantity(
+    longitudinal_loss: float = ta.quantity(
         "1", low=0.0, high=1.0, default=0.01, doc="loss factor of longitudinal modes, 2 sigma / omega"
     )
-    bridge_leverage: float = quantity(
+    bridge_leverage: float = ta.quantity(
         "1", low=-2.0, high=2.0, default=0.1, doc="force on the body's point per tension at the bridge"
     )
 
@@ -39,12 +39,12 @@ class PhantomString(StiffString):
     """The string; see the module."""
 
     api = 1
-    effects = (*StiffString.effects, PHANTOM_PARTIALS)
+    effects = (*StiffString.effects, ta.PHANTOM_PARTIALS)
     Parameters = PhantomStringParameters
     parameters: PhantomStringParameters
 
-    def potentials(self, string: StringMotion) -> Sequence[Potential]:
+    def potentials(self, string: ta.StringMotion) -> Sequence[ta.Potential]:
         """The motion along the string, where it moves the body."""
         p, onto = self.parameters, string.onto_body(self.parameters.bridge_leverage)
         driven = string.name, string.planes, onto, p.axial_stiffness, p.freq_coupled, p.longitudinal_loss
-        return [DrivenLongitudinal(*driven)] if onto else []
+        return [ta.DrivenLongitudinal(*driven)] if onto else []

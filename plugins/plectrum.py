@@ -20,73 +20,52 @@ from __future__ import annotations
 
 import math
 
-from tonewood.authoring import (
-    Attached,
-    Connection,
-    Direction,
-    Event,
-    Exciter,
-    Friction,
-    Gesture,
-    Motion,
-    Parameters,
-    Place,
-    Segment,
-    Site,
-    StringPlace,
-    Term,
-    contact_effect,
-    described,
-    loose_mass,
-    metres,
-    quantity,
-    smooth_step,
-    unit_vector,
-)
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 
 class PlectrumParameters(Parameters):
     """Parameters of the plectrum and its stroke."""
 
-    force: float = quantity("N", low=1e-3, high=200.0, default=2.0, doc="at which the string slips off")
-    from_bridge: StringPlace = described("m, or {fraction: of the speaking length}", default=0.1)
-    stiffness: float = quantity("N/m", low=10.0, high=1e6, default=2e3, doc="of the plectrum between hand and tip")
-    damping: float = quantity("1", low=0.0, high=10.0, default=0.3, doc="damping ratio of the tip on its spring")
-    mass: float = quantity("kg", low=1e-6, high=1e-2, default=5e-5, doc="that moves with the tip")
-    speed: float = quantity("m/s", low=1e-3, high=10.0, default=0.15, doc="of the hand")
-    dynamic: float = quantity("1", low=0.0, high=1.0, default=0.0, doc="share of the force left at great slip")
-    slip_speed: float = quantity("m/s", low=1e-4, high=10.0, default=0.05, doc="at which half of the rest is gone")
-    leave: float = quantity("s", low=1e-4, high=0.05, default=1e-3, doc="in which the tip leaves after the slip")
-    direction: Direction = described("in which it plucks", default="z")
+    force: float = ta.quantity("N", low=1e-3, high=200.0, default=2.0, doc="at which the string slips off")
+    from_bridge: ta.StringPlace = ta.described("m, or {fraction: of the speaking length}", default=0.1)
+    stiffness: float = ta.quantity("N/m", low=10.0, high=1e6, default=2e3, doc="of the plectrum between hand and tip")
+    damping: float = ta.quantity("1", low=0.0, high=10.0, default=0.3, doc="damping ratio of the tip on its spring")
+    mass: float = ta.quantity("kg", low=1e-6, high=1e-2, default=5e-5, doc="that moves with the tip")
+    speed: float = ta.quantity("m/s", low=1e-3, high=10.0, default=0.15, doc="of the hand")
+    dynamic: float = ta.quantity("1", low=0.0, high=1.0, default=0.0, doc="share of the force left at great slip")
+    slip_speed: float = ta.quantity("m/s", low=1e-4, high=10.0, default=0.05, doc="at which half of the rest is gone")
+    leave: float = ta.quantity("s", low=1e-4, high=0.05, default=1e-3, doc="in which the tip leaves after the slip")
+    direction: ta.Direction = ta.described("in which it plucks", default="z")
 
 
-class Plectrum(Exciter[PlectrumParameters]):
+class Plectrum(ta.Exciter[PlectrumParameters]):
     """The plectrum; see the module."""
 
     api = 1
-    effects = (contact_effect("plectrum", "an edge that sticks and slips, while a gesture moves it", basic=True),)
+    effects = (ta.contact_effect("plectrum", "an edge that sticks and slips, while a gesture moves it", basic=True),)
     Parameters = PlectrumParameters
 
-    def attach(self, name: str, site: Site) -> Attached:
+    def attach(self, name: str, site: ta.Site) -> ta.Attached:
         """The tip, and the friction between it and the string."""
         p, point = self.parameters, f"{site.string}.{name}"
-        terms = site.motion("pluck", unit_vector(p.direction))
+        terms = site.motion("pluck", ta.unit_vector(p.direction))
         if not terms:
             raise self.fault(f"string {site.string} does not move in this direction", "direction")
         omega = math.sqrt(p.stiffness / p.mass)
         # for a limit of 1 N: the scale of the partner's motion is then the force of slip in N
-        law = Friction(1.0, 1.0, p.dynamic, p.slip_speed, residual=True)
-        return Attached(
-            components={f"{point}.tip": loose_mass(p.mass, omega, p.damping * omega)},
-            connections=(Connection(f"{point}.edge", (*terms, Term(f"{point}.tip", "mass", -1.0)), law),),
+        law = ta.Friction(1.0, 1.0, p.dynamic, p.slip_speed, residual=True)
+        return ta.Attached(
+            components={f"{point}.tip": ta.loose_mass(p.mass, omega, p.damping * omega)},
+            connections=(ta.Connection(f"{point}.edge", (*terms, ta.Term(f"{point}.tip", "mass", -1.0)), law),),
             inputs={f"{point}.spring": ((f"{point}.tip", "mass", 1.0),)},
             resting=(f"{point}.edge",),
         )
 
-    def gesture(self, event: Event, place: Place) -> Gesture:
+    def gesture(self, event: ta.Event, place: ta.Place) -> ta.Gesture:
         """The hand moves on for `leave` after the slip and stays until the tip is at rest."""
         p = self.adjusted(event.values)
-        point, x = f"{place.name}.{self.name}", metres(p.from_bridge, place)
+        point, x = f"{place.name}.{self.name}", ta.metres(p.from_bridge, place)
         compliance = x * (place.length - x) / (place.tension * place.length) if place.tension > 0 else 0.0
         travel = p.force * (1 / p.stiffness + compliance)
         drawn = travel / p.speed
@@ -97,15 +76,15 @@ class Plectrum(Exciter[PlectrumParameters]):
         end = travel + p.speed * p.leave
         back = max(20 / math.sqrt(p.stiffness / p.mass), 5e-3)
         pull = (
-            Segment(start, start + early, 0.0, drag / early, k / (2 * early)),
-            Segment(start + early, p.leave, k * early / 2 + drag, k),
+            ta.Segment(start, start + early, 0.0, drag / early, k / (2 * early)),
+            ta.Segment(start + early, p.leave, k * early / 2 + drag, k),
             # the free tip returns to rest so slowly that it does not ring
-            *smooth_step(p.leave, p.leave + back, p.stiffness * end, 0.0),
+            *ta.smooth_step(p.leave, p.leave + back, p.stiffness * end, 0.0),
         )
         pressed = (
-            *smooth_step(start - early, start, 0.0, p.force),
-            Segment(start, 0.0, p.force),
-            *smooth_step(0.0, p.leave, p.force, 0.0),
+            *ta.smooth_step(start - early, start, 0.0, p.force),
+            ta.Segment(start, 0.0, p.force),
+            *ta.smooth_step(0.0, p.leave, p.force, 0.0),
         )
-        motions = (Motion(f"{point}.edge", "scale", pressed),)
-        return Gesture(pull, x, on=f"{point}.spring", motions=motions)
+        motions = (ta.Motion(f"{point}.edge", "scale", pressed),)
+        return ta.Gesture(pull, x, on=f"{point}.spring", motions=motions)

@@ -11,18 +11,8 @@ from typing import Literal
 
 from pydantic import model_validator
 
-from tonewood.authoring import (
-    Direction,
-    Parameters,
-    Pickup,
-    PickupRows,
-    Readout,
-    Scene,
-    Term,
-    described,
-    dot,
-    unit_vector,
-)
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
 
@@ -30,7 +20,7 @@ UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force
 class Mean(Parameters):
     """Several points heard together."""
 
-    mean: list[str] = described("points whose mean is read", min_length=1)
+    mean: list[str] = ta.described("points whose mean is read", min_length=1)
 
 
 Places = str | Mean
@@ -39,10 +29,12 @@ Places = str | Mean
 class PointPickupParameters(Parameters):
     """Parameters of the pickup."""
 
-    quantity: Literal["displacement", "velocity", "acceleration", "force"] = described("quantity read")
-    at: Places | None = described("point, or {mean: [points]}: one channel with the group's name", default=None)
-    channels: dict[str, Places] | None = described("name -> point or {mean: [points]}: several channels", default=None)
-    direction: Direction = described("direction in which points of strings are read", default="z")
+    quantity: Literal["displacement", "velocity", "acceleration", "force"] = ta.described("quantity read")
+    at: Places | None = ta.described("point, or {mean: [points]}: one channel with the group's name", default=None)
+    channels: dict[str, Places] | None = ta.described(
+        "name -> point or {mean: [points]}: several channels", default=None
+    )
+    direction: ta.Direction = ta.described("direction in which points of strings are read", default="z")
 
     @model_validator(mode="after")
     def _one_way(self) -> PointPickupParameters:
@@ -51,7 +43,7 @@ class PointPickupParameters(Parameters):
         return self
 
 
-class PointPickup(Pickup[PointPickupParameters]):
+class PointPickup(ta.Pickup[PointPickupParameters]):
     """The pickup; see the module."""
 
     api = 1
@@ -67,16 +59,16 @@ class PointPickup(Pickup[PointPickupParameters]):
         """Unit of the quantity read."""
         return UNITS[self.parameters.quantity]
 
-    def rows(self, name: str, scene: Scene) -> PickupRows:
+    def rows(self, name: str, scene: ta.Scene) -> ta.PickupRows:
         """One readout per channel."""
         sources = self.parameters.channels or {self.channels[0]: self.parameters.at or ""}
-        return PickupRows(
+        return ta.PickupRows(
             tuple(self._readout(f"{name}.{channel}", source, scene) for channel, source in sources.items())
         )
 
-    def _readout(self, name: str, source: Places, scene: Scene) -> Readout:
+    def _readout(self, name: str, source: Places, scene: ta.Scene) -> ta.Readout:
         points = source.mean if isinstance(source, Mean) else [source]
-        share, direction = 1.0 / len(points), unit_vector(self.parameters.direction)
+        share, direction = 1.0 / len(points), ta.unit_vector(self.parameters.direction)
         if self.parameters.quantity == "force":
             forces: list[tuple[str, float]] = []
             for point in points:
@@ -84,16 +76,16 @@ class PointPickup(Pickup[PointPickupParameters]):
                 if string not in scene.end_forces or end != "bridge":
                     allowed = ", ".join(f"{s}.bridge" for s in scene.end_forces)
                     raise self.fault(f"force can be read at {allowed}; not at {point!r}")
-                forces += [(connection, -share * dot(v, direction)) for connection, v in scene.end_forces[string]]
-            return Readout(name, "force", forces=tuple(f for f in forces if f[1] != 0.0))
-        probes: list[Term] = []
+                forces += [(connection, -share * ta.dot(v, direction)) for connection, v in scene.end_forces[string]]
+            return ta.Readout(name, "force", forces=tuple(f for f in forces if f[1] != 0.0))
+        probes: list[ta.Term] = []
         for point in points:
             component, _, place = point.partition(".")
             if component == "body" and place in scene.body_points:
-                probes.append(Term("body", place, share))
+                probes.append(ta.Term("body", place, share))
             elif point in scene.string_points:
-                probes += [Term(c, p, share * dot(v, direction)) for c, p, v in scene.string_points[point]]
+                probes += [ta.Term(c, p, share * ta.dot(v, direction)) for c, p, v in scene.string_points[point]]
             else:
                 known = [f"body.{p}" for p in scene.body_points] + list(scene.string_points)
                 raise self.fault(f"there is no point {point!r}; there are {', '.join(known)}")
-        return Readout(name, self.parameters.quantity, tuple(p for p in probes if p.factor != 0.0))
+        return ta.Readout(name, self.parameters.quantity, tuple(p for p in probes if p.factor != 0.0))

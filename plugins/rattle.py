@@ -8,54 +8,41 @@ from __future__ import annotations
 
 import math
 
-from tonewood.authoring import (
-    Attached,
-    Attachment,
-    Connection,
-    Contact,
-    Direction,
-    Parameters,
-    Site,
-    Term,
-    contact_effect,
-    described,
-    loose_mass,
-    quantity,
-    unit_vector,
-)
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 
 class RattleParameters(Parameters):
     """Parameters of the mass."""
 
-    from_bridge: float = quantity("m", low=0.0, high=5.0, doc="place on the string")
-    mass: float = quantity("kg", low=1e-7, high=10.0, doc="of the loose part")
-    clearance: float = quantity("m", low=0.0, high=0.05, doc="room between it and the resting string")
-    freq: float = quantity("Hz", low=0.0, high=1e4, default=5.0, doc="of its own suspension")
-    damping_ratio: float = quantity("1", low=0.0, high=5.0, default=0.3, doc="of its own suspension")
-    stiffness: float = quantity("N/m^exponent", low=0.0, high=1e16, default=1e7, doc="K of the contact")
-    exponent: float = quantity("1", low=1.0, high=4.0, default=1.5, doc="alpha of the contact")
-    loss: float = quantity("s/m", low=0.0, high=100.0, default=0.5, doc="of Hunt and Crossley")
-    direction: Direction = described("from the mass to the string", default="z")
+    from_bridge: float = ta.quantity("m", low=0.0, high=5.0, doc="place on the string")
+    mass: float = ta.quantity("kg", low=1e-7, high=10.0, doc="of the loose part")
+    clearance: float = ta.quantity("m", low=0.0, high=0.05, doc="room between it and the resting string")
+    freq: float = ta.quantity("Hz", low=0.0, high=1e4, default=5.0, doc="of its own suspension")
+    damping_ratio: float = ta.quantity("1", low=0.0, high=5.0, default=0.3, doc="of its own suspension")
+    stiffness: float = ta.quantity("N/m^exponent", low=0.0, high=1e16, default=1e7, doc="K of the contact")
+    exponent: float = ta.quantity("1", low=1.0, high=4.0, default=1.5, doc="alpha of the contact")
+    loss: float = ta.quantity("s/m", low=0.0, high=100.0, default=0.5, doc="of Hunt and Crossley")
+    direction: ta.Direction = ta.described("from the mass to the string", default="z")
 
 
-class Rattle(Attachment[RattleParameters]):
+class Rattle(ta.Attachment[RattleParameters]):
     """The mass; see the module."""
 
     api = 1
-    effects = (contact_effect("rattle", "a loose part struck by the string"),)
+    effects = (ta.contact_effect("rattle", "a loose part struck by the string"),)
     Parameters = RattleParameters
 
-    def attach(self, name: str, site: Site) -> Attached:
+    def attach(self, name: str, site: ta.Site) -> ta.Attached:
         """A mass for each string."""
         p = self.parameters
         if not p.from_bridge < site.open_length:
             raise self.fault(f"string {site.string} is {site.open_length:g} m long", "from_bridge")
         point, component, omega = f"{name}.at", f"{site.string}.{name}.mass", 2 * math.pi * p.freq
-        terms = (*site.motion(point, unit_vector(p.direction)), Term(component, "mass", -1.0))
-        law = Contact(p.stiffness, p.exponent, p.loss, offset=-p.clearance)
-        return Attached(
+        terms = (*site.motion(point, ta.unit_vector(p.direction)), ta.Term(component, "mass", -1.0))
+        law = ta.Contact(p.stiffness, p.exponent, p.loss, offset=-p.clearance)
+        return ta.Attached(
             {point: p.from_bridge},
-            {component: loose_mass(p.mass, omega, p.damping_ratio * omega)},
-            (Connection(f"{site.string}.{point}", terms, law),),
+            {component: ta.loose_mass(p.mass, omega, p.damping_ratio * omega)},
+            (ta.Connection(f"{site.string}.{point}", terms, law),),
         )

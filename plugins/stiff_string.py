@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.authoring import LossLaw, Parameters, Resonator, StringData, described, quantity
+import tonewood.authoring as ta
+from tonewood.authoring import Parameters
 
 Floats = NDArray[np.float64]
 
@@ -19,16 +20,16 @@ Floats = NDArray[np.float64]
 class StiffStringParameters(Parameters):
     """Parameters of the open string."""
 
-    length: float = quantity("m", low=0.02, high=5.0, doc="speaking length of the open string, nut to bridge")
-    tension: float = quantity(
+    length: float = ta.quantity("m", low=0.02, high=5.0, doc="speaking length of the open string, nut to bridge")
+    tension: float = ta.quantity(
         "N", low=1.0, high=2000.0, usual=(10.0, 1500.0), doc="tension of the open string; the tuner adjusts it"
     )
-    linear_density: float = quantity("kg/m", low=1e-5, high=0.3, doc="mass per length")
-    bending_stiffness: float = quantity("N m^2", low=0.0, high=1.0, default=0.0, doc="E I; 0 is an ideal string")
-    loss: LossLaw = described("loss law and its numbers")
+    linear_density: float = ta.quantity("kg/m", low=1e-5, high=0.3, doc="mass per length")
+    bending_stiffness: float = ta.quantity("N m^2", low=0.0, high=1.0, default=0.0, doc="E I; 0 is an ideal string")
+    loss: ta.LossLaw = ta.described("loss law and its numbers")
 
 
-class StiffString(Resonator[StiffStringParameters]):
+class StiffString(ta.Resonator[StiffStringParameters]):
     """The string; see the module."""
 
     api = 1
@@ -57,4 +58,4 @@ class StiffString(Resonator[StiffStringParameters]):
     def loss(self, omega: Floats, k: Floats, tension: float) -> Floats:
         """Loss factor by the law that the bundle names."""
         p = self.parameters
-        return p.loss.eta(omega, k, StringData(tension, p.linear_density, p.bending_stiffness))
+        return p.loss.eta(omega, k, ta.StringData(tension, p.linear_density, p.bending_stiffness))

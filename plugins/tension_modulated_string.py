@@ -22,29 +22,29 @@ import numpy as np
 from numpy.typing import NDArray
 from tonewood.plugins.stiff_string import StiffString, StiffStringParameters
 
-from tonewood.authoring import TENSION_MODULATION, ModalBasis, Potential, StringMotion, TensionModulation, quantity
+import tonewood.authoring as ta
 
 
 class TensionModulatedParameters(StiffStringParameters):
     """Parameters of the open string."""
 
-    axial_stiffness: float = quantity("N", low=0.0, high=1e7, doc="E A; 0 leaves the tension as it is")
+    axial_stiffness: float = ta.quantity("N", low=0.0, high=1e7, doc="E A; 0 leaves the tension as it is")
 
 
 class TensionModulatedString(StiffString):
     """The string; see the module."""
 
     api = 1
-    effects = (*StiffString.effects, TENSION_MODULATION)
+    effects = (*StiffString.effects, ta.TENSION_MODULATION)
     Parameters = TensionModulatedParameters
     parameters: TensionModulatedParameters
 
-    def potentials(self, string: StringMotion) -> Sequence[Potential]:
+    def potentials(self, string: ta.StringMotion) -> Sequence[ta.Potential]:
         """The rising tension."""
         stiffness = self.parameters.axial_stiffness
-        return [TensionModulation(string.name, string.planes, stiffness)] if stiffness > 0.0 else []
+        return [ta.TensionModulation(string.name, string.planes, stiffness)] if stiffness > 0.0 else []
 
-    def basis(self, freq_upper: float, *, stop: float = 0.0, tension: float | None = None) -> ModalBasis:
+    def basis(self, freq_upper: float, *, stop: float = 0.0, tension: float | None = None) -> ta.ModalBasis:
         """As `StiffString.basis`, with the weights of the stretch, ``stretch_part``, in its metadata."""
         basis = super().basis(freq_upper, stop=stop, tension=tension)
         known = basis.metadata

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.integrate import solve_ivp
 from scipy.signal import spectrogram
-from tonewood.plugins._gong_plate import GongPlate, PlateGrid
+from tonewood.plugins._gong_energy import GongPlate, PlateGrid
 from tonewood.plugins.gong import PlateEnergy, stiffening
 
 import tonewood as tw

@@ -75,6 +75,7 @@ def test_play_live(monkeypatch: pytest.MonkeyPatch) -> None:
     assert example("play_live").main() == 48000
 
 
+@pytest.mark.slow
 def test_scores_are_written_as_they_stand(tmp_path: Path) -> None:
     module = example("scores/make_scores")
     module.main(tmp_path)
@@ -112,6 +113,7 @@ def test_effects(tmp_path: Path) -> None:
     assert np.abs(key[int(0.64 * 48000) : int(0.68 * 48000)]).max() < 0.02 * np.abs(key[: int(0.4 * 48000)]).max()
 
 
+@pytest.mark.slow
 def test_from_a_measurement(tmp_path: Path) -> None:
     """A body fitted to hits moves under 10 g as Y / (1 + i omega m Y) of the body that was struck says."""
     guitar = tw.load_instrument("classical_guitar")

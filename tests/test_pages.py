@@ -119,11 +119,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 #: pages that take seconds: continuous integration runs them
 SLOW = {
-    f"docs/{page}.md"
-    for page in (
-        "a_body_from_a_drawing", "tutorial", "playing", "use_design", "from_a_measurement", "piano", "compare",
-        "use_score", "sampling", "wood",
-    )
+    "examples/listening_test/README.md",
+    *(
+        f"docs/{page}.md"
+        for page in (
+            "a_body_from_a_drawing", "tutorial", "playing", "use_design", "from_a_measurement", "piano", "compare",
+            "use_score", "sampling", "wood", "strings_and_intonation",
+        )
+    ),
 }  # fmt: skip
 
 
@@ -145,6 +148,7 @@ def test_the_readme_runs(folder: Path) -> None:
     assert sf.info("greensleeves.wav").frames == 4800
 
 
+@pytest.mark.slow
 def test_the_overview_runs(folder: Path) -> None:
     scope = run_page(ROOT / "docs" / "overview.md", folder, whole=False)
     info = sf.info("two_notes.wav")

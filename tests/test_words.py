@@ -91,6 +91,7 @@ def test_no_name_holds_a_private_word():
             assert not held or files is None or path.name in files, f"{path.relative_to(ROOT)}: {name}"
 
 
+@pytest.mark.slow
 def test_a_public_class_name_means_one_class():
     """And no alias of a type has the name of a class."""
     homes, aliases = defaultdict(list), defaultdict(list)

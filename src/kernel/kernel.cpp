@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "load/component.hpp"
-#include "load/contacts.hpp"
+#include "load/contact_groups.hpp"
 #include "load/layout.hpp"
 #include "load/parts.hpp"
 #include "load/potentials.hpp"

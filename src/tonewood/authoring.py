@@ -78,7 +78,7 @@ from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.potentials.user import ModalPotential, PotentialEnergy, PotentialFunction
 from tonewood.physics.modal.damping import with_damping_case
 from tonewood.physics.modal.modes import ModalBasis
-from tonewood.physics.modal.string_losses import string_detuned, with_partial_decays
+from tonewood.physics.modal.partial_decays import string_detuned, with_partial_decays
 from tonewood.physics.modal.string_modes import string_basis, wavenumber
 from tonewood.physics.modal.string_transfer import retuned, string_carry, string_transfer
 from tonewood.physics.passivity.basis import check_basis, repair_basis

@@ -263,6 +263,7 @@ def test_plots(tmp_path: Path) -> None:
         assert path.stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_difference_of_one_sample_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows tell the largest difference over time: 1 um in one sample of one of the two solutions is told as such."""
     run = Transition.run

@@ -17,6 +17,7 @@ LEAST = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LEAST)
 def test_every_row_passes(name):
     rows = validation.run([name])

@@ -84,6 +84,7 @@ def test_unisons_decay_as_weinreich_says(middle: tw.Instrument) -> None:
     assert rates[2] / rates[0] > 4
 
 
+@pytest.mark.slow
 def test_a_struck_unison_decays_twice(middle: tw.Instrument, tmp_path: Path) -> None:
     """Early in phase, late by the mistuned motion: slower by the share that a single string has not."""
     note = [tw.Note(0.0, 20.0, note=60, velocity_midi=80)]

@@ -119,6 +119,7 @@ def assert_second_order(errors, largest):
     assert errors[-2] / errors[-1] == pytest.approx(4.0, abs=0.2), errors
 
 
+@pytest.mark.slow
 @STEPPERS
 @pytest.mark.parametrize("name", SCENES)
 def test_laws_between_coupled_masses(make, name):
@@ -164,6 +165,7 @@ def free_mass(make, law, n, dt, *, mass, start, speed, controls=()):
     return out, forces[:, 0]
 
 
+@pytest.mark.slow
 @STEPPERS
 @pytest.mark.parametrize("exponent", [1.0, 2.3])
 def test_a_lossy_barrier_throws_a_mass_back_as_slowly_as_hunt_and_crossley_say(make, exponent):
@@ -267,6 +269,7 @@ def test_a_mass_on_a_belt_sticks_and_slips(make):
 LENGTH, DENSITY, TENSION = 0.65, 3.6e-3, 70.0
 
 
+@pytest.mark.slow
 @STEPPERS
 @pytest.mark.parametrize("alone", [True, False], ids=["alone", "with contact and friction"])
 def test_rising_tension_is_that_of_the_kirchhoff_carrier_string(make, alone):

@@ -30,7 +30,8 @@ def rendered(kind: str, folder: Path) -> Renderer:
     return Renderer(SCORE, keys, 48000.0, max_duration=0.03, effects="all", energy=True)
 
 
-@pytest.mark.parametrize("kind", ["tension_modulated_string", pytest.param("geometric_string", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["tension_modulated_string", "geometric_string"])
 def test_hammers_meet_rising_tensions_in_parts_as_in_one_matrix(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

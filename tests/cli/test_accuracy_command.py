@@ -24,6 +24,7 @@ def call(*arguments: object) -> object:
     return exit_.value.code
 
 
+@pytest.mark.slow
 def test_one_small_system_in_every_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     assert call("--system", "klosner_d", "--quick") == 0
@@ -87,6 +88,7 @@ def test_refusals_are_one_line_and_code_2(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
     reader, writer = pty.openpty()  # a terminal, so that there is a bar to wait for
     process = subprocess.Popen(

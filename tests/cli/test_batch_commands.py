@@ -43,6 +43,7 @@ def done(small: Path) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_the_worked_example_from_manifest_to_pages(done: Path) -> None:
     test = json.loads((done / "test.json").read_text())
     assert [t["page"] for t in test["trials"]] == [4, 4, 6, 6]
@@ -57,6 +58,7 @@ def test_the_worked_example_from_manifest_to_pages(done: Path) -> None:
     assert len(set(sounds.values())) == 4
 
 
+@pytest.mark.slow
 def test_the_plan(small: Path, done: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = command(capsys, "batch", small, "-o", small.parent / "new", "--dry-run", "--json")
     plan = json.loads(out)
@@ -123,6 +125,7 @@ def test_a_misspelt_factor_is_one_line(small: Path, capsys: pytest.CaptureFixtur
         assert "dampingcase" in err
 
 
+@pytest.mark.slow
 def test_a_level_that_fails_everywhere_is_one_line(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = load_yaml(small)
     data["factors"]["damping"]["levels"]["none"] = "nothing"

@@ -35,6 +35,7 @@ def out(capsys: pytest.CaptureFixture[str], *words: object, code: int = 0) -> st
     return found.err if code else found.out
 
 
+@pytest.mark.slow
 def test_modes_and_picture(top: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The first bending mode along and the twist lie where free beams and Rayleigh's w = x y say, within 6 %."""
     report = json.loads(out(capsys, "modes", top, "--json", "--plot", top / "modes.png"))

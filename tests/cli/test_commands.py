@@ -214,6 +214,7 @@ def test_unknown_commands_and_nothing_at_all(tonewood: Run) -> None:
     assert tonewood("--version")[1] == f"tonewood {tw.__version__}\n"
 
 
+@pytest.mark.slow
 def test_plan_names_what_matters_and_verbose_the_rest(tonewood: Run, score: Path) -> None:
     plan = ("plan", score, "-i", "sitar", "--fs", 16000, "--max-duration", 0.5)
     brief, whole = (tonewood(*plan, *more)[1].splitlines()[1:] for more in ((), ("--verbose",)))

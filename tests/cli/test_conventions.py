@@ -37,6 +37,7 @@ def test_help_of_every_command(tonewood: Run, command: list[str], option: str) -
     assert "-h" in out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "offered"),
     [("tonewood rend", {"render"}), ("tonewood check mono", {"monochord"}),

@@ -26,6 +26,7 @@ def call(*arguments: object) -> int:
     return exit_.value.code
 
 
+@pytest.mark.slow
 def test_account_is_written_beside_the_same_sound(
     score: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

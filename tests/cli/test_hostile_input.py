@@ -364,3 +364,21 @@ def test_files_of_a_listening_test_nested_too_deep_are_one_line(tmp_path: Path) 
     (tmp_path / "answers.jsonl").write_text(DEEP + "\n")
     with pytest.raises(TonewoodError, match=r"answers\.jsonl: line 1: not JSON"):
         answer_file.read(tmp_path / "answers.jsonl")
+
+
+def test_no_output_replaces_what_is_read(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    """Neither by its name nor by a link; the score and the room are as they were."""
+    room, link, notes = tmp_path / "ir.wav", tmp_path / "link.wav", tmp_path / "notes.txt"
+    sf.write(room, np.ones(8), 48000)
+    link.symlink_to(score)
+    shutil.copy(score, notes)
+    before = score.read_bytes(), room.read_bytes()
+    for arguments in (
+        ["tab", notes, "-i", "classical_guitar", "-o", notes],
+        ["render", score, "-i", "monochord", "-o", room, "--room", room],
+        ["render", score, "-i", "monochord", "-o", link],
+    ):
+        code, out, err = tonewood(*arguments)
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert "would replace a file that is read" in err
+    assert (score.read_bytes(), room.read_bytes(), notes.read_bytes()) == (*before, before[0])

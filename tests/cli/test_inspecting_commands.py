@@ -44,6 +44,7 @@ def test_check_counts_the_modes_that_a_render_steps(tonewood: Run) -> None:
     assert "`classical_guitar` is 1566 modes" in page
 
 
+@pytest.mark.slow
 def test_check_tells_pitch_wolf_notes_stand_ins_and_sources(tonewood: Run) -> None:
     code, out, _ = tonewood("check", "classical_guitar", "--json")
     assert code == 0
@@ -97,6 +98,7 @@ def test_modes_refuses(tonewood: Run, arguments: list[str], said: list[str]) -> 
     refused(tonewood("modes", "classical_guitar", *arguments), *said)
 
 
+@pytest.mark.slow
 def test_schema_is_one_json_schema_that_all_bundles_keep(tonewood: Run) -> None:
     from jsonschema import Draft202012Validator
 
@@ -113,6 +115,7 @@ def test_schema_is_one_json_schema_that_all_bundles_keep(tonewood: Run) -> None:
     assert not validator.is_valid(wrong)
 
 
+@pytest.mark.slow
 def test_check_shows_strings_alone_and_mounted(tonewood: Run) -> None:
     few = [("--set", f"strings.{name}.stops={count}") for name, count in {"E2": 5, "A2": 0, "D3": 0}.items()]
     few += [("--set", f"strings.{name}.stops=0") for name in ("G3", "B3", "E4")]

@@ -29,6 +29,7 @@ def score(tmp_path: Path) -> Path:
     return write(tmp_path / "score.mid", note(0.0, 0.2, 45))
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_no_file_and_code_130(tmp_path: Path) -> None:
     events = [e for i in range(2000) for e in note(0.3 * i, 0.2, 45 + i % 12)]
     process = subprocess.Popen(
@@ -47,6 +48,7 @@ def test_ctrl_c_leaves_no_file_and_code_130(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["long.mid"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "where",
     [
@@ -112,6 +114,7 @@ SWEEP = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "number"), [*SWEEP, *LATER])
 def test_a_signal_at_any_time_is_one_line(share: float, number: int, tmp_path: Path, score: Path, events: int) -> None:
     """From the first line of the program on: imports of modules in C turn the exception into others, or lose it."""
@@ -130,6 +133,7 @@ def test_a_signal_at_any_time_is_one_line(share: float, number: int, tmp_path: P
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
 
 
+@pytest.mark.slow
 def test_an_interruption_that_a_callback_swallows_is_raised_again() -> None:
     program = (
         "import os, signal, sys, time, weakref\nimport tonewood.cli.listing\n"
@@ -147,6 +151,7 @@ def test_an_interruption_that_a_callback_swallows_is_raised_again() -> None:
     assert (done.returncode, done.stderr) == (130, "tonewood: interrupted; nothing was written\n")
 
 
+@pytest.mark.slow
 def test_signals_that_are_ignored_stay_ignored(tmp_path: Path, score: Path) -> None:
     """As by nohup, and in the background jobs of a shell."""
     done = subprocess.run(
@@ -160,6 +165,7 @@ def test_signals_that_are_ignored_stay_ignored(tmp_path: Path, score: Path) -> N
     assert (tmp_path / "out.wav").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [[], ["--normalize", "-3"]])
 def test_a_full_disk_is_one_line_and_no_file(tmp_path: Path, score: Path, more: list[str]) -> None:
     """Files may grow to 50 kB here, as on a disk with as much left."""
@@ -173,6 +179,7 @@ def test_a_full_disk_is_one_line_and_no_file(tmp_path: Path, score: Path, more: 
     assert [p.name for p in tmp_path.iterdir()] == ["score.mid"]
 
 
+@pytest.mark.slow
 def test_from_another_folder_with_relative_paths_and_a_pipe(tmp_path: Path, score: Path) -> None:
     result = subprocess.run(
         [*TONEWOOD, "render", "score.mid", "-i", "monochord", "-o", "out.flac", "--max-duration", "0.2", "--json"],
@@ -184,6 +191,7 @@ def test_from_another_folder_with_relative_paths_and_a_pipe(tmp_path: Path, scor
     assert score.exists()
 
 
+@pytest.mark.slow
 def test_a_terminal_gets_a_progress_bar(tmp_path: Path, score: Path) -> None:
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
@@ -206,6 +214,7 @@ def test_a_terminal_gets_a_progress_bar(tmp_path: Path, score: Path) -> None:
     assert b"%" in shown
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error() -> None:
     result = subprocess.run(
         f"{' '.join(TONEWOOD)} schema | head -n 1", shell=True, capture_output=True, text=True, check=False
@@ -214,6 +223,7 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
     assert result.stderr == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("where", "code", "said"),
     [
@@ -228,6 +238,7 @@ def test_nowhere_to_write_to(where: str, code: int, said: str) -> None:
     assert (result.returncode, result.stdout, result.stderr) == (code, "", said)
 
 
+@pytest.mark.slow
 def test_rendering_without_standard_error(tmp_path: Path, score: Path) -> None:
     command = f"{' '.join(TONEWOOD)} render {score} -i monochord -o {tmp_path / 'a.wav'} --max-duration 0.1 --json 2>&-"
     result = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
@@ -267,6 +278,7 @@ def test_what_an_extra_would_bring_is_named_before_any_work(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_rendering_imports_nothing_heavy_it_does_not_need(tmp_path: Path, score: Path) -> None:
     """Imports take most of a cold start."""
     program = (
@@ -288,12 +300,14 @@ def _rendered(path: str) -> np.ndarray:
     return audio.samples
 
 
+@pytest.mark.slow
 def test_a_spawned_process_renders_the_same(score: Path) -> None:
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         there = pool.apply(_rendered, (os.fspath(score),))
     assert np.array_equal(there, _rendered(os.fspath(score)))
 
 
+@pytest.mark.slow
 def test_the_isa_can_be_pinned(tmp_path: Path, score: Path) -> None:
     from tonewood._kernel import instruction_sets
 

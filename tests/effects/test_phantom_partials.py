@@ -51,6 +51,7 @@ BEYOND = (2, 7, 38, 49)
 LONG = [pytest.param(s, marks=pytest.mark.validate) for s in range(300) if s not in (*BEYOND, 289)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [*BEYOND, *LONG])
 def test_in_random_scenes_it_is_within_the_budget(seed: int, tmp_path: Path) -> None:
     """Strings that others set in motion through a light body among them."""
@@ -65,8 +66,7 @@ SPREADING = (4, 8, 11)
 @pytest.mark.parametrize(
     "seed",
     [
-        SPREADING[0],
-        *(pytest.param(s, marks=pytest.mark.slow) for s in SPREADING[1:]),
+        *(pytest.param(s, marks=pytest.mark.slow) for s in SPREADING),
         *(pytest.param(s, marks=pytest.mark.validate) for s in range(200) if s not in SPREADING),
     ],
 )
@@ -75,6 +75,7 @@ def test_on_a_piano_it_is_within_the_budget(seed: int, tmp_path: Path) -> None:
     assert piano_scenes.excess(seed, tmp_path) <= -3.0
 
 
+@pytest.mark.slow
 def test_left_out_by_choice_the_string_is_stiff(bass: tw.Instrument, tmp_path: Path) -> None:
     """The same samples as those of `stiff_string`, bit for bit."""
     cells = {"string.plugin": "stiff_string", "string.axial_stiffness": "", "string.bridge_leverage": ""}
@@ -87,6 +88,7 @@ def test_left_out_by_choice_the_string_is_stiff(bass: tw.Instrument, tmp_path: P
     )
 
 
+@pytest.mark.slow
 def test_they_grow_with_the_square(bass: tw.Instrument) -> None:
     """Twice as fast a blow makes them more than twice as loud."""
     levels = []
@@ -96,6 +98,7 @@ def test_they_grow_with_the_square(bass: tw.Instrument) -> None:
     assert levels[1] > 2.0 * levels[0]
 
 
+@pytest.mark.slow
 def test_the_account_closes_and_names_their_work(bass: tw.Instrument) -> None:
     trace = tw.render(
         tw.Score([tw.Note(0.01, 0.05, note=36, velocity_midi=110)]), bass, fs=FS, max_duration=0.06, effects="all",

@@ -124,6 +124,7 @@ def test_a_string_with_longitudinal_motion_is_foreseen_as_it_runs() -> None:
         assert active[effect, "B3"] < 0.29
 
 
+@pytest.mark.slow
 def test_contacts_and_outputs_are_foreseen() -> None:
     low = {"connections.frets.action_first": 2e-4, "connections.frets.action_twelfth": 5e-4}
     bass = tw.load_instrument("electric_bass").replace(low)
@@ -135,6 +136,7 @@ def test_contacts_and_outputs_are_foreseen() -> None:
     assert list(recorded.values()).count("it is recorded") == 1
 
 
+@pytest.mark.slow
 def test_the_command_tells_as_text_and_json(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["plan", str(SCALE), "-i", "monochord", "--max-duration", "0.3"]
     assert run(arguments) == 0
@@ -163,3 +165,35 @@ def test_a_render_tells_what_ran(tmp_path: Path, capsys: pytest.CaptureFixture[s
     ).items()
     assert run([*arguments, "--effects", "second_polarization,wind"]) == 2
     assert capsys.readouterr().err.startswith("tonewood: effects: there is no effect 'wind'; auto, all, none or ")
+
+
+def test_of_a_long_score_the_beginning_is_looked_at(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """By the count of notes, or by the time that the sketch takes; the rest is in proportion, and that is said."""
+    notes = [tw.Note(1.25 * i, 1.25, note=64, force=1.0) for i in range(16)]
+    reached: list[float] = []
+    whole = tw.plan(tw.Score(notes[:2]), "monochord", 16000, tail=2.0, progress=reached.append)
+    assert whole.sketched_s == whole.duration_s == pytest.approx(1.25 + 2.0, abs=0.1)
+    reached.clear()
+    monkeypatch.setattr(planning, "_MOST_NOTES", 2)
+    for most in (1e9, 0.0):
+        monkeypatch.setattr(planning, "_MOST_COMPUTING", most)
+        foreseen = tw.plan(tw.Score(notes), "monochord", 16000, tail=2.0, progress=reached.append)
+        assert foreseen.sketched_s == pytest.approx(2.5 if most else 1.0, abs=0.2)
+        assert foreseen.duration_s == pytest.approx(16 * 1.25 + 2.0)
+    assert max(reached) < 2.7
+    tw.write_midi(tw.Score(notes), tmp_path / "long.mid")
+    assert run(["plan", str(tmp_path / "long.mid"), "-i", "monochord", "--fs", "16000"]) == 0
+    assert "only the first 1.0 s were looked at" in capfd.readouterr().out
+
+
+def test_the_rest_of_a_score_takes_time_in_proportion(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps by seconds of sound, work between them by notes: with times of 2 s and 3 s in a sketch of half of both."""
+    monkeypatch.setattr(planning, "_MOST_NOTES", 2)
+    monkeypatch.setattr(planning.Spent, "of", classmethod(lambda cls, engine: cls(2.0, 3.0)))
+    monkeypatch.setattr(planning, "_switched_rates", lambda engine: {})
+    notes = [tw.Note(float(i), 1.0, note=64, force=1.0) for i in range(4)]
+    foreseen = tw.plan(tw.Score(notes), "monochord", 16000, max_duration=4.0)
+    assert foreseen.sketched_s == pytest.approx(2.0)
+    assert foreseen.predicted_s == pytest.approx(2 * 2.0 + 2 * 3.0)

@@ -94,6 +94,7 @@ def test_sidebands_are_those_of_the_closed_form(guitar_name: str, name: str, cen
     assert 20 * np.log10(line(force, freq) / expected) == pytest.approx(1.7, abs=0.4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("guitar_name", "name"), STRINGS)
 def test_what_is_missing_stays_below_its_bound(guitar_name: str, name: str, seed: int) -> None:

@@ -17,6 +17,7 @@ READING = 0.03
 LONG = [pytest.param(seed, marks=pytest.mark.validate) for seed in range(4, 150)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [*range(4), *LONG])
 def test_no_partial_leaves_the_budget(seed: int) -> None:
     """With the additive budget so wide that cents decide alone."""

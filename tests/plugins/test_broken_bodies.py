@@ -198,6 +198,7 @@ def test_what_is_only_heard_is_not_asked_to_be_passive(tmp_path: Path) -> None:
         Instrument.from_values(values, tmp_path)
 
 
+@pytest.mark.slow
 def test_repair_leaves_what_is_only_heard(tmp_path: Path) -> None:
     poles, right, left = KEPT
     mic = np.vstack([right, right[0] * np.exp(2j)]), np.vstack([left, left[1]])

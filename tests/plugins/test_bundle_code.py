@@ -172,6 +172,7 @@ def _manifest(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_batch_passes_it_to_its_workers_and_keeps_the_hash(bundle: Path, tmp_path: Path) -> None:
     path, out = _manifest(tmp_path), tmp_path / "out"
     with pytest.raises(ManifestError) as refused:

@@ -63,6 +63,7 @@ def test_the_bridge_moves_as_a_measured_guitars() -> None:
     assert abs(np.mean(apart)) < 2.0
 
 
+@pytest.mark.slow
 def test_first_modes_are_those_of_guitars() -> None:
     """Classical guitars: A0 90-120, T1 170-250, T2 240-300 Hz, Q of T1 about 26 (Christensen & Vistisen 1980)."""
     modes = guitar().body.modes_below(2e4)
@@ -116,6 +117,7 @@ def test_static_compliance_does_not_depend_on_fmax() -> None:
     assert lowest[0] == pytest.approx(lowest[1], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_modes_above_fmax_are_stated() -> None:
     """With their share of the static compliance at the first point: w = F sum phi^2 / omega^2 over the others."""
     few, many = small(fmax=500.0), small(fmax=8000.0, cell=0.02)
@@ -153,6 +155,7 @@ def test_an_svg_path_is_an_outline(tmp_path: Path) -> None:
         plugin("drawn_body").from_values(values, files, "body").basis(2e4)
 
 
+@pytest.mark.slow
 def test_a_thickness_map(tmp_path: Path) -> None:
     """A uniform map is a uniform thickness; of a wedge the modes lie between those of its ends."""
     rows = [f"{x},{y}," for x in (0.0, 0.3) for y in (0.0, 0.2)]
@@ -219,6 +222,7 @@ def test_the_cache_has_arrays_of_each_blas_library_apart(tmp_path: Path, monkeyp
     array_cache._sources.cache_clear()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("channel", "at"), [("left", (0.3, -0.3, 1.0)), ("right", (0.3, 0.3, 1.0))])
 def test_microphones_follow_the_rayleigh_sum(channel: str, at: tuple[float, float, float]) -> None:
     """Every driven point of the guitar, each in its own direction: 95 % of 50 Hz to 6 kHz within 0.2 dB."""
@@ -261,6 +265,7 @@ def test_a_tapped_guitar_is_heard() -> None:
     assert 0.03 < peak < 3.0
 
 
+@pytest.mark.slow
 def test_sound_has_its_own_entry_in_the_account_of_energy() -> None:
     """Modes that ring freely radiate sum_k int R_k v_k^2 dt, R_k of the Rayleigh sums; the account closes."""
     body = small(fmax=800.0, baffle="infinite")

@@ -47,6 +47,7 @@ def test_every_step_is_found(tmp_path: Path, place: float, fs: float) -> None:
         stroke(tmp_path, what, place, fs, 0.05, stop=12 * (k % 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", [STROKES[1], STROKES[5]])
 def test_and_pays(tmp_path: Path, what: dict[str, Any]) -> None:
     """The energy balance, step by step, in strokes that used to be lost between sticking and sliding."""

@@ -62,6 +62,7 @@ def made(folder: Path, gesture: str = "pluck", part: str | None = None, **string
     return instrument(folder, {**STEEL, **string}, **more)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gesture", "part"), [(g, None) for g in GESTURES] + [("pluck", p) for p in PARTS], ids=lambda x: str(x)
 )

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 from scipy.special import ellipk
 from tonewood.plugins import gong as plugin
-from tonewood.plugins._gong_plate import GongPlate, PlateGrid, biharmonic
+from tonewood.plugins._gong_energy import GongPlate, PlateGrid, biharmonic
 from tonewood.plugins.gong import Gong, PlateEnergy, stiffening
 
 import tonewood as tw
@@ -145,6 +145,7 @@ def test_a_mirror_image_stores_the_same_and_symmetric_motion_stays_so(edges: str
     assert np.abs(slope[~odd]).max() < 1e-12 * np.abs(slope[odd]).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edges", EDGES)
 @pytest.mark.parametrize("freq_upper", [100.0, 400.0, 1500.0, 3000.0])
 def test_compiled_is_the_same(edges: str, freq_upper: float) -> None:
@@ -209,6 +210,7 @@ def stepped(grid: PlateGrid, omega: Floats, v: Floats, fs: float, pieces: int) -
 LEVELS = {0.1: 1e-5, 1.0: 2e-4, 3.0: 1.5e-3}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("deflection", LEVELS)
 @pytest.mark.parametrize("edges", EDGES)
 def test_order_two_against_an_integration_of_high_order(edges: str, deflection: float) -> None:
@@ -260,6 +262,7 @@ def pitch(sound: Floats, fs: float) -> float:
     return float(freq[inside][np.argmax((spectrum / np.maximum(freq, 1.0) ** 2)[inside])])
 
 
+@pytest.mark.slow
 def test_pitch_falls_and_the_spectrum_fills_after_a_hard_blow_alone() -> None:
     """Both are absent where the plate is linear, and after a soft blow."""
     fs, found = 48000.0, {}
@@ -286,6 +289,7 @@ def test_auto_is_the_whole_effect_after_a_hard_blow_and_none_where_it_is_still()
     assert np.array_equal(sounds["auto"], sounds["all"])
 
 
+@pytest.mark.slow
 def test_soft_sound_is_left_out_within_the_budget() -> None:
     """With a loose budget a soft blow is left linear after a while, and the difference is below the budget."""
     loose = {"effects.budget_cents": 30.0, "effects.budget_db": -20.0}

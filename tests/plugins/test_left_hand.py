@@ -64,6 +64,7 @@ def off(freq: float, stop: float) -> float:
     return 1200 * float(np.log2(freq / 110.0)) - 100 * stop
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["ideal", "finger"])
 @pytest.mark.parametrize(("technique", "first", "second"), [("hammer_on", 0, 5), ("pull_off", 5, 0), ("slide", 2, 7)])
 def test_the_pitch_changes_without_a_pluck(model: str, technique: str, first: int, second: int) -> None:
@@ -124,6 +125,7 @@ def test_a_stopping_hand_without_force_gives_no_energy(model: str) -> None:
         assert np.all(np.diff(energies[start:]) <= 1e-9 * max(energies))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["ideal", "finger"])
 def test_no_stop_of_a_score_is_tuned_while_it_sounds(model: str, monkeypatch: pytest.MonkeyPatch) -> None:
     notes = [tw.Note(0.0, 0.1, string="A2", stop=1), tw.Note(0.1, 0.2, string="A2", stop=4.5, technique="slide")]
@@ -142,6 +144,7 @@ def test_no_stop_of_a_score_is_tuned_while_it_sounds(model: str, monkeypatch: py
     assert len(searches) == before
 
 
+@pytest.mark.slow
 def test_the_work_of_a_sliding_finger_is_bounded() -> None:
     """Down to half the length and back: the string never has more than twice the energy of the pluck."""
     made = monochord("finger").replace({"exciters.slide.time": 0.1})
@@ -235,6 +238,7 @@ def test_a_controller_places_the_finger(place: float, partial: int) -> None:
     assert freq[spectrum.argmax()] == pytest.approx(partial * 110.0, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_a_finger_that_moves_along() -> None:
     """From the middle to a third while the string sounds: it takes the octave too, and gives nothing worth naming."""
     made = touched(touch=0.45, touch_end=0.3, lift=0.2)
@@ -254,6 +258,7 @@ def test_a_finger_that_moves_along() -> None:
     assert level[1] < 0.1 * level[0]
 
 
+@pytest.mark.slow
 @settings(max_examples=5, deadline=None)
 @given(
     st.sampled_from(["ideal", "finger"]),
@@ -274,3 +279,30 @@ def test_any_sequence_of_techniques(model: str, line: list[tuple[float, str | No
     x = tw.render(tw.Score(notes), made, fs=16000, max_duration=time + 0.1).samples * 4.0
     assert np.all(np.isfinite(x))
     assert np.abs(x).max() < 3 * sum(force for _, _, force, _ in line)
+
+
+def test_live_slides_search_for_no_tension(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stops that a slide passes, and bends of them, take their tension from a table made before the sound."""
+    made = monochord("ideal")
+    live = tw.Live(made, FS)
+
+    def searched(*_: object) -> None:
+        raise AssertionError("searched for a tension in mid-sound")
+
+    exact = assemble(made, FS).strings["A2"].tuning
+    stops = np.random.default_rng(5).uniform(0, 24, 40)
+    table = live.model.strings["A2"].tuning
+    errors = [600 * np.log2(table.tension(stop) / exact.tension(stop)) for stop in stops.tolist()]
+    assert np.abs(errors).max() < 0.5
+    assert all(table.tension(stop) == exact.tension(stop) for stop in range(25))
+
+    monkeypatch.setattr(string_tuning, "tune", searched)
+    monkeypatch.setattr(string_tuning, "held_freq", searched)
+    live.note_on(string="A2", stop=2.0, force=2.0)
+    before = live.process(FS // 4)
+    live.note_on(string="A2", stop=6.4, force=2.0, technique="slide")
+    live.bend(30.0)
+    after = live.process(FS)
+    assert np.abs(before).max() > 0
+    freq = 110.0 * 2 ** ((6.4 + 0.3) / 12)
+    assert 1200 * abs(np.log2(pitch(after[:, 0], 0.4, 1.0) / freq)) < 3.0

@@ -81,7 +81,7 @@ COURSES = {
 
 
 @pytest.mark.parametrize(
-    "course", [pytest.param(c, marks=[pytest.mark.slow] if c == "fractions" else []) for c in COURSES]
+    "course", [pytest.param(c, marks=[pytest.mark.slow] if c in ("fractions", "slides") else []) for c in COURSES]
 )
 @pytest.mark.parametrize(
     "pluck", [pytest.param(FINGER, id="finger"), pytest.param(RAMP, id="ramp", marks=pytest.mark.slow)]

@@ -130,6 +130,7 @@ def test_strings_add_up_in_the_coil() -> None:
     assert np.abs(both - one - other).max() < 1e-3 * np.abs(both).max()
 
 
+@pytest.mark.slow
 def test_a_bass_sounds_like_one() -> None:
     """No note below velocity 115 touches a fret; above 3 kHz lies little, on recorded basses some -50 dB."""
     for string, stop in (("E1", 0), ("E1", 4), ("A1", 7), ("D2", 2), ("G2", 12)):

@@ -149,6 +149,7 @@ def test_a_hammer_thrown_at_a_rigid_string(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.log2(np.array(errors[:-1]) / np.array(errors[1:])), 2.0, atol=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stiffness", "bounds"), [(1e6, (0.2, 0.06, 0.02)), (1e9, (2.5, 1.2, 0.8))])
 def test_spectra_of_a_buzzing_string_converge(tmp_path: Path, stiffness: float, bounds: tuple[float, ...]) -> None:
     """Octaves from 125 Hz to 8 kHz against 384 kHz: dB by which the worst is off at 48, 96 and 192 kHz.

@@ -147,6 +147,7 @@ def test_a_wrong_gradient_ends_in_one_line_whenever_it_goes_wrong(
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gradient", "freq", "words"),
     [

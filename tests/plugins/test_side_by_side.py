@@ -81,6 +81,7 @@ BUSY = tw.Score(
 )
 
 
+@pytest.mark.slow
 def test_a_render_of_everything_adds_up_and_knows_no_blocks(tmp_path: Path) -> None:
     """The energy budget closes in every interval; every part acts on every string; blocks change no sample."""
     made = band(tmp_path)

@@ -59,6 +59,7 @@ def axis(xy: Floats, start: float) -> float:
     return 0.5 * float(np.angle(np.sum(z**2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sense", [1, -1])
 def test_an_ellipse_precesses(tmp_path: Path, sense: int) -> None:
     """At the closed form's rate, and as an independent solution of the two equations does."""

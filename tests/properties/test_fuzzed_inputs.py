@@ -178,6 +178,7 @@ def many(key: str, count: int) -> dict[str, Any]:
     return values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "said"),
     [

@@ -160,6 +160,7 @@ def test_a_cluster_of_all_keys(guitar: tw.Instrument) -> None:
     assert 0.0 < peak < bound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controls", [[], [tw.Control(0.003 * i, "cc64", float(i % 2)) for i in range(200)]])
 def test_notes_of_no_length_and_a_chattering_pedal(guitar: tw.Instrument, controls: list[tw.Control]) -> None:
     """Every string at once again and again, each note ending as it begins: energy is that of one round, then gone."""

@@ -83,6 +83,7 @@ def test_libraries_are_listed_with_version_and_processor_kernel() -> None:
     assert all(len(name.split()) >= 2 for name in libraries)
 
 
+@pytest.mark.slow
 def test_samples_do_not_depend_on_the_number_of_blas_threads() -> None:
     found = []
     for wanted in ("1", "2"):

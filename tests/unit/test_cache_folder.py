@@ -317,6 +317,7 @@ def test_a_bundle_that_is_kept_is_the_bundle_of_the_file(folder: Path, tmp_path:
             assert load_yaml(file) == first
 
 
+@pytest.mark.slow
 def test_the_command_line_says_so_in_one_line(folder: Path) -> None:
     command = [sys.executable, "-m", "tonewood", "check", "monochord"]
     first = subprocess.run(command, capture_output=True, text=True)

@@ -38,6 +38,7 @@ def first_block(cache: str) -> list[object]:
     return found
 
 
+@pytest.mark.slow
 def test_a_second_start_imports_no_more_than_it_needs_and_has_the_same_samples(tmp_path: Path) -> None:
     without, first, second = (first_block(cache) for cache in ("off", str(tmp_path), str(tmp_path)))
     assert list(tmp_path.glob("*.tunings"))

@@ -11,7 +11,7 @@ from tonewood.errors import BundleError, TonewoodError
 from tonewood.instrument.contract.files import Files
 from tonewood.instrument.scales import read_scl
 from tonewood.sound.ensemble.mix import read_ensemble
-from tonewood.support.text_files import decoded
+from tonewood.support.text_files import decoded, json_value
 from tonewood.support.yaml_io import load_yaml
 from tonewood.workshop.batch.manifest import ManifestError, load_manifest
 
@@ -71,3 +71,11 @@ def test_every_kind_of_file_that_people_write_says_so(tmp_path: Path) -> None:
             Files(tmp_path).table("a.yaml")
         with pytest.raises(TonewoodError, match=reason):
             read_scl(file)
+
+
+def test_two_values_of_one_key_are_refused() -> None:
+    """In an object within another, too; one key in two objects is none of these."""
+    assert json_value('{"a": {"b": 1}, "c": [{"b": 2}]}') == {"a": {"b": 1}, "c": [{"b": 2}]}
+    for text in ('{"a": 1, "b": 2, "a": 1}', '[{"c": {"a": 1, "a": 2}}]'):
+        with pytest.raises(ValueError, match="the key 'a' stands twice in one object"):
+            json_value(text)

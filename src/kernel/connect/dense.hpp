@@ -65,6 +65,51 @@ inline void solve_few(const double* a, const double* unit, int n, double* b) {
     for (int i = 0; i < n; ++i) b[i] = rows[i * kLane + n] * over[i];
 }
 
+constexpr int kMostDirections = 12;  // of conjugate gradients: more take about as long as the factors
+constexpr double kResidual = 1e-32;  // squared, of that of x = 0
+
+// Solves a x = b in place by conjugate gradients scaled by the diagonal; a (n, wide(n)) symmetric and positive definite,
+// all of it given. Uses 4 wide(n) numbers of `work` and wide(n) of `over`. False, with b as it was, where that takes too
+// many directions.
+inline bool solve_near_diagonal(const double* a, int n, double* over, double* work, double* b) {
+    using S = Simd;
+    using V = S::V;
+    const std::size_t w = wide(n);
+    double *const x = work, *const r = x + w, *const p = r + w, *const moved = p + w;
+    const auto sum_over = [&](const auto& term) {
+        V sum{};
+        for (std::size_t i = 0; i < w; i += S::width) sum += term(i);
+        return S::sum(sum);
+    };
+    std::fill_n(over, w, 0.0), std::fill_n(x, w, 0.0), std::copy_n(b, w, r);
+    for (int i = 0; i < n; ++i) over[i] = 1 / a[i * w + i];
+    const double first = sum_over([&](std::size_t i) {
+        const V residual = S::load(r + i), scaled = residual * S::load(over + i);
+        S::store(p + i, scaled);
+        return residual * scaled;
+    });
+    if (!std::isfinite(first)) return false;
+    double size = first;
+    for (int k = 0; size > kResidual * first; ++k) {
+        if (k == kMostDirections) return false;
+        std::fill_n(moved, w, 0.0);
+        add_product(a, int(w), p, n, moved);
+        const double far = size / sum_over([&](std::size_t i) { return S::load(p + i) * S::load(moved + i); });
+        const double left = sum_over([&](std::size_t i) {
+            S::store(x + i, S::load(x + i) + S::load(p + i) * far);
+            const V residual = S::load(r + i) - S::load(moved + i) * far;
+            S::store(r + i, residual);
+            return residual * residual * S::load(over + i);
+        });
+        const double kept = left / size;
+        for (std::size_t i = 0; i < w; i += S::width)
+            S::store(p + i, S::load(r + i) * S::load(over + i) + S::load(p + i) * kept);
+        size = left;
+    }
+    std::copy_n(x, w, b);
+    return true;
+}
+
 // Solves a X = B in place for all columns of B (n, width) at once, width a multiple of kLane.
 inline void solve_columns(const double* lower, const double* over, int n, double* b, std::size_t width) {
     using S = Simd;

@@ -1,14 +1,14 @@
 // Block-level broad phase: which contacts can touch in a block. Contacts that a bound excludes are culled: their rows
 // are not read, and the samples are the same bit for bit.
 //
-// At the block's beginning bounds.hpp bounds the free motion of each contact port; the gap at rest less that bound is
+// At the block's beginning row_bounds.hpp bounds the free motion of each contact port; the gap at rest less that bound is
 // the contact's clearance. The port forces of the block use the clearance up: a force F on a port takes sensitivity |F|
 // of the tightest clearance in a group of components joined by contacts. While the sum (`share`) is below 1 no culled
 // contact touches. In the sample in which it reaches 1, each contact's own bound is evaluated, and contacts that may
 // touch become candidates: their rows are read from the block's beginning.
 #pragma once
 
-#include "bounds.hpp"
+#include "row_bounds.hpp"
 #include "contact_rows.hpp"
 #include "held.hpp"
 

@@ -6,7 +6,7 @@
 
 #include <deque>
 
-#include "bounds.hpp"
+#include "row_bounds.hpp"
 
 namespace tonewood {
 namespace {

@@ -40,7 +40,7 @@ struct ContactPorts {
     Array<double> from_fixed;    // (n_ports, n, kBlock): response of these rows k steps after a force on a fixed port
     Array<double> from_contact;  // (n, n, kBlock): the same after a force on a contact port
     Array<double> on_rows;       // (n, kBlock, n_rows): response of the component's other rows to these ports
-    // bounds over a block (cull/bounds.hpp)
+    // bounds over a block (cull/row_bounds.hpp)
     Array<double> norm;          // (2, n_modes): weights of the squares of a mode's two numbers
     Array<double> size;          // (n_modes): weight of the second number in a mode's amplitude
     Array<double> middle;        // (n, 2, n_modes): rows in the middle of the block

@@ -66,7 +66,7 @@ struct Nonlinear {
     Array<double> residual;     // (k, k)
     Array<double> weights;      // (n_channels, k) of forces in the readouts
     std::vector<Term> all_terms;
-    // derived by load/contacts.hpp
+    // derived by load/contact_groups.hpp
     std::vector<int> read_forces;  // connections with a weight
     struct Shared {  // gaps that share residual compliance: places first .. first + n of the displacements
         int first = 0, n = 0, width = 0;  // width: n, padded

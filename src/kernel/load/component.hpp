@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "bounds.hpp"
+#include "bound_tables.hpp"
 #include "description.hpp"
 
 namespace tonewood {

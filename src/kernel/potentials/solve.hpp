@@ -211,12 +211,14 @@ public:
         }
         for (const auto& group : groups_) group->direct();
         make_matrix(onto_ports);
-        factorized_ = count() >= kLane;
-        if (factorized_) {
+        factorized_ = false;
+        if (count() < kLane) {
+            solve_few(ws_.matrix.data(), ws_.unit.data(), count(), ws_.alone.data());
+        } else if (!solve_near_diagonal(ws_.matrix.data(), count(), ws_.over.data(), ws_.upper.data(),
+                                        ws_.alone.data())) {
+            factorized_ = true;
             factorize(ws_.matrix.data(), count(), ws_.upper.data(), ws_.over.data());
             solve_definite(ws_.matrix.data(), ws_.upper.data(), ws_.over.data(), count(), ws_.alone.data());
-        } else {
-            solve_few(ws_.matrix.data(), ws_.unit.data(), count(), ws_.alone.data());
         }
         std::copy(ws_.alone.begin(), ws_.alone.end(), ws_.mean.begin());
     }
@@ -299,25 +301,33 @@ private:
     using S = Simd;
     using V = S::V;
 
-    // M in ws.matrix: its lower triangle, and at least that of the vectors that reach the diagonal.
+    // M in ws.matrix.
     void make_matrix(const double* onto_ports) {
         const int all = count(), lanes = t_.lanes, width = t_.most * lanes;
         std::fill(ws_.reach_lanes.begin(), ws_.reach_lanes.end(), 0.0);
         for (std::size_t p = 0; p < t_.ports.size(); ++p) ws_.reach_lanes[t_.ports[p].lane] = ws_.reach[p];
-        for (int s = 0; s < all; ++s) {
+        const auto columns = [&]<int B>(int s, int q) {  // B vectors of row s from the q-th number on
             const Potentials::One& one = t_.two_way[s];
-            const double* const unit = ws_.unit.data() + lanes - s;
-            for (int q = 0; q < (all < kLane ? all : s + 1); q += S::width) {
-                V sum{};
-                for (int m = 0; m < t_.most; ++m) {
-                    V stiff{};
-                    for (int p = one.first; p < one.first + one.n; ++p)
-                        stiff += S::load(onto_ports + std::size_t(p) * width + m * lanes + q) * ws_.reach[p];
-                    sum += stiff * S::load(ws_.reach_lanes.data() + m * lanes + q);
+            V sum[B] = {};
+            for (int m = 0; m < t_.most; ++m) {
+                V stiff[B] = {};
+                for (int p = one.first; p < one.first + one.n; ++p) {
+                    const double* const row = onto_ports + std::size_t(p) * width + m * lanes + q;
+                    for (int i = 0; i < B; ++i) stiff[i] += S::load(row + i * S::width) * ws_.reach[p];
                 }
-                S::store(ws_.matrix.data() + s * lanes + q,
-                         sum * 0.5 + S::load(unit + q) * (1.0 + 0.5 * ws_.own[s]));
+                const double* const reach = ws_.reach_lanes.data() + m * lanes + q;
+                for (int i = 0; i < B; ++i) sum[i] += stiff[i] * S::load(reach + i * S::width);
             }
+            const double* const unit = ws_.unit.data() + lanes - s + q;
+            const double diagonal = 1.0 + 0.5 * ws_.own[s];
+            double* const row = ws_.matrix.data() + s * lanes + q;
+            for (int i = 0; i < B; ++i)
+                S::store(row + i * S::width, sum[i] * 0.5 + S::load(unit + i * S::width) * diagonal);
+        };
+        for (int s = 0; s < all; ++s) {
+            int q = 0;
+            for (; q + kPack * S::width <= lanes; q += kPack * S::width) columns.template operator()<kPack>(s, q);
+            for (; q < all; q += S::width) columns.template operator()<1>(s, q);
         }
     }
 

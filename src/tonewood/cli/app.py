@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -14,12 +16,14 @@ import typer
 from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
 from tonewood.cli.common import warn
 from tonewood.cli.stopping import stopping
-from tonewood.errors import CacheFolderWarning, DamagedCacheWarning, OldFormatWarning
+from tonewood.errors import CacheFolderWarning, DamagedCacheWarning, OldFormatWarning, OutputError
 
 # typer may carry its own copy of click: its errors are found through it
 _UsageError = typer.BadParameter.__bases__[0]
 ClickError: type[Exception] = _UsageError.__bases__[0]
 ABORTED: type[Exception] = typer.Abort
+#: parameters that name a file to write
+_WRITTEN = {"output", "table", "plot", "record"}
 
 
 def application(first: str | None) -> typer.Typer:
@@ -51,6 +55,7 @@ def _command(command: Callable[..., Any]) -> Callable[..., Any]:
 
         try:
             stopping.command_begins()
+            _refuse_to_replace(options)
             with warnings.catch_warnings():
                 warnings.showwarning = show_in_one_line
                 code = command(*args, **options)
@@ -62,6 +67,30 @@ def _command(command: Callable[..., Any]) -> Callable[..., Any]:
         return code
 
     return wrapped
+
+
+def _refuse_to_replace(options: Mapping[str, Any]) -> None:
+    """Refuse a file to write that another argument of the command is; links may lead to it."""
+    files = [
+        (name, file)
+        for name, value in options.items()
+        for file in (value if isinstance(value, list | tuple) else [value])
+        if isinstance(file, Path | str) and _is_file(file)
+    ]
+    for name, file in files:
+        for other, read in files if name in _WRITTEN else ():
+            if other != name and os.path.samefile(file, read):
+                reason = (
+                    f"would replace a file that is read, {other.replace('_', ' ')} {str(read)!r}; give another name"
+                )
+                raise OutputError(reason, file=file)
+
+
+def _is_file(name: Path | str) -> bool:
+    try:
+        return os.path.isfile(name)
+    except ValueError:  # a zero byte
+        return False
 
 
 def _print_version(wanted: bool) -> None:

@@ -109,8 +109,6 @@ _LOG_EVERY = 15.0
 class _Bars(ExitStack):
     """One progress bar after another, a stage each; where there is no terminal, lines for a log.
 
-    Parameters
-    ----------
     clock : time, s.
     """
 

@@ -33,12 +33,7 @@ Tracks = Annotated[
 
 
 def reading(start: float, stop: float | None, transpose: float, tempo: float, tracks: str | None) -> dict[str, Any]:
-    """Settings of `read_score` from options of a command line.
-
-    Raises
-    ------
-    TonewoodError : the tracks are no numbers.
-    """
+    """Settings of `read_score` from options of a command line. Raises TonewoodError : the tracks are no numbers."""
     numbers = None if tracks is None else [word.strip() for word in tracks.split(",") if word.strip()]
     if numbers is not None and not (numbers and all(word.isdecimal() and len(word) <= 9 for word in numbers)):
         raise TonewoodError(f"is {tracks!r}; numbers from 1, with commas between them, are allowed", key="--tracks")
@@ -150,9 +145,7 @@ def load(name: str, overrides: list[str] | None, allow_code: bool, strings: str 
 def need(extra: str, *modules: str) -> None:
     """Check before any work that the modules of an extra are installed.
 
-    Raises
-    ------
-    TonewoodError : names the first that is missing, and the extra that installs all of them.
+    Raises TonewoodError : names the first that is missing, and the extra that installs all of them.
     """
     from importlib.util import find_spec
 
@@ -164,9 +157,7 @@ def need(extra: str, *modules: str) -> None:
 def allow(option: str, value: float, low: float, high: float, unit: str) -> None:
     """Refuse an option's value outside its range, or not a number.
 
-    Raises
-    ------
-    TonewoodError : names the option and the values allowed.
+    Raises TonewoodError : names the option and the values allowed.
     """
     if not low <= value <= high:
         raise TonewoodError(f"is {f'{value:.12g} {unit}'.strip()}; {low:.12g} to {high:.12g} are allowed", key=option)
@@ -183,8 +174,6 @@ def dropped_notes_listed() -> Iterator[None]:
 def warn_of_dropped(dropped: Sequence[Dropped], where: str = "") -> None:
     """Print on stderr how many notes cannot be played, where the first is and why: one line a kind of reason.
 
-    Parameters
-    ----------
     dropped : in time order.
     where : before each line.
     """

@@ -17,12 +17,7 @@ _MOST_NOTES = 20
 
 
 def planned(data: dict[str, Any], manifest: Path, output: Path, allow_code: bool, as_json: bool, cores: int = 1) -> int:
-    """Print how much there is to do, and how long it will take.
-
-    Raises
-    ------
-    TonewoodError : the manifest cannot be used.
-    """
+    """Print how much there is to do, and how long it will take. Raises TonewoodError : the manifest cannot be used."""
     need("dataset", "pyarrow")
     from tonewood.workshop.batch.rendering import EngineRenderer
     from tonewood.workshop.dataset.manifest import check_dataset
@@ -48,9 +43,7 @@ def made(
 ) -> int:
     """Make the data set; returns the exit code.
 
-    Raises
-    ------
-    TonewoodError : the manifest cannot be used, or the disk is full.
+    Raises TonewoodError : the manifest cannot be used, or the disk is full.
     """
     need("dataset", "pyarrow")
     from tonewood.workshop.batch.rendering import EngineRenderer

@@ -22,11 +22,11 @@ def list_installed(allow_code: AllowCode = False, as_json: Json = False) -> None
     instruments: list[dict[str, str]] = []
     for name, entry in registry.entries(registry.INSTRUMENTS).items():
         try:
-            found = Instrument.load(name, allow_code=allow_code)
+            one = Instrument.load(name, allow_code=allow_code)
         except TonewoodError as fault:
             instruments.append({**_owner(entry), "broken": str(fault)})
             continue
-        more = {"title": found.spec.title, "licence": found.spec.licence, "folder": str(found.folder)}
+        more = {"title": one.spec.title, "licence": one.spec.licence, "folder": str(one.folder)}
         instruments.append({**_owner(entry), **more})
     plugins: list[dict[str, str]] = []
     broken = registry.broken_plugins()
@@ -40,8 +40,8 @@ def list_installed(allow_code: AllowCode = False, as_json: Json = False) -> None
             summary = (sys.modules[plugin.__module__].__doc__ or "").strip().partition("\n")[0]
         plugins.append({**_owner(entry), "kind": plugin.kind, "summary": summary})
     sets = [
-        {"name": name, "maker": found.maker, "product": found.product, "notes": [e.note for e in found.strings]}
-        for name, found in string_sets().items()
+        {"name": name, "maker": one.maker, "product": one.product, "notes": [e.note for e in one.strings]}
+        for name, one in string_sets().items()
     ]
     if as_json:
         report = {"version": __version__, "instruments": instruments, "plugins": plugins, "string_sets": sets}

@@ -29,8 +29,6 @@ def option_name(field: str) -> str:
 def takes_render_options(without: Collection[str] = ()) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Let a command have an option per field of `RenderOptions` instead of its parameter `options`.
 
-    Parameters
-    ----------
     without : fields that make no sense for the command; they keep their defaults.
     """
     fields = {name: field for name, field in RenderOptions.model_fields.items() if name not in without}
@@ -57,12 +55,7 @@ def takes_render_options(without: Collection[str] = ()) -> Callable[[Callable[..
 
 
 def render_options(values: dict[str, Any]) -> RenderOptions:
-    """Check the values of a command line.
-
-    Raises
-    ------
-    TonewoodError : names the option and the values allowed.
-    """
+    """Check the values of a command line. Raises TonewoodError : names the option and the values allowed."""
     numbers = {name for name in values if _takes_number(RenderOptions.model_fields[name])}
     settings = {name: _number(value) if name in numbers else value for name, value in values.items()}
     try:

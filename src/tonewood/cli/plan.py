@@ -86,6 +86,8 @@ def plan(
         return
     warn_of_dropped([drop for drop in prediction.notes_dropped if drop.time < prediction.duration_s])
     print(f"{prediction.duration_s:.2f} s of sound in about {prediction.predicted_s:.1f} s of computing")
+    if prediction.sketched_s < prediction.duration_s:
+        print(f"  only the first {prediction.sketched_s:.1f} s were looked at; the rest is taken to be like them")
     if prediction.bends:
         print(f"  strings are bent at {prediction.bends} points in time: {prediction.bends_s:.1f} s of it")
     if verbose:

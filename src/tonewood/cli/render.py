@@ -156,8 +156,6 @@ def render(
 class _Form:
     """How a sound is written.
 
-    Attributes
-    ----------
     output, subtype : the file, and its format of samples.
     block : frames written at a time.
     level, target : its level, and the peak of that, dBFS.

@@ -29,8 +29,6 @@ _NAMED, _LEAST_SHARE = 2, 0.02
 class WrittenSound:
     """A sound file and the render that made it.
 
-    Attributes
-    ----------
     output, subtype : the file, and its format of samples.
     clipped, peak : samples beyond full scale, and the largest one, of the file.
     level, gain_db : its level, and the gain of that.

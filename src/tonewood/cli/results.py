@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +9,7 @@ import typer
 
 from tonewood.cli.common import Json, need, print_json, warn
 from tonewood.errors import TonewoodError
+from tonewood.support.text_files import json_value
 
 if TYPE_CHECKING:
     from tonewood.workshop.listening.results import PageResults, PanelResults
@@ -56,17 +56,12 @@ def results(
 
 
 def _facts(folder: Path) -> dict[str, Any] | None:
-    """Facts of the stimuli, from the record of the batch if it was written.
-
-    Raises
-    ------
-    TonewoodError : it is damaged.
-    """
+    """Facts of the stimuli, from the record of the batch if it was written. Raises TonewoodError : it is damaged."""
     path = folder / "manifest.json"
     if not path.exists():
         return None
     try:
-        return _facts_of(json.loads(path.read_text("utf-8-sig")))
+        return _facts_of(json_value(path.read_text("utf-8-sig")))
     except (OSError, ValueError, RecursionError, AttributeError, LookupError, TypeError):
         raise TonewoodError("is not the record of a batch; `tonewood batch` writes it again", file=path) from None
 

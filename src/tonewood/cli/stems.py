@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 def check_stem_folder(folder: Path, *, parents: bool = False) -> None:
     """Check before any work that files can be written to the folder of ``--stems``: make it, and remove it again.
 
-    Raises
-    ------
-    OutputError : it is a file, cannot be made, or cannot be written to.
+    Raises OutputError : it is a file, cannot be made, or cannot be written to.
     """
     from tonewood.support.whole_files import AtomicFile
 
@@ -46,12 +44,7 @@ def check_stem_folder(folder: Path, *, parents: bool = False) -> None:
 
 
 def make_stem_folder(folder: Path, *, parents: bool = False) -> None:
-    """Make the folder of ``--stems`` unless it is there.
-
-    Raises
-    ------
-    OutputError : it cannot be made.
-    """
+    """Make the folder of ``--stems`` unless it is there. Raises OutputError : it cannot be made."""
     try:
         folder.mkdir(parents=parents, exist_ok=True)
     except OSError as fault:
@@ -61,9 +54,7 @@ def make_stem_folder(folder: Path, *, parents: bool = False) -> None:
 def stem_files(folder: Path, names: Iterable[str], output: Path) -> list[Path]:
     """Files of stems, with the suffix of the mix; of equal names the second is numbered, ``name_2``.
 
-    Raises
-    ------
-    OutputError : the mix has the name of one of them.
+    Raises OutputError : the mix has the name of one of them.
     """
     files: list[Path] = []
     for name in names:
@@ -102,8 +93,6 @@ def write_string_stems(
 ) -> None:
     """Write a file per string and output group, ``GROUP.STRING``, as long as the mix and at its gain.
 
-    Parameters
-    ----------
     renderer : of a model whose outputs are by string.
     files : a file per output group.
     gain_db, frames, tags : of the mix.

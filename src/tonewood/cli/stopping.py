@@ -28,8 +28,6 @@ _AGAIN = 0.01
 class SignalHandling:
     """State of one process.
 
-    Attributes
-    ----------
     installed : whether signals are handled here.
     signal : the last one while a command ran, 0 before.
     """

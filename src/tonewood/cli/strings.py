@@ -43,8 +43,8 @@ def strings_for_sale(
         print_json("strings", {"sets": list(sets), "materials": listed})
         return
     print("string sets (tonewood strings SET)")
-    for key, found in sets.items():
-        print(f"  {key:<20} {found.maker} {found.product} ({' '.join(entry.note for entry in found.strings)})")
+    for key, one in sets.items():
+        print(f"  {key:<20} {one.maker} {one.product} ({' '.join(entry.note for entry in one.strings)})")
     print("\nmaterials (strings.NAME.made_of; `wound` has a core of the first three and a wrap)")
     for key, material in materials.items():
         stiff = ", for wraps"

@@ -78,19 +78,19 @@ def tab(
     if length is not None:
         beats = Beats(beats.tempos, [(0.0, length)])
     title = music.metadata.get("title", music.name)
-    found = tablature(performance.notes, lines, beats, title=title, capo=capo)
+    fingering = tablature(performance.notes, lines, beats, title=title, capo=capo)
     if output is not None:
         with whole_file(output) as stream:
-            stream.write(text(found).encode() if output.suffix.lower() == ".txt" else musicxml(found))
+            stream.write(text(fingering).encode() if output.suffix.lower() == ".txt" else musicxml(fingering))
     dropped = performance.dropped
     if as_json:
         rows = [
             {
                 "time_s": p.note.note.time, "duration_s": p.note.note.duration, "note": p.note.note.note,
                 "string": p.note.string, "stop": p.note.stop, "fret": p.fret, "finger": p.finger, "hand": p.hand,
-                "measure": sum(m <= tick for m in found.measures),
+                "measure": sum(m <= tick for m in fingering.measures),
             }
-            for tick, chord in found.chords
+            for tick, chord in fingering.chords
             for p in chord
         ]  # fmt: skip
         lost = [{"time_s": d.time, "note": d.note, "channel": d.channel, "reason": d.reason} for d in dropped]
@@ -99,12 +99,12 @@ def tab(
         return
     warn_of_kinds(performance.warnings)
     warn_of_dropped(dropped)
-    n = sum(len(chord) for _, chord in found.chords)
-    hands = [chord[0].hand for _, chord in found.chords]
+    n = sum(len(chord) for _, chord in fingering.chords)
+    hands = [chord[0].hand for _, chord in fingering.chords]
     shifts = sum(a != b for a, b in pairwise(hands))
     print(
         f"{output}: {counted(n, 'note')} on {counted(len(lines), 'string')}, {len(dropped)} dropped, "
-        f"{counted(len(found.measures) - 1, 'measure')}, positions {min(hands)} to {max(hands)}, "
+        f"{counted(len(fingering.measures) - 1, 'measure')}, positions {min(hands)} to {max(hands)}, "
         f"{counted(shifts, 'shift')}"
     )
     if performance.ignored:

@@ -38,9 +38,9 @@ def validate(
     if not console.is_terminal:
         console = Console(width=180, highlight=False, quiet=as_json)
     rows = []
-    for name, found in validation.run_each(only):
-        console.print(validation.table(name, found))
-        rows += found
+    for name, group in validation.run_each(only):
+        console.print(validation.table(name, group))
+        rows += group
     failed = [row for row in rows if not row.passed]
     console.print(f"{validation.counted(rows)}, {len(failed)} failed")
     for row in failed:

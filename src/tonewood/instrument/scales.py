@@ -39,9 +39,7 @@ _RATIO = re.compile(r"([0-9]{1,400})(?:/([0-9]{1,400}))?")
 def note_number(name: str) -> int:
     """MIDI number of a note name: ``C4`` is 60, ``F#3`` 54, ``Bb2`` 46, ``C-1`` 0.
 
-    Raises
-    ------
-    ScoreError : not a note name.
+    Raises ScoreError : not a note name.
     """
     match = _NAME.fullmatch(name.strip())
     if match is None:
@@ -77,8 +75,6 @@ EQUAL_12 = Scale("equal_12", tuple(100.0 * i for i in range(1, 13)))
 class KeyMap:
     """Which degree each key plays.
 
-    Attributes
-    ----------
     degrees : degree of each key of the pattern, None where a key plays nothing; empty: key k plays k − middle.
     size : keys in the pattern; beyond the end of `degrees` they play nothing.
     middle : key on which the pattern starts.
@@ -111,9 +107,7 @@ class KeyMap:
 class Tuning:
     """Frequencies of notes: a scale on keys, with the reference key at `reference_freq` Hz (A4 at 440).
 
-    Raises
-    ------
-    ScoreError : the reference frequency is not positive, or the reference key plays nothing.
+    Raises ScoreError : the reference frequency is not positive, or the reference key plays nothing.
     """
 
     scale: Scale = EQUAL_12
@@ -129,9 +123,7 @@ class Tuning:
     def freq(self, note: float) -> float:
         """Frequency in Hz; a fractional note lies between its neighbouring keys in proportion of cents.
 
-        Raises
-        ------
-        ScoreError : a key needed plays nothing in this tuning, or lies beyond `MAX_OCTAVES`.
+        Raises ScoreError : a key needed plays nothing in this tuning, or lies beyond `MAX_OCTAVES`.
         """
         octaves = self._cents(note) / 1200
         if abs(octaves) > MAX_OCTAVES:
@@ -195,8 +187,6 @@ def read_tuning(
 ) -> Tuning:
     """Tuning from Scala files.
 
-    Parameters
-    ----------
     scl : scale file; None is twelve equal steps.
     kbm : keyboard mapping; None puts degree 0 on key 60, one degree per key, and the reference on A4 (key 69).
     reference_freq : Hz of the reference key; None takes the mapping's, or 440.
@@ -212,9 +202,7 @@ def read_tuning(
 def read_scl(path: str | os.PathLike[str]) -> Scale:
     """Read a Scala scale file: ratios or cents, one pitch per line.
 
-    Raises
-    ------
-    ScoreError : names the file, the line and the value that is wrong.
+    Raises ScoreError : names the file, the line and the value that is wrong.
     """
     lines = _lines(path)
     _, name = next(lines, (0, ""))
@@ -229,12 +217,7 @@ def read_scl(path: str | os.PathLike[str]) -> Scale:
 
 
 def read_kbm(path: str | os.PathLike[str]) -> KeyMap:
-    """Read a Scala keyboard mapping.
-
-    Raises
-    ------
-    ScoreError : names the file, the line and the value that is wrong.
-    """
+    """Read a Scala keyboard mapping. Raises ScoreError : names the file, the line and the value that is wrong."""
     lines = ((number, text) for number, text in _lines(path) if text)
 
     def integer(what: str, high: int) -> int:

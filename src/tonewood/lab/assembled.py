@@ -11,14 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.errors import NumericalError
 from tonewood.physics.coupling.laws import Contact, HardeningSpring
 from tonewood.physics.stepping.forcing import Segment
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 
 class Matrices(NamedTuple):
@@ -34,8 +32,6 @@ def chain(
 ) -> Matrices:
     """Masses in a row; one link per mass, the odd one to a wall on the ``left`` or the ``right``.
 
-    Parameters
-    ----------
     masses : n, kg.
     dashpots, springs : n links in their order from left to right, N s/m and N/m.
     """
@@ -116,16 +112,11 @@ def ramp_and_release(
 ) -> Floats:
     """Displacement under a force that grows from zero and is let go, from the eigenvectors of the system.
 
-    Parameters
-    ----------
     direction : (n_dof,) share of each dof in the force.
     rate : N/s, until `release`, s.
     times : (n,) s.
     output : (n_dof,) share of each dof in the displacement.
-
-    Returns
-    -------
-    (n,) m.
+    Returns (n,) m.
     """
     n = len(system.M)
     values, vectors, scale = _eigenvectors(system)
@@ -195,8 +186,6 @@ def driven_motion(
 ) -> Floats:
     """(n, 2 n_dof) x and x' of M x'' + C x' + K x = direction F(t).
 
-    Parameters
-    ----------
     direction : (n_dof,).
     pieces : F(t), N.
     start : (2 n_dof,) x and x' at time 0, rest if left out.
@@ -221,9 +210,7 @@ def integrated(
 ) -> Floats:  # fmt: skip
     """(n, n_states) y at rising times of y' = rate(t, y) by DOP853, restarted at each of `edges` (s).
 
-    Raises
-    ------
-    NumericalError : an interval cannot be integrated to that tolerance.
+    Raises NumericalError : an interval cannot be integrated to that tolerance.
     """
     from scipy.integrate import solve_ivp
 

@@ -22,16 +22,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import basis_from_matrices, real_modes
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)
 class FixedBaseModes:
     """Modes with the interface held, and the static shapes that carry its motion inside.
 
-    Attributes
-    ----------
     M, K : (n_dof, n_dof) kg, N/m of the free substructure.
     interface : (m,) dofs held; interior : (n_dof - m,) the others.
     constraint : (n_interior, m) T^c, interior displacement per unit displacement of each interface dof.
@@ -67,8 +64,6 @@ class FixedBaseModes:
     def basis(self, points: Mapping[str, ArrayLike], C: ArrayLike | None = None) -> ModalBasis:
         """Free-interface modes of the reduced substructure: a component that can be joined at its interface.
 
-        Parameters
-        ----------
         points : name -> (n_dof,) direction.
         C : (n_dof, n_dof) N s/m.
         """
@@ -83,8 +78,6 @@ class FixedBaseModes:
 class FreeFreeModes:
     """Modes of the free substructure.
 
-    Attributes
-    ----------
     shapes : (n_dof, n_modes) phi: of unit modal mass, and of unit modal stiffness where the mass is zero.
     omega : (n_modes,) rad/s, rising: 0 for rigid-body modes, infinite for massless ones.
     """
@@ -115,9 +108,7 @@ def fixed_base_modes(
 ) -> FixedBaseModes:
     """Constraint modes and the lowest `n_modes` (all by default) modes with the interface dofs held.
 
-    Raises
-    ------
-    ValueError : the held substructure can still move freely (its constraint modes are not determined).
+    Raises ValueError : the held substructure can still move freely (its constraint modes are not determined).
     """
     import scipy.linalg as sla
 

@@ -31,9 +31,7 @@ from numpy.typing import NDArray
 from tonewood.lab.interpolatory import Update
 from tonewood.physics.modal.modes import BLOCK, PAIR, ModalBasis
 from tonewood.physics.modal.propagator import phi
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 
 def kernels(degree: int, z: Complexes) -> tuple[Complexes, Complexes]:
@@ -52,8 +50,6 @@ def kernels(degree: int, z: Complexes) -> tuple[Complexes, Complexes]:
 def harmonic_error(update: Update, poles: Complexes, omega: float, dt: float, n: int) -> Complexes:
     """(n, n_modes) estimated error of modes under exp(i omega t) from rest, after 0, 1, 2, ... updates.
 
-    Parameters
-    ----------
     update : interpolatory (``weighted``) of degree 1 or more.
     poles : (n_modes,) 1/s.
     omega : rad/s, of either sign.
@@ -75,9 +71,7 @@ def sine_error(
 ) -> Floats:
     """(n,) m, estimated displacement error at a point under forces amplitude * sin(omega t) from rest.
 
-    Raises
-    ------
-    ValueError : the basis has blocks (rigid-body or coinciding poles), whose errors are not of this form.
+    Raises ValueError : the basis has blocks (rigid-body or coinciding poles), whose errors are not of this form.
     """
     if np.any(basis.kind == BLOCK):
         raise ValueError("estimates are of modes with simple poles")

@@ -24,20 +24,17 @@ from itertools import pairwise
 from math import factorial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import apply, flow, real_form
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)
 class Update:
     """One way to advance modes over a step.
 
-    Attributes
-    ----------
     name : short.
     degree : p of the polynomial.
     weighted : the force alone is interpolated, and carried exactly; otherwise force times exponential (quadrature).
@@ -127,8 +124,6 @@ UPDATES = (
 class Response:
     """A motion at the ends of the updates.
 
-    Attributes
-    ----------
     times : (n,) s.  state : (n, n_modes, 2).  displacement, velocity : (n, n_points) m, m/s, at all points.
     """
 
@@ -147,8 +142,6 @@ def respond(
 ) -> Response:
     """Drive a component from `start` through `times`.
 
-    Parameters
-    ----------
     update : how.
     basis : any modes: under-, critically and over-damped, repeated, rigid-body.
     forces : point -> F(t), N, asked for at arrays of times.

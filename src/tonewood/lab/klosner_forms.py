@@ -16,16 +16,13 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.lab.component_modes import FixedBaseModes, FreeFreeModes
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)
 class MainStructure:
     """Undamped modes of S.
 
-    Attributes
-    ----------
     omega : (n,) rad/s.
     interface : (m, n) mass-normalised shapes at the attachment points, phi_S_bar.
     loaded : (n,) mass-normalised shape where the external force on S acts.
@@ -40,8 +37,6 @@ class MainStructure:
 class LinearForm:
     """x' = A x + on_main F_S + on_sub f_b: one external force on S and one force vector on the substructure's dofs.
 
-    Attributes
-    ----------
     A : (n, n).  on_main : (n,).  on_sub : (n, n_dof) of the substructure.
     motion : (n_dof, n) displacement of the substructure's dofs; motion_sub : (n_dof, n_dof) directly from forces.
     interaction : (m, n) F_bar from the state; interaction_main (m,), interaction_sub (m, n_dof): directly from forces.
@@ -60,8 +55,6 @@ class LinearForm:
 def fixed_base_form(main: MainStructure, sub: FixedBaseModes, *, as_printed: bool = True) -> LinearForm:
     """Rigidly attached substructure in fixed-base modes: Eqs. 15, 16 and 20, with forces on it A-11 and A-17.
 
-    Parameters
-    ----------
     as_printed : F_bar from the stiffness forces of Eq. 16, exact for lumped masses and a complete set of modes (the
         step from A-14 to A-15 takes a full set for granted); otherwise the symmetric form A-6, A-7 that precedes it,
         which stays conservative and converges much faster when modes are left out.

@@ -17,19 +17,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.lab.assembled import Matrices
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)
 class Newmark:
     """A method of the family; see the module.
 
-    Attributes
-    ----------
     name : short.  alpha, beta, gamma : unit-free.  order : stated order in h.
     """
 

@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab.assembled import Matrices
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import real_modes
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 def modal_damping(system: Matrices) -> Floats:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.errors import NumericalError
 from tonewood.lab.assembled import Matrices
@@ -27,16 +27,13 @@ from tonewood.lab.interpolatory import P1
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import flow, real_form
 from tonewood.physics.modal.synthesis import real_modes
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)
 class PseudoLoad:
     """A system in real modes, the off-diagonal modal damping apart.
 
-    Attributes
-    ----------
     shapes : (n_dof, n_modes) mass-normalised.  basis : modes with the diagonal of C*, driven at ``0``, ``1``, ...
     coupling : (n_modes, n_modes) X, 1/s.
     """
@@ -93,13 +90,8 @@ class PseudoLoad:
     ) -> tuple[Floats, float]:
         """Return the response by iteration over windows of some steps.
 
-        Returns
-        -------
-        displacements : (n, n_dof).  iterations : mean number per window.
-
-        Raises
-        ------
-        NumericalError : an iteration does not converge within `max_iterations`, or overflows.
+        Returns displacements : (n, n_dof).  iterations : mean number per window.
+        Raises NumericalError : an iteration does not converge within `max_iterations`, or overflows.
         """
         Q, q, v = self._begin(forces, start)
         E, W1, W2 = self._step(h)

@@ -11,17 +11,15 @@ from dataclasses import asdict, dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
     """A value held against a reference that the code under test did not produce, or, as a regression, was made to give.
 
-    Attributes
-    ----------
     system, quantity : the quantity computed, and its system.
     source : where the reference comes from (paper and equation or table, closed form, direct solution).
     reference, value : in the unit named by `quantity`.

@@ -13,21 +13,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.lab.assembled import Matrices
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_modes import string_basis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True)
 class ExactString:
     """A string held at x = L and moved at x = 0; no moment at either end.
 
-    Attributes
-    ----------
     length : m.
     tension : N.
     linear_density : kg/m.
@@ -129,14 +125,9 @@ class ExactString:
 def coupled_pole(string: ExactString, body_receptance: Callable[[complex], complex], partial: int) -> complex:
     """Pole of string and body near a partial of the held string: R_string(s) + R_body(s) = 0 by Newton's method.
 
-    Parameters
-    ----------
     body_receptance : s -> m/N at the string's end.
     partial : n, 1 for the fundamental.
-
-    Raises
-    ------
-    ValueError : no convergence (a body resonance on top of the partial).
+    Raises ValueError : no convergence (a body resonance on top of the partial).
     """
 
     def total(s: complex) -> complex:

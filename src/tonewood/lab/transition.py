@@ -13,20 +13,17 @@ from math import factorial
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.lab.assembled import Matrices, state_matrix
 from tonewood.lab.interpolatory import Update, lagrange
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Transition:
     """One update of the whole system: x+ = E x + sum_i W_i F(t_i).
 
-    Attributes
-    ----------
     update : gives nodes and polynomials.  dt : s between samples.
     E : (2n, 2n).  W : (n_nodes, 2n, n).
     """

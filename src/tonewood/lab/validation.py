@@ -38,9 +38,7 @@ SYSTEMS = {
 def selected(only: Sequence[str] | None) -> list[str]:
     """Names of the systems that `only` asks for: each entry is a name or the beginning of some (``fabre``).
 
-    Raises
-    ------
-    TonewoodError : an entry fits no name.
+    Raises TonewoodError : an entry fits no name.
     """
     if not only:
         return list(SYSTEMS)

@@ -12,10 +12,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
+
 #: Hz, dB, and the quality of a bell; None for a shelf
 Band = tuple[float, float, float | None]
 
@@ -26,13 +25,8 @@ _HIGHEST = 0.49
 class Equalizer:
     """Filters the channels of a streamed sound; samples do not depend on the size of blocks.
 
-    Parameters
-    ----------
     bands : of each channel. One whose middle lies above 0.49 `fs` is left out.
     fs : sampling rate, Hz.
-
-    Attributes
-    ----------
     memory : (n_sections, n_channels, 2) state of the filters.
     """
 

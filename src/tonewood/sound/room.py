@@ -17,17 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.support.arrays import Floats
 from tonewood.support.sound_rates import check_rate
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
     """A room with plane walls.
 
-    Attributes
-    ----------
     size : m, length, width, height.
     t60 : s, after Sabine.
     source : m, place of the instrument.
@@ -68,16 +65,11 @@ _DIRECT = (1e-3, 2.5e-3)
 def room_response(room: str, fs: int, channels: int, *, distance: float | None = None, mix_db: float = 0.0) -> Floats:
     """(n, channels) impulse responses, the direct sound first, of gain 1.
 
-    Parameters
-    ----------
     room : ``studio``, ``small``, ``hall``, or a sound file with one channel or one for each of `channels`.
     distance : m, from the instrument to the microphones in a box; the box's own where left out.
     mix_db : dB, gain of everything later than the direct sound.
-
-    Raises
-    ------
-    TonewoodError : pyroomacoustics is not installed; the file cannot be read or is silent; the microphones would stand
-        in a wall, or a distance is asked for in a file's room.
+    Raises TonewoodError : pyroomacoustics is not installed; the file cannot be read or is silent; the microphones would
+        stand in a wall, or a distance is asked for in a file's room.
     """
     if room in ROOMS:
         responses = _boxed(ROOMS[room], fs, channels, distance)
@@ -169,13 +161,8 @@ class Room:
     The convolution is partitioned (W. G. Gardner, J. Audio Eng. Soc. 43 (1995) 127): the sound that comes out is up
     to 1023 frames shorter than what went in, until the last piece brings the rest and the reverberation.
 
-    Parameters
-    ----------
     responses : (n, channels).
     sources : channel of the dry sound for each of the channels; the same numbers where left out.
-
-    Attributes
-    ----------
     memory : arrays that hold all that moves, for snapshots.
     """
 

@@ -46,15 +46,10 @@ def cache_folder() -> Path | None:
 def read_kept(kind: str, key: str, decode: Callable[[bytes], T]) -> T | None:
     """Read a file written by `keep`.
 
-    Parameters
-    ----------
     kind : of content, a word: the suffix of the file.
     key : hash of all that decides on the content, 64 hexadecimal digits.
     decode : content -> value; whatever it raises tells of a damaged file.
-
-    Returns
-    -------
-    The value; None where there is none, or a damaged one, which a warning names.
+    Returns The value; None where there is none, or a damaged one, which a warning names.
     """
     folder = cache_folder()
     if folder is None or not _is_own(folder):

@@ -21,14 +21,9 @@ def locked(folder: Path, use: str) -> Iterator[None]:
     it, which names the holder and holds where a system locks no folders (Windows, some network disks). The locks count,
     not the file: the file of a killed process does not block others.
 
-    Parameters
-    ----------
     folder : made if need be.
     use : the command that uses it, for the error of others.
-
-    Raises
-    ------
-    OutputError : another process holds the lock, or the folder cannot be written to.
+    Raises OutputError : another process holds the lock, or the folder cannot be written to.
     """
     path = folder / FILE
     with ExitStack() as stack:
@@ -50,9 +45,7 @@ def locked(folder: Path, use: str) -> Iterator[None]:
 def _lock_folder(folder: Path, stack: ExitStack) -> None:
     """Take the lock of the folder itself, where the system has one, until `held` ends.
 
-    Raises
-    ------
-    OutputError : another process holds it.
+    Raises OutputError : another process holds it.
     """
     if not hasattr(os, "O_DIRECTORY"):
         return
@@ -86,12 +79,7 @@ def _remove(path: Path, handle: int) -> None:
 
 
 def _acquired(path: Path) -> int:
-    """Open the file of a lock and take the lock.
-
-    Raises
-    ------
-    OutputError : another process holds it, or it is no file.
-    """
+    """Open the file of a lock and take the lock. Raises OutputError : another process holds it, or it is no file."""
     # its content is written over: never that of a link's target
     flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     while True:

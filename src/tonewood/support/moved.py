@@ -47,7 +47,7 @@ _MODULES = {
     "string_setup string_stems strings tuning",
     ("instrument", "instrument.inspection"): "wolf modal_export mounted",
     ("score", "instrument"): "scales",
-    ("score", "performance.score"): "causal=assignment",
+    ("score", "performance.score"): "causal=assignment performance=channel_reader",
     (
         "engine",
         "performance.player",
@@ -83,9 +83,7 @@ def new_name(module: str) -> str | None:
 def attribute(package: str, name: str, home: str) -> Any:
     """Return `name` of the module `home`, for a package that was a module of its own name in version 0.2.
 
-    Raises
-    ------
-    AttributeError : there is none.
+    Raises AttributeError : there is none.
     """
     from importlib import import_module
 
@@ -98,9 +96,7 @@ def attribute(package: str, name: str, home: str) -> Any:
 def renamed(module: str, name: str, present: dict[str, Any]) -> Any:
     """Return the class that an old name of a module stands for, for its ``__getattr__``; until version 0.4.
 
-    Raises
-    ------
-    AttributeError : it is no such name.
+    Raises AttributeError : it is no such name.
     """
     if name not in present:
         raise AttributeError(f"module {module!r} has no attribute {name!r}")

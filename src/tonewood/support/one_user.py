@@ -17,8 +17,6 @@ R = TypeVar("R")
 class OneUser:
     """Context in which one thread is at a time; another one gets an error, at once. The same may enter again.
 
-    Parameters
-    ----------
     name : in the error.
     way_out : words for the error: how to use it instead.
     """
@@ -59,8 +57,6 @@ class OneReader:
     In the thread of the one before, a new iteration takes its place, and that can be continued no more; in another
     thread it is refused until that one has ended or is closed.
 
-    Attributes
-    ----------
     use : context of every access to the state.
     """
 
@@ -71,12 +67,7 @@ class OneReader:
 
     @contextmanager
     def begun(self) -> Iterator[_Iteration]:
-        """Begin an iteration, until the context is left.
-
-        Raises
-        ------
-        TonewoodError : one of another thread has not ended.
-        """
+        """Begin an iteration, until the context is left. Raises TonewoodError : one of another thread has not ended."""
         iteration = _Iteration(self)
         with self.use:
             if self._current is not None and self._current[1] != threading.get_ident():

@@ -83,9 +83,7 @@ def validated(
 ) -> _P:
     """Check `values` against a model; fields that read files look into `context`.
 
-    Raises
-    ------
-    BundleError : one line for the first fault: file, dotted key (below `key`), fault and the values allowed.
+    Raises BundleError : one line for the first fault: file, dotted key (below `key`), fault and the values allowed.
     """
     try:
         return model.model_validate(dict(values), context=context)

@@ -16,8 +16,6 @@ def write_parquet(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str
 
     A column with values of several types is one of texts.
 
-    Parameters
-    ----------
     columns : in their order.
     rows : values are str, bool, int, float, None, or lists and mappings, which stand as JSON.
     """

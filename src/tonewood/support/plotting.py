@@ -52,19 +52,11 @@ def figure(
 ) -> tuple[Figure, NDArray[Any]]:
     """Make an empty figure and its axes.
 
-    Parameters
-    ----------
     heights : of the rows, inches; 4 each.
     sharex, sharey : whether all axes share a scale.
     polar : polar axes.
-
-    Returns
-    -------
-    figure, axes : (rows, columns).
-
-    Raises
-    ------
-    TonewoodError : matplotlib is not installed.
+    Returns figure, axes : (rows, columns).
+    Raises TonewoodError : matplotlib is not installed.
     """
     tall = [4.0] * rows if heights is None else list(heights)
     chart = _figure_class()(figsize=(WIDTH, sum(tall) + 0.2), layout="constrained")
@@ -164,8 +156,6 @@ def mobility_figure(
 ) -> Figure:
     """Figure of driving-point mobilities.
 
-    Parameters
-    ----------
     freq, curves : as for `draw_mobility`.
     marks : Hz, drawn as grey lines: pitches of open strings.
     of : title of the legend.
@@ -183,8 +173,6 @@ def mobility_figure(
 def points_figure(freq: ArrayLike, rows: Mapping[str, ArrayLike], *, heading: str = "") -> Figure:
     """Figure with a point per mode and a row per quantity, on logarithmic axes.
 
-    Parameters
-    ----------
     freq : (n,) Hz.
     rows : label of the row, with unit -> (n,) values; those that are not positive and finite are left out.
     """

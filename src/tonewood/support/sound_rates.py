@@ -21,15 +21,10 @@ MOST_SAMPLES = 60_000_000
 def check_rate(fs: int, file: str | Path, lowest: int = 8000) -> None:
     """Refuse a sound file of a sampling rate that no recording has.
 
-    Parameters
-    ----------
     fs : Hz.
     file : is named in the error.
     lowest : Hz.
-
-    Raises
-    ------
-    TonewoodError : the rate is lower than `lowest`, or above 400 kHz.
+    Raises TonewoodError : the rate is lower than `lowest`, or above 400 kHz.
     """
     if not lowest <= fs <= _HIGHEST:
         raise TonewoodError(f"has {fs} samples a second; {lowest} to {_HIGHEST} are allowed", file=file)
@@ -38,10 +33,8 @@ def check_rate(fs: int, file: str | Path, lowest: int = 8000) -> None:
 def read_samples(path: Path) -> tuple[NDArray[np.float64], int]:
     """Read a whole sound file: samples, (n, channels), and their rate, Hz.
 
-    Raises
-    ------
-    TonewoodError : it holds more than `MOST_SAMPLES`.
-    OSError, soundfile.LibsndfileError : it cannot be read.
+    Raises TonewoodError : it holds more than `MOST_SAMPLES`.
+    Raises OSError, soundfile.LibsndfileError : it cannot be read.
     """
     import soundfile as sf
 

@@ -16,8 +16,6 @@ _listeners: list[Listener] = []
 def stages(name: str, total: int) -> Iterator[Callable[[str], None]]:
     """Give a function that tells the stage which begins; all of them end with the block.
 
-    Parameters
-    ----------
     name : of the computation.
     total : number of stages.
     """

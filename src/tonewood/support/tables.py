@@ -13,13 +13,8 @@ _SHOWN = 60
 class Table:
     """Columns of equal length.
 
-    Parameters
-    ----------
     columns : name, with its unit where it has one -> values.
-
-    Raises
-    ------
-    ValueError : the columns differ in length.
+    Raises ValueError : the columns differ in length.
     """
 
     def __init__(self, columns: Mapping[str, Sequence[Any]]):

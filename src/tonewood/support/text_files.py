@@ -1,9 +1,11 @@
-"""Text of a file that a person wrote: UTF-8, or an error that says which encoding it seems to have."""
+"""Text of a file that a person wrote: UTF-8, or an error that says which encoding it seems to have; JSON."""
 
 from __future__ import annotations
 
 import codecs
+import json
 import os
+from typing import Any
 
 from tonewood.errors import TonewoodError
 
@@ -20,15 +22,10 @@ _SAMPLE, _SHARE = 200, 0.2
 def decoded(raw: bytes, *, file: str | os.PathLike[str], error: type[TonewoodError] = TonewoodError) -> str:
     """Decode UTF-8, with one byte-order mark or none.
 
-    Parameters
-    ----------
     raw : content of the file, whole.
     file : named in errors.
     error : class of the error raised.
-
-    Raises
-    ------
-    TonewoodError
+    Raises TonewoodError
         It has another encoding, several byte-order marks, or zero bytes; the line says which, and what to do.
     """
     reason = other_encoding(raw)
@@ -74,3 +71,22 @@ def _not_utf_8(raw: bytes, at: int) -> str:
 
 def _line(raw: bytes, at: int) -> str:
     return f" (line {raw.count(bytes([10]), 0, at) + 1})"
+
+
+def json_value(text: str | bytes) -> Any:
+    """Return the value of a JSON text.
+
+    Raises
+    ------
+    ValueError : it is none, or one object has two values for one key, of which Python's reader drops the first.
+    RecursionError : it is nested too deep.
+    """
+    return json.loads(text, object_pairs_hook=_object)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    out = dict(pairs)
+    if len(out) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"the key {next(key for key in keys if keys.count(key) > 1)!r} stands twice in one object")
+    return out

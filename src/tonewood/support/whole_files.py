@@ -35,20 +35,12 @@ class AtomicFile:
     An error, or Ctrl-C between any two statements, before `complete` removes the new file and leaves an earlier
     file of the target's name as it was. Leftovers of a killed program are removed by the next one.
 
-    Parameters
-    ----------
     path : name of the target; a link leads to the file that is replaced.
     mode : of the new file, less the bits of the umask.
-
-    Attributes
-    ----------
     path : where to write: an empty file, made here, with the target's suffix. To be written in place: another file of
         this name would not be locked.
     discard : removes the new file; does nothing after `complete`.
-
-    Raises
-    ------
-    OutputError : there is no such folder, it cannot be written to, or the name is that of a folder or a device.
+    Raises OutputError : there is no such folder, it cannot be written to, or the name is that of a folder or a device.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, mode: int = 0o666):
@@ -78,12 +70,7 @@ class AtomicFile:
         remove_leftovers(self._final)
 
     def complete(self) -> None:
-        """Rename the file to its target.
-
-        Raises
-        ------
-        OutputError : it cannot be renamed.
-        """
+        """Rename the file to its target. Raises OutputError : it cannot be renamed."""
         try:
             os.replace(self.path, self._final)
         except OSError as fault:
@@ -94,12 +81,7 @@ class AtomicFile:
 
 
 def check_new_folder(folder: Path) -> None:
-    """Refuse a folder to make that is there already, or whose parent is not.
-
-    Raises
-    ------
-    OutputError : one of these.
-    """
+    """Refuse a folder to make that is there already, or whose parent is not. Raises OutputError : one of these."""
     if folder.exists() or folder.is_symlink():
         raise OutputError("is there already; give another name", file=folder)
     if not folder.absolute().parent.is_dir():
@@ -149,12 +131,7 @@ def _is_at(place: Path, lock: int) -> bool:
 
 
 def remove_leftover(place: Path) -> None:
-    """Remove an incomplete file, unless a program that still runs is its writer.
-
-    Raises
-    ------
-    OutputError : as `remove`.
-    """
+    """Remove an incomplete file, unless a program that still runs is its writer. Raises OutputError : as `remove`."""
     if fcntl is None:
         return
     try:
@@ -198,9 +175,7 @@ def _unlock(claimed: dict[Path, int]) -> None:
 def remove(path: Path) -> None:
     """Remove a file, if it is there.
 
-    Raises
-    ------
-    OutputError : it cannot be removed; not raised while another error is handled, which says more.
+    Raises OutputError : it cannot be removed; not raised while another error is handled, which says more.
     """
     try:
         path.unlink(missing_ok=True)
@@ -213,13 +188,8 @@ def remove(path: Path) -> None:
 def whole_file(path: str | os.PathLike[str], *, make_folder: bool = False) -> Iterator[BinaryIO]:
     """Open an `AtomicFile` for writing; it gets its name when the ``with`` block ends without an error.
 
-    Parameters
-    ----------
     make_folder : make its folder, and those above, if need be.
-
-    Raises
-    ------
-    OutputError : the disk is full or the place cannot be written; an earlier file of that name is untouched.
+    Raises OutputError : the disk is full or the place cannot be written; an earlier file of that name is untouched.
     """
     try:
         if make_folder:

@@ -16,8 +16,6 @@ from tonewood.support.yaml_io import parse_yaml
 class Edit:
     """One change.
 
-    Attributes
-    ----------
     path : dotted path of a key that is there.
     value : plain word that replaces its value; None removes the key.
     reason : the change in words.
@@ -46,9 +44,7 @@ def apply_edits(data: Mapping[str, Any], edits: Sequence[Edit]) -> dict[str, Any
 def edit_text(text: str, edits: Sequence[Edit], *, file: str | os.PathLike[str] | None = None) -> str:
     """Return a file's text with the edits made; comments, order, quotes and line ends stay.
 
-    Raises
-    ------
-    TonewoodError : the edited text would not hold exactly the values of `apply_edits`; names the first edit.
+    Raises TonewoodError : the edited text would not hold exactly the values of `apply_edits`; names the first edit.
     """
     wanted = apply_edits(parse_yaml(text, file=file), edits)
     mark = "\ufeff" if text.startswith("\ufeff") else ""

@@ -28,15 +28,10 @@ def load_yaml(
 ) -> dict[str, Any]:
     """Read one YAML file into a dict of dicts, lists, str, int, float, bool and None.
 
-    Parameters
-    ----------
     path : the file, UTF-8.
     max_bytes : longest file that is read.
     error : class of the error raised, for a caller with a subclass of its own.
-
-    Raises
-    ------
-    TonewoodError
+    Raises TonewoodError
         One line naming file, line (or dotted key) and the values allowed: the file cannot be read, is too long,
         is not UTF-8 or not YAML, or holds something `parse_yaml` refuses.
     """

@@ -32,9 +32,7 @@ def parse(
 ) -> dict[str, Any]:
     """Read a text into a dict of dicts, lists, str, int, float, bool and None; `file` is only named in errors.
 
-    Raises
-    ------
-    TonewoodError
+    Raises TonewoodError
         Not one mapping; anchors, aliases, merge keys, tags, dates, directives, duplicate keys, keys that are
         not words, half a surrogate pair, numbers that are not finite, nesting deeper than `MAX_DEPTH`.
     """
@@ -59,9 +57,7 @@ def line_of(text: str, key: str) -> int | None:
 
     A key of `strings.NAME` that stands under `strings.defaults` instead is found there.
 
-    Raises
-    ------
-    ValueError : the text is not YAML.
+    Raises ValueError : the text is not YAML.
     """
     try:
         node = YAML(typ="safe", pure=True).compose(text)

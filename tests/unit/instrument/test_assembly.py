@@ -41,6 +41,7 @@ def test_names_and_joints(model: Model) -> None:
     assert (model.default_exciter, model.place("A2").length) == ("pluck", pytest.approx(0.65))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [pytest.param(n, marks=pytest.mark.validate) if n == "grand_piano" else n for n in sorted(tw.list_instruments())],

@@ -97,6 +97,7 @@ def test_frets_of_a_connection_give_the_action() -> None:
     assert rows["own"]["A2"] == pytest.approx(rows[""]["A2"])
 
 
+@pytest.mark.slow
 def test_the_best_nut_and_saddle_even_the_frets_out() -> None:
     found = intonation(tw.load_instrument("classical_guitar"))
     changes = {}
@@ -142,6 +143,7 @@ def test_fretboards_that_cannot_be(make: Make, changes: dict[str, object], shown
     assert "\n" not in str(fault.value)
 
 
+@pytest.mark.slow
 def test_the_command_prints_cents_planes_and_setbacks(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         run(["intonation", "classical_guitar", "--set", "strings.E4.fretboard.heights={'7': 1.0e-3}"])

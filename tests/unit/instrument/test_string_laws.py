@@ -167,6 +167,7 @@ def test_a_law_that_nobody_tells_is_not_compared(tmp_path: Path) -> None:
     assert abs(mended[0].decay or 1.0) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "said"),
     [

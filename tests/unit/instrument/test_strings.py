@@ -12,7 +12,7 @@ import tonewood as tw
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.model import string_tuning
 from tonewood.instrument.model.assembly import assemble
-from tonewood.instrument.model.stops import StopTable
+from tonewood.instrument.model.stop_table import StopTable
 from tonewood.instrument.model.string_setup import Stopping
 from tonewood.instrument.model.strings import StringModel
 from tonewood.instrument.model.untuned_bases import held_freq

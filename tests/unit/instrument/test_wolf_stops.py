@@ -36,6 +36,7 @@ def dominating(string: StringOnBody, tension: float, wanted: float) -> float:
     return 1200 * math.log2(string.modes(tension, wanted)[0].freq / wanted)
 
 
+@pytest.mark.slow
 def test_every_stop_is_in_tune_but_those_and_they_are_listed_as_wolves(guitar: Model) -> None:
     found = pitches(guitar)
     off = {(p.string, p.stop): p for p in found if abs(p.error_cents) > 1.0}

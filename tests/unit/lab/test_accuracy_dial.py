@@ -115,6 +115,7 @@ def test_each_step_of_the_dial_leads_nearer(name: str, string: str) -> None:
     assert points[0].n_modes < points[1].n_modes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["monochord"])
 def test_standard_is_near_reference(name: str) -> None:
     hold(name)

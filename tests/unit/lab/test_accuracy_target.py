@@ -103,6 +103,7 @@ def test_the_setting_found_meets_the_target_against_another_reference(monochord:
         assert errors.cents_worst > 2.0 or errors.level_worst > 1.0
 
 
+@pytest.mark.slow
 def test_the_own_error_of_the_reference_is_of_the_right_size(monochord: Frontier) -> None:
     """Against twice as many steps as the reference has."""
     (case,) = cases_of(tw.load_instrument("monochord"), ["A2:5"], FS)

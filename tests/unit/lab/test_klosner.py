@@ -48,6 +48,7 @@ def test_equations_and_components_move_like_the_assembled_system(make: object, f
     assert error < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_stiff_and_soft_mountings_of_the_beam(form: str) -> None:
     for law in (spring_mounting(3.0, 2000.0, 0.05, 5.0), spring_mounting(1.5e4, 1e7, 1.0, 0.0)):

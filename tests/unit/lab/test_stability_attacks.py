@@ -23,6 +23,7 @@ def test_a_rise_is_seen() -> None:
     assert made.growth == pytest.approx(0.25 * 1000)
 
 
+@pytest.mark.slow
 def test_short_attacks() -> None:
     for attack in (
         attacks.switched_strings(100),

@@ -18,6 +18,7 @@ def grid() -> StabilityGrid:
     return run(quick=True)
 
 
+@pytest.mark.slow
 def test_this_project_s_scheme_is_stable_everywhere(grid: StabilityGrid) -> None:
     own = [cell for cell in grid.cells if cell.method == "ours"]
     assert {cell.verdict for cell in own} == {STABLE}

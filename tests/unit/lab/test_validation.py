@@ -99,6 +99,7 @@ def test_regression_is_distinguished_from_validation(capsys):
     assert FITTED.to_dict()["kind"] == "regression"
 
 
+@pytest.mark.slow
 def test_rows_that_were_fitted_are_regression():
     """The academic system is a reconstruction from Table 1, the harp's body a stand-in with the paper's levels."""
     kinds = {row.quantity: row.kind for row in [*fabre_academic.rows(), *harp.rows()]}

@@ -30,6 +30,7 @@ def test_pieces_are_convolved(rng: np.random.Generator) -> None:
         assert np.array_equal(room.add(pieces[-1], last=True), out[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROOMS)
 @pytest.mark.parametrize("distance", [0.5, 1.0])
 def test_the_distance_sets_the_room_s_share(name: str, distance: float) -> None:

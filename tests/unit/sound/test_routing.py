@@ -74,6 +74,7 @@ def test_live_hears_the_same() -> None:
     assert not sounds[1][:32].any()
 
 
+@pytest.mark.slow
 def test_more_than_two_channels_have_no_pan() -> None:
     places = {"a": [0.3, 0, 1], "b": [0.2, 0, 1], "c": [0.1, 0, 1]}
     coarse = {"body.fmax": 300.0, "body.cell": 0.04}

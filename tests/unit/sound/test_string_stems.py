@@ -18,6 +18,7 @@ SCORE = tw.Score(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "changes"),
     [

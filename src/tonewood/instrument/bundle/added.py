@@ -28,8 +28,6 @@ from tonewood.support.validation_messages import did_you_mean
 class BodyParts:
     """Components and connections that `body.added` adds to a system.
 
-    Attributes
-    ----------
     body : the body's modes with all of it, for tuning and inspection; the system steps the parts by themselves.
     components, connections : of the system.
     forces : of these connections on points of the body.
@@ -46,15 +44,10 @@ def body_parts(
 ) -> BodyParts:
     """Make the parts that an instrument's bundle adds to its body.
 
-    Parameters
-    ----------
     entries : `body.added` of the bundle.
     body, points : the body's modes, and its points.
     file : the bundle's, for errors.
-
-    Raises
-    ------
-    BundleError : a point does not exist, takes no forces, or does not move along the direction given.
+    Raises BundleError : a point does not exist, takes no forces, or does not move along the direction given.
     """
     if not entries:
         return BodyParts(body)
@@ -91,9 +84,7 @@ def _numbers(entries: Sequence[Added]) -> tuple[list[float], list[float], list[f
 def point_factor(i: int, entry: Added, points: Mapping[str, BodyPoint], file: Path | None = None) -> float:
     """Displacement along the direction of entry i of `body.added`, per displacement of its point along its own.
 
-    Raises
-    ------
-    BundleError : the point does not exist, takes no forces, or does not move along the direction given.
+    Raises BundleError : the point does not exist, takes no forces, or does not move along the direction given.
     """
     driven = {name: point for name, point in points.items() if point.driven}
     if entry.at not in driven:

@@ -47,8 +47,6 @@ _SIGNS = str.maketrans({"#": "s", "\u266f": "s", "\u266d": "b", "-": "m"})
 class KeyRows:
     """Values of a bundle with its table of keys expanded, and the cells that they come from.
 
-    Attributes
-    ----------
     values : of the bundle.
     file : of the table.
     places : dotted path in `values` -> (line, column, or the words before the dots of the columns below it); line 0 for
@@ -77,9 +75,7 @@ class KeyRows:
 def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
     """Expand the table of keys that a bundle names; its values as they are where it names none.
 
-    Raises
-    ------
-    BundleError : names file, line, column, value and the values allowed.
+    Raises BundleError : names file, line, column, value and the values allowed.
     """
     keys = values.get("keys")
     if not isinstance(keys, Mapping) or not isinstance(keys.get("table"), str):
@@ -223,9 +219,7 @@ def groups(spec: Bundle) -> dict[str, tuple[str, ...]]:
 def key_exciters(spec: Bundle, file: Any) -> Iterator[tuple[str, str, PluginPart]]:
     """Yield key, name and part of the exciter of every key that gives parameters of its own.
 
-    Raises
-    ------
-    BundleError : there is no exciter of the name that `keys` gives.
+    Raises BundleError : there is no exciter of the name that `keys` gives.
     """
     if spec.keys is None or (played := spec.keys.exciter) is None:
         return
@@ -258,14 +252,9 @@ def _pitches(entries: Mapping[str, Any]) -> dict[float, str]:
 def check_keys(spec: Bundle, file: Any, open_note: Callable[[str], float]) -> None:
     """Check that keys name strings of the instrument, each once.
 
-    Parameters
-    ----------
     open_note : string -> its note number.
-
-    Raises
-    ------
-    BundleError : one does not, or two share a string, or the una corda pedal leaves more strings than there are; a
-        key's note is none, or not that of its first string; or there is no table whose dampers `keys.damper` would
+    Raises BundleError : one does not, or two share a string, or the una corda pedal leaves more strings than there are;
+        a key's note is none, or not that of its first string; or there is no table whose dampers `keys.damper` would
         describe.
     """
     if spec.keys and spec.keys.damper and spec.keys.table is None:

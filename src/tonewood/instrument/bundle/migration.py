@@ -27,9 +27,7 @@ def bundle_edits(values: Mapping[str, Any], file: str | os.PathLike[str] | None 
 
     A value of `schema` that is no version of the format is left to the check against the schema.
 
-    Raises
-    ------
-    BundleError : the bundle was written for a later version.
+    Raises BundleError : the bundle was written for a later version.
     """
     version = values.get("schema")
     match = _VERSION.match(version) if isinstance(version, str) else None

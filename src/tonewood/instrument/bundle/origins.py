@@ -15,8 +15,6 @@ from tonewood.instrument.contract.files import Files
 class Origins:
     """Where the figures of an instrument come from.
 
-    Attributes
-    ----------
     entries : path, with ``*`` for any word -> provenance.
     resolved : all keys of the bundle as plain values.
     files : its folder.

@@ -22,9 +22,7 @@ _INSTEAD = {"note": "freq", "freq": "note"}
 def parse_assignment(text: str) -> tuple[str, Any]:
     """Read ``PATH=VALUE``; the value is a YAML value such as ``2e-3``, ``D2`` or ``{scale: 2}``.
 
-    Raises
-    ------
-    BundleError : not of that form.
+    Raises BundleError : not of that form.
     """
     path, equals, value = text.partition("=")
     path = path.strip()
@@ -39,9 +37,7 @@ def parse_assignment(text: str) -> tuple[str, Any]:
 def apply_overrides(values: Mapping[str, Any], overrides: Mapping[str, Any], *, file: Any = None) -> dict[str, Any]:
     """Return a copy of nested plain values with the overrides applied in their order.
 
-    Raises
-    ------
-    BundleError : a path leads nowhere, or a value to be scaled is not a number.
+    Raises BundleError : a path leads nowhere, or a value to be scaled is not a number.
     """
     out = copy.deepcopy(dict(values))
     for path, value in overrides.items():

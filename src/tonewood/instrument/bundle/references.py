@@ -23,17 +23,12 @@ def check_references(
 ) -> None:
     """Check that every part which another one names is there.
 
-    Parameters
-    ----------
     spec : all keys.
     points : of the body, where strings may end and exciters push.
     exciters : name -> plugin.
     file : the manifest, for errors.
     open_note : string -> note number of the open string.
-
-    Raises
-    ------
-    BundleError : one is not; names the key, and those that there are.
+    Raises BundleError : one is not; names the key, and those that there are.
     """
 
     def none(kind: str, name: str, names: Iterable[str], key: str) -> BundleError:

@@ -65,8 +65,6 @@ class StringMaterial(Parameters):
 class StringFigures:
     """A string at a length and pitch, from its gauge and materials.
 
-    Attributes
-    ----------
     diameter, core_diameter : m, of the whole string and of what bends and stretches.
     linear_density : kg/m.
     tension : N.
@@ -102,15 +100,10 @@ def string_materials() -> Mapping[str, StringMaterial]:
 def made_figures(purchase: MadeOf, length: float, freq: float, *, key: str = "", file: Any = None) -> StringFigures:
     """Compute a string from its gauge and materials.
 
-    Parameters
-    ----------
     purchase : gauge, material, core and wrap.
     length, freq : m and Hz, at which it is tuned.
     key, file : of the string, for errors.
-
-    Raises
-    ------
-    BundleError : a material is unknown or none for its place, or the gauges make no string.
+    Raises BundleError : a material is unknown or none for its place, or the gauges make no string.
     """
     materials = string_materials()
     strings = [name for name, m in materials.items() if m.young]

@@ -41,12 +41,7 @@ def string_sets() -> Mapping[str, StringSet]:
 
 
 def string_set(name: str, *, file: Any = None) -> StringSet:
-    """Find a set by its name.
-
-    Raises
-    ------
-    BundleError : there is none; names those there are.
-    """
+    """Find a set by its name. Raises BundleError : there is none; names those there are."""
     sets = string_sets()
     if name not in sets:
         reason = f"there is no string set {name!r}; {did_you_mean(name, sets)}there are {', '.join(sets)}"
@@ -57,15 +52,10 @@ def string_set(name: str, *, file: Any = None) -> StringSet:
 def with_set(values: Mapping[str, Any], name: str, *, over: bool, file: Any = None) -> dict[str, Any]:
     """Return values of a bundle with its strings from a set: the first of the bundle is the first of the set.
 
-    Parameters
-    ----------
     values : of the bundle, `strings.defaults` merged.
     over : whether the set's values replace those of the bundle, or only fill in those that it leaves out.
-
-    Raises
-    ------
-    BundleError : the set has another number of strings, a string does not say its length or note, or its plugin takes
-        no such values or needs one that the set does not have.
+    Raises BundleError : the set has another number of strings, a string does not say its length or note, or its plugin
+        takes no such values or needs one that the set does not have.
     """
     chosen, strings = string_set(name, file=file), values.get("strings")
     if not isinstance(strings, Mapping) or not all(isinstance(part, Mapping) for part in strings.values()):
@@ -99,16 +89,16 @@ def _of_string(
 ) -> dict[str, Any]:
     """Values of one string of the bundle, as its plugin takes them."""
     fields = _fields(part, key, file)
-    found = figures(entry, chosen, _length(part, key, file), _freq(part, entry.note, key, file))
+    data = figures(entry, chosen, _length(part, key, file), _freq(part, entry.note, key, file))
     if entry.made_of is not None:
-        found["made_of"] = entry.made_of.model_dump(exclude_none=True)
+        data["made_of"] = entry.made_of.model_dump(exclude_none=True)
     for name in _KEYS:
         # that of another set's strings does not hold
         kept = () if name == "axial_stiffness" else part
-        if name in fields and fields[name].is_required() and name not in found and name not in kept:
+        if name in fields and fields[name].is_required() and name not in data and name not in kept:
             reason = f"the string set does not say it, and {part['plugin']} needs it"
             raise BundleError(reason, file=file, key=f"{key}.{name}")
-    return {name: value for name, value in found.items() if name in fields or name in _OWN}
+    return {name: value for name, value in data.items() if name in fields or name in _OWN}
 
 
 def _fields(part: Mapping[str, Any], key: str, file: Any) -> Mapping[str, Any]:
@@ -130,14 +120,9 @@ def _length(part: Mapping[str, Any], key: str, file: Any) -> float:
 def with_materials(values: Mapping[str, Any], *, over: Collection[str] = (), file: Any = None) -> dict[str, Any]:
     """Return values of a bundle with mass, stiffness and loss of its strings from their `made_of`.
 
-    Parameters
-    ----------
     values : of the bundle, `strings.defaults` merged.
     over : strings of which gauge and materials replace what the bundle states; of all others they fill in.
-
-    Raises
-    ------
-    BundleError : names file, string, key, value and the values allowed.
+    Raises BundleError : names file, string, key, value and the values allowed.
     """
     strings, out = values.get("strings"), dict(values)
     parts = strings.items() if isinstance(strings, Mapping) else ()
@@ -149,12 +134,12 @@ def with_materials(values: Mapping[str, Any], *, over: Collection[str] = (), fil
         key = f"strings.{name}"
         bought = validated(MadeOf, part["made_of"], key=f"{key}.made_of", file=file)
         length, freq = _length(part, key, file), _freq(part, None, key, file)
-        found = made_figures(bought, length, freq, key=f"{key}.made_of", file=file)
+        data = made_figures(bought, length, freq, key=f"{key}.made_of", file=file)
         fields = _fields(part, key, file)
-        keys = [k for k in found.kinds if k in fields or k in _OWN]
+        keys = [k for k in data.kinds if k in fields or k in _OWN]
         chosen = [k for k in keys if name in over or part.get(k) is None]
-        made[name] = {**part, **{k: dict(found.loss) if k == "loss" else getattr(found, k) for k in chosen}}
-        provenance, sources = _with_kinds(provenance, sources, name, chosen, found)
+        made[name] = {**part, **{k: dict(data.loss) if k == "loss" else getattr(data, k) for k in chosen}}
+        provenance, sources = _with_kinds(provenance, sources, name, chosen, data)
     if made:
         out |= {"strings": {**dict(parts), **made}, "provenance": provenance, "sources": sources}
     return out

@@ -10,15 +10,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.forcing import Segment, course
+from tonewood.support.arrays import Floats
 from tonewood.support.params import Vector
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.contract.attached import Attached, Site
 from tonewood.instrument.contract.conversion import Conversion
@@ -40,10 +39,11 @@ from tonewood.instrument.contract.string_motion import Longitudinal, StringMotio
 from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.coupling.system import Drive, Readout
 from tonewood.physics.modal.modes import ModalBasis
-from tonewood.physics.modal.string_losses import string_detuned
+from tonewood.physics.modal.partial_decays import string_detuned
 from tonewood.physics.modal.string_modes import string_basis, wavenumber
 from tonewood.physics.modal.string_transfer import string_carry, string_transfer
 from tonewood.physics.modal.views import SHOWN_TO, ModalViews
+from tonewood.support.arrays import Floats
 from tonewood.support.params import Vector, validated
 
 if TYPE_CHECKING:
@@ -51,8 +51,6 @@ if TYPE_CHECKING:
 
 #: limit of the number of modes of a string: cost and memory grow with its square
 MOST_MODES = 3000
-
-Floats = NDArray[np.float64]
 
 
 class Resonator(Plugin[P]):

@@ -32,15 +32,10 @@ def is_code(name: str) -> bool:
 def plugin_named(name: str, kind: str, files: Files) -> type[Plugin[Any]]:
     """Class of a plugin that a bundle names: an installed one, or one in the bundle's folder.
 
-    Parameters
-    ----------
     name : of its entry point, or ``FILE.py:CLASS``, the file relative to the folder.
     kind : that is wanted.
     files : the folder.
-
-    Raises
-    ------
-    PluginError : there is none; it breaks the contract; it is code, and that is not allowed.
+    Raises PluginError : there is none; it breaks the contract; it is code, and that is not allowed.
     """
     return _code_plugin(name, kind, files) if is_code(name) else registry.plugin(name, kind)
 
@@ -48,15 +43,11 @@ def plugin_named(name: str, kind: str, files: Files) -> type[Plugin[Any]]:
 def _code_plugin(name: str, kind: str, files: Files) -> type[Plugin[Any]]:
     """Class of a plugin in a bundle's folder.
 
-    Parameters
-    ----------
     name : ``FILE.py:CLASS``, the file relative to the folder.
     kind : that is wanted.
     files : the folder, and whether its code may run.
-
-    Raises
-    ------
-    PluginError : code is not allowed; the file is not in the folder or cannot be run, or the class breaks the contract.
+    Raises PluginError : code is not allowed; the file is not in the folder or cannot be run, or the class breaks the
+        contract.
     """
     file, _, cls = name.rpartition(":")
     if not files.allow_code:

@@ -254,8 +254,8 @@ def _loss_factor(plugin: Any, value: Any, arguments: Mapping[str, Any]) -> None:
 
 def _class(module: str, name: str) -> type[Any]:
     """Class of a module that imports this one, or that only a plugin that uses it has imported."""
-    found: type[Any] = getattr(sys.modules[module], name, type(None)) if module in sys.modules else type(None)
-    return found
+    cls: type[Any] = getattr(sys.modules[module], name, type(None)) if module in sys.modules else type(None)
+    return cls
 
 
 def _of_type(module: str, name: str) -> Verify:
@@ -311,8 +311,6 @@ CHECKS: dict[str, dict[str, Any]] = {
 def check_results(cls: type[Any], checks: Mapping[str, Any], fault: Callable[[Any, str], TonewoodError]) -> None:
     """Replace the methods of a class that `checks` names by ones whose results are checked.
 
-    Parameters
-    ----------
     cls : the class; inherited methods are left as they are.
     checks : name -> check of a result: object, result, arguments by name; raises `WrongResultError`.
     fault : makes the error of an object and a reason.

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +73,9 @@ class Conversion:
 class Converter:
     """A conversion that runs: applied to one block after another.
 
-    Parameters
-    ----------
     conversion : of the pickup.
     dt : step, s.
     n_channels : of the pickup.
-
-    Attributes
-    ----------
     memory : (order, n_channels) of the circuit's filter.
     """
 

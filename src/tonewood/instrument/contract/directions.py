@@ -38,14 +38,9 @@ def polarization_vectors(axis: Vector, polarizations: tuple[str | Vector, ...], 
     Each wanted direction is made perpendicular to the string (and the second to the first), then all are turned by
     `tilt_deg` about it, from the first towards the second.
 
-    Parameters
-    ----------
     axis : unit vector from the string's fixed end to its bridge.
     polarizations : one or two directions.
-
-    Raises
-    ------
-    ValueError : a direction lies along the string, or the two are the same.
+    Raises ValueError : a direction lies along the string, or the two are the same.
     """
     a = np.asarray(unit_vector(axis))
     directions: list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]] = []

@@ -7,13 +7,11 @@ import math
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import BundleError
+from tonewood.support.arrays import Floats
 from tonewood.support.text_files import decoded
 from tonewood.support.units import number_in
-
-Floats = NDArray[np.float64]
 
 #: longest table that is read, bytes
 MAX_TABLE = 64_000_000
@@ -24,8 +22,6 @@ MAX_ROWS = 200_000
 class Files:
     """The folder of a bundle.
 
-    Parameters
-    ----------
     root : the folder, or None where there is none (parts made from values alone).
     manifest : name of the file that describes the instrument, for errors.
     granted : files outside the folder that an override names.
@@ -47,9 +43,7 @@ class Files:
     def path(self, name: str, key: str = "") -> Path:
         """File `name`, a relative path with forward slashes that stays inside the folder.
 
-        Raises
-        ------
-        BundleError : absolute, leads out of the folder (links included), or is not a file.
+        Raises BundleError : absolute, leads out of the folder (links included), or is not a file.
         """
         if Path(name) in self.granted:
             return Path(name)
@@ -75,13 +69,8 @@ class Files:
     def table(self, name: str, key: str = "") -> dict[str, Floats]:
         """Columns of a CSV table: lines that begin with ``#`` are notes, the first other line names the columns.
 
-        Returns
-        -------
-        column name -> (n_rows,), n_rows >= 1, every number finite.
-
-        Raises
-        ------
-        BundleError : naming the table, line and column at fault.
+        Returns column name -> (n_rows,), n_rows >= 1, every number finite.
+        Raises BundleError : naming the table, line and column at fault.
         """
         header, rows, shown = self.cells(name, key)
         numbers = [
@@ -92,15 +81,10 @@ class Files:
     def cells(self, name: str, key: str = "") -> tuple[list[str], list[tuple[int, list[str]]], str]:
         """Cells of a CSV table as they are written.
 
-        Returns
-        -------
-        header : names of the columns.
+        Returns header : names of the columns.
         rows : (number of the line, a cell per column), one or more.
         file : the table's name for errors.
-
-        Raises
-        ------
-        BundleError : naming the table and line at fault.
+        Raises BundleError : naming the table and line at fault.
         """
         path = self.path(name, key)
         shown = f"{self.manifest.parent / name}" if self.manifest else name

@@ -183,9 +183,7 @@ def _place_fields(kind: type[Parameters]) -> tuple[str, ...]:
 def places(parameters: Parameters, open_length: float, length: float) -> dict[str, float]:
     """Places among parameters, given in metres or as shares of the speaking length: name -> m from the bridge.
 
-    Raises
-    ------
-    ValueError : a place lies beyond the open string; names it.
+    Raises ValueError : a place lies beyond the open string; names it.
     """
     metres = {}
     for name in _place_fields(type(parameters)):

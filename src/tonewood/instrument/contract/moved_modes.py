@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.support.params import Parameters, quantity
-
-Floats = NDArray[np.float64]
 
 #: largest ratio between `near` and the frequency of the table's mode
 _FAR = 1.05

@@ -33,8 +33,6 @@ MANIFEST = "instrument.yaml"
 class Entry:
     """One announced name.
 
-    Attributes
-    ----------
     name : the word used in bundles or on the command line.
     value : of the entry point.
     distribution, version : that announce it.
@@ -98,14 +96,9 @@ def list_instruments() -> dict[str, Path]:
 def plugin(name: str, kind: str | None = None) -> type[Plugin[Any]]:
     """Class of an installed plugin.
 
-    Parameters
-    ----------
     name : its entry point's name.
     kind : one of `KINDS`, if only that will do.
-
-    Raises
-    ------
-    PluginError : there is none of that name or kind, it cannot be imported, or it breaks the contract.
+    Raises PluginError : there is none of that name or kind, it cannot be imported, or it breaks the contract.
     """
     plugins = entries(PLUGINS)
     if name not in plugins:
@@ -133,9 +126,7 @@ def plugin(name: str, kind: str | None = None) -> type[Plugin[Any]]:
 def check_kind(cls: type[Plugin[Any]], name: str, kind: str) -> None:
     """Check that a plugin is of the kind that is wanted.
 
-    Raises
-    ------
-    PluginError : it is of another kind; names the installed ones of that kind.
+    Raises PluginError : it is of another kind; names the installed ones of that kind.
     """
     if cls.kind != kind:
         fitting = [other for other, p in list_plugins().items() if p.kind == kind]
@@ -143,12 +134,7 @@ def check_kind(cls: type[Plugin[Any]], name: str, kind: str) -> None:
 
 
 def check_plugin(cls: object, who: str) -> None:
-    """Check a class against the contract.
-
-    Raises
-    ------
-    PluginError : one line that begins with `who`.
-    """
+    """Check a class against the contract. Raises PluginError : one line that begins with `who`."""
     if not (inspect.isclass(cls) and issubclass(cls, Plugin)):
         raise PluginError(f"{who} is not a class derived from {', '.join(k.__name__ for k in KINDS.values())}")
     kinds = [kind for kind, base in KINDS.items() if issubclass(cls, base)]
@@ -200,9 +186,7 @@ def _check_effects(cls: type[Plugin[Any]], who: str) -> None:
 def instrument_folder(name_or_path: str | os.PathLike[str]) -> Path:
     """Folder of a bundle: of an installed instrument by name, or any folder that holds an ``instrument.yaml``.
 
-    Raises
-    ------
-    BundleError : there is neither.
+    Raises BundleError : there is neither.
     """
     text = os.fspath(name_or_path)
     instruments = entries(INSTRUMENTS)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.strings import StringModel
@@ -16,10 +16,8 @@ from tonewood.instrument.model.tuning import CoupledMode, TunedStop, ends_at_res
 from tonewood.instrument.model.untuned_bases import held_freq
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.receptance import Joint, Ports
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.support.units import cents, t60
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: a string-dominated mode farther than this from its pitch is reported, cents
 TOLERANCE_CENTS = 1.0
@@ -35,8 +33,6 @@ class PlanePitch:
 
     The tuner gives the first one the note; its tension gives the others theirs, which a body mode shifts otherwise.
 
-    Attributes
-    ----------
     component : of the polarization.
     freq : Hz, of the coupled mode with the largest share of its energy in it.
     cents : of that mode above the note.
@@ -60,8 +56,6 @@ class PlanePitch:
 class Pitch:
     """A string at a stop as it sounds on its body.
 
-    Attributes
-    ----------
     string, stop : name of the string, number of the stop.
     note : MIDI number, fractional in other tunings.
     wanted_freq : Hz, of the note.
@@ -100,8 +94,6 @@ class Pitch:
 class Partial:
     """A partial of one string on its body.
 
-    Attributes
-    ----------
     number : 1 is the fundamental.
     freq : Hz.
     cents : from `number` times the note.
@@ -120,8 +112,6 @@ class Partial:
 class MicrophoneResponse:
     """Strongest response of a microphone, or of another readout of a one-way bank, to the force of one string.
 
-    Attributes
-    ----------
     output, channel, unit : name of the output group and of its channel; unit of its samples.
     n_modes : of the bank below the highest frequency that is stepped.
     peak, freq : unit per N and Hz, the largest magnitude from 20 Hz on; 0 and nan where it hears no string.
@@ -141,8 +131,6 @@ class MicrophoneResponse:
 class StringFeel:
     """An open string under the hands and on the bridge.
 
-    Attributes
-    ----------
     from_bridge : m, where it is plucked.
     newton_per_mm : N/mm, force that pushes it aside there; None where that place is an end.
     break_angle_deg : angle over the bridge; None where the bundle has none.
@@ -256,15 +244,10 @@ def bridge_mobility(
 ) -> dict[str, Complexes]:
     """Driving-point mobility of the body where each string ends, (m/s)/N; without strings, with the parts added to it.
 
-    Parameters
-    ----------
     freq : (n,) Hz.
     strings : their names; the first of every key, and all that have no key, where left out.
-
-    Returns
-    -------
-    string -> (n,), along the body point's direction; a string on a rigid end is left out. Of a body without strings,
-    point -> (n,).
+    Returns string -> (n,), along the body point's direction; a string on a rigid end is left out. Of a body without
+        strings, point -> (n,).
     """
     if not model.strings:
         return {point: model.body.frf(freq, point, point) for point in model.body_points}
@@ -293,8 +276,6 @@ def mobility_peaks(model: Model, string: str, *, count: int = 6) -> list[tuple[f
 def mobility_bands(basis: ModalBasis, points: Sequence[str], edges: ArrayLike) -> Floats:
     """(bands,) dB re 1 (m/s)/N: mean of 20 lg |Y| over points and 400 frequencies, even in logarithm, of each band.
 
-    Parameters
-    ----------
     points : of the body, each driven and read in its own direction.
     edges : (bands + 1,) Hz.
     """
@@ -347,10 +328,8 @@ def microphone_responses(model: Model) -> list[MicrophoneResponse]:
 def check_transfers(model: Model) -> None:
     """Check the matrices by which every string's motion is carried from its open length to the first stop.
 
-    Raises
-    ------
-    BundleError : names a string whose plugin gives matrices of another shape or with numbers that are not finite, or
-        that move the bridge.
+    Raises BundleError : names a string whose plugin gives matrices of another shape or with numbers that are not
+        finite, or that move the bridge.
     """
     for string in model.strings.values():
         if not string.n_stops:

@@ -19,8 +19,6 @@ REAL_FRETS = {"tuning.at": "frets"}
 class Setup:
     """Nut and saddle under one string, and what the frets then sound.
 
-    Attributes
-    ----------
     nut_setback, saddle_setback : m, as in the key `fretboard`.
     cents : of the stops that count, from the first on, above their notes, on a rigid body.
     """
@@ -39,8 +37,6 @@ class Setup:
 class StopIntonation:
     """A stop of a string over its frets; cents above its note.
 
-    Attributes
-    ----------
     stop : its number.
     frets : cents by the places of the frets alone.
     stretch : cents that the rise of tension adds.
@@ -66,8 +62,6 @@ class StopIntonation:
 class StringIntonation:
     """A string over its frets.
 
-    Attributes
-    ----------
     name : of the string.
     string : its geometry, tension and stiffness.
     stops : from the first on.
@@ -86,15 +80,10 @@ class StringIntonation:
 def intonation(instrument: Instrument, *, frets: int = 12, fs: float = 48000.0) -> list[StringIntonation]:
     """Return the intonation of every string of an instrument that has frets.
 
-    Parameters
-    ----------
     instrument : with the keys that `tuning.at: frets` needs; whether it is tuned so does not matter.
     frets : number of stops, from the first on, that the best nut and saddle even out.
     fs : Hz, sampling rate at which strings and body are assembled.
-
-    Raises
-    ------
-    BundleError : a figure is missing; names the key.
+    Raises BundleError : a figure is missing; names the key.
     """
     model = assemble(instrument.replace(REAL_FRETS), fs, alone=True)
     names = [name for name in model.groups if model.strings[name].n_stops]

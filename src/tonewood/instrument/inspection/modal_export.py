@@ -13,13 +13,8 @@ from tonewood.instrument.contract.base import Body
 def modal_table_text(body: Body[Any], name: str, freq_upper: float) -> str:
     """Text of a CSV table of a body's real modes below `freq_upper` (Hz); its first lines are notes with the keys.
 
-    Parameters
-    ----------
     name : of the file, as the bundle will call it.
-
-    Raises
-    ------
-    TonewoodError : the body has complex modes, or rigid-body modes, which such a table cannot say.
+    Raises TonewoodError : the body has complex modes, or rigid-body modes, which such a table cannot say.
     """
     basis, points = body.basis(freq_upper), body.points()
     if not basis.is_real or np.any(basis.stiffness <= 0) or np.any(basis.damping_rate <= 0):

@@ -21,8 +21,6 @@ def mode_names(freq: ArrayLike, level_db: ArrayLike) -> dict[str, int]:
     same from 1.12 to 2.2 times T1. Printed values of classical guitars: A0 90 to 120, T1 170 to 250 Hz. Levels do not
     show shapes: a measurement with the hole covered, where A0 is gone, tells more.
 
-    Parameters
-    ----------
     freq : (n,) Hz, ascending.
     level_db : (n,) level of each.
     """

@@ -30,8 +30,6 @@ SHARED, HEARD = 0.05, 0.1
 class MountedPitch:
     """A string at a stop, the others open and free beside it.
 
-    Attributes
-    ----------
     freq : Hz, of the mode with the largest share of its energy in the string's first polarization.
     error_cents : of that mode, from the pitch asked for.
     modes : (cents from the pitch asked for, share of its energy in the string's first polarization), ...: this mode and
@@ -50,8 +48,6 @@ class MountedPitch:
 class Mounted:
     """All strings of an instrument on its body.
 
-    Parameters
-    ----------
     strings : name -> string; the first polarization of each, and the second where there is one.
     body : on which they end.
     """

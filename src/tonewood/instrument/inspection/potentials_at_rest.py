@@ -8,13 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.physics.coupling.potentials.user import ModalPotential, PotentialEnergy
+from tonewood.support.arrays import Floats
 from tonewood.support.units import cents
-
-Floats = NDArray[np.float64]
 
 #: J of the motion in one mode with which H is measured: a fourth power of stiff rubber is not seen in it
 _ENERGY = 1e-16
@@ -26,8 +24,6 @@ TOLERANCE_CENTS, _AT_REST = 1.0, 1e-12
 class SmallMotion:
     """A potential near rest.
 
-    Attributes
-    ----------
     name : of the potential.
     freq_modes, freq : Hz, lowest frequency of its components by their modes alone, and with the potential.
     energy : J, that the force at rest sets free.

@@ -9,15 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.strings import StringModel
 from tonewood.instrument.model.tuning import ends_at_rest
 from tonewood.physics.modal.held_modes import HeldModes
+from tonewood.support.arrays import Floats
 from tonewood.support.units import ratio_of_cents
-
-Floats = NDArray[np.float64]
 
 #: bend at which strings are compared, cents
 BEND_CENTS = 200.0
@@ -29,8 +27,6 @@ DECAY_TOLERANCES, PITCH_TOLERANCES = (1e-3, 2e-2), (1.0, 5.0)
 class LawErrors:
     """Partials of a string on a rigid bridge against its own law, at one stop and bend.
 
-    Attributes
-    ----------
     stop : number of the stop.
     bend_cents : by which its tension is raised.
     decay_partial, decay : partial whose decay rate is farthest from the law, and its relative error; None of a string
@@ -63,9 +59,7 @@ def law_errors(model: Model, name: str) -> list[LawErrors]:
 
     Nothing is compared of a resonator that does not end on the body: it has no bridge at which it is held.
 
-    Raises
-    ------
-    BundleError : the string's modes cannot be held at the bridge.
+    Raises BundleError : the string's modes cannot be held at the bridge.
     """
     string = model.strings[name]
     if ends_at_rest(string.tuning.coupled(0).bases(string.tension(0))[0]):

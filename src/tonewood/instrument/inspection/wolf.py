@@ -31,13 +31,11 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.tuning import StringOnBody, of_second_polarization
+from tonewood.support.arrays import Floats
 from tonewood.support.units import cents, ratio_of_cents
-
-Floats = NDArray[np.float64]
 
 #: least share of the string's energy in other modes that counts
 LEAST_SHARE = 0.2
@@ -55,8 +53,6 @@ _FINE_CENTS = 0.25
 class WolfNote:
     """An interval of pitch on one string in which a body mode disturbs the fundamental.
 
-    Attributes
-    ----------
     string : its name.
     low_freq, high_freq : Hz, ends of the interval.
     worst_freq : Hz, pitch at which the share is largest.
@@ -81,8 +77,6 @@ class WolfNote:
 def disturbed_share(shares: Sequence[Sequence[float]]) -> float:
     """Share d of the string's energy in modes other than the first, 0 to 1.
 
-    Parameters
-    ----------
     shares : of each mode's energy: one per polarization, then the body's.
     """
     first, *others = shares
@@ -93,14 +87,9 @@ def disturbed_share(shares: Sequence[Sequence[float]]) -> float:
 def share_curve(string: StringOnBody, tension: float, freq: float, offsets: Floats) -> Floats:
     """d(x) of a string that is brought to other pitches by its tension.
 
-    Parameters
-    ----------
     tension, freq : N and Hz at x = 0.
     offsets : (n,) x, cents: tension 2^(x / 600) times as large.
-
-    Returns
-    -------
-    (n,) shares; 0 where no mode is found.
+    Returns (n,) shares; 0 where no mode is found.
     """
     out = np.zeros(offsets.size)
     for i, x in enumerate(offsets):
@@ -174,13 +163,8 @@ def _refined(curve: Callable[[Floats], Floats], x: Floats, origin: float) -> tup
 def intervals(x: Floats, share: Floats) -> list[tuple[float, float, float, float, float]]:
     """Intervals in which a share, taken as straight between its points, is at least `LEAST_SHARE`.
 
-    Parameters
-    ----------
     x : (n,) cents, ascending; share : (n,).
-
-    Returns
-    -------
-    low, high, place of the largest share, largest share, integral of the share over the interval; in cents.
+    Returns low, high, place of the largest share, largest share, integral of the share over the interval; in cents.
     """
     fine = np.linspace(x[0], x[-1], int((x[-1] - x[0]) / _FINE_CENTS) + 1)
     d = np.interp(fine, x, share)

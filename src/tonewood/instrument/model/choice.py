@@ -17,8 +17,6 @@ from tonewood.support.validation_messages import did_you_mean
 class Choice:
     """Effects that may run, and the budgets of those that are switched.
 
-    Attributes
-    ----------
     mode : ``auto``, ``all``, ``none``, or ``list`` for those named.
     names : effects that may run at all.
     budget_db, budget_cents : largest error by which one may be left out.
@@ -33,9 +31,7 @@ class Choice:
     def of(cls, wanted: Effects, declared: Mapping[str, Effect]) -> Choice:
         """Resolve a bundle's ``effects`` for the effects that its parts declare.
 
-        Raises
-        ------
-        TonewoodError : a name is none of theirs.
+        Raises TonewoodError : a name is none of theirs.
         """
         basic = {name for name, effect in declared.items() if effect.basic}
         if isinstance(wanted.mode, str):

@@ -19,14 +19,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.schema import Finger
 from tonewood.instrument.contract.attached import Attached, Site, loose_mass
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: point of the string under the finger
 POINT = "finger"
@@ -35,8 +33,6 @@ POINT = "finger"
 def fingertips(finger: Finger, site: Site, residual: float | None) -> Attached:
     """One fingertip per polarization.
 
-    Parameters
-    ----------
     residual : m/N, residual compliance of the string under the finger, in series with the skin; None on an open
         string, where the skin has no effect.
     """
@@ -62,8 +58,6 @@ def compliance(finger: Finger, freq: float) -> complex:
 def laid_down(old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
     """Matrices that carry modal displacement and velocity when the finger moves, comes or leaves.
 
-    Parameters
-    ----------
     old, new : the same modes, with the point ``finger``, which does not move where the string is open.
     """
     here, before = new.right[new.index(POINT)].real, old.right[old.index(POINT)].real

@@ -28,8 +28,6 @@ _SOURCES = ("physics", "instrument", "support", "performance/score")
 class KeptTunings:
     """Tunings of an instrument's open strings, from an earlier run and from this one.
 
-    Parameters
-    ----------
     instrument : with its plugins made.
     limit : Hz, no mode is stepped above it.
     """

@@ -23,8 +23,6 @@ from tonewood.support.validation_messages import did_you_mean
 class OutputGroup:
     """Channels that belong together.
 
-    Attributes
-    ----------
     name : of the group.
     channels : names, in order.
     readouts : their places among the system's readouts.
@@ -73,8 +71,6 @@ def pan_gains(pan: float, n_channels: int) -> tuple[float, float]:
 class Outputs:
     """All that the wanted output groups add to a system.
 
-    Attributes
-    ----------
     groups : in the order in which they were asked for.
     readouts : of all groups, in the order of the bundle.
     components : one-way modal banks.
@@ -92,13 +88,8 @@ class Outputs:
 def make_outputs(instrument: Instrument, wanted: Sequence[str] | None, scene: Scene) -> Outputs:
     """Ask the pickups of the wanted groups for their rows.
 
-    Parameters
-    ----------
     wanted : names of output groups; the bundle's first where left out.
-
-    Raises
-    ------
-    BundleError : there is no group of that name, or two channels of a group have one name.
+    Raises BundleError : there is no group of that name, or two channels of a group have one name.
     """
     names = list(instrument.pickups)
     chosen = names[:1] if wanted is None else list(wanted)

@@ -26,15 +26,10 @@ def check_connections(
 ) -> None:
     """Check that the connections of a part join points that are there and have names of their own.
 
-    Parameters
-    ----------
     components : of the whole instrument.
     taken : names of connections before.
     fault : makes the error of the part.
-
-    Raises
-    ------
-    BundleError : as `fault` makes it.
+    Raises BundleError : as `fault` makes it.
     """
     names = set(taken)
     for connection in connections:
@@ -54,9 +49,7 @@ def check_readouts(
 ) -> None:
     """Check that the rows of a pickup read points and forces that are there.
 
-    Raises
-    ------
-    BundleError : as `fault` makes it.
+    Raises BundleError : as `fault` makes it.
     """
     names = set(connections)
     for readout in readouts:

@@ -49,8 +49,6 @@ def inharmonicity(resonator: Resonator[Any], freq: float) -> float:
 def octave_stretch(notes: Mapping[str, float], freqs: Mapping[str, float], B: Mapping[str, float]) -> dict[str, float]:
     """Return by how many cents each note is raised.
 
-    Parameters
-    ----------
     notes : name -> MIDI number, any order.
     freqs, B : name -> Hz without stretch, and inharmonicity.
     """

@@ -16,7 +16,7 @@ from tonewood.instrument.contract.registry import MANIFEST
 from tonewood.instrument.model.choice import Choice
 from tonewood.instrument.model.fretboard import fretted_string
 from tonewood.instrument.model.kept_tunings import KeptTunings
-from tonewood.instrument.model.stops import StopTable
+from tonewood.instrument.model.stop_table import StopTable
 from tonewood.instrument.model.stretch import inharmonicity, octave_stretch
 from tonewood.instrument.model.string_bases import StringPlaces
 from tonewood.instrument.model.string_setup import LongitudinalMotion, Polarization, Stopping
@@ -44,20 +44,12 @@ def string_models(
 ) -> dict[str, StringModel]:
     """Make every string of an instrument.
 
-    Parameters
-    ----------
     body, body_points : the body's modes below the limit, and its points.
     limit : Hz, no mode is stepped above it.
     choice : effects that may run.
     kept : tunings of open strings from an earlier run.
-
-    Returns
-    -------
-    name -> string, from bass to treble; without those of keys whose pitch is too high for the limit.
-
-    Raises
-    ------
-    BundleError : a point of a string does not lie on its speaking part at the last stop.
+    Returns name -> string, from bass to treble; without those of keys whose pitch is too high for the limit.
+    Raises BundleError : a point of a string does not lie on its speaking part at the last stop.
     """
     stretch = stretch_cents(instrument)
     copies = {
@@ -95,8 +87,8 @@ def stretch_cents(instrument: Instrument) -> dict[str, float]:
     notes = {name: instrument.open_note(name) for name in instrument.groups}
     freqs = {name: instrument.tuning.freq(note) for name, note in notes.items()}
     B = {name: inharmonicity(instrument.resonators[name], freq) for name, freq in freqs.items()}
-    found = octave_stretch(notes, freqs, B)
-    return {string: found[leader] for leader, strings in instrument.groups.items() for string in strings}
+    stretch = octave_stretch(notes, freqs, B)
+    return {string: stretch[leader] for leader, strings in instrument.groups.items() for string in strings}
 
 
 def _string(

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.contract.base import Longitudinal
 from tonewood.instrument.model.finger import POINT
@@ -18,8 +17,7 @@ from tonewood.physics.modal.damper import damper_rates
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.points import below, damped, moved, with_points
 from tonewood.physics.modal.string_transfer import retuned
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: bases with their named points that are kept for other tensions: of the last stops and places of a pluck
 _PLACED = 8
@@ -29,8 +27,6 @@ _PLACED = 8
 class StringPlaces:
     """Places on a string, m from the bridge.
 
-    Attributes
-    ----------
     pluck, pluck_width : of the pluck where a gesture gives none, and how far it is spread.
     points : those that the bundle names.
     widths : name of a point -> width (m) of the string about it whose mean it stands for.
@@ -47,8 +43,6 @@ class StringPlaces:
 class StringBases:
     """Bases of a string as the engine steps it; the last ones are kept.
 
-    Parameters
-    ----------
     tuning : tensions of its stops.
     places : on it.
     longitudinal : its longitudinal motion, if that is stepped.
@@ -64,6 +58,10 @@ class StringBases:
         #: number of modes and length -> decay rates that the damper adds
         self._damper_rates: dict[tuple[int, float], Floats] = {}
         self._lengthwise: dict[float, ModalBasis] = {}
+
+    def tuned_by(self, tuning: StringTuning) -> StringBases:
+        """Return bases of the same string by another table of tensions."""
+        return StringBases(tuning, self.places, self._longitudinal, self._limit)
 
     def made(
         self,

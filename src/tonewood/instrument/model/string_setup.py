@@ -20,8 +20,6 @@ NOTICEABLE_CENTS = 30.0
 class Polarization:
     """One plane in which a string moves.
 
-    Attributes
-    ----------
     component : its name in the system, ``STRING.NAME``.
     direction : unit vector, tilt included.
     ends : body point -> (p . d), share of that point's displacement in the string's end; without any the end is rigid.
@@ -38,8 +36,6 @@ class Polarization:
 class LongitudinalMotion:
     """Motion along a string.
 
-    Attributes
-    ----------
     component : its name in the system, ``STRING.longitudinal``.
     direction : unit vector from the bridge to the nut.
     ends : body point -> share of that point's displacement in the string's end.
@@ -56,8 +52,6 @@ class LongitudinalMotion:
 class Stopping:
     """Stops of a string.
 
-    Attributes
-    ----------
     count : highest stop, in steps of the scale; 0 for open strings.
     continuous : whether stops between whole steps exist.
     freq : stop -> pitch of its note, Hz.
@@ -82,8 +76,6 @@ class Stopping:
 class GivenTension:
     """Tension that the bundle gives an open string, and the tension used.
 
-    Attributes
-    ----------
     string : its name.
     given, used : N, of the first polarization.
     held : ``pitch`` or ``tension``: which of the two was kept.

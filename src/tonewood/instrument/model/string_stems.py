@@ -31,8 +31,6 @@ def outputs_by_string(
 ) -> Outputs:
     """Split every group into one per string, ``GROUP.STRING``, and ``GROUP.body``.
 
-    Parameters
-    ----------
     outputs : of the instrument.
     connections : all of the system, with their owners.
     owners : component -> string that it belongs to.

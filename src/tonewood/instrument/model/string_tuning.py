@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from copy import copy
 from functools import cached_property
 from typing import Any, cast
+
+import numpy as np
 
 from tonewood.errors import BundleError
 from tonewood.instrument.contract.base import Resonator
@@ -16,22 +19,20 @@ from tonewood.instrument.model.tuning import StringOnBody, TunedStop, no_mode, t
 from tonewood.instrument.model.untuned_bases import UntunedBases, held_freq
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.receptance import Ports
+from tonewood.support.arrays import Floats
 from tonewood.support.units import cents, ratio_of_cents
 
 #: a note that needs this many times the bundle's tension, or this many times less, is a mistake
 _RETENSION = 5.0
+#: cents by which the middle of two stops may miss their mean tension in a table; narrowest distance of its stops
+_SMOOTH, _NARROWEST = 1.0, 1 / 8
 
 
 class StringTuning:
     """Table of a string's tensions: stop -> tension and coupled modes; an entry is computed when it is first needed.
 
-    Attributes
-    ----------
     stops : geometry.
     untuned : bases before tuning.
-
-    Parameters
-    ----------
     body : `Ports` of the body, one row per polarization.
     pluck_from_bridge : m, for the strength of coupled modes.
     kept : tunings of open strings from an earlier run.
@@ -42,6 +43,7 @@ class StringTuning:
         self._body, self._pluck, self._kept = body, pluck_from_bridge, kept
         self._tuned: dict[float, tuple[TunedStop | None, float]] = {}
         self._gains: dict[float, float] = {}
+        self._interpolates = False
 
     @property
     def resonator(self) -> Resonator[Any]:
@@ -73,20 +75,54 @@ class StringTuning:
             else:
                 self.under_finger(stop)
 
+    def interpolated(self) -> StringTuning:
+        """Return this tuning with a table of tensions in place of a search at each stop between whole ones.
+
+        A slide passes hundreds of stops, and a search takes some ms: live, the table is computed before the sound.
+        """
+        if not self.stops.stopping.continuous or self.stops.stopping.compensate != "each_stop":
+            return self
+        table = copy(self)
+        table._gains, table._interpolates = {}, True
+        return table
+
+    def prepare_all(self) -> None:
+        """Compute all that a player who does not know the notes may need: tensions, and what bends change."""
+        if self._interpolates:
+            self.tension(0.5)
+        for stop in range(self.stops.count + 1):
+            self._bend_gain(stop)
+
+    @cached_property
+    def table(self) -> tuple[Floats, Floats]:
+        """Stops, and the logarithms of their tensions: whole stops, and as many between as `_SMOOTH` asks for."""
+        log = {float(stop): math.log(self._tune(stop)[1]) for stop in range(self.stops.count + 1)}
+        steps = [(float(stop), stop + 1.0) for stop in range(self.stops.count)]
+        while steps:
+            low, high = steps.pop()
+            middle = (low + high) / 2
+            log[middle] = math.log(self._tune(middle)[1])
+            # the pitch goes with the root of the tension
+            error = 600 * math.log2(math.e) * abs(log[middle] - (log[low] + log[high]) / 2)
+            if error > _SMOOTH and high - low > _NARROWEST:
+                steps += [(low, middle), (middle, high)]
+        stops = sorted(log)
+        return np.array(stops), np.array([log[stop] for stop in stops])
+
     def tuned(self, stop: float = 0) -> TunedStop:
         """Return tension and coupled modes of a stop; at the bundle's tension where it asks for no compensation."""
         return self._tune(stop)[0] or self._as_it_stands(float(stop))
 
     def tension(self, stop: float = 0) -> float:
         """Return the tension of the first polarization at a stop, N."""
+        if self._interpolates and stop != int(stop):
+            return math.exp(float(np.interp(stop, *self.table)))
         return self._tune(0.0 if self.stops.stopping.compensate == "open_only" else stop)[1]
 
     def under(self, tension: float, stop: float = 0) -> TunedStop:
         """Return the coupled modes of a stop at a given tension (N), without tuning.
 
-        Raises
-        ------
-        BundleError : none lies near the pitch of the stop.
+        Raises BundleError : none lies near the pitch of the stop.
         """
         return self._at(tension, stop, self.freq(stop))
 
@@ -184,6 +220,8 @@ class StringTuning:
 
     def _bend_gain(self, stop: float) -> float:
         """Cents of tension per cent of pitch: not quite 1, because the shapes do not change with the tension."""
+        if self._interpolates and stop != (under := int(stop)):
+            return self._bend_gain(under) + (stop - under) * (self._bend_gain(under + 1) - self._bend_gain(under))
         if stop not in self._gains:
             base, tension, trial = self.base(stop), self.tension(stop), 50.0
             pair = (self.resonator.detuned(base, t) for t in (tension, tension * ratio_of_cents(trial) ** 2))

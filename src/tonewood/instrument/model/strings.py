@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from copy import copy
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.contract.attached import Attached, Site
 from tonewood.instrument.contract.base import Attachment, Exciter, Resonator, StringMotion
@@ -19,15 +17,12 @@ from tonewood.instrument.model.tuning import TunedStop
 from tonewood.physics.coupling.connections import Connection
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_transfer import string_carry, string_transfer
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 class StringModel:
     """One string; immutable but for what its parts keep of their results.
 
-    Attributes
-    ----------
     name : of the string.
     open_note : note number of the open string.
     tuning : geometry (`tuning.stops`), tensions and coupled modes of its stops.
@@ -36,9 +31,6 @@ class StringModel:
     potentials : energies that it stores beside those of its modes, those that are left out among them.
     group : strings that a note on the first of them plays together; itself among them.
     touching : attachments and exciters that may add parts to it, by name.
-
-    Parameters
-    ----------
     freq_limit : Hz, no mode is stepped above it.
     tilt_deg : of its principal axes.
     end_shares : body point -> share of its displacement in that of the string's end along the string.
@@ -112,6 +104,16 @@ class StringModel:
         """Motions that are joined to the bridge: polarizations, then longitudinal motion."""
         return (*self.polarizations, *([self.longitudinal] if self.longitudinal else []))
 
+    def for_live(self) -> StringModel:
+        """Return the string with tensions between whole stops from a table, see `StringTuning.interpolated`."""
+        tuning = self.tuning.interpolated()
+        if tuning is self.tuning:
+            return self
+        other = copy(self)
+        other.tuning, other._attached = tuning, {}
+        other._bases = self._bases.tuned_by(tuning)
+        return other
+
     def freq(self, stop: float = 0) -> float:
         """Return the pitch that a stop should sound, Hz."""
         return self.tuning.freq(stop)
@@ -164,8 +166,6 @@ class StringModel:
     ) -> dict[str, ModalBasis]:
         """Component -> basis, with the points ``bridge``, ``pluck`` and those named in the bundle.
 
-        Parameters
-        ----------
         stop : 0 is open; a fraction on a continuous string.
         bend_cents : change of pitch by a change of tension.
         added_damping : 1/s, added to every mode's damping rate.

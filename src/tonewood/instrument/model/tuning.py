@@ -12,14 +12,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.receptance import Joint, Ports
+from tonewood.support.arrays import Complexes
 from tonewood.support.units import cents, decibel
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: a second mode this near and this strong makes a wolf note
 WOLF_CENTS, WOLF_DB = 60.0, 6.0
@@ -34,8 +31,6 @@ _ACCURACY_CENTS = 1e-3
 class CoupledMode:
     """A mode of one string on its body.
 
-    Attributes
-    ----------
     pole : 1/s.
     shares : of the modal energy: one per polarization, then the body's.
     strength : amplitude at the bridge when the string is released from a unit force, relative to the other modes'.
@@ -63,8 +58,6 @@ class CoupledMode:
 class TunedStop:
     """A string at one stop, tuned.
 
-    Attributes
-    ----------
     freq : pitch asked for, Hz.
     tension : of the first polarization, N.
     modes : coupled modes near the pitch, the string-dominated one first, then by strength.
@@ -103,8 +96,6 @@ def of_second_polarization(shares: Sequence[float]) -> bool:
 class StringOnBody:
     """One string at one stop, joined to its body, at any tension.
 
-    Parameters
-    ----------
     bases : tension (N) of the first polarization -> bases of all polarizations, with the point ``bridge``.
     body : `Ports` of the body, one row per polarization.
     pluck : m from the bridge, for strengths.
@@ -233,8 +224,6 @@ def tune(string: StringOnBody, freq: float, tension: float) -> TunedStop:
 def no_mode(basis: ModalBasis, freq: float) -> str:
     """Say that no mode lies near a frequency (Hz), and which keys of the string to change; one line.
 
-    Parameters
-    ----------
     basis : of the string with its bridge end free: its lowest mode lies an octave below the pitch on a rigid bridge.
     """
     lowest = int(np.argmin(basis.natural_freq))

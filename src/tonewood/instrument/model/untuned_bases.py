@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tonewood.instrument.contract.base import Resonator
-from tonewood.instrument.model.stops import StopTable
+from tonewood.instrument.model.stop_table import StopTable
 from tonewood.instrument.model.string_setup import Polarization
 from tonewood.instrument.model.tuning import ends_at_rest
 from tonewood.physics.modal.modes import ModalBasis
@@ -24,15 +24,10 @@ PASSING_STOPS = 32
 class UntunedBases:
     """Bases of a string at a first guess of its tension, kept; `Resonator.detuned` takes them to any other tension.
 
-    Attributes
-    ----------
     resonator : of the string.
     stops : its geometry.
     polarizations : one or two.
     freq_upper : Hz, highest mode at the guess.
-
-    Parameters
-    ----------
     end_compliance : m/N, of the string's seat on the bridge.
     scatter : stop -> cents by which the second polarization is sharper than its `detune` says.
     """
@@ -53,9 +48,7 @@ class UntunedBases:
     def at(self, stop: float, guess: Callable[[], float]) -> ModalBasis:
         """Return the basis of a stop; `guess` gives its tension (N) where it has not been computed yet.
 
-        Raises
-        ------
-        BundleError : less than two modes lie below `freq_upper`.
+        Raises BundleError : less than two modes lie below `freq_upper`.
         """
         if stop not in self._bases:
             basis = self.resonator.basis(self.freq_upper, stop=self.stops.position(stop), tension=guess())
@@ -83,8 +76,6 @@ class UntunedBases:
     def planes(self, base: ModalBasis, tension: float, stop: float) -> list[ModalBasis]:
         """Return the bases of all polarizations at a stop.
 
-        Parameters
-        ----------
         base : basis of the stop, at any tension.
         tension : N, of the first polarization.
         """

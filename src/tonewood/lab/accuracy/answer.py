@@ -139,9 +139,7 @@ def section(outcomes: Sequence[Outcome]) -> str:
 def chart_png(outcomes: Sequence[Outcome], *, dpi: int = 110) -> bytes:
     """One system and one quantity a row, a labelled line per method.
 
-    Raises
-    ------
-    TonewoodError : matplotlib is not installed.
+    Raises TonewoodError : matplotlib is not installed.
     """
     by_name = {o.name: o for o in outcomes}
     rows = [(by_name[name], measure) for name, measure in CHART if name in by_name]

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.lab.systems.harp_body import harp_body
@@ -32,8 +31,7 @@ from tonewood.physics.stepping.kernel import KernelStepper
 from tonewood.physics.stepping.motion import from_motion, share_velocities
 from tonewood.physics.stepping.stepper import Statistics
 from tonewood.sound.render.renderer import Renderer
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 TEXT = """\
 Growth: the largest rise of the stored energy above its lowest value before, while nothing acts from outside, relative
@@ -56,8 +54,6 @@ LOSSLESS = {"law": "woodhouse", "eta_a": 0.0, "eta_f": 0.0, "eta_b": 0.0}
 class Attack:
     """Result of one attack.
 
-    Attributes
-    ----------
     name : in words.
     steps : made.
     growth : largest rise of the stored energy above its lowest value before, nothing acting from outside, relative to

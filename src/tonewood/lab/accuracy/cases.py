@@ -12,7 +12,6 @@ from functools import cached_property, lru_cache, partial
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab.methods.pole_search import continuous_matrix, nearest_zero
 from tonewood.lab.methods.problem import Problem
@@ -24,9 +23,7 @@ from tonewood.physics.modal.damping import with_damping_case
 from tonewood.physics.modal.modes import PAIR, ModalBasis
 from tonewood.physics.modal.receptance import Joint, Ports
 from tonewood.physics.modal.string_modes import held_string_compliance
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: Hz, modes of strings that every method steps unless its dial says otherwise
 FREQ_UPPER = 20000.0
@@ -37,8 +34,6 @@ PARTIALS = 40
 class Case:
     """One linear system.
 
-    Attributes
-    ----------
     name, title : short, and as a heading.
     build : highest string mode in Hz -> problem, one driven and one read point.
     true_poles : poles of partials 1, 2, ..., 1/s, by a way that knows no modes of strings.
@@ -213,8 +208,6 @@ def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None
     Its joints are made rigid (the seat of a string on the saddle gives way by 2e-8 m/N, for which methods that
     constrain accelerations have no place), and it is heard at one point of the bridge.
 
-    Parameters
-    ----------
     n_partials : of each string, whose true poles are wanted.
     strings : whose; all.
     """

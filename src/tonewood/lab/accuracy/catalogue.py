@@ -21,8 +21,6 @@ from tonewood.lab.accuracy.nonlinear_cases import (
 class Entry:
     """A case of the study.
 
-    Attributes
-    ----------
     make : the case.
     quick : that of a quick run, if it is another; None: left out of a quick run over all.
     weight : how long it takes, beside the others.
@@ -54,12 +52,7 @@ CASES = {
 
 
 def selected(name: str | None, *, quick: bool = False) -> list[str]:
-    """Names of the systems to run.
-
-    Raises
-    ------
-    TonewoodError : there is no such system.
-    """
+    """Names of the systems to run. Raises TonewoodError : there is no such system."""
     if name is None:
         return [n for n, entry in CASES.items() if entry.quick is not None or not quick]
     if name not in CASES:

@@ -95,8 +95,6 @@ waveforms, which no budget bounds, and in two planes that beat the one of decay.
 class DialPoint:
     """One setting on one string of one instrument.
 
-    Attributes
-    ----------
     instrument, string, accuracy : names.
     errors : against ``reference``.
     seconds : of computing per second of sound.
@@ -122,8 +120,6 @@ class DialPoint:
 def measure(instrument: Instrument, string: str, *, nudge: bool = True) -> list[DialPoint]:
     """All settings on the open string of an instrument.
 
-    Parameters
-    ----------
     nudge : also the notes of `reference` for a thousandth more force; where that is much, strokes are compared by their
         means. Without it one stroke is, and not for so long.
     """

@@ -11,8 +11,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: centres of the third-octave bands that are compared, Hz, and how far below the loudest, dB
 BANDS, BAND_FLOOR = 1000.0 * 2.0 ** (np.arange(-13, 13) / 3), -80.0
@@ -24,8 +23,6 @@ SPURIOUS_GAP = 20.0
 class PoleErrors:
     """Errors of partials.
 
-    Attributes
-    ----------
     cents_median, cents_worst : |interval| to the true partials, cents.
     cents_20 : worst of partials 1 to 20.
     decay_median, decay_worst : |error| of decay rates, relative.
@@ -43,8 +40,6 @@ class PoleErrors:
 def pole_errors(poles: Complexes, true: Complexes, numbers: NDArray[np.intp] | None = None) -> PoleErrors:
     """Compare poles with the true ones; a partial farther off than half its distance to the next (nan too) is lost.
 
-    Parameters
-    ----------
     numbers : (k,) of the partials, 1, 2, ... where left out.
     """
     n = np.arange(1, len(true) + 1) if numbers is None else numbers
@@ -68,8 +63,6 @@ def pole_errors(poles: Complexes, true: Complexes, numbers: NDArray[np.intp] | N
 class WaveErrors:
     """Errors of a waveform.
 
-    Attributes
-    ----------
     waveform : ||y - y_true|| / ||y_true||.
     spectral_db : rms difference of third-octave levels, dB; see `wave_errors`.
     spurious_db : highest component that is not there in truth, dB re the true spectrum's peak.
@@ -88,8 +81,6 @@ def wave_errors(y: Floats, true: Floats, fs: float, partials: Complexes) -> Wave
     one is within 80 dB of the loudest. Spurious is the largest acceleration in the spectrum of y - y_true farther than
     20 Hz from every true partial.
 
-    Parameters
-    ----------
     partials : (k,) poles of the true motion, 1/s.
     """
     error = y - true

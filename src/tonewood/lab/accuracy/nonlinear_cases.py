@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab.accuracy.runs import KernelRun, Scene
 from tonewood.lab.assembled import integrated
@@ -18,8 +17,7 @@ from tonewood.physics.coupling.laws import Contact
 from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import apply
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: steel string: density 8050 kg/m^3, radius .3556 mm, 75 N, 174 GPa, 1 m; its EA, N
 STEEL = ExactString(1.0, 75.0, 8050 * np.pi * 0.3556e-3**2, 174e9 * np.pi * 0.3556e-3**4 / 4)
@@ -38,8 +36,6 @@ class Truth:
 class NonlinearCase:
     """A nonlinear system of real modes, let go from a state.
 
-    Attributes
-    ----------
     name, title : short, and as a heading.
     scene : problem of one read point, laws, tensions, and the state.
     duration : s that waveforms are compared over.

@@ -21,8 +21,6 @@ USUAL_RATE = 48e3
 class Point:
     """One method with one value of its dial on one system.
 
-    Attributes
-    ----------
     system, method : names; methods are those of `METHODS`.
     dial, value : parameter varied along the line, and its value here.
     fs : Hz.  n_modes : stepped.
@@ -65,8 +63,6 @@ class Point:
 class Measure:
     """One kind of error.
 
-    Attributes
-    ----------
     name : short.  title : with its unit, for an axis.
     of : point -> error, nan where it is not known.
     """
@@ -127,8 +123,6 @@ def seconds_at(points: Sequence[tuple[float, float]], error: float) -> float | N
 class Headline:
     """One method against ours on one system by one measure.
 
-    Attributes
-    ----------
     method, measure : names.
     error : of ours at 48 kHz.
     ratio : time of the method at that error / time of ours; None: not reached.
@@ -196,8 +190,6 @@ def headlines(points: Sequence[Point], measure: Measure) -> list[Headline]:
 class Outcome:
     """All points of one system.
 
-    Attributes
-    ----------
     name, title : of the system.
     truth : where its reference comes from.
     measures : by which the methods are compared, the first one on the chart.

@@ -14,8 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: partials that are looked for, and how far below the loudest they may be, dB
 PARTIALS, RANGE_DB = 20, 40.0
@@ -25,8 +24,6 @@ PARTIALS, RANGE_DB = 20, 40.0
 class PartialErrors:
     """Partials of a sound against those of another; medians and worst.
 
-    Attributes
-    ----------
     cents, cents_worst : pitch.
     decay, decay_worst : decay rate, relative.
     level, level_worst : dB.
@@ -60,8 +57,6 @@ def compare(sounds: ArrayLike, truths: ArrayLike, fs: float, freq: float, let_go
       as long a time: a number where partials beat or feed each other, too. The weight stands for the limits of level
       in that standard, which would jump from one beat to the next.
 
-    Parameters
-    ----------
     sounds, truths : (n,) or (n_strokes, n), beginning together.
     freq : Hz, of the first partial; the others are sought near its multiples, and found where `truths` is loudest.
     let_go : s, of a note that is driven until then: pitch and level are those before, decay is that after it. 0 if the

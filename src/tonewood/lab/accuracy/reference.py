@@ -13,14 +13,11 @@ from typing import Protocol
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab.accuracy.runs import KernelRun, Scene
 from tonewood.lab.methods.problem import Problem
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: samples per second of a reference that has to be computed
 FINE_RATE = 32 * 48000
@@ -41,8 +38,6 @@ class Motion(Protocol):
 class ExactMotion:
     """Free motion from a state, superposed from the modes of the whole.
 
-    Attributes
-    ----------
     poles : (k,) 1/s, conjugates included.
     shares : (k, n_outputs) m, contribution of each to the readouts.
     """
@@ -55,8 +50,6 @@ class ExactMotion:
     def of(cls, problem: Problem, start: Floats, freq_upper: float = np.inf) -> ExactMotion:
         """Modes of x' = (A - B S C A^2) x on the states that the constraints allow.
 
-        Parameters
-        ----------
         start : (n, 2), with closed gaps at rest.
         freq_upper : Hz, coupled modes above it are left out.
         """
@@ -92,8 +85,6 @@ class ExactMotion:
 class FineMotion:
     """The project's scheme at a rate far above that of a render.
 
-    Attributes
-    ----------
     problem, start : system that moves, and its state at the start.
     duration : s.
     rate : Hz.

@@ -91,8 +91,6 @@ frequencies are low: at the middle one of its rates)."""
 class Study:
     """Result of a study, where and how thoroughly it was found.
 
-    Attributes
-    ----------
     outcomes : one per system.
     machine : of `timing.machine`.
     quick : fewer points and repeats.

@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood import _methods
 from tonewood.errors import NumericalError
@@ -21,8 +20,7 @@ from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.modal.propagator import apply
 from tonewood.physics.stepping.kernel import KernelStepper, instruction_set
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 class Run(Protocol):
@@ -42,8 +40,6 @@ class Run(Protocol):
 class Scene:
     """What a method steps, and from where: a problem, nonlinear connections and strings of rising tension.
 
-    Attributes
-    ----------
     problem : components and rigid connections.
     x : (n, 2) state at the start.
     laws : connections whose laws are `Contact` or `HardeningSpring`; real modes only, as for tensions.
@@ -90,8 +86,6 @@ class SchemeRun:
 class KernelRun:
     """The kernel of this project.
 
-    Parameters
-    ----------
     residual : whether contacts see the residual compliance of the components.
     """
 
@@ -131,8 +125,6 @@ def _laws(scene: Scene) -> tuple[Contact | HardeningSpring, ...]:
 class Arrays:
     """Equation of motion q'' = P (-w2 q - 2 sigma q' - sum EA/2L S k q + phi f), S = sum k q^2.
 
-    Attributes
-    ----------
     modes : frequencies, decay rates, shapes at rigid gaps and readouts.
     law : (l, n) shapes at the gaps of laws.
     weights : (n_tensions, n) k.

@@ -69,8 +69,6 @@ TENSION_METHODS: dict[str, Make] = {"ours": KernelRun, "velocity Verlet": Explic
 class Cell:
     """One run.
 
-    Attributes
-    ----------
     system, method : names.
     n_modes : of the string.  force : N.  fs : Hz.
     verdict : stable, grows or NaN.

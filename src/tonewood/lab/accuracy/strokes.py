@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.lab.accuracy.partials import PartialErrors, compare
 from tonewood.lab.accuracy.timing import Task, Tell, measure, silent
 from tonewood.performance.score.note import Note, Score
 from tonewood.sound.render.renderer import Renderer
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: of the note; s of it, from when on partials are compared
 VELOCITY_MIDI, STEADY = 64, 0.1
@@ -30,8 +28,6 @@ SPREAD = 0.01
 class Strokes:
     """Sounds of one note with one setting.
 
-    Attributes
-    ----------
     sounds : (n_strokes, n).
     seconds : of computing per second of sound.
     n_modes : stepped.
@@ -56,8 +52,6 @@ def forces(n: int) -> tuple[float, ...]:
 class NoteCase:
     """A note of one string.
 
-    Attributes
-    ----------
     instrument, string, stop : of the note.
     force : N or m/s, as the exciter has it.
     let_go : s, of a note that is driven until then; 0 if it is left alone from the first.

@@ -32,9 +32,7 @@ from tonewood.lab.systems import fabre_guitar
 from tonewood.physics.coupling.connections import Term
 from tonewood.physics.coupling.laws import Contact
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: s of free motion that waveforms are compared over
 DURATION = 1.0
@@ -61,8 +59,6 @@ Make = Callable[[], Attempt]
 class Watch:
     """How a free motion is followed.
 
-    Attributes
-    ----------
     rate : Hz, about that at which displacements are read.
     duration : s.
     checks : instants at which the stored energy is looked at.
@@ -107,8 +103,6 @@ Judge = Callable[[Run, Floats, Floats, bool], dict[str, Any]]
 def attempt(run: Run, point: Point, watch: Watch, judge: Judge, timed_steps: int = 0) -> Attempt:
     """Let go, follow, compare.
 
-    Parameters
-    ----------
     timed_steps : of the run that is timed, read once; 0: all that were followed.
     """
     y, energies, finite = watch.follow(run, point.fs)
@@ -127,8 +121,6 @@ def attempt(run: Run, point: Point, watch: Watch, judge: Judge, timed_steps: int
 class Subject:
     """A case as some methods see it: its modes, its true values, and the state in which the motion starts.
 
-    Parameters
-    ----------
     case : which.
     real : in real modes, damping proportional; else as it is.
     """
@@ -444,8 +436,6 @@ def run(name: str | None = None, *, quick: bool = False, tell: Tell = silent) ->
 def timed(makes: Sequence[Callable[[], Attempt]], repeats: int, tell: Tell = silent) -> list[Point]:
     """Points with their times, taken in turns.
 
-    Parameters
-    ----------
     makes : run one method each.
     tell : called with the share that is done, 0 to 1.
     """

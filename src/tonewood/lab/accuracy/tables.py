@@ -213,7 +213,7 @@ def to_json(outcome: Outcome) -> dict[str, object]:
                 "best_error": h.best,
                 "time_ratio_at_best": h.ratio_at_best,
             }
-            for found in outcome.headlines.values()
-            for h in found
+            for entries in outcome.headlines.values()
+            for h in entries
         ],
     }

@@ -96,9 +96,7 @@ class Target:
     def parse(cls, text: str) -> Target:
         """Read ``1cent``, ``5%decay``, ``0.5dB`` (of level), ``-60dB`` (of the waveform), or several with commas.
 
-        Raises
-        ------
-        TonewoodError : not of that form.
+        Raises TonewoodError : not of that form.
         """
         limits: dict[str, float] = {}
         for part in text.split(","):
@@ -133,8 +131,6 @@ class Target:
 class Setting:
     """Options of a render.
 
-    Attributes
-    ----------
     oversampling : steps of the engine per frame.
     freq_limit : Hz, no mode is stepped above it; None is 0.45 of the engine's rate.
     effects : ``all`` where the bundle has effects that are switched; None: as the bundle has them.
@@ -171,8 +167,6 @@ class Setting:
 class Tried:
     """A setting, its errors, and its cost.
 
-    Attributes
-    ----------
     setting, errors : against the reference.
     met : whether errors and the reference's own together stay within the target.
     seconds : of computing per second of sound, of the first note.
@@ -192,8 +186,6 @@ class Tried:
 class Frontier:
     """Settings that were tried, and their errors.
 
-    Attributes
-    ----------
     instrument, target, notes, fs : of the question.
     tried : from cheap to dear.
     reference : steps per frame of the reference.
@@ -242,9 +234,7 @@ class Frontier:
 def cases_of(instrument: Instrument, notes: Sequence[str], fs: int) -> list[NoteCase]:
     """Cases of notes, each ``STRING`` or ``STRING:STOP``; by default the outer strings and the one in the middle.
 
-    Raises
-    ------
-    TonewoodError : there is no such string, or it has no such stop.
+    Raises TonewoodError : there is no such string, or it has no such stop.
     """
     names = instrument.string_names
     wanted = list(notes) or [names[0], names[len(names) // 2], names[-1]]
@@ -268,16 +258,11 @@ def search(
 ) -> Frontier:  # fmt: skip
     """Find the cheapest setting for a target.
 
-    Parameters
-    ----------
     notes : as for `cases_of`.
     fs : Hz of the sound.
     bandwidth : Hz; settings that step no modes up to it are not tried.
     tell : called with the share that is done.
-
-    Raises
-    ------
-    TonewoodError : a note cannot be played, or no rate steps modes up to `bandwidth`.
+    Raises TonewoodError : a note cannot be played, or no rate steps modes up to `bandwidth`.
     """
     return _Search(instrument, target, cases_of(instrument, notes, fs), fs, bandwidth, tell).run()
 

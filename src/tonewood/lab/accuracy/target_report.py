@@ -101,9 +101,7 @@ def to_json(frontier: Frontier) -> dict[str, object]:
 def chart_png(frontier: Frontier, *, dpi: int = 110) -> bytes:
     """One quantity a row: error against time, the frontier drawn as a line with the numbers of its settings.
 
-    Raises
-    ------
-    TonewoodError : matplotlib is not installed.
+    Raises TonewoodError : matplotlib is not installed.
     """
     shown = [name for name in NAMES if any(getattr(t.errors, name) for t in frontier.tried)]
     chart, axes = figure(len(shown), heights=[3.6] * len(shown), sharex=True)

@@ -26,8 +26,6 @@ def silent(share: float) -> None:
 class Timing:
     """Seconds of computing per second of sound.
 
-    Attributes
-    ----------
     median, low, high : of the repeats; low and high are the 10th and 90th percentile.
     repeats : how many.
     """
@@ -50,8 +48,6 @@ class Task:
 def measure(tasks: Sequence[Task], repeats: int, tell: Tell = silent) -> list[Timing]:
     """Time every task `repeats` times, all in turn, so that a slow spell of the machine hits all alike.
 
-    Parameters
-    ----------
     tell : called with the share that is done, 0 to 1.
     """
     spent: list[list[float]] = [[] for _ in tasks]

@@ -18,24 +18,20 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.lab.assembled import Matrices
 from tonewood.lab.methods.problem import Array, Problem, RealModes
 from tonewood.physics.coupling.connections import Term
 from tonewood.physics.modal.damping import hermitian_mass_inverse, reciprocal_shapes
 from tonewood.physics.modal.modes import PAIR
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Ode:
     """q' = F q + G u + H b,  y = Re(C q).
 
-    Attributes
-    ----------
     F : (k, k) 1/s.
     G : (k, n_inputs).
     C : (n_outputs, k).
@@ -53,8 +49,6 @@ class Ode:
 def physical(system: Matrices, constraints: ArrayLike, directions: ArrayLike, outputs: ArrayLike) -> Ode:
     """Eq. 7: x'' = x_u'' + M^-1/2 B^+ (b - A x_u''),  M x_u'' = D^T f - C x' - K x,  B = A M^-1/2; state (x, x').
 
-    Parameters
-    ----------
     system : matrices of the uncoupled subsystems, on the diagonal.
     constraints : A (m, n_dof), of any rank.
     directions : (n_inputs, n_dof) of the known forces.

@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tonewood.lab.methods.problem import Problem
 from tonewood.physics.coupling.connections import Term
-
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes
 
 
 def coupled_receptance(problem: Problem, freq: ArrayLike) -> Complexes:

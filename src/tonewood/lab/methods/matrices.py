@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from tonewood.lab.methods import forms
 from tonewood.lab.methods.problem import Problem, StepMap, system_map
 from tonewood.physics.coupling.inverse import scaled_pinv
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 def exact(ode: forms.Ode, dt: float) -> StepMap:

@@ -23,8 +23,6 @@ from tonewood.lab.newmark import AVERAGE_ACCELERATION, HHT
 class Method:
     """A linear one- or multi-step method.
 
-    Attributes
-    ----------
     name, title, short : in data; in tables; in cells and on lines.
     order : of the coupled poles' error in dt.
     source : who uses it.
@@ -44,9 +42,7 @@ class Method:
     def arrays(self, problem: Problem, dt: float) -> Scheme:
         """One step of length dt, s, for the compiled loop.
 
-        Raises
-        ------
-        ValueError : the method is not stepped there, or not with such modes (it takes real ones only).
+        Raises ValueError : the method is not stepped there, or not with such modes (it takes real ones only).
         """
         if self.scheme is None:
             raise ValueError(f"{self.name} has no arrays")
@@ -55,9 +51,7 @@ class Method:
     def step_matrix(self, problem: Problem, dt: float) -> StepMap:
         """The map of one step of length dt, s.
 
-        Raises
-        ------
-        ValueError : the method is not given as a matrix, or has no place for parts of the problem.
+        Raises ValueError : the method is not given as a matrix, or has no place for parts of the problem.
         """
         if self.matrix is None:
             raise ValueError(f"{self.name} has no matrix")

@@ -15,17 +15,13 @@ from scipy.linalg import lapack
 
 from tonewood.lab.methods.problem import Problem
 from tonewood.physics.modal.propagator import apply
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Products:
     """Sums over modes of weight_n rows_in columns_jn, rows and columns (m, n, k) being given once.
 
-    Attributes
-    ----------
     alone, joint, modes : (n_alone,) products, joints and places of the modes that belong to one joint.
     shared, others : (m m, n_shared) products and places of the modes of several.
     m : joints.
@@ -98,8 +94,6 @@ def nearest_zero(
 ) -> complex:  # fmt: skip
     """Zero of det matrix(s) near `start` by successive linear problems; nan if it does not converge.
 
-    Parameters
-    ----------
     joint : of several zeros near, take the one whose null vector (the forces) is largest there; None takes the nearest.
     reach : longest step, and farthest zero considered, relative to s.
     """

@@ -21,8 +21,8 @@ from tonewood.physics.coupling.inverse import scaled_pinv
 from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.modal.modes import PAIR, ModalBasis
 from tonewood.physics.modal.propagator import apply, flow, real_form
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 Array = NDArray[np.float64] | NDArray[np.complex128]
 #: sums of points with factors
 Sums = Sequence[Sequence[Term]]
@@ -32,8 +32,6 @@ Sums = Sequence[Sequence[Term]]
 class Problem:
     """Components and rigid constraints, and their arrays over all modes side by side.
 
-    Attributes
-    ----------
     components : name -> basis.
     constraints : connections whose law is `Rigid` without offset.
     inputs : driven points, one force (N) each.
@@ -249,8 +247,6 @@ class Problem:
 class RealModes:
     """A problem of real modes.
 
-    Attributes
-    ----------
     omega2, sigma : (n,) 1/s^2, 1/s.
     gaps, inputs, outs : (., n) shapes at the rigid gaps, the driven points and the readouts.
     read : (n, 2, 2) state x -> (q, q').
@@ -294,8 +290,6 @@ def product(rows: Floats, columns: Floats) -> Floats:
 class StepMap:
     """One step of a linear method: x(n+1) = T x(n) + now u(n) + next u(n+1),  y(n) = output x(n).
 
-    Attributes
-    ----------
     dt : s.
     T : (k, k) real or complex; multi-step methods keep their past in x.
     now, next : (k, n_inputs) x per force at the beginning and at the end of the step.
@@ -313,14 +307,9 @@ class StepMap:
     def run(self, forces: ArrayLike, start: ArrayLike | None = None) -> Floats:
         """Displacements at t = 0, dt, 2 dt, ...
 
-        Parameters
-        ----------
         forces : (n, n_inputs) N at the same times.
         start : (n_state,) state of `Problem.generator`, rest if left out.
-
-        Returns
-        -------
-        (n, n_outputs) m.
+        Returns (n, n_outputs) m.
         """
         rest = np.zeros(self.embed.shape[1])
         return self.advance(self.embed @ (rest if start is None else np.asarray(start, dtype=np.float64)), forces)[0]
@@ -360,8 +349,6 @@ class StepMap:
 def system_map(system: System, now: Floats | None = None, later: Floats | None = None) -> StepMap:
     """The step of a compiled `System` as a matrix, from the arrays that the steppers use.
 
-    Parameters
-    ----------
     system : its readouts must be displacements.
     now, later : (n_state, n_inputs) state added within the step by unit forces at its two ends.
     """

@@ -7,24 +7,19 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood import _methods
 from tonewood.lab.methods.pole_search import Products, Transfer, nearest_zero
 from tonewood.lab.methods.problem import Problem, product, through
 from tonewood.physics.modal.propagator import apply
 from tonewood.physics.stepping.kernel import instruction_set
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Scheme:
     """One method on one problem at one step length.
 
-    Attributes
-    ----------
     problem : of the method.  dt : s.
     rule : of the compiled loop: flow, adams_bashforth, verlet or newmark.
     coef : (n_coef, n) of every mode.
@@ -69,8 +64,6 @@ class Scheme:
     def poles(self, starts: Complexes, joints: Sequence[int] | None = None) -> Complexes:
         """(k,) poles nearest to given ones; nan where Newton's method diverges; see `pole_search.nearest_zero`.
 
-        Parameters
-        ----------
         joints : for each pole, the connection whose force is large in it.
         """
         # a step of several samples has the unknown forces of each
@@ -147,10 +140,8 @@ class Runner:
     def run(self, n: int, every: int = 1) -> tuple[Floats, int]:
         """Advance by n steps.
 
-        Returns
-        -------
-        (n // every + 1, n_outputs) displacements at every `every`-th step from the present one on, and the step at
-        which they stopped being finite, -1 if they did not.
+        Returns (n // every + 1, n_outputs) displacements at every `every`-th step from the present one on, and the step
+            at which they stopped being finite, -1 if they did not.
         """
         out = np.zeros((n // every + 1, len(self.scheme.outs)))
         return out, self._method.run(self.state, self.forces, n, every, out)

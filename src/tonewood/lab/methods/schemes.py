@@ -17,17 +17,13 @@ from collections.abc import Callable
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab.methods.problem import Problem, inverses, product, through
 from tonewood.lab.methods.scheme import Scheme
 from tonewood.lab.newmark import Newmark
 from tonewood.physics.coupling.inverse import scaled_pinv
 from tonewood.physics.modal.propagator import apply
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-
+from tonewood.support.arrays import Floats
 
 # ---- methods on the exact flow ----
 

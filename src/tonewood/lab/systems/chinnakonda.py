@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab.assembled import Matrices, free_motion
 from tonewood.lab.estimates import sine_error
@@ -47,8 +46,6 @@ from tonewood.lab.systems.chinnakonda_problems import (
 from tonewood.lab.transition import Transition
 from tonewood.physics.modal.synthesis import basis_from_matrices, initial_state
 
-Floats = NDArray[np.float64]
-
 #: largest relative error of mass 1 over 10 s with 20, 40, 80, 160 steps per period, light damping: the thesis' system
 #: (its Fig. 3.8a shows them as points), computed independently, to the digits given
 ERROR_TABLE = {
@@ -72,9 +69,7 @@ def measured_order(update: Update, c: float) -> float:
 def reduction_table() -> dict[int, dict[str, float]]:
     """Non-proportionality of a chain with one dashpot, reduced to 1, 2, ... real modes.
 
-    Returns
-    -------
-    n_modes -> index name -> value; of `nonproportionality.imaginary_part` the largest over the modes.
+    Returns n_modes -> index name -> value; of `nonproportionality.imaginary_part` the largest over the modes.
     """
     whole = damped_chain()
     out = {}
@@ -224,8 +219,8 @@ def _newmark_order(method: Newmark) -> float:
         n = round(DURATION / dt) + 1
         system = two_masses(LIGHT)
         rest = (np.zeros(2), np.zeros(2))
-        found, _ = method.run(system, dt, n, rest, lambda t: sampled_forces(t)[0])
-        error.append(np.abs(found - exact_driven(system, dt, n)).max())
+        motion, _ = method.run(system, dt, n, rest, lambda t: sampled_forces(t)[0])
+        error.append(np.abs(motion - exact_driven(system, dt, n)).max())
     return halving_order(error[0], error[1])
 
 

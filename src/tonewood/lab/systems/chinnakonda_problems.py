@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.lab.assembled import Matrices, driven_motion, state_matrix
 from tonewood.lab.interpolatory import P1, Response, Update, respond
@@ -24,8 +24,7 @@ from tonewood.lab.nonproportionality import reduced, reduction_shapes
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import basis_from_matrices, initial_state
 from tonewood.physics.stepping.forcing import Segment
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 SPRING = 4 * np.pi**2
 #: N s/m
@@ -76,14 +75,10 @@ def exact_driven(system: Matrices, dt: float, n: int) -> Floats:
 def driven_error(update: Update, c: float, steps_per_period: int) -> tuple[Floats, Floats, Floats]:
     """Error of an update over 10 s.
 
-    Parameters
-    ----------
     c : N s/m.
     steps_per_period : samples per period of the force, 1/1.5 s.
-
-    Returns
-    -------
-    times : (n,) s.  errors : (n, 2) m, exact minus update.  size : (2,) m, largest exact displacement of each mass.
+    Returns times : (n,) s.  errors : (n, 2) m, exact minus update.  size : (2,) m, largest exact displacement of each
+        mass.
     """
     system = two_masses(c)
     dt = 1 / DRIVE_FREQ / steps_per_period
@@ -118,9 +113,7 @@ STIFF_DAMPING = {True: 4 * np.pi / 10, False: 4 * np.pi / 5}
 def two_step(system: Matrices, n_modes: int, times: ArrayLike, start: ArrayLike, update: Update = P1) -> Response:
     """Real modal reduction first, complex modes of the reduced system second (the thesis' algorithm, p. 17).
 
-    Returns
-    -------
-    Response with displacements at the physical dofs.
+    Returns Response with displacements at the physical dofs.
     """
     small, P = reduced(system, n_modes), reduction_shapes(system, n_modes)
     basis = basis_from_matrices(*small, [f"q{k}" for k in range(n_modes)])

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
@@ -24,9 +23,7 @@ from tonewood.physics.modal.damping import damping_groups, phase_collinearity, w
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import basis_from_matrices
 from tonewood.physics.stepping.stepper import NumpyStepper
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Floats
 
 SYSTEM = "Fabre 4+5 dof (reconstruction)"
 #: Hz; the paper's

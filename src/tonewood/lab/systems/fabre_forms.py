@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
@@ -24,9 +23,6 @@ from tonewood.physics.coupling.system import Readout, System
 from tonewood.physics.modal.damping import hermitian_mass_inverse
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import basis_from_matrices
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 SYSTEM = "Fabre forms"
 _BY_EIG = "eig of assembled M, C, K"

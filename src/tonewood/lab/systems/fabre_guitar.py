@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
@@ -25,9 +24,7 @@ from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.modal.damping import phase_collinearity, with_damping_case
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import basis_from_matrices
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Floats
 
 SYSTEM = "Fabre guitar"
 #: plate and air, dofs x_s (m) and z_a (velocity potential): Eq. 38

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab import assembled
 from tonewood.lab.figures import figure, save
@@ -25,9 +24,7 @@ from tonewood.lab.systems.fabre_academic import problem, subsystems, whole
 from tonewood.lab.systems.fabre_forms import proportional_problem
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 SYSTEM = "Fabre methods"
 #: largest |omega h| on the imaginary axis at which Adams-Bashforth 3 does not grow

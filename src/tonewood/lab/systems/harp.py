@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
@@ -26,9 +25,7 @@ from tonewood.lab.systems.fabre_guitar import FORCE, PLUCK, RAMP, pluck
 from tonewood.lab.systems.harp_body import FREQS, harp_body, harp_body_matrices
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.modal.damping import damping_groups, phase_collinearity, separation, with_damping_case
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 SYSTEM = "Fabre harp (stand-in body)"
 COSINE = float(np.cos(np.radians(23.6)))

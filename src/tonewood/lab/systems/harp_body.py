@@ -18,14 +18,12 @@ cos(pi n x / 8 + theta_n) / sqrt(m_n), with theta_n and m_n drawn too.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.lab.assembled import Matrices
 from tonewood.physics.modal.damping import reciprocal_shapes
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import basis_from_matrices
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: of all that is drawn at random
 SEED = 1775

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab.component_modes import FixedBaseModes, FreeFreeModes, fixed_base_modes, free_free_modes
 from tonewood.lab.figures import figure, save
@@ -42,8 +41,7 @@ from tonewood.lab.systems.klosner_problems import (
 )
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.stepping.stepper import NumpyStepper
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: s, step of the coarsest engine run and of the reference grid
 DT = 1 / 400

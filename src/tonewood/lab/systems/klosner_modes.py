@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.lab.assembled import Matrices, driven_motion, triangle
 from tonewood.lab.component_modes import fixed_base_modes, free_free_modes
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: mass (kg) and spring (N/m) of S; of the chain: number of masses, mass of each, spring between them
 MAIN_MASS, MAIN_SPRING = 1.0, 400.0

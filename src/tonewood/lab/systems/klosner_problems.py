@@ -46,8 +46,7 @@ from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import real_modes
 from tonewood.physics.stepping.forcing import Segment, compile_force
 from tonewood.physics.stepping.stepper import NumpyStepper
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 FORMS = ("fixed-base", "free-free")
 
@@ -56,8 +55,6 @@ FORMS = ("fixed-base", "free-free")
 class Problem:
     """A main structure, a substructure, their connection and the forces that drive them.
 
-    Attributes
-    ----------
     name : A, B, C or D.
     main : matrices of S, undamped.
     attachment : (n_main,) direction in which S is driven and carries the substructure.

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.lab.figures import figure, save
 from tonewood.lab.methods import Problem, StepMap, system_map
@@ -21,9 +20,7 @@ from tonewood.physics.coupling.connections import Connection, SpringDashpot, Ter
 from tonewood.physics.coupling.system import System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import basis_from_matrices
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes
 
 #: f (Hz), zeta, modal mass (kg) of 16 guitar modes at the bridge: Antunes & Debut, J. Acoust. Soc. Am. 141 (2017) 764
 SIXTEEN_MODES = (

@@ -29,7 +29,7 @@ def runtime_effects(model: Model) -> tuple[RuntimeEffect, ...]:
             effects.setdefault(key, effect)
             plugins.setdefault(key, {})[component] = plugin
     made = [_made(_maker(effect, kind), model, effect, plugins[name, kind]) for (name, kind), effect in effects.items()]
-    watched = [found for found in made if isinstance(found, SwitchedEffect) and found.watched]
+    watched = [runtime for runtime in made if isinstance(runtime, SwitchedEffect) and runtime.watched]
     for one in watched:
         one.share = 1.0 / len(watched)
     return tuple(made)

@@ -35,9 +35,8 @@ from tonewood.performance.effects.usage import Bound, EffectUsage
 from tonewood.performance.player.fretting import Fretting
 from tonewood.performance.player.timeline import GRID, Play, Timeline
 from tonewood.physics.coupling.system import State, System
+from tonewood.support.arrays import Floats
 from tonewood.support.units import decibel
-
-Floats = NDArray[np.float64]
 
 #: an amplitude ratio that is as good as silence: -400 dB
 _SILENCE = 1e-20
@@ -109,8 +108,6 @@ class Moment:
 class Run:
     """Steps that were made without a look between them.
 
-    Attributes
-    ----------
     start, n : first sample, and how many.
     system : that was stepped.
     acted : connections that had a force; linear ones may be left out.
@@ -160,8 +157,6 @@ class EffectReport:
 class PlannedEffect:
     """One effect on one component in a render that is foreseen.
 
-    Attributes
-    ----------
     name : of the effect.
     component : string, ``body``, part or output group.
     spans_s : (start, stop) of the times it will run, s of score time; of a contact, when it will touch.
@@ -185,8 +180,6 @@ class PlannedEffect:
 class Foreseen:
     """A sketch of a render, as `RuntimeEffect.plan` sees it.
 
-    Attributes
-    ----------
     usage : of the effects in the sketch.
     seconds : of sound.
     computing : (effect, component) -> s of computing that its steps will take.

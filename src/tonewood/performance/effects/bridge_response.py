@@ -13,9 +13,7 @@ from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
 from tonewood.physics.coupling.system import System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import RealForm, real_form
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: frequencies per octave besides the body's own resonances
 _PER_OCTAVE = 24
@@ -28,12 +26,7 @@ _POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 class BridgeResponse:
     """Magnitudes of frequency responses to the forces of strings on their bridges; strings themselves are left out.
 
-    Parameters
-    ----------
     model : assembled instrument.
-
-    Attributes
-    ----------
     components : components of strings, and ``STRING.longitudinal`` of those whose longitudinal motion is driven one
         way; C of them.
     freq_rad : (f,) rad/s, the body's resonances among them.
@@ -127,8 +120,6 @@ def _stopped(size: Floats, freq_rad: Floats) -> Floats:
 def response(basis: ModalBasis, form: RealForm, freq_rad: Floats, out: Floats, into: Floats) -> Complexes:
     """(n_out, n_in, f) displacement per force of combinations of a component's points, residual compliance included.
 
-    Parameters
-    ----------
     form : of the basis.
     out, into : (n_out, n_points) and (n_in, n_points) weights of the points that are read and driven.
     """
@@ -142,8 +133,6 @@ def response(basis: ModalBasis, form: RealForm, freq_rad: Floats, out: Floats, i
 def _over_modes(form: RealForm, freq_rad: Floats, read: Floats, driven: Floats) -> Complexes:
     """(n_pairs, f) sums over the modes, c (i w - A)^-1 b = (i w c b + c (A - tr A) b) / det(i w - A).
 
-    Parameters
-    ----------
     read, driven : (..., n_modes, 2) c and b of the pairs, broadcast; their pairs are counted row by row.
     """
     A = form.A
@@ -182,9 +171,7 @@ def _added(model: Model, s: Complexes) -> tuple[list[str], Floats, Complexes]:
 
     The force of such a connection is minus its dynamic stiffness times the body's share of the gap.
 
-    Returns
-    -------
-    names of the connections; (n, n_points) share of the body's points in their gaps; (n, f) N/m of each at s.
+    Returns names of the connections; (n, n_points) share of the body's points in their gaps; (n, f) N/m of each at s.
     """
     connections = [c for c in model.system.connections if c.role == "added"]
     gaps = np.zeros((len(connections), len(model.body.points)))

@@ -8,7 +8,6 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.contract.base import Plugin
 from tonewood.instrument.contract.effects import Effect
@@ -23,8 +22,7 @@ from tonewood.physics.coupling.connections import Law, SpringDashpot
 from tonewood.physics.coupling.laws import PotentialLaw
 from tonewood.physics.coupling.system import State, System
 from tonewood.physics.energy.stored import gaps
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: law of a connection that is switched off: no force
 _NONE = SpringDashpot()

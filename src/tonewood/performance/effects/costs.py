@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: weight of the declared costs beside the measured times: they decide where nothing was measured
 _DECLARED = 1e-4
@@ -19,8 +18,6 @@ _DECLARED = 1e-4
 class Rates:
     """Seconds of the processor.
 
-    Attributes
-    ----------
     mode : per step of one mode.
     running : effect -> per sample in which it runs on any component, besides.
     load : effect -> per sample and unit of its load (`SwitchedEffect.load`), besides.
@@ -34,8 +31,6 @@ class Rates:
 class Costs:
     """Least squares of the times of runs over the modes and effects stepped in them; no rate is negative.
 
-    Parameters
-    ----------
     declared : switched effect -> its declared cost per unit of load, in steps of one mode.
     """
 
@@ -82,8 +77,6 @@ def not_negative(matrix: Floats, right: Floats) -> Floats:
 
     For a few unknowns. `scipy.optimize.nnls` is general, but importing it takes longer than the sums of a short render.
 
-    Parameters
-    ----------
     matrix, right : (n, n) positive definite, and (n,).
     """
     best, least = np.zeros(right.size), 0.0

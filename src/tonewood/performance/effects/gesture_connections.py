@@ -28,8 +28,6 @@ def holds_at(active: Sequence[Active], now: int) -> dict[str, float]:
 class GestureConnections:
     """The connections of a model that gestures change, and their laws with and without a gesture.
 
-    Parameters
-    ----------
     model : whose `resting` connections, and dashpots with the role hold, are meant.
     """
 

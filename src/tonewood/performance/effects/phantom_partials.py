@@ -20,7 +20,6 @@ from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.contract.base import Plugin
 from tonewood.instrument.contract.effects import Effect
@@ -36,8 +35,7 @@ from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
 from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
 from tonewood.physics.coupling.system import State, System
 from tonewood.physics.modal.string_modes import string_basis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: s between two looks, and while motion spreads to other strings; s that it does after a gesture or a change of pedals
 _SELDOM, _OFTEN, _SPREAD = 0.04, 0.005, 0.15

@@ -19,14 +19,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.performance.effects.bridge_response import BridgeResponse
 from tonewood.physics.coupling.potentials.longitudinal import GeometricShare, GeometricStretch, cosine_products
 from tonewood.physics.coupling.system import Compiled
 from tonewood.physics.modal.held_modes import HeldModes
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: relative; partials are off by so much at most: 1 cent
 _DRIFT = 0.0006
@@ -38,8 +36,6 @@ _CENTS = 600.0 / np.log(2.0)
 class PartialSlopes:
     """Slopes of a component's partials.
 
-    Attributes
-    ----------
     displaced : (n, n_modes) amplitude of each partial's slope per coordinate q.
     moving : (n, n_modes) the same per q'.
     """
@@ -70,8 +66,6 @@ class PartialSlopes:
 class Phantoms:
     """Phantom partials of one string as it is held now.
 
-    Attributes
-    ----------
     parts : transverse component -> slopes of its n lowest partials.
     heard : (R, n, n) M of each readout.
     detuning : (n, n) N, cents.
@@ -87,8 +81,6 @@ class Phantoms:
     ) -> Phantoms:
         """Make them of a string under a tension (N).
 
-        Parameters
-        ----------
         compiled : component -> its modes as they are stepped.
         """
         longitudinal = compiled[law.longitudinal]

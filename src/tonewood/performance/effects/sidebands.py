@@ -27,15 +27,13 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.performance.effects.bridge_response import BridgeResponse
 from tonewood.physics.coupling.potentials.tension import stretch_weights
 from tonewood.physics.coupling.system import Compiled, System
 from tonewood.physics.modal.held_modes import HeldModes
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: lowest partials whose beats are counted one by one; those above are taken together
 _BEATING = 12
@@ -50,8 +48,6 @@ _POWER = {"velocity": 1, "acceleration": 2}
 class Plane:
     """Partials of one component, the lowest ones counted one by one.
 
-    Attributes
-    ----------
     stiffness, shape : (n_modes,) of its free-interface modes, 1/s^2, and at the bridge, 1/sqrt(kg).
     bent, moving : (n, n_modes) amplitude of each partial's velocity per coordinate q, and per q'.
     bridge_force : (n_modes,) N on the bridge per coordinate q, of all partials.
@@ -127,8 +123,6 @@ def _resonant(
 ) -> Floats:
     """Magnitudes of sidebands on the bridge, with the string's partials that they drive.
 
-    Parameters
-    ----------
     freq, decay, bridge : (n, m, 2) rad/s, 1/s, and magnitudes without these partials.
     """
     i, end = response.components.index(component), basis.index("bridge")
@@ -158,8 +152,6 @@ def _same_modes(one: ModalBasis, other: ModalBasis) -> bool:
 class Sidebands:
     """Sidebands of one string as it is held now.
 
-    Attributes
-    ----------
     planes : component -> its partials.
     rise : dT / 2T in the mean per J.
     """
@@ -185,8 +177,6 @@ class Sidebands:
     ) -> float:
         """Largest sample that would be missing, ratio to the loudest one of each readout (R,).
 
-        Parameters
-        ----------
         motion : component -> q and q'.
         plucked : component -> q that the next pluck will add.
         """

@@ -6,15 +6,13 @@ import math
 from collections.abc import Collection
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.performance.effects.base import Moment, SwitchedEffect, Switching, Watched
 from tonewood.physics.coupling.connections import Rigid
 from tonewood.physics.coupling.system import State, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.motion import from_motion, to_motion
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: share of the kinetic energy that a switch may take
 _PAYABLE = 0.5

@@ -23,7 +23,6 @@ from itertools import accumulate, zip_longest
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.contract.base import Plugin
 from tonewood.instrument.contract.effects import Effect, Norms, rise_of_tension
@@ -43,8 +42,7 @@ from tonewood.physics.coupling.potentials.tension import TensionModulation, stre
 from tonewood.physics.coupling.system import Compiled, State, System
 from tonewood.physics.stepping.forcing import Segment
 from tonewood.physics.stepping.motion import to_motion
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: points of the control grid between two looks at energies while some tensions rise and others do not, and between
 #: two looks at all bounds, after which tensions may be left out
@@ -293,8 +291,6 @@ class TensionEffect(SwitchedEffect):
         The strings with the least level share the budget: a string's level is the sum of its own and of all lower
         ones. A string beyond the budget of cents is not looked at further, its level is infinite.
 
-        Parameters
-        ----------
         cents : string -> mean rise of its pitch.
         """
         system, state, peak = moment.system, moment.state, np.maximum(moment.peak, _SILENT)
@@ -372,8 +368,6 @@ class TensionEffect(SwitchedEffect):
     def wanted(self, bounds: Mapping[str, Bound], on: Collection[str]) -> frozenset[str]:
         """Strings whose tension is to rise: those beyond a budget, or beyond 0.9 of it if they rise now.
 
-        Parameters
-        ----------
         bounds : string -> bound without its rise.
         on : those that rise now.
         """

@@ -31,8 +31,6 @@ class Bound:
 class Spans:
     """Intervals of samples, from start up to stop, in order.
 
-    Attributes
-    ----------
     samples : their total length.
     all : (start, stop) of each.
     """
@@ -52,8 +50,6 @@ class Spans:
 class EffectUsage:
     """Counts the samples in which effects ran.
 
-    Parameters
-    ----------
     fs : Hz.
     loads : switched effect -> component -> its load, in modes.
     declared : switched effect -> its declared cost per unit of load, in steps of one mode.
@@ -75,8 +71,6 @@ class EffectUsage:
     def count(self, start: int, n: int, running: Mapping[str, Collection[str]], modes: int, seconds: float) -> None:
         """Enter a run of n samples from `start`.
 
-        Parameters
-        ----------
         running : effect -> components on which it ran.
         modes : modes that were stepped.
         seconds : of the processor that its steps took.

@@ -5,22 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.player.gestures import Active, places
 from tonewood.physics.coupling.system import Injection, PrescribedMotion, State, System
 from tonewood.physics.energy.account import EnergyAccount, EnergyTrace, KnownForce
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 class EnergyBudget:
     """Keeps an `EnergyAccount` while an engine steps; it reads the engine's state and never writes it.
 
-    Parameters
-    ----------
     system, state : where it begins.
     model : of the engine.
     interval : steps per entry.

@@ -30,6 +30,7 @@ from tonewood.physics.coupling.connections import Connection
 from tonewood.physics.coupling.system import Compiled, Injection, PrescribedMotion, State, System
 from tonewood.physics.stepping.kernel import KernelStepper
 from tonewood.physics.stepping.motion import share_velocities
+from tonewood.support.arrays import Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.support.units import decibel
 
@@ -38,7 +39,6 @@ __all__ = ["GRID", "Counters", "Engine", "Snapshot"]
 if TYPE_CHECKING:
     from tonewood.performance.engine.energy_budget import EnergyBudget
 
-Floats = NDArray[np.float64]
 
 #: points of the control grid after which the engine stops at the latest
 _LONGEST = 64
@@ -66,8 +66,6 @@ class Snapshot:
 class Counters:
     """Counts of the work that an engine did.
 
-    Attributes
-    ----------
     exchanges : bases of strings that were exchanged.
     strings_played : names.
     stepping_s, control_s : seconds of the processor in steps and between them.
@@ -82,14 +80,9 @@ class Counters:
 class Engine:
     """Steps one model through one timeline.
 
-    Parameters
-    ----------
     model : assembled instrument.
     timeline : changes and gestures.
     energy : keep an `energy_budget`; many times slower, with the same samples.
-
-    Attributes
-    ----------
     system, state : system that is stepped, and its motion.
     effects : of the model.
     switchings : switched effect -> components on which it runs: all that moves of it.
@@ -277,14 +270,14 @@ class Engine:
         for effect in self._watched:
             before = self.switchings[effect.name]
             moment = Moment(self.system, self.state, self.frettings, self.peak, moved, fresh, busy, self._until)
-            found = effect.watch(moment, before)
-            if found is None:
+            decision = effect.watch(moment, before)
+            if decision is None:
                 continue
-            self.usage.enter(effect.name, found.bounds)
+            self.usage.enter(effect.name, decision.bounds)
             if self.only_watch:
-                self.switchings[effect.name] = Switching(found.wanted, until=found.until)
+                self.switchings[effect.name] = Switching(decision.wanted, until=decision.until)
                 continue
-            after = switch(effect, moment, before, found)
+            after = switch(effect, moment, before, decision)
             self.switchings[effect.name] = after
             if after.on != before.on:
                 effect.reset(self.system, self.state, after.on ^ before.on)

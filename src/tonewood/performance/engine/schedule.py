@@ -19,13 +19,8 @@ _FORGET = 1024
 class Schedule:
     """Changes and gestures that an engine still has to make.
 
-    Parameters
-    ----------
     dt : s, length of a step.
     strings : their names.
-
-    Attributes
-    ----------
     stop : s, when the last of all that was added is over.
     """
 

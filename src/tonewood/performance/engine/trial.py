@@ -19,9 +19,7 @@ def try_parts(model: Model) -> None:
 
     Each exciter and effect is so asked once for all that a render asks; assembly has asked the other plugins.
 
-    Raises
-    ------
-    TonewoodError : a plugin breaks the contract; names it.
+    Raises TonewoodError : a plugin breaks the contract; names it.
     """
     strings = list(model.groups)
     if not strings:

@@ -54,8 +54,6 @@ def laid_on(time: float, model: Model) -> list[Change]:
 def noises(notes: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: float) -> Iterator[Play]:
     """Yield the noises of the hands on one string that fit between the gestures of its notes, in order of time.
 
-    Parameters
-    ----------
     line, plays : notes of the string and their gestures.
     capo : stop at which the string is held before its first note.
     """

@@ -25,12 +25,7 @@ Steps = list[tuple[float, float]]
 class Dampers:
     """Dampers of every key, moved by keys and pedals in the order of time.
 
-    Parameters
-    ----------
     model : without dampers nothing is ever done.
-
-    Attributes
-    ----------
     stirred : whether keys or pedals were moved since `moved` was asked last.
     """
 
@@ -102,8 +97,6 @@ class Dampers:
 def damper_changes(model: Model, pedals: Sequence[Control], pressed: Sequence[tuple[float, bool, str]]) -> list[Change]:
     """Return how keys and pedals move dampers; at one time keys come up, then go down, then pedals move.
 
-    Parameters
-    ----------
     pedals : their moves.
     pressed : (time, whether it goes down, first string) of keys.
     """

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.strings import StringModel
@@ -19,8 +18,8 @@ from tonewood.physics.energy.stored import gaps
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.points import damped
 from tonewood.physics.stepping.motion import from_motion, to_motion
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 #: component -> force of its bridge on a string's end, N
 ForceAtBridge = Callable[[str], float]
 
@@ -32,8 +31,6 @@ _CACHE, _WAYS = 768, 10
 class Fretting:
     """How a string is held now.
 
-    Attributes
-    ----------
     stop : number of the stop, 0 open; a fraction where stops are continuous.
     cents : bend from the stop's own pitch.
     added_damping : 1/s, added to every mode's decay rate.
@@ -154,14 +151,9 @@ class FrettedBases:
     ) -> dict[str, Floats]:
         """Project the motion of a string to the bases of another way to hold it.
 
-        Parameters
-        ----------
         modes : component -> (2, n_modes) as it is stepped before.
         bridge_force : component -> N, of the bridge on its end, see `bridge_forces`; called only where modes come back.
-
-        Returns
-        -------
-        Component -> (2, n_modes) as it is stepped after.
+        Returns Component -> (2, n_modes) as it is stepped after.
         """
         old, new = self.bases(name, before), self.bases(name, after)
         if before.stop == after.stop:

@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import BundleError
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.player.timeline import GRID, Play
 from tonewood.physics.coupling.system import Injection, PrescribedMotion, System
 from tonewood.physics.stepping.forcing import Course, course
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: steps in which a finger's dashpot grows
 _HOLD_LEVELS = 3
@@ -27,8 +25,6 @@ _RISE = tuple(0.5 - math.sin(math.asin(1 - 2 * (i + 0.5) / _HOLD_LEVELS) / 3) fo
 class Active:
     """A gesture in progress.
 
-    Attributes
-    ----------
     play : the gesture.
     stop : sample at which it is over.
     holds : (sample, N s/m), ...: the damping of its finger from that sample on.
@@ -55,9 +51,7 @@ def places(play: Play, model: Model) -> tuple[tuple[str, str, float], ...]:
 def forces(play: Play, model: Model, system: System, first: int) -> list[Injection]:
     """Compile a gesture's known forces from sample `first` on.
 
-    Raises
-    ------
-    BundleError : the gesture names an input, a connection or a point that nothing has attached.
+    Raises BundleError : the gesture names an input, a connection or a point that nothing has attached.
     """
     _check_names(play, model)
     if play.gesture.noise is not None and not play.gesture.segments:
@@ -124,9 +118,7 @@ def quasi_static(active: Sequence[Active], model: Model, system: System, start: 
     between the point that is read and the point on which the force acts. Velocities take R F'; accelerations, means
     over a step, R (F'(t + h) - F'(t)) / h.
 
-    Returns
-    -------
-    (n, n_readouts) of the samples from `start` on; None if nothing is added.
+    Returns (n, n_readouts) of the samples from `start` on; None if nothing is added.
     """
     out: Floats | None = None
     for play in (a.play for a in active if a.play.gesture.segments):

@@ -40,15 +40,10 @@ _SHORTEST = 0.02
 class Hands:
     """Hands that act at exact times on the strings of one instrument; each string's notes come in the order of time.
 
-    Parameters
-    ----------
     model : the instrument.
     capo : stop at which all strings are held that no finger stops.
     pedals : moves of pedals, in order.
     source : name of what is played, for errors.
-
-    Attributes
-    ----------
     strings : first string of a key, or any other -> its voice, stop and bend.
     changes, plays : that are decided and not taken yet, in the order in which they are made at one sample.
     n_moved : notes that are played at another place than asked for.
@@ -68,18 +63,10 @@ class Hands:
     def begin(self, voice: Voice, values: Mapping[str, float], bend: float = 0.0) -> Play:
         """Begin a note on the string that it was assigned to; the note before on this string ends.
 
-        Parameters
-        ----------
         values : of its exciter's parameters.
         bend : cents, of its channel now, where its course is not known.
-
-        Returns
-        -------
-        The gesture on the first string of its key.
-
-        Raises
-        ------
-        TonewoodError : it cannot be played there.
+        Returns The gesture on the first string of its key.
+        Raises TonewoodError : it cannot be played there.
         """
         assigned, model = voice.assigned, self.model
         assert assigned is not None
@@ -107,8 +94,6 @@ class Hands:
     def finish(self, voice: Voice, following: float = math.inf) -> None:
         """Bend the string of a note with its channel, and damp it at the note's end.
 
-        Parameters
-        ----------
         following : s, when the next gesture on the string begins.
         """
         assigned, play = voice.assigned, voice.play
@@ -157,14 +142,9 @@ class Hands:
 class PacedHands(Hands):
     """Hands that act at points of the control grid.
 
-    Parameters
-    ----------
     model, capo : see `Hands`.
     ramp : s, longest preparation of a gesture that was not known early enough.
     spacing : points of the control grid between beginnings of notes that come together.
-
-    Attributes
-    ----------
     dampers : of the keys.
     now : sample of the next point of the control grid.
     """

@@ -46,16 +46,11 @@ GRAIN = 5e-3
 class Player:
     """Plays one instrument.
 
-    Parameters
-    ----------
     model : the instrument.
     ramp : s, longest preparation of a gesture that was not known early enough.
     spacing : points of the control grid between beginnings of notes that come together.
     channel_per_string : notes of the first channel go to the first string, and so on.
     capo : stop at which all strings are held that no finger stops, 0 for none. Stops of notes are counted from the nut.
-
-    Attributes
-    ----------
     spare : called at points where nothing is to be done; whether it did work, which keeps bends waiting.
     """
 
@@ -89,20 +84,13 @@ class Player:
     def feed(self, events: Iterable[Note | Control], lookahead: float, sample: int = 0) -> Timeline:
         """Take events that have become known, and return the changes and gestures that are decided.
 
-        Parameters
-        ----------
         events : that have become known since the last call, all up to the lookahead.
         lookahead : s, from the sample on, for which all events are known: infinite for a whole score, which is given
             at once, 0 where events come as they happen.
         sample : point of the control grid that is stepped next.
-
-        Returns
-        -------
-        Changes and gestures that are decided: all of them, or those of this point.
-
-        Raises
-        ------
-        ScoreError : a whole score has no notes or none that can be played, or asks for a technique that is not there.
+        Returns Changes and gestures that are decided: all of them, or those of this point.
+        Raises ScoreError : a whole score has no notes or none that can be played, or asks for a technique that is not
+            there.
         """
         if lookahead == math.inf:
             known = sorted(events, key=lambda event: event.time)
@@ -136,9 +124,7 @@ class Player:
     def note_on(self, note: Note, *, time: float = -math.inf) -> Voice | None:
         """Begin a note, at a time (s) or as soon as possible; None if it is a keyswitch or cannot be played.
 
-        Raises
-        ------
-        ScoreError : the instrument has no such technique.
+        Raises ScoreError : the instrument has no such technique.
         """
         channel = note.channel or 0
         if note.note in self._switches and note.string is None:

@@ -64,8 +64,6 @@ def tapped(note: Note, model: Model) -> Play | None:
 def event_values(note: Note, model: Model, latest: Callable[[str], float | None]) -> dict[str, float]:
     """Values of the exciter's parameters that a note and controllers give.
 
-    Parameters
-    ----------
     note : with its force in N.
     latest : kind of controller -> its value from 0 to 1 on the note's channel, None before its first.
     """
@@ -143,18 +141,13 @@ def stroke(
 ) -> tuple[Event, Play]:
     """Make the gesture of a note on one string of its key.
 
-    Parameters
-    ----------
     assigned, string : the note, and the string.
     values : of the exciter's parameters, see `event_values`.
     held : stop at which the string is held before.
     duration : s, for which a gesture that lasts as long as its note goes on.
     una_corda : whether that pedal is down.
     drawn : how the note varies, if it does.
-
-    Returns
-    -------
-    The event, and the gesture at the note's time with its whole preparation.
+    Returns The event, and the gesture at the note's time with its whole preparation.
     """
     note, course = assigned.note, model.strings[string]
     exciter = exciter_of(note, model, string)
@@ -179,8 +172,6 @@ def _on_nodes(partial: int, exciter: Exciter[Any], length: float) -> dict[str, f
 def stopped(assigned: Assigned, play: Play, string: str, model: Model, cents: float) -> list[Change]:
     """Return how the left hand stops a string for a gesture: the first change as it begins, then slides and touches.
 
-    Parameters
-    ----------
     cents : bend from the stop's own pitch at the beginning.
     """
     tick = GRID / model.fs
@@ -196,8 +187,6 @@ def ended(time: float, string: str, model: Model, capo: float, following: float 
 
     A note that ends while the next one on its string is prepared is ended by that: its damper would stay on the string.
 
-    Parameters
-    ----------
     capo : stop of the idle string.
     following : s, when the next gesture on the string begins, where that is known.
     """

@@ -16,8 +16,6 @@ GRID = 64
 class Change:
     """An action of the left hand on a string; None leaves a value as it is.
 
-    Attributes
-    ----------
     time : s; takes effect at the last point of the control grid before it.
     string : its name.
     stop : number of the stop, 0 open; a fraction where stops are continuous.

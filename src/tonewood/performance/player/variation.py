@@ -54,8 +54,6 @@ def touched(
 ) -> dict[str, float]:
     """Return values of an event with another place, angle and share of nail, where the exciter has them.
 
-    Parameters
-    ----------
     values : of the event, in place of the exciter's own.
     length : m, speaking length of the string.
     """

@@ -25,8 +25,6 @@ _STRUCK = 8
 class Voice:
     """One note, from its key to the end of its sound.
 
-    Attributes
-    ----------
     number : counted from 0.
     note : as it was asked for.
     key_down, pedalled : whether its key is held, or the pedal holds it.
@@ -68,8 +66,6 @@ class PlayedString:
 class PlayerCounters:
     """Counts of notes and events.
 
-    Attributes
-    ----------
     notes : that began.
     cut : notes that ended because another one needed their string.
     dropped : reason -> notes that could not be played.
@@ -87,8 +83,6 @@ class PlayerCounters:
 class HeldKeys:
     """Keys of all channels: which are down, which notes only the pedal holds, and which were let go.
 
-    Attributes
-    ----------
     held : (channel, note) -> notes whose key is down, in the order in which they were struck.
     pedalled : (channel, note) -> the note that only the pedal holds.
     ending : notes that were let go and are to be ended.

@@ -36,8 +36,6 @@ PEDALLED = 0.5
 class PlayableString:
     """A string as the left hand sees it.
 
-    Attributes
-    ----------
     name : its name.
     pitches : MIDI number of each stop, the open string first; one number for a string that is never stopped; lowest
         and highest if `continuous`.
@@ -93,8 +91,6 @@ class Assigned:
 class Assignment:
     """Assignment of all notes.
 
-    Attributes
-    ----------
     notes : one per pluck, in time order.
     doubled : notes without a pluck of their own: another voice's note at the same moment and pitch sounds for them
         (as loud as the louder, as long as the longer of them).
@@ -120,18 +116,13 @@ def assign(
 ) -> Assignment:
     """Give every note a string and a stop.
 
-    Parameters
-    ----------
     notes : with a pitch (`note` or `freq`), or a string (with a stop, or open), or both; given values are kept.
         A pitch up to 50 cents off a stop is played there, the difference is `Assigned.cents`.
     strings : of the instrument.
     channel_per_string : notes of the first MIDI channel go to the first string, and so on.
     tuning : for notes given by `freq`, and for the size of `cents`; twelve equal steps, A4 at 440 Hz by default.
     costs : weights of the terms that are minimised.
-
-    Returns
-    -------
-    assignment : every note is in `notes`, in `doubled` or in `dropped`.
+    Returns assignment : every note is in `notes`, in `doubled` or in `dropped`.
     """
     resolver = PlaceResolver(strings, tuning or Tuning(), channel_per_string)
     plucks = sorted(notes, key=lambda n: n.time)
@@ -153,12 +144,7 @@ def assign(
 class StringChooser:
     """Left hand of a player who reads as far ahead as notes are known, or not at all.
 
-    Parameters
-    ----------
     strings, channel_per_string, tuning, costs : as for `assign`.
-
-    Attributes
-    ----------
     hand : stop under the first finger.
     """
 
@@ -179,15 +165,10 @@ class StringChooser:
     ) -> tuple[list[Assigned], list[tuple[int, Dropped]]]:
         """Give every note of a chord a string and a stop.
 
-        Parameters
-        ----------
         notes : that begin now, at one time.
         sounding : string -> note that sounds on it now.
         ahead : later notes that are known, in time order; they only count in the cost.
-
-        Returns
-        -------
-        assigned : in the order of the notes, without an end.
+        Returns assigned : in the order of the notes, without an end.
         dropped : (index of the note, reason) of those that cannot be played.
         """
         now = notes[0].time if notes else 0.0

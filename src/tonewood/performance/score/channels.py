@@ -71,12 +71,7 @@ class MidiChannels:
         self._changed.update(self.reached(number))
 
     def steer(self, number: int, a: int, b: int) -> str:
-        """Take a controller of `STEERING`.
-
-        Returns
-        -------
-        The kind of message where it has no effect, else an empty text.
-        """
+        """Take a controller of `STEERING`. Returns The kind of message where it has no effect, else an empty text."""
         channel = self._channels[number]
         if a in (98, 99):  # a non-registered parameter: data entry is ignored until a registered one is chosen
             channel.parameter = _NO_PARAMETER

@@ -15,8 +15,6 @@ _time = attrgetter("time")
 class History:
     """Controls of one kind on one channel.
 
-    Parameters
-    ----------
     controls : of two at the same time the later one in the sequence holds.
     """
 
@@ -37,8 +35,6 @@ class History:
 class Controllers:
     """All controls of a score.
 
-    Parameters
-    ----------
     controls : in any order; one without a channel holds on all of them, but a channel's own of the same time is kept.
     """
 

@@ -11,9 +11,7 @@ from tonewood.errors import ScoreError
 def file_bytes(path: Path, limit: int) -> bytes:
     """Read a file of at most `limit` bytes.
 
-    Raises
-    ------
-    ScoreError : it is no regular file, too large, or cannot be read; one line.
+    Raises ScoreError : it is no regular file, too large, or cannot be read; one line.
     """
     try:
         info = path.stat()

@@ -138,14 +138,9 @@ def finger(
 ) -> tuple[list[tuple[Option, ...]], float]:
     """Choose a place for every note of every chord.
 
-    Parameters
-    ----------
     hand : stop under the first finger before the first chord.
     sounding : string -> note on it at time 0.
-
-    Returns
-    -------
-    chosen : per chord one option per note, on different strings.
+    Returns chosen : per chord one option per note, on different strings.
     cost : of the whole piece, as defined above.
     """
     stops, ends = np.zeros((1, n_strings)), np.full((1, n_strings), -math.inf)

@@ -27,9 +27,7 @@ SCORE = "score.gpif"
 def gpx_score(data: bytes, path: Path) -> bytes:
     """Return the score of a file of Guitar Pro 6.
 
-    Raises
-    ------
-    ScoreError : the container is damaged or too large, or has no score.
+    Raises ScoreError : the container is damaged or too large, or has no score.
     """
     if data[:4] == b"BCFZ":
         data = _expanded(data, path)

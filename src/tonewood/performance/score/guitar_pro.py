@@ -74,9 +74,7 @@ def strummed(notes: Sequence[WrittenNote], up: bool, spread: Fraction) -> list[W
 def read_guitar_pro(data: bytes, path: Path) -> WrittenMusic:
     """Read a file of Guitar Pro 3, 4 or 5.
 
-    Raises
-    ------
-    ScoreError : pyguitarpro is not installed, or cannot read the file; one line.
+    Raises ScoreError : pyguitarpro is not installed, or cannot read the file; one line.
     """
     music = WrittenMusic(path, [], [], tablature=True)
     try:

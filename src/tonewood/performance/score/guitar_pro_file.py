@@ -34,9 +34,7 @@ class _Bytes(BytesIO):
 def bounded_reader(data: bytes, path: Path) -> Any:
     """Return a reader of pyguitarpro that counts measures, tracks and beats, and finds a beat in one step.
 
-    Raises
-    ------
-    ScoreError : pyguitarpro is not installed; when it reads, a count is beyond its limit.
+    Raises ScoreError : pyguitarpro is not installed; when it reads, a count is beyond its limit.
     """
     try:
         from guitarpro import io

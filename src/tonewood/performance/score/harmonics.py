@@ -60,8 +60,6 @@ def interval(partial: int) -> int:
 def touched(fret: int, pitch: float, node: float, natural: bool, ignored: Counter[str]) -> tuple[int, float, int]:
     """Stop, pitch and partial of a harmonic of a tablature.
 
-    Parameters
-    ----------
     fret, pitch : where the note is written, and as it would sound there.
     node : frets from the stop to the touch; of a natural harmonic the stop is the open string.
     ignored : counts those that touch no node, which are plucked as written.

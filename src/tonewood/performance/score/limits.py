@@ -21,14 +21,9 @@ _LONGEST = 40
 def number(said: object, low: float, high: float) -> float | None:
     """Number that a text or a field of a file says, written with the digits 0 to 9.
 
-    Parameters
-    ----------
     said : the text, or the field's number.
     low, high : both ends are allowed.
-
-    Returns
-    -------
-    The number; None where it is none, or beyond the bounds.
+    Returns The number; None where it is none, or beyond the bounds.
     """
     if isinstance(said, str):
         value = number_in(said) if len(said) <= _LONGEST else math.nan
@@ -50,8 +45,6 @@ def whole(said: object, low: int, high: int) -> int | None:
 class Allowance:
     """What may be counted yet of a kind while a file is read.
 
-    Parameters
-    ----------
     most : the limit.
     kind : name of the things counted, in the plural.
     file : for the error.

@@ -25,9 +25,9 @@ from operator import itemgetter
 from pathlib import Path
 
 from tonewood.errors import ScoreError
+from tonewood.performance.score.channel_reader import ChannelReader, where
 from tonewood.performance.score.file_bytes import file_bytes
 from tonewood.performance.score.note import Beats, Control, Note, Score, ScorePart
-from tonewood.performance.score.performance import ChannelReader, where
 from tonewood.performance.score.smf import Findings, MidiFile, Track, parse_smf
 from tonewood.support.whole_files import whole_file
 
@@ -123,15 +123,10 @@ def _parts(notes: Sequence[Note], performance: ChannelReader) -> tuple[ScorePart
 def read_messages(path: str | os.PathLike[str]) -> tuple[list[tuple[float, int, int, int]], float, dict[str, str]]:
     """Read the channel messages of a Standard MIDI File, as an instrument that is played live receives them.
 
-    Returns
-    -------
-    messages : (time in s, status, data 1, data 2), in time order.
+    Returns messages : (time in s, status, data 1, data 2), in time order.
     end : s, of the last track.
     texts : as `Score.metadata`.
-
-    Raises
-    ------
-    ScoreError : one line, if the file cannot be read.
+    Raises ScoreError : one line, if the file cannot be read.
     """
     path, findings = Path(path), Findings()
     midi = parse_smf(file_bytes(path, MAX_BYTES), findings, file=os.fspath(path))

@@ -46,8 +46,8 @@ _PEDAL_UP = 0.06
 _MOST_DIVISIONS = 16384
 #: elements whose text is a number
 _NUMBERS = {
-    "alter", "bend-alter", "capo", "chromatic", "divisions", "duration", "fret", "octave", "octave-change",
-    "per-minute", "string", "tremolo", "tuning-alter", "tuning-octave",
+    "alter", "bend-alter", "capo", "chromatic", "divisions", "duration", "fifths", "fret", "octave", "octave-change",
+    "string", "tremolo", "tuning-alter", "tuning-octave",
 }  # fmt: skip
 _PROGRAM = "midi-instrument/midi-program"
 #: kinds of what is left out, from which on names of signs are left out, and characters of a name
@@ -110,6 +110,8 @@ class _Reader:
         if root.tag == "score-partwise":  # parts without a measure, too
             self._parts = {part: self._reader(part) for part in root.findall("part")}
         programs = {e.get("id"): whole(text_of(e, _PROGRAM), 1, 128) for e in root.iter("score-part")}
+        said = [e.get("id") for e in root.iter("score-part") if e.find(_PROGRAM) is not None]
+        music.ignored["midi-program outside 1 to 128"] += sum(programs[part] is None for part in said)
         starts = [Fraction(0)]
         for measure in music.measures:
             starts.append(near(starts[-1] + measure.length))
@@ -140,7 +142,7 @@ class _PartReader:
 
     def __init__(self, part: WrittenPart, music: WrittenMusic):
         self.part, self.music = part, music
-        self.divisions, self.transpose, self.velocity = 0, 0.0, 80
+        self.divisions, self.transpose, self.velocity = Fraction(0), 0.0, 80
         self.tuning: dict[int, float] = {}
         self.ending: frozenset[int] = frozenset()
         self.palm = False
@@ -152,10 +154,14 @@ class _PartReader:
         #: whether a sound says a jump, and (measure, sign) of jumps and marks that are only written
         self.sounded, self.written = False, list[tuple[Measure, str]]()
 
-    def _quarters(self, element: Element, path: str = "duration") -> Fraction:
-        quarters = number_of(element, path, 0.0)
-        self.music.ignored[f"{path} below 0"] += quarters < 0
-        return Fraction(max(quarters, 0.0)).limit_denominator(_MOST_DIVISIONS) / self.divisions
+    def _quarters(self, element: Element) -> Fraction:
+        said = number(text_of(element, "duration"), -MOST, MOST)
+        length = Fraction(max(said or 0.0, 0.0)).limit_denominator(_MOST_DIVISIONS)
+        self.music.ignored[f"{element.tag} without a duration"] += element.find("duration") is None
+        self.music.ignored["duration below 0"] += said is not None and said < 0
+        if said is not None and said >= 0 and element.tag == "note":
+            self.music.ignored["note whose duration is 0"] += not length
+        return length / self.divisions
 
     def measure(self, element: Element) -> None:
         """Read the next measure."""
@@ -171,8 +177,9 @@ class _PartReader:
         now = longest = began = Fraction(0)
         n_chord = 0
         if not self.divisions:  # they may stand after the first notes
-            found = (number_of(e, "divisions", 0.0) for e in element.findall("attributes"))
-            self.divisions = next((int(d) for d in found if 1 <= d <= _MOST_DIVISIONS), 1)
+            self.divisions = next(filter(None, map(_divisions, element.findall("attributes"))), Fraction(1))
+            said = element.find("note/duration") is None or element.find("attributes/divisions") is not None
+            self.music.ignored["part without divisions"] += not said
         for child in element:
             if child.tag == "note":
                 length = Fraction(0) if child.find("grace") is not None else self._quarters(child)
@@ -185,8 +192,9 @@ class _PartReader:
                     notes.append(sign)
                     n_chord += 1
             elif child.tag in ("backup", "forward"):
-                step = self._quarters(child)
-                now = near(max(now + (step if child.tag == "forward" else -step), Fraction(0)))
+                now = near(now + (1 if child.tag == "forward" else -1) * self._quarters(child))
+                self.music.ignored["backup beyond the beginning of its measure"] += now < 0
+                now = max(now, Fraction(0))
             elif child.tag == "attributes":
                 self._attributes(child)
             elif child.tag in ("direction", "sound"):
@@ -203,16 +211,17 @@ class _PartReader:
         self.part.measures.append(notes)
 
     def _attributes(self, element: Element) -> None:
-        divisions = number_of(element, "divisions", 0.0)
-        if 0 < divisions <= _MOST_DIVISIONS:
-            self.divisions = max(int(divisions), 1)
-        elif divisions:
-            self.music.ignored[f"divisions outside 1 to {_MOST_DIVISIONS}"] += 1
+        self.divisions = _divisions(element) or self.divisions
+        wrong = number(text_of(element, "divisions"), -MOST, MOST) is not None and not _divisions(element)
+        self.music.ignored[f"divisions outside 1/{_MOST_DIVISIONS} to {_MOST_DIVISIONS}"] += wrong
+        self.music.ignored["fifths outside -7 to 7"] += abs(number_of(element, "key/fifths", 0.0)) > 7
         self.fifths = int(number_of(element, "key/fifths", self.fifths, -7.0, 7.0))
         if (move := element.find("transpose")) is not None:
             self.transpose = number_of(move, "chromatic", 0.0) + 12 * number_of(move, "octave-change", 0.0)
         for staff in element.findall("staff-details"):
-            self.part.capo = int(number_of(staff, "capo", self.part.capo, 0.0, _MOST_LINES))
+            capo = number_of(staff, "capo", self.part.capo)
+            self.music.ignored[f"capo outside 0 to {_MOST_LINES}"] += not 0 <= capo <= _MOST_LINES
+            self.part.capo = int(capo) if 0 <= capo <= _MOST_LINES else self.part.capo
             lines = staff.findall("staff-tuning")
             for line in lines:
                 pitch = _pitch(line, "tuning-step", "tuning-alter", "tuning-octave")
@@ -222,7 +231,7 @@ class _PartReader:
 
     def _direction(self, element: Element, now: Fraction, measure: Measure) -> None:
         sound = element if element.tag == "sound" else element.find("sound")
-        bpm = written_tempo(element)
+        bpm = written_tempo(element, self.music.ignored)
         before = self.velocity
         if sound is not None:
             for name in ("tempo", "dynamics"):
@@ -233,6 +242,7 @@ class _PartReader:
                 elif name == "tempo":
                     bpm = value
                 else:
+                    self.music.ignored["dynamics beyond velocities 1 to 127"] += not 1 <= round(value * 0.9) <= 127
                     self.velocity = min(max(round(value * 0.9), 1), 127)
             jumps = {"segno": "segno", "coda": "coda", "fine": "fine", "tocoda": "to_coda", "dacapo": "da_capo"}
             jumps |= {"dalsegno": "dal_segno"}
@@ -294,8 +304,6 @@ class _PartReader:
     def hairpins(self, starts: list[Fraction]) -> None:
         """Let notes grow and fade between dynamics; after a hairpin without any that follow they keep its end.
 
-        Parameters
-        ----------
         starts : quarter notes at which measures begin.
         """
         levels = sorted((starts[i] + at, velocity) for i, at, velocity in self.levels)
@@ -332,8 +340,9 @@ class _PartReader:
     def _barline(self, element: Element, measure: Measure) -> None:
         repeat, ending = element.find("repeat"), element.find("ending")
         if ending is not None and ending.get("type") == "start":
-            numbers = ending.get("number", "1").replace(",", " ").split()
-            self.ending = frozenset(n for n in (whole(n, 0, _MOST_ENDING) for n in numbers) if n is not None)
+            numbers = [whole(n, 1, _MOST_ENDING) for n in ending.get("number", "1").replace(",", " ").split()]
+            self.music.ignored["number of an ending that cannot be read"] += None in numbers
+            self.ending = frozenset(n for n in numbers if n is not None)
             self.ending = self.ending or frozenset({1})
             measure.endings = self.ending
         if repeat is not None and repeat.get("direction") == "forward":
@@ -346,11 +355,14 @@ class _PartReader:
     def _note(self, element: Element, at: Fraction, length: Fraction, place: int) -> WrittenNote | None:
         if element.find("rest") is not None or element.find("cue") is not None:
             return None
-        pitch = _pitch(element.find("pitch"), "step", "alter", "octave")
+        written = element.find("pitch")
+        pitch = _pitch(written, "step", "alter", "octave")
         if pitch is None:
-            self.music.ignored["unpitched note"] += 1
-            self.part.n_drums += 1
+            self.music.ignored["unpitched note" if written is None else "note whose pitch cannot be read"] += 1
+            self.part.n_drums += written is None
             return None
+        self.music.ignored["octave that is not whole"] += number_of(written, "octave", 4.0) % 1 > 0
+        self.music.ignored["pitch without an octave"] += written is not None and written.find("octave") is None
         self.music.signs.take()
         signs, ignored = _signs(element)
         for name, n in ignored.items():
@@ -380,6 +392,7 @@ class _PartReader:
         strokes = number_of(ornaments, "tremolo", 0.0)
         if 0 < strokes <= 5:
             note = replace(note, tremolo=Fraction(1, 2 ** int(strokes)))
+        self.music.ignored["tremolo outside 0 to 5 strokes"] += not 0 <= strokes <= 5
         return self._placed(note, technical)
 
     def _steps(self, element: Element) -> tuple[int, int]:
@@ -412,6 +425,12 @@ class _PartReader:
                 return replace(note, string=int(string))
             fret = frets[0]
         return replace(note, string=int(string), fret=int(fret))
+
+
+def _divisions(element: Element) -> Fraction:
+    """Durations per quarter note of attributes; 0 where there are none, or none within bounds."""
+    said = number_of(element, "divisions", 0.0, 1 / _MOST_DIVISIONS, _MOST_DIVISIONS)
+    return Fraction(said).limit_denominator(_MOST_DIVISIONS)
 
 
 def _strum(arpeggiate: Element | None, place: int) -> int:

@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from xml.etree.ElementTree import Element
 
 from tonewood.performance.score.limits import number
 from tonewood.performance.score.xml_files import MOST, text_of
 
-_UNITS = {"whole": 4.0, "half": 2.0, "quarter": 1.0, "eighth": 0.5, "16th": 0.25, "32nd": 0.125}
+_UNITS = {
+    "long": 16.0,
+    "breve": 8.0,
+    "whole": 4.0,
+    "half": 2.0,
+    "quarter": 1.0,
+    "eighth": 0.5,
+    "16th": 0.25,
+    "32nd": 0.125,
+    "64th": 0.0625,
+}
 #: a tempo in words: a sign for its note value, if any, and quarter notes of that
 _TEMPO_WORDS = re.compile(r"([♩♪qehw\U0001d15d-\U0001d160]?)(\.?)\s*=\s*(?:ca?\.\s*)?(\d+(?:\.\d+)?)")
 _GLYPHS = {"♪": 0.5, "e": 0.5, "\U0001d160": 0.5, "h": 2.0, "\U0001d15e": 2.0, "w": 4.0, "\U0001d15d": 4.0}
@@ -28,16 +39,22 @@ def jump_sign(kind: Element) -> str | None:
     return _JUMP_WORDS.get(words)
 
 
-def written_tempo(element: Element) -> float | None:
-    """Return quarter notes a minute of a metronome mark, or of words in which a number stands."""
+def written_tempo(element: Element, ignored: Counter[str]) -> float | None:
+    """Return quarter notes a minute of a metronome mark, or of words in which a number stands.
+
+    What cannot be read of a mark is counted.
+    """
     metronome = element.find("direction-type/metronome")
     if metronome is not None:
-        unit = _UNITS.get(text_of(metronome, "beat-unit"), 1.0)
-        unit *= 1.5 if metronome.find("beat-unit-dot") is not None else 1.0
-        said = re.search(r"\d+(\.\d+)?", text_of(metronome, "per-minute")[:40])
-        return (number(said.group(0), 0.0, MOST) or 0.0) * unit or None if said else None
+        name = text_of(metronome, "beat-unit")
+        ignored["metronome whose beat-unit is not known"] += name not in _UNITS
+        unit = _UNITS.get(name, 1.0) * (1.5 if metronome.find("beat-unit-dot") is not None else 1.0)
+        said = re.search(r"-?\d+(\.\d+)?", text_of(metronome, "per-minute")[:40])
+        equal_units = len(metronome.findall("beat-unit")) > 1 or metronome.find("metronome-note") is not None
+        ignored["per-minute that cannot be read"] += said is None and not equal_units
+        return (number(said.group(0), -MOST, MOST) or 0.0) * unit if said else None
     for words in element.findall("direction-type/words"):
         if (tempo_word := _TEMPO_WORDS.search((words.text or "")[:200])) is not None:
             glyph, dot, beats = tempo_word.groups()
-            return (number(beats, 0.0, MOST) or 0.0) * _GLYPHS.get(glyph, 1.0) * (1.5 if dot else 1.0) or None
+            return (number(beats, 0.0, MOST) or 0.0) * _GLYPHS.get(glyph, 1.0) * (1.5 if dot else 1.0)
     return None

@@ -185,8 +185,6 @@ class Dropped:
 class Beats:
     """Quarter notes and measures of a score.
 
-    Attributes
-    ----------
     tempos : (s, quarter notes, quarter notes per minute) from which on a tempo holds, in order of time.
     meters : (quarter notes, length in them) of measures: from the first on, one after the other.
     """
@@ -212,8 +210,6 @@ class Beats:
 class ScorePart:
     """A part of a file: what `read_score` takes under its number.
 
-    Attributes
-    ----------
     number : of the part, or the MIDI channel, from 1.
     name : empty where it has none.
     channels : other MIDI channels, from 1, that belong to it: those of a zone of MPE.

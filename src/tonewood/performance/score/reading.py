@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tonewood.errors import ScoreError
+from tonewood.performance.score.channel_reader import DRUM
 from tonewood.performance.score.file_bytes import file_bytes
 from tonewood.performance.score.midi import read_midi
 from tonewood.performance.score.note import Control, Note, Score
-from tonewood.performance.score.performance import DRUM
 from tonewood.performance.score.xml_files import MAX_BYTES, member, members
 
 if TYPE_CHECKING:

@@ -79,15 +79,10 @@ class _BrokenTrackError(Exception):
 def parse_smf(data: bytes, findings: Findings, *, file: str | None = None) -> MidiFile:
     """Read the bytes of a .mid or .rmi file.
 
-    Parameters
-    ----------
     data : the whole file.
     findings : takes one entry per oddity that could be read over.
     file : name for error messages.
-
-    Raises
-    ------
-    ScoreError : no MIDI header, no track, an unusable time division, or more events than `MAX_MESSAGES`.
+    Raises ScoreError : no MIDI header, no track, an unusable time division, or more events than `MAX_MESSAGES`.
     """
     data = _unwrap_riff(data, file)
     if data[:4] != b"MThd":

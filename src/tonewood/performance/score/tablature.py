@@ -41,8 +41,6 @@ _WIDTH = 88
 class Placed:
     """A note of a tablature.
 
-    Attributes
-    ----------
     note : with its string and stop.
     line : number of the string, 1 the highest.
     fret : counted from the capo; a fraction is rounded.
@@ -61,8 +59,6 @@ class Placed:
 class Tablature:
     """Chords of a score on the strings of an instrument.
 
-    Attributes
-    ----------
     title : of the score.
     strings : the highest first.
     capo : at which stop.
@@ -86,8 +82,6 @@ def tablature(
 ) -> Tablature:
     """Place notes on lines and on the grid of measures.
 
-    Parameters
-    ----------
     notes : in time order, stops counted from the nut.
     strings : of the instrument.
     beats : of the score.

@@ -39,8 +39,6 @@ _ALL = frozenset({"fine", "coda", "double_coda"})
 class Measure:
     """A measure of all parts: its length in quarter notes, tempo changes (at, bpm), repeats and jumps.
 
-    Attributes
-    ----------
     opens : a repeat begins here.
     closes : how often it is played up to here, 0 for no repeat sign.
     endings : passes in which it is played; empty for all.
@@ -62,13 +60,8 @@ class Measure:
 def order(measures: Sequence[Measure], *, tablature: bool = False) -> list[int]:
     """Measures in the order in which they are played, repeats, endings and jumps unfolded.
 
-    Parameters
-    ----------
     tablature : by the custom of Guitar Pro.
-
-    Raises
-    ------
-    ScoreError : they would go on for more than 20000 measures, or ten times as many are passed over.
+    Raises ScoreError : they would go on for more than 20000 measures, or ten times as many are passed over.
     """
     repeats: _Tablature | _Score = _Tablature(measures) if tablature else _Score(measures)
     jumps, exits = _targets(measures, tablature)

@@ -80,8 +80,6 @@ _PLAYED = {"let_ring", "staccato", "dead", *_DEPTHS, *_VELOCITIES, *_ORNAMENTS}
 class WrittenNote:
     """One sign for a note.
 
-    Attributes
-    ----------
     at, length : quarter notes from the beginning of its measure, and how long; 0 for a grace note.
     pitch : MIDI number that sounds.
     string : number of the string, 1 the highest; None where there is no tablature.
@@ -124,8 +122,6 @@ class WrittenNote:
 class WrittenPart:
     """One part: its name, the notes of each measure, and the capo that its frets count from.
 
-    Attributes
-    ----------
     program, n_drums : see `ScorePart`.
     pedals : (measure, quarter notes in it, s later, controller, its value) of moves of pedals.
     """
@@ -142,8 +138,6 @@ class WrittenPart:
 class WrittenMusic:
     """Content of a file of written music.
 
-    Attributes
-    ----------
     tablature : repeats are by the custom of Guitar Pro, see `tonewood.performance.score.unfolding`.
     signs, cells, changes : notes, measures of parts and tempo changes that may be read yet.
     """
@@ -189,13 +183,8 @@ class _Sounding:
 def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     """Play written music.
 
-    Parameters
-    ----------
     parts : numbers from 1 of those that are played; all where left out.
-
-    Raises
-    ------
-    ScoreError : there are no such parts, or too many notes.
+    Raises ScoreError : there are no such parts, or too many notes.
     """
     chosen = range(1, len(music.parts) + 1) if parts is None else parts
     for number in chosen:
@@ -239,6 +228,10 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
         part = music.parts[number - 1]
         about.append(ScorePart(number, part.name, (), {part.program: len(own)} if own else {}, part.n_drums))
     ignored.update(lost_jumps(music.measures, tablature=music.tablature))
+    for i in set(range(len(music.measures))) - set(played):
+        ignored["note in a measure that no pass reaches"] += sum(
+            len(music.parts[number - 1].measures[i]) for number in chosen if i < len(music.parts[number - 1].measures)
+        )
     warnings = list(music.warnings)
     if len(channels) > 16 and controls:
         warnings.append("more than 16 strings: bends of some are those of others, too; choose fewer --tracks")

@@ -43,16 +43,11 @@ Cell = Callable[[list[Element], Element], bool]
 def parsed(pieces: Iterable[bytes], path: Path, cell: Cell | None = None) -> Element:
     """Parse XML.
 
-    Parameters
-    ----------
     pieces : of the file's bytes, in order.
     path : for errors.
     cell : called at the end of each child of a child of the root; the element is removed from the tree where it
         returns True.
-
-    Raises
-    ------
-    ScoreError : it is not well formed, has a DTD of its own or entities, or is beyond a limit; one line.
+    Raises ScoreError : it is not well formed, has a DTD of its own or entities, or is beyond a limit; one line.
     """
     tree: _Tree | None = None
     head = b""
@@ -155,9 +150,7 @@ def _extra(text: str) -> int:
 def member(data: bytes, name: str, path: Path) -> Iterator[bytes]:
     """Yield the bytes of a file of a zip archive in pieces, as they are expanded.
 
-    Raises
-    ------
-    ScoreError : the archive is damaged, the file is not in it or too large.
+    Raises ScoreError : the archive is damaged, the file is not in it or too large.
     """
     most = min(MAX_BYTES, max(_MOST_RATIO * len(data), _RATIO_FROM))
     try:

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from tonewood.physics.coupling.potentials.coordinates import ModalCoordinates
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import RealForm, apply, impulse_series
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: samples that the kernel steps at a time: the reach of `Compiled.history`
 BLOCK_SIZE = 16
@@ -26,8 +25,6 @@ PADDING = 16
 class Compiled:
     """One component ready to be stepped by dt.
 
-    Attributes
-    ----------
     basis : the modes.
     dt : s, step.
     form : their real 2 x 2 blocks.
@@ -152,8 +149,6 @@ def _pivots(rows: Floats, least: float) -> NDArray[np.intp]:
 class State:
     """State of a system: plain arrays, owned by the caller of the stepper.
 
-    Attributes
-    ----------
     modes : (2, capacity) the two numbers of every mode, component after component, padded.
     forces : (m,) N, connection forces of the step before.
     sample : steps taken since time 0.
@@ -190,8 +185,6 @@ class State:
 class Injection:
     """A known force, compiled: x_u(n) += sum_k vectors[k] values[k, n - start] for the modes of one component.
 
-    Attributes
-    ----------
     component : its name.
     start : absolute sample of the first step it acts in.
     vectors : (n_vectors, n_modes, 2).
@@ -215,8 +208,6 @@ class PrescribedMotion:
 
     Its work on the partner comes from outside: only f (g+ - g) is balanced by the law.
 
-    Attributes
-    ----------
     connection : its name.
     start : absolute sample of the first step it acts in.
     offset : (n_steps + 1,) m, gap of zero compression at the beginning of each step and the end of the last.

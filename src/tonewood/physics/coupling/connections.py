@@ -38,8 +38,7 @@ from numpy.typing import NDArray
 
 from tonewood.physics.coupling.inverse import DenseInverse, InverseInParts, scaled_pinv
 from tonewood.physics.coupling.laws import NonlinearLaw
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,8 +123,6 @@ class Connection:
 class LinearSolve:
     """f = rhs - G g_u - G gamma g over all m connections of a system; G acts among the k that can carry force.
 
-    Attributes
-    ----------
     on : (k,) their places.
     by : G among them: the inverse of S + Z.
     gamma : (m,) share of the old gap.
@@ -186,8 +183,6 @@ def linear_solve(laws: Sequence[Law], compliance: Floats, residual: Floats, dt: 
 class LinearLaws:
     """Numbers of m laws that do not depend on the components.
 
-    Attributes
-    ----------
     rigid, active : (m,) which laws are rigid, and which carry a force here: rigid ones, springs and dashpots.
     softness, gamma : (m,) 1/alpha (m/N) and beta/alpha of springs and dashpots, 0 for others.
     offset : (m,) m.
@@ -250,8 +245,6 @@ class LinearLaws:
 class NonlinearLaws:
     """The k laws that are neither rigid nor springs and dashpots.
 
-    Attributes
-    ----------
     index : (k,) their places among the m connections.
     laws : (k,).
     theta : of R in series.
@@ -289,8 +282,6 @@ class NonlinearGaps:
 
     Residual compliance between a nonlinear and a linear gap is left out: the rest is positive semi-definite.
 
-    Attributes
-    ----------
     laws : k of them.
     compliance : (k, k) m/N, Z_nn with the series part R / theta.
     from_linear : (k, m) m/N, Z_nl: gaps per force of the linear connections.
@@ -317,8 +308,6 @@ class NonlinearGaps:
 class NonlinearSolve:
     """The k nonlinear connections of a system after the linear ones are eliminated.
 
-    Attributes
-    ----------
     gaps : compliance of the nonlinear gaps without the linear connections.
     linear : elimination of the linear connections.
     """

@@ -20,8 +20,7 @@ from tonewood.physics.coupling.connections import (
 )
 from tonewood.physics.coupling.inverse import MOST_IN_PART, Hub, InverseInParts
 from tonewood.physics.coupling.layout import Layout
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: linear connections from which on their compliance is inverted in parts: below, one dense matrix is quicker
 LEAST_IN_PARTS = 64
@@ -92,8 +91,6 @@ class GapCompliance:
     def _hub(self, slot: int, place: NDArray[np.intp], *, yields: bool = False) -> Hub:
         """Motions of a component.
 
-        Parameters
-        ----------
         place : (m,) of each connection that can carry force, -1 of the others.
         yields : its residual compliance, of which rigid connections see twice as much, is in that of the motions.
         """

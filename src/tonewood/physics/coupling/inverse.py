@@ -19,12 +19,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
+from tonewood.support.arrays import Floats, Indices
+
 #: (e,) rows, columns and values of a sparse matrix; those of one place add up
-Entries = tuple[Places, Places, Floats]
+Entries = tuple[Indices, Indices, Floats]
 
 #: connections of one part at most
 MOST_IN_PART = 12
@@ -61,8 +60,6 @@ def _inverse(matrix: Floats) -> Floats | None:
 class Hub:
     """The component on which most connections meet.
 
-    Attributes
-    ----------
     slot : of the component.
     ports : (r,) its ports whose displacements are the motions.
     point : (k,) point of it in each connection, -1 for connections that it is no part of.
@@ -72,8 +69,8 @@ class Hub:
     """
 
     slot: int
-    ports: Places
-    point: Places
+    ports: Indices
+    point: Indices
     factor: Floats
     span: Floats
     compliance: Floats
@@ -88,8 +85,6 @@ class Hub:
 class DenseInverse:
     """The inverse as one matrix.
 
-    Attributes
-    ----------
     dense : (k, k) N/m.
     """
 
@@ -104,13 +99,11 @@ class DenseInverse:
 class InverseInParts:
     """The inverse as small blocks and the motions of a hub.
 
-    Attributes
-    ----------
     parts : (b, n) places among the k connections, and (b, n, n) N/m inverses, of parts of n connections each.
     hub : None if no connection needs it.
     """
 
-    parts: tuple[tuple[Places, Floats], ...]
+    parts: tuple[tuple[Indices, Floats], ...]
     hub: Hub | None
 
     @classmethod
@@ -161,7 +154,7 @@ class InverseInParts:
         return self.apply(np.eye(sum(places.size for places, _ in self.parts)))
 
 
-def _parts(k: int, entries: Entries) -> tuple[tuple[Places, Floats], ...] | None:
+def _parts(k: int, entries: Entries) -> tuple[tuple[Indices, Floats], ...] | None:
     """Connected parts of a sparse symmetric matrix, and their inverses, by size; None if it has none or is singular."""
     rows, columns, values = (a[entries[2] != 0.0] for a in entries)
     label = np.arange(k)

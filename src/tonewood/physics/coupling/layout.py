@@ -8,13 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.support import moved
-
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
+from tonewood.support.arrays import Floats, Indices
 
 
 def __getattr__(name: str) -> Any:
@@ -73,10 +70,8 @@ class Drive:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Places of m connections between named components.
+    """Indices of m connections between named components.
 
-    Attributes
-    ----------
     names : of the components.
     capacities : modes that the state has room for, one per component.
     connections : of which only names and terms are looked at.
@@ -136,13 +131,13 @@ class Layout:
         return tuple(out)
 
     @cached_property
-    def touching(self) -> tuple[tuple[Places, Floats], ...]:
+    def touching(self) -> tuple[tuple[Indices, Floats], ...]:
         """Per component: (g,) connections that it has a share in, driven ones too, and (g, n_ports) these shares."""
         nonzero = [np.flatnonzero(np.any(a != 0.0, axis=1)) for a in self.incidence]
         return tuple((on, a[on]) for on, a in zip(nonzero, self.incidence, strict=True))
 
     @cached_property
-    def gaps(self) -> tuple[Places, ...]:
+    def gaps(self) -> tuple[Indices, ...]:
         """(g,) per component: connections that its ports have a share in; none for a driven one."""
         none = np.zeros(0, dtype=np.intp)
         return tuple(none if one_way else on for (on, _), one_way in zip(self.touching, self.driven, strict=True))
@@ -164,19 +159,19 @@ class Layout:
         return np.asarray(np.bincount(rows * m + columns, each, m * m).reshape(m, m), dtype=np.float64)
 
     @cached_property
-    def entries(self) -> tuple[Places, Places]:
+    def entries(self) -> tuple[Indices, Indices]:
         """Rows and columns of the entries of all components' gap matrices, one after another."""
         none = np.zeros(0, dtype=np.intp)
         rows = [none, *(np.repeat(on, len(on)) for on in self.gaps)]
         return np.concatenate(rows), np.concatenate([none, *(np.tile(on, len(on)) for on in self.gaps)])
 
     @cached_property
-    def entry_slots(self) -> Places:
+    def entry_slots(self) -> Indices:
         """Component that each of `entries` belongs to."""
         return np.repeat(np.arange(len(self.names)), [len(on) ** 2 for on in self.gaps])
 
     @cached_property
-    def joints(self) -> tuple[Places, Places]:
+    def joints(self) -> tuple[Indices, Indices]:
         """Component and connection of every share of a component in a gap."""
         slots = np.repeat(np.arange(len(self.names)), [len(on) for on in self.gaps])
         return slots, np.concatenate([np.zeros(0, dtype=np.intp), *self.gaps])

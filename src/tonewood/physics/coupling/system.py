@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.coupling.compiled import BLOCK_SIZE, PADDING, Compiled, Injection, PrescribedMotion, State
 from tonewood.physics.coupling.connections import Connection, LinearSolve, NonlinearSolve, Term
@@ -24,6 +23,7 @@ from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.coupling.potentials.user import ModalPotential
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import apply, flow, powers, real_form
+from tonewood.support.arrays import Floats
 
 __all__ = [
     "BLOCK_SIZE",
@@ -38,8 +38,6 @@ __all__ = [
     "Term",
 ]
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class System:
@@ -48,8 +46,6 @@ class System:
     Build with `System.build`; exchange a component with `with_basis`, connections' laws with `with_laws`, and switch
     potentials with `with_potentials`.
 
-    Attributes
-    ----------
     potentials : energies beside those of the modes, of any kinds.
     on : which of them act.
     """
@@ -84,16 +80,12 @@ class System:
     ) -> System:
         """Compile.
 
-        Parameters
-        ----------
         components : name -> basis. One that `drives` name is driven one way: no connection may act on it.
         capacities : name -> modes to leave room for, where a component may later take a larger basis.
         potentials : energies beside those of the modes; all are on.
         owners : component -> string that it belongs to, of those that belong to one.
-
-        Raises
-        ------
-        ValueError : a connection, probe, drive or potential names a component, point or connection that is not there.
+        Raises ValueError : a connection, probe, drive or potential names a component, point or connection that is not
+            there.
         """
         if not dt > 0:
             raise ValueError(f"a step is longer than {dt} s")
@@ -321,9 +313,7 @@ class System:
     def check_potentials(self, state: State) -> None:
         """Check that potentials of one's own are bounded from below in the motion so far.
 
-        Raises
-        ------
-        TonewoodError : the V of one has fallen below its `least`; one line.
+        Raises TonewoodError : the V of one has fallen below its `least`; one line.
         """
         for index in self._own_potentials:
             if self.on[index]:
@@ -336,9 +326,7 @@ class System:
     def controlled(self, controls: Sequence[PrescribedMotion], start: int, n: int) -> dict[int, Floats]:
         """(4, n) offset at the beginning and the end of each step, velocity and scale, of controlled connections.
 
-        Returns
-        -------
-        Place among `nonlinear` -> array, for the connections that `controls` touch in the n steps from `start`.
+        Returns Place among `nonlinear` -> array, for the connections that `controls` touch in the n steps from `start`.
         """
         out: dict[int, Floats] = {}
         for control in controls:

@@ -19,7 +19,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
 from tonewood.physics.coupling.potentials.solve import PotentialSolve
@@ -30,10 +29,10 @@ from tonewood.physics.energy.path import Path, step_again
 from tonewood.physics.energy.steps import KnownForce, over_steps
 from tonewood.physics.energy.trace import EnergyTrace
 from tonewood.physics.passivity.storage import Storage, storage_matrix
+from tonewood.support.arrays import Floats
 
 __all__ = ["EnergyAccount", "EnergyTrace", "KnownForce"]
 
-Floats = NDArray[np.float64]
 
 #: steps followed at a time: bounds the memory of a long run
 _CHUNK = 512
@@ -56,8 +55,6 @@ class _Record:
 class EnergyAccount:
     """Follows the steps of a run and keeps the account.
 
-    Parameters
-    ----------
     system, state : where the account begins.
     interval : steps to one entry, counted from the beginning of each run that is followed.
     storages : storage functions of components whose modes are not real, for the points that connections and

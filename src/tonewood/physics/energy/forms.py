@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from tonewood.physics.modal.modes import BLOCK, PAIR, REAL, ModalBasis
 from tonewood.physics.modal.propagator import real_form
 from tonewood.physics.passivity.storage import Storage
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 # Gauss-Legendre rule and Taylor order that are exact to rounding where |M tau| <= 1/2
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -39,8 +38,6 @@ RADIATED = "radiated"
 class IntervalForms:
     """Forms of s over one length of time, for b independent groups of modes.
 
-    Attributes
-    ----------
     duration : d, s.
     flow : (b, n_x, n_s) x at the end.
     lost : (b, n_s, n_s) N, J.
@@ -58,20 +55,12 @@ class ComponentEnergy:
 
     Real modes are taken one by one; complex modes together, by a storage function P of their passivity.
 
-    Parameters
-    ----------
     basis : the modes.
     points : names of the points that may receive forces.
     dt : s, a typical interval; sets the scale of the numbers inside.
     storage : of a basis whose modes are not real, for exactly these points in this order.
-
-    Attributes
-    ----------
     radiated : (n_modes,) share of each mode's loss that is sound, from the basis' metadata; None where it is not known.
-
-    Raises
-    ------
-    ValueError : the modes are not real and no storage function is given.
+    Raises ValueError : the modes are not real and no storage function is given.
     """
 
     def __init__(self, basis: ModalBasis, points: Sequence[str], dt: float, storage: Storage | None = None):
@@ -151,8 +140,6 @@ class ComponentEnergy:
     def start(self, x: Floats, forces: Floats, modal_forces: Floats | None = None) -> Floats:
         """States s of T intervals, (b, T, n_s).
 
-        Parameters
-        ----------
         x : (T, n_modes, 2).
         forces : (T, n_points, k) N, c0 .. c(k-1) over each interval, k = 1 or 3; fewer make s shorter.
         modal_forces : (T, n_modes) modal forces that are constant over each interval, on real modes.
@@ -224,8 +211,6 @@ def _full_state_matrix(basis: ModalBasis) -> NDArray[np.complex128]:
 def _interval_forms(A: Floats, B: Floats, integrands: tuple[Floats, Floats], duration: float) -> IntervalForms:
     """Forms of x' = A x + B F over `duration`.
 
-    Parameters
-    ----------
     A, B : (b, n_x, n_x) 1/s and (b, n_x, p).
     integrands : (b, n_x + p, n_x + p) loss and (b, n_y, n_x + p) velocities, forms and rows of (x, F).
     """

@@ -18,8 +18,7 @@ from tonewood.physics.coupling.connections import Rigid, SpringDashpot
 from tonewood.physics.coupling.inverse import scaled_pinv
 from tonewood.physics.coupling.laws import NonlinearLaw, PotentialLaw
 from tonewood.physics.coupling.system import System
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: numbers of nonlinear laws that make them lose energy
 _LOSSES = ("loss", "damping", "quadratic_damping")
@@ -29,8 +28,6 @@ _LOSSES = ("loss", "damping", "quadratic_damping")
 class Flows:
     """Energy of connections, J: stored at both ends of the steps, lost and supplied in each; by those that have any.
 
-    Attributes
-    ----------
     stored : name -> (T + 1,).
     lost, supplied : name -> (T,); supplied is the work of moving partners and scales.
     """
@@ -64,8 +61,6 @@ class LawEnergies:
     def series(self, start: Floats, forces: Floats) -> Floats:
         """(T + 1, k) displacement of the residual compliance in series with the k nonlinear laws.
 
-        Parameters
-        ----------
         start : (m,) at the beginning; empty is rest.
         forces : (T, m) N.
         """
@@ -100,8 +95,6 @@ class LawEnergies:
     def over(self, gaps: Floats, series: Floats, forces: Floats, moving: Mapping[int, Floats]) -> Flows:
         """Energies of T steps.
 
-        Parameters
-        ----------
         gaps : (T + 1, m) m, without displacements in series.
         series : (T + 1, k) m.
         forces : (T, m) N; only the work of partners is taken from them.

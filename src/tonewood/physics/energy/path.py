@@ -6,20 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.coupling.potentials.solve import DrivenForces, PotentialSolve
 from tonewood.physics.coupling.system import Injection, System
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Path:
     """T steps of the two-way components.
 
-    Attributes
-    ----------
     states : name -> (T + 1, n_modes, 2).
     modal_forces : name -> (T, n_modes), of potentials, for components that have one.
     memory : (T + 1, size) numbers of the potentials in the state.
@@ -42,8 +38,6 @@ def step_again(
 ) -> Path:
     """Step the two-way components under known connection forces.
 
-    Parameters
-    ----------
     start : name -> (n_modes, 2).
     memory : numbers of the potentials at the start, as in the state.
     sample : absolute number of the first step.

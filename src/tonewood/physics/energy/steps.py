@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from tonewood.physics.energy.forms import ComponentEnergy
 from tonewood.physics.stepping.forcing import SampledForce, Segment
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +37,6 @@ def over_steps(
 ) -> tuple[Floats, Floats, list[Floats]]:
     """Energy lost in each of T steps, J, the part of it that is sound, and the work of each known force.
 
-    Parameters
-    ----------
     x : (T, n_modes, 2) states at the beginning of each step.
     held : (T, n_points) N, forces on points that are constant over each step.
     modal_forces : (T, n_modes) modal forces that are, or None.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.coupling.connections import Rigid, SpringDashpot
 from tonewood.physics.coupling.inverse import scaled_pinv
@@ -13,16 +12,13 @@ from tonewood.physics.coupling.laws import PotentialLaw
 from tonewood.physics.coupling.potentials.solve import PotentialSolve
 from tonewood.physics.coupling.system import State, System
 from tonewood.physics.stepping.motion import to_motion
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)
 class Energy:
     """Joules.
 
-    Attributes
-    ----------
     modes : kinetic and potential energy of all two-way components.
     potentials : psi^2 / 2 - C of the potentials that are on: V but for the error of the steps; may be negative.
     connections : of springs and nonlinear potentials.
@@ -48,9 +44,7 @@ def gaps(system: System, state: State) -> Floats:
 def stored_energy(system: System, state: State) -> Energy:
     """Stored energy of a state.
 
-    Raises
-    ------
-    ValueError : a two-way component's modes are not real: their energy is not theirs alone to tell.
+    Raises ValueError : a two-way component's modes are not real: their energy is not theirs alone to tell.
     """
     modes = springs = 0.0
     for slot, (name, compiled) in enumerate(zip(system.names, system.compiled, strict=True)):

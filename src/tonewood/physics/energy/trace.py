@@ -10,15 +10,13 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)
 class EnergyTrace:
     """Energy over k intervals; all in J, each interval from the end of the one before.
 
-    Attributes
-    ----------
     time : (k,) s, end of each interval.
     steps : (k,) steps in each.
     dt : s, one step.

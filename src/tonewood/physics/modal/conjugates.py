@@ -12,12 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import PassivityError
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 
 def conjugate_weights(poles: Complexes) -> Floats:
@@ -28,14 +25,9 @@ def conjugate_weights(poles: Complexes) -> Floats:
 def full_state(poles: Complexes, z: Complexes) -> Complexes:
     """The full state [z; conj(z_pairs)] of the stored one.
 
-    Parameters
-    ----------
     poles : (n,) half list, 1/s.
     z : (n, ...) stored modal states.
-
-    Returns
-    -------
-    (n + n_pairs, ...) full states.
+    Returns (n + n_pairs, ...) full states.
     """
     return np.concatenate([z, np.conj(z[poles.imag != 0.0])])
 
@@ -46,14 +38,9 @@ def halve(poles: Complexes, right: Complexes, left: Complexes) -> tuple[Complexe
     A list without poles below the real axis is taken as a half list. Shapes are compared as residues r l^T, so a
     mode and its conjugate may be normalised differently. Of a real pole r and l are turned to real numbers.
 
-    Parameters
-    ----------
     poles : (n,) 1/s.
     right, left : (n_ports, n) shapes.
-
-    Returns
-    -------
-    poles, right, left of the half list, and the largest misfit between a mode and its conjugate: of the pole
+    Returns poles, right, left of the half list, and the largest misfit between a mode and its conjugate: of the pole
     relative to the pole or of the residue relative to the residue; inf where a pole has no partner.
     """
     misfit = 0.0
@@ -103,8 +90,6 @@ def _misfit(poles: Complexes, right: Complexes, left: Complexes, j: int, k: int)
 class RealStates:
     """A half list as real states:  x' = A x + B f,  y = R x,  y' = C x + D f  with C = R A, D = R B.
 
-    Attributes
-    ----------
     A : (N, N) block-diagonal, 1/s.  B : (N, n_ports).  R : (n_ports, N).  N = 2 n_pairs + n_real.
     to_full : (N, N) unitary, full state = to_full x.
     """

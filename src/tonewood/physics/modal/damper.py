@@ -27,12 +27,10 @@ M. E. Daube-Witherspoon and G. Muehllehner, IEEE Trans. Med. Imaging 5 (1986) 61
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.modal.held_modes import HeldModes
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: places over the felt's width at which the shapes are squared
 _PLACES = 9
@@ -42,19 +40,11 @@ _ITERATIONS = 100
 def damper_rates(basis: ModalBasis, resistance: float, place: float, width: float = 0.0) -> Floats:
     """Return the decay rates that a felt adds to the modes of a string.
 
-    Parameters
-    ----------
     basis : of real modes with the bridge end free, the point ``bridge`` and a shape for every place.
     resistance : N s/m, of the whole felt.
     place, width : m, its middle from the bridge, and how far it reaches.
-
-    Returns
-    -------
-    (n_modes,) 1/s.
-
-    Raises
-    ------
-    ValueError : the basis has no shapes.
+    Returns (n_modes,) 1/s.
+    Raises ValueError : the basis has no shapes.
     """
     if basis.shape is None:
         raise ValueError("a damper needs the shapes of the string's modes at every place")

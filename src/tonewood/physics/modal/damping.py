@@ -20,9 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.physics.modal.modes import PAIR, ModalBasis
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 CASES = ("complex", "proportional", "block")
 
@@ -30,13 +28,8 @@ CASES = ("complex", "proportional", "block")
 def phase_collinearity(shapes: ArrayLike) -> Floats:
     """Modal phase collinearity MPC(u) = (|u^H conj(u)| / |u|^2)^2 of each column: 1 for a real mode, 0 for a wave.
 
-    Parameters
-    ----------
     shapes : (n_points, n_modes) complex, e.g. the right shapes of a basis.
-
-    Returns
-    -------
-    (n_modes,), in [0, 1]; 1 for a column of zeros. Fabre et al. 2024, section 3.1.
+    Returns (n_modes,), in [0, 1]; 1 for a column of zeros. Fabre et al. 2024, section 3.1.
     """
     u = np.asarray(shapes, dtype=np.complex128)
     size = np.sum(np.abs(u) ** 2, axis=0)
@@ -61,9 +54,7 @@ def separation(basis: ModalBasis) -> Floats:
 def damping_groups(basis: ModalBasis, threshold: float = 0.2) -> list[NDArray[np.intp]]:
     """Groups of modes that damping couples: connected where the separation criterion exceeds `threshold`.
 
-    Returns
-    -------
-    Index arrays, each ascending, ordered by their first mode; together they hold every mode once.
+    Returns Index arrays, each ascending, ordered by their first mode; together they hold every mode once.
     """
     if not threshold > 0:
         raise ValueError(f"a separation threshold must be above 0, not {threshold}")
@@ -131,9 +122,7 @@ def with_damping_case(basis: ModalBasis, case: str, threshold: float = 0.2) -> M
 def reciprocal_shapes(basis: ModalBasis) -> tuple[Complexes, Floats]:
     """Shapes scaled so that Pi = 1, and the sign s of each point: left = s right.
 
-    Returns
-    -------
-    shapes : (n_points, n_modes); columns of modes that are not of kind ``PAIR`` are as they were.
+    Returns shapes : (n_points, n_modes); columns of modes that are not of kind ``PAIR`` are as they were.
     sign : (n_points,) +1, or -1 for points that are acoustic to the first driven point (or it to them).
     """
     pair = basis.kind == PAIR
@@ -162,8 +151,6 @@ def reciprocal_shapes(basis: ModalBasis) -> tuple[Complexes, Floats]:
 class ProperShapes:
     """Shapes psi = A (I + i U), A real, U orthogonal: just those that satisfy Re(psi psi^T) = 0.
 
-    Attributes
-    ----------
     A : (n_points, n_modes) real.
     U : (n_modes, n_modes) orthogonal; -I for the modes of proportional damping.
     """
@@ -189,8 +176,6 @@ def proper_shapes(shapes: Complexes) -> ProperShapes:
     says that Im psi = (Re psi) U with an orthogonal U, and over those |psi - A (I + iU)| is least for the orthogonal
     polar factor U of X^T Y, with A = (X + Y U^T) / 2.
 
-    Parameters
-    ----------
     shapes : (n_points, n_modes) complex, scaled so that Pi = 1. One mode alone becomes falsely complex,
         Re(psi sqrt(2j omega)) / sqrt(2j omega).
     """
@@ -210,8 +195,6 @@ def proper_shapes(shapes: Complexes) -> ProperShapes:
 class PrincipalForm:
     """A group of modes as q'' + C q' + diag(omega^2) q = phi^T f, y = phi q.
 
-    Attributes
-    ----------
     omega : (n,) rad/s, of the group without its damping.
     C : (n, n) 1/s, symmetric; diagonal only if the damping is proportional.
     phi : (n_points, n) real, mass-normalised.
@@ -227,9 +210,7 @@ def principal_form(poles: Complexes, proper: ProperShapes) -> PrincipalForm:
 
     With Q = I + iU and Pi = 1: M^-1 = 2 Re(Q L Q^T), K^-1 = -2 Re(Q L^-1 Q^T), C = -2 M Re(Q L^2 Q^T) M.
 
-    Raises
-    ------
-    ValueError : no such system has a positive mass and stiffness.
+    Raises ValueError : no such system has a positive mass and stiffness.
     """
     Q = np.eye(len(poles)) + 1j * proper.U
 
@@ -255,19 +236,11 @@ def hermitian_mass_inverse(shapes: Complexes, poles: Complexes, norm: ArrayLike 
     M_h^-1 = psi^+ [2 Re(psi Pi^-1 Lambda psi^T)] (psi^+)^H; the bracket is M^-1 of the body (Fabre et al. 2024,
     Eqs 21, 28 and A.1-A.4).
 
-    Parameters
-    ----------
     shapes : (n_points, n_modes) of full column rank: at least as many points as modes.
     poles : (n_modes,) 1/s, one of each pair.
     norm : (n_modes,) or scalar, Pi.
-
-    Returns
-    -------
-    (n_modes, n_modes) Hermitian.
-
-    Raises
-    ------
-    ValueError : the shapes are not of full column rank.
+    Returns (n_modes, n_modes) Hermitian.
+    Raises ValueError : the shapes are not of full column rank.
     """
     psi = np.asarray(shapes, dtype=np.complex128)
     values = np.linalg.svdvals(psi)

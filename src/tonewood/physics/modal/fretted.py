@@ -20,11 +20,10 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.support.units import cents
 
-Floats = NDArray[np.float64]
 _Point = tuple[float, float]
 
 #: the finger lies at most this share of the space behind its fret away from it
@@ -35,8 +34,6 @@ _FINGER_SHARE = 0.5
 class FretboardGeometry:
     """Nut, frets and saddle under one string, seen from the side.
 
-    Attributes
-    ----------
     scale_length : m, from which places are counted: 0 at the nut's end of it.
     places : m, of the frets from the first on, rising.
     crowns : m, heights of the frets over the plane that all heights are counted from.
@@ -100,8 +97,6 @@ class FretboardGeometry:
 class PressedString:
     """A string at one stop, seen from the side.
 
-    Attributes
-    ----------
     whole : m, from nut to saddle over all that it touches.
     length : m, from the last fret that it touches to the saddle.
     fret : number of that fret, 0 for the nut; another one than the stop's where a fret stands out.
@@ -116,8 +111,6 @@ class PressedString:
 class FrettedString:
     """A string over a fretboard.
 
-    Attributes
-    ----------
     board : geometry.
     tension : N, of the open string.
     bending_stiffness : EI, N m^2.
@@ -137,8 +130,6 @@ class FrettedString:
     def raised(self, stop: int, tension: float | None = None) -> float:
         """Return the tension of a stop, N, the loss of mass per length counted as tension: (T + EA Q) (1 + Q).
 
-        Parameters
-        ----------
         tension : N, of the open string, in place of its own.
         """
         stretch = self.stretch(stop)
@@ -166,13 +157,8 @@ class FrettedString:
     def cents(self, wanted: Sequence[float]) -> Floats:
         """Return cents of the stops from the first on above the pitches wanted.
 
-        Parameters
-        ----------
         wanted : pitch of each stop over that of the open string.
-
-        Returns
-        -------
-        (len(wanted),)
+        Returns (len(wanted),)
         """
         return np.array([cents(self.ratio(n) / ratio) for n, ratio in enumerate(wanted, 1)])
 
@@ -180,14 +166,9 @@ class FrettedString:
 def compensated(string: FrettedString, wanted: Sequence[float], *, nut: bool = True) -> FrettedString:
     """Return the string with the setbacks at which its stops are nearest to their pitches, by least squares.
 
-    Parameters
-    ----------
     wanted : pitch of each stop over that of the open string, from the first stop on: those that count.
     nut : whether the nut moves too, or the saddle alone.
-
-    Raises
-    ------
-    ValueError : no setbacks within a tenth of the scale are found.
+    Raises ValueError : no setbacks within a tenth of the scale are found.
     """
     board = string.board
     at = np.array([board.nut_setback, board.saddle_setback])

@@ -15,20 +15,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.secular import secular_roots
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)
 class HeldModes:
     """Modes of a component of real modes with one of its points held.
 
-    Attributes
-    ----------
     stiffness, shape : (n,) w_k^2 (1/s^2) and a_k (1/sqrt(kg)) of the free-interface modes, in order of frequency.
     freq_rad : (n - 1,) W_j, rad/s, one between every two w_k.
     damping_rate : (n - 1,) s_j, 1/s.
@@ -47,9 +43,7 @@ class HeldModes:
     def of(cls, basis: ModalBasis, point: str) -> HeldModes:
         """Hold `point` of a basis of real modes with stiffness.
 
-        Raises
-        ------
-        ValueError : modes are not real, or one has no stiffness, or the point does not move.
+        Raises ValueError : modes are not real, or one has no stiffness, or the point does not move.
         """
         if not basis.is_real or np.any(basis.stiffness <= 0):
             raise ValueError("only a component of real modes with stiffness can be held")

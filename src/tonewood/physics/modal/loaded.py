@@ -24,8 +24,6 @@ from numpy.typing import ArrayLike, NDArray
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import real_form
 
-Floats = NDArray[np.float64]
-
 #: frequency of the modes that stand for a residual compliance, re the highest mode
 _FAR = 1e3
 #: condition of the eigenvectors beyond which modes cannot be distinguished
@@ -39,18 +37,10 @@ def loaded(basis: ModalBasis, rows: ArrayLike, mass: ArrayLike, damping: ArrayLi
     motion there. A lump with a mass is in series with R; a spring or a dashpot without mass acts on the modes only, as
     in `physics.coupling.connections`.
 
-    Parameters
-    ----------
     rows : (n, n_points) share of each point's displacement in that of each lump.
     mass, damping, stiffness : (n,) kg, N s/m, N/m.
-
-    Returns
-    -------
-    The modes of the whole, the same points, and the R that is left.
-
-    Raises
-    ------
-    ValueError : a number is negative, or modes coincide so that they cannot be distinguished.
+    Returns The modes of the whole, the same points, and the R that is left.
+    Raises ValueError : a number is negative, or modes coincide so that they cannot be distinguished.
     """
     from tonewood.support.scipy_linalg import sla
 

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tonewood.physics.modal.conjugates import Complexes, extend
+from tonewood.physics.modal.conjugates import extend
 from tonewood.physics.modal.modes import ModalBasis
+from tonewood.support.arrays import Complexes
 
 #: relative distance of poles below which they count as one
 SAME = 1e-9
@@ -24,15 +25,10 @@ def lump_change(
     coincide only one moves, by the sum of their r_a l_a; the terms between them are halved, because their residues add
     up.
 
-    Parameters
-    ----------
     basis : modes with all lumps that are fixed already.
     lump : rates of m, d and k: kg, N s/m, N/m per unit of the parameter.
     massive : whether the lump has a mass, and so lies on the residual compliance R; see `loaded`.
-
-    Returns
-    -------
-    (n,) lambda', (p, n) derivatives of r_p l_p.
+    Returns (n,) lambda', (p, n) derivatives of r_p l_p.
     """
     n = len(basis.poles)
     lam, right, left = extend(basis.poles, basis.right, basis.left)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.physics.modal.conjugates import Complexes, Floats, extend
+from tonewood.physics.modal.conjugates import extend
+from tonewood.support.arrays import Complexes, Floats
 
 #: share of the largest singular value at which a direction of the port space counts as absent
 PORT_RANK = 1e-8
@@ -14,14 +15,9 @@ PORT_RANK = 1e-8
 def mobility(poles: Complexes, right: Complexes, left: Complexes, omega: ArrayLike) -> Complexes:
     """Mobility Y(j w) = j w sum r l^T / (j w - lambda), conjugates included.
 
-    Parameters
-    ----------
     poles, right, left : half list, (n,) 1/s and (n_ports, n).
     omega : (F,) rad/s.
-
-    Returns
-    -------
-    (F, n_ports, n_ports), m/(s N).
+    Returns (F, n_ports, n_ports), m/(s N).
     """
     s = 1j * np.atleast_1d(np.asarray(omega, dtype=np.float64))
     lam, r, l_ = extend(poles, right, left)

@@ -25,10 +25,8 @@ from tonewood.physics.modal.responses import PAIR as PAIR
 from tonewood.physics.modal.responses import REAL as REAL
 from tonewood.physics.modal.responses import ModalResponses
 from tonewood.physics.modal.views import Modal, ModalViews
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.support.tables import properties_html
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: damping ratio above which a second-order mode is stepped as a block: at .7 the two poles are still well apart
 _BLOCK_ABOVE = 0.7

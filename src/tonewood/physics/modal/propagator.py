@@ -24,9 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.physics.modal.modes import BLOCK, PAIR, ModalBasis
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 
 def phi(order: int, z: Complexes) -> Complexes:
@@ -68,8 +66,6 @@ def phi(order: int, z: Complexes) -> Complexes:
 class RealForm:
     """A basis as real 2 x 2 blocks.
 
-    Attributes
-    ----------
     A : (n_modes, 2, 2) generators, 1/s.
     B : (n_points, n_modes, 2) x' per force at a point.
     C : (n_points, n_modes, 2) displacement rows, m.
@@ -186,9 +182,8 @@ def impulse_series(basis: ModalBasis, form: RealForm, point: int, dt: float) -> 
 
         exp(A (dt - s)) B = sum_j  ((m - s) / dt)^j / j!  (A dt)^j exp(A (dt - m)) B.
 
-    Returns
-    -------
-    (n_cells, SERIES_TERMS, n_modes, 2) the vectors of this sum; one cell for any mode below 0.6 of the sampling rate.
+    Returns (n_cells, SERIES_TERMS, n_modes, 2) the vectors of this sum; one cell for any mode below 0.6 of the sampling
+        rate.
     """
     block = basis.kind == BLOCK
     rate = np.where(block, np.sqrt(basis.stiffness) + 2 * np.abs(basis.damping_rate), np.abs(basis.poles))
@@ -208,14 +203,9 @@ def moments(begin: Floats, end: Floats, coefficients: Floats, dt: float, n_cells
     Times an `impulse_series` they are the state that the force adds over the step. By Gauss's quadrature, with as many
     nodes as make it exact.
 
-    Parameters
-    ----------
     begin, end : (p,) s from the beginning of the step.
     coefficients : (3, p) of F(s) = c0 + c1 (s - begin) + c2 (s - begin)^2.
-
-    Returns
-    -------
-    (p, n_cells SERIES_TERMS) N s.
+    Returns (p, n_cells SERIES_TERMS) N s.
     """
     nodes, weights = _gauss()
     cell = dt / n_cells

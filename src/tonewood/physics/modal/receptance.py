@@ -12,12 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.modal.modes import BLOCK, PAIR, ModalBasis
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: moments of the integrals that `Joint.zeros_within` takes, per Hankel matrix, and their smallest singular value
 _MOMENTS, _RANK = 3, 1e-7
@@ -27,8 +24,6 @@ _MOMENTS, _RANK = 3, 1e-7
 class Ports:
     """One component at some rows over its points.
 
-    Attributes
-    ----------
     poles : (n,) 1/s, both of each pair.
     right, left : (p, n).
     weight : (n,) energy of |z|^2 = 1: omega |r| / |l| / 2 over all points of the component.
@@ -84,8 +79,6 @@ class Ports:
 class Joint:
     """Components joined at p gaps: M(s), the sum of their receptances.
 
-    Parameters
-    ----------
     parts : each with p ports, one per gap (rows of zeros where it does not take part).
     """
 
@@ -103,9 +96,16 @@ class Joint:
         self._residual = np.sum([p.residual for p in parts], axis=0)
 
     def receptance(self, s: complex) -> tuple[Complexes, Complexes]:
-        """M(s) and its derivative, (p, p) each."""
-        at = np.array([s])
-        return self.receptances(at)[0], self.receptances(at, slope=True)[0]
+        """M(s) and its derivative, (p, p) each; what a search asks for most often."""
+        reach = 1 / (s - self._poles)
+        reached = self._right * reach
+        M, D = reached @ self._left.T + self._residual, -(reached * reach) @ self._left.T
+        if self._stiffness.size:
+            at = np.array([s])
+            for out, slope in ((M, False), (D, True)):
+                blocks = _blocks(at, self._stiffness, self._damping_rate, slope)[0]
+                out += (self._block_right * blocks) @ self._block_left.T
+        return np.asarray(M), np.asarray(D)
 
     def receptances(self, s: Complexes, slope: bool = False) -> Complexes:
         """(n, p, p) M at n places, or M'."""
@@ -229,8 +229,6 @@ class Joint:
 class Star(Joint):
     """One component with p ports, and at each of them another one with one port: strings on a body.
 
-    Parameters
-    ----------
     centre : with p ports.
     rays : p components with one port each; they meet through the centre only.
     """
@@ -243,6 +241,11 @@ class Star(Joint):
         self._ray_residues = np.concatenate([(r.right * r.left)[0] for r in rays])
         self._first = np.cumsum([0, *(r.poles.size for r in rays[:-1])])
         self._diagonal = np.array([r.residual[0, 0] for r in rays])
+
+    def receptance(self, s: complex) -> tuple[Complexes, Complexes]:
+        """M(s) and its derivative, (p, p) each."""
+        at = np.array([s])
+        return self.receptances(at)[0], self.receptances(at, slope=True)[0]
 
     def receptances(self, s: Complexes, slope: bool = False) -> Complexes:
         """(n, p, p) M at n places, or M'."""

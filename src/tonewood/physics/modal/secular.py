@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 def secular_roots(
@@ -24,16 +23,11 @@ def secular_roots(
     both ends of the interval, which is nearly straight; bisection where it would leave the bracket. A root is kept as
     its distance from the nearer pole, so that no difference y - pole loses digits.
 
-    Parameters
-    ----------
     pole, weight : (n,) distinct, and positive.
     low, high : (m,) ends of the intervals: poles, or numbers beyond all poles between which F changes sign.
     start : (m,) first guess.
     slope, constant : of the straight part; not negative.
-
-    Returns
-    -------
-    root : (m,).
+    Returns root : (m,).
     distance : (m, n) root - pole, each to its own relative precision.
     """
     first, last = ~np.isin(high, pole), ~np.isin(low, pole)

@@ -25,12 +25,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.secular import secular_roots
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 #: eta(omega rad/s, k 1/m) -> loss factor; the decay rate of a partial is sigma = omega eta / 2
 LossFactor = Callable[[Floats, Floats], ArrayLike]
 
@@ -208,8 +208,6 @@ def loss_rates(shares: Floats, partial: Floats, guess: Floats) -> LossRates:
     air), or that has a narrow peak, asks for negative ones. Then the low partials decay too quickly, and `error` says
     by how much.
 
-    Parameters
-    ----------
     shares : (n_partials, n_modes) P_nk >= 0 of each partial's mass; rows sum to 1.
     partial : (n_partials,) sigma_n >= 0, 1/s.
     guess : (n_modes,) >= 0, 1/s, s_k to begin with; those that are 0 stay so.

@@ -33,8 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.physics.modal.modes import ModalBasis, second_order
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 def string_transfer(old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:

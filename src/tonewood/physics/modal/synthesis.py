@@ -18,13 +18,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.physics.modal.complex_modes import complex_modes
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import real_form
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: off-diagonal modal damping, relative to its row and column, that counts as none
 _PROPORTIONAL = 1e-11
@@ -43,23 +42,15 @@ def basis_from_matrices(
 ) -> ModalBasis:
     """All modes of M x'' + C x' + K x = D^T f,  y = D x.
 
-    Parameters
-    ----------
     M, C, K : (n_dof, n_dof) kg, N s/m, N/m. Structural: symmetric, M and K positive semi-definite. With acoustic
         dofs: the velocity-potential form (Fabre et al. 2024, Eq. 10), C = [[Cs, -L], [L^T, Ca]], or the pressure form
         (Eq. 8), which is brought to it; the acoustic dofs are then potentials, and the pressure is their velocity.
     points : name -> (n_dof,) direction, or the names of all dofs in their order.
     acoustic_dofs : indices of the acoustic dofs.
-
-    Returns
-    -------
-    ModalBasis : real modes under proportional damping, complex ones otherwise, in order of rising |pole|. Dofs
+    Returns ModalBasis : real modes under proportional damping, complex ones otherwise, in order of rising |pole|. Dofs
         without mass appear as residual compliance.
-
-    Raises
-    ------
-    ValueError : matrices of unfitting shape or symmetry, not positive semi-definite, or mass missing where there is
-        damping or no stiffness; poles too many of which coincide.
+    Raises ValueError : matrices of unfitting shape or symmetry, not positive semi-definite, or mass missing where there
+        is damping or no stiffness; poles too many of which coincide.
     """
     M, C, K = (np.array(a, dtype=np.float64) for a in (M, C, K))
     n = M.shape[0]
@@ -155,15 +146,10 @@ def initial_state(
 
         x(0) = B (M v0 + C x0) + A B M x0.
 
-    Parameters
-    ----------
     basis : with one point per dof, in their order.
     M, C : (n_dof, n_dof) of the same component.
     displacement, velocity : (n_dof,) m, m/s.
-
-    Returns
-    -------
-    (n_modes, 2) real state of every mode (see `propagator`).
+    Returns (n_modes, 2) real state of every mode (see `propagator`).
     """
     M, C, x0, v0 = (np.asarray(a, dtype=np.float64) for a in (M, C, displacement, velocity))
     if len(basis.points) != M.shape[0]:
@@ -177,16 +163,11 @@ def initial_state(
 def real_modes(M: Floats, K: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Modes of M x'' + K x = f with M and K symmetric positive semi-definite.
 
-    Returns
-    -------
-    shapes : (n_dof, n_modes) mass-normalised, 1/sqrt(kg).
+    Returns shapes : (n_dof, n_modes) mass-normalised, 1/sqrt(kg).
     omega : (n_modes,) rad/s, rising; exactly 0 for rigid-body modes.
     static : (n_dof, n_dof) m/N, compliance of the motion that has no mass (modes of infinite frequency).
     massless : (n_dof, n_massless) directions without mass.
-
-    Raises
-    ------
-    ValueError : M or K is indefinite, or a direction has neither mass nor stiffness.
+    Raises ValueError : M or K is indefinite, or a direction has neither mass nor stiffness.
     """
     from tonewood.support.scipy_linalg import sla
 

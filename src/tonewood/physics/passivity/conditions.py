@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.errors import PassivityError
-from tonewood.physics.modal.conjugates import Complexes, Floats, conjugate_weights, extend, halve, real_form
+from tonewood.physics.modal.conjugates import conjugate_weights, extend, halve, real_form
 from tonewood.physics.modal.mobility import (
     PORT_RANK,
     balanced,
@@ -44,6 +44,7 @@ from tonewood.physics.modal.mobility import (
     smallest_hermitian,
     step_gain,
 )
+from tonewood.support.arrays import Complexes, Floats
 
 #: default tolerance: share of |Y| (or of the quantity it is compared with) by which a sign may be wrong. Rounding of a
 #: 40-degree-of-freedom eigenproblem reaches 1e-11; the growth 1e-9 allows takes days to be heard.
@@ -60,8 +61,6 @@ _ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 class Violation:
     """A band in which the mobility creates power.
 
-    Attributes
-    ----------
     lower_hz, upper_hz : its ends; the upper one is inf if the direct term is negative.
     worst_hz : where it is worst, among frequencies up to 30 times the highest pole.
     size : smallest eigenvalue of the Hermitian part of Y there, negated, relative to |Y| (Frobenius), ports scaled
@@ -78,8 +77,6 @@ class Violation:
 class PassivityReport:
     """Result of `check`; plain data.
 
-    Attributes
-    ----------
     faults : one clause per failed test; empty when the basis is passive.
     method : ``each mode`` (all passive by themselves) or ``pencil``; ``none`` if the list was not fit to be tested.
     right_rank, left_rank : dimensions of the port space that the right and left shapes span.
@@ -232,9 +229,7 @@ def modal_partners(poles: Complexes, right: Complexes, left: Complexes) -> tuple
     * a real pole with r l^T positive semidefinite;
     * two real poles with opposite residues: an overdamped real mode.
 
-    Returns
-    -------
-    (n,) passive or not, and for each mode the slow partner of an overdamped one, -1 for all others.
+    Returns (n,) passive or not, and for each mode the slow partner of an overdamped one, -1 for all others.
     """
     residues = np.einsum("ik,jk->kij", right, left)
     slack = _STRUCTURAL * np.abs(residues).sum(axis=(1, 2))

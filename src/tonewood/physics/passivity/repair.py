@@ -24,10 +24,11 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from tonewood.errors import PassivityError
-from tonewood.physics.modal.conjugates import Complexes, Floats, conjugate_weights, extend, halve, real_form
+from tonewood.physics.modal.conjugates import conjugate_weights, extend, halve, real_form
 from tonewood.physics.modal.mobility import PORT_RANK, mobility, port_scale
 from tonewood.physics.passivity.conditions import UNDAMPED, PassivityReport, check
 from tonewood.physics.passivity.storage import Storage, lyapunov_dissipation
+from tonewood.support.arrays import Complexes, Floats
 
 #: relative H2 change of the mobility above which a repair is refused
 MAX_CHANGE = 0.1
@@ -43,8 +44,6 @@ _MARGIN = 1e-5  # loss added in every direction, relative to the modes' own, so 
 class RepairedBasis:
     """A passive basis, its storage function, and how far it is from the one given.
 
-    Attributes
-    ----------
     poles, right, left : half list as given to `repair`, but for shapes; (n,) and (n_ports, n).
     storage : its storage function; states as in `conjugates.full_state` of this list.
     flattening : share mu of the imaginary parts of the right shapes that was kept; 1: right shapes unchanged.
@@ -95,17 +94,12 @@ def repair(
     Three variants are tried: the right shapes as they are, and with their imaginary parts (once each mode's phase is
     turned to make them small) halved and removed; the one with the smallest change is kept. Deterministic.
 
-    Parameters
-    ----------
     poles : (n,) 1/s, half or full list; all damped. Undamped poles and poles at zero have no place in a list of
         complex modes that needs repair.
     right, left : (n_ports, n) shapes.
     max_change : largest relative H2 change of the mobility that is accepted.
     max_iterations : of the solver for the variant kept; by default 300 to 3000, fewer the more modes.
-
-    Raises
-    ------
-    PassivityError : a pole is not damped, the list is not closed under conjugation, or the change would exceed
+    Raises PassivityError : a pole is not damped, the list is not closed under conjugation, or the change would exceed
         `max_change`.
     """
     before = check(poles, right, left)

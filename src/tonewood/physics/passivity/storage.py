@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tonewood.errors import PassivityError
-from tonewood.physics.modal.conjugates import Complexes, Floats, extend, halve, real_form
+from tonewood.physics.modal.conjugates import extend, halve, real_form
 from tonewood.physics.modal.mobility import port_directions, port_scale
 from tonewood.physics.passivity.conditions import UNDAMPED, modal_partners
+from tonewood.support.arrays import Complexes, Floats
 
 _EXACT = 1e-8  # share by which P B = (R A)^H / 2 may be missed before the result is refused
 
@@ -27,8 +28,6 @@ _EXACT = 1e-8  # share by which P B = (R A)^H / 2 may be missed before the resul
 class Storage:
     """A storage function and its dissipation; N = n + n_pairs full states.
 
-    Attributes
-    ----------
     P : (N, N) Hermitian positive semidefinite: energy z^H P z, J.
     Q : (N, N) Hermitian positive semidefinite to rounding: power lost z^H Q z, W.
     cross, direct : (N, n_ports) and (n_ports, n_ports) rest of the dissipation (S and R of the module's head), zero
@@ -65,16 +64,11 @@ def storage_matrix(poles: Complexes, right: Complexes, left: Complexes) -> Stora
       and static compliance). On the rest, velocities of the ports are zero and their damping takes the place of the
       direct term, so that an ordinary Riccati equation of size N - 2 n_ports remains. About 4 s for 200 modes.
 
-    Parameters
-    ----------
     poles : (n,) half list, 1/s.
     right, left : (n_ports, n).
-
-    Raises
-    ------
-    PassivityError : the basis is not passive; is passive only just (no power is lost at some frequency), so that the
-        Riccati equation has no solution of full accuracy; or has a direct term without being a sum of passive modes.
-        A repaired basis brings its own storage function.
+    Raises PassivityError : the basis is not passive; is passive only just (no power is lost at some frequency), so that
+        the Riccati equation has no solution of full accuracy; or has a direct term without being a sum of passive
+        modes. A repaired basis brings its own storage function.
     """
     poles, right, left, _ = halve(*(np.asarray(a, dtype=np.complex128) for a in (poles, right, left)))
     passive, partner = modal_partners(poles, right, left)
@@ -88,15 +82,10 @@ def mechanical_storage(poles: Complexes, right: Complexes, left: Complexes, M: F
 
     E = (v^T M v + u^T K u) / 2 and d = v^T C v with u = sum 2 Re(r z), v = sum 2 Re(lambda r z).
 
-    Parameters
-    ----------
     poles : (n,) half list, 1/s.
     right, left : (n_dof, n) shapes at all degrees of freedom.
     M, C, K : (n_dof, n_dof) mass (kg), damping (N s/m), stiffness (N/m), symmetric.
-
-    Raises
-    ------
-    PassivityError : the list is not complete, or is not one of M, C, K.
+    Raises PassivityError : the list is not complete, or is not one of M, C, K.
     """
     lam, psi, psi_left = extend(poles, right, left)
     speed = psi * lam

@@ -23,16 +23,16 @@ Friction of the air at the edge of the hole, of diameter d and wall t, is a resi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.integrals import displacement, integrals
 from tonewood.physics.plate.outline import quadrature
 from tonewood.physics.plate.splines import SplineGrid
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 Pair = tuple[float, float]
 
 #: kg/m^3 and m/s, air at 20 degrees Celsius
@@ -45,8 +45,6 @@ VISCOSITY = 1.5e-5
 class Cavity:
     """Modes of a flat cavity with rigid walls, uniform over its depth.
 
-    Attributes
-    ----------
     freq : (m,) Hz, without the one at 0.
     vectors : (functions, m) shapes psi of mean square 1.
     grid : of their functions.
@@ -64,9 +62,20 @@ class Cavity:
 
 
 def cavity_modes(outline: Floats, depth: float, fmax: float, size: float = 0.02) -> Cavity:
-    """Modes of the cavity below an outline up to `fmax` (Hz): -lap psi = (omega / c)^2 psi, psi_n = 0 on the walls."""
+    """Modes of the cavity below an outline up to `fmax` (Hz): -lap psi = (omega / c)^2 psi, psi_n = 0 on the walls.
+
+    They do not depend on the depth; those of the last outlines are kept, and cannot be written to.
+    """
+    shallow = _cavity(np.ascontiguousarray(outline, dtype=np.float64).tobytes(), fmax, size)
+    return replace(shallow, volume=shallow.volume * depth)
+
+
+@lru_cache(maxsize=8)
+def _cavity(ring: bytes, fmax: float, size: float) -> Cavity:
+    """Cavity of depth 1 m below an outline, the bytes of an (n, 2) array."""
     from tonewood.support.scipy_linalg import sla
 
+    outline = np.frombuffer(ring).reshape(-1, 2)
     grid = SplineGrid.over(outline, size)
     quad = quadrature(grid, [outline])
     (stiffness,) = integrals(1, quad, lambda psi: np.stack([psi((1, 0)), psi((0, 1))], axis=-2), 1.0, [np.eye(2)])
@@ -81,15 +90,16 @@ def cavity_modes(outline: Floats, depth: float, fmax: float, size: float = 0.02)
     area = float(quad.weights.sum())
     vectors = np.zeros((grid.count, len(few)))
     vectors[keep] = scale[:, None] * shapes[:, few] * np.sqrt(area)
-    return Cavity(freq[few], vectors, grid, area * depth)
+    freq = freq[few]
+    for array in (freq, vectors):
+        array.setflags(write=False)
+    return Cavity(freq, vectors, grid, area)
 
 
 @dataclass(frozen=True, eq=False)
 class AirModes:
     """Modes of plates and air together, mass-normalised.
 
-    Attributes
-    ----------
     freq : (n,) Hz, ascending.
     plates : (n_q, n) share of each plate mode q.
     hole : (n,) Y, m^3 per unit of the mode's coordinate; 0 without a hole.
@@ -118,8 +128,6 @@ def air_matrices(
 ) -> tuple[Floats, Floats, Floats]:
     """Mass (n,), a diagonal, stiffness (n, n) and pressures (1 + m, n) of the coordinates q, Y (with a hole) and eta.
 
-    Parameters
-    ----------
     freq, outward : (n_q,) Hz and a_n of the plates' modes.
     volume : m^3.
     hole : area S (m^2) and length L (m) of the air that moves in it; None for a closed body.
@@ -182,8 +190,6 @@ def couple_air(
 def hole_loss(freq: Floats, flow: Floats, opening: float, wall: float) -> Floats:
     """(n,) loss factors of modes by friction in a round hole, r Y^2 / (S omega).
 
-    Parameters
-    ----------
     freq, flow : (n,) Hz and Y of each mode.
     opening, wall : m^2 and m, area S of the hole and thickness t.
     """

@@ -24,15 +24,14 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.splines import SplineGrid, line_functions
 from tonewood.physics.plate.wood import Wood
+from tonewood.support.arrays import Floats
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-Floats = NDArray[np.float64]
 
 #: Timoshenko's shear coefficient of a rectangle
 _SHEAR = 5 / 6
@@ -42,8 +41,6 @@ _SHEAR = 5 / 6
 class Beam:
     """A brace or a bridge of rectangular section.
 
-    Attributes
-    ----------
     start, stop : (2,) m, ends of its axis.
     width : m.
     heights : (n,) m, at n places spread evenly from start to stop, linear between them; one for a constant height.
@@ -100,14 +97,9 @@ def beam_matrices(
 ) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
     """Stiffness and losses of one beam in the fields (theta, u, v, gamma_x, gamma_y, w), and mass (N, N) of w.
 
-    Parameters
-    ----------
     thickness : m, of the plate, or at the points of `beam_line`.
     shears : whether the plate has the fields gamma.
-
-    Returns
-    -------
-    two (r + 5N, r + 5N) matrices, r = `rotations`, (r + 3N) without gamma, and one (N, N).
+    Returns two (r + 5N, r + 5N) matrices, r = `rotations`, (r + 3N) without gamma, and one (N, N).
     """
     from scipy.sparse import csr_matrix, diags, eye, hstack, kron, vstack
 
@@ -134,7 +126,6 @@ def beam_matrices(
 
     long = [wood.E_L * b * height, wood.E_L * b * height**3 / 12]
     cross = [wood.G_LR * torsion_constant(b, height), _SHEAR * wood.G_LR * b * height]
-    rows = vstack([strain, bend, twist, shear]).tocsr()
 
     def integral(factors: list[Floats], operator: csr_matrix) -> csr_matrix:
         return csr_matrix(operator.T @ diags(np.concatenate([weights * f for f in factors])) @ operator)
@@ -142,8 +133,8 @@ def beam_matrices(
     m, offset = wood.density * b * height, (height + thickness) / 2
     turning = m * (height**2 / 12 + offset**2)
     mass = integral([m, turning, turning], vstack([grid.at(points), w_s, w_n]).tocsr())
-    lost = [*(wood.loss_L * f for f in long), *(wood.loss_shear * f for f in cross)]
-    return integral([*long, *cross], rows), integral(lost, rows), mass
+    straight, sheared = integral(long, vstack([strain, bend]).tocsr()), integral(cross, vstack([twist, shear]).tocsr())
+    return straight + sheared, wood.loss_L * straight + wood.loss_shear * sheared, mass
 
 
 def rotations(grid: SplineGrid, beam: Beam) -> int:

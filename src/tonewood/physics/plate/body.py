@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED, AirModes, cavity_modes, couple_air, hole_loss
 from tonewood.physics.plate.beams import Beam
@@ -27,10 +26,9 @@ from tonewood.physics.plate.plate import CLAMPED, Edge, Plate, PlateModes, Thick
 from tonewood.physics.plate.radiation import Sources, gathered_sources
 from tonewood.physics.plate.splines import SplineGrid
 from tonewood.physics.plate.wood import Wood
+from tonewood.support.arrays import Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.support.stages import stages
-
-Floats = NDArray[np.float64]
 
 #: coefficients of a plate's displacements
 MOST_UNKNOWNS = 25_000
@@ -44,8 +42,6 @@ SOURCE_SIZE = 0.01
 class PlateDrawing:
     """A top or a back.
 
-    Attributes
-    ----------
     wood, thickness, edge, beams, grain : see `tonewood.physics.plate.plate.Plate`.
     size : m, of a cell; from the mean thickness and the highest frequency where it is 0.
     """
@@ -62,8 +58,6 @@ class PlateDrawing:
 class BodyDrawing:
     """All that decides on a body's modes.
 
-    Attributes
-    ----------
     outline : (n, 2) m, ring.
     hole : (n, 2) m, ring of the soundhole; None without one.
     top : the plate that strings move.
@@ -100,8 +94,6 @@ class BodyDrawing:
 class BodyModes:
     """Modes of a body, mass-normalised, ascending; all arrays.
 
-    Attributes
-    ----------
     freq : (n,) Hz.
     loss : (n,) loss factors, twice the damping ratio.
     radiation_loss : (n,) share of `loss` that is radiated.
@@ -169,8 +161,6 @@ class BodyModes:
 def named_modes(freq: Floats, kinetic: Floats, top: Floats) -> dict[str, int]:
     """Numbers of A0 and T1, by the rule of `BodyModes.named`.
 
-    Parameters
-    ----------
     freq, kinetic, top : (n,) Hz, (3, n) shares of the energy, (n,) volumes displaced by the top.
     """
     if not freq.all():
@@ -189,9 +179,7 @@ def named_modes(freq: Floats, kinetic: Floats, top: Floats) -> dict[str, int]:
 def body_modes(drawing: BodyDrawing) -> BodyModes:
     """Modes of a drawn body up to its `fmax`.
 
-    Raises
-    ------
-    ValueError : a plate would need more than `MOST_UNKNOWNS` unknowns.
+    Raises ValueError : a plate would need more than `MOST_UNKNOWNS` unknowns.
     """
     with stages("modes of the body", 6 if drawing.back is not None else 4) as begin:
         return _body_modes(drawing, begin)
@@ -278,12 +266,7 @@ def cell_of(outline: Floats, drawn: PlateDrawing, fmax: float) -> float:
 
 
 def made_plate(rings: Sequence[Floats], drawn: PlateDrawing, fmax: float) -> Plate:
-    """Matrices of a drawn plate.
-
-    Raises
-    ------
-    ValueError : it would need more than `MOST_UNKNOWNS` unknowns.
-    """
+    """Matrices of a drawn plate. Raises ValueError : it would need more than `MOST_UNKNOWNS` unknowns."""
     size = cell_of(rings[0], drawn, fmax)
     unknowns = area(rings[0]) / size**2 * ((3 if drawn.beams else 1) + (2 if drawn.wood.shears else 0))
     if unknowns > MOST_UNKNOWNS:
@@ -336,10 +319,8 @@ def _with_air(
 ) -> tuple[AirModes, Floats, tuple[Floats, Floats]]:
     """Join the plates' modes to their air.
 
-    Returns
-    -------
-    modes; (m,) Hz of the cavity; for the plate modes left out, the residual (p, p) m/N and the displacement of the
-    points (p,) per pressure of each of the cavity's modes, m/Pa.
+    Returns modes; (m,) Hz of the cavity; for the plate modes left out, the residual (p, p) m/N and the displacement of
+        the points (p,) per pressure of each of the cavity's modes, m/Pa.
     """
     from tonewood.support.scipy_linalg import sla
 

@@ -22,16 +22,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.splines import SplineGrid, line_functions
 from tonewood.physics.plate.wood import Wood
+from tonewood.support.arrays import Floats, Indices
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
 
 #: breaks of the integrals, in units of delta; the layer ends at the last
 _BREAKS = np.array([0.0, 1.5, 5.0, 12.0])
@@ -45,8 +43,6 @@ _DEEPEST = 0.45
 class _Side:
     """Polyline between two corners, or a whole ring without any.
 
-    Attributes
-    ----------
     points : (n + 1, 2) m.
     left : whether the plate lies to the left of it.
     delta : (n,) m, of each segment.
@@ -94,8 +90,6 @@ def layer_matrices(
 ) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
     """Stiffness, losses and mass that layers along a ring add, in the fields (g, gamma_x, gamma_y, w).
 
-    Parameters
-    ----------
     grid : of w and gamma.
     ring : (n, 2) m, free edge of the plate.
     outer : whether the plate lies inside of it.
@@ -188,16 +182,11 @@ def _depth(wood: Wood, grain: float, shear_factor: float) -> float:
     return float(np.sqrt(wood.stiffness(grain)[2, 2] / (12 * shear_factor * wood.transverse(grain)[0, 0])))
 
 
-def _strip(side: _Side, before: float, after: float) -> tuple[Floats, Floats, Places, Floats, Floats]:
+def _strip(side: _Side, before: float, after: float) -> tuple[Floats, Floats, Indices, Floats, Floats]:
     """Points of integrals over a side's layer.
 
-    Parameters
-    ----------
     before, after : m, delta of the sides that meet it at its start and end, whose layers cross it there.
-
-    Returns
-    -------
-    points (n, 2) m, weights (n,) m^2, segment (n,), place s / L (n,), depth d / delta (n,).
+    Returns points (n, 2) m, weights (n,) m^2, segment (n,), place s / L (n,), depth d / delta (n,).
     """
     g, w = np.polynomial.legendre.leggauss(4)
     starts = side.starts
@@ -219,7 +208,7 @@ def _strip(side: _Side, before: float, after: float) -> tuple[Floats, Floats, Pl
     return points.reshape(-1, 2), weights.ravel(), np.repeat(segment, n), np.repeat(s / length, n), np.tile(d, len(s))
 
 
-def _rows(side: _Side, segment: Places, place: Floats, depth: Floats, count: int) -> list[csr_matrix]:
+def _rows(side: _Side, segment: Indices, place: Floats, depth: Floats, count: int) -> list[csr_matrix]:
     """Rows (kappa, gamma, beta) of the functions g of one side, among `count` of all sides."""
     from scipy.sparse import csr_matrix, diags, hstack
 

@@ -6,16 +6,15 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.outline import inside
 from tonewood.physics.plate.radiation import Sources
+from tonewood.support.arrays import Floats
 from tonewood.support.plotting import title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Floats = NDArray[np.float64]
 
 #: panels in a row
 COLUMNS = 4

@@ -10,16 +10,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.outline import Quadrature
 from tonewood.physics.plate.splines import Order, SplineGrid
+from tonewood.support.arrays import Floats, Indices
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
 #: from points (..., 2) to a factor (...,) or one for each row (..., r)
 Weighting = Callable[[Floats], Floats]
 #: a derivative of a field's functions alive on cells, (..., n)
@@ -43,15 +41,13 @@ def integrals(
 ) -> list[Any]:
     """Sparse integrals of (B a)^T diag(factor) Q (B b) dA over all pairs of functions a, b.
 
-    Parameters
-    ----------
     fields : number of fields, each a sum of the functions of the grid of `quad`.
     operator : from `Values` of each field, the rows B (..., r, n) with the functions of all fields, in their order.
     factor : of points, for all rows or for each; or a constant, a number or (r,).
     matrices : Q, each (r, r), with which the factor commutes; one sparse matrix is returned for each.
     """
     parts: list[list[Floats]] = [[] for _ in matrices]
-    cells: list[Places] = []
+    cells: list[Indices] = []
     for (cell, points, weights), whole in zip(quad.groups, quad.whole, strict=True):
         chosen, which = np.arange(len(cell)), np.arange(len(cell))
         if whole and not callable(factor):
@@ -68,7 +64,7 @@ def integrals(
 def _elements(
     grid: SplineGrid,
     fields: int,
-    group: tuple[Places, Floats, Floats],
+    group: tuple[Indices, Floats, Floats],
     operator: Callable[..., Floats],
     factor: Weighting | Floats | float,
     matrices: Sequence[Floats],
@@ -89,7 +85,7 @@ def _elements(
     return [np.concatenate(column) for column in out]
 
 
-def _assembled(grid: SplineGrid, fields: int, cells: Places, elements: Floats) -> csr_matrix:
+def _assembled(grid: SplineGrid, fields: int, cells: Indices, elements: Floats) -> csr_matrix:
     """Sum of the cells' matrices, fields in their order."""
     from scipy.sparse import bmat
 
@@ -103,7 +99,7 @@ def _assembled(grid: SplineGrid, fields: int, cells: Places, elements: Floats) -
     return whole
 
 
-def _block(grid: SplineGrid, cells: Places, part: Floats) -> csr_matrix:
+def _block(grid: SplineGrid, cells: Indices, part: Floats) -> csr_matrix:
     """Block of two fields: sums in a table of rows and distances, as functions that meet are at most p apart."""
     from scipy.sparse import csr_matrix
 

@@ -15,15 +15,15 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from tonewood.support.arrays import Floats
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
 
-Floats = NDArray[np.float64]
 
 #: vectors in a block
-BLOCK = 8
+BLOCK = 16
 #: largest residual of a pair that counts as converged, of its theta; the eigenvalue is then exact to its square
 _TOLERANCE = 1e-7
 #: unknowns up to which a dense problem is quicker
@@ -35,8 +35,6 @@ def lowest(
 ) -> tuple[Floats, Floats]:
     """Eigenvalues (m,) lambda, ascending, and vectors (n, m) with x^T M x = 1.
 
-    Parameters
-    ----------
     solve : (K + shift M)^-1 applied to (n, k).
     mass : M, symmetric and semidefinite.
     shift : s^2 > 0.
@@ -48,7 +46,7 @@ def lowest(
     n = mass.shape[0]
     if n <= _DENSE:
         return _dense(solve, mass, shift, count, below)
-    room = 24 * BLOCK
+    room = 12 * BLOCK
     whole, heavy = (np.empty((n, room), order="F") for _ in range(2))
     projected = np.zeros((room, room))
     block = _orthonormal(solve(np.asarray(mass @ _start(n))), mass)

@@ -18,9 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tonewood.physics.plate.air import SOUND_SPEED
 from tonewood.physics.plate.radiation import Sources
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: Hz, lowest frequency of equal relative error
 _LOWEST = 50.0
@@ -36,8 +34,6 @@ _CONDITION = 1e3
 class Bank:
     """Residues of a microphone.
 
-    Attributes
-    ----------
     poles : (n,) 1/s, the body's, -omega_b of the shelf, and those of high damping; one of each pair.
     residues : (n, inputs) Pa/(N s).
     delay : s, that is not in the residues.
@@ -61,8 +57,6 @@ def pressure(
 ) -> Complexes:
     """(n_freq, inputs) Pa/N at a place (3,) m: the sum that a bank follows, `delay` (s) taken out.
 
-    Parameters
-    ----------
     poles : (n,) of the modes whose volumes `sources` has.
     shapes : (inputs, n) at the driven points.
     """
@@ -77,8 +71,6 @@ def microphone(
 ) -> Bank:
     """Fit the bank of one microphone.
 
-    Parameters
-    ----------
     at : (3,) m.
     poles, shapes : as for `pressure`; shapes (inputs, n) at every point that may be driven.
     highest : Hz, that the bank is stepped up to; poles of high damping above it are left out.

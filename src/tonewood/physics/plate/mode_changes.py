@@ -23,9 +23,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: relative distance of eigenvalues below which they count as one
 SAME = 1e-9
@@ -38,8 +37,6 @@ _ITERATIONS = 60
 class ModeChange:
     """Modes and their derivatives with respect to one parameter.
 
-    Attributes
-    ----------
     vectors : (n, m) shapes, turned among those of one eigenvalue.
     values_rate : (m,) lambda'.
     vectors_rate : (n, m) z'.
@@ -69,8 +66,6 @@ def mode_change(
 ) -> ModeChange:
     """Differentiate the first `count` modes.
 
-    Parameters
-    ----------
     values, vectors : (m,) lambda, ascending, and (n, m) shapes with Z^T M Z = 1; more than `count`, the better by far.
     stiffness_rate, mass_rate : (n, m) K' Z and M' Z.
     mass : M, with ``@``.

@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.physics.plate.splines import SplineGrid
-
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
+from tonewood.support.arrays import Floats, Indices
 
 #: a classical guitar's outline, made up: x (m from the neck joint) and half of the width there (m), neck to tail
 _HALF = np.array(
@@ -26,6 +24,8 @@ _HALF = np.array(
 )  # fmt: skip
 #: its length, and where its upper bout, waist and lower bout are widest or narrowest (m)
 _LENGTH, _BOUTS = 0.485, (0.090, 0.200, 0.365)
+#: points that are compared with a ring at once
+_AT_ONCE = 256
 
 
 def circle(radius: float, centre: ArrayLike = (0.0, 0.0), count: int = 720) -> Floats:
@@ -77,9 +77,11 @@ def inside(points: ArrayLike, rings: Sequence[Floats]) -> NDArray[np.bool_]:
     for ring in rings:
         a, b = ring, np.roll(ring, -1, axis=0)
         rise = np.where(b[:, 1] == a[:, 1], 1.0, b[:, 1] - a[:, 1])
-        for i, (x, y) in enumerate(p):
+        for first in range(0, len(p), _AT_ONCE):
+            x, y = p[first : first + _AT_ONCE].T[:, :, None]
             level = (a[:, 1] > y) != (b[:, 1] > y)
-            odd[i] ^= bool(np.count_nonzero(level & (x < a[:, 0] + (y - a[:, 1]) * (b[:, 0] - a[:, 0]) / rise)) % 2)
+            left = x < a[:, 0] + (y - a[:, 1]) * (b[:, 0] - a[:, 0]) / rise
+            odd[first : first + _AT_ONCE] ^= (np.count_nonzero(level & left, axis=1) % 2).astype(bool)
     return odd
 
 
@@ -106,14 +108,12 @@ def crossing(ring: Floats, other: Floats | None = None) -> Floats | None:
 class Quadrature:
     """Points and weights of integrals over a plate, in groups of cells with the same number of points.
 
-    Attributes
-    ----------
     groups : (cells (n, 2), points (n, q, 2) in m, weights (n, q) in m^2), weights of unused points 0.
     grid : of its cells.
     whole : (groups,) whether the cells of a group lie inside, with the same points and weights in each.
     """
 
-    groups: tuple[tuple[Places, Floats, Floats], ...]
+    groups: tuple[tuple[Indices, Floats, Floats], ...]
     grid: SplineGrid
     whole: tuple[bool, ...]
 

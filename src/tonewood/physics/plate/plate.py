@@ -31,22 +31,21 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.physics.plate.beams import Beam, beam_line, beam_matrices, rotations
+from tonewood.physics.plate.block_solve import BlockSolver
 from tonewood.physics.plate.edge_layer import layer_matrices
 from tonewood.physics.plate.integrals import Values, displacement, integrals
 from tonewood.physics.plate.lanczos import lowest
 from tonewood.physics.plate.outline import quadrature, refined
 from tonewood.physics.plate.splines import Order, SplineGrid
 from tonewood.physics.plate.wood import Wood
+from tonewood.support.arrays import Floats, Indices
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix, csr_matrix
-    from scipy.sparse.linalg import SuperLU
 
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
 #: name and number of unknowns
 Field = tuple[str, int]
 #: thickness (m) at points (..., 2)
@@ -71,8 +70,6 @@ _SHIFT = 20.0
 class Edge:
     """Springs on the outline, per length.
 
-    Attributes
-    ----------
     k_w : N/m^2, against displacement; infinite for an edge that does not move.
     k_theta : N, against the turn across the edge; infinite for an edge that does not turn.
     k_in_plane : N/m^2, against displacement in the plate's plane.
@@ -92,8 +89,6 @@ FREE, HINGED, CLAMPED = Edge(), Edge(np.inf, 0.0), Edge(np.inf, np.inf)
 class PlateModes:
     """Modes of a plate in vacuum, mass-normalised.
 
-    Attributes
-    ----------
     freq : (n,) Hz.
     loss : (n,) loss factors of wood, braces and edge.
     vectors : (functions, n) shapes of w, 1/sqrt(kg).
@@ -113,8 +108,6 @@ class PlateModes:
 class _Sum:
     """A matrix of all unknowns as a sum of parts: beams' rotations, edge layers, u and v, gamma, and w last.
 
-    Attributes
-    ----------
     size : number of all.
     slots : name -> first unknown of a field.
     """
@@ -123,7 +116,7 @@ class _Sum:
         counts = [count for _, count in fields]
         starts = np.concatenate([[0], np.cumsum(counts)])
         self.size, self.slots = int(starts[-1]), dict(zip((name for name, _ in fields), map(int, starts), strict=False))
-        self._parts: list[tuple[Floats, Places, Places]] = []
+        self._parts: list[tuple[Floats, Indices, Indices]] = []
 
     def add(self, part: csr_matrix, fields: Sequence[Field]) -> None:
         """Add a matrix of some fields, in their order there."""
@@ -142,8 +135,6 @@ class _Sum:
 class Plate:
     """A plate's matrices.
 
-    Parameters
-    ----------
     rings : outline first, then holes, each (n, 2) m. A curved side needs points much closer than `size`: stiff springs
         against displacement alone on the sides of a coarse polygon clamp it (Babuska's paradox).
     wood : of the plate.
@@ -199,6 +190,8 @@ class Plate:
         totals = [part.total() for part in sums]
         keep = _kept(totals[0].diagonal(), totals[2].diagonal(), stiffness.slots, [*in_plane, *self._bending])
         self._keep = keep[keep >= stiffness.slots["w"]] - stiffness.slots["w"]
+        first = stiffness.slots[[*in_plane, *self._bending][0][0]]
+        self.places = np.where(keep < first, np.nan, self.grid.places[(keep - first) % self.grid.count])
         self._stiffness, self._losses, self._mass = (m[keep][:, keep].tocsc() for m in totals)
 
     def _of_beam(self, beam: Beam) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
@@ -317,12 +310,7 @@ class Plate:
         return self.grid.at(points, order)[:, self._keep]
 
     def modes(self, fmax: float | None = None, count: int | None = None) -> PlateModes:
-        """Modes up to `fmax` (Hz), or the first `count`.
-
-        Raises
-        ------
-        ValueError : neither is given.
-        """
+        """Modes up to `fmax` (Hz), or the first `count`. Raises ValueError : neither is given."""
         values, whole = self.solution(fmax, count)
         lost = np.einsum("ij,ij->j", whole, self._losses @ whole)
         loss = np.where(values > 1e-6, lost / np.maximum(values, 1e-6), 0.0)
@@ -331,18 +319,13 @@ class Plate:
     def solution(self, fmax: float | None = None, count: int | None = None) -> tuple[Floats, Floats]:
         """(n,) omega^2 and (unknowns, n) mass-normalised vectors of all unknowns; as `modes`.
 
-        Raises
-        ------
-        ValueError : neither is given.
+        Raises ValueError : neither is given.
         """
         if count is None and fmax is None:
             raise ValueError("fmax or count is wanted")
-        solve, scale = self._factored
-        spread = scale[:, None]
-        mass = self._balanced(self._mass)
         limit = (2 * np.pi * (fmax or 0.0)) ** 2
-        values, vectors = lowest(solve.solve, mass, self.shift**2, count=count or 0, below=limit)
-        return np.maximum(values, 0.0), spread * vectors
+        values, vectors = lowest(self._solver.solve, self._mass, self.shift**2, count=count or 0, below=limit)
+        return np.maximum(values, 0.0), vectors
 
     def stored(self, vectors: Floats) -> Floats:
         """(n, n) products v^T K v of vectors (unknowns, n) of `solution`."""
@@ -354,10 +337,9 @@ class Plate:
         The difference of two sums over modes of phi phi^T (1 / (omega^2 + s^2) + s^2 / (omega^2 + s^2)^2): all of them
         from the factored stiffness, less those that are kept. It is 1 / omega^2 but for (s / omega)^4, s the shift.
         """
-        solve, scale = self._factored
         rhs = np.zeros((self._stiffness.shape[0], len(loads)))
         rhs[-self.functions :] = loads.T
-        moved = scale[:, None] * solve.solve(scale[:, None] * rhs)
+        moved = self._solver.solve(rhs)
         kept, soft = loads @ modes.vectors, 1 / ((2 * np.pi * modes.freq) ** 2 + self.shift**2)
         rest = loads @ moved[-self.functions :] + self.shift**2 * (moved.T @ (self._mass @ moved))
         rest = rest - (kept * (soft + self.shift**2 * soft**2)) @ kept.T
@@ -370,24 +352,9 @@ class Plate:
         return float(_SHIFT * np.sqrt(self.wood.stiffness()[1, 1] * h**2 / 12 / self.wood.density) / self.area)
 
     @cached_property
-    def _factored(self) -> tuple[SuperLU, Floats]:
-        """Factors of D (K + s^2 M) D, and D, which gives it a diagonal of ones."""
-        from scipy.sparse.linalg import splu
-
-        options = {"SymmetricMode": True}
-        balanced = self._balanced(self._stiffness + self.shift**2 * self._mass)
-        return splu(balanced, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options), self._scale
-
-    @cached_property
-    def _scale(self) -> Floats:
-        return np.asarray(1.0 / np.sqrt((self._stiffness + self.shift**2 * self._mass).diagonal()))
-
-    def _balanced(self, matrix: csc_matrix) -> csc_matrix:
-        from scipy.sparse import diags
-
-        spread = diags(self._scale)
-        balanced: csc_matrix = (spread @ matrix @ spread).tocsc()
-        return balanced
+    def _solver(self) -> BlockSolver:
+        """Of K + s^2 M."""
+        return BlockSolver(self._stiffness + self.shift**2 * self._mass, self.places)
 
     def _edge(self, edge: Edge) -> list[tuple[csr_matrix, csr_matrix, list[Field]]]:
         """Stiffness and losses of the springs on the outline.
@@ -448,7 +415,7 @@ def cell_size(wood: Wood, thickness: float, fmax: float) -> float:
     return float(min(0.3 * wavelength, 0.02))
 
 
-def _kept(stiffness: Floats, mass: Floats, slots: Mapping[str, int], fields: Sequence[Field]) -> Places:
+def _kept(stiffness: Floats, mass: Floats, slots: Mapping[str, int], fields: Sequence[Field]) -> Indices:
     """Unknowns whose functions touch the plate, by their energy beside that of others of their field."""
     keep = [np.arange(slots[fields[0][0]])]
     for name, count in fields:

@@ -25,9 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: rows of a block of distances between sources
 _ROWS = 128
@@ -37,8 +35,6 @@ _ROWS = 128
 class Sources:
     """Small volume sources of modes, in the plane z = 0.
 
-    Attributes
-    ----------
     points : (n, 2) m.
     volumes : (n, modes) m^3 displaced by each cell per unit of the mode's coordinate, counted towards +z.
     baffled : whether the plane about them is rigid; else the shelf of this module stands for free air.
@@ -128,9 +124,8 @@ class Sources:
 def gathered_sources(points: Floats, weights: Floats, shapes: Floats, size: float) -> tuple[Floats, Floats, Floats]:
     """Sums over squares of `size` m of many points of integration.
 
-    Returns
-    -------
-    points (n, 2) m, centre of the area in each square; area (n,) m^2; volumes (n, modes), sum of weight and shape.
+    Returns points (n, 2) m, centre of the area in each square; area (n,) m^2; volumes (n, modes), sum of weight and
+        shape.
     """
     from scipy.sparse import csr_matrix
 

@@ -11,13 +11,13 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from tonewood.support.arrays import Floats, Indices
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
 #: orders of the derivatives along x and y
 Order = tuple[int, int]
 
@@ -47,8 +47,6 @@ def _pieces(degree: int, order: int) -> Floats:
 class SplineGrid:
     """Functions of degree p on n_x by n_y cells.
 
-    Attributes
-    ----------
     low : (2,) m, corner of the first cell.
     size : (2,) m, of a cell.
     cells : (2,) number of cells along x and y.
@@ -57,7 +55,7 @@ class SplineGrid:
 
     low: Floats
     size: Floats
-    cells: Places
+    cells: Indices
     degree: int
 
     @classmethod
@@ -77,11 +75,16 @@ class SplineGrid:
         """Functions that do not vanish on a cell, (p + 1)^2."""
         return (self.degree + 1) ** 2
 
-    def cell_of(self, points: Floats) -> Places:
+    @property
+    def places(self) -> Floats:
+        """(count,) place of each function along the side with more cells, in cells."""
+        return np.asarray(np.indices(tuple(self.cells + self.degree))[np.argmax(self.cells)].ravel(), dtype=np.float64)
+
+    def cell_of(self, points: Floats) -> Indices:
         """(..., 2) cell of each point (..., 2), the nearest one outside of the grid."""
         return np.clip(np.floor((points - self.low) / self.size).astype(np.intp), 0, self.cells - 1)
 
-    def values(self, cell: Places, points: Floats, order: Order = (0, 0)) -> Floats:
+    def values(self, cell: Indices, points: Floats, order: Order = (0, 0)) -> Floats:
         """(..., (p + 1)^2) a derivative of the functions alive on a cell, at points (..., 2) of that cell."""
         factors = []
         for axis in (0, 1):
@@ -92,7 +95,7 @@ class SplineGrid:
         x, y = factors
         return np.asarray((x[..., :, None] * y[..., None, :]).reshape(*x.shape[:-1], self.alive))
 
-    def index(self, cell: Places) -> Places:
+    def index(self, cell: Indices) -> Indices:
         """(..., (p + 1)^2) numbers of the functions alive on a cell."""
         k = np.arange(self.degree + 1)
         x, y = cell[..., 0, None] + k, cell[..., 1, None] + k

@@ -10,11 +10,9 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.body import BodyModes
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 def followed(steps: Sequence[BodyModes], count: int) -> Floats:

@@ -21,24 +21,17 @@ Phases between modes above T1 are made up: this estimates levels in bands, not a
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 def displaced_volumes(freq: tuple[float, float], shapes: tuple[float, float], volume: float) -> tuple[float, float]:
     """V of A0 and of T1, m^3 per unit of the mode's coordinate.
 
-    Parameters
-    ----------
     freq, shapes : f- and f+ (Hz), phi- and phi+ (1/sqrt(kg)).
     volume : V of the body, m^3.
-
-    Raises
-    ------
-    ValueError : no two coupled oscillators have these modes.
+    Raises ValueError : no two coupled oscillators have these modes.
     """
     (low, high), (first, second) = freq, shapes
     total = first**2 + second**2
@@ -57,8 +50,6 @@ def pressure_shapes(
 ) -> Floats:  # fmt: skip
     """(channels, n) Pa per unit of each mode's acceleration q'' at a distance (m).
 
-    Parameters
-    ----------
     freq, loss, bridge : (n,) Hz, loss factors and shapes at the bridge.
     pair : numbers of A0 and T1; modes below T1 but these are taken to displace no volume.
     volume : m^3, of the body.

@@ -15,22 +15,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED, Cavity, cavity_modes, hole_loss
+from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED, cavity_modes, hole_loss
+from tonewood.physics.plate.block_solve import BlockSolver
 from tonewood.physics.plate.body import BodyDrawing, cell_of, made_plate, mouth_of, named_modes, opening_of, point_loads
 from tonewood.physics.plate.lanczos import lowest
 from tonewood.physics.plate.mode_changes import ModeChange, mode_change
 from tonewood.physics.plate.radiation import Sources, gathered_sources
-
-if TYPE_CHECKING:
-    from scipy.sparse.linalg import SuperLU
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: m, squares in which a plate's motion is gathered for its sound
 _SQUARE = 0.02
@@ -40,8 +35,6 @@ _SQUARE = 0.02
 class Lump:
     """A mass, a spring and a dashpot fixed to one of the drawing's points.
 
-    Attributes
-    ----------
     point : number of the point.
     factor : its displacement per displacement of the point along its own direction.
     mass, stiffness, damping : kg, N/m, N s/m.
@@ -58,8 +51,6 @@ class Lump:
 class LowModes:
     """Lowest modes of a body, mass-normalised.
 
-    Attributes
-    ----------
     freq : (n,) Hz.
     loss : (n,) loss factors.
     shapes : (p, n) 1/sqrt(kg) at the drawing's points.
@@ -76,17 +67,9 @@ class LowModes:
     named: dict[str, int]
 
 
-@lru_cache(maxsize=8)
-def _cavity(outline: bytes, fmax: float) -> Cavity:
-    """Cavity of depth 1 m; its modes do not depend on the depth."""
-    return cavity_modes(np.frombuffer(outline).reshape(-1, 2), 1.0, fmax)
-
-
 class WholeBody:
     """Matrices of a drawn body.
 
-    Parameters
-    ----------
     drawing : with cells of a size given in its plates, so that bodies of similar drawings have the same unknowns.
     lumps : fixed to its points.
     """
@@ -125,7 +108,7 @@ class WholeBody:
         drawing, plates = self.drawing, int(self._starts[-1])
         if drawing.depth == 0:
             return np.zeros(0), np.zeros((0, plates)), 0.0
-        cavity = _cavity(np.ascontiguousarray(drawing.outline).tobytes(), drawing.cavity_to)
+        cavity = cavity_modes(drawing.outline, 1.0, drawing.cavity_to)
         kappa = AIR_DENSITY * SOUND_SPEED**2 / (cavity.volume * drawing.depth)
         m, hole = len(cavity.freq), int(self.mouth is not None)
         rows = np.zeros((1 + m, plates + hole + m))
@@ -163,24 +146,20 @@ class WholeBody:
         return self.plates[0].shift ** 2
 
     @cached_property
-    def _factors(self) -> tuple[SuperLU, Floats, Floats, Floats]:
-        """Factors of D (K - kappa P^T P + s^2 M) D, D, and what the air adds to their solution."""
-        from scipy.sparse import diags
-        from scipy.sparse.linalg import splu
-
-        matrix = self.flexible + self.shift * self.mass_matrix
-        scale = np.asarray(1.0 / np.sqrt(matrix.diagonal()))
-        d = diags(scale)
-        lu = splu((d @ matrix @ d).tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
-                  options={"SymmetricMode": True})  # fmt: skip
-        moved = scale[:, None] * lu.solve(scale[:, None] * self.pressed.T)
+    def _solver(self) -> tuple[BlockSolver, Floats, Floats]:
+        """Of K - kappa P^T P + s^2 M, and what the air adds to its solution."""
+        places = np.full(self.size, self._starts[-1], dtype=np.float64)
+        for first, plate in zip(self._starts, self.plates, strict=False):
+            places[first : first + len(plate.places)] = first + plate.places  # one plate after the other
+        whole = BlockSolver(self.flexible + self.shift * self.mass_matrix, places)
+        moved = whole.solve(self.pressed.T)
         small = np.eye(len(self.pressed)) / self.kappa + self.pressed @ moved if self.kappa else np.zeros((0, 0))
-        return lu, scale, moved, small
+        return whole, moved, small
 
     def solve(self, forces: Floats) -> Floats:
         """(n, k) (K + s^2 M)^-1 applied to forces (n, k)."""
-        lu, scale, moved, small = self._factors
-        y = scale[:, None] * lu.solve(scale[:, None] * forces)
+        whole, moved, small = self._solver
+        y = whole.solve(forces)
         return y - moved @ np.linalg.solve(small, self.pressed @ y) if len(small) else y
 
     def modes(self, *, below: float = 0.0, count: int = 0) -> tuple[Floats, Floats]:
@@ -190,8 +169,6 @@ class WholeBody:
     def described(self, values: Floats, vectors: Floats, residual: bool = True) -> LowModes:
         """Frequencies, losses, shapes at points and what is left out, of modes of this body.
 
-        Parameters
-        ----------
         values, vectors : (m,) omega^2 and (n, m).
         residual : whether the residual is wanted, which takes a factorisation.
         """
@@ -272,16 +249,11 @@ def body_change(
     Derivatives of the matrices are central differences of matrices that are polynomials of most parameters; those of
     eigenvalues and shapes are `mode_change`; of all that follows from these, directional differences.
 
-    Parameters
-    ----------
     values, vectors : modes of `body`, more than `count`.
     less, more : bodies at p - step and p + step, with the same unknowns.
     count : number of modes wanted.
     residual : as in `WholeBody.described`.
-
-    Raises
-    ------
-    ValueError : the bodies do not have the same unknowns.
+    Raises ValueError : the bodies do not have the same unknowns.
     """
     if not less.size == body.size == more.size:
         raise ValueError("the drawing's unknowns change with this parameter")

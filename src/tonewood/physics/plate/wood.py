@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass(frozen=True, slots=True)
 class Wood:
     """An orthotropic material in plane stress, which shears through its thickness.
 
-    Attributes
-    ----------
     E_L, E_R : Pa, Young's moduli along and across the grain.
     G_LR : Pa, shear modulus in the plate's plane.
     nu_LR : Poisson's ratio, contraction across the grain under tension along it.
@@ -78,8 +75,6 @@ def _rotated(matrix: Floats, grain: float) -> Floats:
 class Species:
     """A wood of a species, and where its figures come from.
 
-    Attributes
-    ----------
     wood : typical figures; a single board differs by up to a factor of two.
     source : of elastic constants and density.
     assumed : constants that the source does not give, and the values taken for them.

@@ -17,8 +17,8 @@ from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
 from tonewood.physics.coupling.potentials.solve import force_vector
 from tonewood.physics.coupling.potentials.tension import TensionShare
 from tonewood.physics.coupling.system import Compiled, System
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 #: arrays and numbers by name
 Description = dict[str, Any]
 
@@ -49,8 +49,6 @@ def sort_ports(
 ) -> tuple[PortSets, OwnTerms]:
     """Sort a component's ports by the connections in use.
 
-    Parameters
-    ----------
     shares : (g, n_ports) of its ports in the g connections that touch it.
     use : (g, 2) place of each among the k linear ones that can carry force, -1 of others; 1 for a nonlinear one, 2 for
         a contact, 0 for others.

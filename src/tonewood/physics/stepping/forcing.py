@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from tonewood.physics.coupling.system import Injection
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import SERIES_TERMS, impulse_series, moments, real_form
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: steps with breakpoints that lie so far apart are injected one by one, others together
 _APART = 64
@@ -105,8 +104,6 @@ class SampledForce:
 class Course:
     """A known force from step to step, whatever it acts on.
 
-    Attributes
-    ----------
     dt : s, step; step n is [n dt, (n + 1) dt].
     parts : step, and the part of it that the force fills: begin and end (s from its beginning), coefficients there; of
         steps with breakpoints.
@@ -216,8 +213,6 @@ def compile_force(
     Steps that lie inside one piece share three vectors (constant, linear and quadratic part); a step with a
     breakpoint gets a vector of its own, to which each part of the step adds exactly.
 
-    Parameters
-    ----------
     pieces : in time order, not overlapping, times relative to `time`.
     dt : s, step.
     time : s, absolute time of the pieces' origin; step n is [n dt, (n + 1) dt].

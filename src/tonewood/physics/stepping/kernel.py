@@ -36,8 +36,8 @@ from tonewood.physics.stepping.description import (
     sort_ports,
 )
 from tonewood.physics.stepping.stepper import NumpyStepper, Statistics
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 _NONE = np.zeros(0, dtype=np.intp)
 _NO_MATRIX = np.zeros((0, 0))
 #: samples, at multiples of which a run may be cut without changing a bit
@@ -95,8 +95,6 @@ class Shortcuts:
 class KernelStepper:
     """Steps a `System` in C++.
 
-    Parameters
-    ----------
     system : to be stepped.
     isa : instruction set, by default `instruction_set()`.
     shortcuts : which shortcuts of the kernel are on, by default all.
@@ -307,31 +305,31 @@ class KernelStepper:
             return np.concatenate([first[0], rest[0]]), np.concatenate([first[1], rest[1]]), laws
         may_fail = s.nonlinear is not None
         before = state.copy() if may_fail else state
-        found = self._run(state, n, injections, controls)
-        if not isinstance(found, int):
-            return found
+        piece = self._run(state, n, injections, controls)
+        if not isinstance(piece, int):
+            return piece
         out, active_forces = np.empty((n, len(s.readouts))), np.empty((n, len(self._active)))
         law_forces, acted = np.zeros((n, len(on))), set()
         done, end = 0, n
         while True:
-            if isinstance(found, int):
+            if isinstance(piece, int):
                 state.restore(before)
-                if found:  # steps that it can make; cut where that changes nothing, wherever this run began
-                    aligned = (state.sample + found) // _CUT * _CUT - state.sample
-                    end = done + (aligned if aligned > 0 else found)
-                    found = self._run(state, end - done, injections, controls)
+                if piece:  # steps that it can make; cut where that changes nothing, wherever this run began
+                    aligned = (state.sample + piece) // _CUT * _CUT - state.sample
+                    end = done + (aligned if aligned > 0 else piece)
+                    piece = self._run(state, end - done, injections, controls)
                     continue
                 end = done + 1
-                found = self._redo(state, injections, controls)
-            out[done:end], active_forces[done:end], law_forces[done:end] = found
-            self._clear(found[2])
+                piece = self._redo(state, injections, controls)
+            out[done:end], active_forces[done:end], law_forces[done:end] = piece
+            self._clear(piece[2])
             acted.update(self._acted)
             if end == n:
                 break
             done, to_cut = end, -state.sample % _CUT
             end = min(n, done + to_cut) if to_cut else n
             before = state.copy()
-            found = self._run(state, end - done, injections, controls)
+            piece = self._run(state, end - done, injections, controls)
         self._acted = sorted(acted)
         return out, active_forces, law_forces
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from tonewood.physics.coupling.inverse import scaled_pinv
 from tonewood.physics.coupling.system import State, System
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 def to_motion(basis: ModalBasis, modes: Floats) -> tuple[Floats, Floats]:
@@ -36,8 +35,6 @@ def share_velocities(system: System, state: State, joints: NDArray[np.bool_] | N
     energy can only fall. Without it a struck body or a stopped string leaves the joint's velocities apart, and the
     constraint force then alternates from sample to sample for ever.
 
-    Parameters
-    ----------
     joints : (m,) connections to look at, all where left out; only rigid ones take part. Drives with `impulses` pass
         the impulses of theirs on.
     """

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import NumericalError
 from tonewood.physics.coupling.laws.friction import Friction, FrictionBranch, solve_branches
@@ -23,16 +22,13 @@ from tonewood.physics.coupling.laws.solve import Partners, find_forces
 from tonewood.physics.coupling.potentials.solve import DrivenForces, PotentialSolve, PotentialsOverStep
 from tonewood.physics.coupling.system import Injection, PrescribedMotion, State, System
 from tonewood.physics.modal.propagator import apply
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 @dataclass
 class Statistics:
     """Counts of a stepper's nonlinear solves since it was made.
 
-    Attributes
-    ----------
     steps : samples stepped.
     solves : nonlinear solves of a step's forces.
     iterations, most_iterations : of Newton's method on the forces, in all, and in one step at most.
@@ -74,14 +70,9 @@ class NumpyStepper:
     ) -> tuple[Floats, Floats]:
         """Advance `state` in place by n steps.
 
-        Returns
-        -------
-        out : (n, n_readouts).
+        Returns out : (n, n_readouts).
         forces : (n, m) N, connection forces, each constant over its step.
-
-        Raises
-        ------
-        NumericalError : the state is no longer finite, or a step's forces were not found; names component or
+        Raises NumericalError : the state is no longer finite, or a step's forces were not found; names component or
             connection, and time.
         """
         s = self.system

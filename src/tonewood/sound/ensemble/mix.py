@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import BundleError, DroppedNotesWarning, NothingPlayedError, TonewoodError
 from tonewood.instrument.model.output_assembly import pan_gains
@@ -33,10 +32,10 @@ from tonewood.performance.score.note import Control, Score
 from tonewood.performance.score.reading import read_score
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import Renderer, Summary, silence, warn_of_dropped_notes
+from tonewood.support.arrays import Floats
 from tonewood.support.params import Parameters, described, quantity, validated
 from tonewood.support.yaml_io import load_yaml
 
-Floats = NDArray[np.float64]
 #: controllers that act on a part's sound in the mix
 MIXED = ("cc7", "cc10", "cc11")
 #: s that a change of one of them takes
@@ -65,9 +64,7 @@ class Ensemble(Parameters):
 def parse_part(text: str) -> EnsemblePart:
     """Read ``NUMBER=INSTRUMENT[@GAINdB][@panPAN]``, e.g. ``2=electric_bass@-3dB@pan-0.3``.
 
-    Raises
-    ------
-    TonewoodError : one line.
+    Raises TonewoodError : one line.
     """
     match = _PART.fullmatch(text.strip())
     values: dict[str, Any] = {}
@@ -87,12 +84,7 @@ def parse_part(text: str) -> EnsemblePart:
 
 
 def read_ensemble(path: str | os.PathLike[str]) -> list[EnsemblePart]:
-    """Read an ensemble's YAML file.
-
-    Raises
-    ------
-    BundleError : it cannot be read, or a value is not allowed; one line.
-    """
+    """Read an ensemble's YAML file. Raises BundleError : it cannot be read, or a value is not allowed; one line."""
     path = Path(path)
     return validated(Ensemble, load_yaml(path, error=BundleError), key="", file=path).parts
 
@@ -120,8 +112,6 @@ def render_ensemble(
 ) -> list[Stem]:
     """Render the parts of a score, each in a process of its own.
 
-    Parameters
-    ----------
     score : path of a score's file.
     parts : of it, with their instruments.
     fs, options : as for `Renderer`, of all parts; the lead-in is a number.
@@ -130,15 +120,9 @@ def render_ensemble(
     reading : settings of `read_score`, without tracks.
     silent : called with a part of which no note can be played, and the reason; it is then left out. Where it is not
         given, that is an error.
-
-    Returns
-    -------
-    One stem per part, all of one length; their sum is the mix.
-
-    Raises
-    ------
-    NothingPlayedError : no note of a part can be played, or of none.
-    TonewoodError : a part or an instrument is not there, or has more than two channels; one line.
+    Returns One stem per part, all of one length; their sum is the mix.
+    Raises NothingPlayedError : no note of a part can be played, or of none.
+    Raises TonewoodError : a part or an instrument is not there, or has more than two channels; one line.
     """
     options = RenderOptions.of(options, fs, settings)
     if options.lead_in == "auto":

@@ -34,13 +34,8 @@ class ProgramTable(Parameters):
 def read_programs(path: str | os.PathLike[str] | None = None) -> dict[int, str]:
     """Read a table of programs; the one that comes with the package where no path is given.
 
-    Returns
-    -------
-    Program from 1 to 128 -> instrument; programs that are left out are not in it.
-
-    Raises
-    ------
-    BundleError : it cannot be read, or a value is not allowed; one line.
+    Returns Program from 1 to 128 -> instrument; programs that are left out are not in it.
+    Raises BundleError : it cannot be read, or a value is not allowed; one line.
     """
     file = _TABLE if path is None else Path(path)
     table = validated(ProgramTable, load_yaml(file, error=BundleError), key="", file=file).programs
@@ -65,20 +60,12 @@ def choose_players(
 ) -> tuple[list[EnsemblePart], list[str]]:
     """Give each part the instrument of its program; one whose programs change is divided among theirs.
 
-    Parameters
-    ----------
     parts : of a score.
     table : of `read_programs`.
     file : of the score, for errors.
-
-    Returns
-    -------
-    players : parts and their instruments.
+    Returns players : parts and their instruments.
     notes : lines on parts that are left out, and on those that name no program.
-
-    Raises
-    ------
-    TonewoodError : no part has an instrument.
+    Raises TonewoodError : no part has an instrument.
     """
     players: list[EnsemblePart] = []
     lines: list[str] = []

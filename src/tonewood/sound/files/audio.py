@@ -12,20 +12,19 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import OutputError
 from tonewood.performance.score.note import Dropped
 from tonewood.physics.energy.trace import EnergyTrace
 from tonewood.sound.files.tags import NO_TAGS, Tags
 from tonewood.sound.level.spectrum import level_curve, spectrogram
+from tonewood.support.arrays import Floats
 from tonewood.support.plotting import COLOURS, LINE, colour_bar, data_uri, draw_spectrogram, figure
 from tonewood.support.whole_files import AtomicFile
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
 
 #: bytes a plain WAV file can hold; larger files become RF64
 _WAV_LIMIT = 4_000_000_000
@@ -157,9 +156,7 @@ def decibels(amplitude: float) -> float:
 def file_format(path: str | os.PathLike[str], subtype: str | None, n_bytes_needed: float = 0.0) -> tuple[str, str]:
     """Container and subtype for a path: by its suffix, and RF64 where WAV would overflow.
 
-    Raises
-    ------
-    OutputError : names the suffixes or subtypes allowed; or the libsndfile that is installed does not write it.
+    Raises OutputError : names the suffixes or subtypes allowed; or the libsndfile that is installed does not write it.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in _FORMATS:
@@ -185,16 +182,11 @@ class SoundWriter:
 
     Used with ``with``; leaving it by an error (or Ctrl-C) removes the file begun.
 
-    Parameters
-    ----------
     path : final name; the suffix decides the format. Or a file to write in place, which is left as it is.
     fs, n_channels : Hz, number of channels.
     subtype : PCM_16, PCM_24 (default), PCM_32, FLOAT or DOUBLE; ``.ogg`` is VORBIS, ``.mp3`` MPEG_LAYER_III.
     frames : how many are expected at most, to choose RF64 in time.
     tags : texts that it carries.
-
-    Attributes
-    ----------
     clipped : samples beyond full scale so far (integer formats cut them; floating ones keep them).
     """
 
@@ -233,12 +225,7 @@ class SoundWriter:
         return self
 
     def write(self, block: Floats) -> None:
-        """Append (n, n_channels) samples.
-
-        Raises
-        ------
-        OutputError : the disk is full, or a sample is not a number.
-        """
+        """Append (n, n_channels) samples. Raises OutputError : the disk is full, or a sample is not a number."""
         import soundfile as sf
 
         if not np.all(np.isfinite(block)):

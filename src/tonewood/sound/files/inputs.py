@@ -15,9 +15,7 @@ InstrumentLike = Instrument | str | os.PathLike[str]
 def as_score(score: ScoreLike) -> Score:
     """Return a score, read from a file where a path is given.
 
-    Raises
-    ------
-    ScoreError : it is neither, or the file cannot be read.
+    Raises ScoreError : it is neither, or the file cannot be read.
     """
     if isinstance(score, Score):
         return score
@@ -33,9 +31,7 @@ def as_score(score: ScoreLike) -> Score:
 def as_instrument(instrument: InstrumentLike) -> Instrument:
     """Return an instrument, loaded where its name or folder is given.
 
-    Raises
-    ------
-    BundleError : it is neither, or there is no such instrument.
+    Raises BundleError : it is neither, or there is no such instrument.
     """
     if isinstance(instrument, Instrument):
         return instrument

@@ -19,8 +19,6 @@ _LONGEST = 400
 class Tags:
     """Texts that a sound file carries; an empty one is left out.
 
-    Attributes
-    ----------
     title, composer : of the music.
     instrument : what it is played on.
     licence : of the instruments' data.

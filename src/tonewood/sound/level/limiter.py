@@ -14,11 +14,9 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: samples worked on at a time, counted from the first one: the result does not depend on the blocks that come in
 _CHUNK = 4096
@@ -27,15 +25,10 @@ _CHUNK = 4096
 class Limiter:
     """Limits a stream; one object per stream.
 
-    Parameters
-    ----------
     fs : sampling rate, Hz.
     ceiling_db : largest level let through, dB re full scale, below 0.
     look_ahead : s.
     release_db_s : how fast the gain comes back, dB/s.
-
-    Attributes
-    ----------
     reduction_db : largest reduction so far, 0 where nothing was limited.
     """
 
@@ -52,8 +45,6 @@ class Limiter:
     def process(self, blocks: Iterable[Floats]) -> Iterator[Floats]:
         """Yield the same number of samples in blocks of the same sizes; the delay of L samples is taken out again.
 
-        Parameters
-        ----------
         blocks : (n, n_channels) each.
         """
         waiting: list[int] = []

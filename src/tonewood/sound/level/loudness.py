@@ -11,12 +11,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import OutputError
+from tonewood.support.arrays import Floats
 from tonewood.support.units import decibel
-
-Floats = NDArray[np.float64]
 
 BLOCK = 0.400  # s, gating block of BS.1770
 _REACH, _REACH_GAIN = 10, 2.25  # of scipy's fourfold filter: samples each side, and sum of |h| (2.2414) over them
@@ -81,8 +79,6 @@ def loudest(audio: Floats, fs: int, window: float = BLOCK) -> float:
 
     A shorter sound is padded to T; silence gives -inf. Source: BS.1770-4; EBU Tech 3341 for T = 400 ms.
 
-    Parameters
-    ----------
     audio : (n, channels).
     fs : Hz.
     window : T, s.
@@ -125,9 +121,7 @@ def matching_gain_db(audio: Floats, fs: int, target_lufs: float) -> float:
     The absolute gate (-70 LUFS) depends on the level itself, so the gated loudness is measured again at the level
     found, until it stays.
 
-    Raises
-    ------
-    OutputError : the sound is silent.
+    Raises OutputError : the sound is silent.
     """
     peak = float(np.max(np.abs(audio), initial=0.0))
     if peak == 0.0:

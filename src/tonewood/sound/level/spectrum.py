@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: level of silence, dB re full scale
 SILENCE_DB = -200.0
@@ -14,14 +13,9 @@ SILENCE_DB = -200.0
 def level_curve(samples: Floats, fs: float, *, interval: float = 0.02) -> tuple[Floats, Floats]:
     """Level of consecutive intervals: 10 lg of the mean square over time and channels.
 
-    Parameters
-    ----------
     samples : (n, n_channels), 1.0 is full scale.
     interval : s.
-
-    Returns
-    -------
-    time, level_db : (n_intervals,) s, middle of each interval, and dB re full scale.
+    Returns time, level_db : (n_intervals,) s, middle of each interval, and dB re full scale.
     """
     size = max(1, round(interval * fs))
     count = max(1, len(samples) // size)
@@ -38,16 +32,11 @@ def spectrogram(
 
     A sine of amplitude a has the level 20 lg a in its bin.
 
-    Parameters
-    ----------
     samples : (n, n_channels), 1.0 is full scale.
     window : samples of the window; its main lobe is 4 fs / window wide.
     columns : at most as many times.
     freq_upper : Hz, highest frequency returned.
-
-    Returns
-    -------
-    time, freq, level_db : (n_time,) s, middle of each window; (n_freq,) Hz; (n_freq, n_time) dB.
+    Returns time, freq, level_db : (n_time,) s, middle of each window; (n_freq,) Hz; (n_freq, n_time) dB.
     """
     mono = samples.mean(axis=1)
     padded = np.pad(mono, (window // 2, window))

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.model.assembly import Model
@@ -28,10 +27,9 @@ from tonewood.sound.render.presets import with_preset
 from tonewood.sound.render.renderer import assembled
 from tonewood.sound.render.resampling import Resampler
 from tonewood.sound.render.routing import Routing
+from tonewood.support.arrays import Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.support.one_user import OneUser, alone
-
-Floats = NDArray[np.float64]
 
 #: options of a render that need its end or its past
 _NOT_LIVE = ("tail", "tail_level_db", "max_duration", "lead_in", "energy", "room")
@@ -138,7 +136,8 @@ class Live:
         steps = LEVELS[options.accuracy].oversampling(self.instrument.spec)
         if options.oversampling is not None:
             steps = Fraction(options.oversampling)
-        self.model = assembled(self.instrument, options) if model is None else model
+        made = assembled(self.instrument, options) if model is None else model
+        self.model = replace(made, strings={name: string.for_live() for name, string in made.strings.items()})
         self.engine = Engine(self.model, Timeline((), ()))
         self.player = Player(
             self.model,

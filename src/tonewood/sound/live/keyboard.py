@@ -27,20 +27,12 @@ HELP = "keys z to m and q to p play; [ ] octave, - = loudness, space damps all, 
 class ComputerKeyboard:
     """Turns characters into MIDI messages.
 
-    Parameters
-    ----------
     lowest : MIDI number of the lowest note that the instrument has; the lower row begins at the C at or below it.
     read : returns the characters that were typed since the last time; those of the terminal where left out.
     now : clock, s.
-
-    Attributes
-    ----------
     base, velocity : MIDI number of the lower row's C, and velocity of the next notes.
     ended : whether Esc was typed.
-
-    Raises
-    ------
-    TonewoodError : standard input is no terminal.
+    Raises TonewoodError : standard input is no terminal.
     """
 
     name = "computer's keys"

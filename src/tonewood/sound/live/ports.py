@@ -33,9 +33,7 @@ class EventSource(Protocol):
 def midi_inputs() -> list[str]:
     """Names of the MIDI inputs.
 
-    Raises
-    ------
-    TonewoodError : no MIDI library is installed, or it finds no system to ask; one line.
+    Raises TonewoodError : no MIDI library is installed, or it finds no system to ask; one line.
     """
     import mido
 
@@ -69,13 +67,8 @@ def _library_silent() -> Iterator[None]:
 class MidiInput:
     """One MIDI input, opened.
 
-    Parameters
-    ----------
     name : of the port, or a part of it that no other has; empty for the first one.
-
-    Raises
-    ------
-    TonewoodError : there is no such input, or it cannot be opened; one line.
+    Raises TonewoodError : there is no such input, or it cannot be opened; one line.
     """
 
     def __init__(self, name: str = ""):

@@ -30,14 +30,9 @@ def channel_message(message: Sequence[int]) -> bytes | None:
 class MidiReceiver:
     """Plays MIDI messages on an instrument.
 
-    Parameters
-    ----------
     live : the instrument.
     channels : from 1, of which notes are played; all where left out, but channel 10 (percussion), unless a zone of MPE
         has it.
-
-    Attributes
-    ----------
     ignored : kind of message -> number of them without effect, besides those that `live` counts.
     messages : number of all.
     """

@@ -24,16 +24,11 @@ class LiveSession:
     All sources are asked before every block, so that every message reaches the next block that is computed. Messages
     that came before there was sound keep their distances (`Arrivals`).
 
-    Parameters
-    ----------
     live : the instrument.
     sources : of messages.
     block_size, ahead : as for `AudioStream`.
     take : records the messages, where given.
     channels : as for `MidiReceiver`.
-
-    Attributes
-    ----------
     receiver, stream : as they were made.
     """
 

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.sound.live.instrument import Live
 from tonewood.sound.render.renderer import Renderer
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 #: takes a block (n, n_channels) and the sampling rate in Hz, returns one of as many channels
 Processor = Callable[[Floats, int], Floats]
 
@@ -59,8 +58,6 @@ class Arrivals(Generic[T]):
     One that has just come is due at once. Where the oldest has waited for longer than `PATIENCE`, because sound had not
     begun or was interrupted, messages keep their distances: they come as late as that one, until none waits any more.
 
-    Parameters
-    ----------
     fs, block_size : Hz, frames per block.
     clock : s, of the times of arrival.
     """

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.performance.score.midi import read_messages
@@ -24,9 +23,8 @@ from tonewood.sound.live.instrument import Live
 from tonewood.sound.live.receiver import MidiReceiver, channel_message
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import Summary, silence
+from tonewood.support.arrays import Floats
 from tonewood.support.whole_files import write_whole
-
-Floats = NDArray[np.float64]
 
 _HEADING = "tonewood take"
 #: ticks before an event, most
@@ -38,18 +36,10 @@ _TEMPOS = (1_000_000, 500_000, 250_000, 200_000, 125_000, 100_000, 50_000, 40_00
 class Take:
     """Messages with the frames before which they came.
 
-    Parameters
-    ----------
     fs : frames per second.
     channels : as the `MidiReceiver` has them that plays it.
-
-    Attributes
-    ----------
     messages : (frame, bytes), in order.
-
-    Raises
-    ------
-    TonewoodError : a MIDI file has no tempo of which a tick is one frame.
+    Raises TonewoodError : a MIDI file has no tempo of which a tick is one frame.
     """
 
     def __init__(self, fs: int, channels: Collection[int] | None = None):
@@ -73,9 +63,7 @@ class Take:
     def save(self, path: str | os.PathLike[str], live: Live, frames: int) -> None:
         """Write a MIDI file, of a length in frames; whole or not at all, and again whenever there are more messages.
 
-        Raises
-        ------
-        OutputError : it cannot be written.
+        Raises OutputError : it cannot be written.
         """
         name = live.instrument.spec.name
         chosen = "" if self.channels is None else f"channels={' '.join(map(str, sorted(self.channels)))}; "
@@ -135,8 +123,6 @@ class Replay:
     A take gives the samples that were heard when it was recorded, to the last bit, with the same options; its own
     sampling rate, ramp and spacing are taken where none are given.
 
-    Parameters
-    ----------
     path : a take, or any MIDI file.
     instrument, fs, options : as for `Renderer`, single options as keywords too. After the last message the tail is as
         for a score.

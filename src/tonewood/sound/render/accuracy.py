@@ -22,8 +22,6 @@ from tonewood.sound.render.options import AccuracyName
 class Accuracy:
     """One setting.
 
-    Attributes
-    ----------
     name : of the setting.
     factor : ratio of the engine's rate to that at `standard`; None is the ratio that the bundle names for a draft.
     """

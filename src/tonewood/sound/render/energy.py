@@ -18,10 +18,8 @@ _KINDS = ("stored", "supplied", "booked", "lost")
 def check_energy_file(path: Path) -> None:
     """Check before a long render that an account can be written to a file.
 
-    Raises
-    ------
-    TonewoodError : another ending than .json, .csv or .png, a place that cannot be written to, or no matplotlib for a
-        picture.
+    Raises TonewoodError : another ending than .json, .csv or .png, a place that cannot be written to, or no matplotlib
+        for a picture.
     """
     if path.suffix.lower() not in _ENDINGS:
         raise TonewoodError(f"is {path.name!r}; a name ending in {', '.join(_ENDINGS)} is allowed", key="--energy")
@@ -47,10 +45,8 @@ def energy_csv(trace: EnergyTrace) -> str:
 def save_energy(trace: EnergyTrace, path: Path) -> None:
     """Write an account to a file that appears only when it is complete.
 
-    Raises
-    ------
-    TonewoodError : see `check_energy_file`.
-    OutputError : it cannot be written.
+    Raises TonewoodError : see `check_energy_file`.
+    Raises OutputError : it cannot be written.
     """
     check_energy_file(path)
     ending = path.suffix.lower()

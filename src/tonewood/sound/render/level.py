@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import NothingPlayedError, TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
@@ -21,7 +20,6 @@ from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import Renderer
 from tonewood.support.units import decibel
 
-Floats = NDArray[np.float64]
 LevelName = Literal["calibrated", "peak", "LUFS"]
 
 #: dBFS, largest sample where the level is `peak` or `LUFS`; LUFS, the loudness of EBU R 128
@@ -35,9 +33,7 @@ _MARGIN = 3.0
 def level_name(given: str | None, *, gain_db: float, limiter: bool) -> LevelName:
     """Check the name of a level; left out it is `peak`, or `calibrated` where a gain or a limiter is asked for.
 
-    Raises
-    ------
-    TonewoodError : the name is unknown, or a gain or limiter is given with a level that sets the gain itself.
+    Raises TonewoodError : the name is unknown, or a gain or limiter is given with a level that sets the gain itself.
     """
     if given is None:
         return "calibrated" if gain_db or limiter else "peak"

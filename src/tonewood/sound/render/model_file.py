@@ -49,19 +49,14 @@ def save_model(
 ) -> None:
     """Save an instrument with a pluck of each string, to be played by ``src/embed/saved_model.hpp``.
 
-    Parameters
-    ----------
     path : of the file; conventionally ``.tonewood``.
     instrument : a loaded instrument, or its name or folder.
     fs : Hz, of the steps.
     force : N, of the plucks by the default technique.
     stops : string -> stop at which it is held; open where left out.
     outputs : groups that are read; the first where left out.
-
-    Raises
-    ------
-    TonewoodError : there is no such string, or the technique moves more than known forces.
-    OutputError : the file cannot be written.
+    Raises TonewoodError : there is no such string, or the technique moves more than known forces.
+    Raises OutputError : the file cannot be written.
     """
     model = assemble(as_instrument(instrument), fs, outputs=outputs)
     engine = Engine(model, Timeline((), ()))
@@ -98,12 +93,7 @@ def save_model(
 
 
 def recorded(system: System, plucks: Sequence[Sequence[Injection]] = (), isa: str | None = None) -> Arrays:
-    """Arrays of a system and of known forces from sample 0 on.
-
-    Raises
-    ------
-    TonewoodError : a law is a function in memory.
-    """
+    """Arrays of a system and of known forces from sample 0 on. Raises TonewoodError : a law is a function in memory."""
     stepper = KernelStepper(system, isa=isa)
     state = stepper.start()
     description = stepper.describe()
@@ -118,12 +108,7 @@ def recorded(system: System, plucks: Sequence[Sequence[Injection]] = (), isa: st
 
 
 def write_arrays(path: str | os.PathLike[str], arrays: Arrays) -> None:
-    """Write named arrays to a file, whole or not at all.
-
-    Raises
-    ------
-    OutputError : it cannot be written.
-    """
+    """Write named arrays to a file, whole or not at all. Raises OutputError : it cannot be written."""
     file = AtomicFile(Path(path))
     try:
         with file.path.open("wb") as stream:

@@ -3,10 +3,12 @@
 The score is played through at a third of the sampling rate, with switched effects watched but not switched: that shows
 which would be switched, and when. Steps are timed on the first second of sound, at the full rate. Where there are very
 many bends, each of which exchanges strings, they are left out of both: some are timed by themselves, and all counted.
+Of a long score the beginning is played through, and the rest is taken to be like it.
 """
 
 from __future__ import annotations
 
+import math
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -21,11 +23,11 @@ from tonewood.performance.effects.base import Foreseen, PlannedEffect, SwitchedE
 from tonewood.performance.effects.usage import EffectUsage
 from tonewood.performance.engine.engine import Engine
 from tonewood.performance.player.timeline import GRID, Change, Timeline
-from tonewood.performance.score.note import Dropped
+from tonewood.performance.score.note import Dropped, Score
 from tonewood.sound.files.inputs import InstrumentLike, ScoreLike, as_instrument, as_score
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.presets import with_preset
-from tonewood.sound.render.renderer import Renderer
+from tonewood.sound.render.renderer import Renderer, assembled
 
 #: the sketch is made at this share of the sampling rate, but at no less than this
 _SKETCH, _LEAST_FS = 3, 12000
@@ -35,6 +37,8 @@ _TIMED = 1.0
 _STRETCH, _ROUNDS = 2048, 3
 #: points of the control grid with bends from which on these are foreseen by themselves, and how many are timed
 _MANY_BENDS, _TIMED_BENDS = 500, 40
+#: notes that are looked at, and processor time (s) after which the sketch ends, but not before a second of sound
+_MOST_NOTES, _MOST_COMPUTING = 1500, 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +48,14 @@ class Plan:
     Attributes
     ----------
     effects : one per effect and component.
-    duration_s : of sound, with its tail.
+    duration_s : of sound, with its tail; at most, where not all of it was sketched.
     predicted_s : of computing, without load.
     timed_s : of sound on which that rests.
     notes_dropped : notes that cannot be played, and why.
     bends, bends_s : points in time at which strings are bent, where these are very many, and the seconds of
         `predicted_s` that they take.
+    sketched_s : of sound that was played through; where this is less than `duration_s`, effects and dropped notes are
+        those until then, and the rest of the times is taken to be in proportion.
     """
 
     effects: Sequence[PlannedEffect]
@@ -59,6 +65,7 @@ class Plan:
     notes_dropped: Sequence[Dropped] = ()
     bends: int = 0
     bends_s: float = 0.0
+    sketched_s: float = 0.0
 
 
 def plan(
@@ -86,50 +93,72 @@ def plan(
     NothingPlayedError : no note can be played.
     TonewoodError : something is out of range; one line.
     """
-    score, instrument = as_score(score), as_instrument(instrument)
+    whole, instrument = as_score(score), as_instrument(instrument)
     options = with_preset(RenderOptions.of(options, fs, settings), instrument.spec).at(room=None)  # takes no time
     low = max(options.fs // _SKETCH, min(_LEAST_FS, options.fs))
     sketched = options.at(fs=low, accuracy="standard", oversampling=None, freq_limit=None)
-    # imports and caches of the first time belong to no second of sound
-    first_second = _TIMED if options.max_duration is None else min(_TIMED, options.max_duration)
+    longest = math.inf if options.max_duration is None else options.max_duration
+    beginning, until = _beginning(whole)
+    full = Renderer(beginning, instrument, options=options)
+    dropped, bends = full.dropped, bends_by_point(full.performance.timeline, full.model.fs)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DroppedNotesWarning)  # the last one, which is not at a lower rate, warns
-        full = Renderer(score, instrument, options=options)
-        bends = bends_by_point(full.performance.timeline, full.model.fs)
+        warnings.simplefilter("ignore", DroppedNotesWarning)  # issued above
         if len(bends) > _MANY_BENDS:
-            score = replace(score, controls=[c for c in score.controls if c.kind != "bend"])
-        for _ in Renderer(score, instrument, options=sketched.at(max_duration=first_second)).blocks(4096):
-            pass
-        sketch = Renderer(score, instrument, options=sketched)
+            beginning = replace(beginning, controls=[c for c in beginning.controls if c.kind != "bend"])
+            full = Renderer(beginning, instrument, options=options, model=full.model)
+        if until < longest:
+            sketched = sketched.at(max_duration=until)
+        sketch = Renderer(beginning, instrument, options=sketched)
+    # imports and caches of the first time belong to no second of sound
+    warm = Engine(assembled(instrument, sketched), sketch.performance.timeline)
+    warm.advance(math.ceil(min(_TIMED, longest) * warm.model.fs / GRID))
     sketch.engine.only_watch = True
-    first = Spent()
+    first, began = Spent(), time.thread_time()
     for _ in sketch.blocks(512):
         if sketch.time <= _TIMED:
             first = Spent.of(sketch.engine)
+        elif time.thread_time() - began > _MOST_COMPUTING:
+            break
         if progress is not None:
             progress(sketch.time)
-    seconds = sketch.summary().duration_s
-    timed = Renderer(score, instrument, options=options.at(max_duration=min(_TIMED, seconds)), model=full.model)
-    for _ in timed.blocks(4096):
-        pass
-    rates = _switched_rates(timed.engine)
-    scale = timed.model.fs / sketch.model.fs
-    extra = sum(_computing(rates, timed.engine.usage).values())
+    looked = sketch.summary()
+    seconds = duration = looked.duration_s
+    if looked.end == "not ended" or until < longest:
+        end = max(n.time + n.duration for n in whole.notes)
+        duration = max(seconds, min(longest, end + options.tail + full.zero_frame / full.fs))
+    for _ in full.blocks(1024):
+        if full.time >= min(_TIMED, seconds):
+            break
+    rates = _switched_rates(full.engine)
+    scale = full.model.fs / sketch.model.fs
+    extra = sum(_computing(rates, full.engine.usage).values())
     computing = {key: scale * seconds for key, seconds in _computing(rates, sketch.engine.usage).items()}
     n_bends = sum(point * GRID < seconds * full.model.fs for point in bends) if len(bends) > _MANY_BENDS else 0
     bends_s = n_bends * seconds_per_bend(full.model, bends) if n_bends else 0.0
     foreseen = Foreseen(sketch.engine.usage, seconds, computing)
+    more = duration / seconds
+    notes = [sum(note.time < until for note in whole.notes) for until in (seconds, duration)]
+    spent = Spent.of(sketch.engine).times(more, notes[1] / max(notes[0], 1))
     return Plan(
         effects=[planned for effect in sketch.engine.effects for planned in effect.plan(foreseen)],
-        duration_s=seconds,
-        predicted_s=predicted(Spent.of(timed.engine), extra, first, Spent.of(sketch.engine))
-        + sum(computing.values())
-        + bends_s,
-        timed_s=timed.summary().duration_s,
-        notes_dropped=timed.dropped,
+        duration_s=duration,
+        predicted_s=predicted(Spent.of(full.engine), extra, first, spent) + more * (sum(computing.values()) + bends_s),
+        timed_s=full.summary().duration_s,
+        notes_dropped=dropped,
         bends=n_bends,
         bends_s=bends_s,
+        sketched_s=seconds,
     )
+
+
+def _beginning(score: Score) -> tuple[Score, float]:
+    """The first notes of a score, and the time (s) of the first one that is left out."""
+    notes = sorted(score.notes, key=lambda note: note.time)
+    if len(notes) <= _MOST_NOTES:
+        return score, math.inf
+    until = max(notes[_MOST_NOTES].time, _TIMED)
+    controls = [control for control in score.controls if control.time < until]
+    return replace(score, notes=notes[:_MOST_NOTES], controls=controls), until
 
 
 def bends_by_point(timeline: Timeline, fs: float) -> dict[int, list[Change]]:
@@ -162,6 +191,10 @@ class Spent:
         """Time that an engine has taken so far."""
         return cls(engine.counters.stepping_s, engine.counters.control_s)
 
+    def times(self, steps: float, control: float) -> Spent:
+        """Return so many times the seconds in steps, and between them."""
+        return Spent(steps * self.stepping, control * self.control)
+
 
 @dataclass(frozen=True, slots=True)
 class SwitchedRate:
@@ -183,8 +216,6 @@ class SwitchedRate:
 def predicted(timed: Spent, extra: float, first: Spent, whole: Spent) -> float:
     """Seconds for a whole score without the time of switched effects.
 
-    Parameters
-    ----------
     timed : of its beginning as it will be rendered; `extra` of its steps are due to switched effects.
     first, whole : of the same beginning, and of the whole score, in a sketch.
     """

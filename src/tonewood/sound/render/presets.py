@@ -17,9 +17,7 @@ BUILT_IN = {
 def with_preset(options: RenderOptions, spec: Bundle) -> RenderOptions:
     """Return the options with the values of their preset for those that are not given.
 
-    Raises
-    ------
-    TonewoodError : the instrument has no preset of this name.
+    Raises TonewoodError : the instrument has no preset of this name.
     """
     if options.preset is None:
         return options

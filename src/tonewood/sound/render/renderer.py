@@ -32,11 +32,10 @@ from tonewood.sound.render.presets import with_preset
 from tonewood.sound.render.resampling import Resampler
 from tonewood.sound.render.routing import Routing, columns_of
 from tonewood.sound.room import Room, reverberation_db, room_response
+from tonewood.support.arrays import Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.support.garbage import without_collecting
 from tonewood.support.one_user import OneReader
-
-Floats = NDArray[np.float64]
 
 #: ticks of the control grid in a span; a sound that has decayed ends after a whole span, whatever the block size
 _TICKS = 8

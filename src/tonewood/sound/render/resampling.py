@@ -5,9 +5,8 @@ from __future__ import annotations
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: attenuation of frequencies that would alias, dB; width of the transition re the lower of the two rates
 _ATTENUATION_DB, _TRANSITION = 110.0, 0.1
@@ -19,8 +18,6 @@ class Resampler:
     Frame m lies at sample m p / q. Its value is the sum over samples s of x_s h(m p - s q), h being the taps of a
     filter at the rate of both, p times that of the frames.
 
-    Parameters
-    ----------
     ratio : p / q, samples that go in per frame that comes out; 1 leaves the sound as it is.
     n_channels : columns.
     """
@@ -57,13 +54,8 @@ class Resampler:
     def __call__(self, sound: Floats, sample: int) -> Floats:
         """Return the frames that the next samples of a sound complete.
 
-        Parameters
-        ----------
         sound : (n, n_channels), the samples from number `sample` on; those before are in the memory.
-
-        Returns
-        -------
-        (n_frames, n_channels), frames `frame(sample)` to `frame(sample + n)`, the latter not included.
+        Returns (n_frames, n_channels), frames `frame(sample)` to `frame(sample + n)`, the latter not included.
         """
         if self.ratio == 1:
             return sound

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from itertools import accumulate, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.contract.conversion import Converter
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.output_assembly import OutputGroup
 from tonewood.sound.equalizer import Equalizer
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 #: of the delays, of the equalizers, then of every converter
 Memory = tuple[Floats, ...]
 
@@ -31,14 +30,9 @@ def columns_of(outputs: Sequence[OutputGroup], *, in_room: bool) -> list[list[in
 class Routing:
     """Converts readouts, scales them to full scale, gives them to channels, filters these and delays them by frames.
 
-    Parameters
-    ----------
     model : with its output groups.
     fs : sampling rate, Hz.
     gain_db : of all channels.
-
-    Attributes
-    ----------
     channels : names, ``GROUP.CHANNEL`` where there are several groups.
     scale : (n_channels,) 1 per unit of each channel.
     delays : (n_channels,) frames, the nearest to those of the outputs.

@@ -70,8 +70,6 @@ class Draw:
 class Condition:
     """One sound to be rendered: plain data, so that it can go to another process or machine.
 
-    Attributes
-    ----------
     name : readable, e.g. ``harp.low.damping=complex.r1``.
     instrument, score, repeat, levels : where it stands in the design.
     bundle : name or absolute path of the instrument bundle.
@@ -117,14 +115,9 @@ class Condition:
 def expand(manifest: Manifest, folder: Path) -> tuple[Condition, ...]:
     """All conditions of a manifest, in its order.
 
-    Parameters
-    ----------
     manifest : checked manifest.
     folder : the manifest's folder, to which its paths are relative.
-
-    Raises
-    ------
-    ManifestError
+    Raises ManifestError
         A score's file cannot be read, nothing is left after exclusion, or there are more than `MAX_CONDITIONS`.
     """
     count = len(manifest.instruments) * len(manifest.scores) * manifest.repeats
@@ -147,8 +140,6 @@ def vary_notes(
 ) -> tuple[Note, ...]:
     """Notes with their human variation, in time order.
 
-    Parameters
-    ----------
     notes : in the order they were written.
     draws : those with a `note_field` are applied, each with one number per note.
     base : value of that field before the variation, given in the note or by the instrument; None leaves the note

@@ -25,8 +25,6 @@ _NOT_STATED = "not stated"
 class Subject:
     """What a data sheet is of.
 
-    Attributes
-    ----------
     name, title, licence : of the sounds.
     manifest : as plain data; its hash is that of its JSON with sorted keys.
     facts : name -> value, of the sounds.
@@ -44,8 +42,6 @@ class Subject:
 def write_data_sheet(folder: Path, subject: Subject, identities: Iterable[Mapping[str, Any]]) -> None:
     """Write the data sheet into a folder; raises as `whole_file`.
 
-    Parameters
-    ----------
     identities : everything that decided the samples of each sound (`StimulusRenderer.identity`).
     """
     with whole_file(folder / FILE, make_folder=True) as stream:
@@ -90,14 +86,14 @@ def data_sheet(subject: Subject, identities: Sequence[Mapping[str, Any]]) -> str
 
 def _software(identities: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
     """Rows of everything that computes; several values where sounds differ."""
-    found: dict[str, set[str]] = {}
+    versions: dict[str, set[str]] = {}
     for identity in identities:
-        found.setdefault("tonewood", set()).add(str(identity.get("version", _NOT_STATED)))
-        found.setdefault("instruction set", set()).add(str(identity.get("isa", _NOT_STATED)))
+        versions.setdefault("tonewood", set()).add(str(identity.get("version", _NOT_STATED)))
+        versions.setdefault("instruction set", set()).add(str(identity.get("isa", _NOT_STATED)))
         for name, value in identity.get("computed_with", {}).items():
             text = value if isinstance(value, str) else json.dumps(value, sort_keys=True)
-            found.setdefault(name, set()).add(text)
-    return [(name, "; ".join(sorted(values))) for name, values in found.items()]
+            versions.setdefault(name, set()).add(text)
+    return [(name, "; ".join(sorted(values))) for name, values in versions.items()]
 
 
 def _name(parameters: Mapping[str, Any]) -> str:
@@ -105,12 +101,12 @@ def _name(parameters: Mapping[str, Any]) -> str:
 
 
 def _sources(instruments: Iterable[Mapping[str, Any]]) -> set[tuple[str, str, str]]:
-    found = set()
+    sources = set()
     for parameters in instruments:
         for source in (parameters.get("sources") or {}).values():
             place = f", doi:{source['doi']}" if source.get("doi") else f", {source['url']}" if source.get("url") else ""
-            found.add((source["text"] + place, source["licence"], source.get("changes") or ""))
-    return found
+            sources.add((source["text"] + place, source["licence"], source.get("changes") or ""))
+    return sources
 
 
 def _table(head: tuple[str, ...], rows: Iterable[Sequence[str]]) -> str:

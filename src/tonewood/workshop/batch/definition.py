@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from tonewood.errors import TonewoodError, together
+from tonewood.support.text_files import json_value
 from tonewood.workshop.batch.conditions import Condition, expand
 from tonewood.workshop.batch.layout import Group
 from tonewood.workshop.batch.manifest import Manifest, ManifestError
@@ -34,14 +35,9 @@ def definition_of(
 ) -> dict[str, Any]:
     """The definition as plain data; trials with a sound that is not in `codes` are left out.
 
-    Parameters
-    ----------
     folder : the manifest's, to which its paths are relative.
     drops_db : by name of a group, by which its files were lowered.
-
-    Raises
-    ------
-    ManifestError : the room's file cannot be read.
+    Raises ManifestError : the room's file cannot be read.
     """
     room = manifest.stimuli.room
     return {
@@ -68,9 +64,7 @@ def definition_of(
 def room_sha256(path: Path) -> str:
     """SHA-256 of a room's impulse response: the sounds of a test depend on it, its name does not tell.
 
-    Raises
-    ------
-    ManifestError : it cannot be read.
+    Raises ManifestError : it cannot be read.
     """
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
@@ -89,19 +83,17 @@ class StaircaseLevel:
 def changed_condition(manifest: Manifest, conditions: Sequence[Condition], index: int) -> Condition:
     """The one condition that the staircase of page `index` (from 0) changes.
 
-    Raises
-    ------
-    ManifestError : its `of` fits no condition, or several.
+    Raises ManifestError : its `of` fits no condition, or several.
     """
     page = manifest.pages[index]
     assert isinstance(page, StaircasePage)
-    found = [c for c in conditions if page.of.items() <= c.all_levels.items()]
-    if len(found) != 1:
+    candidates = [c for c in conditions if page.of.items() <= c.all_levels.items()]
+    if len(candidates) != 1:
         raise ManifestError(
-            f"fits {len(found)} conditions, one is wanted: name levels of {', '.join(manifest.choices())}, repeat",
+            f"fits {len(candidates)} conditions, one is wanted: name levels of {', '.join(manifest.choices())}, repeat",
             key=f"pages.{index}.of",
         )
-    return found[0]
+    return candidates[0]
 
 
 def with_value(manifest: Manifest, condition: Condition, path: str, value: Any) -> Condition:
@@ -130,16 +122,16 @@ def staircase_levels(manifest: Manifest, folder: Path, own: Callable[[Condition,
     """
     pages = [(index, page) for index, page in enumerate(manifest.pages) if isinstance(page, StaircasePage)]
     conditions = expand(manifest, folder) if pages else ()
-    found: list[StaircaseLevel] = []
+    levels: list[StaircaseLevel] = []
     faults: list[TonewoodError] = []
     for index, page in pages:
         try:
-            found += _levels_of(manifest, conditions, index, page, own)
+            levels += _levels_of(manifest, conditions, index, page, own)
         except ManifestError as fault:
             faults.append(fault)
     if faults:
         raise together(faults)
-    return found
+    return levels
 
 
 def _levels_of(
@@ -150,7 +142,7 @@ def _levels_of(
     own: Callable[[Condition, str], Any],
 ) -> list[StaircaseLevel]:
     condition = changed_condition(manifest, conditions, index)
-    found = []
+    levels = []
     try:
         base = own(condition, page.path)
     except TonewoodError as fault:
@@ -176,19 +168,17 @@ def _levels_of(
             values[name] = own(level, page.path)
         except TonewoodError as fault:
             raise ManifestError(f"the level cannot be rendered: {fault}", key=key) from None
-        found.append(StaircaseLevel(key, level))
+        levels.append(StaircaseLevel(key, level))
     if values["lowest"] == values["highest"]:
         reason = f"{page.path} is {values['lowest']} at the lowest and at the highest level: levels change nothing"
         raise ManifestError(reason, key=f"pages.{index}.scale")
-    return found
+    return levels
 
 
 def check_rendering(levels: Sequence[StaircaseLevel], render: Callable[[Condition], Any]) -> None:
     """Render a short piece of each level: values that are allowed one by one may not fit together.
 
-    Raises
-    ------
-    ManifestError : one cannot be rendered; names the page and the key.
+    Raises ManifestError : one cannot be rendered; names the page and the key.
     """
     for level in levels:
         settings = level.condition.render
@@ -208,16 +198,11 @@ def count_answers(path: Path) -> int:
 def check_answers(folder: Path, manifest: Manifest, source: Path, groups: Sequence[Group], todo: int) -> None:
     """Check that a batch leaves a test as it is to which answers were given.
 
-    Parameters
-    ----------
     folder : of the batch.
     source : the manifest's.
     groups : that are planned.
     todo : sounds that would be rendered.
-
-    Raises
-    ------
-    ManifestError : the test or its sounds would be replaced, or it is unknown whether answers were given.
+    Raises ManifestError : the test or its sounds would be replaced, or it is unknown whether answers were given.
     """
     answers = 0
     for path in (folder / ANSWERS).glob("*.jsonl"):
@@ -230,7 +215,7 @@ def check_answers(folder: Path, manifest: Manifest, source: Path, groups: Sequen
         return
     planned = definition_of(manifest, groups, {s.code for g in groups for s in g.stimuli}, source, {})
     try:
-        old = json.loads((folder / FILE).read_bytes())
+        old = json_value((folder / FILE).read_bytes())
         drops = [row.pop("drop_db") for row in old["trials"]]
     except (OSError, ValueError, RecursionError, LookupError, TypeError, AttributeError):
         old, drops = None, []

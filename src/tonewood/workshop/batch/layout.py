@@ -71,9 +71,7 @@ class Group:
 def lay_out(manifest: Manifest, conditions: Sequence[Condition]) -> tuple[tuple[Group, ...], list[str]]:
     """All groups of a batch in the manifest's order, and notes on them.
 
-    Raises
-    ------
-    ManifestError
+    Raises ManifestError
         A page has not exactly one reference, holds more than `MAX_SIGNALS`, or pairs nothing.
     """
     drafts: list[_Draft] = []
@@ -176,15 +174,15 @@ def _compared(
     cutoffs: list[int] = getattr(page, "anchors", [])
     if reference is None:
         return _Draft(label, index, fixed, names, ((None, names),))
-    found = [c.name for c in members if reference.items() <= c.all_levels.items()]
-    if len(found) != 1:
+    references = [c.name for c in members if reference.items() <= c.all_levels.items()]
+    if len(references) != 1:
         asked = ", ".join(f"{k}: {v}" for k, v in reference.items())
         raise ManifestError(
-            f"{{{asked}}} names {len(found)} conditions on {label}, one is wanted"
-            + (": name more levels, or more factors in group_by" if found else ""),
+            f"{{{asked}}} names {len(references)} conditions on {label}, one is wanted"
+            + (": name more levels, or more factors in group_by" if references else ""),
             key=f"pages.{index}.reference",
         )
-    others = tuple(name for name in names if name != found[0])
+    others = tuple(name for name in names if name != references[0])
     if not others:
         return None
     signals = len(names) + len(cutoffs)
@@ -195,8 +193,8 @@ def _compared(
         )
     anchors = tuple(ANCHOR_ROLES[cutoff] for cutoff in cutoffs)
     if isinstance(page, Bs1116Page):  # one sound at a time
-        return _Draft(label, index, fixed, names, tuple((found[0], (other,)) for other in others))
-    return _Draft(label, index, fixed, names, ((found[0], others),), anchors, found[0])
+        return _Draft(label, index, fixed, names, tuple((references[0], (other,)) for other in others))
+    return _Draft(label, index, fixed, names, ((references[0], others),), anchors, references[0])
 
 
 def _paired(

@@ -306,8 +306,6 @@ class Manifest(Section):
     def misfits(self, replaced: Collection[int] = ()) -> Iterator[Misfit]:
         """Names that are not there and parts that do not fit together, in the manifest's order.
 
-        Parameters
-        ----------
         replaced : pages (from 0) that stand for faulty ones: nothing is said of them.
         """
         choices = self.choices()
@@ -390,9 +388,7 @@ def _misfits_of_levels(row: Levels, choices: dict[str, list[str]], key: str) -> 
 def load_manifest(path: str | os.PathLike[str]) -> Manifest:
     """Read and check a manifest.
 
-    Raises
-    ------
-    ManifestError
+    Raises ManifestError
         A line for each fault: file, key, fault and the values allowed.
     """
     return check_manifest(load_yaml(path, error=ManifestError), file=Path(path))
@@ -402,18 +398,18 @@ def check_manifest(data: dict[str, Any], *, file: Path | None = None) -> Manifes
     """As `load_manifest`, from plain data."""
     try:
         manifest = Manifest.model_validate(data)
-        found = list(manifest.misfits())
+        misfits = list(manifest.misfits())
     except ValidationError as error:
-        found = all_messages(error, Manifest)
-        found += _misfits_besides(data, [key for key, _ in found])
-        raise_misfits(found, file)
-    raise_misfits(found, file)
+        misfits = all_messages(error, Manifest)
+        misfits += _misfits_besides(data, [key for key, _ in misfits])
+        raise_misfits(misfits, file)
+    raise_misfits(misfits, file)
     return manifest
 
 
-def raise_misfits(found: Iterable[Misfit], file: Path | None) -> None:
+def raise_misfits(misfits: Iterable[Misfit], file: Path | None) -> None:
     """Raise all faults of a manifest as one ManifestError, if there are any."""
-    faults = [ManifestError(reason, file=file, key=key) for key, reason in dict.fromkeys(found)]
+    faults = [ManifestError(reason, file=file, key=key) for key, reason in dict.fromkeys(misfits)]
     if faults:
         raise together(faults)
 

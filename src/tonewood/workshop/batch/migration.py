@@ -16,9 +16,7 @@ def manifest_edits(values: Mapping[str, Any], file: str | os.PathLike[str] | Non
     A page `paired_comparison` of 0.1 asked which of two is the reference: it becomes `abx`. It differs from the one of
     today by its lack of a question.
 
-    Raises
-    ------
-    ManifestError : a factor varies the precision; which conditions then stay is the author's choice.
+    Raises ManifestError : a factor varies the precision; which conditions then stay is the author's choice.
     """
     factors = values.get("factors")
     for name, factor in factors.items() if isinstance(factors, dict) else ():

@@ -33,15 +33,10 @@ def write_outputs(
 ) -> None:
     """Write them into the batch's folder; those of earlier runs under other codes are removed.
 
-    Parameters
-    ----------
     groups, files : that are complete.
     renders : facts about the render by content key.
     faults, notes : for the record.
-
-    Raises
-    ------
-    OutputError : a file cannot be written.
+    Raises OutputError : a file cannot be written.
     """
     manifest, formats = plan.manifest, plan.manifest.output.formats
     by_code = {f.code: f for f in files}

@@ -58,10 +58,10 @@ class Return(Section):
     def _can_be_filled_in(self) -> Self:
         for text, names in ((self.code, {"id"}), (self.address or "", {"code", "listener"})):
             try:
-                found = {name for _, name, _, _ in string.Formatter().parse(text) if name is not None}
+                fields = {name for _, name, _, _ in string.Formatter().parse(text) if name is not None}
             except ValueError as fault:
                 raise PydanticCustomError("return", f"{text}: {fault}") from None
-            if unknown := found - names:
+            if unknown := fields - names:
                 raise PydanticCustomError("return", f"{{{min(unknown)}}} is not one of {', '.join(sorted(names))}")
         return self
 

@@ -359,14 +359,9 @@ class StaircasePage(ListenedPage):
     def value(self, level: float, own: Any) -> Any:
         """The parameter at a level.
 
-        Parameters
-        ----------
         level : x.
         own : the parameter's value in the bundle, used where `reference` is not given.
-
-        Raises
-        ------
-        ValueError : the scale needs a number to change and there is none.
+        Raises ValueError : the scale needs a number to change and there is none.
         """
         if self.scale == "value":
             return level

@@ -89,8 +89,6 @@ def _spectrogram(sound: NDArray[np.float64], fs: int) -> Pixels:
 def write_differences(path: Path, sounds: Mapping[str, Samples], fs: int, heading: str) -> None:
     """Write how sounds differ from the first: levels of third-octave bands and level over time, both as differences.
 
-    Parameters
-    ----------
     sounds : label -> (n, channels), as they are heard; the first is the reference.
     """
     labels = list(sounds)

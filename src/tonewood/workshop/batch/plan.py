@@ -35,8 +35,6 @@ class StimulusRenderer(Protocol):
 class BatchPlan:
     """The work of a batch, before anything is rendered.
 
-    Attributes
-    ----------
     source : the manifest's folder.
     conditions, groups : of the manifest, those that could be resolved.
     levels : of staircases, rendered beforehand.
@@ -70,15 +68,15 @@ class BatchPlan:
 
     def trials_of_a_pair(self) -> dict[int, int]:
         """Trials that a listener gets on each page (from 0) of pairs, of one pair of levels."""
-        found: dict[int, int] = {}
+        counts: dict[int, int] = {}
         for index, page in enumerate(self.manifest.pages):
             if isinstance(page, PairPage):
                 (factor, pairs), *_ = page.pairs.items()
                 count = len(as_pairs(pairs, self.manifest.choices()[factor]))
                 trials = sum(len(g.trials) for g in self.groups if g.page == index)
                 trials = min(trials, page.subset or trials)
-                found[index] = page.times * max(1, trials // count)
-        return found
+                counts[index] = page.times * max(1, trials // count)
+        return counts
 
     def summary(self) -> dict[str, Any]:
         """The plan as JSON-ready data."""

@@ -113,17 +113,12 @@ def make_files(
 ) -> tuple[list[SoundFile], list[Fault], list[str]]:
     """Write the files of all groups.
 
-    Parameters
-    ----------
     groups : with stimuli whose condition is in `keys` only.
     keys : content key of each condition's render in `store`.
     folder : the batch's output folder.
     room : file of the impulse response of `settings`.
     advance : called twice per file.
-
-    Returns
-    -------
-    files, faults, notes : in the order of `groups`; notes tell which groups were lowered.
+    Returns files, faults, notes : in the order of `groups`; notes tell which groups were lowered.
     """
     jobs = [_Job(s, g.name, store.folder, keys[s.condition], settings, room, seed) for g in groups for s in g.stimuli]
     levels: dict[str, _Level] = {}
@@ -178,8 +173,8 @@ def prepared(rendered: Rendered, settings: Stimuli, role: str = "sound", room: P
         dry = st.with_channels(audio, audio.shape[1] if audio.shape[1] == settings.channels else 1, settings.downmix)
         audio = trimming.convolved(dry, response)
     lead = round(settings.onset.at * settings.fs)
-    found = trimming.onset(audio, settings.onset.level_db) if settings.onset.align == "detected" else 0
-    audio = trimming.shifted(audio, lead - found)[: longest(settings)]
+    onset = trimming.onset(audio, settings.onset.level_db) if settings.onset.align == "detected" else 0
+    audio = trimming.shifted(audio, lead - onset)[: longest(settings)]
     if settings.trim.level_db is not None:
         audio = audio[: trimming.end(audio, max(1, round(settings.trim.block * settings.fs)), settings.trim.level_db)]
     if role in _CUTOFF:
@@ -188,12 +183,7 @@ def prepared(rendered: Rendered, settings: Stimuli, role: str = "sound", room: P
 
 
 def levelled(rendered: Rendered, settings: Stimuli, room: Path | None = None) -> st.Samples:
-    """A prepared sound at its loudness.
-
-    Raises
-    ------
-    TonewoodError : it is silent, or has other channels.
-    """
+    """A prepared sound at its loudness. Raises TonewoodError : it is silent, or has other channels."""
     sound = prepared(rendered, settings, room=room)
     gain = st.level_gain_db(sound, settings.fs, *level_settings(settings.loudness))
     return np.asarray(sound * 10.0 ** (gain / 20.0), dtype=np.float64)
@@ -215,9 +205,8 @@ def level_faults(
 def room_response(path: Path, settings: Stimuli) -> st.Samples:
     """The impulse response of a room at the files' rate, (n, 1 or `channels`).
 
-    Raises
-    ------
-    StimulusError : the file cannot be read, has other channels, or holds no sound or numbers that are not finite.
+    Raises StimulusError : the file cannot be read, has other channels, or holds no sound or numbers that are not
+        finite.
     """
     import soundfile
 
@@ -271,7 +260,7 @@ def _write(task: tuple[_Job, int, float, float, Path, bool]) -> SoundFile:
     heard = samples / 2.0 ** (st.BITS[settings.subtype] - 1)
     if pictures:
         write_picture(folder / PICTURES / f"{code}.png", heard, settings.fs)
-    found = st.measured(heard, settings.fs)
+    measured = st.measured(heard, settings.fs)
     return SoundFile(
         code=code,
         group=job.group,
@@ -285,11 +274,11 @@ def _write(task: tuple[_Job, int, float, float, Path, bool]) -> SoundFile:
         frames=len(samples),
         gain_db=gain,
         page_drop_db=drop,
-        lufs=_finite(found.lufs),
-        momentary_lufs=_finite(found.momentary_lufs),
-        loudness_gated=found.gated,
-        peak_dbfs=_finite(found.peak_dbfs),
-        true_peak_dbtp=_finite(found.true_peak_dbtp),
+        lufs=_finite(measured.lufs),
+        momentary_lufs=_finite(measured.momentary_lufs),
+        loudness_gated=measured.gated,
+        peak_dbfs=_finite(measured.peak_dbfs),
+        true_peak_dbtp=_finite(measured.true_peak_dbtp),
         sha256=st.samples_sha256(samples),
     )
 

@@ -66,8 +66,6 @@ def file_records(
 ) -> list[dict[str, Any]]:
     """One record per file: the condition, its sources, facts about the render, and the file itself.
 
-    Parameters
-    ----------
     files : that were written.
     conditions : by name.
     identities, renders : by content key; the renderer's identity of a sound, and its facts about the render.
@@ -129,12 +127,12 @@ def write_table(path: Path, records: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _flat(value: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    found: list[tuple[str, Any]] = []
+    pairs: list[tuple[str, Any]] = []
     for name, item in value.items():
         if isinstance(item, Mapping):
-            found += _flat(item, f"{prefix}{name}.")
+            pairs += _flat(item, f"{prefix}{name}.")
         elif isinstance(item, (list, tuple)):
-            found.append((prefix + name, json.dumps(item, ensure_ascii=False)))
+            pairs.append((prefix + name, json.dumps(item, ensure_ascii=False)))
         else:
-            found.append((prefix + name, item))
-    return found
+            pairs.append((prefix + name, item))
+    return pairs

@@ -37,8 +37,6 @@ _COSTS: dict[tuple[object, ...], tuple[float, float]] = {}
 class EngineRenderer:
     """Renders conditions; small, so that it costs nothing to send to a worker.
 
-    Attributes
-    ----------
     allow_code : run plugins in the folders of bundles, here and in the workers.
     """
 
@@ -47,9 +45,7 @@ class EngineRenderer:
     def identity(self, condition: Condition) -> dict[str, Any]:
         """Everything that decides the samples: parameters, hashes, version, instruction set, libraries.
 
-        Raises
-        ------
-        TonewoodError
+        Raises TonewoodError
             The bundle cannot be loaded, an override does not fit it, or the instruction set is not the one asked for.
         """
         wanted, here = condition.render.isa, instruction_set()
@@ -69,9 +65,7 @@ class EngineRenderer:
     def own_value(self, condition: Condition, path: str) -> Any:
         """Value of a parameter of the instrument, or of an option of the render (``render.``); None if not given.
 
-        Raises
-        ------
-        TonewoodError
+        Raises TonewoodError
             The bundle cannot be loaded, or an override does not fit it.
         """
         value: Any = instrument_of(condition, self.allow_code).resolved
@@ -107,9 +101,7 @@ class EngineRenderer:
     def render(self, condition: Condition) -> Rendered:
         """The sound of a condition, with its human variation.
 
-        Raises
-        ------
-        TonewoodError
+        Raises TonewoodError
             A score cannot be read or played, or the render went wrong.
         """
         renderer = self.renderer(condition)
@@ -122,9 +114,7 @@ class EngineRenderer:
     def renderer(self, condition: Condition, max_duration: float | None = None, *, by_string: bool = False) -> Renderer:
         """The renderer of a condition, with its human variation; `by_string` splits its outputs as `assembled` does.
 
-        Raises
-        ------
-        TonewoodError : a score cannot be read or played, or an override does not fit.
+        Raises TonewoodError : a score cannot be read or played, or an override does not fit.
         """
         instrument = instrument_of(condition, self.allow_code)
         options = condition.render.at(channel_per_string=_channel_per_string(condition))
@@ -303,4 +293,4 @@ def _numbers(values: Any, path: str, place: str = "") -> list[tuple[str, float]]
     if not isinstance(values, Mapping) or (first != "*" and first not in values):
         raise TonewoodError(f"there is no {first!r}", key=f"vary.{place}.{path}" if place else f"vary.{path}")
     names = list(values) if first == "*" else [first]
-    return [found for n in names for found in _numbers(values[n], rest, f"{place}.{n}" if place else n)]
+    return [number for n in names for number in _numbers(values[n], rest, f"{place}.{n}" if place else n)]

@@ -84,14 +84,9 @@ def plan_batch(
 ) -> BatchPlan:
     """Expand a manifest and list the conditions that are not rendered yet; nothing is written.
 
-    Parameters
-    ----------
     manifest_path, folder, renderer, workers : as for `run_batch`.
     predict : predict the time too, for which the renderer may try itself.
-
-    Raises
-    ------
-    TonewoodError
+    Raises TonewoodError
         The manifest cannot be used, or no condition can be resolved.
     """
     manifest = load_manifest(manifest_path)
@@ -201,17 +196,12 @@ def run_batch(
 ) -> Report:
     """Render the missing conditions and write the whole batch into `folder`.
 
-    Parameters
-    ----------
     manifest_path : the YAML file.
     folder : made if need be; of it, listeners get sounds only, by `tonewood serve`.
     renderer : see `StimulusRenderer`.
     workers : where the work is done; rendering may go to a cluster, files are made here.
     progress : called with the stage's name, the number done and the number in all.
-
-    Raises
-    ------
-    TonewoodError
+    Raises TonewoodError
         The batch cannot begin or go on: the manifest is wrong, the disk is full, the workers are gone. Finished
         renders are kept.
     """

@@ -16,8 +16,6 @@ _LETTERS = "bcdfghjkmnpqrstvwxz"  # no vowels: no words; no digits: never read a
 def generator(seed: int, *labels: object) -> np.random.Generator:
     """Generator for the choice named by `labels`.
 
-    Parameters
-    ----------
     seed : the manifest's seed.
     labels : purpose of the choice, e.g. ``("dither", "page_1", "harp.low")``; compared as text.
     """
@@ -27,8 +25,6 @@ def generator(seed: int, *labels: object) -> np.random.Generator:
 def blind_codes(seed: int, names: list[str], *, length: int = 6) -> dict[str, str]:
     """One code of consonants per name, all different; a code tells nothing of name or order.
 
-    Parameters
-    ----------
     seed : the manifest's seed.
     names : the names to be hidden, all different.
     length : letters in a code.

@@ -42,8 +42,6 @@ class StimulusError(TonewoodError):
 class Measured:
     """Loudness and peaks of a sound, and how the loudness was found.
 
-    Attributes
-    ----------
     lufs : LUFS, BS.1770-4; -inf for silence.
     momentary_lufs : LUFS, of the loudest 400 ms.
     gated : False for a sound shorter than a gating block, or one with no block above the absolute gate.
@@ -72,8 +70,6 @@ def with_channels(audio: Samples, channels: int, downmix: str = "mean") -> Sampl
 def faded(audio: Samples, fs: int, fade_in: float, fade_out: float) -> Samples:
     """A copy with raised-cosine fades, ``(1 - cos(pi t / T)) / 2``; fades longer than the sound share it.
 
-    Parameters
-    ----------
     audio : (n, channels).
     fs : Hz.
     fade_in, fade_out : s.
@@ -107,14 +103,12 @@ def measured(audio: Samples, fs: int) -> Measured:
 def level_gain_db(audio: Samples, fs: int, method: str, target_lufs: float, window: float = 0.1) -> float:
     """Gain in dB that brings a sound to a loudness by ``bs1770_gated`` or ``loudest``; 0 for ``none``.
 
-    Raises
-    ------
-    OutputError : the sound is silent.
+    Raises OutputError : the sound is silent.
     """
     if method == "none":
         return 0.0
-    found = loudest(audio, fs, window) if method == "loudest" else -math.inf
-    return target_lufs - found if math.isfinite(found) else matching_gain_db(audio, fs, target_lufs)
+    level = loudest(audio, fs, window) if method == "loudest" else -math.inf
+    return target_lufs - level if math.isfinite(level) else matching_gain_db(audio, fs, target_lufs)
 
 
 def page_drop_db(true_peaks_dbtp: list[float], limit_dbtp: float) -> float:
@@ -128,15 +122,10 @@ def quantised(audio: Samples, subtype: str, random: np.random.Generator) -> NDAr
 
     The error has zero mean and a variance of a quarter of a squared step, whatever the sound.
 
-    Parameters
-    ----------
     audio : full scale is 1.0.
     subtype : ``PCM_16`` (int16) or ``PCM_24`` (int32, in the lower 24 bits).
     random : source of the dither.
-
-    Raises
-    ------
-    StimulusError
+    Raises StimulusError
         A sample would be clipped.
     """
     full = 2 ** (BITS[subtype] - 1)
@@ -158,9 +147,7 @@ def anchor(audio: Samples, fs: int, cutoff: int) -> Samples:
     Mask of the 3.5 kHz anchor: within 0.1 dB up to the cutoff, 25 dB down 500 Hz above it, 50 dB 1 kHz above it; the
     7 kHz anchor is held to the same one.
 
-    Raises
-    ------
-    StimulusError
+    Raises StimulusError
         The rate is too low for the cutoff.
     """
     from scipy.signal import firwin, kaiserord, oaconvolve

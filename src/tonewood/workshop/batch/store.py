@@ -23,8 +23,6 @@ SCHEMA = "tonewood-render/2"
 class Rendered:
     """A rendered sound.
 
-    Attributes
-    ----------
     samples : (n, channels) float64, 1.0 is full scale.
     fs : Hz.
     info : JSON-ready facts about the render (energy residual, effects that ran, seconds it took, ...).
@@ -74,9 +72,7 @@ class Store:
     def load(self, key: str) -> Rendered:
         """The render of `key`.
 
-        Raises
-        ------
-        OutputError
+        Raises OutputError
             It is not there or damaged; the next run makes it again.
         """
         with self._open(key) as archive:

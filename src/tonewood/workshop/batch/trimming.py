@@ -23,8 +23,6 @@ Samples = NDArray[np.float64]
 def onset(audio: Samples, level_db: float) -> int:
     """Index of the first sample at or above a level re the peak; 0 for silence.
 
-    Parameters
-    ----------
     audio : (n, channels).
     level_db : dB re the largest absolute sample.
     """
@@ -41,8 +39,6 @@ def shifted(audio: Samples, by: int) -> Samples:
 def end(audio: Samples, block: int, level_db: float) -> int:
     """Length up to the end of the last block above a level re the loudest block; at least one block.
 
-    Parameters
-    ----------
     audio : (n, channels).
     block : samples.
     level_db : dB re the loudest block.
@@ -57,13 +53,8 @@ def end(audio: Samples, block: int, level_db: float) -> int:
 def convolved(audio: Samples, response: Samples) -> Samples:
     """The sound in a room: each channel with its channel of the impulse response, or one with all of the other.
 
-    Parameters
-    ----------
     audio, response : (n, c) and (m, d); c and d are equal, or one of them is 1.
-
-    Returns
-    -------
-    (n + m - 1, max(c, d)).
+    Returns (n + m - 1, max(c, d)).
     """
     from scipy.signal import oaconvolve
 

@@ -27,8 +27,6 @@ _JOBLIB = {"processes": "loky", "threads": "threading"}
 class Workers:
     """Place of the work.
 
-    Attributes
-    ----------
     jobs : workers on this machine; -1 for one per core.
     backend : ``processes`` or ``threads``.
     cluster : address of a Dask scheduler, instead of this machine.
@@ -52,9 +50,7 @@ class Workers:
     def each(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
         """Results of `function` in the order they are finished; each is dropped here once it is taken.
 
-        Raises
-        ------
-        TonewoodError
+        Raises TonewoodError
             A worker process died, or the cluster does not answer.
         """
         from joblib import Parallel, delayed

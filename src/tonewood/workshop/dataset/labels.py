@@ -23,10 +23,10 @@ _FACTS = ("stop", "onset_frame", "technique", "force", "from_bridge", "length", 
 
 def by_string(notes: Sequence[PlayedNote]) -> dict[str, list[PlayedNote]]:
     """Notes of each string, in time order."""
-    found: dict[str, list[PlayedNote]] = {}
+    notes_of: dict[str, list[PlayedNote]] = {}
     for note in notes:
-        found.setdefault(note.string, []).append(note)
-    return found
+        notes_of.setdefault(note.string, []).append(note)
+    return notes_of
 
 
 def jams(
@@ -34,8 +34,6 @@ def jams(
 ) -> str:
     """A JAMS file.
 
-    Parameters
-    ----------
     name : title of the sound.
     seconds : its length.
     parameters : of the data set, kept in the file's sandbox.
@@ -74,9 +72,7 @@ def _facts(note: PlayedNote) -> dict[str, Any]:
 def midi(notes: Sequence[PlayedNote], fs: int) -> bytes:
     """A MIDI file of type 1 in which a tick is one sample.
 
-    Raises
-    ------
-    ValueError : no clock of MIDI has ticks of one sample at this rate.
+    Raises ValueError : no clock of MIDI has ticks of one sample at this rate.
     """
     import mido
 

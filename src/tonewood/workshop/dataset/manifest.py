@@ -81,8 +81,8 @@ class Parameter(Section):
     @property
     def range(self) -> Range | None:
         """Ends of a range."""
-        found = self.uniform or self.log_uniform
-        return None if found is None else (found[0], found[1])
+        limits = self.uniform or self.log_uniform
+        return None if limits is None else (limits[0], limits[1])
 
     def _check_notes(self, name: str) -> None:
         for value in self.values or self.range or ():
@@ -202,9 +202,7 @@ def midi_clock(fs: float) -> tuple[int, int] | None:
 def check_dataset(data: dict[str, Any], *, file: Path | None = None) -> Dataset:
     """Check the manifest of a data set.
 
-    Raises
-    ------
-    ManifestError : a line for each fault: file, dotted key, fault and the values allowed.
+    Raises ManifestError : a line for each fault: file, dotted key, fault and the values allowed.
     """
     try:
         dataset = Dataset.model_validate(data)

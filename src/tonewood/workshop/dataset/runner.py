@@ -17,6 +17,7 @@ from typing import Any
 
 from tonewood.errors import TonewoodError
 from tonewood.support.folder_lock import locked
+from tonewood.support.text_files import json_value
 from tonewood.support.whole_files import remove, write_whole
 from tonewood.workshop.batch.data_sheet import Subject, write_data_sheet
 from tonewood.workshop.batch.manifest import ManifestError
@@ -41,8 +42,6 @@ Progress = Callable[[str, int, int], None]
 class DatasetPlan:
     """The work of a data set, before anything is rendered.
 
-    Attributes
-    ----------
     samples : all sounds.
     tasks : shards that are not made yet.
     keys : of all shards, by number.
@@ -110,16 +109,11 @@ def plan_dataset(
 ) -> DatasetPlan:
     """List the shards that are not made yet; nothing is written.
 
-    Parameters
-    ----------
     dataset : checked manifest.
     source : its folder.
     folder : of the data set.
     predict : try some sounds, and predict time and length.
-
-    Raises
-    ------
-    TonewoodError : a score cannot be read, or no sound can be resolved.
+    Raises TonewoodError : a score cannot be read, or no sound can be resolved.
     """
     every = tuple(samples(dataset, source))
     size = dataset.sounds.per_shard
@@ -155,7 +149,7 @@ def _version() -> str:
 def _is_made(folder: Path, number: int, key: str) -> bool:
     """Whether a shard is there, whole and of this key, with no sound that failed."""
     try:
-        record = json.loads((folder / SHARDS / f"{shard_name(number)}.json").read_bytes())
+        record = json_value((folder / SHARDS / f"{shard_name(number)}.json").read_bytes())
         same = record["key"] == key and not record["failed"]
         return bool(same) and all(
             hashlib.sha256((folder / SHARDS / name).read_bytes()).hexdigest() == digest
@@ -207,15 +201,10 @@ def run_dataset(
 ) -> DatasetReport:
     """Make the missing shards, and the record of the whole.
 
-    Parameters
-    ----------
     dataset, source, folder, renderer : as for `plan_dataset`.
     workers : where shards are rendered; only this process writes.
     progress : called with the stage's name, the number done and the number in all.
-
-    Raises
-    ------
-    TonewoodError : the manifest is wrong, the disk is full, the workers are gone. Finished shards are kept.
+    Raises TonewoodError : the manifest is wrong, the disk is full, the workers are gone. Finished shards are kept.
     """
     started = time.perf_counter()
     plan = plan_dataset(dataset, source, folder, renderer)
@@ -234,11 +223,11 @@ def run_dataset(
         for stray in place.glob("*.*"):
             if stray.name.partition(".")[0] not in {shard_name(number) for number in plan.keys}:
                 remove(stray)
-        found = _records(folder, plan.keys)
-        digests = sorted((name, digest) for record in found for name, digest in record["sounds"].items())
+        records = _records(folder, plan.keys)
+        digests = sorted((name, digest) for record in records for name, digest in record["sounds"].items())
         whole = hashlib.sha256(json.dumps(digests).encode()).hexdigest()
-        seconds = sum(record["seconds"] for record in found)
-        write_json(folder / RECORD, _record(plan, found, whole, seconds, faults))
+        seconds = sum(record["seconds"] for record in records)
+        write_json(folder / RECORD, _record(plan, records, whole, seconds, faults))
         write_data_sheet(folder, _subject(plan, seconds, dict(digests)), _identities(plan, renderer))
     return DatasetReport(
         name=dataset.name,
@@ -267,12 +256,12 @@ def _subject(plan: DatasetPlan, seconds: float, digests: dict[str, str]) -> Subj
 
 def _identities(plan: DatasetPlan, renderer: EngineRenderer) -> list[dict[str, Any]]:
     """Identities of the first sound that can be made on each instrument."""
-    found: dict[str, dict[str, Any]] = {}
+    identities: dict[str, dict[str, Any]] = {}
     for sample in plan.samples:
-        if sample.condition.bundle not in found:
+        if sample.condition.bundle not in identities:
             with suppress(TonewoodError):
-                found[sample.condition.bundle] = renderer.identity(sample.condition)
-    return list(found.values())
+                identities[sample.condition.bundle] = renderer.identity(sample.condition)
+    return list(identities.values())
 
 
 def _write(folder: Path, shard: Shard, key: str) -> None:

@@ -30,8 +30,6 @@ MIDI_SUFFIXES = (".mid", ".midi")
 class Sample:
     """One sound to be made.
 
-    Attributes
-    ----------
     index : its number in the data set, from 0.
     parameters : name -> value.
     condition : all that is rendered.
@@ -66,35 +64,28 @@ def points(dataset: Dataset, labels: tuple[str, ...]) -> Iterator[dict[str, Any]
 def sources(dataset: Dataset, folder: Path) -> dict[str, dict[str, Any]]:
     """Fields `notes`, or `midi` and `midi_sha256`, of a condition for each score: those written, and the folder's.
 
-    Raises
-    ------
-    ManifestError : a file or the folder cannot be read, or holds no MIDI files.
+    Raises ManifestError : a file or the folder cannot be read, or holds no MIDI files.
     """
-    found = {name: _source(name, score, folder) for name, score in dataset.scores.items()}
+    by_name = {name: _source(name, score, folder) for name, score in dataset.scores.items()}
     if dataset.folder is None:
-        return found
+        return by_name
     root = folder / dataset.folder
     files = sorted(p for p in root.rglob("*") if p.suffix.lower() in MIDI_SUFFIXES and p.is_file())
     if not files:
         raise ManifestError(f"{dataset.folder} holds no MIDI files ({', '.join(MIDI_SUFFIXES)})", key="folder")
     for path in files:
         name = path.relative_to(root).with_suffix("").as_posix()
-        if name in found:
+        if name in by_name:
             raise ManifestError(f"{dataset.folder}: two scores are called {name}", key="folder")
-        found[name] = _midi(path, "folder", {"start": 0.0, "stop": None, "channel_per_string": False})
-    return found
+        by_name[name] = _midi(path, "folder", {"start": 0.0, "stop": None, "channel_per_string": False})
+    return by_name
 
 
 def samples(dataset: Dataset, folder: Path) -> list[Sample]:
     """All sounds of a data set, in order.
 
-    Parameters
-    ----------
     folder : the manifest's, to which its paths are relative.
-
-    Raises
-    ------
-    ManifestError : a score's file cannot be read, or there are more than `MAX_SOUNDS`.
+    Raises ManifestError : a score's file cannot be read, or there are more than `MAX_SOUNDS`.
     """
     scores = sources(dataset, folder)
     each = dataset.size or math.prod(len(p.grid()) for p in dataset.parameters.values())

@@ -124,21 +124,21 @@ def _facts(sample: Sample, sound: Sound, key: str, physics: str) -> dict[str, An
 def _labels(task: ShardTask, sample: Sample, sound: Sound) -> dict[str, bytes]:
     """Files of labels of one sound."""
     name, wanted = sample.condition.name, task.dataset.sounds.labels
-    found = {}
+    files = {}
     if "jams" in wanted:
         seconds = len(sound.stems[""]) / sound.fs
         text = labels.jams(name, sound.notes, sound.fs, seconds, sample.parameters, task.by)
-        found[f"{name}.jams"] = text.encode()
+        files[f"{name}.jams"] = text.encode()
     if "midi" in wanted:
-        found[f"{name}.mid"] = labels.midi(sound.notes, sound.fs)
-    return found
+        files[f"{name}.mid"] = labels.midi(sound.notes, sound.fs)
+    return files
 
 
 def _said(name: str, sound: Sound) -> list[str]:
-    found = [f"{name}: {reason}" for reason in (*sound.warnings, *sound.dropped)]
+    lines = [f"{name}: {reason}" for reason in (*sound.warnings, *sound.dropped)]
     if sound.clipped:
-        found.append(f"{name}: {sound.clipped} samples clipped; lower render.gain_db, or take sounds: {{level: peak}}")
-    return found
+        lines.append(f"{name}: {sound.clipped} samples clipped; lower render.gain_db, or take sounds: {{level: peak}}")
+    return lines
 
 
 def _written(

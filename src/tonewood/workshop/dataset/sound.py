@@ -25,8 +25,6 @@ PEAK_DBFS = -1.0
 class PlayedNote:
     """A note as it was played; numbers that its gesture has not are None.
 
-    Attributes
-    ----------
     onset : sample of the file at which the gesture releases the string, a real number; `onset_frame` is the nearest.
     duration : s, to the end of the note: the next on its string, or its own.
     pitch : MIDI number of the stop, with the bend.
@@ -52,8 +50,6 @@ class PlayedNote:
 class Sound:
     """A rendered sound.
 
-    Attributes
-    ----------
     stems : name -> (n, channels); the mix is ````.
     gain_db : that brought it to its level.
     clipped : samples of the mix beyond full scale.
@@ -72,15 +68,10 @@ class Sound:
 def made(renderer: EngineRenderer, condition: Condition, level: str, by_string: bool, duration: float | None) -> Sound:
     """Render a sound.
 
-    Parameters
-    ----------
     level : ``calibrated`` or ``peak``.
     by_string : render the shares of the strings, too.
     duration : s, to which it is cut or padded; None leaves its length.
-
-    Raises
-    ------
-    TonewoodError : it cannot be rendered, or is empty or not finite.
+    Raises TonewoodError : it cannot be rendered, or is empty or not finite.
     """
     mix = renderer.renderer(condition)
     samples = np.concatenate(list(mix.blocks(4096)))
@@ -130,12 +121,12 @@ def played(renderer: Renderer, condition: Condition) -> tuple[PlayedNote, ...]:
         (play.string, play.time): play for play in performance.timeline.plays if play.string is not None
     }
     pitches = {string.name: string for string in playable(renderer.model, condition.render.capo)}
-    found = []
+    notes = []
     for assigned in performance.notes:
         stop = assigned.stop - condition.render.capo
         pitch = pitches[assigned.string].pitch_at(stop)
-        found.append(_label(renderer, assigned, gestures, pitch))
-    return tuple(sorted(found, key=lambda note: (note.onset, note.string)))
+        notes.append(_label(renderer, assigned, gestures, pitch))
+    return tuple(sorted(notes, key=lambda note: (note.onset, note.string)))
 
 
 def _label(

@@ -29,6 +29,8 @@ Complexes = NDArray[np.complex128]
 
 #: points of a band
 _POINTS = 400
+#: modes below this share of the fourth are rigid-body motion, which is not counted
+_RIGID = 1e-2
 
 
 class Resonances(Protocol):
@@ -151,11 +153,12 @@ def _figure(target: Target, found: Resonances, points: Sequence[str], ends: Sequ
         return float(np.mean(20 * np.log10(np.abs(found.mobility(points.index(target.at), freq)))))
     if target.kind == "wolf":
         return worst_wolf(found, ends, target.band)
-    known = {str(k + 1): k for k in range(len(found.freq))} | dict(found.named)
+    moves = np.flatnonzero(found.freq > _RIGID * found.freq[:4].max(initial=0.0))
+    known = {str(k + 1): int(mode) for k, mode in enumerate(moves)} | dict(found.named)
     if target.mode not in known:
         named = ", ".join(found.named) or "none has a name"
         raise TonewoodError(
-            f"{target.text!r}: this body has no such mode; of {len(found.freq)} modes looked at, {named}: "
+            f"{target.text!r}: this body has no such mode; of {len(moves)} modes looked at, {named}: "
             "`mode N` counts them",
             key="targets",
         )

@@ -62,6 +62,13 @@ class FoundDesign:
         return np.array([t.off(f) for t, f in zip(self.targets, self.reached, strict=True)])
 
     @property
+    def cost(self) -> tuple[float, float]:
+        """Sums of squares: errors of missed targets re what is noticed, and changes re their ranges."""
+        missed = [o / t.weight for t, o in zip(self.targets, self.off, strict=True) if abs(o) > t.tolerance]
+        span = np.array([p.high - p.low for p in self.free])
+        return float(np.square(missed).sum()), float(np.square((self.values - self.before) / span).sum())
+
+    @property
     def ok(self) -> bool:
         """Whether every target is reached within its tolerance."""
         return all(abs(o) <= t.tolerance for t, o in zip(self.targets, self.off, strict=True))
@@ -160,12 +167,14 @@ class _Search:
             for i in range(len(self.free)):
                 less, more, step = self.body.beside(i)
                 columns.append((self._figures(more) - self._figures(less)) / (2 * step))
-            self._rates = (values.tobytes(), np.array(columns).T)
+            self._rates = (values.tobytes(), np.array(columns).reshape(len(columns), len(self.targets)).T)
         factor = np.where(self._relative, np.exp(self.shift), 1.0)
         return np.asarray(factor[:, None] * self._rates[1])
 
     def run(self, start: Floats) -> Floats:
         """(n,) values of the nearest design: steps to the best one by derivatives, halved until the sum falls."""
+        if not self.free:
+            return start
         span = self.high - self.low
         x = np.clip((start - self.low) / span, 0.0, 1.0)
         for _ in range(_STEPS):

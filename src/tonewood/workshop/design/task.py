@@ -207,7 +207,7 @@ def parse_free(lines: Mapping[str, str], instrument: Instrument) -> list[Free]:
     for path, line in lines.items():
         match = _FREE.fullmatch(" ".join(line.split()))
         if match is None or not float(match["low"]) < float(match["high"]):
-            reason = f"{line!r} is not LOW .. HIGH, x LOW .. HIGH (a factor) or + LOW .. HIGH (added)"
+            reason = f"{line!r} is not LOW .. HIGH, x LOW .. HIGH (a factor) or + LOW .. HIGH (added), LOW below HIGH"
             raise TonewoodError(reason, key=path)
         chosen = {p: v for p, v in leaves.items() if _under(p, path)}
         if not chosen:

@@ -23,7 +23,8 @@ from tonewood.workshop.desk import views
 from tonewood.workshop.desk.advice import Adviser, offered
 from tonewood.workshop.desk.kept_views import KeptViews
 from tonewood.workshop.desk.knobs import groups, same_strings_and_body, shown
-from tonewood.workshop.desk.models import KeptModels, ModelMaker, Wanted, previewed
+from tonewood.workshop.desk.making import DesignModels
+from tonewood.workshop.desk.models import KeptModels, ModelMaker, Wanted
 from tonewood.workshop.desk.phrase import LONGEST, ChosenPhrase
 from tonewood.workshop.desk.playback import ComparedTakes, DeskSound
 from tonewood.workshop.desk.session import Design, DeskSession
@@ -31,8 +32,6 @@ from tonewood.workshop.desk.take import PhraseTake, with_hands
 
 #: s of ringing after the last note; dBFS of the loudest sample of the phrase on the start design
 TAIL, _PEAK = 3.0, -4.0
-#: s without a change after which the exact model is begun: one that has been begun slows the next preview down
-_REST = 0.7
 #: frames that are rendered before a take is heard
 _READY = 4096
 
@@ -63,25 +62,20 @@ class Desk:
         self.options = RenderOptions(fs=fs, tail=TAIL, max_duration=LONGEST)
         self.playback = DeskSound(fs)
         self._gain: float | None = None
-        self.serial, self.words, self.fault = 0, "", ""
+        self.serial, self.fault = 0, ""
         self._kept = KeptModels()
-        self._exact = ModelMaker(self.options, self._failed, self._kept)
-        self._quick = ModelMaker(self.options, self._failed, self._kept)
+        self._models = DesignModels(session, self.options, self._kept, self._ready, self._failed)
         self._other = ModelMaker(self.options, self._failed, self._kept)
-        #: model of the design as far as it is known, and whether it is exact
-        self._model: Model | None = None
         self._views = KeptViews(session.start.instrument, self.options, self._kept)
         self._compared = ""
         self.adviser = Adviser()
-        #: exact model that follows a preview
-        self._then: Wanted | None = None
         self._make(session.design)
 
     def close(self) -> None:
         """End the threads, and remove the temporary folder."""
         self.adviser.stop()
-        for maker in (self._exact, self._quick, self._other):
-            maker.close()
+        self._models.close()
+        self._other.close()
         if self._temporary is not None:
             self._temporary.cleanup()
 
@@ -103,14 +97,14 @@ class Desk:
         TonewoodError : the change is not allowed; nothing has changed.
         """
         with self.lock:
-            before, model = self.session.course(), self._model
+            before, model = self.session.course(), self._models.exact
             act(self.session)
             if self.session.design is not before[0]:
                 self.serial += 1
                 try:
                     self._make(self.session.design)
                 except TonewoodError:
-                    self._model, self.serial = model, self.serial - 1
+                    self._models.exact, self.serial = model, self.serial - 1
                     self.session.go_back(before)
                     raise
                 self.fault, self._compared = "", ""
@@ -119,71 +113,34 @@ class Desk:
 
     def _make(self, design: Design) -> None:
         """Let a design be heard: at once where strings and body stay, else as a preview and then exactly."""
-        known, take = self._model, self.playback.take
+        known, take = self._models.exact, self.playback.take
         same = known is not None and same_strings_and_body(known.instrument, self._applied(design))
         if same and known is not None and take is not None:
-            self._quick.forget()
-            self._exact.forget()
-            if not self._busy:
-                self._model = with_hands(known, design.instrument)
-                self._by_hands(take, design)
+            self._models.forget()
+            if self._models.busy is None:
+                self._models.exact = with_hands(known, design.instrument)
+                self._by_hands(take, self._models.exact, design)
                 return
-        wanted = Wanted(design.instrument, design.changes, self.serial, self._ready)
-        coarse = previewed(design.instrument, None if known is None else known.instrument)
-        if coarse is None:
-            self._then = None
-            self._exact.want(wanted)
-            return
-        # the exact model follows: beside it the preview would take twice as long
-        self._exact.forget()
-        self._then = wanted
-        self._quick.want(Wanted(coarse[0], design.changes, self.serial, self._ready, coarse[1]))
-
-    @property
-    def _busy(self) -> Wanted | None:
-        """The model that is made or waits, the newest."""
-        return self._quick.busy or self._exact.busy or self._then
-
-    def _go_on(self, wanted: Wanted) -> None:
-        """After a preview make the exact model of the same design, once the hand has rested."""
-        if wanted.preview and wanted.serial == self.serial:
-            timer = threading.Timer(_REST, self._follow, (wanted.serial,))
-            timer.daemon = True
-            timer.start()
-
-    def _follow(self, serial: int) -> None:
-        with self.lock:
-            if self._then is not None and self._then.serial == serial == self.serial:
-                self._exact.want(self._then)
-                self._then = None
+        self._models.want(design, self.serial)
 
     def _applied(self, design: Design) -> Any:
         return self.options.applied_to(design.instrument)
 
-    def _by_hands(self, take: PhraseTake, design: Design) -> None:
-        """Play on with other hands."""
+    def _by_hands(self, take: PhraseTake, model: Model, design: Design) -> None:
+        """Play on with other hands, on the model of a design; a take of a preview may be of another body."""
         with self.playback.lock:
             forked = None
             if self.playback.playing and not take.ended and not take.preview:
-                forked = take.forked(self.playback.at, design.instrument, dict(design.changes))
-            fresh = PhraseTake(
-                self.score, with_hands(take.model, design.instrument), take.options, dict(design.changes)
-            )
+                first = self.playback.at - self.playback.unheard
+                forked = take.forked(first, design.instrument, dict(design.changes))
             if forked is not None:
                 self.playback.fork(*forked, self.serial)
-                self.playback.following = fresh
             else:
+                fresh = PhraseTake(self.score, model, take.options, dict(design.changes))
                 self.playback.swap(fresh, serial=self.serial)
 
     def _ready(self, model: Model, wanted: Wanted) -> None:
         """Let a model be heard that has been made."""
-        try:
-            self._hear(model, wanted)
-        finally:
-            with self.lock:
-                self._go_on(wanted)
-
-    def _hear(self, model: Model, wanted: Wanted) -> None:
         with self.lock:
             if wanted.serial != self.serial or (wanted.preview and self._exact_known(wanted)):
                 return
@@ -193,18 +150,13 @@ class Desk:
         playback = self.playback
         goes_on = playback.take is not None and bool(playback.take.preview) and playback.playing
         goes_on = goes_on and playback.serial == wanted.serial
-        at = playback.at + _READY if goes_on else 0
-        take.ensure(at + _READY)
+        take.ensure((playback.at if goes_on else 0) + 2 * _READY)
         with self.lock:
             if wanted.serial != self.serial or score is not self.score:
                 return
-            with playback.lock:
-                at = min(playback.at, take.frames) if goes_on else 0
-                playback.swap(take, at, serial=wanted.serial)
+            playback.swap(take, goes_on=goes_on, serial=wanted.serial)
             if not wanted.preview:
-                self._quick.forget()
-                self._model = model
-            self.words = wanted.preview
+                self._models.exact = model
 
     def _exact_known(self, wanted: Wanted) -> bool:
         take = self.playback.take
@@ -220,7 +172,6 @@ class Desk:
 
     def _failed(self, wanted: Wanted, reason: str) -> None:
         with self.lock:
-            self._go_on(wanted)
             if wanted.serial == self.serial:
                 self.fault = f"no model of this design: {reason}. The sound is still that of the design before."
 
@@ -256,8 +207,8 @@ class Desk:
             self.phrase.asked = {"kind": kind, "notes": notes, "velocity": velocity}
             try:
                 score = self.phrase.score(instrument)
-                if self._model is not None:
-                    PhraseTake(score, self._model, self.options, {})
+                if self._models.exact is not None:
+                    PhraseTake(score, self._models.exact, self.options, {})
             except TonewoodError:
                 self.phrase.asked = before
                 self.phrase.score(instrument)
@@ -265,8 +216,9 @@ class Desk:
             self.score, self._gain = score, None
             self.serial += 1
             self.playback.compare(None)
-            if self._model is not None:
-                take = PhraseTake(score, self._model, self._leveled(self._model), dict(self.session.design.changes))
+            if self._models.exact is not None:
+                options = self._leveled(self._models.exact)
+                take = PhraseTake(score, self._models.exact, options, dict(self.session.design.changes))
                 self.playback.swap(take, serial=self.serial)
 
     def key(self, note: float | str, velocity: float, *, on: bool) -> None:
@@ -316,8 +268,8 @@ class Desk:
                 self.playback.compare(None)
                 return
             other = self.session.snapshot(name)
-            model, design = self._model, self.session.design
-            if model is None or self._busy is not None:
+            model, design = self._models.exact, self.session.design
+            if model is None or self._models.busy is not None:
                 raise TonewoodError("the model of this design is not ready yet: try again when it is")
             self._compared = f"both are brought to one loudness: {name or 'the start'} is made"
             serial, score = self.serial, self.score
@@ -361,7 +313,7 @@ class Desk:
         """Return all that the page shows besides knobs and pictures."""
         with self.lock:
             session, playback, take = self.session, self.playback, self.playback.take
-            busy, pair, seen = self._busy, playback.pair, self._seen
+            busy, pair, seen = self._models.busy, playback.pair, self._seen
             waited = time.monotonic() - busy.since if busy is not None else 0.0
             return {
                 "name": session.instrument.name,
@@ -424,7 +376,7 @@ class Desk:
             "seconds": seconds,
             "load": meter.load,
             "worst": meter.worst,
-            "making": None if self._busy is None else round(time.monotonic() - self._busy.since, 1),
+            "making": None if self._models.busy is None else round(time.monotonic() - self._models.busy.since, 1),
         }
 
     def points(self) -> list[str]:
@@ -449,7 +401,7 @@ class Desk:
     def _seen(self) -> Model | None:
         """The model of the pictures: of the preview that is heard, else the exact one."""
         take = self.playback.take
-        return take.model if take is not None and take.preview else self._model
+        return take.model if take is not None and take.preview else self._models.exact
 
     def view(self, kind: str, argument: str = "", *, of_start: bool = False) -> Any:
         """Return a view of the design's exact model, computed where it is not kept.
@@ -469,6 +421,6 @@ class Desk:
         design = self._seen
         if design is None:
             raise TonewoodError("there is no model yet: wait for the first sound")
-        if kind == "differences" and design is not self._model and self._model is not None:
+        if kind == "differences" and design is not self._models.exact and self._models.exact is not None:
             return ["a coarse preview is seen: what differs is told of the exact model, which follows"]
-        return self._views.view(design, kind, argument, of_start=of_start, exact=self._model is not None)
+        return self._views.view(design, kind, argument, of_start=of_start, exact=self._models.exact is not None)

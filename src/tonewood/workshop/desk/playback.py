@@ -15,8 +15,12 @@ from tonewood.workshop.desk.take import PhraseTake
 
 Singles = NDArray[np.float32]
 
-#: s of a crossfade
-FADE = 0.03
+#: s of a crossfade; s of sound on its way to the page that are never taken back
+FADE, MARGIN = 0.03, 0.04
+#: s after a report of the page for which it is taken to hear on
+_TRUSTED = 0.5
+#: s of the keys' sound that may be sent again
+_KEYED = 2
 _WHOLE = 1 << 30
 
 
@@ -65,8 +69,40 @@ class Meter:
     reported: dict[str, float] = field(default_factory=dict)
 
 
+class Listener:
+    """Where the page of the stream is: places are frames since its beginning.
+
+    Parameters
+    ----------
+    fs : sampling rate, Hz.
+    patience : s until its first report.
+
+    Attributes
+    ----------
+    sent : place of the next block.
+    reported : time of the last report.
+    """
+
+    def __init__(self, fs: int, patience: float):
+        self._fs, self.sent, self._heard = fs, 0, 0
+        self.reported = time.monotonic() + patience
+
+    def report(self, heard: int) -> None:
+        """Take the page's word on the place that it hears."""
+        self._heard, self.reported = heard, time.monotonic()
+
+    @property
+    def unheard(self) -> int:
+        """Frames that were sent and are not heard yet."""
+        since = min(max(time.monotonic() - self.reported, 0.0), _TRUSTED)
+        return max(self.sent - self._heard - int(since * self._fs), 0) if self.sent else 0
+
+
 class DeskSound:
     """All that sounds.
+
+    A change is heard before sound that has been sent already: frames that the page has not heard are sent again, from
+    an earlier place on, and take the place of those before (`Listener`).
 
     Parameters
     ----------
@@ -81,81 +117,121 @@ class DeskSound:
     def __init__(self, fs: int):
         self.fs, self.lock = fs, threading.RLock()
         self.take: PhraseTake | None = None
-        #: take that follows when the phrase begins again
-        self.following: PhraseTake | None = None
         self.at, self.playing, self.loop, self.serial = 0, False, True, 0
         self.pair: ComparedTakes | None = None
         self.live: Live | None = None
         self.meter = Meter()
+        #: page that hears the stream
+        self.listener: Listener | None = None
+        #: place before which nothing is sent again: no fade is cut
+        self._firm = 0
+        #: what keys sounded of late, and of that what is sent again
+        self._keyed, self._keyed_again = _none(), 0
         self._fading: list[_Fading] = []
         #: frames of B that were faded in after A; from the beginning of a phrase nothing is
         self._fade_in = _WHOLE
         #: take that goes on from a frame of this one, and serial of its change
         self._joins: tuple[PhraseTake, int, int] | None = None
 
-    def swap(self, take: PhraseTake, at: int = 0, *, serial: int | None = None) -> None:
-        """Let another take be heard, from a frame on; from the beginning it is not faded in.
+    def listen(self, patience: float) -> Listener:
+        """Begin a stream; returns the place of its page."""
+        with self.lock:
+            self.listener, self._firm = Listener(self.fs, patience), 0
+            return self.listener
+
+    def swap(self, take: PhraseTake, *, goes_on: bool = False, serial: int | None = None) -> None:
+        """Let another take be heard, as soon as the page can.
 
         Parameters
         ----------
         take : that is heard from now on.
-        at : its first frame.
+        goes_on : at the same place of the phrase, faded in, as far as it is rendered; else from the beginning.
         serial : of the change that is heard with it.
         """
         with self.lock:
-            if self.playing and self.take is not None:
-                self._fade_out(self.take, self.at, 1.0)
-            self.take, self.following, self.pair = take, None, None
-            self.at, self._joins, self._fade_in = at, None, 0 if at else _WHOLE
+            self._end()
+            self.take, self.pair = take, None
+            self.at = min(self.at, take.frames) if goes_on else 0
+            self._joins, self._fade_in = None, 0 if self.at else _WHOLE
             self.serial = self.serial if serial is None else serial
+
+    @property
+    def unheard(self) -> int:
+        """Frames that can be taken back: the page has not heard them, and they are of one pass of the phrase."""
+        if self.listener is None:
+            return 0
+        free = min(self.listener.unheard - round(MARGIN * self.fs), self.listener.sent - self._firm)
+        return max(min(free, self.at), 0) if self.playing else max(free, 0)
+
+    def _take_back(self, frames: int) -> None:
+        """Send so many frames again; those before are dropped by the page."""
+        if self.listener is not None and frames > 0:
+            self.listener.sent -= frames
+            self._keyed_again += frames
+            if self.playing:
+                self.at -= frames
 
     def compare(self, pair: ComparedTakes | None) -> None:
         """Let two takes be switched, at the same frame of both; None ends that."""
         with self.lock:
+            if self.playing and (self.pair is not None or pair is not None):
+                self._end()
+                self._fade_in = 0
             self.pair = pair
 
     def switch(self, which: int) -> None:
         """Let A (0) or B (1) be heard, without a gap."""
         with self.lock:
             if self.pair is not None and which != self.pair.which and which in (0, 1):
-                old = self.pair.which
-                if self.playing:
-                    self._fade_out(self.pair.takes[old], self.at, self.pair.gains[old])
+                self._end()
                 self.pair.which = which
                 self._fade_in = 0
 
     def _fade_out(self, source: PhraseTake | Live, at: int, gain: float) -> None:
         self._fading = [*self._fading[-3:], _Fading(source, at, gain)]
+        if self.listener is not None:
+            self._firm = self.listener.sent + round(FADE * self.fs)
 
     def fork(self, take: PhraseTake, at: int, serial: int) -> None:
-        """Let a take go on that another one was up to a frame: exactly there, without a fade."""
+        """Let a take go on that another one was up to a frame: exactly there, without a fade.
+
+        Parameters
+        ----------
+        take, at : and its first frame, no earlier than `unheard` frames ago.
+        serial : of the change that is heard with it.
+        """
         with self.lock:
+            self._take_back(self.at - at)
             self._joins = (take, at, serial)
 
     def start(self, *, again: bool = True) -> None:
         """Play the phrase, from its beginning."""
         with self.lock:
             if again:
-                if self.playing and self.take is not None:
-                    self._fade_out(self.take, self.at, 1.0)
+                self._end()
                 self._begin_again()
             self.playing = self.take is not None
 
     def stop(self) -> None:
         """Fade out all that sounds."""
         with self.lock:
-            if self.playing and self.take is not None:
-                heard, gain = self._heard()
-                self._fade_out(heard, self.at, gain)
+            self._end()
             self.playing = False
             self.release_keys()
+
+    def _end(self) -> None:
+        """Fade out the phrase, as soon as the page can."""
+        self._take_back(self.unheard)
+        if self.playing and self.take is not None:
+            heard, gain = self._heard()
+            self._fade_out(heard, self.at, gain)
 
     def exchange_live(self, live: Live | None) -> None:
         """Let keys play another model; what rings of the one before fades."""
         with self.lock:
             if self.live is not None:
                 self._fade_out(self.live, 0, 1.0)
-            self.live = live
+            self.live, self._keyed, self._keyed_again = live, _none(), 0
 
     def release_keys(self) -> None:
         """Release all keys."""
@@ -170,7 +246,7 @@ class DeskSound:
         return self.pair.takes[self.pair.which], self.pair.gains[self.pair.which]
 
     def read(self, frames: int) -> tuple[Singles, dict[str, Any]]:
-        """Return the next (frames, 2) and what they are: serial and frame of the phrase."""
+        """Return the next (frames, 2) and what they are: serial, frame of the phrase and place of the stream."""
         began = time.perf_counter()
         with self.lock:
             out = np.zeros((frames, 2), dtype=np.float32)
@@ -179,14 +255,28 @@ class DeskSound:
                 self._phrase(out)
                 serial = self.serial
             if self.live is not None:
-                out += _stereo(self.live.process(frames))
+                out += self._keys(frames, self.live)
             for fading in self._fading:
                 self._faded(fading, out)
             self._fading = [f for f in self._fading if f.done < FADE * self.fs]
+            place = 0
+            if self.listener is not None:
+                place = self.listener.sent
+                self.listener.sent += frames
         share = (time.perf_counter() - began) / (frames / self.fs)
         self.meter.load += 0.05 * (share - self.meter.load)
         self.meter.worst = max(0.99 * self.meter.worst, share)
-        return out, {"serial": serial, "frame": first, "playing": self.playing}
+        return out, {"serial": serial, "frame": first, "playing": self.playing, "place": place}
+
+    def _keys(self, frames: int, live: Live) -> Singles:
+        """Sound of the keys; what is sent again is that of before."""
+        again = min(self._keyed_again, len(self._keyed), frames)
+        first = len(self._keyed) - min(self._keyed_again, len(self._keyed))
+        old = self._keyed[first : first + again]
+        self._keyed_again = max(self._keyed_again - frames, 0)
+        new = _stereo(live.process(frames - again)) if again < frames else _none()
+        self._keyed = np.concatenate([self._keyed, new])[-_KEYED * self.fs :]
+        return np.concatenate([old, new])
 
     def _phrase(self, out: Singles) -> None:
         """Add the phrase to a block, which may end and begin again in it."""
@@ -214,6 +304,7 @@ class DeskSound:
             if n < want:
                 if not self.loop or take.frames == 0:
                     self.playing = False
+                    self._firm = 0 if self.listener is None else self.listener.sent + done
                     return
                 self._begin_again()
 
@@ -221,9 +312,7 @@ class DeskSound:
         if self._joins is not None:
             self.take, _, self.serial = self._joins
             self._joins = None
-        if self.following is not None:
-            self.take, self.following = self.following, None
-        elif self.take is not None:
+        if self.take is not None:
             self.take = self.take.again()
         self.at, self._fade_in = 0, _WHOLE
 
@@ -238,6 +327,10 @@ class DeskSound:
         fall = 1.0 - (fading.done + np.arange(len(block))) / (FADE * self.fs)
         out[: len(block)] += block * (fading.gain * fall[:, None]).astype(np.float32)
         fading.done += n
+
+
+def _none() -> Singles:
+    return np.zeros((0, 2), dtype=np.float32)
 
 
 def _stereo(block: NDArray[np.float64]) -> Singles:

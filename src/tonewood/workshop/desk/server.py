@@ -9,7 +9,8 @@
     GET  /api/stream        the sound without end: blocks of a head and of (n, 2) little-endian single precision
     POST /api/heard         the page's report on its buffer
 
-A head is four 32-bit integers: frames, serial of the newest change in them, frame of the phrase, and whether it plays.
+A head is five 32-bit integers: frames, serial of the newest change in them, frame of the phrase, whether it plays, and
+place in the stream: a block drops all that was sent before from its place on, so that a change is heard at once.
 One page at a time has the stream; another one that asks for it takes it.
 """
 
@@ -47,8 +48,6 @@ _STATIC = {
 #: frames of a block; s that blocks are sent ahead of what is heard, at least and at most
 BLOCK = 512
 AHEAD = (0.03, 1.0)
-#: s after a report for which the page is taken to hear on
-_TRUSTED = 0.5
 #: s without a report of the page after which its stream ends
 _SILENT = 6.0
 
@@ -65,8 +64,6 @@ class DeskServer:
     def __init__(self, desk: Desk, token: str | None = None):
         self.desk, self.token = desk, token or secrets.token_urlsafe(16)
         self._stream = 0
-        #: frames that the page of the stream has heard, and when it said so
-        self._heard: tuple[int, float] = (0, 0.0)
         self._ahead = 0.1
         self.closing = False
 
@@ -142,8 +139,9 @@ class DeskServer:
         self._check(request)
         given = await json_body(request)
         numbers = {k: float(v) for k, v in given.items() if isinstance(v, int | float)}
-        if numbers.get("stream") == self._stream:
-            self._heard = (int(numbers.get("heard", 0)), time.monotonic())
+        listener = self.desk.playback.listener
+        if numbers.get("stream") == self._stream and listener is not None:
+            listener.report(int(numbers.get("heard", 0)))
             self._ahead = min(max(numbers.get("ahead", self._ahead), AHEAD[0]), AHEAD[1])
             self.desk.playback.meter.underruns = int(numbers.get("underruns", 0))
         return JSONResponse({"stream": self._stream})
@@ -151,27 +149,23 @@ class DeskServer:
     async def _streamed(self, request: Request) -> Response:
         self._check(request)
         self._stream += 1
-        self._heard = (0, time.monotonic() + _SILENT)  # a page may need a moment to begin
         headers = {"X-Desk-Stream": str(self._stream)}
         return StreamingResponse(self._blocks(self._stream), media_type="application/octet-stream", headers=headers)
 
     async def _blocks(self, stream: int) -> AsyncIterator[bytes]:
         """Blocks as the page hears them; ends when another page has the stream, or this one is gone."""
-        playback, sent = self.desk.playback, 0
+        playback = self.desk.playback
+        listener = playback.listen(_SILENT)  # a page may need a moment to begin
         while stream == self._stream and not self.closing:
-            heard, when = self._heard
-            now = time.monotonic()
-            if now - when > _SILENT:
+            if time.monotonic() - listener.reported > _SILENT:
                 return
-            reached = heard + int(min(max(now - when, 0.0), _TRUSTED) * playback.fs) if sent else 0
-            wait = (sent - min(reached, sent)) / playback.fs - self._ahead
+            wait = listener.unheard / playback.fs - self._ahead
             if wait > 0:
                 await asyncio.sleep(min(max(wait, 0.002), 0.05))
                 continue
             block, what = await run_in_threadpool(playback.read, BLOCK)
-            head = struct.pack("<4I", len(block), what["serial"] & 0xFFFFFFFF, what["frame"], int(what["playing"]))
-            sent += len(block)
-            yield head + block.astype("<f4").tobytes()
+            numbers = (len(block), what["serial"] & 0xFFFFFFFF, what["frame"], int(what["playing"]), what["place"])
+            yield struct.pack("<5I", *numbers) + block.astype("<f4").tobytes()
 
 
 def _set(session: DeskSession, given: dict[str, Any]) -> None:

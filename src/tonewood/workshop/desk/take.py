@@ -141,12 +141,18 @@ class PhraseTake:
 
         Returns
         -------
-        Of each: title, components, seconds in which it ran on each, of those that are switched the components on which
-        it runs now and the share of the sound's time that its steps take there.
+        Of the steps of all modes and of each effect: title, components, seconds in which it ran on each; of those that
+        are switched the components on which it runs now; the share of the sound's time that its steps take there.
         """
         engine = self.renderer.engine
         rates, usage = engine.usage.costs.rates(), engine.usage
-        rows: dict[str, dict[str, Any]] = {}
+        modes = self.model.n_modes
+        rows: dict[str, dict[str, Any]] = {
+            "": {
+                "title": f"{modes} modes", "active": {"": self.frames / self.fs}, "on": None,
+                "cost": rates.mode * modes * self.fs, "saved": 0.0,
+            }
+        }  # fmt: skip
         for report in self.renderer.summary().effects:
             row = rows.setdefault(
                 report.name, {"title": report.title, "active": {}, "on": None, "cost": None, "saved": 0.0}

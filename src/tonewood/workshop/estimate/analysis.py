@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.estimate.body_modes import envelopes
 from tonewood.workshop.estimate.partials import (
     MOST,
@@ -19,9 +19,6 @@ from tonewood.workshop.estimate.partials import (
 )
 from tonewood.workshop.estimate.recordings import FS, SHORTEST, Recording
 from tonewood.workshop.estimate.spectra import bands_over_time, db, find_onset, power_spectrum, share
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: Hz, bands of the measures of modulation, and of the floor between partials
 MODULATED = ((700.0, 1500.0), (1500.0, 3000.0), (3000.0, 6000.0))
@@ -35,8 +32,6 @@ _OFF, _HALF = 60.0, 0.5
 class NoteAnalysis:
     """Figures of one note.
 
-    Attributes
-    ----------
     onset : s, in the file.
     f0, b : Hz, and inharmonicity; nan where too few partials are found.
     partials : number -> partial.
@@ -68,16 +63,11 @@ class NoteAnalysis:
 def analyse(x: Floats, freq: float, guess: float, upper: float = FS / 2) -> NoteAnalysis:
     """Analyse a note.
 
-    Parameters
-    ----------
     x : (n,) at `recordings.FS`.
     freq : Hz, its pitch, within 60 cents.
     guess : B of the string that is expected.
     upper : Hz, end of the band that the sound holds.
-
-    Returns
-    -------
-    The figures; those that the sound is too short for are nan.
+    Returns The figures; those that the sound is too short for are nan.
     """
     onset, top = find_onset(x, freq)
     f0, b, rows = find_partials(x, onset, freq, guess, upper)
@@ -133,19 +123,17 @@ def pitch_offset(x: Floats, onset: int, freq: float) -> float:
         return float(over[at].sum() - np.maximum(over[between], 0).sum() - 2.0 * (8 - len(at)))
 
     cents = np.arange(-1900, 1901, 5)
-    found = np.array([score(freq * 2 ** (c / 1200)) for c in cents])
+    scores = np.array([score(freq * 2 ** (c / 1200)) for c in cents])
     near = np.abs(cents) <= _OFF
-    if found[near].max() >= 0.6 * found.max() and found[near].max() > 15.0:
-        return float(cents[near][np.argmax(found[near])])
-    return float(cents[np.argmax(found)]) if found.max() > 15.0 else np.nan
+    if scores[near].max() >= 0.6 * scores.max() and scores[near].max() > 15.0:
+        return float(cents[near][np.argmax(scores[near])])
+    return float(cents[np.argmax(scores)]) if scores.max() > 15.0 else np.nan
 
 
 def check_pitches(recordings: Iterable[Recording]) -> tuple[list[Recording], list[str]]:
     """Return the recordings whose pitch is that of their names, and a line on each of the others.
 
-    Raises
-    ------
-    TonewoodError : most of them sound by the same interval off, or none is of use.
+    Raises TonewoodError : most of them sound by the same interval off, or none is of use.
     """
     rows, fits, lines, offsets = list(recordings), [], [], []
     for recording in rows:
@@ -170,7 +158,7 @@ def check_pitches(recordings: Iterable[Recording]) -> tuple[list[Recording], lis
 
 def _modulation(bands: Bands, partials: Iterable[NotePartial], f0: float) -> tuple[float, ...]:
     """Median, by band, of the rms of partials' envelopes about a parabola from 60 to 460 ms."""
-    found: list[list[float]] = [[] for _ in MODULATED]
+    values: list[list[float]] = [[] for _ in MODULATED]
     if bands.end < 0.55:
         return (np.nan,) * len(MODULATED)
     for partial in partials:
@@ -184,8 +172,8 @@ def _modulation(bands: Bands, partials: Iterable[NotePartial], f0: float) -> tup
             levels.append(db(np.abs(y[use]) ** 2))
         if np.median(levels[0]) - np.median(levels[1]) > 25:
             x = np.linspace(-1, 1, len(levels[0]))
-            found[of[0]].append(float(np.std(levels[0] - np.polyval(np.polyfit(x, levels[0], 2), x))))
-    return tuple(float(np.median(row)) if row else np.nan for row in found)
+            values[of[0]].append(float(np.std(levels[0] - np.polyval(np.polyfit(x, levels[0], 2), x))))
+    return tuple(float(np.median(row)) if row else np.nan for row in values)
 
 
 def _floor(x: Floats, onset: int, f0: float, b: float) -> tuple[float, ...]:

@@ -12,30 +12,30 @@ from tonewood.workshop.estimate.estimate import Estimate, Half
 from tonewood.workshop.estimate.pluck import Louder
 
 
-def to_json(found: Estimate) -> dict[str, Any]:
+def to_json(estimate: Estimate) -> dict[str, Any]:
     """Return everything but the sounds."""
-    figures = found.figures
+    figures = estimate.figures
     plain: dict[str, Any] = finite({
-        "begun_with": found.begun_with.name,
-        "strings": {name: _string(found, name) for name in figures.laws},
+        "begun_with": estimate.begun_with.name,
+        "strings": {name: _string(estimate, name) for name in figures.laws},
         "place": {
-            "value": figures.place, "before": found.start.place,
-            **({} if found.places is None else {"scatter_m": found.places.scatter, "notes": found.places.notes}),
+            "value": figures.place, "before": estimate.start.place,
+            **({} if (p := estimate.places) is None else {"scatter_m": p.scatter, "notes": p.notes}),
         },
-        "split_cents": {"value": figures.split, "before": found.start.split},
-        "gain_db": {"freq_Hz": gain.KNOTS, **figures.gains, "90 %": found.gain_interval},
-        "louder": None if found.louder is None else [_louder(row) for row in found.louder],
-        "edge_m": {"value": figures.edge, "before": found.start.edge},
-        "forces_N": {"value": figures.forces, "before": found.start.forces},
-        "body_modes": [asdict(mode) for mode in found.body_modes],
+        "split_cents": {"value": figures.split, "before": estimate.start.split},
+        "gain_db": {"freq_Hz": gain.KNOTS, **figures.gains, "90 %": estimate.gain_interval},
+        "louder": None if estimate.louder is None else [_louder(row) for row in estimate.louder],
+        "edge_m": {"value": figures.edge, "before": estimate.start.edge},
+        "forces_N": {"value": figures.forces, "before": estimate.start.forces},
+        "body_modes": [asdict(mode) for mode in estimate.body_modes],
         "moved_modes": [
             {"near_Hz": near, "freq_ratio": f, "q_ratio": q} for near, (f, q) in sorted(figures.modes.items())
         ],
-        "room": None if found.room is None else asdict(found.room),
+        "room": None if estimate.room is None else asdict(estimate.room),
         "distances": {
-            "all notes": {"before": found.before.as_dict(), "after": found.after.as_dict()},
-            "held back": [_half(half) for half in found.halves],
-            "scale": {name: row.as_dict() for name, row in found.scale.items() if row.notes},
+            "all notes": {"before": estimate.before.as_dict(), "after": estimate.after.as_dict()},
+            "held back": [_half(half) for half in estimate.halves],
+            "scale": {name: row.as_dict() for name, row in estimate.scale.items() if row.notes},
         },
         "notes": [
             {
@@ -43,22 +43,22 @@ def to_json(found: Estimate) -> dict[str, Any]:
                 "f0_Hz": a.f0, "B": a.b, "partials": len(a.partials), "onset_s": a.onset,
                 "rise_s": a.rise,
             }
-            for p, a in zip(found.notes, found.recorded, strict=True)
+            for p, a in zip(estimate.notes, estimate.recorded, strict=True)
         ],
-        "moved": list(found.moved),
-        "warnings": list(found.warnings),
+        "moved": list(estimate.moved),
+        "warnings": list(estimate.warnings),
     })  # fmt: skip
     return plain
 
 
-def _string(found: Estimate, name: str) -> dict[str, Any]:
-    law, interval = found.figures.laws[name], found.intervals.get(name)
-    spread = found.b_spread.get(name)
+def _string(estimate: Estimate, name: str) -> dict[str, Any]:
+    law, interval = estimate.figures.laws[name], estimate.intervals.get(name)
+    spread = estimate.b_spread.get(name)
     out: dict[str, Any] = {
         "loss": dict(zip(law.names, law.values, strict=True)),
-        "bending_stiffness": found.figures.bending[name],
-        "bending_stiffness_before": found.start.bending[name],
-        "own_notes": bool(found.figures.estimated.get(name)),
+        "bending_stiffness": estimate.figures.bending[name],
+        "bending_stiffness_before": estimate.start.bending[name],
+        "own_notes": bool(estimate.figures.estimated.get(name)),
         "rate_1/s": dict(zip(map(str, laws.STATED), law.rate(laws.STATED), strict=True)),
     }
     if interval is not None:

@@ -14,10 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.estimate.partials import Bands, poles
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: Hz, lower end of the bands, and their upper ends; s after the onset that are used
 _LOW, LIMITS = 70.0, (250.0, 350.0)
@@ -59,8 +57,6 @@ def envelopes(bands: Bands, f0: float) -> tuple[Complexes | None, ...]:
 def body_modes(notes: Iterable[Sequence[Complexes | None]], open_strings: Sequence[float]) -> tuple[HeardMode, ...]:
     """Modes that the notes share, from low to high; none with fewer than six notes that are high enough.
 
-    Parameters
-    ----------
     notes : `envelopes` of each.
     open_strings : Hz, whose partials ring along and are no modes.
     """
@@ -72,7 +68,7 @@ def body_modes(notes: Iterable[Sequence[Complexes | None]], open_strings: Sequen
             continue
         for k in range(_DRAWS):
             picked = range(len(own)) if k == 0 else rng.integers(0, len(own), len(own))
-            draws += [_kept(found, open_strings) for found in _found([own[j] for j in picked], limit)]
+            draws += [_kept(sample, open_strings) for sample in _found([own[j] for j in picked], limit)]
     pool = np.array([(i, *pole) for i, draw in enumerate(draws) for pole in draw]).reshape(-1, 3)
     modes: list[HeardMode] = []
     while len(pool):

@@ -49,21 +49,13 @@ def write_bundle(
 ) -> Instrument:
     """Write the bundle of an estimate.
 
-    Parameters
-    ----------
     estimate : its result.
     folder : to make; its last part is the instrument's name.
     source : the instrument begun with, by name or folder.
     origin : of the recordings.
     allow_code : run plugins that lie in the source's folder.
-
-    Returns
-    -------
-    The instrument, loaded from its folder: its figures are those of the estimate.
-
-    Raises
-    ------
-    BundleError, OutputError : as `new_bundle`; nothing stays behind.
+    Returns The instrument, loaded from its folder: its figures are those of the estimate.
+    Raises BundleError, OutputError : as `new_bundle`; nothing stays behind.
     """
     new_bundle(folder, source, allow_code=allow_code)
     try:

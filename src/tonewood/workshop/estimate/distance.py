@@ -17,11 +17,8 @@ from dataclasses import dataclass, fields
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.workshop.estimate.analysis import NoteAnalysis
-
-Floats = NDArray[np.float64]
 
 #: dB below the loudest band, and most that a difference counts
 _RANGE, _MOST = 50.0, 20.0
@@ -31,8 +28,6 @@ _RANGE, _MOST = 50.0, 20.0
 class Distance:
     """Distance between two sets of notes, see the module; nan where nothing could be compared.
 
-    Attributes
-    ----------
     third_octaves, onset, levels : dB rms.
     decays, early_decays : factors, of the first 30 and 15 dB.
     rise : ms.
@@ -77,8 +72,6 @@ def bands_apart(a: NoteAnalysis, b: NoteAnalysis, parts: slice = slice(None)) ->
 def distance(pairs: Iterable[tuple[NoteAnalysis, NoteAnalysis]]) -> Distance:
     """Distance between notes, pair by pair.
 
-    Parameters
-    ----------
     pairs : note of one set, note of the other. Partials count in decays if both are clear (`NotePartial.clear`).
     """
     third, onset, levels, rise, late, early = [], [], [], [], [], []

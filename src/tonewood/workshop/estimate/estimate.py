@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.support.arrays import Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.estimate import gain, laws, pluck
 from tonewood.workshop.estimate.analysis import NoteAnalysis, analyse, check_pitches
@@ -21,8 +21,6 @@ from tonewood.workshop.estimate.playing import Played, Stage
 from tonewood.workshop.estimate.recordings import Folder
 from tonewood.workshop.estimate.room import RoomShare, room_share
 from tonewood.workshop.estimate.search import RenderedNotes, Search, seconds
-
-Floats = NDArray[np.float64]
 
 #: notes that an estimate needs, and of which halves are held back
 FEWEST_NOTES, FEWEST_HALVED = 3, 8
@@ -35,8 +33,6 @@ _OFF_STRING, _ON_STRING = 1.7, 1.35
 class Half:
     """One half of the notes fitted, the other held back.
 
-    Attributes
-    ----------
     fitted, held_back : numbers of the notes.
     before, after : distances of the held-back notes, with the figures begun with and the fitted ones.
     sounds, begun : note -> its sound with the fitted figures and with those begun with, of the held-back ones.
@@ -54,8 +50,6 @@ class Half:
 class Estimate:
     """Result of an estimate.
 
-    Attributes
-    ----------
     instrument : with the figures of all notes.
     begun_with : the instrument before.
     notes, recorded : the notes that were used, and their analyses.
@@ -107,16 +101,11 @@ def estimate(
 ) -> Estimate:
     """Estimate an instrument from recorded notes.
 
-    Parameters
-    ----------
     folder : recordings.
     instrument : to begin with: its strings, stops, body, exciter and outputs are kept, figures of them moved.
     iterations : of the search; three bring figures to where the scatter of notes is larger than a further step.
     advance : called with the share of the work that is done, 0 to 1.
-
-    Raises
-    ------
-    TonewoodError : fewer than three notes are of use, or none of the instrument's strings has them.
+    Raises TonewoodError : fewer than three notes are of use, or none of the instrument's strings has them.
     """
     stage = Stage(instrument)
     notes, warnings = placed_notes(folder, stage)
@@ -243,11 +232,11 @@ def _tested(
         {name: tuple(rows[i] for i in fitted) for name, rows in begun.analyses.items()},
     )
     figures = search.fit([notes[i] for i in fitted], [recorded[i] for i in fitted], start, iterations)
-    found = search.render(figures, [notes[i] for i in rest])
+    sounds = search.render(figures, [notes[i] for i in rest])
     target = [recorded[i] for i in rest]
     return Half(
         fitted, rest, distance(zip(target, (begun.main[i] for i in rest), strict=True)),
-        distance(zip(target, found.main, strict=True)), dict(zip(rest, found.sounds, strict=True)),
+        distance(zip(target, sounds.main, strict=True)), dict(zip(rest, sounds.sounds, strict=True)),
         {i: begun.sounds[i] for i in rest},
     )  # fmt: skip
 
@@ -304,5 +293,5 @@ def _room(
 def _louder(
     notes: Sequence[Played], recorded: Sequence[NoteAnalysis], final: Sequence[NoteAnalysis]
 ) -> tuple[pluck.Louder, pluck.Louder] | None:
-    found = pluck.louder(notes, recorded), pluck.louder(notes, final)
-    return None if found[0] is None or found[1] is None else (found[0], found[1])
+    ratios = pluck.louder(notes, recorded), pluck.louder(notes, final)
+    return None if ratios[0] is None or ratios[1] is None else (ratios[0], ratios[1])

@@ -7,24 +7,20 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.contract.losses import StringData
 from tonewood.sound.equalizer import response_db
+from tonewood.support.arrays import Floats
 from tonewood.workshop.estimate import gain
 from tonewood.workshop.estimate.laws import LinearLoss
 from tonewood.workshop.estimate.playing import Stage, strings_of
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Figures:
     """Figures in one state of the estimate.
 
-    Attributes
-    ----------
     laws : string that gives a pitch -> its loss law.
     bending : string -> N m^2.
     place : m, or a fraction of the speaking length, as the bundle says it; None where it is not estimated.

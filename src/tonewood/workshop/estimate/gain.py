@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.sound.equalizer import Band, response_db
+from tonewood.support.arrays import Floats
 from tonewood.workshop.estimate.analysis import NoteAnalysis
 from tonewood.workshop.estimate.spectra import THIRD_OCTAVES
-
-Floats = NDArray[np.float64]
 
 #: Hz, knots of the curve
 KNOTS = np.geomspace(80.0, 10000.0, 15)

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from tonewood.instrument.contract.base import Loss
 from tonewood.instrument.contract.losses import StringData
+from tonewood.support.arrays import Floats
 from tonewood.workshop.estimate.analysis import NoteAnalysis
-
-Floats = NDArray[np.float64]
 
 #: partials that a law needs; Hz below which strings move with the body
 FEWEST, LOWEST = 8, 150.0
@@ -64,8 +63,6 @@ def rates_of(notes: Sequence[NoteAnalysis], scale: float = 1.0) -> DecayRates:
 class LinearLoss:
     """A loss law whose rate is a sum over some of its parameters, at a string.
 
-    Attributes
-    ----------
     loss : the plugin with its present numbers.
     string : tension, mass and stiffness.
     names : parameters in which the rate is linear.
@@ -134,8 +131,6 @@ def _linear(loss: Loss[Any], string: StringData, name: str) -> bool:
 def fit_law(rates: DecayRates, law: LinearLoss) -> tuple[Floats, float]:
     """Parameters of a law and loss at the bridge per period, robust: soft L1 of the logarithm of the rate.
 
-    Parameters
-    ----------
     rates : of one string; weak priors, a factor of 20, hold the numbers of which these say nothing.
     law : with the numbers to begin with.
     """
@@ -183,8 +178,6 @@ def moved(law: LinearLoss, recorded: DecayRates, rendered: DecayRates) -> Floats
 class Interval:
     """90 % intervals by bootstrap over notes and partials.
 
-    Attributes
-    ----------
     rates : (2, 4) 1/s at `STATED`, low and high.
     values : (2, n) of each parameter.
     bridge : (2,) of the loss at the bridge, per period.
@@ -205,20 +198,20 @@ class Interval:
 
 def bootstrap(rates: DecayRates, law: LinearLoss, rng: np.random.Generator, draws: int = 40) -> Interval:
     """Draw notes, and partials of them, with replacement, and fit each draw."""
-    found, at_bridge, stated = [], [], []
+    slopes, at_bridge, stated = [], [], []
     ids = np.unique(rates.note)
     members = [np.flatnonzero(rates.note == i) for i in ids]
     for _ in range(draws):
         picked = [members[i] for i in rng.integers(0, len(ids), len(ids))]
         at = np.concatenate([rng.choice(own, len(own)) for own in picked])
         values, bridge = fit_law(rates.taken(at), law)
-        found.append(values)
+        slopes.append(values)
         at_bridge.append(bridge)
         stated.append(law.rate(STATED, values))
     low_high = [5.0, 95.0]
     return Interval(
-        np.percentile(stated, low_high, axis=0), np.percentile(found, low_high, axis=0),
-        np.percentile(at_bridge, low_high), _rank_correlations(np.column_stack([found, at_bridge])),
+        np.percentile(stated, low_high, axis=0), np.percentile(slopes, low_high, axis=0),
+        np.percentile(at_bridge, low_high), _rank_correlations(np.column_stack([slopes, at_bridge])),
     )  # fmt: skip
 
 

@@ -6,10 +6,10 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.scales import note_name
 from tonewood.sound.files.audio import flac_bytes
+from tonewood.support.arrays import Floats
 from tonewood.support.plotting import data_uri
 from tonewood.workshop.estimate import laws
 from tonewood.workshop.estimate.bundle import PRESET, RecordingOrigin
@@ -20,118 +20,113 @@ from tonewood.workshop.estimate.recordings import FS
 from tonewood.workshop.estimate.spectra import find_onset
 from tonewood.workshop.report.offline import offline_page
 
-Floats = NDArray[np.float64]
-
 #: notes held back that are heard, from each half; s before the onset, of a sound, and of its fade
 _HEARD, _BEFORE, _LENGTH, _FADE = 3, 0.03, 3.0, 0.05
 #: rms and largest sample of the sounds
 _RMS, _PEAK = 0.08, 0.9
 
 
-def page(found: Estimate, origin: RecordingOrigin, name: str) -> str:
-    """Page of an estimate; every text of a file is escaped.
-
-    Raises
-    ------
-    TonewoodError : jinja2 is not installed.
-    """
+def page(estimate: Estimate, origin: RecordingOrigin, name: str) -> str:
+    """Page of an estimate; every text of a file is escaped. Raises TonewoodError : jinja2 is not installed."""
     template = (files("tonewood.workshop.estimate") / "page.html").read_text(encoding="utf-8")
-    columns = columns_of(found)
+    columns = columns_of(estimate)
     return offline_page(
         template,
-        found=found,
+        estimate=estimate,
         origin=origin,
         title=f"{name}, estimated from recordings",
-        warnings=found.warnings,
+        warnings=estimate.warnings,
         columns={key: row.as_dict() for key, row in columns.items()},
         labels=Distance.LABELS,
-        scale=any(row.notes for row in found.scale.values()),
-        tones=[_tone(found, half, i) for half, i in heard(found)],
+        scale=any(row.notes for row in estimate.scale.values()),
+        tones=[_tone(estimate, half, i) for half, i in heard(estimate)],
         stated=laws.STATED,
-        strings=[_string(found, lead) for lead in shown_strings(found)],
-        rates_picture=rates_picture(found, shown_strings(found)),
-        parameters=[row for lead in found.intervals for row in _parameters(found, lead)],
-        gain_picture=gain_picture(found),
-        place=place_line(found),
-        split=split_line(found),
-        louder=louder_line(found),
-        modes=mode_lines(found),
-        room=room_line(found),
-        rows=list(zip(found.notes, found.recorded, strict=True)),
+        strings=[_string(estimate, lead) for lead in shown_strings(estimate)],
+        rates_picture=rates_picture(estimate, shown_strings(estimate)),
+        parameters=[row for lead in estimate.intervals for row in _parameters(estimate, lead)],
+        gain_picture=gain_picture(estimate),
+        place=place_line(estimate),
+        split=split_line(estimate),
+        louder=louder_line(estimate),
+        modes=mode_lines(estimate),
+        room=room_line(estimate),
+        rows=list(zip(estimate.notes, estimate.recorded, strict=True)),
         note_name=note_name,
     )
 
 
-def columns_of(found: Estimate) -> dict[str, Distance]:
+def columns_of(estimate: Estimate) -> dict[str, Distance]:
     """Distances by the heading of their column: held-back halves, all notes, and the scale."""
     columns: dict[str, Distance] = {}
-    for i, half in enumerate(found.halves, 1):
+    for i, half in enumerate(estimate.halves, 1):
         columns |= {f"held back {i}: before": half.before, f"held back {i}: after": half.after}
-    columns |= {"all: before": found.before, "all: after": found.after}
-    return columns | {name: row for name, row in found.scale.items() if row.notes}
+    columns |= {"all: before": estimate.before, "all: after": estimate.after}
+    return columns | {name: row for name, row in estimate.scale.items() if row.notes}
 
 
-def shown_strings(found: Estimate) -> list[str]:
+def shown_strings(estimate: Estimate) -> list[str]:
     """Strings of a table: all, or of many those whose own notes tell them."""
-    names = list(found.figures.laws)
-    return names if len(names) <= 12 else [name for name in names if name in found.intervals]
+    names = list(estimate.figures.laws)
+    return names if len(names) <= 12 else [name for name in names if name in estimate.intervals]
 
 
-def place_line(found: Estimate) -> str:
+def place_line(estimate: Estimate) -> str:
     """Place of the pluck, with its scatter over notes; empty where it was not estimated."""
-    if found.figures.place is None or found.start.place is None:
+    if estimate.figures.place is None or estimate.start.place is None:
         return ""
-    scatter = "" if found.places is None else f"; places of single notes scatter by {1e3 * found.places.scatter:.0f} mm"
-    return f"Place of the pluck: {found.figures.place:.4g}, begun with {found.start.place:.4g}{scatter}."
+    places = estimate.places
+    scatter = "" if places is None else f"; places of single notes scatter by {1e3 * places.scatter:.0f} mm"
+    return f"Place of the pluck: {estimate.figures.place:.4g}, begun with {estimate.start.place:.4g}{scatter}."
 
 
-def split_line(found: Estimate) -> str:
+def split_line(estimate: Estimate) -> str:
     """Splitting of the polarizations; empty where strings have one."""
-    if found.figures.split is None or found.start.split is None:
+    if estimate.figures.split is None or estimate.start.split is None:
         return ""
     return (
-        f"Splitting of the polarizations: {found.figures.split:.2g} cents (standard deviation), begun with "
-        f"{found.start.split:.2g}; from the modulation of partials, to which body and room add theirs."
+        f"Splitting of the polarizations: {estimate.figures.split:.2g} cents (standard deviation), begun with "
+        f"{estimate.start.split:.2g}; from the modulation of partials, to which body and room add theirs."
     )
 
 
-def louder_line(found: Estimate) -> str:
+def louder_line(estimate: Estimate) -> str:
     """What playing louder changes; empty without pairs of soft and loud."""
-    if found.louder is None:
+    if estimate.louder is None:
         return ""
     shown = [
         f"{who} {row.bright:+.1f} dB of 3 to 8 kHz"
         + (f" and {row.peak:+.1f} dB of peak" if np.isfinite(row.peak) else " (peaks were normalised)")
-        for who, row in zip(("recorded", "computed"), found.louder, strict=True)
+        for who, row in zip(("recorded", "computed"), estimate.louder, strict=True)
     ]
-    figures, start, moved = found.figures, found.start, ""
+    figures, start, moved = estimate.figures, estimate.start, ""
     if figures.edge is not None and start.edge is not None and figures.edge != start.edge:
         moved = f" Edge of the finger: {1e3 * figures.edge:.2g} mm, begun with {1e3 * start.edge:.2g} mm"
         if figures.forces != start.forces and figures.forces is not None and start.forces is not None:
             ends = [f"{low:.3g} to {high:.3g} N" for low, high in (figures.forces, start.forces)]
             moved += f"; forces at velocity 1 and 127: {ends[0]}, begun with {ends[1]}"
         moved += "."
-    return f"From soft to loud, {found.louder[0].notes} pairs: {'; '.join(shown)}.{moved}"
+    return f"From soft to loud, {estimate.louder[0].notes} pairs: {'; '.join(shown)}.{moved}"
 
 
-def mode_lines(found: Estimate) -> list[str]:
+def mode_lines(estimate: Estimate) -> list[str]:
     """Body modes that the notes tell, and what was moved."""
     out = []
-    for mode in found.body_modes:
+    for mode in estimate.body_modes:
         (low, high), (least, most) = mode.freq_interval, mode.q_interval
-        near = [f for f, (ratio, _) in found.figures.modes.items() if abs(np.log(f * ratio / mode.freq)) < np.log(1.1)]
+        ratios = estimate.figures.modes.items()
+        near = [f for f, (ratio, _) in ratios if abs(np.log(f * ratio / mode.freq)) < np.log(1.1)]
         moved = "not moved: no mode of the bundle's tables sounds near it"
         if near:
-            by_freq, by_q = found.figures.modes[near[0]]
+            by_freq, by_q = estimate.figures.modes[near[0]]
             moved = f"frequency of the bundle's mode at {near[0]:.4g} Hz times {by_freq:.4g}, Q times {by_q:.3g}"
         figures = f"{mode.freq:.4g} Hz ({low:.4g} to {high:.4g}), Q {mode.q:.2g} ({least:.2g} to {most:.2g})"
         out.append(f"Body mode at {figures}: {moved}.")
     return out
 
 
-def room_line(found: Estimate) -> str:
+def room_line(estimate: Estimate) -> str:
     """Share of the room; empty where none is told."""
-    room = found.room
+    room = estimate.room
     if room is None:
         return ""
     low, high = room.interval
@@ -144,20 +139,20 @@ def room_line(found: Estimate) -> str:
     )
 
 
-def heard(found: Estimate) -> list[tuple[int, int]]:
+def heard(estimate: Estimate) -> list[tuple[int, int]]:
     """Half and number of the held-back notes that are heard: low, middle and high ones of each half."""
     out = []
-    for h, half in enumerate(found.halves):
-        held = sorted(half.held_back, key=lambda i: found.notes[i].recording.note)
+    for h, half in enumerate(estimate.halves):
+        held = sorted(half.held_back, key=lambda i: estimate.notes[i].recording.note)
         places = np.linspace(0, len(held) - 1, min(_HEARD, len(held))).round().astype(int)
         out += [(h, held[k]) for k in dict.fromkeys(places.tolist())]
-    return sorted(out, key=lambda row: found.notes[row[1]].recording.note)
+    return sorted(out, key=lambda row: estimate.notes[row[1]].recording.note)
 
 
-def _tone(found: Estimate, half: int, i: int) -> dict[str, Any]:
+def _tone(estimate: Estimate, half: int, i: int) -> dict[str, Any]:
     """Sounds and spectrograms of one note."""
-    played, now = found.notes[i], found.halves[half]
-    labels = ("recorded", "estimated", found.begun_with.name)
+    played, now = estimate.notes[i], estimate.halves[half]
+    labels = ("recorded", "estimated", estimate.begun_with.name)
     raw = (played.recording.samples, now.sounds[i], now.begun[i])
     sounds = dict(zip(labels, (_cut(x, played.recording.freq) for x in raw), strict=True))
     length = min(map(len, sounds.values()))
@@ -184,21 +179,21 @@ def _faded(x: Floats) -> Floats:
     return np.concatenate([x[: len(x) - n], x[len(x) - n :] * np.linspace(1, 0, n)])
 
 
-def _string(found: Estimate, lead: str) -> dict[str, Any]:
-    law, interval = found.figures.laws[lead], found.intervals.get(lead)
-    before, after = found.start.bending[lead], found.figures.bending[lead]
+def _string(estimate: Estimate, lead: str) -> dict[str, Any]:
+    law, interval = estimate.figures.laws[lead], estimate.intervals.get(lead)
+    before, after = estimate.start.bending[lead], estimate.figures.bending[lead]
     spreads = [None] * len(laws.STATED) if interval is None else interval.spread.tolist()
     return {
         "name": lead,
-        "count": sum(p.string == lead for p in found.notes),
+        "count": sum(p.string == lead for p in estimate.notes),
         "b": after / before if before > 0 else None,
         "rates": list(zip(law.rate(laws.STATED).tolist(), spreads, strict=True)),
-        "own": bool(found.figures.estimated.get(lead)),
+        "own": bool(estimate.figures.estimated.get(lead)),
     }
 
 
-def _parameters(found: Estimate, lead: str) -> list[dict[str, str]]:
-    law, interval = found.figures.laws[lead], found.intervals[lead]
+def _parameters(estimate: Estimate, lead: str) -> list[dict[str, str]]:
+    law, interval = estimate.figures.laws[lead], estimate.intervals[lead]
     pairs = laws.trades(law, interval)
     rows = []
     for j, name in enumerate(law.names):

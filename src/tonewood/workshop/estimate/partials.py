@@ -15,13 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.estimate.recordings import FS
 from tonewood.workshop.estimate.spectra import db, power_spectrum
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: Hz, highest partial that is looked for; most partials of a note that are analysed
 HIGHEST, MOST = 9000.0, 45
@@ -44,8 +41,6 @@ class Mode:
 class NotePartial:
     """A partial.
 
-    Attributes
-    ----------
     number, freq : n, and Hz.
     level : dB, highest after the first 45 ms.
     rate, early : 1/s, decay of the first 30 and 15 dB.
@@ -113,16 +108,11 @@ class Bands:
 def find_partials(x: Floats, onset: int, freq: float, guess: float, upper: float) -> tuple[float, float, Floats]:
     """f0 (Hz), B, and rows (n, Hz, dB, dB over the noise) of the partials.
 
-    Parameters
-    ----------
     x, onset : sound and sample of its onset.
     freq : Hz, the note's pitch, within 60 cents.
     guess : B of the string that is expected.
     upper : Hz, end of the band.
-
-    Returns
-    -------
-    B is nan, and there are no rows, where fewer than three partials are found.
+    Returns B is nan, and there are no rows, where fewer than three partials are found.
     """
     start = onset + int(0.05 * FS)
     piece = x[start : start + int(max(0.8, 45.0 / freq) * FS)]
@@ -199,8 +189,6 @@ def _inharmonicity(rows: Floats, f: float, b: float, guess: float) -> tuple[floa
 def poles(signals: Sequence[Complexes], orders: Sequence[int]) -> dict[int, Complexes]:
     """Poles, per sample, of so many damped exponentials, for each of `orders` that the samples suffice for.
 
-    Parameters
-    ----------
     signals : of one length, which share the poles.
     """
     from scipy.linalg import hankel, lstsq, svd
@@ -228,8 +216,8 @@ def _modes(y: Complexes, t: Floats) -> tuple[float, tuple[Mode, ...]] | None:
         a = lstsq(basis, y)[0]
         misfit = float(db(np.mean(np.abs(y - basis @ a) ** 2) / np.mean(np.abs(y) ** 2)))
         if best is None or misfit < best[0] - 5:
-            found = [Mode(float(p.imag / 2 / np.pi), float(-p.real), float(abs(q))) for p, q in zip(s, a, strict=True)]
-            best = (misfit, tuple(sorted(found, key=lambda m: -m.amplitude)))
+            modes = [Mode(float(p.imag / 2 / np.pi), float(-p.real), float(abs(q))) for p, q in zip(s, a, strict=True)]
+            best = (misfit, tuple(sorted(modes, key=lambda m: -m.amplitude)))
     return best
 
 
@@ -252,11 +240,11 @@ def measure_partial(bands: Bands, number: int, freq: float, f0: float) -> NotePa
     y, t, level = y[:end], t[:end], level[:end]
     top = int(np.argmax(level[: max(3, end // 4)]))
     late, early = (_rate(t, level, top, fall) for fall in (LATE, EARLY))
-    found = _modes(y, t)
-    if found is None or not np.isfinite(late):
+    modes = _modes(y, t)
+    if modes is None or not np.isfinite(late):
         return None
     fell = float(level[top] - level[-1])
-    return NotePartial(number, float(freq), float(level[top]), late, early, fell, found[1], found[0], noise)
+    return NotePartial(number, float(freq), float(level[top]), late, early, fell, modes[1], modes[0], noise)
 
 
 def _rate(t: Floats, level: Floats, top: int, fall: float) -> float:

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.sound.level.spectrum import spectrogram
+from tonewood.support.arrays import Floats
 from tonewood.support.plotting import (
     COLOURS,
     LINE,
@@ -29,8 +29,6 @@ from tonewood.workshop.estimate.estimate import Estimate
 from tonewood.workshop.estimate.recordings import FS
 from tonewood.workshop.report.figures import Picture
 
-Floats = NDArray[np.float64]
-
 #: dB and Hz shown of a spectrogram; strings that are drawn
 _RANGE, _TOP, _MOST = 80.0, 10000.0, 12
 
@@ -49,9 +47,9 @@ def spectrograms(name: str, sounds: Mapping[str, Floats]) -> Picture:
     return Picture(data_uri(png(made, 72), "image/png"), f"Spectrograms of {name}: {', '.join(sounds)}")
 
 
-def rates_picture(found: Estimate, strings: Sequence[str]) -> Picture | None:
+def rates_picture(estimate: Estimate, strings: Sequence[str]) -> Picture | None:
     """Decay rates of partials, recorded and computed, and the law of each string; None where no notes tell one."""
-    drawn = [name for name in strings if name in found.intervals][:_MOST]
+    drawn = [name for name in strings if name in estimate.intervals][:_MOST]
     if not drawn:
         return None
     rows = -(-len(drawn) // 2)
@@ -61,13 +59,13 @@ def rates_picture(found: Estimate, strings: Sequence[str]) -> Picture | None:
         ax.set_axis_off()
     freq = np.geomspace(150.0, 9000.0, 60)
     for k, (ax, name) in enumerate(zip(axes.ravel(), drawn, strict=False)):
-        at = [i for i, played in enumerate(found.notes) if played.string == name]
-        kinds = (("recorded", found.recorded, "o"), ("computed", found.rendered.main, "x"))
+        at = [i for i, played in enumerate(estimate.notes) if played.string == name]
+        kinds = (("recorded", estimate.recorded, "o"), ("computed", estimate.rendered.main, "x"))
         for c, (label, analyses, sign) in enumerate(kinds):
             rates = laws.rates_of([analyses[i] for i in at])
             ax.plot(rates.freq, rates.rate, sign, color=COLOURS[c], ms=4, label=label)
-        ax.plot(freq, found.figures.laws[name].rate(freq), color=COLOURS[2], lw=LINE, label="string alone")
-        low, high = found.intervals[name].rates
+        ax.plot(freq, estimate.figures.laws[name].rate(freq), color=COLOURS[2], lw=LINE, label="string alone")
+        low, high = estimate.intervals[name].rates
         ax.vlines(laws.STATED, low, high, color=COLOURS[2], lw=2 * LINE, label="90 %")
         frequency_axis(ax, 150.0, 9000.0)
         log_axis(ax)
@@ -80,12 +78,12 @@ def rates_picture(found: Estimate, strings: Sequence[str]) -> Picture | None:
     return Picture(data_uri(svg(made), "image/svg+xml"), "Decay rates of partials over frequency, by string")
 
 
-def gain_picture(found: Estimate) -> Picture:
+def gain_picture(estimate: Estimate) -> Picture:
     """Gain of the first output, with its interval."""
-    name, curve = next(iter(found.figures.gains.items()))
+    name, curve = next(iter(estimate.figures.gains.items()))
     made, axes = figure(heights=[3.6])
     ax = axes[0, 0]
-    half = (found.gain_interval[1] - found.gain_interval[0]) / 2
+    half = (estimate.gain_interval[1] - estimate.gain_interval[0]) / 2
     ax.fill_between(gain.KNOTS, curve - half, curve + half, color=COLOURS[0], alpha=0.25, lw=0, label="90 %")
     ax.plot(gain.KNOTS, curve, "o-", color=COLOURS[0], lw=LINE, ms=5, label=plain(name))
     frequency_axis(ax, float(gain.KNOTS[0]), float(gain.KNOTS[-1]))

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
@@ -14,9 +13,8 @@ from tonewood.instrument.scales import note_name
 from tonewood.performance.score.note import Note, Score
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import Renderer, assembled
+from tonewood.support.arrays import Floats
 from tonewood.workshop.estimate.recordings import FS, Recording
-
-Floats = NDArray[np.float64]
 
 #: MIDI velocity of notes whose dynamic nobody says
 VELOCITY = 96.0
@@ -30,8 +28,6 @@ _AT_ONCE = 16
 class Played:
     """A recording and its place on the instrument.
 
-    Attributes
-    ----------
     recording : of the note.
     string, stop : where it is played.
     length : m, speaking length there.
@@ -60,13 +56,8 @@ class Played:
 class Stage:
     """An instrument on which recorded notes are placed and played.
 
-    Parameters
-    ----------
     instrument : as it is begun with.
-
-    Raises
-    ------
-    TonewoodError : it has no string with a pitch.
+    Raises TonewoodError : it has no string with a pitch.
     """
 
     def __init__(self, instrument: Instrument):
@@ -90,9 +81,7 @@ class Stage:
     def placed(self, recording: Recording) -> Played | None:
         """A recording in the place that it names, or in the lowest position; None if no string has its note.
 
-        Raises
-        ------
-        TonewoodError : the string or the stop that it names does not exist, or is of another note.
+        Raises TonewoodError : the string or the stop that it names does not exist, or is of another note.
         """
         string, stop = recording.string, recording.stop
         if string is not None:
@@ -118,9 +107,7 @@ class Stage:
     def named(self, recording: Recording) -> Recording:
         """A recording with the note of its string and stop, where it tells no other.
 
-        Raises
-        ------
-        TonewoodError : as `placed`.
+        Raises TonewoodError : as `placed`.
         """
         played = self.placed(recording) if recording.note < 0 else None
         return recording if played is None else played.recording
@@ -158,16 +145,11 @@ def render_notes(
 ) -> list[dict[str, Floats]]:
     """Each note alone on an instrument: output -> mono sound at `FS`, from 80 ms before the note.
 
-    Parameters
-    ----------
     instrument : with the figures of the present iteration.
     notes : rendered one after the other, at most 16 in a render.
     outputs : names of output groups; the mean of a group's channels is taken.
     advance : called with the seconds of sound rendered since the last call.
-
-    Raises
-    ------
-    TonewoodError : the instrument cannot play a note.
+    Raises TonewoodError : the instrument cannot play a note.
     """
     options = RenderOptions(fs=FS, outputs=tuple(outputs), tail=0.1, tail_level_db=-300.0)
     model = assembled(instrument, options)

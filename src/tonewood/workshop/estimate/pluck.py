@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.estimate.analysis import NoteAnalysis
 from tonewood.workshop.estimate.playing import Played
-
-Floats = NDArray[np.float64]
 
 #: m, step of the search; partials that are looked at; dB at which a partial's misfit counts no more
 _STEP, _MOST, _OUTLIER = 0.001, 22, 12.0
@@ -22,15 +20,10 @@ def place_of(note: NoteAnalysis, length: float, longest: float) -> float:
 
         L_n = 10 lg(sin^2(n pi d / l) + 0.01) + cubic in ln f_n
 
-    Parameters
-    ----------
     note : with its partials.
     length : l, m, of the string at its stop.
     longest : m, largest distance that is tried; half of the length at most.
-
-    Returns
-    -------
-    nan where fewer than nine partials are known.
+    Returns nan where fewer than nine partials are known.
     """
     rows = [(n, p.freq, p.level) for n, p in note.partials.items() if n <= _MOST]
     if len(rows) < 9:
@@ -68,27 +61,25 @@ def places(
 
     Notes whose place was told are left out.
     """
-    found = []
+    positions = []
     for played, rec, syn in zip(notes, recorded, rendered, strict=True):
         pair = [place_of(a, played.length, longest) for a in (rec, syn)]
         if np.isfinite(pair).all() and played.recording.place is None:
-            found.append(pair)
-    if len(found) < 3:
+            positions.append(pair)
+    if len(positions) < 3:
         return None
-    table = np.array(found)
+    table = np.array(positions)
     # of the recorded combs that are mistaken for another one, most are far off: a median of differences is robust
     shift = float(np.median(table[:, 0] - table[:, 1]))
     middle = float(np.median(table[:, 1]))
     scatter = float(1.4826 * np.median(np.abs(table[:, 0] - np.median(table[:, 0]))))
-    return PluckPlaces(middle + shift, middle, scatter, len(found))
+    return PluckPlaces(middle + shift, middle, scatter, len(positions))
 
 
 @dataclass(frozen=True)
 class Louder:
     """Change from soft to loud strokes of the same notes: medians.
 
-    Attributes
-    ----------
     peak : dB, of the largest sample; nan where files were normalised one by one.
     bright : dB, of the share of 3 to 8 kHz.
     steps : MIDI velocity, between the two dynamics.

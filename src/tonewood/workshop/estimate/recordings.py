@@ -15,13 +15,11 @@ from math import gcd
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.scales import note_name
+from tonewood.support.arrays import Floats
 from tonewood.support.sound_rates import check_rate
-
-Floats = NDArray[np.float64]
 
 #: Hz, rate of the analysis, to which every recording is brought
 FS = 44100
@@ -48,8 +46,6 @@ _CLIPPED_RUN, _CLIPPED_LEVEL = 4, 1 - 1e-5
 class Recording:
     """A recorded note.
 
-    Attributes
-    ----------
     file : its name, for messages.
     note : MIDI number.
     string, stop : where it was played; None if nobody says.
@@ -78,8 +74,6 @@ class Recording:
 class Folder:
     """The recordings of a folder.
 
-    Attributes
-    ----------
     recordings : by note, then from soft to loud.
     warnings : one line each, of files left out or treated specially.
     """
@@ -96,15 +90,10 @@ class Folder:
 def read_folder(folder: Path, *, table: Path | None = None, transpose: int = 0) -> Folder:
     """Read the recordings of a folder.
 
-    Parameters
-    ----------
     folder : of sound files; ``notes.csv`` or ``recordings.csv`` in it is taken for the table.
     table : CSV file, with paths from its own folder.
     transpose : semitones added to the notes of names and table.
-
-    Raises
-    ------
-    TonewoodError : there is no such folder, no sound file in it, none of use, or a table that cannot be read.
+    Raises TonewoodError : there is no such folder, no sound file in it, none of use, or a table that cannot be read.
     """
     if not folder.is_dir():
         raise TonewoodError("there is no such folder; a folder of sound files, one a note, is wanted", file=folder)
@@ -131,10 +120,10 @@ def note_of_name(stem: str) -> int | None:
     """Return the MIDI number that a file's name tells: a number alone, or the first note name in it; None without."""
     if re.fullmatch(r"\d{1,3}", stem):
         return int(stem)
-    found = _NOTE.search(stem)
-    if found is None:
+    match = _NOTE.search(stem)
+    if match is None:
         return None
-    letter, sign, octave = found.groups()
+    letter, sign, octave = match.groups()
     return _SEMITONES[letter.upper()] + _SIGNS.get(sign or "", 0) + 12 * (int(octave) + 1)
 
 
@@ -144,8 +133,8 @@ def dynamic_of(text: str) -> float | None:
     for word in sorted(words, key=len):  # `piano` may be the instrument: pp, mf come first
         if word in DYNAMICS:
             return float(DYNAMICS[word])
-        if (found := re.fullmatch(r"(?:v|vel|velocity)(\d{1,3})", word)) and 1 <= int(found[1]) <= 127:
-            return float(found[1])
+        if (match := re.fullmatch(r"(?:v|vel|velocity)(\d{1,3})", word)) and 1 <= int(match[1]) <= 127:
+            return float(match[1])
     return None
 
 
@@ -222,9 +211,7 @@ def _number(cells: Mapping[str, str], key: str, low: float, high: float, table: 
 def _read(path: Path, row: Recording) -> tuple[Recording, list[str]]:
     """Samples of a file, mono at `FS`, and remarks.
 
-    Raises
-    ------
-    TonewoodError : it cannot be read, is silent, not finite, clipped, or shorter than is of use.
+    Raises TonewoodError : it cannot be read, is silent, not finite, clipped, or shorter than is of use.
     """
     import soundfile as sf
 

@@ -12,15 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.sound.room import room_response
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.estimate.analysis import NoteAnalysis
 from tonewood.workshop.estimate.partials import Bands
 from tonewood.workshop.estimate.recordings import FS
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: s after the onset at which levels are compared
 TIMES = np.arange(0.05, 0.5, 0.01)
@@ -40,8 +37,6 @@ BOXES = ("studio", "small")
 class RoomShare:
     """A room that brings rendered notes to the recorded ones.
 
-    Attributes
-    ----------
     room, mix_db : of `tonewood.sound.room`.
     interval : dB, 90 % of the mix, by bootstrap over notes.
     dry, wet : dB, median misfit of the level between partials without the room and with it.
@@ -64,9 +59,7 @@ class RoomShare:
 def between(x: Floats, note: NoteAnalysis) -> tuple[Complexes, Complexes] | None:
     """Envelopes half-way between partials at `TIMES`, and of the partials in the first 50 ms of these: linear in `x`.
 
-    Returns
-    -------
-    (partials, times) each; None for notes too low, too short, or without partials there.
+    Returns (partials, times) each; None for notes too low, too short, or without partials there.
     """
     f0, b = note.f0, note.b
     if not np.isfinite(b) or f0 < _LOWEST:
@@ -98,17 +91,9 @@ def room_share(
 ) -> RoomShare | None:
     """Find the room and the mix that fill the space between partials as in recorded notes.
 
-    Parameters
-    ----------
     recorded, rendered : sound and analysis of the same notes.
-
-    Returns
-    -------
-    None where no room brings the rendered notes nearer, or too few notes tell.
-
-    Raises
-    ------
-    TonewoodError : pyroomacoustics is not installed.
+    Returns None where no room brings the rendered notes nearer, or too few notes tell.
+    Raises TonewoodError : pyroomacoustics is not installed.
     """
     from scipy.signal import fftconvolve
 

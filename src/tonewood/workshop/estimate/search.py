@@ -10,17 +10,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.support.arrays import Floats
 from tonewood.workshop.estimate import gain, laws, pluck
 from tonewood.workshop.estimate.analysis import NoteAnalysis, analyse
 from tonewood.workshop.estimate.body_modes import LIMITS, HeardMode, body_modes
 from tonewood.workshop.estimate.figures import Figures, figures_of, in_fractions, mode_tables, with_laws
 from tonewood.workshop.estimate.playing import Played, Stage, render_notes, seconds_of
 from tonewood.workshop.estimate.recordings import FS, Recording
-
-Floats = NDArray[np.float64]
 
 #: most that a figure moves at once: ratio of B, ratio of the splitting, m of the place
 _MOST_B, _MOST_SPLIT, _MOST_PLACE = 3.0, 1.8, 0.04
@@ -40,8 +38,6 @@ _FARTHEST = 0.4
 class RenderedNotes:
     """Notes of an instrument, rendered and analysed.
 
-    Attributes
-    ----------
     sounds : of the first output, one a note.
     analyses : output -> one a note.
     """
@@ -60,25 +56,20 @@ def rendered(
 ) -> RenderedNotes:
     """Render notes and analyse them as the recorded ones are, with the same end of the band."""
     sounds = render_notes(instrument, notes, outputs, advance)
-    found: dict[str, list[NoteAnalysis]] = {name: [] for name in outputs}
+    analyses: dict[str, list[NoteAnalysis]] = {name: [] for name in outputs}
     for played, by_output in zip(notes, sounds, strict=True):
         for name, x in by_output.items():
-            found[name].append(analyse(x, played.recording.freq, played.b, played.recording.freq_upper))
+            analyses[name].append(analyse(x, played.recording.freq, played.b, played.recording.freq_upper))
         advance(0.0)
     first = next(iter(outputs))
-    return RenderedNotes(tuple(row[first] for row in sounds), {name: tuple(rows) for name, rows in found.items()})
+    return RenderedNotes(tuple(row[first] for row in sounds), {name: tuple(rows) for name, rows in analyses.items()})
 
 
 class Search:
     """Moves the figures of an instrument towards recorded notes.
 
-    Parameters
-    ----------
     stage : with the instrument that is begun with.
     advance : called with the seconds of sound rendered since the last call.
-
-    Attributes
-    ----------
     keeps_loss : whether the loss of strings stays as it is begun with.
     """
 
@@ -104,8 +95,6 @@ class Search:
     ) -> Figures:
         """Figures after some iterations.
 
-        Parameters
-        ----------
         notes, recorded : those to fit, and their analyses.
         start : the same notes, rendered with the figures that are begun with.
         """
@@ -206,10 +195,10 @@ class Search:
         if figures.place is None:
             return None
         longest = max(played.length for played in notes)
-        found = pluck.places(notes, recorded, now, _FARTHEST * longest)
-        if found is None:
+        positions = pluck.places(notes, recorded, now, _FARTHEST * longest)
+        if positions is None:
             return figures.place
-        step = float(np.clip(found.moved, -_MOST_PLACE, _MOST_PLACE))
+        step = float(np.clip(positions.moved, -_MOST_PLACE, _MOST_PLACE))
         if in_fractions(self.stage.instrument):
             step /= float(np.median([played.length for played in notes]))
             return float(np.clip(figures.place + step, 0.02, 0.5))

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.estimate.recordings import FS
-
-Floats = NDArray[np.float64]
 
 #: Hz, middles of the third octaves of IEC 61260, 100 Hz to 10 kHz
 THIRD_OCTAVES = 1000 * 2 ** (np.arange(-10, 11) / 3)

@@ -21,8 +21,6 @@ _GUESS = 1e-4
 class Yardstick:
     """Distances between two sets of notes.
 
-    Attributes
-    ----------
     between : from the one to the other, over `shared` notes.
     scale : distances within the sets, by their name: strokes of one note, next semitones; those that have any.
     shared : MIDI numbers that both have.
@@ -39,13 +37,8 @@ class Yardstick:
 def compare_notes(a: Folder, b: Folder, *, advance: Callable[[float], None] = lambda share: None) -> Yardstick:
     """Compare two folders of notes, note by note: each stroke of the first with the one of nearest dynamic.
 
-    Parameters
-    ----------
     advance : called with the share of the work that is done, 0 to 1.
-
-    Raises
-    ------
-    TonewoodError : they have no note in common, or one has none of use.
+    Raises TonewoodError : they have no note in common, or one has none of use.
     """
     warnings = [*a.warnings, *b.warnings]
     sides: list[list[tuple[Recording, NoteAnalysis]]] = []
@@ -88,13 +81,8 @@ def played_as(
 ) -> Folder:
     """Notes of a folder played on an instrument, in the places that the folder tells or in the lowest position.
 
-    Parameters
-    ----------
     advance : called with the seconds of sound rendered since the last call.
-
-    Raises
-    ------
-    TonewoodError : the instrument has none of the notes.
+    Raises TonewoodError : the instrument has none of the notes.
     """
     stage = Stage(instrument)
     notes, warnings = [], []

@@ -67,9 +67,7 @@ class _Given:
 def read_answers(path: Path, test: ListeningTest) -> Imported:
     """Read a table of answers; rows that do not fit the test are left out, and named by file and line.
 
-    Raises
-    ------
-    ListeningError : the file cannot be read, is no such table, or no row of it fits.
+    Raises ListeningError : the file cannot be read, is no such table, or no row of it fits.
     """
     rows, columns = _table(path)
     kind = next((kind for column, kind in _WEBMUSHRA.items() if column in columns), None)
@@ -133,12 +131,7 @@ def _table(path: Path) -> tuple[list[Row], set[str]]:
 
 
 def _who(row: Row, path: Path, line: int) -> str:
-    """Name of the listener of a row.
-
-    Raises
-    ------
-    ListeningError : there is none.
-    """
+    """Name of the listener of a row. Raises ListeningError : there is none."""
     for name in ("listener", "participant", "session_uuid", "email"):
         if row.get(name):
             return row[name]
@@ -257,9 +250,7 @@ def _choices(page: AnyPage, slots: Mapping[str, str]) -> list[str]:
 def _right(page: AnyPage, trial: ServedTrial, slots: Mapping[str, str], response: str) -> bool | None:
     """Whether a response is right; None where none is.
 
-    Raises
-    ------
-    ListeningError : the slots are not those of such a page.
+    Raises ListeningError : the slots are not those of such a page.
     """
     reference, other = trial.reference or "", trial.stimuli[0]
     wanted: Sequence[str] = ("A", "B", "X") if isinstance(page, AbxPage) else ("A", "B")
@@ -306,18 +297,18 @@ def _record(test: ListeningTest, one: _Given, index: int) -> dict[str, Any]:
     """A record as the files of this test have them."""
     page, answer = test.pages[one.page], {"seconds": one.seconds}
     slots: dict[str, str] = one.slots
-    found: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     if isinstance(page, PairPage):
-        found = {"choice": one.choice}
+        fields = {"choice": one.choice}
     elif isinstance(page, RatingPage):
         slots = {"A": one.trial.stimuli[0]}
-        found = {"values": {item: value for (_, item), value in one.ratings.items()}}
+        fields = {"values": {item: value for (_, item), value in one.ratings.items()}}
     else:
         codes = [code for code, _ in one.ratings]
         slots = {OPEN: one.trial.reference or "", **{LETTERS[i]: code for i, code in enumerate(codes)}}
-        found = {"ratings": {LETTERS[i]: one.ratings[code, ""] for i, code in enumerate(codes)}}
+        fields = {"ratings": {LETTERS[i]: one.ratings[code, ""] for i, code in enumerate(codes)}}
     record = {
         "index": index, "page": one.page + 1, "type": page.type, "trial": one.trial.id, "training": False,
-        "repetition": one.repetition, "slots": slots, "answer": {**answer, **found},
+        "repetition": one.repetition, "slots": slots, "answer": {**answer, **fields},
     }  # fmt: skip
     return record if one.right is None else {**record, "right": one.right}

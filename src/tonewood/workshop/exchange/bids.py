@@ -37,10 +37,8 @@ COLUMNS = {
 def write(test: ListeningTest, folder: Path) -> Exported:
     """Write ``dataset_description.json``, ``participants.tsv``, a table of each listener, and the sounds.
 
-    Raises
-    ------
-    ListeningError : there are no answers.
-    OutputError : a file cannot be written.
+    Raises ListeningError : there are no answers.
+    Raises OutputError : a file cannot be written.
     """
     listeners = [one for one in answers_of(test).listeners if one.records]
     if not listeners:

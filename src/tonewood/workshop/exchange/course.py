@@ -65,7 +65,7 @@ def words(test: ListeningTest, page: AnyPage) -> tuple[str, str]:
 
 def shown_pages(test: ListeningTest) -> list[dict[str, Any]]:
     """Pages that are read, answered or listened to, as plain data; trials are in `course`."""
-    found: list[dict[str, Any]] = []
+    pages: list[dict[str, Any]] = []
     language = test.manifest.language
     texts = test.texts(language)
     for index, page in enumerate(test.manifest.pages):
@@ -77,7 +77,7 @@ def shown_pages(test: ListeningTest) -> list[dict[str, Any]]:
                 (localised(page.agree, language) or agree) if isinstance(page, ConsentPage) else texts["next"]
             )
             row["tone"] = f"tone{index + 1}.wav" if isinstance(page, LevelPage) else ""
-            found.append(row)
+            pages.append(row)
         elif isinstance(page, QuestionnairePage):
             row["questions"] = [
                 {
@@ -87,12 +87,12 @@ def shown_pages(test: ListeningTest) -> list[dict[str, Any]]:
                 }
                 for question in page.questions
             ]
-            found.append(row)
+            pages.append(row)
         elif isinstance(page, TrialPage):
             row["question"] = localised(getattr(page, "question", ""), language)
             row["scales"] = _scales(test, page)
-            found.append(row)
-    return found
+            pages.append(row)
+    return pages
 
 
 def _scales(test: ListeningTest, page: AnyPage) -> list[dict[str, Any]]:
@@ -116,15 +116,15 @@ def _scales(test: ListeningTest, page: AnyPage) -> list[dict[str, Any]]:
 def course(test: ListeningTest, number: int) -> list[dict[str, Any]]:
     """Trials of the listener `number` (from 0) in their order: page, trial, repetition, slots, choices."""
     session = Session(test, seed=number, place=number)
-    found: list[dict[str, Any]] = []
+    pages: list[dict[str, Any]] = []
     for index, page in enumerate(test.manifest.pages):
         if not isinstance(page, TrialPage) or isinstance(page, StaircasePage):
             continue
         for fields in session.known_steps(index):
-            step = Step(index=len(found), page=index, **fields)
+            step = Step(index=len(pages), page=index, **fields)
             row = {"page": index + 1, "trial": step.trial, "repetition": step.repetition, "slots": dict(step.slots)}
-            found.append({**row, "choices": choices(page, step)})
-    return found
+            pages.append({**row, "choices": choices(page, step)})
+    return pages
 
 
 def codes_of(rows: Iterable[dict[str, Any]]) -> list[str]:
@@ -135,9 +135,7 @@ def codes_of(rows: Iterable[dict[str, Any]]) -> list[str]:
 def copy_sounds(test: ListeningTest, codes: Iterable[str], folder: Path) -> None:
     """Copy sounds into a folder, and write the tones of pages that set the level.
 
-    Raises
-    ------
-    OutputError : one cannot be written.
+    Raises OutputError : one cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -19,12 +19,7 @@ PROGRAMS: dict[str, Callable[[ListeningTest, Path], Exported]] = {
 
 
 def check_programs(programs: Sequence[str]) -> None:
-    """Check names of programs.
-
-    Raises
-    ------
-    TonewoodError : one is not known.
-    """
+    """Check names of programs. Raises TonewoodError : one is not known."""
     for name in programs:
         if name not in PROGRAMS:
             raise TonewoodError(f"is {name!r}; {', '.join(PROGRAMS)} are allowed", key="--export")
@@ -33,17 +28,15 @@ def check_programs(programs: Sequence[str]) -> None:
 def export(folder: Path, programs: Sequence[str]) -> list[Exported]:
     """Write ``export/PROGRAM`` in a batch's folder for each program; an earlier export is removed.
 
-    Raises
-    ------
-    TonewoodError : a program is not known, the folder has no test, or a file cannot be written.
+    Raises TonewoodError : a program is not known, the folder has no test, or a file cannot be written.
     """
     import shutil
 
     check_programs(programs)
     test = load_test(folder)
-    found = []
+    files = []
     for name in dict.fromkeys(programs):
         place = folder / FOLDER / name
         shutil.rmtree(place, ignore_errors=True)
-        found.append(PROGRAMS[name](test, place))
-    return found
+        files.append(PROGRAMS[name](test, place))
+    return files

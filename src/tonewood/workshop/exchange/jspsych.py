@@ -50,9 +50,7 @@ _SCRIPTS = (
 def write(test: ListeningTest, folder: Path) -> Exported:
     """Write page, trials of `COURSES` listeners, sounds, and the list of packages that npm installs.
 
-    Raises
-    ------
-    OutputError : a file cannot be written.
+    Raises OutputError : a file cannot be written.
     """
     language = test.manifest.language
     courses = [course(test, number) for number in range(COURSES)]

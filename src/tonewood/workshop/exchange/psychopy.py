@@ -46,9 +46,7 @@ _VERSION = "2025.1.0"
 def write(test: ListeningTest, folder: Path) -> Exported:
     """Write ``NAME.psyexp``, ``conditions/courseN_pageM.csv`` and the sounds.
 
-    Raises
-    ------
-    OutputError : a file cannot be written.
+    Raises OutputError : a file cannot be written.
     """
     courses = [course(test, number) for number in range(COURSES)]
     lengths = {code: soundfile.info(test.sound(code)).duration for rows in courses for code in codes_of(rows)}
@@ -88,12 +86,12 @@ def _rows(test: ListeningTest, row: dict[str, Any], lengths: dict[str, float]) -
 
 def _sequence(codes: list[str], lengths: dict[str, float]) -> dict[str, Any]:
     """Files of sounds that follow each other, with their beginnings, and the end of the last."""
-    found: dict[str, Any] = {}
+    row: dict[str, Any] = {}
     time = _PAUSE
     for i, code in enumerate(codes, start=1):
-        found |= {f"sound{i}": f"stimuli/{code}.wav", f"start{i}": round(time, 3)}
+        row |= {f"sound{i}": f"stimuli/{code}.wav", f"start{i}": round(time, 3)}
         time += lengths[code] + _PAUSE
-    return {**found, "ends": round(time - _PAUSE, 3)}
+    return {**row, "ends": round(time - _PAUSE, 3)}
 
 
 def _experiment(test: ListeningTest, rows: list[dict[str, Any]]) -> ET.Element:

@@ -33,9 +33,7 @@ _KEPT = (ConsentPage, InstructionsPage, LevelPage, MushraPage, Bs1116Page, AbxPa
 def write(test: ListeningTest, folder: Path) -> Exported:
     """Write ``configs/NAME.yaml`` and its sounds into a folder whose contents go into that of webMUSHRA.
 
-    Raises
-    ------
-    OutputError : a file cannot be written.
+    Raises OutputError : a file cannot be written.
     """
     from ruamel.yaml import YAML
 
@@ -98,7 +96,7 @@ def _trial(
     slots = row["slots"]
     reference = slots["X"] if isinstance(page, AbxPage) else slots["reference"]
     others = sorted(set(slots.values()) - {reference})
-    found = {
+    trial = {
         "type": "paired_comparison" if isinstance(page, AbxPage) else page.type,
         **base,
         "id": f"{row['trial']}-{row['repetition']}",
@@ -108,13 +106,13 @@ def _trial(
         "stimuli": {code: f"{sounds}/{code}.wav" for code in others},
     }
     if isinstance(page, AbxPage):
-        return {**found, **({"unforced": "?"} if page.unforced else {})}
-    found |= {"createAnchor35": False, "createAnchor70": False}
+        return {**trial, **({"unforced": "?"} if page.unforced else {})}
+    trial |= {"createAnchor35": False, "createAnchor70": False}
     if isinstance(page, MushraPage):
-        found |= {
+        trial |= {
             "strict": False, "randomize": True, "showConditionNames": False, "switchBack": page.switch == "restart",
         }  # fmt: skip
-    return found
+    return trial
 
 
 def _html(text: str) -> str:

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from tonewood.errors import OutputError
+from tonewood.support.text_files import json_value
 from tonewood.support.whole_files import remove
 from tonewood.workshop.batch.definition import ANSWERS, count_answers
 from tonewood.workshop.batch.pages import TrialPage
@@ -51,8 +52,6 @@ class LeftOut:
 class ListenerAnswers:
     """A file of answers.
 
-    Attributes
-    ----------
     header : token, listener, language, seed, sha256 of the definition, started, simulated.
     records : answers in the order they were given.
     lines : number of the file's line of each record.
@@ -98,9 +97,7 @@ def listener_of(header: Mapping[str, Any]) -> str:
 def read(path: Path) -> ListenerAnswers:
     """Read a file of answers; a last line without its end is left out, and so are lines that are no JSON objects.
 
-    Raises
-    ------
-    ListeningError : it cannot be read, or its first line is damaged; names the line.
+    Raises ListeningError : it cannot be read, or its first line is damaged; names the line.
     """
     try:
         if path.exists() and not path.is_file():  # a pipe or a device may have no end
@@ -139,7 +136,7 @@ def _parsed(path: Path, raw: bytes) -> ListenerAnswers:
 
 def _row(line: bytes) -> dict[str, Any]:
     try:
-        row = json.loads(line)
+        row = json_value(line)
         json.dumps(row, ensure_ascii=False).encode()  # half a surrogate pair can be escaped, but is no text
     except (ValueError, RecursionError) as fault:
         raise ListeningError(f"not JSON: {fault}") from None
@@ -151,8 +148,6 @@ def _row(line: bytes) -> dict[str, Any]:
 class OpenSession:
     """A session whose answers are kept on disk.
 
-    Attributes
-    ----------
     session : its course.
     header : first line of its file.
     length : of its file, bytes.
@@ -198,11 +193,11 @@ def free_place(test: ListeningTest) -> int:
     taken = set()
     for path in (test.folder / FOLDER).glob("*.jsonl"):
         try:
-            found = read(path)
-            at_check = bool(found.records) and found.records[-1].get("type") == "headphones"
-            if at_check and _replayed(test, found)[0].failed is not None:
+            answers = read(path)
+            at_check = bool(answers.records) and answers.records[-1].get("type") == "headphones"
+            if at_check and _replayed(test, answers)[0].failed is not None:
                 continue
-            taken.add(place_of(found.header))
+            taken.add(place_of(answers.header))
         except (ListeningError, LookupError, TypeError):  # the analysis reports it
             continue
     return next(k for k in range(len(taken) + 1) if k not in taken)
@@ -211,9 +206,7 @@ def free_place(test: ListeningTest) -> int:
 def place_of(header: Mapping[str, Any]) -> int:
     """Place of a listener; 0 in files of earlier versions, which had none.
 
-    Raises
-    ------
-    ListeningError : it is no such number.
+    Raises ListeningError : it is no such number.
     """
     place = header.get("place", 0)
     if type(place) is not int or not 0 <= place < 2**31:
@@ -224,9 +217,7 @@ def place_of(header: Mapping[str, Any]) -> int:
 def withdraw(test: ListeningTest, token: str, *, now: str) -> bool:
     """Delete the answers of a session, damaged or not; returns whether there were any.
 
-    Raises
-    ------
-    OutputError : the file cannot be removed.
+    Raises OutputError : the file cannot be removed.
     """
     path = test.folder / FOLDER / f"{token}.jsonl"
     try:
@@ -265,9 +256,7 @@ def begin(
 ) -> OpenSession:
     """Begin a session: make its file. Two calls at one time would give one place twice.
 
-    Raises
-    ------
-    OutputError : it cannot be written.
+    Raises OutputError : it cannot be written.
     """
     token = secrets.token_hex(16)
     own_seed = secrets.randbits(48) if seed is None else seed
@@ -322,20 +311,20 @@ def resume(test: ListeningTest, token: str) -> OpenSession | None:
         raw = path.read_bytes()
     except OSError as fault:  # not the end of the session: the disk, or this process, may be able to later
         raise OutputError(f"cannot be read: {fault.strerror}", file=path) from None
-    found = _parsed(path, raw)
-    if found.header["sha256"] != test.sha256:
+    answers = _parsed(path, raw)
+    if answers.header["sha256"] != test.sha256:
         raise ListeningError("was begun with another version of this test", file=path)
-    session, kept = _replayed(test, found)
+    session, kept = _replayed(test, answers)
     if kept.left_out:
         raise ListeningError(kept.left_out[0].reason)
     try:
-        if found.torn:
-            os.truncate(path, found.length)
-        if not found.header["simulated"]:
+        if answers.torn:
+            os.truncate(path, answers.length)
+        if not answers.header["simulated"]:
             _sync(path)  # the server before may have been killed between writing and waiting for the disk
     except OSError as fault:
         raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
-    return OpenSession(session, found.header, path, found.length)
+    return OpenSession(session, answers.header, path, answers.length)
 
 
 def answers_of(test: ListeningTest) -> Answers:
@@ -344,13 +333,13 @@ def answers_of(test: ListeningTest) -> Answers:
     left_out: list[LeftOut] = []
     for path in sorted((test.folder / FOLDER).glob("*.jsonl")):
         try:
-            found = read(path)
-            if found.header["sha256"] != test.sha256:
+            answers = read(path)
+            if answers.header["sha256"] != test.sha256:
                 raise ListeningError("was answered with another version of this test", file=path)
         except ListeningError as fault:
             left_out.append(LeftOut(str(fault), _lines_after_the_first(path)))
             continue
-        one = _replayed(test, found)[1]
+        one = _replayed(test, answers)[1]
         kept.append(one)
         left_out += one.left_out
         if one.torn:
@@ -367,17 +356,17 @@ def _lines_after_the_first(path: Path) -> int:
         return 0
 
 
-def _replayed(test: ListeningTest, found: ListenerAnswers) -> tuple[Session, ListenerAnswers]:
+def _replayed(test: ListeningTest, answers: ListenerAnswers) -> tuple[Session, ListenerAnswers]:
     """Return the session that gives these records again, answer by answer, and the answers of its course.
 
     A record that does not fit is left out. One that fits a later step is taken there: the answers between are missing.
     """
-    seed, place = found.header["seed"], found.header.get("place", 0)
+    seed, place = answers.header["seed"], answers.header.get("place", 0)
     session = Session(test, seed, place)
     history: list[dict[str, Any] | None] = []  # None: passed over
     kept: list[tuple[int, dict[str, Any]]] = []
-    left_out = list(found.left_out)
-    for line, record in zip(found.lines, found.records, strict=True):
+    left_out = list(answers.left_out)
+    for line, record in zip(answers.lines, answers.records, strict=True):
         fault = _misfit(session, record)
         if fault is not None:
             ahead = Session(test, seed, place)
@@ -388,19 +377,19 @@ def _replayed(test: ListeningTest, found: ListenerAnswers) -> tuple[Session, Lis
                 ahead.pass_over()
                 skipped += 1
             if ahead.step is None:
-                left_out.append(LeftOut(str(ListeningError(fault.reason, file=found.path, line=line, key=fault.key))))
+                left_out.append(LeftOut(str(ListeningError(fault.reason, file=answers.path, line=line, key=fault.key))))
                 continue
             session, history = ahead, history + [None] * skipped
             before = kept[-1][0] if kept else 1
             if (missing := skipped - (line - before - 1)) > 0:
                 reason = f"{missing} {'answer' if missing == 1 else 'answers'} before it missing"
-                left_out.append(LeftOut(str(ListeningError(reason, file=found.path, line=line)), missing))
+                left_out.append(LeftOut(str(ListeningError(reason, file=answers.path, line=line)), missing))
         made = session.record(record["answer"])
         session.take(made)
         history.append(made)
         kept.append((line, record))
     return session, replace(
-        found,
+        answers,
         records=[record for _, record in kept],
         lines=[line for line, _ in kept],
         left_out=tuple(left_out),
@@ -428,8 +417,6 @@ def _misfit(session: Session, record: Mapping[str, Any]) -> ListeningError | Non
 def _append(path: Path, line: bytes, *, at: int, sync: bool = True) -> None:
     """Append a line by one write and wait until it is on the disk; the part that a full disk took is cut off again.
 
-    Parameters
-    ----------
     at : length that the file must have: no other program may have written to it.
     sync : wait; answers of simulated listeners can be had again.
     """

@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.listening import strata
 from tonewood.workshop.listening.means import unique
 
-Array = NDArray[np.float64]
 Rows = Sequence[Mapping[str, Any]]
 
 
@@ -24,8 +23,6 @@ def cells_of(
     Levels of fixed factors that a single listener rated are left out: what they are worth could not be told from who
     that listener is.
 
-    Parameters
-    ----------
     rows : answers, with `listener`, `value` and the factors.
     factors : columns that may vary.
     levels : factor -> its levels, the first being that of the reference.
@@ -106,6 +103,6 @@ class Cells:
             for e in contrasts.bases
         }  # fmt: skip
 
-    def design(self, contrasts: strata.Contrasts) -> Array:
+    def design(self, contrasts: strata.Contrasts) -> Floats:
         """Columns (cells, p) of the model, the mean first."""
         return np.hstack([np.ones((len(self.cells), 1)), *self.columns(contrasts).values()])

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tonewood.errors import TonewoodError
+from tonewood.support.text_files import json_value
 from tonewood.workshop.batch.definition import FILE, SCHEMA
 from tonewood.workshop.batch.manifest import Manifest, check_manifest
 from tonewood.workshop.batch.pages import AnyPage, FinishPage, TrainingPage, localised
@@ -41,8 +42,6 @@ class ServedTrial:
 class ListeningTest:
     """A test and the folder of its batch.
 
-    Attributes
-    ----------
     folder : of the batch, with sounds and answers.
     source : the manifest's folder.
     sha256 : of the definition's bytes; answers are given to one definition.
@@ -64,8 +63,8 @@ class ListeningTest:
 
     def trials_of(self, page: int) -> list[ServedTrial]:
         """Trials of a page, counted from 0, in the manifest's order; of a page that is trained, for training."""
-        found = self.pages[page]
-        wanted = found.page - 1 if isinstance(found, TrainingPage) else page
+        trials = self.pages[page]
+        wanted = trials.page - 1 if isinstance(trials, TrainingPage) else page
         return [trial for trial in self.trials if trial.page == wanted]
 
     def sound(self, code: str) -> Path:
@@ -75,8 +74,8 @@ class ListeningTest:
     @cached_property
     def languages(self) -> list[str]:
         """Languages of the texts, that of the manifest first."""
-        found = dict.fromkeys([self.manifest.language, *built_in_texts(), *self.manifest.texts])
-        return list(found)
+        languages = dict.fromkeys([self.manifest.language, *built_in_texts(), *self.manifest.texts])
+        return list(languages)
 
     def texts(self, language: str) -> dict[str, str]:
         """Words of the pages in a language; missing ones are in English."""
@@ -100,16 +99,11 @@ def built_in_texts() -> dict[str, dict[str, str]]:
 
 
 def load_test(folder: Path) -> ListeningTest:
-    """Open the test of a batch's folder.
-
-    Raises
-    ------
-    ListeningError : there is none, or it is damaged; one line.
-    """
+    """Open the test of a batch's folder. Raises ListeningError : there is none, or it is damaged; one line."""
     path = folder / FILE
     try:
         raw = path.read_bytes()
-        data: Any = json.loads(raw)
+        data: Any = json_value(raw)
     except OSError as fault:
         raise ListeningError(f"cannot be read: {fault.strerror}; `tonewood batch` writes it", file=path) from None
     except (ValueError, RecursionError) as fault:

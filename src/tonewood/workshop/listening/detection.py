@@ -46,8 +46,6 @@ _LARGEST = 12.0
 class Detection:
     """Answers to one pair of levels, or of one listener to it.
 
-    Attributes
-    ----------
     cell : column -> level; with ``listener`` for one listener.
     right, answers, undecided : numbers; undecided answers are not among the others.
     share, low, high : of right answers, with its exact interval.
@@ -147,11 +145,11 @@ def detections(rows: Sequence[Mapping[str, Any]], by: Sequence[str], task: Task,
     return [_detection(dict(zip(by, k, strict=True)), inside, task, confidence) for k, inside in cells.items()]
 
 
-def adjusted(found: Sequence[Detection]) -> tuple[Detection, ...]:
+def adjusted(detections: Sequence[Detection]) -> tuple[Detection, ...]:
     """The same with p by Holm over all of them."""
-    tests = [one.p_value for one in found if one.p_value is not None]
+    tests = [one.p_value for one in detections if one.p_value is not None]
     p = iter(holm(np.array(tests)))
-    return tuple(one if one.p_value is None else replace(one, p_holm=float(next(p))) for one in found)
+    return tuple(one if one.p_value is None else replace(one, p_holm=float(next(p))) for one in detections)
 
 
 def _detection(cell: dict[str, str], rows: list[Mapping[str, Any]], task: Task, confidence: float) -> Detection:

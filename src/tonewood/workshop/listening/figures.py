@@ -18,17 +18,17 @@ from tonewood.workshop.listening.results import PageResults, PanelResults
 _TRACKS = 6
 
 
-def figures_of(found: PanelResults, page: PageResults) -> dict[str, Any]:
+def figures_of(panel: PanelResults, page: PageResults) -> dict[str, Any]:
     """Figures of one page: name -> figure."""
-    who = f"{page.listeners} {'simulated ' if found.simulated == found.listeners else ''}listeners"
-    heading = f"{who}, {100 * found.confidence:g} % intervals"
+    who = f"{page.listeners} {'simulated ' if panel.simulated == panel.listeners else ''}listeners"
+    heading = f"{who}, {100 * panel.confidence:g} % intervals"
     made: dict[str, Any] = {}
     if page.thresholds is not None:
-        made["tracks"] = _tracks(found, page, who)
-        made["psychometric"] = _psychometric(found, page, who)
+        made["tracks"] = _tracks(panel, page, who)
+        made["psychometric"] = _psychometric(panel, page, who)
     elif page.detections:
         rows = [(_cell(d.cell), d.share, d.low, d.high) for d in page.detections]
-        chance = CHANCE[task_of(found.test.pages[page.page - 1]) or "abx"]
+        chance = CHANCE[task_of(panel.test.pages[page.page - 1]) or "abx"]
         made["shares"] = _points(rows, "share of right answers", heading, (0.0, 1.0), chance)
     elif page.scale:
         rows = [(s.level, s.value, s.low, s.high) for s in page.scale]
@@ -40,7 +40,7 @@ def figures_of(found: PanelResults, page: PageResults) -> dict[str, Any]:
         label = "difference grade" if page.kind == "bs1116" else "rating"
         made["means"] = _points(rows, label, heading, limits, 0.0 if page.kind == "bs1116" else None)
         if len(page.factors) > 1:
-            made["interaction"] = _interaction(page, label, heading, found.confidence)
+            made["interaction"] = _interaction(page, label, heading, panel.confidence)
     return made
 
 
@@ -98,8 +98,8 @@ def _interaction(page: PageResults, label: str, heading: str, confidence: float)
     return made
 
 
-def _tracks(found: PanelResults, page: PageResults, who: str) -> Any:
-    own = found.test.pages[page.page - 1]
+def _tracks(panel: PanelResults, page: PageResults, who: str) -> Any:
+    own = panel.test.pages[page.page - 1]
     assert isinstance(own, StaircasePage)
     made, grid = figure(heights=[4.6])
     axes = grid[0, 0]
@@ -124,8 +124,8 @@ def _tracks(found: PanelResults, page: PageResults, who: str) -> Any:
     return made
 
 
-def _psychometric(found: PanelResults, page: PageResults, who: str) -> Any:
-    own, thresholds = found.test.pages[page.page - 1], page.thresholds
+def _psychometric(panel: PanelResults, page: PageResults, who: str) -> Any:
+    own, thresholds = panel.test.pages[page.page - 1], page.thresholds
     assert isinstance(own, StaircasePage)
     assert thresholds is not None
     task = task_of(own)

@@ -65,13 +65,13 @@ def interval(test: ListeningTest, page: HeadphonesPage, session: Session, slot: 
     step, fs, seed = session.step, test.manifest.stimuli.fs, test.manifest.seed
     assert step is not None
     labels = (session.seed, step.index)
-    found = step.slots[slot] == CHANGED
+    changed = step.slots[slot] == CHANGED
     if page.method == "huggins":
-        sound = huggins(fs, found, generator(seed, "headphones noise", *labels, slot))
+        sound = huggins(fs, changed, generator(seed, "headphones noise", *labels, slot))
     else:
         others = [name for name in INTERVALS if step.slots[name] != CHANGED]
         opposite = others[int(generator(seed, "headphones antiphase", *labels).integers(len(others)))]
-        sound = tone(fs, found, slot == opposite)
+        sound = tone(fs, changed, slot == opposite)
     level = 10.0 ** ((test.manifest.stimuli.loudness.target_lufs + _STEREO_DB) / 20.0)
     sound = ramped(sound, fs, RAMPS[page.method]) * level
     sound /= max(1.0, float(np.max(np.abs(sound))) / 0.99)

@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.listening.strata import (
     Estimated,
     Parts,
@@ -44,7 +45,6 @@ from tonewood.workshop.listening.strata import (
     unrounded,
 )
 
-Array = NDArray[np.float64]
 #: variance of the listeners' levels that the weights assume, in units of that of a cell mean
 _LEVELS = 100.0
 #: eigenvalue of I - H below which a listener alone decides a coefficient
@@ -57,14 +57,12 @@ class Clusters:
     With R = Q^(1/2) the correction is (I - X_i Q X_i^T)^(-1/2) X_i = X_i R (I - R X_i^T X_i R)^(-1/2) R^-1, so that
     products of columns are all that is needed of a cluster.
 
-    Parameters
-    ----------
     products : (..., clusters, p, p), X_i^T X_i.
     moments : (..., clusters, p), X_i^T e_i.
     inverse : (..., p, p), Q.
     """
 
-    def __init__(self, products: Array, moments: Array, inverse: Array):
+    def __init__(self, products: Floats, moments: Floats, inverse: Floats):
         size, axes = np.linalg.eigh(inverse)
         size = np.maximum(size, 1e-14 * np.abs(size).max(axis=-1, keepdims=True))  # rounding, if a cell is nearly empty
         back = np.swapaxes(axes, -1, -2)
@@ -79,7 +77,7 @@ class Clusters:
         self.squares = self.products @ np.swapaxes(turned, -1, -2)
         self._root, self._alone = root[..., 0, :, :], vectors * (values <= _ALONE)[..., None, :]
 
-    def covariance(self, rows: Array) -> tuple[Array, Array]:
+    def covariance(self, rows: Floats) -> tuple[Floats, Floats]:
         """Covariance matrix V (..., q, q) of K^T beta for K^T (q, p), and its degrees of freedom f."""
         weights = rows @ self.inverse
         scores = self.scores @ np.swapaxes(weights, -1, -2)
@@ -105,13 +103,11 @@ class Clusters:
 class IncompleteFit:
     """Least squares fit of incomplete cell means, for any number of experiments at once.
 
-    Parameters
-    ----------
     y : (..., listeners, cells) means of the listeners' answers, NaN where one is missing.
     x : (cells, p) columns of the model, of full rank over the answers.
     """
 
-    def __init__(self, y: Array, x: Array):
+    def __init__(self, y: Floats, x: Floats):
         there = ~np.isnan(y)
         count = there.sum(axis=-1)
         theta = 1 - 1 / np.sqrt(1 + _LEVELS * count)
@@ -127,13 +123,13 @@ class IncompleteFit:
         turned = np.swapaxes(design, -1, -2)
         self.clusters = Clusters(turned @ design, (turned @ residuals[..., None])[..., 0], inverse)
 
-    def tested(self, basis: Array) -> Tested:
+    def tested(self, basis: Floats) -> Tested:
         """Test an effect of orthonormal contrasts (cells, q) of the modelled cell means."""
         rows = basis.T @ self.x
         ((v, f),), mean = unrounded([self.clusters.covariance(rows)], self.beta @ rows.T, self.scale)
         return trace_test(mean, v, f)
 
-    def estimated(self, differences: Array, confidence: float) -> Estimated:
+    def estimated(self, differences: Floats, confidence: float) -> Estimated:
         """Estimate differences (rows, cells) of the modelled cell means, each with its own variance."""
         rows = differences @ self.x
         each = [unrounded([self.clusters.covariance(row[None])], self.beta @ row[:, None], self.scale) for row in rows]
@@ -154,13 +150,11 @@ class CrossedFit:
     C is that of answers within a pair: where no answer is missing V is that of the quasi-F. With fewer than n + m pairs
     C is not known, and V = A + B, which is too large.
 
-    Parameters
-    ----------
     y : (..., listeners, sounds, cells) means, NaN where one is missing; axes in front are experiments.
     x : (cells, p) columns of the model.
     """
 
-    def __init__(self, y: Array, x: Array):
+    def __init__(self, y: Floats, x: Floats):
         there = ~np.isnan(y)
         columns: Any = np.broadcast_to(x, (*y.shape, x.shape[1]))
         data = there[..., None] * np.concatenate([columns, np.where(there, y, 0.0)[..., None]], axis=-1)
@@ -180,7 +174,7 @@ class CrossedFit:
             x.sum(axis=-1) for x in (pairs.any(axis=-1), pairs.any(axis=-2), pairs.reshape(*y.shape[:-3], -1))
         )
 
-    def _parts(self, rows: Array) -> Parts:
+    def _parts(self, rows: Floats) -> Parts:
         (a, fa), (b, fb), (d, _) = (one.covariance(rows) for one in self.clusters)
         n, m, pairs = self.counts
         known = pairs >= n + m
@@ -190,12 +184,12 @@ class CrossedFit:
         c = np.where(known[..., None, None], c, 0.0)
         return [(a, fa), (b, fb), (c, np.maximum(pairs - n - m + 1, 1))]
 
-    def tested(self, basis: Array) -> Tested:
+    def tested(self, basis: Floats) -> Tested:
         """Test an effect of orthonormal contrasts (cells, q) of the modelled cell means."""
         rows = basis.T @ self.x
         return quasi_test(*unrounded(self._parts(rows), self.beta @ rows.T, self.scale))
 
-    def estimated(self, differences: Array, confidence: float) -> Estimated:
+    def estimated(self, differences: Floats, confidence: float) -> Estimated:
         """Estimate differences (rows, cells) of the modelled cell means, each with its own variance."""
         each = [
             quasi_interval(*unrounded(self._parts(row[None]), self.beta @ row[:, None], self.scale), confidence)
@@ -204,7 +198,7 @@ class CrossedFit:
         return Estimated(*(np.stack(x, axis=-1) for x in zip(*map(astuple, each), strict=True)))
 
 
-def _levels(there: NDArray[np.bool_], data: Array) -> Array:
+def _levels(there: NDArray[np.bool_], data: Floats) -> Floats:
     """Levels of listeners and of sounds in columns (..., listeners, sounds, cells, columns), as predictions."""
     count = there.sum(axis=-1).astype(np.float64)
     n, m = count.shape[-2:]
@@ -213,5 +207,5 @@ def _levels(there: NDArray[np.bool_], data: Array) -> Array:
     normal[..., at, at], normal[..., also, also] = count.sum(axis=-1), count.sum(axis=-2)
     normal[..., :n, n:], normal[..., n:, :n] = count, np.swapaxes(count, -1, -2)
     sums = np.concatenate([data.sum(axis=(-3, -2)), data.sum(axis=(-4, -2))], axis=-2)
-    found = np.linalg.solve(normal + np.eye(n + m) / _LEVELS, sums)
-    return np.asarray(found[..., :n, None, None, :] + found[..., None, n:, None, :])
+    solution = np.linalg.solve(normal + np.eye(n + m) / _LEVELS, sums)
+    return np.asarray(solution[..., :n, None, None, :] + solution[..., None, n:, None, :])

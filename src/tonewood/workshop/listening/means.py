@@ -29,8 +29,6 @@ Rows = Sequence[Mapping[str, Any]]
 class CellMean:
     """Mean of the answers in one cell.
 
-    Attributes
-    ----------
     cell : column -> level.
     listeners, answers : numbers of them.
     mean, low, high : of the listeners' means, with the bounds of the interval (None with one listener).
@@ -111,15 +109,15 @@ def screen(rows: Rows) -> tuple[ScreenedListener, ...]:
         if sum(marks) > EASY_ITEM_SHARE * len(marks):
             high = {place: mark for place, mark in high.items() if place[1:] != trial}
     rules = ((low, "hidden reference below"), (high, "mid anchor above"))
-    found = []
+    verdicts = []
     for listener in unique([row["listener"] for row in rows]):
         for marks_of, text in rules:
             marks = [mark for (who, *_), mark in marks_of.items() if who == listener]
             if marks and sum(marks) > LIMIT_SHARE * len(marks):
                 reason = f"{text} {LIMIT_SCORE:g} in {sum(marks)} of {len(marks)} trials"
-                found.append(ScreenedListener(listener, reason))
+                verdicts.append(ScreenedListener(listener, reason))
                 break
-    return tuple(found)
+    return tuple(verdicts)
 
 
 def _place(row: Mapping[str, Any]) -> tuple[str, str, int]:

@@ -29,14 +29,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.listening import strata
 from tonewood.workshop.listening.cells import Cells, Rows, cells_of
 from tonewood.workshop.listening.incomplete import CrossedFit, IncompleteFit
 from tonewood.workshop.listening.means import listener_means, student_interval, unique
 
-Array = NDArray[np.float64]
 #: share of answers at an end of the scale beyond which differences of means mislead
 END_SHARE = 0.15
 #: random sounds below which the report warns
@@ -84,8 +83,6 @@ class FactorTest:
 class LinearAnalysis:
     """Differences of means and their tests.
 
-    Attributes
-    ----------
     formula, method : the effects, and the analysis in words.
     exact : whether every listener answered every cell.
     random : factors whose levels are a sample.
@@ -166,8 +163,6 @@ def linear_analysis(
 ) -> LinearAnalysis | None:
     """Estimate and test differences of means; None where no fixed factor varies or listeners are fewer than three.
 
-    Parameters
-    ----------
     rows : answers, with `listener`, `value` and the factors.
     factors : columns that may vary.
     levels : factor -> its levels; differences are from the first that is there.
@@ -280,15 +275,15 @@ def rank_analysis(rows: Rows, factors: Sequence[str], confidence: float = 0.95) 
             continue
         table = np.array([[m[w] for m in means] for w in who])
         if len(levels) > 2 and np.any(np.ptp(table, axis=1) > 0):
-            found = friedmanchisquare(*table.T)
-            w = float(found.statistic) / (len(who) * (len(levels) - 1))
+            test = friedmanchisquare(*table.T)
+            w = float(test.statistic) / (len(who) * (len(levels) - 1))
             tests.append(
                 FactorTest(
                     factor,
                     "Friedman chi^2",
-                    float(found.statistic),
+                    float(test.statistic),
                     len(levels) - 1,
-                    float(found.pvalue),
+                    float(test.pvalue),
                     w,
                     "Kendall's W",
                 )
@@ -305,7 +300,7 @@ def rank_analysis(rows: Rows, factors: Sequence[str], confidence: float = 0.95) 
 
 def superiorities(rows: Rows, factors: Sequence[str], confidence: float) -> list[Superiority]:
     """Shares of preference of each pair of levels."""
-    found = []
+    comparisons = []
     for factor in factors:
         own: dict[tuple[str, ...], dict[str, list[float]]] = {}
         for row in rows:
@@ -322,11 +317,11 @@ def superiorities(rows: Rows, factors: Sequence[str], confidence: float) -> list
                 each = np.array([np.mean(s) for s in shares.values()])
                 pairs.append((a, b, len(each), *share_interval(each, confidence)))
         adjusted = strata.holm(np.array([pair[-1] for pair in pairs]))
-        found += [Superiority(factor, *pair, float(p)) for pair, p in zip(pairs, adjusted, strict=True)]
-    return found
+        comparisons += [Superiority(factor, *pair, float(p)) for pair, p in zip(pairs, adjusted, strict=True)]
+    return comparisons
 
 
-def share_interval(shares: Array, confidence: float) -> tuple[float, float, float, float]:
+def share_interval(shares: Floats, confidence: float) -> tuple[float, float, float, float]:
     """Mean of listeners' shares (n,), its interval, and p against a half."""
     n, mean, p = len(shares), float(np.mean(shares)), float(share_test(shares))
     if np.ptp(shares) == 0:
@@ -336,7 +331,7 @@ def share_interval(shares: Array, confidence: float) -> tuple[float, float, floa
     return mean, max(float(low or 0.0), 0.0), min(float(high or 0.0), 1.0), p
 
 
-def share_test(shares: Array) -> Array:
+def share_test(shares: Floats) -> Floats:
     """Probabilities (...) of listeners' shares (..., n) against a half: Student's, or the sign test of equal shares."""
     from scipy.special import stdtr
 

@@ -51,24 +51,19 @@ class PairSource(Protocol):
 class RenderedPairs:
     """Renders pairs on one thread, each level once.
 
-    Parameters
-    ----------
     test : the definition.
     renderer : as for a batch.
-
-    Raises
-    ------
-    TonewoodError : the manifest's files cannot be used, or the room is not that of the batch.
+    Raises TonewoodError : the manifest's files cannot be used, or the room is not that of the batch.
     """
 
     def __init__(self, test: ListeningTest, renderer: StimulusRenderer):
         self.test, self.renderer = test, renderer
         self.conditions: dict[int, Condition] = {}
-        found: tuple[Condition, ...] | None = None
+        conditions: tuple[Condition, ...] | None = None
         for index, page in enumerate(test.manifest.pages):
             if isinstance(page, StaircasePage):
-                found = found or expand(test.manifest, test.source)
-                self.conditions[index] = changed_condition(test.manifest, found, index)
+                conditions = conditions or expand(test.manifest, test.source)
+                self.conditions[index] = changed_condition(test.manifest, conditions, index)
         self._store = Store(test.folder / WORK)
         self._room = None if test.manifest.stimuli.room is None else test.source / test.manifest.stimuli.room
         if self._room is not None and test.room_sha256 and room_sha256(self._room) != test.room_sha256:
@@ -96,9 +91,7 @@ class RenderedPairs:
     def pair(self, page: int, level: float) -> PairOfSounds:
         """Sounds of page `page` (from 0) at a level; waits for them.
 
-        Raises
-        ------
-        TonewoodError : a value does not fit, or a render fails.
+        Raises TonewoodError : a value does not fit, or a render fails.
         """
         return self._future(page, level).result()
 

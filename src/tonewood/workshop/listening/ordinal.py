@@ -29,10 +29,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.listening import strata
 from tonewood.workshop.listening.cells import Rows, cells_of
 
-Array = NDArray[np.float64]
 #: most grades of a scale; answers that are added to each cell
 GRADES, PRIOR = 20, 0.5
 _STEPS, _SMALL = 60, 1e-9
@@ -67,8 +67,6 @@ class OddsTest:
 class OrdinalAnalysis:
     """Odds of higher grades and their tests.
 
-    Attributes
-    ----------
     grades, listeners : numbers of them.
     terms, tests : differences and effects whose odds are finite.
     converged : whether the search ended.
@@ -83,18 +81,13 @@ class OrdinalAnalysis:
     notes: tuple[str, ...] = ()
 
 
-def fit_counts(counts: Array, x: Array, prior: float = PRIOR) -> tuple[Array, Array, NDArray[np.bool_]]:
+def fit_counts(counts: Floats, x: Floats, prior: float = PRIOR) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Fit tables of counts.
 
-    Parameters
-    ----------
     counts : (..., cells, grades), no grade without an answer in the table with the most answers.
     x : (cells, p) columns without a constant.
     prior : answers added to each cell.
-
-    Returns
-    -------
-    beta : (..., p).
+    Returns beta : (..., p).
     alpha : (..., grades - 1).
     converged : (...) whether the search by Fisher's scoring ended.
     """
@@ -119,7 +112,7 @@ def fit_counts(counts: Array, x: Array, prior: float = PRIOR) -> tuple[Array, Ar
     return point[..., cuts:], point[..., :cuts], done
 
 
-def _scored(n: Array, total: Array, x: Array, point: Array, cuts: int) -> tuple[Array, Array]:
+def _scored(n: Floats, total: Floats, x: Floats, point: Floats, cuts: int) -> tuple[Floats, Floats]:
     """Gradient and expected second derivatives of the logarithm of the likelihood in (alpha, beta)."""
     eta = point[..., cuts:] @ x.T
     inner = 1 / (1 + np.exp(np.clip(eta[..., None] - point[..., None, :cuts], -500, 500)))
@@ -143,17 +136,15 @@ def _scored(n: Array, total: Array, x: Array, point: Array, cuts: int) -> tuple[
     return np.concatenate([of_alpha, of_eta @ x], axis=-1), information
 
 
-def _filled(counts: Array, prior: float) -> Array:
+def _filled(counts: Floats, prior: float) -> Floats:
     """Counts with `prior` answers added to each cell, distributed as all answers are."""
     share = counts.sum(axis=-2, keepdims=True) + _SMALL
     return np.asarray(counts + prior * share / share.sum(axis=-1, keepdims=True))
 
 
-def clustered(counts: Array, x: Array, prior: float = PRIOR) -> tuple[Array, Array, NDArray[np.bool_]]:
+def clustered(counts: Floats, x: Floats, prior: float = PRIOR) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Log odds (..., cells), their covariance matrix by listeners, and whether the search ended.
 
-    Parameters
-    ----------
     counts : (..., listeners, cells, grades); axes in front are experiments.
     x : (cells, p) columns without a constant.
     prior : answers added to each cell.
@@ -227,7 +218,7 @@ def _odds(x: float) -> float:
     return math.exp(min(x, 700.0))
 
 
-def grades(values: Array, ends: tuple[float, float] | None) -> NDArray[np.int_]:
+def grades(values: Floats, ends: tuple[float, float] | None) -> NDArray[np.int_]:
     """Grade of each value, from 0; more than `GRADES` values are grouped at their quantiles."""
     every = np.unique(values)
     if len(every) > GRADES:

@@ -87,12 +87,7 @@ class SimulatedPanel(Section):
 
 
 def read_panel(path: Path) -> SimulatedPanel:
-    """Read the parameters of simulated listeners.
-
-    Raises
-    ------
-    ListeningError : names file, key and the values allowed.
-    """
+    """Read the parameters of simulated listeners. Raises ListeningError : names file, key and the values allowed."""
     try:
         return SimulatedPanel.model_validate(load_yaml(path, error=ListeningError))
     except ValidationError as fault:
@@ -103,13 +98,11 @@ def read_panel(path: Path) -> SimulatedPanel:
 def simulate(test: ListeningTest, panel: SimulatedPanel, listeners: int, seed: int) -> list[Path]:
     """Let simulated listeners take the test; returns their files.
 
-    Raises
-    ------
-    ListeningError : the parameters name a factor or level that the test has not.
+    Raises ListeningError : the parameters name a factor or level that the test has not.
     """
     key = read_key(test.folder / test.manifest.output.key)
     _check(panel, test)
-    found = []
+    answers = []
     for k in range(listeners):
         random = generator(seed, "simulated listener", test.manifest.name, k)
         opened = begin(
@@ -119,8 +112,8 @@ def simulate(test: ListeningTest, panel: SimulatedPanel, listeners: int, seed: i
         listener = _Listener(panel, key, test, random)
         while opened.session.step is not None:
             opened.answer(listener.answer(opened.session), now=_now())
-        found.append(opened.path)
-    return found
+        answers.append(opened.path)
+    return answers
 
 
 class _Listener:

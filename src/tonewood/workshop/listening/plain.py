@@ -20,26 +20,26 @@ from tonewood.workshop.listening.table import VERSUS
 JND_SHARE = 2.0**-0.5
 
 
-def summary(found: PanelResults) -> list[str]:
+def summary(panel: PanelResults) -> list[str]:
     """Sentences on each page: the difference, how sure it is, in the varied unit and in just-noticeable differences."""
     sentences = []
-    for page in found.pages:
-        lines = _of_page(found, page)
+    for page in panel.pages:
+        lines = _of_page(panel, page)
         sentences += [f"Page {page.page}, {page.heading}: {line}" for line in lines]
     return sentences
 
 
-def _of_page(found: PanelResults, page: PageResults) -> list[str]:
-    percent = f"{100 * found.confidence:g} %"
+def _of_page(panel: PanelResults, page: PageResults) -> list[str]:
+    percent = f"{100 * panel.confidence:g} %"
     if page.thresholds is not None:
-        return [_threshold(found, page, percent)]
+        return [_threshold(panel, page, percent)]
     if page.pairs:
-        lines = [_detected(found, page, one, percent) for one in page.pairs]
-        return lines + ([_cells(page, 1 - found.confidence)] if len(page.detections) > len(page.pairs) else [])
+        lines = [_detected(panel, page, one, percent) for one in page.pairs]
+        return lines + ([_cells(page, 1 - panel.confidence)] if len(page.detections) > len(page.pairs) else [])
     if page.scale:
         best = max(page.scale, key=lambda s: s.value)
         sure = [s for s in page.scale if s is not best and s.high < best.low]
-        own = found.test.pages[page.page - 1]
+        own = panel.test.pages[page.page - 1]
         question = "" if not isinstance(own, PairedPage) else " in answer to the question"
         if not sure:
             return [f"no level is chosen more often than all others{question}: the {percent} intervals overlap."]
@@ -48,7 +48,7 @@ def _of_page(found: PanelResults, page: PageResults) -> list[str]:
     if page.linear is None:
         rated = any(row["value"] is not None for row in page.rows)
         return [_untested(page)] if rated and page.factors else []
-    return _rated(found, page, page.linear, percent)
+    return _rated(panel, page, page.linear, percent)
 
 
 def _untested(page: PageResults) -> str:
@@ -71,9 +71,9 @@ def _levels(one: Detection) -> str:
     return ", ".join(f"{k} {' and '.join(v.split(VERSUS))}" for k, v in one.cell.items())
 
 
-def _rated(found: PanelResults, page: PageResults, linear: LinearAnalysis, percent: str) -> list[str]:
-    alpha = 1 - found.confidence
-    differences = [_difference(found, page, linear, term) for term in linear.terms if len(term.effect) == 1]
+def _rated(panel: PanelResults, page: PageResults, linear: LinearAnalysis, percent: str) -> list[str]:
+    alpha = 1 - panel.confidence
+    differences = [_difference(panel, page, linear, term) for term in linear.terms if len(term.effect) == 1]
     # differences that are found come first
     lines = [text + "." for p, text in sorted(differences, key=lambda one: one[0] >= alpha)]
     bent = page.ordinal or (linear.at_ends or 0.0) > END_SHARE
@@ -121,11 +121,11 @@ def _least_sure(tests: list[FactorTest | OddsTest]) -> FactorTest | OddsTest:
     return max(tests, key=lambda test: test.p_value)
 
 
-def _difference(found: PanelResults, page: PageResults, linear: LinearAnalysis, term: ModelTerm) -> tuple[float, str]:
+def _difference(panel: PanelResults, page: PageResults, linear: LinearAnalysis, term: ModelTerm) -> tuple[float, str]:
     """Probability of a difference, adjusted for those of the same factor, and the difference in words."""
-    percent, alpha = f"{100 * found.confidence:g} %", 1 - found.confidence
+    percent, alpha = f"{100 * panel.confidence:g} %", 1 - panel.confidence
     first, level = _first_level(linear, page, term), term.name.partition("=")[2]
-    varied = _in_unit(found, term.effect[0], first, level)
+    varied = _in_unit(panel, term.effect[0], first, level)
     odds = _odds(page, term.name, percent)
     share = _superiority(page, term.effect[0], first, level)
     rated = "" if share is None else (
@@ -189,17 +189,17 @@ def _odds(page: PageResults, name: str, percent: str) -> str:
     return f"; the odds of a higher rating are {_number(term.ratio)} times as large ({bounds}, p {_p(term.p_holm)})"
 
 
-def _detected(found: PanelResults, page: PageResults, one: Detection, percent: str) -> str:
+def _detected(panel: PanelResults, page: PageResults, one: Detection, percent: str) -> str:
     cell = _levels(one)
     if one.share is None or one.p_holm is None:
         return f"{cell}: nobody decided."
-    own = found.test.pages[page.page - 1]
+    own = panel.test.pages[page.page - 1]
     task = task_of(own)
     pair = next(((k, *v.split(VERSUS)) for k, v in one.cell.items() if VERSUS in v), None)
-    varied = _in_unit(found, *pair) if pair is not None and len(pair) == 3 else ""
+    varied = _in_unit(panel, *pair) if pair is not None and len(pair) == 3 else ""
     varied = f" ({varied})" if varied else ""
     share = f"{one.right} of {one.answers} answers, {100 * one.share:.0f} %"
-    if one.p_holm >= 1 - found.confidence:
+    if one.p_holm >= 1 - panel.confidence:
         bound = "" if one.d_high is None else f"; d' is at most {one.d_high:.2g}"
         return f"{cell}{varied} are not shown to be told apart ({share}, p {_p(one.p_holm)}{bound})."
     jnd = ""
@@ -218,8 +218,8 @@ def _detected(found: PanelResults, page: PageResults, one: Detection, percent: s
     return f"{cell}{varied} are told apart ({share} right, p {_p(one.p_holm)}{jnd})."
 
 
-def _threshold(found: PanelResults, page: PageResults, percent: str) -> str:
-    own, fit = found.test.pages[page.page - 1], page.thresholds
+def _threshold(panel: PanelResults, page: PageResults, percent: str) -> str:
+    own, fit = panel.test.pages[page.page - 1], page.thresholds
     assert isinstance(own, StaircasePage)
     assert fit is not None
     unit = f" {fit.unit}".rstrip()
@@ -249,17 +249,17 @@ def _threshold(found: PanelResults, page: PageResults, percent: str) -> str:
     return f"the just-noticeable difference is {fit.mean:.3g}{unit}{varied}, {share} ({interval}{spread})."
 
 
-def _in_unit(found: PanelResults, factor: str, first: str, second: str) -> str:
+def _in_unit(panel: PanelResults, factor: str, first: str, second: str) -> str:
     """Difference of two levels in the parameter that they set, and in just-noticeable differences of a staircase."""
-    own = found.test.manifest.factors.get(factor)
+    own = panel.test.manifest.factors.get(factor)
     if own is None or first not in own.levels or second not in own.levels:
         return ""
     a, b = own.levels[first], own.levels[second]
     if _scalar(a) is None or _scalar(b) is None:
         return ""
     text = f"{own.path} {_value(b)} against {_value(a)}"
-    for page in found.pages:
-        stairs = found.test.pages[page.page - 1]
+    for page in panel.pages:
+        stairs = panel.test.pages[page.page - 1]
         if page.thresholds is None or not isinstance(stairs, StaircasePage) or stairs.path != own.path:
             continue
         seen = stairs.lowest <= page.thresholds.mean <= stairs.highest
@@ -303,43 +303,43 @@ def _p(value: float) -> str:
     return "< 0.001" if value < 0.001 else f"= {value:.3f}"
 
 
-def methods(found: PanelResults) -> str:
+def methods(panel: PanelResults) -> str:
     """A paragraph on methods, to be shortened for a paper."""
-    test = found.test
+    test = panel.test
     parts = [
-        f"{found.listeners} listeners took part"
-        + (f", {found.simulated} of them simulated" if found.simulated else "")
-        + f"; {len(found.table.rows)} answers were given. Intervals are of {100 * found.confidence:g} %."
+        f"{panel.listeners} listeners took part"
+        + (f", {panel.simulated} of them simulated" if panel.simulated else "")
+        + f"; {len(panel.table.rows)} answers were given. Intervals are of {100 * panel.confidence:g} %."
     ]
-    linear = [page.linear for page in found.pages if page.linear is not None]
+    linear = [page.linear for page in panel.pages if page.linear is not None]
     for one in dict.fromkeys((x.method, x.random) for x in linear):
         sampled = f" The levels of {', '.join(one[1])} are treated as a random sample." if one[1] else ""
         parts.append(
             f"Ratings were analysed by {one[0]}; main effects are over all cells of the other factors, p values of "
             f"differences are adjusted by Holm within an effect.{sampled}"
         )
-    if any(page.odds is not None for page in found.pages):
+    if any(page.odds is not None for page in panel.pages):
         parts.append(
             "Grades without stated distances, and ratings of which many stand at an end of the scale, were also "
             "analysed by a cumulative logit model with proportional odds (McCullagh 1980), its covariance matrix "
             "clustered by listener; ratios are of the odds of a higher grade."
         )
-    if any(page.screened for page in found.pages):
+    if any(page.screened for page in panel.pages):
         parts.append(
             "Listeners were screened after ITU-R BS.1534-3; tests are reported without and with those left out."
         )
-    if any(page.detections for page in found.pages):
+    if any(page.detections for page in panel.pages):
         parts.append(
             "Right answers to a pair, over all other factors, were tested against guessing by one-sided exact binomial "
             "tests, p by Holm over the pairs, and so were those of single cells, p by Holm over the cells; d' is the "
             "mean of a normal population of listeners, by maximum likelihood of the listeners' counts under the task's "
             "model."
         )
-    if any(page.scale for page in found.pages):
+    if any(page.scale for page in panel.pages):
         parts.append(
             "Paired comparisons were scaled by Bradley and Terry's model, with intervals clustered by listener."
         )
-    parts += [text for page in found.pages if page.thresholds is not None for text in [_stairs(test, page)]]
+    parts += [text for page in panel.pages if page.thresholds is not None for text in [_stairs(test, page)]]
     return " ".join(dict.fromkeys(parts))
 
 

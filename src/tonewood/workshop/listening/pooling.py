@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-Array = NDArray[np.float64]
+from tonewood.support.arrays import Floats
+
 #: one number a listener
 Counts = NDArray[np.float64] | NDArray[np.intp]
 D = np.linspace(0.0, 8.0, 161)
@@ -29,7 +30,7 @@ _CRITERIA = np.linspace(0.1, 6.0, 60)
 
 
 @cache
-def _population() -> tuple[Array, Array]:
+def _population() -> tuple[Floats, Floats]:
     """Weights (means x spreads, d) of the populations, and the mean d' of each."""
     mu, tau = (x.ravel() for x in np.meshgrid(_MU, _TAU, indexing="ij"))
     x = ((D - mu[:, None]) / tau[:, None]) ** 2 / 2
@@ -42,11 +43,9 @@ def _population() -> tuple[Array, Array]:
 Pooled = tuple[float | None, float, float | None]
 
 
-def pooled(right: Counts, answers: Counts, shares: Array, confidence: float) -> Pooled:
+def pooled(right: Counts, answers: Counts, shares: Floats, confidence: float) -> Pooled:
     """Mean d' of a population with its interval.
 
-    Parameters
-    ----------
     right, answers : (listeners,) counts.
     shares : (161,) of right answers at `D`.
     confidence : of the interval.
@@ -59,8 +58,6 @@ def pooled(right: Counts, answers: Counts, shares: Array, confidence: float) -> 
 def pooled_same_different(hits: Counts, different: Counts, alarms: Counts, same: Counts, confidence: float) -> Pooled:
     """Mean d' of a population by the differencing model of the same-different task.
 
-    Parameters
-    ----------
     hits, different : (listeners,) answers "different" to different sounds, and their trials.
     alarms, same : the same of equal sounds.
     confidence : of the interval.
@@ -75,18 +72,18 @@ def pooled_same_different(hits: Counts, different: Counts, alarms: Counts, same:
     most = logs.max(axis=(1, 2), keepdims=True)
     like = np.exp(logs - most)
     weights, _ = _population()
-    best, found = -np.inf, like.sum(axis=2)
+    best, estimate = -np.inf, like.sum(axis=2)
     for centre in np.linspace(0.4, 4.0, 13):
         for spread in (0.05, 0.2, 0.4, 0.7, 1.1):
             law = np.exp(-(((k - centre) / spread) ** 2) / 2)
             own = like @ (law / law.sum())
             value = float(np.max(np.sum(np.log(own @ weights.T + 1e-300), axis=0)))
             if value > best:
-                best, found = value, own
-    return _estimate(np.log(found + 1e-300), confidence)
+                best, estimate = value, own
+    return _estimate(np.log(estimate + 1e-300), confidence)
 
 
-def _estimate(logs: Array, confidence: float) -> Pooled:
+def _estimate(logs: Floats, confidence: float) -> Pooled:
     """Estimate and interval from the listeners' logarithms of likelihoods (listeners, d)."""
     from scipy.special import stdtrit
 

@@ -22,8 +22,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.support.units import counted
 from tonewood.workshop.batch.manifest import Manifest
 from tonewood.workshop.batch.pages import (
@@ -55,7 +55,6 @@ from tonewood.workshop.listening.simulated_power import (
     threshold_listeners,
 )
 
-Array = NDArray[np.float64]
 #: standard deviations of listeners' differences where a page states none: points of 100, of grades 1 to 5, of a scale
 _SD = {"mushra": 15.0, "bs1116": 0.8}
 #: effects where a page states none
@@ -88,8 +87,6 @@ class PowerRow:
 def power_of(manifest: Manifest, trials: dict[int, int], pilot: PanelResults | None = None) -> list[PowerRow]:
     """Listeners that each page needs.
 
-    Parameters
-    ----------
     manifest : with the effects that its pages expect, and the probabilities of errors.
     trials : page (from 0) -> trials that a listener gets of one pair on it.
     pilot : results of listeners who took the same pages; their spread, and their effects where a page expects none,
@@ -155,9 +152,9 @@ def _rated(
         sound_sd = page.expect_sound_sd or sd
         covariance, sampled = stated_spread(sd, sound_sd, sounds, k)
         text += f", {sounds} random sounds with sd {sound_sd:g}"
-    found = None if own is None else _pilot_means(own.everybody or own, reference, manifest.random)
+    pilot_means = None if own is None else _pilot_means(own.everybody or own, reference, manifest.random)
     out = set() if own is None else {one.listener for one in own.screened}
-    pilot, who = (None, []) if found is None else found
+    pilot, who = (None, []) if pilot_means is None else pilot_means
     kept = np.array([name not in out for name in who])
     people = None
     if isinstance(page, MushraPage) and pilot is None:
@@ -232,8 +229,8 @@ def _graded(manifest: Manifest, page: RatingPage, number: int, name: str, own: P
     effect, sd = page.expect or 0.1 * width, page.expect_sd or 0.15 * width
     effects, sounds = np.zeros(k), math.prod(len(x) for x in manifest.choices().values())
     spread = f"sd {sd:g}"
-    found = None if own is None else _pilot_means(own, {}, ())
-    pilot = None if found is None else found[0]
+    pilot_means = None if own is None else _pilot_means(own, {}, ())
+    pilot = None if pilot_means is None else pilot_means[0]
     if pilot is not None:
         k = pilot.shape[2]
         means = pilot.mean(axis=(0, 1))
@@ -262,7 +259,7 @@ def _sounds(manifest: Manifest) -> int:
 
 def _pilot_means(
     own: PageResults, reference: Mapping[str, str], random: Sequence[str]
-) -> tuple[Array, list[str]] | None:
+) -> tuple[Floats, list[str]] | None:
     """Means (listeners, random sounds, levels) of the levels of a page's first factor, of listeners who have all.
 
     The names of these listeners are returned, too.
@@ -289,7 +286,7 @@ def _pilot_means(
     return np.array(means).reshape(len(means), len(sounds), len(levels)), list(whole)
 
 
-def _pilot_spread(pilot: Array, count: int) -> tuple[Array, SoundSpread | None]:
+def _pilot_spread(pilot: Floats, count: int) -> tuple[Floats, SoundSpread | None]:
     """Covariances of listeners, and of `count` random sounds, from means (listeners, sounds, levels)."""
     n, m, _ = pilot.shape
     listeners = np.cov(pilot.mean(axis=1), rowvar=False)

@@ -20,8 +20,6 @@ LAPSES = 0.02
 def psychometric(u: Any, threshold: Any, slope: Any, guess: float, share: float, lapses: Any = LAPSES) -> Any:
     """Share of right answers.
 
-    Parameters
-    ----------
     u, threshold : transformed levels.
     slope : per unit of u.
     guess, lapses : share of right guesses, and lapse rate.

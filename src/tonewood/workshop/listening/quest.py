@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening.detection import CHANCE, task_of
 from tonewood.workshop.listening.psychometric import psychometric
 
-Array = NDArray[np.float64]
 #: levels that may be presented, and steps of the thresholds' grid
 LEVELS, THRESHOLDS = 41, 61
 #: slopes, in units of 1 / range of u, and lapse rates that are thought possible
@@ -39,19 +39,17 @@ _EQUAL = 1e-9
 class QuestTable:
     """Probabilities of right answers (levels, parameter sets), and the products that entropies need.
 
-    Parameters
-    ----------
     right : (levels, sets) probabilities strictly between 0 and 1.
     prior : (sets,) of the parameter sets.
     """
 
-    def __init__(self, right: Array, prior: Array):
+    def __init__(self, right: Floats, prior: Floats):
         self.right = right
         self.prior = prior / prior.sum()
         wrong = 1 - right
         self.information = right * np.log(right) + wrong * np.log(wrong)
 
-    def entropies(self, posterior: Array) -> Array:
+    def entropies(self, posterior: Floats) -> Floats:
         """Expected entropies (..., levels) after one more answer; posterior (..., sets)."""
         with np.errstate(divide="ignore", invalid="ignore"):
             own = np.where(posterior > 0, posterior * np.log(posterior), 0.0)
@@ -59,12 +57,12 @@ class QuestTable:
         response = mean * np.log(mean) + (1 - mean) * np.log1p(-mean)
         return np.asarray(response - posterior @ self.information.T - own.sum(axis=-1)[..., None])
 
-    def best(self, posterior: Array) -> NDArray[np.int_]:
+    def best(self, posterior: Floats) -> NDArray[np.int_]:
         """Index (...) of the level to present."""
         e = self.entropies(posterior)
         return np.asarray(np.argmax(e <= e.min(axis=-1, keepdims=True) + _EQUAL, axis=-1))
 
-    def updated(self, posterior: Array, level: Any, right: Any) -> Array:
+    def updated(self, posterior: Floats, level: Any, right: Any) -> Floats:
         """Posterior after answers (...) at levels (...)."""
         p = self.right[level]
         new = posterior * np.where(np.asarray(right)[..., None], p, 1 - p)
@@ -72,7 +70,7 @@ class QuestTable:
 
 
 @lru_cache(maxsize=16)
-def table_of(page: StaircasePage) -> tuple[Array, QuestTable]:
+def table_of(page: StaircasePage) -> tuple[Floats, QuestTable]:
     """Levels (41,) of a page, and its table."""
     low, high = page.transformed(page.lowest), page.transformed(page.highest)
     u = np.linspace(low, high, LEVELS)
@@ -87,8 +85,6 @@ def table_of(page: StaircasePage) -> tuple[Array, QuestTable]:
 class QuestTrack:
     """One track of QUEST+, at the level of its next trial; `StaircaseTrack` is the other method.
 
-    Attributes
-    ----------
     level : of the next trial; the first is the page's `start`.
     levels, right : of the trials so far.
     reversal_levels : empty; this method has none.
@@ -99,7 +95,7 @@ class QuestTrack:
     levels: list[float] = field(default_factory=list)
     right: list[bool] = field(default_factory=list)
     reversal_levels: list[float] = field(default_factory=list)
-    _posterior: Array = field(default_factory=lambda: np.empty(0))
+    _posterior: Floats = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         u, table = table_of(self.page)
@@ -131,7 +127,7 @@ class QuestTrack:
         self.right.append(right)
         self.level, self._posterior = self._next(right)
 
-    def _next(self, right: bool) -> tuple[float, Array]:
+    def _next(self, right: bool) -> tuple[float, Floats]:
         u, table = table_of(self.page)
         here = int(np.argmin(np.abs(u - self.page.transformed(self.level))))
         posterior = table.updated(self._posterior, here, right)

@@ -16,16 +16,11 @@ from tonewood.workshop.listening.plain import methods, summary
 from tonewood.workshop.listening.results import PanelResults
 
 
-def write_report(found: PanelResults, folder: Path, facts: dict[str, Any] | None = None) -> Path:
+def write_report(panel: PanelResults, folder: Path, facts: dict[str, Any] | None = None) -> Path:
     """Write ``report.html``, and its figures as PNG beside it.
 
-    Parameters
-    ----------
     facts : of the stimuli, as ``manifest.json`` has them; None leaves that section out.
-
-    Raises
-    ------
-    TonewoodError : jinja2 or matplotlib is not installed.
+    Raises TonewoodError : jinja2 or matplotlib is not installed.
     """
     try:
         from jinja2 import Environment, StrictUndefined
@@ -33,8 +28,8 @@ def write_report(found: PanelResults, folder: Path, facts: dict[str, Any] | None
     except ImportError:
         raise TonewoodError("the report needs jinja2: pip install 'tonewood[results]'") from None
     pictures: dict[int, list[tuple[str, str]]] = {}
-    for number, page in enumerate(found.pages):
-        for name, made in figures_of(found, page).items():
+    for number, page in enumerate(panel.pages):
+        for name, made in figures_of(panel, page).items():
             content = png(made, dpi=75)
             path = folder / f"page{page.page}_{number}_{name}.png"
             path.write_bytes(content)
@@ -43,12 +38,12 @@ def write_report(found: PanelResults, folder: Path, facts: dict[str, Any] | None
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     environment.filters |= {"n": number_text, "p": p_text, "g": lambda x: f"{x:.3g}"}
     text = environment.from_string((static / "report.html").read_text("utf-8")).render(
-        found=found,
-        title=found.test.title(found.test.manifest.language),
+        panel=panel,
+        title=panel.test.title(panel.test.manifest.language),
         pictures=pictures,
         facts=facts,
-        summary=summary(found),
-        methods=methods(found),
+        summary=summary(panel),
+        methods=methods(panel),
         version=__version__,
         style=Markup((static / "report.css").read_text("utf-8")),
     )

@@ -44,8 +44,6 @@ FOLDER = "results"
 class PageResults:
     """Results of one page, or of one scale of a page with several.
 
-    Attributes
-    ----------
     page : its number, from 1.
     kind : type of the page.
     heading : its title, and the scale.
@@ -90,8 +88,6 @@ class PageResults:
 class PanelResults:
     """Results of a test.
 
-    Attributes
-    ----------
     simulated : listeners among them that are simulated.
     unfinished : listeners who did not finish.
     left_out : answers that do not count because their files are damaged, or of another version of the test.
@@ -143,17 +139,12 @@ def analyse(
 ) -> PanelResults:
     """Read the answers in a batch's folder and work out the results.
 
-    Parameters
-    ----------
     folder : of the batch, with ``test.json`` and ``answers/``.
     key : if it is not in the folder.
     confidence : of all intervals, between 0 and 1.
     screening : leave listeners out after BS.1534-3 (MUSHRA pages only).
     others, others_left_out : answers that were given elsewhere, and those of them that do not count.
-
-    Raises
-    ------
-    ListeningError : a file cannot be read, something does not fit, or there are no answers.
+    Raises ListeningError : a file cannot be read, something does not fit, or there are no answers.
     """
     if not 0.0 < confidence < 1.0:
         raise ListeningError(f"is {confidence:g}; a number between 0 and 1 is allowed", key="--confidence")
@@ -224,8 +215,8 @@ def _page_results(
         ]  # fmt: skip
     if isinstance(page, StaircasePage):
         unit = localised(page.unit, language)
-        found = thresholds(rows, page, unit, confidence)
-        return [PageResults(**base, listeners=len(found.listeners), factors=(), rows=tuple(rows), thresholds=found)]
+        fit = thresholds(rows, page, unit, confidence)
+        return [PageResults(**base, listeners=len(fit.listeners), factors=(), rows=tuple(rows), thresholds=fit)]
     if (task := task_of(page)) is not None or isinstance(page, PairedPage):
         used = _used(rows, table.factors)
         by = used or ("type",)
@@ -317,20 +308,20 @@ def _difference_grades(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _used(rows: Sequence[dict[str, Any]], factors: Sequence[str]) -> tuple[str, ...]:
     """Factors with several levels here, or with the two of a pair; repeats are no factor."""
-    found = {f: {row[f] for row in rows} for f in factors if f != "repeat"}
-    return tuple(f for f, levels in found.items() if len(levels) > 1 or any(VERSUS in str(x) for x in levels))
+    used = {f: {row[f] for row in rows} for f in factors if f != "repeat"}
+    return tuple(f for f, levels in used.items() if len(levels) > 1 or any(VERSUS in str(x) for x in levels))
 
 
 def _count(rows: Sequence[dict[str, Any]]) -> int:
     return len({row["listener"] for row in rows})
 
 
-def write_tables(found: PanelResults, folder: Path) -> None:
+def write_tables(panel: PanelResults, folder: Path) -> None:
     """Write ``answers.csv``, the tidy table, and ``means.csv``, one row a mean, share or threshold; and as Parquet."""
-    found.table.write(folder / "answers.csv")
-    write_parquet(folder / "answers.parquet", [*COLUMNS, *found.table.factors], found.table.rows)
+    panel.table.write(folder / "answers.csv")
+    write_parquet(folder / "answers.parquet", [*COLUMNS, *panel.table.factors], panel.table.rows)
     rows: list[dict[str, Any]] = []
-    for page in found.pages:
+    for page in panel.pages:
         head = {"page": page.page, "type": page.kind}
         for mean in (
             *page.per_factor,

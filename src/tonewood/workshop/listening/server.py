@@ -67,8 +67,6 @@ class _Entry:
 class ListeningServer:
     """Requests of listeners to one test.
 
-    Parameters
-    ----------
     test : the definition.
     pairs : sounds of its staircases; None if it has none.
     """
@@ -84,8 +82,6 @@ class ListeningServer:
     def application(self, host: str = "127.0.0.1", names: Collection[str] = ()) -> Guard:
         """The application, for any ASGI server.
 
-        Parameters
-        ----------
         host, names : address that the server listens at, and other names by which browsers reach it.
         """
         routes = [

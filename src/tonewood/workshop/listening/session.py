@@ -48,8 +48,6 @@ _LONGEST = 3.2e8
 class Step:
     """One page as a listener meets it.
 
-    Attributes
-    ----------
     index : counted from 0 over the session.
     page : index of the manifest's page.
     trial : blind id of its trial; empty for a page without sounds.
@@ -74,14 +72,9 @@ class Step:
 class Session:
     """The course of a test for one listener.
 
-    Parameters
-    ----------
     test : the definition.
     seed : the listener's; it decides orders and right answers.
     place : number of the listener, from 0; it decides which trials of a `subset` are theirs.
-
-    Attributes
-    ----------
     step : the one to answer; None after the last.
     failed : the page (from 0) of the check of headphones that ended the test, or None.
     answers : records of the answers taken.
@@ -129,9 +122,7 @@ class Session:
     def answer(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Check the answer to the step, take it, and go on; returns the record of it.
 
-        Raises
-        ------
-        ListeningError : it does not fit the step; one line.
+        Raises ListeningError : it does not fit the step; one line.
         """
         record = self.record(given)
         self.take(record)
@@ -140,9 +131,7 @@ class Session:
     def record(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Check the answer to the step; returns the record of it and changes nothing.
 
-        Raises
-        ------
-        ListeningError : it does not fit the step; one line.
+        Raises ListeningError : it does not fit the step; one line.
         """
         step, page = self.step, self.page
         if step is None or page is None:
@@ -167,9 +156,7 @@ class Session:
     def take(self, record: dict[str, Any]) -> None:
         """Go on by an answer that was checked before.
 
-        Raises
-        ------
-        ListeningError : it belongs to another step: the file is damaged, or the test is another one.
+        Raises ListeningError : it belongs to another step: the file is damaged, or the test is another one.
         """
         step = self.step
         same = step is not None and all(
@@ -253,9 +240,9 @@ class Session:
             before = len(self.answers)
             for k in range(page.trials):
                 random = generator(self.test.manifest.seed, "headphones", self.seed, number, attempt, k)
-                found = int(random.integers(len(INTERVALS)))
-                slots = {slot: CHANGED if i == found else STANDARD for i, slot in enumerate(INTERVALS)}
-                yield {"slots": slots, "correct": INTERVALS[found], "repetition": (attempt - 1) * page.trials + k + 1}
+                odd = int(random.integers(len(INTERVALS)))
+                slots = {slot: CHANGED if i == odd else STANDARD for i, slot in enumerate(INTERVALS)}
+                yield {"slots": slots, "correct": INTERVALS[odd], "repetition": (attempt - 1) * page.trials + k + 1}
             taken = self.answers[before:]
             # answers that a damaged file lost do not end a test that went on
             if len(taken) < page.trials or sum(bool(record["right"]) for record in taken) >= page.needed:
@@ -281,12 +268,12 @@ class Session:
         """Trials with their repetitions: all of them once, in random order, then again in another."""
         order = self.test.manifest.output.page_order
         whose = self.seed if order == "per_listener" else ""
-        found = []
+        sequence = []
         for repetition in range(1, times + 1):
             random = generator(self.test.manifest.seed, "page order", number, repetition, whose)
             indices = range(len(trials)) if order == "listed" else random.permutation(len(trials))
-            found += [(trials[i], repetition) for i in indices]
-        return found
+            sequence += [(trials[i], repetition) for i in indices]
+        return sequence
 
     def _trial(self, page: AnyPage, trial: ServedTrial, labels: tuple[object, ...]) -> dict[str, Any]:
         """Slots and right answer of one trial."""
@@ -354,11 +341,9 @@ def choices(page: AnyPage, step: Step) -> list[str]:
 def checked(page: AnyPage, step: Step, given: Mapping[str, Any]) -> dict[str, Any]:
     """The answer to a step, with nothing in it beside the fields asked for.
 
-    Raises
-    ------
-    ListeningError : something is missing or not allowed.
+    Raises ListeningError : something is missing or not allowed.
     """
-    found: dict[str, Any] = {
+    record: dict[str, Any] = {
         "seconds": _number(given.get("seconds", 0.0), "seconds", 0.0, _LONGEST),
         "plays": {
             slot: int(_number(count, f"plays.{slot}", 0, _most_plays(page)))
@@ -367,37 +352,37 @@ def checked(page: AnyPage, step: Step, given: Mapping[str, Any]) -> dict[str, An
         },
     }
     if (shares := given.get("heard")) is not None:
-        found["heard"] = _heard(page, step, _mapping(shares, "heard"))
+        record["heard"] = _heard(page, step, _mapping(shares, "heard"))
     if comment := given.get("comment"):
-        found["comment"] = _text(comment, "comment", 2000)
+        record["comment"] = _text(comment, "comment", 2000)
     if allowed := choices(page, step):
         choice = given.get("choice")
         if choice not in allowed:
             raise ListeningError(f"{choice!r} is not one of {', '.join(allowed)}", key="choice")
-        found["choice"] = choice
+        record["choice"] = choice
     elif isinstance(page, (MushraPage, Bs1116Page)):
         low, high = (0.0, 100.0) if isinstance(page, MushraPage) else (1.0, 5.0)
         ratings = _mapping(given.get("ratings"), "ratings")
-        found["ratings"] = {
+        record["ratings"] = {
             slot: _number(ratings.get(slot), f"ratings.{slot}", low, high) for slot in step.slots if slot != OPEN
         }
-        if isinstance(page, Bs1116Page) and max(found["ratings"].values()) < high:
+        if isinstance(page, Bs1116Page) and max(record["ratings"].values()) < high:
             raise ListeningError("one of the two is the reference: its grade is 5.0", key="ratings")
     elif isinstance(page, RatingPage):
         values = _mapping(given.get("values"), "values")
-        found["values"] = {
+        record["values"] = {
             scale.name: _number(values.get(scale.name), f"values.{scale.name}", scale.low, scale.high)
             for scale in page.scales
         }
     elif isinstance(page, QuestionnairePage):
-        found["values"] = _questionnaire(page, _mapping(given.get("values"), "values"))
+        record["values"] = _questionnaire(page, _mapping(given.get("values"), "values"))
     elif page.type == "consent":
         if given.get("agreed") is not True:
             raise ListeningError("the test goes on only with it", key="agreed")
-        found["agreed"] = True
+        record["agreed"] = True
     elif page.type == "level" and page.measured:
-        found["spl_db"] = _number(given.get("spl_db"), "spl_db", 0.0, 130.0)
-    return found
+        record["spl_db"] = _number(given.get("spl_db"), "spl_db", 0.0, 130.0)
+    return record
 
 
 def _most_plays(page: AnyPage) -> float:
@@ -414,16 +399,16 @@ def share_wanted(page: AnyPage) -> float:
 
 def _heard(page: AnyPage, step: Step, shares: Mapping[str, Any]) -> dict[str, float]:
     """Share of each sound that was heard, as the browser measured it; it must be as large as the page wants it."""
-    least, found = share_wanted(page), {}
+    least, by_name = share_wanted(page), {}
     for slot in step.slots:
-        found[slot] = share = _number(shares.get(slot), f"heard.{slot}", 0.0, 1.0)
+        by_name[slot] = share = _number(shares.get(slot), f"heard.{slot}", 0.0, 1.0)
         if share < least:
             raise ListeningError(f"{share:.0%} of the sound was heard, {least:.0%} are wanted", key=f"heard.{slot}")
-    return found
+    return by_name
 
 
 def _questionnaire(page: QuestionnairePage, values: Mapping[str, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    answers: dict[str, Any] = {}
     for question in page.questions:
         value, key = values.get(question.name), f"values.{question.name}"
         if value in (None, ""):
@@ -431,15 +416,15 @@ def _questionnaire(page: QuestionnairePage, values: Mapping[str, Any]) -> dict[s
                 raise ListeningError("is missing", key=key)
             continue
         if question.kind == "text":
-            found[question.name] = _text(value, key, 10_000)
+            answers[question.name] = _text(value, key, 10_000)
         elif question.kind == "choice":
             if not isinstance(value, str) or value not in (question.choices or {}):
                 raise ListeningError(f"{value!r} is not one of {', '.join(question.choices or {})}", key=key)
-            found[question.name] = value
+            answers[question.name] = value
         else:
             limits = (question.low, question.high) if question.kind == "scale" else (-math.inf, math.inf)
-            found[question.name] = _number(value, key, *limits)
-    return found
+            answers[question.name] = _number(value, key, *limits)
+    return answers
 
 
 def _mapping(value: Any, key: str) -> Mapping[str, Any]:

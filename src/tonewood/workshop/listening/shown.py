@@ -29,8 +29,6 @@ from tonewood.workshop.listening.session import OPEN, Session, Step, choices, sh
 def shown(test: ListeningTest, session: Session, language: str, listener: str = "", own: str = "") -> dict[str, Any]:
     """The step of a session; ``{"type": "done"}`` after the last one, ``{"type": "failed"}`` after a check not passed.
 
-    Parameters
-    ----------
     test, session : what is shown.
     language : of the texts.
     listener : name given by the listener or the address; own name of the session, if there is none.
@@ -49,7 +47,7 @@ def shown(test: ListeningTest, session: Session, language: str, listener: str = 
     kind = kind_of_texts(page)
     content = [paragraph for part in (manifest_page, page) if (paragraph := text(part.content))]
     default = words.get(f"{kind}_text", "")
-    found: dict[str, Any] = {
+    view: dict[str, Any] = {
         "type": page.type,
         "index": step.index,
         "progress": step.index / max(session.total, 1),
@@ -69,7 +67,7 @@ def shown(test: ListeningTest, session: Session, language: str, listener: str = 
         "waveform": bool(getattr(page, "waveform", False)),
         "last": page.type == "finish",
     }
-    return found | _details(test, page, step, text, words)
+    return view | _details(test, page, step, text, words)
 
 
 def _back(test: ListeningTest, session: Session, listener: str, own: str) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.batch.pages import (
     StaircasePage,
 )
@@ -20,7 +21,6 @@ from tonewood.workshop.listening.models import share_test
 from tonewood.workshop.listening.panel import SimulatedPanel
 from tonewood.workshop.listening.thresholds import ThresholdGrid
 
-Array = NDArray[np.float64]
 #: listeners, or answers, that are tried at most
 MOST = 10_000
 #: steps of the search for what listeners hear, and listeners drawn in each
@@ -36,9 +36,7 @@ class TooManyListenersError(ListeningError):
 def fewest(power_with: Callable[[int], float], power: float, effect: str) -> int:
     """Fewest listeners, from 3 on, with whom a simulated power is reached.
 
-    Raises
-    ------
-    TooManyListenersError : more than `MOST` are needed.
+    Raises TooManyListenersError : more than `MOST` are needed.
     """
     low, high = 2, 4
     while power_with(high) < power:
@@ -55,46 +53,39 @@ def fewest(power_with: Callable[[int], float], power: float, effect: str) -> int
 class SoundSpread:
     """A random sample of sounds.
 
-    Attributes
-    ----------
     count : number of sounds.
     sounds : covariance (levels, levels) of the sounds' own means of the levels, the same for all listeners.
     pairs : that of the answers of one listener to one sound, beyond both.
     """
 
     count: int
-    sounds: Array
-    pairs: Array
+    sounds: Floats
+    pairs: Floats
 
 
 def rating_power(
-    effects: Sequence[float] | Array,
-    covariance: Array,
+    effects: Sequence[float] | Floats,
+    covariance: Floats,
     listeners: int,
     alpha: float,
     seed: int = 1,
     sampled: SoundSpread | None = None,
-) -> Array:
+) -> Floats:
     """Share of simulated experiments in which the report finds each level's difference from the first.
 
-    Parameters
-    ----------
     effects : (levels,) points.
     covariance : (levels, levels) of the listeners' means of the levels.
     listeners, alpha : of the experiment, and of its tests.
     seed : of the draws.
     sampled : the sounds, where the manifest's `random` names them.
-
-    Returns
-    -------
-    shares : (levels - 1,).
+    Returns shares : (levels - 1,).
     """
     k = len(effects)
     names = [str(i) for i in range(k)]
     rows = strata.contrasts([(name,) for name in names], {"factor": names}).differences["factor",]
     random = np.random.default_rng([seed, listeners])
     most = max(1, 4_000_000 // (listeners * k * (1 if sampled is None else sampled.count)))
-    count, found = max(200, min(EXPERIMENTS, most)), np.zeros(k - 1)
+    count, detected = max(200, min(EXPERIMENTS, most)), np.zeros(k - 1)
     for begin in range(0, count, most):
         n = min(most, count - begin)
         if sampled is None:
@@ -104,62 +95,52 @@ def rating_power(
             y = y + _draws(random, sampled.sounds, n, 1, sampled.count)
             y = y + _draws(random, sampled.pairs, n, listeners, sampled.count)
         p = strata.estimated(y, rows, 1 - alpha, sounds=sampled is not None).p_value
-        found += (strata.holm(p) < alpha).sum(axis=0)
-    return found / count
+        detected += (strata.holm(p) < alpha).sum(axis=0)
+    return detected / count
 
 
-def screened_found(y: Array, kept: NDArray[np.bool_], alpha: float, *, sounds: bool = False) -> NDArray[np.bool_]:
+def screened_found(y: Floats, kept: NDArray[np.bool_], alpha: float, *, sounds: bool = False) -> NDArray[np.bool_]:
     """Whether the report finds each level's difference from the first, with all listeners and with those kept.
 
-    Parameters
-    ----------
     y : (experiments, listeners, levels) listeners' means, or (experiments, listeners, sounds, levels).
     kept : (experiments, listeners) whether the screening keeps them; fewer than three are not analysed.
     alpha : of the tests.
     sounds : whether `y` has the axis of sounds, a random sample.
-
-    Returns
-    -------
-    found : (experiments, levels - 1).
+    Returns detected : (experiments, levels - 1).
     """
     names = [str(i) for i in range(y.shape[-1])]
     rows = strata.contrasts([(name,) for name in names], {"factor": names}).differences["factor",]
-    found = np.zeros((len(y), len(rows)), dtype=bool)
+    detected = np.zeros((len(y), len(rows)), dtype=bool)
     counts = kept.sum(axis=1)
     whole = _differs(y, rows, alpha, sounds)
     for count in np.unique(counts[counts > 2]):
         own = counts == count
         rest = y[own][kept[own]].reshape(np.sum(own), count, *y.shape[2:])
-        found[own] = whole[own] & (_differs(rest, rows, alpha, sounds) if count < y.shape[1] else True)
-    return found
+        detected[own] = whole[own] & (_differs(rest, rows, alpha, sounds) if count < y.shape[1] else True)
+    return detected
 
 
-def _differs(y: Array, rows: Array, alpha: float, sounds: bool) -> NDArray[np.bool_]:
+def _differs(y: Floats, rows: Floats, alpha: float, sounds: bool) -> NDArray[np.bool_]:
     return np.asarray(strata.holm(strata.estimated(y, rows, 1 - alpha, sounds=sounds).p_value) < alpha)
 
 
 def screened_power(
-    pilot: Array,
+    pilot: Floats,
     kept: NDArray[np.bool_],
-    effects: Array,
+    effects: Floats,
     listeners: int,
     alpha: float,
     seed: int = 1,
     sampled: SoundSpread | None = None,
-) -> Array:
+) -> Floats:
     """Share of experiments with listeners of a pilot in which the report finds each level's difference from the first.
 
-    Parameters
-    ----------
     pilot : (pilot listeners, levels) their means.
     kept : (pilot listeners,) whether the screening kept them.
     effects : (levels,) points, which the pilot's mean effects are moved to.
     listeners, alpha, seed : as for `rating_power`.
     sampled : random sounds; listeners then differ by as much less as single answers of the pilot account for.
-
-    Returns
-    -------
-    shares : (levels - 1,) found with all listeners and with those who are kept.
+    Returns shares : (levels - 1,) found with all listeners and with those who are kept.
     """
     random, n = np.random.default_rng([seed, listeners]), len(pilot)
     own = (pilot - pilot.mean(axis=0)) * math.sqrt(n / (n - 1))
@@ -169,13 +150,13 @@ def screened_power(
     apart = np.var(own[:, 1:] - own[:, :1], axis=0).sum()
     single = (np.diag(sampled.pairs)[1:] + sampled.pairs[0, 0] - 2 * sampled.pairs[0, 1:]).sum() / sampled.count
     own = own * math.sqrt(max(1 - single / apart, 0.0)) if apart > 0 else own
-    found = []
+    powers = []
     for size in _batches(listeners * sampled.count * len(effects)):
         drawn = random.integers(n, size=(size, listeners))
         y = effects + own[drawn][:, :, None] + _draws(random, sampled.sounds, size, 1, sampled.count)
         y = y + _draws(random, sampled.pairs, size, listeners, sampled.count)
-        found.append(screened_found(y, kept[drawn], alpha, sounds=True))
-    return np.asarray(np.concatenate(found).mean(axis=0))
+        powers.append(screened_found(y, kept[drawn], alpha, sounds=True))
+    return np.asarray(np.concatenate(powers).mean(axis=0))
 
 
 def _batches(size: int) -> list[int]:
@@ -189,15 +170,13 @@ def _batches(size: int) -> list[int]:
 class MushraListeners:
     """What listeners of a MUSHRA page hear, as simulated panels do.
 
-    Attributes
-    ----------
     effects : (levels,) points by which sounds of a level are heard above the reference, which has the first level.
     sounds, trials, cells : random sounds (1: none), trials of each, and sounds of one level in a trial.
     own_sd, slope_sd, residual_sd, sound_sd : points, of listeners' use of the scale, of their responses to each level,
         of single answers, and of random sounds' differences from the first level.
     """
 
-    effects: Array
+    effects: Floats
     sounds: int
     trials: int
     cells: int
@@ -208,7 +187,7 @@ class MushraListeners:
 
     @classmethod
     def stated(
-        cls, effects: Array, sd: float, sounds: int = 1, trials: int = 1, cells: int = 1, sound_sd: float = 0.0
+        cls, effects: Floats, sd: float, sounds: int = 1, trials: int = 1, cells: int = 1, sound_sd: float = 0.0
     ) -> MushraListeners:
         """Listeners whose rated differences have these means and, at the largest, the standard deviation `sd`.
 
@@ -238,7 +217,7 @@ class MushraListeners:
             )  # fmt: skip
         return people
 
-    def drawn(self, random: np.random.Generator, experiments: int, listeners: int) -> tuple[Array, NDArray[np.bool_]]:
+    def drawn(self, random: np.random.Generator, experiments: int, listeners: int) -> tuple[Floats, NDArray[np.bool_]]:
         """Draw listeners' means (experiments, listeners, sounds, levels), and whether the screening keeps them.
 
         The reference is among the first level's sounds. The sound that is heard as best gets 100, the others 100 plus
@@ -261,63 +240,53 @@ class MushraListeners:
         return rated.mean(axis=(-3, -2)), missed <= LIMIT_SHARE
 
 
-def mushra_power(people: MushraListeners, listeners: int, alpha: float, seed: int = 1) -> Array:
+def mushra_power(people: MushraListeners, listeners: int, alpha: float, seed: int = 1) -> Floats:
     """Share of experiments in which the report of a MUSHRA page, with its screening, finds each level's difference.
 
-    Parameters
-    ----------
     people : what the listeners hear.
     listeners, alpha, seed : as for `rating_power`.
-
-    Returns
-    -------
-    shares : (levels - 1,) found with all listeners and with those who are kept.
+    Returns shares : (levels - 1,) found with all listeners and with those who are kept.
     """
-    random, found = np.random.default_rng([seed, listeners]), []
+    random, detected = np.random.default_rng([seed, listeners]), []
     for size in _batches(listeners * people.sounds * people.trials * people.cells * len(people.effects)):
         y, kept = people.drawn(random, size, listeners)
         sampled = people.sounds > 1
-        found.append(screened_found(y if sampled else y[:, :, 0], kept, alpha, sounds=sampled))
-    return np.asarray(np.concatenate(found).mean(axis=0))
+        detected.append(screened_found(y if sampled else y[:, :, 0], kept, alpha, sounds=sampled))
+    return np.asarray(np.concatenate(detected).mean(axis=0))
 
 
 def ordinal_power(
-    effects: Sequence[float] | Array,
+    effects: Sequence[float] | Floats,
     sd: float,
     cells: int,
     ends: tuple[float, float],
     listeners: int,
     alpha: float,
     seed: int = 1,
-) -> Array:
+) -> Floats:
     """Share of simulated experiments in which the report finds each level rated above or below the first.
 
-    Parameters
-    ----------
     effects : (levels,) points, from the middle of the scale.
     sd : standard deviation of listeners' differences; half of the variance is that of single answers.
     cells : answers of a listener to each level.
     ends : of the scale.
     listeners, alpha, seed : as for `rating_power`.
-
-    Returns
-    -------
-    shares : (levels - 1,).
+    Returns shares : (levels - 1,).
     """
     k, random = len(effects), np.random.default_rng([seed, listeners])
     most = max(1, 2_000_000 // (listeners * k * cells))
-    count, found = max(200, min(EXPERIMENTS, 4 * most)), np.zeros(k - 1)
+    count, detected = max(200, min(EXPERIMENTS, 4 * most)), np.zeros(k - 1)
     for begin in range(0, count, most):
         n = min(most, count - begin)
         y = sum(ends) / 2 + np.asarray(effects) + random.normal(0, sd / 2, (n, listeners, 1, k))
         y = np.clip(y + random.normal(0, sd / 2 * math.sqrt(cells), (n, listeners, cells, k)), *ends)
         pairs = [np.sign(y[..., j] - y[..., i]).mean(axis=-1) for i, j in itertools.combinations(range(k), 2)]
         p = share_test(0.5 + 0.5 * np.stack(pairs, axis=1))
-        found += (strata.holm(p) < alpha)[:, : k - 1].sum(axis=0)
-    return found / count
+        detected += (strata.holm(p) < alpha)[:, : k - 1].sum(axis=0)
+    return detected / count
 
 
-def stated_spread(sd: float, sound_sd: float, sounds: int, levels: int) -> tuple[Array, SoundSpread]:
+def stated_spread(sd: float, sound_sd: float, sounds: int, levels: int) -> tuple[Floats, SoundSpread]:
     """Covariances of differences with standard deviations `sd` (listeners) and `sound_sd` (random sounds).
 
     Half of the variance of a listener's difference is that of single answers, of one to each sound.
@@ -326,7 +295,7 @@ def stated_spread(sd: float, sound_sd: float, sounds: int, levels: int) -> tuple
     return sd**2 / 4 * one, SoundSpread(sounds, sound_sd**2 / 2 * one, sounds * sd**2 / 4 * one)
 
 
-def _draws(random: np.random.Generator, covariance: Array, *shape: int) -> Array:
+def _draws(random: np.random.Generator, covariance: Floats, *shape: int) -> Floats:
     """Normal numbers (*shape, levels) of a covariance matrix, whose negative eigenvalues are taken as 0."""
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -336,8 +305,6 @@ def _draws(random: np.random.Generator, covariance: Array, *shape: int) -> Array
 def choice_power(share: float, each: int, listeners: int, alpha: float, seed: int = 1) -> float:
     """Share of simulated experiments in which the Bradley-Terry interval of a pair excludes 0.
 
-    Parameters
-    ----------
     share : of choices of one of the two.
     each : choices of a listener.
     listeners, alpha, seed : as for `rating_power`.
@@ -358,9 +325,7 @@ def threshold_listeners(
 ) -> int:
     """Listeners with whom the interval of the mean threshold excludes one that is a margin (of u) away.
 
-    Raises
-    ------
-    TooManyListenersError : more than `MOST` are needed.
+    Raises TooManyListenersError : more than `MOST` are needed.
     """
     random = np.random.default_rng(seed)
     pool, grid, centre = 200, ThresholdGrid(page), page.transformed(people.mean)
@@ -384,10 +349,8 @@ def answers_for_share(share: float, chance: float, alpha: float, power: float) -
 
     The power of an exact test goes up and down with the number of answers; from this number on it stays above.
 
-    Raises
-    ------
-    TooManyListenersError : more than `MOST` are needed.
-    ListeningError : the share is not above guessing.
+    Raises TooManyListenersError : more than `MOST` are needed.
+    Raises ListeningError : the share is not above guessing.
     """
     import numpy as np
     from scipy.stats import binom

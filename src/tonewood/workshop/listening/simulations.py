@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening import strata
 from tonewood.workshop.listening.detection import CHANCE, Task, sensitivity, shares_of, task_of
@@ -27,7 +28,6 @@ from tonewood.workshop.listening.quest import table_of
 from tonewood.workshop.listening.staircase import StaircaseTrack
 from tonewood.workshop.listening.thresholds import ThresholdGrid
 
-Array = NDArray[np.float64]
 #: populations without an effect: listeners' own deviations in each level, spread of single answers by level, mean
 NULLS = {
     "no effect": {"own": (0.0, 0.0, 0.0), "residual": (9.0, 9.0, 9.0), "mean": 60.0},
@@ -63,11 +63,9 @@ class RatingRates:
 
 def ratings(
     random: np.random.Generator, experiments: int, listeners: int, null: str, shift: float = 0.0, repetitions: int = 2
-) -> Array:
+) -> Floats:
     """Draw answers (experiments, listeners, 9 cells, repetitions) of three levels and three sounds.
 
-    Parameters
-    ----------
     null : name in `NULLS` or `OTHERS`.
     shift : points by which the second level is higher.
     """
@@ -82,7 +80,7 @@ def ratings(
     return np.asarray(answers.reshape(*shape, 9, repetitions))
 
 
-def _others(random: np.random.Generator, shape: tuple[int, int], name: str, shift: float, repetitions: int) -> Array:
+def _others(random: np.random.Generator, shape: tuple[int, int], name: str, shift: float, repetitions: int) -> Floats:
     """Answers of `OTHERS`, as `ratings` draws them.
 
     *Heavy tails*: listeners' responses to a level of 4 times, single answers of 5 times Student's t with 3 degrees of
@@ -109,11 +107,9 @@ def _others(random: np.random.Generator, shape: tuple[int, int], name: str, shif
     return np.asarray(y.reshape(*shape, 9, repetitions))
 
 
-def without(random: np.random.Generator, answers: Array, gaps: str) -> Array:
+def without(random: np.random.Generator, answers: Floats, gaps: str) -> Floats:
     """Cell means (experiments, listeners, 9) of the answers that are left, NaN where none is.
 
-    Parameters
-    ----------
     random : decides which answers are missing.
     answers : (experiments, listeners, 9, repetitions).
     gaps : name in `GAPS`.
@@ -146,7 +142,7 @@ def rating_rates(
         true = float(many[1].mean() - many[0].mean())
     alpha = 1 - confidence
 
-    def analysed(y: Array) -> tuple[Callable[[Array], strata.Tested], Callable[[Array], strata.Estimated]]:
+    def analysed(y: Floats) -> tuple[Callable[[Floats], strata.Tested], Callable[[Floats], strata.Estimated]]:
         if not gaps:
             means = y.mean(axis=-1)
             return (
@@ -181,8 +177,6 @@ def sampled_rates(
     Single answers have a standard deviation of 9 points, one for each sound and level; the second level is 5 points
     higher where coverage is asked for.
 
-    Parameters
-    ----------
     random, experiments, listeners, sounds : source of the answers, and numbers.
     missing : share of answers.
     spread : name in `SPREADS`.
@@ -210,13 +204,11 @@ def sampled_rates(
 CUTS = {"five grades": (-2.0, -0.5, 0.7, 2.0), "five grades, half of the answers the highest": (-4.0, -3.0, -1.5, 0.0)}
 
 
-def graded(random: np.random.Generator, experiments: int, listeners: int, cuts: str, shift: float) -> Array:
+def graded(random: np.random.Generator, experiments: int, listeners: int, cuts: str, shift: float) -> Floats:
     """Draw counts (experiments, listeners, 9 cells, grades) of two answers each.
 
     Latent answers are logistic, with deviations of listeners of 1 and of their responses to each level of 0.7.
 
-    Parameters
-    ----------
     random, experiments, listeners : source of the answers, and numbers.
     cuts : name in `CUTS`.
     shift : by which the second level is higher (logits of one listener).
@@ -240,7 +232,7 @@ def odds_rates(random: np.random.Generator, experiments: int, listeners: int, cu
     many = graded(np.random.default_rng(0), 1, 40_000, cuts, 1.0)[0].sum(axis=0)
     true = float(first @ x @ fit_counts(many, x)[0])
 
-    def difference(eta: Array, v: Array) -> strata.Estimated:
+    def difference(eta: Floats, v: Floats) -> strata.Estimated:
         return strata.t_interval(eta @ first, first @ v @ first, np.full(len(eta), listeners - 1.0), 0.95)
 
     parts = []
@@ -251,12 +243,12 @@ def odds_rates(random: np.random.Generator, experiments: int, listeners: int, cu
             strata.trace_test(eta @ basis, basis.T @ v @ basis, listeners - 1.0).p_value < 0.05
             for basis in (contrasts.bases["factor",], contrasts.bases["factor", "sound"])
         )
-        found = difference(eta, v).p_value < 0.05
+        factor = difference(eta, v).p_value < 0.05
         eta, v, also = clustered(graded(random, n, listeners, cuts, 1.0), x)
         one = difference(eta, v)
         covered = also & (one.low <= true) & (true <= one.high)
         parts.append(
-            [main | ~done, found | ~done, cross | ~done, covered, one.difference / true - 1, (~done + 0.0 + ~also) / 2]
+            [main | ~done, factor | ~done, cross | ~done, covered, one.difference / true - 1, (~done + 0.0 + ~also) / 2]
         )
     return tuple(float(np.mean(np.concatenate(x))) for x in zip(*parts, strict=True))
 
@@ -266,8 +258,6 @@ def choice_rates(
 ) -> tuple[float, float]:
     """Paired comparisons of three levels: how often one is said to be chosen more than another, and coverage.
 
-    Parameters
-    ----------
     random, experiments, listeners : source of the answers, and numbers.
     each : answers of a listener to each pair.
     sd : standard deviation of listeners' own values of the levels (logits). Without an effect their mean is 0;
@@ -275,7 +265,7 @@ def choice_rates(
     """
     pairs = list(itertools.combinations(range(3), 2))
 
-    def scale(mean: Array, spread: float) -> list[ScaleValue]:
+    def scale(mean: Floats, spread: float) -> list[ScaleValue]:
         own = mean + spread * random.standard_normal((listeners, 3))
         rows = [
             {"listener": str(i), "f": f"{a}|{b}", "value": float(random.random() < 1 / (1 + np.exp(v[a] - v[b])))}
@@ -285,10 +275,10 @@ def choice_rates(
 
     rows = []
     for _ in range(experiments):
-        found = scale(np.zeros(3), sd)
-        best = max(found, key=lambda one: one.value)
+        choices = scale(np.zeros(3), sd)
+        best = max(choices, key=lambda one: one.value)
         last = scale(np.array([-0.4, -0.4, 0.8]), 0.0)[2]
-        rows.append((any(one.high < best.low for one in found), last.low <= 0.8 <= last.high))
+        rows.append((any(one.high < best.low for one in choices), last.low <= 0.8 <= last.high))
     alarms, covered = (float(x) for x in np.mean(np.array(rows, dtype=np.float64), axis=0))
     return alarms, covered
 
@@ -305,21 +295,16 @@ class Population:
 
 
 def trials(
-    page: StaircasePage, thresholds: Array, slopes: Array, lapses: float, random: np.random.Generator
-) -> tuple[list[Array], list[NDArray[np.bool_]]]:
+    page: StaircasePage, thresholds: Floats, slopes: Floats, lapses: float, random: np.random.Generator
+) -> tuple[list[Floats], list[NDArray[np.bool_]]]:
     """Let listeners take a staircase.
 
-    Parameters
-    ----------
     page : of the staircase.
     thresholds : (listeners,) transformed.
     slopes : (listeners,) per unit of u.
     lapses : lapse rate.
     random : source of the answers.
-
-    Returns
-    -------
-    levels : of each listener (trials,), all tracks.
+    Returns levels : of each listener (trials,), all tracks.
     right : of each listener (trials,).
     """
     task = task_of(page)
@@ -340,7 +325,7 @@ def trials(
                 at = table.best(posterior)
         back = np.exp(levels) if page.ratio else levels
         return list(back.reshape(n, -1)), list(rights.reshape(n, -1))
-    found, answers = [], []
+    estimates, answers = [], []
     for t, b in zip(thresholds, slopes, strict=True):
         own: list[float] = []
         right_of: list[bool] = []
@@ -350,9 +335,9 @@ def trials(
                 p = float(psychometric(page.transformed(track.level), t, b, guess, page.share, lapses))
                 track.answer(bool(random.random() < p))
             own, right_of = own + track.levels, right_of + track.right
-        found.append(np.array(own))
+        estimates.append(np.array(own))
         answers.append(np.array(right_of))
-    return found, answers
+    return estimates, answers
 
 
 @dataclass(frozen=True)
@@ -415,8 +400,6 @@ def sensitivity_rates(
 def power_had(random: np.random.Generator, experiments: int, listeners: int, shift: float, sd: float) -> float:
     """Share of experiments, drawn answer by answer, in which the report finds the second of three levels.
 
-    Parameters
-    ----------
     random : source of the answers.
     experiments, listeners : numbers of them.
     shift : points by which the second level is higher.
@@ -438,8 +421,6 @@ def power_had_by_sounds(
 ) -> float:
     """Share of experiments, drawn answer by answer, in which the report finds one of two levels; sounds are a sample.
 
-    Parameters
-    ----------
     random : source of the answers.
     experiments, listeners, sounds : numbers of them.
     shift : points by which the second level is higher.
@@ -447,13 +428,13 @@ def power_had_by_sounds(
     sound_sd : standard deviation of the sounds' differences.
     """
     rows = strata.contrasts([("a",), ("b",)], {"factor": ["a", "b"]}).differences["factor",]
-    found = 0.0
+    detected = 0.0
     for _ in range(experiments):
         y = np.array([50.0, 50.0 + shift]) + random.normal(0, sd / 2, (listeners, 1, 2))
         y = y + random.normal(0, sound_sd / np.sqrt(2), (1, sounds, 2)) + random.normal(0, 6, (listeners, 1, 1))
         y = y + random.normal(0, sd / 2 * np.sqrt(sounds), (listeners, sounds, 2))
-        found += float(strata.estimated(y, rows, 0.95, sounds=True).p_value[0] < 0.05)
-    return found / experiments
+        detected += float(strata.estimated(y, rows, 0.95, sounds=True).p_value[0] < 0.05)
+    return detected / experiments
 
 
 def power_had_by_shares(
@@ -461,13 +442,11 @@ def power_had_by_shares(
 ) -> float:
     """Share of experiments on an ordinal scale of 1 to 5 in which the report finds the second of three levels.
 
-    Parameters
-    ----------
     random, experiments, listeners : source of the answers, and numbers.
     shift : points by which the second of three levels is higher; the scale cuts answers off.
     sd : standard deviation of listeners' differences, half of whose variance is that of single answers, to six sounds.
     """
-    found = 0
+    detected = 0
     for _ in range(experiments):
         own = random.normal(3.0, sd / 2, (listeners, 1, 3)) + np.array([0.0, shift, 0.0])
         y = np.clip(own + random.normal(0, sd / 2 * np.sqrt(6), (listeners, 6, 3)), 1, 5)
@@ -475,8 +454,8 @@ def power_had_by_shares(
             {"listener": str(i), "sound": str(j), "factor": _FACTOR[k], "value": float(v)}
             for (i, j, k), v in np.ndenumerate(y)
         ]
-        found += superiorities(rows, ["factor", "sound"], 0.95)[0].p_holm < 0.05
-    return found / experiments
+        detected += superiorities(rows, ["factor", "sound"], 0.95)[0].p_holm < 0.05
+    return detected / experiments
 
 
 def excluded(

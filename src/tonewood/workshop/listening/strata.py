@@ -49,11 +49,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tonewood.support.arrays import Floats
+
 #: names of the factors of an effect: one for a main effect, two for an interaction
 EffectName = tuple[str, ...]
 #: covariance matrices (..., q, q) with their degrees of freedom
-Parts = list[tuple[Array, Any]]
+Parts = list[tuple[Floats, Any]]
 #: degrees of freedom of listeners or sounds, of five and of six with some answers missing
 _FEW = 4.5
 #: share of the largest answer below which means of contrasts are rounding errors
@@ -65,8 +66,6 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 class Contrasts:
     """Effects of a set of cells.
 
-    Attributes
-    ----------
     bases : effect -> orthonormal contrasts (cells, q), orthogonal to all other effects.
     differences : effect -> rows of contrasts (differences, cells): from the first level, over all cells; for an
         interaction differences of differences.
@@ -74,8 +73,8 @@ class Contrasts:
     without : interactions that are left out because cells are empty.
     """
 
-    bases: Mapping[EffectName, Array]
-    differences: Mapping[EffectName, Array]
+    bases: Mapping[EffectName, Floats]
+    differences: Mapping[EffectName, Floats]
     names: Mapping[EffectName, tuple[str, ...]]
     without: tuple[EffectName, ...] = ()
 
@@ -83,14 +82,12 @@ class Contrasts:
 def contrasts(cells: Sequence[Sequence[str]], levels: Mapping[str, Sequence[str]]) -> Contrasts:
     """Contrasts of main effects and of interactions of two factors.
 
-    Parameters
-    ----------
     cells : level of each factor, in the order of `levels`, for each cell that is there.
     levels : factor -> its levels, the first being that of the reference.
     """
     where = {f: np.array([list(levels[f]).index(cell[i]) for cell in cells]) for i, f in enumerate(levels)}
-    main: dict[EffectName, Array] = {(f,): coded(where[f], len(levels[f])) for f in levels}
-    pairs: dict[EffectName, Array] = {}
+    main: dict[EffectName, Floats] = {(f,): coded(where[f], len(levels[f])) for f in levels}
+    pairs: dict[EffectName, Floats] = {}
     without: list[EffectName] = []
     for a, b in itertools.combinations(levels, 2):
         if len(set(zip(where[a], where[b], strict=True))) < len(levels[a]) * len(levels[b]):
@@ -98,8 +95,8 @@ def contrasts(cells: Sequence[Sequence[str]], levels: Mapping[str, Sequence[str]
         else:
             pairs[a, b] = np.einsum("ki,kj->kij", main[a,], main[b,]).reshape(len(cells), -1)
     columns = main | pairs
-    bases: dict[EffectName, Array] = {}
-    differences: dict[EffectName, Array] = {}
+    bases: dict[EffectName, Floats] = {}
+    differences: dict[EffectName, Floats] = {}
     names: dict[EffectName, tuple[str, ...]] = {}
     for effect, own in columns.items():
         others = np.hstack([np.ones((len(cells), 1)), *(x for e, x in columns.items() if e != effect)])
@@ -121,12 +118,12 @@ def contrasts(cells: Sequence[Sequence[str]], levels: Mapping[str, Sequence[str]
     return Contrasts(bases, differences, names, tuple(without))
 
 
-def coded(where: NDArray[np.int_], n: int) -> Array:
+def coded(where: NDArray[np.int_], n: int) -> Floats:
     """Columns (len(where), n - 1) of a factor of n levels that sum to 0 over its levels."""
     return np.vstack([np.eye(n - 1), -np.ones((1, n - 1))])[where]
 
 
-def steps(n: int) -> Array:
+def steps(n: int) -> Floats:
     """Differences (n - 1, n - 1) of the codes of each level and of the first."""
     codes = coded(np.arange(n), n)
     return np.asarray(codes[1:] - codes[0])
@@ -158,11 +155,9 @@ class Estimated:
     p_value: Any
 
 
-def tested(y: Array, basis: Array, *, sounds: bool) -> Tested:
+def tested(y: Floats, basis: Floats, *, sounds: bool) -> Tested:
     """Test an effect.
 
-    Parameters
-    ----------
     y : (..., listeners, cells) means of the listeners' answers, or (..., listeners, sounds, cells); axes in front are
         experiments.
     basis : (cells, q) orthonormal contrasts.
@@ -174,7 +169,7 @@ def tested(y: Array, basis: Array, *, sounds: bool) -> Tested:
     return quasi_test(parts, mean)
 
 
-def quasi_test(parts: Parts, mean: Array) -> Tested:
+def quasi_test(parts: Parts, mean: Floats) -> Tested:
     """F of contrasts (..., q) over two crossed samples; `parts` are covariance matrices with degrees of freedom."""
     from scipy.special import fdtrc
 
@@ -186,7 +181,7 @@ def quasi_test(parts: Parts, mean: Array) -> Tested:
     return Tested(statistic, df1, df2, p, df1 / mean.shape[-1], p)
 
 
-def trace_test(mean: Array, v: Array, f: Any) -> Tested:
+def trace_test(mean: Floats, v: Floats, f: Any) -> Tested:
     """F of contrasts (..., q) by the trace of their covariance matrix (..., q, q), which has f degrees of freedom."""
     from scipy.special import fdtrc
 
@@ -201,7 +196,7 @@ def trace_test(mean: Array, v: Array, f: Any) -> Tested:
     return Tested(statistic, df1, f * df1, p, plain / mean.shape[-1], greenhouse)
 
 
-def _dimensions(v: Array, f: Any) -> tuple[Array, Array]:
+def _dimensions(v: Floats, f: Any) -> tuple[Floats, Floats]:
     """Lecoutre's, and Greenhouse and Geisser's, q eps of matrices (..., q, q) with f degrees of freedom."""
     q = v.shape[-1]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -212,7 +207,7 @@ def _dimensions(v: Array, f: Any) -> tuple[Array, Array]:
         return np.where(f > q, np.clip(((f + 1) * plain - 2) / (f - plain), 1.0, q), plain), plain
 
 
-def estimated(y: Array, rows: Array, confidence: float, *, sounds: bool) -> Estimated:
+def estimated(y: Floats, rows: Floats, confidence: float, *, sounds: bool) -> Estimated:
     """Estimate differences (rows, cells), each with its own variance; `y` and `sounds` as for `tested`."""
     z = (y @ rows.T)[..., None]
     z = np.moveaxis(z, -2, 0)  # differences first, each with one contrast
@@ -225,13 +220,13 @@ def estimated(y: Array, rows: Array, confidence: float, *, sounds: bool) -> Esti
     return Estimated(*(np.moveaxis(x, 0, -1) for x in astuple(one)))
 
 
-def quasi_interval(parts: Parts, mean: Array, confidence: float) -> Estimated:
+def quasi_interval(parts: Parts, mean: Floats, confidence: float) -> Estimated:
     """Intervals of differences (..., 1) over two crossed samples, of `parts` (..., 1, 1)."""
     v, _, df = _joined(parts)
     return t_interval(mean[..., 0], v, df, confidence)
 
 
-def t_interval(value: Array, v: Array, df: Array, confidence: float) -> Estimated:
+def t_interval(value: Floats, v: Floats, df: Floats, confidence: float) -> Estimated:
     """Intervals and t tests of differences (..., rows) with variances v and their degrees of freedom."""
     from scipy.special import stdtr, stdtrit
 
@@ -247,23 +242,23 @@ def _of_signs(f: Any) -> Any:
     return np.minimum(2 * 0.5 ** (np.asarray(f) + 1), 1.0)
 
 
-def largest(y: Array, axes: int) -> Array:
+def largest(y: Floats, axes: int) -> Floats:
     """Largest absolute answer over the last `axes` axes of y, in which some may be NaN."""
     return np.asarray(np.max(np.abs(y), axis=tuple(range(-axes, 0)), where=~np.isnan(y), initial=0.0))
 
 
-def unrounded(parts: Parts, mean: Array, scale: Array) -> tuple[Parts, Array]:
+def unrounded(parts: Parts, mean: Floats, scale: Floats) -> tuple[Parts, Floats]:
     """Covariance matrices (..., q, q) and means (..., q) with 0 for rounding errors of answers of a `scale` (...)."""
     least = (_ROUNDING * scale)[..., None]
 
-    def kept(v: Array) -> Array:
+    def kept(v: Floats) -> Floats:
         small = np.trace(v, axis1=-2, axis2=-1) <= least[..., 0] ** 2
         return np.where(small[..., None, None], 0.0, v) if np.any(small) else v
 
     return [(kept(v), f) for v, f in parts], np.where(np.abs(mean) <= least, 0.0, mean)
 
 
-def _parts(z: Array, sounds: bool) -> tuple[Parts, Array]:
+def _parts(z: Floats, sounds: bool) -> tuple[Parts, Floats]:
     """Covariance matrices (..., q, q) of the mean with their degrees of freedom and signs, and the mean (..., q)."""
     if not sounds:
         n = z.shape[-2]
@@ -282,7 +277,7 @@ def _parts(z: Array, sounds: bool) -> tuple[Parts, Array]:
     ], mean
 
 
-def _joined(parts: Parts) -> tuple[Array, Array, Array]:
+def _joined(parts: Parts) -> tuple[Floats, Floats, Floats]:
     """Trace of V over k, and both degrees of freedom, of two crossed samples; see the module."""
     a, b, c = (np.maximum(np.trace(v, axis1=-2, axis2=-1), 0.0) for v, _ in parts)
     one, two = (f * _dimensions(v, f)[0] for v, f in parts[:2])
@@ -300,7 +295,7 @@ def _joined(parts: Parts) -> tuple[Array, Array, Array]:
     return trace, _dimensions(total, each)[0], np.maximum(df2, 1.0)
 
 
-def _least(c: Array, a: Array, fa: Any, b: Array, fb: Any) -> Array:
+def _least(c: Floats, a: Floats, fa: Any, b: Floats, fb: Any) -> Floats:
     """E min(c, a x_fa, b x_fb): the integral from 0 to c of the probability that both are larger."""
     from scipy.special import gammaincc
 
@@ -310,7 +305,7 @@ def _least(c: Array, a: Array, fa: Any, b: Array, fb: Any) -> Array:
     return np.asarray(c * (both @ _WEIGHTS) / 2)
 
 
-def holm(p: Array) -> Array:
+def holm(p: Floats) -> Floats:
     """Adjust probabilities (..., k) of k tests for each other (S. Holm, Scand. J. Stat. 6 (1979) 65-70)."""
     if not p.size:  # too few listeners for any test
         return p

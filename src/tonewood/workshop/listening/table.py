@@ -10,7 +10,6 @@ for a tie.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from pydantic_core import PydanticCustomError
 
 from tonewood.support.csv_text import csv_text
+from tonewood.support.text_files import json_value
 from tonewood.support.validation_messages import first_message
 from tonewood.support.whole_files import whole_file
 from tonewood.workshop.batch.pages import PairedPage
@@ -70,8 +70,6 @@ class Key(BaseModel):
 class AnswerTable:
     """Answers of all listeners.
 
-    Attributes
-    ----------
     factors : columns of factors with more than one level.
     levels : factor -> its levels in the manifest's order.
     rows : one an answer; values are str, float, bool or None.
@@ -93,14 +91,9 @@ class AnswerTable:
 
 
 def read_key(path: Path) -> Key:
-    """Read the key of a batch.
-
-    Raises
-    ------
-    ListeningError : it cannot be read, or is no key.
-    """
+    """Read the key of a batch. Raises ListeningError : it cannot be read, or is no key."""
     try:
-        data = json.loads(path.read_bytes())
+        data = json_value(path.read_bytes())
     except OSError as fault:
         raise ListeningError(f"cannot be read: {fault.strerror}", file=path) from None
     except (ValueError, RecursionError) as fault:
@@ -115,12 +108,7 @@ def read_key(path: Path) -> Key:
 
 
 def tidy(test: ListeningTest, key: Key, answers: Sequence[ListenerAnswers]) -> AnswerTable:
-    """The table of all answers.
-
-    Raises
-    ------
-    ListeningError : a code is not in the key.
-    """
+    """The table of all answers. Raises ListeningError : a code is not in the key."""
     names = _listener_names(answers)
     trials = {trial.id: trial for trial in test.trials}
     factors = tuple(f for f in key.factors if len({s.levels[f] for s in key.stimuli.values()}) > 1)

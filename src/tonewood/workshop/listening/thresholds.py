@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening.detection import CHANCE, task_of
 from tonewood.workshop.listening.means import unique
@@ -35,7 +36,6 @@ from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.quest import QuestTrack
 from tonewood.workshop.listening.staircase import StaircaseTrack
 
-Array = NDArray[np.float64]
 #: points of the grids: thresholds, means, standard deviations
 _POINTS, _MEANS, _SPREADS = 241, 121, 40
 #: standard deviation of ln b between listeners, and the grid of ln b
@@ -52,8 +52,6 @@ _ROUNDS = 6
 class ListenerThreshold:
     """Threshold of one listener.
 
-    Attributes
-    ----------
     reversals : mean of the tracks' thresholds from their reversals, corrected; None if no track has them.
     threshold, low, high : of the hierarchical fit; a bound at the end of the levels is None.
     alone, alone_low, alone_high : of this listener's answers alone.
@@ -121,7 +119,7 @@ def thresholds(rows: Sequence[Mapping[str, Any]], page: StaircasePage, unit: str
         counts.append(len(own))
     fit = grid.fit(np.array(tables), confidence)
     error = _error_of_reversals(page, fit) if any(x is not None for x in reversals) else None
-    found = [
+    estimates = [
         ListenerThreshold(
             name, counts[i], page.tracks, None if (r := reversals[i]) is None else page.level_of(r - (error or 0.0)),
             page.level_of(fit.listeners[i]), grid.bound(fit.intervals[i, 0]), grid.bound(fit.intervals[i, 1]),
@@ -130,10 +128,10 @@ def thresholds(rows: Sequence[Mapping[str, Any]], page: StaircasePage, unit: str
         )
         for i, name in enumerate(who)
     ]  # fmt: skip
-    middle = float(np.median([one.threshold for one in found]))
+    middle = float(np.median([one.threshold for one in estimates]))
     low, high = (grid.bound(x) if len(who) > 1 else None for x in fit.interval)
     return Thresholds(
-        unit, page.share, tuple(found), page.level_of(fit.mean), low, high, middle,
+        unit, page.share, tuple(estimates), page.level_of(fit.mean), low, high, middle,
         math.exp(fit.spread) if page.ratio else fit.spread, fit.slope,
         None if error is None else math.exp(error) if page.ratio else error,
     )  # fmt: skip
@@ -143,8 +141,6 @@ def thresholds(rows: Sequence[Mapping[str, Any]], page: StaircasePage, unit: str
 class PopulationFit:
     """A hierarchical fit, in transformed levels u; arrays have an entry for each listener.
 
-    Attributes
-    ----------
     mean, interval, spread, slope : mu, its interval, tau and b of the population.
     listeners, intervals : (n,) and (n, 2) thresholds in the population.
     alone, alone_intervals : thresholds of each listener's answers alone.
@@ -155,11 +151,11 @@ class PopulationFit:
     interval: tuple[float, float]
     spread: float
     slope: float
-    listeners: Array
-    intervals: Array
-    alone: Array
-    alone_intervals: Array
-    slopes: Array
+    listeners: Floats
+    intervals: Floats
+    alone: Floats
+    alone_intervals: Floats
+    slopes: Floats
 
 
 class ThresholdGrid:
@@ -175,9 +171,9 @@ class ThresholdGrid:
         task = task_of(page)
         assert task is not None
         self.guess = CHANCE[task]
-        self._logs: dict[float, tuple[Array, Array]] = {}
+        self._logs: dict[float, tuple[Floats, Floats]] = {}
 
-    def likelihood(self, levels: Array, right: NDArray[np.bool_]) -> Array:
+    def likelihood(self, levels: Floats, right: NDArray[np.bool_]) -> Floats:
         """Logarithm of the likelihood (thresholds, slopes) of one listener's answers, summed over lapse rates."""
         x = np.log(levels) if self.page.ratio else levels
         at, places = np.unique(x, return_inverse=True)
@@ -190,7 +186,7 @@ class ThresholdGrid:
         most = logs.max(axis=0)
         return np.asarray(most + np.log(np.sum(np.exp(logs - most), axis=0)))
 
-    def _answers(self, level: float) -> tuple[Array, Array]:
+    def _answers(self, level: float) -> tuple[Floats, Floats]:
         """Logarithms of probabilities (lapse rates, thresholds, slopes) of right and wrong answers; kept by level."""
         if level not in self._logs:
             p = psychometric(
@@ -200,7 +196,7 @@ class ThresholdGrid:
             self._logs[level] = np.log(p), np.log1p(-p)
         return self._logs[level]
 
-    def fit(self, tables: Array, confidence: float) -> PopulationFit:
+    def fit(self, tables: Floats, confidence: float) -> PopulationFit:
         """Fit the population to likelihoods (listeners, thresholds, slopes)."""
         like = np.exp(tables - tables.max(axis=(1, 2), keepdims=True))
         logs = np.log(self.slopes)
@@ -248,7 +244,7 @@ class ThresholdGrid:
             slopes,
         )  # fmt: skip
 
-    def _grids(self, own: Array) -> tuple[Array, Array]:
+    def _grids(self, own: Floats) -> tuple[Floats, Floats]:
         """Grids of mu and tau for the listeners' likelihoods (listeners, thresholds)."""
         n = len(own)
         means = (own @ self.u) / own.sum(axis=1)
@@ -260,14 +256,14 @@ class ThresholdGrid:
         mu = np.linspace(max(middle - reach, self.u[0]), min(middle + reach, self.u[-1]), _MEANS)
         return mu, np.linspace(0.25 * step, 4.0 * wide, _SPREADS)
 
-    def _normal(self, mu: Any, tau: Any) -> Array:
+    def _normal(self, mu: Any, tau: Any) -> Floats:
         """Normal weights over the thresholds' grid that sum to 1, with the width of a step added."""
         step = self.u[1] - self.u[0]
         x = (self.u - np.asarray(mu)[..., None]) / np.sqrt(np.asarray(tau)[..., None] ** 2 + step**2 / 4)
-        found = np.exp(-0.5 * np.minimum(x**2, 1400.0))
-        return np.asarray(found / found.sum(axis=-1, keepdims=True))
+        density = np.exp(-0.5 * np.minimum(x**2, 1400.0))
+        return np.asarray(density / density.sum(axis=-1, keepdims=True))
 
-    def _kernel(self, mu: Array, tau: Array) -> Array:
+    def _kernel(self, mu: Floats, tau: Floats) -> Floats:
         a, b = np.meshgrid(mu, tau, indexing="ij")
         return self._normal(a.ravel(), b.ravel())
 
@@ -276,7 +272,7 @@ class ThresholdGrid:
         return self.page.level_of(u) if self.limits[0] <= u <= self.limits[1] else None
 
 
-def quantile(x: Array, weights: Array, q: float) -> float:
+def quantile(x: Floats, weights: Floats, q: float) -> float:
     """Quantile of a density given at equally spaced points."""
     total = np.cumsum(weights)
     centred = (total - weights / 2) / total[-1]

@@ -40,8 +40,6 @@ class Tell(Protocol):
 class Sampling:
     """Strokes that a library holds.
 
-    Attributes
-    ----------
     step : semitones between sampled keys.
     velocities : rendered.
     repeats : strokes of one key and velocity that a sampler plays in turn.
@@ -63,8 +61,6 @@ class Sampling:
 class Library:
     """Written files.
 
-    Attributes
-    ----------
     sfz, decent, folder : the texts, and the folder of sound files.
     n_samples, n_releases : of the files.
     seconds, size : of sound, and bytes.
@@ -120,19 +116,14 @@ def make_library(
 ) -> Library:
     """Render an instrument's notes and write them as a sample library.
 
-    Parameters
-    ----------
     path : of the SFZ file; beside it go a folder of its name with the samples, and the preset of Decent Sampler.
     sampling : strokes to render.
     options : of the renders; `max_duration` is the sampling's.
     jobs : worker processes; -1 for one per core.
     suffix : of the sound files, ``.flac`` or ``.wav``.
     tell : hears of the share that is done.
-
-    Raises
-    ------
-    OutputError : the path has another suffix than ``.sfz``, or one of the files is there already.
-    TonewoodError : the sampling asks for keys, velocities or counts that are not allowed.
+    Raises OutputError : the path has another suffix than ``.sfz``, or one of the files is there already.
+    Raises TonewoodError : the sampling asks for keys, velocities or counts that are not allowed.
     """
     sfz = Path(path)
     folder, decent = sfz.with_suffix(""), sfz.with_suffix(".dspreset")

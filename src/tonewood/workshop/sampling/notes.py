@@ -41,9 +41,7 @@ def key_spans(lowest: int, highest: int, step: int) -> list[Span]:
 def velocity_spans(velocities: Sequence[int]) -> list[Span]:
     """Return the layers of velocities (1 to 127).
 
-    Raises
-    ------
-    TonewoodError : there is none, one twice, or one out of range.
+    Raises TonewoodError : there is none, one twice, or one out of range.
     """
     if not velocities or len(set(velocities)) < len(velocities) or not all(1 <= v <= _LOUDEST for v in velocities):
         text = ", ".join(map(str, velocities)) or "empty"

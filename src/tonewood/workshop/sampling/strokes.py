@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.performance.score.note import Note, Score
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import Renderer
+from tonewood.support.arrays import Floats
 
-Floats = NDArray[np.float64]
 #: s, after which the key of a release's note comes up
 KEY_DOWN = 0.8
 #: s of the beginning over which levels of velocities are compared
@@ -26,8 +25,6 @@ _BLOCK = 8192
 class Stroke:
     """One rendered note.
 
-    Attributes
-    ----------
     key, velocity, repeat : MIDI numbers, and the count of round robins from 1.
     samples : (n, n_channels) at the instrument's calibrated level.
     """

@@ -29,8 +29,6 @@ _POINTS = (1, 16, 32, 48, 64, 80, 96, 112, 127)
 class Region:
     """One sound file and the notes that it serves.
 
-    Attributes
-    ----------
     file : its name in the folder of samples.
     keys, velocities : served.
     repeat, n_repeats : of the round robins.
@@ -73,8 +71,6 @@ class Region:
 def sfz_text(regions: Sequence[Region], folder: str, about: Sequence[str], *, rings: bool) -> str:
     """Return the text of an SFZ file.
 
-    Parameters
-    ----------
     regions : notes, then releases.
     folder : of the samples, beside the file.
     about : lines of a comment at its head.

@@ -32,8 +32,6 @@ _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9_.-]+)(?::([0-9]{1,5}))?")
 class Guard:
     """An ASGI application before which `Host` and `Origin` are checked; adds the headers of every reply.
 
-    Parameters
-    ----------
     application : behind the checks.
     host : address that the server listens at.
     names : other names by which browsers reach it.
@@ -73,11 +71,11 @@ class Guard:
 
     def fault(self, headers: Collection[tuple[bytes, bytes]]) -> tuple[int, str] | None:
         """Status and reason for which a request with these headers is refused; None if it is not."""
-        found: dict[str, list[str]] = {"host": [], "origin": []}
+        reasons: dict[str, list[str]] = {"host": [], "origin": []}
         for name, value in headers:
-            if (key := name.decode("latin-1").lower()) in found:
-                found[key].append(value.decode("latin-1").strip().lower())
-        hosts, origins = found["host"], found["origin"]
+            if (key := name.decode("latin-1").lower()) in reasons:
+                reasons[key].append(value.decode("latin-1").strip().lower())
+        hosts, origins = reasons["host"], reasons["origin"]
         match = _HOST.fullmatch(hosts[0]) if len(hosts) == 1 else None
         if match is None or not self._is_ours(match[1].strip("[]").rstrip(".")):
             return 421, "this address is not the one that the server printed; `tonewood serve --name` allows others"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import re
 from typing import Any
 
@@ -11,6 +10,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 
 from tonewood.errors import TonewoodError
+from tonewood.support.text_files import json_value
 from tonewood.workshop.web.guard import SECONDS
 
 #: bytes of a request's body, and depth of its JSON
@@ -42,15 +42,10 @@ async def mistake(request: Request, fault: Exception) -> Response:
 async def json_body(request: Request, error: type[TonewoodError] = TonewoodError) -> dict[str, Any]:
     """Return the body of a request as a mapping; characters that are no text are replaced.
 
-    Parameters
-    ----------
     request : whose body is read.
     error : class of the error where it is no JSON object.
-
-    Raises
-    ------
-    TonewoodError : it is no JSON object, or nested too deeply.
-    RefusalError : it is too long, too slow, or of another type.
+    Raises TonewoodError : it is no JSON object, or nested too deeply.
+    Raises RefusalError : it is too long, too slow, or of another type.
     """
     kind = request.headers.get("content-type")
     if kind is not None and kind.partition(";")[0].strip().lower() != "application/json":
@@ -63,7 +58,7 @@ async def json_body(request: Request, error: type[TonewoodError] = TonewoodError
     except ClientDisconnect:
         raise RefusalError(400, "the connection broke off") from None
     try:
-        data = json.loads(bytes(raw) or b"{}")
+        data = json_value(bytes(raw) or b"{}")
     except (ValueError, RecursionError):
         raise error("no JSON") from None
     if not isinstance(data, dict):

@@ -55,6 +55,7 @@ def test_the_usual_place_of_the_finger_is_no_other_way_to_hold_a_string(model: M
             assert_same(here[c], same[c])
 
 
+@pytest.mark.slow
 def test_bends_without_end_are_not_kept_without_end(model: Model) -> None:
     board = FrettedBases(model)
     bends = [Fretting(1.0, cents=0.5 * i) for i in range(_CACHE + 8)]

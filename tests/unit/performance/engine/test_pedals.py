@@ -234,6 +234,7 @@ def test_a_trill_of_two_keys_with_half_pedal(grand: tw.Instrument) -> None:
     assert sound.energy.worst_cumulative_residual * sound.energy.peak <= 1e-10 * put_in
 
 
+@pytest.mark.slow
 def test_the_account_closes_with_everything_on(grand: tw.Instrument) -> None:
     notes = [
         tw.Note(0.01, 0.04, note=60, velocity_midi=110),

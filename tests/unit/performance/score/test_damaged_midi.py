@@ -173,6 +173,7 @@ def test_one_pitch_on_sixteen_channels_is_sixteen_notes(read):
     assert [p.n_drums for p in found.parts] == [1 if c == 9 else 0 for c in range(16)]
 
 
+@pytest.mark.slow
 def test_false_lengths_in_every_track_do_not_multiply_the_work(read):
     """Each of 2000 tracks points into the middle of a large file: reading must not search it anew for each."""
     tracks = (b"MTrk" + (2**21).to_bytes(4, "big") + b"\0\x90") * 1999

@@ -311,7 +311,7 @@ def test_the_range_of_a_zone_is_that_of_parameter_0(read):
 
 
 def test_a_master_cannot_multiply_controllers_beyond_a_limit(read, monkeypatch):
-    monkeypatch.setattr("tonewood.performance.score.performance.MAX_CONTROLS", 1000)
+    monkeypatch.setattr("tonewood.performance.score.channel_reader.MAX_CONTROLS", 1000)
     with pytest.raises(ScoreError, match=r"\.mid: more than 1000 changes"):
         read(smf(register(0, 6, 15) + MPE_NOTE + b"".join(event(1, 0xB0, 1, i % 128) for i in range(100))))
 

@@ -78,6 +78,7 @@ def test_two_notes_within_a_step_on_one_string_stay_two() -> None:
     assert [[p.fret for p in chord] for _, chord in tab.chords] == [[0], [2]]
 
 
+@pytest.mark.slow
 def test_a_capo_counts_frets_from_itself(tmp_path: Path) -> None:
     path = tmp_path / "c.mid"
     tw.write_midi(tw.Score([tw.Note(0.0, 0.4, note=42), tw.Note(0.5, 0.4, note=45)]), path)

@@ -109,6 +109,7 @@ def test_stopped_harmonics_sound_at_their_pitch(bass: tuple[tw.Instrument, objec
         assert_sounds_at(played, beat, G2 * 2 ** (2 / 12), partial)
 
 
+@pytest.mark.slow
 def test_bends_and_the_bar_follow_their_curves(bass: tuple[tw.Instrument, object], tmp_path: Path) -> None:
     """A whole tone up and held; a prebend let go; a dive of the bar, in semitones: 50 of the file are one."""
     up = bent(("OriginOffset", 25.0), ("DestinationOffset", 75.0), ("DestinationValue", 100.0))

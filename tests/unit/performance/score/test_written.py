@@ -249,7 +249,8 @@ def test_repeats_endings_and_jumps() -> None:
         order([Measure(closes=32) for _ in range(2000)])
 
 
-SOUND = "<direction><sound {}/></direction><note><pitch><step>A</step><octave>3</octave></pitch>"
+SOUND = "<attributes><divisions>1</divisions></attributes>"
+SOUND += "<direction><sound {}/></direction><note><pitch><step>A</step><octave>3</octave></pitch>"
 SOUND += "<duration>1</duration></note>"
 
 
@@ -406,6 +407,11 @@ def test_numbers_that_are_none_keep_the_other_notes(tmp_path: Path, number: str)
     assert n_read > 0.9 * len(damaged)
 
 
+MARK = "<direction-type><metronome><beat-unit>{}</beat-unit><per-minute>{}</per-minute></metronome></direction-type>"
+TREMOLO = "</duration><notations><ornaments><tremolo>9</tremolo></ornaments></notations>"
+PROGRAM = "<part-name/><midi-instrument><midi-program>{}</midi-program></midi-instrument>"
+
+
 @pytest.mark.parametrize(
     ("change", "counted"),
     [
@@ -416,11 +422,40 @@ def test_numbers_that_are_none_keep_the_other_notes(tmp_path: Path, number: str)
         (("<duration>1<", "<duration><"), "duration that cannot be read"),
         (("<duration>1<", "<duration>-1<"), "duration below 0"),
         (("<divisions>1<", "<divisions>1e300<"), "divisions that cannot be read"),
-        (("<divisions>1<", "<divisions>-1<"), "divisions outside 1 to 16384"),
+        (("<divisions>1<", "<divisions>-1<"), "divisions outside 1/16384 to 16384"),
         (('tempo="90"', 'tempo="0"'), "tempo outside 4 to 2000"),
         (('times="2"', 'times="x"'), "repeat times outside 1 to 32"),
         (('times="2"', f'times="{"9" * 5000}"'), "repeat times outside 1 to 32"),
-        (('number="1"', f'number="{"9" * 5000}"'), None),
+        (('number="1"', f'number="{"9" * 5000}"'), "number of an ending that cannot be read"),
+        (('number="1"', 'number="-1"'), "number of an ending that cannot be read"),
+        (("<divisions>1<", "<divisions>0<"), "divisions outside 1/16384 to 16384"),
+        (("<attributes><divisions>1</divisions></attributes>", ""), "part without divisions"),
+        (("<duration>1</duration>", ""), "note without a duration"),
+        (("<duration>1<", "<duration>0<"), "note whose duration is 0"),
+        (("<duration>1<", "<duration>1e-9<"), "note whose duration is 0"),
+        (("<octave>3</octave>", ""), "pitch without an octave"),
+        (("<octave>3<", "<octave>3.5<"), "octave that is not whole"),
+        (
+            ("<note>", "<note><pitch><step>H</step></pitch><duration>1</duration></note><note>"),
+            "note whose pitch cannot be read",
+        ),
+        (
+            ("<barline><e", "<backup><duration>1</duration></backup><barline><e"),
+            "backup beyond the beginning of its measure",
+        ),
+        (("<barline><e", "<backup/><barline><e"), "backup without a duration"),
+        (('tempo="90"', 'dynamics="-5"'), "dynamics beyond velocities 1 to 127"),
+        (('tempo="90"', 'dynamics="1e9"'), "dynamics beyond velocities 1 to 127"),
+        (("<divisions>", "<key><fifths>9</fifths></key><divisions>"), "fifths outside -7 to 7"),
+        (("</duration>", TREMOLO), "tremolo outside 0 to 5 strokes"),
+        (('<sound tempo="90"/>', MARK.format("quarter", "0")), "tempo outside 4 to 2000"),
+        (('<sound tempo="90"/>', MARK.format("quarter", "-5")), "tempo outside 4 to 2000"),
+        (('<sound tempo="90"/>', MARK.format("quarter", "nan")), "per-minute that cannot be read"),
+        (('<sound tempo="90"/>', MARK.format("quavers", "90")), "metronome whose beat-unit is not known"),
+        (('<sound tempo="90"/>', MARK.format("breve", "c. 60")), None),
+        (('<sound tempo="90"/>', "<direction-type><words>h = 0</words></direction-type>"), "tempo outside 4 to 2000"),
+        (("<part-name/>", PROGRAM.format("129")), "midi-program outside 1 to 128"),
+        (("<part-name/>", PROGRAM.format("x")), "midi-program outside 1 to 128"),
     ],
     ids=lambda value: value[1][:24] if isinstance(value, tuple) else "",
 )
@@ -435,6 +470,23 @@ def test_numbers_that_are_none_are_counted(tmp_path: Path, change: tuple[str, st
     found = tw.read_score(write(tmp_path / "b.xml", text.replace(*change)))
     assert len(found.notes) >= 1
     assert found.ignored == ({} if counted is None else {counted: 1})
+
+
+def test_divisions_may_be_no_whole_number(tmp_path: Path) -> None:
+    """The standard has decimals: two and a half durations to a quarter note, half of one."""
+    for divisions, quarters in ((2.5, 0.4), (0.5, 2.0)):
+        text = SOUND.replace("<divisions>1", f"<divisions>{divisions}").format('tempo="60"')
+        path = write(tmp_path / "a.xml", f"<score-partwise><part><measure>{text}</measure></part></score-partwise>")
+        score = tw.read_score(path)
+        assert (score.notes[0].duration, score.ignored) == (pytest.approx(quarters), {})
+
+
+def test_notes_that_no_pass_reaches_are_counted(tmp_path: Path) -> None:
+    ending = '<barline><ending number="9" type="start"/></barline>'
+    measures = f"<measure>{SOUND.format('')}</measure><measure>{ending}{2 * SOUND.format('')}</measure>"
+    path = write(tmp_path / "a.xml", f"<score-partwise><part>{measures}</part></score-partwise>")
+    score = tw.read_score(path)
+    assert (len(score.notes), score.ignored) == (1, {"note in a measure that no pass reaches": 2})
 
 
 def test_a_damaged_archive_is_one_line(tmp_path: Path) -> None:

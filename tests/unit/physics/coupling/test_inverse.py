@@ -127,6 +127,7 @@ CASES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", list(CASES))
 def test_kernel_and_twin_solve_in_parts_what_the_whole_matrix_solves(rng, case, monkeypatch):
     what = CASES[case]

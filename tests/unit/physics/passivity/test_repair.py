@@ -35,6 +35,7 @@ def h2_distance(one, other, scale):
     return np.sqrt(over / under)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", list(DAMPING))
 def test_repaired_bodies_are_passive_and_near(kind, rng):
     given = body(2, DAMPING[kind], n_dof=32).truncated()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import runpy
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ SITKA = SPECIES["sitka_spruce"].wood
 RING = np.array([[0.0, 0.0], [0.5, 0.0], [0.5, 0.2], [0.0, 0.2]])
 #: FEM frequencies by others; not part of this repository
 FEM = Path(__file__).parents[5].parent / "shared" / "plates" / "fem_plates.csv"
+SCRIPT = Path(__file__).parents[4] / "scripts" / "plates_of_others.py"
 needs_fem = pytest.mark.skipif(not FEM.is_file(), reason="others' plates are not here")
 
 
@@ -79,6 +81,7 @@ def hinged(wood: Wood, size: tuple[float, float], h: float, count: int) -> np.nd
     return np.sqrt(np.sort(found)[:count]) / (2 * np.pi)
 
 
+@pytest.mark.slow
 def test_hinged_plate_has_naviers_frequencies() -> None:
     """40 modes within 0.1 %, of a plate so thick that shear lowers them by up to a fifth."""
     h, size = 0.008, (0.4, 0.3)
@@ -105,6 +108,7 @@ def test_a_thin_plate_is_kirchhoffs(edge: object) -> None:
     assert apart[2] < 5e-4
 
 
+@pytest.mark.slow
 def test_a_free_strip_twists_as_saint_venant_says() -> None:
     """Isotropic strip 20 h wide: J = b h^3 / 3 (1 - 0.630 h / b) but for shear; Kirchhoff's plate has b h^3 / 3."""
     iso = Wood(10e9, 10e9, 10e9 / 2.6, 0.3, 500.0, G_LT=10e9 / 2.6, G_RT=10e9 / 2.6)
@@ -140,6 +144,7 @@ def test_rigid_motion_has_no_frequency() -> None:
     assert plate.mass == pytest.approx((0.1 - np.pi * 9e-4) * 0.003 * 440 + beam.mass, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_brace_keeps_its_offset() -> None:
     """A strip that cannot shear across and one that shears freely: the brace's composite stiffness stays, to shear."""
     e = Wood(10e9, 10e9, 5e9, 0.0, 450.0, G_LT=5e9, G_RT=5e9)
@@ -154,22 +159,6 @@ def test_a_brace_keeps_its_offset() -> None:
     assert soft[3:] == pytest.approx(rigid[3:], rel=1.5e-2)
 
 
-def fem_errors(rows: list[dict[str, str]], shear_factor: float) -> np.ndarray:
-    """Relative errors of all modes of some of others' plates, paired by frequency."""
-    from scipy.optimize import linear_sum_assignment
-
-    found = []
-    for row in rows:
-        v = {k: float(x) for k, x in row.items() if x}
-        wood = Wood(v["Ex"], v["Ey"], v["Gxy"], v["vxy"], v["rho"], G_LT=v["Gxz"], G_RT=v["Gyz"])
-        ring = np.array([[0, 0], [v["L"], 0], [v["L"], v["W"]], [0, v["W"]]])
-        freq = Plate([ring], wood, v["T"], FREE, size=0.03, shear_factor=shear_factor).modes(count=28).freq[3:]
-        theirs = np.array([x for k, x in v.items() if k[0] == "f" and k[1:].isdigit() and x > 0])
-        i, j = linear_sum_assignment(np.abs(np.log(theirs[:, None] / freq)))
-        found.append(freq[j] / theirs[i] - 1)
-    return np.concatenate(found)
-
-
 @needs_fem
 @pytest.mark.validate
 @pytest.mark.parametrize(("factor", "median", "most"), [(1.0, 0.003, 0.010), (5 / 6, 0.0065, 0.02)])
@@ -177,6 +166,6 @@ def test_others_finite_elements(factor: float, median: float, most: float) -> No
     """1,200 free spruce plates, each 24th: median and 95 % of |error|. The elements shear evenly, factor 1."""
     with FEM.open() as file:
         rows = list(csv.DictReader(file))[::24]
-    errors = np.abs(fem_errors(rows, factor))
+    errors = np.abs(runpy.run_path(str(SCRIPT))["fem_errors"](rows, factor))
     assert np.median(errors) < median
     assert np.quantile(errors, 0.95) < most

@@ -80,6 +80,7 @@ def test_derivatives_against_differences_at_three_steps(solved, name, value, ste
             assert np.abs(rate - theory).max() < error * np.abs(rate).max(), (key, relative)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [1e-4, 3e-5, 1e-5])
 def test_mobility_changes_as_its_differences(solved, step):
     """|Y| at a point from 60 to 600 Hz, sum over the modes and what they leave out, against differences: 1e-4."""

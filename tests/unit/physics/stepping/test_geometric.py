@@ -195,6 +195,7 @@ def test_phantom_partials_are_at_sums_and_differences_and_as_strong_as_theory_sa
     assert np.abs(without).max() < 1e-9 * own
 
 
+@pytest.mark.slow
 def test_without_longitudinal_modes_it_is_the_string_of_one_rising_tension() -> None:
     """Two schemes of second order: their difference falls with the square of the step."""
     apart = []

@@ -7,12 +7,16 @@ import pytest
 import scipy.linalg as sla
 from nonlinear_scenes import drawn, modulated_guitar
 
+from tonewood import _kernel
+from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.coupling.laws import Contact
 from tonewood.physics.coupling.potentials.base import MiddleOfStep
 from tonewood.physics.coupling.potentials.coordinates import pay_from_motion
 from tonewood.physics.coupling.potentials.solve import RESET_STEPS, PotentialSolve
-from tonewood.physics.coupling.system import State, System
+from tonewood.physics.coupling.potentials.tension import TensionModulation
+from tonewood.physics.coupling.system import Readout, State, System
 from tonewood.physics.energy.stored import stored_energy
+from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.kernel import KernelStepper
 from tonewood.physics.stepping.stepper import NumpyStepper
 
@@ -106,3 +110,41 @@ def test_cuts_of_a_run_change_nothing_but_rounding(cuts: tuple[int, ...]) -> Non
     np.testing.assert_allclose(np.concatenate(found), expected, atol=1e-9 * np.abs(expected).max())
     total = stored_energy(system, whole).total
     assert stored_energy(system, pieces).total == pytest.approx(total, rel=1e-9)
+
+
+def chain(n: int, axial_stiffness: float) -> tuple[System, State]:
+    """Components of two modes, each with a tension of its own, joined end to end and moving."""
+    rng = np.random.default_rng(0)
+    components, tensions = {}, []
+    for name in (f"c{i}" for i in range(n)):
+        omega = 2 * np.pi * np.sort(rng.uniform(200, 5000, 2))
+        ends = {"left": rng.normal(size=2), "right": rng.normal(size=2)}
+        components[name] = ModalBasis.real(omega, 0.01 * omega, ends, residual=1e-12 * np.eye(2))
+        tensions.append(TensionModulation(name, (name,), axial_stiffness, 1.0, {name: rng.uniform(1, 2, 2)}))
+    joints = [
+        Connection(f"joint{i}", (Term(f"c{i}", "right"), Term(f"c{i + 1}", "left", -1.0))) for i in range(n - 1)
+    ]  # fmt: skip
+    readouts = [Readout(name, "displacement", (Term(name, "left"),)) for name in ("c0", f"c{n - 1}")]
+    system = System.build(components, joints, readouts, dt=1 / 48000, potentials=tensions)
+    state = system.start()
+    for name in components:
+        system.modes_of(state, name)[:] = 0.05 * rng.normal(size=(2, 2))
+    return system, state
+
+
+@pytest.mark.parametrize("isa", _kernel.instruction_sets())
+@pytest.mark.parametrize(("axial_stiffness", "off"), [(1e6, 4.7e-6), (1e9, 4.6e-3), (1e12, 0.47)])
+def test_many_tensions_are_solved_alike_near_the_diagonal_and_far_from_it(
+    isa: str, axial_stiffness: float, off: float
+) -> None:
+    """`off`: the largest sum beside the diagonal, scaled; it grows over the run."""
+    system, state = chain(20, axial_stiffness)
+    over, twin, ours = PotentialSolve(system), state.copy(), state.copy()
+    x = states(system, state)
+    matrix = over.over(x, x, np.zeros(len(system.connections)), state.potentials).matrix
+    size = np.sqrt(np.diag(matrix))
+    apart = np.abs(matrix / np.outer(size, size)).sum(axis=1).max() - 1
+    assert apart == pytest.approx(off, rel=0.02)
+    expected, _ = NumpyStepper(system).run(twin, 20)  # neighbours part soon: the strongest are chaotic
+    found, _ = KernelStepper(system, isa=isa).run(ours, 20)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())

@@ -151,6 +151,7 @@ def random_messages(seed: int, n: int) -> list[list[int]]:
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fs", [44100, pytest.param(48000, marks=pytest.mark.validate)])
 def test_a_take_plays_back_to_the_same_samples(guitar: tw.Instrument, tmp_path: Path, fs: int) -> None:
     live = tw.Live(guitar, fs, ramp=3e-3, spacing=1, prepare=False)

@@ -192,6 +192,7 @@ def test_a_batch_on_a_real_instrument(tmp_path: Path) -> None:
     assert row["lufs"] == pytest.approx(-23.0 - row["page_drop_db"], abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_record_tells_how_far_the_energy_balance_closes() -> None:
     short = {"output": "bridge", "tail": {"energy_db": -40, "cap": 0.3}, "fs": 16000}
     reported, *_ = conditions(render=short | {"energy": True})

@@ -174,6 +174,7 @@ def test_the_same_manifest_gives_the_same_bytes(tmp_path: Path) -> None:
     assert not set(sounds(first.folder)) & set(sounds(other.folder))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [Workers(2, "threads"), Workers(2, "processes")])
 def test_workers_do_not_change_a_byte(tmp_path: Path, workers: Workers) -> None:
     alone = run(tmp_path, "alone")

@@ -76,6 +76,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     return made(tmp_path_factory.mktemp("one"))
 
 
+@pytest.mark.slow
 def test_two_workers_make_the_same_bytes_as_one(tmp_path: Path, alone: tuple[Path, Any]) -> None:
     folder, report = made(tmp_path, Workers(2))
     assert bits(folder) == bits(alone[0])

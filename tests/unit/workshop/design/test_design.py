@@ -100,6 +100,7 @@ def test_an_added_mass_on_a_measured_body(tmp_path):
     assert np.sort(whole.natural_freq)[1] == pytest.approx(wanted, rel=0.005)
 
 
+@pytest.mark.slow
 def test_sensitivity_against_differences_and_rayleigh(box):
     """The cents from 2.45 to 2.55 mm; of a gram -600 / ln 2 phi^2 1e-3 cents. Modes 2 and 3 veer: their sum is told."""
     found = sensitivity(box)
@@ -114,6 +115,7 @@ def test_sensitivity_against_differences_and_rayleigh(box):
     assert any(line.startswith("1 g at bridge") for line in words(found))
 
 
+@pytest.mark.slow
 def test_a_mode_is_followed_by_its_shape_past_another(box):
     """A thicker top raises T1 through another mode: its number changes, its shape does not."""
     body = DrawnDesign(box, parse_free({"body.thickness": "1.5e-3 .. 5e-3"}, box), 500.0)

@@ -21,6 +21,7 @@ import tonewood.authoring as ta
 from tonewood.errors import BundleError
 from tonewood.sound.render.options import RenderOptions
 from tonewood.workshop.desk import models
+from tonewood.workshop.desk.ahead import Ahead
 from tonewood.workshop.desk.desk import TAIL, Desk
 from tonewood.workshop.desk.phrase import LONGEST
 from tonewood.workshop.desk.server import DeskServer
@@ -285,6 +286,47 @@ def test_a_preview_is_named_until_the_exact_sound_follows(monkeypatch: pytest.Mo
     assert "fmax 1000" in coarse[1]
 
 
+def test_undoing_a_preview_brings_the_start_back(client: Client, desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(type(desk.session.instrument.body), "preview", {"max_change": 0.09})
+    monkeypatch.setattr("tonewood.workshop.desk.making._REST", 1e6)
+    client.act("set", path="body.added", value=[{"at": "bridge", "mass": 0.02}])
+    until(lambda: desk.state()["preview"])
+    client.act("undo")
+    until(lambda: not desk.state()["preview"])
+    client.act("play", on=True)
+    assert np.array_equal(heard(desk, 9600), offline(desk, desk.session)[:9600])
+
+
+def test_the_exact_model_follows_from_a_process_of_its_own(
+    client: Client, desk: Desk, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
+) -> None:
+    monkeypatch.setenv("TONEWOOD_CACHE", str(tmp_path))
+    monkeypatch.setattr(type(desk.session.instrument.body), "preview", {"max_change": 0.09})
+    monkeypatch.setattr("tonewood.workshop.desk.making._REST", 0.0)
+    client.act("set", path="body.added", value=[{"at": "bridge", "mass": 0.02}])
+    until(lambda: desk.state()["preview"])
+    until(lambda: not desk.state()["preview"])
+    assert desk.state()["making"] is None
+    assert list(tmp_path.rglob("*")) != []
+    client.act("play", on=True)
+    assert np.array_equal(heard(desk, 9600), offline(desk, desk.session)[:9600])
+
+
+def test_a_design_that_is_turned_away_from_is_not_made(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, called = Ahead("monochord", 48000, allow_code=False), []
+    monkeypatch.delenv("TONEWOOD_CACHE", raising=False)
+    begun.make(desk.session.design, lambda: called.append(1))
+    process = begun._process
+    assert process is not None
+    begun.make(desk.session.design, lambda: called.append(2))
+    assert begun._process is process
+    desk.session.set("body.added", [{"at": "bridge", "mass": 0.02}])
+    begun.turn_to(desk.session.design)
+    assert process.wait(60) != 0
+    time.sleep(0.1)
+    assert called == []
+
+
 def test_what_differs_is_not_told_of_a_coarse_preview(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     assert desk.view("differences") == []
     coarse = ta.assemble(tw.load_instrument("monochord"), 48000)
@@ -298,7 +340,7 @@ def test_the_stream_goes_to_the_newest_page_and_ends_with_it(client: Client, des
     async def listened() -> tuple[list[bytes], list[bytes]]:
         desk.playback.start()
         first, second = [], []
-        server._stream, server._heard = 1, (0, time.monotonic())
+        server._stream = 1
         async for block in server._blocks(1):
             first.append(block)
             if len(first) == 5:
@@ -311,22 +353,83 @@ def test_the_stream_goes_to_the_newest_page_and_ends_with_it(client: Client, des
 
     first, second = asyncio.run(listened())
     assert (len(first), len(second)) == (5, 3)
-    frames, _, at, playing = struct.unpack("<4I", first[0][:16])
-    assert (frames, at, playing) == (512, 0, 1)
-    got = np.concatenate([np.frombuffer(b[16:], dtype="<f4").reshape(-1, 2) for b in first + second])
+    frames, _, at, playing, place = struct.unpack("<5I", first[1][:20])
+    assert (frames, at, playing, place) == (512, 512, 1, 512)
+    got = np.concatenate([np.frombuffer(b[20:], dtype="<f4").reshape(-1, 2) for b in first + second])
     assert np.array_equal(got, offline(desk, desk.session)[: len(got)])
 
 
-def test_a_page_that_hears_nothing_any_more_gets_nothing_any_more(client: Client, desk: Desk) -> None:
+class Page:
+    """A page that has `ahead` frames before it: it hears what was sent last for each place."""
+
+    def __init__(self, desk: Desk, ahead: int):
+        self.playback, self.ahead, self.heard = desk.playback, ahead, 0
+        self.listener = desk.playback.listen(0.0)
+        self.sound = np.zeros((0, 2), dtype=np.float32)
+
+    def hear(self, frames: int) -> np.ndarray[Any, np.dtype[np.float32]]:
+        self.heard += frames
+        while self.listener.sent < self.heard + self.ahead:
+            block, what = self.playback.read(512)
+            assert what["place"] <= len(self.sound)
+            self.sound = np.concatenate([self.sound[: max(what["place"], self.heard - frames)], block])
+        self.listener.report(self.heard)
+        return self.sound[self.heard - frames : self.heard]
+
+
+def test_a_change_is_heard_before_sound_that_was_sent(
+    desk: Desk, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tonewood.workshop.desk.playback._TRUSTED", 0.0)
+    client.act("phrase", kind="scale")
+    page, before = Page(desk, 24000), offline(desk, desk.session)
+    client.act("play", on=True)
+    assert np.array_equal(page.hear(9600), before[:9600])
+    client.act("set", path="exciters.pluck.from_bridge", value=0.2)
+    found = page.hear(24000)
+    same = (found == before[9600:33600]).all(axis=1)
+    assert same[:1920].all()  # on its way to the page
+    assert not same[16000:].any()  # the note at 0.5 s is plucked anew; all this had been sent
+    client.act("set", path="strings.A2.linear_density", value=5e-3)
+    until(lambda: desk.state()["making"] is None)
+    begun, after = page.hear(20000), offline(desk, desk.session)
+    start = 1920
+    assert np.array_equal(begun[start + 1440 : start + 12000], after[1440:12000])
+
+
+def test_keys_ring_on_while_a_phrase_is_sent_again(desk: Desk, client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tonewood.workshop.desk.playback._TRUSTED", 0.0)
+
+    def keys(*, again: bool) -> np.ndarray[Any, np.dtype[np.float32]]:
+        """Sound of a key beside the phrase, from 1440 frames after 4800 on, where the phrase may begin again."""
+        desk.playback.stop()
+        desk.playback.exchange_live(None)
+        heard(desk, 4096)
+        page = Page(desk, 9600)
+        client.act("play", on=True)
+        client.act("key", note="A2", on=True)
+        page.hear(4800)
+        if again:
+            desk.playback.start()
+        first = 0 if again else 4800 + 1920
+        return page.hear(9600)[1920 + 1440 :] - desk.playback.take.sound()[first + 1440 : first + 7680]  # type: ignore[union-attr]
+
+    plain = keys(again=False)
+    assert np.abs(plain).max() > 1e-3
+    assert np.allclose(keys(again=True), plain, atol=1e-6)
+
+
+def test_a_page_that_hears_nothing_any_more_gets_nothing_any_more(
+    client: Client, desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tonewood.workshop.desk.server._SILENT", 0.4)
+
     async def listened() -> int:
         desk.playback.start()
-        client.server._stream, client.server._heard = 1, (0, time.monotonic() - 5.5)
+        client.server._stream = 1
         return len([block async for block in client.server._blocks(1)])
 
-    began = time.monotonic()
-    blocks = asyncio.run(listened())
-    assert time.monotonic() - began < 5.0
-    assert blocks * 512 < 48000 * 6.2
+    assert asyncio.run(listened()) * 512 < 48000
 
 
 @pytest.mark.validate
@@ -363,6 +466,7 @@ def test_views_are_given_and_unknown_ones_refused(client: Client, desk: Desk) ->
     assert set(rings) >= {"moments", "effects", "load"}
 
 
+@pytest.mark.slow
 def test_a_design_is_found_beside_the_sound_and_taken(client: Client, desk: Desk) -> None:
     client.act("set", path="body.added", value=[{"at": "bridge", "mass": 0.01}])
     offered = client.ask("/api/state")[1]["advice"]["offered"]

@@ -162,6 +162,7 @@ def _data(file: Path) -> bytes:
     return raw[at + 8 : at + 8 + int.from_bytes(raw[at + 4 : at + 8], "little")]
 
 
+@pytest.mark.slow
 def test_every_number_of_every_part_is_a_knob_with_its_declaration() -> None:
     instrument = tw.load_instrument("classical_guitar")
     every = {knob.path: knob for group in groups(instrument) for knob in knobs(instrument, group)}

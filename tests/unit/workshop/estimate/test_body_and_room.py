@@ -62,6 +62,7 @@ def test_noise_has_no_modes_and_few_notes_tell_none() -> None:
     assert modes_told([note(rng, f, modes) for f in low], low) == ()
 
 
+@pytest.mark.slow
 def test_the_mix_of_a_room_is_found_again() -> None:
     rng = np.random.default_rng(2)
     freqs = 196.0 * 2 ** (np.arange(8) / 12)
@@ -99,6 +100,7 @@ def test_loss_is_kept_where_held_back_notes_say_so(changes, unknown) -> None:
     assert loss_is_unknown(halves) is unknown
 
 
+@pytest.mark.slow
 def test_a_search_that_keeps_loss_moves_stiffness_alone(tmp_path) -> None:
     changes = {"strings.A2.loss.eta_f": 4e-4, "strings.A2.bending_stiffness": 6e-5}
     recorded(tmp_path, changes, [("A2", 0), ("A2", 5)], seconds=1.0)

@@ -49,6 +49,7 @@ def rate_errors(found, changes, strings, freq):
     return rates, stiff
 
 
+@pytest.mark.slow
 def test_a_string_of_known_figures_is_found_again_by_the_command(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "notes").mkdir()

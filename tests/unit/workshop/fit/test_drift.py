@@ -43,6 +43,7 @@ def fitted(tmp_path, force, motion):
     return fit_responses(read_responses(paths, Reading("accelerance")), band=(40, 600))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["nothing", "zero", "frequencies", "frequencies far"])
 def test_hits_that_drift_are_a_body_with_their_own_q(tmp_path, kind):
     """Without the correction: Q 28.8 and no body where the zero drifts."""

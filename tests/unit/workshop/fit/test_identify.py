@@ -32,6 +32,7 @@ def score(truth, freq, mobility, sigma, known=True, below=np.inf):
     return len(wanted), len(hit), np.count_nonzero(inside), [e.max() for e in errors], off
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False], ids=["noise known", "noise unknown"])
 def test_every_identifiable_mode_and_no_other(known):
     truth, freq = random_body(12, seed=3), np.arange(70.0, 2000.5)

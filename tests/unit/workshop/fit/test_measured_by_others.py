@@ -317,6 +317,7 @@ def test_a_line_of_the_mains_is_no_mode():
     assert any("disagree with their neighbours were left out, 1: 50 Hz" in line for line in fit.warnings)
 
 
+@pytest.mark.slow
 def test_modes_are_dropped_and_kept_by_frequency():
     responses = Responses(FREQ, mobility(relative=1e-3), tuple((p, "p0") for p in NAMES))
     assert [row["freq_Hz"] for row in measured(fit_responses(responses, drop=(196.5,)))] == pytest.approx(
@@ -346,6 +347,7 @@ def test_physical_poles_are_stable_in_the_chart():
         assert np.median(chart.quality[near]) == pytest.approx(30.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_files_of_a_fit_without_a_body(tmp_path, monkeypatch, capsys):
     """Modes, facts and figure; parts of an earlier body do not stay beside them, and `new` says what is missing."""
     monkeypatch.chdir(tmp_path)
@@ -362,6 +364,7 @@ def test_files_of_a_fit_without_a_body(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_the_way_from_a_file_of_another_program_to_a_sound(tmp_path, monkeypatch):
     """A .mat file as the public one below, three receptances beside their frequencies, to a bundle that plays."""
     from scipy.io import savemat

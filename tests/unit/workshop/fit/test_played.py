@@ -77,6 +77,7 @@ def compare(tmp_path, truth, fit, note, count):
     return len(heard), np.abs(cents), np.abs(decay)
 
 
+@pytest.mark.slow
 def test_a_note_on_a_fitted_body(tmp_path):
     truth = random_body(12, seed=3, n_points=2)
     count, cents, decay = compare(tmp_path, truth, fitted(truth, np.arange(70.0, 2000.5), 0.01), 45, 14)

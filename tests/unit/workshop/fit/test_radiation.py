@@ -41,6 +41,7 @@ def measured(places):
     return Responses(FREQ, np.array([noisy(r) for r in rows]), pairs, pressure={k: noisy(v) for k, v in heard.items()})
 
 
+@pytest.mark.slow
 def test_two_places_tell_heave_from_rock():
     places = {"a": -0.5, "b": 0.5}
     given = measured(places)
@@ -54,6 +55,7 @@ def test_two_places_tell_heave_from_rock():
     assert [float(row[2]) for row in rows[1:]] == found.heave[0].real.tolist()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [0.0, 0.7])
 def test_one_place_tells_nothing_of_rock(place):
     given = measured({"a": place})

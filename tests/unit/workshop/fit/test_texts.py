@@ -145,6 +145,7 @@ def hit(n=4000, fs=8000.0):
     return t, force, np.convolve(force, velocity)[:n] / fs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "head", "form", "swapped"),
     [

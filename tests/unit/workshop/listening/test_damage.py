@@ -176,6 +176,7 @@ def test_each_line_may_be_damaged_and_the_others_count(test: ListeningTest) -> N
             assert set(indices) >= {i for i in whole if i != k + 1 and i not in stairs}
 
 
+@pytest.mark.slow
 def test_results_name_and_count_what_they_leave_out(test: ListeningTest, tmp_path: Path) -> None:
     whole, broken, torn, other = (opened(test, name=f"L{k}", seed=k) for k in range(4))
     lines = broken.path.read_bytes().splitlines(keepends=True)
@@ -213,9 +214,10 @@ def test_results_name_and_count_what_they_leave_out(test: ListeningTest, tmp_pat
 def test_a_damaged_session_is_not_continued(test: ListeningTest) -> None:
     session = opened(test, 6)
     lines = session.path.read_bytes().splitlines(keepends=True)
-    session.path.write_bytes(b"".join([*lines[:2], b"x\n", *lines[3:]]))
-    with pytest.raises(ListeningError, match="line 3: not JSON"):
-        resume(test, session.header["token"])
+    for damaged in (b"x\n", lines[2].replace(b"{", b'{"index": 7, "index": 7, ', 1)):
+        session.path.write_bytes(b"".join([*lines[:2], damaged, *lines[3:]]))
+        with pytest.raises(ListeningError, match="line 3: not JSON"):
+            resume(test, session.header["token"])
 
 
 def test_files_of_a_server_that_was_killed_while_it_began_them_are_removed(test: ListeningTest) -> None:

@@ -122,6 +122,7 @@ def test_json_alone_is_read(test: ListeningTest) -> None:
     body = json.dumps({"index": 0, "agreed": True}).encode()
     for kind in ("text/plain", "application/x-www-form-urlencoded", "multipart/form-data", "application/jsonp"):
         assert request(application, "POST", base, body, {"Content-Type": kind})[0] == 415
+    assert request(application, "POST", base, body[:-1] + b', "index": 1}')[0] == 400  # two values of one key
     assert json.loads(request(application, "GET", base)[2])["index"] == 0
     assert request(application, "POST", base, body, {"Content-Type": "Application/JSON; charset=utf-8"})[0] == 200
 
@@ -295,6 +296,7 @@ def test_damage_is_said_to_the_listener_and_to_the_experimenter(
     assert request(application, "GET", base)[0] == 404
 
 
+@pytest.mark.slow
 def test_two_servers_do_not_share_a_folder(test: ListeningTest, tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(test.folder)
     command = [sys.executable, "-m", "tonewood", "serve", "--port", "0"]
@@ -318,6 +320,7 @@ def test_two_servers_do_not_share_a_folder(test: ListeningTest, tmp_path: Path) 
         third.wait()
 
 
+@pytest.mark.slow
 def test_connections_that_wait_for_ever_are_closed(test: ListeningTest) -> None:
     host = b"Host: localhost\r\n"
     kinds = [
@@ -356,6 +359,7 @@ def test_connections_that_wait_for_ever_are_closed(test: ListeningTest) -> None:
         process.wait()
 
 
+@pytest.mark.slow
 def test_a_connection_that_is_used_is_not_closed(test: ListeningTest) -> None:
     """Requests with pauses shorter than the limit, for longer than the limit."""
     command = [sys.executable, str(Path(__file__).parent / "serve_in_process.py"), str(test.folder), "0"]

@@ -113,6 +113,7 @@ def everything(tmp_path_factory: pytest.TempPathFactory) -> ListeningTest:
     return made(tmp_path_factory.mktemp("served"), fakes.ALL)
 
 
+@pytest.mark.slow
 def test_a_whole_test_is_taken_through_a_kill(everything: ListeningTest) -> None:
     port = free_port()
     client = Client(port)
@@ -143,6 +144,7 @@ def test_a_whole_test_is_taken_through_a_kill(everything: ListeningTest) -> None
     assert questions["response"] == "much"
 
 
+@pytest.mark.slow
 def test_the_command_serves_this_computer_only(everything: ListeningTest) -> None:
     command = [sys.executable, "-m", "tonewood", "serve", str(everything.folder), "--port", "0"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -226,6 +228,7 @@ def test_the_tone_is_as_loud_as_the_sounds(everything: ListeningTest) -> None:
         assert spectrum[2000] > 1e4 * np.median(spectrum)
 
 
+@pytest.mark.slow
 def test_sounds_of_a_staircase_are_of_its_level(tmp_path: Path) -> None:
     test = made(tmp_path, [fakes.STAIRS | {"reversals": 4, "longest": 7, "start": 4.0}])
     port = free_port()

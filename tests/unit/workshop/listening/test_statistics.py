@@ -262,6 +262,7 @@ def test_populations_that_nothing_was_chosen_on(population: str) -> None:
     assert (0.91 if few else 0.93) < found.coverage < 0.97
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spread", simulations.SPREADS)
 def test_random_sounds_with_missing_answers_hold_false_alarms_and_coverage(spread: str) -> None:
     *alarms, coverage = simulations.sampled_rates(np.random.default_rng(1), 1000, 12, 6, 0.1, spread)
@@ -677,6 +678,7 @@ def test_power_counts_those_whom_the_screening_leaves_out() -> None:
     assert shares[1] < shares[0] - 0.1
 
 
+@pytest.mark.slow
 def test_power_takes_a_pilot_s_answers(tmp_path: Path) -> None:
     page = {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}, "expect": 10.0}
     test = fakes.made(tmp_path, [page])
@@ -826,6 +828,7 @@ def test_thresholds_of_the_guide_hold_bias_and_coverage(slope: float) -> None:
     assert 0.93 - 0.018 <= coverage <= 0.97 + 0.012  # a standard error of 201 experiments beyond
 
 
+@pytest.mark.slow
 def test_reversals_are_corrected() -> None:
     """Their mean was 23 to 61 % too high."""
     page, rng = StaircasePage.model_validate(GUIDE | LEVITT), np.random.default_rng(7)

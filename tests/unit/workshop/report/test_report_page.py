@@ -78,6 +78,7 @@ class Reader(HTMLParser):
         return [attributes for name, attributes in self.tags if name == tag]
 
 
+@pytest.mark.slow
 def test_nothing_is_fetched(html: str) -> None:
     read = Reader(html)
     sources = [a["src"] or "" for tag, a in read.tags if "src" in a]
@@ -304,6 +305,7 @@ def test_curves_of_mobility_are_those_of_the_facts(found: Comparison, drawn: lis
             np.testing.assert_allclose(line.get_ydata(), 20 * np.log10(np.abs(facts.mobility[name])), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_sweep_is_a_table_and_curves_over_its_value(found: Comparison, drawn: list[Figure]) -> None:
     """The unkind monochord has 50 N, the other one 58.8 N: rows in the order of values, with the label of each."""
     swept = replace(found, sweep="strings.A2.tension")

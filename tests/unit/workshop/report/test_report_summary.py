@@ -80,6 +80,7 @@ def test_mean_mobility_and_the_curve_of_differences_of_a_known_mobility(found: C
     np.testing.assert_allclose(a, 20 * np.log10(where / 1000), atol=0.01)
 
 
+@pytest.mark.slow
 def test_a_drawn_body_has_its_names_and_its_mass() -> None:
     guitar = tw.load_instrument("drawn_guitar").replace({"body.fmax": 700.0, "body.cell": 0.03})
     facts = compare([Candidate(guitar)], notes=["E2"], fs=FS, duration=0.1).instruments[0]

@@ -86,6 +86,7 @@ def test_taps_that_are_cut_short_have_the_same_q():
     assert [peak.quality for peak in peaks] == pytest.approx(q, rel=0.01)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_of_a_few_recordings():
     """8 recordings, 64 modes: 90 % within three standard deviations of a share of 64."""
     share, numbers = held(range(8))

@@ -53,6 +53,7 @@ def board(rng: np.random.Generator) -> Wood:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_any_wood_of_the_rectangle_is_that_of_a_whole_solution(rectangle: Rectangle, rng: np.random.Generator) -> None:
     """Within 1 % far from the nominal one, which is the second pass's; shares of the energy add up to one."""
     wood = board(rng)
@@ -65,6 +66,7 @@ def test_any_wood_of_the_rectangle_is_that_of_a_whole_solution(rectangle: Rectan
     assert shares.sum(axis=0)[:12] == pytest.approx(1.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_board_is_found_again(rectangle: Rectangle, rng: np.random.Generator) -> None:
     """From exact frequencies of which two are missing and one is none of the board's."""
     wood = board(rng)
@@ -98,6 +100,7 @@ def test_a_sensor_at_a_corner_is_found_and_makes_the_board_no_softer(rectangle: 
     assert estimate_board(rectangle, free, 1e-3 * free).sensor == 0.0
 
 
+@pytest.mark.slow
 def test_losses_are_those_of_the_energies(rectangle: Rectangle) -> None:
     wood = rectangle.nominal
     freq, shares = rectangle.solution(wood)

@@ -35,8 +35,6 @@ class LawKind:
 class LawArrays:
     """What the kernel is loaded with for one law.
 
-    Attributes
-    ----------
     kind : one of `LawKind`.
     numbers : four of its own.
     loss, damping : s/m, N s/m.

@@ -120,8 +120,6 @@ class Friction(NonlinearLaw):
 class FrictionBranch:
     """A friction law during one step.
 
-    Attributes
-    ----------
     law : of the connection.
     scale : factor on its force.
     slip : m/s, relative velocity in the step before.
@@ -184,9 +182,7 @@ class FrictionBranch:
 def solve_branches(branches: Sequence[FrictionBranch], solve: Callable[[], Found]) -> Found:
     """Call `solve`, which finds all else with friction on its branches, until each is on its own; see the module.
 
-    Raises
-    ------
-    ValueError : they are not found.
+    Raises ValueError : they are not found.
     """
     for iteration in range((PATIENCE + 1) * len(branches) + 1):
         solution = solve()

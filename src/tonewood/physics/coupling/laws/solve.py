@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from tonewood.physics.coupling.laws.base import NonlinearLaw, PotentialLaw
 from tonewood.physics.coupling.laws.friction import FrictionBranch
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: of the displacement that the forces make, and of the gaps themselves (rounding)
 TOLERANCE, ROUNDING = 1e-12, 4e-16
@@ -34,8 +33,6 @@ FEW_SWEEPS = 10
 class Partners:
     """Prescribed motion of the partners of nonlinear laws over one step.
 
-    Attributes
-    ----------
     offset, offset_after : (k,) m at the beginning and the end of the step.
     velocity : (k,) m/s of friction's partner.
     scale : (k,) factor on the force of the law.
@@ -62,8 +59,6 @@ def find_forces(
 ) -> Solution:  # fmt: skip
     """Find the forces of all laws over one step.
 
-    Parameters
-    ----------
     laws : k laws.
     Z : (k, k) m/N.
     free, gap : (k,) m, g_u and g.

@@ -27,12 +27,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
-
+from tonewood.support.arrays import Floats
 
 #: of an energy, by which two sums of it may differ
 SAME = 1e-13
@@ -88,8 +85,6 @@ class Potential(ABC):
 class MiddleOfStep:
     """What the direction of one potential over one step may depend on.
 
-    Attributes
-    ----------
     middle : (n,) coordinates in the middle of the step (`ModalCoordinates.middle`), under all forces but those of
         potentials and nonlinear connections.
     answered : (n,) the same under the forces on fast coordinates too (`JoinedPotential.fast`).

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.modal.modes import PAIR, ModalBasis
 from tonewood.physics.modal.propagator import apply
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: share of the kinetic energy that is taken or given at once, at most
 PAID_AT_ONCE = 0.25
@@ -22,8 +20,6 @@ PAID_AT_ONCE = 0.25
 class ModalCoordinates:
     """Coordinates y (m sqrt(kg)) of the n_modes real modes of one component.
 
-    Attributes
-    ----------
     reading : (n_modes,) y = reading times the first number of the mode.
     kick : (n_modes, 2) state added by a unit modal force held over one step.
     velocity : (3, n_modes) y' per first and per second number, and second number per y'.
@@ -41,8 +37,6 @@ class ModalCoordinates:
     def of(cls, basis: ModalBasis, dt: float, held: Floats) -> ModalCoordinates:
         """Make them of real modes.
 
-        Parameters
-        ----------
         dt : s, step.
         held : (n_modes, 2, 2) h phi_1(A h), the response to an input held over it.
         """
@@ -93,15 +87,10 @@ def pay_from_motion(velocities: Sequence[Floats], states: Sequence[Floats], cost
 
     No more than a quarter of the kinetic energy is taken or given at once.
 
-    Parameters
-    ----------
     velocities : (3, n) of each part: y' per first and per second number, and second number per y'.
     states : (n_modes >= n, 2) of each part; changed in place.
     cost : J.
-
-    Returns
-    -------
-    float
+    Returns float
         Energy that was paid, J.
     """
     moving = [

@@ -41,12 +41,10 @@ from itertools import pairwise
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.coupling.potentials.base import JoinedPotential, Kind, MiddleOfStep, Potential
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: cosines of the slope beyond the number of modes: the bridge's motion spreads a mode over its neighbours
 MORE_COSINES = 12
@@ -57,9 +55,7 @@ LEAST_SHIFT = 1e-8
 def cosine_slopes(name: str, component: str, basis: ModalBasis) -> tuple[Floats, Floats, float]:
     """Return shapes as a ramp and sines (rows, n_modes), wavenumbers of their slopes' cosines (rows,), and the length.
 
-    Raises
-    ------
-    ValueError : the component was not made by `string_basis`.
+    Raises ValueError : the component was not made by `string_basis`.
     """
     metadata = basis.metadata
     if "vec" not in metadata:
@@ -123,8 +119,6 @@ class GeometricStretch(Potential):
 class GeometricShare:
     """One component's share.
 
-    Attributes
-    ----------
     slopes : (n_cosines, n) cosine coefficients of the slope (of the longitudinal component: strain) per coordinate.
     scale : EA L, N m.
     """

@@ -30,13 +30,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.coupling.potentials.base import Kind, Potential
 from tonewood.physics.coupling.potentials.longitudinal import MORE_COSINES, cosine_products, cosine_slopes
 from tonewood.physics.modal.modes import PAIR, ModalBasis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: samples by which the force is late
 DELAY = 16
@@ -121,8 +119,6 @@ class DrivenLongitudinal(Potential):
 class PhantomShare:
     """One polarization's share, over n modes and P longitudinal ones.
 
-    Attributes
-    ----------
     weights : (P + 1, n) s_m = sum_k weights[m, k] x_k x_(k + m) + ..., x the first numbers of the modes.
     mirrored : (P + 1, P) ... + sum_(k < m) mirrored[m, k] x_k x_(m - 1 - k).
     steps : (P, 4) from e_n and a_n' before a step to e_n and a_n' after it, s_n being held: row by row.
@@ -154,8 +150,6 @@ class PhantomShares:
     def advance(self, states: Sequence[Floats], row: Floats) -> float:
         """Return the force (N) over the step that begins with states (n_modes, 2) of the polarizations.
 
-        Parameters
-        ----------
         row : (MEMORY,) of the state; moved by one sample.
         """
         steps = self.shares[0].steps

@@ -17,15 +17,13 @@ from functools import cached_property, partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.coupling.potentials.base import JoinedPotential, MiddleOfStep
 from tonewood.physics.coupling.potentials.coordinates import ModalCoordinates, pay_from_motion
 from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal, PhantomShares
 from tonewood.physics.coupling.system import System
 from tonewood.physics.modal.propagator import apply
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: steps after which psi is put back to the root of its potential
 RESET_STEPS = 64
@@ -35,8 +33,6 @@ RESET_STEPS = 64
 class PotentialsOverStep:
     """Action of s potentials over one step.
 
-    Attributes
-    ----------
     reach : (m, s) gaps per psi_m.
     own : (s,) g . w g, loss of g . y+ per psi_m.
     start : (s,) psi + g . (y_free - y) / 2, sqrt(J).
@@ -80,8 +76,6 @@ class PotentialsOverStep:
 class ActivePotential:
     """A two-way potential that is on.
 
-    Attributes
-    ----------
     index : among the potentials of its system.
     memory : its place in the state's numbers.
     slots : of its components.
@@ -162,8 +156,6 @@ class PotentialSolve:
     def over(self, x: Sequence[Floats], free: Sequence[Floats], forces: Floats, memory: Floats) -> PotentialsOverStep:
         """Prepare a step.
 
-        Parameters
-        ----------
         x, free : states by component slot before, and after a step without connection forces.
         forces : (m,) N, of the linear connections without potentials.
         memory : of the state.
@@ -204,8 +196,6 @@ class PotentialSolve:
     ) -> Floats:
         """Numbers of the state after a step; resets `after` in place where the step calls for it.
 
-        Parameters
-        ----------
         after : states by component slot after the step.
         over : result of `over` for the step, and `mean` (s,) its psi_m, sqrt(J).
         memory : of the state before the step.
@@ -263,8 +253,6 @@ class DrivenForces:
     def advance(self, x: Sequence[Floats], memory: Floats) -> Floats:
         """(n_on,) N, forces over the step that begins with states x by component slot.
 
-        Parameters
-        ----------
         memory : of the state; moved by one sample.
         """
         parts = zip(self.joined, self.slots, self.memory, strict=True)

@@ -20,12 +20,11 @@ from functools import cached_property
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.physics.coupling.potentials.base import JoinedPotential, Kind, MiddleOfStep, Potential
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 def stretch_weights(basis: ModalBasis) -> ArrayLike | None:
@@ -103,8 +102,6 @@ class TensionModulation(Potential):
 class TensionShare:
     """One component's share of a tension.
 
-    Attributes
-    ----------
     weights : (n_modes,) a.
     kappa : EA/(4 L), N/m.
     """

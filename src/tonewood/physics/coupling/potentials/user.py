@@ -42,8 +42,7 @@ from tonewood.errors import TonewoodError
 from tonewood.physics.coupling.c_functions import CFunction
 from tonewood.physics.coupling.potentials.base import SAME, JoinedPotential, Kind, MiddleOfStep, Potential
 from tonewood.physics.modal.modes import ModalBasis
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
 #: C type of a potential: data, number of coordinates, coordinates, gradient (NULL: energy alone), scratch

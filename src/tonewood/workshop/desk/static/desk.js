@@ -95,7 +95,7 @@ function knobRow(knob) {
   else if (knob.kind === "choice") {
     field = element("select");
     for (const word of knob.choices) field.append(element("option", { value: JSON.stringify(word), textContent: word, selected: word === knob.value }));
-  } else if (knob.kind === "value") field = element("input", { value: JSON.stringify(knob.value), spellcheck: false });
+  } else if (knob.kind === "value") field = element("input", { value: knob.value === null ? "" : JSON.stringify(knob.value), placeholder: "left out", spellcheck: false });
   else {
     field = element("input", { type: "number", step: knob.whole ? 1 : "any", value: shownNumber(knob.value) });
     if (knob.low !== null) field.min = knob.low;
@@ -109,7 +109,7 @@ function knobRow(knob) {
     else if (knob.kind === "choice") value = JSON.parse(field.value);
     else if (knob.kind === "value") {
       try {
-        value = JSON.parse(field.value);
+        value = field.value.trim() ? JSON.parse(field.value) : null;
       } catch {
         value = field.value;
       }
@@ -483,7 +483,10 @@ async function ring() {
     const ran = Object.values(e.active), longest = Math.max(0, ...ran);
     const on = e.on === null ? (longest > 0 ? "always" : "no") : e.on.join(", ") || "off";
     const cost = e.cost === null ? "" : `${(100 * e.cost).toFixed(2)} %`;
-    return element("tr", {}, ...[e.title, on, `${Math.min(100, (100 * longest) / Math.max(found.seconds, 1e-9)).toFixed(0)} %`, cost].map((t) => element("td", { textContent: t })));
+    const share = Math.min(1, longest / Math.max(found.seconds, 1e-9));
+    const cells = [e.title, on, `${(100 * share).toFixed(0)} %`, cost].map((t) => element("td", { textContent: t }));
+    [, , share, e.cost ?? 0].forEach((part, i) => cells[i].style.setProperty("--share", `${100 * Math.min(1, part)}%`));
+    return element("tr", {}, ...cells);
   });
   $("effects").tBodies[0].replaceChildren(...rows);
   $("effects_words").textContent = `All steps take ${(100 * found.load).toFixed(0)} % of the time, a block at worst ${(100 * found.worst).toFixed(0)} %.`;
@@ -575,7 +578,7 @@ submitted("keep", () => act("keep", { name: $("keep_name").value }));
 submitted("save", () => act("save", { folder: $("save_folder").value }));
 submitted("mass", () => {
   const kept = state.changes.find((c) => c.path === "body.added")?.value ?? state.added ?? [];
-  act("set", { path: "body.added", value: [...kept, { at: $("mass_at").value, mass: Number($("mass_g").value) / 1000 }] });
+  act("set", { path: "body.added", value: [...kept, { at: $("mass_at").value, mass: Number($("mass_g").value) / 1000, damping: Number($("mass_damping").value) }] });
 });
 $("compare").addEventListener("click", () => act("compare", { name: $("other").value, blind: $("blind").checked }));
 submitted("advise", () => act("advise", { targets: $("targets").value, free: $("free").value }));

@@ -1,4 +1,4 @@
-// Plays blocks in the order in which they came; silence while none is there, counted as one underrun each time.
+// Plays blocks at their places in the stream; silence while none is there, counted as one underrun each time.
 class Ring extends AudioWorkletProcessor {
   constructor() {
     super();
@@ -12,10 +12,8 @@ class Ring extends AudioWorkletProcessor {
     this.record = false;
     this.told = 0;
     this.port.onmessage = ({ data }) => {
-      if (data.sound) {
-        this.blocks.push({ ...data, at: 0 });
-        this.waiting += data.sound.length / 2;
-      } else if (data.clear) {
+      if (data.sound) this.#take(data);
+      else if (data.clear) {
         this.blocks = [];
         this.waiting = 0;
         this.heard = 0;
@@ -23,6 +21,15 @@ class Ring extends AudioWorkletProcessor {
         this.dry = true;
       } else Object.assign(this, data);
     };
+  }
+
+  // A block drops all that waits from its place on; of one that comes late the rest is played.
+  #take({ sound, serial, place }) {
+    for (const old of this.blocks) old.end = Math.min(old.end, Math.max(old.at, place - old.place));
+    this.blocks = this.blocks.filter((old) => old.at < old.end);
+    const end = sound.length / 2, at = Math.min(Math.max(0, this.heard - place), end);
+    if (at < end) this.blocks.push({ sound, serial, place, at, end });
+    this.waiting = this.blocks.reduce((sum, block) => sum + block.end - block.at, 0);
   }
 
   process(_, [[left, right]]) {
@@ -39,14 +46,13 @@ class Ring extends AudioWorkletProcessor {
         this.serial = block.serial;
         this.port.postMessage({ serial: this.serial });
       }
-      const end = block.sound.length / 2;
-      for (; n < left.length && block.at < end; n++, block.at++) {
+      for (; n < left.length && block.at < block.end; n++, block.at++) {
         left[n] = block.sound[2 * block.at];
         right[n] = block.sound[2 * block.at + 1];
         this.waiting -= 1;
-        this.heard += 1;
       }
-      if (block.at === end) this.blocks.shift();
+      this.heard = block.place + block.at;
+      if (block.at === block.end) this.blocks.shift();
     }
     if (this.record && n) this.port.postMessage({ recorded: [left.slice(0, n), right.slice(0, n)] });
     if ((this.told += left.length) >= 2048) {

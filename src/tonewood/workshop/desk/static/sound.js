@@ -1,5 +1,5 @@
 // The stream of the desk's sound: fetched, cut into blocks, played by the worklet; what arrives late is counted.
-const HEAD = 16;
+const HEAD = 20;
 
 export class Sound {
   constructor(api, say) {
@@ -71,6 +71,7 @@ export class Sound {
   }
 
   async #read() {
+    let again = false;
     this.reading = true;
     this.ring.port.postMessage({ clear: true });
     const clock = setInterval(() => this.#report(), 200);
@@ -87,7 +88,9 @@ export class Sound {
         bytes.set(value, rest.length);
         rest = this.#blocks(bytes);
       }
-      this.say(this.taken ? "Another page has the sound now. Press Play to hear it here." : "The sound has ended. Press Play.");
+      await this.#report();
+      if (this.taken) this.say("Another page has the sound now. Press Play to hear it here.");
+      else again = true; // the machine was too busy to hear of this page
     } catch (fault) {
       this.say(`The sound broke off: ${fault.message}`);
     } finally {
@@ -95,6 +98,7 @@ export class Sound {
       this.reading = false;
       this.taken = false;
     }
+    if (again) this.#read();
   }
 
   #blocks(bytes) {
@@ -106,7 +110,7 @@ export class Sound {
       const sound = new Float32Array(bytes.slice(at + HEAD, at + size).buffer);
       this.frame = head.getUint32(8, true);
       this.playing = head.getUint32(12, true) === 1;
-      this.ring.port.postMessage({ sound, serial: head.getUint32(4, true) }, [sound.buffer]);
+      this.ring.port.postMessage({ sound, serial: head.getUint32(4, true), place: head.getUint32(16, true) }, [sound.buffer]);
       at += size;
     }
     return bytes.slice(at);
@@ -114,8 +118,10 @@ export class Sound {
 
   async #report() {
     // after an underrun further blocks are asked for ahead
-    if (this.meter.underruns > (this.before ?? 0)) this.ahead = Math.min(this.ahead * 1.5, 0.6);
+    this.calm = this.meter.underruns > (this.before ?? 0) ? 0 : (this.calm ?? 0) + 1;
     this.before = this.meter.underruns;
+    if (this.calm === 0) this.ahead = Math.min(this.ahead * 1.5, 0.6);
+    else if (this.calm % 150 === 0) this.ahead = Math.max(this.ahead * 0.8, 0.1); // after 30 s without one
     const { heard, underruns } = this.meter;
     try {
       const reply = await this.api.post("/api/heard", { stream: this.stream, heard, underruns, ahead: this.ahead });

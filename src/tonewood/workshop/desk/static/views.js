@@ -14,7 +14,7 @@ function framed(canvas, x, y, { xlog = false, ylog = false, xticks, yticks, xuni
   pen.scale(ratio, ratio);
   pen.clearRect(0, 0, width, height);
   pen.font = "12px system-ui, sans-serif";
-  const box = { left: 46, right: width - 8, top: 8, bottom: height - 22 };
+  const box = { left: 46, right: width - 8, top: yunit ? 22 : 8, bottom: height - 22 };
   const scale = (lo, hi, a, b, isLog) => (v) => {
     const t = isLog ? (log(Math.max(v, 1e-30)) - log(lo)) / (log(hi) - log(lo)) : (v - lo) / (hi - lo);
     return a + t * (b - a);
@@ -37,7 +37,7 @@ function framed(canvas, x, y, { xlog = false, ylog = false, xticks, yticks, xuni
   pen.stroke();
   const shown = pen.measureText(xunit).width;
   pen.fillText(xunit, box.right - shown, box.bottom + 14);
-  pen.fillText(yunit, box.left + 4, box.top + 10);
+  pen.fillText(yunit, 4, 14);
   return { pen, X, Y, box };
 }
 
@@ -151,6 +151,9 @@ export function energy(canvas, moments, fs) {
   return words;
 }
 
+// Time at which a spectrogram was drawn last: 60 pixels are a second.
+const drawn = new WeakMap();
+
 export function spectrogram(canvas, analyser, fs) {
   const ratio = devicePixelRatio || 1;
   const height = (canvas.dataset.height ??= canvas.height) * ratio, width = Math.round(canvas.clientWidth * ratio);
@@ -163,16 +166,19 @@ export function spectrogram(canvas, analyser, fs) {
   const pen = canvas.getContext("2d", { willReadFrequently: true });
   const bins = new Float32Array(analyser.frequencyBinCount);
   analyser.getFloatFrequencyData(bins);
-  pen.drawImage(canvas, -2, 0);
-  const column = pen.createImageData(2, height);
+  const time = performance.now(), wide = Math.min(width, Math.round((time - (drawn.get(canvas) ?? time)) * 0.06 * ratio));
+  if (wide < 1) return void (drawn.has(canvas) || drawn.set(canvas, time));
+  drawn.set(canvas, time);
+  pen.drawImage(canvas, -wide, 0);
+  const column = pen.createImageData(wide, height);
   const dark = matchMedia("(prefers-color-scheme: dark)").matches;
   for (let y = 0; y < height; y++) {
     const f = 50 * 200 ** (1 - y / height);
     const level = bins[Math.min(bins.length - 1, Math.round((f / fs) * 2 * bins.length))];
     const v = Math.max(0, Math.min(1, (level + 105) / 80)), shade = dark ? 25 + 230 * v : 255 - 255 * v;
-    for (const x of [0, 1]) column.data.set([shade * (dark ? 0.75 : 0.85), shade * 0.92, dark ? shade : 255 - 140 * v, 255], 4 * (2 * y + x));
+    for (let x = 0; x < wide; x++) column.data.set([shade * (dark ? 0.75 : 0.85), shade * 0.92, dark ? shade : 255 - 140 * v, 255], 4 * (wide * y + x));
   }
-  pen.putImageData(column, width - 2, 0);
+  pen.putImageData(column, width - wide, 0);
   pen.font = `${12 * ratio}px system-ui, sans-serif`;
   pen.fillStyle = colour("paper");
   pen.fillRect(0, 0, 34 * ratio, height);

@@ -2,7 +2,7 @@
 //
 // The free motion is bounded by Cauchy-Schwarz over the modes, |row| <= peak sqrt(norm), or more closely by its value
 // in the middle of the block and the largest change of each mode from there. A port force F moves the row by at most
-// reach |F|. load/contacts.hpp derives peak, norm, spread and reach.
+// reach |F|. load/contact_groups.hpp derives peak, norm, spread and reach.
 #pragma once
 
 #include <algorithm>

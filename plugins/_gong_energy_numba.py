@@ -1,4 +1,4 @@
-"""The potential of `_gong_plate` as a C function, compiled by Numba.
+"""The potential of `_gong_energy` as a C function, compiled by Numba.
 
 Sums over modes, points and shapes are done in one direction at a time, as there. Every function of x, and of y, is even
 or odd about the middle, and half of the points is enough: a sum E of the even ones and a sum O of the odd ones give

@@ -7,7 +7,7 @@
 #include <string>
 
 #include "../data/state.hpp"
-#include "bounds.hpp"
+#include "bound_tables.hpp"
 
 namespace tonewood {
 

@@ -13,8 +13,6 @@ class StopTable:
     A stop is at x = L (1 - f_0 / f) from the nut, where the ideal string sounds its pitch. Over real frets it is where
     a string hinged at the stop has the pitch of the fretted string.
 
-    Attributes
-    ----------
     string : name, for errors.
     open_length : L, m; of real frets the length of the scale.
     stopping : its stops, and how they are tuned.
@@ -45,12 +43,7 @@ class StopTable:
         return self.freqs[whole] if whole == stop and 0 <= whole <= self.count else self.stopping.freq(stop)
 
     def position(self, stop: float) -> float:
-        """Return the place of a stop, m from the nut.
-
-        Raises
-        ------
-        ValueError : the string has no such stop.
-        """
+        """Return the place of a stop, m from the nut. Raises ValueError : the string has no such stop."""
         if not (0 <= stop <= self.count and (self.stopping.continuous or stop == int(stop))):
             kind = "" if self.stopping.continuous else "whole "
             raise ValueError(f"string {self.string} has {kind}stops from 0 to {self.count}, not {stop:g}")

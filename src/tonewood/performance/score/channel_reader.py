@@ -33,14 +33,9 @@ class _Channel:
 class ChannelReader:
     """Plays timed messages on sixteen channels and keeps the notes and controls they make.
 
-    Parameters
-    ----------
     findings : takes oddities.
     file : for errors.
     percussion : whether notes of channel 10 are read.
-
-    Attributes
-    ----------
     notes : (time in s, channel, key, velocity) in time order.
     programs : of General MIDI, from 1, one per note; None before the first of its channel.
     n_drums : notes of channel 10 that were left out.
@@ -71,9 +66,7 @@ class ChannelReader:
     def play(self, messages: Iterable[tuple[float, int, int, int]]) -> None:
         """Take messages (time in s, status, data 1, data 2) in time order.
 
-        Raises
-        ------
-        ScoreError : more than `MAX_CONTROLS` changes.
+        Raises ScoreError : more than `MAX_CONTROLS` changes.
         """
         for time, status, a, b in messages:
             number = status & 0x0F

@@ -12,14 +12,13 @@ from collections.abc import Callable
 from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tonewood.physics.modal.held_modes import HeldModes
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_modes import loss_rates
 from tonewood.physics.modal.string_transfer import retuned
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 
 def string_detuned(basis: ModalBasis, tension: float, loss: Callable[[Floats, Floats, float], ArrayLike]) -> ModalBasis:

@@ -27,8 +27,8 @@ movable    the edges are free in the plane: F = F_n = 0 there, the shapes of a c
 The integrals are sums over a grid. Every function is a product of one of x and one of y, and sums over modes and grid
 points are done in one direction at a time. The table of coefficients int Psi_j L(Phi_p, Phi_q) has modes^2 x shapes
 numbers, too many for a cache above 100 modes; the matrices here have some thousand. Every function is even or odd about
-the middle of the plate, which halves the sums again in the compiled form (`_gong_compiled`). On a grid of 2 M + 2 cells
-(M the highest m or n) all products of sliding edges are integrated exactly; for movable edges the polynomials are
+the middle of the plate, which halves the sums again in the compiled form (`_gong_energy_numba`). On a grid of 2 M + 2
+cells (M the highest m or n) all products of sliding edges are integrated exactly; for movable edges the polynomials are
 truncated: on a grid twice as fine (`PlateGrid.refined`) V changes by 3e-7 and its gradient by 5e-6 (random motion of 81
 modes).
 
@@ -298,7 +298,7 @@ class PlateGrid:
 
     @property
     def packed(self) -> Floats:
-        """The arrays of `_gong_compiled.potential`, one after another.
+        """The arrays of `_gong_energy_numba.potential`, one after another.
 
         Points stand in two halves, the second the mirror images of the first, of which the functions have their values;
         functions of x or y stand in two groups: those of odd number of half waves first (even about the middle if they
@@ -330,7 +330,7 @@ class PlateGrid:
 
     @property
     def scratch(self) -> int:
-        """Numbers that `_gong_compiled.potential` works in."""
+        """Numbers that `_gong_energy_numba.potential` works in."""
         (mx, my), (jx, jy), ((gx, _), (gy, _)) = self._highest, self.stress_shapes, self.points
         hx, hy = len(gx) // 2, len(gy) // 2
         kept = 2 * mx * my + 2 * mx * hy + 16 * hx * hy + 2 * jx * hy + 2 * jx * jy

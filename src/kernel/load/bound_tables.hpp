@@ -1,4 +1,4 @@
-// Tables of the bounds on contact rows (cull/bounds.hpp).
+// Tables of the bounds on contact rows (cull/row_bounds.hpp).
 #pragma once
 
 #include <algorithm>
