@@ -175,11 +175,19 @@ def test_every_key_sounds_its_stretched_note(grand: Model) -> None:
     stretch = stretch_cents(grand.instrument)
     found = ta.pitches(grand)
     assert len(found) == 88
+    wolves: list[str] = []
     for at, together in zip(found, mounted_pitches(grand, found), strict=True):
         wanted = grand.instrument.tuning.freq(at.note) * ratio_of_cents(stretch[at.string])
-        assert abs(cents(at.freq / wanted)) < 0.01
+        off = abs(cents(at.freq / wanted))
+        if off >= 0.01:
+            # on a mode of the board neither of the two is the string's: no tension puts it in tune
+            wolves.append(at.string)
+            assert at.wolf is not None
+            assert off < 10
+            continue
         # one of the modes of each mistuned unison is near the note
         assert min(abs(c) for c, _ in together.modes) < 1.0
+    assert len(wolves) <= 2
 
 
 @pytest.mark.validate
