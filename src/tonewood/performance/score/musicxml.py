@@ -17,10 +17,16 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
-from tonewood.performance.score.limits import number, whole
-from tonewood.performance.score.musicxml_words import jump_sign, written_tempo
+from tonewood.performance.score.limits import Allowance, number, whole
+from tonewood.performance.score.musicxml_words import (
+    MOST_DIVISIONS,
+    divisions_of,
+    jump_sign,
+    velocity_of,
+    written_tempo,
+)
 from tonewood.performance.score.score_clock import near
-from tonewood.performance.score.unfolding import Measure
+from tonewood.performance.score.unfolding import Measure, number_endings
 from tonewood.performance.score.written import Curve, WrittenMusic, WrittenNote, WrittenPart, bend_curve
 from tonewood.performance.score.xml_files import MOST, member, number_of, parsed, text_of
 
@@ -42,8 +48,6 @@ _SHARPS, _LETTERS = "FCGDAEB", "CDEFGAB"
 _HAIRPIN, _HAIRPIN_ENDS = 16, Fraction(1)
 #: s for which a pedal is up where it changes
 _PEDAL_UP = 0.06
-#: durations per quarter note; others are damaged
-_MOST_DIVISIONS = 16384
 #: elements whose text is a number
 _NUMBERS = {
     "alter", "bend-alter", "capo", "chromatic", "divisions", "duration", "fifths", "fret", "octave", "octave-change",
@@ -52,8 +56,8 @@ _NUMBERS = {
 _PROGRAM = "midi-instrument/midi-program"
 #: kinds of what is left out, from which on names of signs are left out, and characters of a name
 _MOST_UNKNOWN, _LONGEST_SIGN = 100, 40
-#: times that a measure is repeated, number of an ending, and of a line of a staff
-_MOST_TIMES, _MOST_ENDING, _MOST_LINES = 32, 9999, 1000
+#: times that a measure is repeated, number of an ending and of a line of a staff, parts, numbers of one ending
+_MOST_TIMES, _MOST_ENDING, _MOST_LINES, _MOST_PARTS, _MOST_NUMBERS = 32, 9999, 1000, 2000, 100
 
 
 def read_musicxml(data: bytes, path: Path) -> WrittenMusic:
@@ -83,6 +87,7 @@ class _Reader:
         self.music = music
         #: element of a part, or its name in a score by measures -> its reader
         self._parts: dict[Element | str, _PartReader] = {}
+        self._allowed = Allowance(_MOST_PARTS, "parts", music.file)
 
     def cell(self, above: list[Element], element: Element) -> bool:
         """Read an element if it is a measure of a part; returns whether it was."""
@@ -97,6 +102,7 @@ class _Reader:
 
     def _reader(self, part: Element | str) -> _PartReader:
         if part not in self._parts:
+            self._allowed.take()
             self._parts[part] = _PartReader(WrittenPart(""), self.music)
         return self._parts[part]
 
@@ -123,18 +129,8 @@ class _Reader:
         if not any(reader.sounded for reader in self._parts.values()):
             for measure, sign in (one for reader in self._parts.values() for one in reader.written):
                 measure.signs.add(sign)
-        _number_endings(music.measures)
+        number_endings(music.measures)
         return music
-
-
-def _number_endings(measures: list[Measure]) -> None:
-    """Let a repeat over endings be played once for each pass that they name."""
-    passes = 0  # of the measures since the repeat began
-    for i, measure in enumerate(measures):
-        passes = max([0 if measure.opens else passes, *measure.endings])
-        if measure.closes and measure.endings:
-            following = measures[i + 1].endings if i + 1 < len(measures) else ()
-            measure.closes = max([measure.closes, passes, *following])
 
 
 class _PartReader:
@@ -142,7 +138,8 @@ class _PartReader:
 
     def __init__(self, part: WrittenPart, music: WrittenMusic):
         self.part, self.music = part, music
-        self.divisions, self.transpose, self.velocity = Fraction(0), 0.0, 80
+        self.divisions, self.velocity = Fraction(0), 80
+        self.transpose: dict[str, float] = {}  # number of a staff, "" for all others -> semitones
         self.tuning: dict[int, float] = {}
         self.ending: frozenset[int] = frozenset()
         self.palm = False
@@ -156,7 +153,7 @@ class _PartReader:
 
     def _quarters(self, element: Element) -> Fraction:
         said = number(text_of(element, "duration"), -MOST, MOST)
-        length = Fraction(max(said or 0.0, 0.0)).limit_denominator(_MOST_DIVISIONS)
+        length = Fraction(max(said or 0.0, 0.0)).limit_denominator(MOST_DIVISIONS)
         self.music.ignored[f"{element.tag} without a duration"] += element.find("duration") is None
         self.music.ignored["duration below 0"] += said is not None and said < 0
         if said is not None and said >= 0 and element.tag == "note":
@@ -177,7 +174,7 @@ class _PartReader:
         now = longest = began = Fraction(0)
         n_chord = 0
         if not self.divisions:  # they may stand after the first notes
-            self.divisions = next(filter(None, map(_divisions, element.findall("attributes"))), Fraction(1))
+            self.divisions = next(filter(None, map(divisions_of, element.findall("attributes"))), Fraction(1))
             said = element.find("note/duration") is None or element.find("attributes/divisions") is not None
             self.music.ignored["part without divisions"] += not said
         for child in element:
@@ -211,13 +208,16 @@ class _PartReader:
         self.part.measures.append(notes)
 
     def _attributes(self, element: Element) -> None:
-        self.divisions = _divisions(element) or self.divisions
-        wrong = number(text_of(element, "divisions"), -MOST, MOST) is not None and not _divisions(element)
-        self.music.ignored[f"divisions outside 1/{_MOST_DIVISIONS} to {_MOST_DIVISIONS}"] += wrong
+        self.divisions = divisions_of(element) or self.divisions
+        wrong = number(text_of(element, "divisions"), -MOST, MOST) is not None and not divisions_of(element)
+        self.music.ignored[f"divisions outside 1/{MOST_DIVISIONS} to {MOST_DIVISIONS}"] += wrong
         self.music.ignored["fifths outside -7 to 7"] += abs(number_of(element, "key/fifths", 0.0)) > 7
         self.fifths = int(number_of(element, "key/fifths", self.fifths, -7.0, 7.0))
-        if (move := element.find("transpose")) is not None:
-            self.transpose = number_of(move, "chromatic", 0.0) + 12 * number_of(move, "octave-change", 0.0)
+        for move in element.findall("transpose"):
+            steps = number_of(move, "chromatic", 0.0) + 12 * number_of(move, "octave-change", 0.0)
+            staff_number = move.get("number", "")
+            self.transpose = self.transpose | {staff_number: steps} if staff_number else {"": steps}
+            self.music.ignored["transposition that doubles"] += move.find("double") is not None
         for staff in element.findall("staff-details"):
             capo = number_of(staff, "capo", self.part.capo)
             self.music.ignored[f"capo outside 0 to {_MOST_LINES}"] += not 0 <= capo <= _MOST_LINES
@@ -243,7 +243,7 @@ class _PartReader:
                     bpm = value
                 else:
                     self.music.ignored["dynamics beyond velocities 1 to 127"] += not 1 <= round(value * 0.9) <= 127
-                    self.velocity = min(max(round(value * 0.9), 1), 127)
+                    self.velocity = velocity_of(value)
             jumps = {"segno": "segno", "coda": "coda", "fine": "fine", "tocoda": "to_coda", "dacapo": "da_capo"}
             jumps |= {"dalsegno": "dal_segno"}
             said_jumps = {sign for name, sign in jumps.items() if sound.get(name, "no") not in ("", "no")}
@@ -255,6 +255,8 @@ class _PartReader:
                 self._feel(feel)
         if bpm is not None:
             self.music.tempo(measure, now, bpm)
+        offsets = (element.find("offset[@sound='yes']"), None if sound is None else sound.find("offset"))
+        self.music.ignored["offset of a sound"] += any(offset is not None for offset in offsets)
         index, dynamics = len(self.part.measures), sound is not None and "dynamics" in sound.attrib
         for kind in element.findall("direction-type/*"):
             if sign := jump_sign(kind):
@@ -340,10 +342,11 @@ class _PartReader:
     def _barline(self, element: Element, measure: Measure) -> None:
         repeat, ending = element.find("repeat"), element.find("ending")
         if ending is not None and ending.get("type") == "start":
-            numbers = [whole(n, 1, _MOST_ENDING) for n in ending.get("number", "1").replace(",", " ").split()]
-            self.music.ignored["number of an ending that cannot be read"] += None in numbers
-            self.ending = frozenset(n for n in numbers if n is not None)
-            self.ending = self.ending or frozenset({1})
+            words = ending.get("number", "1").replace(",", " ").split()
+            numbers = [whole(n, 1, _MOST_ENDING) for n in words[:_MOST_NUMBERS]]
+            lost = None in numbers or len(numbers) < len(words)
+            self.music.ignored["number of an ending that cannot be read"] += lost
+            self.ending = frozenset(n for n in numbers if n is not None) or frozenset({1})
             measure.endings = self.ending
         if repeat is not None and repeat.get("direction") == "forward":
             measure.opens = True
@@ -378,8 +381,11 @@ class _PartReader:
         if any(e.get("type") == "let-ring" for e in element.findall("notations/tied")):
             signs.add("let_ring")
         technical = element.find("notations/technical")
+        moved = self.transpose.get(text_of(element, "staff", "1"), self.transpose.get("", 0.0))
+        share = number(element.get("dynamics", ""), 0, MOST)
         note = WrittenNote(
-            at, length, pitch + self.transpose, velocity=self.velocity, signs=tuple(sorted(signs)),
+            at, length, pitch + moved, velocity=self.velocity if share is None else velocity_of(share),
+            signs=tuple(sorted(signs)),
             tied="stop" in ties, bend=_bend(technical),
             strum=_strum(element.find("notations/arpeggiate"), place), steps=self._steps(element),
         )  # fmt: skip
@@ -425,12 +431,6 @@ class _PartReader:
                 return replace(note, string=int(string))
             fret = frets[0]
         return replace(note, string=int(string), fret=int(fret))
-
-
-def _divisions(element: Element) -> Fraction:
-    """Durations per quarter note of attributes; 0 where there are none, or none within bounds."""
-    said = number_of(element, "divisions", 0.0, 1 / _MOST_DIVISIONS, _MOST_DIVISIONS)
-    return Fraction(said).limit_denominator(_MOST_DIVISIONS)
 
 
 def _strum(arpeggiate: Element | None, place: int) -> int:

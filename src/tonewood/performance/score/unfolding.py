@@ -259,3 +259,14 @@ class _Tablature:
         else:
             self._stack.pop()
         return i + 1
+
+
+def number_endings(measures: Sequence[Measure]) -> None:
+    """Let a repeat over endings be played once for each pass that they name."""
+    last = {ends: max(ends, default=0) for ends in {measure.endings for measure in measures}}
+    passes = 0  # of the measures since the repeat began
+    for i, measure in enumerate(measures):
+        passes = max(0 if measure.opens else passes, last[measure.endings])
+        if measure.closes and measure.endings:
+            following = last[measures[i + 1].endings] if i + 1 < len(measures) else 0
+            measure.closes = max(measure.closes, passes, following)

@@ -201,6 +201,7 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     controls: list[Control] = []
     ignored = Counter(music.ignored)
     channels: dict[tuple[int, int], int] = {}
+    its_channels: dict[int, list[int]] = defaultdict(list)
     signs, strokes = (Allowance(MAX_NOTES, "notes, repeats unfolded", music.file) for _ in range(2))
     bends = Allowance(MAX_CONTROLS, "controls of bends and vibrato", music.file)
     compared = Allowance(_MOST_COMPARED, "notes that begin together with grace notes", music.file)
@@ -219,19 +220,21 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
             if not 0.0 <= clock.seconds(one.at) <= clock.seconds(one.end) <= MAX_TIME:
                 ignored["note that begins or ends beyond 6 hours"] += 1
                 continue
-            channel = channels.setdefault((number, one.sign.string or 0), len(channels) % 16)
+            if (place := (number, one.sign.string or 0)) not in channels:
+                channels[place] = len(channels) % 16
+                its_channels[number].append(channels[place])
+            channel = channels[place]
             own += _strokes(one, following.get(i), clock, music.parts[number - 1], channel, strokes)
             controls += _bends(one, channel, clock, bends)
-        its = [channel for (part, _), channel in channels.items() if part == number]
-        controls += _pedalled(music.parts[number - 1], played, clock, its, own, bends)
+        controls += _pedalled(music.parts[number - 1], played, clock, its_channels[number], own, bends)
         notes += own
         part = music.parts[number - 1]
         about.append(ScorePart(number, part.name, (), {part.program: len(own)} if own else {}, part.n_drums))
     ignored.update(lost_jumps(music.measures, tablature=music.tablature))
-    for i in set(range(len(music.measures))) - set(played):
-        ignored["note in a measure that no pass reaches"] += sum(
-            len(music.parts[number - 1].measures[i]) for number in chosen if i < len(music.parts[number - 1].measures)
-        )
+    reached = set(played)
+    for number in chosen:
+        left = (len(signs) for i, signs in enumerate(music.parts[number - 1].measures) if i not in reached)
+        ignored["note in a measure that no pass reaches"] += sum(left)
     warnings = list(music.warnings)
     if len(channels) > 16 and controls:
         warnings.append("more than 16 strings: bends of some are those of others, too; choose fewer --tracks")
@@ -262,7 +265,7 @@ def _sounding(
             if music.tablature and sign.string is not None:
                 before = on_string.get(sign.string)  # a harmonic's sound goes on where the tied note is none
             if sign.tied and before is not None and _reaches(before, at, i, music.tablature):
-                before.end, before.measure = end, i
+                before.end, before.measure = max(before.end, end), i  # another voice may hold this pitch longer
                 before.bent.append((at, sign))
                 continue
             last = on_string.get(sign.string) if sign.string is not None else None

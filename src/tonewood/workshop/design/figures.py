@@ -17,15 +17,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.physics.plate.whole_body import LowModes
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.design.task import Target
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: points of a band
 _POINTS = 400
@@ -102,8 +99,6 @@ class DrawnResonances:
 class StringEnd:
     """A string that ends on the body.
 
-    Attributes
-    ----------
     name : its name.
     point : number of the body's point.
     mass_freq : kg Hz, its mass times its frequency, the same at every stop.
@@ -136,9 +131,7 @@ def figures(
 ) -> Floats:
     """(targets,) figures, each in the unit of its target.
 
-    Raises
-    ------
-    TonewoodError : the body has no such mode, or its mass is not known.
+    Raises TonewoodError : the body has no such mode, or its mass is not known.
     """
     return np.array([_figure(target, resonances, points, ends) for target in targets])
 

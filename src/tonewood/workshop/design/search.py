@@ -21,12 +21,11 @@ from tonewood.instrument.bundle.added import body_parts
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.physics.plate.body import BodyDrawing, BodyModes
 from tonewood.physics.plate.whole_body import LowModes
+from tonewood.support.arrays import Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.design.bodies import MeasuredDesign, changed, design_body
 from tonewood.workshop.design.figures import DrawnResonances, Resonances, figures, string_ends
 from tonewood.workshop.design.task import Free, Target
-
-Floats = NDArray[np.float64]
 
 #: weight of a change by the whole range of a parameter
 LEAST = 0.02
@@ -38,8 +37,6 @@ _STEPS, _GAIN, _CLOSE = 12, 0.02, 1e-3
 class FoundDesign:
     """A design and what it reaches.
 
-    Attributes
-    ----------
     targets, free : of the task.
     before, values : (n,) parameters as given and as found.
     given, reached : (t,) figures of both, by full computations.
@@ -83,13 +80,8 @@ def find_design(
 ) -> FoundDesign:
     """Search the nearest design that reaches the targets.
 
-    Parameters
-    ----------
     tell : is called with a line about each step.
-
-    Raises
-    ------
-    TonewoodError : the body has no such mode or parameter.
+    Raises TonewoodError : the body has no such mode or parameter.
     """
     search = _Search(instrument, targets, free, tell)
     before = np.array([p.start for p in free])

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.design.search import FoundDesign, slope
 from tonewood.workshop.design.task import Free, Target
-
-Floats = NDArray[np.float64]
 
 #: cosine between the rates of two targets from which on they are said to go together, or against one another
 _TOGETHER = 0.9
