@@ -12,6 +12,7 @@ import numpy as np
 
 from tonewood.physics.plate.plate import Edge, Plate, cell_size
 from tonewood.physics.plate.wood import Wood
+from tonewood.support.blas import one_blas_thread
 from tonewood.support.arrays import Floats
 
 #: Hz, targets of Gore and Gilet for panels without braces
@@ -22,6 +23,7 @@ _NU_RL, _PRODUCT = 0.05, 0.02
 THINNEST, THICKEST = 5e-4, 2e-2
 
 
+@one_blas_thread
 def panel_freq(wood: Wood, outline: Floats, thickness: float) -> float:
     """Lowest frequency (Hz) of a bare plate clamped at its outline.
 
@@ -32,6 +34,7 @@ def panel_freq(wood: Wood, outline: Floats, thickness: float) -> float:
     return float(Plate([outline], wood, thickness, Edge(np.inf, np.inf), size=size).modes(count=1).freq[0])
 
 
+@one_blas_thread
 def thickness_for(wood: Wood, outline: Floats, freq: float) -> float:
     """Thickness (m) at which `panel_freq` is a frequency (Hz).
 
