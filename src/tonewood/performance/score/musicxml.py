@@ -8,6 +8,7 @@ Source: MusicXML 4.0, W3C Music Notation Community Group, 2021.
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -52,8 +53,8 @@ _NUMBERS = {
 _PROGRAM = "midi-instrument/midi-program"
 #: kinds of what is left out, from which on names of signs are left out, and characters of a name
 _MOST_UNKNOWN, _LONGEST_SIGN = 100, 40
-#: times that a measure is repeated, number of an ending, and of a line of a staff
-_MOST_TIMES, _MOST_ENDING, _MOST_LINES = 32, 9999, 1000
+#: times that a measure is repeated, number of an ending, characters of its numbers, and number of a line of a staff
+_MOST_TIMES, _MOST_ENDING, _LONGEST_ENDING, _MOST_LINES = 32, 9999, 400, 1000
 
 
 def read_musicxml(data: bytes, path: Path) -> WrittenMusic:
@@ -130,11 +131,12 @@ class _Reader:
 def _number_endings(measures: list[Measure]) -> None:
     """Let a repeat over endings be played once for each pass that they name."""
     passes = 0  # of the measures since the repeat began
+    highest = {endings: max(endings, default=0) for endings in {measure.endings for measure in measures}}
     for i, measure in enumerate(measures):
-        passes = max([0 if measure.opens else passes, *measure.endings])
+        passes = max(0 if measure.opens else passes, highest[measure.endings])
         if measure.closes and measure.endings:
-            following = measures[i + 1].endings if i + 1 < len(measures) else ()
-            measure.closes = max([measure.closes, passes, *following])
+            following = highest[measures[i + 1].endings] if i + 1 < len(measures) else 0
+            measure.closes = max(measure.closes, passes, following)
 
 
 class _PartReader:
@@ -142,7 +144,9 @@ class _PartReader:
 
     def __init__(self, part: WrittenPart, music: WrittenMusic):
         self.part, self.music = part, music
-        self.divisions, self.transpose, self.velocity = Fraction(0), 0.0, 80
+        self.divisions, self.velocity = Fraction(0), 80
+        #: staff -> semitones from written to sounding pitch; of those that are not named under ""
+        self.transpose = {"": 0.0}
         self.tuning: dict[int, float] = {}
         self.ending: frozenset[int] = frozenset()
         self.palm = False
@@ -216,8 +220,10 @@ class _PartReader:
         self.music.ignored[f"divisions outside 1/{_MOST_DIVISIONS} to {_MOST_DIVISIONS}"] += wrong
         self.music.ignored["fifths outside -7 to 7"] += abs(number_of(element, "key/fifths", 0.0)) > 7
         self.fifths = int(number_of(element, "key/fifths", self.fifths, -7.0, 7.0))
-        if (move := element.find("transpose")) is not None:
-            self.transpose = number_of(move, "chromatic", 0.0) + 12 * number_of(move, "octave-change", 0.0)
+        for move in element.findall("transpose"):
+            semitones = number_of(move, "chromatic", 0.0) + 12 * number_of(move, "octave-change", 0.0)
+            self.transpose = {**(self.transpose if (staff := move.get("number", "")) else {}), staff: semitones}
+            self.music.ignored["octave in which a transposed part is doubled"] += move.find("double") is not None
         for staff in element.findall("staff-details"):
             capo = number_of(staff, "capo", self.part.capo)
             self.music.ignored[f"capo outside 0 to {_MOST_LINES}"] += not 0 <= capo <= _MOST_LINES
@@ -231,6 +237,8 @@ class _PartReader:
 
     def _direction(self, element: Element, now: Fraction, measure: Measure) -> None:
         sound = element if element.tag == "sound" else element.find("sound")
+        for moved in (sound,) if sound is element else (element, sound):
+            now = self._offset(moved, now)
         bpm = written_tempo(element, self.music.ignored)
         before = self.velocity
         if sound is not None:
@@ -270,6 +278,15 @@ class _PartReader:
         if dynamics or self.velocity != before:
             self.levels.append((index, now, self.velocity))
         self._pedals(element, sound, index, now)
+
+    def _offset(self, element: Element | None, now: Fraction) -> Fraction:
+        """Time at which a direction acts; the offset of one is of its picture alone where it does not say otherwise."""
+        offset = None if element is None else element.find("offset")
+        if element is None or offset is None or (element.tag == "direction" and offset.get("sound") != "yes"):
+            return now
+        later = number(offset.text or "", -MOST, MOST)
+        self.music.ignored["offset that cannot be read"] += later is None
+        return max(near(now + Fraction(later or 0.0).limit_denominator(_MOST_DIVISIONS) / self.divisions), Fraction(0))
 
     def _feel(self, element: Element) -> None:
         """How long the first of two notes is, from here on."""
@@ -340,10 +357,13 @@ class _PartReader:
     def _barline(self, element: Element, measure: Measure) -> None:
         repeat, ending = element.find("repeat"), element.find("ending")
         if ending is not None and ending.get("type") == "start":
-            numbers = [whole(n, 1, _MOST_ENDING) for n in ending.get("number", "1").replace(",", " ").split()]
-            self.music.ignored["number of an ending that cannot be read"] += None in numbers
-            self.ending = frozenset(n for n in numbers if n is not None)
-            self.ending = self.ending or frozenset({1})
+            said = ending.get("number", "1")
+            texts = re.sub(r"\s*-\s*", "-", said[:_LONGEST_ENDING]).replace(",", " ").split()
+            numbers = [_passes(text) for text in texts]
+            self.music.ignored["number of an ending that cannot be read"] += (
+                not all(numbers) or len(said) > _LONGEST_ENDING
+            )
+            self.ending = frozenset().union(*numbers) or frozenset({1})
             measure.endings = self.ending
         if repeat is not None and repeat.get("direction") == "forward":
             measure.opens = True
@@ -378,8 +398,9 @@ class _PartReader:
         if any(e.get("type") == "let-ring" for e in element.findall("notations/tied")):
             signs.add("let_ring")
         technical = element.find("notations/technical")
+        transpose = self.transpose.get(text_of(element, "staff"), self.transpose.get("", 0.0))
         note = WrittenNote(
-            at, length, pitch + self.transpose, velocity=self.velocity, signs=tuple(sorted(signs)),
+            at, length, pitch + transpose, velocity=self._velocity(element), signs=tuple(sorted(signs)),
             tied="stop" in ties, bend=_bend(technical),
             strum=_strum(element.find("notations/arpeggiate"), place), steps=self._steps(element),
         )  # fmt: skip
@@ -394,6 +415,16 @@ class _PartReader:
             note = replace(note, tremolo=Fraction(1, 2 ** int(strokes)))
         self.music.ignored["tremolo outside 0 to 5 strokes"] += not 0 <= strokes <= 5
         return self._placed(note, technical)
+
+    def _velocity(self, element: Element) -> int:
+        """Velocity of a note: its own, in percent of 90, or that of the dynamics."""
+        if (said := element.get("dynamics")) is None:
+            return self.velocity
+        share = number(said, -MOST, MOST)
+        self.music.ignored["dynamics of a note beyond velocities 1 to 127"] += (
+            share is None or not 1 <= share * 0.9 <= 127
+        )
+        return self.velocity if share is None else min(max(round(share * 0.9), 1), 127)
 
     def _steps(self, element: Element) -> tuple[int, int]:
         """Semitones down and up to the neighbours of a note in its key, or by an accidental at its ornament."""
@@ -431,6 +462,14 @@ def _divisions(element: Element) -> Fraction:
     """Durations per quarter note of attributes; 0 where there are none, or none within bounds."""
     said = number_of(element, "divisions", 0.0, 1 / _MOST_DIVISIONS, _MOST_DIVISIONS)
     return Fraction(said).limit_denominator(_MOST_DIVISIONS)
+
+
+def _passes(text: str) -> frozenset[int]:
+    """Passes of a number of an ending, or of two with a hyphen; none where it cannot be read."""
+    first, hyphen, last = text.partition("-")
+    low = whole(first, 1, _MOST_ENDING)
+    high = whole(last, 1, _MOST_ENDING) if hyphen else low
+    return frozenset() if low is None or high is None else frozenset(range(low, min(high, low + _MOST_TIMES) + 1))
 
 
 def _strum(arpeggiate: Element | None, place: int) -> int:

@@ -19,6 +19,8 @@ _UNITS = {
     "16th": 0.25,
     "32nd": 0.125,
     "64th": 0.0625,
+    "128th": 0.03125,
+    "256th": 0.015625,
 }
 #: a tempo in words: a sign for its note value, if any, and quarter notes of that
 _TEMPO_WORDS = re.compile(r"([♩♪qehw\U0001d15d-\U0001d160]?)(\.?)\s*=\s*(?:ca?\.\s*)?(\d+(?:\.\d+)?)")
@@ -48,10 +50,11 @@ def written_tempo(element: Element, ignored: Counter[str]) -> float | None:
     if metronome is not None:
         name = text_of(metronome, "beat-unit")
         ignored["metronome whose beat-unit is not known"] += name not in _UNITS
-        unit = _UNITS.get(name, 1.0) * (1.5 if metronome.find("beat-unit-dot") is not None else 1.0)
+        unit = _UNITS.get(name, 1.0) * (2.0 - 0.5 ** len(metronome.findall("beat-unit-dot")))
         said = re.search(r"-?\d+(\.\d+)?", text_of(metronome, "per-minute")[:40])
         equal_units = len(metronome.findall("beat-unit")) > 1 or metronome.find("metronome-note") is not None
         ignored["per-minute that cannot be read"] += said is None and not equal_units
+        ignored["tempo by two note values that are equally long"] += said is None and equal_units
         return (number(said.group(0), -MOST, MOST) or 0.0) * unit if said else None
     for words in element.findall("direction-type/words"):
         if (tempo_word := _TEMPO_WORDS.search((words.text or "")[:200])) is not None:

@@ -200,7 +200,7 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     notes: list[Note] = []
     controls: list[Control] = []
     ignored = Counter(music.ignored)
-    channels: dict[tuple[int, int], int] = {}
+    n_channels = 0
     signs, strokes = (Allowance(MAX_NOTES, "notes, repeats unfolded", music.file) for _ in range(2))
     bends = Allowance(MAX_CONTROLS, "controls of bends and vibrato", music.file)
     compared = Allowance(_MOST_COMPARED, "notes that begin together with grace notes", music.file)
@@ -211,7 +211,7 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     ]
     clock.begin_before(one.at for _, sounding in parts_played for one in sounding if one.at < 0)
     for number, sounding in parts_played:
-        following, own = _following(sounding), list[Note]()
+        following, own, channels = _following(sounding), list[Note](), dict[int, int]()
         for i, one in enumerate(sounding):
             if not all(_PITCHES[0] <= p <= _PITCHES[1] for p in (one.sign.pitch, one.sign.trill or 0.0)):
                 ignored["note whose pitch is out of range"] += 1
@@ -219,11 +219,11 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
             if not 0.0 <= clock.seconds(one.at) <= clock.seconds(one.end) <= MAX_TIME:
                 ignored["note that begins or ends beyond 6 hours"] += 1
                 continue
-            channel = channels.setdefault((number, one.sign.string or 0), len(channels) % 16)
+            channel = channels.setdefault(one.sign.string or 0, (n_channels + len(channels)) % 16)
             own += _strokes(one, following.get(i), clock, music.parts[number - 1], channel, strokes)
             controls += _bends(one, channel, clock, bends)
-        its = [channel for (part, _), channel in channels.items() if part == number]
-        controls += _pedalled(music.parts[number - 1], played, clock, its, own, bends)
+        n_channels += len(channels)
+        controls += _pedalled(music.parts[number - 1], played, clock, list(channels.values()), own, bends)
         notes += own
         part = music.parts[number - 1]
         about.append(ScorePart(number, part.name, (), {part.program: len(own)} if own else {}, part.n_drums))
@@ -233,7 +233,7 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
             len(music.parts[number - 1].measures[i]) for number in chosen if i < len(music.parts[number - 1].measures)
         )
     warnings = list(music.warnings)
-    if len(channels) > 16 and controls:
+    if n_channels > 16 and controls:
         warnings.append("more than 16 strings: bends of some are those of others, too; choose fewer --tracks")
     notes.sort(key=lambda n: n.time)
     controls.sort(key=lambda c: c.time)
@@ -262,7 +262,7 @@ def _sounding(
             if music.tablature and sign.string is not None:
                 before = on_string.get(sign.string)  # a harmonic's sound goes on where the tied note is none
             if sign.tied and before is not None and _reaches(before, at, i, music.tablature):
-                before.end, before.measure = end, i
+                before.end, before.measure = max(before.end, end), i  # another voice may hold the pitch for longer
                 before.bent.append((at, sign))
                 continue
             last = on_string.get(sign.string) if sign.string is not None else None
