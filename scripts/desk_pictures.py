@@ -45,13 +45,6 @@ def settled(browser: Driven) -> None:
     time.sleep(6.0)
 
 
-def dark(browser: Driven, on: bool) -> None:
-    """Show the page in dark or light colours."""
-    features = [{"name": "prefers-color-scheme", "value": "dark" if on else "light"}]
-    call = {"cmd": "Emulation.setEmulatedMedia", "params": {"features": features}}
-    browser._call("/goog/cdp/execute", call)
-
-
 def main() -> None:
     """Make `desk.png`, `desk_dark.png` and `desk.gif`."""
     command = [sys.executable, "-m", "tonewood", "desk", sys.argv[1] if len(sys.argv) > 1 else "drawn_guitar"]
@@ -75,7 +68,7 @@ def main() -> None:
             small[0].save(
                 IMAGES / "desk.gif", save_all=True, append_images=small[1:], duration=1800, loop=0, optimize=True
             )
-            dark(browser, on=True)
+            browser.colours("dark")
             time.sleep(2.0)
             picture(browser, folder).quantize(128).save(IMAGES / "desk_dark.png", optimize=True)
     finally:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import shutil
 import socket
 import subprocess
@@ -21,6 +22,9 @@ from urllib.parse import unquote
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 CHROMEDRIVER = shutil.which("chromedriver")
+#: axe-core (npm): `npm install --no-save axe-core`, or the file that the variable names
+AXE = Path(os.environ.get("AXE_CORE", "node_modules/axe-core/axe.min.js"))
+TAGS = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 #: WebDriver's name of an element's reference, and of keys
 _ELEMENT = "element-6066-11e4-a52e-4f735466cecf"
 KEYS = {
@@ -137,8 +141,22 @@ class Driven:
         shown = self._call("/goog/cdp/execute", {"cmd": "Page.captureScreenshot", "params": params})
         path.write_bytes(base64.b64decode(shown["data"]))
 
+    def colours(self, scheme: str) -> None:
+        """Show pages in light or dark colours."""
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        self._call("/goog/cdp/execute", {"cmd": "Emulation.setEmulatedMedia", "params": {"features": features}})
+
     def close(self) -> None:
         self._call("", method="DELETE")
+
+
+def violations(browser: Driven) -> list[str]:
+    """Rules of axe that the page breaks."""
+    if not AXE.exists():
+        return []
+    browser.run(AXE.read_text() + "; return 1")
+    found = browser.run(f"return axe.run({{runOnly: {{type: 'tag', values: {TAGS}}}}}).then(r => r.violations)")
+    return [f"{v['id']}: {v['nodes'][0]['html']}" for v in found]
 
 
 @contextmanager

@@ -71,7 +71,10 @@ def test_a_report_is_printed_and_written(tonewood: Run, tmp_path: Path) -> None:
     [
         (("compare", "monochord"), "another one, --variant or --sweep is wanted"),
         (("compare", "monochord", "clavichord", "--name", "stiff"), "--name: 1 names for 0 variants"),
-        (("compare", "monochord", "--sweep", "strings.A2.tension=50:60"), "PATH=LOW:HIGH:COUNT is allowed"),
+        (
+            ("compare", "monochord", "--sweep", "strings.A2.tension=50:60"),
+            "PATH=LOW:HIGH:COUNT, LOW below HIGH, is allowed",
+        ),
         (("compare", "monochord", "--sweep", "strings.A2.tension=50:60:9"), "--sweep: has 9 values; 2 to 5"),
         (("compare", "monochord", "nothing"), "instrument 'nothing': is neither installed nor a folder"),
         (("compare", "monochord", "--variant", "strings.A2"), "is not PATH=VALUE"),

@@ -382,3 +382,22 @@ def test_no_output_replaces_what_is_read(tonewood: Run, score: Path, tmp_path: P
         assert (code, out, err.count("\n")) == (2, "", 1)
         assert "would replace a file that is read" in err
     assert (score.read_bytes(), room.read_bytes(), notes.read_bytes()) == (*before, before[0])
+
+
+def test_no_other_output_replaces_what_is_read(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    """A table or an account of energy in place of the instrument's own table, a stem in place of the score."""
+    mine, sound, stems = tmp_path / "mine", tmp_path / "a.wav", tmp_path / "st"
+    shutil.copytree(instrument_folder("monochord"), mine)
+    (mine / "own.csv").write_text("measured")
+    stems.mkdir()
+    (stems / "bridge.wav").write_bytes(score.read_bytes())
+    short = ["-i", mine, "--max-duration", "0.05", "-o", sound]
+    for arguments in (
+        ["modes", mine, "--table", mine / "own.csv"],
+        ["render", score, *short, "--energy", mine / "own.csv"],
+        ["render", stems / "bridge.wav", *short, "--stems", stems],
+    ):
+        code, _, err = tonewood(*arguments)
+        assert (code, err.count("would replace a file that is read")) == (2, 1), err
+    assert (mine / "own.csv").read_text() == "measured"
+    assert (stems / "bridge.wav").read_bytes() == score.read_bytes()

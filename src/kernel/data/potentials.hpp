@@ -16,17 +16,18 @@ constexpr std::size_t block_columns(std::size_t left) {
 // A string with longitudinal motion (potentials/longitudinal.hpp).
 struct Stretch {
     struct Planes {  // one or two polarizations, side by side and with the same shapes
-        int first = 0, count = 1, n = 0;  // components; lowest modes that take part, padded
-        // (n, points) slope at each point per coordinate, (points, n) its transpose; by blocks of columns
+        int first = 0, count = 1, n = 0, width = 0;  // components; lowest modes that take part; these, padded
+        // (n, points padded) slope at each point per coordinate, (points, width) its transpose; by blocks of columns
         Array<double> slopes, pulls;
     };
     int order = 0;             // P
-    int points = 0;            // theta = (j + 1/2) pi / points, a multiple of kLane: sums over them are integrals
+    int points = 0;            // theta = (j + 1/2) pi / points: sums over them are integrals
+    int width_at_points = 0;   // these, padded
     double scale = 0;          // EA L
     std::vector<int> sizes;    // modes of each component that take part, the lowest; the longitudinal one last
     std::vector<Planes> planes;
     Array<double> project;     // (points, strain_width): s_n per squared slope at each point
-    Array<double> spread;      // (P + 1, points): pull per slope at each point, of s_n + l_n; by blocks of columns
+    Array<double> spread;      // (P + 1, points padded): pull per slope there, of s_n + l_n; by blocks of columns
     int width = 0, strain_width = 0;  // modes of the longitudinal component, cosines of its strain; padded
     Array<double> weights;            // (strain_width): EA L g_n
     Array<double> strain, back;       // (modes, strain_width), (P + 1, width): strain's cosines per coordinate

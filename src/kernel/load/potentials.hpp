@@ -165,36 +165,37 @@ inline Stretch load_stretch(const PotentialDescription& d, const std::vector<Com
     for (std::size_t i = 0; i < cosines; ++i)
         for (std::size_t k = 0; k < modes; ++k)
             out.strain[k * out.strain_width + i] = out.back[i * out.width + k] = strain[i * modes + k];
-    const std::size_t points = padded((2 * (most - 1) + cosines - 1) / 2 + 1);
-    const Array<double> all = cosines_at_points(std::max(most, cosines), points);
-    out.points = int(points), out.weights.assign(out.strain_width, 0.0);
-    out.project.assign(points * out.strain_width, 0.0), out.spread.assign(cosines * points, 0.0);
+    const std::size_t exact = (2 * (most - 1) + cosines - 1) / 2 + 1, points = padded(exact);
+    const Array<double> all = cosines_at_points(std::max(most, cosines), exact);
+    out.points = int(exact), out.width_at_points = int(points), out.weights.assign(out.strain_width, 0.0);
+    out.project.assign(exact * out.strain_width, 0.0), out.spread.assign(cosines * points, 0.0);
     for (std::size_t i = 0; i < cosines; ++i) {
         out.weights[i] = out.scale * (i == 0 ? 1.0 : 0.5);
-        for (std::size_t j = 0; j < points; ++j) {
-            out.project[j * out.strain_width + i] = all[i * points + j] * (i == 0 ? 0.5 : 1.0) / double(points);
-            out.spread[i * points + j] = all[i * points + j] * out.scale / double(points);
+        for (std::size_t j = 0; j < exact; ++j) {
+            out.project[j * out.strain_width + i] = all[i * exact + j] * (i == 0 ? 0.5 : 1.0) / double(exact);
+            out.spread[i * points + j] = all[i * exact + j] * out.scale / double(exact);
         }
     }
     out.spread = by_columns(out.spread, points);
     for (std::size_t q = 0; q < last; ++q) {
         const View& slopes = d.parts[q].slopes;
         const std::size_t n = slopes.shape[1];
-        Array<double> at_points(padded(n) * points, 0.0);
+        Array<double> at_points(n * points, 0.0);
         for (std::size_t i = 0; i < slopes.shape[0]; ++i)
             for (std::size_t k = 0; k < n; ++k)
-                for (std::size_t j = 0; j < points; ++j)
-                    at_points[k * points + j] += slopes[i * n + k] * all[i * points + j];
+                for (std::size_t j = 0; j < exact; ++j)
+                    at_points[k * points + j] += slopes[i * n + k] * all[i * exact + j];
         if (!out.planes.empty() && out.planes.back().count == 1 && out.planes.back().slopes == at_points)
             out.planes.back().count = 2;
         else
-            out.planes.push_back({int(q), 1, int(padded(n)), std::move(at_points), {}});
+            out.planes.push_back({int(q), 1, int(n), int(padded(n)), std::move(at_points), {}});
     }
     for (Stretch::Planes& planes : out.planes) {
-        planes.pulls.resize(planes.slopes.size());
-        for (std::size_t k = 0, n = std::size_t(planes.n); k < n; ++k)
-            for (std::size_t j = 0; j < points; ++j) planes.pulls[j * n + k] = planes.slopes[k * points + j];
-        planes.slopes = by_columns(planes.slopes, points), planes.pulls = by_columns(planes.pulls, std::size_t(planes.n));
+        const std::size_t wide = std::size_t(planes.width);
+        planes.pulls.assign(exact * wide, 0.0);
+        for (std::size_t k = 0; k < std::size_t(planes.n); ++k)
+            for (std::size_t j = 0; j < exact; ++j) planes.pulls[j * wide + k] = planes.slopes[k * points + j];
+        planes.slopes = by_columns(planes.slopes, points), planes.pulls = by_columns(planes.pulls, wide);
     }
     return out;
 }

@@ -27,7 +27,8 @@ public:
         if (block_.start / kBlock % kWindow != 0) return;
         for (const int i : candidates_) {
             const bool before = rests_[i];
-            rests_[i] = is_zero(block_.x(i), i) && is_zero(block_.y(i), i) && !block_.forced(i, kWindow * kBlock);
+            rests_[i] = (before || (is_zero(block_.x(i), i) && is_zero(block_.y(i), i))) &&
+                        !block_.forced(i, kWindow * kBlock);
             if (before || !rests_[i]) continue;
             const int row = block_.model.layout.row[i];
             for (int b = 0; b <= kBlock; ++b) std::fill_n(block_.line(b) + row, block_.model.components[i].n_rows, 0.0);

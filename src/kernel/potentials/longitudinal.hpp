@@ -22,11 +22,11 @@ public:
             const Stretch& g = string.given;
             for (std::size_t q = 0; q < g.sizes.size(); ++q) {
                 string.parts.push_back(&add_part(s, q, g.sizes[q]));
-                string.slopes.emplace_back(g.points, 0.0);
+                string.slopes.emplace_back(g.width_at_points, 0.0);
             }
             for (Array<double>* a : {&string.squares, &string.strain, &string.tension, &string.stretching})
                 a->assign(g.strain_width, 0.0);
-            string.at_points.assign(g.points, 0.0);
+            string.at_points.assign(g.width_at_points, 0.0);
             strings_.push_back(std::move(string));
         }
     }
@@ -144,14 +144,14 @@ private:
     static void find_squares(String& string) {
         const Stretch& g = string.given;
         double* const all = string.at_points.data();
-        std::fill_n(all, g.points, 0.0);
+        std::fill_n(all, g.width_at_points, 0.0);
         by_planes(string, [&]<int Count>(const Stretch::Planes& planes, Part* const* parts) {
             const double* y[Count];
             double* slopes[Count];
             for (int p = 0; p < Count; ++p)
                 y[p] = parts[p]->middle.data(), slopes[p] = string.slopes[planes.first + p].data();
-            multiply_planes<Count>(planes.slopes.data(), g.points, planes.n, y, slopes);
-            for (int j = 0; j < g.points; j += S::width)
+            multiply_planes<Count>(planes.slopes.data(), g.width_at_points, planes.n, y, slopes);
+            for (int j = 0; j < g.width_at_points; j += S::width)
                 for (int p = 0; p < Count; ++p)
                     S::store(all + j, S::load(all + j) + S::load(slopes[p] + j) * S::load(slopes[p] + j));
         });
@@ -165,17 +165,17 @@ private:
         double* const tension = string.at_points.data();
         const double* const parts_of[] = {string.tension.data()};
         double* const to_points[] = {tension};
-        multiply_planes<1>(g.spread.data(), g.points, g.order + 1, parts_of, to_points);
+        multiply_planes<1>(g.spread.data(), g.width_at_points, g.order + 1, parts_of, to_points);
         by_planes(string, [&]<int Count>(const Stretch::Planes& planes, Part* const* parts) {
             const double* forces[Count];
             double* to[Count];
             for (int p = 0; p < Count; ++p) {
                 double* const slopes = string.slopes[planes.first + p].data();
-                for (int j = 0; j < g.points; j += S::width)
+                for (int j = 0; j < g.width_at_points; j += S::width)
                     S::store(slopes + j, S::load(slopes + j) * S::load(tension + j));
                 forces[p] = slopes, to[p] = parts[p]->direction.data();
             }
-            multiply_planes<Count>(planes.pulls.data(), planes.n, g.points, forces, to);
+            multiply_planes<Count>(planes.pulls.data(), planes.width, g.points, forces, to);
         });
     }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import wraps
 from importlib import import_module
 from pathlib import Path
@@ -17,13 +17,16 @@ from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
 from tonewood.cli.common import warn
 from tonewood.cli.stopping import stopping
 from tonewood.errors import CacheFolderWarning, DamagedCacheWarning, OldFormatWarning, OutputError
+from tonewood.support.whole_files import protect
 
 # typer may carry its own copy of click: its errors are found through it
 _UsageError = typer.BadParameter.__bases__[0]
 ClickError: type[Exception] = _UsageError.__bases__[0]
 ABORTED: type[Exception] = typer.Abort
 #: parameters that name a file to write
-_WRITTEN = {"output", "table", "plot", "record"}
+_WRITTEN = {"output", "table", "plot", "record", "energy", "page"}
+#: parameters that name a file to read, and an instrument: a name, or its folder
+_READ, _INSTRUMENT = {"score", "room", "ensemble", "programs"}, "instrument"
 
 
 def application(first: str | None) -> typer.Typer:
@@ -56,6 +59,7 @@ def _command(command: Callable[..., Any]) -> Callable[..., Any]:
         try:
             stopping.command_begins()
             _refuse_to_replace(options)
+            protect(_sources(options) if command.__name__ != "desk" else ())
             with warnings.catch_warnings():
                 warnings.showwarning = show_in_one_line
                 code = command(*args, **options)
@@ -84,6 +88,15 @@ def _refuse_to_replace(options: Mapping[str, Any]) -> None:
                     f"would replace a file that is read, {other.replace('_', ' ')} {str(read)!r}; give another name"
                 )
                 raise OutputError(reason, file=file)
+
+
+def _sources(options: Mapping[str, Any]) -> Iterator[Path]:
+    """Files that a command reads: its score, room and others, and all of the folder of its instrument."""
+    for name, value in options.items():
+        if name in _READ and isinstance(value, Path | str):
+            yield Path(value)
+        elif name == _INSTRUMENT and isinstance(value, Path | str) and "\0" not in str(value):
+            yield from Path(value).glob("*.*") if os.path.isdir(value) else ()
 
 
 def _is_file(name: Path | str) -> bool:

@@ -118,7 +118,7 @@ def _swept(text: str, most: int) -> tuple[str, list[float]]:
     words = rest.split(":")
     low, high, count = (number_in(word) for word in [*words, *["nan"] * 3][:3])
     if not (equals and path.strip() and len(words) == 3 and low < high and count == round(count)):
-        raise TonewoodError(f"is {text!r}; PATH=LOW:HIGH:COUNT is allowed", key="--sweep")
+        raise TonewoodError(f"is {text!r}; PATH=LOW:HIGH:COUNT, LOW below HIGH, is allowed", key="--sweep")
     if not 2 <= count <= most:
         raise TonewoodError(f"has {count:g} values; 2 to {most} are allowed beside the others", key="--sweep")
     steps = round(count) - 1
@@ -247,7 +247,10 @@ def _print_sweep(result: Comparison) -> None:
     """A row for each value, a column for each figure."""
     from tonewood.workshop.report.summary import key_figures, value_words
 
-    rows = [(value, facts.label, key_figures(facts)) for value, facts in result.swept()]
+    rows = []
+    for value, facts in result.swept():
+        first = {} if facts.strings else {f"mode {k}": (m.freq, "Hz") for k, m in enumerate(facts.body_modes[:3], 1)}
+        rows.append((value, facts.label, first | key_figures(facts)))
     names = list(dict.fromkeys(name for _, _, figures in rows for name in figures))
     heads = [result.sweep, *(name.partition(",")[0] for name in names)]
     cells = [[f"{v:g} ({label})", *(value_words(*f[n]) if n in f else "-" for n in names)] for v, label, f in rows]

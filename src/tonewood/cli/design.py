@@ -33,7 +33,7 @@ def design(
         typer.Option(
             metavar="PATH=LOW:HIGH",
             help="number of the body that may change, 'body.thickness=2e-3:3e-3'; x0.7:1.4 is a factor on all numbers "
-            "below the path, +-0.02:0.02 is added to them; may be given again",
+            "below the path, +-0.02:0.02 is added to them; strings=SET,SET tries string sets; may be given again",
         ),
     ] = None,
     output: Annotated[
@@ -62,19 +62,33 @@ def design(
         parameters[path.strip()] = bounds
     if output is not None:
         check_folder(output)
-    bundle = load(instrument, settings, allow_code, strings)
-    wanted, changing = parse_targets(texts, bundle), parse_free(parameters, bundle)
-    best = find_design(bundle, wanted, changing, lambda line: print(f"design: {line}", file=sys.stderr, flush=True))
+    sets = [name.strip() for name in parameters.pop("strings", "").split(",") if name.strip()]
+    if sets and strings is not None:
+        raise TonewoodError(
+            f"stands beside --free strings={','.join(sets)}; one of the two is allowed", key="--strings"
+        )
+    tried: list[str | None] = [*sets] or [strings]
+    bundles = [load(instrument, settings, allow_code, name) for name in tried]
+    tasks = [
+        (bundle, parse_targets(texts, bundle), parse_free(parameters, bundle) if parameters or not sets else [])
+        for bundle in bundles
+    ]
+    designs = [find_design(*each, lambda line: print(f"design: {line}", file=sys.stderr, flush=True)) for each in tasks]
+    best = min(designs, key=lambda design: design.cost)
+    chosen = tried[designs.index(best)]
     if output is not None:
         write_design(best, output)
     if as_json:
-        print_json("design", _report(best, output), ok=best.ok)
+        print_json("design", {**_report(best, output), "strings": chosen}, ok=best.ok)
         return 0 if best.ok else 1
-    for line in lines(best):
+    for name, design in zip(sets, designs, strict=False):
+        missed = [t.text for t, off in zip(design.targets, design.off, strict=True) if abs(off) > t.tolerance]
+        print(f"strings {name}: {'misses ' + '; '.join(missed) if missed else 'reach all targets'}")
+    for line in [*([f"with strings {chosen}"] if sets else []), *lines(best)]:
         print(line)
-    print(
-        "for render and compare: " + " ".join(f"--set {path}={value:.6g}" for path, value in _overrides(best).items())
-    )
+    options = [f"--strings {chosen}"] if chosen else []
+    options += [f"--set {path}={value:.6g}" for path, value in _overrides(best).items()]
+    print(f"for render and compare: {' '.join(options)}")
     if output is not None:
         print(f"bundle: {output}")
     return 0 if best.ok else 1

@@ -8,26 +8,7 @@ from typing import Annotated
 
 import typer
 
-from tonewood.cli.common import (
-    AllowCode,
-    InstrumentName,
-    Json,
-    LevelOption,
-    Overrides,
-    Start,
-    Stop,
-    StringSetName,
-    Tempo,
-    Tracks,
-    Transpose,
-    allow,
-    dropped_notes_listed,
-    load,
-    print_json,
-    reading,
-    warn_of_dropped,
-    warn_of_kinds,
-)
+from tonewood.cli import common
 from tonewood.cli.options import takes_render_options
 from tonewood.errors import TonewoodError
 from tonewood.sound.render.options import RenderOptions
@@ -36,7 +17,7 @@ from tonewood.support.units import counted
 
 @takes_render_options(without=["energy"])
 def play(
-    instrument: InstrumentName,
+    instrument: common.InstrumentName,
     options: RenderOptions,
     score: Annotated[Path | None, typer.Argument(help="score to play; none where it is played live")] = None,
     midi_in: Annotated[
@@ -53,19 +34,19 @@ def play(
     ] = 2,
     ahead: Annotated[int, typer.Option(help="blocks computed ahead when played live: part of the latency")] = 4,
     duration: Annotated[float | None, typer.Option(help="end a live session after so many seconds")] = None,
-    start: Start = 0.0,
-    stop: Stop = None,
-    transpose: Transpose = 0.0,
-    tempo: Tempo = 1.0,
-    tracks: Tracks = None,
+    start: common.Start = 0.0,
+    stop: common.Stop = None,
+    transpose: common.Transpose = 0.0,
+    tempo: common.Tempo = 1.0,
+    tracks: common.Tracks = None,
     block: Annotated[int | None, typer.Option(help="frames per block; 1024, live 128")] = None,
-    level: LevelOption = None,
+    level: common.LevelOption = None,
     limiter: Annotated[bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS")] = False,
     device: Annotated[str | None, typer.Option(help="sound device, by name or number")] = None,
-    strings: StringSetName = None,
-    settings: Overrides = None,
-    allow_code: AllowCode = False,
-    as_json: Json = False,
+    strings: common.StringSetName = None,
+    settings: common.Overrides = None,
+    allow_code: common.AllowCode = False,
+    as_json: common.Json = False,
 ) -> None:
     """Play SCORE on an instrument, or the instrument live from a MIDI input or the computer's keys."""
     from tonewood.performance.score.reading import read_score
@@ -75,7 +56,7 @@ def play(
     from tonewood.sound.render.renderer import Renderer
 
     if block is not None:
-        allow("--block", block, 16, 1 << 16, "frames")
+        common.allow("--block", block, 16, 1 << 16, "frames")
     chosen = int(device) if device and device.isdecimal() else device
     if midi_in is not None or keyboard:
         if score is not None:
@@ -84,12 +65,12 @@ def play(
             raise TonewoodError(
                 "a look-ahead limiter or a loudness needs the future; --gain is allowed live", key="--level"
             )
-        allow("--ahead", ahead, 1, 64, "blocks")
-        allow("--ramp", ramp, 1.0, 100.0, "ms")
+        common.allow("--ahead", ahead, 1, 64, "blocks")
+        common.allow("--ramp", ramp, 1.0, 100.0, "ms")
         from tonewood.cli.live import play_live
 
         play_live(
-            load(instrument, settings, allow_code, strings),
+            common.load(instrument, settings, allow_code, strings),
             options,
             port=midi_in,
             keyboard=keyboard,
@@ -100,7 +81,7 @@ def play(
             spacing=spacing,
             duration=duration,
             device=chosen,
-            channels=reading(start, stop, transpose, tempo, tracks)["tracks"],
+            channels=common.reading(start, stop, transpose, tempo, tracks)["tracks"],
             calibrated=level == "calibrated" or bool(options.gain_db),
             as_json=as_json,
         )
@@ -109,12 +90,12 @@ def play(
         raise TonewoodError("there is no SCORE; without one give --midi-in or --keyboard to play live")
     if record is not None:
         raise TonewoodError("records live playing; with a SCORE there is nothing to record", key="--record")
-    given = reading(start, stop, transpose, tempo, tracks)
+    given = common.reading(start, stop, transpose, tempo, tracks)
     wanted, notes = level_name(level, gain_db=options.gain_db, limiter=limiter), read_score(score, **given)
     if wanted == "LUFS":
         raise TonewoodError("the loudness of live playing is not known before; calibrated or peak", key="--level")
-    with dropped_notes_listed():
-        bundle = load(instrument, settings, allow_code, strings)
+    with common.dropped_notes_listed():
+        bundle = common.load(instrument, settings, allow_code, strings)
         if wanted == "peak":
             options = options.at(gain_db=preview_gain(notes, bundle, options))
         renderer = Renderer(notes, bundle, options=options)
@@ -128,9 +109,11 @@ def play(
         level_of = {"level": wanted, "gain_db": options.gain_db}
         report = {"duration_s": seconds, "underruns": played.underruns, "clipped": played.clipped}
         dropped = [asdict(drop) for drop in summary.notes_dropped]
-        print_json("play", {**report, **level_of, "fs": options.fs, "notes_dropped": dropped, "warnings": warnings})
+        common.print_json(
+            "play", {**report, **level_of, "fs": options.fs, "notes_dropped": dropped, "warnings": warnings}
+        )
         return
-    warn_of_kinds(warnings)
-    warn_of_dropped(summary.notes_dropped)
+    common.warn_of_kinds(warnings)
+    common.warn_of_dropped(summary.notes_dropped)
     print(f"played {seconds:.2f} s, {played.underruns} underruns; {summary.realtime_factor:.1f} x real time")
     print(f"  level {wanted}: {meaning(renderer.model.outputs, options.gain_db)}")

@@ -10,29 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tonewood.cli import common
 from tonewood.cli.commands import InterruptError
-from tonewood.cli.common import (
-    AllowCode,
-    Json,
-    LevelOption,
-    OneInstrument,
-    Overrides,
-    ScorePath,
-    Start,
-    Stop,
-    StringSetName,
-    Subtype,
-    Tempo,
-    Tracks,
-    Transpose,
-    allow,
-    dropped_notes_listed,
-    load,
-    need,
-    print_json,
-    progress,
-    reading,
-)
 from tonewood.cli.options import takes_render_options
 from tonewood.cli.stems import check_stem_folder, stem_files, write_output_stems, write_string_stems
 from tonewood.errors import OutputError, TonewoodError
@@ -54,10 +33,10 @@ if TYPE_CHECKING:
 
 @takes_render_options(without=["energy"])
 def render(
-    score: ScorePath,
+    score: common.ScorePath,
     output: Annotated[Path, typer.Option("-o", "--output", help="sound file: .wav, .flac, .rf64, .ogg or .mp3")],
     options: RenderOptions,
-    instrument: OneInstrument = None,
+    instrument: common.OneInstrument = None,
     part: Annotated[
         list[str] | None,
         typer.Option(
@@ -76,14 +55,14 @@ def render(
     stems_by: Annotated[
         str, typer.Option(metavar="WHAT", help="stems of one instrument by output, or by string: renders a second time")
     ] = "output",
-    start: Start = 0.0,
-    stop: Stop = None,
-    transpose: Transpose = 0.0,
-    tempo: Tempo = 1.0,
-    tracks: Tracks = None,
+    start: common.Start = 0.0,
+    stop: common.Stop = None,
+    transpose: common.Transpose = 0.0,
+    tempo: common.Tempo = 1.0,
+    tracks: common.Tracks = None,
     block: Annotated[int, typer.Option(help="frames written at a time; does not change the samples")] = 4096,
-    subtype: Subtype = None,
-    level: LevelOption = None,
+    subtype: common.Subtype = None,
+    level: common.LevelOption = None,
     normalize: Annotated[float | None, typer.Option(help="level peak with this peak, dBFS, instead of -1")] = None,
     limiter: Annotated[
         bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS by a look-ahead limiter")
@@ -98,10 +77,10 @@ def render(
     live: Annotated[
         bool, typer.Option("--live", help="play SCORE as it comes, as live: repeats a take of `play --record`")
     ] = False,
-    strings: StringSetName = None,
-    settings: Overrides = None,
-    allow_code: AllowCode = False,
-    as_json: Json = False,
+    strings: common.StringSetName = None,
+    settings: common.Overrides = None,
+    allow_code: common.AllowCode = False,
+    as_json: common.Json = False,
 ) -> None:
     """Render SCORE on an instrument to a sound file; without one, each part on the instrument of its program."""
     from tonewood.cli.render_report import print_summary, report
@@ -110,19 +89,19 @@ def render(
     from tonewood.sound.render.level import PEAK, level_name
 
     subtype = file_format(output, subtype)[1]
-    allow("--block", block, 1, 1 << 24, "frames")
+    common.allow("--block", block, 1, 1 << 24, "frames")
     if normalize is not None:
-        allow("--normalize", normalize, -200.0, 0.0, "dB")
+        common.allow("--normalize", normalize, -200.0, 0.0, "dB")
         level = level or "peak"
     wanted = level_name(level, gain_db=options.gain_db, limiter=limiter)
     if wanted != "calibrated" and limiter:
         raise TonewoodError(f"the level {wanted} leaves no peaks to limit; one of both is allowed", key="--limiter")
     if wanted == "LUFS":
-        need("batch", "pyloudnorm")
+        common.need("batch", "pyloudnorm")
     for path in energy or ():
         check_energy_file(path)
     form = _Form(output, subtype, block, wanted, PEAK if normalize is None else normalize, limiter)
-    given = reading(start, stop, transpose, tempo, tracks)
+    given = common.reading(start, stop, transpose, tempo, tracks)
     if programs is not None and (instrument is not None or part or ensemble is not None):
         raise TonewoodError("is for a score without -i, --part and --ensemble", key="--programs")
     if instrument is None or part or ensemble is not None:
@@ -135,17 +114,17 @@ def render(
         return
     split = _Stems(stems, stems_by)
     split.check(live=live, limiter=limiter)
-    if live and given != reading(0.0, None, 0.0, 1.0, tracks):
+    if live and given != common.reading(0.0, None, 0.0, 1.0, tracks):
         raise TonewoodError("repeats a take as it was: no excerpt, transposition, tempo", key="--live")
     began = time.perf_counter()
-    bundle = load(instrument, settings, allow_code, strings)
+    bundle = common.load(instrument, settings, allow_code, strings)
     rendered = _render_one(score, bundle, options.at(energy=bool(energy)), form, given, split, began, live=live)
     account = rendered.renderer.energy
     for path in energy or ():
         if account is not None:
             save_energy(account, path)
     if as_json:
-        print_json("render", report(rendered), ok=not rendered.silent)
+        common.print_json("render", report(rendered), ok=not rendered.silent)
     else:
         print_summary(rendered, energy or ())
     if rendered.silent:
@@ -215,7 +194,7 @@ def _render_one(
     from tonewood.sound.render.renderer import Renderer, assembled
 
     music: Score | None = None
-    with dropped_notes_listed():
+    with common.dropped_notes_listed():
         renderer: Renderer | Replay
         if live:
             renderer = Replay(score, bundle, options=options, channels=given["tracks"])
@@ -290,7 +269,7 @@ def _write(renderer: Renderer | Replay, form: _Form, tags: Tags) -> WrittenSound
     frames = math.ceil(renderer.expected_duration * fs)
     sound = renderer.blocks(form.block)
     limiter = Limiter(fs) if form.limited else None
-    with progress("rendering", renderer.expected_duration) as advance:
+    with common.progress("rendering", renderer.expected_duration) as advance:
         if form.level == "calibrated":
             remove_leftovers(output.with_suffix(".rf64"))  # of a scratch file
             with SoundWriter(output, fs, channels, form.subtype, frames=frames, tags=tags) as writer:

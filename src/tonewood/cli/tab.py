@@ -9,22 +9,7 @@ from typing import Annotated
 
 import typer
 
-from tonewood.cli.common import (
-    AllowCode,
-    InstrumentName,
-    Json,
-    Overrides,
-    ScorePath,
-    StringSetName,
-    Tracks,
-    Transpose,
-    dropped_notes_listed,
-    load,
-    print_json,
-    reading,
-    warn_of_dropped,
-    warn_of_kinds,
-)
+from tonewood.cli import common
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.sound.render.options import RenderOptions
 from tonewood.support.units import counted
@@ -34,21 +19,21 @@ _MOST = 24
 
 
 def tab(
-    score: ScorePath,
-    instrument: InstrumentName,
+    score: common.ScorePath,
+    instrument: common.InstrumentName,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="tablature: .musicxml (MuseScore and others) or .txt")
     ] = None,
-    transpose: Transpose = 0.0,
-    tracks: Tracks = None,
+    transpose: common.Transpose = 0.0,
+    tracks: common.Tracks = None,
     capo: Annotated[int, typer.Option(help="stop of a capo, 0 for none; frets are counted from it")] = 0,
     meter: Annotated[
         str | None, typer.Option(metavar="N/M", help="measures of this length, e.g. 3/4, in place of the score's")
     ] = None,
-    strings: StringSetName = None,
-    settings: Overrides = None,
-    allow_code: AllowCode = False,
-    as_json: Json = False,
+    strings: common.StringSetName = None,
+    settings: common.Overrides = None,
+    allow_code: common.AllowCode = False,
+    as_json: common.Json = False,
 ) -> None:
     """Write the strings, stops and fingers with which SCORE would be played on an instrument, without sound."""
     from tonewood.performance.player.playing import perform, playable
@@ -64,15 +49,15 @@ def tab(
     if output is None and not as_json:
         raise TonewoodError("Missing option '--output' / '-o', or --json")
     length = _meter(meter)
-    music = read_score(score, **reading(0.0, None, transpose, 1.0, tracks))
-    bundle = load(instrument, settings, allow_code, strings)
+    music = read_score(score, **common.reading(0.0, None, transpose, 1.0, tracks))
+    bundle = common.load(instrument, settings, allow_code, strings)
     model = assembled(bundle, RenderOptions())
     lines = playable(model, capo)
     if not any(len(line.pitches) > 1 for line in lines):
         raise TonewoodError(f"{bundle.name} has no stops: tablature is for strings that fingers stop")
     if len(lines) > _MOST:
         raise TonewoodError(f"{bundle.name} has {len(lines)} strings: tablature has up to {_MOST}")
-    with dropped_notes_listed():
+    with common.dropped_notes_listed():
         performance = perform(music, model, capo=capo)
     beats = music.beats or Beats()
     if length is not None:
@@ -95,10 +80,12 @@ def tab(
         ]  # fmt: skip
         lost = [{"time_s": d.time, "note": d.note, "channel": d.channel, "reason": d.reason} for d in dropped]
         report = {"output": None if output is None else str(output), "capo": capo, "notes": rows, "notes_dropped": lost}
-        print_json("tab", report | {"warnings": list(performance.warnings), "ignored": dict(performance.ignored)})
+        common.print_json(
+            "tab", report | {"warnings": list(performance.warnings), "ignored": dict(performance.ignored)}
+        )
         return
-    warn_of_kinds(performance.warnings)
-    warn_of_dropped(dropped)
+    common.warn_of_kinds(performance.warnings)
+    common.warn_of_dropped(dropped)
     n = sum(len(chord) for _, chord in fingering.chords)
     hands = [chord[0].hand for _, chord in fingering.chords]
     shifts = sum(a != b for a, b in pairwise(hands))

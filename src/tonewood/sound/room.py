@@ -65,16 +65,11 @@ _DIRECT = (1e-3, 2.5e-3)
 def room_response(room: str, fs: int, channels: int, *, distance: float | None = None, mix_db: float = 0.0) -> Floats:
     """(n, channels) impulse responses, the direct sound first, of gain 1.
 
-    Parameters
-    ----------
     room : ``studio``, ``small``, ``hall``, or a sound file with one channel or one for each of `channels`.
     distance : m, from the instrument to the microphones in a box; the box's own where left out.
     mix_db : dB, gain of everything later than the direct sound.
-
-    Raises
-    ------
-    TonewoodError : pyroomacoustics is not installed; the file cannot be read or is silent; the microphones would stand
-        in a wall, or a distance is asked for in a file's room.
+    Raises TonewoodError : pyroomacoustics is not installed; the file cannot be read or is silent; the microphones would
+        stand in a wall, or a distance is asked for in a file's room.
     """
     if room in ROOMS:
         responses = _boxed(ROOMS[room], fs, channels, distance)

@@ -76,10 +76,8 @@ def _line(raw: bytes, at: int) -> str:
 def json_value(text: str | bytes) -> Any:
     """Return the value of a JSON text.
 
-    Raises
-    ------
-    ValueError : it is none, or one object has two values for one key, of which Python's reader drops the first.
-    RecursionError : it is nested too deep.
+    Raises ValueError : it is none, or one object has two values for one key, of which Python's reader drops the first.
+    Raises RecursionError : it is nested too deep.
     """
     return json.loads(text, object_pairs_hook=_object)
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import os
 import secrets
 import weakref
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -26,6 +26,8 @@ except ImportError:  # no POSIX
 _PLACES = 8
 #: files that this program has completed, which remain where it is interrupted
 completed: list[Path] = []
+#: device and inode of files that this program reads and must not replace
+_read: set[tuple[int, int]] = set()
 _FLAGS = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
 
 
@@ -54,6 +56,8 @@ class AtomicFile:
                 raise OutputError("is a folder", file=path)
             if self._final.exists() and not self._final.is_file():
                 raise OutputError("is no file but a device", file=path)
+            if _read and self._final.exists() and _identity(self._final) in _read:
+                raise OutputError("would replace a file that is read; give another name", file=path)
         except (OSError, RuntimeError, ValueError) as fault:  # a name too long or with a zero byte, links in a circle
             raise OutputError(f"cannot be written: {getattr(fault, 'strerror', None) or fault}", file=path) from None
         places = _places(self._final)
@@ -78,6 +82,19 @@ class AtomicFile:
         self.discard.detach()
         completed.append(self._final)
         _unlock(self._claimed)
+
+
+def protect(files: Iterable[Path]) -> None:
+    """Let no atomic file replace these files, which this program reads; those that are not there are left out."""
+    _read.clear()
+    for file in files:
+        with suppress(OSError, ValueError):
+            _read.add(_identity(file))
+
+
+def _identity(file: Path) -> tuple[int, int]:
+    about = file.stat()
+    return about.st_dev, about.st_ino
 
 
 def check_new_folder(folder: Path) -> None:

@@ -252,14 +252,9 @@ def _pitches(entries: Mapping[str, Any]) -> dict[float, str]:
 def check_keys(spec: Bundle, file: Any, open_note: Callable[[str], float]) -> None:
     """Check that keys name strings of the instrument, each once.
 
-    Parameters
-    ----------
     open_note : string -> its note number.
-
-    Raises
-    ------
-    BundleError : one does not, or two share a string, or the una corda pedal leaves more strings than there are; a
-        key's note is none, or not that of its first string; or there is no table whose dampers `keys.damper` would
+    Raises BundleError : one does not, or two share a string, or the una corda pedal leaves more strings than there are;
+        a key's note is none, or not that of its first string; or there is no table whose dampers `keys.damper` would
         describe.
     """
     if spec.keys and spec.keys.damper and spec.keys.table is None:

@@ -52,15 +52,10 @@ def string_set(name: str, *, file: Any = None) -> StringSet:
 def with_set(values: Mapping[str, Any], name: str, *, over: bool, file: Any = None) -> dict[str, Any]:
     """Return values of a bundle with its strings from a set: the first of the bundle is the first of the set.
 
-    Parameters
-    ----------
     values : of the bundle, `strings.defaults` merged.
     over : whether the set's values replace those of the bundle, or only fill in those that it leaves out.
-
-    Raises
-    ------
-    BundleError : the set has another number of strings, a string does not say its length or note, or its plugin takes
-        no such values or needs one that the set does not have.
+    Raises BundleError : the set has another number of strings, a string does not say its length or note, or its plugin
+        takes no such values or needs one that the set does not have.
     """
     chosen, strings = string_set(name, file=file), values.get("strings")
     if not isinstance(strings, Mapping) or not all(isinstance(part, Mapping) for part in strings.values()):

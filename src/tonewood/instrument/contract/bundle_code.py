@@ -43,15 +43,11 @@ def plugin_named(name: str, kind: str, files: Files) -> type[Plugin[Any]]:
 def _code_plugin(name: str, kind: str, files: Files) -> type[Plugin[Any]]:
     """Class of a plugin in a bundle's folder.
 
-    Parameters
-    ----------
     name : ``FILE.py:CLASS``, the file relative to the folder.
     kind : that is wanted.
     files : the folder, and whether its code may run.
-
-    Raises
-    ------
-    PluginError : code is not allowed; the file is not in the folder or cannot be run, or the class breaks the contract.
+    Raises PluginError : code is not allowed; the file is not in the folder or cannot be run, or the class breaks the
+        contract.
     """
     file, _, cls = name.rpartition(":")
     if not files.allow_code:

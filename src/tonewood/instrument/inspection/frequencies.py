@@ -244,15 +244,10 @@ def bridge_mobility(
 ) -> dict[str, Complexes]:
     """Driving-point mobility of the body where each string ends, (m/s)/N; without strings, with the parts added to it.
 
-    Parameters
-    ----------
     freq : (n,) Hz.
     strings : their names; the first of every key, and all that have no key, where left out.
-
-    Returns
-    -------
-    string -> (n,), along the body point's direction; a string on a rigid end is left out. Of a body without strings,
-    point -> (n,).
+    Returns string -> (n,), along the body point's direction; a string on a rigid end is left out. Of a body without
+        strings, point -> (n,).
     """
     if not model.strings:
         return {point: model.body.frf(freq, point, point) for point in model.body_points}
@@ -333,10 +328,8 @@ def microphone_responses(model: Model) -> list[MicrophoneResponse]:
 def check_transfers(model: Model) -> None:
     """Check the matrices by which every string's motion is carried from its open length to the first stop.
 
-    Raises
-    ------
-    BundleError : names a string whose plugin gives matrices of another shape or with numbers that are not finite, or
-        that move the bridge.
+    Raises BundleError : names a string whose plugin gives matrices of another shape or with numbers that are not
+        finite, or that move the bridge.
     """
     for string in model.strings.values():
         if not string.n_stops:

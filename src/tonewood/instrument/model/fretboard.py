@@ -18,10 +18,8 @@ _FINGER = 5e-3
 def fretted_string(instrument: Instrument, name: str) -> FrettedString:
     """Return a string over its frets, at the tension of its note on a rigid body.
 
-    Raises
-    ------
-    BundleError : heights, places of all frets or the stiffness in slow stretch are not stated; or the open string
-        lies on a fret.
+    Raises BundleError : heights, places of all frets or the stiffness in slow stretch are not stated; or the open
+        string lies on a fret.
     """
     part, resonator = instrument.spec.strings[name], instrument.resonators[name]
     keys = _given(instrument, name)

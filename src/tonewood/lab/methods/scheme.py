@@ -140,10 +140,8 @@ class Runner:
     def run(self, n: int, every: int = 1) -> tuple[Floats, int]:
         """Advance by n steps.
 
-        Returns
-        -------
-        (n // every + 1, n_outputs) displacements at every `every`-th step from the present one on, and the step at
-        which they stopped being finite, -1 if they did not.
+        Returns (n // every + 1, n_outputs) displacements at every `every`-th step from the present one on, and the step
+            at which they stopped being finite, -1 if they did not.
         """
         out = np.zeros((n // every + 1, len(self.scheme.outs)))
         return out, self._method.run(self.state, self.forces, n, every, out)

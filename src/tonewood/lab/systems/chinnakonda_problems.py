@@ -75,14 +75,10 @@ def exact_driven(system: Matrices, dt: float, n: int) -> Floats:
 def driven_error(update: Update, c: float, steps_per_period: int) -> tuple[Floats, Floats, Floats]:
     """Error of an update over 10 s.
 
-    Parameters
-    ----------
     c : N s/m.
     steps_per_period : samples per period of the force, 1/1.5 s.
-
-    Returns
-    -------
-    times : (n,) s.  errors : (n, 2) m, exact minus update.  size : (2,) m, largest exact displacement of each mass.
+    Returns times : (n,) s.  errors : (n, 2) m, exact minus update.  size : (2,) m, largest exact displacement of each
+        mass.
     """
     system = two_masses(c)
     dt = 1 / DRIVE_FREQ / steps_per_period

@@ -84,20 +84,13 @@ class Player:
     def feed(self, events: Iterable[Note | Control], lookahead: float, sample: int = 0) -> Timeline:
         """Take events that have become known, and return the changes and gestures that are decided.
 
-        Parameters
-        ----------
         events : that have become known since the last call, all up to the lookahead.
         lookahead : s, from the sample on, for which all events are known: infinite for a whole score, which is given
             at once, 0 where events come as they happen.
         sample : point of the control grid that is stepped next.
-
-        Returns
-        -------
-        Changes and gestures that are decided: all of them, or those of this point.
-
-        Raises
-        ------
-        ScoreError : a whole score has no notes or none that can be played, or asks for a technique that is not there.
+        Returns Changes and gestures that are decided: all of them, or those of this point.
+        Raises ScoreError : a whole score has no notes or none that can be played, or asks for a technique that is not
+            there.
         """
         if lookahead == math.inf:
             known = sorted(events, key=lambda event: event.time)

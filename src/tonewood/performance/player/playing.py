@@ -52,15 +52,10 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
     Notes may ask for `technique` the name of one of the instrument's exciters, or the bundle's keys and controllers
     ask for them; the bundle's first one is the default.
 
-    Parameters
-    ----------
     channel_per_string : notes of the first channel go to the first string, and so on.
     capo : stop at which all strings are held that no finger stops, 0 for none. Stops of notes are counted from the nut.
-
-    Raises
-    ------
-    ScoreError : there are no stops beyond the capo, the score has no notes, none that can be played, or asks for a
-        technique the instrument does not have.
+    Raises ScoreError : there are no stops beyond the capo, the score has no notes, none that can be played, or asks for
+        a technique the instrument does not have.
     """
     score = with_techniques(score, model.playing)
     score = with_marks(score, [n for n, e in model.exciters.items() if e.at is None], playable(model))

@@ -89,15 +89,10 @@ def with_marks(score: Score, names: Collection[str], strings: Sequence[PlayableS
     Slides become notes of the technique ``slide``, harmonics of ``harmonic``; on an instrument without them the note
     that a slide reaches is plucked, and a harmonic as a note of its pitch.
 
-    Parameters
-    ----------
     names : techniques of the instrument.
     strings : of the instrument.
-
-    Returns
-    -------
-    The score; `Score.ignored` counts signs that the instrument has no technique for, and notes of a tablature that are
-    fingered elsewhere.
+    Returns The score; `Score.ignored` counts signs that the instrument has no technique for, and notes of a tablature
+        that are fingered elsewhere.
     """
     if not any(note.marks or note.glides or note.partial for note in score.notes):
         return score

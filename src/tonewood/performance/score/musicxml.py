@@ -8,7 +8,6 @@ Source: MusicXML 4.0, W3C Music Notation Community Group, 2021.
 
 from __future__ import annotations
 
-import re
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -18,10 +17,16 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
-from tonewood.performance.score.limits import number, whole
-from tonewood.performance.score.musicxml_words import jump_sign, written_tempo
+from tonewood.performance.score.limits import Allowance, number, whole
+from tonewood.performance.score.musicxml_words import (
+    MOST_DIVISIONS,
+    divisions_of,
+    jump_sign,
+    velocity_of,
+    written_tempo,
+)
 from tonewood.performance.score.score_clock import near
-from tonewood.performance.score.unfolding import Measure
+from tonewood.performance.score.unfolding import Measure, number_endings
 from tonewood.performance.score.written import Curve, WrittenMusic, WrittenNote, WrittenPart, bend_curve
 from tonewood.performance.score.xml_files import MOST, member, number_of, parsed, text_of
 
@@ -43,8 +48,6 @@ _SHARPS, _LETTERS = "FCGDAEB", "CDEFGAB"
 _HAIRPIN, _HAIRPIN_ENDS = 16, Fraction(1)
 #: s for which a pedal is up where it changes
 _PEDAL_UP = 0.06
-#: durations per quarter note; others are damaged
-_MOST_DIVISIONS = 16384
 #: elements whose text is a number
 _NUMBERS = {
     "alter", "bend-alter", "capo", "chromatic", "divisions", "duration", "fifths", "fret", "octave", "octave-change",
@@ -53,8 +56,8 @@ _NUMBERS = {
 _PROGRAM = "midi-instrument/midi-program"
 #: kinds of what is left out, from which on names of signs are left out, and characters of a name
 _MOST_UNKNOWN, _LONGEST_SIGN = 100, 40
-#: times that a measure is repeated, number of an ending, characters of its numbers, and number of a line of a staff
-_MOST_TIMES, _MOST_ENDING, _LONGEST_ENDING, _MOST_LINES = 32, 9999, 400, 1000
+#: times that a measure is repeated, number of an ending and of a line of a staff, parts, numbers of one ending
+_MOST_TIMES, _MOST_ENDING, _MOST_LINES, _MOST_PARTS, _MOST_NUMBERS = 32, 9999, 1000, 2000, 100
 
 
 def read_musicxml(data: bytes, path: Path) -> WrittenMusic:
@@ -84,6 +87,7 @@ class _Reader:
         self.music = music
         #: element of a part, or its name in a score by measures -> its reader
         self._parts: dict[Element | str, _PartReader] = {}
+        self._allowed = Allowance(_MOST_PARTS, "parts", music.file)
 
     def cell(self, above: list[Element], element: Element) -> bool:
         """Read an element if it is a measure of a part; returns whether it was."""
@@ -98,6 +102,7 @@ class _Reader:
 
     def _reader(self, part: Element | str) -> _PartReader:
         if part not in self._parts:
+            self._allowed.take()
             self._parts[part] = _PartReader(WrittenPart(""), self.music)
         return self._parts[part]
 
@@ -124,19 +129,8 @@ class _Reader:
         if not any(reader.sounded for reader in self._parts.values()):
             for measure, sign in (one for reader in self._parts.values() for one in reader.written):
                 measure.signs.add(sign)
-        _number_endings(music.measures)
+        number_endings(music.measures)
         return music
-
-
-def _number_endings(measures: list[Measure]) -> None:
-    """Let a repeat over endings be played once for each pass that they name."""
-    passes = 0  # of the measures since the repeat began
-    highest = {endings: max(endings, default=0) for endings in {measure.endings for measure in measures}}
-    for i, measure in enumerate(measures):
-        passes = max(0 if measure.opens else passes, highest[measure.endings])
-        if measure.closes and measure.endings:
-            following = highest[measures[i + 1].endings] if i + 1 < len(measures) else 0
-            measure.closes = max(measure.closes, passes, following)
 
 
 class _PartReader:
@@ -145,8 +139,7 @@ class _PartReader:
     def __init__(self, part: WrittenPart, music: WrittenMusic):
         self.part, self.music = part, music
         self.divisions, self.velocity = Fraction(0), 80
-        #: staff -> semitones from written to sounding pitch; of those that are not named under ""
-        self.transpose = {"": 0.0}
+        self.transpose: dict[str, float] = {}  # number of a staff, "" for all others -> semitones
         self.tuning: dict[int, float] = {}
         self.ending: frozenset[int] = frozenset()
         self.palm = False
@@ -160,7 +153,7 @@ class _PartReader:
 
     def _quarters(self, element: Element) -> Fraction:
         said = number(text_of(element, "duration"), -MOST, MOST)
-        length = Fraction(max(said or 0.0, 0.0)).limit_denominator(_MOST_DIVISIONS)
+        length = Fraction(max(said or 0.0, 0.0)).limit_denominator(MOST_DIVISIONS)
         self.music.ignored[f"{element.tag} without a duration"] += element.find("duration") is None
         self.music.ignored["duration below 0"] += said is not None and said < 0
         if said is not None and said >= 0 and element.tag == "note":
@@ -181,7 +174,7 @@ class _PartReader:
         now = longest = began = Fraction(0)
         n_chord = 0
         if not self.divisions:  # they may stand after the first notes
-            self.divisions = next(filter(None, map(_divisions, element.findall("attributes"))), Fraction(1))
+            self.divisions = next(filter(None, map(divisions_of, element.findall("attributes"))), Fraction(1))
             said = element.find("note/duration") is None or element.find("attributes/divisions") is not None
             self.music.ignored["part without divisions"] += not said
         for child in element:
@@ -215,15 +208,16 @@ class _PartReader:
         self.part.measures.append(notes)
 
     def _attributes(self, element: Element) -> None:
-        self.divisions = _divisions(element) or self.divisions
-        wrong = number(text_of(element, "divisions"), -MOST, MOST) is not None and not _divisions(element)
-        self.music.ignored[f"divisions outside 1/{_MOST_DIVISIONS} to {_MOST_DIVISIONS}"] += wrong
+        self.divisions = divisions_of(element) or self.divisions
+        wrong = number(text_of(element, "divisions"), -MOST, MOST) is not None and not divisions_of(element)
+        self.music.ignored[f"divisions outside 1/{MOST_DIVISIONS} to {MOST_DIVISIONS}"] += wrong
         self.music.ignored["fifths outside -7 to 7"] += abs(number_of(element, "key/fifths", 0.0)) > 7
         self.fifths = int(number_of(element, "key/fifths", self.fifths, -7.0, 7.0))
         for move in element.findall("transpose"):
-            semitones = number_of(move, "chromatic", 0.0) + 12 * number_of(move, "octave-change", 0.0)
-            self.transpose = {**(self.transpose if (staff := move.get("number", "")) else {}), staff: semitones}
-            self.music.ignored["octave in which a transposed part is doubled"] += move.find("double") is not None
+            steps = number_of(move, "chromatic", 0.0) + 12 * number_of(move, "octave-change", 0.0)
+            staff_number = move.get("number", "")
+            self.transpose = self.transpose | {staff_number: steps} if staff_number else {"": steps}
+            self.music.ignored["transposition that doubles"] += move.find("double") is not None
         for staff in element.findall("staff-details"):
             capo = number_of(staff, "capo", self.part.capo)
             self.music.ignored[f"capo outside 0 to {_MOST_LINES}"] += not 0 <= capo <= _MOST_LINES
@@ -237,8 +231,6 @@ class _PartReader:
 
     def _direction(self, element: Element, now: Fraction, measure: Measure) -> None:
         sound = element if element.tag == "sound" else element.find("sound")
-        for moved in (sound,) if sound is element else (element, sound):
-            now = self._offset(moved, now)
         bpm = written_tempo(element, self.music.ignored)
         before = self.velocity
         if sound is not None:
@@ -251,7 +243,7 @@ class _PartReader:
                     bpm = value
                 else:
                     self.music.ignored["dynamics beyond velocities 1 to 127"] += not 1 <= round(value * 0.9) <= 127
-                    self.velocity = min(max(round(value * 0.9), 1), 127)
+                    self.velocity = velocity_of(value)
             jumps = {"segno": "segno", "coda": "coda", "fine": "fine", "tocoda": "to_coda", "dacapo": "da_capo"}
             jumps |= {"dalsegno": "dal_segno"}
             said_jumps = {sign for name, sign in jumps.items() if sound.get(name, "no") not in ("", "no")}
@@ -263,6 +255,8 @@ class _PartReader:
                 self._feel(feel)
         if bpm is not None:
             self.music.tempo(measure, now, bpm)
+        offsets = (element.find("offset[@sound='yes']"), None if sound is None else sound.find("offset"))
+        self.music.ignored["offset of a sound"] += any(offset is not None for offset in offsets)
         index, dynamics = len(self.part.measures), sound is not None and "dynamics" in sound.attrib
         for kind in element.findall("direction-type/*"):
             if sign := jump_sign(kind):
@@ -278,15 +272,6 @@ class _PartReader:
         if dynamics or self.velocity != before:
             self.levels.append((index, now, self.velocity))
         self._pedals(element, sound, index, now)
-
-    def _offset(self, element: Element | None, now: Fraction) -> Fraction:
-        """Time at which a direction acts; the offset of one is of its picture alone where it does not say otherwise."""
-        offset = None if element is None else element.find("offset")
-        if element is None or offset is None or (element.tag == "direction" and offset.get("sound") != "yes"):
-            return now
-        later = number(offset.text or "", -MOST, MOST)
-        self.music.ignored["offset that cannot be read"] += later is None
-        return max(near(now + Fraction(later or 0.0).limit_denominator(_MOST_DIVISIONS) / self.divisions), Fraction(0))
 
     def _feel(self, element: Element) -> None:
         """How long the first of two notes is, from here on."""
@@ -357,13 +342,11 @@ class _PartReader:
     def _barline(self, element: Element, measure: Measure) -> None:
         repeat, ending = element.find("repeat"), element.find("ending")
         if ending is not None and ending.get("type") == "start":
-            said = ending.get("number", "1")
-            texts = re.sub(r"\s*-\s*", "-", said[:_LONGEST_ENDING]).replace(",", " ").split()
-            numbers = [_passes(text) for text in texts]
-            self.music.ignored["number of an ending that cannot be read"] += (
-                not all(numbers) or len(said) > _LONGEST_ENDING
-            )
-            self.ending = frozenset().union(*numbers) or frozenset({1})
+            words = ending.get("number", "1").replace(",", " ").split()
+            numbers = [whole(n, 1, _MOST_ENDING) for n in words[:_MOST_NUMBERS]]
+            lost = None in numbers or len(numbers) < len(words)
+            self.music.ignored["number of an ending that cannot be read"] += lost
+            self.ending = frozenset(n for n in numbers if n is not None) or frozenset({1})
             measure.endings = self.ending
         if repeat is not None and repeat.get("direction") == "forward":
             measure.opens = True
@@ -398,9 +381,11 @@ class _PartReader:
         if any(e.get("type") == "let-ring" for e in element.findall("notations/tied")):
             signs.add("let_ring")
         technical = element.find("notations/technical")
-        transpose = self.transpose.get(text_of(element, "staff"), self.transpose.get("", 0.0))
+        moved = self.transpose.get(text_of(element, "staff", "1"), self.transpose.get("", 0.0))
+        share = number(element.get("dynamics", ""), 0, MOST)
         note = WrittenNote(
-            at, length, pitch + transpose, velocity=self._velocity(element), signs=tuple(sorted(signs)),
+            at, length, pitch + moved, velocity=self.velocity if share is None else velocity_of(share),
+            signs=tuple(sorted(signs)),
             tied="stop" in ties, bend=_bend(technical),
             strum=_strum(element.find("notations/arpeggiate"), place), steps=self._steps(element),
         )  # fmt: skip
@@ -415,16 +400,6 @@ class _PartReader:
             note = replace(note, tremolo=Fraction(1, 2 ** int(strokes)))
         self.music.ignored["tremolo outside 0 to 5 strokes"] += not 0 <= strokes <= 5
         return self._placed(note, technical)
-
-    def _velocity(self, element: Element) -> int:
-        """Velocity of a note: its own, in percent of 90, or that of the dynamics."""
-        if (said := element.get("dynamics")) is None:
-            return self.velocity
-        share = number(said, -MOST, MOST)
-        self.music.ignored["dynamics of a note beyond velocities 1 to 127"] += (
-            share is None or not 1 <= share * 0.9 <= 127
-        )
-        return self.velocity if share is None else min(max(round(share * 0.9), 1), 127)
 
     def _steps(self, element: Element) -> tuple[int, int]:
         """Semitones down and up to the neighbours of a note in its key, or by an accidental at its ornament."""
@@ -456,20 +431,6 @@ class _PartReader:
                 return replace(note, string=int(string))
             fret = frets[0]
         return replace(note, string=int(string), fret=int(fret))
-
-
-def _divisions(element: Element) -> Fraction:
-    """Durations per quarter note of attributes; 0 where there are none, or none within bounds."""
-    said = number_of(element, "divisions", 0.0, 1 / _MOST_DIVISIONS, _MOST_DIVISIONS)
-    return Fraction(said).limit_denominator(_MOST_DIVISIONS)
-
-
-def _passes(text: str) -> frozenset[int]:
-    """Passes of a number of an ending, or of two with a hyphen; none where it cannot be read."""
-    first, hyphen, last = text.partition("-")
-    low = whole(first, 1, _MOST_ENDING)
-    high = whole(last, 1, _MOST_ENDING) if hyphen else low
-    return frozenset() if low is None or high is None else frozenset(range(low, min(high, low + _MOST_TIMES) + 1))
 
 
 def _strum(arpeggiate: Element | None, place: int) -> int:

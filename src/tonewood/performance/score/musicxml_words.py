@@ -1,14 +1,17 @@
-"""Tempos and jumps of MusicXML that are drawn or stand in words."""
+"""Tempos and jumps of MusicXML that are drawn or stand in words; its units of time and loudness."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
+from fractions import Fraction
 from xml.etree.ElementTree import Element
 
 from tonewood.performance.score.limits import number
-from tonewood.performance.score.xml_files import MOST, text_of
+from tonewood.performance.score.xml_files import MOST, number_of, text_of
 
+#: durations per quarter note; others are damaged
+MOST_DIVISIONS = 16384
 _UNITS = {
     "long": 16.0,
     "breve": 8.0,
@@ -19,8 +22,6 @@ _UNITS = {
     "16th": 0.25,
     "32nd": 0.125,
     "64th": 0.0625,
-    "128th": 0.03125,
-    "256th": 0.015625,
 }
 #: a tempo in words: a sign for its note value, if any, and quarter notes of that
 _TEMPO_WORDS = re.compile(r"([♩♪qehw\U0001d15d-\U0001d160]?)(\.?)\s*=\s*(?:ca?\.\s*)?(\d+(?:\.\d+)?)")
@@ -53,11 +54,22 @@ def written_tempo(element: Element, ignored: Counter[str]) -> float | None:
         unit = _UNITS.get(name, 1.0) * (2.0 - 0.5 ** len(metronome.findall("beat-unit-dot")))
         said = re.search(r"-?\d+(\.\d+)?", text_of(metronome, "per-minute")[:40])
         equal_units = len(metronome.findall("beat-unit")) > 1 or metronome.find("metronome-note") is not None
-        ignored["per-minute that cannot be read"] += said is None and not equal_units
-        ignored["tempo by two note values that are equally long"] += said is None and equal_units
+        kind = "metronome that relates two values" if equal_units else "per-minute that cannot be read"
+        ignored[kind] += said is None
         return (number(said.group(0), -MOST, MOST) or 0.0) * unit if said else None
     for words in element.findall("direction-type/words"):
         if (tempo_word := _TEMPO_WORDS.search((words.text or "")[:200])) is not None:
             glyph, dot, beats = tempo_word.groups()
             return (number(beats, 0.0, MOST) or 0.0) * _GLYPHS.get(glyph, 1.0) * (1.5 if dot else 1.0)
     return None
+
+
+def velocity_of(share: float) -> int:
+    """Return the MIDI velocity of dynamics in percent of forte, 90."""
+    return min(max(round(share * 0.9), 1), 127)
+
+
+def divisions_of(element: Element) -> Fraction:
+    """Return the durations per quarter note of attributes; 0 where there are none, or none within bounds."""
+    said = number_of(element, "divisions", 0.0, 1 / MOST_DIVISIONS, MOST_DIVISIONS)
+    return Fraction(said).limit_denominator(MOST_DIVISIONS)

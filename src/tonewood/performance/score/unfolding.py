@@ -21,7 +21,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from itertools import groupby
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import Allowance
@@ -164,14 +163,6 @@ class _Score:
     def __init__(self, measures: Sequence[Measure]):
         self._measures = measures
         self._played: Counter[int] = Counter()
-        #: of a measure with endings, the highest number of those beside it; 0 where none follows
-        self._highest = [0] * len(measures)
-        for _, group in groupby(range(len(measures)), lambda i: bool(measures[i].endings)):
-            *before, last = group
-            if measures[last].endings:
-                highest = max(map(max, {measures[i].endings for i in (*before, last)}))
-                for i in before:
-                    self._highest[i] = highest if measures[i].endings != measures[last].endings else 0
         self.restart(0)
 
     def restart(self, i: int) -> None:
@@ -189,8 +180,7 @@ class _Score:
     def after(self, i: int, sounds: bool, *, jumped: bool) -> int:
         """Return the next measure."""
         closes = self._measures[i].closes if sounds else 0
-        spent = 0 < self._highest[i] <= self._passes  # the last pass ends before the last of the endings
-        if closes > 1 and not jumped and not spent and self._played[i] < closes - 1:
+        if closes > 1 and not jumped and self._played[i] < closes - 1:
             self._played[i] += 1
             self._passes += 1
             return self._begin
@@ -269,3 +259,14 @@ class _Tablature:
         else:
             self._stack.pop()
         return i + 1
+
+
+def number_endings(measures: Sequence[Measure]) -> None:
+    """Let a repeat over endings be played once for each pass that they name."""
+    last = {ends: max(ends, default=0) for ends in {measure.endings for measure in measures}}
+    passes = 0  # of the measures since the repeat began
+    for i, measure in enumerate(measures):
+        passes = max(0 if measure.opens else passes, last[measure.endings])
+        if measure.closes and measure.endings:
+            following = last[measures[i + 1].endings] if i + 1 < len(measures) else 0
+            measure.closes = max(measure.closes, passes, following)

@@ -200,7 +200,8 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     notes: list[Note] = []
     controls: list[Control] = []
     ignored = Counter(music.ignored)
-    n_channels = 0
+    channels: dict[tuple[int, int], int] = {}
+    its_channels: dict[int, list[int]] = defaultdict(list)
     signs, strokes = (Allowance(MAX_NOTES, "notes, repeats unfolded", music.file) for _ in range(2))
     bends = Allowance(MAX_CONTROLS, "controls of bends and vibrato", music.file)
     compared = Allowance(_MOST_COMPARED, "notes that begin together with grace notes", music.file)
@@ -211,7 +212,7 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     ]
     clock.begin_before(one.at for _, sounding in parts_played for one in sounding if one.at < 0)
     for number, sounding in parts_played:
-        following, own, channels = _following(sounding), list[Note](), dict[int, int]()
+        following, own = _following(sounding), list[Note]()
         for i, one in enumerate(sounding):
             if not all(_PITCHES[0] <= p <= _PITCHES[1] for p in (one.sign.pitch, one.sign.trill or 0.0)):
                 ignored["note whose pitch is out of range"] += 1
@@ -219,21 +220,23 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
             if not 0.0 <= clock.seconds(one.at) <= clock.seconds(one.end) <= MAX_TIME:
                 ignored["note that begins or ends beyond 6 hours"] += 1
                 continue
-            channel = channels.setdefault(one.sign.string or 0, (n_channels + len(channels)) % 16)
+            if (place := (number, one.sign.string or 0)) not in channels:
+                channels[place] = len(channels) % 16
+                its_channels[number].append(channels[place])
+            channel = channels[place]
             own += _strokes(one, following.get(i), clock, music.parts[number - 1], channel, strokes)
             controls += _bends(one, channel, clock, bends)
-        n_channels += len(channels)
-        controls += _pedalled(music.parts[number - 1], played, clock, list(channels.values()), own, bends)
+        controls += _pedalled(music.parts[number - 1], played, clock, its_channels[number], own, bends)
         notes += own
         part = music.parts[number - 1]
         about.append(ScorePart(number, part.name, (), {part.program: len(own)} if own else {}, part.n_drums))
     ignored.update(lost_jumps(music.measures, tablature=music.tablature))
-    for i in set(range(len(music.measures))) - set(played):
-        ignored["note in a measure that no pass reaches"] += sum(
-            len(music.parts[number - 1].measures[i]) for number in chosen if i < len(music.parts[number - 1].measures)
-        )
+    reached = set(played)
+    for number in chosen:
+        left = (len(signs) for i, signs in enumerate(music.parts[number - 1].measures) if i not in reached)
+        ignored["note in a measure that no pass reaches"] += sum(left)
     warnings = list(music.warnings)
-    if n_channels > 16 and controls:
+    if len(channels) > 16 and controls:
         warnings.append("more than 16 strings: bends of some are those of others, too; choose fewer --tracks")
     notes.sort(key=lambda n: n.time)
     controls.sort(key=lambda c: c.time)
@@ -262,7 +265,7 @@ def _sounding(
             if music.tablature and sign.string is not None:
                 before = on_string.get(sign.string)  # a harmonic's sound goes on where the tied note is none
             if sign.tied and before is not None and _reaches(before, at, i, music.tablature):
-                before.end, before.measure = max(before.end, end), i  # another voice may hold the pitch for longer
+                before.end, before.measure = max(before.end, end), i  # another voice may hold this pitch longer
                 before.bent.append((at, sign))
                 continue
             last = on_string.get(sign.string) if sign.string is not None else None

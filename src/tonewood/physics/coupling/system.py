@@ -80,16 +80,12 @@ class System:
     ) -> System:
         """Compile.
 
-        Parameters
-        ----------
         components : name -> basis. One that `drives` name is driven one way: no connection may act on it.
         capacities : name -> modes to leave room for, where a component may later take a larger basis.
         potentials : energies beside those of the modes; all are on.
         owners : component -> string that it belongs to, of those that belong to one.
-
-        Raises
-        ------
-        ValueError : a connection, probe, drive or potential names a component, point or connection that is not there.
+        Raises ValueError : a connection, probe, drive or potential names a component, point or connection that is not
+            there.
         """
         if not dt > 0:
             raise ValueError(f"a step is longer than {dt} s")

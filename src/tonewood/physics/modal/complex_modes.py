@@ -43,24 +43,17 @@ def complex_modes(
 ) -> ModeArrays | None:
     """Modes of q'' + C~ q' + Omega^2 q = P^T f,  x = P q.
 
-    Parameters
-    ----------
     P : (n_dof, n) mass-normalised real shapes.
     omega : (n,) rad/s, exactly 0 for rigid-body modes.
     damping : (n, n) C~, 1/s.
     sign : (n,) -1 for acoustic modes, 1 for structural ones.
     least_pairing : smallest singular value of the pairing of unit left and right vectors that still counts as simple
         poles; modes are exact to rounding divided by it.
-
-    Returns
-    -------
-    poles, kind, stiffness, damping_rate : (n_modes,).
+    Returns poles, kind, stiffness, damping_rate : (n_modes,).
     right, left : (n_dof, n_modes).
     None, if poles off the real axis coincide (or more than two on it), which no simple modes can express.
-
-    Raises
-    ------
-    ValueError : a rigid-body motion that damping neither brakes nor leaves alone: C~ is not positive semi-definite.
+    Raises ValueError : a rigid-body motion that damping neither brakes nor leaves alone: C~ is not positive
+        semi-definite.
     """
     from tonewood.support.scipy_linalg import sla
 

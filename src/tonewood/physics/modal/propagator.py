@@ -182,9 +182,8 @@ def impulse_series(basis: ModalBasis, form: RealForm, point: int, dt: float) -> 
 
         exp(A (dt - s)) B = sum_j  ((m - s) / dt)^j / j!  (A dt)^j exp(A (dt - m)) B.
 
-    Returns
-    -------
-    (n_cells, SERIES_TERMS, n_modes, 2) the vectors of this sum; one cell for any mode below 0.6 of the sampling rate.
+    Returns (n_cells, SERIES_TERMS, n_modes, 2) the vectors of this sum; one cell for any mode below 0.6 of the sampling
+        rate.
     """
     block = basis.kind == BLOCK
     rate = np.where(block, np.sqrt(basis.stiffness) + 2 * np.abs(basis.damping_rate), np.abs(basis.poles))

@@ -42,23 +42,15 @@ def basis_from_matrices(
 ) -> ModalBasis:
     """All modes of M x'' + C x' + K x = D^T f,  y = D x.
 
-    Parameters
-    ----------
     M, C, K : (n_dof, n_dof) kg, N s/m, N/m. Structural: symmetric, M and K positive semi-definite. With acoustic
         dofs: the velocity-potential form (Fabre et al. 2024, Eq. 10), C = [[Cs, -L], [L^T, Ca]], or the pressure form
         (Eq. 8), which is brought to it; the acoustic dofs are then potentials, and the pressure is their velocity.
     points : name -> (n_dof,) direction, or the names of all dofs in their order.
     acoustic_dofs : indices of the acoustic dofs.
-
-    Returns
-    -------
-    ModalBasis : real modes under proportional damping, complex ones otherwise, in order of rising |pole|. Dofs
+    Returns ModalBasis : real modes under proportional damping, complex ones otherwise, in order of rising |pole|. Dofs
         without mass appear as residual compliance.
-
-    Raises
-    ------
-    ValueError : matrices of unfitting shape or symmetry, not positive semi-definite, or mass missing where there is
-        damping or no stiffness; poles too many of which coincide.
+    Raises ValueError : matrices of unfitting shape or symmetry, not positive semi-definite, or mass missing where there
+        is damping or no stiffness; poles too many of which coincide.
     """
     M, C, K = (np.array(a, dtype=np.float64) for a in (M, C, K))
     n = M.shape[0]

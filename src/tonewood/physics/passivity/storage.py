@@ -64,16 +64,11 @@ def storage_matrix(poles: Complexes, right: Complexes, left: Complexes) -> Stora
       and static compliance). On the rest, velocities of the ports are zero and their damping takes the place of the
       direct term, so that an ordinary Riccati equation of size N - 2 n_ports remains. About 4 s for 200 modes.
 
-    Parameters
-    ----------
     poles : (n,) half list, 1/s.
     right, left : (n_ports, n).
-
-    Raises
-    ------
-    PassivityError : the basis is not passive; is passive only just (no power is lost at some frequency), so that the
-        Riccati equation has no solution of full accuracy; or has a direct term without being a sum of passive modes.
-        A repaired basis brings its own storage function.
+    Raises PassivityError : the basis is not passive; is passive only just (no power is lost at some frequency), so that
+        the Riccati equation has no solution of full accuracy; or has a direct term without being a sum of passive
+        modes. A repaired basis brings its own storage function.
     """
     poles, right, left, _ = halve(*(np.asarray(a, dtype=np.complex128) for a in (poles, right, left)))
     passive, partner = modal_partners(poles, right, left)

@@ -31,8 +31,6 @@ _LEAST = 64
 class BlockSolver:
     """Factors of a matrix.
 
-    Parameters
-    ----------
     matrix : (n, n) A.
     place : (n,) of each unknown; NaN of those that lie in the middle of the others that they couple with.
     """

@@ -319,10 +319,8 @@ def _with_air(
 ) -> tuple[AirModes, Floats, tuple[Floats, Floats]]:
     """Join the plates' modes to their air.
 
-    Returns
-    -------
-    modes; (m,) Hz of the cavity; for the plate modes left out, the residual (p, p) m/N and the displacement of the
-    points (p,) per pressure of each of the cavity's modes, m/Pa.
+    Returns modes; (m,) Hz of the cavity; for the plate modes left out, the residual (p, p) m/N and the displacement of
+        the points (p,) per pressure of each of the cavity's modes, m/Pa.
     """
     from tonewood.support.scipy_linalg import sla
 

@@ -124,9 +124,8 @@ class Sources:
 def gathered_sources(points: Floats, weights: Floats, shapes: Floats, size: float) -> tuple[Floats, Floats, Floats]:
     """Sums over squares of `size` m of many points of integration.
 
-    Returns
-    -------
-    points (n, 2) m, centre of the area in each square; area (n,) m^2; volumes (n, modes), sum of weight and shape.
+    Returns points (n, 2) m, centre of the area in each square; area (n,) m^2; volumes (n, modes), sum of weight and
+        shape.
     """
     from scipy.sparse import csr_matrix
 

@@ -18,10 +18,8 @@ _KINDS = ("stored", "supplied", "booked", "lost")
 def check_energy_file(path: Path) -> None:
     """Check before a long render that an account can be written to a file.
 
-    Raises
-    ------
-    TonewoodError : another ending than .json, .csv or .png, a place that cannot be written to, or no matplotlib for a
-        picture.
+    Raises TonewoodError : another ending than .json, .csv or .png, a place that cannot be written to, or no matplotlib
+        for a picture.
     """
     if path.suffix.lower() not in _ENDINGS:
         raise TonewoodError(f"is {path.name!r}; a name ending in {', '.join(_ENDINGS)} is allowed", key="--energy")

@@ -110,14 +110,10 @@ def with_value(manifest: Manifest, condition: Condition, path: str, value: Any) 
 def staircase_levels(manifest: Manifest, folder: Path, own: Callable[[Condition, str], Any]) -> list[StaircaseLevel]:
     """Sounds that every staircase needs: reference, start, lowest and highest level.
 
-    Parameters
-    ----------
     folder : the manifest's.
     own : of (condition, path), the parameter's value in the bundle; raises a TonewoodError if there is none.
-
-    Raises
-    ------
-    ManifestError : a staircase changes no condition or several, a level does not fit, or levels change nothing; names
+    Raises ManifestError : a staircase changes no condition or several, a level does not fit, or levels change nothing;
+        names
         the page and the key.
     """
     pages = [(index, page) for index, page in enumerate(manifest.pages) if isinstance(page, StaircasePage)]

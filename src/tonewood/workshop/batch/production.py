@@ -205,9 +205,8 @@ def level_faults(
 def room_response(path: Path, settings: Stimuli) -> st.Samples:
     """The impulse response of a room at the files' rate, (n, 1 or `channels`).
 
-    Raises
-    ------
-    StimulusError : the file cannot be read, has other channels, or holds no sound or numbers that are not finite.
+    Raises StimulusError : the file cannot be read, has other channels, or holds no sound or numbers that are not
+        finite.
     """
     import soundfile
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import BundleError, TonewoodError
 from tonewood.instrument.bundle.added import body_parts, point_factor
@@ -22,11 +21,9 @@ from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.views import SHOWN_TO
 from tonewood.physics.plate.body import BodyDrawing
 from tonewood.physics.plate.whole_body import Lump, WholeBody, body_change, with_cells
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.design.figures import DrawnResonances, Resonances
 from tonewood.workshop.design.task import Free
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: point, its factor, rates of mass, damping and stiffness of a lump, and whether it has a mass
 Rate = tuple[str, float, tuple[float, float, float], bool]
@@ -60,14 +57,9 @@ def changed(instrument: Instrument, free: Sequence[Free], values: Sequence[float
 def design_body(instrument: Instrument, free: Sequence[Free], highest: float, mobility: bool = True) -> DesignBody:
     """Make the body for parameters.
 
-    Parameters
-    ----------
     highest : Hz, up to which targets are.
     mobility : whether its mobility is wanted.
-
-    Raises
-    ------
-    TonewoodError : a parameter is not one that this kind of body can change.
+    Raises TonewoodError : a parameter is not one that this kind of body can change.
     """
     if isinstance(getattr(instrument.body, "drawing", None), BodyDrawing):
         return DrawnDesign(instrument, free, highest, mobility)
@@ -176,8 +168,6 @@ def lumps(instrument: Instrument) -> list[Lump]:
 class TabledResonances:
     """Of a body that is known by its table of modes.
 
-    Attributes
-    ----------
     basis : of which the mobility is.
     poles : (n,) 1/s of positive frequency, ascending.
     residues : (p, n) r l of displacement at each point, m/N/s.

@@ -17,18 +17,17 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.physics.plate.whole_body import LowModes
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.design.task import Target
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: points of a band
 _POINTS = 400
+#: modes below this share of the fourth are rigid-body motion, which is not counted
+_RIGID = 1e-2
 
 
 class Resonances(Protocol):
@@ -100,8 +99,6 @@ class DrawnResonances:
 class StringEnd:
     """A string that ends on the body.
 
-    Attributes
-    ----------
     name : its name.
     point : number of the body's point.
     mass_freq : kg Hz, its mass times its frequency, the same at every stop.
@@ -134,9 +131,7 @@ def figures(
 ) -> Floats:
     """(targets,) figures, each in the unit of its target.
 
-    Raises
-    ------
-    TonewoodError : the body has no such mode, or its mass is not known.
+    Raises TonewoodError : the body has no such mode, or its mass is not known.
     """
     return np.array([_figure(target, resonances, points, ends) for target in targets])
 
@@ -151,11 +146,12 @@ def _figure(target: Target, found: Resonances, points: Sequence[str], ends: Sequ
         return float(np.mean(20 * np.log10(np.abs(found.mobility(points.index(target.at), freq)))))
     if target.kind == "wolf":
         return worst_wolf(found, ends, target.band)
-    known = {str(k + 1): k for k in range(len(found.freq))} | dict(found.named)
+    moves = np.flatnonzero(found.freq > _RIGID * found.freq[:4].max(initial=0.0))
+    known = {str(k + 1): int(mode) for k, mode in enumerate(moves)} | dict(found.named)
     if target.mode not in known:
         named = ", ".join(found.named) or "none has a name"
         raise TonewoodError(
-            f"{target.text!r}: this body has no such mode; of {len(found.freq)} modes looked at, {named}: "
+            f"{target.text!r}: this body has no such mode; of {len(moves)} modes looked at, {named}: "
             "`mode N` counts them",
             key="targets",
         )

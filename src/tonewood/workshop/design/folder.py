@@ -22,10 +22,8 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 def check_folder(folder: Path) -> None:
     """Refuse a folder that cannot be made.
 
-    Raises
-    ------
-    BundleError : its name is none of an instrument.
-    OutputError : it is there already, or its parent is not.
+    Raises BundleError : its name is none of an instrument.
+    Raises OutputError : it is there already, or its parent is not.
     """
     if not _NAME.fullmatch(folder.name):
         raise BundleError(f"{folder.name!r} cannot be the name of an instrument; letters, digits and _ are allowed")
@@ -35,9 +33,7 @@ def check_folder(folder: Path) -> None:
 def write_design(design: FoundDesign, folder: Path) -> Instrument:
     """Write a bundle that `render` and `compare` take.
 
-    Raises
-    ------
-    OutputError : the folder cannot be written; nothing stays behind.
+    Raises OutputError : the folder cannot be written; nothing stays behind.
     """
     check_folder(folder)
     made = design.instrument

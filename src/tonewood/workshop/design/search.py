@@ -21,12 +21,11 @@ from tonewood.instrument.bundle.added import body_parts
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.physics.plate.body import BodyDrawing, BodyModes
 from tonewood.physics.plate.whole_body import LowModes
+from tonewood.support.arrays import Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.design.bodies import MeasuredDesign, changed, design_body
 from tonewood.workshop.design.figures import DrawnResonances, Resonances, figures, string_ends
 from tonewood.workshop.design.task import Free, Target
-
-Floats = NDArray[np.float64]
 
 #: weight of a change by the whole range of a parameter
 LEAST = 0.02
@@ -38,8 +37,6 @@ _STEPS, _GAIN, _CLOSE = 12, 0.02, 1e-3
 class FoundDesign:
     """A design and what it reaches.
 
-    Attributes
-    ----------
     targets, free : of the task.
     before, values : (n,) parameters as given and as found.
     given, reached : (t,) figures of both, by full computations.
@@ -62,6 +59,13 @@ class FoundDesign:
         return np.array([t.off(f) for t, f in zip(self.targets, self.reached, strict=True)])
 
     @property
+    def cost(self) -> tuple[float, float]:
+        """Sums of squares: errors of missed targets re what is noticed, and changes re their ranges."""
+        missed = [o / t.weight for t, o in zip(self.targets, self.off, strict=True) if abs(o) > t.tolerance]
+        span = np.array([p.high - p.low for p in self.free])
+        return float(np.square(missed).sum()), float(np.square((self.values - self.before) / span).sum())
+
+    @property
     def ok(self) -> bool:
         """Whether every target is reached within its tolerance."""
         return all(abs(o) <= t.tolerance for t, o in zip(self.targets, self.off, strict=True))
@@ -76,13 +80,8 @@ def find_design(
 ) -> FoundDesign:
     """Search the nearest design that reaches the targets.
 
-    Parameters
-    ----------
     tell : is called with a line about each step.
-
-    Raises
-    ------
-    TonewoodError : the body has no such mode or parameter.
+    Raises TonewoodError : the body has no such mode or parameter.
     """
     search = _Search(instrument, targets, free, tell)
     before = np.array([p.start for p in free])
@@ -160,12 +159,14 @@ class _Search:
             for i in range(len(self.free)):
                 less, more, step = self.body.beside(i)
                 columns.append((self._figures(more) - self._figures(less)) / (2 * step))
-            self._rates = (values.tobytes(), np.array(columns).T)
+            self._rates = (values.tobytes(), np.array(columns).reshape(len(columns), len(self.targets)).T)
         factor = np.where(self._relative, np.exp(self.shift), 1.0)
         return np.asarray(factor[:, None] * self._rates[1])
 
     def run(self, start: Floats) -> Floats:
         """(n,) values of the nearest design: steps to the best one by derivatives, halved until the sum falls."""
+        if not self.free:
+            return start
         span = self.high - self.low
         x = np.clip((start - self.low) / span, 0.0, 1.0)
         for _ in range(_STEPS):

@@ -11,15 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.physics.plate.body import BodyDrawing
+from tonewood.support.arrays import Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.design.bodies import DrawnDesign, MeasuredDesign
 from tonewood.workshop.design.task import parse_free
-
-Floats = NDArray[np.float64]
 
 #: modes that are told, at most; Hz, below which those of a drawn body are; points on which a gram is put
 _MODES, _BELOW, _POINTS = 8, 650.0, 3
@@ -33,8 +31,6 @@ _DIMENSION, _MASS = 1e-4, 1e-3
 class Sensitivity:
     """Cents by which modes move.
 
-    Attributes
-    ----------
     freq : (n,) Hz; of a drawn body on coarser cells than those of a render.
     labels : (n,) names of the modes, A0 and T1 among them, or their numbers.
     rows : what is changed, with how much -> (n,) cents.

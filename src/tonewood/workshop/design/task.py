@@ -43,8 +43,6 @@ _MOST = 40
 class Target:
     """One figure that a design should have.
 
-    Attributes
-    ----------
     text : as it was written.
     kind : ``freq``, ``mobility``, ``wolf`` or ``mass``.
     sense : ``=``, ``<=`` or ``>=``.
@@ -92,8 +90,6 @@ class Target:
 class Free:
     """A parameter that a design may change.
 
-    Attributes
-    ----------
     name : as it was written.
     paths : keys of the bundle that it sets.
     base : their values now.
@@ -122,12 +118,7 @@ class Free:
 
 
 def read_task(path: Path) -> tuple[list[str], dict[str, str]]:
-    """Lines of targets and of free parameters from a YAML file.
-
-    Raises
-    ------
-    TonewoodError : it holds anything else.
-    """
+    """Lines of targets and of free parameters from a YAML file. Raises TonewoodError : it holds anything else."""
     values = load_yaml(path)
     for key in values:
         if key not in ("targets", "free"):
@@ -142,12 +133,7 @@ def read_task(path: Path) -> tuple[list[str], dict[str, str]]:
 
 
 def parse_targets(lines: Sequence[str], instrument: Instrument) -> list[Target]:
-    """Targets from their lines.
-
-    Raises
-    ------
-    TonewoodError : a line is none, or names what this instrument does not have.
-    """
+    """Targets from their lines. Raises TonewoodError : a line is none, or names what this instrument does not have."""
     if not 0 < len(lines) <= _MOST:
         raise TonewoodError(f"there are {len(lines)}; 1 to {_MOST} are allowed: {_ALLOWED}", key="targets")
     return [_target(line, instrument) for line in lines]
@@ -196,9 +182,7 @@ def _pitch(word: str, text: str) -> float:
 def parse_free(lines: Mapping[str, str], instrument: Instrument) -> list[Free]:
     """Free parameters from their lines.
 
-    Raises
-    ------
-    TonewoodError : a path leads to no number, bounds are none, or two of them set one key.
+    Raises TonewoodError : a path leads to no number, bounds are none, or two of them set one key.
     """
     if not 0 < len(lines) <= _MOST:
         raise TonewoodError(f"there are {len(lines)}; 1 to {_MOST} are allowed, PATH: LOW .. HIGH", key="free")
@@ -207,7 +191,7 @@ def parse_free(lines: Mapping[str, str], instrument: Instrument) -> list[Free]:
     for path, line in lines.items():
         match = _FREE.fullmatch(" ".join(line.split()))
         if match is None or not float(match["low"]) < float(match["high"]):
-            reason = f"{line!r} is not LOW .. HIGH, x LOW .. HIGH (a factor) or + LOW .. HIGH (added)"
+            reason = f"{line!r} is not LOW .. HIGH, x LOW .. HIGH (a factor) or + LOW .. HIGH (added), LOW below HIGH"
             raise TonewoodError(reason, key=path)
         chosen = {p: v for p, v in leaves.items() if _under(p, path)}
         if not chosen:

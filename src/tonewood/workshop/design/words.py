@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tonewood.support.arrays import Floats
 from tonewood.workshop.design.search import FoundDesign, slope
 from tonewood.workshop.design.task import Free, Target
-
-Floats = NDArray[np.float64]
 
 #: cosine between the rates of two targets from which on they are said to go together, or against one another
 _TOGETHER = 0.9
@@ -63,7 +61,9 @@ def trades(design: FoundDesign) -> list[str]:
     """Pairs of targets that the parameters only move together or against one another."""
     scaled = effects(design) / np.array([t.weight for t in design.targets])[:, None]
     size = np.linalg.norm(scaled, axis=1)
-    out = []
+    out: list[str] = []
+    if not design.free:
+        return out
     for i, first in enumerate(design.targets):
         for j in range(i):
             if size[i] < 1e-6 or size[j] < 1e-6:
@@ -87,7 +87,7 @@ def _named(target: Target) -> str:
 
 def lines(design: FoundDesign) -> Sequence[str]:
     """The whole report."""
-    out = ["parameters: now, designed (bounds)"]
+    out = ["parameters: now, designed (bounds)"] if design.free else []
     for parameter, before, value in zip(design.free, design.before, design.values, strict=True):
         bounds = f"{shown(parameter, parameter.low)} .. {shown(parameter, parameter.high)}"
         out.append(f"  {parameter.name}: {shown(parameter, before)} to {shown(parameter, value)}  ({bounds})")
@@ -96,7 +96,8 @@ def lines(design: FoundDesign) -> Sequence[str]:
     for target, given, reached, off in rows:
         words = f"{figure_words(target, given)} to {figure_words(target, reached)}"
         out.append(f"  {target.text}: {words}; {off_words(target, off)}")
-    out.append("what a tenth of each parameter's range does, at the design")
+    if design.free:
+        out.append("what a tenth of each parameter's range does, at the design")
     for parameter, column in zip(design.free, effects(design).T, strict=True):
         moves = ", ".join(f"{_named(t)} {x:+.2g} {t.unit}" for t, x in zip(design.targets, column, strict=True))
         step = (parameter.high - parameter.low) / 10

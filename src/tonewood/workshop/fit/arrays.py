@@ -20,9 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.support.arrays import Complexes, Floats
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Pair = tuple[str, str]
 
 #: reference of responses whose file does not say where the body was driven
@@ -48,8 +47,6 @@ _LONGEST = 64
 class ResponseTable:
     """Responses of one file.
 
-    Attributes
-    ----------
     freq : (N,) Hz.
     rows : (point, reference) -> (N,).
     coherence : of the same pairs, where it is there.
@@ -65,12 +62,7 @@ class ResponseTable:
 
 
 def npz_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Arrays of an npz file, or the one of an npy file, called as the file.
-
-    Raises
-    ------
-    TonewoodError : it is none.
-    """
+    """Arrays of an npz file, or the one of an npy file, called as the file. Raises TonewoodError : it is none."""
     try:
         content = np.load(path, allow_pickle=False)
         if isinstance(content, np.ndarray):
@@ -85,9 +77,7 @@ def npz_arrays(path: Path) -> dict[str, NDArray[Any]]:
 def mat_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Numeric arrays of a MATLAB file of version 7 or earlier; fields of structs as STRUCT.FIELD.
 
-    Raises
-    ------
-    TonewoodError : it is none, or of version 7.3.
+    Raises TonewoodError : it is none, or of version 7.3.
     """
     from scipy.io import loadmat
 
@@ -115,15 +105,10 @@ def mat_arrays(path: Path) -> dict[str, NDArray[Any]]:
 def responses_of_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], chosen: Sequence[str] = ()) -> ResponseTable:
     """Responses of named arrays.
 
-    Parameters
-    ----------
     path : of the file, for messages.
     arrays : name -> array.
     chosen : names of the arrays that hold responses; those recognised where empty.
-
-    Raises
-    ------
-    TonewoodError : no frequencies or responses are among them, or it is not clear which they are.
+    Raises TonewoodError : no frequencies or responses are among them, or it is not clear which they are.
     """
     arrays, remarks = _frequencies_apart(arrays)
     key, freq = _frequencies(path, arrays)
@@ -187,8 +172,6 @@ def _of_parts(arrays: Mapping[str, NDArray[Any]], n: int) -> tuple[dict[str, NDA
 def within_pi(phase: Floats) -> bool:
     """Whether phases that turn stay within pi, as radians do.
 
-    Parameters
-    ----------
     phase : (N,) in an unknown unit.
     """
     known = phase[np.isfinite(phase)]
@@ -196,12 +179,7 @@ def within_pi(phase: Floats) -> bool:
 
 
 def pair_of(path: Path, name: str) -> Pair:
-    """Return point and reference of POINT:REFERENCE.
-
-    Raises
-    ------
-    TonewoodError : it is no such name.
-    """
+    """Return point and reference of POINT:REFERENCE. Raises TonewoodError : it is no such name."""
     point, colon, reference = name.partition(":")
     if not (point and colon and reference):
         raise TonewoodError("is no name of a response; POINT:REFERENCE is allowed", file=path, key=name)

@@ -17,10 +17,8 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.fit.identify import Modes
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: standard deviations by which a residual term, and a second shape at one pole, have to stand out
 _CLEAR = 3.0
@@ -75,8 +73,6 @@ class FittedBody:
 def passive_body(modes: Modes, pairs: tuple[tuple[str, str], ...]) -> FittedBody:
     """The passive body nearest to some modes.
 
-    Parameters
-    ----------
     modes : with real residues at `pairs`.
     pairs : (point, reference) of each row of their residues.
     """

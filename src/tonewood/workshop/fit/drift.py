@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: share of a record, its end, in which a body is nearly silent; least share before the hit that shows a slope
 _TAIL, _BEFORE = 0.1, 0.01
@@ -25,8 +24,6 @@ _PEAKS, _LEAST_PEAK, _MOST_MOVED = 8, 1e-4, 0.1
 class Spectra:
     """Spectra of hits at one place, and their slopes.
 
-    Attributes
-    ----------
     freq : (N,) Hz.
     force, motion : (n_hits, N) and (n_hits, P, N).
     force_slope, motion_slope : their derivatives by frequency, per Hz, with time counted from the hit.
@@ -42,8 +39,6 @@ class Spectra:
     def of(cls, force: Floats, motion: Floats, fs: float, stretch: Floats) -> Spectra:
         """Transform hits, each on its own frequencies (1 + stretch) f.
 
-        Parameters
-        ----------
         force, motion : (n_hits, n) and (n_hits, P, n).
         fs : Hz.
         stretch : (n_hits,) relative.
@@ -116,8 +111,6 @@ def _stretched(x: Floats, by: float) -> Complexes:
 class Drift:
     """What drifted.
 
-    Attributes
-    ----------
     zero : (P + 1,) largest move of a channel's zero during a hit, re the channel's peak, force first; it was taken out.
     common : (n_hits,) relative shift of all frequencies of each hit; it was taken out. 0 where there is none.
     peaks : (Hz, relative move, share of the peak's width) of peaks that still move.
@@ -154,13 +147,9 @@ class Drift:
 def level_zero(force: Floats, motion: Floats) -> tuple[Floats, Floats, Floats]:
     """Take the straight line through the quiet parts out of each channel of each hit, where there is one.
 
-    Parameters
-    ----------
     force, motion : (n_hits, n) and (n_hits, P, n).
-
-    Returns
-    -------
-    force and motion without it, and (P + 1,) how far it moves re the peak of the channel, force first; 0 where none.
+    Returns force and motion without it, and (P + 1,) how far it moves re the peak of the channel, force first; 0 where
+        none.
     """
     channels = np.concatenate([force[:, None], motion], axis=1)
     out, moved = channels.copy(), np.zeros(channels.shape[1])
@@ -201,15 +190,10 @@ def brought_together(
 ) -> tuple[Spectra, Floats, list[tuple[float, float, float]]]:
     """Bring hits to the mean of their frequencies where these drift in common, and say what still moves.
 
-    Parameters
-    ----------
     force, motion : (n_hits, n) and (n_hits, P, n), windowed.
     fs : Hz.
-
-    Returns
-    -------
-    Spectra of the hits, (n_hits,) relative shifts that were taken out, and peaks that still move: Hz, relative move,
-    and share of the width.
+    Returns Spectra of the hits, (n_hits,) relative shifts that were taken out, and peaks that still move: Hz, relative
+        move, and share of the width.
     """
     stretch = np.zeros(len(force))
     spectra = Spectra.of(force, motion, fs, stretch)

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.contract.files import Files
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.support.sound_rates import read_samples
 from tonewood.workshop.fit.arrays import (
     UNNAMED,
@@ -39,7 +40,7 @@ from tonewood.workshop.fit.arrays import (
     responses_of_arrays,
 )
 from tonewood.workshop.fit.hits import responses_of_hits
-from tonewood.workshop.fit.responses import FORMS, Complexes, Floats, Responses, to_mobility
+from tonewood.workshop.fit.responses import FORMS, Responses, to_mobility
 from tonewood.workshop.fit.texts import is_documented, record_of_text, responses_of_text
 
 #: what begins and ends a data set of a universal file

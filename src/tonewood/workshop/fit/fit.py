@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.fit import noise
 from tonewood.workshop.fit.body import LEAST_QUALITY, FittedBody, passive_body
@@ -19,9 +19,6 @@ from tonewood.workshop.fit.identify import Modes, identify
 from tonewood.workshop.fit.projection import Shape
 from tonewood.workshop.fit.responses import Responses
 from tonewood.workshop.fit.search import Iteration, NothingFoundError
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: bins that a bandwidth has to hold for the bins to show its damping
 BINS_IN_BANDWIDTH = 3.0

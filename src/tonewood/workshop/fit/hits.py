@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.fit.drift import Drift, brought_together, level_zero
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: a second pulse above this share of the first one's peak, and above so many medians of the rest, is a second hit
 _SHARE, _MEDIANS = 0.03, 8.0
@@ -22,8 +20,6 @@ _CLEAR = 2e-3
 class HitResponses:
     """Responses to several hits at one place.
 
-    Attributes
-    ----------
     freq : (N,) Hz.
     response : (P, N) response over force.
     coherence : (P, N).
@@ -65,17 +61,12 @@ def responses_of_hits(
     the response itself on the line Re s = a = 1/tau, and nothing has to be corrected afterwards. Before, zeros that
     drift are levelled; frequencies that drift from hit to hit are brought to their mean (`drift`).
 
-    Parameters
-    ----------
     force : (n_hits, n) N.
     motion : (n_hits, P, n).
     fs : Hz.
     window_tau : s; no window if None.
     estimator : "H1" (noise in the response) or "H2" (noise in the force).
-
-    Raises
-    ------
-    ValueError : of several hits fewer than two are single; of one hit, it is not.
+    Raises ValueError : of several hits fewer than two are single; of one hit, it is not.
     """
     kept = np.array([not is_double(hit, fs) for hit in force], dtype=bool)
     if np.count_nonzero(kept) < min(len(force), 2):

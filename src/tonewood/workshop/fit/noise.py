@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.optimize import nnls
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: bins of the smoothing of a coherence, of fourth differences, and of the misfit of a fit
 _COHERENCE, _DIFFERENCES, _MISFIT = 31, 151, 201
@@ -31,8 +30,6 @@ def of_coherence(response: Complexes, coherence: Floats, n_hits: int) -> Floats:
 
     smoothed over 31 bins in its logarithm: of few hits a coherence is rough.
 
-    Parameters
-    ----------
     response, coherence : (P, N); coherence is g^2.
     """
     g = np.clip(coherence, 1e-4, 1 - 1e-9)
@@ -59,8 +56,6 @@ def of_misfit(misfit: Complexes, response: Complexes | None = None, width: int =
     a and r from medians of |misfit|^2 over groups of bins of like |Y| (the median of |.|^2 of complex Gaussian noise is
     sigma^2 ln 2), g the running median of what these leave: a hammer that fades towards high frequencies.
 
-    Parameters
-    ----------
     misfit : (P, N) data less a model, or differences of neighbours with the same variance.
     response : (P, N) |Y| that the relative part follows; None: no relative part is sought.
     width : bins of the running median.
@@ -109,8 +104,6 @@ def outliers(response: Complexes) -> NDArray[np.bool_]:
     differences above ten times the noise is taken for spikes if as few as a third of its length explain it down to the
     noise. A resonance, however narrow, is none: its flanks reach further.
 
-    Parameters
-    ----------
     response : (P, N) at even steps.
     """
     found = np.zeros(response.shape, dtype=bool)

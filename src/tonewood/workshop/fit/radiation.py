@@ -17,16 +17,13 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.fit import noise
 from tonewood.workshop.fit.body import FittedBody
 from tonewood.workshop.fit.projection import Line, Poles, Shape
 from tonewood.workshop.fit.responses import Responses
 from tonewood.workshop.fit.search import Iteration, NothingFoundError, sought
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-
 
 #: Hz, of the high-pass of a bank
 _LOWEST_CUT, _HIGHEST_CUT = 1.0, 200.0

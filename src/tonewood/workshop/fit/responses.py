@@ -6,14 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from tonewood.errors import TonewoodError
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.fit import noise
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: form -> power of s by which it is multiplied to become mobility
 FORMS: Mapping[str, int] = {"receptance": 1, "mobility": 0, "accelerance": -1}

@@ -16,8 +16,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: orders of the chart, most bins used, and what counts as the same pole: relative in frequency and in damping
 ORDERS, _MOST_BINS, _SAME_FREQ, _SAME_DAMPING = range(4, 61, 4), 2000, 0.01, 0.1
@@ -27,8 +26,6 @@ ORDERS, _MOST_BINS, _SAME_FREQ, _SAME_DAMPING = range(4, 61, 4), 2000, 0.01, 0.1
 class Stability:
     """Poles within the band, order by order.
 
-    Attributes
-    ----------
     order : (n,) of the model that each pole belongs to.
     freq, quality : (n,) Hz and Q.
     stable : (n,) whether the order before has it, too: within 1 % of the frequency and 10 % of the damping.

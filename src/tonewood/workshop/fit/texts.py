@@ -12,13 +12,10 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.fit.arrays import ANGULAR, UNNAMED, Pair, ResponseTable, within_pi
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: name of a column of times, and of a force over time
 _TIME, _FORCE = re.compile(r"\btime\b|\bsec|\[s\]|\(s\)"), re.compile(r"force|hammer|\[n\]|\(n\)")
@@ -47,9 +44,7 @@ _DEGREES = 20.0
 def responses_of_text(path: Path) -> ResponseTable:
     """Read the table of a text file.
 
-    Raises
-    ------
-    TonewoodError : there is no table of numbers, or its columns are no responses; the line says what is there.
+    Raises TonewoodError : there is no table of numbers, or its columns are no responses; the line says what is there.
     """
     head, columns, names, others = _table(path)
     named = [i for i, name in enumerate(names) if re.search("freq|hz", name)]
@@ -79,9 +74,7 @@ def record_of_text(path: Path) -> tuple[Floats, Floats, Floats] | None:
 
     The force is the column that the head calls so, otherwise the first after time.
 
-    Raises
-    ------
-    TonewoodError : there is no table of numbers.
+    Raises TonewoodError : there is no table of numbers.
     """
     _, columns, names, _ = _table(path)
     time, name = columns[0], names[0] if names else ""

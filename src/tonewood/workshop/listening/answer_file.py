@@ -169,10 +169,9 @@ class OpenSession:
     def answer(self, given: Mapping[str, Any], *, now: str) -> dict[str, Any]:
         """Check an answer, write it to the disk, and then go on; returns its record.
 
-        Raises
-        ------
-        ListeningError : it does not fit the step.
-        OutputError : the disk does not take it. After this or another error the session is at its step as before; if
+        Raises ListeningError : it does not fit the step.
+        Raises OutputError : the disk does not take it. After this or another error the session is at its step as
+            before; if
             the file may hold a part of the answer, take the session up again by `resume`.
         """
         record = {**self.session.record(given), "time": now}
@@ -298,10 +297,9 @@ def clear_parts(test: ListeningTest) -> None:
 def resume(test: ListeningTest, token: str) -> OpenSession | None:
     """Take up the session of a token again; None if there is none.
 
-    Raises
-    ------
-    ListeningError : its answers are damaged, or were given to another definition.
-    OutputError : the file cannot be read now, a line that was cut off cannot be removed, or the disk does not confirm
+    Raises ListeningError : its answers are damaged, or were given to another definition.
+    Raises OutputError : the file cannot be read now, a line that was cut off cannot be removed, or the disk does not
+        confirm
         the answers.
     """
     path = test.folder / FOLDER / f"{token}.jsonl"

@@ -11,24 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from tonewood.workshop.batch.pages import (
-    AbPage,
-    AbxPage,
-    AfcPage,
-    AnyPage,
-    Bs1116Page,
-    HeadphonesPage,
-    HtmlPage,
-    ListenedPage,
-    MushraPage,
-    PairedPage,
-    PairPage,
-    QuestionnairePage,
-    RatingPage,
-    StaircasePage,
-    TrainingPage,
-    TrialPage,
-)
+from tonewood.workshop.batch import pages
 from tonewood.workshop.batch.seeds import generator
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest, ServedTrial
 from tonewood.workshop.listening.thresholds import AdaptiveTrack, track_of
@@ -96,10 +79,10 @@ class Session:
         if self.step is None:
             return None
         page = self.test.pages[self.step.page]
-        return page.page - 1 if isinstance(page, TrainingPage) else self.step.page
+        return page.page - 1 if isinstance(page, pages.TrainingPage) else self.step.page
 
     @property
-    def page(self) -> AnyPage | None:
+    def page(self) -> pages.AnyPage | None:
         """The page of `page_index`."""
         return None if self.page_index is None else self.test.pages[self.page_index]
 
@@ -108,14 +91,14 @@ class Session:
         """Steps of the whole session; a staircase with steps is counted as 40 trials a track, or as many as it had."""
         count = 0
         for index, page in enumerate(self.test.pages):
-            if isinstance(page, StaircasePage):
+            if isinstance(page, pages.StaircasePage):
                 tracks = self.tracks.get(index, [])
                 done = sum(len(track.levels) for track in tracks)
                 finished = bool(tracks) and all(track.done for track in tracks)
                 count += done if finished else max(done + 5, (40 if page.steps else page.trials) * page.tracks)
-            elif isinstance(page, HeadphonesPage):
+            elif isinstance(page, pages.HeadphonesPage):
                 count += max(page.trials, sum(record["page"] == index + 1 for record in self.answers))
-            elif not isinstance(page, HtmlPage):
+            elif not isinstance(page, pages.HtmlPage):
                 count += len(list(self._static(index, page)))
         return count
 
@@ -194,14 +177,14 @@ class Session:
     def known_steps(self, number: int) -> list[dict[str, Any]]:
         """Fields of the steps of a page (from 0) that do not depend on answers; none of a staircase or a check."""
         page = self.test.pages[number]
-        return [] if isinstance(page, (StaircasePage, HeadphonesPage)) else list(self._static(number, page))
+        return [] if isinstance(page, (pages.StaircasePage, pages.HeadphonesPage)) else list(self._static(number, page))
 
     def _steps(self) -> Iterator[Step]:
         index = 0
         for number, page in enumerate(self.test.pages):
-            if isinstance(page, StaircasePage):
+            if isinstance(page, pages.StaircasePage):
                 steps = self._adaptive(number, page)
-            elif isinstance(page, HeadphonesPage):
+            elif isinstance(page, pages.HeadphonesPage):
                 steps = self._checked(number, page)
             else:
                 steps = self._static(number, page)
@@ -211,14 +194,14 @@ class Session:
             if self.failed is not None:
                 return
 
-    def _static(self, number: int, page: AnyPage) -> Iterator[dict[str, Any]]:
+    def _static(self, number: int, page: pages.AnyPage) -> Iterator[dict[str, Any]]:
         """Fields of the steps of a page whose number is known before it begins."""
-        if isinstance(page, HtmlPage):
+        if isinstance(page, pages.HtmlPage):
             return
-        trained = self.test.pages[page.page - 1] if isinstance(page, TrainingPage) else page
+        trained = self.test.pages[page.page - 1] if isinstance(page, pages.TrainingPage) else page
         trials = self.test.trials_of(number)
-        if isinstance(page, TrainingPage):
-            if isinstance(trained, StaircasePage):
+        if isinstance(page, pages.TrainingPage):
+            if isinstance(trained, pages.StaircasePage):
                 for k in range(page.trials):
                     fields = self._intervals(trained, ("training", number, k), STANDARD, CHANGED)
                     yield {**fields, "training": True, "track": 0, "level": trained.start, "repetition": k + 1}
@@ -228,13 +211,13 @@ class Session:
                 for k in range(page.trials):
                     yield {**self._trial(trained, trials[order[k % len(trials)]], ("training", k)), "training": True}
             return
-        if not isinstance(page, (MushraPage, Bs1116Page, PairPage, RatingPage)):
+        if not isinstance(page, (pages.MushraPage, pages.Bs1116Page, pages.PairPage, pages.RatingPage)):
             yield {}
             return
         for trial, repetition in self._ordered(number, self._own(number, trials), getattr(page, "times", 1)):
             yield {**self._trial(page, trial, (repetition,)), "repetition": repetition}
 
-    def _checked(self, number: int, page: HeadphonesPage) -> Iterator[dict[str, Any]]:
+    def _checked(self, number: int, page: pages.HeadphonesPage) -> Iterator[dict[str, Any]]:
         """Trials of a check of headphones, until it is passed or no attempt is left; sets `failed` if the test ends."""
         for attempt in range(1, page.attempts + 1):
             before = len(self.answers)
@@ -257,7 +240,7 @@ class Session:
         were given equally often; then the circle is drawn anew, so that other trials meet.
         """
         page, n = self.test.pages[number], len(trials)
-        size = page.subset if isinstance(page, TrialPage) else None
+        size = page.subset if isinstance(page, pages.TrialPage) else None
         if size is None or size >= n:
             return trials
         turn, place = divmod(self.place, n // math.gcd(n, size))
@@ -275,26 +258,26 @@ class Session:
             sequence += [(trials[i], repetition) for i in indices]
         return sequence
 
-    def _trial(self, page: AnyPage, trial: ServedTrial, labels: tuple[object, ...]) -> dict[str, Any]:
+    def _trial(self, page: pages.AnyPage, trial: ServedTrial, labels: tuple[object, ...]) -> dict[str, Any]:
         """Slots and right answer of one trial."""
         names = ("slots", self.seed, trial.id, *labels)
         random = generator(self.test.manifest.seed, *names)
         reference = trial.reference or ""
-        if isinstance(page, (MushraPage, Bs1116Page)):
+        if isinstance(page, (pages.MushraPage, pages.Bs1116Page)):
             codes = [reference, *trial.stimuli]
             order = random.permutation(len(codes))
             hidden = {LETTERS[i]: codes[k] for i, k in enumerate(order)}
             return {"trial": trial.id, "slots": {OPEN: reference, **hidden}}
-        if isinstance(page, RatingPage):
+        if isinstance(page, pages.RatingPage):
             return {"trial": trial.id, "slots": {"A": trial.stimuli[0]}}
-        if isinstance(page, AfcPage):
+        if isinstance(page, pages.AfcPage):
             return {"trial": trial.id, **self._intervals(page, names, reference, trial.stimuli[0])}
         pair = [reference, trial.stimuli[0]]
         a, b = (pair[i] for i in random.permutation(2))
-        if isinstance(page, AbxPage):
+        if isinstance(page, pages.AbxPage):
             x = int(random.integers(2))
             return {"trial": trial.id, "slots": {"A": a, "B": b, "X": (a, b)[x]}, "correct": "AB"[x]}
-        if isinstance(page, AbPage):
+        if isinstance(page, pages.AbPage):
             same = bool(random.integers(2))
             return {
                 "trial": trial.id,
@@ -304,7 +287,7 @@ class Session:
         return {"trial": trial.id, "slots": {"A": a, "B": b}}
 
     def _intervals(
-        self, page: AfcPage | StaircasePage, labels: tuple[object, ...], standard: str, other: str
+        self, page: pages.AfcPage | pages.StaircasePage, labels: tuple[object, ...], standard: str, other: str
     ) -> dict[str, Any]:
         """Slots of a forced choice: the other sound in one of the intervals."""
         place = int(generator(self.test.manifest.seed, "interval", self.seed, *labels).integers(page.intervals))
@@ -313,7 +296,7 @@ class Session:
             slots = {OPEN: standard, **slots}
         return {"slots": slots, "correct": str(place + 1)}
 
-    def _adaptive(self, number: int, page: StaircasePage) -> Iterator[dict[str, Any]]:
+    def _adaptive(self, number: int, page: pages.StaircasePage) -> Iterator[dict[str, Any]]:
         """Trials of interleaved tracks, until all have ended."""
         tracks = self.tracks[number] = [track_of(page) for _ in range(page.tracks)]
         trial = 0
@@ -325,20 +308,20 @@ class Session:
             yield {**fields, "track": chosen, "level": tracks[chosen].level, "repetition": trial}
 
 
-def choices(page: AnyPage, step: Step) -> list[str]:
+def choices(page: pages.AnyPage, step: Step) -> list[str]:
     """Answers that a choice allows."""
-    if isinstance(page, AbPage):
+    if isinstance(page, pages.AbPage):
         return ["same", "different"]
-    if isinstance(page, AbxPage):
+    if isinstance(page, pages.AbxPage):
         return ["A", "B", *(["undecided"] if page.unforced else [])]
-    if isinstance(page, PairedPage):
+    if isinstance(page, pages.PairedPage):
         return ["A", "B", *(["tie"] if page.tie else [])]
-    if isinstance(page, (AfcPage, StaircasePage, HeadphonesPage)):
+    if isinstance(page, (pages.AfcPage, pages.StaircasePage, pages.HeadphonesPage)):
         return [slot for slot in step.slots if slot != OPEN]
     return []
 
 
-def checked(page: AnyPage, step: Step, given: Mapping[str, Any]) -> dict[str, Any]:
+def checked(page: pages.AnyPage, step: Step, given: Mapping[str, Any]) -> dict[str, Any]:
     """The answer to a step, with nothing in it beside the fields asked for.
 
     Raises ListeningError : something is missing or not allowed.
@@ -360,21 +343,21 @@ def checked(page: AnyPage, step: Step, given: Mapping[str, Any]) -> dict[str, An
         if choice not in allowed:
             raise ListeningError(f"{choice!r} is not one of {', '.join(allowed)}", key="choice")
         record["choice"] = choice
-    elif isinstance(page, (MushraPage, Bs1116Page)):
-        low, high = (0.0, 100.0) if isinstance(page, MushraPage) else (1.0, 5.0)
+    elif isinstance(page, (pages.MushraPage, pages.Bs1116Page)):
+        low, high = (0.0, 100.0) if isinstance(page, pages.MushraPage) else (1.0, 5.0)
         ratings = _mapping(given.get("ratings"), "ratings")
         record["ratings"] = {
             slot: _number(ratings.get(slot), f"ratings.{slot}", low, high) for slot in step.slots if slot != OPEN
         }
-        if isinstance(page, Bs1116Page) and max(record["ratings"].values()) < high:
+        if isinstance(page, pages.Bs1116Page) and max(record["ratings"].values()) < high:
             raise ListeningError("one of the two is the reference: its grade is 5.0", key="ratings")
-    elif isinstance(page, RatingPage):
+    elif isinstance(page, pages.RatingPage):
         values = _mapping(given.get("values"), "values")
         record["values"] = {
             scale.name: _number(values.get(scale.name), f"values.{scale.name}", scale.low, scale.high)
             for scale in page.scales
         }
-    elif isinstance(page, QuestionnairePage):
+    elif isinstance(page, pages.QuestionnairePage):
         record["values"] = _questionnaire(page, _mapping(given.get("values"), "values"))
     elif page.type == "consent":
         if given.get("agreed") is not True:
@@ -385,19 +368,19 @@ def checked(page: AnyPage, step: Step, given: Mapping[str, Any]) -> dict[str, An
     return record
 
 
-def _most_plays(page: AnyPage) -> float:
+def _most_plays(page: pages.AnyPage) -> float:
     """Most times that a sound may be played."""
-    return page.plays if isinstance(page, ListenedPage) and page.plays is not None else 1e6
+    return page.plays if isinstance(page, pages.ListenedPage) and page.plays is not None else 1e6
 
 
-def share_wanted(page: AnyPage) -> float:
+def share_wanted(page: pages.AnyPage) -> float:
     """Share of each sound that must be heard before the answer."""
-    if isinstance(page, ListenedPage):
+    if isinstance(page, pages.ListenedPage):
         return page.listen
-    return 0.5 if isinstance(page, HeadphonesPage) else 0.0
+    return 0.5 if isinstance(page, pages.HeadphonesPage) else 0.0
 
 
-def _heard(page: AnyPage, step: Step, shares: Mapping[str, Any]) -> dict[str, float]:
+def _heard(page: pages.AnyPage, step: Step, shares: Mapping[str, Any]) -> dict[str, float]:
     """Share of each sound that was heard, as the browser measured it; it must be as large as the page wants it."""
     least, by_name = share_wanted(page), {}
     for slot in step.slots:
@@ -407,7 +390,7 @@ def _heard(page: AnyPage, step: Step, shares: Mapping[str, Any]) -> dict[str, fl
     return by_name
 
 
-def _questionnaire(page: QuestionnairePage, values: Mapping[str, Any]) -> dict[str, Any]:
+def _questionnaire(page: pages.QuestionnairePage, values: Mapping[str, Any]) -> dict[str, Any]:
     answers: dict[str, Any] = {}
     for question in page.questions:
         value, key = values.get(question.name), f"values.{question.name}"

@@ -5,22 +5,9 @@ from __future__ import annotations
 from typing import Any
 from urllib.parse import quote
 
+from tonewood.workshop.batch import pages
 from tonewood.workshop.batch.page_parts import (
     Text,
-)
-from tonewood.workshop.batch.pages import (
-    AfcPage,
-    AnyPage,
-    FinishPage,
-    HeadphonesPage,
-    LevelPage,
-    ListenedPage,
-    PairedPage,
-    QuestionnairePage,
-    RatingPage,
-    StaircasePage,
-    SwitchedPage,
-    localised,
 )
 from tonewood.workshop.listening.definition import ListeningTest
 from tonewood.workshop.listening.session import OPEN, Session, Step, choices, share_wanted
@@ -41,7 +28,7 @@ def shown(test: ListeningTest, session: Session, language: str, listener: str = 
     words = test.texts(language)
 
     def text(value: Text) -> str:
-        return localised(value, language)
+        return pages.localised(value, language)
 
     manifest_page = test.pages[step.page]
     kind = kind_of_texts(page)
@@ -59,11 +46,11 @@ def shown(test: ListeningTest, session: Session, language: str, listener: str = 
         "choices": [
             {"value": choice, "label": words.get(f"choice_{choice}", choice)} for choice in choices(page, step)
         ],
-        "sequence": isinstance(page, (AfcPage, StaircasePage, HeadphonesPage)),
+        "sequence": isinstance(page, (pages.AfcPage, pages.StaircasePage, pages.HeadphonesPage)),
         "listen": share_wanted(page),
-        "plays": page.plays if isinstance(page, ListenedPage) else None,
-        "loop": page.loops if isinstance(page, SwitchedPage) else "off",
-        "restart": isinstance(page, SwitchedPage) and page.switch == "restart",
+        "plays": page.plays if isinstance(page, pages.ListenedPage) else None,
+        "loop": page.loops if isinstance(page, pages.SwitchedPage) else "off",
+        "restart": isinstance(page, pages.SwitchedPage) and page.switch == "restart",
         "waveform": bool(getattr(page, "waveform", False)),
         "last": page.type == "finish",
     }
@@ -73,10 +60,10 @@ def shown(test: ListeningTest, session: Session, language: str, listener: str = 
 def _back(test: ListeningTest, session: Session, listener: str, own: str) -> dict[str, Any]:
     """Code and address for a listener who has finished, or did not pass a check."""
     if session.failed is not None:
-        ends: AnyPage | None = test.pages[session.failed]
+        ends: pages.AnyPage | None = test.pages[session.failed]
     else:
-        ends = next((page for page in test.pages if isinstance(page, FinishPage)), None)
-    back = ends.back if isinstance(ends, (FinishPage, HeadphonesPage)) else None
+        ends = next((page for page in test.pages if isinstance(page, pages.FinishPage)), None)
+    back = ends.back if isinstance(ends, (pages.FinishPage, pages.HeadphonesPage)) else None
     if back is None:
         return {}
     code = back.code.format(id=own)
@@ -86,20 +73,20 @@ def _back(test: ListeningTest, session: Session, listener: str, own: str) -> dic
     return {"code": code, "address": filled}
 
 
-def kind_of_texts(page: AnyPage) -> str:
+def kind_of_texts(page: pages.AnyPage) -> str:
     """Key of a page's built-in texts: forced choices differ by their question."""
-    if isinstance(page, (AfcPage, StaircasePage)):
+    if isinstance(page, (pages.AfcPage, pages.StaircasePage)):
         return "afc_question" if page.question else f"afc_{page.intervals}"
-    if isinstance(page, HeadphonesPage):
+    if isinstance(page, pages.HeadphonesPage):
         return f"headphones_{page.method}"
     return page.type
 
 
-def _details(test: ListeningTest, page: AnyPage, step: Step, text: Any, words: dict[str, str]) -> dict[str, Any]:
+def _details(test: ListeningTest, page: pages.AnyPage, step: Step, text: Any, words: dict[str, str]) -> dict[str, Any]:
     """Fields of one type of page."""
-    if isinstance(page, (AfcPage, StaircasePage, PairedPage)):
+    if isinstance(page, (pages.AfcPage, pages.StaircasePage, pages.PairedPage)):
         return {"question": text(page.question)}
-    if isinstance(page, RatingPage):
+    if isinstance(page, pages.RatingPage):
         return {
             "scales": [
                 {
@@ -113,7 +100,7 @@ def _details(test: ListeningTest, page: AnyPage, step: Step, text: Any, words: d
                 for scale in page.scales
             ]
         }
-    if isinstance(page, QuestionnairePage):
+    if isinstance(page, pages.QuestionnairePage):
         return {
             "questions": [
                 {
@@ -128,7 +115,7 @@ def _details(test: ListeningTest, page: AnyPage, step: Step, text: Any, words: d
                 for question in page.questions
             ]
         }
-    if isinstance(page, LevelPage):
+    if isinstance(page, pages.LevelPage):
         target = test.manifest.stimuli.loudness.target_lufs
         tone = words["level_tone"].format(freq=f"{page.freq:g}", lufs=f"{target:g}")
         wanted = [words["level_spl"].format(spl=f"{page.spl_db:g}")] if page.spl_db is not None else []

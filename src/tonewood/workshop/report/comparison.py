@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
@@ -19,7 +18,6 @@ from tonewood.support.units import cents
 from tonewood.workshop.report.facts import BodyMode, InstrumentFacts, NoteRow, gather
 from tonewood.workshop.report.tones import place, place_name, play_note
 
-Floats = NDArray[np.float64]
 T = TypeVar("T")
 
 #: cents between two modes, and decades between their residues, that alone make them different ones
@@ -78,8 +76,6 @@ class NoteMatch:
 class Comparison:
     """Facts of instruments, and differences between them; of one instrument, a report.
 
-    Attributes
-    ----------
     instruments : the others are compared with the first.
     modes : by frequency; wolves : the most severe first; notes : from bass to treble.
     parameters : those that differ, by key.
@@ -127,8 +123,6 @@ def compare(
 ) -> Comparison:
     """Compute the facts of instruments and the differences between them.
 
-    Parameters
-    ----------
     candidates : one, for a report, or up to six.
     notes : to be played: names (``E2``) or places (``A2:12``); by default of one instrument its open strings and the
         worst wolf note, of several the lowest and highest open string and the worst wolf note at a stop of each, as far
@@ -136,10 +130,7 @@ def compare(
     fs : Hz. duration : s, of each note. velocity_midi : 1 to 127.
     sweep : key of the bundle that the instruments differ in; empty where they are no sweep.
     tell : called with the share that is done.
-
-    Raises
-    ------
-    TonewoodError : there is no instrument or too many; no instrument can play a note.
+    Raises TonewoodError : there is no instrument or too many; no instrument can play a note.
     """
     if not 1 <= len(candidates) <= len(LABELS):
         raise TonewoodError(f"{len(candidates)} instruments; 1 to {len(LABELS)} are allowed")

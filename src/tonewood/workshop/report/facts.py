@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.bundle.added import added_line
 from tonewood.instrument.bundle.loading import Instrument
@@ -29,12 +28,10 @@ from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.scales import note_name
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.plate.radiation import Sources
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.support.units import t60
 from tonewood.workshop.report.parameters import ParameterValue, parameters
 from tonewood.workshop.report.tones import Tone
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: Hz, lowest and highest frequency of the mobility; points per factor of 10 beside the natural frequencies
 _LOW, _HIGH, _PER_DECADE = 40.0, 10000.0, 500
@@ -46,8 +43,6 @@ _PARTIALS = 12
 class BodyMode:
     """A mode of the body without strings.
 
-    Attributes
-    ----------
     freq : natural frequency, Hz; q, t60 : quality factor and decay time (s).
     residue : mean of phi^2 over the strings' ends, 1/kg.
     mass : 1 / residue, kg; infinite where no string's end moves.
@@ -66,8 +61,6 @@ class BodyMode:
 class NoteRow:
     """A string at a stop.
 
-    Attributes
-    ----------
     string, stop, note : name of the string, number of the stop, name of the note.
     freq : Hz, of the note.
     cents : of the string-dominated mode from the note, the string alone on the body.
@@ -100,8 +93,6 @@ class PartialRow:
 class StringRow:
     """An open string.
 
-    Attributes
-    ----------
     name, note : of the string.
     length : m; linear_density : kg/m, None where the string's plugin has no such parameter.
     tension, given_tension : N, in use and in the bundle.
@@ -127,8 +118,6 @@ class StringRow:
 class InstrumentFacts:
     """Everything that a report states.
 
-    Attributes
-    ----------
     label : A, B, ... of the instrument in a comparison.
     called : name that the caller gave it there; may be empty.
     name, title, licence, description, folder : of the bundle.
@@ -198,8 +187,6 @@ class InstrumentFacts:
 def gather(model: Model, *, label: str = "A", changes: tuple[str, ...] = (), called: str = "") -> InstrumentFacts:
     """Compute the facts of an instrument, without any sound.
 
-    Parameters
-    ----------
     model : of the instrument, at the sampling rate that decides which modes it has.
     label : A, B, ... in a comparison.
     changes : as the caller wrote them.

@@ -149,8 +149,6 @@ def sweep_picture(found: Comparison) -> Picture:
 def notes_picture(found: Comparison, quantity: str) -> Picture:
     """T60 or cents of every stop, a panel per string.
 
-    Parameters
-    ----------
     quantity : ``t60`` or ``cents_mounted``.
     """
     label = {"t60": "T60, s", "cents_mounted": "cents"}[quantity]

@@ -22,8 +22,6 @@ from dataclasses import dataclass
 class Threshold:
     """Least change that was noticed.
 
-    Attributes
-    ----------
     less, more : size of the least change downwards and upwards, in the unit of the change, above 0.
     source : authors and year.
     """

@@ -23,9 +23,7 @@ def offline_page(template: str, **values: Any) -> str:
     The template finds ``script`` (the player of `page.js`), ``version``, ``colours``, the macros of ``parts`` (the head
     of a page among them), and the filters ``fixed`` (digits, signed) and ``shown``.
 
-    Raises
-    ------
-    TonewoodError : jinja2 is not installed.
+    Raises TonewoodError : jinja2 is not installed.
     """
     try:
         from jinja2 import DictLoader, Environment, StrictUndefined

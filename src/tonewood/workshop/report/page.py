@@ -35,9 +35,7 @@ PRINTED = {
 def page(found: Comparison) -> str:
     """A comparison, or of one instrument a report, as HTML; every text of a bundle is escaped.
 
-    Raises
-    ------
-    TonewoodError : jinja2 is not installed.
+    Raises TonewoodError : jinja2 is not installed.
     """
     template = (files("tonewood.workshop.report") / "page.html").read_text(encoding="utf-8")
     several = len(found.instruments) > 1

@@ -27,8 +27,6 @@ _WOLF_CENTS = 10.0
 class FigureChange:
     """One figure of two instruments.
 
-    Attributes
-    ----------
     name : of the figure.
     before, after : of the first instrument and the other, in `unit`.
     unit : of both; empty for a number.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
@@ -19,9 +18,8 @@ from tonewood.sound.level.loudness import loudness, matching_gain_db, true_peak
 from tonewood.sound.level.spectrum import level_curve
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import render
+from tonewood.support.arrays import Floats
 from tonewood.support.units import decibel
-
-Floats = NDArray[np.float64]
 
 #: loudness of the players, LUFS, lowered for all where a peak would pass `_PEAK_DB`
 _TARGET_LUFS, _PEAK_DB = -20.0, -1.0
@@ -33,8 +31,6 @@ _FADE = 0.05
 class Tone:
     """One note of one instrument.
 
-    Attributes
-    ----------
     note : as it was asked for; string, stop : where it was played.
     freq : Hz, of the note there.
     samples, fs : (n, n_channels) of the instrument's first output group, full scale 1.0; Hz.
@@ -59,16 +55,11 @@ def play_note(
 ) -> Tone:
     """Render one note.
 
-    Parameters
-    ----------
     model : of the instrument, which says where the note is played.
     note : name such as ``E2``, or STRING:STOP for a place, such as ``A2:12``.
     duration : s, of the note and of its sound.
     velocity_midi : 1 to 127.
-
-    Raises
-    ------
-    TonewoodError : there is no such note, or the instrument cannot play it.
+    Raises TonewoodError : there is no such note, or the instrument cannot play it.
     """
     string, stop = place(model, note)
     score = Score([Note(0.0, duration + 1.0, string=string, stop=stop, velocity_midi=velocity_midi)], name=note)
@@ -92,9 +83,7 @@ def play_note(
 def place(model: Model, note: str) -> tuple[str, float]:
     """String and stop of a note: STRING:STOP as it says, a name as the left hand would choose.
 
-    Raises
-    ------
-    TonewoodError : there is no such string or stop, the text is no note, or no string reaches it.
+    Raises TonewoodError : there is no such string or stop, the text is no note, or no string reaches it.
     """
     name, colon, stop = note.partition(":")
     if colon:

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
 from tonewood.errors import TonewoodError
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: s, block over which the level is taken; blocks over which its rise is measured
 _BLOCK, _BEFORE = 2e-3, 8

@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.errors import OutputError, TonewoodError
+from tonewood.support.arrays import Floats
 from tonewood.support.sound_rates import check_rate, read_samples
 from tonewood.workshop.taps.cutting import Taps, cut_taps
-
-Floats = NDArray[np.float64]
 
 #: characters of another library's message that are shown
 _LONGEST = 64

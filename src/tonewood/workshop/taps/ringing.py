@@ -10,14 +10,12 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.support.arrays import Complexes, Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.fit import noise
 from tonewood.workshop.fit.identify import LEAST_NOISE, identify
 from tonewood.workshop.fit.projection import Line, Poles, Projection, Shape
 from tonewood.workshop.fit.search import NothingFoundError, descend
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 #: standard deviations of half of a central interval of 90 % of a normal distribution
 NORMAL_90 = 1.6449

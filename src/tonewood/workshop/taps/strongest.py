@@ -16,10 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from tonewood.support.arrays import Complexes, Floats
 
 #: s, longest part of a tap
 _LONGEST = 2.0
@@ -41,8 +39,6 @@ class StrongPeak:
 def strongest(taps: Sequence[Floats], fs: float, band: tuple[float, float], most: int = 30) -> list[StrongPeak]:
     """Resonances between two frequencies, by frequency.
 
-    Parameters
-    ----------
     taps : samples of each.
     fs : Hz.
     band : Hz, lowest and highest frequency.

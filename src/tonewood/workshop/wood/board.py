@@ -16,13 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.wood import SPECIES, Wood
+from tonewood.support.arrays import Floats, Indices
 from tonewood.workshop.wood.rectangle import Rectangle
-
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
 
 #: standard normal deviate of a two-sided interval of 90 %
 NORMAL_90 = 1.645
@@ -51,8 +48,6 @@ _NO_PEAK, _NO_MODE = 1.0, 9.0
 class MatchedPeak:
     """A peak and its mode.
 
-    Attributes
-    ----------
     measured, computed : Hz.
     shares : (3,) of E_L, E_R and shear in its energy.
     q : of the peak, 0 where it is not known.
@@ -74,8 +69,6 @@ class MatchedPeak:
 class Board:
     """Constants of a board.
 
-    Attributes
-    ----------
     wood : density, constants, and loss factors where taps had Q.
     intervals : name -> 90 % interval of E_L, E_R, G_LR (Pa), loss_L, loss_R, loss_shear.
     pairs : peaks that were used.
@@ -107,8 +100,6 @@ def estimate_board(
 ) -> Board:
     """Estimate the constants of a plate's wood.
 
-    Parameters
-    ----------
     plate : of its size and mass.
     freq, errors : (n,) Hz, peaks and their standard deviations.
     q : (n,) quality factors; losses are not estimated without them.
@@ -117,10 +108,7 @@ def estimate_board(
     prior : wood about which the constants are sought; that of `plate` where left out.
     sensor : kg, mass of a sensor that stood at a corner, 0 for a microphone; None to seek one, which is taken into
         account if the sum of squares is smaller by 2.7 with it, as chance has it in one of twenty boards without one.
-
-    Raises
-    ------
-    ValueError : fewer than three peaks, or none that fits.
+    Raises ValueError : fewer than three peaks, or none that fits.
     """
     peaks, spread, quality = sorted_peaks(freq, errors, q, model_error)
     if len(peaks) < 3:
@@ -190,7 +178,7 @@ class _Problem:
         """Logarithms of the modes' frequencies."""
         return np.log(np.maximum(self.plate.solution(*self.wood(theta))[0], 1e-3))
 
-    def squares(self, theta: Floats, pairs: tuple[Places, Places], peaks: Floats, spread: Floats) -> float:
+    def squares(self, theta: Floats, pairs: tuple[Indices, Indices], peaks: Floats, spread: Floats) -> float:
         """Sum of squares over the pairs and the priors, re their variances."""
         i, j = pairs
         left = (np.log(peaks[i]) - self.log_freq(theta)[j]) / spread[i]
@@ -207,7 +195,7 @@ class _Problem:
         best = np.argsort(costs)[:_STARTS]
         return [np.concatenate([self.mean[:3] + grid[k], self.mean[3:]]) for k in best]
 
-    def refined(self, theta: Floats, peaks: Floats, spread: Floats) -> tuple[Floats, tuple[Places, Places], float]:
+    def refined(self, theta: Floats, peaks: Floats, spread: Floats) -> tuple[Floats, tuple[Indices, Indices], float]:
         """Constants, pairs and cost from a start."""
         for s in (_FIRST, _FIRST / 1.5, 0.02, _LAST, _LAST, _LAST):
             (i, j), cost = _paired(np.log(peaks), self.log_freq(theta), s)
@@ -221,7 +209,7 @@ class _Problem:
         (i, j), cost = _paired(np.log(peaks), self.log_freq(theta), _LAST)
         return theta, (i, j), cost + float(np.sum(((theta - self.mean) / self.sd) ** 2))
 
-    def _slopes(self, theta: Floats, modes: Places) -> tuple[Floats, Floats]:
+    def _slopes(self, theta: Floats, modes: Indices) -> tuple[Floats, Floats]:
         """(modes, 8) derivatives of some ln f by theta, and these ln f."""
         f = self.log_freq(theta)[modes]
         jacobian = np.empty((len(modes), len(theta)))
@@ -231,7 +219,7 @@ class _Problem:
             jacobian[:, k] = (self.log_freq(theta + step)[modes] - self.log_freq(theta - step)[modes]) / (2 * size)
         return jacobian, f
 
-    def covariance(self, theta: Floats, modes: Places, spread: Floats, residuals: Floats) -> Floats:
+    def covariance(self, theta: Floats, modes: Indices, spread: Floats, residuals: Floats) -> Floats:
         """(8, 8) of theta."""
         jacobian, _ = self._slopes(theta, modes)
         information = (jacobian / spread[:, None]).T @ (jacobian / spread[:, None])
@@ -240,7 +228,7 @@ class _Problem:
         return np.asarray(np.linalg.inv(information / worse + np.diag(1 / self.sd**2)), dtype=np.float64)
 
 
-def _paired(peaks: Floats, modes: Floats, s: float) -> tuple[tuple[Places, Places], float]:
+def _paired(peaks: Floats, modes: Floats, s: float) -> tuple[tuple[Indices, Indices], float]:
     """Pairs of peaks and modes, all as ln f, and their cost."""
     from scipy.optimize import linear_sum_assignment
 
@@ -269,8 +257,6 @@ def losses_of(
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Loss factors and their 90 % intervals from the peaks' Q; nothing where fewer than `fewest` have one.
 
-    Parameters
-    ----------
     q : (n,), 0 where not known.
     shares : (n, losses) of each kind of stiffness in the energy.
     names : of the losses.

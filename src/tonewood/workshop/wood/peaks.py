@@ -31,14 +31,9 @@ class BoardPeak:
 def read_peaks(paths: Sequence[Path], band: tuple[float, float]) -> list[BoardPeak]:
     """Read the peaks of one board.
 
-    Parameters
-    ----------
     paths : one table (.csv, as `tonewood taptone -o` writes it), or recordings of taps.
     band : Hz.
-
-    Raises
-    ------
-    TonewoodError : a file cannot be read, or holds no peak in the band; one line.
+    Raises TonewoodError : a file cannot be read, or holds no peak in the band; one line.
     """
     if not paths:
         raise TonewoodError("no file was given; a table of peaks (.csv) or recordings of taps are allowed", key="FILES")

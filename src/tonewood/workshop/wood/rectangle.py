@@ -12,12 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.plate import FREE, Plate
 from tonewood.physics.plate.wood import Wood
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: modes of the nominal wood in which those of others are sought
 _BASIS = 48
@@ -41,8 +39,6 @@ def wood_with(constants: Floats, density: float) -> Wood:
 class Rectangle:
     """A free rectangular plate, its length along the grain.
 
-    Attributes
-    ----------
     length, width, thickness : m.
     mass : kg.
     nominal : wood about which others are sought.
@@ -84,8 +80,6 @@ class Rectangle:
         A sensor of mass m adds m phi phi^T to the mass matrix, which is 1; the problem is solved in the coordinates
         that make it 1 again.
 
-        Parameters
-        ----------
         thickness : m, if not that of the plate; its mass stays.
         sensor : kg, mass of a sensor at a corner.
         """

@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.physics.plate.plate import SHEAR_FACTOR
+from tonewood.support.arrays import Floats
 from tonewood.workshop.wood.board import MODEL_ERROR, NORMAL_90, losses_of, sorted_peaks
-
-Floats = NDArray[np.float64]
 
 #: b L of a slender free bar's modes: cosh x cos x = 1
 _SLENDER = np.array([4.730040745, 7.853204624, 10.99560784, 14.13716549, 17.27875966, 20.42035225])
@@ -35,8 +34,6 @@ _PAIRED = 0.12
 class Stick:
     """Constants of a stick.
 
-    Attributes
-    ----------
     E_L, density : Pa, kg/m^3.
     loss_L : loss factor; None where no peak has a Q.
     intervals : name -> 90 % interval of E_L, and of loss_L.
@@ -56,8 +53,6 @@ class Stick:
 def bar_freq(length: float, height: float, density: float, young: float, shear: float, count: int = 6) -> Floats:
     """Frequencies (count,) Hz of a free Timoshenko bar of rectangular section, 6 at most.
 
-    Parameters
-    ----------
     length, height : m; the bar bends across `height`.
     density : kg/m^3.
     young, shear : Pa.
@@ -102,18 +97,13 @@ def estimate_stick(
 
     The lowest peak is the first mode; each further peak is paired with the mode that is nearest, within 12 %.
 
-    Parameters
-    ----------
     length, width, height : m.
     mass : kg.
     freq, errors : (n,) Hz, peaks and their standard deviations.
     q : (n,) quality factors; the loss is not estimated without them.
     shear_ratio : G_LT / E_L of the species.
     thickness_error, size_error, model_error : as for a board; the error of the height is `thickness_error`.
-
-    Raises
-    ------
-    ValueError : there is no peak.
+    Raises ValueError : there is no peak.
     """
     if not len(freq):
         raise ValueError("no peak; one or more are wanted")

@@ -9,12 +9,10 @@ public programs quote them, for the book was not at hand.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.physics.plate.plate import Edge, Plate, cell_size
 from tonewood.physics.plate.wood import Wood
-
-Floats = NDArray[np.float64]
+from tonewood.support.arrays import Floats
 
 #: Hz, targets of Gore and Gilet for panels without braces
 TARGETS = {"classical_top": 60.0, "steel_string_top": 75.0, "classical_back": 50.0, "steel_string_back": 55.0}
@@ -27,8 +25,6 @@ THINNEST, THICKEST = 5e-4, 2e-2
 def panel_freq(wood: Wood, outline: Floats, thickness: float) -> float:
     """Lowest frequency (Hz) of a bare plate clamped at its outline.
 
-    Parameters
-    ----------
     outline : (n, 2) m, a ring.
     thickness : m.
     """
@@ -39,9 +35,7 @@ def panel_freq(wood: Wood, outline: Floats, thickness: float) -> float:
 def thickness_for(wood: Wood, outline: Floats, freq: float) -> float:
     """Thickness (m) at which `panel_freq` is a frequency (Hz).
 
-    Raises
-    ------
-    ValueError : it is below 0.5 mm or above 20 mm.
+    Raises ValueError : it is below 0.5 mm or above 20 mm.
     """
     h = 2.5e-3
     for _ in range(6):  # the frequency is nearly proportional to the thickness
@@ -61,8 +55,6 @@ def gore_thickness(wood: Wood, length: float, width: float, freq: float) -> floa
 
     n = nu_LR nu_RL, of the shape w = x^2 (a - x)^2 y^2 (b - y)^2: a plate that does not shear, a few percent too stiff.
 
-    Parameters
-    ----------
     length, width : m, a and b: of the body and of its lower bout.
     """
     ratio, free = (length / width) ** 2, 1 - _PRODUCT

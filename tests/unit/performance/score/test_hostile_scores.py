@@ -417,3 +417,14 @@ def test_a_few_damaged_files_of_every_format(kind: str) -> None:
 def test_many_damaged_files_of_every_format(kind: str) -> None:
     said = child(kind, 100_000, 1500)
     assert "BAD" not in said
+
+
+def test_parts_and_numbers_of_endings_are_bounded(tmp_path: Path) -> None:
+    """Else 95,000 parts in an archive of some kB, and an ending of 10,000 numbers in each measure, take a minute."""
+    path = tmp_path / "a.musicxml"
+    path.write_text(f"<score-partwise>{2001 * '<part><measure/></part>'}</score-partwise>", encoding="utf-8")
+    refused(path, "more than 2000 parts")
+    numbers = ",".join(map(str, range(1, 300)))
+    ending = f'<barline><ending type="start" number="{numbers}"/></barline>'
+    path.write_text(parts(f"<measure>{ending}</measure>"), encoding="utf-8")
+    assert tw.read_score(path).ignored == {"number of an ending that cannot be read": 1}

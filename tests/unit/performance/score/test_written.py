@@ -408,6 +408,7 @@ def test_numbers_that_are_none_keep_the_other_notes(tmp_path: Path, number: str)
 
 
 MARK = "<direction-type><metronome><beat-unit>{}</beat-unit><per-minute>{}</per-minute></metronome></direction-type>"
+RELATED = MARK.format("quarter", "").replace("<per-minute></per-minute>", "<beat-unit>half</beat-unit>")
 TREMOLO = "</duration><notations><ornaments><tremolo>9</tremolo></ornaments></notations>"
 PROGRAM = "<part-name/><midi-instrument><midi-program>{}</midi-program></midi-instrument>"
 
@@ -454,6 +455,14 @@ PROGRAM = "<part-name/><midi-instrument><midi-program>{}</midi-program></midi-in
         (('<sound tempo="90"/>', MARK.format("quavers", "90")), "metronome whose beat-unit is not known"),
         (('<sound tempo="90"/>', MARK.format("breve", "c. 60")), None),
         (('<sound tempo="90"/>', "<direction-type><words>h = 0</words></direction-type>"), "tempo outside 4 to 2000"),
+        (
+            (
+                '<sound tempo="90"/>',
+                MARK.format("quarter", "").replace("<per-minute></per-minute>", "<beat-unit>half</beat-unit>"),
+            ),
+            "metronome that relates two values",
+        ),
+        (('tempo="90"/>', 'tempo="90"><offset>4</offset></sound>'), "offset of a sound"),
         (("<part-name/>", PROGRAM.format("129")), "midi-program outside 1 to 128"),
         (("<part-name/>", PROGRAM.format("x")), "midi-program outside 1 to 128"),
     ],
@@ -470,6 +479,38 @@ def test_numbers_that_are_none_are_counted(tmp_path: Path, change: tuple[str, st
     found = tw.read_score(write(tmp_path / "b.xml", text.replace(*change)))
     assert len(found.notes) >= 1
     assert found.ignored == ({} if counted is None else {counted: 1})
+
+
+def test_a_tie_does_not_end_the_other_voice(tmp_path: Path) -> None:
+    """A quarter tied to a quarter beside a whole note of the same pitch, which lasts."""
+    a, tied = note("A", 3, 1), note("A", 3, 1).replace("</note>", '<tie type="stop"/></note>')
+    back = "<backup><duration>2</duration></backup>"
+    text = SOUND[: SOUND.index("<direction>")] + a + tied + back + note("A", 3, 4)
+    path = write(tmp_path / "a.xml", f"<score-partwise><part><measure>{text}</measure></part></score-partwise>")
+    assert max(n.duration for n in tw.read_score(path).notes) == pytest.approx(2.0)
+
+
+def test_staves_are_transposed_and_notes_have_their_dynamics(tmp_path: Path) -> None:
+    moves = "".join(
+        f'<transpose number="{i}"><chromatic>0</chromatic><octave-change>{o}</octave-change></transpose>'
+        for i, o in ((1, -1), (2, 1))
+    )
+    notes = "".join(
+        note("A", 3, 1)
+        .replace("</note>", f"<staff>{i}</staff></note>")
+        .replace("<note>", f'<note dynamics="{10 * i}">')
+        for i in (1, 2)
+    )
+    text = f"<attributes><divisions>1</divisions>{moves}</attributes>{notes}"
+    path = write(tmp_path / "a.xml", f"<score-partwise><part><measure>{text}</measure></part></score-partwise>")
+    assert [(n.note, n.velocity_midi) for n in tw.read_score(path).notes] == [(45.0, 9), (69.0, 18)]
+
+
+def test_a_mark_of_two_dots(tmp_path: Path) -> None:
+    mark = MARK.format("quarter", "60").replace("<per", "<beat-unit-dot/><beat-unit-dot/><per")
+    text = SOUND.replace("<sound {}/>", mark)
+    path = write(tmp_path / "a.xml", f"<score-partwise><part><measure>{text}</measure></part></score-partwise>")
+    assert tw.read_score(path).notes[0].duration == pytest.approx(1 / 1.75)
 
 
 def test_divisions_may_be_no_whole_number(tmp_path: Path) -> None:

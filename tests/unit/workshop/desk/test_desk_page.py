@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import tonewood as tw
-from browser import CHROMEDRIVER, CHROMIUM, Driven, driven
+from browser import CHROMEDRIVER, CHROMIUM, Driven, driven, violations
 from tonewood.sound.render.options import RenderOptions
 from tonewood.workshop.desk.desk import TAIL
 from tonewood.workshop.desk.phrase import LONGEST
@@ -114,6 +114,11 @@ def test_the_page_fits_and_every_field_has_a_name(width: int) -> None:
             "!(e.labels?.length || e.ariaLabel || e.textContent.trim() || e.placeholder)).map(e => e.outerHTML)"
         )
         assert nameless == []
+        browser.run("for (const box of document.querySelectorAll('details')) box.open = true")
+        browser.until("document.querySelectorAll('.knob input').length > 100")
+        for scheme in ("light", "dark"):
+            browser.colours(scheme)
+            assert violations(browser) == []
         # by keys alone: a knob is turned, and taken back
         browser.run("document.querySelector('.knob input[type=range]').focus()")
         browser.press("Right", "Right")

@@ -11,16 +11,13 @@ import pytest
 from listening_fakes import made
 from test_server import free_port, served
 
-from browser import CHROMEDRIVER, CHROMIUM, Driven, driven
+from browser import CHROMEDRIVER, CHROMIUM, Driven, driven, violations
 from tonewood.workshop.listening.answer_file import answers_of
 
 pytestmark = [
     pytest.mark.validate,
     pytest.mark.skipif(CHROMIUM is None or CHROMEDRIVER is None, reason="needs Chromium and chromedriver"),
 ]
-#: axe-core (npm): `npm install --no-save axe-core`, or the file that the variable names
-AXE = Path(os.environ.get("AXE_CORE", "node_modules/axe-core/axe.min.js"))
-TAGS = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 RATED = {"loop": "region", "waveform": True}
 PAGES: list[dict[str, Any]] = [
     {"type": "headphones", "trials": 2, "attempts": 1, "failed": "go_on"},
@@ -32,15 +29,6 @@ PAGES: list[dict[str, Any]] = [
     {"type": "finish", "back": {"code": "TW-{id}", "address": "https://crowd.example/done?cc={code}&who={listener}"}},
 ]
 INDEX = "Number(document.getElementById('page').dataset.index ?? -1)"
-
-
-def violations(browser: Driven) -> list[str]:
-    """Rules of axe that the page breaks."""
-    if not AXE.exists():
-        return []
-    browser.run(AXE.read_text() + "; return 1")
-    found = browser.run(f"return axe.run({{runOnly: {{type: 'tag', values: {TAGS}}}}}).then(r => r.violations)")
-    return [f"{v['id']}: {v['nodes'][0]['html']}" for v in found]
 
 
 def overflow(browser: Driven) -> int:

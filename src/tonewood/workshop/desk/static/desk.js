@@ -436,7 +436,7 @@ function later(exact) {
 let load = null;
 function status() {
   const s = state, parts = [];
-  if (s.making !== null) parts.push(s.making < 1.5 ? "making the model of this design" : `making the model of this design: ${s.making.toFixed(0)} s so far; the sound is ${s.preview ? "a preview" : "that of the design before"}`);
+  if (s.making !== null) parts.push(s.making < 1.5 ? "making the model of this design" : `making the model of this design: ${s.making.toFixed(0)} s so far; ${s.preview ? "the sound is a preview" : s.channels.length ? "the sound is that of the design before" : "there is no sound yet"}`);
   if (s.preview) parts.push(`you hear a ${s.preview}; the exact sound follows`);
   if (sound.on) {
     parts.push(`latency ${(1e3 * sound.latency).toFixed(0)} ms`);
