@@ -2,6 +2,8 @@
 
     python benchmarks/in_the_air.py steel_guitar twelve_string_guitar drawn_guitar_x     # some minutes
     python benchmarks/in_the_air.py grand_piano
+    python benchmarks/in_the_air.py --sounds FOLDER                                      # A2.ogg ... of a piano
+    python benchmarks/in_the_air.py --rise monochord classical_guitar
     python benchmarks/in_the_air.py --struck steel_guitar drawn_guitar_x electric_bass   # do strings strike frets?
 
 Plucked instruments are played by `--velocity` (100) in the lowest position, every third semitone; medians.
@@ -11,6 +13,8 @@ T60 is that of the partials in a band; the onset is the loudest 3 ms of a band r
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +23,7 @@ import tonewood as tw
 from tonewood.instrument.scales import note_name
 from tonewood.workshop.estimate.analysis import analyse
 from tonewood.workshop.estimate.partials import Bands
-from tonewood.workshop.estimate.recordings import FS
+from tonewood.workshop.estimate.recordings import FS, read_folder
 from tonewood.workshop.estimate.spectra import db, find_onset, power_spectrum, running_rms, share
 
 Floats = NDArray[np.float64]
@@ -36,11 +40,19 @@ DURATION = 4.0
 PIANO = (45, 57, 69, 81, 93)
 
 
-def played(instrument: tw.Instrument, note: int, string: str | None, velocity: int, output: str | None) -> Floats:
+def played(
+    instrument: tw.Instrument,
+    note: int,
+    string: str | None,
+    velocity: int,
+    output: str | None,
+    preset: str = "dry",
+    seconds: float = DURATION,
+) -> Floats:
     """Sound of one note, mean of its channels, at `FS`."""
-    score = tw.Score([tw.Note(0.1, DURATION, note=note, string=string, velocity_midi=velocity)])
+    score = tw.Score([tw.Note(0.1, seconds, note=note, string=string, velocity_midi=velocity)])
     options = {"outputs": (output,)} if output else {}
-    sound = tw.render(score, instrument, max_duration=DURATION, fs=FS, **options)
+    sound = tw.render(score, instrument, max_duration=seconds, fs=FS, preset=preset, **options)
     return np.asarray(sound.samples, dtype=np.float64).mean(axis=1)
 
 
@@ -96,10 +108,9 @@ def plucked(instrument: tw.Instrument, output: str | None, velocity: int) -> Non
     print(f"| {name} | {late:.0f} | {t60} | {onset_db:.0f} | {bright:.0f} | {np.std(levels):.1f} | {len(rows)} |")
 
 
-def piano(instrument: tw.Instrument, velocity: int) -> None:
-    """Print the figures of the keys `PIANO`."""
-    for note in PIANO:
-        x = played(instrument, note, None, velocity, None)
+def piano(sounds: Mapping[int, Floats]) -> None:
+    """Print the figures of notes of a piano, each from before its blow on."""
+    for note, x in sounds.items():
         f0 = 440 * 2 ** ((note - 69) / 12)
         onset, _ = find_onset(x, f0)
         found = analyse(x, f0, 4e-4)
@@ -133,6 +144,20 @@ def piano(instrument: tw.Instrument, velocity: int) -> None:
         )
 
 
+def rises(instrument: tw.Instrument) -> None:
+    """Print the time from 20 dB below the first peak to it, ms: medians of notes, in two presets."""
+    places = [(n, None) for n in PIANO[1:4]] if instrument.name == "grand_piano" else lowest(instrument, 7)
+    places = places[:: max(1, len(places) // 3)][:3]
+    cells = []
+    for preset in ("dry", "studio"):
+        sounds = [
+            (played(instrument, n, s, VELOCITY, None, preset, 0.7), 440 * 2 ** ((n - 69) / 12)) for n, s in places
+        ]
+        found = [find_onset(x, f) for x, f in sounds]
+        cells.append(f"{np.median([1e3 * (top - onset) / FS for onset, top in found]):.1f}")
+    print(f"| `{instrument.name}` | {' | '.join(cells)} | {len(places)} |")
+
+
 def struck(instrument: tw.Instrument) -> None:
     """Print notes of velocity `STRUCK` whose sound differs from that of the same strings with no fret in reach."""
     far = instrument.replace({"connections.frets.action_first": 0.02, "connections.frets.action_twelfth": 0.03})
@@ -149,20 +174,28 @@ def struck(instrument: tw.Instrument) -> None:
 def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("instruments", nargs="+")
+    parser.add_argument("instruments", nargs="*")
+    parser.add_argument("--sounds", type=Path, help="folder of recorded notes of a piano, measured likewise")
     parser.add_argument("--output", help="name of the output that is heard; the first where left out")
     parser.add_argument("--velocity", type=int, default=VELOCITY, help="of plucked instruments")
+    parser.add_argument("--rise", action="store_true", help="times of the rise in the presets dry and studio")
     parser.add_argument("--struck", action="store_true", help="look for strings that strike frets")
     given = parser.parse_args()
-    head = PIANO_HEAD if "grand_piano" in given.instruments else PLUCKED_HEAD
+    head = PIANO_HEAD if given.sounds or "grand_piano" in given.instruments else PLUCKED_HEAD
+    if given.rise:
+        head = "| instrument | rise dry, ms | studio, ms | notes |"
     if not given.struck:
         print(head + "\n|---" + "|---:" * (head.count("|") - 2) + "|")
+    if given.sounds:
+        piano({r.note: r.samples for r in read_folder(given.sounds).recordings if r.note in PIANO})
     for name in given.instruments:
         instrument = tw.load_instrument(name)
         if given.struck:
             struck(instrument)
+        elif given.rise:
+            rises(instrument)
         elif name == "grand_piano":
-            piano(instrument, 80)
+            piano({note: played(instrument, note, None, 80, None) for note in PIANO})
         else:
             plucked(instrument, given.output, given.velocity)
 

@@ -58,6 +58,12 @@ def test_what_is_kept_is_read_and_the_folder_is_private(folder: Path) -> None:
     assert read() == b""
 
 
+def test_a_folder_below_one_that_is_not_there_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TONEWOOD_CACHE", str(tmp_path / "a" / "b" / "cache"))
+    keep("words", KEY, b"kept")
+    assert read() == b"kept"
+
+
 def test_every_damaged_byte_is_noticed_and_the_file_is_written_again(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -141,7 +141,7 @@ def _slid(note: Note, slides: bool, lacking: Counter[str]) -> Iterator[Note]:
     if not slides:
         inner = [(t, s) for t, s in points if 0.0 < t < at_end]
         into = points[0][0] <= 0.0
-        lacking["slide into or out of a note, plucked as any note"] += len(inner) - into < len(points) - 2 * into
+        lacking["slide into or out of a note, plucked as any note"] += len(inner) < len(points)
         points = [(0.0, 0.0), *inner[into:]]
     elif points[0][0] > 0.0:
         points = [(0.0, 0.0), *points]

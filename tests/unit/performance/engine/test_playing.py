@@ -245,3 +245,10 @@ def test_very_many_different_bends_are_foretold(guitar: Model) -> None:
     controls = [tw.Control(0.002 * i, "bend", 0.1 * i, 0) for i in range(2500)]
     score = tw.Score([tw.Note(0.0, 6.0, note="E4", velocity_midi=80, channel=0)], controls)
     assert any("different bends of strings" in line for line in perform(score, guitar).warnings)
+
+
+def test_strings_are_not_bent_before_the_first_bend() -> None:
+    """A bend of 0 then changes nothing, and the way to another one begins at 0 cents."""
+    tick = 2.0 / BEND_RATE
+    assert _glided([tw.Control(0.0, "bend", 0.0, 0)], tick) == []
+    assert [c.value for c in _glided([tw.Control(0.0, "bend", 2.5, 0)], tick)] == [2.0, 2.5]

@@ -149,9 +149,14 @@ def test_slides_move_one_finger() -> None:
         (0.1, 48.0, 3.0, None), (0.3, 50.0, 5.0, "slide"), (0.7, 54.0, 9.0, "slide"), (1.27, 52.0, 7.0, "slide"),
     ]  # fmt: skip
     assert played.ignored == {}
+    ends = [n.time + n.duration for n in played.notes]
+    assert ends == pytest.approx([*(n.time for n in played.notes[1:]), 1.3])  # each lasts until the next
     # without a technique of sliding the fret that is reached within the note is plucked
     plucked = with_marks(tw.Score([note]), ["pluck"], STRING)
     assert [(round(n.time, 3), n.note, n.stop) for n in plucked.notes] == [(0.1, 50.0, 5.0), (0.7, 54.0, 9.0)]
     assert plucked.ignored == {
         "slide into or out of a note, plucked as any note": 1, "slide, plucked as any note": 1,
     }  # fmt: skip
+    for glides in ((0.0, -2.0), (0.2, 0.0)), ((1.2, -2.0),):  # into it alone, out of it alone
+        one = with_marks(tw.Score([tablature(note=50.0, stop=5.0, glides=glides)]), ["pluck"], STRING)
+        assert one.ignored == {"slide into or out of a note, plucked as any note": 1}

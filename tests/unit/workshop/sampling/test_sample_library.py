@@ -17,8 +17,9 @@ import tonewood as tw
 from tonewood.cli.main import run
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.sound.render.options import RenderOptions
+from tonewood.sound.render.renderer import assembled
 from tonewood.workshop.sampling.library import Library, Sampling, make_library
-from tonewood.workshop.sampling.notes import Span, key_spans, velocity_spans
+from tonewood.workshop.sampling.notes import Span, compass, key_spans, velocity_spans
 from tonewood.workshop.sampling.texts import Region
 
 FS = 16000
@@ -192,3 +193,9 @@ def test_what_is_sampled_unless_asked_is_what_the_page_says() -> None:
     assert [int(v) for v in said["velocities"].split(",")] == list(usual.velocities)
     assert (int(said["every"]), int(said["round-robins"])) == (usual.step, usual.repeats)
     assert float(said["duration"]) == usual.duration
+
+
+def test_the_compass_ends_at_the_last_stop_of_the_highest_string() -> None:
+    """E2 to the 19th fret of E4 of a classical guitar: B5."""
+    guitar = tw.load_instrument("classical_guitar")
+    assert compass(assembled(guitar, RenderOptions(fs=8000))) == (40, 64 + 19)

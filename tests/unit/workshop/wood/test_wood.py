@@ -15,7 +15,7 @@ from tonewood.physics.plate.outline import circle
 from tonewood.physics.plate.plate import FREE, Plate
 from tonewood.physics.plate.wood import SPECIES, Wood
 from tonewood.workshop.taps.strongest import strongest
-from tonewood.workshop.wood.board import estimate_board, losses_of, typical
+from tonewood.workshop.wood.board import MatchedPeak, estimate_board, losses_of, typical
 from tonewood.workshop.wood.peaks import read_peaks
 from tonewood.workshop.wood.rectangle import SENSOR_AT, Rectangle
 from tonewood.workshop.wood.stick import bar_freq, estimate_stick
@@ -306,3 +306,9 @@ def test_finite_elements_of_others_are_read_back(every: int) -> None:
         true = {"E_L": "Ex", "E_R": "Ey", "G_LR": "Gxy"}
         inside += [a <= float(row[true[key]]) <= b for key, (a, b) in solution.intervals.items()]
     assert np.mean(inside) > 0.8
+
+
+def test_a_mode_is_named_by_its_energy() -> None:
+    """By the constant that has more than four fifths of it, else it is mixed."""
+    said = [MatchedPeak(1.0, 1.0, shares, 0.0).kind for shares in ((0.9, 0.0, 0.1), (0.1, 0.85, 0.05), (0.3, 0.0, 0.7))]
+    assert said == ["bending along", "bending across", "mixed, most twist"]
