@@ -61,8 +61,14 @@ def wood(
 
     sizes = {"--length": length, "--width": width, "--thickness": thickness}
     for key, value in sizes.items():
-        allow(key, value, 5e-4, 3.0, "m")
-    allow("--mass", mass, 1e-4, 100.0, "kg")
+        _in_si(key, value, 5e-4, 3.0, ("m", "mm"))
+    if thickness > max(length, width):
+        raise TonewoodError(
+            f"is {thickness:g} m, more than --length and --width; metres are expected, and {thickness:g} mm are "
+            f"{thickness / 1000:g}",
+            key="--thickness",
+        )
+    _in_si("--mass", mass, 1e-4, 100.0, ("kg", "g"))
     allow("--thickness-error", thickness_error, 0.0, 0.2 * thickness, "m")
     if sensor is not None:
         allow("--sensor", sensor, 0.0, 0.1 * mass, "kg")
@@ -71,7 +77,8 @@ def wood(
     density = mass / (length * width * thickness)
     if not 80 < density < 1500:
         raise TonewoodError(
-            f"{density:.0f} kg/m^3 is no wood: are --length, --width and --thickness in m and --mass in kg?",
+            f"{density:.0f} kg/m^3 is no wood: are --length, --width and --thickness in m and --mass in kg "
+            f"({mass:g} g are {mass / 1000:g})?",
             key="--mass",
         )
     if species not in SPECIES:
@@ -102,6 +109,16 @@ def wood(
         return
     warn(report["warnings"])
     _print(report)
+
+
+def _in_si(key: str, value: float, low: float, high: float, units: tuple[str, str]) -> None:
+    """Refuse a value outside its range; where a thousandth of it is allowed, say so: mm and g are near at hand."""
+    try:
+        allow(key, value, low, high, units[0])
+    except TonewoodError as fault:
+        if not low <= value / 1000 <= high:
+            raise
+        raise TonewoodError(f"{fault.reason}; {value:g} {units[1]} are {value / 1000:g} {units[0]}", key=key) from None
 
 
 def _board(

@@ -61,6 +61,11 @@ class ResponseTable:
     remarks: tuple[str, ...] = ()
 
 
+_BROKEN = (
+    OSError, ValueError, EOFError, MemoryError, RuntimeError, AttributeError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+
+
 def npz_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Arrays of an npz file, or the one of an npy file, called as the file. Raises TonewoodError : it is none."""
     try:
@@ -69,8 +74,8 @@ def npz_arrays(path: Path) -> dict[str, NDArray[Any]]:
             return {path.stem: content}
         with content as archive:
             return {name: archive[name] for name in archive.files}
-    # an archive that is damaged, encrypted, or of a later version raises any of these
-    except (OSError, ValueError, EOFError, RuntimeError, AttributeError, zipfile.BadZipFile, zlib.error) as fault:
+    # an archive that is damaged, encrypted, of a later version, or states an absurd shape raises any of these
+    except _BROKEN as fault:
         raise TonewoodError(f"is no {path.suffix[1:]} file of arrays: {str(fault)[:_LONGEST]}", file=path) from None
 
 

@@ -29,11 +29,13 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 #: errors of a model, re the response, that the order search allows for, one after the other
-ALLOWED = (0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0)
+ALLOWED = (0.3, 0.1, 0.03, 0.01, 0.003, 0.0)
 #: least noise re the response: nobody measures better, and arithmetic of data made without noise is no measurement
 LEAST_NOISE = 1e-4
 #: misfit of a part of the band, re its noise, up to which it is noise; bins of such a part
 _AT_NOISE, _PART = 1.25, 24
+#: misfit, re the error allowed for, above which the model is further from the response, and more modes are not the cure
+_REACHED = 10.0
 #: median chi-squared of the residues' imaginary parts, 1 by chance, above which damping surely couples modes
 TURNED = 30.0
 #: difference of two kinds of damping, chi-squared per number measured, below which real residues decide
@@ -146,17 +148,18 @@ def identify(
     line = replace(line, sigma=level)
     bins = 2 * mobility.size
     kinds = {"viscous": (False,), "structural": (True,), "auto": (False, True)}[damping]
-    orders: list[tuple[Line, Shape, Poles, tuple[float, ...]]] = []
+    orders: list[_Order] = []
     for structural in kinds:
         kind = replace(shape, structural=structural)
         with suppress(NothingFoundError):
-            quiet, poles, muted = _ordered(line, kind, least_error, note)
-            orders.append((quiet, kind, poles, muted))
+            orders.append(_ordered(line, kind, least_error, note))
     if not orders:
         raise NothingFoundError("no mode stands out of the noise")
-    line, shape, start, lines = min(orders, key=lambda order: _total(*order[:3]))
-    if shape.driving and len(orders) == 2 and np.ptp([_total(*order[:3]) for order in orders]) < _CLOSE * bins:
-        line, shape, start, lines = min(orders, key=lambda order: _total_of_real(*order[:3]))
+    least_allowed = min(order.allowed for order in orders)
+    best = min(orders, key=lambda order: order.total(least_allowed))
+    if shape.driving and len(orders) == 2 and np.ptp([order.total(least_allowed) for order in orders]) < _CLOSE * bins:
+        best = min(orders, key=lambda order: order.total_of_real(least_allowed))
+    line, shape, start, lines = best.weighed(best.allowed), best.shape, best.poles, best.lines
     wanted = Poles.at(keep, np.full(len(keep), _Q_WANTED))
     for f in drop:
         if not any(abs(np.log(start.freq[i] / f)) < _reach(start, i) for i in range(len(start))):
@@ -164,7 +167,11 @@ def identify(
             raise LookupError(f"there is no mode at {f:g} Hz; the nearest is at {near:.5g} Hz")
     bent = Projection(line, shape)
     found = bent.solve(start)
-    left = noise.of_misfit(bent.misfit(start, found.residues), bent.model(start, found.residues)) * together
+    misfit = bent.misfit(start, found.residues)
+    if best.allowed:
+        left = line.sigma * np.sqrt(np.median(np.abs(misfit / line.sigma) ** 2, axis=1, keepdims=True) / np.log(2))
+    else:
+        left = noise.of_misfit(misfit, bent.model(start, found.residues)) * together
     level = np.maximum(left, least if sigma is None else level)
     line = replace(line, sigma=level).without(lines) if lines else replace(line, sigma=level)
     bent = Projection(line, shape)
@@ -188,17 +195,46 @@ def identify(
     return Modes(real, poles, real.solve(poles), (bent, start, found), iterations, lines, tuple(idle), turned)
 
 
-def _ordered(
-    line: Line, shape: Shape, least_error: float, note: Callable[[Iteration], None]
-) -> tuple[Line, Poles, tuple[float, ...]]:
-    """Modes, as many as it takes until the misfit is noise; the line with muted bins, and their frequencies."""
+@dataclass(frozen=True, eq=False)
+class _Order:
+    """Modes of one kind of damping, as many as the responses show.
+
+    Attributes
+    ----------
+    line : with muted bins; lines are their frequencies, Hz.
+    allowed : error of the model, re the response, where all of the band is that far above its noise; else 0.
+    """
+
+    line: Line
+    shape: Shape
+    poles: Poles
+    lines: tuple[float, ...]
+    allowed: float = 0.0
+
+    def weighed(self, allowed: float) -> Line:
+        """Return the line with noise and an allowed error of the model."""
+        return replace(self.line, sigma=np.hypot(self.line.sigma, allowed * np.abs(self.line.mobility)))
+
+    def total(self, allowed: float) -> float:
+        """Chi-squared and the price of the modes."""
+        problem = Projection(self.weighed(allowed), self.shape)
+        return problem.solve(self.poles).cost + problem.price * len(self.poles)
+
+    def total_of_real(self, allowed: float) -> float:
+        """The same of modes with real residues, which tell kinds of damping apart where complex ones adapt."""
+        problem, real = straightened(self.weighed(allowed).thinned(), self.shape, self.poles)
+        return problem.solve(real).cost + problem.price * len(real)
+
+
+def _ordered(line: Line, shape: Shape, least_error: float, note: Callable[[Iteration], None]) -> _Order:
+    """Modes, as many as it takes until the misfit is noise."""
     size, poles = np.abs(line.mobility), Poles.none()
     lines: tuple[float, ...] = ()
-    best: tuple[Line, Poles, tuple[float, ...]] | None = None
+    best: _Order | None = None
     before = left = np.inf
     floor = float(np.median(line.sigma / np.maximum(size, 1e-300)))
     for allowed in ALLOWED:
-        if 0 < allowed < 0.3 * floor or allowed < least_error:
+        if 0 < allowed < 0.3 * floor or allowed < least_error or (allowed == 0 and floor < ALLOWED[-2]):
             continue
         while True:
             level = replace(line, sigma=np.hypot(line.sigma, allowed * size))
@@ -216,29 +252,22 @@ def _ordered(
             lines, line = (*lines, *muted), line.without(muted)
         if not len(poles):
             continue
+        reached = problem.solve(poles).cost < _REACHED * problem.size
         fine, _ = descend(Projection(line, shape), poles, 20, 1e-6)
         loud, cost = _parts_above_noise(line, shape, fine), Projection(line, shape).solve(fine).cost
-        nearer = loud < before or (loud == 1 and cost < 0.5 * left)  # all of the band is far from its noise
-        if best is not None and not nearer and len(poles) > len(best[1]):
+        nearer = reached and (loud < before or (loud == 1 and cost < 0.5 * left))
+        if best is not None and not nearer and len(poles) > len(best.poles):
             break
-        best, before, left = (line, fine, lines), loud, cost
+        if loud < 1:
+            best = _Order(line, shape, fine, lines)
+        elif reached or best is None:  # weights of the noise would follow its errors, not the modes
+            best = _Order(line, shape, poles, lines, allowed)
+        before, left = loud, cost
         if not loud:
             break
     if best is None:
         raise NothingFoundError("no mode stands out of the noise")
     return best
-
-
-def _total(line: Line, shape: Shape, poles: Poles) -> float:
-    """Chi-squared and the price of the modes."""
-    problem = Projection(line, shape)
-    return problem.solve(poles).cost + problem.price * len(poles)
-
-
-def _total_of_real(line: Line, shape: Shape, poles: Poles) -> float:
-    """The same of modes with real residues, which tell kinds of damping apart where complex ones adapt."""
-    problem, real = straightened(line.thinned(), shape, poles)
-    return problem.solve(real).cost + problem.price * len(real)
 
 
 def _parts_above_noise(line: Line, shape: Shape, poles: Poles) -> float:

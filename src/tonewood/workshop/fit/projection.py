@@ -264,28 +264,28 @@ class Projection:
         for p, (y, weight) in enumerate(zip(self.line.mobility, self._weight, strict=True)):
             flat = np.ascontiguousarray(stack * weight).view(np.float64)
             wanted = np.ascontiguousarray(y * weight).view(np.float64)
-            gram, seen = flat @ flat.T, flat @ wanted
-            length = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
-            gram, seen = gram * np.outer(length, length), seen * length
-            factor = sla.cholesky(gram[:n, :n] + _RIDGE * np.eye(n), lower=True, check_finite=False)
-            inverse = sla.solve_triangular(factor, np.eye(n), lower=True, check_finite=False)
-            inverse = inverse.T @ inverse
-            c = inverse @ seen[:n]
-            out.cost += float(wanted @ wanted - 2 * c @ seen[:n] + c @ gram[:n, :n] @ c)
-            out.residues[p], out.chi2[p] = c * length[:n], c**2 / np.diag(inverse)
+            length = np.maximum(np.sqrt(np.einsum("ij,ij->i", flat[:n], flat[:n])), 1e-150)
+            # an orthogonal basis: normal equations of modes that overlap leave rounding of what the slopes add
+            columns = np.vstack([flat[:n].T / length, np.sqrt(_RIDGE) * np.eye(n)])
+            basis, triangle = sla.qr(columns, mode="economic", overwrite_a=True, check_finite=False)
+            inverse = sla.solve_triangular(triangle, np.eye(n), check_finite=False)
+            wanted = np.append(wanted, np.zeros(n))
+            seen = basis.T @ wanted
+            c, own = inverse @ seen, np.einsum("ij,ij->i", inverse, inverse)
+            left = wanted - basis @ seen
+            out.cost += float(left @ left)
+            out.residues[p], out.chi2[p] = c / length, c**2 / own
             if not slopes:
                 continue
-            # slopes of columns times residues: slopes of the model in ln w, ln zeta
-            to = np.zeros((2 * k, len(stack) - n))
-            for m in range(len(by)):
-                own = np.tile(out.residues[p, k * m : k * (m + 1)], 2)
-                to[:, 2 * k * m : 2 * k * (m + 1)] = np.diag(own)
-            to = to / length[n:]
-            crossed = gram[n:, :n]
-            out.normal += to @ (gram[n:, n:] - crossed @ inverse @ crossed.T) @ to.T
-            out.gradient += to @ (seen[n:] - crossed @ c)
-            follow = length[:n, None] * (inverse @ (to @ crossed).T)
-            out.follows.append((follow, length[:n] ** 2 * np.diag(inverse)))
+            # slopes of the model in ln w, ln zeta: slopes of columns times residues
+            pieces = flat[n:].reshape(len(by), 2, k, -1)
+            slope = np.einsum("mk,mtkb->tkb", out.residues[p, : k * len(by)].reshape(-1, k), pieces).reshape(2 * k, -1)
+            slope = np.pad(slope, ((0, 0), (0, n)))
+            within = slope @ basis
+            beside = slope - within @ basis.T
+            out.normal += beside @ beside.T
+            out.gradient += beside @ left
+            out.follows.append(((inverse @ within.T) / length[:, None], own / length**2))
         return out
 
     def model(self, poles: Poles, residues: Floats) -> Complexes:

@@ -33,6 +33,11 @@ CHANGE, UNKNOWN = 0.05, 0.1
 _QUALITIES = (3, 6, 12, 25, 50, 100, 200, 400, 800)
 #: modes added in an iteration, and most iterations
 _AT_ONCE, _ITERATIONS = 12, 16
+#: chi-squared per number that counts as none; least damping of steps: the error that rounding makes in a step must be
+#: far below the grid of the poles
+_NOTHING, _LEAST_DAMPING = 1e-3, 1e-5
+#: cost of one step of that grid, re the gain that ends a descent
+_GRID = 1e-2
 #: modes of a group that is moved by itself
 _GROUP = 8
 #: modes on each side that move with two that may be one; prices that these may cost there to be tried with all moving
@@ -59,33 +64,40 @@ class Iteration:
 
 
 def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tuple[Poles, LinearFit]:
-    """Move poles downhill until a step gains less than `enough` of the cost, at most `most` steps."""
+    """Move poles downhill until a step gains less than `enough` of the cost, at most `most` steps.
+
+    After each step poles are put on a grid, far finer than what a step is worth and far coarser than rounding: searches
+    in which sums were rounded otherwise, of another processor, go through the same poles and take the same decisions.
+    """
     band = problem.line.freq
     low, high = np.log(2 * np.pi * band[0] * BELOW), np.log(2 * np.pi * band[-1] * ABOVE)
     least = np.log(np.maximum(ZETA_LOW, 0.5 * NARROWEST * problem.line.step / poles.freq))
     k, damping = len(poles), 1e-3
     found = problem.solve(poles, slopes=True)
     for _ in range(most):
+        tolerance = enough * max(found.cost, _NOTHING * problem.size)  # the cost of exact data is rounding
         curvature = np.diag(found.normal)  # of directions that nothing tells it is rounding, of either sign
         unit = 1 / np.sqrt(np.maximum(curvature, 1e-12 * curvature.max()) + 1e-300)
+        grid = np.exp2(np.floor(np.log2(unit * np.sqrt(_GRID * tolerance))))
         size, vectors = sla.eigh(found.normal * np.outer(unit, unit))
         size, slope = np.maximum(size, 0.0), vectors.T @ (unit * found.gradient)
+        rejected = False
         for _ in range(6):
             step = unit * (vectors @ (slope / (size + damping)))
             zeta = np.exp(poles.log_zeta)
             moved = Poles(
-                np.clip(poles.log_freq + np.clip(step[:k], -zeta, zeta), low, high),
-                np.clip(poles.log_zeta + np.clip(step[k:], -0.3, 0.3), least, np.log(ZETA_HIGH)),
+                np.clip(_put(poles.log_freq + np.clip(step[:k], -zeta, zeta), grid[:k]), low, high),
+                np.clip(_put(poles.log_zeta + np.clip(step[k:], -0.3, 0.3), grid[k:]), least, np.log(ZETA_HIGH)),
             )
             # the normal equations are as dear as the cost twice over: they are made at once, for a step is mostly taken
             there = problem.solve(moved, slopes=True)
-            if there.cost < found.cost:
+            if there.cost < found.cost - _GRID * tolerance:
                 break
-            damping = max(damping * 8, 1e-6)
+            damping, rejected = 8 * damping, True
         else:
             break
-        done = there.cost <= 0 or found.cost - there.cost < enough * found.cost  # the cost of exact data is rounding
-        poles, found, damping = moved, there, max(damping / 8, 1e-9)
+        done = found.cost - there.cost < tolerance
+        poles, found, damping = moved, there, damping if rejected else max(damping / 8, _LEAST_DAMPING)
         if done:
             break
     order = np.argsort(poles.log_freq)
@@ -93,6 +105,11 @@ def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tupl
         poles = poles[order]
         found = problem.solve(poles, slopes=True)
     return poles, found
+
+
+def _put(values: Floats, grid: Floats) -> Floats:
+    """Nearest points of grids."""
+    return np.asarray(np.round(values / grid) * grid)
 
 
 def descend_in_groups(problem: Projection, poles: Poles, most: int) -> Poles:
@@ -125,6 +142,25 @@ def _around(problem: Projection, poles: Poles, residues: Floats, mine: NDArray[n
     return Projection(problem.line.cut(start, stop, residues[:, rows] @ columns), problem.shape)
 
 
+def prices(problem: Projection, poles: Poles, found: LinearFit) -> Floats:
+    """(K,) chi-squared that each mode has to gain: the price, times the misfit per number around it if above 1.
+
+    Where no number of modes reaches the noise, the misfit is the model's error. A mode that gains no more than chance
+    would in noise of that size is no mode.
+    """
+    line = problem.line
+    left = (np.abs(problem.misfit(poles, found.residues)) ** 2 / line.sigma**2).mean(axis=0)
+    total = np.concatenate([[0.0], np.cumsum(left)])
+    first, stop = (np.searchsorted(line.freq, poles.freq + side * _reaches(line, poles)) for side in (-1, 1))
+    count = np.maximum(stop - first, 1)
+    return np.asarray(problem.price * np.maximum(1.0, (total[stop] - total[first]) / count))
+
+
+def _reaches(line: Line, poles: Poles) -> Floats:
+    """(K,) Hz on both sides of modes: two bandwidths, and ten bins in all at least."""
+    return np.asarray(2 * poles.freq / poles.quality + 5 * np.interp(poles.freq, line.freq, np.gradient(line.freq)))
+
+
 def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, LinearFit]:
     """Take modes away that gain less than their price, or whose residue at a driving point is negative.
 
@@ -139,7 +175,7 @@ def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, Li
         gain = found.chi2[:, :n].reshape(-1, k).sum(axis=0)
         wrong = _never_positive(found.residues[:, :k], found.chi2[:, :k], problem.shape.driving)
         wrong |= _unresolved(poles, gain, problem.line)
-        weak = np.flatnonzero(wrong | (gain < problem.price))
+        weak = np.flatnonzero(wrong | (gain < prices(problem, poles, found)))
         if not weak.size or k <= 1:
             return poles, found
         gone: list[int] = []
@@ -200,7 +236,7 @@ def inaudible(problem: Projection, poles: Poles, wanted: Floats) -> NDArray[np.i
     peak's departure from the model.
     """
     line, full, doubt = problem.line, problem.solve(poles), problem.deviations(poles)[1]
-    level = np.abs(line.mobility)
+    level, around = np.abs(line.mobility), _reaches(problem.line, poles)
     best = _decibels(level, problem.model(poles, full.residues))
     found: tuple[float, int] = (CHANGE, -1)
     for i in range(len(poles) if len(poles) > 1 else 0):
@@ -208,7 +244,7 @@ def inaudible(problem: Projection, poles: Poles, wanted: Floats) -> NDArray[np.i
             continue
         fewer = poles.without([i])
         without = _decibels(level, problem.model(fewer, problem.solve(fewer).residues))
-        reach = 2 * poles.freq[i] / poles.quality[i] + 5 * line.step
+        reach = around[i]
         near = np.abs(line.freq - poles.freq[i]) <= reach
         if not near.any() or (
             doubt[i] > UNKNOWN and not problem.shape.driving
@@ -259,7 +295,7 @@ def joined(problem: Projection, poles: Poles) -> tuple[Poles, LinearFit]:
         if not _may_be_one(problem, poles, found.residues, (i, j), one):
             continue
         fewer, there = descend(problem, poles.without([i, j]).joined(one), 6, 1e-4)
-        if there.cost < found.cost + problem.price:
+        if there.cost < found.cost + prices(problem, poles, found)[[i, j]].max():
             poles, found = fewer, there
 
 
@@ -275,7 +311,8 @@ def _may_be_one(problem: Projection, poles: Poles, residues: Floats, pair: tuple
         return True
     two, gone = poles[mine], [i - int(mine[0]), j - int(mine[0])]
     _, fewer = descend(around, two.without(gone).joined(one), 6, 1e-4)
-    return fewer.cost < around.solve(two).cost + _DEARER * problem.price
+    found = around.solve(two)
+    return fewer.cost < found.cost + _DEARER * float(prices(around, two, found)[gone].max())
 
 
 @dataclass(frozen=True, eq=False)

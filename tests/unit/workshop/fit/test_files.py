@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
+from pathlib import Path
+
 import numpy as np
 import pytest
 import soundfile as sf
 from fit_scenes import random_body
 
 from tonewood.errors import TonewoodError
+from tonewood.workshop.fit.arrays import npz_arrays
 from tonewood.workshop.fit.files import Reading, read_responses
 
 FREQ = np.arange(50.0, 250.0)
@@ -198,3 +203,12 @@ def test_what_is_wrong_with_a_measurement_is_reported_in_one_line(tmp_path):
     assert transfer.no_body().startswith("no driving point: the sensor did not stand where the hammer struck ('a')")
     with pytest.raises(TonewoodError, match="--band"):
         swapped.band(60.0, 70.0)
+
+
+def test_an_array_that_states_an_absurd_shape_is_one_line(tmp_path: Path) -> None:
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, {"descr": "<c16", "fortran_order": False, "shape": (10**14,)})
+    with zipfile.ZipFile(tmp_path / "claim.npz", "w") as archive:
+        archive.writestr("H.npy", head.getvalue())
+    with pytest.raises(TonewoodError, match=r"claim\.npz: is no npz file of arrays"):
+        npz_arrays(tmp_path / "claim.npz")

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -407,3 +410,73 @@ def test_public_files_of_one_transfer(name, freq, quality):
     assert row["freq_Hz"] == pytest.approx(freq, abs=0.3)
     if quality is not None:
         assert row["Q"] == pytest.approx(quality, rel=0.1)
+
+
+def yielding():
+    """Structural damping, two modes in one bandwidth, frequencies that fall with motion: no linear modes fit."""
+    w, natural = TAU * FREQ, np.append(NATURAL, 106.0)
+    shapes, mass = np.column_stack([SHAPES, [1, 0.6, -0.4]]), np.append(MASS, 0.12)
+    size = np.abs(mobility())
+    fallen = TAU * natural[:, None, None] * (1 - 0.01 * size / size.max())
+    own = 1j * w / (fallen**2 * (1 + 1j / 30) - w**2)
+    return np.einsum("km,mkn->kn", shapes * shapes[0] / mass, own)
+
+
+def by_kernel(path, reading):
+    """Damping, misfit, and frequencies and Q of the modes, in processes with other kernels of OpenBLAS."""
+    code = f"""
+import json
+from pathlib import Path
+from tonewood.workshop.fit.files import Reading, read_responses
+from tonewood.workshop.fit.fit import fit_responses
+facts = fit_responses(read_responses([Path({str(path)!r})], {reading!r})).facts()
+rows = [row for row in facts["modes"] if row["measured"]]
+print(json.dumps([facts["damping"], facts["misfit"], [r["freq_Hz"] for r in rows], [r["Q"] for r in rows]]))
+"""
+    for kernel in ("Haswell", "Zen", "SkylakeX", "Prescott"):
+        there = os.environ | {"OPENBLAS_CORETYPE": kernel}
+        done = subprocess.run([sys.executable, "-c", code], env=there, capture_output=True, text=True, check=True)
+        yield json.loads(done.stdout)
+
+
+def assert_alike(found):
+    """The same verdict, frequencies and Q far within the doubt of them."""
+    damping, misfit, freq, quality = found[0]
+    for other in found[1:]:
+        assert other[0] == damping
+        assert other[1] == pytest.approx(misfit, rel=1e-3)
+        assert other[2] == pytest.approx(freq, rel=1e-6)
+        assert other[3] == pytest.approx(quality, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_the_verdict_does_not_depend_on_the_kernel_of_blas(tmp_path):
+    """The misfit is far above the noise: what is kept there is decided by the data, not by rounding."""
+    np.savez(tmp_path / "yielding.npz", freq_Hz=FREQ, mobility=yielding())
+    found = list(by_kernel(tmp_path / "yielding.npz", Reading("mobility")))
+    assert found[0][1] > 2
+    assert_alike(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "reading"),
+    [("case1.mat", Reading("receptance")), ("case2.mat", Reading("receptance"))],
+)
+def test_verdicts_on_public_files_do_not_depend_on_the_kernel_of_blas(name, reading):
+    """Two files on whose order of rounding the verdict once depended."""
+    assert_alike(list(by_kernel(public(name), reading)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_the_verdict_does_not_depend_on_the_last_digits(seed):
+    """Data changed by 1e-13, more than another order of sums changes them."""
+    rng, clean = np.random.default_rng(seed), yielding()
+    found = []
+    for response in (clean, clean * (1 + 1e-13 * rng.normal(size=clean.shape))):
+        fit = fit_responses(Responses(FREQ, response, tuple((p, "p0") for p in NAMES)))
+        rows = measured(fit)
+        values = [[row[key] for row in rows] for key in ("freq_Hz", "Q")]
+        found.append([fit.modes.structural, fit.modes.misfit, *values])
+    assert_alike(found)
