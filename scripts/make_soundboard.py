@@ -142,10 +142,10 @@ def solved() -> tuple[plate.BodyModes, plate.Sources]:
         return body.modes_below(LIMIT), body.sources(LIMIT)
 
 
-def conductance(freq: Floats, modes: plate.BodyModes) -> Floats:
-    """(n_freq, knots) Re Y of the drawn modes, s/kg."""
+def mobility_of(freq: Floats, modes: plate.BodyModes) -> NDArray[np.complex128]:
+    """(n_freq, knots) Y of the drawn modes, s/kg."""
     w, wn = 2 * np.pi * freq[:, None], 2 * np.pi * modes.freq
-    return np.real(1j * w / (wn**2 * (1 + 1j * modes.loss) - w**2) @ (modes.shapes**2).T)
+    return np.asarray(1j * w / (wn**2 * (1 + 1j * modes.loss) - w**2) @ (modes.shapes**2).T)
 
 
 def frequencies(draws: np.random.Generator) -> Floats:
@@ -170,11 +170,13 @@ def report(modes: plate.BodyModes) -> None:
     print(
         f"{len(modes.freq)} modes to {LIMIT:g} Hz, from {modes.freq[0]:.1f} Hz; loss factor {np.median(modes.loss):.3f}"
     )
-    print("| Hz | modes per Hz | bass bridge: Re Y, s/kg | treble bridge: Re Y, s/kg |\n|---|---:|---:|---:|")
+    print("| Hz | modes per Hz | bass bridge: Re Y, s/kg | treble bridge | both: log-mean of \\|Z\\|, kg/s |")
+    print("|---|---:|---:|---:|---:|")
     for low, high in ((60, 150), (150, 400), (400, 700), (700, 1100)):
-        y = conductance(np.geomspace(low, high, 400), modes).mean(axis=0)
+        both = mobility_of(np.geomspace(low, high, 400), modes)
+        y, z = both.real.mean(axis=0), np.exp(-np.log(np.abs(both)).mean())
         density = np.count_nonzero((modes.freq >= low) & (modes.freq < high)) / (high - low)
-        print(f"| {low}-{high} | {density:.3f} | {y[:BASS_KNOTS].mean():.1e} | {y[BASS_KNOTS:].mean():.1e} |")
+        print(f"| {low}-{high} | {density:.3f} | {y[:BASS_KNOTS].mean():.1e} | {y[BASS_KNOTS:].mean():.1e} | {z:.0f} |")
 
 
 def main(folder: Path | None) -> None:
@@ -190,7 +192,7 @@ def main(folder: Path | None) -> None:
     # confinement must not change the mean mobility at any knot
     shapes /= np.sqrt(np.mean(shapes**2, axis=0))
     edge = np.geomspace(0.65 * LIMIT, 0.95 * LIMIT, 400)
-    mobility = conductance(edge, modes).mean() * np.sqrt(LIMIT / freq)
+    mobility = mobility_of(edge, modes).real.mean() * np.sqrt(LIMIT / freq)
     shapes *= np.sqrt(4 * mobility / np.interp(freq, *zip(*DENSITY, strict=True)))[:, None]
     heard = []
     for at in MICROPHONES.values():

@@ -22,6 +22,8 @@ from tonewood.performance.score.musicxml_words import (
     MOST_DIVISIONS,
     divisions_of,
     jump_sign,
+    offset_of,
+    passes_of,
     velocity_of,
     written_tempo,
 )
@@ -56,8 +58,8 @@ _NUMBERS = {
 _PROGRAM = "midi-instrument/midi-program"
 #: kinds of what is left out, from which on names of signs are left out, and characters of a name
 _MOST_UNKNOWN, _LONGEST_SIGN = 100, 40
-#: times that a measure is repeated, number of an ending and of a line of a staff, parts, numbers of one ending
-_MOST_TIMES, _MOST_ENDING, _MOST_LINES, _MOST_PARTS, _MOST_NUMBERS = 32, 9999, 1000, 2000, 100
+#: times that a measure is repeated, number of a line of a staff, parts, numbers of one ending
+_MOST_TIMES, _MOST_LINES, _MOST_PARTS, _MOST_NUMBERS = 32, 1000, 2000, 100
 
 
 def read_musicxml(data: bytes, path: Path) -> WrittenMusic:
@@ -231,6 +233,7 @@ class _PartReader:
 
     def _direction(self, element: Element, now: Fraction, measure: Measure) -> None:
         sound = element if element.tag == "sound" else element.find("sound")
+        now = max(near(now + offset_of(element, sound, self.music.ignored) / self.divisions), Fraction(0))
         bpm = written_tempo(element, self.music.ignored)
         before = self.velocity
         if sound is not None:
@@ -255,8 +258,6 @@ class _PartReader:
                 self._feel(feel)
         if bpm is not None:
             self.music.tempo(measure, now, bpm)
-        offsets = (element.find("offset[@sound='yes']"), None if sound is None else sound.find("offset"))
-        self.music.ignored["offset of a sound"] += any(offset is not None for offset in offsets)
         index, dynamics = len(self.part.measures), sound is not None and "dynamics" in sound.attrib
         for kind in element.findall("direction-type/*"):
             if sign := jump_sign(kind):
@@ -343,10 +344,10 @@ class _PartReader:
         repeat, ending = element.find("repeat"), element.find("ending")
         if ending is not None and ending.get("type") == "start":
             words = ending.get("number", "1").replace(",", " ").split()
-            numbers = [whole(n, 1, _MOST_ENDING) for n in words[:_MOST_NUMBERS]]
-            lost = None in numbers or len(numbers) < len(words)
+            passes = [passes_of(word) for word in words[:_MOST_NUMBERS]]
+            lost = not all(passes) or len(passes) < len(words)
             self.music.ignored["number of an ending that cannot be read"] += lost
-            self.ending = frozenset(n for n in numbers if n is not None) or frozenset({1})
+            self.ending = frozenset[int]().union(*passes) or frozenset({1})
             measure.endings = self.ending
         if repeat is not None and repeat.get("direction") == "forward":
             measure.opens = True

@@ -7,11 +7,13 @@ from collections import Counter
 from fractions import Fraction
 from xml.etree.ElementTree import Element
 
-from tonewood.performance.score.limits import number
+from tonewood.performance.score.limits import number, whole
 from tonewood.performance.score.xml_files import MOST, number_of, text_of
 
 #: durations per quarter note; others are damaged
 MOST_DIVISIONS = 16384
+#: number of an ending, and passes between two with a hyphen
+_MOST_ENDING, _MOST_BETWEEN = 9999, 32
 _UNITS = {
     "long": 16.0,
     "breve": 8.0,
@@ -73,3 +75,25 @@ def divisions_of(element: Element) -> Fraction:
     """Return the durations per quarter note of attributes; 0 where there are none, or none within bounds."""
     said = number_of(element, "divisions", 0.0, 1 / MOST_DIVISIONS, MOST_DIVISIONS)
     return Fraction(said).limit_denominator(MOST_DIVISIONS)
+
+
+def offset_of(element: Element, sound: Element | None, ignored: Counter[str]) -> Fraction:
+    """Return the durations by which a direction, or its sound, acts later; what cannot be read is counted.
+
+    The offset of a direction is of its picture alone where it does not say otherwise.
+    """
+    offsets = (element.find("offset[@sound='yes']"), None if sound is None else sound.find("offset"))
+    later = [number(offset.text or "", -MOST, MOST) for offset in offsets if offset is not None]
+    ignored["offset that cannot be read"] += None in later
+    return sum((Fraction(value or 0.0).limit_denominator(MOST_DIVISIONS) for value in later), Fraction(0))
+
+
+def passes_of(word: str) -> frozenset[int]:
+    """Return the passes of a number of an ending, or of two with a hyphen, which some programs write.
+
+    Empty where it cannot be read.
+    """
+    first, hyphen, last = word.partition("-")
+    low = whole(first, 1, _MOST_ENDING)
+    high = whole(last, 1, _MOST_ENDING) if hyphen else low
+    return frozenset() if low is None or high is None else frozenset(range(low, min(high, low + _MOST_BETWEEN) + 1))

@@ -21,6 +21,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from itertools import groupby
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import Allowance
@@ -163,6 +164,13 @@ class _Score:
     def __init__(self, measures: Sequence[Measure]):
         self._measures = measures
         self._played: Counter[int] = Counter()
+        #: of a measure whose ending another one follows, the highest pass that they name; 0 of others
+        self._highest = [0] * len(measures)
+        for bracketed, group in groupby(range(len(measures)), lambda i: bool(measures[i].endings)):
+            its = list(group) if bracketed else []
+            highest = max(map(max, {measures[i].endings for i in its}), default=0)
+            for i in its:
+                self._highest[i] = highest if measures[i].endings != measures[its[-1]].endings else 0
         self.restart(0)
 
     def restart(self, i: int) -> None:
@@ -180,7 +188,8 @@ class _Score:
     def after(self, i: int, sounds: bool, *, jumped: bool) -> int:
         """Return the next measure."""
         closes = self._measures[i].closes if sounds else 0
-        if closes > 1 and not jumped and self._played[i] < closes - 1:
+        spent = 0 < self._highest[i] <= self._passes  # the last pass ends before the last of the endings
+        if closes > 1 and not jumped and not spent and self._played[i] < closes - 1:
             self._played[i] += 1
             self._passes += 1
             return self._begin

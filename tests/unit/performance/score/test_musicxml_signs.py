@@ -162,3 +162,61 @@ def test_divisions_after_the_first_notes_and_a_blank_line_before_all(tmp_path: P
         f'\n<?xml version="1.0"?><score-partwise><part id="P"><measure>{bar}</measure></part></score-partwise>'
     )
     assert [n.time for n in tw.read_score(path).notes] == pytest.approx([0.0, 0.5, 1.0])
+
+
+@pytest.mark.parametrize("tied_first", [True, False])
+def test_a_tie_ends_no_longer_note_of_another_voice(tmp_path: Path, tied_first: bool) -> None:
+    tied = [note("A", 4, 4, before=tie) for tie in ('<tie type="start"/>', '<tie type="stop"/>')]
+    back = "<backup><duration>{}</duration></backup>"
+    voices = ["".join(tied) + back.format(8), note("A", 4, 16)]
+    if not tied_first:
+        voices = [note("A", 4, 16) + back.format(16), "".join(tied)]
+    score = read(tmp_path, "".join(voices))
+    assert max(n.time + n.duration for n in score.notes) == 4.0
+
+
+def test_dynamics_of_one_note(tmp_path: Path) -> None:
+    """In percent of velocity 90, for that note alone."""
+    soft = note("A", 4, 4).replace("<note>", '<note dynamics="50">')
+    loud = note("A", 4, 4).replace("<note>", '<note dynamics="300">')
+    score = read(tmp_path, soft + loud + note("A", 4, 4))
+    assert [n.velocity_midi for n in score.notes] == [45, 127, 80]
+
+
+def test_staves_are_transposed_apart(tmp_path: Path) -> None:
+    moves = "".join(f'<transpose number="{n}"><chromatic>{c}</chromatic></transpose>' for n, c in ((1, -12), (2, 3)))
+    staves = "".join(note("A", 4, 4, before=f"<staff>{n}</staff>") for n in (1, 2))
+    all_staves = "<attributes><transpose><chromatic>-2</chromatic><double/></transpose></attributes>"
+    score = read(tmp_path, f"<attributes>{moves}</attributes>" + staves + all_staves + staves)
+    assert [n.note for n in score.notes] == [57, 72, 67, 67]
+    assert score.ignored == {"transposition that doubles": 1}
+
+
+@pytest.mark.parametrize(
+    ("direction", "first"),
+    [
+        ('<direction><offset>4</offset><sound tempo="120"/></direction>', 0.5),
+        ('<direction><offset sound="yes">4</offset><sound tempo="120"/></direction>', 1.0),
+        ('<sound tempo="120"><offset>4</offset></sound>', 1.0),
+    ],
+)
+def test_an_offset_moves_what_is_heard_where_it_says_so(tmp_path: Path, direction: str, first: float) -> None:
+    score = read(tmp_path, direction + plain(*"AB"))
+    assert [n.duration for n in score.notes] == [first, 0.5]
+
+
+@pytest.mark.parametrize(("between", "third"), [(", ", "2"), ("-", "3")])
+def test_endings_of_several_passes(tmp_path: Path, between: str, third: str) -> None:
+    """A B A C A B D of the endings 1, 3 and 2; A B A B A C D of 1-2 and 3."""
+
+    def ending(numbers: str, step: str) -> str:
+        repeat = '<repeat direction="backward"/>' if step == "B" or third == "2" else ""
+        start, stop = (f'<ending number="{numbers}" type="{t}"/>' for t in ("start", "stop"))
+        return f"<barline>{start}</barline>{note(step, 4, 4)}<barline>{stop}{repeat}</barline>"
+
+    last = "3" if between == ", " else "2"
+    opens = '<barline><repeat direction="forward"/></barline>'
+    score = read(tmp_path, opens + plain("A"), ending(f"1{between}{last}", "B"), ending(third, "C"), plain("D"))
+    played = ["CDEFGAB"[[0, 2, 4, 5, 7, 9, 11].index(int(n.note or 0) % 12)] for n in score.notes]
+    assert "".join(played) == ("ABACABD" if third == "2" else "ABABACD")
+    assert score.ignored == {}

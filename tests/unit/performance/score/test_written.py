@@ -462,7 +462,7 @@ PROGRAM = "<part-name/><midi-instrument><midi-program>{}</midi-program></midi-in
             ),
             "metronome that relates two values",
         ),
-        (('tempo="90"/>', 'tempo="90"><offset>4</offset></sound>'), "offset of a sound"),
+        (('tempo="90"/>', 'tempo="90"><offset>x</offset></sound>'), "offset that cannot be read"),
         (("<part-name/>", PROGRAM.format("129")), "midi-program outside 1 to 128"),
         (("<part-name/>", PROGRAM.format("x")), "midi-program outside 1 to 128"),
     ],
