@@ -12,8 +12,8 @@ import numpy as np
 
 from tonewood.physics.plate.plate import Edge, Plate, cell_size
 from tonewood.physics.plate.wood import Wood
-from tonewood.support.blas import one_blas_thread
 from tonewood.support.arrays import Floats
+from tonewood.support.blas import one_blas_thread
 
 #: Hz, targets of Gore and Gilet for panels without braces
 TARGETS = {"classical_top": 60.0, "steel_string_top": 75.0, "classical_back": 50.0, "steel_string_back": 55.0}
