@@ -99,7 +99,7 @@ def test_a_failing_condition_sets_the_exit_code(small: Path, capsys: pytest.Capt
     ("arguments", "line"),
     [
         (("absent.yaml", "-o", "out"), "absent.yaml: cannot be read"),
-        ((EXAMPLE, "-o", EXAMPLE), f"{EXAMPLE}: cannot be made: "),
+        ((EXAMPLE, "-o", EXAMPLE), f"{EXAMPLE}: would replace a file that is read"),
         ((EXAMPLE, "-o", "out", "--jobs", "0"), "--jobs: is 0;"),
         ((EXAMPLE, "-o", "out", "--workers", "elves"), "--workers: is 'elves'; processes or threads"),
     ],

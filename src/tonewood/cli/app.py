@@ -68,6 +68,8 @@ def _command(command: Callable[..., Any]) -> Callable[..., Any]:
             raise InterruptError(*error.args) from None
         except BrokenPipeError:
             raise ReaderGoneError from None
+        finally:
+            protect(())  # whoever calls commands from Python may write these files afterwards
         return code
 
     return wrapped
