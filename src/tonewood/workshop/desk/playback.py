@@ -69,7 +69,7 @@ class Meter:
     reported: dict[str, float] = field(default_factory=dict)
 
 
-class SoundQueue:
+class PageProgress:
     """Where the page of the stream is: places are frames since its beginning.
 
     Parameters
@@ -102,7 +102,7 @@ class DeskSound:
     """All that sounds.
 
     A change is heard before sound that has been sent already: frames that the page has not heard are sent again, from
-    an earlier place on, and take the place of those before (`SoundQueue`).
+    an earlier place on, and take the place of those before (`PageProgress`).
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class DeskSound:
         self.live: Live | None = None
         self.meter = Meter()
         #: page that hears the stream
-        self.listener: SoundQueue | None = None
+        self.listener: PageProgress | None = None
         #: place before which nothing is sent again: no fade is cut
         self._firm = 0
         #: what keys sounded of late, and of that what is sent again
@@ -133,10 +133,10 @@ class DeskSound:
         #: take that goes on from a frame of this one, and serial of its change
         self._joins: tuple[PhraseTake, int, int] | None = None
 
-    def listen(self, patience: float) -> SoundQueue:
+    def listen(self, patience: float) -> PageProgress:
         """Begin a stream; returns the place of its page."""
         with self.lock:
-            self.listener, self._firm = SoundQueue(self.fs, patience), 0
+            self.listener, self._firm = PageProgress(self.fs, patience), 0
             return self.listener
 
     def swap(self, take: PhraseTake, *, goes_on: bool = False, serial: int | None = None) -> None:
