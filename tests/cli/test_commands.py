@@ -149,6 +149,7 @@ def test_settings_and_outputs_reach_the_instrument(tonewood: Run, score: Path, t
         (["--gain", "nan"], ["--gain"]),
         (["--normalize", "3"], ["--normalize"]),
         (["--normalize", "-1", "--limiter"], ["--limiter"]),
+        (["--normalize", "-3", "--level", "LUFS"], ["--normalize", "LUFS"]),
         (["--outputs", "ceiling"], ["ceiling", "bridge"]),
         (["--set", "strings.A2.tension"], ["PATH=VALUE"]),
         (["--set", "strings.A2.tensoin=3"], ["strings.A2.tensoin", "instrument.yaml", "tension"]),

@@ -94,6 +94,8 @@ def render(
         common.allow("--normalize", normalize, -200.0, 0.0, "dB")
         level = level or "peak"
     wanted = level_name(level, gain_db=options.gain_db, limiter=limiter)
+    if normalize is not None and wanted != "peak":
+        raise TonewoodError(f"sets the peak of --level peak; --level is {wanted}", key="--normalize")
     if wanted != "calibrated" and limiter:
         raise TonewoodError(f"the level {wanted} leaves no peaks to limit; one of both is allowed", key="--limiter")
     if wanted == "LUFS":

@@ -102,8 +102,8 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
         warnings.append(f"{assignment.n_cut} notes end early: their string is needed again")
     if hands.n_moved:
         warnings.append(
-            f"{hands.n_moved} notes are played at another place than asked for: that lies within 1 % of the length of "
-            "its ends, or beyond the stop"
+            f"notes played at another place than asked for, which lies within 1 % of the length of the string's ends, "
+            f"or beyond the stop: {hands.n_moved}"
         )
     if assignment.doubled:
         warnings.append(f"{len(assignment.doubled)} notes share another voice's pluck of the same pitch")
