@@ -69,6 +69,7 @@ stepping.kernel stepping.stepper batch.manifest report.facts
 """
 
 
+@pytest.mark.slow
 def test_modules_that_have_moved_still_answer_and_say_where_they_are() -> None:
     """Modules of version 0.2, under the names that they had; the very same objects."""
     program = (

@@ -124,7 +124,7 @@ SLOW = {
         f"docs/{page}.md"
         for page in (
             "a_body_from_a_drawing", "tutorial", "playing", "use_design", "from_a_measurement", "piano", "compare",
-            "use_score", "sampling", "wood", "strings_and_intonation",
+            "use_score", "sampling", "wood", "strings_and_intonation", "listening_tests",
         )
     ),
 }  # fmt: skip

@@ -83,6 +83,7 @@ def test_private_words_are_gone(words):
         assert not found, f"{word!r} stands in {found}"
 
 
+@pytest.mark.slow
 def test_no_name_holds_a_private_word():
     for path in [*PYTHON, *(ROOT / "benchmarks").rglob("*.py")]:
         for name in names_of(path):

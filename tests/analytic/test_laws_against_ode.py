@@ -130,6 +130,7 @@ def test_laws_between_coupled_masses(make, name):
     assert_second_order(errors, np.abs(exact).max())
 
 
+@pytest.mark.slow
 @STEPPERS
 def test_partners_that_move(make):
     """A barrier that oscillates, and a bow of changing speed and pressure."""
@@ -219,6 +220,7 @@ def test_a_block_that_slides_stops_where_coulomb_says_and_stays(make):
     assert np.ptp(out[len(t) + 3 :, 0]) < 1e-12
 
 
+@pytest.mark.slow
 @STEPPERS
 def test_a_mass_on_a_belt_sticks_and_slips(make):
     """Phase after phase: it rides until the spring asks for more than friction has, and slides until it rides."""

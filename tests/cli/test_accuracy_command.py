@@ -56,6 +56,7 @@ def test_one_small_system_in_every_form(tmp_path: Path, capsys: pytest.CaptureFi
     assert (headline["method"], headline["measure"]) == ("verlet", "waveform")
 
 
+@pytest.mark.slow
 def test_a_page_in_markdown_names_the_picture(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     (tmp_path / "pictures").mkdir()

@@ -326,6 +326,7 @@ def test_lead_in_and_step_are_stated(tonewood: Run, score: Path, tmp_path: Path)
     refused(tonewood(*common, "--lead-in", -1), "--lead-in", "0 to 60 s")
 
 
+@pytest.mark.slow
 def test_a_tension_put_back_by_the_tuner_is_reported(tonewood: Run, score: Path, tmp_path: Path) -> None:
     common = ("render", score, "-i", "monochord", "-o", tmp_path / "a.wav", "--max-duration", 0.02)
     heavy = ("--set", "strings.A2.tension=80")

@@ -12,6 +12,7 @@ Run = Callable[..., tuple[int, str, str]]
 QUICK = ("--fs", 16000, "--duration", 0.2)
 
 
+@pytest.mark.slow
 def test_variants_are_compared_with_the_first(tonewood: Run) -> None:
     variant = "strings.A2.tension=50; strings.A2.loss.sigma0={scale: 2}"
     code, out, err = tonewood(

@@ -80,6 +80,7 @@ def test_a_string_that_moves_no_body_sounds_with_its_bridge_end_rigid(
     assert partials_of(samples[4800:], fs, wanted) == pytest.approx(wanted, abs=0.3)
 
 
+@pytest.mark.slow
 def test_a_body_that_does_not_move_is_reported(tonewood: Run, score: Path, tmp_path: Path) -> None:
     wav = tmp_path / "out.wav"
     change = settings("strings.A2.end=[]")

@@ -65,6 +65,7 @@ def test_check_tells_pitch_wolf_notes_stand_ins_and_sources(tonewood: Run) -> No
     assert text.endswith("ok\n")
 
 
+@pytest.mark.slow
 def test_modes_lists_partials_and_draws_the_mobility(tonewood: Run, tmp_path: Path) -> None:
     picture = tmp_path / "bridge.png"
     code, out, _ = tonewood(
@@ -163,6 +164,7 @@ def test_check_names_a_string_that_misses_its_loss_law(tonewood: Run) -> None:
     assert "decays at" not in tonewood("check", "monochord")[1]
 
 
+@pytest.mark.slow
 def test_check_warns_of_a_table_that_is_another(tonewood: Run, tmp_path: Path) -> None:
     folder = tmp_path / "mine"
     shutil.copytree(tw.load_instrument("african_harp").folder, folder)

@@ -44,6 +44,7 @@ def old_bundle(folder: Path, name: str = "monochord") -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(p.parent.name for p in (ROOT / "instruments").glob("*/instrument.yaml")))
 def test_every_built_in_bundle_comes_back_byte_for_byte(tmp_path: Path, migrate: Run, name: str) -> None:
     folder = old_bundle(tmp_path / "old", name)

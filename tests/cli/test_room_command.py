@@ -15,6 +15,7 @@ pytest.importorskip("pyroomacoustics")
 Run = Callable[..., tuple[int, str, str]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["output", "string"])
 def test_stems_in_a_room_add_up_to_the_mix(tonewood: Run, tmp_path: Path, by: str) -> None:
     tw.write_midi(

@@ -69,6 +69,7 @@ def test_recordings_of_taps_are_read(
     assert float(out.split("E_L")[1].split()[0]) == pytest.approx(rectangle.nominal.E_L / 1e9, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_stick_gives_its_modulus_along_the_grain(tonewood: Run, tmp_path: Path) -> None:
     """Euler's slender bar by hand: E = 0.9464 rho f^2 L^4 / h^2, less what shear takes."""
     length, width, height, young, rho = 0.45, 0.008, 0.008, 1.2e10, 410.0

@@ -101,6 +101,7 @@ def test_whole_pieces(name: str, score: Path) -> None:
         pytest.skip(str(fault))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["classical_guitar", "african_harp", "buzzing_monochord", "tanpura"])
 def test_auto_takes_the_steps_of_all_where_nothing_is_switched(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same runs of the same systems' modes, and the same exchanges between them."""

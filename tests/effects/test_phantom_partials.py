@@ -31,6 +31,7 @@ def samples(renderer: tw.Renderer) -> np.ndarray:
     return np.concatenate([np.asarray(block, dtype=np.float64) for block in renderer.blocks()])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("budget", [-60.0, -90.0])
 def test_what_is_left_out_is_within_the_budget(bass: tw.Instrument, budget: float) -> None:
     whole = samples(played(bass, 60, effects="all"))
@@ -111,6 +112,7 @@ def test_the_account_closes_and_names_their_work(bass: tw.Instrument) -> None:
     assert 0.0 < along < 1e-2 * put_in
 
 
+@pytest.mark.slow
 def test_switched_effects_share_the_budget(bass: tw.Instrument) -> None:
     """One alone has all of it; with strings whose tension rises beside them, half."""
     strings = {name: dict(part) for name, part in bass.resolved["strings"].items()}
@@ -142,6 +144,7 @@ def test_a_bend_that_moves_modes_over_the_limit_keeps_them_on() -> None:
     assert np.abs(sound).max() > 0.0
 
 
+@pytest.mark.slow
 def test_what_is_loud_hides_more(bass: tw.Instrument) -> None:
     """A motion that counts in its own sound does not under one a million times as loud."""
     engine = played(bass, 60, effects="all").engine

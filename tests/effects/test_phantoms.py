@@ -115,6 +115,7 @@ def test_switches_lose_no_more_than_the_budget_and_gain_no_energy() -> None:
     assert np.all(np.diff(energies) <= 1e-12 * energies[0])
 
 
+@pytest.mark.slow
 def test_auto_keeps_the_pitch_of_all() -> None:
     streams = {mode: renderer(NOTES, 3.0, longitudinal(mode=mode, budget_db=-30.0)) for mode in ("all", "auto")}
     every, auto = (sound(stream)[:, 0] for stream in streams.values())

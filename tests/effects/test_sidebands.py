@@ -73,6 +73,7 @@ def line(y: Floats, freq: float, fs: float = FS) -> float:
     return 2 * abs(np.sum(window * y * np.exp(-2j * np.pi * freq * np.arange(len(y)) / fs))) / float(window.sum())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cents", [0.05, 0.45])
 @pytest.mark.parametrize(("guitar_name", "name"), STRINGS)
 def test_sidebands_are_those_of_the_closed_form(guitar_name: str, name: str, cents: float) -> None:

@@ -212,6 +212,7 @@ def test_repair_leaves_what_is_only_heard(tmp_path: Path) -> None:
     np.testing.assert_array_equal(made.left[:3], alone.left)
 
 
+@pytest.mark.slow
 def test_a_list_that_the_sampling_rate_cuts_is_judged_as_cut(tmp_path: Path) -> None:
     """The complete list passes at 48 kHz; at 8 kHz half of its modes cannot be stepped, and the rest is broken."""
     (tmp_path / "body.csv").write_text(table(ONE.modes))

@@ -78,6 +78,7 @@ def test_the_pitch_changes_without_a_pluck(model: str, technique: str, first: in
     assert np.abs(np.diff(x[int(0.42 * FS) :])).max() < 0.7 * pluck
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["ideal", pytest.param("finger", marks=pytest.mark.slow)])
 def test_a_slides_pitch_only_rises(model: str) -> None:
     """The fundamental's phase, taken down by a steady 140 Hz: its rate never turns back by more than the beat."""
@@ -106,6 +107,7 @@ def test_on_frets_a_slide_sounds_every_fret() -> None:
         assert [*dict.fromkeys(stops)][: len(way)] == [float(s) for s in way]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["ideal", "finger"])
 def test_a_stopping_hand_without_force_gives_no_energy(model: str) -> None:
     """With no push, a finger that comes or leaves can only take; while nothing changes energy falls."""
@@ -281,6 +283,7 @@ def test_any_sequence_of_techniques(model: str, line: list[tuple[float, str | No
     assert np.abs(x).max() < 3 * sum(force for _, _, force, _ in line)
 
 
+@pytest.mark.slow
 def test_live_slides_search_for_no_tension(monkeypatch: pytest.MonkeyPatch) -> None:
     """The stops that a slide passes, and bends of them, take their tension from a table made before the sound."""
     made = monochord("ideal")

@@ -58,6 +58,7 @@ def level(error: np.ndarray, of: np.ndarray) -> float:
     return float(20 * np.log10(max(np.abs(error).max(), 1e-30) / np.abs(of).max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effects", ["all", "auto"])
 @pytest.mark.parametrize("pluck", [FINGER, RAMP, {**FINGER, "nail": 0.0, "roughness": 0.1}], ids=lambda p: str(len(p)))
 def test_notes_scale_and_superpose(tmp_path: Path, pluck: dict[str, Any], effects: str) -> None:

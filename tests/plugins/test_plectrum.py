@@ -68,6 +68,7 @@ def test_a_slow_one_is_a_known_force(tmp_path: Path) -> None:
     np.testing.assert_allclose(found[0], found[1], rtol=6e-3)
 
 
+@pytest.mark.slow
 def test_the_hand_pays(tmp_path: Path) -> None:
     """String and tip hold the work of the hand's spring less the losses; friction gives nothing."""
     trace = plucked(tmp_path, energy=True).energy

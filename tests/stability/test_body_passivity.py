@@ -37,6 +37,7 @@ def band_error(one, modes, omega):
     return float(np.sqrt((np.abs(made - true) ** 2).sum() / (np.abs(true) ** 2).sum()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "seed"), [("medium", 2), ("heavy", 0)])
 def test_truncated_body_explodes_and_repaired_one_does_not(kind, seed):
     one = body(seed, DAMPING[kind])

@@ -20,6 +20,7 @@ from tonewood.physics.stepping.kernel import KernelStepper
 DT = 1 / 48000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("law", "residual"), [(Rigid(), 0.0), (Rigid(), 2e-9), (SpringDashpot(2e4), 0.0)], ids=str)
 def test_a_million_undamped_steps_keep_the_energy(law, residual):
     """Energy drifts by less than 1e-9; rigid joints are still closed."""

@@ -59,6 +59,7 @@ def energies(engine: Engine, until: float) -> Iterator[tuple[float, float]]:
         yield engine.state.sample / FS, stored_energy(engine.system, engine.state).total
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force", [1e-3, 20.0, 1e3])
 def test_plucks_from_a_breath_to_a_kilonewton(guitar: tw.Instrument, force: float) -> None:
     """The instrument is linear: all sound alike up to the factor. Let go, it loses energy in every interval."""
@@ -71,6 +72,7 @@ def test_plucks_from_a_breath_to_a_kilonewton(guitar: tw.Instrument, force: floa
     assert np.all(np.diff(course) < 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force", [0.5, 20.0, 1e3])
 def test_a_finger_of_any_force_lets_go(guitar: tw.Instrument, force: float) -> None:
     """After its slip the instrument loses energy in every interval."""
@@ -106,6 +108,7 @@ def assert_replucks(instrument: tw.Instrument, count: int) -> None:
     assert abs(cents(freq, wanted)) < 0.01
 
 
+@pytest.mark.slow
 def test_300_replucks_neither_drift_nor_pile_up(monochord: tw.Instrument) -> None:
     """Energy before each next pluck stays where the first ones left it; pitch within a hundredth of a cent."""
     assert_replucks(monochord, 300)
@@ -117,6 +120,7 @@ def test_10_000_replucks_neither_drift_nor_pile_up(monochord: tw.Instrument) -> 
     assert_replucks(monochord, 10_000)
 
 
+@pytest.mark.slow
 def test_all_strings_stopped_and_released_at_once(guitar: tw.Instrument) -> None:
     """After a chord, forty times: a stop or release brings no more energy than its change of tension allows.
 
@@ -173,6 +177,7 @@ def test_notes_of_no_length_and_a_chattering_pedal(guitar: tw.Instrument, contro
     assert course[-1][1] < 1e-3 * first
 
 
+@pytest.mark.slow
 def test_bends_of_two_octaves_up_and_down_at_once(monochord: tw.Instrument) -> None:
     """Thirty leaps over four octaves: no interval gains more than its tension does, nothing piles up, pitch returns.
 

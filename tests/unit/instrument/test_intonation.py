@@ -84,6 +84,7 @@ def test_the_rendered_sound_has_this_pitch() -> None:
             assert cents(freq / string.freq(stop)) > 3.0
 
 
+@pytest.mark.slow
 def test_frets_of_a_connection_give_the_action() -> None:
     """`steel_strings` states action and relief for its buzz; its own keys come first."""
     steel = tw.load_instrument("steel_strings")

@@ -89,6 +89,7 @@ def test_limits_are_distinguished() -> None:
     assert dial.beyond(errors, worst=True) == "1.5 cents, 20 % of the decay, 1.2 dB"
 
 
+@pytest.mark.slow
 def test_a_setting_that_is_too_coarse_is_reported() -> None:
     """Draft instead of standard: the limits are not kept everywhere."""
     (draft, *_) = dial.measure(tw.load_instrument("tanpura"), "C3", nudge=False)

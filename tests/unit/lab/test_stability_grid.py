@@ -28,6 +28,7 @@ def test_this_project_s_scheme_is_stable_everywhere(grid: StabilityGrid) -> None
     assert max(cell.force for cell in own) == 1000.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "limit"), [("AB3", study.AB3_LIMIT), ("velocity Verlet", study.VERLET_LIMIT)])
 def test_explicit_methods_fail_where_their_limits_say(grid: StabilityGrid, method: str, limit: float) -> None:
     cells = [c for c in grid.cells if c.method == method and c.system == stability.LINEAR]

@@ -36,6 +36,7 @@ def test_without_a_seed_nothing_varies(guitar: tw.Instrument) -> None:
     assert {(p.gesture.from_bridge, p.gesture.angle_deg) for p in plain.timeline.plays} == {(0.105, 55.0)}
 
 
+@pytest.mark.slow
 def test_the_same_seed_is_the_same_performance(guitar: tw.Instrument) -> None:
     one, again, other = (played(guitar, seed=s) for s in (3, 3, 4))
     assert [p.gesture.segments for p in one.timeline.plays] == [p.gesture.segments for p in again.timeline.plays]

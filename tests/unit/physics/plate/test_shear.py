@@ -51,6 +51,7 @@ def legendre_plate(wood: Wood, size: tuple[float, float], h: float, n: int, coun
     return np.sqrt(values) / (2 * np.pi)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("n", "count"), [(12, 8), pytest.param(22, 30, marks=pytest.mark.validate)], ids=["8 modes", "30 modes"]
 )
@@ -92,6 +93,7 @@ def test_hinged_plate_has_naviers_frequencies() -> None:
     assert expected[-1] < 0.8 * hinged(replace(SITKA, G_LT=1e15, G_RT=1e15), size, h, 40)[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "edge", [pytest.param(FREE, id="free"), pytest.param(CLAMPED, id="clamped", marks=pytest.mark.slow)]
 )

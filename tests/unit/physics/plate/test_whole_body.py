@@ -48,6 +48,7 @@ def test_modes_are_those_of_the_body_whose_plate_modes_are_left_out(solved):
     assert found.mass == pytest.approx(known.masses[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "value", "steps", "freq_error", "shape_error"),
     [

@@ -34,6 +34,7 @@ def level(sound: np.ndarray, start: float, stop: float) -> float:
     return decibel(float(np.sqrt(np.mean(sound[int(start * FS) : int(stop * FS)] ** 2))))
 
 
+@pytest.mark.slow
 def test_keys_and_pedals(grand: tw.Instrument) -> None:
     strike, release = (lambda live: live.note_on("C4", 90)), (lambda live: live.note_off("C4"))
     alone = played(grand, {0.05: strike, 0.35: release})

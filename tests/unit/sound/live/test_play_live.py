@@ -61,6 +61,7 @@ def session(
     return ended.value.code, *capsys.readouterr()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("as_json", [True, False])
 def test_a_session_from_the_command_line(
     ports: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], as_json: bool

@@ -183,6 +183,7 @@ def test_workers_do_not_change_a_byte(tmp_path: Path, workers: Workers) -> None:
     assert sounds(alone.folder) == sounds(tmp_path / "many")
 
 
+@pytest.mark.slow
 def test_worker_processes_follow_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Processes are kept from one batch to the next, relative paths are those of the caller."""
     for name in ("first", "second"):

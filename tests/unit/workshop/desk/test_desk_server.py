@@ -255,6 +255,7 @@ def test_a_model_that_cannot_be_made_is_said_and_the_sound_stays(
     assert client.act("undo")["fault"] == ""
 
 
+@pytest.mark.slow
 def test_a_slow_model_is_told_and_those_in_between_are_passed_over(
     client: Client, desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -297,6 +298,7 @@ def test_undoing_a_preview_brings_the_start_back(client: Client, desk: Desk, mon
     assert np.array_equal(heard(desk, 9600), offline(desk, desk.session)[:9600])
 
 
+@pytest.mark.slow
 def test_the_exact_model_follows_from_a_process_of_its_own(
     client: Client, desk: Desk, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
 ) -> None:

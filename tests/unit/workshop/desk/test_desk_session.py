@@ -73,6 +73,7 @@ def test_what_is_not_allowed_changes_nothing(path: str, value: object) -> None:
     assert changed(session) == {}
 
 
+@pytest.mark.slow
 def test_history_and_designs_are_bounded() -> None:
     session = DeskSession("monochord")
     for i in range(MOST_CHANGES + 20):

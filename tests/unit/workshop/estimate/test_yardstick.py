@@ -26,6 +26,7 @@ def write(folder, notes, rates, *, ending="wav") -> None:
         sf.write(folder / f"{note}{ending}", x, FS)
 
 
+@pytest.mark.slow
 def test_the_command_tells_the_distance_and_the_scatter(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "a", (57, 58), RATES, ending=".wav")

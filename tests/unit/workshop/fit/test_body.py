@@ -55,6 +55,7 @@ def test_three_references_find_coincident_modes_and_one_says_what_it_cannot(scen
     assert not any("alone" in line for line in every.warnings)
 
 
+@pytest.mark.slow
 def test_modes_outside_the_band_leave_a_compliance_that_is_passive():
     truth = random_body(9, seed=7, high=3500.0)
     mobility, _ = truth.noisy(FREQ, 0.005, seed=2)

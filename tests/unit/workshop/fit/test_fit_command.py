@@ -65,6 +65,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_way_from_a_file_to_a_sound(folder, capsys):
     options = ["--form", "mobility", "--measured-by", "A. Maker", "--json"]
     assert command("fit", "bridge.csv", "-o", "fitted", *options) == 0

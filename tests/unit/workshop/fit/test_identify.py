@@ -75,6 +75,7 @@ def test_forty_random_modes(share):
     assert (hit, false) == (wanted, 0)
 
 
+@pytest.mark.slow
 def test_coupled_damping_makes_no_false_modes():
     """A full, positive damping matrix turns residues; they must not be answered by modes that are not there."""
     truth, freq = random_body(10, seed=5), np.arange(70.0, 2000.5)

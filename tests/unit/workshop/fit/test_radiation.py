@@ -65,6 +65,7 @@ def test_one_place_tells_nothing_of_rock(place):
     assert np.sqrt(np.mean(found.error_db**2)) < 0.5
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_reported():
     given = measured({"a": 0.0, "b": 0.0})
     body = fit_responses(given).body

@@ -134,6 +134,7 @@ def test_an_answer_sent_again_is_known_and_another_one_is_not(test: ListeningTes
         assert not session.session.has_taken(given | change)
 
 
+@pytest.mark.slow
 def test_each_line_may_be_damaged_and_the_others_count(test: ListeningTest) -> None:
     """Line by line: garbage, a record cut and run into the next, one that is gone, one that is there twice."""
     session = opened(test)
@@ -246,6 +247,7 @@ def test_names_and_texts_of_listeners_are_no_formulas_and_steer_no_terminal(
     assert "'=cmd|'/C calc'!A0 [2J" in (tmp_path / "answers.csv").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="names of bytes, and pipes")
 def test_what_is_no_file_of_answers_stops_no_results(test: ListeningTest, tmp_path: Path) -> None:
     """A name that is no UTF-8, a pipe, a device without an end and a folder are named, and the others count."""

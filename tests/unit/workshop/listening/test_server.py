@@ -168,6 +168,7 @@ def test_the_command_serves_this_computer_only(everything: ListeningTest) -> Non
         process.wait()
 
 
+@pytest.mark.slow
 def test_nothing_but_the_pages_can_be_reached(everything: ListeningTest) -> None:
     port = free_port()
     client = Client(port)

@@ -509,6 +509,7 @@ def test_pairs_are_tested_over_all_cells_and_cells_by_holm(tmp_path: Path) -> No
     assert "over all cells, of one of 3 pairs" in str(row)
 
 
+@pytest.mark.slow
 def test_too_few_listeners_and_thresholds_beyond_the_levels_are_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

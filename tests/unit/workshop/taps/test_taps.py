@@ -330,6 +330,7 @@ def plate(name):
     return whole
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (PLATES / "2L.npz").exists(), reason="needs measured plates")
 @pytest.mark.parametrize("name", ["2R", *(pytest.param(x, marks=pytest.mark.slow) for x in ["1L", "1R", "2L", "3L"])])
 def test_plates_that_others_measured(name):
