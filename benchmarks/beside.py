@@ -13,15 +13,17 @@ import subprocess
 import tempfile
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import soundfile as sf
-from numpy.typing import NDArray
 
 import tonewood as tw
+from tonewood.support.arrays import Floats
 from tonewood.workshop.estimate.spectra import db
 
-Floats = NDArray[np.float64]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 FS = 48000
 #: instrument -> program of General MIDI, counted from 0, and the lowest note of the phrase
@@ -76,14 +78,14 @@ def sampled(events: list[tuple[float, float, int]], program: int, bank: Path) ->
         return np.asarray(sf.read(wav, always_2d=True)[0].mean(axis=1))
 
 
-def draw(ax: object, x: Floats, title: str) -> None:
+def draw(ax: Axes, x: Floats, title: str) -> None:
     """Draw a spectrogram, 80 dB deep."""
     from scipy.signal import stft
 
     freq, time, z = stft(x, FS, nperseg=4096, noverlap=3584)
     level = db(np.abs(z) ** 2 + 1e-20)
-    ax.pcolormesh(time, freq / 1000, level, vmin=level.max() - 80, vmax=level.max(), rasterized=True)  # type: ignore[attr-defined]
-    ax.set(title=title, ylim=(0, 8), xlabel="s", ylabel="kHz")  # type: ignore[attr-defined]
+    ax.pcolormesh(time, freq / 1000, level, vmin=level.max() - 80, vmax=level.max(), rasterized=True)
+    ax.set(title=title, ylim=(0, 8), xlabel="s", ylabel="kHz")
 
 
 def shares(x: Floats) -> str:
