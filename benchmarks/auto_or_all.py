@@ -7,7 +7,9 @@ Renders take turns, in one process or, with `--commands`, each as a `tonewood re
 of both, the median of their ratios round by round, and an upper bound of that median: the order statistic that lies
 above it with a probability of 95 % whatever the distribution (for 15 rounds the 12th, for 5 the largest). "bits"
 tells whether both renders are the same samples.
-Rows are printed as they are done; rounds stop early, from 5 on, when `--limit` s of a line are over.
+Rows are printed as they are done; rounds stop early, from 5 on, when `--limit` s of a line are over. Where no scores
+are named, each instrument also plays its open strings, from the lowest on. A score that it cannot play has a row that
+says so.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import mido
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,6 +42,17 @@ def upper(ratios: NDArray[np.float64]) -> float:
     return float(np.sort(ratios)[n - max(above, 1)])
 
 
+def open_strings(name: str, path: Path) -> Path:
+    """Write a phrase that the instrument can play: twice its lowest open strings, four at most, two notes a second."""
+    instrument = tw.load_instrument(name)
+    notes = sorted({round(instrument.open_note(leader)) for leader in instrument.groups})[:4]
+    track = mido.MidiTrack()
+    for note in 2 * notes:
+        track += [mido.Message("note_on", note=note, velocity=80), mido.Message("note_off", note=note, time=480)]
+    mido.MidiFile(tracks=[track]).save(path)  # 480 ticks a beat, 120 beats a minute
+    return path
+
+
 def rendered(score: tw.Score, name: str, mode: str, seconds: float | None) -> tuple[NDArray[np.float32], float]:
     """Sound, and seconds of the processor, set-up included."""
     began = time.process_time()
@@ -51,11 +65,13 @@ def commanded(path: Path, name: str, mode: str, seconds: float | None, out: Path
     """Seconds of the processor of one command."""
     limit = [] if seconds is None else ["--max-duration", str(seconds)]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-m", "tonewood", "render", str(path), "-i", name, "-o", str(out), "--effects", mode, *limit],
-        check=True,
         capture_output=True,
+        text=True,
     )
+    if done.returncode:
+        raise tw.TonewoodError((done.stderr.strip().splitlines() or ["the command failed"])[-1])
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
@@ -87,7 +103,7 @@ def row(path: Path, name: str, args: argparse.Namespace) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scores", nargs="*", type=Path, default=sorted(SCORES.glob("*.mid")))
+    parser.add_argument("scores", nargs="*", type=Path)
     parser.add_argument("--instruments", nargs="+", default=sorted(list_instruments()))
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--limit", type=float, default=60.0, help="s for a line, once it has 5 rounds")
@@ -96,13 +112,16 @@ def main() -> None:
     args = parser.parse_args()
     columns = ["instrument", "score", "auto, s", "all, s", "auto / all", "upper", "rounds", "bits"]
     print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}", flush=True)
-    for name in args.instruments:
-        for path in args.scores:
-            try:
-                line = row(path, name, args)
-            except tw.TonewoodError as fault:
-                line = f"{fault} |{' |' * (len(columns) - 3)}".rstrip("|")
-            print(f"| {name} | {path.stem} | {line} |", flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        for name in args.instruments:
+            own = Path(folder) / "open_strings.mid"
+            scores = args.scores or [*sorted(SCORES.glob("*.mid")), open_strings(name, own)]
+            for path in scores:
+                try:
+                    line = row(path, name, args)
+                except tw.TonewoodError as fault:
+                    line = f"{fault}{' |' * (len(columns) - 3)}"
+                print(f"| {name} | {path.stem} | {line} |", flush=True)
 
 
 if __name__ == "__main__":
