@@ -10,10 +10,10 @@ V / `ratio`, V that of the hammer, and stops: a force of the impulse m V / ratio
 
     t = `travel` / V - `lead`
 
-after the hammer met the string: 12 ms at 1 m/s, and 3 ms before it at 4 m/s. Askenfelt and Jansson (Five lectures on the
-acoustics of the piano, KTH 1990) measured these times at piano and forte; these speeds for the two are by judgement.
-Goebl, Bresin and Galembo, J. Acoust. Soc. Am. 118, 1154 (2005), have 35 ms to -4 ms from the softest to the loudest. The
-shank's mode of 250 Hz (Askenfelt, STL-QPSR 32/4, 19, 1991) rings from the blow on, and its hinge pushes the rail with
+after the hammer met the string: 12 ms at 1 m/s, and 3 ms before it at 4 m/s. Askenfelt and Jansson (Five lectures on
+the acoustics of the piano, KTH 1990) measured these times at piano and forte; the speeds for both are by judgement.
+Goebl, Bresin and Galembo, J. Acoust. Soc. Am. 118, 1154 (2005), have 35 ms to -4 ms from the softest to the loudest.
+The shank's mode of 250 Hz (Askenfelt, STL-QPSR 32/4, 19, 1991) rings from the blow on; its hinge pushes the rail with
 
     F = `shank_share` m_h V omega e^(-zeta omega t) sin(omega t),
 

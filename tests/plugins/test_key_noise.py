@@ -93,14 +93,9 @@ def test_a_score_has_them_where_they_are_wanted(middle: tw.Instrument) -> None:
 
 def test_they_add_to_the_sound_that_there_is_without_them(middle: tw.Instrument) -> None:
     """`dry` has none and keeps its bits; by effect they are left out; a plan tells of them."""
+    ways = ({}, {"preset": "dry"}, {"effects": ["key_noise"], "noises": True}, {"noises": True})
     none, dry, on, left_out = (
-        tw.render(SCORE, middle, max_duration=0.45, **more)
-        for more in (
-            {"effects": "none"},
-            {"effects": "none", "preset": "dry"},
-            {"effects": ["key_noise"], "noises": True},
-            {"effects": "none", "noises": True},
-        )
+        tw.render(SCORE, middle, max_duration=0.45, **{"effects": "none", **more}) for more in ways
     )
     assert np.array_equal(none.samples, dry.samples)
     added = on.samples - none.samples

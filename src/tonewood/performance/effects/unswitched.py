@@ -116,9 +116,8 @@ class GestureEffect(OccasionalEffect):
 
     def strings(self, usage: EffectUsage) -> list[str]:
         """Strings and points of the body on which they acted."""
-        places = dict.fromkeys(
-            [*self.model.strings, *(e.at for e in self.plugins.values() if isinstance(e, Exciter) and e.at)]
-        )
+        points = [e.at for e in self.plugins.values() if isinstance(e, Exciter) and e.at is not None]
+        places = [*self.model.strings, *dict.fromkeys(points)]
         return [name for name in places if usage.spans[self.name, name].samples]
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
@@ -182,7 +181,8 @@ SQUEAK = Effect(
     runtime=GestureEffect,
 )  # fmt: skip
 KEY_NOISE = Effect(
-    "key_noise", "keys that meet their felts, and shanks of hammers", "additive", "each note, and each key that comes up",
+    "key_noise", "keys that meet their felts, and shanks of hammers", "additive",
+    "each note, and each key that comes up",
     "nothing: no key moves otherwise",
     runtime=GestureEffect,
 )  # fmt: skip
