@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from importlib.resources import files
+from types import MappingProxyType
 from typing import Any
 
 from tonewood import __version__
@@ -18,7 +19,7 @@ from tonewood.errors import TonewoodError
 from tonewood.support.plotting import COLOURS
 
 
-def offline_page(template: str, filters: Mapping[str, Callable[..., str]] | None = None, **values: Any) -> str:
+def offline_page(template: str, filters: Mapping[str, Callable[..., str]] = MappingProxyType({}), **values: Any) -> str:
     """Fill a Jinja template with values; every text among them is escaped.
 
     The template finds ``version``, ``colours``, the macros of ``parts`` (among them ``head`` and ``foot`` of a page),
@@ -37,7 +38,7 @@ def offline_page(template: str, filters: Mapping[str, Callable[..., str]] | None
         (folder / name).read_text(encoding="utf-8") for name in ("page.css", "player.js", "parts.html")
     )
     environment = Environment(autoescape=True, undefined=StrictUndefined, loader=DictLoader({"parts": parts}))
-    environment.filters |= {"fixed": fixed, "shown": _shown} | dict(filters or {})
+    environment.filters |= {"fixed": fixed, "shown": _shown} | dict(filters)
     common = {
         "version": __version__,
         "colours": COLOURS,

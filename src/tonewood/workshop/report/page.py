@@ -26,7 +26,7 @@ from tonewood.workshop.report.tones import flac, matched_gains_db
 MOST_ROWS = 150
 #: tables of what changed, rows of a table, wolf notes, notes, spectrograms and tables of strings that are printed, on
 #: six A4 pages at most
-PRINTED = {
+PRINTED: dict[str, Any] = {
     "print_summaries": 3, "print_rows": 24, "print_wolves": 5, "print_notes": 4, "print_spectrograms": 2,
     "print_strings": 2,
 }  # fmt: skip
