@@ -64,7 +64,7 @@ def bounds(model: Model, name: str, state: State) -> tuple[Sidebands, dict[str, 
         c: to_motion(system.compiled[system.slot(c)].basis, np.array(system.modes_of(state, c)))
         for c in model.strings[name].components
     }
-    return tension_effect(model).sidebands(name, system, Fretting()), motion
+    return tension_effect(model).bounds.sidebands(name, system, Fretting()), motion
 
 
 def line(y: Floats, freq: float, fs: float = FS) -> float:
@@ -173,7 +173,7 @@ def test_partials_counted_together_are_bounded_as_if_counted_alone(monkeypatch: 
     sensor = {"plugin": "point_pickup", "name": "sensor", "quantity": "acceleration", "at": "G3.sensor"}
     values["outputs"] = [sensor | {"full_scale": 1.0}]
     model = assemble(tw.Instrument.from_values(values, instrument.folder), FS)
-    together = tension_effect(model).sidebands("G3", model.system, Fretting())
+    together = tension_effect(model).bounds.sidebands("G3", model.system, Fretting())
     monkeypatch.setattr(sidebands, "_BEATING", 40)
     alone = Sidebands.of(
         {c: model.system.compiled[model.system.slot(c)] for c in model.strings["G3"].components}, together.rise,
