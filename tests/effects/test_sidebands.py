@@ -12,6 +12,7 @@ from tension_scenes import guitar
 import tonewood as tw
 from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.performance.effects import sidebands
+from tonewood.performance.effects.bridge_response import BridgeResponse
 from tonewood.performance.effects.sidebands import Sidebands
 from tonewood.performance.player.fretting import Fretting
 from tonewood.physics.coupling.system import State
@@ -177,7 +178,7 @@ def test_partials_counted_together_are_bounded_as_if_counted_alone(monkeypatch: 
     monkeypatch.setattr(sidebands, "_BEATING", 40)
     alone = Sidebands.of(
         {c: model.system.compiled[model.system.slot(c)] for c in model.strings["G3"].components}, together.rise,
-        model.system, tension_effect(model)._responses(),
+        model.system, BridgeResponse(model),
     )  # fmt: skip
     for name, plane in together.planes.items():
         first, last = plane.heard.shape[-1] - 1, alone.planes[name].heard.shape[-1] - 1
