@@ -241,7 +241,7 @@ def test_memory_of_page_and_server_is_flat_over_a_thousand_changes(record_proper
                 browser.run(
                     f"for (let i = {first}; i < {first + 20}; i++) {{"
                     "await desk.act('set', {path: 'exciters.pluck.from_bridge', value: 0.05 + 2e-4 * i});"
-                    "if (i % 20 === 0) await desk.act('set', {path: 'strings.A2.linear_density', value: 4e-3 + 1e-6 * i});"
+                    "if (!(i % 20)) await desk.act('set', {path: 'strings.A2.linear_density', value: 4e-3 + 1e-6*i});"
                     "}"
                 )
             browser.until("desk.state.making === null", 60)
