@@ -144,7 +144,7 @@ def test_sliders_run_over_the_answers_that_are_allowed(made: ListeningTest) -> N
     """Points from 0 to 100 (BS.1534), grades from 1 to 5 (BS.1116), scales as declared; both ends have words."""
     root = ET.parse(exported(made, "psychopy") / "damping.psyexp").getroot()
     sliders: dict[str, dict[str, Any]] = {}
-    for part in root.iter("Slider"):
+    for part in root.iter("SliderComponent"):
         values = {str(p.get("name")): p.get("val", "") for p in part}
         sliders[str(part.get("name"))] = {key: ast.literal_eval(values[key]) for key in ("ticks", "labels")}
     scale = next(page for page in made.pages if page.type == "rating").scales[0]
