@@ -157,6 +157,20 @@ def test_each_mode_is_read_by_one_of_two_rows(run, isa):
 
 
 @pytest.mark.parametrize("isa", ISAS)
+def test_a_body_of_many_ports_is_stepped_by_its_shapes(isa, rng):
+    """From 16 ports on, sample by sample; known forces act on it, too."""
+    omega, points = 2 * np.pi * np.geomspace(90, 9000, 21), [f"b{i}" for i in range(18)]
+    body = ModalBasis.real(omega, 0.01 * omega, {p: rng.normal(size=21) for p in points})
+    connections = [Connection(p, (Term("body", p),), SpringDashpot(1e4 * (1 + i), 2.0)) for i, p in enumerate(points)]
+    out = [Readout("a", "acceleration", (Term("body", "b1"),)), Readout("v", "velocity", (Term("body", "b17"),))]
+    system = System.build({"body": body}, connections, out, dt=DT)
+    start = system.start()
+    system.modes_of(start, "body")[:] = 1e-5 * rng.normal(size=(2, 21))
+    push = Injection("body", 5, rng.normal(size=(2, 21, 2)) * 1e-7, rng.normal(size=(2, 20)))
+    assert_twins(system, [push], 45, isa, start, tolerance=1e-11)
+
+
+@pytest.mark.parametrize("isa", ISAS)
 @pytest.mark.parametrize("steps", [1, 2, BLOCK_SIZE - 1, BLOCK_SIZE, BLOCK_SIZE + 1, 37])
 def test_partial_blocks(isa, steps):
     system = guitar()
