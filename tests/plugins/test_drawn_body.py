@@ -358,7 +358,7 @@ def test_its_modes_can_be_written_as_a_table(tmp_path: Path) -> None:
 @pytest.mark.validate
 @pytest.mark.parametrize(("name", "median", "worst"), [("drawn_guitar", 0.006, 0.011), ("drawn_guitar_x", 0.011, 0.02)])
 def test_default_cells_of_a_braced_top_are_off_by_what_the_guide_says(name: str, median: float, worst: float) -> None:
-    """First 100 modes beside cells of 7.5 and 5.5 mm: too high by what the guide states, and by half of it with 7.5 mm."""
+    """First 100 modes beside cells of 7.5 and 5.5 mm: too high by what the guide states, by half of it with 7.5 mm."""
     drawing = guitar(name).body.drawing
     size = cell_size(drawing.top.wood, drawing.top.thickness, 6000.0)
     coarse, middle, fine = (
