@@ -67,7 +67,7 @@ class BridgeResponse:
             for name, factor in readout.forces:
                 if name in names:
                     heard[r, names.index(name)] += factor
-        for slot, (name, one_way) in enumerate(zip(system.names, system.driven, strict=True)):
+        for slot, (name, one_way) in enumerate(zip(system.names, system.layout.driven, strict=True)):
             if one_way:
                 compiled = system.compiled[slot]
                 sources = [*names, *added]

@@ -21,7 +21,7 @@ _PAYABLE = 0.5
 def clear_memory(system: System, state: State, potentials: Collection[str]) -> None:
     """Set the numbers of these potentials in a state to zero, in place."""
     if state.potentials.size:
-        for potential, memory in zip(system.potentials, system.memory, strict=True):
+        for potential, memory in zip(system.potentials, system.potentials.memory, strict=True):
             if potential.name in potentials:
                 state.potentials[memory] = 0.0
 

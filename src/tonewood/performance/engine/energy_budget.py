@@ -57,7 +57,7 @@ class EnergyBudget:
         moving = [
             (component, point, factor)
             for component, point, factor in places(play, self.model)
-            if not system.driven[system.slot(component)]
+            if not system.layout.driven[system.slot(component)]
         ]
         pieces: list[Any] = [p for p in (play.gesture.segments, play.gesture.noise) if p]
         return [KnownForce(label, c, point, p, play.time, factor) for c, point, factor in moving for p in pieces]

@@ -220,7 +220,7 @@ class Engine:
         """
         if (budget := self.energy_budget) is None:
             return
-        while self.system.resets and before.sample + _PIECE < self.state.sample:
+        while self.system.potentials.two_way and before.sample + _PIECE < self.state.sample:
             after = before.copy()
             _, piece = self.stepper.run(after, _PIECE, self.injections, self.controls)
             budget.follow(before, after, piece, self.injections, self.controls, self.active)
@@ -323,7 +323,9 @@ class Engine:
         # string changes meanwhile is compiled anew
         again = [a.play for a in self.active if a.play.string in moved.keys() - taken]
         self.active = [a for a in self.active if a.play.string not in taken]
-        self.injections = [cut(i, now) if self.system.owners.get(i.component) in called else i for i in self.injections]
+        self.injections = [
+            cut(i, now) if self.system.layout.owners.get(i.component) in called else i for i in self.injections
+        ]
         self.injections = [i for i in self.injections if i.stop > max(now, i.start)]
         self.controls = [c for c in self.controls if self._owner_of[c.connection] not in called]
         for play in (*again, *fresh):
@@ -377,8 +379,8 @@ class Engine:
         """Write the motion of components whose bases were exchanged into the state."""
         for component, modes in carried.items():
             slot = self.system.slot(component)
-            start = self.system.offsets[slot]
-            self.state.modes[:, start : start + self.system.capacities[slot]] = 0.0
+            start = self.system.layout.offsets[slot]
+            self.state.modes[:, start : start + self.system.layout.capacities[slot]] = 0.0
             self.system.modes_of(self.state, component)[:] = modes
 
     def _fretted(self, system: System, frettings: Mapping[str, Fretting], restopped: Mapping[str, Fretting]) -> System:

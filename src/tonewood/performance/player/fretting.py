@@ -184,7 +184,7 @@ def bridge_forces(system: System, state: State) -> ForceAtBridge:
     @cache
     def found() -> dict[str, float]:
         rigid = system.elimination.linear.rigid
-        R = system.gap_matrix("residual")[np.ix_(rigid, rigid)]
+        R = system.elimination.gap.residual[np.ix_(rigid, rigid)]
         force = -scaled_pinv(R) @ gaps(system, state)[rigid]
         components = [c.terms[0].component for c, on in zip(system.connections, rigid, strict=True) if on]
         return dict(zip(components, force.tolist(), strict=True))

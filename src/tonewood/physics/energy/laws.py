@@ -48,7 +48,7 @@ class LawEnergies:
         rigid = np.array([isinstance(law, Rigid) for law in laws], dtype=bool)
         self._yielding = np.flatnonzero(rigid & (system.solve.gamma > 0))
         self._offset = np.array([law.offset if isinstance(law, Rigid) else 0.0 for law in laws])
-        self._bend = _inverse(system.gap_matrix("residual"), self._yielding)
+        self._bend = _inverse(system.elimination.gap.residual, self._yielding)
         solve = self._solve = system.nonlinear
         self._on = solve.index if solve else np.zeros(0, dtype=np.intp)
         self._laws: tuple[NonlinearLaw, ...] = solve.laws if solve else ()
@@ -98,7 +98,7 @@ class LawEnergies:
         gaps : (T + 1, m) m, without displacements in series.
         series : (T + 1, k) m.
         forces : (T, m) N; only the work of partners is taken from them.
-        moving : place among the nonlinear laws -> (4, T), as `System.controlled` gives it.
+        moving : place among the nonlinear laws -> (4, T), as `physics.stepping.forcing.controlled` gives it.
         """
         flows = Flows({}, {}, {})
         for j, spring in self._springs.items():

@@ -22,6 +22,7 @@ from tonewood.physics.stepping.description import (
     Description,
     packed,
 )
+from tonewood.physics.stepping.forcing import controlled
 from tonewood.physics.stepping.kept_descriptions import KeptDescriptions
 from tonewood.physics.stepping.stepper import NumpyStepper, Statistics
 from tonewood.support.arrays import Floats
@@ -80,7 +81,7 @@ class KernelStepper:
     """
 
     def __init__(self, system: System, *, isa: str | None = None, shortcuts: Shortcuts | None = None):
-        n_components, capacity = len(system.names), sum(system.capacities)
+        n_components, capacity = len(system.names), sum(system.layout.capacities)
         self._kernel = _kernel.Kernel(isa or instruction_set(), n_components, capacity, len(system.readouts))
         self._packed: dict[int, tuple[Injection, Floats, Floats]] = {}
         self._shortcuts = asdict(shortcuts or Shortcuts())
@@ -171,7 +172,7 @@ class KernelStepper:
             raise ValueError(f"a state of {state.modes.dtype}; float64 is needed")
         s, on = self.system, self._nonlinear
         to_cut = -state.sample % _CUT
-        if 0 < to_cut < n and s.resets:  # the kernel puts psi back at the ends of its windows
+        if 0 < to_cut < n and s.potentials.two_way:  # the kernel puts psi back at the ends of its windows
             first = self._step(state, to_cut, injections, controls)
             kept, acted = first[2].copy(), set(self._acted)
             self._clear(first[2])
@@ -246,14 +247,14 @@ class KernelStepper:
         law_forces, solves = self._law_forces[: n * len(on)].reshape(n, len(on)), self.n_solves
         series, slip, last = state.series.take(on), state.slip.take(on), state.forces.take(on)
         active = [i for i in injections if i.start < state.sample + n and i.stop > state.sample]
-        state.potentials = self.system.kept_memory(state.potentials)
+        state.potentials = self.system.potentials.checked(state.potentials)
         slot, sample = self._kernel.run(
             state.modes,
             out,
             active_forces,
             self.pack_injections(active, state.sample),
             law_forces,
-            list(self.system.controlled(controls, state.sample, n).items()),
+            list(controlled(self.system, controls, state.sample, n).items()),
             series,
             slip,
             last,
