@@ -323,9 +323,8 @@ class Engine:
         # string changes meanwhile is compiled anew
         again = [a.play for a in self.active if a.play.string in moved.keys() - taken]
         self.active = [a for a in self.active if a.play.string not in taken]
-        self.injections = [
-            cut(i, now) if self.system.layout.owners.get(i.component) in called else i for i in self.injections
-        ]
+        owners = self.system.layout.owners
+        self.injections = [cut(i, now) if owners.get(i.component) in called else i for i in self.injections]
         self.injections = [i for i in self.injections if i.stop > max(now, i.start)]
         self.controls = [c for c in self.controls if self._owner_of[c.connection] not in called]
         for play in (*again, *fresh):

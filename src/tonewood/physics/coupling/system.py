@@ -51,7 +51,7 @@ class System:
     compiled: tuple[Compiled, ...]
     connections: tuple[Connection, ...]
     elimination: Elimination
-    potentials: Potentials = Potentials()
+    potentials: Potentials
 
     def __repr__(self) -> str:
         modes = sum(c.basis.n_modes for c in self.compiled)

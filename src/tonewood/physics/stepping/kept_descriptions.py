@@ -104,9 +104,8 @@ class KeptDescriptions:
         """Describe every component; a component that comes back with the same sets of ports keeps its description."""
         loaded = {slot for _, slot, _, on_contact in terms[0].tolist() if not on_contact}
         out: list[Description] = []
-        for slot, (compiled, one_way, sets) in enumerate(
-            zip(system.compiled, system.layout.driven, port_sets, strict=True)
-        ):
+        parts = zip(system.compiled, system.layout.driven, port_sets, strict=True)
+        for slot, (compiled, one_way, sets) in enumerate(parts):
             known = self._descriptions.setdefault(compiled, {})
             if (key := (slot, slot in loaded, sets.key)) not in known:
                 known[key] = {"key": next(self._keys), "offset": system.layout.offsets[slot], "driven": one_way}
