@@ -74,16 +74,22 @@ TESTS = {name: [f"{PHYSICS}/{name}"] for name in ("modal", "passivity", "energy"
     "taps": ["tests/unit/workshop/taps", "tests/cli/test_wood_command.py"],
     "web": ["tests/unit/workshop/desk", "tests/unit/workshop/exchange", "tests/unit/workshop/listening"],
     "wood": ["tests/unit/workshop/wood", "tests/cli/test_wood_command.py"],
-    "support": [*sorted(str(f.relative_to(ROOT)) for f in (ROOT / "tests/unit").glob("test_*.py")), "tests/cli"],
+    "support": [
+        *sorted(str(f.relative_to(ROOT)) for f in (ROOT / "tests/unit").glob("test_*.py")),
+        "tests/test_layers.py",
+        "tests/cli",
+    ],
     "plugins": ["tests/plugins"],
     "kernel": [LAWS, f"{PHYSICS}/stepping", f"{PHYSICS}/coupling", "tests/effects"],
 }
 #: imported once, before the package and its tests are
 LIBRARIES = """numpy scipy.linalg scipy.signal scipy.optimize scipy.integrate scipy.interpolate scipy.sparse.linalg
 scipy.special scipy.spatial scipy.stats scipy.ndimage hypothesis pydantic yaml mido matplotlib.pyplot"""
-#: what tests reach is kept here, until sources or the tests' file change
+#: what the tests of a file reach is kept here, until that file or a source that they reach changes
 REACHED = ROOT / "build" / "reached"
 ELSEWHERE = "unit effects plugins analytic"
+#: options of pytest, for tests of other tiers than the default one
+TIERS: list[str] = []
 CACHED = type(functools.cache(len))
 #: what decides nothing begins so
 _LONGER, _NO_BUILD = "longer than", "does not compile"
@@ -139,21 +145,33 @@ class Reached:
                 for context in contexts:
                     for test in self.shared.get(context, [context]):
                         lines.setdefault(test, {}).setdefault(name, set()).add(line)
-        files = dict[str, dict[str, object]]()
+        files = dict[str, dict[str, Any]]()
         for test, seconds in self.seconds.items():
             reached = {name: sorted(at) for name, at in lines.get(test, {}).items()}
             files.setdefault(test.partition("::")[0], {})[test] = [seconds, reached, test in self.failed]
+        REACHED.mkdir(parents=True, exist_ok=True)
         for file, tests in files.items():
-            record(self.folder, file).write_text(json.dumps(tests))
+            sources = {name for _, reached, _ in tests.values() for name in reached}
+            digests = {name: digest(self.folder / name) for name in sorted(sources)}
+            record(self.folder, file).write_text(json.dumps([digests, tests]))
+
+
+def digest(file: Path) -> str:
+    """Hash of a file."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:16] if file.exists() else ""
 
 
 def record(folder: Path, test: str) -> Path:
-    """File of what the tests of a file reach, of today's sources."""
-    texts = hashlib.sha256((folder / test).read_bytes())
-    for source in sorted(f for part in ("src/tonewood", "plugins") for f in (folder / part).rglob("*.py")):
-        texts.update(source.read_bytes())
-    REACHED.mkdir(parents=True, exist_ok=True)
-    return REACHED / f"{Path(test).stem}-{texts.hexdigest()[:16]}.json"
+    """File of what the tests of a file reach."""
+    return REACHED / f"{Path(test).stem}-{digest(folder / test)}{''.join(TIERS)}.json"
+
+
+def recorded(folder: Path, test: str) -> dict[str, list[Any]] | None:
+    """What the tests of a file reach; None where it is not known or a source that they reach has changed."""
+    if not (file := record(folder, test)).exists():
+        return None
+    digests, tests = json.loads(file.read_text())
+    return tests if all(digest(folder / name) == known for name, known in digests.items()) else None
 
 
 class Copy:
@@ -198,10 +216,9 @@ class Copy:
     def known(self, tests: list[str]) -> dict[str, list[Any]]:
         """Of each test: its time, the lines that it reaches, whether it fails without any edit; run where not kept."""
         files = sorted({str(f.relative_to(self.folder)) for t in tests for f in self.files(self.folder / t)})
-        if fresh := [f for f in files if not record(self.folder, f).exists()]:
+        if fresh := [f for f in files if recorded(self.folder, f) is None]:
             self.fault(fresh, 3600.0, [Reached(self.folder)])
-        records = [record(self.folder, f) for f in files]
-        return {test: row for r in records if r.exists() for test, row in json.loads(r.read_text()).items()}
+        return {test: row for f in files for test, row in (recorded(self.folder, f) or {}).items()}
 
     def files(self, path: Path) -> list[Path]:
         """Files of tests at a path."""
@@ -247,7 +264,7 @@ class Copy:
             os.dup2(out, 1)
             os.dup2(out, 2)
             how = [] if plugins else ["-x"]
-            code = pytest.main(["-q", "--tb=no", *how, "-p", "no:cacheprovider", *tests], plugins=plugins)
+            code = pytest.main(["-q", "--tb=no", *how, *TIERS, "-p", "no:cacheprovider", *tests], plugins=plugins)
             sys.stdout.flush()
             os._exit(int(code))
         end = time.monotonic() + limit
@@ -308,7 +325,10 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=math.inf, help="s, of the tests of one edit as they took once")
     parser.add_argument("--where", default="", help="FILE or FILE:LINE")
     parser.add_argument("--tests", nargs="+", help="in place of the package's own")
+    parser.add_argument("--slow", action="store_true", help="slow tests, too")
+    parser.add_argument("--validate", action="store_true", help="the long tier, too")
     given = parser.parse_args()
+    TIERS.extend(f"--{tier}" for tier in ("slow", "validate") if vars(given)[tier])
     with tempfile.TemporaryDirectory() as folder:
         copy, survivors = Copy(Path(folder)), 0
         for package in given.packages:

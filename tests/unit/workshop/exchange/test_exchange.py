@@ -22,7 +22,7 @@ import listening_fakes as fakes
 from browser import CHROMEDRIVER, CHROMIUM, driven
 from tonewood.cli.main import run
 from tonewood.workshop.exchange.answers import read_answers
-from tonewood.workshop.exchange.course import COURSES, course
+from tonewood.workshop.exchange.course import COURSES, course, words
 from tonewood.workshop.exchange.export import PROGRAMS, export
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.panel import SimulatedPanel, simulate
@@ -106,6 +106,10 @@ def test_webmushra_has_documented_keys(made: ListeningTest) -> None:
         for file in [page[k] for k in ("reference", "stimulus") if k in page] + [*page.get("stimuli", {}).values()]:
             assert (exported(made, "webmushra") / file).is_file()
     assert {page["type"] for page in flat} == set(DOCUMENTED) - {"config", "finish"}
+    # nobody begins without consent, and no sound is made that is not among the test's
+    assert all(page["mustConsent"] is True for page in flat if page["type"] == "consent")
+    rated = [page for page in flat if page["type"] in ("mushra", "bs1116")]
+    assert not any(page["createAnchor35"] or page["createAnchor70"] for page in rated)
     mushra = next(page for page in flat if page["type"] == "mushra")
     trial = next(trial for trial in made.trials if mushra["id"] == f"{trial.id}-1")
     assert set(mushra["stimuli"]) == set(trial.stimuli)
@@ -450,3 +454,22 @@ def test_jspsych_runs_to_its_end_and_its_answers_come_in(made: ListeningTest, tm
     assert one.listener == "P9"
     assert len([r for r in one.records if r["trial"]]) == len(course(made, 4))
     assert re.search("P9", text)
+
+
+def test_pages_have_the_words_that_listeners_read_here(made: ListeningTest) -> None:
+    """Their own, else those of the language."""
+    texts = made.texts("en")
+    said = {page.type: words(made, page) for page in made.manifest.pages}
+    assert said["consent"] == (texts["consent_title"], "<b>Read</b> & agree")
+    assert said["instructions"] == ("Hello", "")
+    assert said["mushra"] == (texts["mushra_title"], texts["mushra_text"])
+    assert texts["mushra_text"]
+
+
+def test_an_answer_by_key_counts_where_no_response_stands(made: ListeningTest, tmp_path: Path) -> None:
+    """A column of responses that is empty in the rows of keys, as of two tables put together."""
+    (row, *_) = [row for row in plain_rows(made) if row.get("response") == "A"]
+    chosen = {key: value for key, value in row.items() if key != "response"}
+    found = read_answers(write_plain(tmp_path / "plain.csv", [chosen | {"response": "", "answer7.keys": "a"}]), made)
+    assert found.left_out == ()
+    assert [one.records[0]["answer"]["choice"] for one in found.listeners] == ["A"]

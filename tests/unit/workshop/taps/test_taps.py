@@ -74,6 +74,10 @@ def test_frequencies_and_q_of_known_modes(decibels):
     assert [peak.quality for peak in peaks] == pytest.approx(QUALITY, rel=0.03)
     assert all(peak.seen == peak.taps == 5 for peak in peaks)
     assert max(peak.level for peak in peaks) == 0.0
+    for peak in peaks:  # intervals of 90 %, by equal factors to both sides
+        for value, (low, high) in ((peak.freq, peak.freq_90), (peak.quality, peak.quality_90)):
+            assert 0.5 * value < low < value < high < 2 * value
+            assert low * high == pytest.approx(value**2)
 
 
 def test_taps_that_are_cut_short_have_the_same_q():
@@ -130,7 +134,9 @@ def test_taps_are_cut_where_they_are_said_to_be():
     expected = t60 * np.log(0.5 / np.sqrt(2) / noise) / np.log(1000) - 0.005
     assert taps.decays == pytest.approx((expected, expected), abs=0.03)
     assert [piece.size for piece in taps.analysed()] == [round(taps.ring_out * FS)] * 2
-    assert cut_taps(x, FS).joined(taps).decays == taps.decays * 2
+    both = cut_taps(x, FS).joined(taps)
+    assert both.decays == taps.decays * 2
+    assert [piece.size for piece in both.samples] == [first.size, second.size] * 2
 
 
 @pytest.mark.parametrize(("row", "out"), [(2, 0), (3, 1)])
@@ -203,6 +209,7 @@ def test_the_command_lists_writes_and_draws(tmp_path, monkeypatch, capsys):
         ("A0", 98), ("T1", 190), ("T2", 235),
     ]  # fmt: skip
     assert "mobility" in report["quantity"]
+    assert any("three or more at one place" in line for line in report["warnings"]) == (report["taps"] < 3)
     assert Path("a.csv").read_text().startswith("freq_Hz,freq_low_Hz,freq_high_Hz,Q,")
     assert len(Path("a.csv").read_text().splitlines()) == 1 + len(report["peaks"])
     assert Path("a.png").read_bytes()[:4] == b"\x89PNG"
