@@ -161,9 +161,9 @@ def _own_response(basis: ModalBasis, form: RealForm, freq_rad: Floats, rows: Flo
     A response between all pairs of n rows would take n^2 f numbers: 240 strings, a gigabyte.
     """
     alike, which = np.unique(rows, axis=0, return_inverse=True)
-    own = _over_modes(form, freq_rad, np.tensordot(alike, form.C, 1), np.tensordot(alike, form.B, 1))
+    direct = _over_modes(form, freq_rad, np.tensordot(alike, form.C, 1), np.tensordot(alike, form.B, 1))
     residual = np.einsum("np,pq,nq->n", alike, basis.residual, alike)
-    return np.asarray((own + residual[:, None])[which.ravel()])
+    return np.asarray((direct + residual[:, None])[which.ravel()])
 
 
 def _added(model: Model, s: Complexes) -> tuple[list[str], Floats, Complexes]:

@@ -59,9 +59,9 @@ def pay(effect: SwitchedEffect, moment: Moment, component: str, on: bool) -> boo
     kinetic = sum(0.5 * float(free @ free) for *_, free in motions)
     if cost > _PAYABLE * kinetic:
         return False
-    taken = 1.0 - math.sqrt(1.0 - cost / kinetic)
+    share = 1.0 - math.sqrt(1.0 - cost / kinetic)
     for name, basis, q, v, free in motions:
-        system.modes_of(state, name)[:] = from_motion(basis, q, v - taken * free)
+        system.modes_of(state, name)[:] = from_motion(basis, q, v - share * free)
     return True
 
 

@@ -43,8 +43,8 @@ class EnergyBudget:
         active: Sequence[Active],
     ) -> None:
         """Enter the steps between two states, and the work of the gestures in progress."""
-        known = [force for a in active for force in self._known(a)]
-        self.account.follow(before, after, forces, injections, known, controls)
+        known_forces = [force for a in active for force in self._known(a)]
+        self.account.follow(before, after, forces, injections, known_forces, controls)
 
     def trace(self) -> EnergyTrace:
         """The account so far."""

@@ -259,10 +259,10 @@ class Engine:
             self._exchange(self.connections.with_moved(self.system, self.active), "partners that come and go")
             if self._watched:
                 self._switch(moved, fresh)
-        wanted = holds_at(self.active, now)
-        if wanted != self.holds:
-            self.holds = wanted
-            self._exchange(self.connections.with_holds(self.system, wanted), "holds")
+        holds = holds_at(self.active, now)
+        if holds != self.holds:
+            self.holds = holds
+            self._exchange(self.connections.with_holds(self.system, holds), "holds")
 
     def _switch(self, moved: Collection[str], fresh: Sequence[Play]) -> None:
         """Switch effects on where they are wanted, and off where the bound on the error is within the budget."""
@@ -315,14 +315,14 @@ class Engine:
 
     def _touch(self, moved: Mapping[str, Fretting], fresh: Sequence[Play], now: int) -> None:
         """Change how strings are held, and begin gestures."""
-        taken = {play.string for play in fresh if play.string is not None}
-        called = taken | moved.keys()
+        struck = {play.string for play in fresh if play.string is not None}
+        called = struck | moved.keys()
         if moved:
             self._refret(moved)
         # a string is held by one finger at a time: a new gesture ends the one before it. The rest of a gesture whose
         # string changes meanwhile is compiled anew
-        again = [a.play for a in self.active if a.play.string in moved.keys() - taken]
-        self.active = [a for a in self.active if a.play.string not in taken]
+        again = [a.play for a in self.active if a.play.string in moved.keys() - struck]
+        self.active = [a for a in self.active if a.play.string not in struck]
         owners = self.system.layout.owners
         self.injections = [cut(i, now) if owners.get(i.component) in called else i for i in self.injections]
         self.injections = [i for i in self.injections if i.stop > max(now, i.start)]

@@ -105,13 +105,13 @@ class FrettedBases:
         if (kept := self._prepared.get(key)) is not None:
             return kept
         if key not in self._compiled:
-            made = self._new(name, fretting)
+            bases = self._new(name, fretting)
             if len(self._compiled) >= self.room:
                 oldest, way = next(iter(self._compiled))
                 dropped = self._compiled.pop((oldest, way))
                 if self._held.get((oldest, way.unplucked)) is dropped:
                     del self._held[oldest, way.unplucked]
-            self._compiled[key] = self._held[name, fretting.unplucked] = made
+            self._compiled[key] = self._held[name, fretting.unplucked] = bases
         return self._compiled[key]
 
     def _new(self, name: str, fretting: Fretting) -> dict[str, Compiled]:

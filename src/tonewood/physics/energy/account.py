@@ -231,16 +231,16 @@ class EnergyAccount:
         lost, supplied = dict(flows.lost), dict(flows.supplied)
         for name, x in path.items():
             energy = self._energy_of(name)
-            held = np.zeros((T, len(energy.points)))
+            port_forces = np.zeros((T, len(energy.points)))
             ports = [energy.points.index(p) for p in self.system.layout.ports[name]]
-            held[:, ports] = forces @ self.system.layout.incidence[self.system.slot(name)]
+            port_forces[:, ports] = forces @ self.system.layout.incidence[self.system.slot(name)]
             for label, point, tension in self._driven(name, again):
                 column = energy.points.index(point)
-                held[:, column] += tension
+                port_forces[:, column] += tension
                 moved = np.diff(self._displacement(name, point, x))
                 supplied[label] = supplied.get(label, np.zeros(T)) + tension * moved
             mine = [k for k in known if k.component == name]
-            lost[name], sound, works = over_steps(energy, x[:-1], held, modal_forces.get(name), mine, sample, dt)
+            lost[name], sound, works = over_steps(energy, x[:-1], port_forces, modal_forces.get(name), mine, sample, dt)
             if energy.radiated is not None:
                 lost[name], lost[f"{name}.sound"] = lost[name] - sound, sound
             for force, work in zip(mine, works, strict=True):

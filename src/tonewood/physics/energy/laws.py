@@ -109,8 +109,8 @@ class LawEnergies:
         bent = gaps[:, self._yielding] - self._offset[self._yielding]
         for row, share in zip(self._yielding, (0.5 * bent * (bent @ self._bend)).T, strict=True):
             flows.stored[self._names[row]] = share
-        held = series[:, self._in_series]
-        bend, jump = 0.5 * held * (held @ self._series_stiffness), np.diff(held, axis=0)
+        series_part = series[:, self._in_series]
+        bend, jump = 0.5 * series_part * (series_part @ self._series_stiffness), np.diff(series_part, axis=0)
         heat = (self._theta - 0.5) * jump * (jump @ self._series_stiffness)
         for k, law in enumerate(self._laws):
             name, at = self._names[self._on[k]], int(np.searchsorted(self._in_series, k))
@@ -157,9 +157,9 @@ class LawEnergies:
 
 
 def _without_losses(law: PotentialLaw) -> PotentialLaw:
-    known: Any = law  # a dataclass
-    there = {f.name for f in fields(known)}
-    return cast(PotentialLaw, replace(known, **{name: 0.0 for name in _LOSSES if name in there}))
+    typed: Any = law  # a dataclass
+    there = {f.name for f in fields(typed)}
+    return cast(PotentialLaw, replace(typed, **{name: 0.0 for name in _LOSSES if name in there}))
 
 
 def _inverse(compliance: Floats, among: NDArray[np.intp]) -> Floats:

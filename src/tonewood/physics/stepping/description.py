@@ -171,8 +171,8 @@ def law_arrays(
     for j in changed:
         law, data = laws[j], laws[j].describe()
         out["kinds"][j] = data.kind
-        own = *data.numbers, data.loss, data.damping
-        out["numbers"][j] = [*own, law.offset, law.velocity]
+        numbers = *data.numbers, data.loss, data.damping
+        out["numbers"][j] = [*numbers, law.offset, law.velocity]
         if data.samples is not None:
             out["samples"].append((j, *data.samples))
         if data.functions:

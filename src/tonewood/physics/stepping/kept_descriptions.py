@@ -106,11 +106,11 @@ class KeptDescriptions:
         out: list[Description] = []
         parts = zip(system.compiled, system.layout.driven, port_sets, strict=True)
         for slot, (compiled, one_way, sets) in enumerate(parts):
-            known = self._descriptions.setdefault(compiled, {})
-            if (key := (slot, slot in loaded, sets.key)) not in known:
-                known[key] = {"key": next(self._keys), "offset": system.layout.offsets[slot], "driven": one_way}
-                known[key] |= describe_component(compiled, sets, one_way, slot in loaded)
-            out.append(known[key])
+            descriptions = self._descriptions.setdefault(compiled, {})
+            if (key := (slot, slot in loaded, sets.key)) not in descriptions:
+                descriptions[key] = {"key": next(self._keys), "offset": system.layout.offsets[slot], "driven": one_way}
+                descriptions[key] |= describe_component(compiled, sets, one_way, slot in loaded)
+            out.append(descriptions[key])
         return out
 
     def _sorted_ports(self, system: System, hub: Hub | None, coupled: frozenset[int]) -> tuple[list[PortSets], Terms]:
@@ -147,9 +147,9 @@ class KeptDescriptions:
             key = slot, used.tobytes(), way + (b"" if ports is None else ports.tobytes())
             if key not in self._port_sets:
                 self._port_sets[key] = sort_ports(shares, used, len(self._active), slot in coupled, one_way, ports)
-            sets, own = self._port_sets[key]
+            sets, numbers = self._port_sets[key]
             port_sets.append(sets)
-            for i, port, on_contact, factor in own:
+            for i, port, on_contact, factor in numbers:
                 terms.append((int(law[at[i]]), slot, port, on_contact))
                 factors.append(factor)
         return port_sets, (np.array(terms, dtype=np.int64).reshape(-1, 4), np.array(factors))

@@ -35,12 +35,12 @@ _CUT = 64
 def instruction_set() -> str:
     """Name of the instruction set in use: avx512, avx2 or baseline."""
     available: list[str] = _kernel.instruction_sets()
-    wanted = os.environ.get("TONEWOOD_ISA", "auto")
-    if wanted == "auto":
+    name = os.environ.get("TONEWOOD_ISA", "auto")
+    if name == "auto":
         return available[0]
-    if wanted not in available:
-        raise TonewoodError(f"TONEWOOD_ISA={wanted}: this machine has auto, {', '.join(available)}")
-    return wanted
+    if name not in available:
+        raise TonewoodError(f"TONEWOOD_ISA={name}: this machine has auto, {', '.join(available)}")
+    return name
 
 
 def compiler() -> str:
@@ -174,10 +174,10 @@ class KernelStepper:
         to_cut = -state.sample % _CUT
         if 0 < to_cut < n and s.potentials.two_way:  # the kernel puts psi back at the ends of its windows
             first = self._step(state, to_cut, injections, controls)
-            kept, acted = first[2].copy(), set(self._acted)
+            first_laws, acted = first[2].copy(), set(self._acted)
             self._clear(first[2])
             rest = self._step(state, n - to_cut, injections, controls)
-            laws = np.concatenate([kept, rest[2]])
+            laws = np.concatenate([first_laws, rest[2]])
             self._clear(rest[2])
             self._acted = sorted(acted | set(self._acted))
             return np.concatenate([first[0], rest[0]]), np.concatenate([first[1], rest[1]]), laws
@@ -291,9 +291,9 @@ class KernelStepper:
         before, self._packed = self._packed, {}
         out = []
         for injection in active:
-            known = before.get(id(injection))
-            if known is None or known[0] is not injection:
-                known = (injection, packed(injection.vectors), np.ascontiguousarray(injection.values))
-            self._packed[id(injection)] = known
-            out.append((self.system.slot(injection.component), injection.start - now, known[1], known[2]))
+            entry = before.get(id(injection))
+            if entry is None or entry[0] is not injection:
+                entry = (injection, packed(injection.vectors), np.ascontiguousarray(injection.values))
+            self._packed[id(injection)] = entry
+            out.append((self.system.slot(injection.component), injection.start - now, entry[1], entry[2]))
         return out
