@@ -108,8 +108,9 @@ def plucked(instrument: tw.Instrument, output: str | None, velocity: int) -> Non
     print(f"| {name} | {late:.0f} | {t60} | {onset_db:.0f} | {bright:.0f} | {np.std(levels):.1f} | {len(rows)} |")
 
 
-def piano(sounds: Mapping[int, Floats]) -> None:
-    """Print the figures of notes of a piano, each from before its blow on."""
+def piano(sounds: Mapping[int, Floats]) -> dict[int, tuple[float, ...]]:
+    """Print the figures of notes of a piano, each from before its blow on, and return them."""
+    figures: dict[int, tuple[float, ...]] = {}
     for note, x in sounds.items():
         f0 = 440 * 2 ** ((note - 69) / 12)
         onset, _ = find_onset(x, f0)
@@ -138,10 +139,11 @@ def piano(sounds: Mapping[int, Floats]) -> None:
         off = np.abs(freq[:, None] - partials).min(axis=1) > min(0.2 * g, 12.0)
         between = db(power[off & (freq > 40)].sum() / power[freq > 40].sum())
         bright = centroid(x[onset : onset + FS // 5], 30.0)
-        print(
-            f"| {note_name(note)} | {np.median(prompt):.1f} | {between:.0f} | {np.median(wobble):.1f} | {below:.0f} | "
-            f"{bright:.0f} | {1e5 * b:.0f} | {found.level:.1f} |"
-        )
+        figures[note] = tuple(map(float, (np.median(prompt), between, np.median(wobble), below, bright, 1e5 * b)))
+        figures[note] += (float(found.level),)
+        cells = " | ".join(f"{v:.{d}f}" for v, d in zip(figures[note], (1, 0, 1, 0, 0, 0, 1), strict=True))
+        print(f"| {note_name(note)} | {cells} |")
+    return figures
 
 
 def rises(instrument: tw.Instrument) -> None:

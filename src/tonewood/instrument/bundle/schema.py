@@ -291,18 +291,20 @@ class NoteEnd(Parameters):
 
 
 class HandNoises(Parameters):
-    """Exciters that play a hand's noises between the notes of a score; none where left out."""
+    """Exciters that play the noises of hands and keys besides the notes of a score; none where left out."""
 
     on: bool = described("whether they are played", default=False, strict=True)
     fretting: Name | None = described("as a finger comes to another stop, or leaves one", default=None)
     touch: Name | None = described("as a note is damped", default=None)
     squeak: Name | None = described("as the hand slides along a string to another stop", default=None)
     least_shift: float = quantity("1", low=0.0, high=100.0, default=2.0, doc="steps of the scale of a hand that slides")
+    key: Name | None = described("with each note: its key goes down", default=None)
+    release: Name | None = described("as a key comes up", default=None)
 
     @property
     def named(self) -> dict[str, str]:
         """Noise -> exciter, of those that there are."""
-        return {k: v for k in ("fretting", "touch", "squeak") if (v := getattr(self, k)) is not None}
+        return {k: v for k in ("fretting", "touch", "squeak", "key", "release") if (v := getattr(self, k)) is not None}
 
 
 class Slurs(Parameters):
