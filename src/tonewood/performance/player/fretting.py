@@ -146,6 +146,19 @@ class FrettedBases:
         touching = self.model.strings[name].connections(fretting.stop)
         return {c.name: c for c in touching if c.name not in self.model.resting}
 
+    def fretted(self, system: System, frettings: Mapping[str, Fretting], restopped: Mapping[str, Fretting]) -> System:
+        """Return a system with strings held like this; `restopped` ones get the laws of their stop, too."""
+        if not frettings:
+            return system
+        changes: dict[str, Compiled] = {}
+        laws: dict[str, Connection] = {}
+        for name, fretting in frettings.items():
+            changes |= self.bases(name, fretting)
+        for name, fretting in restopped.items():
+            laws |= self.laws(name, fretting)
+        changed = system.with_compiled(changes)
+        return changed.with_laws(laws) if laws else changed
+
     def carried(
         self, name: str, before: Fretting, after: Fretting, modes: Mapping[str, Floats], bridge_force: ForceAtBridge
     ) -> dict[str, Floats]:

@@ -371,8 +371,8 @@ def _strokes(
         fret = None if stop is None or stop + (pitch - sign.pitch) < 0 else stop + (pitch - sign.pitch)
         own_marks = tuple(m for m in marks if i == 0 or m not in ("hammer_on", "pull_off", "slide"))
         yield replace(
-            note, time=time, duration=max(clock.seconds(until) - time, 0.02), note=pitch, stop=fret, marks=own_marks + extra,
-            glides=(),
+            note, time=time, duration=max(clock.seconds(until) - time, 0.02), note=pitch, stop=fret,
+            marks=own_marks + extra, glides=(),
         )  # fmt: skip
 
 

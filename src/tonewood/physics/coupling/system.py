@@ -200,11 +200,14 @@ class System:
         """Index of a component."""
         return self.layout.slots[name]
 
+    def room_of(self, state: State, name: str) -> Floats:
+        """(2, capacity) view of all that a state holds of one component."""
+        start = self.layout.offsets[(i := self.slot(name))]
+        return state.modes[:, start : start + self.layout.capacities[i]]
+
     def modes_of(self, state: State, name: str) -> Floats:
         """(2, n_modes) view of one component's modes in a state."""
-        i = self.slot(name)
-        start = self.layout.offsets[i]
-        return state.modes[:, start : start + self.compiled[i].basis.n_modes]
+        return self.room_of(state, name)[:, : self.compiled[self.slot(name)].basis.n_modes]
 
     def start(self) -> State:
         """Return the state of rest."""
