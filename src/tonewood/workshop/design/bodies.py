@@ -54,7 +54,7 @@ def changed(instrument: Instrument, free: Sequence[Free], values: Sequence[float
     return instrument.replace(overrides)
 
 
-def design_body(instrument: Instrument, free: Sequence[Free], highest: float, mobility: bool = True) -> DesignBody:
+def design_body(instrument: Instrument, free: Sequence[Free], highest: float, mobility: bool) -> DesignBody:
     """Make the body for parameters.
 
     highest : Hz, up to which targets are.
@@ -77,7 +77,7 @@ def design_body(instrument: Instrument, free: Sequence[Free], highest: float, mo
 class DrawnDesign:
     """A drawn body; see the module."""
 
-    def __init__(self, instrument: Instrument, free: Sequence[Free], highest: float, mobility: bool = True):
+    def __init__(self, instrument: Instrument, free: Sequence[Free], highest: float, mobility: bool):
         self._instrument, self._free, self._mobility = instrument, tuple(free), mobility
         self._below = _ABOVE * max(highest, 400.0)
         self._cells = with_cells(_drawing(instrument), self._below)
