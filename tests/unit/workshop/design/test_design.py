@@ -249,6 +249,31 @@ def test_a_file_with_another_key_is_refused(tmp_path):
         read_task(tmp_path / "task.yaml")
 
 
+@pytest.mark.slow
+def test_a_tuned_damper_on_a_drawn_body(box):
+    """Resonances beside a design, of the damper's numbers and of the plate's, are those of bodies computed there."""
+    heavy = box.replace({"body.added": [{"at": "bridge", "mass": 0.01, "frequency": 150.0, "q": 5.0}]})
+    bounds = {
+        "body.added.0.frequency": "100 .. 200",
+        "body.added.0.mass": "0.005 .. 0.02",
+        "body.thickness": "2e-3 .. 3e-3",
+    }
+    body, middle = DrawnDesign(heavy, parse_free(bounds, heavy), 500.0), np.array([150.0, 0.01, 2.5e-3])
+    bare = DrawnDesign(box, parse_free({"body.thickness": "2e-3 .. 3e-3"}, box), 500.0).at([2.5e-3])
+    now = body.at(middle)
+    assert len(now.freq) == len(bare.freq) + 1
+    assert now.mass == pytest.approx(bare.mass + 0.01)
+    for i in range(3):
+        body.at(middle)
+        less, more, step = body.beside(i)
+        wide = np.eye(3)[i] * 1e-3 * middle[i]
+        low, high = body.at(middle - wide), body.at(middle + wide)
+        for name in ("freq", "quality", "squares"):
+            rate = (getattr(more, name) - getattr(less, name))[..., :6] / (2 * step)
+            wanted = (getattr(high, name) - getattr(low, name))[..., :6] / (2 * wide[i])
+            np.testing.assert_allclose(rate, wanted, rtol=0.02, atol=2e-3 * np.abs(wanted).max())
+
+
 @pytest.fixture(scope="module")
 def lumped():
     """A measured body with a lump of 4 g on its first driven point."""
