@@ -1,6 +1,7 @@
 """Measure single notes of instruments and print the tables of docs/in_the_air.md.
 
     python benchmarks/in_the_air.py steel_guitar twelve_string_guitar drawn_guitar_x     # some minutes
+    python benchmarks/in_the_air.py steel_guitar --step 6 --set exciters.plectrum.from_bridge=0.08
     python benchmarks/in_the_air.py grand_piano
     python benchmarks/in_the_air.py --sounds FOLDER                                      # A2.ogg ... of a piano
     python benchmarks/in_the_air.py --rise monochord classical_guitar
@@ -17,6 +18,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 import tonewood as tw
@@ -86,10 +88,10 @@ def onset_level(x: Floats, onset: int, low: float, high: float) -> float:
     return float(20 * np.log10(loudest / running_rms(x, 0.003)[onset : onset + FS // 10].max()))
 
 
-def plucked(instrument: tw.Instrument, output: str | None, velocity: int) -> None:
-    """Print the medians of an instrument."""
+def plucked(instrument: tw.Instrument, output: str | None, velocity: int, step: int = 3) -> None:
+    """Print the medians of an instrument over notes `step` semitones apart."""
     rows, decays, levels = [], [], []
-    for note, string in lowest(instrument, 3):
+    for note, string in lowest(instrument, step):
         x = played(instrument, note, string, velocity, output)
         f = 440 * 2 ** ((note - 69) / 12)
         found = analyse(x, f, 1e-4)
@@ -180,6 +182,8 @@ def main() -> None:
     parser.add_argument("--sounds", type=Path, help="folder of recorded notes of a piano, measured likewise")
     parser.add_argument("--output", help="name of the output that is heard; the first where left out")
     parser.add_argument("--velocity", type=int, default=VELOCITY, help="of plucked instruments")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="of the bundle, as in a render")
+    parser.add_argument("--step", type=int, default=3, help="semitones between the notes of plucked instruments")
     parser.add_argument("--rise", action="store_true", help="times of the rise in the presets dry and studio")
     parser.add_argument("--struck", action="store_true", help="look for strings that strike frets")
     given = parser.parse_args()
@@ -192,6 +196,8 @@ def main() -> None:
         piano({r.note: r.samples for r in read_folder(given.sounds).recordings if r.note in PIANO})
     for name in given.instruments:
         instrument = tw.load_instrument(name)
+        if given.set:
+            instrument = instrument.replace({k: yaml.safe_load(v) for k, _, v in (s.partition("=") for s in given.set)})
         if given.struck:
             struck(instrument)
         elif given.rise:
@@ -199,7 +205,7 @@ def main() -> None:
         elif name == "grand_piano":
             piano({note: played(instrument, note, None, 80, None) for note in PIANO})
         else:
-            plucked(instrument, given.output, given.velocity)
+            plucked(instrument, given.output, given.velocity, given.step)
 
 
 if __name__ == "__main__":

@@ -91,10 +91,11 @@ def cents(spread: float) -> Callable[[int, Row], Row]:
     return lambda n, row: row | {"cents_2": f"{0.55 * spread:g}", "cents_3": f"{-0.45 * spread:g}"}
 
 
-def stulov(n: int, row: Row) -> Row:
-    """Felts by Stulov's law for a Yamaha: Q0 = 183 exp(.045 n) N/mm^p, p = 3.7 + .015 n."""
-    p = 3.7 + 0.015 * n
-    return row | {"hammer.stiffness": f"{183 * np.exp(0.045 * n) * 1e3**p:.4g}", "hammer.exponent": f"{p:.3f}"}
+def chaigne(n: int, row: Row) -> Row:
+    """Felts of Chaigne and Askenfelt (1994), straight between C2, C4 and C7: K on a logarithmic scale."""
+    at = (16, 40, 76)
+    stiffness = np.exp(np.interp(n, at, np.log([4e8, 4.5e9, 1e12])))
+    return row | {"hammer.stiffness": f"{stiffness:.4g}", "hammer.exponent": f"{np.interp(n, at, [2.3, 2.5, 3.0]):.3f}"}
 
 
 TRIES: dict[str, Callable[[Path], None]] = {
@@ -105,7 +106,7 @@ TRIES: dict[str, Callable[[Path], None]] = {
     "unisons_0.3": keys(cents(0.3)),
     "unisons_3": keys(cents(3.0)),
     "heads_conklin": keys(lambda n, row: row | {"hammer.mass": f"{1e-3 * min(11.0, 11 - 7.5 * (n - 12) / 76):.5f}"}),
-    "felts_stulov": keys(stulov),
+    "felts_chaigne": keys(chaigne),
     "mobility_6_db": falling,
     "lengths_steinway_m": keys(lambda n, row: strung(row, STEINWAY_M[n], wire(row)) if n in STEINWAY_M else row),
     "thinner_wire": keys(lambda n, row: strung(row, float(row["string.length"]), 0.95 * wire(row)) if n > 60 else row),
