@@ -1,4 +1,4 @@
-"""Keys of what is put on a body, `body.added`."""
+"""Keys of the bundle format: lumps fixed to the body."""
 
 from __future__ import annotations
 

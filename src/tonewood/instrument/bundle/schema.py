@@ -170,8 +170,8 @@ class StringPart(PluginPart):
 
     def label(self, polarization: int) -> str:
         """Name of one of its polarizations: its direction, or p1 and p2 where that is a vector."""
-        wanted = self.polarizations[polarization]
-        return wanted if isinstance(wanted, str) else f"p{polarization + 1}"
+        direction = self.polarizations[polarization]
+        return direction if isinstance(direction, str) else f"p{polarization + 1}"
 
     @model_validator(mode="after")
     def _pitch(self) -> StringPart:
@@ -471,9 +471,9 @@ class Bundle(Parameters):
     @model_validator(mode="after")
     def _names(self) -> Bundle:
         names = [output.name for output in self.outputs]
-        taken = {"body", *self.strings}
+        components = {"body", *self.strings}
         for name in names:
-            if names.count(name) > 1 or name in taken:
+            if names.count(name) > 1 or name in components:
                 raise ValueError(f"the output name {name!r} is taken")
         if "body" in self.strings or "defaults" in self.strings:
             raise ValueError("a string cannot be called body or defaults")
