@@ -174,7 +174,7 @@ def player(name: str) -> str:
 def with_players(markdown: str) -> str:
     """A page with players in the place of their names."""
     shown, count = re.subn(r"^<!-- sounds: (\w+) -->$", lambda m: player(m[1]), markdown, flags=re.MULTILINE)
-    script = (package_files("tonewood.workshop.report") / "page.js").read_text(encoding="utf-8")
+    script = (package_files("tonewood.support.page") / "player.js").read_text(encoding="utf-8")
     return f"{shown}\n\n<script>\n{script}</script>\n" if count else markdown
 
 

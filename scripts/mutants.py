@@ -5,7 +5,7 @@ off by one, min for max, `not`, a conjugate dropped, arguments swapped, a consta
 limits of keys are left alone. Each edit is made in a copy of the tree, in which those tests of the package, or else
 of files that import the module, run until one fails that reach the edited line (coverage.py has seen them once). Tests
 beyond the time limit decide nothing; tests that fail without any edit do not run; a package whose tests do not end is
-left out. `kernel` is the C++ kernel, built again for each edit, without optimisation and for one instruction set.
+left out. `kernel` is the C++ kernel, built again for each edit, with -O1 and for one instruction set.
 Edits that no test noticed are for a person to read: one that changes nothing is no gap. ``--where FILE`` or
 ``FILE:LINE`` draws edits there alone; ``--tests PATH...`` replaces the tests.
 """
@@ -74,16 +74,24 @@ TESTS = {name: [f"{PHYSICS}/{name}"] for name in ("modal", "passivity", "energy"
     "taps": ["tests/unit/workshop/taps", "tests/cli/test_wood_command.py"],
     "web": ["tests/unit/workshop/desk", "tests/unit/workshop/exchange", "tests/unit/workshop/listening"],
     "wood": ["tests/unit/workshop/wood", "tests/cli/test_wood_command.py"],
-    "support": [*sorted(str(f.relative_to(ROOT)) for f in (ROOT / "tests/unit").glob("test_*.py")), "tests/cli"],
+    "support": [
+        *sorted(str(f.relative_to(ROOT)) for f in (ROOT / "tests/unit").glob("test_*.py")),
+        "tests/test_layers.py",
+        "tests/cli",
+    ],
     "plugins": ["tests/plugins"],
-    "kernel": [LAWS, f"{PHYSICS}/stepping", f"{PHYSICS}/coupling", "tests/effects"],
+    "kernel": [LAWS, f"{PHYSICS}/stepping", f"{PHYSICS}/coupling", "tests/stability/test_kernel_door.py"],
 }
+#: module that steps the kernel
+STEPS = "src/tonewood/physics/stepping/kernel.py"
 #: imported once, before the package and its tests are
 LIBRARIES = """numpy scipy.linalg scipy.signal scipy.optimize scipy.integrate scipy.interpolate scipy.sparse.linalg
 scipy.special scipy.spatial scipy.stats scipy.ndimage hypothesis pydantic yaml mido matplotlib.pyplot"""
-#: what tests reach is kept here, until sources or the tests' file change
+#: what the tests of a file reach is kept here, until that file or a source that they reach changes
 REACHED = ROOT / "build" / "reached"
 ELSEWHERE = "unit effects plugins analytic"
+#: options of pytest, for tests of other tiers than the default one
+TIERS: list[str] = []
 CACHED = type(functools.cache(len))
 #: what decides nothing begins so
 _LONGER, _NO_BUILD = "longer than", "does not compile"
@@ -139,21 +147,33 @@ class Reached:
                 for context in contexts:
                     for test in self.shared.get(context, [context]):
                         lines.setdefault(test, {}).setdefault(name, set()).add(line)
-        files = dict[str, dict[str, object]]()
+        files = dict[str, dict[str, Any]]()
         for test, seconds in self.seconds.items():
             reached = {name: sorted(at) for name, at in lines.get(test, {}).items()}
             files.setdefault(test.partition("::")[0], {})[test] = [seconds, reached, test in self.failed]
+        REACHED.mkdir(parents=True, exist_ok=True)
         for file, tests in files.items():
-            record(self.folder, file).write_text(json.dumps(tests))
+            sources = {name for _, reached, _ in tests.values() for name in reached}
+            digests = {name: digest(self.folder / name) for name in sorted(sources)}
+            record(self.folder, file).write_text(json.dumps([digests, tests]))
+
+
+def digest(file: Path) -> str:
+    """Hash of a file."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:16] if file.exists() else ""
 
 
 def record(folder: Path, test: str) -> Path:
-    """File of what the tests of a file reach, of today's sources."""
-    texts = hashlib.sha256((folder / test).read_bytes())
-    for source in sorted(f for part in ("src/tonewood", "plugins") for f in (folder / part).rglob("*.py")):
-        texts.update(source.read_bytes())
-    REACHED.mkdir(parents=True, exist_ok=True)
-    return REACHED / f"{Path(test).stem}-{texts.hexdigest()[:16]}.json"
+    """File of what the tests of a file reach."""
+    return REACHED / f"{Path(test).stem}-{digest(folder / test)}{''.join(TIERS)}.json"
+
+
+def recorded(folder: Path, test: str) -> dict[str, list[Any]] | None:
+    """What the tests of a file reach; None where it is not known or a source that they reach has changed."""
+    if not (file := record(folder, test)).exists():
+        return None
+    digests, tests = json.loads(file.read_text())
+    return tests if all(digest(folder / name) == known for name, known in digests.items()) else None
 
 
 class Copy:
@@ -188,8 +208,9 @@ class Copy:
     def build(self) -> bool:
         """Build the kernel; return whether it compiles."""
         out = self.folder / "out"
-        options = ["-G", "Ninja", f"-DPython_EXECUTABLE={sys.executable}", "-DTONEWOOD_QUICK_BUILD=ON"]
-        subprocess.run(["cmake", "-S", self.folder, "-B", out, *options], check=True, stdout=subprocess.DEVNULL)
+        if not out.exists():
+            options = ["-G", "Ninja", f"-DPython_EXECUTABLE={sys.executable}", "-DTONEWOOD_QUICK_BUILD=ON"]
+            subprocess.run(["cmake", "-S", self.folder, "-B", out, *options], check=True, stdout=subprocess.DEVNULL)
         done = subprocess.run(["cmake", "--build", out, "--target", "_kernel"], capture_output=True, check=False)
         if done.returncode == 0:
             shutil.copy2(next(out.glob("_kernel.*")), self.package)
@@ -198,10 +219,9 @@ class Copy:
     def known(self, tests: list[str]) -> dict[str, list[Any]]:
         """Of each test: its time, the lines that it reaches, whether it fails without any edit; run where not kept."""
         files = sorted({str(f.relative_to(self.folder)) for t in tests for f in self.files(self.folder / t)})
-        if fresh := [f for f in files if not record(self.folder, f).exists()]:
+        if fresh := [f for f in files if recorded(self.folder, f) is None]:
             self.fault(fresh, 3600.0, [Reached(self.folder)])
-        records = [record(self.folder, f) for f in files]
-        return {test: row for r in records if r.exists() for test, row in json.loads(r.read_text()).items()}
+        return {test: row for f in files for test, row in (recorded(self.folder, f) or {}).items()}
 
     def files(self, path: Path) -> list[Path]:
         """Files of tests at a path."""
@@ -229,6 +249,13 @@ class Copy:
 
         return sorted(first, key=order), sorted(second, key=order)
 
+    def stepped(self, known: dict[str, list[Any]]) -> list[str]:
+        """Tests that load the kernel, the quickest first."""
+        files = {t.partition("::")[0] for t in known}
+        direct = {f for f in files if "import _kernel" in (self.folder / f).read_text(encoding="utf-8")}
+        used = (t for t, row in known.items() if t.partition("::")[0] in direct or STEPS in row[1])
+        return sorted(used, key=lambda t: known[t][0])
+
     def fault(self, tests: list[str], limit: float, plugins: Sequence[object] = ()) -> str:
         """Run tests until one fails, in a fork that has the libraries already; return its name, or an empty text.
 
@@ -247,7 +274,7 @@ class Copy:
             os.dup2(out, 1)
             os.dup2(out, 2)
             how = [] if plugins else ["-x"]
-            code = pytest.main(["-q", "--tb=no", *how, "-p", "no:cacheprovider", *tests], plugins=plugins)
+            code = pytest.main(["-q", "--tb=no", *how, *TIERS, "-p", "no:cacheprovider", *tests], plugins=plugins)
             sys.stdout.flush()
             os._exit(int(code))
         end = time.monotonic() + limit
@@ -274,15 +301,15 @@ class Copy:
         survivors = undecided = 0
         for edit in edits:
             start = time.monotonic()
-            first, second = self.near(edit, known) if package != "kernel" else (list(known), [])
+            first, second = (self.stepped(known), []) if package == "kernel" else self.near(edit, known)
             if not first:
                 others = {test: row for test, row in self.known(self.elsewhere(edit)).items() if not row[2]}
                 known |= others
                 first = self.near(edit, others)[0]
             self.put(edit.file, edit.made)
             compiles = package != "kernel" or self.build()
-            spent = list(itertools.accumulate(known[test][0] for test in first)) if package != "kernel" else []
-            ran = first[: max(1, sum(s <= seconds for s in spent))] if spent else first
+            spent = itertools.accumulate(known[test][0] for test in first)
+            ran = first[: max(1, sum(s <= seconds for s in spent))]
             fault = (self.fault(ran, limit) if ran else "") if compiles else _NO_BUILD
             if not fault and second and len(ran) == len(first):  # fixtures and caches may have hidden who reaches it
                 late = self.fault(second, limit)
@@ -308,7 +335,10 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=math.inf, help="s, of the tests of one edit as they took once")
     parser.add_argument("--where", default="", help="FILE or FILE:LINE")
     parser.add_argument("--tests", nargs="+", help="in place of the package's own")
+    parser.add_argument("--slow", action="store_true", help="slow tests, too")
+    parser.add_argument("--validate", action="store_true", help="the long tier, too")
     given = parser.parse_args()
+    TIERS.extend(f"--{tier}" for tier in ("slow", "validate") if vars(given)[tier])
     with tempfile.TemporaryDirectory() as folder:
         copy, survivors = Copy(Path(folder)), 0
         for package in given.packages:

@@ -12,6 +12,7 @@ from tension_scenes import guitar
 import tonewood as tw
 from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.performance.effects import sidebands
+from tonewood.performance.effects.bridge_response import BridgeResponse
 from tonewood.performance.effects.sidebands import Sidebands
 from tonewood.performance.player.fretting import Fretting
 from tonewood.physics.coupling.system import State
@@ -64,7 +65,7 @@ def bounds(model: Model, name: str, state: State) -> tuple[Sidebands, dict[str, 
         c: to_motion(system.compiled[system.slot(c)].basis, np.array(system.modes_of(state, c)))
         for c in model.strings[name].components
     }
-    return tension_effect(model).sidebands(name, system, Fretting()), motion
+    return tension_effect(model).bounds.sidebands(name, system, Fretting()), motion
 
 
 def line(y: Floats, freq: float, fs: float = FS) -> float:
@@ -173,11 +174,11 @@ def test_partials_counted_together_are_bounded_as_if_counted_alone(monkeypatch: 
     sensor = {"plugin": "point_pickup", "name": "sensor", "quantity": "acceleration", "at": "G3.sensor"}
     values["outputs"] = [sensor | {"full_scale": 1.0}]
     model = assemble(tw.Instrument.from_values(values, instrument.folder), FS)
-    together = tension_effect(model).sidebands("G3", model.system, Fretting())
+    together = tension_effect(model).bounds.sidebands("G3", model.system, Fretting())
     monkeypatch.setattr(sidebands, "_BEATING", 40)
     alone = Sidebands.of(
         {c: model.system.compiled[model.system.slot(c)] for c in model.strings["G3"].components}, together.rise,
-        model.system, tension_effect(model)._responses(),
+        model.system, BridgeResponse(model),
     )  # fmt: skip
     for name, plane in together.planes.items():
         first, last = plane.heard.shape[-1] - 1, alone.planes[name].heard.shape[-1] - 1

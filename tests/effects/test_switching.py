@@ -228,7 +228,8 @@ def test_a_rise_far_above_its_budget_is_not_looked_at_until_it_may_have_fallen(m
     effect, system = tension_effect(model), model.system
     rates = [system.compiled[system.slot(c)].basis.damping_rate.min() for c in model.strings["B3"].components]
     over = 4.0
-    monkeypatch.setattr(effect, "bounds", lambda m, cents, *_: {n: Bound(over * BUDGET, np.inf) for n in cents})
+    bounds = lambda m, cents, *_: {n: Bound(over * BUDGET, np.inf) for n in cents}  # noqa: E731
+    monkeypatch.setattr(effect.bounds, "of_motion", bounds)
     at = moment(system, system.start())
     on = Switching(frozenset(effect.components))
     found = effect.watch(at, on)

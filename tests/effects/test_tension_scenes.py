@@ -57,8 +57,8 @@ def test_a_bend_of_a_ringing_string_is_looked_at_at_once() -> None:
     while engine.state.sample < 1.1 * FS:
         engine.advance(1)
         if "G3" not in engine.running(TENSION) and engine.state.sample > 0.2 * FS:
-            (energy,) = effect.energies(engine.system, engine.state)
-            rises.append(effect.rise("G3", engine.system, float(energy)))
+            (energy,) = effect.energies.at(engine.system, engine.state)
+            rises.append(effect.bounds.rise("G3", engine.system, float(energy)))
     assert rises
     assert 0.02 < max(rises) < 0.11
     assert "G3" in engine.running(TENSION)

@@ -75,9 +75,10 @@ def accuracy(
     if stability:
         _stability(system, quick, plot, report, as_json)
         return
-    drawing = plot is not None or (report is not None and report.suffix.lower() == ".html")
+    html = report is not None and report.suffix.lower() == ".html"
+    drawing = html or plot is not None
     if drawing:
-        need("plot", "matplotlib")
+        need(*(("report", "jinja2") if html else ("plot",)), "matplotlib")
 
     from tonewood.lab.accuracy import dial, tables, timing
     from tonewood.lab.accuracy.report import HEADLINE, SHORT, Study
@@ -102,7 +103,7 @@ def accuracy(
     contents: list[tuple[Path, str | bytes]] = []
     if plot is not None:
         contents.append((plot, png))
-    if report is not None and report.suffix.lower() == ".html":
+    if report is not None and html:
         contents.append((report, study.html(png)))
     elif report is not None:
         seen = None if plot is None else Path(os.path.relpath(plot, report.absolute().parent)).as_posix()

@@ -12,6 +12,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from tonewood.support.units import as_float
+
 #: kinds of pydantic's errors for a number beyond a bound -> its name there, and words
 _BOUNDS = {
     "less_than_equal": ("le", "at most"),
@@ -33,6 +35,8 @@ _SCALES = {
     "1": {"%": 1e-2},
 }
 _PLACE = re.compile(r"([\w.*-]+): ")
+#: a number and its unit
+_WITH_UNIT = re.compile(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*[a-zA-Zµ%][\w/^%]*\s*$")
 _CONTAINERS = (dict, list, tuple, Mapping, Sequence)
 #: prefix by pydantic of the text of a check's own error
 _RAISED = re.compile(r"^(Value error|Assertion failed), ")
@@ -181,6 +185,7 @@ def _beyond(fault: Any, keys: Sequence[str], owners: Sequence[type[BaseModel]]) 
     value, (bound, words) = fault["input"], _BOUNDS[fault["type"]]
     if unit is None or not isinstance(value, (int, float)):
         return None
+    value = as_float(value)
     scaled = [(name, value * factor) for name, factor in _SCALES.get(unit, {}).items()]
     ranges = [usual_values(f) for f in fields if unit_of(f)]
     likely = [(name, x) for name, x in scaled if all(low < x < high for low, high in ranges)]
@@ -226,7 +231,10 @@ def _lower_first(text: str) -> str:
 def _shown(fault: Any) -> str:
     value = fault["input"]
     plain = isinstance(value, (str, int, float)) or value is None
-    return f", not {value!r}" if plain and len(repr(value)) <= 60 else ""
+    unit = (
+        ": numbers are in SI units and stand without them" if isinstance(value, str) and _WITH_UNIT.match(value) else ""
+    )
+    return f", not {value!r}{unit}" if plain and len(repr(value)) <= 60 else ""
 
 
 def _discriminator(fault: Any) -> str:

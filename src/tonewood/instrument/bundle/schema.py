@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
+from tonewood.instrument.bundle.added_schema import Added
 from tonewood.instrument.bundle.equalizer_schema import EqualizerBand
 from tonewood.instrument.bundle.key_schema import MOST_STRINGS, Keys, Name
 from tonewood.instrument.bundle.string_schema import Fretboard, MadeOf, Scatter
@@ -64,26 +65,12 @@ class PluginPart(Parameters):
         return dict(self.model_extra or {})
 
 
-class Added(Parameters):
-    """A mass, a spring to the ground or a dashpot to the ground, fixed to the body; several of them move as one."""
-
-    at: str = described("point of the body")
-    direction: Direction | None = described("in which it acts; the point's own where left out", default=None)
-    mass: float = quantity("kg", low=0.0, high=5.0, default=0.0, doc="that moves with the point")
-    stiffness: float = quantity("N/m", low=0.0, high=1e9, default=0.0, doc="of a spring to the ground")
-    damping: float = quantity("N s/m", low=0.0, high=1e6, default=0.0, doc="of a dashpot to the ground")
-
-    @model_validator(mode="after")
-    def _something(self) -> Added:
-        if not (self.mass or self.stiffness or self.damping):
-            raise ValueError("a mass, a stiffness or a damping above 0 is wanted")
-        return self
-
-
 class BodyPart(PluginPart):
     """The body, to which strings are joined."""
 
-    added: list[Added] = described("masses, springs and dashpots put on it", default=[], max_length=MOST_PARTS)
+    added: list[Added] = described(
+        "masses, springs, dashpots and tuned dampers put on it", default=[], max_length=MOST_PARTS
+    )
 
 
 class StringPoint(Parameters):
@@ -183,8 +170,8 @@ class StringPart(PluginPart):
 
     def label(self, polarization: int) -> str:
         """Name of one of its polarizations: its direction, or p1 and p2 where that is a vector."""
-        wanted = self.polarizations[polarization]
-        return wanted if isinstance(wanted, str) else f"p{polarization + 1}"
+        direction = self.polarizations[polarization]
+        return direction if isinstance(direction, str) else f"p{polarization + 1}"
 
     @model_validator(mode="after")
     def _pitch(self) -> StringPart:
@@ -291,18 +278,20 @@ class NoteEnd(Parameters):
 
 
 class HandNoises(Parameters):
-    """Exciters that play a hand's noises between the notes of a score; none where left out."""
+    """Exciters that play the noises of hands and keys besides the notes of a score; none where left out."""
 
     on: bool = described("whether they are played", default=False, strict=True)
     fretting: Name | None = described("as a finger comes to another stop, or leaves one", default=None)
     touch: Name | None = described("as a note is damped", default=None)
     squeak: Name | None = described("as the hand slides along a string to another stop", default=None)
     least_shift: float = quantity("1", low=0.0, high=100.0, default=2.0, doc="steps of the scale of a hand that slides")
+    key: Name | None = described("with each note: its key goes down", default=None)
+    release: Name | None = described("as a key comes up", default=None)
 
     @property
     def named(self) -> dict[str, str]:
         """Noise -> exciter, of those that there are."""
-        return {k: v for k in ("fretting", "touch", "squeak") if (v := getattr(self, k)) is not None}
+        return {k: v for k in ("fretting", "touch", "squeak", "key", "release") if (v := getattr(self, k)) is not None}
 
 
 class Slurs(Parameters):
@@ -482,9 +471,9 @@ class Bundle(Parameters):
     @model_validator(mode="after")
     def _names(self) -> Bundle:
         names = [output.name for output in self.outputs]
-        taken = {"body", *self.strings}
+        components = {"body", *self.strings}
         for name in names:
-            if names.count(name) > 1 or name in taken:
+            if names.count(name) > 1 or name in components:
                 raise ValueError(f"the output name {name!r} is taken")
         if "body" in self.strings or "defaults" in self.strings:
             raise ValueError("a string cannot be called body or defaults")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,6 +9,8 @@ from dataclasses import dataclass, field
 from tonewood.lab.accuracy import answer
 from tonewood.lab.accuracy.outcome import Outcome
 from tonewood.lab.accuracy.tables import expectation, headline_tables, section, summary_table, to_json
+from tonewood.support.page.offline import offline_page
+from tonewood.support.plotting import data_uri
 
 INTRODUCTION = """\
 ## How it is measured
@@ -136,21 +137,13 @@ class Study:
         return f"Printed by `{command}`. Machine: {self.machine_line}; a shared one: compare times as ratios."
 
     def html(self, png: bytes) -> str:
-        """The page with its picture inside."""
-        chart = base64.b64encode(png).decode("ascii")
-        return _PAGE.format(body=_html(self.markdown(f"data:image/png;base64,{chart}") + "\n" + self.tables()))
+        """The page with its picture inside. Raises TonewoodError : jinja2 is not installed."""
+        text = self.markdown(data_uri(png, "image/png")) + "\n" + self.tables()
+        heading, _, body = text.partition("\n")
+        return offline_page(_PAGE, title=heading.lstrip("# "), body=_html(body))
 
 
-_PAGE = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>Accuracy and its cost in time</title><style>
-body {{ font: 15px/1.5 sans-serif; max-width: 100em; margin: 2em auto; padding: 0 1em }}
-table {{ border-collapse: collapse; font-size: 12px; margin: 1em 0; display: block; overflow-x: auto }}
-td, th {{ border: 1px solid #ccc; padding: 2px 6px; text-align: right }}
-td:first-child, th:first-child {{ text-align: left }} img {{ max-width: 100% }}
-</style></head><body>
-{body}
-</body></html>
-"""
+_PAGE = '{% from "parts" import head, foot with context -%}{{ head(title) }}\n{{ body | safe }}\n{{ foot() }}'
 
 
 def _html(text: str) -> str:
@@ -173,7 +166,8 @@ def _html(text: str) -> str:
                 "".join(f"<{tag}>{_inline(c.strip())}</{tag}>" for c in row)
                 for row, tag in zip(rows, ["th"] + ["td"] * len(rows), strict=False)
             ]
-            out.append("<table>" + "".join(f"<tr>{row}</tr>" for row in cells) + "</table>")
+            table = "".join(f"<tr>{row}</tr>" for row in cells)
+            out.append(f'<div class="scroll"><table>{table}</table></div>')
         elif block.startswith("- "):
             items = block[2:].split("\n- ")
             out.append("<ul>" + "".join(f"<li>{_inline(item)}</li>" for item in items) + "</ul>")

@@ -1,4 +1,4 @@
-"""Hands between the notes of a score: slurs, noises of fingers, and hands that lie on idle strings."""
+"""Hands between the notes of a score: slurs, noises of fingers and keys, and hands that lie on idle strings."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from tonewood.instrument.bundle.schema import NoteEnd, Playing
-from tonewood.instrument.contract.gestures import Event
+from tonewood.instrument.contract.gestures import Event, Place
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.player.timeline import GRID, Change, Play
 from tonewood.performance.score.assignment import Assigned
@@ -60,31 +60,31 @@ def noises(notes: Sequence[Assigned], plays: Sequence[Play], model: Model, capo:
     wanted, end, kept = model.playing.noises, model.playing.note_end, _kept(model)
     if not kept:
         return
-    held, free_from, slurs = capo, -math.inf, model.playing.slurs.named.values()
+    fret, free_from, slurs = capo, -math.inf, model.playing.slurs.named.values()
     for i, (assigned, play) in enumerate(zip(notes, plays, strict=True)):
         # a stop changes at the last point of the control grid before the gesture that needs it
         until = _point_before(play.start, model.fs)
         for kind in ("fretting", "squeak"):
-            far = abs(assigned.stop - held) >= wanted.least_shift and min(assigned.stop, held) > capo
-            moves = assigned.stop != held and not play.gesture.stops and play.exciter not in slurs
+            far = abs(assigned.stop - fret) >= wanted.least_shift and min(assigned.stop, fret) > capo
+            moves = assigned.stop != fret and not play.gesture.stops and play.exciter not in slurs
             if kind not in kept or not moves or (kind == "squeak" and not far):
                 continue
-            noise = _noise(kept[kind], assigned, held, until, _SHARE * (until - free_from), model)
+            noise = _noise(kept[kind], assigned, fret, until, _SHARE * (until - free_from), model)
             if noise is not None:
                 until = noise.start
                 yield noise
-        held, free_from = assigned.stop, play.stop
+        fret, free_from = assigned.stop, play.stop
         following = plays[i + 1].start if i + 1 < len(plays) else math.inf
         if end.kind == "ring" or not math.isfinite(assigned.end) or assigned.end >= following - 1e-3:
             continue
         if "touch" in kept and assigned.end >= free_from:
             # as the string is damped
-            noise = _noise(kept["touch"], assigned, held, _point_before(assigned.end, model.fs), math.inf, model)
+            noise = _noise(kept["touch"], assigned, fret, _point_before(assigned.end, model.fs), math.inf, model)
             if noise is not None and noise.stop < following:
                 free_from = noise.stop
                 yield noise
         if assigned.end + LET_GO_AFTER * end.t60 < following - 0.1:
-            held = capo
+            fret = capo
 
 
 def touch_at_end(assigned: Assigned | None, play: Play | None, time: float, model: Model) -> list[Play]:
@@ -100,6 +100,23 @@ def touch_at_end(assigned: Assigned | None, play: Play | None, time: float, mode
     return [] if noise is None else [noise]
 
 
+def key_noises(notes: Sequence[Assigned], model: Model) -> Iterator[Play]:
+    """Yield the noises of a key's notes: as it goes down, and as it comes up before the next note."""
+    kept = _kept(model)
+    for i, assigned in enumerate(notes):
+        note = assigned.note
+        following = notes[i + 1].note.time if i + 1 < len(notes) else math.inf
+        for kind, time in (("key", note.time), ("release", note.key_up)):
+            if kind not in kept or not math.isfinite(time) or (kind == "release" and time >= following):
+                continue
+            exciter = model.exciters[kept[kind]]
+            values = {} if note.force is None else {"velocity": note.force}
+            values = {k: v for k, v in values.items() if k in type(exciter.parameters).model_fields}
+            gesture = exciter.gesture(Event(values), Place(exciter.at or ""))
+            if gesture.start < gesture.stop:
+                yield Play(time, gesture, at=exciter.at, exciter=kept[kind])
+
+
 def not_live(model: Model) -> list[str]:
     """Noises that are wanted and need a score that is known ahead, as keys of the bundle."""
     return [f"playing.noises.{kind}" for kind in _kept(model) if kind != "touch"]
@@ -107,8 +124,8 @@ def not_live(model: Model) -> list[str]:
 
 def _kept(model: Model) -> dict[str, str]:
     """Noise -> exciter, of those that are wanted and not left out."""
-    wanted = model.playing.noises
-    return {k: name for k, name in wanted.named.items() if wanted.on and model.choice.keeps(model.exciters[name])}
+    noises = model.playing.noises
+    return {k: name for k, name in noises.named.items() if noises.on and model.choice.keeps(model.exciters[name])}
 
 
 def _point_before(time: float, fs: float) -> float:

@@ -10,57 +10,37 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from itertools import count
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tonewood import _kernel
 from tonewood.errors import NumericalError, TonewoodError
-from tonewood.physics.coupling.connections import NonlinearGaps
-from tonewood.physics.coupling.inverse import Hub, InverseInParts
-from tonewood.physics.coupling.laws import NonlinearLaw
-from tonewood.physics.coupling.potentials.base import Kind
 from tonewood.physics.coupling.potentials.user import PotentialEnergy
-from tonewood.physics.coupling.system import Compiled, Injection, PrescribedMotion, State, System
+from tonewood.physics.coupling.system import Injection, PrescribedMotion, State, System
 from tonewood.physics.stepping.description import (
     Description,
-    OwnTerms,
-    PortSets,
-    describe_component,
-    describe_linear,
-    describe_potentials,
-    law_arrays,
     packed,
-    sort_ports,
 )
+from tonewood.physics.stepping.forcing import controlled
+from tonewood.physics.stepping.kept_descriptions import KeptDescriptions
 from tonewood.physics.stepping.stepper import NumpyStepper, Statistics
 from tonewood.support.arrays import Floats
 
 _NONE = np.zeros(0, dtype=np.intp)
-_NO_MATRIX = np.zeros((0, 0))
 #: samples, at multiples of which a run may be cut without changing a bit
 _CUT = 64
-#: linear and nonlinear connections in use, which of these are contacts, slots stepped sample by sample; hub, its ports
-_Use = tuple[bytes, bytes, bytes, frozenset[int], tuple[int, bytes] | None]
-#: ways in which all connections are used that are remembered
-_KEPT_PORT_SETS = 64
-#: (n, 4): nonlinear connection, component, port among its fixed or contact ports, whether it is a contact port; factors
-Terms = tuple[NDArray[np.int64], Floats]
-#: slot of a component, whether laws act on its fixed ports, and how connections use it
-_Key = tuple[int, bool, bytes]
 
 
 def instruction_set() -> str:
     """Name of the instruction set in use: avx512, avx2 or baseline."""
     available: list[str] = _kernel.instruction_sets()
-    wanted = os.environ.get("TONEWOOD_ISA", "auto")
-    if wanted == "auto":
+    name = os.environ.get("TONEWOOD_ISA", "auto")
+    if name == "auto":
         return available[0]
-    if wanted not in available:
-        raise TonewoodError(f"TONEWOOD_ISA={wanted}: this machine has auto, {', '.join(available)}")
-    return wanted
+    if name not in available:
+        raise TonewoodError(f"TONEWOOD_ISA={name}: this machine has auto, {', '.join(available)}")
+    return name
 
 
 def compiler() -> str:
@@ -101,22 +81,16 @@ class KernelStepper:
     """
 
     def __init__(self, system: System, *, isa: str | None = None, shortcuts: Shortcuts | None = None):
-        n_components, capacity = len(system.names), sum(system.capacities)
+        n_components, capacity = len(system.names), sum(system.layout.capacities)
         self._kernel = _kernel.Kernel(isa or instruction_set(), n_components, capacity, len(system.readouts))
         self._packed: dict[int, tuple[Injection, Floats, Floats]] = {}
-        self._descriptions: WeakKeyDictionary[Compiled, dict[_Key, Description]] = WeakKeyDictionary()
-        self._keys = count()
-        self._port_sets: dict[tuple[int, bytes, bytes], tuple[PortSets, OwnTerms]] = {}
-        self._sorted_for: dict[_Use, tuple[list[PortSets], Terms]] = {}
         self._shortcuts = asdict(shortcuts or Shortcuts())
+        self._descriptions = KeptDescriptions(self._shortcuts)
         self._steps = self._redone = self._failures = 0
         self._slow: NumpyStepper | None = None
         self._law_forces, self._acted = np.zeros(0), list[int]()  # the former is kept at zero between runs
         self._carried: tuple[System | None, Floats] = None, _NONE.astype(float)  # whose series is that of the system
         self._nonlinear = self._active = _NONE
-        self._laws: tuple[NonlinearLaw, ...] = ()
-        self._law_arrays: Description = law_arrays(())
-        self._gaps: tuple[NonlinearGaps, bytes, Description] | None = None
         self.system = system
         self._load(system)
 
@@ -146,108 +120,12 @@ class KernelStepper:
 
     def describe(self) -> Description:
         """Return all that the kernel is loaded with, every array by its name, as `load` of ``src/kernel`` reads it."""
-        return self._describe(self.system, frozenset())
+        return KeptDescriptions(self._shortcuts).of(self.system)
 
     def _load(self, system: System) -> None:
         self._nonlinear = _NONE if system.nonlinear is None else system.nonlinear.index
         self._active = system.solve.on
-        self._kernel.load(self._describe(system, frozenset(self._kernel.cached())))
-
-    def _describe(self, system: System, cached: frozenset[int]) -> Description:
-        """Describe a system; components with a key among `cached` come without arrays."""
-        by, potentials = system.solve.by, describe_potentials(system)
-        hub = by.hub if isinstance(by, InverseInParts) else None
-        in_parts = hub is None or not any(hub.slot in p["slots"] for p in potentials if p["kind"] != Kind.PHANTOM)
-        hub = hub if in_parts else None
-        # these are stepped sample by sample: contacts on them are never left out, and have fixed ports
-        by_sample = (p["slots"] for p in potentials if p["kind"] in (Kind.LONGITUDINAL, Kind.USER))
-        coupled = frozenset(slot for slots in by_sample for slot in slots)
-        port_sets, terms = self._sorted_ports(system, hub, coupled)
-        weights = system.force_weights()
-        components = self._components(system, port_sets, terms)
-        return {
-            "components": [{"key": c["key"]} if c["key"] in cached else c for c in components],
-            "linear": describe_linear(system.solve, weights, port_sets, in_parts),
-            "nonlinear": self._laws_and_gaps(system, terms, np.ascontiguousarray(weights[:, self._nonlinear])),
-            "potentials": potentials,
-            "shortcuts": self._shortcuts,
-        }
-
-    def _laws_and_gaps(self, system: System, terms: Terms, weights: Floats) -> Description:
-        """Describe the nonlinear connections; unchanged arrays are those of the last description."""
-        nonlinear, on = system.nonlinear, self._active
-        laws: tuple[NonlinearLaw, ...] = () if nonlinear is None else nonlinear.laws
-        if laws is not self._laws:
-            self._law_arrays = law_arrays(laws, self._laws, self._law_arrays)
-            self._laws = laws
-        key = on.tobytes()
-        if nonlinear is None:
-            no = np.zeros((0, len(on)))
-            gaps: Description = {"theta": 0.5, "compliance": _NO_MATRIX, "from_linear": no}
-            gaps |= {"to_linear": no.T.copy(), "residual": _NO_MATRIX}
-        elif self._gaps is not None and self._gaps[0] is nonlinear.gaps and self._gaps[1] == key:
-            gaps = self._gaps[2]
-        else:
-            g = nonlinear.gaps
-            parts = ("compliance", g.compliance), ("from_linear", g.from_linear[:, on]), ("to_linear", g.to_linear[on])
-            gaps = {"theta": g.laws.theta, "residual": np.ascontiguousarray(g.residual)}
-            gaps |= {name: np.ascontiguousarray(a) for name, a in parts}
-            self._gaps = g, key, gaps
-        index, factors = terms
-        return {"dt": system.dt, "terms": index, "factors": factors, "weights": weights, **self._law_arrays, **gaps}
-
-    def _components(self, system: System, port_sets: Sequence[PortSets], terms: Terms) -> list[Description]:
-        """Describe every component; a component that comes back with the same sets of ports keeps its description."""
-        loaded = {slot for _, slot, _, on_contact in terms[0].tolist() if not on_contact}
-        out: list[Description] = []
-        for slot, (compiled, one_way, sets) in enumerate(zip(system.compiled, system.driven, port_sets, strict=True)):
-            known = self._descriptions.setdefault(compiled, {})
-            if (key := (slot, slot in loaded, sets.key)) not in known:
-                known[key] = {"key": next(self._keys), "offset": system.offsets[slot], "driven": one_way}
-                known[key] |= describe_component(compiled, sets, one_way, slot in loaded)
-            out.append(known[key])
-        return out
-
-    def _sorted_ports(self, system: System, hub: Hub | None, coupled: frozenset[int]) -> tuple[list[PortSets], Terms]:
-        """Sort the ports of every component by the connections now in use.
-
-        A component whose connections are used as before keeps its sets of ports: a note changes a few of hundreds.
-        Where all are used as some time before (a finger comes and goes), all of it is kept.
-        """
-        is_contact = system.elimination.others.is_contact
-        met = None if hub is None else (hub.slot, hub.ports.tobytes())
-        use = self._active.tobytes(), self._nonlinear.tobytes(), is_contact.tobytes(), coupled, met
-        if use not in self._sorted_for:
-            while len(self._sorted_for) >= _KEPT_PORT_SETS:
-                del self._sorted_for[next(iter(self._sorted_for))]
-            self._sorted_for[use] = self._sort_ports(system, hub, is_contact, coupled)
-        return self._sorted_for[use]
-
-    def _sort_ports(
-        self, system: System, hub: Hub | None, is_contact: NDArray[np.bool_], coupled: frozenset[int]
-    ) -> tuple[list[PortSets], Terms]:
-        m = len(system.connections)
-        place, law, culled = np.full(m, -1), np.full(m, -1), np.zeros(m, dtype=bool)
-        place[self._active], law[self._nonlinear] = np.arange(len(self._active)), np.arange(len(self._nonlinear))
-        culled[self._nonlinear] = is_contact
-        use = np.stack([place, np.where(law < 0, 0, 1 + culled)], axis=1)
-        port_sets: list[PortSets] = []
-        terms: list[tuple[int, int, int, bool]] = []
-        factors: list[float] = []
-        for slot, one_way in enumerate(system.driven):
-            at, shares = system.layout.touching[slot]
-            ports = hub.ports if hub is not None and hub.slot == slot else None
-            used = use[at]
-            way = f"{len(self._active)} {one_way or slot in coupled} {slot in coupled}".encode()
-            key = slot, used.tobytes(), way + (b"" if ports is None else ports.tobytes())
-            if key not in self._port_sets:
-                self._port_sets[key] = sort_ports(shares, used, len(self._active), slot in coupled, one_way, ports)
-            sets, own = self._port_sets[key]
-            port_sets.append(sets)
-            for i, port, on_contact, factor in own:
-                terms.append((int(law[at[i]]), slot, port, on_contact))
-                factors.append(factor)
-        return port_sets, (np.array(terms, dtype=np.int64).reshape(-1, 4), np.array(factors))
+        self._kernel.load(self._descriptions.of(system, frozenset(self._kernel.cached())))
 
     def run(
         self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[PrescribedMotion] = ()
@@ -294,12 +172,12 @@ class KernelStepper:
             raise ValueError(f"a state of {state.modes.dtype}; float64 is needed")
         s, on = self.system, self._nonlinear
         to_cut = -state.sample % _CUT
-        if 0 < to_cut < n and s.resets:  # the kernel puts psi back at the ends of its windows
+        if 0 < to_cut < n and s.potentials.two_way:  # the kernel puts psi back at the ends of its windows
             first = self._step(state, to_cut, injections, controls)
-            kept, acted = first[2].copy(), set(self._acted)
+            first_laws, acted = first[2].copy(), set(self._acted)
             self._clear(first[2])
             rest = self._step(state, n - to_cut, injections, controls)
-            laws = np.concatenate([kept, rest[2]])
+            laws = np.concatenate([first_laws, rest[2]])
             self._clear(rest[2])
             self._acted = sorted(acted | set(self._acted))
             return np.concatenate([first[0], rest[0]]), np.concatenate([first[1], rest[1]]), laws
@@ -369,14 +247,14 @@ class KernelStepper:
         law_forces, solves = self._law_forces[: n * len(on)].reshape(n, len(on)), self.n_solves
         series, slip, last = state.series.take(on), state.slip.take(on), state.forces.take(on)
         active = [i for i in injections if i.start < state.sample + n and i.stop > state.sample]
-        state.potentials = self.system.kept_memory(state.potentials)
+        state.potentials = self.system.potentials.checked(state.potentials)
         slot, sample = self._kernel.run(
             state.modes,
             out,
             active_forces,
             self.pack_injections(active, state.sample),
             law_forces,
-            list(self.system.controlled(controls, state.sample, n).items()),
+            list(controlled(self.system, controls, state.sample, n).items()),
             series,
             slip,
             last,
@@ -413,9 +291,9 @@ class KernelStepper:
         before, self._packed = self._packed, {}
         out = []
         for injection in active:
-            known = before.get(id(injection))
-            if known is None or known[0] is not injection:
-                known = (injection, packed(injection.vectors), np.ascontiguousarray(injection.values))
-            self._packed[id(injection)] = known
-            out.append((self.system.slot(injection.component), injection.start - now, known[1], known[2]))
+            entry = before.get(id(injection))
+            if entry is None or entry[0] is not injection:
+                entry = (injection, packed(injection.vectors), np.ascontiguousarray(injection.values))
+            self._packed[id(injection)] = entry
+            out.append((self.system.slot(injection.component), injection.start - now, entry[1], entry[2]))
         return out

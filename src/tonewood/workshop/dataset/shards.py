@@ -88,7 +88,8 @@ def make(task: ShardTask) -> Shard:
         facts = _facts(sample, sound, key, resolved_key)
         for stem, samples in sound.stems.items():
             random = generator(task.dataset.seed, "dither", condition.name, stem)
-            whole = quantised(np.clip(samples, -1.0, 1.0), sounds.subtype, random)
+            edge = 1.0 - 2.0 / 2 ** (BITS[sounds.subtype] - 1)  # two steps are left to the dither
+            whole = quantised(np.clip(samples, -edge, edge), sounds.subtype, random)
             pieces.append(whole)
             digest = hashlib.sha256(np.ascontiguousarray(whole, dtype="<i4").tobytes()).hexdigest()
             peak = float(np.max(np.abs(whole))) / 2.0 ** (BITS[sounds.subtype] - 1)

@@ -10,6 +10,7 @@ import numpy as np
 from tonewood.instrument.scales import note_name
 from tonewood.sound.files.audio import flac_bytes
 from tonewood.support.arrays import Floats
+from tonewood.support.page.offline import offline_page
 from tonewood.support.plotting import data_uri
 from tonewood.workshop.estimate import laws
 from tonewood.workshop.estimate.bundle import PRESET, RecordingOrigin
@@ -18,7 +19,6 @@ from tonewood.workshop.estimate.estimate import Estimate
 from tonewood.workshop.estimate.pictures import gain_picture, rates_picture, spectrograms
 from tonewood.workshop.estimate.recordings import FS
 from tonewood.workshop.estimate.spectra import find_onset
-from tonewood.workshop.report.offline import offline_page
 
 #: notes held back that are heard, from each half; s before the onset, of a sound, and of its fade
 _HEARD, _BEFORE, _LENGTH, _FADE = 3, 0.03, 3.0, 0.05

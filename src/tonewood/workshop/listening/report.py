@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from tonewood import __version__
-from tonewood.errors import TonewoodError
+from tonewood.support.page.offline import offline_page
 from tonewood.support.plotting import data_uri, png
 from tonewood.support.whole_files import write_whole
 from tonewood.workshop.listening.figures import figures_of
@@ -22,11 +20,6 @@ def write_report(panel: PanelResults, folder: Path, facts: dict[str, Any] | None
     facts : of the stimuli, as ``manifest.json`` has them; None leaves that section out.
     Raises TonewoodError : jinja2 or matplotlib is not installed.
     """
-    try:
-        from jinja2 import Environment, StrictUndefined
-        from markupsafe import Markup
-    except ImportError:
-        raise TonewoodError("the report needs jinja2: pip install 'tonewood[results]'") from None
     pictures: dict[int, list[tuple[str, str]]] = {}
     for number, page in enumerate(panel.pages):
         for name, made in figures_of(panel, page).items():
@@ -35,27 +28,19 @@ def write_report(panel: PanelResults, folder: Path, facts: dict[str, Any] | None
             path.write_bytes(content)
             pictures.setdefault(number, []).append((name, data_uri(content, "image/png")))
     static = files("tonewood.workshop.listening") / "static"
-    environment = Environment(autoescape=True, undefined=StrictUndefined)
-    environment.filters |= {"n": number_text, "p": p_text, "g": lambda x: f"{x:.3g}"}
-    text = environment.from_string((static / "report.html").read_text("utf-8")).render(
+    text = offline_page(
+        (static / "report.html").read_text("utf-8"),
+        {"p": p_text, "g": lambda x: f"{x:.3g}"},
         panel=panel,
         title=panel.test.title(panel.test.manifest.language),
         pictures=pictures,
         facts=facts,
         summary=summary(panel),
         methods=methods(panel),
-        version=__version__,
-        style=Markup((static / "report.css").read_text("utf-8")),
+        page_style=(static / "report.css").read_text("utf-8"),
     )
     write_whole(folder / "report.html", text)
     return folder / "report.html"
-
-
-def number_text(value: float | None, digits: int = 2) -> str:
-    """A number with so many decimals and a true minus sign; a dash for none."""
-    if value is None or not math.isfinite(value):
-        return "\N{EN DASH}"
-    return f"{value:.{digits}f}".replace("-", "\N{MINUS SIGN}")
 
 
 def p_text(value: float | None) -> str:

@@ -6,6 +6,7 @@ from importlib.resources import files
 from typing import Any
 
 from tonewood.instrument.inspection.wolf import WolfNote
+from tonewood.support.page.offline import offline_page
 from tonewood.support.plotting import data_uri
 from tonewood.workshop.report.comparison import Comparison, alike
 from tonewood.workshop.report.facts import InstrumentFacts
@@ -18,7 +19,6 @@ from tonewood.workshop.report.figures import (
     sweep_picture,
     wolf_picture,
 )
-from tonewood.workshop.report.offline import offline_page
 from tonewood.workshop.report.summary import changes, difference_words, heard_words, key_figures, value_words
 from tonewood.workshop.report.tones import flac, matched_gains_db
 
@@ -26,7 +26,7 @@ from tonewood.workshop.report.tones import flac, matched_gains_db
 MOST_ROWS = 150
 #: tables of what changed, rows of a table, wolf notes, notes, spectrograms and tables of strings that are printed, on
 #: six A4 pages at most
-PRINTED = {
+PRINTED: dict[str, Any] = {
     "print_summaries": 3, "print_rows": 24, "print_wolves": 5, "print_notes": 4, "print_spectrograms": 2,
     "print_strings": 2,
 }  # fmt: skip

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 import tonewood as tw
@@ -32,6 +34,7 @@ def test_a_pedal_that_is_lifted_ends_the_notes_of_its_channel() -> None:
         keys.press(voice)
         keys.release(voice, pedal=True)
     assert set(keys.pedalled) == set(voices)
+    assert not any(voice.key_down for voice in voices.values())
     keys.lift_pedal(3)
     assert keys.ending == [voices[3, 60.0]]
     keys.lift_pedal(1)
@@ -114,4 +117,36 @@ def test_a_note_that_ends_as_the_next_begins_is_not_damped(model: Model) -> None
     assert [change.added_damping is not None for change in damped] == [True]
     assert ended(1.0, "E2", model, 0.0, 1.0 + 0.9e-3) == []
     assert ended(1.0, "E2", model, 0.0, 0.9) == []
-    assert len(ended(1.0, "E2", model, 0.0)) == 2
+    damped, free = ended(1.0, "E2", model, 0.0)
+    # a finger leaves a string that has fallen by 90 dB
+    fallen = (damped.added_damping or 0.0) * (free.time - damped.time) * 20 / math.log(10)
+    assert fallen == pytest.approx(90.0, abs=(damped.added_damping or 0.0) * 2 * GRID / FS * 20 / math.log(10))
+
+
+def test_a_pedal_holds_from_half_its_way_on(model: Model) -> None:
+    player, point = Player(model), 0
+
+    def after(points: int) -> int:
+        nonlocal point
+        for _ in range(points):
+            point += 1
+            player.feed([], 0.0, point * GRID)
+        return player.n_sounding
+
+    player.feed([tw.Note(0.0, 9.0, note=64, force=2.0, channel=0)], 0.0, 0)
+    assert after(60) == 1
+    player.control("cc64", 0.5)
+    player.release(next(string.voice for string in player.hands.strings.values() if string.voice is not None))
+    assert after(60) == 1
+    player.control("cc64", 0.5)
+    assert after(60) == 1
+    player.control("cc64", 0.49)
+    assert after(60) == 0
+
+
+def test_notes_that_nobody_bends_sound_at_their_pitch(model: Model) -> None:
+    player = Player(model)
+    notes = [tw.Note(0.0, 0.2, note=64, force=2.0, channel=2), tw.Note(0.0, 0.2, note=50, force=2.0)]
+    changes = [c for point in range(100) for c in player.feed([] if point else notes, 0.0, point * GRID).changes]
+    assert len(changes) > 2
+    assert {c.cents for c in changes} <= {None, 0.0}

@@ -177,3 +177,21 @@ def test_every_string_of_a_course_is_plucked_by_its_own_gesture() -> None:
     live = strokes(fed(Player(model, ramp=0.1), [note], 0.0))
     assert len(live) == 2
     assert live == strokes(perform(tw.Score([note]), model).timeline)
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_points_at_which_nothing_is_done_can_be_left_out(model: Model, seed: int) -> None:
+    """A player that is looked at only where it says so, and where an event comes, does the same."""
+    known, whole = events(seed), fed(Player(model), events(seed), 0.0)
+    player, changes, plays, point, looked = Player(model), [], [], 0, 0
+    while point * GRID < 2.0 * FS:
+        come = [e for e in known if e.time <= point * GRID / FS]
+        known = known[len(come) :]
+        decided = player.feed(come, 0.0, point * GRID)
+        changes += decided.changes
+        plays += decided.plays
+        following = math.ceil(known[0].time * FS / GRID) if known else 1 << 30
+        point, looked = min(point + player.idle_points, max(following, point + 1)), looked + 1
+    assert changes == whole.changes
+    assert plain(Timeline(changes, plays)) == plain(whole)
+    assert looked < 0.8 * 2.0 * FS / GRID

@@ -20,6 +20,7 @@ import pytest
 import soundfile
 from scipy.stats import kstest
 
+import tonewood as tw
 from tonewood.workshop.batch.manifest import ManifestError
 from tonewood.workshop.batch.rendering import EngineRenderer
 from tonewood.workshop.batch.workers import Workers
@@ -208,22 +209,24 @@ def test_time_and_length_of_a_set_are_foretold_from_a_few_sounds(
         plan = plan_dataset(data, tmp_path, tmp_path / "out", EngineRenderer(), predict=True)
         assert plan.sound_seconds == pytest.approx(5 * 0.2, rel=0.01)
         assert plan.compute_seconds == pytest.approx(5 * 2.0 * passes)
+        assert plan.hours_per_core_hour == pytest.approx(0.2 / (2.0 * passes), rel=0.01)
     longer = check_dataset(BASE | {"sounds": {"duration": 3.0}})
     plan = plan_dataset(longer, tmp_path, tmp_path / "out", EngineRenderer(), predict=True)
     assert plan.sound_seconds == pytest.approx(15.0)
-    assert plan_dataset(longer, tmp_path, tmp_path / "out", EngineRenderer()).sound_seconds is None
+    unknown = plan_dataset(longer, tmp_path, tmp_path / "out", EngineRenderer())
+    assert (unknown.sound_seconds, unknown.hours_per_core_hour) == (None, None)
 
 
 def test_columns_of_a_table_keep_their_kinds() -> None:
     """Numbers are numbers, whole ones where all are; two kinds, lists and mappings are JSON; nothing is a number."""
     rows = [
-        {"a": 1, "b": 1, "c": 1, "d": [1], "e": None, "f": True, "g": "x", "h": "x"},
-        {"a": 2, "b": 2.5, "c": "two", "d": {"k": 2}, "e": None, "f": None, "g": None, "h": 3.0},
+        {"a": 1, "b": 1, "c": 1, "d": [1], "e": None, "f": True, "g": "x", "h": "x", "i": [1]},
+        {"a": 2, "b": 2.5, "c": "two", "d": {"k": 2}, "e": None, "f": None, "g": None, "h": 3.0, "i": [2, 3]},
     ]
     found = pq.read_table(io.BytesIO(parquet(rows)))
     assert found.to_pylist() == [
-        {"a": 1, "b": 1.0, "c": "1", "d": "[1]", "e": None, "f": True, "g": "x", "h": '"x"'},
-        {"a": 2, "b": 2.5, "c": '"two"', "d": '{"k": 2}', "e": None, "f": None, "g": None, "h": "3.0"},
+        {"a": 1, "b": 1.0, "c": "1", "d": "[1]", "e": None, "f": True, "g": "x", "h": '"x"', "i": "[1]"},
+        {"a": 2, "b": 2.5, "c": '"two"', "d": '{"k": 2}', "e": None, "f": None, "g": None, "h": "3.0", "i": "[2, 3]"},
     ]
     assert [str(found.schema.field(name).type) for name in "abef"] == ["int64", "double", "double", "bool"]
 
@@ -361,3 +364,15 @@ def test_a_dask_cluster_makes_the_same_bytes(tmp_path: Path, alone: tuple[Path, 
         cluster.kill()
         cluster.wait()
     assert bits(folder) == bits(alone[0])
+
+
+def test_clipped_samples_are_those_at_full_scale(tmp_path: Path) -> None:
+    folder, _ = made(tmp_path, size=1, render=BASE["render"] | {"gain_db": 30.0})
+    (row,) = table(folder)
+    heard, _ = soundfile.read(folder / SHARDS / row["file"], start=row["start"], frames=row["frames"])
+    assert row["clipped"] == np.count_nonzero(np.abs(heard) > 1 - 2.0**-21) > 10
+
+
+def test_the_data_sheet_names_each_instrument_once(alone: tuple[Path, Any]) -> None:
+    sheet = (alone[0] / "datasheet.md").read_text(encoding="utf-8")
+    assert sheet.count(tw.load_instrument("african_harp").spec.title) == 1

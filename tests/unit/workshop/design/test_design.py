@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 import yaml
 
-from tonewood.errors import TonewoodError
+from tonewood.errors import BundleError, TonewoodError
 from tonewood.instrument.bundle.added import body_parts
 from tonewood.instrument.bundle.loading import Instrument
-from tonewood.workshop.design.bodies import DrawnDesign
-from tonewood.workshop.design.figures import StringEnd, worst_wolf
-from tonewood.workshop.design.folder import write_design
-from tonewood.workshop.design.search import find_design
+from tonewood.instrument.model.assembly import assemble
+from tonewood.workshop.design.bodies import DrawnDesign, MeasuredDesign
+from tonewood.workshop.design.figures import StringEnd, string_ends, worst_wolf
+from tonewood.workshop.design.folder import check_folder, write_design
+from tonewood.workshop.design.search import find_design, slope
 from tonewood.workshop.design.sensitivity import sensitivity, words
 from tonewood.workshop.design.task import parse_free, parse_targets, read_task
 from tonewood.workshop.design.words import lines, trades
@@ -118,7 +119,7 @@ def test_sensitivity_against_differences_and_rayleigh(box):
 @pytest.mark.slow
 def test_a_mode_is_followed_by_its_shape_past_another(box):
     """A thicker top raises T1 through another mode: its number changes, its shape does not."""
-    body = DrawnDesign(box, parse_free({"body.thickness": "1.5e-3 .. 5e-3"}, box), 500.0)
+    body = DrawnDesign(box, parse_free({"body.thickness": "1.5e-3 .. 5e-3"}, box), 500.0, mobility=False)
     shapes, numbers = [], []
     for h in np.linspace(2.0e-3, 4.5e-3, 6):
         found = body.at([float(h)])
@@ -175,6 +176,7 @@ def test_targets_say_by_how_much_they_are_missed(box):
     lines = ["mode 2 = 200", "T1 <= 200", "A0 >= 100", "mass <= 0.5", "mobility bridge 80..800 >= -30"]
     mode, top, air, mass, mobility = parse_targets(lines, box)
     assert (mode.mode, top.mode, air.mode) == ("2", "T1", "A0")
+    assert [t.unit for t in (mode, top, air, mass, mobility)] == ["cents", "cents", "cents", "%", "dB"]
     assert (mode.off(400.0), mode.off(100.0)) == pytest.approx((1200.0, -1200.0))
     assert (top.off(400.0), top.off(100.0)) == pytest.approx((1200.0, 0.0))
     assert (air.off(400.0), air.off(50.0)) == pytest.approx((0.0, -1200.0))
@@ -245,3 +247,121 @@ def test_a_file_with_another_key_is_refused(tmp_path):
     (tmp_path / "task.yaml").write_text("target: [T1 = 200]\n")
     with pytest.raises(TonewoodError, match="targets"):
         read_task(tmp_path / "task.yaml")
+
+
+@pytest.mark.slow
+def test_a_tuned_damper_on_a_drawn_body(box):
+    """Resonances beside a design, of the damper's numbers and of the plate's, are those of bodies computed there."""
+    heavy = box.replace({"body.added": [{"at": "bridge", "mass": 0.01, "frequency": 150.0, "q": 5.0}]})
+    bounds = {
+        "body.added.0.frequency": "100 .. 200",
+        "body.added.0.mass": "0.005 .. 0.02",
+        "body.thickness": "2e-3 .. 3e-3",
+    }
+    body, middle = DrawnDesign(heavy, parse_free(bounds, heavy), 500.0), np.array([150.0, 0.01, 2.5e-3])
+    bare = DrawnDesign(box, parse_free({"body.thickness": "2e-3 .. 3e-3"}, box), 500.0).at([2.5e-3])
+    now = body.at(middle)
+    assert len(now.freq) == len(bare.freq) + 1
+    assert now.mass == pytest.approx(bare.mass + 0.01)
+    for i in range(3):
+        body.at(middle)
+        less, more, step = body.beside(i)
+        wide = np.eye(3)[i] * 1e-3 * middle[i]
+        low, high = body.at(middle - wide), body.at(middle + wide)
+        for name in ("freq", "quality", "squares"):
+            rate = (getattr(more, name) - getattr(less, name))[..., :6] / (2 * step)
+            wanted = (getattr(high, name) - getattr(low, name))[..., :6] / (2 * wide[i])
+            np.testing.assert_allclose(rate, wanted, rtol=0.02, atol=2e-3 * np.abs(wanted).max())
+
+
+@pytest.fixture(scope="module")
+def lumped():
+    """A measured body with a lump of 4 g on its first driven point."""
+    guitar = Instrument.load("classical_guitar")
+    point = next(name for name, p in guitar.body.points().items() if p.driven)
+    return guitar.replace({"body.added": [{"at": point, "mass": 0.004, "stiffness": 2e4, "damping": 0.5}]})
+
+
+def test_a_measured_body_beside_its_parameters_is_the_body_solved_again(lumped):
+    """Frequencies, Q, masses and mobility to first order, against differences; mobility against the sum of poles."""
+    bounds = {"mass": "0.001 .. 0.02", "stiffness": "1e3 .. 1e5", "damping": "0.1 .. 5"}
+    free = parse_free({f"body.added.0.{key}": text for key, text in bounds.items()}, lumped)
+    body, freq = MeasuredDesign(lumped, free), np.geomspace(80.0, 700.0, 50)
+    values, far = np.array([p.start for p in free]), np.array([p.high - p.low for p in free])
+    now = body.at(values)
+    iw = 2j * np.pi * freq[:, None]
+    pairs = now.residues[0] / (iw - now.poles) + now.residues[0].conj() / (iw - now.poles.conj())
+    direct = iw[:, 0] * (pairs.sum(axis=1) + now.basis.residual[0, 0])
+    np.testing.assert_allclose(now.mobility(0, freq), direct, rtol=1e-9)
+
+    def seen(found):
+        return [found.freq, found.quality, found.squares[0], found.mobility(0, freq)]
+
+    for i in range(len(free)):
+        body.at(values)
+        less, more, step = body.beside(i)
+        below, above = (body.at(values + by * 1e-4 * far * np.eye(len(free))[i]) for by in (-1, 1))
+        for a, b, c, d in zip(*(seen(found) for found in (less, more, below, above)), strict=True):
+            told, true = (b - a) / (2 * step), (d - c) / (2e-4 * far[i])
+            np.testing.assert_allclose(told, true, rtol=1e-3, atol=1e-3 * np.abs(true).max())
+
+
+def test_ends_of_strings_are_where_the_bundle_has_them():
+    """The mass of a string times its frequency is sqrt(T mu) / 2 at every stop (Mersenne)."""
+    guitar = Instrument.load("classical_guitar")
+    model, points = assemble(guitar, 16000), list(guitar.body.points())
+    ends = string_ends(guitar)
+    assert [end.name for end in ends] == list(guitar.spec.strings)
+    for end in ends:
+        assert points[end.point] == guitar.spec.strings[end.name].body_points[0]
+        density = guitar.resonators[end.name].linear_density
+        assert end.mass_freq == pytest.approx(0.5 * math.sqrt(model.strings[end.name].tension(0) * density), rel=0.01)
+        assert end.low == pytest.approx(440 * 2 ** ((model.strings[end.name].open_note - 69) / 12))
+        assert end.high / end.low == pytest.approx(2 ** (guitar.spec.stops.count / 12))
+
+
+def test_a_measured_design_is_written_as_it_is_said(lumped, tmp_path):
+    """Reached targets, with a bundle that has the mode; and a target out of reach, with the bound that stops it."""
+    modes = np.sort(body_parts(lumped.spec.body.added, lumped.body.basis(2e4), lumped.body.points()).body.natural_freq)
+    wanted = 0.99 * float(modes[1])
+    free = parse_free({"body.added.0.mass": "0.001 .. 0.05"}, lumped)
+    design = find_design(lumped, parse_targets([f"mode 2 = {wanted:.4f}", "mode 1 <= 2000"], lumped), free)
+    said = [line for line in lines(design) if line.startswith("  mode")]
+    assert ["reached within" in line or line.endswith("; reached") for line in said] == [True, True]
+    assert said[1].endswith("; reached")
+    assert not any("cannot be reached" in line for line in lines(design))
+    # a tenth of the range, as it is said, against the body with so much more
+    (told,) = [line for line in lines(design) if line.startswith("  body.added.0.mass +0.0049: mode 2 ")]
+    body = MeasuredDesign(lumped, free)
+    now, more = (body.at([float(design.values[0]) + by]).freq[1] for by in (0.0, 1e-4))
+    cents = 49 * 1200 * math.log2(more / now)
+    assert float(told.split()[4]) == pytest.approx(cents, rel=0.1)
+    made = write_design(design, tmp_path / "made")
+    found = np.sort(body_parts(made.spec.body.added, made.body.basis(2e4), made.body.points()).body.natural_freq)
+    assert (made.name, found[1]) == ("made", pytest.approx(wanted, rel=5e-3))
+    missed = find_design(lumped, parse_targets([f"mode 2 = {0.5 * wanted:.4f}"], lumped), free)
+    text = "\n".join(lines(missed))
+    assert "MISSED by" in text
+    assert "cannot be reached within these bounds: mode 2" in text
+    assert "body.added.0.mass stands at its upper bound" in text
+
+
+def test_the_slope_of_an_error_is_its_derivative(box):
+    for text, figure in (("mode 2 = 200", 260.0), ("mass = 0.5", 0.6), ("mobility bridge 80..800 >= -30", -40.0)):
+        (target,) = parse_targets([text], box)
+        change = target.off(figure * (1 + 1e-6)) - target.off(figure * (1 - 1e-6))
+        assert slope(target, figure) == pytest.approx(change / (2e-6 * figure), rel=1e-6)
+
+
+def test_the_folder_of_a_design_has_the_name_of_an_instrument(tmp_path):
+    check_folder(tmp_path / "made_2")
+    for name in ("2made", "ma-de", "made.x"):
+        with pytest.raises(BundleError, match="cannot be the name"):
+            check_folder(tmp_path / name)
+
+
+def test_a_target_about_wolves_is_of_the_pitches_that_it_names(lumped):
+    (target,) = parse_targets(["no wolf F3..A3"], lumped)
+    assert (target.kind, target.sense, target.value, target.unit) == ("wolf", "<=", 0.0, "cents")
+    assert target.band == pytest.approx((440 * 2 ** (-16 / 12), 220.0))
+    assert (target.off(-30.0), target.off(30.0)) == (0.0, 30.0)

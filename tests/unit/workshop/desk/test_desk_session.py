@@ -14,7 +14,7 @@ from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.overrides import parse_assignment
 from tonewood.instrument.contract.base import Body
 from tonewood.workshop.desk.differences import differences, wolf_words
-from tonewood.workshop.desk.knobs import acts_at_once, groups, knobs, same_strings_and_body, span
+from tonewood.workshop.desk.knobs import acts_at_once, declared_field, groups, knobs, same_strings_and_body, span
 from tonewood.workshop.desk.phrase import phrase
 from tonewood.workshop.desk.session import MOST_CHANGES, MOST_SNAPSHOTS, DeskSession, assignment
 from tonewood.workshop.desk.views import mobility, shape
@@ -128,7 +128,7 @@ def test_a_saved_bundle_is_the_design(tmp_path: Path) -> None:
     assert again.spec.provenance["strings.*.length"].kind == "authored"
     with pytest.raises(TonewoodError, match="there already"):
         session.save(tmp_path / "mine")
-    with pytest.raises(TonewoodError, match="no name"):
+    with pytest.raises(TonewoodError, match="cannot be the name"):
         session.save(tmp_path / "my guitar")
     with pytest.raises(TonewoodError, match="no folder"):
         session.save(tmp_path / "missing" / "mine")
@@ -241,3 +241,37 @@ def test_modes_without_a_counterpart_are_said() -> None:
     said = [line for line in differences(other, start) if line.endswith("no counterpart")]
     assert said
     assert not [line for line in differences(start, start) if "counterpart" in line]
+
+
+def test_declarations_of_a_plugin_within_a_plugin_are_found() -> None:
+    """The loss of a string: the string's own field, and the fields of the law."""
+    instrument = tw.load_instrument("monochord")
+    string = type(instrument.resonators["A2"]).Parameters.model_fields
+    law = type(instrument.resonators["A2"].parameters.loss).Parameters.model_fields
+    assert declared_field(instrument, "strings.A2.loss") == string["loss"]
+    for name, field in law.items():
+        assert declared_field(instrument, f"strings.A2.loss.{name}") == field
+    assert declared_field(instrument, "strings.A2.none_such") is None
+
+
+def test_truths_and_names_are_no_numbers_to_turn() -> None:
+    """No factor on a truth that all strings have; neither schema nor name is a knob."""
+    instrument = tw.load_instrument("grand_piano")
+    every = [knob for group in groups(instrument)[:3] for knob in knobs(instrument, group)]
+    strings = list(instrument.resolved["strings"].values())
+    for knob in every:
+        assert knob.path.split(".")[-1] not in ("schema", "name", "plugin")
+        if knob.kind == "factor":
+            value = strings[0]
+            for key in knob.path.split(".")[2:]:
+                value = value[key]
+            assert isinstance(value, (int, float))
+            assert not isinstance(value, bool)
+
+
+@pytest.mark.parametrize(("kind", "steps"), [("scale", 2), ("notes", 4)])
+def test_notes_of_a_phrase_overlap_by_so_many_steps(tmp_path: Path, kind: str, steps: int) -> None:
+    made = phrase(kind, tw.load_instrument("monochord"), tmp_path / "a.mid", notes="A2 B2 C3")
+    onsets = np.array([note.time for note in made.notes])
+    lasting = np.array([note.duration for note in made.notes])
+    np.testing.assert_allclose(lasting, steps * np.diff(onsets)[0], atol=2e-3)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from estimate_sounds import GUITAR, recorded
 from scipy.signal import fftconvolve
 
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.contract.losses import StringData
 from tonewood.sound.room import room_response
 from tonewood.workshop.estimate.analysis import analyse
 from tonewood.workshop.estimate.body_modes import FEWEST, body_modes, envelopes
 from tonewood.workshop.estimate.distance import Distance
 from tonewood.workshop.estimate.estimate import Half, estimate, loss_is_unknown, placed_notes
+from tonewood.workshop.estimate.figures import Figures, forces_of, with_laws
+from tonewood.workshop.estimate.laws import LinearLoss
 from tonewood.workshop.estimate.partials import Bands
 from tonewood.workshop.estimate.playing import Stage
 from tonewood.workshop.estimate.pluck import edge_for, scaled_forces
@@ -139,3 +144,30 @@ def test_a_body_mode_an_edge_and_a_range_of_forces_are_found_again(tmp_path) -> 
     assert found.figures.forces is not None
     assert np.log(found.figures.forces[1] / found.figures.forces[0]) == pytest.approx(np.log(10.0), rel=0.1)
     assert [m.freq for m in found.body_modes if 150 < m.freq < 250] == pytest.approx([0.93 * 213.3], rel=0.02)
+
+
+def test_strings_without_notes_follow_their_neighbours() -> None:
+    """By ratios straight over the logarithm of pitch between them, and by the nearest one's beyond."""
+    loss = Instrument.load("monochord").resonators["A2"].parameters.loss
+    law = LinearLoss.of(loss, StringData(70.0, 1e-3, 1e-4))
+    pitch = {"low": 40.0, "third": 44.0, "high": 52.0, "highest": 57.0}
+    figures = Figures(dict.fromkeys(pitch, law), dict.fromkeys(pitch, 1e-4), None, {}, None)
+    stage = SimpleNamespace(open_note=pitch.__getitem__)
+    made = with_laws(figures, {"low": law.values, "high": 8 * law.values}, {"low": 1e-4, "high": 8e-4}, stage)  # type: ignore[arg-type]
+    for name, ratio in (("low", 1.0), ("third", 2.0), ("high", 8.0), ("highest", 8.0)):
+        np.testing.assert_allclose(made.laws[name].values, ratio * law.values, rtol=1e-12)
+        assert made.bending[name] == made.laws[name].string.bending_stiffness == pytest.approx(ratio * 1e-4)
+    assert made.estimated == {"low": True, "third": False, "high": True, "highest": False}
+
+
+@pytest.mark.parametrize(
+    ("parameter", "curve", "told"),
+    [
+        ("pluck.force", "exponential", (0.5, 5.0)),
+        ("pluck.force", "linear", None),
+        ("hammer.speed", "exponential", None),
+    ],
+)
+def test_forces_are_told_where_the_velocity_is_one(parameter, curve, told) -> None:
+    velocity = SimpleNamespace(parameter=parameter, curve=curve, low=0.5, high=5.0)
+    assert forces_of(SimpleNamespace(spec=SimpleNamespace(playing=SimpleNamespace(velocity=velocity)))) == told  # type: ignore[arg-type]

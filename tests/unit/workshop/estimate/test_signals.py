@@ -96,3 +96,10 @@ def test_a_split_follows_the_depth_of_the_beats() -> None:
     assert search._split(0.0, notes(0.3), notes(0.2)) == pytest.approx(0.075)
     assert search._split(2.0, notes(0.3, 2), notes(0.2, 2)) == 2.0  # fewer than six tell nothing
     assert search._split(None, notes(0.3), notes(0.2)) is None
+
+
+def test_noise_gives_each_band_what_its_width_is() -> None:
+    """White noise over 8 s: power in proportion to a third of an octave about each middle frequency, the lowest too."""
+    powers = third_octaves(np.random.default_rng(3).standard_normal(8 * FS))
+    width = THIRD_OCTAVES * (2 ** (1 / 6) - 2 ** (-1 / 6))
+    np.testing.assert_allclose(powers / powers.sum() * width.sum() / width, 1.0, atol=5 / np.sqrt(8 * width[0]))

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import ast
 import csv
 import json
 import os
@@ -22,7 +23,7 @@ import listening_fakes as fakes
 from browser import CHROMEDRIVER, CHROMIUM, driven
 from tonewood.cli.main import run
 from tonewood.workshop.exchange.answers import read_answers
-from tonewood.workshop.exchange.course import COURSES, course
+from tonewood.workshop.exchange.course import COURSES, course, words
 from tonewood.workshop.exchange.export import PROGRAMS, export
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.panel import SimulatedPanel, simulate
@@ -106,6 +107,10 @@ def test_webmushra_has_documented_keys(made: ListeningTest) -> None:
         for file in [page[k] for k in ("reference", "stimulus") if k in page] + [*page.get("stimuli", {}).values()]:
             assert (exported(made, "webmushra") / file).is_file()
     assert {page["type"] for page in flat} == set(DOCUMENTED) - {"config", "finish"}
+    # nobody begins without consent, and no sound is made that is not among the test's
+    assert all(page["mustConsent"] is True for page in flat if page["type"] == "consent")
+    rated = [page for page in flat if page["type"] in ("mushra", "bs1116")]
+    assert not any(page["createAnchor35"] or page["createAnchor70"] for page in rated)
     mushra = next(page for page in flat if page["type"] == "mushra")
     trial = next(trial for trial in made.trials if mushra["id"] == f"{trial.id}-1")
     assert set(mushra["stimuli"]) == set(trial.stimuli)
@@ -133,6 +138,21 @@ def test_psychopy_s_loops_have_the_columns_that_components_read(made: ListeningT
             assert used <= set(rows[0]), (page, used)
             files = {row[f"sound{i}"] for row in rows for i in range(1, 5) if row.get(f"sound{i}")}
             assert all((folder / file).is_file() for file in files)
+
+
+def test_sliders_run_over_the_answers_that_are_allowed(made: ListeningTest) -> None:
+    """Points from 0 to 100 (BS.1534), grades from 1 to 5 (BS.1116), scales as declared; both ends have words."""
+    root = ET.parse(exported(made, "psychopy") / "damping.psyexp").getroot()
+    sliders: dict[str, dict[str, Any]] = {}
+    for part in root.iter("SliderComponent"):
+        values = {str(p.get("name")): p.get("val", "") for p in part}
+        sliders[str(part.get("name"))] = {key: ast.literal_eval(values[key]) for key in ("ticks", "labels")}
+    scale = next(page for page in made.pages if page.type == "rating").scales[0]
+    ends = {"rate5_points": (0, 100), "rate6_points": (1, 5), "rate12_bright": (scale.low, scale.high)}
+    assert {name: slider["ticks"] for name, slider in sliders.items()} == ends
+    for slider in sliders.values():
+        assert len(slider["labels"]) == 2
+        assert all(slider["labels"])
 
 
 @pytest.mark.skipif(PSYCHOPY is None, reason="TONEWOOD_PSYCHOPY names no Python with PsychoPy")
@@ -450,3 +470,22 @@ def test_jspsych_runs_to_its_end_and_its_answers_come_in(made: ListeningTest, tm
     assert one.listener == "P9"
     assert len([r for r in one.records if r["trial"]]) == len(course(made, 4))
     assert re.search("P9", text)
+
+
+def test_pages_have_the_words_that_listeners_read_here(made: ListeningTest) -> None:
+    """Their own, else those of the language."""
+    texts = made.texts("en")
+    said = {page.type: words(made, page) for page in made.manifest.pages}
+    assert said["consent"] == (texts["consent_title"], "<b>Read</b> & agree")
+    assert said["instructions"] == ("Hello", "")
+    assert said["mushra"] == (texts["mushra_title"], texts["mushra_text"])
+    assert texts["mushra_text"]
+
+
+def test_an_answer_by_key_counts_where_no_response_stands(made: ListeningTest, tmp_path: Path) -> None:
+    """A column of responses that is empty in the rows of keys, as of two tables put together."""
+    (row, *_) = [row for row in plain_rows(made) if row.get("response") == "A"]
+    chosen = {key: value for key, value in row.items() if key != "response"}
+    found = read_answers(write_plain(tmp_path / "plain.csv", [chosen | {"response": "", "answer7.keys": "a"}]), made)
+    assert found.left_out == ()
+    assert [one.records[0]["answer"]["choice"] for one in found.listeners] == ["A"]

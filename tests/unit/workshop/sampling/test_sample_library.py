@@ -20,6 +20,7 @@ from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import assembled
 from tonewood.workshop.sampling.library import Library, Sampling, make_library
 from tonewood.workshop.sampling.notes import Span, compass, key_spans, velocity_spans
+from tonewood.workshop.sampling.strokes import Stroke, rings
 from tonewood.workshop.sampling.texts import Region
 
 FS = 16000
@@ -199,3 +200,24 @@ def test_the_compass_ends_at_the_last_stop_of_the_highest_string() -> None:
     """E2 to the 19th fret of E4 of a classical guitar: B5."""
     guitar = tw.load_instrument("classical_guitar")
     assert compass(assembled(guitar, RenderOptions(fs=8000))) == (40, 64 + 19)
+
+
+def test_a_decay_is_that_of_an_exponential() -> None:
+    """Decibels per second; none where a stroke ends within the second of its two pieces, or grows."""
+    t = np.arange(2 * FS) / FS
+    falling = 10 ** (-40.0 * t[:, None] / 20)
+    assert Stroke(60, 100, 1, falling).decay_db(FS) == pytest.approx(40.0)
+    assert Stroke(60, 100, 1, falling[: round(0.95 * FS)]).decay_db(FS) == 0.0
+    assert Stroke(60, 100, 1, falling[::-1]).decay_db(FS) == 0.0
+
+
+@pytest.mark.parametrize(("name", "on"), [("monochord", True), ("classical_guitar", False), ("grand_piano", False)])
+def test_notes_ring_on_unless_a_hand_or_a_damper_ends_them(name: str, on: bool) -> None:
+    assert rings(tw.load_instrument(name)) is on
+
+
+def test_the_hardest_stroke_peaks_one_decibel_below_full_scale(tmp_path: Path) -> None:
+    few = Sampling(step=1, velocities=(127,), repeats=1, lowest=50, highest=50, duration=0.3)
+    made = make_library(tw.load_instrument("monochord"), tmp_path / "a.sfz", few, RenderOptions(fs=FS))
+    samples, _ = sf.read(made.folder / regions(made)[0]["sample"])
+    assert 20 * np.log10(np.abs(samples).max()) == pytest.approx(-1.0, abs=0.01)

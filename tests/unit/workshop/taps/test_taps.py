@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from tonewood.errors import TonewoodError
 from tonewood.workshop.taps.cutting import cut_taps
 from tonewood.workshop.taps.names import named
 from tonewood.workshop.taps.recordings import read_taps, record_taps
-from tonewood.workshop.taps.ringing import Peak, ringing
+from tonewood.workshop.taps.ringing import Peak, _combined, ringing
 from tonewood.workshop.taps.strongest import strongest
 
 FS = 24000
@@ -74,6 +75,10 @@ def test_frequencies_and_q_of_known_modes(decibels):
     assert [peak.quality for peak in peaks] == pytest.approx(QUALITY, rel=0.03)
     assert all(peak.seen == peak.taps == 5 for peak in peaks)
     assert max(peak.level for peak in peaks) == 0.0
+    for peak in peaks:  # intervals of 90 %, by equal factors to both sides
+        for value, (low, high) in ((peak.freq, peak.freq_90), (peak.quality, peak.quality_90)):
+            assert 0.5 * value < low < value < high < 2 * value
+            assert low * high == pytest.approx(value**2)
 
 
 def test_taps_that_are_cut_short_have_the_same_q():
@@ -130,7 +135,9 @@ def test_taps_are_cut_where_they_are_said_to_be():
     expected = t60 * np.log(0.5 / np.sqrt(2) / noise) / np.log(1000) - 0.005
     assert taps.decays == pytest.approx((expected, expected), abs=0.03)
     assert [piece.size for piece in taps.analysed()] == [round(taps.ring_out * FS)] * 2
-    assert cut_taps(x, FS).joined(taps).decays == taps.decays * 2
+    both = cut_taps(x, FS).joined(taps)
+    assert both.decays == taps.decays * 2
+    assert [piece.size for piece in both.samples] == [first.size, second.size] * 2
 
 
 @pytest.mark.parametrize(("row", "out"), [(2, 0), (3, 1)])
@@ -169,6 +176,15 @@ def a_peak(freq, level, quality=30.0, seen=5):
     return Peak(freq, quality, (freq, freq), (0.95 * quality, 1.05 * quality), level, seen, 5)
 
 
+def test_a_peak_is_certain_that_most_taps_show_with_a_q_within_a_factor_of_one_and_a_half():
+    sure = replace(a_peak(200.0, 0.0), quality_90=(20.0, 44.9))
+    assert sure.certain
+    assert not replace(sure, quality_90=(20.0, 45.1)).certain
+    assert replace(sure, seen=3).certain
+    assert not replace(sure, seen=2).certain
+    assert not replace(sure, seen=2, taps=4).certain
+
+
 def test_names_by_order_ratio_and_level():
     """Two guitars of the literature: air, top, back 97, 199, 291 Hz; a weak neck mode below A0 gets no name."""
     peaks = [
@@ -203,6 +219,7 @@ def test_the_command_lists_writes_and_draws(tmp_path, monkeypatch, capsys):
         ("A0", 98), ("T1", 190), ("T2", 235),
     ]  # fmt: skip
     assert "mobility" in report["quantity"]
+    assert any("three or more at one place" in line for line in report["warnings"]) == (report["taps"] < 3)
     assert Path("a.csv").read_text().startswith("freq_Hz,freq_low_Hz,freq_high_Hz,Q,")
     assert len(Path("a.csv").read_text().splitlines()) == 1 + len(report["peaks"])
     assert Path("a.png").read_bytes()[:4] == b"\x89PNG"
@@ -346,3 +363,15 @@ def test_plates_that_others_measured(name):
     assert len(found) <= len(wanted) + 7
     if name == "2L":
         assert found[:3] == pytest.approx([51.5, 75.7, 127.8], rel=0.01)
+
+
+def test_combinations_of_taps_keep_their_energy():
+    """One for taps that are alike, whatever the phase of what rings; as many as there are for taps that are not."""
+    rng = np.random.default_rng(2)
+    for phase in (1.0, 1j, np.exp(0.7j)):
+        alike = phase * np.outer([1.0, 3.0, -2.0, 0.5], rng.normal(size=300))
+        combined = _combined(alike)
+        assert len(combined) == 1
+        assert np.sum(np.abs(combined) ** 2) == pytest.approx(alike.shape[0] * 300)
+    two = _combined(np.vstack([x := rng.normal(size=300), 1j * x]))
+    assert np.sum(np.abs(two) ** 2) == pytest.approx(2 * 300)

@@ -442,6 +442,7 @@ function status() {
     parts.push(`latency ${(1e3 * sound.latency).toFixed(0)} ms`);
     parts.push(`${sound.meter.underruns} underrun${sound.meter.underruns === 1 ? "" : "s"}`);
     if (load) parts.push(`load ${(100 * load.load).toFixed(0)} %`);
+    if (load?.load > 1) parts.push("this model takes longer than its sound: a phrase has gaps the first time and none when it is repeated; keys have gaps");
     if (sound.toSound !== null) parts.push(`knob to sound ${sound.toSound.toFixed(0)} ms`);
   } else parts.push("not playing");
   if (s.modes !== null) parts.push(`${s.modes} modes`);
@@ -578,7 +579,10 @@ submitted("keep", () => act("keep", { name: $("keep_name").value }));
 submitted("save", () => act("save", { folder: $("save_folder").value }));
 submitted("mass", () => {
   const kept = state.changes.find((c) => c.path === "body.added")?.value ?? state.added ?? [];
-  act("set", { path: "body.added", value: [...kept, { at: $("mass_at").value, mass: Number($("mass_g").value) / 1000, damping: Number($("mass_damping").value) }] });
+  const part = { at: $("mass_at").value, mass: Number($("mass_g").value) / 1000 }, damping = Number($("mass_damping").value);
+  if ($("mass_frequency").value) Object.assign(part, { frequency: Number($("mass_frequency").value), q: Number($("mass_q").value) });
+  if (damping) part.damping = damping;
+  act("set", { path: "body.added", value: [...kept, part] }).then(fillOpen);
 });
 $("compare").addEventListener("click", () => act("compare", { name: $("other").value, blind: $("blind").checked }));
 submitted("advise", () => act("advise", { targets: $("targets").value, free: $("free").value }));

@@ -9,7 +9,9 @@ import base64
 import hashlib
 import json
 import math
+from collections.abc import Callable, Mapping
 from importlib.resources import files
+from types import MappingProxyType
 from typing import Any
 
 from tonewood import __version__
@@ -17,12 +19,13 @@ from tonewood.errors import TonewoodError
 from tonewood.support.plotting import COLOURS
 
 
-def offline_page(template: str, **values: Any) -> str:
-    """A template of Jinja with values; every text among them is escaped.
+def offline_page(template: str, filters: Mapping[str, Callable[..., str]] = MappingProxyType({}), **values: Any) -> str:
+    """Fill a Jinja template with values; every text among them is escaped.
 
-    The template finds ``script`` (the player of `page.js`), ``version``, ``colours``, the macros of ``parts`` (the head
-    of a page among them), and the filters ``fixed`` (digits, signed) and ``shown``.
+    The template finds ``version``, ``colours``, the macros of ``parts`` (among them ``head`` and ``foot`` of a page),
+    and the filters ``fixed`` (digits, signed) and ``shown``.
 
+    filters : further ones, by name.
     Raises TonewoodError : jinja2 is not installed.
     """
     try:
@@ -30,13 +33,12 @@ def offline_page(template: str, **values: Any) -> str:
         from markupsafe import Markup
     except ImportError:
         raise TonewoodError("pages need jinja2: pip install 'tonewood[report]'") from None
-    folder = files("tonewood.workshop.report")
+    folder = files("tonewood.support.page")
     style, script, parts = (
-        (folder / name).read_text(encoding="utf-8") for name in ("page.css", "page.js", "parts.html")
+        (folder / name).read_text(encoding="utf-8") for name in ("page.css", "player.js", "parts.html")
     )
-    loader = DictLoader({"parts": parts})
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=False, loader=loader)
-    environment.filters |= {"fixed": _fixed, "shown": _shown}
+    environment = Environment(autoescape=True, undefined=StrictUndefined, loader=DictLoader({"parts": parts}))
+    environment.filters |= {"fixed": fixed, "shown": _shown} | dict(filters)
     common = {
         "version": __version__,
         "colours": COLOURS,
@@ -47,8 +49,10 @@ def offline_page(template: str, **values: Any) -> str:
     return environment.from_string(template).render(**common, **values)
 
 
-def _fixed(value: float, digits: int, signed: bool = False) -> str:
-    """A number with so many decimals, a true minus sign, infinity as a sign; 0 without a sign."""
+def fixed(value: float | None, digits: int, signed: bool = False) -> str:
+    """A number with so many decimals, a true minus sign, infinity as a sign; 0 without a sign; a dash for none."""
+    if value is None or math.isnan(value):
+        return "\N{EN DASH}"
     if not math.isfinite(value):
         return "\N{INFINITY}" if value > 0 else "\N{MINUS SIGN}\N{INFINITY}"
     text = f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
