@@ -47,8 +47,7 @@ public:
 
     bool on() const { return l_.in_parts; }
 
-    // Forces f of the connections and `now` on all fixed ports, from lines b and b + 1 of the row history. Kept out of the
-    // flattened functions that call it.
+    // Forces f of the connections and `now` on all fixed ports, from lines b and b + 1 of the row history.
     __attribute__((flatten, noinline)) void operator()(const double* __restrict line, double* __restrict f,
                                              double* __restrict now) {
         for (const Layout::Segment& segment : l_.segments)
