@@ -36,17 +36,17 @@ def write_design(design: FoundDesign, folder: Path) -> Instrument:
     Raises OutputError : the folder cannot be written; nothing stays behind.
     """
     check_folder(folder)
-    made = design.instrument
-    values = {k: v for k, v in made.resolved.items() if v is not None}
+    instrument = design.instrument
+    values = {k: v for k, v in instrument.resolved.items() if v is not None}
     values["name"] = folder.name
-    values["title"] = f"{made.spec.title}, changed for {'; '.join(t.text for t in design.targets)}"
-    note = f"found by tonewood design from {made.name}"
+    values["title"] = f"{instrument.spec.title}, changed for {'; '.join(t.text for t in design.targets)}"
+    note = f"found by tonewood design from {instrument.name}"
     paths = [path for parameter in design.free for path in parameter.paths]
     values["provenance"] = {**values.get("provenance", {}), **{p: {"kind": "authored", "note": note} for p in paths}}
     try:
-        shutil.copytree(made.folder, folder, ignore=shutil.ignore_patterns(MANIFEST, "__pycache__"))
+        shutil.copytree(instrument.folder, folder, ignore=shutil.ignore_patterns(MANIFEST, "__pycache__"))
         write_whole(folder / MANIFEST, _yaml(values))
-        return Instrument.load(folder, allow_code=made.allow_code)
+        return Instrument.load(folder, allow_code=instrument.allow_code)
     except BaseException as fault:
         with suppress(OSError):
             shutil.rmtree(folder)

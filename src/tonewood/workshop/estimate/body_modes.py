@@ -63,12 +63,12 @@ def body_modes(notes: Iterable[Sequence[Complexes | None]], open_strings: Sequen
     rows, rng = list(notes), np.random.default_rng(1)
     draws: list[Floats] = []
     for i, limit in enumerate(LIMITS):
-        own = [y for y in (row[i] for row in rows) if y is not None]
-        if len(own) < FEWEST:
+        present = [y for y in (row[i] for row in rows) if y is not None]
+        if len(present) < FEWEST:
             continue
         for k in range(_DRAWS):
-            picked = range(len(own)) if k == 0 else rng.integers(0, len(own), len(own))
-            draws += [_kept(sample, open_strings) for sample in _found([own[j] for j in picked], limit)]
+            picked = range(len(present)) if k == 0 else rng.integers(0, len(present), len(present))
+            draws += [_kept(sample, open_strings) for sample in _found([present[j] for j in picked], limit)]
     pool = np.array([(i, *pole) for i, draw in enumerate(draws) for pole in draw]).reshape(-1, 3)
     modes: list[HeardMode] = []
     while len(pool):

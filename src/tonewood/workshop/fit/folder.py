@@ -137,9 +137,9 @@ class FitFolder:
 
     def _place(self, name: str) -> MeasuredPoint:
         """Place of a point; a bank that was driven at one point takes it for the middle of the bridge."""
-        place = self.places.get(name, MeasuredPoint())
-        middle = self.radiation is not None and place.u is None and name in self.fit.responses.references
-        return replace(place, u=0.0) if middle else place
+        point = self.places.get(name, MeasuredPoint())
+        middle = self.radiation is not None and point.u is None and name in self.fit.responses.references
+        return replace(point, u=0.0) if middle else point
 
     def write(self, folder: Path, draw: Callable[[Fit, Path], None] | None = None) -> list[Path]:
         """Write all files into a folder, which is made if it is not there; nothing if one of them fails.
