@@ -96,7 +96,7 @@ def accuracy(
     study = Study(outcomes, timing.machine(), quick, more)
     png = b""
     if drawing:
-        from tonewood.lab.accuracy.answer import chart_png
+        from tonewood.lab.accuracy.least_time import chart_png
 
         png = chart_png(outcomes)
     # everything is made before anything is written

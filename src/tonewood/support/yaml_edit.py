@@ -1,4 +1,4 @@
-"""Changing a YAML file that people write: values replaced or keys removed, every other byte left as it is."""
+"""Replace values or remove keys in a YAML file that people write; every other byte stays."""
 
 from __future__ import annotations
 

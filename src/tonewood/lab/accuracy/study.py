@@ -11,7 +11,8 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.lab.accuracy.cases import (
+from tonewood.lab.accuracy.catalogue import CASES, selected
+from tonewood.lab.accuracy.linear_cases import (
     FREQ_UPPER,
     Case,
     continuous_poles,
@@ -19,7 +20,6 @@ from tonewood.lab.accuracy.cases import (
     sliding_string,
     undamped,
 )
-from tonewood.lab.accuracy.catalogue import CASES, selected
 from tonewood.lab.accuracy.measures import energy_drift, pole_errors, wave_errors
 from tonewood.lab.accuracy.nonlinear_cases import NonlinearCase, Truth
 from tonewood.lab.accuracy.outcome import DECAY, PITCH, WAVEFORM, Outcome, Point

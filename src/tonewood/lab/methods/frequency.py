@@ -1,4 +1,4 @@
-"""Components held together at one frequency: unconstrained response plus the correction by constraint forces.
+"""Rigidly connected components at one frequency: free response plus the correction by constraint forces.
 
     y = H_oi u + H_oc f,    0 = H_ci u + H_cc f    =>    y = (H_oi - H_oc H_cc^+ H_ci) u,
 

@@ -1,4 +1,4 @@
-"""Problem that every method steps: components held together rigidly, some forces, some displacements to read.
+"""The problem that every method steps: rigidly connected components, input forces and displacement outputs.
 
     x' = A x + B f,   gaps g = C x,   constraint forces f,   two numbers per mode.
 

@@ -1,4 +1,4 @@
-"""The design nearest to the given one that reaches its targets: bounded least squares with derivatives by theory.
+"""The smallest change of a design that reaches its targets: bounded least squares with analytic derivatives.
 
     minimise  sum_t (off_t / weight_t)^2 + sum_i (LEAST (p_i - p_i0) / (high_i - low_i))^2,    low_i <= p_i <= high_i
 

@@ -1,4 +1,4 @@
-"""What is wanted of a design, and what may change for it: lines of a YAML file or of the command line.
+"""Targets of a design and its free parameters, read from a YAML file or the command line.
 
 targets:                                  free:
 - T1 = 200                                body.thickness: 2.0e-3 .. 3.0e-3       # the value itself

@@ -1,4 +1,4 @@
-"""Body modes that single notes tell: what rings below the fundamental of high notes.
+"""Body modes from single notes: they ring below the fundamental of high notes.
 
 Below 0.8 f0 a note has no partials of its own. What rings there after the pluck are modes of the body, and partials of
 open strings that move with it. All notes that are high enough share these modes, so that the Hankel matrices of their

@@ -1,4 +1,4 @@
-"""The bundle of an estimate: a copy of the one begun with, the new figures in it, and where they come from."""
+"""The bundle of an estimate: a copy of the initial one with the estimated figures and their origin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Distance of a folder of notes, or of an instrument, to one guitar, and the scale that tells what it means."""
+"""Distance of a folder of notes, or of an instrument, to one guitar, and the scale to judge it by."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Answers that were given elsewhere: webMUSHRA's tables, and a plain table that any program can write.
+"""Answers collected by other programs: webMUSHRA's tables, and a plain table that any program can write.
 
 The plain table (CSV, the first row names the columns) has a row a rating, with `listener`, `page`, `trial`, `stimulus`
 (a blind code), `item` (a scale, where a page has several) and `value`; or a row an answer, with `listener`, `page`,

@@ -1,4 +1,4 @@
-"""The folder of a fit: tables, the parts of a bundle that are known from them, facts, and the figure.
+"""The folder of a fit: tables, the parts of a bundle that follow from them, facts, and the figure.
 
 ``body.csv``, ``radiation.csv`` (with microphones), ``body.yaml``, ``fit.json``, ``fit.png``; ``modes.csv`` in place of
 the first three where responses are no passive body's. All are written, or none.
