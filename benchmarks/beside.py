@@ -1,6 +1,6 @@
 """Draw a phrase of each instrument beside a sampled one, as spectrograms of the same MIDI notes.
 
-    python benchmarks/beside.py OUT --bank BANK.sf2 grand_piano steel_guitar
+    python benchmarks/beside.py --bank BANK.sf2 OUT grand_piano steel_guitar
 
 BANK is a General MIDI bank of sampled instruments, played by the command `fluidsynth`; neither is part of the project.
 The instrument is rendered with the preset `studio`. Both sounds are at the same level.

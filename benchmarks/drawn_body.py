@@ -20,29 +20,31 @@ import tonewood as tw
 from tonewood.instrument.inspection.frequencies import mobility_bands
 from tonewood.instrument.model.assembly import assemble
 from tonewood.physics.plate import body_modes
+from tonewood.physics.plate.plate import cell_size
 from tonewood.physics.plate.tracking import followed
 from tonewood.support.blas import one_blas_thread
 
-#: m, cells of the refinement, and Hz
-SIZES, FMAX = (0.010, 0.0075, 0.0055), 5000.0
+#: m, cells finer than the default ones, and Hz
+FINER, FMAX = (0.0075, 0.0055), 5000.0
 
 
 @one_blas_thread
 def convergence(drawing, name: str) -> None:
     """Frequencies on finer grids."""
+    sizes = (cell_size(drawing.top.wood, drawing.top.thickness, 6000.0), *FINER)
     found = []
-    for size in SIZES:
+    for size in sizes:
         began = time.process_time()
         modes = body_modes(replace(drawing, fmax=FMAX, top=replace(drawing.top, size=size)))
         found.append(modes.freq)
         print(f"  {name}, cells of {1e3 * size:.1f} mm: {len(modes.freq)} modes to {FMAX:.0f} Hz in "
               f"{time.process_time() - began:.1f} s")  # fmt: skip
     count = min(100, *map(len, found))
-    for size, freq in zip(SIZES, found, strict=True):
+    for size, freq in zip(sizes, found, strict=True):
         apart = np.abs(freq[:count] / found[-1][:count] - 1)
         errors = f"worst {100 * apart.max():.2f} %, {np.count_nonzero(apart > 0.01)} above 1 %"
         errors += f", median {100 * np.median(apart):.2f} %"
-        print(f"  {1e3 * size:.1f} mm against {1e3 * SIZES[-1]:.1f} mm, first {count} modes: {errors}")
+        print(f"  {1e3 * size:.1f} mm against {1e3 * FINER[-1]:.1f} mm, first {count} modes: {errors}")
 
 
 @one_blas_thread

@@ -1,6 +1,7 @@
 """Measure single notes of instruments and print the tables of docs/in_the_air.md.
 
     python benchmarks/in_the_air.py steel_guitar twelve_string_guitar drawn_guitar_x     # some minutes
+    python benchmarks/in_the_air.py steel_guitar --step 6 --set exciters.plectrum.from_bridge=0.08
     python benchmarks/in_the_air.py grand_piano
     python benchmarks/in_the_air.py --sounds FOLDER                                      # A2.ogg ... of a piano
     python benchmarks/in_the_air.py --rise monochord classical_guitar
@@ -17,6 +18,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 import tonewood as tw
@@ -86,10 +88,10 @@ def onset_level(x: Floats, onset: int, low: float, high: float) -> float:
     return float(20 * np.log10(loudest / running_rms(x, 0.003)[onset : onset + FS // 10].max()))
 
 
-def plucked(instrument: tw.Instrument, output: str | None, velocity: int) -> None:
-    """Print the medians of an instrument."""
+def plucked(instrument: tw.Instrument, output: str | None, velocity: int, step: int = 3) -> None:
+    """Print the medians of an instrument over notes `step` semitones apart."""
     rows, decays, levels = [], [], []
-    for note, string in lowest(instrument, 3):
+    for note, string in lowest(instrument, step):
         x = played(instrument, note, string, velocity, output)
         f = 440 * 2 ** ((note - 69) / 12)
         found = analyse(x, f, 1e-4)
@@ -108,8 +110,9 @@ def plucked(instrument: tw.Instrument, output: str | None, velocity: int) -> Non
     print(f"| {name} | {late:.0f} | {t60} | {onset_db:.0f} | {bright:.0f} | {np.std(levels):.1f} | {len(rows)} |")
 
 
-def piano(sounds: Mapping[int, Floats]) -> None:
-    """Print the figures of notes of a piano, each from before its blow on."""
+def piano(sounds: Mapping[int, Floats]) -> dict[int, tuple[float, ...]]:
+    """Print the figures of notes of a piano, each from before its blow on, and return them."""
+    figures: dict[int, tuple[float, ...]] = {}
     for note, x in sounds.items():
         f0 = 440 * 2 ** ((note - 69) / 12)
         onset, _ = find_onset(x, f0)
@@ -138,10 +141,11 @@ def piano(sounds: Mapping[int, Floats]) -> None:
         off = np.abs(freq[:, None] - partials).min(axis=1) > min(0.2 * g, 12.0)
         between = db(power[off & (freq > 40)].sum() / power[freq > 40].sum())
         bright = centroid(x[onset : onset + FS // 5], 30.0)
-        print(
-            f"| {note_name(note)} | {np.median(prompt):.1f} | {between:.0f} | {np.median(wobble):.1f} | {below:.0f} | "
-            f"{bright:.0f} | {1e5 * b:.0f} | {found.level:.1f} |"
-        )
+        figures[note] = tuple(map(float, (np.median(prompt), between, np.median(wobble), below, bright, 1e5 * b)))
+        figures[note] += (float(found.level),)
+        cells = " | ".join(f"{v:.{d}f}" for v, d in zip(figures[note], (1, 0, 1, 0, 0, 0, 1), strict=True))
+        print(f"| {note_name(note)} | {cells} |")
+    return figures
 
 
 def rises(instrument: tw.Instrument) -> None:
@@ -178,6 +182,8 @@ def main() -> None:
     parser.add_argument("--sounds", type=Path, help="folder of recorded notes of a piano, measured likewise")
     parser.add_argument("--output", help="name of the output that is heard; the first where left out")
     parser.add_argument("--velocity", type=int, default=VELOCITY, help="of plucked instruments")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="of the bundle, as in a render")
+    parser.add_argument("--step", type=int, default=3, help="semitones between the notes of plucked instruments")
     parser.add_argument("--rise", action="store_true", help="times of the rise in the presets dry and studio")
     parser.add_argument("--struck", action="store_true", help="look for strings that strike frets")
     given = parser.parse_args()
@@ -190,6 +196,8 @@ def main() -> None:
         piano({r.note: r.samples for r in read_folder(given.sounds).recordings if r.note in PIANO})
     for name in given.instruments:
         instrument = tw.load_instrument(name)
+        if given.set:
+            instrument = instrument.replace({k: yaml.safe_load(v) for k, _, v in (s.partition("=") for s in given.set)})
         if given.struck:
             struck(instrument)
         elif given.rise:
@@ -197,7 +205,7 @@ def main() -> None:
         elif name == "grand_piano":
             piano({note: played(instrument, note, None, 80, None) for note in PIANO})
         else:
-            plucked(instrument, given.output, given.velocity)
+            plucked(instrument, given.output, given.velocity, given.step)
 
 
 if __name__ == "__main__":

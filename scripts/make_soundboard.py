@@ -9,6 +9,9 @@ published statistics. Their modal mass m follows from the mean mobility of a pla
 limit Y is the drawing's, and above it falls as that of a beam, the bridge, f^-1/2 (Cremer, Heckl and Petersson,
 Structure-borne sound). Shapes are straight between knots along each bridge.
 
+`keybed` is where the noises of keys act (the plugin `key_noise`): -Gamma_k / `CASE`, with Gamma_k the integral of the
+board's mass times the shape of drawn mode k, the mass spread evenly; above the limit 0, as shapes of many waves cancel.
+
 `left` and `right` are the pressures at two places 1 m above the board per acceleration of each mode: of drawn modes the
 Rayleigh sum at the mode's own frequency (its magnitude, with the sign of its real part), above the limit random numbers
 with the rms that radiation at velocity x rho c asks for, continued from the drawn modes.
@@ -52,6 +55,8 @@ BRIDGE_WOOD = {"species": "maple", "E_L": 13.7e9, "density": 750}
 FROM_END, BASS_KNOTS, TREBLE_KNOTS, BASS_KEYS = 0.03, 8, 18, 20
 #: m, places of the microphones: 1 m above the strings of C4, by judgement 0.6 m apart
 MICROPHONES = {"left": (0.30, 1.0, 1.0), "right": (0.90, 1.0, 1.0)}
+#: kg, of the case with all that is in it: a grand of this length, by judgement
+CASE = 400.0
 #: (Hz, modes per Hz), straight between, above the limit: Ege, Boutillon and Rebillat 2013 to 5 kHz; carried on above
 DENSITY = ((1100.0, 0.05), (5000.0, 0.02), (5000.1, 0.014), (12000.0, 0.014))
 #: (Hz, loss factor): the same, about 2 % to 3 kHz
@@ -148,6 +153,24 @@ def mobility_of(freq: Floats, modes: plate.BodyModes) -> NDArray[np.complex128]:
     return np.asarray(1j * w / (wn**2 * (1 + 1j * modes.loss) - w**2) @ (modes.shapes**2).T)
 
 
+def board_mass() -> tuple[float, float]:
+    """Mass of plate, ribs and bridges, kg, and area, m^2."""
+    x, y = outline().T
+    area = 0.5 * abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1)))
+    rib = sum(float(np.hypot(*(b - a))) for a, b in ribs(outline())) * RIB_WIDTH * RIB_HEIGHT * RIB_WOOD["density"]
+    bridge = sum(float(np.hypot(*np.subtract(b, a))) for path in (BASS, TREBLE) for a, b in pairwise(path))
+    bridge *= BRIDGE_WIDTH * BRIDGE_HEIGHT * BRIDGE_WOOD["density"]
+    return area * THICKNESS * SPRUCE["density"] + rib + bridge, area
+
+
+def moved_by_the_case(sources: plate.Sources) -> Floats:
+    """Gamma of each drawn mode, kg^(1/2): the sum of the squares of all is the board's mass."""
+    mass, area = board_mass()
+    gamma = mass / area * sources.volumes.sum(axis=0)
+    print(f"board of {mass:.1f} kg on {area:.2f} m^2; {gamma @ gamma:.1f} kg of it in the drawn modes")
+    return np.asarray(gamma)
+
+
 def frequencies(draws: np.random.Generator) -> Floats:
     """Frequencies above the limit whose spacing is 1 / n(f), each moved by up to 10 % of it."""
     grid = np.linspace(DENSITY[0][0], DENSITY[-1][0], 200_001)
@@ -203,6 +226,7 @@ def main(folder: Path | None) -> None:
         drawn = np.abs(own) * np.where(own.real < 0, -1.0, 1.0)
         rms = np.sqrt(np.mean(drawn[modes.freq > edge[0]] ** 2))
         heard.append(np.concatenate([drawn, rms * LIMIT / freq * draws.standard_normal(freq.size)]))
+    keybed = np.concatenate([-moved_by_the_case(sources) / CASE, np.zeros(freq.size)])
     shapes = np.vstack([modes.shapes.T, shapes])
     at = [bass, treble]
     parts = np.split(shapes, [BASS_KNOTS], axis=1)
@@ -220,13 +244,14 @@ def main(folder: Path | None) -> None:
     q = np.concatenate([1 / modes.loss, 1 / np.interp(freq[len(modes.freq) :], *zip(*LOSS, strict=True))])
     lines = [
         f"# A grand's soundboard by scripts/make_soundboard.py: a drawing to {LIMIT:g} Hz, published statistics above.",
-        "# CC-BY-4.0, the tonewood authors. modal_mass in kg; a column per key on its bridge, and two that are heard.",
+        "# CC-BY-4.0, the tonewood authors. modal_mass in kg; a column per key on its bridge, two that are heard, and "
+        "the keybed.",
     ]
     with (folder / "soundboard.csv").open("w", newline="") as stream:
         stream.write("\n".join(lines) + "\n")
         table = csv.writer(stream, lineterminator="\n")
-        table.writerow(["f_Hz", "Q", "modal_mass", *(name.replace("#", "s") for name in names), *MICROPHONES])
-        for f, quality, row, *sound in zip(freq, q, keys, *heard, strict=True):
+        table.writerow(["f_Hz", "Q", "modal_mass", *(name.replace("#", "s") for name in names), *MICROPHONES, "keybed"])
+        for f, quality, row, *sound in zip(freq, q, keys, *heard, keybed, strict=True):
             shapes_and_sound = (*(repr(float(x)) for x in row), *(f"{x:.4g}" for x in sound))
             table.writerow([f"{f:.3f}", f"{quality:.3g}", 1, *shapes_and_sound])
 

@@ -65,7 +65,7 @@ from tonewood.performance.effects.connections import ConnectionsInReach, Switche
 from tonewood.performance.effects.longitudinal import LONGITUDINAL
 from tonewood.performance.effects.phantom_partials import PHANTOM_PARTIALS
 from tonewood.performance.effects.tension import TENSION_MODULATION
-from tonewood.performance.effects.unswitched import DAMPERS, FRETTING_NOISE, SQUEAK, TOUCH_NOISE
+from tonewood.performance.effects.unswitched import DAMPERS, FRETTING_NOISE, KEY_NOISE, SQUEAK, TOUCH_NOISE
 from tonewood.performance.effects.usage import Bound
 from tonewood.physics import plate as plate
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
@@ -89,6 +89,7 @@ from tonewood.support.params import Number, Parameters, Vector, described, quant
 __all__ = [
     "DAMPERS",
     "FRETTING_NOISE",
+    "KEY_NOISE",
     "LONGITUDINAL",
     "PHANTOM_PARTIALS",
     "SQUEAK",

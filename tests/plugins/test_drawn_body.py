@@ -356,17 +356,20 @@ def test_its_modes_can_be_written_as_a_table(tmp_path: Path) -> None:
 
 
 @pytest.mark.validate
-@pytest.mark.parametrize("name", ["drawn_guitar", "drawn_guitar_x"])
-def test_a_braced_top_has_converged(name: str) -> None:
-    """First 100 modes with the default cells against finer ones: median within 0.4 %, all within 1 %."""
+@pytest.mark.parametrize(("name", "median", "worst"), [("drawn_guitar", 0.006, 0.011), ("drawn_guitar_x", 0.011, 0.02)])
+def test_default_cells_of_a_braced_top_are_off_by_what_the_guide_says(name: str, median: float, worst: float) -> None:
+    """First 100 modes beside cells of 7.5 and 5.5 mm: too high by what the guide states, by half of it with 7.5 mm."""
     drawing = guitar(name).body.drawing
     size = cell_size(drawing.top.wood, drawing.top.thickness, 6000.0)
-    coarse, fine = (
-        body_modes(replace(drawing, fmax=5000.0, top=replace(drawing.top, size=s))).freq[:100] for s in (size, 5.5e-3)
+    coarse, middle, fine = (
+        body_modes(replace(drawing, fmax=5000.0, top=replace(drawing.top, size=s))).freq[:100]
+        for s in (size, 7.5e-3, 5.5e-3)
     )
     apart = coarse / fine - 1
-    assert np.median(apart) < 0.004
-    assert np.abs(apart).max() < 0.01
+    assert apart.min() > 0
+    assert np.median(apart) < median
+    assert apart.max() < worst
+    assert np.median(middle / fine - 1) < np.median(apart) / 2
 
 
 @pytest.mark.validate

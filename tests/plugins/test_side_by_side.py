@@ -203,7 +203,7 @@ def test_energy_of_both_kinds_falls_over_a_million_steps(height: float) -> None:
 
 @pytest.mark.validate
 @pytest.mark.parametrize("kind", ["tension_modulated_string", "geometric_string"])
-@pytest.mark.parametrize("name", sorted(tw.list_instruments()))
+@pytest.mark.parametrize("name", sorted(set(tw.list_instruments()) - {"gong"}))  # a plate: no string to replace
 def test_every_bundle_takes_every_kind_of_string(name: str, kind: str) -> None:
     """Played by its own hands in turn: all steps are found, and nothing is louder than four times the linear sound."""
     base = tw.load_instrument(name)

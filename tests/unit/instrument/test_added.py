@@ -8,8 +8,12 @@ import pytest
 import tonewood as tw
 from tonewood.authoring import assemble
 from tonewood.errors import TonewoodError
+from tonewood.instrument.bundle.added import body_parts
+from tonewood.instrument.bundle.schema import Added
+from tonewood.instrument.contract.base import BodyPoint
 from tonewood.instrument.inspection.frequencies import bridge_mobility
 from tonewood.performance.effects.bridge_response import BridgeResponse
+from tonewood.physics.modal.modes import ModalBasis
 
 GRAMS = {"at": "bridge_middle", "mass": 0.010}
 #: no string sounds a note of its own, and the whole is linear
@@ -38,6 +42,34 @@ def test_ten_grams_on_the_bridge(guitar):
     assert peak(freq, found, 150, 300) == pytest.approx(201.1, abs=0.05)
 
 
+@pytest.mark.parametrize("ratio", [0.02, 0.1, 0.25])
+def test_the_best_damper_of_one_mode_is_den_hartogs(ratio):
+    """J. P. Den Hartog, Mechanical Vibrations, section 3.3: of an undamped mode the largest motion is (1 + 2 M / m)^.5.
+
+    Tuned to omega / (1 + m / M), two frequencies have that motion whatever the damping; at his best damping,
+    (c / 2 m omega)^2 = 3 (m / M) / (8 (1 + m / M)^3), the response is nearly level there. Other dampers are worse.
+    """
+    mode, omega = 0.5, 2 * np.pi * 212.0
+    body = ModalBasis.real([omega], [0.0], {"bridge": [1.0]}, modal_mass=mode)
+    points = {"bridge": BodyPoint((0.0, 0.0, 1.0))}
+    tuned, best = 212.0 / (1 + ratio), np.sqrt(8 * (1 + ratio) / (3 * ratio)) / 2
+    freq = np.linspace(120.0, 320.0, 20001)
+
+    def motion(frequency, q):
+        entry = Added(at="bridge", mass=ratio * mode, frequency=frequency, q=q)
+        y = body_parts([entry], body, points).body.frf(freq, "bridge", "bridge")
+        return np.abs(y / (2j * np.pi * freq)) * mode * omega**2  # re the static displacement
+
+    wanted = np.sqrt(1 + 2 / ratio)
+    square = (freq / 212.0) ** 2
+    fixed = (1 + np.array([-1, 1]) * np.sqrt(ratio / (2 + ratio))) / (1 + ratio)
+    for q in (best / 3, best, 3 * best):
+        assert np.interp(fixed, square, motion(tuned, q)) == pytest.approx(wanted, rel=1e-4)
+    assert motion(tuned, best).max() == pytest.approx(wanted, rel=0.01)
+    for frequency, q in ((tuned, best / 2), (tuned, 2 * best), (1.04 * tuned, best), (0.96 * tuned, best)):
+        assert motion(frequency, q).max() > 1.03 * wanted
+
+
 @pytest.mark.parametrize(
     ("entry", "impedance"),
     [
@@ -46,6 +78,10 @@ def test_ten_grams_on_the_bridge(guitar):
         (
             {"at": "bridge_middle", "mass": 0.02, "stiffness": 9e4, "damping": 2.0, "direction": [0.0, 0.6, 0.8]},
             lambda s: 0.64 * (0.02 * s + 9e4 / s + 2.0),
+        ),
+        (
+            {**GRAMS, "frequency": 210.0, "q": 6.0},
+            lambda s: 0.010 * s * (b := 2 * np.pi * 210 * s / 6 + (2 * np.pi * 210) ** 2) / (s**2 + b),
         ),
     ],
 )
@@ -92,6 +128,8 @@ def test_what_is_heard_of_a_tap(guitar, entry, impedance):
         pytest.param(GRAMS, marks=pytest.mark.slow),
         {"at": "bridge_middle", "mass": 1e-6, "stiffness": 1e6, "damping": 100.0},
         pytest.param({"at": "bridge_middle", "stiffness": 1e9, "damping": 1e6}, marks=pytest.mark.slow),
+        {**GRAMS, "frequency": 210.0, "q": 6.0},
+        pytest.param({**GRAMS, "frequency": 5000.0, "q": 0.1}, marks=pytest.mark.slow),
     ],
 )
 def test_nothing_of_it_makes_energy(guitar, entry):
@@ -102,14 +140,17 @@ def test_nothing_of_it_makes_energy(guitar, entry):
     assert abs(audio.energy.worst_cumulative_residual) < 1e-11
 
 
-def test_bounds_know_of_it(guitar):
-    """Response of the microphones to the force of G3 with a mass under it: by the body's own mobility."""
+@pytest.mark.parametrize("tuned", [False, True])
+def test_bounds_know_of_it(guitar, tuned):
+    """Response of the microphones to the force of G3 with a mass or a damper under it: by the body's own mobility."""
     mass, alone = {"at": "bridge_G3", "mass": 0.010}, {"strings.G3.end": "body.bridge_G3"}
+    mass |= {"frequency": 210.0, "q": 6.0} if tuned else {}
     light = BridgeResponse(assemble(guitar.replace(alone), 48000))
     heavy = BridgeResponse(assemble(guitar.replace({**alone, "body.added": [mass]}), 48000))
     s = 1j * light.freq_rad
     Y = guitar.body.basis(21600.0).frf(light.freq_rad / (2 * np.pi), "bridge_G3", "bridge_G3")
-    factor = 1 / np.abs(1 + 0.010 * s * Y)
+    b = 2 * np.pi * 210 * s / 6 + (2 * np.pi * 210) ** 2 if tuned else np.inf
+    factor = 1 / np.abs(1 + 0.010 * s / (1 + s**2 / b) * Y)
     place = light.components.index("G3.z")
     wanted = light.heard[0, place] * factor
     found = np.interp(light.freq_rad, heavy.freq_rad, heavy.heard[0, place])
@@ -125,6 +166,9 @@ def test_bounds_know_of_it(guitar):
         ({"at": "bridge_E2", "mass": 0.01, "direction": "x"}, r"body\.added\.0\.direction: the body does not move"),
         ({"at": "bridge_E2"}, r"body\.added\.0: .*a mass, a stiffness or a damping above 0 is wanted"),
         ({"at": "bridge_E2", "mass": -0.01}, r"body\.added\.0\.mass"),
+        ({**GRAMS, "frequency": 200.0}, r"body\.added\.0: .*a tuned damper has mass, frequency and q"),
+        ({**GRAMS, "frequency": 200.0, "q": 5.0, "damping": 1.0}, r"body\.added\.0: .*no stiffness or damping"),
+        ({**GRAMS, "frequency": -3.0, "q": 5.0}, r"body\.added\.0\.frequency"),
         ({"at": "bridge_E2", "mass": 10}, r"body\.added\.0\.mass: is 10 kg; at most 5 kg: did you mean 10 g"),
     ],
 )

@@ -89,3 +89,11 @@ def test_more_than_two_channels_have_no_pan() -> None:
 def test_every_channel_has_a_name_of_its_own(output: str) -> None:
     with pytest.raises(BundleError, match=rf"outputs\.{output}\.channels: has 'left' twice"):
         rendered("classical_guitar", {f"outputs.{output}.channels": ["left", "left"]}, outputs=[output])
+
+
+def test_live_counts_the_samples_beyond_full_scale() -> None:
+    live = tw.Live(tw.load_instrument("monochord"), FS, prepare=False, effects="none", gain_db=30.0)
+    live.note_on("A2", 127)
+    heard = np.concatenate([live.process(n) for n in (500, 1, 1200)])
+    assert live.summary().clipped == np.count_nonzero(abs(heard) > 1.0) > 10
+    assert live.summary().peak_dbfs == pytest.approx(20 * np.log10(abs(heard).max()))

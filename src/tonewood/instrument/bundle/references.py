@@ -70,6 +70,9 @@ def check_references(
     for kind, key, wanted in [*switched, *(("keyswitches", k, v) for k, v in playing.keyswitches.items())]:
         if wanted not in exciters:
             raise none("exciter", wanted, exciters, f"playing.{kind}.{key}")
+        if kind == "noises" and key in ("key", "release") and exciters[wanted].at is None:
+            reason = f"{wanted!r} acts on strings; an exciter with `at`, a point of the body, is wanted"
+            raise BundleError(reason, file=file, key=f"playing.noises.{key}")
         if kind == "keyswitches":
             try:
                 note_number(key)

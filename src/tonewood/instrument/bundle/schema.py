@@ -65,16 +65,27 @@ class PluginPart(Parameters):
 
 
 class Added(Parameters):
-    """A mass, a spring to the ground or a dashpot to the ground, fixed to the body; several of them move as one."""
+    """A mass, a spring to the ground or a dashpot to the ground, fixed to the body; several of them move as one.
+
+    With `frequency` and `q` the mass hangs on the body by a spring and a dashpot: a tuned damper, as a wolf eliminator.
+    """
 
     at: str = described("point of the body")
     direction: Direction | None = described("in which it acts; the point's own where left out", default=None)
     mass: float = quantity("kg", low=0.0, high=5.0, default=0.0, doc="that moves with the point")
     stiffness: float = quantity("N/m", low=0.0, high=1e9, default=0.0, doc="of a spring to the ground")
     damping: float = quantity("N s/m", low=0.0, high=1e6, default=0.0, doc="of a dashpot to the ground")
+    frequency: float | None = quantity(
+        "Hz", low=1.0, high=20000.0, default=None, doc="of the mass on its own spring: a tuned damper"
+    )
+    q: float | None = quantity("1", low=0.1, high=1e4, default=None, doc="Q of a tuned damper, the body at rest")
 
     @model_validator(mode="after")
     def _something(self) -> Added:
+        if self.frequency is not None or self.q is not None:
+            if self.frequency is None or self.q is None or not self.mass or self.stiffness or self.damping:
+                raise ValueError("a tuned damper has mass, frequency and q, and no stiffness or damping to the ground")
+            return self
         if not (self.mass or self.stiffness or self.damping):
             raise ValueError("a mass, a stiffness or a damping above 0 is wanted")
         return self
@@ -83,7 +94,9 @@ class Added(Parameters):
 class BodyPart(PluginPart):
     """The body, to which strings are joined."""
 
-    added: list[Added] = described("masses, springs and dashpots put on it", default=[], max_length=MOST_PARTS)
+    added: list[Added] = described(
+        "masses, springs, dashpots and tuned dampers put on it", default=[], max_length=MOST_PARTS
+    )
 
 
 class StringPoint(Parameters):
@@ -291,18 +304,20 @@ class NoteEnd(Parameters):
 
 
 class HandNoises(Parameters):
-    """Exciters that play a hand's noises between the notes of a score; none where left out."""
+    """Exciters that play the noises of hands and keys besides the notes of a score; none where left out."""
 
     on: bool = described("whether they are played", default=False, strict=True)
     fretting: Name | None = described("as a finger comes to another stop, or leaves one", default=None)
     touch: Name | None = described("as a note is damped", default=None)
     squeak: Name | None = described("as the hand slides along a string to another stop", default=None)
     least_shift: float = quantity("1", low=0.0, high=100.0, default=2.0, doc="steps of the scale of a hand that slides")
+    key: Name | None = described("with each note: its key goes down", default=None)
+    release: Name | None = described("as a key comes up", default=None)
 
     @property
     def named(self) -> dict[str, str]:
         """Noise -> exciter, of those that there are."""
-        return {k: v for k in ("fretting", "touch", "squeak") if (v := getattr(self, k)) is not None}
+        return {k: v for k in ("fretting", "touch", "squeak", "key", "release") if (v := getattr(self, k)) is not None}
 
 
 class Slurs(Parameters):

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.instrument.bundle.added import dynamic_stiffness
 from tonewood.instrument.model.assembly import Model
 from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
 from tonewood.physics.coupling.system import System
@@ -180,7 +181,7 @@ def _added(model: Model, s: Complexes) -> tuple[list[str], Floats, Complexes]:
             if term.component == "body":
                 gaps[i, model.body.index(term.point)] += term.factor
     entries = model.instrument.spec.body.added
-    impedance = [e.mass * s**2 + e.damping * s + e.stiffness for e in entries]
+    impedance = [np.polyval(top, s) / np.polyval(below, s) for top, below in map(dynamic_stiffness, entries)]
     return [c.name for c in connections], gaps, np.array(impedance).reshape(len(entries), s.size)
 
 

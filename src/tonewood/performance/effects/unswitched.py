@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tonewood.instrument.contract.base import Plugin
+from tonewood.instrument.contract.base import Exciter, Plugin
 from tonewood.instrument.contract.effects import Effect, nothing
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.effects.base import EffectReport, Foreseen, PlannedEffect, Run, RuntimeEffect
@@ -111,8 +111,14 @@ class GestureEffect(OccasionalEffect):
     """
 
     def running(self, run: Run) -> Collection[str]:
-        """Strings on which such a gesture is in progress."""
-        return {play.string for play in run.plays if play.string is not None and play.exciter in self.plugins}
+        """Strings and points of the body on which such a gesture is in progress."""
+        return {play.string or play.at or "" for play in run.plays if play.exciter in self.plugins}
+
+    def strings(self, usage: EffectUsage) -> list[str]:
+        """Strings and points of the body on which they acted."""
+        points = [e.at for e in self.plugins.values() if isinstance(e, Exciter) and e.at is not None]
+        places = [*self.model.strings, *dict.fromkeys(points)]
+        return [name for name in places if usage.spans[self.name, name].samples]
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
         """When they will act, and the time that will take."""
@@ -158,7 +164,7 @@ DAMPERS = Effect(
     "nothing: no finger is on the string otherwise", cost=nothing,
     runtime=DamperEffect,
 )  # fmt: skip
-#: noises of a hand between notes; for exciters that `playing.noises` names
+#: noises of a hand between notes, and of keys; for exciters that `playing.noises` names
 FRETTING_NOISE = Effect(
     "fretting_noise", "fingers that press a string to a stop, or leave it", "additive",
     "a note's stop is another one than before", "nothing: no finger moves otherwise",
@@ -172,5 +178,11 @@ TOUCH_NOISE = Effect(
 SQUEAK = Effect(
     "squeak", "fingers that rub the windings of a string as the hand slides", "additive",
     "a note's stop lies far from the last one on a wound string", "nothing: no finger moves otherwise",
+    runtime=GestureEffect,
+)  # fmt: skip
+KEY_NOISE = Effect(
+    "key_noise", "keys that meet their felts, and shanks of hammers", "additive",
+    "each note, and each key that comes up",
+    "nothing: no key moves otherwise",
     runtime=GestureEffect,
 )  # fmt: skip

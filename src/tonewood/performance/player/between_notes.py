@@ -1,4 +1,4 @@
-"""Hands between the notes of a score: slurs, noises of fingers, and hands that lie on idle strings."""
+"""Hands between the notes of a score: slurs, noises of fingers and keys, and hands that lie on idle strings."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from tonewood.instrument.bundle.schema import NoteEnd, Playing
-from tonewood.instrument.contract.gestures import Event
+from tonewood.instrument.contract.gestures import Event, Place
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.player.timeline import GRID, Change, Play
 from tonewood.performance.score.assignment import Assigned
@@ -98,6 +98,23 @@ def touch_at_end(assigned: Assigned | None, play: Play | None, time: float, mode
         return []
     noise = _noise(name, assigned, assigned.stop, time, math.inf, model)
     return [] if noise is None else [noise]
+
+
+def key_noises(notes: Sequence[Assigned], model: Model) -> Iterator[Play]:
+    """Yield the noises of a key's notes: as it goes down, and as it comes up before the next note."""
+    kept = _kept(model)
+    for i, assigned in enumerate(notes):
+        note = assigned.note
+        following = notes[i + 1].note.time if i + 1 < len(notes) else math.inf
+        for kind, time in (("key", note.time), ("release", note.key_up)):
+            if kind not in kept or not math.isfinite(time) or (kind == "release" and time >= following):
+                continue
+            exciter = model.exciters[kept[kind]]
+            values = {} if note.force is None else {"velocity": note.force}
+            values = {k: v for k, v in values.items() if k in type(exciter.parameters).model_fields}
+            gesture = exciter.gesture(Event(values), Place(exciter.at or ""))
+            if gesture.start < gesture.stop:
+                yield Play(time, gesture, at=exciter.at, exciter=kept[kind])
 
 
 def not_live(model: Model) -> list[str]:

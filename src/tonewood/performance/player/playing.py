@@ -10,7 +10,7 @@ from itertools import zip_longest
 
 from tonewood.errors import NothingPlayedError, ScoreError
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.player.between_notes import laid_on, noises, slurred
+from tonewood.performance.player.between_notes import key_noises, laid_on, noises, slurred
 from tonewood.performance.player.dampers import SOSTENUTO, SUSTAIN, UNA_CORDA, pedal_moves
 from tonewood.performance.player.hands import Hands
 from tonewood.performance.player.strokes import BEND_RATE, beyond_capo, event_values, tapped, with_force
@@ -85,6 +85,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
             gestures.append(hands.begin(voice, event_values(own.note, model, controllers.of(own.note))))
         hands.finish(voice)
         hands.plays += noises(notes_of_string, gestures, model, capo)
+        hands.plays += key_noises(notes_of_string, model)
         played += notes_of_string
     decided = hands.taken()
     plays = [*(tap for tap in body if tap is not None), *decided.plays]
@@ -173,7 +174,7 @@ def playable(model: Model, capo: int = 0) -> list[PlayableString]:
         PlayableString(
             name,
             (s.open_note + capo, s.open_note + s.n_stops)
-            if s.stopping.continuous
+            if s.stopping.continuous and s.n_stops
             else tuple(s.open_note + i for i in range(capo, s.n_stops + 1)),
             s.stopping.continuous,
         )

@@ -23,6 +23,14 @@ if TYPE_CHECKING:
 GPIF = "Content/score.gpif"
 FORMATS = ".mid, .musicxml, .mxl, .gp3, .gp4, .gp5, .gpx, .gp"
 
+#: suffix -> name of the format, and how its files begin
+_BEGINNINGS = {
+    **dict.fromkeys((".musicxml", ".xml"), ("MusicXML", "'<'")),
+    **dict.fromkeys((".mxl", ".gp"), ("an archive of a score", "'PK'")),
+    **dict.fromkeys((".gp3", ".gp4", ".gp5"), ("Guitar Pro", "its name and version")),
+    ".gpx": ("Guitar Pro", "'BCFZ' or 'BCFS'"),
+}
+
 
 def read_score(
     path: str | os.PathLike[str],
@@ -94,6 +102,9 @@ def read_written(path: Path) -> WrittenMusic | None:
         raise ScoreError(reason, file=path)
     if path.suffix.lower() in (".mscz", ".mscx", ".ptb", ".tg", ".ly", ".sib"):
         raise ScoreError(f"{path.suffix} is not read; {FORMATS} are", file=path)
+    if path.suffix.lower() in _BEGINNINGS:
+        kind, beginning = _BEGINNINGS[path.suffix.lower()]
+        raise ScoreError(f"is not {kind}: it {f'does not begin with {beginning}' if head else 'is empty'}", file=path)
     return None
 
 

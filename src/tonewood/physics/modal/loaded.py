@@ -15,6 +15,7 @@ lumps is passive. The modes are complex where damping couples them.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -74,6 +75,37 @@ def loaded(basis: ModalBasis, rows: ArrayLike, mass: ArrayLike, damping: ArrayLi
     )
     loaded = loaded.select(np.flatnonzero(loaded.natural_freq < 0.1 * far))
     return replace(loaded, metadata=dict(basis.metadata))
+
+
+def with_masses(basis: ModalBasis, masses: Mapping[str, float]) -> ModalBasis:
+    """Return the component beside free masses, each with a point of its name: one component, not joined yet.
+
+    masses : point -> kg.
+    """
+    if not masses:
+        return basis
+    n, p = len(masses), len(basis.points)
+    free = ModalBasis.real(
+        np.zeros(n), np.zeros(n), dict(zip(masses, np.eye(n), strict=True)), modal_mass=[*masses.values()]
+    )
+    values: dict[str, Any] = {
+        name: np.concatenate([getattr(basis, name), getattr(free, name)])
+        for name in ("poles", "kind", "stiffness", "damping_rate")
+    }
+    for name in ("right", "left"):
+        values[name] = np.zeros((p + n, basis.n_modes + n), dtype=np.complex128)
+        values[name][:p, : basis.n_modes], values[name][p:, basis.n_modes :] = getattr(basis, name), getattr(free, name)
+    residual = np.pad(basis.residual, (0, n))
+    return replace(
+        basis, **values, points=(*basis.points, *masses), residual=residual, shape=None, residual_at=None, places={}
+    )
+
+
+def at_first_points(basis: ModalBasis, n: int) -> ModalBasis:
+    """Return the component with its first n points alone."""
+    return replace(
+        basis, points=basis.points[:n], right=basis.right[:n], left=basis.left[:n], residual=basis.residual[:n, :n]
+    )
 
 
 def _with_residual_modes(basis: ModalBasis) -> tuple[ModalBasis, float]:

@@ -1,4 +1,4 @@
-"""Derivatives of the modes of a component by a mass, a spring or a dashpot at one of its points."""
+"""Derivatives of the modes of a component by a mass, a spring, a dashpot or a tuned damper at one of its points."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ SAME = 1e-9
 
 
 def lump_change(
-    basis: ModalBasis, point: int, lump: Sequence[float], massive: bool = True
+    basis: ModalBasis, point: int, lump: Sequence[float], massive: bool = True, below: Sequence[float] = (1.0,)
 ) -> tuple[Complexes, Complexes]:
-    """Derivatives of poles and residues as a lump z(s) = m s^2 + d s + k grows at one point a.
+    """Derivatives of poles and residues as a lump z(s), such as m s^2 + d s + k, grows at one point a.
 
         lambda_k' = -(r_a l_a)_k z(lambda_k),    H_pp' = -H_pa z H_ap,    H_pa = sum_k r_p l_a / (s - lambda_k) + R
 
@@ -26,15 +26,17 @@ def lump_change(
     up.
 
     basis : modes with all lumps that are fixed already.
-    lump : rates of m, d and k: kg, N s/m, N/m per unit of the parameter.
+    lump : rates of m, d and k: kg, N s/m, N/m per unit of the parameter; or numerator of any other z, highest power
+        first.
     massive : whether the lump has a mass, and so lies on the residual compliance R; see `loaded`.
+    below : denominator of z.
     Returns (n,) lambda', (p, n) derivatives of r_p l_p.
     """
     n = len(basis.poles)
     lam, right, left = extend(basis.poles, basis.right, basis.left)
-    mass, damping, stiffness = lump
-    z = mass * lam**2 + damping * lam + stiffness
-    slope = 2 * mass * lam + damping
+    bottom = np.polyval(below, lam)
+    z = np.polyval(lump, lam) / bottom
+    slope = (np.polyval(np.polyder(lump), lam) - z * np.polyval(np.polyder(below), lam)) / bottom
     product = right[point] * left[point]
     gap = lam[:n, None] - lam[None, :]
     same = np.abs(gap) <= SAME * np.abs(lam[:n, None])

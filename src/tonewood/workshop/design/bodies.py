@@ -14,19 +14,19 @@ from typing import Any, Protocol
 import numpy as np
 
 from tonewood.errors import BundleError, TonewoodError
-from tonewood.instrument.bundle.added import body_parts, point_factor
+from tonewood.instrument.bundle.added import Poly, body_parts, point_factor, stiffness_rate
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.physics.modal.lump_changes import lump_change
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.views import SHOWN_TO
 from tonewood.physics.plate.body import BodyDrawing
-from tonewood.physics.plate.whole_body import Lump, WholeBody, body_change, with_cells
+from tonewood.physics.plate.whole_body import LowModes, Lump, WholeBody, body_change, with_cells
 from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.design.figures import DrawnResonances, Resonances
 from tonewood.workshop.design.task import Free
 
-#: point, its factor, rates of mass, damping and stiffness of a lump, and whether it has a mass
-Rate = tuple[str, float, tuple[float, float, float], bool]
+#: point, its factor, rate of the dynamic stiffness there (numerator, denominator), whether residual compliance moves
+Rate = tuple[str, float, tuple[Poly, Poly], bool]
 
 #: step of a derivative, re the parameter's range
 STEP = 1e-5
@@ -54,7 +54,7 @@ def changed(instrument: Instrument, free: Sequence[Free], values: Sequence[float
     return instrument.replace(overrides)
 
 
-def design_body(instrument: Instrument, free: Sequence[Free], highest: float, mobility: bool = True) -> DesignBody:
+def design_body(instrument: Instrument, free: Sequence[Free], highest: float, mobility: bool) -> DesignBody:
     """Make the body for parameters.
 
     highest : Hz, up to which targets are.
@@ -77,7 +77,7 @@ def design_body(instrument: Instrument, free: Sequence[Free], highest: float, mo
 class DrawnDesign:
     """A drawn body; see the module."""
 
-    def __init__(self, instrument: Instrument, free: Sequence[Free], highest: float, mobility: bool = True):
+    def __init__(self, instrument: Instrument, free: Sequence[Free], highest: float, mobility: bool):
         self._instrument, self._free, self._mobility = instrument, tuple(free), mobility
         self._below = _ABOVE * max(highest, 400.0)
         self._cells = with_cells(_drawing(instrument), self._below)
@@ -103,7 +103,19 @@ class DrawnDesign:
         description = self._whole.described(self._modes[0][: self._count], vectors, self._mobility)
         self._named = self._followed(description.named, vectors)
         self._known = vectors
-        return DrawnResonances(replace(description, named=self._named))
+        return self._damped(replace(description, named=self._named), self._values)
+
+    def _damped(self, modes: LowModes, values: Floats) -> DrawnResonances:
+        """Resonances with the tuned dampers of the design at values of the parameters."""
+        instrument = changed(self._instrument, self._free, values)
+        dampers = [entry for entry in instrument.spec.body.added if entry.frequency is not None]
+        if not dampers:
+            return DrawnResonances(modes)
+        omega, points = 2 * np.pi * modes.freq, instrument.body.points()
+        shapes = dict(zip(points, modes.shapes, strict=True))
+        basis = ModalBasis.real(omega, 0.5 * omega * modes.loss, shapes, residual=modes.residual)
+        mass = modes.mass + sum(entry.mass for entry in dampers)
+        return with_parts(body_parts(dampers, basis, points).body, mass, modes)
 
     def _followed(self, named: dict[str, int], vectors: Floats) -> dict[str, int]:
         """Numbers of the modes with names: those most like the ones that had them before, by z^T M z."""
@@ -118,6 +130,9 @@ class DrawnDesign:
 
     def freq_rates(self, i: int) -> Floats:
         """(n,) Hz per unit of parameter i, of the modes of the last `at`: lambda' = z^T (K' - lambda M') z."""
+        if any(entry.frequency is not None for entry in self._instrument.spec.body.added):
+            below, above, step = self.beside(i)
+            return np.asarray((above.freq - below.freq) / (2 * step))
         less, more, step = self._sides(i)
         values, vectors = self._modes[0][: self._count], self._known
         k, m = (
@@ -146,7 +161,13 @@ class DrawnDesign:
         """Return the resonances less and more a step of parameter i, to first order."""
         less, more, step = self._sides(i)
         change = body_change(self._whole, *self._modes, less, more, step, self._count, self._mobility)
-        below, above = (DrawnResonances(replace(x, named=self._named)) for x in (change.less, change.more))
+        values = self._values.copy()
+        low, high = self._free[i].low, self._free[i].high
+        values[i] = min(max(values[i], low + step), high - step)
+        below, above = (
+            self._damped(replace(x, named=self._named), values + by * np.eye(len(values))[i])
+            for x, by in ((change.less, -step), (change.more, step))
+        )
         return below, above, step
 
 
@@ -156,12 +177,27 @@ def _drawing(instrument: Instrument) -> BodyDrawing:
 
 
 def lumps(instrument: Instrument) -> list[Lump]:
-    """Lumps that `body.added` fixes to a drawn body."""
+    """Lumps that `body.added` fixes to a drawn body, without tuned dampers."""
     points, names = instrument.body.points(), list(instrument.body.points())
     return [
         Lump(names.index(e.at), point_factor(i, e, points), e.mass, e.stiffness, e.damping)
         for i, e in enumerate(instrument.spec.body.added)
+        if e.frequency is None
     ]
+
+
+def with_parts(basis: ModalBasis, mass: float, before: LowModes) -> DrawnResonances:
+    """Resonances of a body whose modes are complex for the parts put on it; names stay with the nearest frequency.
+
+    mass : kg, of all of it.
+    before : modes that have the names.
+    """
+    freq = basis.natural_freq
+    order = np.argsort(freq)
+    shapes = np.sqrt(2 * np.abs(basis.poles) * np.abs(basis.right * basis.left))[:, order]
+    named = {name: int(np.argmin(np.abs(freq[order] - before.freq[k]))) for name, k in before.named.items()}
+    loss = 2 * basis.damping_ratio[order]
+    return DrawnResonances(LowModes(freq[order], loss, shapes, basis.residual, mass, named))
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,9 +280,9 @@ class MeasuredDesign:
         rates = self._rates(i)
         poles = np.zeros(len(self._kept), dtype=np.complex128)
         residues = np.zeros((len(self._whole.points), len(self._kept)), dtype=np.complex128)
-        for name, factor, lump, massive in rates:
-            scaled = [factor**2 * x for x in lump]
-            moved, turned = lump_change(self._whole, self._whole.index(name), scaled, massive)
+        for name, factor, (rate, below), massive in rates:
+            scaled = [factor**2 * x for x in rate]
+            moved, turned = lump_change(self._whole, self._whole.index(name), scaled, massive, below)
             poles, residues = poles + moved[self._kept], residues + turned[:, self._kept]
         now_poles, now = self._whole.poles[self._kept], (self._whole.right * self._whole.left)[:, self._kept]
 
@@ -257,26 +293,28 @@ class MeasuredDesign:
         return beside(-step), beside(step), step
 
     def _rates(self, i: int) -> list[Rate]:
-        """Point, factor and rates of mass, damping and stiffness of each lump that parameter i changes."""
+        """Where and by which rate parameter i changes the dynamic stiffness of each part put on the body."""
         free, found = self._free[i], []
         for path, base in zip(free.paths, free.base, strict=True):
-            _, _, number, key, *rest = [*path.split("."), ""]
-            if key not in ("mass", "stiffness", "damping") or any(rest):
-                raise BundleError("mass, stiffness and damping of it are allowed", key=path)
+            _, _, number, key, *_ = [*path.split("."), ""]
             entry = self._made.spec.body.added[int(number)]
-            rate = base if free.kind == "x" else 1.0
-            lump = (rate * (key == "mass"), rate * (key == "damping"), rate * (key == "stiffness"))
-            found.append((entry.at, point_factor(int(number), entry, self._points), lump, entry.mass > 0))
+            try:
+                top, below = stiffness_rate(entry, key)
+            except BundleError as fault:
+                raise BundleError(fault.reason, key=path) from None
+            rate = (tuple((base if free.kind == "x" else 1.0) * x for x in top), below)
+            massive = entry.mass > 0 and entry.frequency is None
+            found.append((entry.at, point_factor(int(number), entry, self._points), rate, massive))
         return found
 
     def _change(self, point: int, rates: Sequence[Rate], by: float) -> Any:
-        """Change of a point's mobility, -Y_pa Y_ap (i omega m' + d' + k' / i omega) for each lump."""
+        """Change of a point's mobility, -Y_pa Y_ap z'(i omega) / i omega for each part."""
 
         def change(omega: Floats) -> Complexes:
             total = np.zeros(len(omega), dtype=np.complex128)
-            for name, factor, (m, d, k), massive in rates:
-                points = [self._whole.points[point]]
-                z = factor**2 * (1j * omega * m + d + k / (1j * omega))
+            for name, factor, (rate, below), massive in rates:
+                points, s = [self._whole.points[point]], 1j * omega
+                z = factor**2 * np.polyval(rate, s) / np.polyval(below, s) / s
                 to = _mobility(self._whole, omega, points, [name], massive)[:, 0, 0]
                 back = _mobility(self._whole, omega, [name], points, massive)[:, 0, 0]
                 total -= to * z * back

@@ -23,7 +23,7 @@ from tonewood.physics.plate.body import BodyDrawing, BodyModes
 from tonewood.physics.plate.whole_body import LowModes
 from tonewood.support.arrays import Floats
 from tonewood.support.blas import one_blas_thread
-from tonewood.workshop.design.bodies import MeasuredDesign, changed, design_body
+from tonewood.workshop.design.bodies import MeasuredDesign, changed, design_body, with_parts
 from tonewood.workshop.design.figures import DrawnResonances, Resonances, figures, string_ends
 from tonewood.workshop.design.task import Free, Target
 
@@ -227,14 +227,11 @@ class _Search:
             raise TonewoodError("is no drawn and no measured body", key="body")
         modes: BodyModes = drawn(np.inf)
         mass = float(modes.masses.sum()) + sum(e.mass for e in instrument.spec.body.added)
+        own = LowModes(modes.freq, modes.loss, modes.shapes, modes.residual, mass, modes.named())
         if not instrument.spec.body.added:
-            few = LowModes(modes.freq, modes.loss, modes.shapes, modes.residual, mass, modes.named())
-            return DrawnResonances(few)
+            return DrawnResonances(own)
         basis = body_parts(instrument.spec.body.added, instrument.body.basis(np.inf), instrument.body.points()).body
-        omega = 2 * np.pi * basis.natural_freq
-        shapes = np.sqrt(2 * omega * np.abs(basis.right * basis.left))
-        low = LowModes(basis.natural_freq, 2 * basis.damping_ratio, shapes, basis.residual, mass, modes.named())
-        return DrawnResonances(low)
+        return with_parts(basis, mass, own)
 
 
 def _value(parameter: Free, instrument: Instrument) -> float:

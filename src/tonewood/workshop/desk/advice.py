@@ -22,14 +22,21 @@ _KEPT = 50
 
 
 def offered(instrument: Instrument) -> str:
-    """Lines of free parameters to begin with: those of a drawn body, or the masses that were added; may be empty."""
+    """Lines of free parameters to begin with: those of a drawn body, or of what was put on it; may be empty."""
     body = instrument.resolved["body"]
     out = []
     if isinstance(thickness := body.get("thickness"), int | float):
         out.append(f"body.thickness: {_RANGE[0] * thickness:.4g} .. {_RANGE[1] * thickness:.4g}")
     if body.get("braces"):
         out.append(f"body.braces.*.height: x {_RANGE[0]:g} .. {_RANGE[1]:g}")
-    out += [f"body.added.{i}.mass: 0 .. 0.05" for i, part in enumerate(body.get("added") or ()) if part.get("mass")]
+    for i, part in enumerate(body.get("added") or ()):
+        if part.get("frequency"):
+            out += [
+                f"body.added.{i}.mass: 0.001 .. 0.05",
+                f"body.added.{i}.frequency: x {_RANGE[0]:g} .. {_RANGE[1]:g}",
+            ]
+        elif part.get("mass"):
+            out.append(f"body.added.{i}.mass: 0 .. 0.05")
     return "\n".join(out)
 
 

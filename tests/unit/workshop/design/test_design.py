@@ -119,7 +119,7 @@ def test_sensitivity_against_differences_and_rayleigh(box):
 @pytest.mark.slow
 def test_a_mode_is_followed_by_its_shape_past_another(box):
     """A thicker top raises T1 through another mode: its number changes, its shape does not."""
-    body = DrawnDesign(box, parse_free({"body.thickness": "1.5e-3 .. 5e-3"}, box), 500.0)
+    body = DrawnDesign(box, parse_free({"body.thickness": "1.5e-3 .. 5e-3"}, box), 500.0, mobility=False)
     shapes, numbers = [], []
     for h in np.linspace(2.0e-3, 4.5e-3, 6):
         found = body.at([float(h)])
@@ -176,6 +176,7 @@ def test_targets_say_by_how_much_they_are_missed(box):
     lines = ["mode 2 = 200", "T1 <= 200", "A0 >= 100", "mass <= 0.5", "mobility bridge 80..800 >= -30"]
     mode, top, air, mass, mobility = parse_targets(lines, box)
     assert (mode.mode, top.mode, air.mode) == ("2", "T1", "A0")
+    assert [t.unit for t in (mode, top, air, mass, mobility)] == ["cents", "cents", "cents", "%", "dB"]
     assert (mode.off(400.0), mode.off(100.0)) == pytest.approx((1200.0, -1200.0))
     assert (top.off(400.0), top.off(100.0)) == pytest.approx((1200.0, 0.0))
     assert (air.off(400.0), air.off(50.0)) == pytest.approx((0.0, -1200.0))
@@ -248,6 +249,31 @@ def test_a_file_with_another_key_is_refused(tmp_path):
         read_task(tmp_path / "task.yaml")
 
 
+@pytest.mark.slow
+def test_a_tuned_damper_on_a_drawn_body(box):
+    """Resonances beside a design, of the damper's numbers and of the plate's, are those of bodies computed there."""
+    heavy = box.replace({"body.added": [{"at": "bridge", "mass": 0.01, "frequency": 150.0, "q": 5.0}]})
+    bounds = {
+        "body.added.0.frequency": "100 .. 200",
+        "body.added.0.mass": "0.005 .. 0.02",
+        "body.thickness": "2e-3 .. 3e-3",
+    }
+    body, middle = DrawnDesign(heavy, parse_free(bounds, heavy), 500.0), np.array([150.0, 0.01, 2.5e-3])
+    bare = DrawnDesign(box, parse_free({"body.thickness": "2e-3 .. 3e-3"}, box), 500.0).at([2.5e-3])
+    now = body.at(middle)
+    assert len(now.freq) == len(bare.freq) + 1
+    assert now.mass == pytest.approx(bare.mass + 0.01)
+    for i in range(3):
+        body.at(middle)
+        less, more, step = body.beside(i)
+        wide = np.eye(3)[i] * 1e-3 * middle[i]
+        low, high = body.at(middle - wide), body.at(middle + wide)
+        for name in ("freq", "quality", "squares"):
+            rate = (getattr(more, name) - getattr(less, name))[..., :6] / (2 * step)
+            wanted = (getattr(high, name) - getattr(low, name))[..., :6] / (2 * wide[i])
+            np.testing.assert_allclose(rate, wanted, rtol=0.02, atol=2e-3 * np.abs(wanted).max())
+
+
 @pytest.fixture(scope="module")
 def lumped():
     """A measured body with a lump of 4 g on its first driven point."""
@@ -304,6 +330,12 @@ def test_a_measured_design_is_written_as_it_is_said(lumped, tmp_path):
     assert ["reached within" in line or line.endswith("; reached") for line in said] == [True, True]
     assert said[1].endswith("; reached")
     assert not any("cannot be reached" in line for line in lines(design))
+    # a tenth of the range, as it is said, against the body with so much more
+    (told,) = [line for line in lines(design) if line.startswith("  body.added.0.mass +0.0049: mode 2 ")]
+    body = MeasuredDesign(lumped, free)
+    now, more = (body.at([float(design.values[0]) + by]).freq[1] for by in (0.0, 1e-4))
+    cents = 49 * 1200 * math.log2(more / now)
+    assert float(told.split()[4]) == pytest.approx(cents, rel=0.1)
     made = write_design(design, tmp_path / "made")
     found = np.sort(body_parts(made.spec.body.added, made.body.basis(2e4), made.body.points()).body.natural_freq)
     assert (made.name, found[1]) == ("made", pytest.approx(wanted, rel=5e-3))
@@ -326,3 +358,10 @@ def test_the_folder_of_a_design_has_the_name_of_an_instrument(tmp_path):
     for name in ("2made", "ma-de", "made.x"):
         with pytest.raises(BundleError, match="cannot be the name"):
             check_folder(tmp_path / name)
+
+
+def test_a_target_about_wolves_is_of_the_pitches_that_it_names(lumped):
+    (target,) = parse_targets(["no wolf F3..A3"], lumped)
+    assert (target.kind, target.sense, target.value, target.unit) == ("wolf", "<=", 0.0, "cents")
+    assert target.band == pytest.approx((440 * 2 ** (-16 / 12), 220.0))
+    assert (target.off(-30.0), target.off(30.0)) == (0.0, 30.0)

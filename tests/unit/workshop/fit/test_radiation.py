@@ -8,7 +8,7 @@ from fit_scenes import TAU, random_body
 
 from tonewood.errors import TonewoodError
 from tonewood.workshop.fit.fit import fit_responses
-from tonewood.workshop.fit.radiation import fit_radiation
+from tonewood.workshop.fit.radiation import FittedRadiation, fit_radiation
 from tonewood.workshop.fit.responses import Responses
 
 FREQ = np.arange(70.0, 700.0)
@@ -75,3 +75,16 @@ def test_what_is_missing_is_reported():
     with pytest.raises(TonewoodError, match="microphone 'l' was not measured from 'b'"):
         fit_radiation(given, body, {"a": -0.5, "b": 0.5})
     assert fit_radiation(Responses(FREQ, given.mobility, given.pairs), body, {}) is None
+
+
+@pytest.mark.parametrize("u", [0.0, 1.0])
+def test_a_bank_is_the_sum_of_its_poles_behind_its_high_pass(u):
+    """Its real impulse response by a sum over time, 4 s at 20 kHz; a pole of the high-pass each side of the cut."""
+    fs, cut = 20000.0, 50.0
+    bank = FittedRadiation(("l", "r"), POLES, cut, HEAVE, MOMENT, np.zeros((2, 0)))
+    t = np.arange(4 * 20000) / fs
+    impulse = 2 * ((HEAVE + u * MOMENT) @ np.exp(POLES[:, None] * t)).real
+    impulse[:, 0] *= 0.5
+    s = 1j * TAU * FREQ[::70]
+    expected = impulse @ np.exp(-np.outer(t, s)) / fs * s**2 / ((s + 0.8 * TAU * cut) * (s + 1.25 * TAU * cut))
+    np.testing.assert_allclose(bank.pressure(FREQ[::70], u), expected, atol=2e-3 * np.abs(expected).max())

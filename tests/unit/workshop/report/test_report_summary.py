@@ -62,6 +62,15 @@ def test_decay_and_loudness_follow_the_loss(found: Comparison) -> None:
     assert rows["worst wolf note, severity"].verdict == "no threshold is published"
 
 
+def test_differences_are_those_of_the_figures_before_and_after(found: Comparison) -> None:
+    rows = changes(found, 1)
+    for row in rows:
+        relative = row.scale == "%" and row.unit != "LUFS"
+        told = row.before * (1 + row.difference / 100) if relative else row.before + row.difference
+        assert row.after == pytest.approx(told, rel=1e-9), row.name
+    assert {"all body modes, median", "damping of all body modes, median"} <= {row.name for row in rows}
+
+
 def test_nothing_changed_says_so() -> None:
     assert "no change here" in heard_words([FigureChange("T1", 200.0, 200.0, "Hz", 0.0, "%", resonance(30.0))])
 

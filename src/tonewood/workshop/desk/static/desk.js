@@ -578,7 +578,10 @@ submitted("keep", () => act("keep", { name: $("keep_name").value }));
 submitted("save", () => act("save", { folder: $("save_folder").value }));
 submitted("mass", () => {
   const kept = state.changes.find((c) => c.path === "body.added")?.value ?? state.added ?? [];
-  act("set", { path: "body.added", value: [...kept, { at: $("mass_at").value, mass: Number($("mass_g").value) / 1000, damping: Number($("mass_damping").value) }] });
+  const part = { at: $("mass_at").value, mass: Number($("mass_g").value) / 1000 }, damping = Number($("mass_damping").value);
+  if ($("mass_frequency").value) Object.assign(part, { frequency: Number($("mass_frequency").value), q: Number($("mass_q").value) });
+  if (damping) part.damping = damping;
+  act("set", { path: "body.added", value: [...kept, part] }).then(fillOpen);
 });
 $("compare").addEventListener("click", () => act("compare", { name: $("other").value, blind: $("blind").checked }));
 submitted("advise", () => act("advise", { targets: $("targets").value, free: $("free").value }));
