@@ -115,11 +115,11 @@ def _channels(score: Score, tracks: Sequence[int]) -> Score:
         if track not in there:
             raise ScoreError(f"there is no channel {track}; there are {', '.join(map(str, there))}", file=score.place)
     zones = [at for part in score.parts if part.number in tracks for at in part.channels]
-    wanted = {track - 1 for track in (*tracks, *zones)}
-    notes = [n for n in score.notes if (n.channel or 0) in wanted]
-    controls = [c for c in score.controls if (c.channel or 0) in wanted]
+    indices = {track - 1 for track in (*tracks, *zones)}
+    notes = [n for n in score.notes if (n.channel or 0) in indices]
+    controls = [c for c in score.controls if (c.channel or 0) in indices]
     parts = [part for part in score.parts if part.number in tracks]
-    warnings = [line for line in score.warnings if not line.startswith(DRUM)]
+    warnings = [text for text in score.warnings if not text.startswith(DRUM)]
     return replace(score, notes=notes, controls=controls, parts=parts, warnings=warnings)
 
 

@@ -77,10 +77,10 @@ def rounding_of_gaps(system, state):
     """Rounding of the gaps of linear connections, m: each sums `n` modes, rounded to eps sqrt(n) of their size."""
     size = np.zeros(len(system.connections))
     for i, compiled in enumerate(system.compiled):
-        if not system.driven[i]:
+        if not system.layout.driven[i]:
             modes = np.abs(system.modes_of(state, system.names[i]).T)
             terms = np.einsum("pmx,mx->p", np.abs(compiled.rows[: len(compiled.ports)]), modes)
-            size += np.sqrt(len(modes)) * (np.abs(system.incidence(i)) @ terms)
+            size += np.sqrt(len(modes)) * (np.abs(system.layout.incidence[i]) @ terms)
     return EPS * size
 
 
