@@ -70,7 +70,7 @@ def signs(force: float) -> tuple[float, float]:
     stepper, state, psi, energies = KernelStepper(system), system.start(), [], []
     for i in range(int(SECONDS * RATE)):
         stepper.run(state, 1, injections)
-        psi.append(state.potentials[system.memory[0]][2])
+        psi.append(state.potentials[system.potentials.memory[0]][2])
         if i > 0.03 * RATE and i % 64 == 0:
             energies.append(stored_energy(system, state).total)
     return float(np.mean(np.array(psi) < 0.0)), float(np.diff(energies).max() / max(energies))

@@ -105,7 +105,7 @@ def kernel_cost(repeats: int) -> Iterator[Row]:
     n_modes = sum(c.basis.n_modes for c in system.compiled)
     rigid = {(t.component, t.point) for c in system.connections if isinstance(c.law, Rigid) for t in c.terms}
     multiply_adds = 0
-    for name, compiled, one_way in zip(system.names, system.compiled, system.driven, strict=True):
+    for name, compiled, one_way in zip(system.names, system.compiled, system.layout.driven, strict=True):
         ports = len(compiled.ports) if one_way else sum(part == name for part, _ in rigid)
         rows = len(compiled.readouts) + (0 if one_way else ports)
         multiply_adds += compiled.basis.n_modes * (4 + 2 * ports + 2 * rows)

@@ -171,7 +171,7 @@ class LargeDeflection(ta.SwitchedEffect):
     def _bound(self, moment: ta.Moment, name: str) -> ta.Bound:
         system, energy, factor = moment.system, 0.0, 0.0
         # a mallet on its way may give its energy to the gong at the next moment
-        for component in (c for c in system.names if system.owners.get(c) == name):
+        for component in (c for c in system.names if system.layout.owners.get(c) == name):
             basis = system.compiled[system.slot(component)].basis
             if basis.is_real:
                 q, v = _motion(system, moment.state, component)
@@ -186,10 +186,10 @@ class LargeDeflection(ta.SwitchedEffect):
 
     def cost(self, moment: ta.Moment, component: str, on: bool) -> float:
         """Return the energy that psi holds, or V where it is off, J, with the sign of the switch."""
-        system, index = moment.system, moment.system.potential(component)
+        system, index = moment.system, moment.system.potentials.index(component)
         energy, memory = system.joined(index), moment.state.potentials
         q, _ = _motion(system, moment.state, self._planes[component][0])
-        row = memory[system.memory[index]] if memory.size else np.zeros(2)
+        row = memory[system.potentials.memory[index]] if memory.size else np.zeros(2)
         return (1.0 if on else -1.0) * float(energy.stored(q[: energy.n], row))
 
     def payers(self, component: str) -> Sequence[str]:
@@ -200,7 +200,7 @@ class LargeDeflection(ta.SwitchedEffect):
         """Forget psi of gongs that are switched."""
         for name in changed:
             if state.potentials.size:
-                state.potentials[system.memory[system.potential(name)]] = 0.0
+                state.potentials[system.potentials.memory[system.potentials.index(name)]] = 0.0
 
     def load(self, component: str) -> float:
         """Return the number of modes that share the potential."""

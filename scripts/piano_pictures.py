@@ -69,7 +69,9 @@ def blows(model: Model) -> None:
             felts = [j for j in felts if model.system.connections[j].name.endswith(".felt")]
             engine.advance(1)
             engine.advance(math.ceil((0.0198 * FS - engine.state.sample) / 64))
-            _, forces = KernelStepper(engine.system).run(engine.state, 320, engine.injections, engine.controls)
+            _, forces = KernelStepper(engine.system).run(
+                engine.state, 320, engine.gestures.injections, engine.gestures.controls
+            )
             total = np.abs(forces[:, felts]).sum(axis=1)
             speed = model.playing.velocity.value(velocity)
             touch = 1e3 * np.count_nonzero(total) / FS

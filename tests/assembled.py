@@ -200,7 +200,7 @@ def motion_readouts(parts):
 def step_map(system, make):
     """(n, n) matrix of one step of a stepper on the states of the modes, found by stepping unit states."""
     used = np.concatenate([
-        offset + np.arange(c.basis.n_modes) for offset, c in zip(system.offsets, system.compiled, strict=True)
+        offset + np.arange(c.basis.n_modes) for offset, c in zip(system.layout.offsets, system.compiled, strict=True)
     ])  # fmt: skip
     stepper, columns = make(system), []
     for number in (0, 1):

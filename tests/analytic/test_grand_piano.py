@@ -145,7 +145,7 @@ def test_one_head_strikes_three_strings(middle: tw.Instrument) -> None:
     engine.advance(1)
     engine.advance(math.ceil((0.0198 * 96000 - engine.state.sample) / 64))
     before, stepper = velocity(), KernelStepper(engine.system)
-    _, forces = stepper.run(engine.state, 320, engine.injections, engine.controls)
+    _, forces = stepper.run(engine.state, 320, engine.gestures.injections, engine.gestures.controls)
     impulse = forces[:, felts].sum(axis=0) / 96000
     # the rest of its suspension takes or gives less than a hundredth meanwhile
     assert impulse.sum() == pytest.approx(mass * (before - velocity()), rel=0.01)

@@ -40,7 +40,7 @@ def test_hammers_meet_rising_tensions_in_parts_as_in_one_matrix(
         monkeypatch.setattr(elimination, "LEAST_IN_PARTS", least)
         stream = rendered(kind, tmp_path / str(least))
         system = stream.engine.system
-        assert any(system.on)
+        assert any(system.potentials.on)
         assert isinstance(system.solve.by, InverseInParts) == (least == 8)
         found.append(np.concatenate([np.asarray(block, dtype=np.float64) for block in stream.blocks()]))
         trace = stream.energy

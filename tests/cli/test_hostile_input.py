@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -12,9 +14,12 @@ import pytest
 import soundfile as sf
 
 from midi_bytes import midi_file, note, write
+from tonewood.cli.app import _command
 from tonewood.cli.results import _facts
-from tonewood.errors import TonewoodError
+from tonewood.errors import DamagedCacheWarning, OutputError, TonewoodError
 from tonewood.instrument.contract.registry import instrument_folder
+from tonewood.sound.files.audio import Audio
+from tonewood.support.sound_rates import check_whole
 from tonewood.workshop.listening import answer_file
 from tonewood.workshop.listening.definition import load_test
 
@@ -400,5 +405,118 @@ def test_no_other_output_replaces_what_is_read(tonewood: Run, score: Path, tmp_p
     ):
         code, _, err = tonewood(*arguments)
         assert (code, err.count("would replace a file that is read")) == (2, 1), err
+    shutil.copy(score, tmp_path / "tap.csv")
+    (mine / "page.html").write_text("mine")
+    for arguments in (
+        ["taptone", tmp_path / "tap.csv", "-o", tmp_path / "tap.csv"],
+        ["wood", tmp_path / "tap.csv", "-o", tmp_path / "tap.csv"],
+        ["compare", "monochord", mine, "-o", mine / "page.html"],
+        ["report", mine, "-o", mine / "page.html"],
+        ["plan", score, "-i", mine, "-o", mine / "own.csv"],
+    ):
+        code, _, err = tonewood(*arguments)
+        assert (code, err.count("\n")) == (2, 1), err
+    assert (tmp_path / "tap.csv").read_bytes() == score.read_bytes()
+    assert (mine / "page.html").read_text() == "mine"
     assert (mine / "own.csv").read_text() == "measured"
     assert (stems / "bridge.wav").read_bytes() == score.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "said"),
+    [
+        ("e.musicxml", b"", "is not MusicXML: it is empty"),
+        ("u.xml", "<score-partwise/>".encode("utf-16-be"), "is not MusicXML: it does not begin with '<'"),
+        ("a.mxl", b"no archive", "is not an archive of a score: it does not begin with 'PK'"),
+        ("a.gp5", b"other", "is not Guitar Pro"),
+    ],
+)
+def test_a_score_that_is_not_of_its_kind_is_named_by_it(
+    tonewood: Run, tmp_path: Path, name: str, data: bytes, said: str
+) -> None:
+    (tmp_path / name).write_bytes(data)
+    result = tonewood("render", tmp_path / name, "-i", "monochord", "-o", tmp_path / "o.wav")
+    assert_one_line(result, tmp_path, f"{name}: {said}")
+
+
+def test_a_warning_is_printed_once(capsys: pytest.CaptureFixture[str]) -> None:
+    """Also where a context of filters between two warnings makes Python forget the first."""
+
+    def twice() -> None:
+        for _ in range(2):
+            with warnings.catch_warnings():
+                warnings.warn("damaged", DamagedCacheWarning, stacklevel=1)
+
+    _command(twice)()
+    assert capsys.readouterr().err == "tonewood: warning: damaged\n"
+
+
+@with_stems
+def test_stems_that_fail_leave_no_folder(
+    tonewood: Run, score: Path, tmp_path: Path, of: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OutputError("cannot be written: No space left on device", file="st/bridge.wav")
+
+    for name in ("render.write_output_stems", "render.write_string_stems"):
+        monkeypatch.setattr(f"tonewood.cli.{name}", full)
+    stems = ["--max-duration", 0.02, "--stems", tmp_path / "st"]
+    if "--part" in of:
+        save = Audio.save
+        monkeypatch.setattr(
+            Audio, "save", lambda self, file, *more: full() if "st" in file.parts else save(self, file, *more)
+        )
+    code, _, err = tonewood("render", score, *of, "-o", tmp_path / "o.wav", *stems)
+    assert (code, err.count("\n")) == (2, 1), err
+    assert not (tmp_path / "st").exists()
+
+
+def test_samples_on_a_full_disk_name_the_file(tonewood: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("tonewood.workshop.sampling.library.np.save", full)
+    few = ["--range", "45-45", "--velocities", "80", "--round-robins", 1, "--duration", 0.5]
+    code, _, err = tonewood("sample", "monochord", "-o", tmp_path / "s.sfz", *few)
+    assert (code, err) == (2, f"tonewood: {tmp_path}/s.sfz: cannot be written: No space left on device\n")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_that_is_cut_short_or_absurd_is_one_line(tonewood: Run, tmp_path: Path) -> None:
+    """A length that a pipe's writer did not know (2^32 - 1) is no promise: the file is read."""
+    sound = np.random.default_rng(1).normal(0, 0.1, 48000) * np.exp(-np.arange(48000) / 4000.0)
+    whole, half, huge = (tmp_path / f"{name}.WAV" for name in ("whole", "half", "huge"))
+    sf.write(whole, sound, 48000, subtype="DOUBLE", format="WAV")
+    data = whole.read_bytes()
+    half.write_bytes(data[: len(data) // 2])
+    sf.write(huge, 1e300 * sound, 48000, subtype="DOUBLE", format="WAV")
+    assert_one_line(tonewood("taptone", half), tmp_path, "half.WAV: is cut short: ", "of 384000 bytes")
+    assert_one_line(tonewood("taptone", huge), tmp_path, "huge.WAV: has a sample of ", "up to 1e+30 are allowed")
+    notes = write(tmp_path / "n.mid", [*note(0.0, 0.1, 45)])
+    room = tonewood("render", notes, "-i", "monochord", "-o", tmp_path / "o.wav", "--room", half)
+    assert_one_line(room, tmp_path, "is cut short")
+    at = data.index(b"data") + 4
+    half.write_bytes(data[:at] + b"\xff" * 4 + data[at + 4 : len(data) // 2])
+    check_whole(half)
+
+
+def test_a_string_without_stops_plays_its_open_note(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    short = ["-i", "monochord", "-o", tmp_path / "o.wav", "--max-duration", 0.05, "--set", "stops.count=0"]
+    assert tonewood("render", score, *short)[0] == 0
+    high = write(tmp_path / "high.mid", [*note(0.0, 0.9, 46)])
+    (tmp_path / "o.wav").unlink()
+    code, _, err = tonewood("render", high, *short)
+    assert (code, err.count("\n")) == (1, 1)
+    assert "the strings reach from A2 to A2" in err
+
+
+def test_a_number_with_its_unit_says_that_units_are_si(tonewood: Run, tmp_path: Path) -> None:
+    change = settings("body.added=[{at: bridge, mass: 10 g}]")
+    said = "not '10 g': numbers are in SI units and stand without them"
+    assert_one_line(tonewood("check", "monochord", *change), tmp_path, said)
+
+
+def test_a_preset_cuts_nothing_off_the_first_note(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    common = ("render", score, "-i", "monochord", "-o", tmp_path / "a.wav", "--max-duration", 0.1, "--preset", "dry")
+    assert "smoothed" not in tonewood(*common)[1]
+    assert "smoothed" in tonewood(*common, "--lead-in", 0)[1]

@@ -72,7 +72,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
 
     def per_sample(system: System) -> float:
         modes = {name: c.basis.n_modes for name, c in zip(system.names, system.compiled, strict=True)}
-        rising = [t for t, on in zip(system.potentials, system.on, strict=True) if on]
+        rising = [t for t, on in zip(system.potentials, system.potentials.on, strict=True) if on]
         modulated = sum(modes[c] for t in rising for c in t.components)
         return MODE * sum(modes.values()) + RISING * (modulated > 0) + RISING_MODE * modulated
 

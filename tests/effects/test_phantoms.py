@@ -132,7 +132,7 @@ def test_a_string_that_nobody_plays_is_linear_from_the_beginning() -> None:
     quiet = renderer([tw.Note(0.0, 1, note=64, force=0.02)], 0.3, longitudinal(mode="auto", budget_db=-60.0))
     sound(quiet)
     assert not quiet.engine.usage.spans[TENSION, "B3"].samples
-    assert not any(quiet.engine.system.on)
+    assert not any(quiet.engine.system.potentials.on)
 
 
 def test_a_soft_pluck_is_coupled_from_the_beginning() -> None:

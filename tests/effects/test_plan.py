@@ -197,3 +197,14 @@ def test_the_rest_of_a_score_takes_time_in_proportion(monkeypatch: pytest.Monkey
     foreseen = tw.plan(tw.Score(notes), "monochord", 16000, max_duration=4.0)
     assert foreseen.sketched_s == pytest.approx(2.0)
     assert foreseen.predicted_s == pytest.approx(2 * 2.0 + 2 * 3.0)
+
+
+def test_of_many_moves_of_controllers_the_first_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """But a second of the notes at least, and bends are no such moves."""
+    monkeypatch.setattr(planning, "_MOST_MOVES", 10)
+    notes = [tw.Note(1.25 * i, 1.25, note=64, force=1.0) for i in range(8)]
+    for kind, step, seconds in (("cc64", 0.25, 2.5), ("cc64", 0.01, 1.0), ("bend", 0.25, 10.8)):
+        moves = [tw.Control(step * i, kind, 0.0) for i in range(40)]
+        foreseen = tw.plan(tw.Score(notes, moves), "monochord", 16000, tail=2.0)
+        assert foreseen.sketched_s == pytest.approx(seconds, abs=0.2), kind
+        assert foreseen.duration_s == pytest.approx(10.8 if kind == "bend" else 12.0, abs=0.2)  # it rings off before

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from functools import wraps
 from importlib import import_module
 from pathlib import Path
@@ -16,17 +16,19 @@ import typer
 from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
 from tonewood.cli.common import warn
 from tonewood.cli.stopping import stopping
-from tonewood.errors import CacheFolderWarning, DamagedCacheWarning, OldFormatWarning, OutputError
-from tonewood.support.whole_files import protect
+from tonewood.errors import CacheFolderWarning, DamagedCacheWarning, OldFormatWarning
+from tonewood.support.whole_files import check_unread, protect
 
 # typer may carry its own copy of click: its errors are found through it
 _UsageError = typer.BadParameter.__bases__[0]
 ClickError: type[Exception] = _UsageError.__bases__[0]
 ABORTED: type[Exception] = typer.Abort
 #: parameters that name a file to write
-_WRITTEN = {"output", "table", "plot", "record", "energy", "page"}
-#: parameters that name a file to read, and an instrument: a name, or its folder
-_READ, _INSTRUMENT = {"score", "room", "ensemble", "programs"}, "instrument"
+_WRITTEN = {"output", "table", "plot", "record", "energy", "page", "report"}
+#: commands that rewrite the files that they read
+_IN_PLACE = {"desk", "migrate"}
+#: file that makes a folder an instrument's
+BUNDLE_FILE = "instrument.yaml"
 
 
 def application(first: str | None) -> typer.Typer:
@@ -48,18 +50,20 @@ def application(first: str | None) -> typer.Typer:
 def _command(command: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(command)
     def wrapped(*args: Any, **options: Any) -> Any:
-        show = warnings.showwarning
+        show, shown = warnings.showwarning, set[str]()
 
         def show_in_one_line(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
             if issubclass(category, OldFormatWarning | DamagedCacheWarning | CacheFolderWarning):
-                warn([str(message)])
+                if str(message) not in shown:  # filters that a library changes make Python forget what was shown
+                    shown.add(str(message))
+                    warn([str(message)])
             else:
                 show(message, category, *place, **more)
 
         try:
             stopping.command_begins()
-            _refuse_to_replace(options)
-            protect(_sources(options) if command.__name__ != "desk" else ())
+            if command.__name__ not in _IN_PLACE:
+                _protect_sources(options)
             with warnings.catch_warnings():
                 warnings.showwarning = show_in_one_line
                 code = command(*args, **options)
@@ -75,37 +79,26 @@ def _command(command: Callable[..., Any]) -> Callable[..., Any]:
     return wrapped
 
 
-def _refuse_to_replace(options: Mapping[str, Any]) -> None:
-    """Refuse a file to write that another argument of the command is; links may lead to it."""
-    files = [
-        (name, file)
-        for name, value in options.items()
-        for file in (value if isinstance(value, list | tuple) else [value])
-        if isinstance(file, Path | str) and _is_file(file)
-    ]
-    for name, file in files:
-        for other, read in files if name in _WRITTEN else ():
-            if other != name and os.path.samefile(file, read):
-                reason = (
-                    f"would replace a file that is read, {other.replace('_', ' ')} {str(read)!r}; give another name"
-                )
-                raise OutputError(reason, file=file)
+def _protect_sources(options: Mapping[str, Any]) -> None:
+    """Let no file be replaced that an argument reads: the file itself, or all files of an instrument's folder.
+
+    Outputs that arguments name are refused at once, those that the command names itself as it begins to write them.
+    """
+    given = [(name, one) for name, value in options.items() for one in (value if isinstance(value, list) else [value])]
+    paths = [(name, Path(value)) for name, value in given if isinstance(value, Path | str)]
+    protect(file for name, path in paths if name not in _WRITTEN for file in _files(path))
+    for name, path in paths:
+        if name in _WRITTEN:
+            check_unread(path)
 
 
-def _sources(options: Mapping[str, Any]) -> Iterator[Path]:
-    """Files that a command reads: its score, room and others, and all of the folder of its instrument."""
-    for name, value in options.items():
-        if name in _READ and isinstance(value, Path | str):
-            yield Path(value)
-        elif name == _INSTRUMENT and isinstance(value, Path | str) and "\0" not in str(value):
-            yield from Path(value).glob("*.*") if os.path.isdir(value) else ()
-
-
-def _is_file(name: Path | str) -> bool:
-    try:
-        return os.path.isfile(name)
-    except ValueError:  # a zero byte
-        return False
+def _files(path: Path) -> Iterator[Path]:
+    """Files that an argument reads."""
+    with suppress(OSError, ValueError):  # a name too long, or with a zero byte
+        if path.is_file():
+            yield path
+        elif (path / BUNDLE_FILE).is_file():
+            yield from path.iterdir()
 
 
 def _print_version(wanted: bool) -> None:

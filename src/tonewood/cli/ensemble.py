@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from tonewood.cli.common import dropped_notes_listed, print_json, progress, warn, warn_of_dropped, warn_of_kinds
-from tonewood.cli.stems import make_stem_folder, stem_files
+from tonewood.cli.stems import stem_files, stem_folder
 from tonewood.support.units import counted, decibel
 
 if TYPE_CHECKING:
@@ -83,10 +83,10 @@ def render_parts(
     if stems is not None:
         sounding = {id(stem.part) for stem in rendered}
         files = [file for part, file in zip(parts, planned, strict=True) if id(part) in sounding]
-        make_stem_folder(stems, parents=True)
-        for stem, file, player in zip(rendered, files, players, strict=True):
-            tags = Tags.of(music, [player])
-            Audio(stem.samples * factor, fs, ("left", "right"), tags=tags).save(file, subtype)
+        with stem_folder(stems, parents=True):
+            for stem, file, player in zip(rendered, files, players, strict=True):
+                tags = Tags.of(music, [player])
+                Audio(stem.samples * factor, fs, ("left", "right"), tags=tags).save(file, subtype)
     lufs = loudness(mix * factor, fs)[0] if find_spec("pyloudnorm") and peak > 0 else None
     if lufs is not None and not np.isfinite(lufs):
         lufs = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,7 +14,7 @@ import typer
 from tonewood.cli import common
 from tonewood.cli.commands import InterruptError
 from tonewood.cli.options import takes_render_options
-from tonewood.cli.stems import check_stem_folder, stem_files, write_output_stems, write_string_stems
+from tonewood.cli.stems import check_stem_folder, stem_files, stem_folder, write_output_stems, write_string_stems
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.sound.render.options import RenderOptions
 from tonewood.support.units import decibel
@@ -120,6 +121,8 @@ def render(
         raise TonewoodError("repeats a take as it was: no excerpt, transposition, tempo", key="--live")
     began = time.perf_counter()
     bundle = common.load(instrument, settings, allow_code, strings)
+    if options.preset is not None and "lead_in" not in options.model_fields_set and not live:
+        options = options.at(lead_in="auto")  # a finished sound begins with the first finger on a string
     rendered = _render_one(score, bundle, options.at(energy=bool(energy)), form, given, split, began, live=live)
     account = rendered.renderer.energy
     for path in energy or ():
@@ -210,11 +213,12 @@ def _render_one(
     load_s = time.perf_counter() - began
     rendered = _write(renderer, form, tags)
     try:
-        if by_string is not None:
-            again = Renderer(read_score(score, **given), bundle, options=options.at(energy=False), model=by_string)
-            write_string_stems(again, files, form.subtype, rendered.gain_db, renderer.summary().frames, tags)
-        elif files:
-            write_output_stems(form.output, files, form.subtype, renderer, tags)
+        with nullcontext() if stems.folder is None else stem_folder(stems.folder):
+            if by_string is not None:
+                again = Renderer(read_score(score, **given), bundle, options=options.at(energy=False), model=by_string)
+                write_string_stems(again, files, form.subtype, rendered.gain_db, renderer.summary().frames, tags)
+            elif files:
+                write_output_stems(form.output, files, form.subtype, renderer, tags)
     except KeyboardInterrupt:
         raise InterruptError(f"{form.output} is written, its stems are not") from None
     return replace(rendered, gain_db=rendered.gain_db + options.gain_db, load_s=load_s, stems=files)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from itertools import chain, count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -43,6 +44,20 @@ def check_stem_folder(folder: Path, *, parents: bool = False) -> None:
                 path.rmdir()
 
 
+@contextmanager
+def stem_folder(folder: Path, *, parents: bool = False) -> Iterator[None]:
+    """Make the folder of ``--stems`` unless it is there; where an error leaves it empty it is removed again."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    make_stem_folder(folder, parents=parents)
+    try:
+        yield
+    except BaseException:
+        for path in missing:
+            with suppress(OSError):  # some stems are written
+                path.rmdir()
+        raise
+
+
 def make_stem_folder(folder: Path, *, parents: bool = False) -> None:
     """Make the folder of ``--stems`` unless it is there. Raises OutputError : it cannot be made."""
     try:
@@ -74,7 +89,6 @@ def write_output_stems(
     from tonewood.sound.files.audio import SoundWriter
     from tonewood.sound.render.routing import columns_of
 
-    make_stem_folder(files[0].parent)
     first = 0
     columns = columns_of(renderer.model.outputs, in_room=renderer.options.room is not None)
     for group, file in zip(columns, files, strict=True):
@@ -101,7 +115,6 @@ def write_string_stems(
 
     from tonewood.sound.files.audio import SoundWriter
 
-    make_stem_folder(files[0].parent)
     groups = renderer.columns
     edges = np.cumsum([0, *map(len, groups)])
     written, factor = 0, 10 ** (gain_db / 20)

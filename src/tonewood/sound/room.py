@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
 from tonewood.support.arrays import Floats
-from tonewood.support.sound_rates import check_rate
+from tonewood.support.sound_rates import LOUDEST, check_rate, check_whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,12 +130,13 @@ def _read(name: str, fs: int, channels: int) -> Floats:
     try:
         rate = sf.info(name).samplerate
         check_rate(rate, name)
+        check_whole(Path(name))
         response, _ = sf.read(name, frames=int(_LONGEST * rate) + 1, dtype="float64", always_2d=True)
     except sf.LibsndfileError as fault:
         raise TonewoodError(f"cannot be read: {fault.error_string}", file=name) from None
     if response.shape[1] not in (1, channels):
         raise TonewoodError(f"has {response.shape[1]} channels; 1 or {channels} are allowed", file=name)
-    if not len(response) or not np.all(np.isfinite(response)) or len(response) > _LONGEST * rate:
+    if not len(response) or not np.all(np.abs(response) <= LOUDEST) or len(response) > _LONGEST * rate:
         raise TonewoodError(f"up to {_LONGEST:g} s of finite samples are allowed", file=name)
     if rate != fs:
         from scipy.signal import resample_poly

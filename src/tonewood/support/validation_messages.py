@@ -33,6 +33,8 @@ _SCALES = {
     "1": {"%": 1e-2},
 }
 _PLACE = re.compile(r"([\w.*-]+): ")
+#: a number and its unit
+_WITH_UNIT = re.compile(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*[a-zA-Zµ%][\w/^%]*\s*$")
 _CONTAINERS = (dict, list, tuple, Mapping, Sequence)
 #: prefix by pydantic of the text of a check's own error
 _RAISED = re.compile(r"^(Value error|Assertion failed), ")
@@ -226,7 +228,10 @@ def _lower_first(text: str) -> str:
 def _shown(fault: Any) -> str:
     value = fault["input"]
     plain = isinstance(value, (str, int, float)) or value is None
-    return f", not {value!r}" if plain and len(repr(value)) <= 60 else ""
+    unit = (
+        ": numbers are in SI units and stand without them" if isinstance(value, str) and _WITH_UNIT.match(value) else ""
+    )
+    return f", not {value!r}{unit}" if plain and len(repr(value)) <= 60 else ""
 
 
 def _discriminator(fault: Any) -> str:

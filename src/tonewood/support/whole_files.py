@@ -56,8 +56,7 @@ class AtomicFile:
                 raise OutputError("is a folder", file=path)
             if self._final.exists() and not self._final.is_file():
                 raise OutputError("is no file but a device", file=path)
-            if _read and self._final.exists() and _identity(self._final) in _read:
-                raise OutputError("would replace a file that is read; give another name", file=path)
+            check_unread(path)
         except (OSError, RuntimeError, ValueError) as fault:  # a name too long or with a zero byte, links in a circle
             raise OutputError(f"cannot be written: {getattr(fault, 'strerror', None) or fault}", file=path) from None
         places = _places(self._final)
@@ -90,6 +89,13 @@ def protect(files: Iterable[Path]) -> None:
     for file in files:
         with suppress(OSError, ValueError):
             _read.add(_identity(file))
+
+
+def check_unread(path: str | os.PathLike[str]) -> None:
+    """Refuse to write a file that this program reads, also by a link. Raises OutputError : it is one of `protect`."""
+    with suppress(OSError, ValueError):
+        if _read and _identity(Path(path)) in _read:
+            raise OutputError("would replace a file that is read; give another name", file=path)
 
 
 def _identity(file: Path) -> tuple[int, int]:

@@ -9,7 +9,7 @@ import tonewood as tw
 from tonewood.authoring import assemble
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.added import body_parts
-from tonewood.instrument.bundle.schema import Added
+from tonewood.instrument.bundle.added_schema import Added
 from tonewood.instrument.contract.base import BodyPoint
 from tonewood.instrument.inspection.frequencies import bridge_mobility
 from tonewood.performance.effects.bridge_response import BridgeResponse

@@ -57,7 +57,7 @@ def test_every_connection_and_component_names_its_string_and_part(name: str) -> 
         assert c.role == "attached" or c.name.endswith(f".{c.role}")
         assert c.role != "attached" or c.part in parts
     system = model.system
-    assert system.owners == {n: n.split(".")[0] for n in system.names if n.split(".")[0] in model.strings}
+    assert system.layout.owners == {n: n.split(".")[0] for n in system.names if n.split(".")[0] in model.strings}
 
 
 def test_an_exciter_may_be_called_finger_beside_a_soft_finger(make: Make, values: dict[str, Any]) -> None:
@@ -111,7 +111,7 @@ def test_room_for_every_stop(model: Model) -> None:
     for string in model.strings.values():
         for stop in (0, 1, 12):
             for name, basis in string.bases(stop, bend_cents=-200).items():
-                assert basis.n_modes <= model.system.capacities[model.system.slot(name)]
+                assert basis.n_modes <= model.system.layout.capacities[model.system.slot(name)]
                 model.system.with_basis(name, basis)
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from tonewood.errors import BundleError
-from tonewood.instrument.bundle.schema import Added
+from tonewood.instrument.bundle.added_schema import Added
 from tonewood.instrument.contract.attached import loose_mass
 from tonewood.instrument.contract.base import BodyPoint, BridgeForce, dot
 from tonewood.instrument.contract.directions import unit_vector

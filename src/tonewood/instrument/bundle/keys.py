@@ -92,7 +92,7 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
     others = strings if isinstance(strings, Mapping) else {}
     beside = keys.get("entries", {})
     entries: dict[str, Any] = {**beside} if isinstance(beside, Mapping) else {}
-    made: dict[str, Any] = {}
+    key_parts: dict[str, Any] = {}
     pitches = _pitches(entries)
     places: dict[str, tuple[int, str]] = {}
     for line, cells in rows:
@@ -109,7 +109,7 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
             raise row.fault("note", f"is {row.text('note')!r}, the pitch of key {same}; one key a pitch is allowed")
         count = row.whole("strings", 1)
         of = [name] if count == 1 else [f"{name}_{i + 1}" for i in range(count)]
-        if len(made) + count > MOST_STRINGS:
+        if len(key_parts) + count > MOST_STRINGS:
             raise row.fault("strings", f"makes more than the {MOST_STRINGS} strings allowed")
         for string in of:
             if string in others:
@@ -126,19 +126,19 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
         if exciter is not None:
             entry["exciter"] = row.below(exciter)
         entries[name] = entry
-        own = row.below("string")
+        columns = row.below("string")
         for i, string in enumerate(of):
-            part = {"note": entry["note"], "cents": row.number(f"cents_{i + 1}", 0.0), **own}
+            part = {"note": entry["note"], "cents": row.number(f"cents_{i + 1}", 0.0), **columns}
             part = merged(part, row.below(f"string_{i + 1}"))
             if "end" not in part and not (isinstance(defaults, Mapping) and "end" in defaults):
                 part["end"] = f"body.{name}"
-            made[string] = part
+            key_parts[string] = part
         places |= _places(name, of, exciter, row, defaults, damper)
     exciters = entries if isinstance(beside, Mapping) else beside
     expanded = {**keys, "table": None, "damper": {}, "entries": exciters}
     if not isinstance(keys.get("damper", {}), Mapping):
         expanded["damper"] = keys["damper"]
-    return KeyRows({**values, "keys": expanded, "strings": {**others, **made}}, file, places)
+    return KeyRows({**values, "keys": expanded, "strings": {**others, **key_parts}}, file, places)
 
 
 @dataclass(frozen=True)
@@ -211,9 +211,9 @@ class _Row:
 def groups(spec: Bundle) -> dict[str, tuple[str, ...]]:
     """String that gives the pitch -> the strings that a note on it plays: those of its key, or itself alone."""
     of_keys = [tuple(key.strings) for key in spec.keys.entries.values()] if spec.keys else []
-    taken = {string for strings in of_keys for string in strings}
+    strings_of_keys = {string for strings in of_keys for string in strings}
     led = {strings[0]: strings for strings in of_keys}
-    return {name: led.get(name, (name,)) for name in spec.strings if name in led or name not in taken}
+    return {name: led.get(name, (name,)) for name in spec.strings if name in led or name not in strings_of_keys}
 
 
 def key_exciters(spec: Bundle, file: Any) -> Iterator[tuple[str, str, PluginPart]]:
@@ -260,7 +260,7 @@ def check_keys(spec: Bundle, file: Any, open_note: Callable[[str], float]) -> No
     if spec.keys and spec.keys.damper and spec.keys.table is None:
         reason = "is for the rows of a table, which gave them to its keys; keys.entries.NAME.damper is allowed"
         raise BundleError(reason, file=file, key="keys.damper")
-    taken: dict[str, str] = {}
+    owners: dict[str, str] = {}
     for name, key in (spec.keys.entries if spec.keys else {}).items():
         at = f"keys.entries.{name}"
         try:
@@ -271,10 +271,10 @@ def check_keys(spec: Bundle, file: Any, open_note: Callable[[str], float]) -> No
             if string not in spec.strings:
                 names = f"{did_you_mean(string, spec.strings)}there are {', '.join(spec.strings)}"
                 raise BundleError(f"there is no string {string!r}; {names}", file=file, key=f"{at}.strings")
-            if string in taken:
-                reason = f"string {string!r} is one of key {taken[string]}; a string has one key"
+            if string in owners:
+                reason = f"string {string!r} is one of key {owners[string]}; a string has one key"
                 raise BundleError(reason, file=file, key=f"{at}.strings")
-            taken[string] = name
+            owners[string] = name
         if abs(open_note(first := key.strings[0]) - note) >= 0.5:
             reason = (
                 f"is {key.note}, and its string {first} sounds {note_name(open_note(first))}; the same note is allowed"

@@ -178,17 +178,17 @@ class Instrument(ModalViews):
         pickups = {part.name: make(part, "pickup", f"outputs.{part.name}") for part in spec.outputs}
         resolved = spec.model_dump(mode="json", by_alias=True)
         resolved["body"] = _flat(spec.body, body)
-        resolved["strings"] = {name: _flat(spec.strings[name], made) for name, made in strings.items()}
-        resolved["exciters"] = {name: _flat(spec.exciters[name], made) for name, made in exciters.items()}
-        resolved["connections"] = {name: _flat(spec.connections[name], made) for name, made in attachments.items()}
+        resolved["strings"] = {name: _flat(spec.strings[name], plugin) for name, plugin in strings.items()}
+        resolved["exciters"] = {name: _flat(spec.exciters[name], plugin) for name, plugin in exciters.items()}
+        resolved["connections"] = {name: _flat(spec.connections[name], plugin) for name, plugin in attachments.items()}
         resolved["outputs"] = [_flat(part, pickups[part.name]) for part in spec.outputs]
-        made: dict[str, Any] = {  # kinds were checked by the registry
+        parts: dict[str, Any] = {  # kinds were checked by the registry
             "body": body, "resonators": strings, "exciters": exciters, "attachments": attachments, "pickups": pickups
         }  # fmt: skip
         instrument = cls(
             folder=files.root or Path(),
             spec=spec,
-            **made,
+            **parts,
             key_exciters=by_key,
             resolved=resolved,
             granted=files.granted,

@@ -115,11 +115,11 @@ def _from_bundle(name: str, original: Instrument, strings: str | None) -> str:
         text = edit_text(text, edits, file=manifest)
     title = f"{name}, begun as a copy of {original.name}: {original.spec.title}"
     provenance = ["provenance:"]
-    given = () if strings is None else _given_by(strings)
+    keys = () if strings is None else _given_by(strings)
     for path in values.get("provenance", {}):  # of the file alone: a string set keeps its own
         entry = original.spec.provenance[path]
         kind, *rest = path.split(".")
-        if kind == "strings" and rest[1:2] and rest[1] in given:
+        if kind == "strings" and rest[1:2] and rest[1] in keys:
             continue  # the set's own
         source = f", source {entry.source}" if entry.source else ""
         note = f" ({entry.note})" if entry.note else ""
@@ -145,13 +145,13 @@ def _from_bundle(name: str, original: Instrument, strings: str | None) -> str:
         out.append(changed.get(key, block))
     if "provenance" not in values:
         out += [*_comment("provenance"), changed["provenance"]]
-    made = "".join(out)
+    manifest_text = "".join(out)
     expected = {**values, **parse_yaml(changed["name"] + changed["title"] + changed["provenance"])}
     expected["schema"] = SCHEMA
     expected.pop("description", None)
-    if strings is None and parse_yaml(made, file=manifest) != expected:
+    if strings is None and parse_yaml(manifest_text, file=manifest) != expected:
         raise BundleError("cannot be copied automatically: copy its folder by hand", file=manifest)
-    return made
+    return manifest_text
 
 
 def _with_strings(blocks: Sequence[tuple[str, str]], values: Mapping[str, Any], strings: str) -> list[tuple[str, str]]:

@@ -29,9 +29,9 @@ class Origins:
         best: tuple[tuple[int, int], Provenance] | None = None
         parts = path.split(".")
         for pattern, entry in self.entries.items():
-            wanted = pattern.split(".")
-            if len(wanted) <= len(parts) and all(w in ("*", p) for w, p in zip(wanted, parts, strict=False)):
-                rank = (len(wanted), -wanted.count("*"))
+            keys = pattern.split(".")
+            if len(keys) <= len(parts) and all(w in ("*", p) for w, p in zip(keys, parts, strict=False)):
+                rank = (len(keys), -keys.count("*"))
                 if best is None or rank > best[0]:
                     best = (rank, entry)
         return best[1] if best else None

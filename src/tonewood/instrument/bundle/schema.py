@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
+from tonewood.instrument.bundle.added_schema import Added
 from tonewood.instrument.bundle.equalizer_schema import EqualizerBand
 from tonewood.instrument.bundle.key_schema import MOST_STRINGS, Keys, Name
 from tonewood.instrument.bundle.string_schema import Fretboard, MadeOf, Scatter
@@ -62,33 +63,6 @@ class PluginPart(Parameters):
     def values(self) -> dict[str, Any]:
         """Keys of the plugin itself."""
         return dict(self.model_extra or {})
-
-
-class Added(Parameters):
-    """A mass, a spring to the ground or a dashpot to the ground, fixed to the body; several of them move as one.
-
-    With `frequency` and `q` the mass hangs on the body by a spring and a dashpot: a tuned damper, as a wolf eliminator.
-    """
-
-    at: str = described("point of the body")
-    direction: Direction | None = described("in which it acts; the point's own where left out", default=None)
-    mass: float = quantity("kg", low=0.0, high=5.0, default=0.0, doc="that moves with the point")
-    stiffness: float = quantity("N/m", low=0.0, high=1e9, default=0.0, doc="of a spring to the ground")
-    damping: float = quantity("N s/m", low=0.0, high=1e6, default=0.0, doc="of a dashpot to the ground")
-    frequency: float | None = quantity(
-        "Hz", low=1.0, high=20000.0, default=None, doc="of the mass on its own spring: a tuned damper"
-    )
-    q: float | None = quantity("1", low=0.1, high=1e4, default=None, doc="Q of a tuned damper, the body at rest")
-
-    @model_validator(mode="after")
-    def _something(self) -> Added:
-        if self.frequency is not None or self.q is not None:
-            if self.frequency is None or self.q is None or not self.mass or self.stiffness or self.damping:
-                raise ValueError("a tuned damper has mass, frequency and q, and no stiffness or damping to the ground")
-            return self
-        if not (self.mass or self.stiffness or self.damping):
-            raise ValueError("a mass, a stiffness or a damping above 0 is wanted")
-        return self
 
 
 class BodyPart(PluginPart):
@@ -196,8 +170,8 @@ class StringPart(PluginPart):
 
     def label(self, polarization: int) -> str:
         """Name of one of its polarizations: its direction, or p1 and p2 where that is a vector."""
-        wanted = self.polarizations[polarization]
-        return wanted if isinstance(wanted, str) else f"p{polarization + 1}"
+        direction = self.polarizations[polarization]
+        return direction if isinstance(direction, str) else f"p{polarization + 1}"
 
     @model_validator(mode="after")
     def _pitch(self) -> StringPart:
@@ -497,9 +471,9 @@ class Bundle(Parameters):
     @model_validator(mode="after")
     def _names(self) -> Bundle:
         names = [output.name for output in self.outputs]
-        taken = {"body", *self.strings}
+        components = {"body", *self.strings}
         for name in names:
-            if names.count(name) > 1 or name in taken:
+            if names.count(name) > 1 or name in components:
                 raise ValueError(f"the output name {name!r} is taken")
         if "body" in self.strings or "defaults" in self.strings:
             raise ValueError("a string cannot be called body or defaults")

@@ -86,7 +86,7 @@ class MadeOf(Wire):
 
     @model_validator(mode="after")
     def _parts(self) -> MadeOf:
-        given = [x for x in (self.diameter, self.core and (self.core.diameter or self.core.share)) if x]
+        gauges = [x for x in (self.diameter, self.core and (self.core.diameter or self.core.share)) if x]
         if self.material != "wound":
             if self.core or self.wrap:
                 raise ValueError("core: is for material wound, with `wrap`")
@@ -97,7 +97,7 @@ class MadeOf(Wire):
             raise ValueError("wrap: is missing; a wound string has a wrap with its material")
         if self.core and self.core.share and (self.core.diameter or self.diameter is None):
             raise ValueError("core.share: is of the string's gauge, and in place of the core's")
-        if len(given) == 2 and self.wrap.diameter:
+        if len(gauges) == 2 and self.wrap.diameter:
             raise ValueError("wrap.gauge: follows from the gauges of string and core; leave one of the three out")
         if self.diameter is None and not (self.wrap.diameter and self.core and self.core.diameter):
             raise ValueError("gauge: is missing; the string's, or those of core and wrap are wanted")
@@ -164,8 +164,8 @@ class Fretboard(Parameters):
         """Return this fretboard with what it leaves out from another one."""
         fields = self.model_dump(exclude_none=True)
         instead = {x: y for pair in ALTERNATIVES for x, y in (pair, pair[::-1])}
-        kept = {k: v for k, v in common.model_dump(exclude_none=True).items() if instead.get(k) not in fields}
-        return Fretboard(**{**kept, **fields})
+        rest = {k: v for k, v in common.model_dump(exclude_none=True).items() if instead.get(k) not in fields}
+        return Fretboard(**{**rest, **fields})
 
 
 #: keys of a fretboard that exclude each other

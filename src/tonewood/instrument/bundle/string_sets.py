@@ -68,17 +68,17 @@ def with_set(values: Mapping[str, Any], name: str, *, over: bool, file: Any = No
             key=_KEY,
         )
     made: dict[str, Any] = {}
-    given: set[str] = set()
+    names: set[str] = set()
     for (key, part), entry in zip(strings.items(), chosen.strings, strict=True):
         part_values = _of_string(part, entry, chosen, f"strings.{key}", file)
         made[key] = {**part, **dict.fromkeys(_OWN), **part_values} if over else {**part_values, **part}
-        given |= {k for k in part_values if (over or k not in part) and k != "made_of"}
+        names |= {k for k in part_values if (over or k not in part) and k != "made_of"}
     out = {**values, "strings": made, _KEY: name}
-    if given:
+    if names:
         source = f"strings_{name}"
         out["sources"] = {**values.get("sources", {}), source: chosen.source.model_dump(exclude_none=True)}
         note = f"{chosen.maker} {chosen.product}"
-        entries = {f"strings.*.{k}": {"kind": "published", "source": source, "note": note} for k in sorted(given)}
+        entries = {f"strings.*.{k}": {"kind": "published", "source": source, "note": note} for k in sorted(names)}
         before = values.get("provenance", {})
         out["provenance"] = {**before, **entries} if over else {**entries, **before}
     return out
@@ -94,8 +94,8 @@ def _of_string(
         data["made_of"] = entry.made_of.model_dump(exclude_none=True)
     for name in _KEYS:
         # that of another set's strings does not hold
-        kept = () if name == "axial_stiffness" else part
-        if name in fields and fields[name].is_required() and name not in data and name not in kept:
+        rest = () if name == "axial_stiffness" else part
+        if name in fields and fields[name].is_required() and name not in data and name not in rest:
             reason = f"the string set does not say it, and {part['plugin']} needs it"
             raise BundleError(reason, file=file, key=f"{key}.{name}")
     return {name: value for name, value in data.items() if name in fields or name in _OWN}

@@ -57,8 +57,8 @@ def pair_of_arrays(value: Any, shape: tuple[int, ...]) -> None:
     for quantity, array in zip(("displacement", "velocity"), value, strict=True):
         want(isinstance(array, np.ndarray), array, "an array", quantity)
         if array.shape != shape:
-            wanted = " x ".join(map(str, shape))
-            raise WrongResultError(f"{quantity} of shape {array.shape}; {wanted} is wanted")
+            size = " x ".join(map(str, shape))
+            raise WrongResultError(f"{quantity} of shape {array.shape}; {size} is wanted")
         want(np.isfinite(array).all(), "numbers that are not finite", "a finite array", quantity)
 
 
@@ -345,8 +345,8 @@ def _checked(
         except (TonewoodError, MemoryError):
             raise
         except Exception as raised:  # any fault of somebody's plugin is told with its class, method and key
-            said = " ".join(str(raised).split())
-            text = f"{who} raises {type(raised).__name__}{': ' if said else ''}{said}{_place(raised)}"
+            message = " ".join(str(raised).split())
+            text = f"{who} raises {type(raised).__name__}{': ' if message else ''}{message}{_place(raised)}"
             raise fault(self, text) from raised
         try:
             # the call went well: without keywords its arguments have the names in their order

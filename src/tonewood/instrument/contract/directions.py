@@ -44,8 +44,8 @@ def polarization_vectors(axis: Vector, polarizations: tuple[str | Vector, ...], 
     """
     a = np.asarray(unit_vector(axis))
     directions: list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]] = []
-    for wanted in polarizations:
-        v = np.asarray(unit_vector(wanted))
+    for direction in polarizations:
+        v = np.asarray(unit_vector(direction))
         for other in (a, *directions):
             v = v - (v @ other) * other
         size = math.sqrt(float(v @ v))

@@ -165,8 +165,8 @@ def pitch(model: Model, string: str, stop: int = 0) -> Pitch:
     """Return the pitch of a string at one stop of a `model`: tuned, or at the bundle's tension without compensation."""
     string_model = model.strings[string]
     tuned = string_model.tuned(stop)
-    wanted, planes = string_model.freq(stop), _planes(string_model, stop, tuned)
-    return Pitch(string, stop, string_model.open_note + stop, wanted, tuned.tension, tuned.modes, tuned.wolf, planes)
+    freq, planes = string_model.freq(stop), _planes(string_model, stop, tuned)
+    return Pitch(string, stop, string_model.open_note + stop, freq, tuned.tension, tuned.modes, tuned.wolf, planes)
 
 
 def _planes(string: StringModel, stop: int, tuned: TunedStop) -> tuple[PlanePitch, ...]:
@@ -174,13 +174,13 @@ def _planes(string: StringModel, stop: int, tuned: TunedStop) -> tuple[PlanePitc
     poles = [(mode.pole, mode.shares) for mode in tuned.modes]
     out = []
     for i, (polarization, split) in enumerate(zip(string.polarizations, string.tuning.plane_cents(stop), strict=True)):
-        own = poles[:1] if i == 0 else poles
-        if i and max(shares[i] for _, shares in own) < 0.5:  # the tuner has looked for the first one
+        modes = poles[:1] if i == 0 else poles
+        if i and max(shares[i] for _, shares in modes) < 0.5:  # the tuner has looked for the first one
             coupled = string.tuning.coupled(stop)
             joint, freq = coupled.joint(tuned.tension), held_freq(coupled.bases(tuned.tension)[i])
             pole = None if freq is None else joint.newton(2 * math.pi * freq * complex(-1e-3, 1.0))
-            own = own if pole is None else [*own, (pole, tuple(float(x) for x in joint.shares(pole)))]
-        pole, shares = max(own, key=lambda mode: mode[1][i])
+            modes = modes if pole is None else [*modes, (pole, tuple(float(x) for x in joint.shares(pole)))]
+        pole, shares = max(modes, key=lambda mode: mode[1][i])
         freq = pole.imag / (2 * math.pi)
         out.append(PlanePitch(polarization.component, freq, cents(freq / string.freq(stop)), split, shares[i]))
     return tuple(out)
@@ -340,8 +340,8 @@ def check_transfers(model: Model) -> None:
             displacement, velocity = string.transfer(component, old, new)
             for quantity, matrix in (("displacement", displacement), ("velocity", velocity)):
                 if matrix.shape != (new.n_modes, old.n_modes):
-                    wanted = f"{new.n_modes} x {old.n_modes}"
-                    raise string.resonator.fault(f"transfer: {quantity} has shape {matrix.shape}; {wanted} is wanted")
+                    shape = f"{new.n_modes} x {old.n_modes}"
+                    raise string.resonator.fault(f"transfer: {quantity} has shape {matrix.shape}; {shape} is wanted")
                 if not np.isfinite(matrix).all():
                     raise string.resonator.fault(f"transfer: {quantity} holds numbers that are not finite")
             before = old.right[old.index("bridge")].real

@@ -94,17 +94,17 @@ def intonation(instrument: Instrument, *, frets: int = 12, fs: float = 48000.0) 
         fretted = string.stopping.fretted
         assert fretted is not None
         freqs = string.tuning.stops.freqs
-        wanted = [freq / freqs[0] for freq in freqs[1:]]
+        ratios = [freq / freqs[0] for freq in freqs[1:]]
         flexible = replace(fretted, bending_stiffness=0.0)
         rows = []
         for p in (p for p in tones if p.string == name and p.stop):
             opened, pressed = fretted.board.pressed(0), fretted.board.pressed(p.stop)
             by = [opened.length / pressed.length, flexible.ratio(p.stop), fretted.ratio(p.stop)]
-            place, stretched, stiff = (cents(ratio / wanted[p.stop - 1]) for ratio in by)
+            place, stretched, stiff = (cents(ratio / ratios[p.stop - 1]) for ratio in by)
             planes = {plane.component: plane.cents for plane in p.planes}
             row = StopIntonation(p.stop, place, stretched - place, stiff - stretched, pressed.fret, planes)
             rows.append(row)
-        out.append(StringIntonation(name, fretted, tuple(rows), *_setups(fretted, wanted[:frets])))
+        out.append(StringIntonation(name, fretted, tuple(rows), *_setups(fretted, ratios[:frets])))
     return out
 
 

@@ -19,13 +19,13 @@ def modal_table_text(body: Body[Any], name: str, freq_upper: float) -> str:
     basis, points = body.basis(freq_upper), body.points()
     if not basis.is_real or np.any(basis.stiffness <= 0) or np.any(basis.damping_rate <= 0):
         raise TonewoodError("only real modes with stiffness and loss can be written as a table", key="--table")
-    given = ", ".join(f"[{', '.join(f'{x:.9g}' for x in row)}]" for row in basis.residual)
+    residual = ", ".join(f"[{', '.join(f'{x:.9g}' for x in row)}]" for row in basis.residual)
     lines = [
         "body:",
         "  plugin: modal_table",
         f"  table: {name}",
         "  shapes: points",
-        f"  truncation: {{residual_compliance: [{given}]}}",
+        f"  truncation: {{residual_compliance: [{residual}]}}",
         "  points:",
     ]
     for point in basis.points:

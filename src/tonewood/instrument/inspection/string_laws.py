@@ -75,20 +75,22 @@ def _compared(string: StringModel, stop: int, bend_cents: float) -> LawErrors:
     freq_upper, place = string.tuning.untuned.freq_upper, string.tuning.stops.position(stop)
     basis = string.resonator.basis(freq_upper, stop=place, tension=tension)
     try:
-        used, own = (HeldModes.of(b, "bridge") for b in (string.tuning.coupled(stop).bases(tension)[0], basis))
+        tuned_modes, basis_modes = (
+            HeldModes.of(b, "bridge") for b in (string.tuning.coupled(stop).bases(tension)[0], basis)
+        )
     except ValueError as fault:
         raise string.resonator.fault(f"its partials cannot be found: {fault}") from None
     # of a basis of one's own the highest partials need not have converged
-    n = max(1, min(used.n_modes, own.n_modes) // 2)
-    off = 1200 * np.log2(used.freq_rad[:n] / own.freq_rad[:n])
-    law, stated = string.resonator.decay_rate(own.freq_rad, tension), basis.metadata.get("loss_error")
-    if law is None and isinstance(stated, np.ndarray) and stated.shape == own.freq_rad.shape:
-        law = own.damping_rate / (1 + stated)
+    n = max(1, min(tuned_modes.n_modes, basis_modes.n_modes) // 2)
+    off = 1200 * np.log2(tuned_modes.freq_rad[:n] / basis_modes.freq_rad[:n])
+    law, stated = string.resonator.decay_rate(basis_modes.freq_rad, tension), basis.metadata.get("loss_error")
+    if law is None and isinstance(stated, np.ndarray) and stated.shape == basis_modes.freq_rad.shape:
+        law = basis_modes.damping_rate / (1 + stated)
     pitch = int(np.argmax(np.abs(off)))
     if law is None:
         return LawErrors(stop, bend_cents, 0, None, pitch + 1, float(off[pitch]), 0.0)
-    law = np.broadcast_to(np.asarray(law, dtype=np.float64), own.freq_rad.shape)
-    error, before = (_relative(rates[:n], law[:n]) for rates in (used.damping_rate, own.damping_rate))
+    law = np.broadcast_to(np.asarray(law, dtype=np.float64), basis_modes.freq_rad.shape)
+    error, before = (_relative(rates[:n], law[:n]) for rates in (tuned_modes.damping_rate, basis_modes.damping_rate))
     worst = int(np.argmax(np.abs(error)))
     return LawErrors(
         stop, bend_cents, worst + 1, float(error[worst]), pitch + 1, float(off[pitch]), float(before[worst])

@@ -124,13 +124,13 @@ class Model:
         string, stop : name of the string; number of its stop, 0 open.
         una_corda : whether the soft pedal is down, so that the hammer meets fewer strings, more softly.
         """
-        held, keys = self.strings[string], self.instrument.spec.keys
+        spec, keys = self.strings[string], self.instrument.spec.keys
         strings: tuple[tuple[str, float], ...] = ()
         if keys is not None and (key := self.instrument.key_of.get(string)) is not None:
             met = keys.entries[key].una_corda if una_corda else None
             factor = keys.pedals.una_corda_stiffness if una_corda else 1.0
-            strings = tuple((s, factor if met is None or i < met else 0.0) for i, s in enumerate(held.group))
-        return Place(string, held.length(stop), len(held.polarizations), held.tension(stop), strings)
+            strings = tuple((s, factor if met is None or i < met else 0.0) for i, s in enumerate(spec.group))
+        return Place(string, spec.length(stop), len(spec.polarizations), spec.tension(stop), strings)
 
 
 @one_blas_thread
@@ -168,8 +168,8 @@ def assemble(
     choice = Choice.of(instrument.spec.effects, declared(instrument.plugins))
     body, body_points = instrument.body.basis(limit), instrument.body.points()
     added = body_parts(instrument.spec.body.added, body, body_points, instrument.folder / MANIFEST)
-    kept = KeptTunings(instrument, limit)
-    strings = string_models(instrument, added.body, body_points, limit, choice, kept)
+    tunings = KeptTunings(instrument, limit)
+    strings = string_models(instrument, added.body, body_points, limit, choice, tunings)
     _check_places(instrument, strings)
     _check_body(instrument, strings, body, 1.0 / fs)
     attached = [a for string in strings.values() for a in string.attached()]
@@ -190,7 +190,7 @@ def assemble(
         potentials=_potentials(instrument, strings.values(), added.body, choice),
         owners=owners,
     )
-    kept.save()
+    tunings.save()
     inputs: dict[str, tuple[tuple[str, str, float], ...]] = {
         f"body.{point}": (("body", point, 1.0), *channels.body_inputs.get(point, ())) for point in body_points
     }
@@ -225,13 +225,13 @@ def _check_references(
     made: Outputs,
 ) -> None:
     """Refuse connections and readouts of plugins that name unknown components, points and connections."""
-    taken = {c.name for c in connections if c.role != "attached"}
+    earlier = {c.name for c in connections if c.role != "attached"}
     for string in strings.values():
         for part, parts in by_part(string.connections()).items():
             plugin = string.touching.get(part)
             fault = partial(_fault, plugin, f"connections.{part}")
-            check_connections(parts, components, taken, fault)
-            taken |= {c.name for c in parts}
+            check_connections(parts, components, earlier, fault)
+            earlier |= {c.name for c in parts}
     names = [c.name for c in connections]
     for group in made.groups:
         pickup = instrument.pickups.get(group.name.partition(".")[0], instrument.pickups.get(group.name))
@@ -247,8 +247,8 @@ def _fault(plugin: Plugin[Any] | None, key: str, reason: str) -> BundleError:
 
 def _string_components(strings: Iterable[StringModel]) -> dict[str, ModalBasis]:
     """Components of all strings, then those that parts add to them."""
-    own = {name: basis for string in strings for name, basis in string.bases().items()}
-    return own | {name: b for string in strings for a in string.attached() for name, b in a.components.items()}
+    bases = {name: basis for string in strings for name, basis in string.bases().items()}
+    return bases | {name: b for string in strings for a in string.attached() for name, b in a.components.items()}
 
 
 def _end_connections(strings: Iterable[StringModel]) -> list[Connection]:

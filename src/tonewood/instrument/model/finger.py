@@ -64,7 +64,7 @@ def laid_down(old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
     same = np.eye(new.n_modes, old.n_modes)
     if not here.any():
         return same, same
-    held = np.stack([here, new.right[new.index("bridge")].real])
-    softened = held / new.stiffness
-    taken = np.linalg.solve(held @ softened.T, np.stack([here - before, np.zeros(new.n_modes)]))
-    return same - softened.T @ taken @ same, same
+    rows = np.stack([here, new.right[new.index("bridge")].real])
+    softened = rows / new.stiffness
+    correction = np.linalg.solve(rows @ softened.T, np.stack([here - before, np.zeros(new.n_modes)]))
+    return same - softened.T @ correction @ same, same

@@ -53,8 +53,8 @@ def _given(instrument: Instrument, name: str) -> Mapping[str, Any]:
         values = attachment.parameters.model_dump(include=fields)
         if "action_first" in values and name in (spec.connections[key].strings or [name]):
             common = Fretboard(**values)
-    own = spec.strings[name].fretboard.over(spec.stops.fretboard.over(common))
-    return own.model_dump(exclude_none=True)
+    fretboard = spec.strings[name].fretboard.over(spec.stops.fretboard.over(common))
+    return fretboard.model_dump(exclude_none=True)
 
 
 def _fretboard(instrument: Instrument, name: str, keys: Mapping[str, Any]) -> FretboardGeometry:

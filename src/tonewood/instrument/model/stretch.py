@@ -64,12 +64,12 @@ def octave_stretch(notes: Mapping[str, float], freqs: Mapping[str, float], B: Ma
     rows += [({i - 1: 1.0, i: -2.0, i + 1: 1.0}, 0.0, math.sqrt(_SMOOTHNESS)) for i in range(1, len(order) - 1)]
     reference = min(range(len(order)), key=lambda i: abs(notes[order[i]] - _REFERENCE))
     rows.append(({reference: 1.0}, 0.0, 1e3))
-    matrix, wanted = np.zeros((len(rows), len(order))), np.zeros(len(rows))
+    matrix, target = np.zeros((len(rows), len(order))), np.zeros(len(rows))
     for row, (terms, value, weight) in enumerate(rows):
-        wanted[row] = weight * value
+        target[row] = weight * value
         for column, factor in terms.items():
             matrix[row, column] = weight * factor
-    corrections = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+    corrections = np.linalg.lstsq(matrix, target, rcond=None)[0]
     return {name: float(corrections[i] - corrections[reference]) for i, name in enumerate(order)}
 
 

@@ -63,9 +63,9 @@ class StringTuning:
     def given(self) -> GivenTension:
         """The bundle's tension and the one used."""
         stopping, tension = self.stops.stopping, self.resonator.tension
-        held = "tension" if self._tension_held or stopping.compensate == "none" else "pitch"
+        constant = "tension" if self._tension_held or stopping.compensate == "none" else "pitch"
         raised = cents(self._raised)
-        return GivenTension(self.stops.string, tension, self.tension(0.0), held, raised, stopping.stretch_cents)
+        return GivenTension(self.stops.string, tension, self.tension(0.0), constant, raised, stopping.stretch_cents)
 
     def prepare(self, stops: Iterable[float]) -> None:
         """Tune stops ahead, so that no note waits for it."""
@@ -250,8 +250,8 @@ class StringTuning:
             tension = self.tension(0.0)
             return self.under(tension, stop), tension
         if stop == 0 and self._kept is not None and string in self._kept.known:
-            kept = self._kept.known[string][1]
-            return kept, kept.tension
+            entry = self._kept.known[string][1]
+            return entry, entry.tension
         guess = self.tension(0.0) if stop > 0 else self._first_guess()
         try:
             tuned = tune(self.coupled(stop), self.freq(stop), guess)

@@ -52,8 +52,13 @@ class StringModel:
     ):
         self.name, self.open_note, self.tuning, self.places = name, open_note, tuning, places
         self.longitudinal = longitudinal
-        planes, own = tuple(p.component for p in self.polarizations), longitudinal.component if longitudinal else None
-        self.potentials = tuple(self.resonator.potentials(StringMotion(name, planes, own, dict(end_shares or {}))))
+        planes, lengthwise = (
+            tuple(p.component for p in self.polarizations),
+            longitudinal.component if longitudinal else None,
+        )
+        self.potentials = tuple(
+            self.resonator.potentials(StringMotion(name, planes, lengthwise, dict(end_shares or {})))
+        )
         self.group, self._of_key = group or (name,), bool(group)
         self.touching, self._tilt_deg = dict(touching or {}), tilt_deg
         self._bases = StringBases(tuning, places, longitudinal, freq_limit)

@@ -133,7 +133,7 @@ class StringOnBody:
         A resonator that does not move at its bridge end keeps its own modes; only the nearest one is returned.
         """
         target = 2 * math.pi * freq
-        first = next(bases[0] for made, bases in self._made.values() if made is joint)
+        first = next(bases[0] for joint_of, bases in self._made.values() if joint_of is joint)
         if ends_at_rest(first):
             own = first.poles[first.poles.imag > 0]
             own = own[(own.imag < _NEAR * target) & (own.imag > target / _NEAR)]

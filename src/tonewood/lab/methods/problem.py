@@ -180,8 +180,8 @@ class Problem:
 
     def state_of(self, x: Floats, system: System) -> Floats:
         """(2, capacity) the same state as a kernel holds it."""
-        out = np.zeros((2, sum(system.capacities)))
-        for name, offset in zip(system.names, system.offsets, strict=True):
+        out = np.zeros((2, sum(system.layout.capacities)))
+        for name, offset in zip(system.names, system.layout.offsets, strict=True):
             part = x[self.starts[name]]
             out[:, offset : offset + len(part)] = part.T
         return out
@@ -191,7 +191,7 @@ class Problem:
         parts = {
             name: state[:, offset : offset + basis.n_modes].T
             for name, offset, basis in zip(
-                system.names, system.offsets, (c.basis for c in system.compiled), strict=True
+                system.names, system.layout.offsets, (c.basis for c in system.compiled), strict=True
             )
         }
         return np.concatenate([parts[name] for name in self.components])
@@ -355,11 +355,11 @@ def system_map(system: System, now: Floats | None = None, later: Floats | None =
     ports = [len(c.ports) for c in system.compiled]
     E = sla.block_diag(*(block for c in system.compiled for block in c.E))
     gap = np.concatenate([
-        (not one_way) * (system.incidence(i) @ c.rows[: ports[i]].reshape(ports[i], -1))
-        for i, (c, one_way) in enumerate(zip(system.compiled, system.driven, strict=True))
+        (not one_way) * (system.layout.incidence[i] @ c.rows[: ports[i]].reshape(ports[i], -1))
+        for i, (c, one_way) in enumerate(zip(system.compiled, system.layout.driven, strict=True))
     ], axis=1)  # fmt: skip
     scatter = np.concatenate([
-        c.W.reshape(ports[i], -1).T @ system.incidence(i).T for i, c in enumerate(system.compiled)
+        c.W.reshape(ports[i], -1).T @ system.layout.incidence[i].T for i, c in enumerate(system.compiled)
     ])  # fmt: skip
     size = len(E)
     correct = np.eye(size) - scatter @ system.solve.G @ gap

@@ -28,27 +28,29 @@ def runtime_effects(model: Model) -> tuple[RuntimeEffect, ...]:
             key = effect.name, plugin.kind
             effects.setdefault(key, effect)
             plugins.setdefault(key, {})[component] = plugin
-    made = [_made(_maker(effect, kind), model, effect, plugins[name, kind]) for (name, kind), effect in effects.items()]
-    watched = [runtime for runtime in made if isinstance(runtime, SwitchedEffect) and runtime.watched]
+    effects_of = [
+        _made(_maker(effect, kind), model, effect, plugins[name, kind]) for (name, kind), effect in effects.items()
+    ]
+    watched = [runtime for runtime in effects_of if isinstance(runtime, SwitchedEffect) and runtime.watched]
     for one in watched:
         one.share = 1.0 / len(watched)
-    return tuple(made)
+    return tuple(effects_of)
 
 
 def _made(maker: Maker, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]) -> RuntimeEffect:
     first = next(iter(plugins.values()))
     try:
-        made = maker(model, effect, plugins)
+        running = maker(model, effect, plugins)
     except (TonewoodError, MemoryError):
         raise
     except Exception as fault:  # of somebody's class: told with the effect's name and key
         name = getattr(maker, "__name__", repr(maker))
         reason = f"effect {effect.name!r}: {name} raises {type(fault).__name__}: {fault}"
         raise PluginError(reason, file=first.files.manifest, key=first.key) from fault
-    if not isinstance(made, RuntimeEffect):
-        reason = f"effect {effect.name!r}: runtime makes {kind_of(made)}; a ta.RuntimeEffect is wanted"
+    if not isinstance(running, RuntimeEffect):
+        reason = f"effect {effect.name!r}: runtime makes {kind_of(running)}; a ta.RuntimeEffect is wanted"
         raise PluginError(reason, file=first.files.manifest, key=first.key)
-    return made
+    return running
 
 
 def _plugins(model: Model) -> Iterator[tuple[str, Plugin[Any]]]:

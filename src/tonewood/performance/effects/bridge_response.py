@@ -68,7 +68,7 @@ class BridgeResponse:
             for name, factor in readout.forces:
                 if name in names:
                     heard[r, names.index(name)] += factor
-        for slot, (name, one_way) in enumerate(zip(system.names, system.driven, strict=True)):
+        for slot, (name, one_way) in enumerate(zip(system.names, system.layout.driven, strict=True)):
             if one_way:
                 compiled = system.compiled[slot]
                 sources = [*names, *added]
@@ -162,9 +162,9 @@ def _own_response(basis: ModalBasis, form: RealForm, freq_rad: Floats, rows: Flo
     A response between all pairs of n rows would take n^2 f numbers: 240 strings, a gigabyte.
     """
     alike, which = np.unique(rows, axis=0, return_inverse=True)
-    own = _over_modes(form, freq_rad, np.tensordot(alike, form.C, 1), np.tensordot(alike, form.B, 1))
+    direct = _over_modes(form, freq_rad, np.tensordot(alike, form.C, 1), np.tensordot(alike, form.B, 1))
     residual = np.einsum("np,pq,nq->n", alike, basis.residual, alike)
-    return np.asarray((own + residual[:, None])[which.ravel()])
+    return np.asarray((direct + residual[:, None])[which.ravel()])
 
 
 def _added(model: Model, s: Complexes) -> tuple[list[str], Floats, Complexes]:

@@ -94,11 +94,11 @@ class PhantomPartialsEffect(SwitchedEffect):
         if not whole and (moment.sample % (GRID * self._often) or moment.sample >= switching.until.get("", 0)):
             same = played <= switching.on and until == switching.until
             return None if same else Watched(switching.on | played, until=until)
-        held = played | self._moved(moment.busy) | (set() if whole else switching.on)
+        staying = played | self._moved(moment.busy) | (set() if whole else switching.on)
         peak = np.maximum(moment.peak, _SILENT)
-        levels = {name: self._level(moment, name, peak) for name in self._laws if name not in held}
+        levels = {name: self._level(moment, name, peak) for name in self._laws if name not in staying}
         # levels of the strings of a key add up, and so do those of few strings; those of several keys in power
-        wanted, missing, power = set(held), dict.fromkeys(("", *self._laws), 0.0), 0.0
+        wanted, missing, power = set(staying), dict.fromkeys(("", *self._laws), 0.0), 0.0
         for name, level in sorted(levels.items(), key=lambda item: item[1]):
             key = "" if self._few else self.model.strings[name].group[0]
             more = power + level * (level + 2 * missing[key])

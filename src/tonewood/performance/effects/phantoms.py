@@ -84,9 +84,9 @@ class Phantoms:
         compiled : component -> its modes as they are stepped.
         """
         longitudinal = compiled[law.longitudinal]
-        held = {name: HeldModes.of(compiled[name].basis, "bridge") for name in law.transverse}
-        n = min(int(np.count_nonzero(h.freq_rad < 2 * np.pi * law.freq_coupled)) for h in held.values())
-        freq = np.min([h.freq_rad[:n] for h in held.values()], axis=0)
+        end_modes = {name: HeldModes.of(compiled[name].basis, "bridge") for name in law.transverse}
+        n = min(int(np.count_nonzero(h.freq_rad < 2 * np.pi * law.freq_coupled)) for h in end_modes.values())
+        freq = np.min([h.freq_rad[:n] for h in end_modes.values()], axis=0)
         axial = HeldModes.of(longitudinal.basis, "bridge")
         combined = np.stack([np.abs(np.subtract.outer(freq, freq)), np.add.outer(freq, freq)])
         audible = np.stack([~np.eye(n, dtype=bool), np.ones((n, n), dtype=bool)])
@@ -108,7 +108,7 @@ class Phantoms:
             bent = 2.0 + (answer.sum(axis=0) if order else 0.0)
             heard += driven * (np.sum(per_newton * answer * audible, axis=1) + after[:, None, None] * bent)
         return cls(
-            {name: PartialSlopes.of(compiled[name].potentials[law.name], h).first(n) for name, h in held.items()},
+            {name: PartialSlopes.of(compiled[name].potentials[law.name], h).first(n) for name, h in end_modes.items()},
             heard,
             _CENTS / tension * moved,
         )

@@ -167,9 +167,9 @@ class Sidebands:
         for name, part in compiled.items():
             if part.basis.n_modes > 1:
                 same = before is not None and _same_modes(before[0], part.basis)
-                held = before[1] if same and before else HeldModes.of(part.basis, "bridge")
-                before = part.basis, held
-                planes[name] = Plane.of(name, part.basis, held, system, response)
+                end_modes = before[1] if same and before else HeldModes.of(part.basis, "bridge")
+                before = part.basis, end_modes
+                planes[name] = Plane.of(name, part.basis, end_modes, system, response)
         return cls(planes, rise)
 
     def level(

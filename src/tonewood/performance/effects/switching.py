@@ -21,7 +21,7 @@ _PAYABLE = 0.5
 def clear_memory(system: System, state: State, potentials: Collection[str]) -> None:
     """Set the numbers of these potentials in a state to zero, in place."""
     if state.potentials.size:
-        for potential, memory in zip(system.potentials, system.memory, strict=True):
+        for potential, memory in zip(system.potentials, system.potentials.memory, strict=True):
             if potential.name in potentials:
                 state.potentials[memory] = 0.0
 
@@ -59,9 +59,9 @@ def pay(effect: SwitchedEffect, moment: Moment, component: str, on: bool) -> boo
     kinetic = sum(0.5 * float(free @ free) for *_, free in motions)
     if cost > _PAYABLE * kinetic:
         return False
-    taken = 1.0 - math.sqrt(1.0 - cost / kinetic)
+    share = 1.0 - math.sqrt(1.0 - cost / kinetic)
     for name, basis, q, v, free in motions:
-        system.modes_of(state, name)[:] = from_motion(basis, q, v - taken * free)
+        system.modes_of(state, name)[:] = from_motion(basis, q, v - share * free)
     return True
 
 

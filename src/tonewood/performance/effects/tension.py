@@ -232,7 +232,7 @@ class TensionEffect(SwitchedEffect):
 
 def _partners(system: System, law: TensionModulation | GeometricStretch) -> list[str]:
     """Components that touch a string: hammers, fingers, rings."""
-    there = [n for n in system.names if system.owners.get(n) == law.name and n not in law.components]
+    there = [n for n in system.names if system.layout.owners.get(n) == law.name and n not in law.components]
     return [n for n in there if system.compiled[system.slot(n)].basis.is_real]
 
 
@@ -242,7 +242,7 @@ def potential(system: System, state: State, name: str) -> float:
     Without longitudinal motion psi^2 / 2, which is EA/(8 L) S^2 where it was off; with it, the energy of the coupling,
     which may be negative.
     """
-    active = active_potential(system, system.potential(name))
+    active = active_potential(system, system.potentials.index(name))
     x = {slot: np.asarray(system.modes_of(state, system.names[slot]).T, dtype=np.float64) for slot in active.slots}
     memory = state.potentials if state.potentials.size else system.start().potentials
     return active.joined.stored(active.y(x), memory[active.memory])

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from tonewood.instrument.model.assembly import Model
+from tonewood.performance.engine.in_progress import GesturesInProgress
 from tonewood.performance.player.gestures import Active, places
-from tonewood.physics.coupling.system import Injection, PrescribedMotion, State, System
+from tonewood.physics.coupling.system import State, System
 from tonewood.physics.energy.account import EnergyAccount, EnergyTrace, KnownForce
 from tonewood.support.arrays import Floats
 
@@ -33,18 +33,10 @@ class EnergyBudget:
         self.account.exchange(system)
         self.account.book_change(label, state)
 
-    def follow(
-        self,
-        before: State,
-        after: State,
-        forces: Floats,
-        injections: Sequence[Injection],
-        controls: Sequence[PrescribedMotion],
-        active: Sequence[Active],
-    ) -> None:
+    def follow(self, before: State, after: State, forces: Floats, gestures: GesturesInProgress) -> None:
         """Enter the steps between two states, and the work of the gestures in progress."""
-        known = [force for a in active for force in self._known(a)]
-        self.account.follow(before, after, forces, injections, known, controls)
+        known_forces = [force for active in gestures.active for force in self._known(active)]
+        self.account.follow(before, after, forces, gestures.injections, known_forces, gestures.controls)
 
     def trace(self) -> EnergyTrace:
         """The account so far."""
@@ -57,7 +49,7 @@ class EnergyBudget:
         moving = [
             (component, point, factor)
             for component, point, factor in places(play, self.model)
-            if not system.driven[system.slot(component)]
+            if not system.layout.driven[system.slot(component)]
         ]
         pieces: list[Any] = [p for p in (play.gesture.segments, play.gesture.noise) if p]
         return [KnownForce(label, c, point, p, play.time, factor) for c, point, factor in moving for p in pieces]

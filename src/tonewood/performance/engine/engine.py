@@ -22,12 +22,12 @@ from tonewood.performance.effects.base import Moment, Run, SwitchedEffect, Switc
 from tonewood.performance.effects.gesture_connections import GestureConnections, holds_at
 from tonewood.performance.effects.switching import switch
 from tonewood.performance.effects.usage import EffectUsage
+from tonewood.performance.engine.in_progress import GesturesInProgress
 from tonewood.performance.engine.schedule import Schedule
 from tonewood.performance.player.fretting import FrettedBases, Fretting, at_rest, bridge_forces
-from tonewood.performance.player.gestures import Active, courses, cut, forces, hold_steps, quasi_static, samples
+from tonewood.performance.player.gestures import quasi_static
 from tonewood.performance.player.timeline import GRID, Play, Timeline
-from tonewood.physics.coupling.connections import Connection
-from tonewood.physics.coupling.system import Compiled, Injection, PrescribedMotion, State, System
+from tonewood.physics.coupling.system import Compiled, State, System
 from tonewood.physics.stepping.kernel import KernelStepper
 from tonewood.physics.stepping.motion import share_velocities
 from tonewood.support.arrays import Floats
@@ -52,10 +52,7 @@ class Snapshot:
 
     state: State
     frettings: dict[str, Fretting]
-    active: list[Active]
-    injections: list[Injection]
-    controls: list[PrescribedMotion]
-    holds: dict[str, float]
+    gestures: GesturesInProgress
     switchings: dict[str, Switching]
     peak: Floats
     recent: Floats
@@ -108,18 +105,14 @@ class Engine:
         self.frettings = {name: at_rest(string) for name, string in model.strings.items()}
         self.fingerboard, self.connections = FrettedBases(model), GestureConnections(model)
         self.system: System = self._with_effects(
-            self._fretted(model.system, {n: f for n, f in self.frettings.items() if f != Fretting()}, {})
+            self.fingerboard.fretted(model.system, {n: f for n, f in self.frettings.items() if f != Fretting()}, {})
         )
         self.dt = self.system.dt
         self.stepper = KernelStepper(self.system)
         self.state = self.stepper.start()
         self.peak = np.zeros(len(model.system.readouts))
         self.recent, self.tail_level = self.peak.copy(), -math.inf
-        self._owner_of = {connection.name: connection.owner for connection in model.system.connections}
-        self.active: list[Active] = []
-        self.injections: list[Injection] = []
-        self.controls: list[PrescribedMotion] = []
-        self.holds: dict[str, float] = {}
+        self.gestures = GesturesInProgress()
         self.counters = Counters()
         self.usage = EffectUsage(
             model.fs,
@@ -142,7 +135,7 @@ class Engine:
     @property
     def done(self) -> bool:
         """Whether every change and gesture is over: the instrument only rings."""
-        return self.schedule.done and not self.active
+        return self.schedule.done and not self.gestures.active
 
     def running(self, effect: str) -> frozenset[str]:
         """Components on which a switched effect runs now."""
@@ -151,20 +144,20 @@ class Engine:
     def snapshot(self) -> Snapshot:
         """Copy all that moves; an energy budget begins anew where the copy is restored."""
         return Snapshot(
-            self.state.copy(), dict(self.frettings), list(self.active), list(self.injections), list(self.controls),
-            dict(self.holds), dict(self.switchings), self.peak.copy(), self.recent.copy(), self.schedule.copy(),
+            self.state.copy(), dict(self.frettings), self.gestures.copy(), dict(self.switchings), self.peak.copy(),
+            self.recent.copy(), self.schedule.copy(),
         )  # fmt: skip
 
     @one_blas_thread
     def restore(self, snapshot: Snapshot) -> None:
         """Go back to a snapshot of this engine, or of one with the same model and timeline."""
         s = snapshot
-        self.state, self.frettings, self.holds = s.state.copy(), dict(s.frettings), dict(s.holds)
-        self.active, self.injections, self.controls = list(s.active), list(s.injections), list(s.controls)
+        self.state, self.frettings, self.gestures = s.state.copy(), dict(s.frettings), s.gestures.copy()
         self.switchings, self.peak, self.recent = dict(s.switchings), s.peak.copy(), s.recent.copy()
         self.schedule = s.schedule.copy()
-        system = self._with_effects(self._fretted(self.system, self.frettings, self.frettings))
-        self.system = self.connections.with_holds(self.connections.with_moved(system, self.active), self.holds)
+        system = self._with_effects(self.fingerboard.fretted(self.system, self.frettings, self.frettings))
+        moved = self.connections.with_moved(system, self.gestures.active)
+        self.system = self.connections.with_holds(moved, self.gestures.holds)
         if self.energy_budget:
             self.energy_budget = self._new_budget()
 
@@ -191,14 +184,14 @@ class Engine:
             ready = time.thread_time()
             forces: Floats | None = None
             if self.energy_budget:
-                sound, forces = self.stepper.run(self.state, steps, self.injections, self.controls)
+                sound, forces = self.stepper.run(self.state, steps, self.gestures.injections, self.gestures.controls)
                 acted = np.flatnonzero(np.any(forces, axis=0))
             else:
-                sound, acted = self.stepper.advance(self.state, steps, self.injections, self.controls)
+                sound, acted = self.stepper.advance(self.state, steps, self.gestures.injections, self.gestures.controls)
             stepped = time.thread_time()
             if before and forces is not None:
                 self._book(before, forces)
-            added = quasi_static(self.active, self.model, self.system, start, steps)
+            added = quasi_static(self.gestures.active, self.model, self.system, start, steps)
             if added is not None:
                 sound = sound + added
             out.append(sound)
@@ -207,8 +200,7 @@ class Engine:
                 self.recent = np.abs(np.ascontiguousarray(sound.T)).max(axis=1)
                 np.maximum(self.peak, self.recent, out=self.peak)
             self._count(start, steps, acted, stepped - ready)
-            self.injections = [i for i in self.injections if i.stop > self.state.sample]
-            self.controls = [c for c in self.controls if c.stop > self.state.sample]
+            self.gestures.end(self.state.sample)
             self.counters.stepping_s += stepped - ready
             self.counters.control_s += ready - began + time.thread_time() - stepped
         return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
@@ -220,17 +212,17 @@ class Engine:
         """
         if (budget := self.energy_budget) is None:
             return
-        while self.system.resets and before.sample + _PIECE < self.state.sample:
+        while self.system.potentials.two_way and before.sample + _PIECE < self.state.sample:
             after = before.copy()
-            _, piece = self.stepper.run(after, _PIECE, self.injections, self.controls)
-            budget.follow(before, after, piece, self.injections, self.controls, self.active)
+            _, piece = self.stepper.run(after, _PIECE, self.gestures.injections, self.gestures.controls)
+            budget.follow(before, after, piece, self.gestures)
             before, forces = after, forces[_PIECE:]
-        budget.follow(before, self.state, forces, self.injections, self.controls, self.active)
+        budget.follow(before, self.state, forces, self.gestures)
 
     def _count(self, start: int, n: int, acted: NDArray[np.intp], seconds: float) -> None:
         """Enter a run into the usage of effects."""
-        plays = [active.play for active in self.active]
-        run = Run(start, n, self.system, acted, self.holds.keys(), self.switchings, plays)
+        plays = [active.play for active in self.gestures.active]
+        run = Run(start, n, self.system, acted, self.gestures.holds.keys(), self.switchings, plays)
         running = {effect.name: effect.running(run) for effect in self.effects}
         if self.system.compiled is not self._compiled:
             self._compiled = self.system.compiled
@@ -241,13 +233,13 @@ class Engine:
         """First sample after now at which the engine has to stop: a grid point, or the next step of a finger's hold."""
         now = self.state.sample
         grid = now // GRID * GRID + GRID
-        times = [grid + (_LONGEST - 1) * GRID, *(active.stop for active in self.active)]
+        times = [grid + (_LONGEST - 1) * GRID, *(active.stop for active in self.gestures.active)]
         if (due := self.schedule.next_due) < math.inf:
             # a change is made at the last grid point before its time, which need not be a whole sample
             times.append(due // GRID * GRID)
         times += [effect.next_watch(now, self.switchings[effect.name]) for effect in self._watched]
         until = math.ceil(min(times) / GRID) * GRID
-        steps = [sample for active in self.active for sample, _ in active.holds if sample > now]
+        steps = [sample for active in self.gestures.active for sample, _ in active.holds if sample > now]
         # back to the grid first: the kernel counts from where a run begins
         return min([max(until, grid) if now % GRID == 0 else grid, *steps])
 
@@ -256,17 +248,17 @@ class Engine:
         now = self.state.sample
         if now % GRID == 0:
             moved, fresh = self._take(now)
-            self._exchange(self.connections.with_moved(self.system, self.active), "partners that come and go")
+            self._exchange(self.connections.with_moved(self.system, self.gestures.active), "partners that come and go")
             if self._watched:
                 self._switch(moved, fresh)
-        wanted = holds_at(self.active, now)
-        if wanted != self.holds:
-            self.holds = wanted
-            self._exchange(self.connections.with_holds(self.system, wanted), "holds")
+        holds = holds_at(self.gestures.active, now)
+        if holds != self.gestures.holds:
+            self.gestures.holds = holds
+            self._exchange(self.connections.with_holds(self.system, holds), "holds")
 
     def _switch(self, moved: Collection[str], fresh: Sequence[Play]) -> None:
         """Switch effects on where they are wanted, and off where the bound on the error is within the budget."""
-        busy = {active.play.string or "" for active in self.active}
+        busy = self.gestures.strings
         for effect in self._watched:
             before = self.switchings[effect.name]
             moment = Moment(self.system, self.state, self.frettings, self.peak, moved, fresh, busy, self._until)
@@ -309,90 +301,53 @@ class Engine:
         """Do the changes and begin the gestures that are due; returns the strings that changed, and the gestures."""
         moved, fresh = self._due(now)
         if moved or fresh:
-            self._touch(moved, fresh, now)
-        self.active = [a for a in self.active if a.stop > now]
+            if moved:
+                self._refret(moved)
+            self.gestures.begin(fresh, moved.keys(), self.model, self.system, now, dampers=self._dampers)
+        self.gestures.active = [a for a in self.gestures.active if a.stop > now]
         return moved.keys(), fresh
-
-    def _touch(self, moved: Mapping[str, Fretting], fresh: Sequence[Play], now: int) -> None:
-        """Change how strings are held, and begin gestures."""
-        taken = {play.string for play in fresh if play.string is not None}
-        called = taken | moved.keys()
-        if moved:
-            self._refret(moved)
-        # a string is held by one finger at a time: a new gesture ends the one before it. The rest of a gesture whose
-        # string changes meanwhile is compiled anew
-        again = [a.play for a in self.active if a.play.string in moved.keys() - taken]
-        self.active = [a for a in self.active if a.play.string not in taken]
-        self.injections = [cut(i, now) if self.system.owners.get(i.component) in called else i for i in self.injections]
-        self.injections = [i for i in self.injections if i.stop > max(now, i.start)]
-        self.controls = [c for c in self.controls if self._owner_of[c.connection] not in called]
-        for play in (*again, *fresh):
-            self.injections += forces(play, self.model, self.system, now)
-            self.controls += courses(play, self.dt, now)
-        for play in fresh:
-            holds = hold_steps(play, self.dt) if self._dampers else ()
-            self.active.append(Active(play, samples(play.stop, self.dt), holds))
 
     def _due(self, now: int) -> tuple[dict[str, Fretting], list[Play]]:
         """Changes of strings and gestures that are due before the next point of the grid."""
-        wanted: dict[str, Fretting] = {}
+        latest: dict[str, Fretting] = {}
         changes, fresh = self.schedule.take(now + GRID)
         for change in changes:
-            before = wanted.get(change.string, self.frettings[change.string])
-            wanted[change.string] = before.changed(change)
+            before = latest.get(change.string, self.frettings[change.string])
+            latest[change.string] = before.changed(change)
         for play in fresh:
             if play.string is not None:
-                before = wanted.get(play.string, self.frettings[play.string])
+                before = latest.get(play.string, self.frettings[play.string])
                 if (place := play.gesture.from_bridge) is not None:
                     before = replace(before, place=place, width=play.gesture.width)
-                wanted[play.string] = before
+                latest[play.string] = before
                 self.counters.strings_played.add(play.string)
-        frettings = {name: self.fingerboard.playable(name, fretting) for name, fretting in wanted.items()}
+        frettings = {name: self.fingerboard.playable(name, fretting) for name, fretting in latest.items()}
         return {name: fretting for name, fretting in frettings.items() if fretting != self.frettings[name]}, fresh
 
-    def _refret(self, wanted: Mapping[str, Fretting]) -> None:
+    def _refret(self, changes: Mapping[str, Fretting]) -> None:
         """Exchange the bases of strings, and project their motion to the new ones."""
         carried: dict[str, Floats] = {}
         restopped = {}
         bridge_force = bridge_forces(self.system, self.state)
-        for name, fretting in wanted.items():
+        for name, fretting in changes.items():
             before = self.frettings[name]
             components = self.model.strings[name].components
             modes = {c: np.array(self.system.modes_of(self.state, c), dtype=np.float64) for c in components}
             carried |= self.fingerboard.carried(name, before, fretting, modes, bridge_force)
             if fretting.stop != before.stop:
                 restopped[name] = fretting
-        self.frettings |= wanted
-        self.system = self._fretted(self.system, wanted, restopped)
+        self.frettings |= changes
+        self.system = self.fingerboard.fretted(self.system, changes, restopped)
         if restopped:
             self.system = self._with_effects(self.system)
-        self._put(carried)
+        for component, motion in carried.items():
+            self.system.room_of(self.state, component)[:] = 0.0
+            self.system.modes_of(self.state, component)[:] = motion
         if restopped:
             share_velocities(self.system, self.state)
-        self.counters.exchanges += len(wanted)
+        self.counters.exchanges += len(changes)
         if self.energy_budget:
             self.energy_budget.changed("stops, bends and dampers", self.system, self.state)
-
-    def _put(self, carried: Mapping[str, Floats]) -> None:
-        """Write the motion of components whose bases were exchanged into the state."""
-        for component, modes in carried.items():
-            slot = self.system.slot(component)
-            start = self.system.offsets[slot]
-            self.state.modes[:, start : start + self.system.capacities[slot]] = 0.0
-            self.system.modes_of(self.state, component)[:] = modes
-
-    def _fretted(self, system: System, frettings: Mapping[str, Fretting], restopped: Mapping[str, Fretting]) -> System:
-        """Return a system with strings held like this; `restopped` ones get the laws of their stop, too."""
-        if not frettings:
-            return system
-        changes: dict[str, Compiled] = {}
-        laws: dict[str, Connection] = {}
-        for name, fretting in frettings.items():
-            changes |= self.fingerboard.bases(name, fretting)
-        for name, fretting in restopped.items():
-            laws |= self.fingerboard.laws(name, fretting)
-        changed = system.with_compiled(changes)
-        return changed.with_laws(laws) if laws else changed
 
     def _exchange(self, system: System, why: str) -> None:
         if system is not self.system:

@@ -89,9 +89,9 @@ class _Line(Generic[T]):
 
     def add(self, sample: float, entry: T) -> float:
         """Enter one behind those of the same sample; returns the sample."""
-        place = bisect.bisect_right(self._samples, sample, lo=self._taken)
-        self._samples.insert(place, sample)
-        self._entries.insert(place, entry)
+        index = bisect.bisect_right(self._samples, sample, lo=self._taken)
+        self._samples.insert(index, sample)
+        self._entries.insert(index, entry)
         return sample
 
     @property
@@ -104,11 +104,11 @@ class _Line(Generic[T]):
         first = self._taken
         while self._taken < len(self._samples) and self._samples[self._taken] < before:
             self._taken += 1
-        taken = self._entries[first : self._taken]
+        entries = self._entries[first : self._taken]
         if self._taken > _FORGET:
             del self._samples[: self._taken], self._entries[: self._taken]
             self._taken = 0
-        return taken
+        return entries
 
     def copy(self) -> _Line[T]:
         """Copy of those that are left."""

@@ -60,31 +60,31 @@ def noises(notes: Sequence[Assigned], plays: Sequence[Play], model: Model, capo:
     wanted, end, kept = model.playing.noises, model.playing.note_end, _kept(model)
     if not kept:
         return
-    held, free_from, slurs = capo, -math.inf, model.playing.slurs.named.values()
+    fret, free_from, slurs = capo, -math.inf, model.playing.slurs.named.values()
     for i, (assigned, play) in enumerate(zip(notes, plays, strict=True)):
         # a stop changes at the last point of the control grid before the gesture that needs it
         until = _point_before(play.start, model.fs)
         for kind in ("fretting", "squeak"):
-            far = abs(assigned.stop - held) >= wanted.least_shift and min(assigned.stop, held) > capo
-            moves = assigned.stop != held and not play.gesture.stops and play.exciter not in slurs
+            far = abs(assigned.stop - fret) >= wanted.least_shift and min(assigned.stop, fret) > capo
+            moves = assigned.stop != fret and not play.gesture.stops and play.exciter not in slurs
             if kind not in kept or not moves or (kind == "squeak" and not far):
                 continue
-            noise = _noise(kept[kind], assigned, held, until, _SHARE * (until - free_from), model)
+            noise = _noise(kept[kind], assigned, fret, until, _SHARE * (until - free_from), model)
             if noise is not None:
                 until = noise.start
                 yield noise
-        held, free_from = assigned.stop, play.stop
+        fret, free_from = assigned.stop, play.stop
         following = plays[i + 1].start if i + 1 < len(plays) else math.inf
         if end.kind == "ring" or not math.isfinite(assigned.end) or assigned.end >= following - 1e-3:
             continue
         if "touch" in kept and assigned.end >= free_from:
             # as the string is damped
-            noise = _noise(kept["touch"], assigned, held, _point_before(assigned.end, model.fs), math.inf, model)
+            noise = _noise(kept["touch"], assigned, fret, _point_before(assigned.end, model.fs), math.inf, model)
             if noise is not None and noise.stop < following:
                 free_from = noise.stop
                 yield noise
         if assigned.end + LET_GO_AFTER * end.t60 < following - 0.1:
-            held = capo
+            fret = capo
 
 
 def touch_at_end(assigned: Assigned | None, play: Play | None, time: float, model: Model) -> list[Play]:
@@ -124,8 +124,8 @@ def not_live(model: Model) -> list[str]:
 
 def _kept(model: Model) -> dict[str, str]:
     """Noise -> exciter, of those that are wanted and not left out."""
-    wanted = model.playing.noises
-    return {k: name for k, name in wanted.named.items() if wanted.on and model.choice.keeps(model.exciters[name])}
+    noises = model.playing.noises
+    return {k: name for k, name in noises.named.items() if noises.on and model.choice.keeps(model.exciters[name])}
 
 
 def _point_before(time: float, fs: float) -> float:

@@ -105,13 +105,13 @@ class FrettedBases:
         if (kept := self._prepared.get(key)) is not None:
             return kept
         if key not in self._compiled:
-            made = self._new(name, fretting)
+            bases = self._new(name, fretting)
             if len(self._compiled) >= self.room:
                 oldest, way = next(iter(self._compiled))
                 dropped = self._compiled.pop((oldest, way))
                 if self._held.get((oldest, way.unplucked)) is dropped:
                     del self._held[oldest, way.unplucked]
-            self._compiled[key] = self._held[name, fretting.unplucked] = made
+            self._compiled[key] = self._held[name, fretting.unplucked] = bases
         return self._compiled[key]
 
     def _new(self, name: str, fretting: Fretting) -> dict[str, Compiled]:
@@ -145,6 +145,19 @@ class FrettedBases:
         """Return the connections that always touch a string, with their laws at its stop."""
         touching = self.model.strings[name].connections(fretting.stop)
         return {c.name: c for c in touching if c.name not in self.model.resting}
+
+    def fretted(self, system: System, frettings: Mapping[str, Fretting], restopped: Mapping[str, Fretting]) -> System:
+        """Return a system with strings held like this; `restopped` ones get the laws of their stop, too."""
+        if not frettings:
+            return system
+        changes: dict[str, Compiled] = {}
+        laws: dict[str, Connection] = {}
+        for name, fretting in frettings.items():
+            changes |= self.bases(name, fretting)
+        for name, fretting in restopped.items():
+            laws |= self.laws(name, fretting)
+        changed = system.with_compiled(changes)
+        return changed.with_laws(laws) if laws else changed
 
     def carried(
         self, name: str, before: Fretting, after: Fretting, modes: Mapping[str, Floats], bridge_force: ForceAtBridge
@@ -184,7 +197,7 @@ def bridge_forces(system: System, state: State) -> ForceAtBridge:
     @cache
     def found() -> dict[str, float]:
         rigid = system.elimination.linear.rigid
-        R = system.gap_matrix("residual")[np.ix_(rigid, rigid)]
+        R = system.elimination.gap.residual[np.ix_(rigid, rigid)]
         force = -scaled_pinv(R) @ gaps(system, state)[rigid]
         components = [c.terms[0].component for c, on in zip(system.connections, rigid, strict=True) if on]
         return dict(zip(components, force.tolist(), strict=True))

@@ -93,9 +93,9 @@ class Player:
             there.
         """
         if lookahead == math.inf:
-            known = sorted(events, key=lambda event: event.time)
-            notes = [event for event in known if isinstance(event, Note)]
-            score = Score(notes, [event for event in known if isinstance(event, Control)])
+            in_order = sorted(events, key=lambda event: event.time)
+            notes = [event for event in in_order if isinstance(event, Note)]
+            score = Score(notes, [event for event in in_order if isinstance(event, Control)])
             return perform(score, self.model, channel_per_string=self.channel_per_string, capo=self.capo).timeline
         self.hands.now = sample
         for event in events:
@@ -254,12 +254,12 @@ class Player:
 
     def _assign(self, fresh: list[Voice]) -> None:
         """Give notes that begin now their strings; later ones that are known count, too."""
-        taken = {v.assigned.string: Sounding(v.assigned.stop - self.capo, 1.0) for v in self.waiting if v.assigned}
+        sounding = {v.assigned.string: Sounding(v.assigned.stop - self.capo, 1.0) for v in self.waiting if v.assigned}
         time = max([0.0, *(voice.time for voice in fresh)])
         later = sorted((e for _, _, e in self._known if isinstance(e, Note) and e.time > time), key=lambda n: n.time)
         notes, ahead = ([beyond_capo(note, self.capo) for note in notes] for notes in ([v.note for v in fresh], later))
         assigned, dropped = self._hand.assign(
-            [replace(note, time=time) for note in notes], self.hands.sounding() | taken, ahead
+            [replace(note, time=time) for note in notes], self.hands.sounding() | sounding, ahead
         )
         lost = {i for i, _ in dropped}
         kept = [i for i in range(len(fresh)) if i not in lost]

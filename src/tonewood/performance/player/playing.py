@@ -174,7 +174,7 @@ def playable(model: Model, capo: int = 0) -> list[PlayableString]:
         PlayableString(
             name,
             (s.open_note + capo, s.open_note + s.n_stops)
-            if s.stopping.continuous
+            if s.stopping.continuous and s.n_stops
             else tuple(s.open_note + i for i in range(capo, s.n_stops + 1)),
             s.stopping.continuous,
         )

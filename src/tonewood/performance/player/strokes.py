@@ -89,11 +89,11 @@ def is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) ->
     string, exciter = model.strings[assigned.string], exciter_of(assigned.note, model, assigned.string)
     length = string.length(assigned.stop)
     try:
-        asked = places(exciter.adjusted(event.values), string.length(), length)
+        own_places = places(exciter.adjusted(event.values), string.length(), length)
     except ValueError as fault:
         reason = f"the note at {assigned.note.time:g} s on string {string.name}: {fault}"
         raise ScoreError(reason, file=file, key=exciter.key) from None
-    return all(is_played(x, length) for x in asked.values())
+    return all(is_played(x, length) for x in own_places.values())
 
 
 def gripped(gesture: Gesture) -> Gesture:

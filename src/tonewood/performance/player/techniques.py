@@ -145,17 +145,17 @@ def _slid(note: Note, slides: bool, lacking: Counter[str]) -> Iterator[Note]:
         points = [(0.0, 0.0), *inner[into:]]
     elif points[0][0] > 0.0:
         points = [(0.0, 0.0), *points]
-    held = None
+    previous = None
     for (time, steps), until in zip(points, [*(t for t, _ in points[1:]), note.duration], strict=True):
         stop = None if note.stop is None else note.stop + steps
-        if steps == held or (stop is not None and stop < 0):
+        if steps == previous or (stop is not None and stop < 0):
             continue
-        own = note.marks if held is None else ("slide", *(m for m in note.marks if m == "tablature"))
+        marks = note.marks if previous is None else ("slide", *(m for m in note.marks if m == "tablature"))
         yield replace(
             note, time=note.time + max(time, 0.0), duration=max(until - time, _ARRIVAL), note=note.note + steps,
-            stop=stop, glides=(), marks=own, held=None,
+            stop=stop, glides=(), marks=marks, held=None,
         )  # fmt: skip
-        held = steps
+        previous = steps
 
 
 def stop_course(play: Play, stop: float, continuous: bool, tick: float) -> list[tuple[float, float]]:

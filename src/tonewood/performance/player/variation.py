@@ -57,15 +57,15 @@ def touched(
     values : of the event, in place of the exciter's own.
     length : m, speaking length of the string.
     """
-    out, own = dict(values), exciter.parameters
-    fields = type(own).model_fields
-    place = values.get("from_bridge", getattr(own, "from_bridge", None))
-    if place is not None:
-        metres = place.fraction * length if isinstance(place, Fraction) else float(place)
+    out, parameters = dict(values), exciter.parameters
+    fields = type(parameters).model_fields
+    from_bridge = values.get("from_bridge", getattr(parameters, "from_bridge", None))
+    if from_bridge is not None:
+        metres = from_bridge.fraction * length if isinstance(from_bridge, Fraction) else float(from_bridge)
         at = metres + variation.from_bridge * drawn.place
         out["from_bridge"] = min(max(round(at / _GRAIN) * _GRAIN, 0.02 * length), 0.98 * length)
     if "angle_deg" in fields:
-        out["angle_deg"] = values.get("angle_deg", own.angle_deg) + variation.angle_deg * drawn.angle
+        out["angle_deg"] = values.get("angle_deg", parameters.angle_deg) + variation.angle_deg * drawn.angle
     if "nail" in fields:
-        out["nail"] = min(max(values.get("nail", own.nail) + variation.nail * drawn.nail, 0.0), 1.0)
+        out["nail"] = min(max(values.get("nail", parameters.nail) + variation.nail * drawn.nail, 0.0), 1.0)
     return out

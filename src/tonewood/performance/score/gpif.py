@@ -214,9 +214,9 @@ class _Gpif:
                     grace.append(beat)
                     continue
                 length = self._length(beat)
-                taken = self._graces(grace, at, out)
+                grace_length = self._graces(grace, at, out)
                 grace = []
-                out += self._beat(beat, at + taken, max(length - taken, length / 2))
+                out += self._beat(beat, at + grace_length, max(length - grace_length, length / 2))
                 at = near(at + length)
             for i, beat in enumerate(grace):  # with no beat after them in their measure
                 each = GRACES[min(len(grace), len(GRACES)) - 1]

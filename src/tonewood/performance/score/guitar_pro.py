@@ -172,10 +172,10 @@ class _Track:
             signs.add({"slapping": "slap", "popping": "pop", "tapping": "tapping"}[effect.slapEffect.name])
         self.ignored["fade"] += bool(effect.fadeIn)
         on_beat = any(n.effect.grace is not None and n.effect.grace.isOnBeat for n in beat.notes)
-        taken = min(GRACES[0], length / 2) if on_beat else Fraction(0)
+        grace_length = min(GRACES[0], length / 2) if on_beat else Fraction(0)
         bar = effect.tremoloBar
         every = WrittenNote(
-            at + taken, length - taken, 0.0, signs=tuple(signs), whammy=_points(bar, 50.0) if bar else (),
+            at + grace_length, length - grace_length, 0.0, signs=tuple(signs), whammy=_points(bar, 50.0) if bar else (),
         )  # fmt: skip
         graces: list[WrittenNote] = []
         notes: list[WrittenNote] = []

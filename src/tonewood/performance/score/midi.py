@@ -208,10 +208,10 @@ def _excerpt(
         elif duration > MAX_DURATION:
             findings.add(f"note longer than {MAX_DURATION:.0f} s, shortened to it", where(channel, key, time))
         duration = min(max(min(end, stop) - time, MIN_DURATION), MAX_DURATION)
-        held = max(release - time, MIN_DURATION) if release < min(end, stop) else None
+        down = max(release - time, MIN_DURATION) if release < min(end, stop) else None
         notes.append(
             Note(
-                time - start, duration, note=key, velocity_midi=velocity, channel=channel, held=held, program=program
+                time - start, duration, note=key, velocity_midi=velocity, channel=channel, held=down, program=program
             )
         )  # fmt: skip
     before = {(c.kind, c.channel): replace(c, time=0.0) for c in performance.controls if c.time < start}

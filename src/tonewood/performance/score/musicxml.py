@@ -118,8 +118,8 @@ class _Reader:
         if root.tag == "score-partwise":  # parts without a measure, too
             self._parts = {part: self._reader(part) for part in root.findall("part")}
         programs = {e.get("id"): whole(text_of(e, _PROGRAM), 1, 128) for e in root.iter("score-part")}
-        said = [e.get("id") for e in root.iter("score-part") if e.find(_PROGRAM) is not None]
-        music.ignored["midi-program outside 1 to 128"] += sum(programs[part] is None for part in said)
+        ids = [e.get("id") for e in root.iter("score-part") if e.find(_PROGRAM) is not None]
+        music.ignored["midi-program outside 1 to 128"] += sum(programs[part] is None for part in ids)
         starts = [Fraction(0)]
         for measure in music.measures:
             starts.append(near(starts[-1] + measure.length))
@@ -154,11 +154,11 @@ class _PartReader:
         self.sounded, self.written = False, list[tuple[Measure, str]]()
 
     def _quarters(self, element: Element) -> Fraction:
-        said = number(text_of(element, "duration"), -MOST, MOST)
-        length = Fraction(max(said or 0.0, 0.0)).limit_denominator(MOST_DIVISIONS)
+        ticks = number(text_of(element, "duration"), -MOST, MOST)
+        length = Fraction(max(ticks or 0.0, 0.0)).limit_denominator(MOST_DIVISIONS)
         self.music.ignored[f"{element.tag} without a duration"] += element.find("duration") is None
-        self.music.ignored["duration below 0"] += said is not None and said < 0
-        if said is not None and said >= 0 and element.tag == "note":
+        self.music.ignored["duration below 0"] += ticks is not None and ticks < 0
+        if ticks is not None and ticks >= 0 and element.tag == "note":
             self.music.ignored["note whose duration is 0"] += not length
         return length / self.divisions
 
@@ -177,8 +177,8 @@ class _PartReader:
         n_chord = 0
         if not self.divisions:  # they may stand after the first notes
             self.divisions = next(filter(None, map(divisions_of, element.findall("attributes"))), Fraction(1))
-            said = element.find("note/duration") is None or element.find("attributes/divisions") is not None
-            self.music.ignored["part without divisions"] += not said
+            has_divisions = element.find("note/duration") is None or element.find("attributes/divisions") is not None
+            self.music.ignored["part without divisions"] += not has_divisions
         for child in element:
             if child.tag == "note":
                 length = Fraction(0) if child.find("grace") is not None else self._quarters(child)
@@ -238,9 +238,9 @@ class _PartReader:
         before = self.velocity
         if sound is not None:
             for name in ("tempo", "dynamics"):
-                if (said := sound.get(name)) is None:
+                if (text := sound.get(name)) is None:
                     continue
-                if (value := number(said, -MOST, MOST)) is None:
+                if (value := number(text, -MOST, MOST)) is None:
                     self.music.ignored["tempo or dynamics that is no number"] += 1
                 elif name == "tempo":
                     bpm = value
@@ -287,12 +287,12 @@ class _PartReader:
         sounded = False
         names = {"damper-pedal": "cc64", "sostenuto-pedal": "cc66", "soft-pedal": "cc67"}
         for name, kind in names.items() if sound is not None else ():
-            said = (sound.get(name, "") if sound is not None else "").strip()
-            share = {"yes": 100.0, "no": 0.0}.get(said, number(said, 0.0, 100.0))
+            text = (sound.get(name, "") if sound is not None else "").strip()
+            share = {"yes": 100.0, "no": 0.0}.get(text, number(text, 0.0, 100.0))
             if share is not None:
                 moves.append((index, now, 0.0, kind, share / 100.0))
                 sounded = True
-            self.music.ignored[f"{name} that cannot be read"] += bool(said) and share is None
+            self.music.ignored[f"{name} that cannot be read"] += bool(text) and share is None
         for sign in element.findall("direction-type/pedal") if not sounded else ():
             how = sign.get("type", "")
             if how in ("stop", "discontinue", "change"):
@@ -409,8 +409,8 @@ class _PartReader:
         out = []
         for way in (-1, 1):
             other = _LETTERS[(_LETTERS.index(letter) + way) % 7]
-            place = _SHARPS.index(other)
-            alter = (self.fifths > place) - (-self.fifths > 6 - place)
+            index = _SHARPS.index(other)
+            alter = (self.fifths > index) - (-self.fifths > 6 - index)
             for mark in element.findall("notations/ornaments/accidental-mark"):
                 if (mark.get("placement") == "below") == (way < 0):
                     alter = {"sharp": 1, "natural": 0, "flat": -1}.get((mark.text or "").strip(), alter)

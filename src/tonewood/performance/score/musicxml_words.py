@@ -54,11 +54,11 @@ def written_tempo(element: Element, ignored: Counter[str]) -> float | None:
         name = text_of(metronome, "beat-unit")
         ignored["metronome whose beat-unit is not known"] += name not in _UNITS
         unit = _UNITS.get(name, 1.0) * (2.0 - 0.5 ** len(metronome.findall("beat-unit-dot")))
-        said = re.search(r"-?\d+(\.\d+)?", text_of(metronome, "per-minute")[:40])
+        match = re.search(r"-?\d+(\.\d+)?", text_of(metronome, "per-minute")[:40])
         equal_units = len(metronome.findall("beat-unit")) > 1 or metronome.find("metronome-note") is not None
         kind = "metronome that relates two values" if equal_units else "per-minute that cannot be read"
-        ignored[kind] += said is None
-        return (number(said.group(0), -MOST, MOST) or 0.0) * unit if said else None
+        ignored[kind] += match is None
+        return (number(match.group(0), -MOST, MOST) or 0.0) * unit if match else None
     for words in element.findall("direction-type/words"):
         if (tempo_word := _TEMPO_WORDS.search((words.text or "")[:200])) is not None:
             glyph, dot, beats = tempo_word.groups()
@@ -73,8 +73,8 @@ def velocity_of(share: float) -> int:
 
 def divisions_of(element: Element) -> Fraction:
     """Return the durations per quarter note of attributes; 0 where there are none, or none within bounds."""
-    said = number_of(element, "divisions", 0.0, 1 / MOST_DIVISIONS, MOST_DIVISIONS)
-    return Fraction(said).limit_denominator(MOST_DIVISIONS)
+    divisions = number_of(element, "divisions", 0.0, 1 / MOST_DIVISIONS, MOST_DIVISIONS)
+    return Fraction(divisions).limit_denominator(MOST_DIVISIONS)
 
 
 def offset_of(element: Element, sound: Element | None, ignored: Counter[str]) -> Fraction:

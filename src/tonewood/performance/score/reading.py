@@ -23,6 +23,14 @@ if TYPE_CHECKING:
 GPIF = "Content/score.gpif"
 FORMATS = ".mid, .musicxml, .mxl, .gp3, .gp4, .gp5, .gpx, .gp"
 
+#: suffix -> name of the format, and how its files begin
+_BEGINNINGS = {
+    **dict.fromkeys((".musicxml", ".xml"), ("MusicXML", "'<'")),
+    **dict.fromkeys((".mxl", ".gp"), ("an archive of a score", "'PK'")),
+    **dict.fromkeys((".gp3", ".gp4", ".gp5"), ("Guitar Pro", "its name and version")),
+    ".gpx": ("Guitar Pro", "'BCFZ' or 'BCFS'"),
+}
+
 
 def read_score(
     path: str | os.PathLike[str],
@@ -94,6 +102,9 @@ def read_written(path: Path) -> WrittenMusic | None:
         raise ScoreError(reason, file=path)
     if path.suffix.lower() in (".mscz", ".mscx", ".ptb", ".tg", ".ly", ".sib"):
         raise ScoreError(f"{path.suffix} is not read; {FORMATS} are", file=path)
+    if path.suffix.lower() in _BEGINNINGS:
+        kind, beginning = _BEGINNINGS[path.suffix.lower()]
+        raise ScoreError(f"is not {kind}: it {f'does not begin with {beginning}' if head else 'is empty'}", file=path)
     return None
 
 
@@ -104,11 +115,11 @@ def _channels(score: Score, tracks: Sequence[int]) -> Score:
         if track not in there:
             raise ScoreError(f"there is no channel {track}; there are {', '.join(map(str, there))}", file=score.place)
     zones = [at for part in score.parts if part.number in tracks for at in part.channels]
-    wanted = {track - 1 for track in (*tracks, *zones)}
-    notes = [n for n in score.notes if (n.channel or 0) in wanted]
-    controls = [c for c in score.controls if (c.channel or 0) in wanted]
+    indices = {track - 1 for track in (*tracks, *zones)}
+    notes = [n for n in score.notes if (n.channel or 0) in indices]
+    controls = [c for c in score.controls if (c.channel or 0) in indices]
     parts = [part for part in score.parts if part.number in tracks]
-    warnings = [line for line in score.warnings if not line.startswith(DRUM)]
+    warnings = [text for text in score.warnings if not text.startswith(DRUM)]
     return replace(score, notes=notes, controls=controls, parts=parts, warnings=warnings)
 
 

@@ -8,6 +8,7 @@ The hand is that of `fingering`, the finger of a note its distance from the hand
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -94,10 +95,10 @@ def tablature(
     chords: list[tuple[int, list[Placed]]] = []
     hand = 1.0
     struck: dict[int, dict[int, Assigned]] = {}
+    taken: dict[int, dict[int, int]] = {line: {} for line in number.values()}
     for tick, note in zip(grid, notes, strict=True):
-        while number[note.string] in struck.setdefault(tick, {}):
-            tick += TICKS // 8  # a string struck again within a step of the grid
-        struck[tick][number[note.string]] = note
+        line = number[note.string]
+        struck.setdefault(_free(tick, taken[line]), {})[line] = note
     for tick, chord in sorted(struck.items()):
         hand = hand_after(hand, [Option(line, a.stop - capo) for line, a in chord.items()])
         chords.append((tick, [_placed(a, line, capo, hand) for line, a in chord.items()]))
@@ -106,6 +107,18 @@ def tablature(
     by_tick = {max(round(at * TICKS), 0): bpm for _, at, bpm in beats.tempos}
     tempos = [item for before, item in pairwise([(-1, 0.0), *sorted(by_tick.items())]) if item[1] != before[1]]
     return Tablature(title, lines, capo, chords, triplets, measures, tempos)
+
+
+def _free(tick: int, taken: dict[int, int]) -> int:
+    """Take the first free tick for a string that is struck again within a step of the grid.
+
+    taken : tick -> a later one, between which and itself all of its steps are taken.
+    """
+    passed = [tick]
+    while passed[-1] in taken:
+        passed.append(taken[passed[-1]])
+    taken.update(dict.fromkeys(passed, passed[-1] + TICKS // 8))
+    return passed[-1]
 
 
 def _placed(assigned: Assigned, line: int, capo: int, hand: float) -> Placed:
@@ -144,7 +157,8 @@ def _pieces(begin: int, end: int, tab: Tablature) -> Iterator[tuple[int, int, bo
         triplet = beat in tab.triplets
         until = min(end, (beat + 1) * TICKS) if triplet else end
         if not triplet:
-            until = min([until, *(b * TICKS for b in tab.triplets if at < b * TICKS < until)])
+            beats = range(at // TICKS + 1, -(-until // TICKS))
+            until = min([until, *(b * TICKS for b in beats if b in tab.triplets)])
         lengths = _TRIPLET if triplet and until - at != TICKS else _PLAIN
         length = next((n for n in lengths if n <= until - at), until - at)
         yield at, length, triplet and length in _TRIPLET and lengths is _TRIPLET
@@ -171,8 +185,10 @@ def musicxml(tab: Tablature) -> bytes:
             if begin <= tick < end:
                 _tempo(measure, tick - begin, bpm)
         at = begin
-        for k, tick in enumerate(starts):
-            if tick >= end or _until(tab, k) <= begin:
+        first = bisect_left(starts, begin)
+        for k in range(max(first - 1, 0), bisect_left(starts, end)):  # the one before may last into the measure
+            tick = starts[k]
+            if _until(tab, k) <= begin:
                 continue
             _rest(measure, at, max(tick, begin), tab)
             chord = tab.chords[k][1]
@@ -322,9 +338,10 @@ def text(tab: Tablature) -> str:
     out = [tab.title or "Tablature", "Tuning " + " ".join(reversed(names)) + (f", capo {tab.capo}" if tab.capo else "")]
     rows = list(heads)
     hand = 0
+    starts = [tick for tick, _ in tab.chords]
     for begin, end in zip(tab.measures, tab.measures[1:], strict=False):
         columns = [""] * (1 + len(names))
-        inside = [(tick, chord) for tick, chord in tab.chords if begin <= tick < end]
+        inside = tab.chords[bisect_left(starts, begin) : bisect_left(starts, end)]
         for k, (tick, chord) in enumerate(inside):
             following = inside[k + 1][0] if k + 1 < len(inside) else end
             frets = {p.line: str(p.fret) for p in chord}

@@ -212,7 +212,7 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     ]
     clock.begin_before(one.at for _, sounding in parts_played for one in sounding if one.at < 0)
     for number, sounding in parts_played:
-        following, own = _following(sounding), list[Note]()
+        following, own_notes = _following(sounding), list[Note]()
         for i, one in enumerate(sounding):
             if not all(_PITCHES[0] <= p <= _PITCHES[1] for p in (one.sign.pitch, one.sign.trill or 0.0)):
                 ignored["note whose pitch is out of range"] += 1
@@ -220,16 +220,18 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
             if not 0.0 <= clock.seconds(one.at) <= clock.seconds(one.end) <= MAX_TIME:
                 ignored["note that begins or ends beyond 6 hours"] += 1
                 continue
-            if (place := (number, one.sign.string or 0)) not in channels:
-                channels[place] = len(channels) % 16
-                its_channels[number].append(channels[place])
-            channel = channels[place]
-            own += _strokes(one, following.get(i), clock, music.parts[number - 1], channel, strokes)
+            if (key := (number, one.sign.string or 0)) not in channels:
+                channels[key] = len(channels) % 16
+                its_channels[number].append(channels[key])
+            channel = channels[key]
+            own_notes += _strokes(one, following.get(i), clock, music.parts[number - 1], channel, strokes)
             controls += _bends(one, channel, clock, bends)
-        controls += _pedalled(music.parts[number - 1], played, clock, its_channels[number], own, bends)
-        notes += own
+        controls += _pedalled(music.parts[number - 1], played, clock, its_channels[number], own_notes, bends)
+        notes += own_notes
         part = music.parts[number - 1]
-        about.append(ScorePart(number, part.name, (), {part.program: len(own)} if own else {}, part.n_drums))
+        about.append(
+            ScorePart(number, part.name, (), {part.program: len(own_notes)} if own_notes else {}, part.n_drums)
+        )
     ignored.update(lost_jumps(music.measures, tablature=music.tablature))
     reached = set(played)
     for number in chosen:
@@ -367,10 +369,10 @@ def _strokes(
     for i, (at, until, pitch, extra) in enumerate(notes):
         time = begin if i == 0 else clock.seconds(at)
         fret = None if stop is None or stop + (pitch - sign.pitch) < 0 else stop + (pitch - sign.pitch)
-        own = tuple(m for m in marks if i == 0 or m not in ("hammer_on", "pull_off", "slide"))
+        own_marks = tuple(m for m in marks if i == 0 or m not in ("hammer_on", "pull_off", "slide"))
         yield replace(
-            note, time=time, duration=max(clock.seconds(until) - time, 0.02), note=pitch, stop=fret, marks=own + extra,
-            glides=(),
+            note, time=time, duration=max(clock.seconds(until) - time, 0.02), note=pitch, stop=fret,
+            marks=own_marks + extra, glides=(),
         )  # fmt: skip
 
 

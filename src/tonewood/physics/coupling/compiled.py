@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.physics.coupling.layout import Layout
+from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.coupling.potentials.coordinates import ModalCoordinates
 from tonewood.physics.modal.modes import ModalBasis
-from tonewood.physics.modal.propagator import RealForm, apply, impulse_series
+from tonewood.physics.modal.propagator import RealForm, apply, flow, impulse_series, powers, real_form
 from tonewood.support.arrays import Floats
 
 #: samples that the kernel steps at a time: the reach of `Compiled.history`
@@ -63,6 +65,60 @@ class Compiled:
     _joined: dict[str, tuple[tuple[Any, ...], Any]] = field(init=False, repr=False, default_factory=dict)
     _impulses: dict[str, Floats] = field(init=False, repr=False, default_factory=dict)
     _motions: dict[bytes, tuple[NDArray[np.intp], Floats]] = field(init=False, repr=False, default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        basis: ModalBasis,
+        layout: Layout,
+        dt: float,
+        potentials: Iterable[Potential],
+        like: Compiled | None = None,
+    ) -> Compiled:
+        """Compile a basis of the component `name`.
+
+        potentials : of the system.
+        like : of the component; where it has the very poles of the basis, its propagator is taken over.
+        Raises ValueError : a potential acts on it, and its modes are not real.
+        """
+        slot = layout.slots[name]
+        ports = np.array([basis.index(p) for p in layout.ports[name]], dtype=np.intp)
+        if like is not None and like.basis.poles is basis.poles:
+            E, held, form = like.E, like.held, real_form(basis, like.form.A)
+        else:
+            E, held = flow(basis, dt)
+            held *= dt
+            form = real_form(basis)
+        W = apply(held, form.B[ports])
+        rows, readouts, difference = [form.C[ports]], [], []
+        for channel, readout in enumerate(layout.readouts):
+            probes = [p for p in readout.probes if p.component == name]
+            if not probes:
+                continue
+            index = np.array([basis.index(p.point) for p in probes], dtype=np.intp)
+            mean = readout.quantity == "acceleration"
+            motion = form.rows("velocity" if mean else readout.quantity, index)
+            factor = np.array([p.factor for p in probes]) / (dt if mean else 1.0)
+            rows.append(np.einsum("p,pmx->mx", factor, motion)[None])
+            readouts.append(channel)
+            difference.append(mean)
+        all_rows = np.concatenate(rows)
+        numbers = 2 * basis.n_modes
+        after = powers(E, W, BLOCK_SIZE).reshape(BLOCK_SIZE * len(ports), numbers)
+        history = (after @ all_rows.reshape(len(all_rows), numbers).T).reshape(BLOCK_SIZE, len(ports), len(all_rows))
+        gaps = layout.gaps[slot]
+        a = layout.incidence[slot][gaps]
+        compliance = a @ history[0, :, : len(ports)].T @ a.T
+        residual = a @ basis.residual[ports][:, ports] @ a.T
+        acting = [p for p in potentials if name in p.components]
+        if acting and not basis.is_real:
+            raise ValueError(f"{acting[0].name}: the modes of {name} must be real")
+        return cls(
+            basis, dt, form, ports, E, held, W, all_rows, history,
+            np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool), gaps, a, compliance, residual,
+            {p.name: p.share(name, basis, dt) for p in acting},
+        )  # fmt: skip
 
     @cached_property
     def coordinates(self) -> ModalCoordinates:
@@ -154,7 +210,7 @@ class State:
     sample : steps taken since time 0.
     series : (m,) m, displacement of the residual compliance in series with nonlinear connections; empty is rest.
     slip : (m,) m/s, relative velocity of friction connections over the step before, 0 when sticking; empty is rest.
-    potentials : numbers of the potentials, one after another (`System.memory`); empty is rest.
+    potentials : numbers of the potentials, one after another (`Potentials.memory`); empty is rest.
     """
 
     modes: Floats

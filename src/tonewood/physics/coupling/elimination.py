@@ -61,21 +61,21 @@ class GapCompliance:
         met = np.bincount(slots[laws.active[connections]], minlength=len(self.compiled))
         hub = int(np.argmax(met)) if met.max(initial=0) > MOST_IN_PART else -1
         rows, columns = self.layout.entries
-        kept = self.layout.entry_slots != hub
+        others = self.layout.entry_slots != hub
         compliance, residual = (
             np.concatenate([np.zeros(0), *(getattr(c, which).ravel() for c in self.compiled)])
             for which in ("compliance", "residual")
         )
-        compliance = np.where(kept, compliance, 0.0)
+        compliance = np.where(others, compliance, 0.0)
         residual = 2 * residual * (laws.rigid[rows] & laws.rigid[columns])
 
         def found(residual: Floats, hub: Hub | None) -> InverseInParts | None:
             values = compliance + residual
-            wanted = laws.active[rows] & laws.active[columns] & (values != 0.0)
+            joined = laws.active[rows] & laws.active[columns] & (values != 0.0)
             entries = (
-                np.concatenate([place[rows[wanted]], np.arange(k)]),
-                np.concatenate([place[columns[wanted]], np.arange(k)]),
-                np.concatenate([values[wanted], laws.softness[laws.on]]),
+                np.concatenate([place[rows[joined]], np.arange(k)]),
+                np.concatenate([place[columns[joined]], np.arange(k)]),
+                np.concatenate([values[joined], laws.softness[laws.on]]),
             )
             return InverseInParts.of(k, entries, hub)
 
@@ -85,7 +85,7 @@ class GapCompliance:
         solution = found(residual, self._hub(hub, place))
         if solution is None and np.any(self.compiled[hub].residual) and np.all(laws.rigid[at[place[at] >= 0]]):
             # its residual compliance joins connections that are in parts otherwise: it goes with the hub's motions
-            return found(np.where(kept, residual, 0.0), self._hub(hub, place, yields=True))
+            return found(np.where(others, residual, 0.0), self._hub(hub, place, yields=True))
         return solution
 
     def _hub(self, slot: int, place: NDArray[np.intp], *, yields: bool = False) -> Hub:
@@ -107,8 +107,8 @@ class GapCompliance:
             point[at], factor[at], span = np.arange(len(at)), 1.0, shares @ span
         compliance = compiled.history[0][ports][:, ports].T
         if yields:
-            own = compiled.ports[used]
-            compliance = compliance + 2 * compiled.basis.residual[own][:, own]
+            ports_of_hub = compiled.ports[used]
+            compliance = compliance + 2 * compiled.basis.residual[ports_of_hub][:, ports_of_hub]
         return Hub(slot, ports, point, factor, span, np.ascontiguousarray(compliance))
 
     def seen_by(self, laws: NonlinearLaws) -> NonlinearGaps:

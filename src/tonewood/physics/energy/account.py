@@ -29,6 +29,7 @@ from tonewood.physics.energy.path import Path, step_again
 from tonewood.physics.energy.steps import KnownForce, over_steps
 from tonewood.physics.energy.trace import EnergyTrace
 from tonewood.physics.passivity.storage import Storage, storage_matrix
+from tonewood.physics.stepping.forcing import controlled
 from tonewood.support.arrays import Floats
 
 __all__ = ["EnergyAccount", "EnergyTrace", "KnownForce"]
@@ -81,10 +82,8 @@ class EnergyAccount:
     def stored(self, state: State) -> dict[str, float]:
         """Stored energy of a state, J, by component, connection and potential."""
         x = {name: modes[None] for name, modes in self._states(state).items()}
-        out = {
-            name: float(values[0])
-            for name, values in self._of_components(x, self.system.kept_memory(state.potentials.copy())[None]).items()
-        }
+        memory = self.system.potentials.checked(state.potentials.copy())
+        out = {name: float(values[0]) for name, values in self._of_components(x, memory[None]).items()}
         return out | self._laws.at(self._gaps(x)[0], state.series)
 
     def exchange(self, system: System) -> None:
@@ -136,7 +135,7 @@ class EnergyAccount:
                 if after.potentials.size:
                     again.memory[-1] = after.potentials
             within = self._laws.series(series, part)
-            moving = self.system.controlled(controls, sample, len(part)) if controls else {}
+            moving = controlled(self.system, controls, sample, len(part)) if controls else {}
             self._enter(sample, again, within, part, known, moving)
             x, series = {name: states[-1] for name, states in path.items()}, self._laws.spread(within[-1])
             memory = again.memory[-1]
@@ -162,13 +161,13 @@ class EnergyAccount:
         )
 
     def _states(self, state: State) -> dict[str, Floats]:
-        two_way = (n for n, one_way in zip(self.system.names, self.system.driven, strict=True) if not one_way)
+        two_way = (n for n, one_way in zip(self.system.names, self.system.layout.driven, strict=True) if not one_way)
         return {n: np.array(self.system.modes_of(state, n).T, dtype=np.float64) for n in two_way}
 
     def _energy_of(self, name: str) -> ComponentEnergy:
         compiled = self.system.compiled[self.system.slot(name)]
         if name not in self._energies or self._energies[name][0] is not compiled:
-            basis, ports = compiled.basis, self.system.ports_of(name)
+            basis, ports = compiled.basis, self.system.layout.ports[name]
             if basis.is_real:
                 energy = ComponentEnergy(basis, basis.points, self.system.dt)
             else:
@@ -192,7 +191,7 @@ class EnergyAccount:
 
     def _driven(self, component: str, again: Path) -> Iterator[tuple[str, str, Floats]]:
         """Yield label, point and force (T,) of one-way potentials that act on a component."""
-        on = [p for p, is_on in zip(self.system.potentials, self.system.on, strict=True) if is_on and p.one_way]
+        on = (self.system.potentials[i] for i in self.system.potentials.one_way)
         for string, force in zip(on, again.driven.T, strict=True):
             assert isinstance(string, DrivenLongitudinal)
             for name, point, share in string.onto:
@@ -211,7 +210,7 @@ class EnergyAccount:
             slot = self.system.slot(name)
             compiled = self.system.compiled[slot]
             ports = np.einsum("pmx,tmx->tp", compiled.rows[: len(compiled.ports)], x, optimize=True)
-            total = total + ports @ self.system.incidence(slot).T
+            total = total + ports @ self.system.layout.incidence[slot].T
         return total
 
     def _enter(
@@ -232,16 +231,16 @@ class EnergyAccount:
         lost, supplied = dict(flows.lost), dict(flows.supplied)
         for name, x in path.items():
             energy = self._energy_of(name)
-            held = np.zeros((T, len(energy.points)))
-            ports = [energy.points.index(p) for p in self.system.ports_of(name)]
-            held[:, ports] = forces @ self.system.incidence(self.system.slot(name))
+            port_forces = np.zeros((T, len(energy.points)))
+            ports = [energy.points.index(p) for p in self.system.layout.ports[name]]
+            port_forces[:, ports] = forces @ self.system.layout.incidence[self.system.slot(name)]
             for label, point, tension in self._driven(name, again):
                 column = energy.points.index(point)
-                held[:, column] += tension
+                port_forces[:, column] += tension
                 moved = np.diff(self._displacement(name, point, x))
                 supplied[label] = supplied.get(label, np.zeros(T)) + tension * moved
             mine = [k for k in known if k.component == name]
-            lost[name], sound, works = over_steps(energy, x[:-1], held, modal_forces.get(name), mine, sample, dt)
+            lost[name], sound, works = over_steps(energy, x[:-1], port_forces, modal_forces.get(name), mine, sample, dt)
             if energy.radiated is not None:
                 lost[name], lost[f"{name}.sound"] = lost[name] - sound, sound
             for force, work in zip(mine, works, strict=True):

@@ -48,7 +48,7 @@ class LawEnergies:
         rigid = np.array([isinstance(law, Rigid) for law in laws], dtype=bool)
         self._yielding = np.flatnonzero(rigid & (system.solve.gamma > 0))
         self._offset = np.array([law.offset if isinstance(law, Rigid) else 0.0 for law in laws])
-        self._bend = _inverse(system.gap_matrix("residual"), self._yielding)
+        self._bend = _inverse(system.elimination.gap.residual, self._yielding)
         solve = self._solve = system.nonlinear
         self._on = solve.index if solve else np.zeros(0, dtype=np.intp)
         self._laws: tuple[NonlinearLaw, ...] = solve.laws if solve else ()
@@ -98,7 +98,7 @@ class LawEnergies:
         gaps : (T + 1, m) m, without displacements in series.
         series : (T + 1, k) m.
         forces : (T, m) N; only the work of partners is taken from them.
-        moving : place among the nonlinear laws -> (4, T), as `System.controlled` gives it.
+        moving : place among the nonlinear laws -> (4, T), as `physics.stepping.forcing.controlled` gives it.
         """
         flows = Flows({}, {}, {})
         for j, spring in self._springs.items():
@@ -109,8 +109,8 @@ class LawEnergies:
         bent = gaps[:, self._yielding] - self._offset[self._yielding]
         for row, share in zip(self._yielding, (0.5 * bent * (bent @ self._bend)).T, strict=True):
             flows.stored[self._names[row]] = share
-        held = series[:, self._in_series]
-        bend, jump = 0.5 * held * (held @ self._series_stiffness), np.diff(held, axis=0)
+        series_part = series[:, self._in_series]
+        bend, jump = 0.5 * series_part * (series_part @ self._series_stiffness), np.diff(series_part, axis=0)
         heat = (self._theta - 0.5) * jump * (jump @ self._series_stiffness)
         for k, law in enumerate(self._laws):
             name, at = self._names[self._on[k]], int(np.searchsorted(self._in_series, k))
@@ -157,9 +157,9 @@ class LawEnergies:
 
 
 def _without_losses(law: PotentialLaw) -> PotentialLaw:
-    known: Any = law  # a dataclass
-    there = {f.name for f in fields(known)}
-    return cast(PotentialLaw, replace(known, **{name: 0.0 for name in _LOSSES if name in there}))
+    typed: Any = law  # a dataclass
+    there = {f.name for f in fields(typed)}
+    return cast(PotentialLaw, replace(typed, **{name: 0.0 for name in _LOSSES if name in there}))
 
 
 def _inverse(compliance: Floats, among: NDArray[np.intp]) -> Floats:

@@ -53,7 +53,7 @@ def step_again(
     forced = np.empty((T, sizes[-1], 2))
     path[1:], path[0] = 0.0, np.concatenate([start[name] for name in names])
     for name, slot, c in zip(names, slots, compiled, strict=True):
-        at_ports, flat = forces @ system.incidence(slot), c.W.reshape(len(c.ports), 2 * c.basis.n_modes)
+        at_ports, flat = forces @ system.layout.incidence[slot], c.W.reshape(len(c.ports), 2 * c.basis.n_modes)
         forced[:, spans[name]] = (at_ports @ flat).reshape(T, c.basis.n_modes, 2)
     for injection in injections:
         first, last = max(injection.start, sample), min(injection.stop, sample + T)
@@ -69,7 +69,7 @@ def step_again(
         return [at[spans[name]] if name in spans else none for name in system.names]
 
     solve, driven = PotentialSolve(system), DrivenForces(system)
-    memories, forces_of = np.tile(system.kept_memory(memory.copy()), (T + 1, 1)), np.zeros((T, len(driven.on)))
+    memories, forces_of = np.tile(system.potentials.checked(memory.copy()), (T + 1, 1)), np.zeros((T, len(driven.on)))
     slots_on = sorted(slot for p in solve.active for slot in p.slots)
     modal_forces = {system.names[i]: np.zeros((T, system.compiled[i].basis.n_modes)) for i in slots_on}
     for t in range(T):

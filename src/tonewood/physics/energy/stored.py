@@ -48,7 +48,7 @@ def stored_energy(system: System, state: State) -> Energy:
     """
     modes = springs = 0.0
     for slot, (name, compiled) in enumerate(zip(system.names, system.compiled, strict=True)):
-        if system.driven[slot]:
+        if system.layout.driven[slot]:
             continue
         if not compiled.basis.is_real:
             raise ValueError(f"the modes of {name} are not real")
@@ -56,13 +56,13 @@ def stored_energy(system: System, state: State) -> Energy:
         q, velocity = to_motion(compiled.basis, x)
         modes += 0.5 * float(np.sum(velocity**2 + compiled.basis.stiffness * q**2))
     states = _states(system, state)
-    memory = system.kept_memory(state.potentials.copy())
+    memory = system.potentials.checked(state.potentials.copy())
     potentials = float(np.sum(PotentialSolve(system).energies(states, memory)))
     gap = system.gaps(states)
     laws = [c.law for c in system.connections]
     rigid = np.array([isinstance(law, Rigid) for law in laws], dtype=bool)
     offset = np.array([law.offset for law in laws])
-    R = system.gap_matrix("residual")[np.ix_(rigid, rigid)]
+    R = system.elimination.gap.residual[np.ix_(rigid, rigid)]
     bent = (gap - offset)[rigid]
     residual = 0.5 * float(bent @ scaled_pinv(R) @ bent) if R.any() else 0.0
     for j, law in enumerate(laws):

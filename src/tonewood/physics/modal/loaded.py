@@ -68,10 +68,10 @@ def loaded(basis: ModalBasis, rows: ArrayLike, mass: ArrayLike, damping: ArrayLi
     if np.divide(*sla.svdvals(vectors)[[0, -1]]) > _WORST:
         raise ValueError("modes coincide, and cannot be distinguished")
     entry = sla.solve(vectors, (B - inject @ (solve @ (inertia @ B))).astype(np.complex128))
-    kept = poles.imag >= 0
-    right, left = C @ vectors[:, kept], entry[kept].T
+    upper = poles.imag >= 0
+    right, left = C @ vectors[:, upper], entry[upper].T
     loaded = ModalBasis.complex(
-        poles[kept], dict(zip(basis.points, right, strict=True)), dict(zip(basis.points, left, strict=True))
+        poles[upper], dict(zip(basis.points, right, strict=True)), dict(zip(basis.points, left, strict=True))
     )
     loaded = loaded.select(np.flatnonzero(loaded.natural_freq < 0.1 * far))
     return replace(loaded, metadata=dict(basis.metadata))

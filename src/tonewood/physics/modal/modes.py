@@ -157,8 +157,8 @@ class ModalBasis(ModalResponses, ModalViews):
 
             def left_over(x: float, y: float) -> float:
                 assert shape_at is not None
-                kept = np.sum(shape_at(x)[soft] * shape_at(y)[soft] / omega[soft] ** 2)
-                return float(full(x, y) - kept)
+                stepped = np.sum(shape_at(x)[soft] * shape_at(y)[soft] / omega[soft] ** 2)
+                return float(full(x, y) - stepped)
 
             kept_residual = np.vectorize(left_over, otypes=[np.float64])
             residual = [[left_over(x, y) for y in places.values()] for x in places.values()]

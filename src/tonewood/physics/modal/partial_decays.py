@@ -68,7 +68,7 @@ def with_partial_decays(basis: ModalBasis, law: Callable[[Floats], ArrayLike]) -
     ------
     ValueError : modes are not real, two have one frequency, or the bridge does not move in one.
     """
-    held, freq_rad = HeldModes.of(basis, "bridge"), np.sqrt(basis.stiffness)
-    wanted, guess = (np.broadcast_to(np.asarray(law(f), dtype=np.float64), f.shape) for f in (held.freq_rad, freq_rad))
-    rates = loss_rates(held.vectors**2, wanted, guess)
+    modes, freq_rad = HeldModes.of(basis, "bridge"), np.sqrt(basis.stiffness)
+    target, guess = (np.broadcast_to(np.asarray(law(f), dtype=np.float64), f.shape) for f in (modes.freq_rad, freq_rad))
+    rates = loss_rates(modes.vectors**2, target, guess)
     return retuned(basis, freq_rad, rates.mode, {"loss_error": rates.error})

@@ -83,9 +83,17 @@ class ModalViews(ABC):
         if not shown:
             names = list(labels)
             shown = {n: labels[n] for n in names[:: max(1, -(-len(names) // _MOST_POINTS))]}
-        own = basis.natural_freq[basis.natural_freq > 0]
-        low, high = (own.min() / 2, min(own.max() * 1.5, SHOWN_TO)) if own.size else (_LOWEST, SHOWN_TO)
-        freq = np.unique(np.concatenate([np.geomspace(low, high, _POINTS), own[(own >= low) & (own <= high)]]))
+        natural_freq = basis.natural_freq[basis.natural_freq > 0]
+        low, high = (
+            (natural_freq.min() / 2, min(natural_freq.max() * 1.5, SHOWN_TO))
+            if natural_freq.size
+            else (_LOWEST, SHOWN_TO)
+        )
+        freq = np.unique(
+            np.concatenate(
+                [np.geomspace(low, high, _POINTS), natural_freq[(natural_freq >= low) & (natural_freq <= high)]]
+            )
+        )
         curves = {label: basis.frf(freq, point, point) for label, point in shown.items()}
         return mobility_figure(freq, curves, heading=self._view_title(), of="at")
 

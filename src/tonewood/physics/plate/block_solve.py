@@ -89,10 +89,10 @@ class BlockSolver:
 
 def _places(matrix: csr_matrix, place: Floats) -> Floats:
     """(n,) places, where they are not known the mean of those of the unknowns that couple with it."""
-    known = np.isfinite(place)
+    finite = np.isfinite(place)
     couples = abs(matrix) > 0
-    total = couples @ np.column_stack([known, np.where(known, place, 0.0)])
-    return np.where(known, place, total[:, 1] / np.maximum(total[:, 0], 1.0))
+    total = couples @ np.column_stack([finite, np.where(finite, place, 0.0)])
+    return np.where(finite, place, total[:, 1] / np.maximum(total[:, 0], 1.0))
 
 
 def _blocks(matrix: csr_matrix) -> list[int]:

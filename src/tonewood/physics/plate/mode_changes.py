@@ -88,8 +88,8 @@ def mode_change(
     together = np.zeros(gap.shape, dtype=bool)
     for group in groups:
         together[group, slice(group.start, min(group.stop, count))] = True
-    own = z.T @ m_z[:, :count]
-    c = np.where(together, -0.5 * own, projected / np.where(together, 1.0, gap))
+    overlap = z.T @ m_z[:, :count]
+    c = np.where(together, -0.5 * overlap, projected / np.where(together, 1.0, gap))
     rest = _others(force, values[:count], z, mass, others, shift)
     return ModeChange(z[:, :count], projected.diagonal().copy(), z @ c + rest)
 

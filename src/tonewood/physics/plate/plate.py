@@ -270,8 +270,8 @@ class Plate:
         for ring, around in [(ring, k == 0) for k, ring in enumerate(self.rings) if k or outer]:
             woods = (self.wood, self._layered)
             parts = layer_matrices(self.grid, ring, around, woods, self.grain, self.shear_factor, self.thickness)
-            own = (f"layer {len(layers)}", parts[0].shape[0] - n_bending)
-            layers.append((*parts, [own, *self._bending]))
+            bending = (f"layer {len(layers)}", parts[0].shape[0] - n_bending)
+            layers.append((*parts, [bending, *self._bending]))
         return layers
 
     @property
@@ -390,8 +390,8 @@ class Plate:
         lossy = edge.loss * springs if np.isfinite(edge.k_w) and np.isfinite(edge.k_theta) else 0.0 * springs
         terms = [(springs, lossy, self._bending)]
         if self.beams and edge.k_in_plane:
-            held = edge.k_in_plane * line_mass
-            terms += [(held, edge.loss * held, [field]) for field in self._in_plane]
+            stiffness = edge.k_in_plane * line_mass
+            terms += [(stiffness, edge.loss * stiffness, [field]) for field in self._in_plane]
         return terms
 
     def _spread(self, matrix: csr_matrix) -> csr_matrix:

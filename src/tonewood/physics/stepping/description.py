@@ -140,8 +140,8 @@ def describe_linear(solve: LinearSolve, weights: Floats, port_sets: Sequence[Por
 def describe_potentials(system: System) -> list[Description]:
     """Describe the potentials that are on, those of a kind together: place in the state, components, and arrays."""
     out: list[Description] = []
-    for i, (potential, memory) in enumerate(zip(system.potentials, system.memory, strict=True)):
-        if not system.on[i]:
+    for i, (potential, memory) in enumerate(zip(system.potentials, system.potentials.memory, strict=True)):
+        if not system.potentials.on[i]:
             continue
         slots = [system.slot(name) for name in potential.components]
         entry: Description = {"at": memory.start, "slots": slots, **system.joined(i).describe()}
@@ -171,8 +171,8 @@ def law_arrays(
     for j in changed:
         law, data = laws[j], laws[j].describe()
         out["kinds"][j] = data.kind
-        own = *data.numbers, data.loss, data.damping
-        out["numbers"][j] = [*own, law.offset, law.velocity]
+        numbers = *data.numbers, data.loss, data.damping
+        out["numbers"][j] = [*numbers, law.offset, law.velocity]
         if data.samples is not None:
             out["samples"].append((j, *data.samples))
         if data.functions:

@@ -10,7 +10,7 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.physics.coupling.system import Injection
+from tonewood.physics.coupling.system import Injection, PrescribedMotion, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import SERIES_TERMS, impulse_series, moments, real_form
 from tonewood.support.arrays import Floats
@@ -221,3 +221,33 @@ def compile_force(
     """
     impulses = impulse_series(basis, real_form(basis), basis.index(point), dt)
     return Course.of(pieces, dt, time=time, first=first).injections(component, impulses, factor)
+
+
+def controlled(system: System, controls: Sequence[PrescribedMotion], start: int, n: int) -> dict[int, Floats]:
+    """Offset at the beginning and the end of each step, velocity and scale, (4, n), of connections under `controls`.
+
+    Returns Index among the nonlinear connections -> array, of those that are controlled in the n steps from `start`.
+    Raises ValueError : a control names no nonlinear connection.
+    """
+    nonlinear, out = system.nonlinear, dict[int, Floats]()
+    if not controls:
+        return out
+    laws, index = ((), ()) if nonlinear is None else (nonlinear.laws, nonlinear.index)
+    names = [system.connections[i].name for i in index]
+    for control in controls:
+        first, last = max(control.start, start), min(control.stop, start + n)
+        if first >= last:
+            continue
+        if control.connection not in names:
+            raise ValueError(f"no nonlinear connection {control.connection!r} to control")
+        j = names.index(control.connection)
+        if j not in out:
+            out[j] = np.repeat([[laws[j].offset], [laws[j].offset], [laws[j].velocity], [1.0]], n, axis=1)
+        here, there = slice(first - start, last - start), slice(first - control.start, last - control.start)
+        if control.offset is not None:
+            out[j][0, here], out[j][1, here] = control.offset[:-1][there], control.offset[1:][there]
+        if control.velocity is not None:
+            out[j][2, here] = control.velocity[there]
+        if control.scale is not None:
+            out[j][3, here] = control.scale[there]
+    return out

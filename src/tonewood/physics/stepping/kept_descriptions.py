@@ -67,7 +67,7 @@ class KeptDescriptions:
         by_sample = (p["slots"] for p in potentials if p["kind"] in (Kind.LONGITUDINAL, Kind.USER))
         coupled = frozenset(slot for slots in by_sample for slot in slots)
         port_sets, terms = self._sorted_ports(system, hub, coupled)
-        weights = system.force_weights()
+        weights = system.layout.force_weights
         components = self._components(system, port_sets, terms)
         return {
             "components": [{"key": c["key"]} if c["key"] in cached else c for c in components],
@@ -104,12 +104,13 @@ class KeptDescriptions:
         """Describe every component; a component that comes back with the same sets of ports keeps its description."""
         loaded = {slot for _, slot, _, on_contact in terms[0].tolist() if not on_contact}
         out: list[Description] = []
-        for slot, (compiled, one_way, sets) in enumerate(zip(system.compiled, system.driven, port_sets, strict=True)):
-            known = self._descriptions.setdefault(compiled, {})
-            if (key := (slot, slot in loaded, sets.key)) not in known:
-                known[key] = {"key": next(self._keys), "offset": system.offsets[slot], "driven": one_way}
-                known[key] |= describe_component(compiled, sets, one_way, slot in loaded)
-            out.append(known[key])
+        parts = zip(system.compiled, system.layout.driven, port_sets, strict=True)
+        for slot, (compiled, one_way, sets) in enumerate(parts):
+            descriptions = self._descriptions.setdefault(compiled, {})
+            if (key := (slot, slot in loaded, sets.key)) not in descriptions:
+                descriptions[key] = {"key": next(self._keys), "offset": system.layout.offsets[slot], "driven": one_way}
+                descriptions[key] |= describe_component(compiled, sets, one_way, slot in loaded)
+            out.append(descriptions[key])
         return out
 
     def _sorted_ports(self, system: System, hub: Hub | None, coupled: frozenset[int]) -> tuple[list[PortSets], Terms]:
@@ -138,7 +139,7 @@ class KeptDescriptions:
         port_sets: list[PortSets] = []
         terms: list[tuple[int, int, int, bool]] = []
         factors: list[float] = []
-        for slot, one_way in enumerate(system.driven):
+        for slot, one_way in enumerate(system.layout.driven):
             at, shares = system.layout.touching[slot]
             ports = hub.ports if hub is not None and hub.slot == slot else None
             used = use[at]
@@ -146,9 +147,9 @@ class KeptDescriptions:
             key = slot, used.tobytes(), way + (b"" if ports is None else ports.tobytes())
             if key not in self._port_sets:
                 self._port_sets[key] = sort_ports(shares, used, len(self._active), slot in coupled, one_way, ports)
-            sets, own = self._port_sets[key]
+            sets, numbers = self._port_sets[key]
             port_sets.append(sets)
-            for i, port, on_contact, factor in own:
+            for i, port, on_contact, factor in numbers:
                 terms.append((int(law[at[i]]), slot, port, on_contact))
                 factors.append(factor)
         return port_sets, (np.array(terms, dtype=np.int64).reshape(-1, 4), np.array(factors))

@@ -22,6 +22,7 @@ from tonewood.physics.stepping.description import (
     Description,
     packed,
 )
+from tonewood.physics.stepping.forcing import controlled
 from tonewood.physics.stepping.kept_descriptions import KeptDescriptions
 from tonewood.physics.stepping.stepper import NumpyStepper, Statistics
 from tonewood.support.arrays import Floats
@@ -34,12 +35,12 @@ _CUT = 64
 def instruction_set() -> str:
     """Name of the instruction set in use: avx512, avx2 or baseline."""
     available: list[str] = _kernel.instruction_sets()
-    wanted = os.environ.get("TONEWOOD_ISA", "auto")
-    if wanted == "auto":
+    name = os.environ.get("TONEWOOD_ISA", "auto")
+    if name == "auto":
         return available[0]
-    if wanted not in available:
-        raise TonewoodError(f"TONEWOOD_ISA={wanted}: this machine has auto, {', '.join(available)}")
-    return wanted
+    if name not in available:
+        raise TonewoodError(f"TONEWOOD_ISA={name}: this machine has auto, {', '.join(available)}")
+    return name
 
 
 def compiler() -> str:
@@ -80,7 +81,7 @@ class KernelStepper:
     """
 
     def __init__(self, system: System, *, isa: str | None = None, shortcuts: Shortcuts | None = None):
-        n_components, capacity = len(system.names), sum(system.capacities)
+        n_components, capacity = len(system.names), sum(system.layout.capacities)
         self._kernel = _kernel.Kernel(isa or instruction_set(), n_components, capacity, len(system.readouts))
         self._packed: dict[int, tuple[Injection, Floats, Floats]] = {}
         self._shortcuts = asdict(shortcuts or Shortcuts())
@@ -171,12 +172,12 @@ class KernelStepper:
             raise ValueError(f"a state of {state.modes.dtype}; float64 is needed")
         s, on = self.system, self._nonlinear
         to_cut = -state.sample % _CUT
-        if 0 < to_cut < n and s.resets:  # the kernel puts psi back at the ends of its windows
+        if 0 < to_cut < n and s.potentials.two_way:  # the kernel puts psi back at the ends of its windows
             first = self._step(state, to_cut, injections, controls)
-            kept, acted = first[2].copy(), set(self._acted)
+            first_laws, acted = first[2].copy(), set(self._acted)
             self._clear(first[2])
             rest = self._step(state, n - to_cut, injections, controls)
-            laws = np.concatenate([kept, rest[2]])
+            laws = np.concatenate([first_laws, rest[2]])
             self._clear(rest[2])
             self._acted = sorted(acted | set(self._acted))
             return np.concatenate([first[0], rest[0]]), np.concatenate([first[1], rest[1]]), laws
@@ -246,14 +247,14 @@ class KernelStepper:
         law_forces, solves = self._law_forces[: n * len(on)].reshape(n, len(on)), self.n_solves
         series, slip, last = state.series.take(on), state.slip.take(on), state.forces.take(on)
         active = [i for i in injections if i.start < state.sample + n and i.stop > state.sample]
-        state.potentials = self.system.kept_memory(state.potentials)
+        state.potentials = self.system.potentials.checked(state.potentials)
         slot, sample = self._kernel.run(
             state.modes,
             out,
             active_forces,
             self.pack_injections(active, state.sample),
             law_forces,
-            list(self.system.controlled(controls, state.sample, n).items()),
+            list(controlled(self.system, controls, state.sample, n).items()),
             series,
             slip,
             last,
@@ -290,9 +291,9 @@ class KernelStepper:
         before, self._packed = self._packed, {}
         out = []
         for injection in active:
-            known = before.get(id(injection))
-            if known is None or known[0] is not injection:
-                known = (injection, packed(injection.vectors), np.ascontiguousarray(injection.values))
-            self._packed[id(injection)] = known
-            out.append((self.system.slot(injection.component), injection.start - now, known[1], known[2]))
+            entry = before.get(id(injection))
+            if entry is None or entry[0] is not injection:
+                entry = (injection, packed(injection.vectors), np.ascontiguousarray(injection.values))
+            self._packed[id(injection)] = entry
+            out.append((self.system.slot(injection.component), injection.start - now, entry[1], entry[2]))
         return out

@@ -22,6 +22,7 @@ from tonewood.physics.coupling.laws.solve import Partners, find_forces
 from tonewood.physics.coupling.potentials.solve import DrivenForces, PotentialSolve, PotentialsOverStep
 from tonewood.physics.coupling.system import Injection, PrescribedMotion, State, System
 from tonewood.physics.modal.propagator import apply
+from tonewood.physics.stepping.forcing import controlled
 from tonewood.support.arrays import Floats
 
 
@@ -85,8 +86,8 @@ class NumpyStepper:
         if s.nonlinear is not None:
             series = s.nonlinear.carried_series(series)
         slip = state.slip if state.slip.size else still.slip
-        memory = s.kept_memory(state.potentials)
-        moving = s.controlled(controls, state.sample, n)
+        memory = s.potentials.checked(state.potentials)
+        moving = controlled(s, controls, state.sample, n)
         guess = np.asarray(state.forces, dtype=np.float64)
 
         for step in range(n):
@@ -113,7 +114,7 @@ class NumpyStepper:
                 after = np.einsum("rmx,mx->r", rows[i], x[i])
                 value = np.where(compiled.difference, after - before[i], before[i])
                 np.add.at(out[step], compiled.readouts, value)
-            out[step] += s.force_weights() @ done.forces
+            out[step] += s.layout.force_weights @ done.forces
             # last: velocities that pay for psi are no part of the step's mean acceleration
             if done.over is not None:
                 memory = self._potentials.carried(x, done.over, done.mean, memory, state.sample + step + 1)
@@ -221,7 +222,7 @@ class NumpyStepper:
             for i, friction in branches.items():
                 slip[on[i]] = friction.velocity
         after = [
-            free[i] + np.einsum("p,pmx->mx", s.incidence(i).T @ f, c.W) for i, c in enumerate(s.compiled)
+            free[i] + np.einsum("p,pmx->mx", s.layout.incidence[i].T @ f, c.W) for i, c in enumerate(s.compiled)
         ]  # fmt: skip
         if over is not None:
             after = over.after(after, mean)

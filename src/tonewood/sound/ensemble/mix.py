@@ -246,8 +246,8 @@ def _rendered(
     blocks = list(renderer.blocks(4096))
     samples = np.concatenate(blocks) if blocks else np.zeros((0, n))
     late = renderer.zero_frame / renderer.fs
-    own = [replace(c, time=c.time + late) for c in mixed if c.channel in (part.part - 1, None)]
-    sound, summary = placed(samples, part, own, renderer.fs), renderer.summary()
+    controls = [replace(c, time=c.time + late) for c in mixed if c.channel in (part.part - 1, None)]
+    sound, summary = placed(samples, part, controls, renderer.fs), renderer.summary()
     unheard = silence(float(np.max(np.abs(sound), initial=0.0)), ended=True)
     # a part that sounds is silent in the mix where its controllers turn it down
     return sound, replace(summary, warnings=tuple(dict.fromkeys([*summary.warnings, *unheard])))

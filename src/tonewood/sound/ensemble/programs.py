@@ -77,8 +77,8 @@ def choose_players(
             lines.append(f"{where} names no program: program {_FIRST}, as General MIDI has it")
         by_instrument: dict[str | None, Counter[int]] = {}
         for program, n in part.programs.items():
-            wanted = program or _FIRST
-            by_instrument.setdefault(table.get(wanted), Counter())[wanted] += n
+            number = program or _FIRST
+            by_instrument.setdefault(table.get(number), Counter())[number] += n
         for instrument, programs in by_instrument.items():
             if instrument is None:
                 named = ", ".join(map(str, sorted(programs)))

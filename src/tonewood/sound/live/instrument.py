@@ -136,8 +136,8 @@ class Live:
         steps = LEVELS[options.accuracy].oversampling(self.instrument.spec)
         if options.oversampling is not None:
             steps = Fraction(options.oversampling)
-        made = assembled(self.instrument, options) if model is None else model
-        self.model = replace(made, strings={name: string.for_live() for name, string in made.strings.items()})
+        whole = assembled(self.instrument, options) if model is None else model
+        self.model = replace(whole, strings={name: string.for_live() for name, string in whole.strings.items()})
         self.engine = Engine(self.model, Timeline((), ()))
         self.player = Player(
             self.model,

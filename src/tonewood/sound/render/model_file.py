@@ -60,8 +60,8 @@ def save_model(
     """
     model = assemble(as_instrument(instrument), fs, outputs=outputs)
     engine = Engine(model, Timeline((), ()))
-    wanted = dict(stops or {})
-    if unknown := set(wanted) - set(model.strings):
+    stop_of = dict(stops or {})
+    if unknown := set(stop_of) - set(model.strings):
         names = ", ".join(model.strings)
         raise TonewoodError(f"there is no string {min(unknown)}; there are {names}", key="stops")
     exciter = model.exciters[model.default_exciter]
@@ -69,14 +69,14 @@ def save_model(
     plays = []
     changes: dict[str, Compiled] = {}
     for name, string in model.strings.items():
-        stop = wanted.get(name, 0)
+        stop = stop_of.get(name, 0)
         gesture = exciter.gesture(Event(values, string.freq(stop), 1.0, stop), model.place(name, stop))
         if gesture.motions or gesture.on is not None:
             reason = f"{model.default_exciter} moves a partner; plucks by known forces can be saved"
             raise TonewoodError(reason, key="exciter")
-        held = engine.frettings[name]
+        before = engine.frettings[name]
         fretting = engine.fingerboard.playable(
-            name, type(held)(float(stop), place=gesture.from_bridge, width=gesture.width)
+            name, type(before)(float(stop), place=gesture.from_bridge, width=gesture.width)
         )
         changes |= engine.fingerboard.bases(name, fretting)
         plays.append(Play(-gesture.start, gesture, string=name))

@@ -39,6 +39,8 @@ _STRETCH, _ROUNDS = 2048, 3
 _MANY_BENDS, _TIMED_BENDS = 500, 40
 #: notes that are looked at, and processor time (s) after which the sketch ends, but not before a second of sound
 _MOST_NOTES, _MOST_COMPUTING = 1500, 3.0
+#: moves of controllers that are looked at, bends besides: a pedal's moves all dampers
+_MOST_MOVES = 3000
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,13 +154,16 @@ def plan(
 
 
 def _beginning(score: Score) -> tuple[Score, float]:
-    """The first notes of a score, and the time (s) of the first one that is left out."""
+    """The first notes and moves of a score, and the time (s) of the first one that is left out."""
     notes = sorted(score.notes, key=lambda note: note.time)
-    if len(notes) <= _MOST_NOTES:
+    moves = sorted(control.time for control in score.controls if control.kind != "bend")
+    left_out = [note.time for note in notes[_MOST_NOTES:]] + moves[_MOST_MOVES:]
+    until = min(left_out, default=math.inf)
+    if not notes or until == math.inf:
         return score, math.inf
-    until = max(notes[_MOST_NOTES].time, _TIMED)
+    until = max(until, notes[0].time + _TIMED)
     controls = [control for control in score.controls if control.time < until]
-    return replace(score, notes=notes[:_MOST_NOTES], controls=controls), until
+    return replace(score, notes=[n for n in notes[:_MOST_NOTES] if n.time < until], controls=controls), until
 
 
 def bends_by_point(timeline: Timeline, fs: float) -> dict[int, list[Change]]:

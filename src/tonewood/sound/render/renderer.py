@@ -454,7 +454,7 @@ def render(
         if progress is not None:
             progress(renderer.time)
     samples = np.concatenate(blocks) if blocks else np.zeros((0, len(renderer.channels)))
-    for line in silence(float(np.max(np.abs(samples), initial=0.0)), ended=True):
-        _warn(UserWarning(line))
+    for text in silence(float(np.max(np.abs(samples), initial=0.0)), ended=True):
+        _warn(UserWarning(text))
     tags = Tags.of(score, [instrument])
     return Audio(samples, renderer.fs, renderer.channels, renderer.energy, renderer.dropped, tags)

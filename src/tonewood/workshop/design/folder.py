@@ -1,4 +1,4 @@
-"""A design as a bundle: a copy of the instrument's folder with every value written out."""
+"""A changed instrument as a bundle: a copy of its folder with every value written out."""
 
 from __future__ import annotations
 
@@ -35,14 +35,29 @@ def write_design(design: FoundDesign, folder: Path) -> Instrument:
 
     Raises OutputError : the folder cannot be written; nothing stays behind.
     """
-    check_folder(folder)
     made = design.instrument
-    values = {k: v for k, v in made.resolved.items() if v is not None}
-    values["name"] = folder.name
-    values["title"] = f"{made.spec.title}, changed for {'; '.join(t.text for t in design.targets)}"
     note = f"found by tonewood design from {made.name}"
-    paths = [path for parameter in design.free for path in parameter.paths]
-    values["provenance"] = {**values.get("provenance", {}), **{p: {"kind": "authored", "note": note} for p in paths}}
+    notes = {path: note for parameter in design.free for path in parameter.paths}
+    title = f"{made.spec.title}, changed for {'; '.join(t.text for t in design.targets)}"
+    return write_changed(made, folder, title, notes)
+
+
+def write_changed(made: Instrument, folder: Path, title: str, notes: Mapping[str, str]) -> Instrument:
+    """Write a bundle of a changed instrument; changed values become authored, others keep their origin.
+
+    folder : to make; its last part is the instrument's name.
+    notes : path of each changed value -> how it was changed.
+    Returns The instrument, loaded from its new folder.
+    Raises BundleError : the name is none of an instrument, or a scale lies outside of the bundle.
+    Raises OutputError : the folder is there already or cannot be written; nothing stays behind.
+    """
+    check_folder(folder)
+    if made.granted:
+        raise BundleError("a scale outside of the bundle: copy it into the bundle's folder first", key="tuning")
+    values = {k: v for k, v in made.resolved.items() if v is not None}
+    values |= {"name": folder.name, "title": title[:200]}
+    authored = {path: {"kind": "authored", "note": note[:300]} for path, note in notes.items()}
+    values["provenance"] = {**values.get("provenance", {}), **authored}
     try:
         shutil.copytree(made.folder, folder, ignore=shutil.ignore_patterns(MANIFEST, "__pycache__"))
         write_whole(folder / MANIFEST, _yaml(values))
@@ -51,7 +66,7 @@ def write_design(design: FoundDesign, folder: Path) -> Instrument:
         with suppress(OSError):
             shutil.rmtree(folder)
         if isinstance(fault, OSError):
-            raise OutputError(f"cannot be written: {fault.strerror}", file=folder) from None
+            raise OutputError(f"cannot be made: {fault.strerror or fault}", file=folder) from None
         raise
 
 

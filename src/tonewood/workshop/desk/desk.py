@@ -376,7 +376,6 @@ class Desk:
             "seconds": seconds,
             "load": meter.load,
             "worst": meter.worst,
-            "making": None if self._models.busy is None else round(time.monotonic() - self._models.busy.since, 1),
         }
 
     def points(self) -> list[str]:

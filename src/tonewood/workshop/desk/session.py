@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import json
-import re
 import shlex
-import shutil
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tonewood.errors import BundleError, OutputError, TonewoodError
+from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.string_sets import string_set
-from tonewood.instrument.contract import registry
-from tonewood.support.whole_files import check_new_folder, write_whole
+from tonewood.workshop.design.folder import write_changed
 from tonewood.workshop.desk.phrase import LONGEST
 
 #: changes that can be undone, and designs with a name
 MOST_CHANGES, MOST_SNAPSHOTS = 500, 50
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 @dataclass(frozen=True)
@@ -239,57 +234,15 @@ class DeskSession:
         ------
         TonewoodError : the folder is there already, cannot be made, or has no name for an instrument.
         """
-        target = Path(folder).expanduser()
-        if not _NAME.fullmatch(target.name):
-            raise BundleError(f"{target.name!r} is no name; letters, digits and _ are allowed", key="folder")
-        check_new_folder(target)
-        made = self.instrument
-        if made.granted:
-            raise BundleError("a scale outside of the bundle: copy it into the bundle's folder first", key="tuning")
-        text = _yaml(self._values(target.name))
-        try:
-            shutil.copytree(made.folder, target, ignore=shutil.ignore_patterns(registry.MANIFEST, "__pycache__"))
-            write_whole(target / registry.MANIFEST, text)
-            return Instrument.load(target, allow_code=self.allow_code)
-        except BaseException as fault:
-            with suppress(OSError):
-                shutil.rmtree(target)
-            if isinstance(fault, OSError):
-                raise OutputError(f"cannot be made: {fault.strerror or fault}", file=target) from None
-            raise
-
-    def _values(self, name: str) -> dict[str, Any]:
-        """Values of the bundle to be saved."""
-        made = self.instrument
-        values = {**made.resolved, "name": name, "title": f"{name}, changed from {made.name}: {made.spec.title}"[:200]}
-        values["provenance"] = dict(values["provenance"])
-        for path, value in self.design.changes.items():
-            if path == "strings_from":
-                continue
-            shown = json.dumps(value, ensure_ascii=False)
-            note = f"changed at the desk; {made.name} has another value. Now {shown}"
-            values["provenance"][path] = {"kind": "authored", "note": note[:300]}
-        return values
+        made, changes = self.instrument, {k: v for k, v in self.design.changes.items() if k != "strings_from"}
+        target, note = Path(folder).expanduser(), f"changed at the desk; {made.name} has another value. Now "
+        notes = {path: note + json.dumps(value, ensure_ascii=False) for path, value in changes.items()}
+        return write_changed(made, target, f"{target.name}, changed from {made.name}: {made.spec.title}", notes)
 
 
 def assignment(path: str, value: Any) -> str:
     """Return ``PATH=VALUE`` as ``--set`` reads it: the value as JSON, which is YAML."""
     return f"{path}={json.dumps(value, ensure_ascii=False)}"
-
-
-def _yaml(values: Mapping[str, Any]) -> str:
-    """Text of a bundle: a line for every part, JSON in it."""
-    lines = ["# written by `tonewood desk`; SI throughout; other units only where the key says so: _deg, _cents, _db"]
-    for key, value in values.items():
-        if isinstance(value, Mapping) and value:
-            lines.append(f"{key}:")
-            lines += [f"  {json.dumps(k)}: {json.dumps(v, ensure_ascii=False)}" for k, v in value.items()]
-        elif isinstance(value, list) and value:
-            lines.append(f"{key}:")
-            lines += [f"  - {json.dumps(v, ensure_ascii=False)}" for v in value]
-        else:
-            lines.append(f"{key}: {json.dumps(value, ensure_ascii=False)}")
-    return "\n".join(lines) + "\n"
 
 
 def known_set(name: str) -> str:

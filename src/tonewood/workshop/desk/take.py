@@ -189,7 +189,7 @@ def stored(engine: Engine, frame: int) -> Ringing:
     body, power = 0.0, None
     for slot, (name, compiled) in enumerate(zip(system.names, system.compiled, strict=True)):
         basis = compiled.basis
-        if system.driven[slot] or not basis.is_real or not basis.n_modes:
+        if system.layout.driven[slot] or not basis.is_real or not basis.n_modes:
             continue
         q, velocity = to_motion(basis, np.asarray(system.modes_of(state, name), dtype=np.float64))
         energy = 0.5 * (velocity**2 + basis.stiffness * q**2)
@@ -198,6 +198,6 @@ def stored(engine: Engine, frame: int) -> Ringing:
             share = np.asarray(basis.metadata.get("radiated", ()), dtype=np.float64)
             if len(share) == basis.n_modes:
                 power = float(np.sum(2 * basis.damping_rate * share * energy))
-        elif (owner := system.owners.get(name)) in strings:
+        elif (owner := system.layout.owners.get(name)) in strings:
             strings[str(owner)] += float(energy.sum())
     return Ringing(frame, strings, body, power)

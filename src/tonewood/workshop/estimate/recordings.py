@@ -19,7 +19,7 @@ import numpy as np
 from tonewood.errors import TonewoodError
 from tonewood.instrument.scales import note_name
 from tonewood.support.arrays import Floats
-from tonewood.support.sound_rates import check_rate
+from tonewood.support.sound_rates import LOUDEST, check_rate, check_whole
 
 #: Hz, rate of the analysis, to which every recording is brought
 FS = 44100
@@ -216,6 +216,7 @@ def _read(path: Path, row: Recording) -> tuple[Recording, list[str]]:
     import soundfile as sf
 
     try:
+        check_whole(path)
         with sf.SoundFile(path) as file:
             fs = int(file.samplerate)
             samples = file.read(int(_LONGEST * fs), dtype="float64", always_2d=True)
@@ -223,7 +224,7 @@ def _read(path: Path, row: Recording) -> tuple[Recording, list[str]]:
         raise TonewoodError(f"cannot be read: {str(fault).splitlines()[0]}", file=path.name) from None
     if row.note > 127 or (row.note < 0 and row.stop is None):
         raise TonewoodError(f"is of note {row.note}; 0 to 127 are allowed", file=path.name)
-    if not len(samples) or not np.all(np.isfinite(samples)):
+    if not len(samples) or not np.all(np.abs(samples) <= LOUDEST):
         raise TonewoodError("holds no finite samples", file=path.name)
     check_rate(fs, path.name)
     x, remarks = _mono(samples, path.name)

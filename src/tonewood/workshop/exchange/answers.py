@@ -178,7 +178,7 @@ def _take_webmushra(
         right = answer == "correct"
         choice = "undecided" if answer == "undecided" else "A" if right else "B"
         slots = {"A": reference, "B": other, "X": reference}
-        into[key] = _Given(trial, trial.page, repetition, slots, {}, choice, right and choice != "undecided")
+        into[key] = _Given(trial, trial.page, repetition, slots, {}, choice, right)
         return
     one = into.setdefault(key, _Given(trial, trial.page, repetition, {}, {}))
     if kind == "mushra":

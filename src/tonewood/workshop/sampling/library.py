@@ -138,7 +138,10 @@ def make_library(
     if sampling.repeats > 1 and options.humanize is None and instrument.spec.playing.variation.seed is None:
         options = options.at(humanize=1)  # or strokes that are played in turn would be the same
     tasks = _tasks(instrument, sampling, options)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=sfz.absolute().parent))
+    try:
+        scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=sfz.absolute().parent))
+    except OSError as fault:
+        raise OutputError(f"cannot be written: {fault.strerror}", file=sfz) from None
     try:
         measures = _Measures()
         render = partial(_rendered, instrument, options, scratch)
@@ -161,14 +164,17 @@ def make_library(
         lines = _head(instrument, gain_db)
         texts = {sfz: sfz_text(regions, folder.name, lines, rings=rings(instrument))}
         texts[decent] = decent_text(regions, folder.name, lines, rings=rings(instrument))
+        files = [AtomicFile(target) for target in texts]
+        for file, text in zip(files, texts.values(), strict=True):
+            file.path.write_text(text, encoding="utf-8")
         scratch.chmod(0o755)
         scratch.rename(folder)
-    except BaseException:
+    except BaseException as fault:
         shutil.rmtree(scratch, ignore_errors=True)
+        if isinstance(fault, OSError):
+            raise OutputError(f"cannot be written: {fault.strerror}", file=sfz) from None
         raise
-    for target, text in texts.items():
-        file = AtomicFile(target)
-        file.path.write_text(text, encoding="utf-8")
+    for file in files:
         file.complete()
     n_releases = sum(r.decay_db is not None for r in regions)
     seconds = measures.frames / options.fs

@@ -52,6 +52,9 @@ def strongest(taps: Sequence[Floats], fs: float, band: tuple[float, float], most
     inside = (freq >= band[0]) & (freq <= band[1])
     spectra = np.array([np.fft.rfft(_faded(tap), n)[inside] for tap in taps])
     freq = freq[inside]
+    spectra = spectra[np.any(spectra != 0.0, axis=1)]
+    if not len(spectra):
+        return []
     spectra /= np.sqrt(np.mean(np.abs(spectra) ** 2, axis=1))[:, None]
     level = 10 * np.log10(np.mean(np.abs(spectra) ** 2, axis=0) + 1e-30)
     apart = max(1, int(0.01 * band[0] / (freq[1] - freq[0])))

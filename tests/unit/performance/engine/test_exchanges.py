@@ -66,7 +66,7 @@ def test_parts_exchanged_one_by_one_are_as_if_all_were_loaded(name: str) -> None
         engine.stepper.exchange(system)
         states = [engine.state.copy() for _ in range(2)]
         sounds = [
-            stepper.run(state, GRID, engine.injections, engine.controls)[0]
+            stepper.run(state, GRID, engine.gestures.injections, engine.gestures.controls)[0]
             for stepper, state in zip((engine.stepper, KernelStepper(system)), states, strict=True)
         ]
         np.testing.assert_array_equal(*sounds)

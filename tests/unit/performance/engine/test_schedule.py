@@ -117,7 +117,7 @@ def test_an_engine_is_done_when_its_last_gesture_is_over(model: Model) -> None:
     assert stepped.done
     held = engine(model)
     assert held.done
-    held.active = [object()]  # type: ignore[list-item]
+    held.gestures.active = [object()]  # type: ignore[list-item]
     assert not held.done
 
 

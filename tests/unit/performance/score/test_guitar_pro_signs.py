@@ -250,6 +250,15 @@ def test_whammy_ornaments_trills_and_slides(tmp_path: Path) -> None:
     assert signs.ignored == {"pick slide": 1}
 
 
+def test_slides_go_two_frets_and_not_beyond_the_nut(tmp_path: Path) -> None:
+    flags = {(5, 4): -2.0, (1, 4): -1.0, (1, 8): 2.0, (5, 32): 2.0, (1, 16): -1.0}
+    notes = [(2, fret, value("Slide", "Flags", flag), "") for fret, flag in flags]
+    glides = [note.glides for note in edited(tmp_path / "a.gp", notes=notes).notes]
+    assert [glide[0 if flag > 8 else -1][1] for glide, (_, flag) in zip(glides, flags, strict=True)] == [
+        *flags.values()
+    ]
+
+
 def test_swing_moves_the_second_of_two(tmp_path: Path) -> None:
     eighths = ("<NoteValue>Quarter</NoteValue>", "<NoteValue>Eighth</NoteValue>")
     for feel, late in (("Triplet8th", 2 / 3), ("Dotted8th", 3 / 4), ("Scottish8th", 1 / 4)):

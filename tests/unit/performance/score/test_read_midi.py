@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from itertools import pairwise
 from pathlib import Path
 
 import mido
@@ -64,7 +65,9 @@ def test_tempo_map_in_a_track_without_notes(read):
 def test_smpte_division_ignores_tempo(read, frames, ticks, frames_per_second):
     division = (256 - frames) << 8 | ticks
     body = tempo(0, 123_456) + event(ticks, 0x90, 64, 80) + event(100 * ticks, 0x80, 64, 64)
-    (note,) = read(smf(body, division=division)).notes
+    score = read(smf(body, division=division))
+    (note,) = score.notes
+    assert score.beats is None  # frames are no quarter notes
     assert note.time == pytest.approx(1 / frames_per_second, rel=1e-12)
     assert note.duration == pytest.approx(100 / frames_per_second, rel=1e-12)
 
@@ -328,3 +331,24 @@ def test_percussion_is_read_where_its_channel_is_asked_for(tmp_path):
     path.write_bytes(smf(drum, event(0, 0x90, 60, 80) + event(480, 0x80, 60, 0)))
     for tracks, notes in ((None, [60]), ([1], [60]), ([10], [36]), ([1, 10], [36, 60])):
         assert sorted(n.note for n in read_score(path, tracks=tracks).notes) == notes
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.5])
+def test_beats_of_music_at_another_tempo_fit_its_seconds(tmp_path: Path, factor: float) -> None:
+    """From one change of tempo to the next, quarter notes are beats a minute times time; the onsets are on them."""
+    file = mido.MidiFile(ticks_per_beat=96)
+    events = [
+        mido.MetaMessage("set_tempo", tempo=500_000, time=0),
+        mido.Message("note_on", note=60, time=96), mido.Message("note_off", note=60, time=96),
+        mido.MetaMessage("set_tempo", tempo=750_000, time=96),
+        mido.MetaMessage("set_tempo", tempo=400_000, time=192),
+    ]  # fmt: skip
+    file.tracks.append(mido.MidiTrack(events))
+    file.save(tmp_path / "a.mid")
+    score = read_score(tmp_path / "a.mid", tempo=factor)
+    assert score.beats is not None
+    rows = list(score.beats.tempos)
+    assert len(rows) == 3
+    for (t, q, bpm), (after, then, _) in pairwise(rows):
+        assert then - q == pytest.approx(bpm * (after - t) / 60)
+    assert [note.time for note in score.notes] == pytest.approx([60 / rows[0][2]])

@@ -12,7 +12,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 import tonewood as tw
-from tonewood.performance.score.assignment import PlayableString, assign
+from tonewood.performance.score.assignment import Assigned, PlayableString, assign
 from tonewood.performance.score.note import Beats
 from tonewood.performance.score.tablature import TICKS, Tablature, musicxml, tablature, text
 
@@ -103,3 +103,16 @@ def test_measures_follow_the_signs_of_a_midi_file() -> None:
     beats = Beats([(0.0, 0.0, 120.0), (2.0, 4.0, 60.0)], [(0.0, 3.0), (6.0, 2.0), (9.0, 4.0)])
     assert [beats.quarter(t) for t in (0.0, 1.0, 2.0, 4.0)] == [0.0, 2.0, 4.0, 6.0]
     assert beats.measures(9.5) == [0.0, 3.0, 6.0, 8.0, 9.0, 13.0]
+
+
+def test_a_string_struck_again_and_again_takes_the_first_free_ticks() -> None:
+    """As a search of all ticks one after another finds them, and in time proportional to the notes."""
+    notes = [tw.Note(time=k // 3 * 0.1, duration=30.0, note=40, string="E2") for k in range(300)]
+    tab = tablature([Assigned(n, "E2", 0.0, 0.0, 30.0) for n in notes], GUITAR, Beats())
+    taken: set[int] = set()
+    for note in notes:
+        tick = round(note.time * 2 * 8) * TICKS // 8
+        while tick in taken:
+            tick += TICKS // 8
+        taken.add(tick)
+    assert [tick for tick, _ in tab.chords] == sorted(taken)

@@ -127,6 +127,20 @@ CASES = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize("case", ["plain", "several gammas, own motions", "many motions", "rising"])
+def test_kernel_solves_in_parts_what_it_solves_by_the_whole_matrix(rng, case, monkeypatch):
+    seed, found = int(rng.integers(10**6)), []
+    for least in (20, 10**6):
+        monkeypatch.setattr(elimination, "LEAST_IN_PARTS", least)
+        system = strings_on_a_body(np.random.default_rng(seed), **CASES[case])
+        assert isinstance(system.solve.by, InverseInParts) == (least == 20)
+        state = system.start()
+        state.modes[:] = 1e-6 * np.random.default_rng(1).normal(size=state.modes.shape)
+        found.append((*KernelStepper(system).run(state, 100, [knock(system)]), state.modes))
+    for a, b in zip(*found, strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=3e-11 * np.abs(b).max())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("case", list(CASES))
 def test_kernel_and_twin_solve_in_parts_what_the_whole_matrix_solves(rng, case, monkeypatch):

@@ -31,7 +31,7 @@ def joined_system(**options):
 def test_port_compliance_is_that_of_the_matrices():
     parts, system = joined_system()
     for name, compiled in zip(system.names, system.compiled, strict=True):
-        ports = system.ports_of(name)
+        ports = system.layout.ports[name]
         rows = parts[name].rows(ports)
         _, W = held_force_matrices(parts[name], rows, DT)
         ours = compiled.history[0, :, : len(ports)]
@@ -51,14 +51,14 @@ def test_history_is_the_response_to_one_held_step():
 
 def test_incidence_collects_the_shares_of_ports():
     _, system = joined_system()
-    assert system.ports_of("b") == ["n0", "n1", "n3"]
-    np.testing.assert_array_equal(system.incidence(0), [[0.0, 1.0], [0.5, 0.0]])
-    np.testing.assert_array_equal(system.incidence(1), [[-1.0, 0.0, 0.0], [0.0, -2.0, 1.0]])
+    assert system.layout.ports["b"] == ("n0", "n1", "n3")
+    np.testing.assert_array_equal(system.layout.incidence[0], [[0.0, 1.0], [0.5, 0.0]])
+    np.testing.assert_array_equal(system.layout.incidence[1], [[-1.0, 0.0, 0.0], [0.0, -2.0, 1.0]])
 
 
 def test_force_weights_follow_the_readouts():
     _, system = joined_system()
-    np.testing.assert_array_equal(system.force_weights(), [[0, 0], [0, 0], [0, 0], [1.0, -0.5]])
+    np.testing.assert_array_equal(system.layout.force_weights, [[0, 0], [0, 0], [0, 0], [1.0, -0.5]])
 
 
 def test_gap_compliance_adds_up_over_components():
@@ -69,14 +69,14 @@ def test_gap_compliance_adds_up_over_components():
         rows = gaps[:, columns]
         _, W = held_force_matrices(part, rows, DT)
         total += rows @ W[: part.n]
-    np.testing.assert_allclose(system.gap_matrix("compliance"), total, rtol=1e-9)
+    np.testing.assert_allclose(system.elimination.gap.compliance, total, rtol=1e-9)
 
 
 def test_state_has_room_as_asked_and_is_padded():
     _, system = joined_system(capacities={"a": 40})
     room = -(-40 // PADDING) * PADDING
-    assert system.capacities == (room, PADDING)
-    assert system.offsets == (0, room)
+    assert system.layout.capacities == (room, PADDING)
+    assert system.layout.offsets == (0, room)
     state = system.start()
     assert state.modes.shape == (2, room + PADDING)
     system.modes_of(state, "b")[:] = 1.0
@@ -137,16 +137,16 @@ def test_many_exchanges_one_after_another_are_as_if_built_at_last():
         built = System.build(bases, system.connections, system.readouts, dt=DT, capacities=room)
         for name in ("on", "G", "inverse", "gamma", "offset", "constant"):
             np.testing.assert_array_equal(getattr(system.solve, name), getattr(built.solve, name))
-        np.testing.assert_array_equal(system.gap_matrix("residual"), built.gap_matrix("residual"))
+        np.testing.assert_array_equal(system.elimination.gap.residual, built.elimination.gap.residual)
 
 
 def test_driven_components_are_not_felt():
     basis = chain(2, seed=1).real_basis()
     link = Connection("ground", (Term("a", "n1"),))
     system = System.build({"a": basis, "mic": basis}, [link], dt=DT, drives=[Drive("mic", "n0", "ground", -2.0)])
-    assert system.driven == (False, True)
-    assert system.ports_of("mic") == ["n0"]
-    np.testing.assert_array_equal(system.incidence(1), [[-2.0]])
+    assert system.layout.driven == (False, True)
+    assert system.layout.ports["mic"] == ("n0",)
+    np.testing.assert_array_equal(system.layout.incidence[1], [[-2.0]])
     alone = System.build({"a": basis}, [link], dt=DT)
     np.testing.assert_array_equal(system.solve.G, alone.solve.G)
 

@@ -75,3 +75,8 @@ def test_by_hand_for_a_point_on_an_ideal_string() -> None:
     got = rates(retuned(basis, np.sqrt(basis.stiffness), damper_rates(basis, R, x)))[:12]
     wanted = R * np.sin(np.arange(1, 13) * np.pi * 0.88) ** 2 / (DENSITY * LENGTH)
     assert np.abs(got - wanted).max() < 0.1 * wanted.max()
+
+
+def test_a_felt_that_resists_nothing_adds_nothing():
+    basis = string()
+    np.testing.assert_array_equal(damper_rates(basis, 0.0, 0.1, 0.01), np.zeros(basis.n_modes))

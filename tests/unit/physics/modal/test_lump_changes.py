@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tonewood.instrument.bundle.added import body_parts, stiffness_rate
-from tonewood.instrument.bundle.schema import Added
+from tonewood.instrument.bundle.added_schema import Added
 from tonewood.instrument.contract.base import BodyPoint
 from tonewood.physics.modal.loaded import loaded
 from tonewood.physics.modal.lump_changes import lump_change

@@ -12,6 +12,7 @@ from tonewood.physics.coupling.laws import Contact
 from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.system import PrescribedMotion, Readout, System
 from tonewood.physics.energy.stored import stored_energy
+from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.points import with_still_points
 from tonewood.physics.modal.string_modes import string_basis
 from tonewood.physics.stepping.forcing import Segment, compile_force
@@ -366,3 +367,25 @@ def test_a_string_that_another_plane_pumps_misses_no_contact():
             (_, forces), statistics = both_ways(system, state, 64)
             touched += forces.any() and statistics["added"] > 0
     assert touched > 10
+
+
+@pytest.mark.parametrize("turn", [0.8, 1.5])
+def test_a_mode_that_swings_about_its_displaced_state_misses_no_contact(turn):
+    """Its static state under a constant force counts, with both of its numbers: `turn`, rad per sample, is large."""
+    basis = ModalBasis.real(np.array([turn / DT]), np.array([300.0]), {"p": np.ones(1)})
+    force, shape = 2.0, basis.right[basis.index("p")].real
+    still = 0.5 * force * shape / basis.stiffness
+    push = compile_force("mode", basis, "p", [Segment(0.0, 1.0, force, 0.0)], DT)
+    touched = 0
+    for size in (0.1, 0.5, 1.5, 4.0):
+        for phase in np.linspace(0.0, 2 * np.pi, 12, endpoint=False):
+            for room in (0.5, 0.9):
+                offset = -2.0 * float((1 + room * size) * (shape * still)[0])
+                fret = Connection("fret", (Term("mode", "p", -1.0),), Contact(1e6, 1.5, offset=offset))
+                system = System.build({"mode": basis}, [fret], dt=DT)
+                state = system.start()
+                moving = still * (1 + 1j * basis.poles.real / basis.poles.imag + size * np.exp(1j * phase))
+                system.modes_of(state, "mode")[:] = moving.real, moving.imag
+                (_, forces), _ = both_ways(system, state, 16, injections=push)
+                touched += forces[1:].any()
+    assert touched > 40

@@ -77,10 +77,10 @@ def rounding_of_gaps(system, state):
     """Rounding of the gaps of linear connections, m: each sums `n` modes, rounded to eps sqrt(n) of their size."""
     size = np.zeros(len(system.connections))
     for i, compiled in enumerate(system.compiled):
-        if not system.driven[i]:
+        if not system.layout.driven[i]:
             modes = np.abs(system.modes_of(state, system.names[i]).T)
             terms = np.einsum("pmx,mx->p", np.abs(compiled.rows[: len(compiled.ports)]), modes)
-            size += np.sqrt(len(modes)) * (np.abs(system.incidence(i)) @ terms)
+            size += np.sqrt(len(modes)) * (np.abs(system.layout.incidence[i]) @ terms)
     return EPS * size
 
 
@@ -128,6 +128,46 @@ def assert_twins(system, injections, steps=200, isa=None, start=None, tolerance=
 def test_kernel_is_its_twin(options, isa):
     system = guitar(**options)
     assert_twins(system, plucked(system), isa=isa)
+
+
+@pytest.mark.parametrize("isa", ISAS)
+@pytest.mark.parametrize("run", [1, 5, 16])
+def test_each_mode_is_read_by_one_of_two_rows(run, isa):
+    """Such a component takes part in the fused pass, whose modes, slow and others, go by the row that reads them.
+
+    Shapes have phases, so that each row reads both numbers of its modes.
+    """
+    rng = np.random.default_rng(run)
+    omega = 2 * np.pi * np.geomspace(60, 20000, 60)
+    first = np.arange(60) // run % 2 == 0
+    shapes = rng.uniform(0.5, 2, 60) * rng.choice([-1, 1], 60)
+    turned = shapes * np.exp(0.1j) / (2j * omega)
+    left, right = ({p: a * on for p, on in (("a", first), ("b", ~first))} for a in (shapes, turned))
+    bars = ModalBasis.complex(-20 - 1e-4 * omega + 1j * omega, right, left)
+    body = ModalBasis.real(2 * np.pi * np.geomspace(90, 9000, 20), np.full(20, 30.0), {"at": rng.normal(size=20)})
+    laws = SpringDashpot(3e5, 2.0), SpringDashpot(1e5, 5.0)
+    connections = [
+        Connection(f"c{p}", (Term("bars", p), Term("body", "at", -1.0)), law) for p, law in zip("ab", laws, strict=True)
+    ]
+    out = [Readout("u", "velocity", (Term("body", "at"),))]
+    system = System.build({"bars": bars, "body": body}, connections, out, dt=DT)
+    start = system.start()
+    system.modes_of(start, "bars")[:] = 1e-4 * rng.normal(size=(2, 60))
+    assert_twins(system, (), 150, isa, start, tolerance=1e-11)
+
+
+@pytest.mark.parametrize("isa", ISAS)
+def test_a_body_of_many_ports_is_stepped_by_its_shapes(isa, rng):
+    """From 16 ports on, sample by sample; known forces act on it, too."""
+    omega, points = 2 * np.pi * np.geomspace(90, 9000, 21), [f"b{i}" for i in range(18)]
+    body = ModalBasis.real(omega, 0.01 * omega, {p: rng.normal(size=21) for p in points})
+    connections = [Connection(p, (Term("body", p),), SpringDashpot(1e4 * (1 + i), 2.0)) for i, p in enumerate(points)]
+    out = [Readout("a", "acceleration", (Term("body", "b1"),)), Readout("v", "velocity", (Term("body", "b17"),))]
+    system = System.build({"body": body}, connections, out, dt=DT)
+    start = system.start()
+    system.modes_of(start, "body")[:] = 1e-5 * rng.normal(size=(2, 21))
+    push = Injection("body", 5, rng.normal(size=(2, 21, 2)) * 1e-7, rng.normal(size=(2, 20)))
+    assert_twins(system, [push], 45, isa, start, tolerance=1e-11)
 
 
 @pytest.mark.parametrize("isa", ISAS)

@@ -221,7 +221,7 @@ def test_tension_is_switched_at_the_bounds_of_runs():
     out, _ = stepper.run(a, 64)
     expected, _ = NumpyStepper(half).run(twin, 64)
     assert_same(out, expected, 1e-9)
-    first, second = (a.potentials[memory] for memory in system.memory)
+    first, second = (a.potentials[memory] for memory in system.potentials.memory)
     assert second.any()
     assert not first.any()
 

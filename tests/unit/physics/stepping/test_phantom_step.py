@@ -21,7 +21,11 @@ MASS = 50.0
 
 
 def string_on_mass(
-    freq_coupled: float = 3000.0, loss: float = 2e-3, moves: bool = False, planes: tuple[str, ...] = ("y",)
+    freq_coupled: float = 3000.0,
+    loss: float = 2e-3,
+    moves: bool = False,
+    planes: tuple[str, ...] = ("y",),
+    axial_stiffness: float = AXIAL,
 ) -> System:
     """A string whose tension along itself acts on a free mass; `moves`: its transverse end moves that, too."""
     mass = ModalBasis.real([0.0], [0.0], {"top": [1.0]}, modal_mass=MASS)
@@ -31,7 +35,7 @@ def string_on_mass(
     ]
     seat = Connection("seat", (Term("mass", "top"),), SpringDashpot(stiffness=0.0, damping=1e-9))
     readouts = [Readout("force", "acceleration", (Term("mass", "top", MASS),))]
-    law = DrivenLongitudinal("string", planes, (("mass", "top", 1.0),), AXIAL, freq_coupled, loss)
+    law = DrivenLongitudinal("string", planes, (("mass", "top", 1.0),), axial_stiffness, freq_coupled, loss)
     components = dict.fromkeys(planes, transverse(fs=FS)) | {"mass": mass}
     return System.build(components, [*ends, seat], readouts, dt=1 / FS, potentials=[law])
 
@@ -76,10 +80,12 @@ def test_one_way_is_as_loud_as_both_ways() -> None:
     assert found[0] == pytest.approx(found[1], rel=0.06)
 
 
-@pytest.mark.parametrize("moves", [False, True])
-def test_kernel_and_numpy_agree(moves: bool) -> None:
-    """The same samples, wherever a run is cut, with the string's end held or on the mass."""
-    system = string_on_mass(moves=moves, planes=("y", "z"))
+@pytest.mark.parametrize(("moves", "order"), [(False, 1), (True, 3), (True, 8), (False, 10)])
+def test_kernel_and_numpy_agree(moves: bool, order: int) -> None:
+    """The same samples, wherever a run is cut, with the end held or on the mass, and `order` longitudinal modes."""
+    first = np.sqrt(AXIAL / 4 / DENSITY) / (2 * LENGTH)
+    system = string_on_mass((order + 0.5) * first / 2, moves=moves, planes=("y", "z"), axial_stiffness=AXIAL / 4)
+    assert len(KernelStepper(system).describe()["potentials"][0]["steps"]) == order
     start = plucked(system, 5e-3, ("y", "z"))
     reference, state = start.copy(), start.copy()
     wanted, _ = NumpyStepper(system).run(reference, 200)

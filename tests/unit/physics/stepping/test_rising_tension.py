@@ -61,7 +61,7 @@ def test_the_matrix_is_at_least_one_and_its_means_fulfil_the_step(height: float)
     forces = alone - linear.G @ (over.reach @ mean)
     np.testing.assert_allclose(over.mean_under(forces), mean, rtol=1e-9)
     after = over.after(
-        [f + np.einsum("p,pmx->mx", system.incidence(i).T @ forces, c.W)
+        [f + np.einsum("p,pmx->mx", system.layout.incidence[i].T @ forces, c.W)
          for i, (f, c) in enumerate(zip(free, system.compiled, strict=True))],
         mean,
     )  # fmt: skip

@@ -298,7 +298,7 @@ def test_kinds_stand_side_by_side() -> None:
         assert stored_energy(system, state).total < energy
     np.testing.assert_allclose(runs[1], runs[0], atol=1e-10 * np.abs(runs[0]).max())
     off = system.with_potentials(["t"], among=["t", "v"])
-    assert off.on == (False, True)
+    assert off.potentials.on == (False, True)
     assert system.with_potentials(["t"], among=["t"]) is system
 
 

@@ -191,7 +191,8 @@ def test_nothing_grows_with_time(monochord: tw.Instrument) -> None:
     def sizes() -> dict[str, int]:
         engine, player = live.engine, live.player
         lists = {
-            "active": engine.active, "injections": engine.injections, "controls": engine.controls,
+            "active": engine.gestures.active, "injections": engine.gestures.injections,
+            "controls": engine.gestures.controls,
             "changes": engine.schedule._changes._entries, "plays": engine.schedule._plays._entries,
             "due": next(iter(engine.schedule._due.values())),
             "bases": engine.fingerboard._compiled, "held": player.keys.held, "waiting": player.waiting,

@@ -237,13 +237,13 @@ def test_memory_of_page_and_server_is_flat_over_a_thousand_changes(record_proper
         browser.until("desk.sound.meter.heard > 4800")
 
         def turn(times: int) -> tuple[float, float]:
-            for first in range(0, times, 20):
-                browser.run(
-                    f"for (let i = {first}; i < {first + 20}; i++) {{"
-                    "await desk.act('set', {path: 'exciters.pluck.from_bridge', value: 0.05 + 2e-4 * i});"
-                    "if (!(i % 20)) await desk.act('set', {path: 'strings.A2.linear_density', value: 4e-3 + 1e-6*i});"
-                    "}"
-                )
+            browser.run(
+                f"window.turned = 0; (async () => {{ for (let i = 0; i < {times}; i++, turned++) {{"
+                "await desk.act('set', {path: 'exciters.pluck.from_bridge', value: 0.05 + 2e-4 * i});"
+                "if (!(i % 20)) await desk.act('set', {path: 'strings.A2.linear_density', value: 4e-3 + 1e-6 * i});"
+                "}})()"
+            )
+            browser.until(f"window.turned === {times}", 1800)
             browser.until("desk.state.making === null", 60)
             browser._call("/goog/cdp/execute", {"cmd": "HeapProfiler.collectGarbage", "params": {}})
             heap = browser._call("/goog/cdp/execute", {"cmd": "Runtime.getHeapUsage", "params": {}})["usedSize"]

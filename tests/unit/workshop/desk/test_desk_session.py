@@ -128,7 +128,7 @@ def test_a_saved_bundle_is_the_design(tmp_path: Path) -> None:
     assert again.spec.provenance["strings.*.length"].kind == "authored"
     with pytest.raises(TonewoodError, match="there already"):
         session.save(tmp_path / "mine")
-    with pytest.raises(TonewoodError, match="no name"):
+    with pytest.raises(TonewoodError, match="cannot be the name"):
         session.save(tmp_path / "my guitar")
     with pytest.raises(TonewoodError, match="no folder"):
         session.save(tmp_path / "missing" / "mine")

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import ast
 import csv
 import json
 import os
@@ -137,6 +138,21 @@ def test_psychopy_s_loops_have_the_columns_that_components_read(made: ListeningT
             assert used <= set(rows[0]), (page, used)
             files = {row[f"sound{i}"] for row in rows for i in range(1, 5) if row.get(f"sound{i}")}
             assert all((folder / file).is_file() for file in files)
+
+
+def test_sliders_run_over_the_answers_that_are_allowed(made: ListeningTest) -> None:
+    """Points from 0 to 100 (BS.1534), grades from 1 to 5 (BS.1116), scales as declared; both ends have words."""
+    root = ET.parse(exported(made, "psychopy") / "damping.psyexp").getroot()
+    sliders: dict[str, dict[str, Any]] = {}
+    for part in root.iter("SliderComponent"):
+        values = {str(p.get("name")): p.get("val", "") for p in part}
+        sliders[str(part.get("name"))] = {key: ast.literal_eval(values[key]) for key in ("ticks", "labels")}
+    scale = next(page for page in made.pages if page.type == "rating").scales[0]
+    ends = {"rate5_points": (0, 100), "rate6_points": (1, 5), "rate12_bright": (scale.low, scale.high)}
+    assert {name: slider["ticks"] for name, slider in sliders.items()} == ends
+    for slider in sliders.values():
+        assert len(slider["labels"]) == 2
+        assert all(slider["labels"])
 
 
 @pytest.mark.skipif(PSYCHOPY is None, reason="TONEWOOD_PSYCHOPY names no Python with PsychoPy")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from tonewood.errors import TonewoodError
 from tonewood.workshop.taps.cutting import cut_taps
 from tonewood.workshop.taps.names import named
 from tonewood.workshop.taps.recordings import read_taps, record_taps
-from tonewood.workshop.taps.ringing import Peak, ringing
+from tonewood.workshop.taps.ringing import Peak, _combined, ringing
 from tonewood.workshop.taps.strongest import strongest
 
 FS = 24000
@@ -173,6 +174,15 @@ def test_a_peak_s_error_is_the_scatter_of_its_taps_or_a_fiftieth_of_its_width():
 
 def a_peak(freq, level, quality=30.0, seen=5):
     return Peak(freq, quality, (freq, freq), (0.95 * quality, 1.05 * quality), level, seen, 5)
+
+
+def test_a_peak_is_certain_that_most_taps_show_with_a_q_within_a_factor_of_one_and_a_half():
+    sure = replace(a_peak(200.0, 0.0), quality_90=(20.0, 44.9))
+    assert sure.certain
+    assert not replace(sure, quality_90=(20.0, 45.1)).certain
+    assert replace(sure, seen=3).certain
+    assert not replace(sure, seen=2).certain
+    assert not replace(sure, seen=2, taps=4).certain
 
 
 def test_names_by_order_ratio_and_level():
@@ -353,3 +363,15 @@ def test_plates_that_others_measured(name):
     assert len(found) <= len(wanted) + 7
     if name == "2L":
         assert found[:3] == pytest.approx([51.5, 75.7, 127.8], rel=0.01)
+
+
+def test_combinations_of_taps_keep_their_energy():
+    """One for taps that are alike, whatever the phase of what rings; as many as there are for taps that are not."""
+    rng = np.random.default_rng(2)
+    for phase in (1.0, 1j, np.exp(0.7j)):
+        alike = phase * np.outer([1.0, 3.0, -2.0, 0.5], rng.normal(size=300))
+        combined = _combined(alike)
+        assert len(combined) == 1
+        assert np.sum(np.abs(combined) ** 2) == pytest.approx(alike.shape[0] * 300)
+    two = _combined(np.vstack([x := rng.normal(size=300), 1j * x]))
+    assert np.sum(np.abs(two) ** 2) == pytest.approx(2 * 300)

@@ -112,7 +112,7 @@ def _find_friction(
 
     potentials = [laws[j] for j in stored]
     sliding = np.array(list(branches), dtype=np.intp)
-    own = Z[sliding, sliding] / dt
+    mobilities = Z[sliding, sliding] / dt
     old, scale = (partners.offset - gap)[stored], partners.scale[stored]
     iterations = 0
 
@@ -126,10 +126,10 @@ def _find_friction(
                 potentials, Z[np.ix_(stored, stored)], rest, old, dt, scale, f[stored], noise
             )  # fmt: skip
             iterations += count
-        without = (free + Z @ f - gap)[sliding] / dt - own * f[sliding] - partners.velocity[sliding]
-        for friction, v, mobility in zip(branches.values(), without, own, strict=True):
+        without = (free + Z @ f - gap)[sliding] / dt - mobilities * f[sliding] - partners.velocity[sliding]
+        for friction, v, mobility in zip(branches.values(), without, mobilities, strict=True):
             friction.meet(float(v), float(mobility))
-        return own * (np.array([friction.force for friction in branches.values()]) - f[sliding]), converged
+        return mobilities * (np.array([friction.force for friction in branches.values()]) - f[sliding]), converged
 
     f = guess.copy()
     r, converged = wrong(f)
@@ -144,7 +144,7 @@ def _find_friction(
         across = root[:, None] * Z[np.ix_(stored, sliding)]
         answers = (Z[np.ix_(sliding, sliding)] - across.T @ sla.solve(inner, across, assume_a="pos")) / dt
         kept = np.array([1.0 - friction.follows() for friction in branches.values()])
-        jacobian = -kept[:, None] * (answers - np.diag(own)) - np.diag(own)
+        jacobian = -kept[:, None] * (answers - np.diag(mobilities)) - np.diag(mobilities)
         step, t, size = -sla.lstsq(jacobian, r)[0], 1.0, float(np.abs(r).max())
         for _halved in range(50):
             tried = f.copy()

@@ -147,11 +147,7 @@ class PotentialSolve:
 
     def __init__(self, system: System):
         self.system = system
-        self.active = [
-            active_potential(system, i)
-            for i, (potential, on) in enumerate(zip(system.potentials, system.on, strict=True))
-            if on and not potential.one_way
-        ]
+        self.active = [active_potential(system, i) for i in system.potentials.two_way]
 
     def over(self, x: Sequence[Floats], free: Sequence[Floats], forces: Floats, memory: Floats) -> PotentialsOverStep:
         """Prepare a step.
@@ -221,27 +217,25 @@ class PotentialSolve:
         total = np.zeros(len(self.system.connections))
         for slot, x in added.items():
             c = self.system.compiled[slot]
-            total += self.system.incidence(slot) @ np.einsum("pmx,mx->p", c.rows[: len(c.ports)], x)
+            total += self.system.layout.incidence[slot] @ np.einsum("pmx,mx->p", c.rows[: len(c.ports)], x)
         return total
 
     def _moved(self, free: Sequence[Floats], forces: Floats) -> dict[int, Floats]:
         """States of the potentials' components after connection forces (m,)."""
         s = self.system
         slots = [slot for p in self.active for slot in p.slots]
-        return {i: free[i] + np.einsum("p,pmx->mx", s.incidence(i).T @ forces, s.compiled[i].W) for i in slots}
+        return {i: free[i] + np.einsum("p,pmx->mx", s.layout.incidence[i].T @ forces, s.compiled[i].W) for i in slots}
 
 
 class DrivenForces:
     """Forces of a system's one-way potentials that are on, sample by sample."""
 
     def __init__(self, system: System):
-        self.on = [
-            i for i, (p, on) in enumerate(zip(system.potentials, system.on, strict=True)) if on and p.one_way
-        ]  # fmt: skip
+        self.on = system.potentials.one_way
         #: by potential: slot it acts on, (n_modes, 2) state added by 1 N held over a step, slots of its components
         self.targets, self.vectors, self.slots = list[int](), list[Floats](), list[tuple[int, ...]]()
         self.joined: list[PhantomShares] = []
-        self.memory = [system.memory[i] for i in self.on]
+        self.memory = [system.potentials.memory[i] for i in self.on]
         for i in self.on:
             potential = system.potentials[i]
             assert isinstance(potential, DrivenLongitudinal)
@@ -263,7 +257,7 @@ def active_potential(system: System, index: int) -> ActivePotential:
     """A two-way potential of a system as it is stepped while it is on."""
     slots = tuple(system.slot(name) for name in system.potentials[index].components)
     coordinates = tuple(system.compiled[slot].coordinates for slot in slots)
-    return ActivePotential(index, system.memory[index], slots, system.joined(index), coordinates)
+    return ActivePotential(index, system.potentials.memory[index], slots, system.joined(index), coordinates)
 
 
 def force_vector(system: System, string: DrivenLongitudinal) -> Floats:

@@ -79,10 +79,10 @@ class TensionModulation(Potential):
         ------
         ValueError : the component has no weights, or does not tell its length.
         """
-        known = stretch_weights(basis) if self.weights is None else self.weights.get(component)
-        if known is None:
+        declared = stretch_weights(basis) if self.weights is None else self.weights.get(component)
+        if declared is None:
             raise ValueError(f"{self.name}: no weights for {component}")
-        weights = np.array(known, dtype=np.float64)
+        weights = np.array(declared, dtype=np.float64)
         if weights.shape != (basis.n_modes,) or weights.min(initial=0.0) < 0.0:
             raise ValueError(f"{self.name}: {component} needs {basis.n_modes} weights that are not negative")
         if self.correction > 0.0:

@@ -442,6 +442,7 @@ function status() {
     parts.push(`latency ${(1e3 * sound.latency).toFixed(0)} ms`);
     parts.push(`${sound.meter.underruns} underrun${sound.meter.underruns === 1 ? "" : "s"}`);
     if (load) parts.push(`load ${(100 * load.load).toFixed(0)} %`);
+    if (load?.load > 1) parts.push("this model takes longer than its sound: a phrase has gaps the first time and none when it is repeated; keys have gaps");
     if (sound.toSound !== null) parts.push(`knob to sound ${sound.toSound.toFixed(0)} ms`);
   } else parts.push("not playing");
   if (s.modes !== null) parts.push(`${s.modes} modes`);
