@@ -520,3 +520,9 @@ def test_a_preset_cuts_nothing_off_the_first_note(tonewood: Run, score: Path, tm
     common = ("render", score, "-i", "monochord", "-o", tmp_path / "a.wav", "--max-duration", 0.1, "--preset", "dry")
     assert "smoothed" not in tonewood(*common)[1]
     assert "smoothed" in tonewood(*common, "--lead-in", 0)[1]
+
+
+@pytest.mark.parametrize("option", ["--fs", "--block", "--capo"])
+def test_an_integer_beyond_all_floats_is_one_line(tonewood: Run, score: Path, tmp_path: Path, option: str) -> None:
+    result = tonewood("render", score, "-i", "monochord", "-o", tmp_path / "o.wav", option, "9" * 400)
+    assert_one_line(result, tmp_path, f"{option.lstrip('-')}: is inf")

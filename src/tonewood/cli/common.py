@@ -16,7 +16,7 @@ import typer
 
 from tonewood.errors import DroppedNotesWarning, TonewoodError
 from tonewood.support.plain_values import finite
-from tonewood.support.units import counted
+from tonewood.support.units import as_float, counted
 
 if TYPE_CHECKING:
     from tonewood.instrument.bundle.loading import Instrument
@@ -160,7 +160,8 @@ def allow(option: str, value: float, low: float, high: float, unit: str) -> None
     Raises TonewoodError : names the option and the values allowed.
     """
     if not low <= value <= high:
-        raise TonewoodError(f"is {f'{value:.12g} {unit}'.strip()}; {low:.12g} to {high:.12g} are allowed", key=option)
+        shown = f"{as_float(value):.12g} {unit}".strip()
+        raise TonewoodError(f"is {shown}; {low:.12g} to {high:.12g} are allowed", key=option)
 
 
 @contextmanager

@@ -11,6 +11,14 @@ LN_1000 = math.log(1000.0)
 _DECIMAL = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
+def as_float(value: float) -> float:
+    """Number as a float; infinite if it is an integer beyond the largest one."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
 def cents(ratio: float) -> float:
     """Cents of a frequency ratio: 1200 log2."""
     return 1200.0 * math.log2(ratio)

@@ -12,6 +12,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from tonewood.support.units import as_float
+
 #: kinds of pydantic's errors for a number beyond a bound -> its name there, and words
 _BOUNDS = {
     "less_than_equal": ("le", "at most"),
@@ -183,6 +185,7 @@ def _beyond(fault: Any, keys: Sequence[str], owners: Sequence[type[BaseModel]]) 
     value, (bound, words) = fault["input"], _BOUNDS[fault["type"]]
     if unit is None or not isinstance(value, (int, float)):
         return None
+    value = as_float(value)
     scaled = [(name, value * factor) for name, factor in _SCALES.get(unit, {}).items()]
     ranges = [usual_values(f) for f in fields if unit_of(f)]
     likely = [(name, x) for name, x in scaled if all(low < x < high for low, high in ranges)]

@@ -12,6 +12,7 @@ from pydantic.fields import FieldInfo
 
 from tonewood.errors import TonewoodError
 from tonewood.support.params import Number, Parameters, described, quantity
+from tonewood.support.units import as_float
 from tonewood.support.validation_messages import first_message, unit_of
 
 if TYPE_CHECKING:
@@ -202,7 +203,7 @@ def _error(fault: ValidationError, model: type[RenderOptions]) -> TonewoodError:
     field, value = model.model_fields.get(name), fault.errors()[0]["input"]
     if field is not None and fault.errors()[0]["type"] != "value_error":
         span, words = limits(field), choices(field.annotation)
-        shown = f"{value:.12g} {unit_of(field)}" if span and isinstance(value, (int, float)) else repr(value)
+        shown = f"{as_float(value):.12g} {unit_of(field)}" if span and isinstance(value, (int, float)) else repr(value)
         if span:
             reason = f"is {shown}; {span[0]:.12g} to {span[1]:.12g} are allowed"
         elif name == "lead_in":
