@@ -242,8 +242,8 @@ class PlateGrid:
         p = self.plate
         k = self.numbers * np.array([np.pi / p.a, np.pi / p.b])
         per: Floats = k**2 / (p.a * p.b * p.surface_density)
-        held = p.young * p.thickness * p.a * p.b / (1 - p.poisson**2) if self.edges == "sliding" else 0.0
-        return per[:, 0], per[:, 1], held
+        stiffness = p.young * p.thickness * p.a * p.b / (1 - p.poisson**2) if self.edges == "sliding" else 0.0
+        return per[:, 0], per[:, 1], stiffness
 
     @cached_property
     def places(self) -> NDArray[np.intp]:

@@ -76,8 +76,8 @@ class Bow(ta.Exciter[BowParameters]):
         """A stroke that begins at time 0."""
         p = self.adjusted(event.values)
         hair = f"{place.name}.{self.name}.hair"
-        held = event.duration if math.isfinite(event.duration) else p.sustain
-        end = max(held, p.attack_time)
+        duration = event.duration if math.isfinite(event.duration) else p.sustain
+        end = max(duration, p.attack_time)
 
         def course(value: float) -> tuple[ta.Segment, ...]:
             steady = (ta.Segment(p.attack_time, end, value),) if end > p.attack_time else ()

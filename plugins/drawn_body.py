@@ -446,7 +446,7 @@ class DrawnBody(ta.Body[DrawnBodyParameters]):
     def _plate(
         self, p: PlateParameters, rings: list[Floats], beams: Mapping[str, Brace], above: str = ""
     ) -> ta.plate.PlateDrawing:
-        made = []
+        parts = []
         for name, brace in beams.items():
             start, stop = np.array(brace.start), np.array(brace.stop)
             samples = start + np.linspace(0.0, 1.0, 201)[:, None] * (stop - start)
@@ -457,10 +457,10 @@ class DrawnBody(ta.Body[DrawnBodyParameters]):
                 raise self.fault(f"{_shown(where)} is {which}", name)
             wood = (brace.wood or p.wood).wood()
             heights = np.atleast_1d(np.asarray(brace.height, dtype=np.float64))
-            made.append(ta.plate.Beam(start, stop, brace.width, heights, wood, brace.above or name == above))
+            parts.append(ta.plate.Beam(start, stop, brace.width, heights, wood, brace.above or name == above))
         edge, grain = p.edge.edge(), float(np.radians(p.grain_deg))
         cell = self.parameters.cell or 0.0
-        return ta.plate.PlateDrawing(p.wood.wood(), self._thickness(p.thickness), edge, made, grain, cell)
+        return ta.plate.PlateDrawing(p.wood.wood(), self._thickness(p.thickness), edge, parts, grain, cell)
 
     def _thickness(self, thickness: float | ThicknessMap) -> Any:
         if isinstance(thickness, float):
@@ -494,9 +494,9 @@ class DrawnBody(ta.Body[DrawnBodyParameters]):
             coarse = ring
         if len(ring) > 8000:
             raise self.fault(f"{len(ring)} points; 8000 are allowed", "outline")
-        place = ta.plate.crossing(coarse)
-        if place is not None:
-            raise self.fault(f"the outline crosses itself at {_shown(place)}", "outline")
+        crossings = ta.plate.crossing(coarse)
+        if crossings is not None:
+            raise self.fault(f"the outline crosses itself at {_shown(crossings)}", "outline")
         if ta.plate.area(ring) < 1e-4 or np.ptp(ring, axis=0).max() > 5.0:
             raise self.fault(
                 f"encloses {ta.plate.area(ring):.3g} m^2; 1 cm^2 and more, up to 5 m long, are allowed", "outline"

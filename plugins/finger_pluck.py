@@ -204,8 +204,8 @@ def roughness(segments: tuple[ta.Segment, ...], share: float, seed: int) -> ta.S
     n = max(math.ceil((stop - start) * _NOISE_FS), 2)
     times = start + np.arange(n + 1) * (stop - start) / n
     numbers = np.array([(s.start, s.stop, s.c0, s.c1, s.c2) for s in segments])
-    own = numbers[np.minimum(np.searchsorted(numbers[:, 1], times, side="right"), len(segments) - 1)]
-    begin, end, c0, c1, c2 = own.T
+    segment = numbers[np.minimum(np.searchsorted(numbers[:, 1], times, side="right"), len(segments) - 1)]
+    begin, end, c0, c1, c2 = segment.T
     u = times - begin
     level = np.where((begin <= times) & (times < end), c0 + u * (c1 + u * c2), 0.0)
     white = np.random.Generator(np.random.PCG64(seed)).standard_normal(n + 1)

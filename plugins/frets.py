@@ -42,9 +42,9 @@ class Frets(ta.Attachment[FretsParameters]):
         """Clearance under the open string x metres from the bridge, without heights of single frets, m."""
         p = self.parameters
         first, twelfth, last = site.stops[1], site.open_length / 2, site.stops[-1]
-        line = p.action_first + (p.action_twelfth - p.action_first) * (first - x) / (first - twelfth)
+        height = p.action_first + (p.action_twelfth - p.action_first) * (first - x) / (first - twelfth)
         share = (site.open_length - x) / (site.open_length - last)
-        return line + 4 * p.relief * share * (1 - share)
+        return height + 4 * p.relief * share * (1 - share)
 
     def attach(self, name: str, site: ta.Site) -> ta.Attached:
         """One contact for every stop of the string."""

@@ -107,10 +107,10 @@ class Hammer(ta.Exciter[HammerParameters]):
         if p.free_time > 0.0:
             segments += self._made_up_for(p, event, place, at)
         if p.press > 0.0:
-            held = max(event.duration if math.isfinite(event.duration) else p.sustain, 2 * p.press_time)
+            release = max(event.duration if math.isfinite(event.duration) else p.sustain, 2 * p.press_time)
             segments += ta.smooth_step(0.0, p.press_time, 0.0, p.press)
-            segments += (ta.Segment(p.press_time, held, p.press),)
-            segments += ta.smooth_step(held, held + p.press_time, p.press, 0.0)
+            segments += (ta.Segment(p.press_time, release, p.press),)
+            segments += ta.smooth_step(release, release + p.press_time, p.press, 0.0)
         # of a key: its felts act until the hammer has fallen back
         away = p.free_time + _FALLS / p.return_freq
         motions = tuple(

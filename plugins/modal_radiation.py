@@ -94,8 +94,8 @@ class ModalRadiation(ta.Microphones[ModalRadiationParameters]):
         p = self.parameters
         table = self.files.table(p.table, f"{self.key}.table")
         columns = {f"at_{point}": f"_at_{point}" for point in driven} or {"heave": "", "moment": "_moment"}
-        wanted = ["f_Hz", "Q"] + [f"{c}{m}_{x}" for c in p.channels for m in columns.values() for x in ("re", "im")]
-        missing = [name for name in wanted if name not in table]
+        heads = ["f_Hz", "Q"] + [f"{c}{m}_{x}" for c in p.channels for m in columns.values() for x in ("re", "im")]
+        missing = [name for name in heads if name not in table]
         if missing:
             raise self.fault(f"{p.table}: no column {missing[0]!r}; there are {', '.join(table)}", "table")
         if np.any(table["f_Hz"] <= 0) or np.any(table["Q"] <= 0):

@@ -47,12 +47,12 @@ class TensionModulatedString(StiffString):
     def basis(self, freq_upper: float, *, stop: float = 0.0, tension: float | None = None) -> ta.ModalBasis:
         """As `StiffString.basis`, with the weights of the stretch, ``stretch_part``, in its metadata."""
         basis = super().basis(freq_upper, stop=stop, tension=tension)
-        known = basis.metadata
-        vec, weights = (cast(NDArray[np.float64], known[key]) for key in ("vec", "tension_part"))
+        metadata = basis.metadata
+        vec, weights = (cast(NDArray[np.float64], metadata[key]) for key in ("vec", "tension_part"))
         if len(vec) < 2:
             return basis
-        length, density = cast(float, known["length"]), cast(float, known["linear_density"])
+        length, density = cast(float, metadata["length"]), cast(float, metadata["linear_density"])
         # modal coordinates of sin(pi x / L): y = vec^T M e_1, with the mass matrix of `string_modes`
         y = density * length * (vec[0] / np.pi + vec[1] / 2)
         scale = np.pi**2 / (2 * length) / float(weights @ y**2)
-        return replace(basis, metadata={**known, "stretch_part": scale * weights})
+        return replace(basis, metadata={**metadata, "stretch_part": scale * weights})

@@ -22,7 +22,7 @@ from scipy.ndimage import uniform_filter1d
 
 from tonewood.instrument.contract.files import Files
 from tonewood.instrument.contract.registry import list_instruments
-from tonewood.workshop.fit.projection import Line, Poles, Projection, Shape
+from tonewood.workshop.fit.projection import FitData, Poles, Projection, Shape
 
 Complexes = NDArray[np.complex128]
 
@@ -113,7 +113,7 @@ def main(bundle: str, picture: str | None) -> None:
         local = np.sqrt(uniform_filter1d(np.abs(rows) ** 2, 61, axis=1))
         floor = 0.02 * np.abs(rows[0]) + 1e-3 * np.abs(rows).max(axis=1, keepdims=True)
         sigma = 0.2 * np.sqrt((local**2 + np.abs(rows) ** 2) / 2) + floor
-        problems.append(Projection(Line(freq, rows, sigma), shape))
+        problems.append(Projection(FitData(freq, rows, sigma), shape))
     poles = fitted(problems, started(body, heard))
     models = [p.model(poles, p.solve(poles).residues) for p in problems]
     print(f"{bundle}: {body['f_Hz'].size} and {heard['f_Hz'].size} modes; common: {len(poles)}")

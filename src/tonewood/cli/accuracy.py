@@ -96,7 +96,7 @@ def accuracy(
     study = Study(outcomes, timing.machine(), quick, more)
     png = b""
     if drawing:
-        from tonewood.lab.accuracy.answer import chart_png
+        from tonewood.lab.accuracy.least_time import chart_png
 
         png = chart_png(outcomes)
     # everything is made before anything is written
@@ -138,7 +138,7 @@ def _target(
         raise TonewoodError(
             "is missing; 1cent, 5%decay, 0.5dB, -60dB or several with commas are allowed", key="--target"
         )
-    wanted = Target.parse(target)
+    limit = Target.parse(target)
     options = RenderOptions.model_fields
     for key, value, field in (("--fs", fs, "fs"), ("--bandwidth", bandwidth, "freq_limit")):
         low, high = limits(options[field]) or (0.0, 0.0)
@@ -147,7 +147,7 @@ def _target(
         need("plot", "matplotlib")
     listed = [name for name in (word.strip() for word in notes.split(",")) if name]
     with progress("searching", 1.0) as advance:
-        frontier = search(instrument, wanted, notes=listed, fs=fs, bandwidth=bandwidth, tell=advance)
+        frontier = search(instrument, limit, notes=listed, fs=fs, bandwidth=bandwidth, tell=advance)
     from tonewood.lab.accuracy import target_report
 
     if apply and frontier.cheapest is None:

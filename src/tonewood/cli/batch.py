@@ -64,7 +64,7 @@ def batch(
     check_programs(programs)
     if programs and dry_run:
         raise TonewoodError("writes files, --dry-run none", key="--export")
-    place = Workers(jobs, "threads" if workers == "threads" else "processes", cluster)
+    pool = Workers(jobs, "threads" if workers == "threads" else "processes", cluster)
     data = load_yaml(manifest, error=ManifestError)
     if data.get("kind") == "dataset":
         if pilot is not None:
@@ -72,11 +72,11 @@ def batch(
         if programs:
             raise TonewoodError("belongs to listening tests", key="--export")
         if dry_run:
-            return dataset.planned(data, manifest, output, allow_code, as_json, place.count)
+            return dataset.planned(data, manifest, output, allow_code, as_json, pool.count)
         with _Bars() as bars:
-            return dataset.made(data, manifest, output, place, allow_code, as_json, bars)
+            return dataset.made(data, manifest, output, pool, allow_code, as_json, bars)
     if dry_run:
-        plan = plan_batch(manifest, output, EngineRenderer(allow_code), place, predict=True)
+        plan = plan_batch(manifest, output, EngineRenderer(allow_code), pool, predict=True)
         power = power_of(plan.manifest, plan.trials_of_a_pair(), None if pilot is None else analyse(pilot))
         if as_json:
             rows = [vars(row) for row in power]
@@ -87,7 +87,7 @@ def batch(
         return 1 if plan.faults else 0
     with _Bars() as bars:
         try:
-            report = run_batch(manifest, output, EngineRenderer(allow_code), place, bars)
+            report = run_batch(manifest, output, EngineRenderer(allow_code), pool, bars)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("finished renders are kept, run it again to go on") from None
     exported = export(output, programs) if programs else []

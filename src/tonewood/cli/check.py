@@ -429,6 +429,6 @@ def _print_origins(report: dict[str, Any], every: bool) -> None:
     kinds = ", ".join(f"{count} {kind}" for kind, count in report["provenance"].items())
     print(f"  figures: {kinds or 'of unknown kind'}")
     for key, source in report["sources"].items():
-        place = source.get("doi") or source.get("url") or ""
+        address = source.get("doi") or source.get("url") or ""
         unused = "" if key in report["sources_used"] else ", which no figure names"
-        print(f"  source {key}{unused}: {source['text']}{', ' + place if place else ''} ({source['licence']})")
+        print(f"  source {key}{unused}: {source['text']}{', ' + address if address else ''} ({source['licence']})")

@@ -98,15 +98,15 @@ def compare(
     if len(names) > len(variant or ()):
         raise TonewoodError(f"{len(names)} names for {len(variant or ())} variants; one each is allowed", key="--name")
     for text, called in zip_longest(variant or (), names, fillvalue=""):
-        made = tuple(part.strip() for part in text.split(";") if part.strip())
-        candidates.append(Candidate(base.replace(dict(map(parse_assignment, made))), (*changes, *made), called))
+        texts = tuple(part.strip() for part in text.split(";") if part.strip())
+        candidates.append(Candidate(base.replace(dict(map(parse_assignment, texts))), (*changes, *texts), called))
     path = ""
     if sweep is not None:
         path, values = _swept(sweep, len(LABELS) - len(candidates))
         short = path.rpartition(".")[2]
         for value in values:
-            made = (f"{path}={value:g}",)
-            candidates.append(Candidate(base.replace({path: value}), (*changes, *made), f"{short} {value:g}"))
+            texts = (f"{path}={value:g}",)
+            candidates.append(Candidate(base.replace({path: value}), (*changes, *texts), f"{short} {value:g}"))
     if len(candidates) < 2:
         raise TonewoodError("one instrument: another one, --variant or --sweep is wanted (or `tonewood report`)")
     _run(candidates, notes, output, duration, velocity, fs, as_json, every, path)
@@ -168,8 +168,8 @@ def _run(
     render_options({"fs": fs})
     allow("--duration", duration, 0.1, 60.0, "s")
     allow("--velocity", velocity, 1.0, 127.0, "")
-    wanted = [note.strip() for note in notes.split(",") if note.strip()] if notes is not None else None
-    if wanted == []:
+    names = [note.strip() for note in notes.split(",") if note.strip()] if notes is not None else None
+    if names == []:
         raise TonewoodError("is empty; notes such as E2,A3 are wanted", key="--notes")
     need("report", "pyloudnorm")
     if output is not None:
@@ -183,7 +183,7 @@ def _run(
     with progress("computing", 1.0) as advance:
         result = compared(
             candidates,
-            notes=wanted,
+            notes=names,
             fs=fs,
             duration=duration,
             velocity_midi=velocity,

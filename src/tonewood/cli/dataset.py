@@ -1,4 +1,4 @@
-"""``tonewood batch`` of a manifest of kind ``dataset``: the plan, the run, and what is printed of them."""
+"""``tonewood batch`` for a manifest of kind ``dataset``: plan, run, and printed summary."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``tonewood design``: what to change so that a body reaches its targets."""
+"""``tonewood design``: find the change with which a body reaches its targets."""
 
 from __future__ import annotations
 

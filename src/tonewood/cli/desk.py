@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from pathlib import Path
+from types import FrameType
 from typing import Annotated
 
 import typer
@@ -60,8 +61,16 @@ def desk(
             served.application(), log_level="warning", lifespan="off", ws="none", http=BoundedConnection,
             server_header=False, timeout_graceful_shutdown=1,
         )  # fmt: skip
+
+        class Ending(uvicorn.Server):
+            """A server that ends its stream first, when a signal asks it to end."""
+
+            def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+                served.closing = True
+                super().handle_exit(sig, frame)
+
         try:
-            uvicorn.Server(config).run(sockets=[listening])
+            Ending(config).run(sockets=[listening])
         finally:
             served.closing = True
             opened.close()

@@ -223,15 +223,15 @@ def _named(responses: Responses, texts: list[str]) -> tuple[Responses, dict[str,
         name, *more = rest.split(":")
         if not equals or len(more) > 2:
             raise TonewoodError(f"is {text!r}; NODE=NAME, NODE=NAME:DIRECTION or NODE=NAME:DIRECTION:U", key="--point")
-        place = places.pop(names.get(old, old), MeasuredPoint())
+        point = places.pop(names.get(old, old), MeasuredPoint())
         if more and more[0]:
             if more[0] not in _VECTORS:
                 raise TonewoodError(f"is {text!r}; the directions x, y, z are allowed", key="--point")
-            place = replace(place, direction=more[0])
+            point = replace(point, direction=more[0])
         if len(more) == 2:
-            place = replace(place, u=_place_on_bridge(text, more[1]))
+            point = replace(point, u=_place_on_bridge(text, more[1]))
         names[old] = name
-        places[name] = place
+        places[name] = point
     renamed = responses.renamed(names)
     for name in (*renamed.points, *renamed.microphones):
         if not _NAME.fullmatch(name) or name in _COLUMNS or name.startswith("sd_"):

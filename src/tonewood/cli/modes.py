@@ -55,8 +55,8 @@ def modes(
     bundle = load(instrument, settings, allow_code, strings)
     model = assemble(bundle, fs, alone=True)
     if string is not None and string not in model.strings:
-        known = f"{did_you_mean(string, model.strings)}there are {', '.join(model.strings) or 'none: a body alone'}"
-        raise TonewoodError(f"there is no string {string!r}; {known}", key="--string")
+        hint = f"{did_you_mean(string, model.strings)}there are {', '.join(model.strings) or 'none: a body alone'}"
+        raise TonewoodError(f"there is no string {string!r}; {hint}", key="--string")
     if count < 1:
         raise TonewoodError(f"is {count}; 1 or more is allowed", key="--count")
     if plot is not None and plot.suffix.lower() not in PICTURES:

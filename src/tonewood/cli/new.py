@@ -1,4 +1,4 @@
-"""``tonewood new``: a bundle of one's own."""
+"""``tonewood new``: make a bundle for an instrument of your own."""
 
 from __future__ import annotations
 

@@ -90,8 +90,8 @@ def play(
         raise TonewoodError("there is no SCORE; without one give --midi-in or --keyboard to play live")
     if record is not None:
         raise TonewoodError("records live playing; with a SCORE there is nothing to record", key="--record")
-    given = common.reading(start, stop, transpose, tempo, tracks)
-    wanted, notes = level_name(level, gain_db=options.gain_db, limiter=limiter), read_score(score, **given)
+    keywords = common.reading(start, stop, transpose, tempo, tracks)
+    wanted, notes = level_name(level, gain_db=options.gain_db, limiter=limiter), read_score(score, **keywords)
     if wanted == "LUFS":
         raise TonewoodError("the loudness of live playing is not known before; calibrated or peak", key="--level")
     with common.dropped_notes_listed():

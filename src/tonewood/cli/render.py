@@ -94,17 +94,17 @@ def render(
     if normalize is not None:
         common.allow("--normalize", normalize, -200.0, 0.0, "dB")
         level = level or "peak"
-    wanted = level_name(level, gain_db=options.gain_db, limiter=limiter)
-    if normalize is not None and wanted != "peak":
-        raise TonewoodError(f"sets the peak of --level peak; --level is {wanted}", key="--normalize")
-    if wanted != "calibrated" and limiter:
-        raise TonewoodError(f"the level {wanted} leaves no peaks to limit; one of both is allowed", key="--limiter")
-    if wanted == "LUFS":
+    level_kind = level_name(level, gain_db=options.gain_db, limiter=limiter)
+    if normalize is not None and level_kind != "peak":
+        raise TonewoodError(f"sets the peak of --level peak; --level is {level_kind}", key="--normalize")
+    if level_kind != "calibrated" and limiter:
+        raise TonewoodError(f"the level {level_kind} leaves no peaks to limit; one of both is allowed", key="--limiter")
+    if level_kind == "LUFS":
         common.need("batch", "pyloudnorm")
     for path in energy or ():
         check_energy_file(path)
-    form = _Form(output, subtype, block, wanted, PEAK if normalize is None else normalize, limiter)
-    given = common.reading(start, stop, transpose, tempo, tracks)
+    form = _Form(output, subtype, block, level_kind, PEAK if normalize is None else normalize, limiter)
+    keywords = common.reading(start, stop, transpose, tempo, tracks)
     if programs is not None and (instrument is not None or part or ensemble is not None):
         raise TonewoodError("is for a score without -i, --part and --ensemble", key="--programs")
     if instrument is None or part or ensemble is not None:
@@ -112,18 +112,18 @@ def render(
         one |= {"--strings": strings, "--limiter": limiter, "--live": live, "--allow-code": allow_code}
         one["--tracks"] = tracks if part or ensemble is not None else None
         _refuse(one)
-        players, lines = _players(score, given, part or (), ensemble, programs)
-        _render_parts(score, players, options, form, given, stems, lines, as_json)
+        players, lines = _players(score, keywords, part or (), ensemble, programs)
+        _render_parts(score, players, options, form, keywords, stems, lines, as_json)
         return
     split = _Stems(stems, stems_by)
     split.check(live=live, limiter=limiter)
-    if live and given != common.reading(0.0, None, 0.0, 1.0, tracks):
+    if live and keywords != common.reading(0.0, None, 0.0, 1.0, tracks):
         raise TonewoodError("repeats a take as it was: no excerpt, transposition, tempo", key="--live")
     began = time.perf_counter()
     bundle = common.load(instrument, settings, allow_code, strings)
     if options.preset is not None and "lead_in" not in options.model_fields_set and not live:
         options = options.at(lead_in="auto")  # a finished sound begins with the first finger on a string
-    rendered = _render_one(score, bundle, options.at(energy=bool(energy)), form, given, split, began, live=live)
+    rendered = _render_one(score, bundle, options.at(energy=bool(energy)), form, keywords, split, began, live=live)
     account = rendered.renderer.energy
     for path in energy or ():
         if account is not None:

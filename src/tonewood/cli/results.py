@@ -44,9 +44,9 @@ def results(
         others=[one for table in tables for one in table.listeners],
         others_left_out=[one for table in tables for one in table.left_out],
     )
-    place = output or folder / FOLDER
-    write_tables(analysis, place)
-    page = write_report(analysis, place, _facts(folder))
+    target = output or folder / FOLDER
+    write_tables(analysis, target)
+    page = write_report(analysis, target, _facts(folder))
     if as_json:
         sentences = {"summary": summary(analysis), "methods": methods(analysis)}
         print_json("results", {**analysis.to_dict(), **sentences, "report": str(page)})

@@ -1,4 +1,4 @@
-"""``tonewood taptone``: peaks and Q of what a microphone heard after taps."""
+"""``tonewood taptone``: frequency and Q of the modes that ring after taps."""
 
 from __future__ import annotations
 

@@ -134,8 +134,8 @@ def free_free_form(main: MainStructure, sub: FreeFreeModes, interface: NDArray[n
         project = np.zeros_like(Y)
 
     def corrective(from_gap: Floats, from_rate: Floats) -> Floats:
-        held = G @ from_gap
-        return np.asarray(held + project @ (from_rate - Y @ held))
+        forces = G @ from_gap
+        return np.asarray(forces + project @ (from_rate - Y @ forces))
 
     F_state = corrective(gap, -gap * squared)
     F_main = corrective(np.zeros(len(gap)), gap @ scatter_main)

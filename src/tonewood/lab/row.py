@@ -55,8 +55,8 @@ class Row:
 
 def misfit(values: ArrayLike, expected: ArrayLike) -> float:
     """Largest difference, relative to the largest expected value."""
-    wanted = np.asarray(expected)
-    return float(np.abs(np.asarray(values) - wanted).max() / np.abs(wanted).max())
+    reference = np.asarray(expected)
+    return float(np.abs(np.asarray(values) - reference).max() / np.abs(reference).max())
 
 
 def nearest(poles: Complexes, exact: complex) -> complex:

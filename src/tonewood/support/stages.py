@@ -1,4 +1,4 @@
-"""Stages of a computation that takes seconds, told to whoever listens: a terminal, or nobody."""
+"""Stages of a computation that takes seconds, reported to a listener, such as the terminal."""
 
 from __future__ import annotations
 

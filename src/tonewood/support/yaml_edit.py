@@ -1,4 +1,4 @@
-"""Changing a YAML file that people write: values replaced or keys removed, every other byte left as it is."""
+"""Replace values or remove keys in a YAML file that people write; every other byte stays."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def apply_edits(data: Mapping[str, Any], edits: Sequence[Edit]) -> dict[str, Any
     out = copy.deepcopy(dict(data))
     for edit in edits:
         *above, last = edit.path.split(".")
-        place = out
+        node = out
         for key in above:
-            place = place[key]
+            node = node[key]
         if edit.value is None:
-            del place[last]
+            del node[last]
         else:
-            place[last] = edit.value
+            node[last] = edit.value
     return out
 
 
@@ -46,13 +46,13 @@ def edit_text(text: str, edits: Sequence[Edit], *, file: str | os.PathLike[str] 
 
     Raises TonewoodError : the edited text would not hold exactly the values of `apply_edits`; names the first edit.
     """
-    wanted = apply_edits(parse_yaml(text, file=file), edits)
+    edited = apply_edits(parse_yaml(text, file=file), edits)
     mark = "\ufeff" if text.startswith("\ufeff") else ""
     new = text.removeprefix(mark)
     for edit in edits:
         new = _edited(new, edit)
     try:
-        same = parse_yaml(new) == wanted
+        same = parse_yaml(new) == edited
     except TonewoodError:
         same = False
     if not same:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tonewood.errors import TonewoodError
-from tonewood.lab.accuracy import answer, catalogue, report, tables
+from tonewood.lab.accuracy import catalogue, least_time, report, tables
 from tonewood.lab.accuracy.measures import energy_drift, pole_errors, wave_errors
 from tonewood.lab.accuracy.outcome import DECAY, PITCH, WAVEFORM, Outcome, Point, front, headlines, line, seconds_at
 
@@ -190,16 +190,16 @@ def test_page_has_all_tables_and_the_picture() -> None:
 
 def test_what_an_error_costs() -> None:
     """Our cheapest point that is good enough; of the others the quickest, read between its points."""
-    found = answer.cheapest(outcome(), PITCH, 0.05)
+    found = least_time.cheapest(outcome(), PITCH, 0.05)
     assert found is not None
     assert (found.seconds, found.cents_worst) == (0.1, 1e-9)  # of another dial
     by_rate = replace(outcome(), points=tuple(p for p in POINTS if p.dial == "fs"))
-    assert answer.cheapest(by_rate, PITCH, 0.05) == POINTS[1]
-    assert answer.cheapest(by_rate, PITCH, 1e-6) is None
-    name, seconds = answer.best_peer(outcome(), PITCH, 1e-2) or ("", 0.0)
+    assert least_time.cheapest(by_rate, PITCH, 0.05) == POINTS[1]
+    assert least_time.cheapest(by_rate, PITCH, 1e-6) is None
+    name, seconds = least_time.best_peer(outcome(), PITCH, 1e-2) or ("", 0.0)
     assert (name, seconds) == ("ab3", pytest.approx(10.0))
-    assert answer.best_peer(outcome(), PITCH, 1e-6) is None
-    assert "AB3 10 x" in answer.table([by_rate], PITCH)
+    assert least_time.best_peer(outcome(), PITCH, 1e-6) is None
+    assert "AB3 10 x" in least_time.table([by_rate], PITCH)
 
 
 def test_where_verlet_is_the_quicker_one() -> None:
@@ -207,13 +207,13 @@ def test_where_verlet_is_the_quicker_one() -> None:
     ours = [replace(POINTS[0], waveform=e, seconds=s) for e, s in ((1e-1, 1.0), (1e-2, 3.0), (1e-3, 10.0))]
     theirs = [replace(p, method="verlet", seconds=p.seconds / 5 * (1 if i < 2 else 10)) for i, p in enumerate(ours)]
     made = Outcome("tension", "", "", (WAVEFORM,), (*ours, *theirs))
-    above = answer.verlet_is_quicker_above(made)
+    above = least_time.verlet_is_quicker_above(made)
     assert above is not None
     assert 1e-3 < above < 1e-2
 
 
 def test_charts_are_drawn() -> None:
     pytest.importorskip("matplotlib")
-    from tonewood.lab.accuracy.answer import chart_png
+    from tonewood.lab.accuracy.least_time import chart_png
 
     assert chart_png([outcome()] * 3, dpi=30).startswith(b"\x89PNG")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tonewood.lab.accuracy.cases import PARTIALS, a2_case, fabre_case, sliding_string
+from tonewood.lab.accuracy.linear_cases import PARTIALS, a2_case, fabre_case, sliding_string
 from tonewood.lab.accuracy.study import AB3_LIMIT, Subject, exchanged, lowest_rate, own_point, scheme_point
 
 

@@ -67,8 +67,10 @@ class StringTuning:
         raised = cents(self._raised)
         return GivenTension(self.stops.string, tension, self.tension(0.0), constant, raised, stopping.stretch_cents)
 
-    def prepare(self, stops: Iterable[float]) -> None:
-        """Tune stops ahead, so that no note waits for it."""
+    def prepare(self, stops: Iterable[float], bent: Iterable[float] = ()) -> None:
+        """Tune stops ahead, and what bends of the `bent` ones need, so that no note waits for it."""
+        for stop in sorted(bent):
+            self._bend_gain(stop)
         for stop in sorted(set(stops)):
             if self.stops.stopping.finger is None:
                 self.tension(stop)

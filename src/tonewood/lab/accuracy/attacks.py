@@ -192,8 +192,8 @@ def switched_strings(times: int) -> Attack:
     stepper = KernelStepper(engine.system)
     for i in range(times):
         system = stepper.system
-        wanted = Watched(frozenset(() if now.on else effect.components))
-        now = switch(effect, Moment(system, state, engine.frettings, np.zeros(1)), now, wanted)
+        choice = Watched(frozenset(() if now.on else effect.components))
+        now = switch(effect, Moment(system, state, engine.frettings, np.zeros(1)), now, choice)
         switched = effect.apply(system, now.on, engine.frettings)
         if switched is not system:
             effect.reset(switched, state, effect.components)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from tonewood.errors import TonewoodError
-from tonewood.lab.accuracy.cases import Case, a2_case, fabre_case, guitar_case, harp_case
+from tonewood.lab.accuracy.linear_cases import Case, a2_case, fabre_case, guitar_case, harp_case
 from tonewood.lab.accuracy.nonlinear_cases import (
     NonlinearCase,
     hard_obstacle_case,

@@ -160,10 +160,10 @@ def hard_obstacle_case() -> NonlinearCase:
 
 def klosner_case() -> NonlinearCase:
     """Klosner & Ranlet's problem D, let go with the beam bent by 5 N and the chain following it as a whole."""
-    given = klosner_problems.problem_d()
-    parts = klosner_problems.components(given, "free-free")
-    assert given.mounting is not None
-    mount = Connection("mount", (Term("main", "seat"), Term("sub", "foot", -1.0)), given.mounting)
+    problem_d = klosner_problems.problem_d()
+    parts = klosner_problems.components(problem_d, "free-free")
+    assert problem_d.mounting is not None
+    mount = Connection("mount", (Term("main", "seat"), Term("sub", "foot", -1.0)), problem_d.mounting)
     seat = (Term("main", "seat"),)
     problem = Problem(parts, (Connection("seat", (Term("main", "seat", 0.0),)),), seat, seat)
     m, beam, sub = problem.real, problem.starts["main"], parts["sub"]

@@ -150,15 +150,15 @@ class Headline:
 
 def usual(points: Sequence[Point], measure: Measure) -> Point | None:
     """Our point at 48 kHz; in a study far from audio rates the middle one."""
-    own = [
+    ours = [
         p
         for p in points
         if p.method == OURS and p.dial == DIAL and np.isfinite(p.seconds) and np.isfinite(measure.of(p))
     ]
-    nearest = min(own, key=lambda p: abs(np.log(p.fs / USUAL_RATE)), default=None)
+    nearest = min(ours, key=lambda p: abs(np.log(p.fs / USUAL_RATE)), default=None)
     if nearest is None or nearest.fs > USUAL_RATE / 2:
         return nearest
-    return sorted(own, key=lambda p: p.fs)[len(own) // 2]
+    return sorted(ours, key=lambda p: p.fs)[len(ours) // 2]
 
 
 def headlines(points: Sequence[Point], measure: Measure) -> list[Headline]:

@@ -1,4 +1,4 @@
-"""Partials of sounds held against those of others: pitch, decay and level.
+"""Compare the partials of two sounds: pitch, decay and level.
 
 A motion that contacts or a bow make sensitive differs from stroke to stroke, however it is computed. Only properties
 that strokes have in common can be compared there: the mean energy of a partial in the course of the note, and its mean

@@ -1,4 +1,4 @@
-"""Motions that methods are held against.
+"""Reference motions that methods are compared with.
 
 `ExactMotion` superposes the coupled modes of a system found by an eigenvalue solver: exact, for some hundred modes.
 `FineMotion` is this project's scheme at 32 times the rate of a render, for systems of thousands of modes; how far it

@@ -6,7 +6,7 @@ import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from tonewood.lab.accuracy import answer
+from tonewood.lab.accuracy import least_time
 from tonewood.lab.accuracy.outcome import Outcome
 from tonewood.lab.accuracy.tables import expectation, headline_tables, section, summary_table, to_json
 from tonewood.support.page.offline import offline_page
@@ -117,7 +117,7 @@ class Study:
 
     def markdown(self, picture: str | None = None) -> str:
         """The page, without its appendix; `picture` is the path of the chart as seen from it."""
-        parts = ["# What does one cent cost?", answer.section(self.outcomes)]
+        parts = ["# What does one cent cost?", least_time.section(self.outcomes)]
         if picture is not None:
             parts.append(f"![Error against time, one system and one quantity a row]({picture})")
         parts += [READING, self._made, *(text for text, _ in self.more.values()), INTRODUCTION]

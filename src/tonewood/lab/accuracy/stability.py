@@ -17,7 +17,7 @@ import numpy as np
 
 from tonewood.lab.accuracy import attacks
 from tonewood.lab.accuracy.attacks import Attack, section
-from tonewood.lab.accuracy.cases import a2_case
+from tonewood.lab.accuracy.linear_cases import a2_case
 from tonewood.lab.accuracy.nonlinear_cases import STEEL, plucked_steel
 from tonewood.lab.accuracy.runs import ExplicitRun, KernelRun, Run, Scene, SchemeRun
 from tonewood.lab.accuracy.timing import Tell, silent
@@ -30,8 +30,9 @@ from tonewood.support.plain_values import finite
 HEAD = """\
 # Can it become unstable?
 
-No scene tried has made energy, at any rate, stiffness or mass. The table has the hardest ones; below it, methods of the
-literature on two systems that are merely let go. Why it is so: [theory](theory.md). Printed by
+For readers who ask whether a render can become unstable. No scene that was tried creates energy, at any rate, stiffness
+or mass. The first table lists the hardest scenes. Below it, methods of the literature step two systems that start from
+rest under a static force. [Theory](theory.md) explains why energy cannot grow. Printed by
 `tonewood accuracy --stability --report FILE.md`.
 
 ## Attacks"""

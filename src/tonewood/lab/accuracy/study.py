@@ -11,7 +11,8 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.lab.accuracy.cases import (
+from tonewood.lab.accuracy.catalogue import CASES, selected
+from tonewood.lab.accuracy.linear_cases import (
     FREQ_UPPER,
     Case,
     continuous_poles,
@@ -19,7 +20,6 @@ from tonewood.lab.accuracy.cases import (
     sliding_string,
     undamped,
 )
-from tonewood.lab.accuracy.catalogue import CASES, selected
 from tonewood.lab.accuracy.measures import energy_drift, pole_errors, wave_errors
 from tonewood.lab.accuracy.nonlinear_cases import NonlinearCase, Truth
 from tonewood.lab.accuracy.outcome import DECAY, PITCH, WAVEFORM, Outcome, Point
@@ -223,9 +223,9 @@ def own_point(
     subject: Subject, fs: float, *, problem: Problem | None = None, dial: str = "fs", value: str = ""
 ) -> Attempt:
     """The stepper of this project; modes up to 0.45 fs unless a basis is given."""
-    given = problem or subject.problem(min(FREQ_UPPER, FREQ_LIMIT * fs))
-    drift = problem is None and given is subject.problem()
-    return subject.attempt("tonewood", fs, lambda scene: KernelRun(scene, fs), given, drift, dial, value)
+    stepped = problem or subject.problem(min(FREQ_UPPER, FREQ_LIMIT * fs))
+    drift = problem is None and stepped is subject.problem()
+    return subject.attempt("tonewood", fs, lambda scene: KernelRun(scene, fs), stepped, drift, dial, value)
 
 
 def superposition_point(subject: Subject, fs: float = 48000.0) -> Attempt:
@@ -439,14 +439,14 @@ def timed(makes: Sequence[Callable[[], Attempt]], repeats: int, tell: Tell = sil
     makes : run one method each.
     tell : called with the share that is done, 0 to 1.
     """
-    known = []
+    attempts = []
     for done, make in enumerate(makes, 1):
-        known.append(make())
+        attempts.append(make())
         tell(0.7 * done / len(makes))
-    tasks = [a.task for a in known if a.task is not None]
+    tasks = [a.task for a in attempts if a.task is not None]
     timings: Iterator[Timing] = iter(measure(tasks, repeats, lambda share: tell(0.7 + 0.3 * share)))
     out = []
-    for a in known:
+    for a in attempts:
         if a.task is None:
             out.append(a.point)
             continue

@@ -145,14 +145,14 @@ class Setting:
     @property
     def options(self) -> dict[str, Any]:
         """Keywords of a `Renderer`."""
-        given: dict[str, Any] = {"oversampling": self.oversampling}
+        keywords: dict[str, Any] = {"oversampling": self.oversampling}
         if self.freq_limit is not None:
-            given["freq_limit"] = self.freq_limit
+            keywords["freq_limit"] = self.freq_limit
         if self.effects is not None:
-            given["effects"] = self.effects
+            keywords["effects"] = self.effects
         if self.budgets is not None:
-            given |= {"budget_cents": self.budgets[0], "budget_db": self.budgets[1]}
-        return given
+            keywords |= {"budget_cents": self.budgets[0], "budget_db": self.budgets[1]}
+        return keywords
 
     @property
     def words(self) -> str:
@@ -215,9 +215,9 @@ class Frontier:
 
     def within(self, name: str, value: float) -> Tried | None:
         """The cheapest setting whose error of one measure, the reference's own added, is no larger."""
-        own = getattr(self.own, name)
+        error = getattr(self.own, name)
         sizes = ((t, getattr(t.errors, name)) for t in self.tried)
-        return next((t for t, e in sizes if e is not None and own is not None and e + own <= value), None)
+        return next((t for t, e in sizes if e is not None and error is not None and e + error <= value), None)
 
     def on_front(self, tried: Tried, name: str) -> bool:
         """Whether no cheaper setting has as small an error of one measure."""
@@ -237,9 +237,9 @@ def cases_of(instrument: Instrument, notes: Sequence[str], fs: int) -> list[Note
     Raises TonewoodError : there is no such string, or it has no such stop.
     """
     names = instrument.string_names
-    wanted = list(notes) or [names[0], names[len(names) // 2], names[-1]]
+    texts = list(notes) or [names[0], names[len(names) // 2], names[-1]]
     out = []
-    for text in dict.fromkeys(wanted):
+    for text in dict.fromkeys(texts):
         string, _, stop = text.partition(":")
         if string not in names:
             raise TonewoodError(f"there is no string {string!r}; there is {', '.join(names)}", key="--notes")

@@ -1,4 +1,4 @@
-"""Components held together at one frequency: unconstrained response plus the correction by constraint forces.
+"""Rigidly connected components at one frequency: free response plus the correction by constraint forces.
 
     y = H_oi u + H_oc f,    0 = H_ci u + H_cc f    =>    y = (H_oi - H_oc H_cc^+ H_ci) u,
 
@@ -37,7 +37,7 @@ def _receptance(
 ) -> Complexes:
     """(n_freq, len(rows), len(columns)) of uncoupled components, between weighted sums of points."""
     out = np.zeros((len(freq), len(rows), len(columns)), dtype=np.complex128)
-    known: dict[tuple[str, str, str], Complexes] = {}
+    responses: dict[tuple[str, str, str], Complexes] = {}
     for i, row in enumerate(rows):
         for j, column in enumerate(columns):
             for a in row:
@@ -45,7 +45,7 @@ def _receptance(
                     if a.component != b.component:
                         continue
                     key = (a.component, a.point, b.point)
-                    if key not in known:
-                        known[key] = problem.components[a.component].frf(freq, a.point, b.point, "receptance")
-                    out[:, i, j] += a.factor * b.factor * known[key]
+                    if key not in responses:
+                        responses[key] = problem.components[a.component].frf(freq, a.point, b.point, "receptance")
+                    out[:, i, j] += a.factor * b.factor * responses[key]
     return out

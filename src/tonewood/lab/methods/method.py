@@ -1,8 +1,8 @@
 """Every method, described once: its names, the order it claims, whose it is, and how it steps.
 
 `order` is that of the error of a coupled pole as the step shrinks: if the method's poles approach the true ones as
-dt^p, so does a free motion. A step is given as arrays of the compiled loop (`schemes`), as a dense matrix (`matrices`),
-or as both, which then come from different code and are compared by the tests.
+dt^p, so does a free motion. A step is given as arrays of the compiled loop (`loop_arrays`), as a dense matrix
+(`matrices`), or as both, which then come from different code and are compared by the tests.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from tonewood.lab.methods import forms, matrices, schemes
+from tonewood.lab.methods import forms, loop_arrays, matrices
 from tonewood.lab.methods.problem import Problem, StepMap
 from tonewood.lab.methods.scheme import Scheme
 from tonewood.lab.newmark import AVERAGE_ACCELERATION, HHT
@@ -70,12 +70,14 @@ def _ab3(form: Callable[[Problem], forms.Ode]) -> Callable[[Problem, float], Ste
 
 def _newmark(name: str, title: str, short: str) -> Method:
     rule = AVERAGE_ACCELERATION if name == "newmark" else HHT
-    return Method(name, title, 2, "structural dynamics", partial(schemes.newmark, method=rule), real=True, short=short)
+    return Method(
+        name, title, 2, "structural dynamics", partial(loop_arrays.newmark, method=rule), real=True, short=short
+    )
 
 
 def _interpolated(degree: int, matrix: Callable[[Problem, float], StepMap] | None = None) -> Method:
     name, order = f"P{degree}", (1, 2, 3)[degree]
-    scheme = partial(schemes.interpolated, degree=degree)
+    scheme = partial(loop_arrays.interpolated, degree=degree)
     return Method(name.lower(), f"{name}, acceleration constraint", order, CHINNAKONDA, scheme, matrix, short=name)
 
 
@@ -83,34 +85,34 @@ def _interpolated(degree: int, matrix: Callable[[Problem, float], StepMap] | Non
 METHODS = {
     m.name: m
     for m in (
-        Method("tonewood", "tonewood", 4, OURS, schemes.held_position, short="tonewood"),
+        Method("tonewood", "tonewood", 4, OURS, loop_arrays.held_position, short="tonewood"),
         Method(
             "held_position", "tonewood's scheme, a sweep per sample", 4, OURS,
-            schemes.held_position, matrices.held_position,
+            loop_arrays.held_position, matrices.held_position,
         ),
         Method(
             "held_velocity", "held force, velocity constraint", 2, "velocity-level constraint on the exact flow",
-            schemes.held_velocity, matrices.held_velocity, short="velocity level",
+            loop_arrays.held_velocity, matrices.held_velocity, short="velocity level",
         ),
         _interpolated(0, matrices.held_acceleration),
         _interpolated(1),
         _interpolated(2),
         Method(
-            "trapezoidal", "trapezoidal, acceleration constraint", 2, CHINNAKONDA, schemes.trapezoidal,
+            "trapezoidal", "trapezoidal, acceleration constraint", 2, CHINNAKONDA, loop_arrays.trapezoidal,
             short="trapezoidal",
         ),
-        Method("simpson", "Simpson, acceleration constraint", 3, CHINNAKONDA, schemes.simpson, short="Simpson"),
+        Method("simpson", "Simpson, acceleration constraint", 3, CHINNAKONDA, loop_arrays.simpson, short="Simpson"),
         Method(
             "linear_position", "P1 constraint force, position constraint", 4, "P1 constraint force on the exact flow",
-            schemes.linear_position, matrices.linear_position,
+            loop_arrays.linear_position, matrices.linear_position,
         ),
         Method(
             "ab3", "Adams-Bashforth 3, Udwadia-Kalaba", 3, f"{FABRE}, Eq. 26",
-            schemes.adams_bashforth, _ab3(forms.general), short="AB3",
+            loop_arrays.adams_bashforth, _ab3(forms.general), short="AB3",
         ),
         Method(
             "ab3_paper", "Adams-Bashforth 3 with 150 string modes, as published", 3, f"{FABRE}, Eq. 26",
-            schemes.adams_bashforth,
+            loop_arrays.adams_bashforth,
         ),
         Method("ab3_compact", "Adams-Bashforth 3, compact form", 3, f"{FABRE}, Eq. 31", None, _ab3(forms.compact)),
         Method(
@@ -119,7 +121,7 @@ METHODS = {
         ),
         Method(
             "verlet", "velocity Verlet, Udwadia-Kalaba", 2, ANTUNES,
-            schemes.verlet, matrices.velocity_verlet, True, short="Verlet",
+            loop_arrays.verlet, matrices.velocity_verlet, True, short="Verlet",
         ),
         _newmark("newmark", "Newmark, average acceleration", "Newmark"),
         _newmark("hht", "HHT-alpha (-0.3)", "HHT"),

@@ -1,4 +1,4 @@
-"""Problem that every method steps: components held together rigidly, some forces, some displacements to read.
+"""The problem that every method steps: rigidly connected components, input forces and displacement outputs.
 
     x' = A x + B f,   gaps g = C x,   constraint forces f,   two numbers per mode.
 
@@ -317,10 +317,10 @@ class StepMap:
     def advance(self, x: Array, forces: ArrayLike) -> tuple[Floats, Array]:
         """Displacements (n, n_outputs) from the state x (k,) on, and the state at the last of them."""
         u = np.asarray(forces, dtype=np.float64)
-        known = u[:-1] @ self.now.T + u[1:] @ self.next.T
+        scatters = u[:-1] @ self.now.T + u[1:] @ self.next.T
         out = np.empty((len(u), len(self.output)))
         out[0] = (self.output @ x).real
-        for n, scatter in enumerate(known, start=1):
+        for n, scatter in enumerate(scatters, start=1):
             x = self.T @ x + scatter
             out[n] = (self.output @ x).real
         return out, x

@@ -101,8 +101,10 @@ def rows() -> Iterator[Row]:
         mpc = phase_collinearity(given[name].right)
         for k, (freq, collinearity) in enumerate(table):
             source = "Fabre 2024, Table 1; the reconstruction was fitted to it"
-            made = given[name].natural_freq[k]
-            yield Row(SYSTEM, f"{name} mode {k + 1} frequency (Hz)", source, freq, made, 0.005, kind="regression")
+            freq_computed = given[name].natural_freq[k]
+            yield Row(
+                SYSTEM, f"{name} mode {k + 1} frequency (Hz)", source, freq, freq_computed, 0.005, kind="regression"
+            )
             quantity = f"{name} mode {k + 1} MPC"
             yield Row(SYSTEM, quantity, source, collinearity, float(mpc[k]), 0.0051, kind="regression")
 

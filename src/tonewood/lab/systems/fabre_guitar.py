@@ -92,8 +92,8 @@ def rows() -> Iterator[Row]:
 
     exact = exact_string()
     fine = string(freq_upper=0.45 * 96000)
-    held = Problem({"string": fine}, (Connection("wall", (Term("string", "bridge"),)),))
-    poles = held_position(held, 1 / 96000).poles()
+    string_alone = Problem({"string": fine}, (Connection("wall", (Term("string", "bridge"),)),))
+    poles = held_position(string_alone, 1 / 96000).poles()
     for n in (1, 10, 20):
         reference = exact.pole(n)
         closed = "n f0 sqrt(1 + B n^2)"
@@ -167,13 +167,13 @@ def plots(directory: Path) -> list[Path]:
     force.set(ylabel="force on string (N)", title="Guitar of Fabre 2024, Fig. 5")
     freq = np.arange(40.0, 1500.0, 0.1)
     for number, case, style in ((1, "complex", "k"), (2, "proportional", "C3--")):
-        given = problem(basis, case)
-        y = pluck(given, fs, 2.0) * 1e3
+        system = problem(basis, case)
+        y = pluck(system, fs, 2.0) * 1e3
         label = f"case {number}: {case}"
         wave.plot(times, y, style, linewidth=1, label=label)
         near = (times >= 1.0) & (times <= 1.1)
         start.plot(times[near], y[near], style, linewidth=1, label=label)
-        level = 20 * np.log10(np.abs(coupled_receptance(given, freq)[:, 0, 0]))
+        level = 20 * np.log10(np.abs(coupled_receptance(system, freq)[:, 0, 0]))
         spectrum.plot(freq, level, style, linewidth=1, label=label)
     for n in range(1, 17):
         f = coupled_pole(exact, body_receptance, n).imag / (2 * np.pi)

@@ -160,12 +160,12 @@ def plots(directory: Path) -> list[Path]:
     fs, freq = 48000, np.arange(60.0, 1800.0, 0.1)
     levels = {}
     for number, case, style in ((1, "complex", "k"), (2, "proportional", "C3"), (3, "block", "C0")):
-        given = problem(60, case)
+        system = problem(60, case)
         label = f"case {number}: {case}" if number < 3 else case
-        levels[case] = 20 * np.log10(np.abs(coupled_receptance(given, freq)[:, 0, 0] * (2 * np.pi * freq) ** 2))
+        levels[case] = 20 * np.log10(np.abs(coupled_receptance(system, freq)[:, 0, 0] * (2 * np.pi * freq) ** 2))
         spectrum.plot(freq, levels[case], style + ("--" if number == 3 else ""), linewidth=1, label=label)
         if number < 3:
-            y = pluck(given, fs, RAMP + 0.06)
+            y = pluck(system, fs, RAMP + 0.06)
             acceleration = np.diff(y, 2)[round((RAMP - 0.01) * fs) :] * fs**2
             wave.plot((np.arange(len(acceleration)) / fs - 0.01) * 1e3, acceleration, style, linewidth=0.8, label=label)
         else:

@@ -71,8 +71,8 @@ def coupled_frequencies(form: str, n_modes: int, count: int) -> Floats:
     n = len(A) // 2
     squared = np.sort(sla.eigvals(-A[n:, :n]).real)
     # sines of even order are at rest at the middle and stay as they were
-    own = BEAM.natural_freq_rad(n_modes)[1::2]
-    apart = [w for w in np.sqrt(squared) if np.abs(own - w).min() > 1e-9 * w]
+    symmetric = BEAM.natural_freq_rad(n_modes)[1::2]
+    apart = [w for w in np.sqrt(squared) if np.abs(symmetric - w).min() > 1e-9 * w]
     return np.array(apart[:count])
 
 

@@ -159,15 +159,15 @@ def assembled(problem: Problem, dt: float, n: int) -> Motion:
     n_main, n_sub = len(problem.main.M), len(problem.sub_mass)
     sub = Matrices(problem.sub_mass, np.zeros((n_sub, n_sub)), problem.sub_stiffness)
     if problem.mounting is None:
-        place = np.zeros((n_sub, n_main + n_sub - 1))
-        place[0, :n_main] = problem.attachment
-        place[1:, n_main:] = np.eye(n_sub - 1)
+        embed = np.zeros((n_sub, n_main + n_sub - 1))
+        embed[0, :n_main] = problem.attachment
+        embed[1:, n_main:] = np.eye(n_sub - 1)
     else:
-        place = np.hstack([np.zeros((n_sub, n_main)), np.eye(n_sub)])
-    whole = joined([problem.main, sub], [np.eye(n_main, place.shape[1]), place])
+        embed = np.hstack([np.zeros((n_sub, n_main)), np.eye(n_sub)])
+    whole = joined([problem.main, sub], [np.eye(n_main, embed.shape[1]), embed])
     size = len(whole.M)
     to_main = np.concatenate([problem.attachment, np.zeros(size - n_main)])
-    to_sub = place.T @ problem.sub_direction
+    to_sub = embed.T @ problem.sub_direction
     acceleration = sla.solve(whole.M, np.stack([to_main, to_sub], axis=1))
     columns = np.vstack([np.zeros((size, 2)), acceleration])
     on_main, on_sub = _sampled(problem, dt, n)
@@ -175,11 +175,11 @@ def assembled(problem: Problem, dt: float, n: int) -> Motion:
         A = state_matrix(whole)
         x = _superposed(A, columns[:, 0], columns[:, 1:], problem, dt, n)
         rate = x @ A[size:].T + np.outer(on_main, acceleration[:, 0]) + np.outer(on_sub, acceleration[:, 1])
-        d = x[:, :size] @ place.T
+        d = x[:, :size] @ embed.T
         # momentum balance of the foot: M d'' + K d = F at the interface, less the external force there
-        force = (rate @ place.T @ problem.sub_mass + d @ problem.sub_stiffness)[:, 0]
+        force = (rate @ embed.T @ problem.sub_mass + d @ problem.sub_stiffness)[:, 0]
         return Motion(x[:, :size] @ to_main, d, force - on_sub * problem.sub_direction[0])
-    law, gap = problem.mounting, to_main - place[0]
+    law, gap = problem.mounting, to_main - embed[0]
     per_force = sla.solve(whole.M, gap)
     stiff = sla.solve(whole.M, whole.K)
 
@@ -189,7 +189,7 @@ def assembled(problem: Problem, dt: float, n: int) -> Motion:
 
     x = _integrated(rate_of, size, problem, dt, n)
     force = np.array([-continuous_force(law, gap @ q, gap @ v) for q, v in zip(x[:, :size], x[:, size:], strict=True)])
-    return Motion(x[:, :size] @ to_main, x[:, :size] @ place.T, force)
+    return Motion(x[:, :size] @ to_main, x[:, :size] @ embed.T, force)
 
 
 def by_form(problem: Problem, form: str, dt: float, n: int) -> Motion:

@@ -92,8 +92,8 @@ class Engine:
 
     def __init__(self, model: Model, timeline: Timeline, *, energy: bool = False):
         self.model, self.timeline = model, timeline
-        for name, stops in timeline.stops.items():
-            model.strings[name].tuning.prepare(stops)
+        for name in timeline.stops.keys() | timeline.bent.keys():
+            model.strings[name].tuning.prepare(timeline.stops.get(name, ()), timeline.bent.get(name, ()))
         self.effects = runtime_effects(model)
         switched = [effect for effect in self.effects if isinstance(effect, SwitchedEffect)]
         for effect in switched:

@@ -72,6 +72,18 @@ class Timeline:
         return stops
 
     @cached_property
+    def bent(self) -> dict[str, set[float]]:
+        """String -> stops at which it is bent."""
+        stop, cents, bent = dict[str, float](), dict[str, float](), dict[str, set[float]]()
+        for change in self.changes:
+            name = change.string
+            stop[name] = stop.get(name, 0.0) if change.stop is None else change.stop
+            cents[name] = cents.get(name, 0.0) if change.cents is None else change.cents
+            if cents[name]:
+                bent.setdefault(name, set()).add(stop[name])
+        return bent
+
+    @cached_property
     def start(self) -> float:
         """Time of the first thing that happens, s, at most 0."""
         return min([0.0, *(c.time for c in self.changes), *(p.start for p in self.plays)])

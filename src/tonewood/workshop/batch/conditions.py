@@ -176,11 +176,11 @@ def _places(manifest: Manifest) -> Iterator[dict[str, str]]:
         )
     seen: set[tuple[str, ...]] = set()
     for row in rows:
-        place = {name: row[name] for name in choices}
-        key = tuple(place.values())
-        if key not in seen and not any(rule.items() <= place.items() for rule in manifest.exclude):
+        levels = {name: row[name] for name in choices}
+        key = tuple(levels.values())
+        if key not in seen and not any(rule.items() <= levels.items() for rule in manifest.exclude):
             seen.add(key)
-            yield place
+            yield levels
 
 
 def _condition(

@@ -104,8 +104,10 @@ def _sources(instruments: Iterable[Mapping[str, Any]]) -> set[tuple[str, str, st
     sources = set()
     for parameters in instruments:
         for source in (parameters.get("sources") or {}).values():
-            place = f", doi:{source['doi']}" if source.get("doi") else f", {source['url']}" if source.get("url") else ""
-            sources.add((source["text"] + place, source["licence"], source.get("changes") or ""))
+            address = (
+                f", doi:{source['doi']}" if source.get("doi") else f", {source['url']}" if source.get("url") else ""
+            )
+            sources.add((source["text"] + address, source["licence"], source.get("changes") or ""))
     return sources
 
 

@@ -45,8 +45,8 @@ def write_outputs(
     rows = records.file_records(files, conditions, plan.identities, renders)
     if "test" in formats:
         drops = {f.group: f.page_drop_db for f in files}
-        made = definition.definition_of(manifest, groups, by_code, plan.source, drops)
-        records.write_json(folder / definition.FILE, made)
+        test = definition.definition_of(manifest, groups, by_code, plan.source, drops)
+        records.write_json(folder / definition.FILE, test)
     if "html" in formats:
         if manifest.output.pictures:
             _draw_differences(groups, by_code, folder, workers)

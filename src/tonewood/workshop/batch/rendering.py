@@ -248,9 +248,9 @@ class _Base:
         head = draw.path.split(".")
         if head[0] == "exciters" and head[1] not in ("*", exciter):
             return None
-        given = getattr(note, name)
-        if given is not None:
-            return float(given)
+        of_note = getattr(note, name)
+        if of_note is not None:
+            return float(of_note)
         if name not in ("force", "from_bridge", "angle_deg"):  # the instrument has no value of its own
             return None
         if name == "force" and note.velocity_midi is not None:

@@ -112,9 +112,9 @@ def plan_batch(
         raise ManifestError(fault.reason, file=manifest_path, key=fault.key) from None
     todo: dict[str, Condition] = {}
     for condition in (*conditions, *(level.condition for level in levels)):
-        wanted = keys.get(condition.name)
-        if wanted is not None and wanted not in todo and not store.has(wanted):
-            todo[wanted] = condition
+        expected_key = keys.get(condition.name)
+        if expected_key is not None and expected_key not in todo and not store.has(expected_key):
+            todo[expected_key] = condition
     # one instrument after the other: workers keep the models that they used last
     order = sorted(
         todo, key=lambda key: json.dumps([(c := todo[key]).bundle, c.overrides], default=str, sort_keys=True)

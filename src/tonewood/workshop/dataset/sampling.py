@@ -91,14 +91,14 @@ def samples(dataset: Dataset, folder: Path) -> list[Sample]:
     each = dataset.size or math.prod(len(p.grid()) for p in dataset.parameters.values())
     if (count := len(dataset.instruments) * len(scores) * each) > MAX_SOUNDS:
         raise ManifestError(f"{count} sounds; {MAX_SOUNDS} are allowed", key="parameters")
-    made: list[Sample] = []
+    plan: list[Sample] = []
     for instrument, bundle in dataset.instruments.items():
-        place = bundle_of(bundle, folder)
+        source_folder = bundle_of(bundle, folder)
         for score, source in scores.items():
             for k, values in enumerate(points(dataset, (instrument, score))):
-                condition = _condition(dataset, (instrument, place), score, k, values, source)
-                made.append(Sample(len(made), values, condition))
-    return made
+                condition = _condition(dataset, (instrument, source_folder), score, k, values, source)
+                plan.append(Sample(len(plan), values, condition))
+    return plan
 
 
 def _condition(

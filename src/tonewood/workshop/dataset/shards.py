@@ -93,8 +93,8 @@ def make(task: ShardTask) -> Shard:
             pieces.append(whole)
             digest = hashlib.sha256(np.ascontiguousarray(whole, dtype="<i4").tobytes()).hexdigest()
             peak = float(np.max(np.abs(whole))) / 2.0 ** (BITS[sounds.subtype] - 1)
-            own = {"stem": stem, "start": start, "frames": len(whole), "sha256": digest, "peak": peak}
-            rows.append({**facts, **own, "file": f"{shard_name(task.number)}.flac"})
+            record = {"stem": stem, "start": start, "frames": len(whole), "sha256": digest, "peak": peak}
+            rows.append({**facts, **record, "file": f"{shard_name(task.number)}.flac"})
             start += len(whole)
         notes += [note_row(condition.name, note) for note in sound.notes]
         files |= _labels(task, sample, sound)

@@ -86,12 +86,12 @@ class DrawnDesign:
         self._known: Floats = np.zeros((0, 0))
 
     def _body(self, values: Sequence[float] | Floats) -> WholeBody:
-        made = changed(self._instrument, self._free, values)
-        drawing = replace(_drawing(made), fmax=self._below)
+        instrument = changed(self._instrument, self._free, values)
+        drawing = replace(_drawing(instrument), fmax=self._below)
         drawing = replace(drawing, top=replace(drawing.top, size=self._cells.top.size))
         if drawing.back is not None and self._cells.back is not None:
             drawing = replace(drawing, back=replace(drawing.back, size=self._cells.back.size))
-        return WholeBody(drawing, lumps(made))
+        return WholeBody(drawing, lumps(instrument))
 
     def at(self, values: Sequence[float]) -> DrawnResonances:
         """Return the resonances for values of the parameters."""
@@ -100,18 +100,18 @@ class DrawnDesign:
         self._modes = self._whole.modes(below=_HELP * self._below)
         self._count = max(1, int(np.count_nonzero(self._modes[0] < (2 * np.pi * self._below) ** 2)))
         vectors = self._modes[1][:, : self._count]
-        found = self._whole.described(self._modes[0][: self._count], vectors, self._mobility)
-        self._named = self._followed(found.named, vectors)
+        description = self._whole.described(self._modes[0][: self._count], vectors, self._mobility)
+        self._named = self._followed(description.named, vectors)
         self._known = vectors
-        return self._damped(replace(found, named=self._named), self._values)
+        return self._damped(replace(description, named=self._named), self._values)
 
     def _damped(self, modes: LowModes, values: Floats) -> DrawnResonances:
         """Resonances with the tuned dampers of the design at values of the parameters."""
-        made = changed(self._instrument, self._free, values)
-        dampers = [entry for entry in made.spec.body.added if entry.frequency is not None]
+        instrument = changed(self._instrument, self._free, values)
+        dampers = [entry for entry in instrument.spec.body.added if entry.frequency is not None]
         if not dampers:
             return DrawnResonances(modes)
-        omega, points = 2 * np.pi * modes.freq, made.body.points()
+        omega, points = 2 * np.pi * modes.freq, instrument.body.points()
         shapes = dict(zip(points, modes.shapes, strict=True))
         basis = ModalBasis.real(omega, 0.5 * omega * modes.loss, shapes, residual=modes.residual)
         mass = modes.mass + sum(entry.mass for entry in dampers)
@@ -160,13 +160,13 @@ class DrawnDesign:
     def beside(self, i: int) -> tuple[DrawnResonances, DrawnResonances, float]:
         """Return the resonances less and more a step of parameter i, to first order."""
         less, more, step = self._sides(i)
-        found = body_change(self._whole, *self._modes, less, more, step, self._count, self._mobility)
+        change = body_change(self._whole, *self._modes, less, more, step, self._count, self._mobility)
         values = self._values.copy()
         low, high = self._free[i].low, self._free[i].high
         values[i] = min(max(values[i], low + step), high - step)
         below, above = (
             self._damped(replace(x, named=self._named), values + by * np.eye(len(values))[i])
-            for x, by in ((found.less, -step), (found.more, step))
+            for x, by in ((change.less, -step), (change.more, step))
         )
         return below, above, step
 
@@ -240,8 +240,8 @@ class TabledResonances:
     def mobility(self, point: int, freq: Floats) -> Complexes:
         """(f,) m/s/N, to first order in the parameter beside which it stands."""
         omega = 2 * np.pi * freq
-        own = np.array([self.basis.points[point]])
-        value = _mobility(self.basis, omega, [own[0]], [own[0]])[:, 0, 0]
+        rows = np.array([self.basis.points[point]])
+        value = _mobility(self.basis, omega, [rows[0]], [rows[0]])[:, 0, 0]
         change = self.less.get(point)
         return value if change is None else np.asarray(value + change(omega))
 
@@ -313,10 +313,10 @@ class MeasuredDesign:
         def change(omega: Floats) -> Complexes:
             total = np.zeros(len(omega), dtype=np.complex128)
             for name, factor, (rate, below), massive in rates:
-                own, s = [self._whole.points[point]], 1j * omega
+                points, s = [self._whole.points[point]], 1j * omega
                 z = factor**2 * np.polyval(rate, s) / np.polyval(below, s) / s
-                to = _mobility(self._whole, omega, own, [name], massive)[:, 0, 0]
-                back = _mobility(self._whole, omega, [name], own, massive)[:, 0, 0]
+                to = _mobility(self._whole, omega, points, [name], massive)[:, 0, 0]
+                back = _mobility(self._whole, omega, [name], points, massive)[:, 0, 0]
                 total -= to * z * back
             return by * total
 

@@ -91,8 +91,8 @@ class DrawnResonances:
     def mobility(self, point: int, freq: Floats) -> Complexes:
         """(f,) m/s/N: i omega (sum phi^2 / (omega_k^2 - omega^2 + i omega omega_k eta_k) + R)."""
         w, own = 2 * np.pi * freq[:, None], 2 * np.pi * self.modes.freq
-        held = self.modes.shapes[point] ** 2 / (own**2 - w**2 + 1j * w * own * self.modes.loss)
-        return np.asarray(1j * w[:, 0] * (held.sum(axis=1) + self.modes.residual[point, point]))
+        receptance = self.modes.shapes[point] ** 2 / (own**2 - w**2 + 1j * w * own * self.modes.loss)
+        return np.asarray(1j * w[:, 0] * (receptance.sum(axis=1) + self.modes.residual[point, point]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,15 +147,15 @@ def _figure(target: Target, found: Resonances, points: Sequence[str], ends: Sequ
     if target.kind == "wolf":
         return worst_wolf(found, ends, target.band)
     moves = np.flatnonzero(found.freq > _RIGID * found.freq[:4].max(initial=0.0))
-    known = {str(k + 1): int(mode) for k, mode in enumerate(moves)} | dict(found.named)
-    if target.mode not in known:
+    modes = {str(k + 1): int(mode) for k, mode in enumerate(moves)} | dict(found.named)
+    if target.mode not in modes:
         named = ", ".join(found.named) or "none has a name"
         raise TonewoodError(
             f"{target.text!r}: this body has no such mode; of {len(moves)} modes looked at, {named}: "
             "`mode N` counts them",
             key="targets",
         )
-    return float(found.freq[known[target.mode]])
+    return float(found.freq[modes[target.mode]])
 
 
 def worst_wolf(found: Resonances, ends: Sequence[StringEnd], band: tuple[float, float]) -> float:

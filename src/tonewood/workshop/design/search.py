@@ -1,4 +1,4 @@
-"""The design nearest to the given one that reaches its targets: bounded least squares with derivatives by theory.
+"""The smallest change of a design that reaches its targets: bounded least squares with analytic derivatives.
 
     minimise  sum_t (off_t / weight_t)^2 + sum_i (LEAST (p_i - p_i0) / (high_i - low_i))^2,    low_i <= p_i <= high_i
 
@@ -86,13 +86,13 @@ def find_design(
     search = _Search(instrument, targets, free, tell)
     before = np.array([p.start for p in free])
     tell("the body as it is, in full")
-    given = search.full(instrument, None)
+    original = search.full(instrument, None)
     tell("search")
     values = search.run(before)
     for again in (True, False):
-        made = changed(instrument, free, values)
+        variant = changed(instrument, free, values)
         tell("the design in full")
-        reached = search.full(made, search.figures_at(values))
+        reached = search.full(variant, search.figures_at(values))
         if again and not isinstance(search.body, MeasuredDesign):
             search.correct(values, reached)
             tell("search, corrected by it")
@@ -104,7 +104,7 @@ def find_design(
         tuple(free),
         before,
         values,
-        given,
+        original,
         reached,
         search.rates(values),
         changed(instrument, free, values),

@@ -60,16 +60,16 @@ def sensitivity(instrument: Instrument) -> Sensitivity:
     free = parse_free(dict(list(lines.items())[:_ROWS]), massive)
     start = [p.base[0] if not p.kind else 0.0 for p in free]
     body = DrawnDesign(massive, free, _BELOW / 1.3, mobility=False) if drawn else MeasuredDesign(massive, free)
-    found = body.at(start)
-    chosen = np.flatnonzero(found.freq > 1.0)[:_MODES]
+    resonances = body.at(start)
+    chosen = np.flatnonzero(resonances.freq > 1.0)[:_MODES]
     rows = {}
     for i, parameter in enumerate(free):
         rates = body.freq_rates(i) if isinstance(body, DrawnDesign) else _rates(body, i)
         unit = _DIMENSION if parameter.kind == "+" else _MASS
-        rows[names[parameter.name]] = 1200 / np.log(2) * rates[chosen] / found.freq[chosen] * unit
-    called = {k: name for name, k in found.named.items()}
+        rows[names[parameter.name]] = 1200 / np.log(2) * rates[chosen] / resonances.freq[chosen] * unit
+    called = {k: name for name, k in resonances.named.items()}
     labels = tuple(called.get(int(k), str(n)) for n, k in enumerate(chosen, 1))
-    return Sensitivity(found.freq[chosen], labels, rows, (*remarks, "the cents are first derivatives"))
+    return Sensitivity(resonances.freq[chosen], labels, rows, (*remarks, "the cents are first derivatives"))
 
 
 def _points(instrument: Instrument) -> list[str]:

@@ -1,4 +1,4 @@
-"""What is wanted of a design, and what may change for it: lines of a YAML file or of the command line.
+"""Targets of a design and its free parameters, read from a YAML file or the command line.
 
 targets:                                  free:
 - T1 = 200                                body.thickness: 2.0e-3 .. 3.0e-3       # the value itself
@@ -187,7 +187,7 @@ def parse_free(lines: Mapping[str, str], instrument: Instrument) -> list[Free]:
     if not 0 < len(lines) <= _MOST:
         raise TonewoodError(f"there are {len(lines)}; 1 to {_MOST} are allowed, PATH: LOW .. HIGH", key="free")
     leaves = dict(_leaves(instrument.resolved.get("body"), "body"))
-    found: list[Free] = []
+    parameters: list[Free] = []
     for path, line in lines.items():
         match = _FREE.fullmatch(" ".join(line.split()))
         if match is None or not float(match["low"]) < float(match["high"]):
@@ -197,16 +197,16 @@ def parse_free(lines: Mapping[str, str], instrument: Instrument) -> list[Free]:
         if not chosen:
             hint = did_you_mean(path, leaves)
             raise TonewoodError(f"leads to no number of the body; {hint}see `tonewood schema`", key=path)
-        made = Free(
+        parameter = Free(
             path, tuple(chosen), tuple(chosen.values()), match["kind"], float(match["low"]), float(match["high"])
         )
-        if not made.kind and len(set(made.base)) > 1:
+        if not parameter.kind and len(set(parameter.base)) > 1:
             raise TonewoodError("are several numbers: x LOW .. HIGH or + LOW .. HIGH keep their differences", key=path)
-        for other in found:
-            if both := set(other.paths) & set(made.paths):
+        for other in parameters:
+            if both := set(other.paths) & set(parameter.paths):
                 raise TonewoodError(f"sets {min(both)}, which {other.name} sets as well", key=path)
-        found.append(made)
-    return found
+        parameters.append(parameter)
+    return parameters
 
 
 def _under(path: str, pattern: str) -> bool:

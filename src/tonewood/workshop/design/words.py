@@ -1,4 +1,4 @@
-"""A design in words: what to change, what that reaches, what trades with what."""
+"""A design in words: changes, targets reached, and trade-offs between targets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Body modes that single notes tell: what rings below the fundamental of high notes.
+"""Body modes from single notes: they ring below the fundamental of high notes.
 
 Below 0.8 f0 a note has no partials of its own. What rings there after the pluck are modes of the body, and partials of
 open strings that move with it. All notes that are high enough share these modes, so that the Hankel matrices of their
@@ -63,12 +63,12 @@ def body_modes(notes: Iterable[Sequence[Complexes | None]], open_strings: Sequen
     rows, rng = list(notes), np.random.default_rng(1)
     draws: list[Floats] = []
     for i, limit in enumerate(LIMITS):
-        own = [y for y in (row[i] for row in rows) if y is not None]
-        if len(own) < FEWEST:
+        present = [y for y in (row[i] for row in rows) if y is not None]
+        if len(present) < FEWEST:
             continue
         for k in range(_DRAWS):
-            picked = range(len(own)) if k == 0 else rng.integers(0, len(own), len(own))
-            draws += [_kept(sample, open_strings) for sample in _found([own[j] for j in picked], limit)]
+            picked = range(len(present)) if k == 0 else rng.integers(0, len(present), len(present))
+            draws += [_kept(sample, open_strings) for sample in _found([present[j] for j in picked], limit)]
     pool = np.array([(i, *pole) for i, draw in enumerate(draws) for pole in draw]).reshape(-1, 3)
     modes: list[HeardMode] = []
     while len(pool):

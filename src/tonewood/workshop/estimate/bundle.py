@@ -1,4 +1,4 @@
-"""The bundle of an estimate: a copy of the one begun with, the new figures in it, and where they come from."""
+"""The bundle of an estimate: a copy of the initial one with the estimated figures and their origin."""
 
 from __future__ import annotations
 
@@ -66,12 +66,12 @@ def write_bundle(
             write_whole(table, _keyed(table.read_text(encoding="utf-8"), estimate))
         write_whole(manifest, _edited(text, estimate, origin))
         write_whole(folder / RESULT, json.dumps(to_json(estimate), indent=1, allow_nan=False) + "\n")
-        made = Instrument.load(folder, allow_code=allow_code)
-        if made.resolved["strings"] != estimate.instrument.resolved["strings"]:
+        copy = Instrument.load(folder, allow_code=allow_code)
+        if copy.resolved["strings"] != estimate.instrument.resolved["strings"]:
             raise BundleError(
                 "the strings written are not those estimated; this bundle's form is not known", file=manifest
             )
-        return made
+        return copy
     except BaseException as fault:
         with suppress(OSError):
             shutil.rmtree(folder)
@@ -133,9 +133,9 @@ def _table_of_keys(text: str) -> str | None:
 
 def _flow(yaml: Any, values: Mapping[str, Any]) -> Any:
     """A mapping that is written in braces."""
-    made = yaml.map(**values)
-    made.fa.set_flow_style()
-    return made
+    mapping = yaml.map(**values)
+    mapping.fa.set_flow_style()
+    return mapping
 
 
 def _write_strings(values: Any, estimate: Estimate) -> None:

@@ -1,4 +1,4 @@
-"""The whole estimate: notes on strings, held-back halves, figures of all notes, what is known of them."""
+"""The whole estimate: notes on strings, held-back halves, figures of all notes and their uncertainty."""
 
 from __future__ import annotations
 

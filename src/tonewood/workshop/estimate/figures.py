@@ -145,16 +145,16 @@ def with_laws(figures: Figures, values: Mapping[str, Floats], bending: Mapping[s
     laws, stiff = dict(figures.laws), dict(figures.bending)
     pitch = {name: stage.open_note(name) for name in laws}
     for known, new in ((values, True), (bending, False)):
-        own = sorted((name for name in known if name in laws), key=pitch.__getitem__)
-        if not own:
+        measured = sorted((name for name in known if name in laws), key=pitch.__getitem__)
+        if not measured:
             continue
-        at = np.array([pitch[name] for name in own])
+        at = np.array([pitch[name] for name in measured])
         if new:
-            logs = np.array([_log_ratio(values[name], figures.laws[name].values) for name in own])
+            logs = np.array([_log_ratio(values[name], figures.laws[name].values) for name in measured])
         else:
-            logs = np.array([[np.log(bending[name] / figures.bending[name])] for name in own])
+            logs = np.array([[np.log(bending[name] / figures.bending[name])] for name in measured])
         for name, law in figures.laws.items():
-            same = [j for j, other in enumerate(own) if figures.laws[other].names == law.names]
+            same = [j for j, other in enumerate(measured) if figures.laws[other].names == law.names]
             if not same:
                 continue
             ratio = np.exp([np.interp(pitch[name], at[same], column) for column in logs[same].T])

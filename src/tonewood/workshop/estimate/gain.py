@@ -102,13 +102,13 @@ def bands_of(gain: Floats) -> tuple[Band, ...]:
 
     kinds = [(float(KNOTS[1]), None), *((float(f), _BELL) for f in KNOTS[1:-1]), (float(KNOTS[-2]), None)]
     grid = np.geomspace(KNOTS[0], KNOTS[-1], 60)
-    wanted = at(gain, grid)
+    target = at(gain, grid)
 
     def made(q: Floats) -> list[Band]:
         return [(freq, float(db), quality) for (freq, quality), db in zip(kinds, q, strict=True)]
 
     def off(q: Floats) -> Floats:
-        return np.concatenate([response_db(made(q[:-1]), grid) + q[-1] - wanted, 0.03 * q[:-1]])
+        return np.concatenate([response_db(made(q[:-1]), grid) + q[-1] - target, 0.03 * q[:-1]])
 
     most = np.append(np.full(len(kinds), 40.0), 300.0)
     q = least_squares(off, np.zeros(len(kinds) + 1), bounds=(-most, most)).x

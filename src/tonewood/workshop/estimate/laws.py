@@ -169,8 +169,8 @@ def moved(law: LinearLoss, recorded: DecayRates, rendered: DecayRates) -> Floats
     target = np.clip(now + curves[0] - curves[1], 0.2 * now, 5.0 * now)
     columns = law.columns(grid)
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
-    wanted = np.maximum(1.0 - law.rest(grid) / target, 0.0)
-    q, _ = nnls(columns / scale / target[:, None], wanted)
+    shares = np.maximum(1.0 - law.rest(grid) / target, 0.0)
+    q, _ = nnls(columns / scale / target[:, None], shares)
     return np.asarray(np.maximum(q / scale, 1e-3 * law.starts))
 
 
@@ -203,7 +203,7 @@ def bootstrap(rates: DecayRates, law: LinearLoss, rng: np.random.Generator, draw
     members = [np.flatnonzero(rates.note == i) for i in ids]
     for _ in range(draws):
         picked = [members[i] for i in rng.integers(0, len(ids), len(ids))]
-        at = np.concatenate([rng.choice(own, len(own)) for own in picked])
+        at = np.concatenate([rng.choice(part, len(part)) for part in picked])
         values, bridge = fit_law(rates.taken(at), law)
         slopes.append(values)
         at_bridge.append(bridge)

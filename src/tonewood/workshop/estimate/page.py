@@ -143,9 +143,9 @@ def heard(estimate: Estimate) -> list[tuple[int, int]]:
     """Half and number of the held-back notes that are heard: low, middle and high ones of each half."""
     out = []
     for h, half in enumerate(estimate.halves):
-        held = sorted(half.held_back, key=lambda i: estimate.notes[i].recording.note)
-        places = np.linspace(0, len(held) - 1, min(_HEARD, len(held))).round().astype(int)
-        out += [(h, held[k]) for k in dict.fromkeys(places.tolist())]
+        indices = sorted(half.held_back, key=lambda i: estimate.notes[i].recording.note)
+        places = np.linspace(0, len(indices) - 1, min(_HEARD, len(indices))).round().astype(int)
+        out += [(h, indices[k]) for k in dict.fromkeys(places.tolist())]
     return sorted(out, key=lambda row: estimate.notes[row[1]].recording.note)
 
 

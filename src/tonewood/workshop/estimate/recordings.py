@@ -100,20 +100,20 @@ def read_folder(folder: Path, *, table: Path | None = None, transpose: int = 0) 
     table = table or next((folder / name for name in TABLES if (folder / name).is_file()), None)
     warnings: list[str] = []
     rows = _listed(folder, warnings) if table is None else _tabled(table)
-    made: list[Recording] = []
+    recordings: list[Recording] = []
     for path, row in rows:
         try:
             recording, remarks = _read(path, replace(row, note=row.note + transpose))
         except TonewoodError as fault:
             warnings.append(f"left out: {fault}")
             continue
-        made.append(recording)
+        recordings.append(recording)
         warnings += remarks
-    if not made:
+    if not recordings:
         reason = f"no recording is of use: {warnings[0]}" if warnings else f"holds no sound files ({_suffixes()})"
         raise TonewoodError(reason, file=folder)
-    made.sort(key=lambda r: (r.note, r.dynamic or 0.0, r.file))
-    return Folder(tuple(made), tuple(warnings))
+    recordings.sort(key=lambda r: (r.note, r.dynamic or 0.0, r.file))
+    return Folder(tuple(recordings), tuple(warnings))
 
 
 def note_of_name(stem: str) -> int | None:

@@ -1,4 +1,4 @@
-"""Distance of a folder of notes, or of an instrument, to one guitar, and the scale that tells what it means."""
+"""Distance of a folder of notes, or of an instrument, to one guitar, and the scale to judge it by."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ def _pairs(
     for recording, analysis in a:
         same = [row for row in b if row[0].note == recording.note]
         if same:
-            wanted = recording.dynamic or VELOCITY
-            nearest = min(same, key=lambda row: abs((row[0].dynamic or VELOCITY) - wanted))
+            velocity = recording.dynamic or VELOCITY
+            nearest = min(same, key=lambda row: abs((row[0].dynamic or VELOCITY) - velocity))
             out.append((recording.note, analysis, nearest[1]))
     return out
 

@@ -1,4 +1,4 @@
-"""Answers that were given elsewhere: webMUSHRA's tables, and a plain table that any program can write.
+"""Answers collected by other programs: webMUSHRA's tables, and a plain table that any program can write.
 
 The plain table (CSV, the first row names the columns) has a row a rating, with `listener`, `page`, `trial`, `stimulus`
 (a blind code), `item` (a scale, where a page has several) and `value`; or a row an answer, with `listener`, `page`,
@@ -74,12 +74,12 @@ def read_answers(path: Path, test: ListeningTest) -> Imported:
     if kind is None:
         missing = [name for name in ("page", "trial") if name not in columns]
         if missing or not {"listener", "participant"} & columns:
-            wanted = "listener, page and trial, or those of webMUSHRA"
+            allowed = "listener, page and trial, or those of webMUSHRA"
             raise ListeningError(
-                f"has no column {missing[0] if missing else 'listener'}; {wanted} are wanted", file=path
+                f"has no column {missing[0] if missing else 'listener'}; {allowed} are wanted", file=path
             )
     trials = {trial.id: trial for trial in test.trials}
-    given: dict[str, dict[tuple[Any, ...], _Given]] = {}
+    answers: dict[str, dict[tuple[Any, ...], _Given]] = {}
     spoken: dict[str, list[dict[str, Any]]] = {}
     left_out: list[LeftOut] = []
     for line, row in enumerate(rows, start=2):
@@ -88,15 +88,15 @@ def read_answers(path: Path, test: ListeningTest) -> Imported:
             if kind is None and (record := _questionnaire(test, row)) is not None:
                 spoken.setdefault(who, []).append(record)
             elif kind is not None:
-                _take_webmushra(kind, row, trials, given.setdefault(who, {}))
+                _take_webmushra(kind, row, trials, answers.setdefault(who, {}))
             elif row["trial"]:  # PsychoPy writes rows for pages without trials, too
-                _take_plain(test, row, trials, given.setdefault(who, {}))
+                _take_plain(test, row, trials, answers.setdefault(who, {}))
         except ListeningError as fault:
             left_out.append(LeftOut(str(ListeningError(fault.reason, file=path, line=line, key=fault.key))))
     listeners: list[ListenerAnswers] = []
-    for who in dict.fromkeys([*given, *spoken]):
+    for who in dict.fromkeys([*answers, *spoken]):
         kept = []
-        for one in given.get(who, {}).values():
+        for one in answers.get(who, {}).values():
             graded = {code for code, _ in one.ratings}
             if isinstance(test.pages[one.page], Bs1116Page) and 0 < len(graded) < 2:
                 reason = f"{who} has no grade of both sounds of trial {one.trial.id}"
@@ -253,10 +253,10 @@ def _right(page: AnyPage, trial: ServedTrial, slots: Mapping[str, str], response
     Raises ListeningError : the slots are not those of such a page.
     """
     reference, other = trial.reference or "", trial.stimuli[0]
-    wanted: Sequence[str] = ("A", "B", "X") if isinstance(page, AbxPage) else ("A", "B")
+    labels: Sequence[str] = ("A", "B", "X") if isinstance(page, AbxPage) else ("A", "B")
     if isinstance(page, AfcPage):
-        wanted = [str(i + 1) for i in range(page.intervals)]
-    if missing := [slot for slot in wanted if slot not in slots]:
+        labels = [str(i + 1) for i in range(page.intervals)]
+    if missing := [slot for slot in labels if slot not in slots]:
         raise ListeningError(f"has no sound in slot {missing[0]}", key="trial")
     if isinstance(page, AbPage):
         return response == ("same" if slots["A"] == slots["B"] else "different")
@@ -265,7 +265,7 @@ def _right(page: AnyPage, trial: ServedTrial, slots: Mapping[str, str], response
             raise ListeningError("X is not one of A and B", key="trial")
         return response != "undecided" and slots[response] == slots["X"]
     if isinstance(page, AfcPage):
-        if sorted(slots[i] for i in wanted) != sorted([other, *[reference] * (page.intervals - 1)]):
+        if sorted(slots[i] for i in labels) != sorted([other, *[reference] * (page.intervals - 1)]):
             raise ListeningError("the intervals do not hold one other sound", key="trial")
         return slots[response] == other
     if {slots["A"], slots["B"]} != {reference, other}:

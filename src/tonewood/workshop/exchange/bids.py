@@ -89,8 +89,8 @@ def _rows(record: dict[str, Any]) -> list[dict[str, Any]]:
     if "values" in answer:
         files = {"stim_file": f"{next(iter(slots.values()))}.wav"} if slots else {}
         return [{**base, **files, "item": name, "response": value} for name, value in answer["values"].items()]
-    given = answer.get("choice", answer.get("spl_db"))
-    return [] if given is None else [{**base, "response": given}]
+    response = answer.get("choice", answer.get("spl_db"))
+    return [] if response is None else [{**base, "response": response}]
 
 
 def _table(path: Path, columns: list[str], rows: list[dict[str, Any]]) -> None:

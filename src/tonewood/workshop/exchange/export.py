@@ -36,7 +36,7 @@ def export(folder: Path, programs: Sequence[str]) -> list[Exported]:
     test = load_test(folder)
     files = []
     for name in dict.fromkeys(programs):
-        place = folder / FOLDER / name
-        shutil.rmtree(place, ignore_errors=True)
-        files.append(PROGRAMS[name](test, place))
+        target = folder / FOLDER / name
+        shutil.rmtree(target, ignore_errors=True)
+        files.append(PROGRAMS[name](test, target))
     return files

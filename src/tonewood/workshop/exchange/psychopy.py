@@ -105,11 +105,11 @@ def _experiment(test: ListeningTest, rows: list[dict[str, Any]]) -> ET.Element:
     })  # fmt: skip
     routines, flow = ET.SubElement(root, "Routines"), ET.SubElement(root, "Flow")
     for page in shown_pages(test):
-        own = [row for row in rows if row["page"] == page["page"]]
+        of_page = [row for row in rows if row["page"] == page["page"]]
         if "button" in page:
             _text_page(routines, flow, page)
-        elif own:
-            _trial_page(routines, flow, page, own[0], _rated(test, page["page"]))
+        elif of_page:
+            _trial_page(routines, flow, page, of_page[0], _rated(test, page["page"]))
     return root
 
 
@@ -135,8 +135,8 @@ def _trial_page(routines: ET.Element, flow: ET.Element, page: dict[str, Any], ro
     order = "" if rated else ", ".join(row["slots"]) + ".  "
     hint = order + "  ".join(f"{k.upper()}: {c}" for k, c in zip(keys, row["choices"] or ["OK"], strict=True))
     text = "\n\n".join(part for part in (page["title"], page["content"], page["question"], hint) if part)
-    place = {"pos": ("(0, 0.25)", "list"), "letterHeight": ("0.03", "num")}
-    _component(routine, "Text", f"text{number}", {"text": text, **place})
+    layout = {"pos": ("(0, 0.25)", "list"), "letterHeight": ("0.03", "num")}
+    _component(routine, "Text", f"text{number}", {"text": text, **layout})
     for i in range(1, n + 1):
         _component(
             routine, "Sound", f"sound{number}_{i}",

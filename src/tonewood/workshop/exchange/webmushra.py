@@ -73,8 +73,8 @@ def _config(test: ListeningTest, sounds: str, rows: list[dict[str, Any]]) -> dic
                 label = escape(localised(question.label, test.manifest.language))
                 questions.append({"type": kind, "label": label, "name": question.name, **limits})
         elif isinstance(page, (MushraPage, Bs1116Page, AbxPage)):
-            own = [row for row in rows if row["page"] == index + 1]
-            pages.append(["random", *(_trial(page, base, row, sounds) for row in own)])
+            of_page = [row for row in rows if row["page"] == index + 1]
+            pages.append(["random", *(_trial(page, base, row, sounds) for row in of_page)])
     return {
         "testname": escape(test.title(test.manifest.language)),
         "testId": test.manifest.name,

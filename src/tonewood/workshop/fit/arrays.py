@@ -121,8 +121,8 @@ def responses_of_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], chosen: 
     named = {name.replace("__", ":", 1): x for name, x in arrays.items() if name != key and _says_pair(name)}
     if named and not chosen:
         return _of_pairs(path, freq, named)
-    held = {name: _by_bins(x, freq.size) for name, x in arrays.items() if name != key and freq.size in x.shape}
-    likely = {name: x for name, x in held.items() if np.iscomplexobj(x)}
+    by_name = {name: _by_bins(x, freq.size) for name, x in arrays.items() if name != key and freq.size in x.shape}
+    likely = {name: x for name, x in by_name.items() if np.iscomplexobj(x)}
     for name in chosen:
         if name not in likely:
             shown = ", ".join(likely) or "none is there"
@@ -130,7 +130,7 @@ def responses_of_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], chosen: 
     names = list(chosen) or [n for n in likely if _RESPONSE.match(_last(n)) and not _NO_RESPONSE.search(_last(n))]
     names = names or list(likely)
     if not names:
-        real = [name for name, x in held.items() if _RESPONSE.match(_last(name))]
+        real = [name for name, x in by_name.items() if _RESPONSE.match(_last(name))]
         if real:
             raise TonewoodError(
                 f"{real[0]} is real: magnitudes without phase do not show modes; save complex responses", file=path
@@ -143,7 +143,7 @@ def responses_of_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], chosen: 
             f"which array holds responses is not clear: {', '.join(names)}; name it", file=path, key="--array"
         )
     rows = {pair: row for name in names for pair, row in _pairs_of(name, likely[name])}
-    coherent = [x for name, x in held.items() if "coh" in name.lower() and not np.iscomplexobj(x)]
+    coherent = [x for name, x in by_name.items() if "coh" in name.lower() and not np.iscomplexobj(x)]
     alike = [x for x in coherent if len(names) == 1 and x.shape == likely[names[0]].shape]
     coherence = {pair: np.asarray(c.real, dtype=np.float64) for x in alike[:1] for pair, c in _pairs_of(names[0], x)}
     forms = {form for name in names for begin, form in _FORM.items() if begin in _last(name).lower()}
@@ -179,8 +179,8 @@ def within_pi(phase: Floats) -> bool:
 
     phase : (N,) in an unknown unit.
     """
-    known = phase[np.isfinite(phase)]
-    return bool(known.size and np.abs(known).max() <= 1.001 * np.pi and np.ptp(known) > 1)
+    finite = phase[np.isfinite(phase)]
+    return bool(finite.size and np.abs(finite).max() <= 1.001 * np.pi and np.ptp(finite) > 1)
 
 
 def pair_of(path: Path, name: str) -> Pair:
@@ -205,29 +205,29 @@ def _says_pair(name: str) -> bool:
 
 def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[str, Floats]:
     for pattern in _FREQUENCY:
-        found = [name for name, x in arrays.items() if pattern.fullmatch(_last(name))]
+        names = [name for name, x in arrays.items() if pattern.fullmatch(_last(name))]
         if pattern.pattern != "freq_Hz":  # a name that may mean something else
             real = {
                 name for name, x in arrays.items()
                 if x.dtype.kind in "iuf" and x.squeeze().ndim == 1 and x.size > 1 and np.all(np.diff(x.squeeze()) > 0)
             }  # fmt: skip
-            found = [name for name in found if name in real]
-        if len(found) > 1:
-            raise TonewoodError(f"which are the frequencies: {', '.join(found)}? Call them freq_Hz", file=path)
-        if found:
-            x = arrays[found[0]]
+            names = [name for name in names if name in real]
+        if len(names) > 1:
+            raise TonewoodError(f"which are the frequencies: {', '.join(names)}? Call them freq_Hz", file=path)
+        if names:
+            x = arrays[names[0]]
             x = x.reshape(-1) if x.ndim == 2 and 1 in x.shape else x
             if x.dtype.kind not in "iuf" or x.ndim != 1:
-                raise TonewoodError("is no row of real numbers", file=path, key=found[0])
+                raise TonewoodError("is no row of real numbers", file=path, key=names[0])
             if not np.all(np.isfinite(x)):
-                raise TonewoodError("holds a value that is not a finite number", file=path, key=found[0])
-            return found[0], np.asarray(x, dtype=np.float64)
+                raise TonewoodError("holds a value that is not a finite number", file=path, key=names[0])
+            return names[0], np.asarray(x, dtype=np.float64)
     if steps := _steps(arrays):
         return steps
     hint = ""
     rising = {_last(name) for name, x in arrays.items() if x.ndim == 1 and x.size > 1 and np.all(np.diff(x.real) > 0)}
-    if found := sorted(name for name in rising if ANGULAR.fullmatch(name)):
-        hint = f"; {found[0]} may be in rad/s: save freq_Hz = {found[0]} / (2 pi)"
+    if names := sorted(name for name in rising if ANGULAR.fullmatch(name)):
+        hint = f"; {names[0]} may be in rad/s: save freq_Hz = {names[0]} / (2 pi)"
     elif any(_TIME.fullmatch(name) for name in rising) or any(_RATE.fullmatch(_last(name)) for name in arrays):
         hint = "; records over time are read as text, one hit a file: columns of time, force, and one for each point"
     raise TonewoodError(f"has no array freq_Hz; there are {_shapes(arrays)}{hint}", file=path)

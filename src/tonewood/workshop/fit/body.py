@@ -79,7 +79,7 @@ def passive_body(modes: Modes, pairs: tuple[tuple[str, str], ...]) -> FittedBody
     points = tuple(dict.fromkeys(name for pair in pairs for name in pair))
     problem, poles, residues = modes.problem, modes.poles, modes.solution.residues
     by_freq, by_zeta, errors = problem.deviations(poles)
-    k, band = len(poles), problem.line.freq
+    k, band = len(poles), problem.data.freq
     rows: list[tuple[float, float, Floats, float, float, float]] = []
     dropped: list[str] = []
     for i in range(k):
@@ -133,11 +133,11 @@ def _shapes(
     at = {pair: i for i, pair in enumerate(pairs)}
     if len(references) == 1:
         r = references[0]
-        own = at[r, r]
-        if residues[own] <= (0.0 if certain else _CLEAR * errors[own]):
+        driving = at[r, r]
+        if residues[driving] <= (0.0 if certain else _CLEAR * errors[driving]):
             return [], np.inf
-        shape = np.array([residues[at[name, r]] for name in points]) / np.sqrt(residues[own])
-        return [shape], float(errors[own] / residues[own])
+        shape = np.array([residues[at[name, r]] for name in points]) / np.sqrt(residues[driving])
+        return [shape], float(errors[driving] / residues[driving])
     matrix, weight = np.zeros((len(points), len(points))), np.zeros((len(points), len(points)))
     for (i, j), row in at.items():
         for a, b in ((points.index(i), points.index(j)), (points.index(j), points.index(i))):

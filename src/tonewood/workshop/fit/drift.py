@@ -70,10 +70,10 @@ class Spectra:
         column = -self.force[:, None] * self.freq * slope / power
         by, wanted, w = column[..., bins], left[..., bins], weight[..., bins]
         length = np.maximum(np.sum(w * np.abs(by) ** 2, axis=(1, 2)), 1e-300)
-        found = np.sum(w * (by.conj() * wanted).real, axis=(1, 2)) / length
-        misfit = wanted - found[:, None, None] * by
+        slopes = np.sum(w * (by.conj() * wanted).real, axis=(1, 2)) / length
+        misfit = wanted - slopes[:, None, None] * by
         per_bin = np.mean(w * np.abs(misfit) ** 2, axis=(1, 2)) / 2
-        return found, np.sqrt(per_bin / length)
+        return slopes, np.sqrt(per_bin / length)
 
     def peaks(self) -> list[tuple[NDArray[np.intp], float]]:
         """Return the bins around the strongest peaks, and the widths of these at half their power, Hz."""
@@ -156,9 +156,9 @@ def level_zero(force: Floats, motion: Floats) -> tuple[Floats, Floats, Floats]:
     for h, hit in enumerate(force):
         quiet = _quiet(hit)
         for c, x in enumerate(channels[h]):
-            line = _line(x, quiet)
-            out[h, c] -= line
-            moved[c] = max(moved[c], float(np.ptp(line)) / max(float(np.abs(x - line).max()), 1e-300))
+            baseline = _line(x, quiet)
+            out[h, c] -= baseline
+            moved[c] = max(moved[c], float(np.ptp(baseline)) / max(float(np.abs(x - baseline).max()), 1e-300))
     return out[:, 0], out[:, 1:], np.where(moved > _LEAST_ZERO, moved, 0.0)
 
 
@@ -176,13 +176,13 @@ def _line(x: Floats, quiet: NDArray[np.intp]) -> Floats:
     """(n,) straight line through the quiet parts, level without a part before the hit; 0 where it is in doubt."""
     t = np.linspace(-1, 1, x.size)
     columns = np.stack([np.ones(x.size), t] if quiet[0] == 0 else [np.ones(x.size)], axis=1)
-    known = columns[quiet]
-    found = np.linalg.lstsq(known, x[quiet], rcond=None)[0]
-    left = x[quiet] - known @ found
+    basis = columns[quiet]
+    coefficients = np.linalg.lstsq(basis, x[quiet], rcond=None)[0]
+    left = x[quiet] - basis @ coefficients
     # what is left may be ringing: as many independent samples as it changes its sign
     independent = max(np.count_nonzero(np.diff(np.sign(left))), 1)
-    deviation = np.sqrt(np.mean(left**2) * quiet.size / independent * np.diag(np.linalg.inv(known.T @ known)))
-    return np.asarray(columns @ found if np.any(np.abs(found) > _SURE * deviation) else 0 * t)
+    deviation = np.sqrt(np.mean(left**2) * quiet.size / independent * np.diag(np.linalg.inv(basis.T @ basis)))
+    return np.asarray(columns @ coefficients if np.any(np.abs(coefficients) > _SURE * deviation) else 0 * t)
 
 
 def brought_together(

@@ -149,11 +149,11 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
     mobility = to_mobility(
         reading.scale * np.array([motion[pair] for pair in pairs], dtype=np.complex128), freq, form, alpha
     )
-    known = all(pair in coherence for pair in pairs)
+    complete = all(pair in coherence for pair in pairs)
     remarks = tuple(line for table in tables for line in table.remarks)
     return Responses(
-        freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]) if known else None, reading.n_hits, alpha,
-        pressure, hashes, remarks=remarks,
+        freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]) if complete else None, reading.n_hits,
+        alpha, pressure, hashes, remarks=remarks,
     )  # fmt: skip
 
 
@@ -180,12 +180,12 @@ def _driven(paths: Sequence[Path], tables: Sequence[ResponseTable], reading: Rea
     """Tables with the names of references that the command line gives."""
     names: dict[str, str] = {}
     for name, reference in reading.references:
-        known = dict.fromkeys(reference for table in tables for _, reference in table.rows)
+        references = dict.fromkeys(reference for table in tables for _, reference in table.rows)
         old = reference or UNNAMED
-        if old not in known:
+        if old not in references:
             raise TonewoodError(
                 "frequency responses name their references themselves" if not reference
-                else f"there is no reference {reference!r}; there are {', '.join(known)}",
+                else f"there is no reference {reference!r}; there are {', '.join(references)}",
                 file=paths[0], key="--driving",
             )  # fmt: skip
         points = dict.fromkeys(point for table in tables for point, _ in table.rows)
@@ -254,11 +254,11 @@ def _uff(path: Path) -> ResponseTable:
     except ModuleNotFoundError:
         raise TonewoodError('needs pyuff: pip install "tonewood[fit]"', file=path) from None
     try:
-        given: Any = pyuff.UFF(str(path)).read_sets()
+        data_sets: Any = pyuff.UFF(str(path)).read_sets()
     except Exception as fault:  # the reader raises bare exceptions of every kind
         raise TonewoodError(f"is no universal file: {str(fault)[:_LONGEST]}", file=path) from None
     _whole(path)
-    sets = [x for x in (given if isinstance(given, list) else [given]) if x["type"] == 58]
+    sets = [x for x in (data_sets if isinstance(data_sets, list) else [data_sets]) if x["type"] == 58]
 
     def pair(x: Mapping[str, Any]) -> Pair:
         heard = _MICROPHONE if int(x["ordinate_spec_data_type"]) == _PRESSURE else ""
@@ -289,7 +289,7 @@ def _uff(path: Path) -> ResponseTable:
         raise TonewoodError("its frequencies are in rad/s: divide them by 2 pi, data sets 58 are in Hz", file=path)
     if any(int(x["orddenom_spec_data_type"]) not in _FORCES for x in responses):
         raise TonewoodError("holds responses to something else than a force", file=path)
-    per_force, per_length = _uff_units(given)
+    per_force, per_length = _uff_units(data_sets)
 
     def unit(x: Mapping[str, Any]) -> float:
         return per_force if int(x["ordinate_spec_data_type"]) == _PRESSURE else per_force / per_length
@@ -297,7 +297,7 @@ def _uff(path: Path) -> ResponseTable:
     rows = {pair(x): sign(x) * unit(x) * np.asarray(x["data"], dtype=np.complex128) for x in responses}
     coherence = {pair(x): np.asarray(x["data"]).real.astype(np.float64) for x in sets if x["func_type"] == 6}
     form = forms.pop() if len(forms) == 1 else None
-    return ResponseTable(freq, rows, coherence, form, _missing_nodes(path, given, responses))
+    return ResponseTable(freq, rows, coherence, form, _missing_nodes(path, data_sets, responses))
 
 
 def _missing_nodes(path: Path, given: Any, responses: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
@@ -380,27 +380,27 @@ def _of_one_reference(reference: str, hits: Sequence[_Hit], reading: Reading) ->
     """Responses to the hits on one point."""
     assert reading.form is not None
     try:
-        made = responses_of_hits(
+        responses = responses_of_hits(
             np.array([hit.force for hit in hits]), np.array([hit.motion for hit in hits]), hits[0].fs,
             window_tau=reading.window_tau, estimator=reading.estimator,
         )  # fmt: skip
     except ValueError as fault:
         raise TonewoodError(f"at {reference}: {fault}", key="FILES") from None
-    rows = {(name, reference): row for name, row in zip(hits[0].names, made.response, strict=True)}
-    coherence = dict(zip(rows, made.coherence, strict=True))
+    rows = {(name, reference): row for name, row in zip(hits[0].names, responses.response, strict=True)}
+    coherence = dict(zip(rows, responses.coherence, strict=True))
     motion, pressure = _split(rows)
     pairs = tuple(motion)
     if not pairs:
         raise TonewoodError("no response of a point is among them", key="FILES")
     scaled = reading.scale * np.array([motion[pair] for pair in pairs], dtype=np.complex128)
-    mobility = to_mobility(scaled, made.freq, reading.form, made.alpha)
-    kept = int(np.count_nonzero(made.kept))
-    remarks = made.drift.lines(("the force", *hits[0].names))
+    mobility = to_mobility(scaled, responses.freq, reading.form, responses.alpha)
+    kept = int(np.count_nonzero(responses.kept))
+    remarks = responses.drift.lines(("the force", *hits[0].names))
     if kept == 1:  # its coherence is 1 whatever it holds
         remarks += (f"one hit at {reference}: its noise is taken from the roughness of the response; five tell more",)
     return Responses(
-        made.freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]) if kept > 1 else None,
-        kept if kept > 1 else None, made.alpha, pressure, kept=(kept, len(hits)), remarks=remarks,
+        responses.freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]) if kept > 1 else None,
+        kept if kept > 1 else None, responses.alpha, pressure, kept=(kept, len(hits)), remarks=remarks,
     )  # fmt: skip
 
 

@@ -82,8 +82,8 @@ class Fit:
         if body is None:
             problem, poles, solution = self.modes.bent
             columns, k = problem.columns(poles)[0], len(poles)
-            own = [solution.residues[:, [i, i + k]] @ columns[[i, i + k]] for i in range(k)]
-            return [_change(self.mobility, part) for part in own]
+            at_drive = [solution.residues[:, [i, i + k]] @ columns[[i, i + k]] for i in range(k)]
+            return [_change(self.mobility, part) for part in at_drive]
         driving = list(r.driving)
         for f, q, shape in zip(body.freq, body.quality, body.shapes, strict=True):
             w = 2 * np.pi * f
@@ -100,14 +100,14 @@ class Fit:
         out = []
         for i, (f, q, shape) in enumerate(zip(body.freq, body.quality, body.shapes, strict=True)):
             near = int(np.argmin(np.abs(np.log(bent.freq / f))))
-            known = bool(body.measured[i])
+            measured = bool(body.measured[i])
             mass, cents, error = _mass(shape), body.cents[i], body.quality_error[i]
             out.append({
                 "freq_Hz": float(f), "Q": float(q), "mass_kg": mass, "shape": shape.tolist(),
                 "sd_cents": _or_none(cents), "sd_Q": _or_none(error), "sd_shape": _or_none(body.shape_error[i]),
-                "interval_90": _intervals(f, q, mass, cents, error, body.shape_error[i]) if known else None,
-                "mpc": float(self.modes.complexity[near]) if known and len(r.pairs) > 1 else None,
-                "measured": known, "without_db": self.without_db[i],
+                "interval_90": _intervals(f, q, mass, cents, error, body.shape_error[i]) if measured else None,
+                "mpc": float(self.modes.complexity[near]) if measured and len(r.pairs) > 1 else None,
+                "measured": measured, "without_db": self.without_db[i],
             })  # fmt: skip
         return out
 
@@ -120,13 +120,13 @@ class Fit:
         for i, (f, q) in enumerate(zip(poles.freq, poles.quality, strict=True)):
             shape = solution.residues[:, i] - 1j * solution.residues[:, i + k]
             shape = shape / shape[np.argmax(np.abs(shape))]
-            known = bool(r.freq[0] <= f <= r.freq[-1] and q >= LEAST_QUALITY)
+            in_band = bool(r.freq[0] <= f <= r.freq[-1] and q >= LEAST_QUALITY)
             out.append({
                 "freq_Hz": float(f), "Q": float(q), "mass_kg": None, "shape": [[x.real, x.imag] for x in shape],
                 "sd_cents": _or_none(cents[i]), "sd_Q": _or_none(by_zeta[i]), "sd_shape": None,
-                "interval_90": _intervals(f, q, None, cents[i], by_zeta[i], 0.0) if known else None,
+                "interval_90": _intervals(f, q, None, cents[i], by_zeta[i], 0.0) if in_band else None,
                 "mpc": float(self.modes.complexity[i]) if len(r.pairs) > 1 else None,
-                "measured": known, "without_db": self.without_db[i],
+                "measured": in_band, "without_db": self.without_db[i],
             })  # fmt: skip
         return out
 
@@ -204,7 +204,7 @@ class Fit:
 
     def facts(self) -> dict[str, Any]:
         """Return everything but the curves, for JSON."""
-        r, line = self.responses, self.modes.problem.line
+        r, data = self.responses, self.modes.problem.data
         return {
             "files": dict(r.files),
             "band_Hz": [float(r.freq[0]), float(r.freq[-1])],
@@ -212,7 +212,7 @@ class Fit:
             "window_tau_s": 1 / r.alpha if r.alpha else None,
             "hits": None if r.kept is None else {"kept": r.kept[0], "given": r.kept[1]},
             "pairs": [list(pair) for pair in r.pairs],
-            "noise": [float(np.sqrt(np.mean(row**2))) for row in line.sigma],
+            "noise": [float(np.sqrt(np.mean(row**2))) for row in data.sigma],
             "price": self.modes.bent[0].price,
             "damping": "structural" if self.modes.structural else "viscous",
             "misfit": self.modes.misfit,

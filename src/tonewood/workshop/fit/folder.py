@@ -1,4 +1,4 @@
-"""The folder of a fit: tables, the parts of a bundle that are known from them, facts, and the figure.
+"""The folder of a fit: tables, the parts of a bundle that follow from them, facts, and the figure.
 
 ``body.csv``, ``radiation.csv`` (with microphones), ``body.yaml``, ``fit.json``, ``fit.png``; ``modes.csv`` in place of
 the first three where responses are no passive body's. All are written, or none.
@@ -137,9 +137,9 @@ class FitFolder:
 
     def _place(self, name: str) -> MeasuredPoint:
         """Place of a point; a bank that was driven at one point takes it for the middle of the bridge."""
-        place = self.places.get(name, MeasuredPoint())
-        middle = self.radiation is not None and place.u is None and name in self.fit.responses.references
-        return replace(place, u=0.0) if middle else place
+        point = self.places.get(name, MeasuredPoint())
+        middle = self.radiation is not None and point.u is None and name in self.fit.responses.references
+        return replace(point, u=0.0) if middle else point
 
     def write(self, folder: Path, draw: Callable[[Fit, Path], None] | None = None) -> list[Path]:
         """Write all files into a folder, which is made if it is not there; nothing if one of them fails.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.fit import noise
-from tonewood.workshop.fit.projection import Line, LinearFit, Poles, Projection, Shape
+from tonewood.workshop.fit.projection import FitData, LinearFit, Poles, Projection, Shape
 from tonewood.workshop.fit.search import (
     DOUBT,
     Iteration,
@@ -141,58 +141,58 @@ def identify(
         iterations.append(iteration)
         tell(iteration)
 
-    line = Line(freq, mobility, np.ones_like(mobility, dtype=np.float64), alpha)
-    together = noise.tied(alpha, line.step)
+    data = FitData(freq, mobility, np.ones_like(mobility, dtype=np.float64), alpha)
+    together = noise.tied(alpha, data.step)
     least = LEAST_NOISE * np.abs(mobility)
     level = np.maximum(noise.of_neighbours(mobility) if sigma is None else sigma * together, least)
-    line = replace(line, sigma=level)
+    data = replace(data, sigma=level)
     bins = 2 * mobility.size
     kinds = {"viscous": (False,), "structural": (True,), "auto": (False, True)}[damping]
     orders: list[_Order] = []
     for structural in kinds:
         kind = replace(shape, structural=structural)
         with suppress(NothingFoundError):
-            orders.append(_ordered(line, kind, least_error, note))
+            orders.append(_ordered(data, kind, least_error, note))
     if not orders:
         raise NothingFoundError("no mode stands out of the noise")
     least_allowed = min(order.allowed for order in orders)
     best = min(orders, key=lambda order: order.total(least_allowed))
     if shape.driving and len(orders) == 2 and np.ptp([order.total(least_allowed) for order in orders]) < _CLOSE * bins:
         best = min(orders, key=lambda order: order.total_of_real(least_allowed))
-    line, shape, start, lines = best.weighed(best.allowed), best.shape, best.poles, best.lines
+    data, shape, start, lines = best.weighed(best.allowed), best.shape, best.poles, best.lines
     wanted = Poles.at(keep, np.full(len(keep), _Q_WANTED))
     for f in drop:
         if not any(abs(np.log(start.freq[i] / f)) < _reach(start, i) for i in range(len(start))):
             near = start.freq[np.argmin(np.abs(np.log(start.freq / f)))]
             raise LookupError(f"there is no mode at {f:g} Hz; the nearest is at {near:.5g} Hz")
-    bent = Projection(line, shape)
-    found = bent.solve(start)
-    misfit = bent.misfit(start, found.residues)
+    bent = Projection(data, shape)
+    solution = bent.solve(start)
+    misfit = bent.misfit(start, solution.residues)
     if best.allowed:
-        left = line.sigma * np.sqrt(np.median(np.abs(misfit / line.sigma) ** 2, axis=1, keepdims=True) / np.log(2))
+        left = data.sigma * np.sqrt(np.median(np.abs(misfit / data.sigma) ** 2, axis=1, keepdims=True) / np.log(2))
     else:
-        left = noise.of_misfit(misfit, bent.model(start, found.residues)) * together
+        left = noise.of_misfit(misfit, bent.model(start, solution.residues)) * together
     level = np.maximum(left, least if sigma is None else level)
-    line = replace(line, sigma=level).without(lines) if lines else replace(line, sigma=level)
-    bent = Projection(line, shape)
+    data = replace(data, sigma=level).without(lines) if lines else replace(data, sigma=level)
+    bent = Projection(data, shape)
     idle: list[float] = []
     start = _fixed(bent, pruned(bent, descend(bent, start, 20, 1e-7)[0])[0], wanted, drop, idle)
-    start, found = descend(bent, start, 20, 1e-8)
-    turned = float(np.median(found.chi2[:, len(start) : 2 * len(start)].mean(axis=0)))
-    real, poles = Projection(line, replace(shape, complex=False)), start
+    start, solution = descend(bent, start, 20, 1e-8)
+    turned = float(np.median(solution.chi2[:, len(start) : 2 * len(start)].mean(axis=0)))
+    real, poles = Projection(data, replace(shape, complex=False)), start
     # where damping couples modes, poles that real residues would move are further from the truth than those at hand
-    held = turned > TURNED and bool(shape.driving)
+    driven = turned > TURNED and bool(shape.driving)
     while True:
-        if held:
+        if driven:
             poles = without_negative(real, poles)
         else:
-            poles = _fixed(real, straightened(line, real.shape, poles)[1], wanted, drop, [])
+            poles = _fixed(real, straightened(data, real.shape, poles)[1], wanted, drop, [])
             poles, _ = descend(real, poles, 20, 1e-8)
         if (fewer := _without_idle_edges(real, poles)) == real.shape:
             break
-        real = Projection(line, fewer)
+        real = Projection(data, fewer)
     poles = poles.damped_beyond(float(freq[0]), float(freq[-1]))
-    return Modes(real, poles, real.solve(poles), (bent, start, found), iterations, lines, tuple(idle), turned)
+    return Modes(real, poles, real.solve(poles), (bent, start, solution), iterations, lines, tuple(idle), turned)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,19 +201,19 @@ class _Order:
 
     Attributes
     ----------
-    line : with muted bins; lines are their frequencies, Hz.
+    data : with muted bins; lines are their frequencies, Hz.
     allowed : error of the model, re the response, where all of the band is that far above its noise; else 0.
     """
 
-    line: Line
+    data: FitData
     shape: Shape
     poles: Poles
     lines: tuple[float, ...]
     allowed: float = 0.0
 
-    def weighed(self, allowed: float) -> Line:
-        """Return the line with noise and an allowed error of the model."""
-        return replace(self.line, sigma=np.hypot(self.line.sigma, allowed * np.abs(self.line.mobility)))
+    def weighed(self, allowed: float) -> FitData:
+        """Return the data with noise and an allowed error of the model."""
+        return replace(self.data, sigma=np.hypot(self.data.sigma, allowed * np.abs(self.data.mobility)))
 
     def total(self, allowed: float) -> float:
         """Chi-squared and the price of the modes."""
@@ -226,18 +226,18 @@ class _Order:
         return problem.solve(real).cost + problem.price * len(real)
 
 
-def _ordered(line: Line, shape: Shape, least_error: float, note: Callable[[Iteration], None]) -> _Order:
+def _ordered(data: FitData, shape: Shape, least_error: float, note: Callable[[Iteration], None]) -> _Order:
     """Modes, as many as it takes until the misfit is noise."""
-    size, poles = np.abs(line.mobility), Poles.none()
+    size, poles = np.abs(data.mobility), Poles.none()
     lines: tuple[float, ...] = ()
     best: _Order | None = None
     before = left = np.inf
-    floor = float(np.median(line.sigma / np.maximum(size, 1e-300)))
+    floor = float(np.median(data.sigma / np.maximum(size, 1e-300)))
     for allowed in ALLOWED:
         if 0 < allowed < 0.3 * floor or allowed < least_error or (allowed == 0 and floor < ALLOWED[-2]):
             continue
         while True:
-            level = replace(line, sigma=np.hypot(line.sigma, allowed * size))
+            level = replace(data, sigma=np.hypot(data.sigma, allowed * size))
             try:
                 problem, poles = sought(level, shape, poles if len(poles) else None, note)
             except NothingFoundError:
@@ -245,23 +245,23 @@ def _ordered(line: Line, shape: Shape, least_error: float, note: Callable[[Itera
             more = mains(problem, poles)
             if not more.size:
                 break
-            muted = [f for f in poles.freq[more] if not any(abs(f - old) < line.step for old in lines)]
+            muted = [f for f in poles.freq[more] if not any(abs(f - old) < data.step for old in lines)]
             poles = poles.without(more.tolist())
             if not muted:  # its bins are muted already: what is left is at their edges
                 break
-            lines, line = (*lines, *muted), line.without(muted)
+            lines, data = (*lines, *muted), data.without(muted)
         if not len(poles):
             continue
         reached = problem.solve(poles).cost < _REACHED * problem.size
-        fine, _ = descend(Projection(line, shape), poles, 20, 1e-6)
-        loud, cost = _parts_above_noise(line, shape, fine), Projection(line, shape).solve(fine).cost
+        fine, _ = descend(Projection(data, shape), poles, 20, 1e-6)
+        loud, cost = _parts_above_noise(data, shape, fine), Projection(data, shape).solve(fine).cost
         nearer = reached and (loud < before or (loud == 1 and cost < 0.5 * left))
         if best is not None and not nearer and len(poles) > len(best.poles):
             break
         if loud < 1:
-            best = _Order(line, shape, fine, lines)
+            best = _Order(data, shape, fine, lines)
         elif reached or best is None:  # weights of the noise would follow its errors, not the modes
-            best = _Order(line, shape, poles, lines, allowed)
+            best = _Order(data, shape, poles, lines, allowed)
         before, left = loud, cost
         if not loud:
             break
@@ -270,10 +270,10 @@ def _ordered(line: Line, shape: Shape, least_error: float, note: Callable[[Itera
     return best
 
 
-def _parts_above_noise(line: Line, shape: Shape, poles: Poles) -> float:
+def _parts_above_noise(data: FitData, shape: Shape, poles: Poles) -> float:
     """Share of the parts of the band, of all responses, whose misfit is above the noise in most of their bins."""
-    whole = Projection(line, shape)
-    ratio = np.log(np.abs(whole.misfit(poles, whole.solve(poles).residues)) / line.sigma + 1e-300)
+    whole = Projection(data, shape)
+    ratio = np.log(np.abs(whole.misfit(poles, whole.solve(poles).residues)) / data.sigma + 1e-300)
     starts = np.arange(0, ratio.shape[1], _PART)
     mean = np.add.reduceat(np.clip(ratio, -5, 5), starts, axis=1) / np.diff(np.append(starts, ratio.shape[1]))
     # of complex Gaussian noise ln |e| / sigma is half of Euler's constant below 0
@@ -290,7 +290,7 @@ def _fixed(problem: Projection, poles: Poles, wanted: Poles, drop: Sequence[floa
     gone = [i for i in range(len(poles)) if any(abs(np.log(poles.freq[i] / f)) < _reach(poles, i) for f in drop)]
     poles = descend(problem, poles.without(gone), 6, 1e-6)[0] if gone else poles
     while len(weak := inaudible(problem, poles, wanted.freq)):
-        idle += [float(f) for f in poles.freq[weak] if problem.line.freq[0] < f < problem.line.freq[-1]]
+        idle += [float(f) for f in poles.freq[weak] if problem.data.freq[0] < f < problem.data.freq[-1]]
         poles = descend(problem, poles.without(weak.tolist()), 6, 1e-6)[0]
     missing = [f for f in wanted.freq if not len(poles) or np.abs(np.log(poles.freq / f)).min() > _NEAR]
     if missing:

@@ -106,17 +106,17 @@ def outliers(response: Complexes) -> NDArray[np.bool_]:
 
     response : (P, N) at even steps.
     """
-    found = np.zeros(response.shape, dtype=bool)
+    spikes = np.zeros(response.shape, dtype=bool)
     if response.shape[-1] < 2 * len(_FOURTH):
-        return found
+        return spikes
     level = median_filter(of_neighbours(response), size=(1, 9), mode="mirror")  # a spike would raise its own
-    for row, sigma, out in zip(response, level, found, strict=True):
+    for row, sigma, out in zip(response, level, spikes, strict=True):
         fourth, size = np.convolve(row, _FOURTH, mode="valid"), sigma[2:-2]
         loud = np.abs(fourth) > _SPIKE * size
         for first, stop in _runs(np.convolve(np.abs(fourth) > _QUIET * size, np.ones(3), "same") > 0):
             if loud[first:stop].any():
                 out[_spikes(fourth[first:stop] / np.median(size[first:stop]), first)] = True
-    return found
+    return spikes
 
 
 def _runs(inside: NDArray[np.bool_]) -> NDArray[np.intp]:

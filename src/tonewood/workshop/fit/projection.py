@@ -92,7 +92,7 @@ class Poles:
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class FitData:
     """Bins of the band, and the data measured in them.
 
     Attributes
@@ -115,23 +115,23 @@ class Line:
         """(N,) 1/s."""
         return np.asarray(self.alpha + 2j * np.pi * self.freq)
 
-    def cut(self, first: int, stop: int, without: Complexes) -> Line:
+    def cut(self, first: int, stop: int, without: Complexes) -> FitData:
         """Some bins, less the response of the model's other modes there, (P, stop - first)."""
         half = None if self.half_width is None else self.half_width[first:stop]
         part = slice(first, stop)
-        return Line(self.freq[part], self.mobility[:, part] - without, self.sigma[:, part], self.alpha, half)
+        return FitData(self.freq[part], self.mobility[:, part] - without, self.sigma[:, part], self.alpha, half)
 
     @property
     def step(self) -> float:
         """Distance of bins, Hz; the median where it varies."""
         return float(np.median(np.diff(self.freq)))
 
-    def without(self, freq: Sequence[float] | Floats) -> Line:
-        """Return the line with those bins muted that lie within a step of some frequencies, Hz."""
+    def without(self, freq: Sequence[float] | Floats) -> FitData:
+        """Return the data with those bins muted that lie within a step of some frequencies, Hz."""
         near = np.any(np.abs(self.freq[:, None] - np.asarray(freq)) <= _MUTED * self.step, axis=1)
         return replace(self, sigma=np.where(near, 1e4, 1.0) * self.sigma)
 
-    def thinned(self, resolution: float = 400.0) -> Line:
+    def thinned(self, resolution: float = 400.0) -> FitData:
         """Weighted means of neighbouring bins, as many as lie within freq / resolution: modes up high are wide."""
         step = np.gradient(self.freq)
         first, edges = 0, []
@@ -144,7 +144,7 @@ class Line:
         centre = np.add.reduceat(self.freq, edges) / count
         apart = (self.freq - np.repeat(centre, count)) ** 2
         half = np.sqrt(np.add.reduceat(apart, edges) / count)
-        return Line(centre, np.asarray(mean, dtype=np.complex128), total**-0.5, self.alpha, half)
+        return FitData(centre, np.asarray(mean, dtype=np.complex128), total**-0.5, self.alpha, half)
 
 
 @dataclass(frozen=True)
@@ -205,31 +205,31 @@ class Projection:
 
     Attributes
     ----------
-    line : data measured.
+    data : measured responses.
     shape : which residues there are.
     """
 
-    line: Line
+    data: FitData
     shape: Shape
 
     @cached_property
     def _weight(self) -> Floats:
-        return np.asarray(np.sqrt(2) / self.line.sigma)
+        return np.asarray(np.sqrt(2) / self.data.sigma)
 
     @cached_property
     def scale(self) -> float:
         """w_0, rad/s: in the middle of the band."""
-        return float(2 * np.pi * np.sqrt(self.line.freq[0] * self.line.freq[-1]))
+        return float(2 * np.pi * np.sqrt(self.data.freq[0] * self.data.freq[-1]))
 
     @cached_property
     def _edges(self) -> Complexes:
-        s = self.line.s
+        s = self.data.s
         return np.array([self.scale / s] * self.shape.lower + [s / self.scale] * self.shape.upper).reshape(-1, s.size)
 
     @property
     def size(self) -> int:
         """Numbers measured: two a bin and response."""
-        return 2 * self.line.mobility.size
+        return 2 * self.data.mobility.size
 
     @property
     def price(self) -> float:
@@ -238,7 +238,7 @@ class Projection:
 
     def columns(self, poles: Poles) -> tuple[Complexes, list[tuple[Complexes, Complexes]]]:
         """Columns of the residues, (K or 2K, N), and their slopes in ln w and ln zeta."""
-        s, half = self.line.s, self.line.half_width
+        s, half = self.data.s, self.data.half_width
         if half is None or not half.any():
             h, by_freq, by_zeta = _columns(s, poles, self.shape.structural)
         else:
@@ -253,7 +253,7 @@ class Projection:
 
     def solve(self, poles: Poles, slopes: bool = False) -> LinearFit:
         """Residues, and with `slopes` the normal equations of the poles."""
-        k, n_responses = len(poles), len(self.line.mobility)
+        k, n_responses = len(poles), len(self.data.mobility)
         h, by = self.columns(poles)
         n = len(h) + len(self._edges)
         rows = [h, self._edges, *(x for pair in by for x in pair)] if slopes else [h, self._edges]
@@ -261,7 +261,7 @@ class Projection:
         out = LinearFit(0.0, np.zeros((n_responses, n)), np.zeros((n_responses, n)))
         if slopes:
             out.normal, out.gradient = np.zeros((2 * k, 2 * k)), np.zeros(2 * k)
-        for p, (y, weight) in enumerate(zip(self.line.mobility, self._weight, strict=True)):
+        for p, (y, weight) in enumerate(zip(self.data.mobility, self._weight, strict=True)):
             flat = np.ascontiguousarray(stack * weight).view(np.float64)
             wanted = np.ascontiguousarray(y * weight).view(np.float64)
             length = np.maximum(np.sqrt(np.einsum("ij,ij->i", flat[:n], flat[:n])), 1e-150)
@@ -294,12 +294,12 @@ class Projection:
 
     def misfit(self, poles: Poles, residues: Floats) -> Complexes:
         """(P, N) data less the model."""
-        return np.asarray(self.line.mobility - self.model(poles, residues))
+        return np.asarray(self.data.mobility - self.model(poles, residues))
 
     def deviations(self, poles: Poles) -> tuple[Floats, Floats, Floats]:
         """Standard deviations of ln w, ln zeta, (K,), and residues, (P, n), from the information matrix."""
-        found = self.solve(poles, slopes=True)
-        covariance = sla.pinvh(found.normal, rtol=1e-12)
-        variances = [own + np.einsum("ij,jk,ik->i", f, covariance, f) for f, own in found.follows]
+        solution = self.solve(poles, slopes=True)
+        covariance = sla.pinvh(solution.normal, rtol=1e-12)
+        variances = [own + np.einsum("ij,jk,ik->i", f, covariance, f) for f, own in solution.follows]
         deviation, k = np.sqrt(np.maximum(np.diag(covariance), 0.0)), len(poles)
         return deviation[:k], deviation[k:], np.sqrt(np.maximum(variances, 0.0))

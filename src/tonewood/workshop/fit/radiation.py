@@ -21,7 +21,7 @@ from tonewood.support.arrays import Complexes, Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.fit import noise
 from tonewood.workshop.fit.body import FittedBody
-from tonewood.workshop.fit.projection import Line, Poles, Shape
+from tonewood.workshop.fit.projection import FitData, Poles, Shape
 from tonewood.workshop.fit.responses import Responses
 from tonewood.workshop.fit.search import Iteration, NothingFoundError, sought
 
@@ -119,24 +119,24 @@ def fit_radiation(
     low_cut = min(max(float(responses.freq[0]) / 5, _LOWEST_CUT), _HIGHEST_CUT)
     cut = np.abs(high_pass := _high_pass(responses.alpha + 2j * np.pi * responses.freq, low_cut))
     sigma = noise.of_neighbours(measured) / cut
-    line = Line(responses.freq, measured / high_pass, sigma, responses.alpha)
+    data = FitData(responses.freq, measured / high_pass, sigma, responses.alpha)
     shape = Shape((), len(channels) * min(len(references), 2), True, lower=False, upper=False)
     try:
-        problem, poles = sought(line, shape, Poles.at(body.freq[body.measured], body.quality[body.measured]), tell)
+        problem, poles = sought(data, shape, Poles.at(body.freq[body.measured], body.quality[body.measured]), tell)
     except NothingFoundError:
         raise TonewoodError("no mode of the sound stands out of the noise", key="responses") from None
-    poles, k = poles.damped_beyond(float(line.freq[0]), float(line.freq[-1])), len(poles)
-    found = problem.solve(poles).residues
+    poles, k = poles.damped_beyond(float(data.freq[0]), float(data.freq[-1])), len(poles)
+    shares = problem.solve(poles).residues
     w, zeta = np.exp(poles.log_freq), np.exp(poles.log_zeta)
     pole = w * (-zeta + 1j * np.sqrt(1 - zeta**2))
-    residues = (found[:, :k] * pole + found[:, k:] * w) / (2j * pole.imag)
+    residues = (shares[:, :k] * pole + shares[:, k:] * w) / (2j * pole.imag)
     by_place = np.column_stack([np.ones(u.size), u]) if u.size > 1 else np.ones((1, 1))
     split = sla.pinv(by_place) @ residues.reshape(len(channels), u.size, k)
     moment = split[:, 1] if u.size > 1 else np.zeros_like(split[:, 0])
     bank = FittedRadiation(channels, pole, low_cut, split[:, 0], moment, np.zeros((0, 0)))
     each = [bank.pressure(responses.freq, place, responses.alpha) for place in u]
-    made = np.array([each[r][c] for c in range(len(channels)) for r in range(u.size)])
-    error = np.asarray(20 * np.log10(np.abs(made) / np.maximum(np.abs(measured), 1e-300)))
+    fitted = np.array([each[r][c] for c in range(len(channels)) for r in range(u.size)])
+    error = np.asarray(20 * np.log10(np.abs(fitted) / np.maximum(np.abs(measured), 1e-300)))
     return replace(bank, error_db=error)
 
 

@@ -141,10 +141,10 @@ class Responses:
         ------
         TonewoodError : there is no point of an old name, or two get the same one.
         """
-        known = (*self.points, *self.microphones)
+        allowed = (*self.points, *self.microphones)
         for old in names:
-            if old not in known:
-                raise TonewoodError(f"there is no point {old!r}; there are {', '.join(known)}", key="--point")
+            if old not in allowed:
+                raise TonewoodError(f"there is no point {old!r}; there are {', '.join(allowed)}", key="--point")
         for group in (self.points, self.microphones):
             new = [names.get(old, old) for old in group]
             for name in new:

@@ -16,7 +16,7 @@ import scipy.linalg as sla
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from tonewood.workshop.fit.projection import Line, LinearFit, Poles, Projection, Shape
+from tonewood.workshop.fit.projection import FitData, LinearFit, Poles, Projection, Shape
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -69,18 +69,18 @@ def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tupl
     After each step poles are put on a grid, far finer than what a step is worth and far coarser than rounding: searches
     in which sums were rounded otherwise, of another processor, go through the same poles and take the same decisions.
     """
-    band = problem.line.freq
+    band = problem.data.freq
     low, high = np.log(2 * np.pi * band[0] * BELOW), np.log(2 * np.pi * band[-1] * ABOVE)
-    least = np.log(np.maximum(ZETA_LOW, 0.5 * NARROWEST * problem.line.step / poles.freq))
+    least = np.log(np.maximum(ZETA_LOW, 0.5 * NARROWEST * problem.data.step / poles.freq))
     k, damping = len(poles), 1e-3
-    found = problem.solve(poles, slopes=True)
+    solution = problem.solve(poles, slopes=True)
     for _ in range(most):
-        tolerance = enough * max(found.cost, _NOTHING * problem.size)  # the cost of exact data is rounding
-        curvature = np.diag(found.normal)  # of directions that nothing tells it is rounding, of either sign
+        tolerance = enough * max(solution.cost, _NOTHING * problem.size)  # the cost of exact data is rounding
+        curvature = np.diag(solution.normal)  # of directions that nothing tells it is rounding, of either sign
         unit = 1 / np.sqrt(np.maximum(curvature, 1e-12 * curvature.max()) + 1e-300)
         grid = np.exp2(np.floor(np.log2(unit * np.sqrt(_GRID * tolerance))))
-        size, vectors = sla.eigh(found.normal * np.outer(unit, unit))
-        size, slope = np.maximum(size, 0.0), vectors.T @ (unit * found.gradient)
+        size, vectors = sla.eigh(solution.normal * np.outer(unit, unit))
+        size, slope = np.maximum(size, 0.0), vectors.T @ (unit * solution.gradient)
         rejected = False
         for _ in range(6):
             step = unit * (vectors @ (slope / (size + damping)))
@@ -91,20 +91,20 @@ def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tupl
             )
             # the normal equations are as dear as the cost twice over: they are made at once, for a step is mostly taken
             there = problem.solve(moved, slopes=True)
-            if there.cost < found.cost - _GRID * tolerance:
+            if there.cost < solution.cost - _GRID * tolerance:
                 break
             damping, rejected = 8 * damping, True
         else:
             break
-        done = found.cost - there.cost < tolerance
-        poles, found, damping = moved, there, damping if rejected else max(damping / 8, _LEAST_DAMPING)
+        done = solution.cost - there.cost < tolerance
+        poles, solution, damping = moved, there, damping if rejected else max(damping / 8, _LEAST_DAMPING)
         if done:
             break
     order = np.argsort(poles.log_freq)
     if np.any(np.diff(order) < 0):
         poles = poles[order]
-        found = problem.solve(poles, slopes=True)
-    return poles, found
+        solution = problem.solve(poles, slopes=True)
+    return poles, solution
 
 
 def _put(values: Floats, grid: Floats) -> Floats:
@@ -132,14 +132,14 @@ def _around(problem: Projection, poles: Poles, residues: Floats, mine: NDArray[n
     """The problem of some neighbouring modes on the bins around them, less the others; None of too few bins."""
     k, n_kinds = len(poles), 1 + problem.shape.complex
     f, width = poles.freq[mine], 2 * poles.freq[mine] * np.exp(poles.log_zeta[mine])
-    start = int(np.searchsorted(problem.line.freq, (f - 4 * width).min()))
-    stop = int(np.searchsorted(problem.line.freq, (f + 4 * width).max()))
+    start = int(np.searchsorted(problem.data.freq, (f - 4 * width).min()))
+    stop = int(np.searchsorted(problem.data.freq, (f + 4 * width).max()))
     if stop - start < 4 * len(mine):
         return None
     others = np.setdiff1d(np.arange(k), mine)
     rows = np.concatenate([others + m * k for m in range(n_kinds)])
     columns = problem.columns(poles)[0][rows, start:stop]
-    return Projection(problem.line.cut(start, stop, residues[:, rows] @ columns), problem.shape)
+    return Projection(problem.data.cut(start, stop, residues[:, rows] @ columns), problem.shape)
 
 
 def prices(problem: Projection, poles: Poles, found: LinearFit) -> Floats:
@@ -148,17 +148,17 @@ def prices(problem: Projection, poles: Poles, found: LinearFit) -> Floats:
     Where no number of modes reaches the noise, the misfit is the model's error. A mode that gains no more than chance
     would in noise of that size is no mode.
     """
-    line = problem.line
-    left = (np.abs(problem.misfit(poles, found.residues)) ** 2 / line.sigma**2).mean(axis=0)
+    data = problem.data
+    left = (np.abs(problem.misfit(poles, found.residues)) ** 2 / data.sigma**2).mean(axis=0)
     total = np.concatenate([[0.0], np.cumsum(left)])
-    first, stop = (np.searchsorted(line.freq, poles.freq + side * _reaches(line, poles)) for side in (-1, 1))
+    first, stop = (np.searchsorted(data.freq, poles.freq + side * _reaches(data, poles)) for side in (-1, 1))
     count = np.maximum(stop - first, 1)
     return np.asarray(problem.price * np.maximum(1.0, (total[stop] - total[first]) / count))
 
 
-def _reaches(line: Line, poles: Poles) -> Floats:
+def _reaches(data: FitData, poles: Poles) -> Floats:
     """(K,) Hz on both sides of modes: two bandwidths, and ten bins in all at least."""
-    return np.asarray(2 * poles.freq / poles.quality + 5 * np.interp(poles.freq, line.freq, np.gradient(line.freq)))
+    return np.asarray(2 * poles.freq / poles.quality + 5 * np.interp(poles.freq, data.freq, np.gradient(data.freq)))
 
 
 def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, LinearFit]:
@@ -169,15 +169,15 @@ def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, Li
     NothingFoundError : all are such.
     """
     while True:
-        found = problem.solve(poles)
+        solution = problem.solve(poles)
         k = len(poles)
         n = (1 + problem.shape.complex) * k
-        gain = found.chi2[:, :n].reshape(-1, k).sum(axis=0)
-        wrong = _never_positive(found.residues[:, :k], found.chi2[:, :k], problem.shape.driving)
-        wrong |= _unresolved(poles, gain, problem.line)
-        weak = np.flatnonzero(wrong | (gain < prices(problem, poles, found)))
+        gain = solution.chi2[:, :n].reshape(-1, k).sum(axis=0)
+        wrong = _never_positive(solution.residues[:, :k], solution.chi2[:, :k], problem.shape.driving)
+        wrong |= _unresolved(poles, gain, problem.data)
+        weak = np.flatnonzero(wrong | (gain < prices(problem, poles, solution)))
         if not weak.size or k <= 1:
-            return poles, found
+            return poles, solution
         gone: list[int] = []
         zeta = np.exp(poles.log_zeta)
         for i in weak[np.argsort(np.where(wrong, 0.2, 1.0)[weak] * gain[weak])]:
@@ -200,10 +200,10 @@ def without_negative(problem: Projection, poles: Poles) -> Poles:
         poles = poles.without([int(np.argmin(np.where(wrong, found.chi2[:, :k].sum(axis=0), np.inf)))])
 
 
-def _unresolved(poles: Poles, gain: Floats, line: Line) -> NDArray[np.bool_]:
+def _unresolved(poles: Poles, gain: Floats, data: FitData) -> NDArray[np.bool_]:
     """(K,) modes that lie within the distance of two bins of one that gains more: a peak's shape, not another mode."""
-    near = np.abs(poles.freq[:, None] - poles.freq) < 2 * line.step
-    narrow = poles.freq / poles.quality < 2 * line.step
+    near = np.abs(poles.freq[:, None] - poles.freq) < 2 * data.step
+    narrow = poles.freq / poles.quality < 2 * data.step
     return np.asarray(np.any(near & narrow & (gain > gain[:, None]), axis=1))
 
 
@@ -212,16 +212,16 @@ def mains(problem: Projection, poles: Poles) -> NDArray[np.intp]:
 
     A mode narrower than two steps has to be worth its price in the bins beside its four best.
     """
-    line, found = problem.line, problem.solve(poles)
-    k, step = len(poles), np.gradient(line.freq)
-    weight, misfit = np.sqrt(2) / line.sigma, problem.misfit(poles, found.residues)
+    data, found = problem.data, problem.solve(poles)
+    k, step = len(poles), np.gradient(data.freq)
+    weight, misfit = np.sqrt(2) / data.sigma, problem.misfit(poles, found.residues)
     columns, out = problem.columns(poles)[0], []
-    for i in np.flatnonzero(poles.freq / poles.quality < 2 * np.interp(poles.freq, line.freq, step)):
-        if not line.freq[0] < poles.freq[i] < line.freq[-1]:
+    for i in np.flatnonzero(poles.freq / poles.quality < 2 * np.interp(poles.freq, data.freq, step)):
+        if not data.freq[0] < poles.freq[i] < data.freq[-1]:
             continue
         rows = [i + m * k for m in range(1 + problem.shape.complex)]
-        own = found.residues[:, rows] @ columns[rows]
-        gain = ((np.abs(misfit + own) ** 2 - np.abs(misfit) ** 2) * weight**2).sum(axis=0)
+        at_drive = found.residues[:, rows] @ columns[rows]
+        gain = ((np.abs(misfit + at_drive) ** 2 - np.abs(misfit) ** 2) * weight**2).sum(axis=0)
         if np.sort(gain)[:-4].sum() < problem.price:
             out.append(i)
     return np.array(out, dtype=np.intp)
@@ -235,24 +235,24 @@ def inaudible(problem: Projection, poles: Poles, wanted: Floats) -> NDArray[np.i
     modes are a body's: there, one whose Q is not known within 10 % has to matter over the whole band: mostly it is a
     peak's departure from the model.
     """
-    line, full, doubt = problem.line, problem.solve(poles), problem.deviations(poles)[1]
-    level, around = np.abs(line.mobility), _reaches(problem.line, poles)
+    data, full, doubt = problem.data, problem.solve(poles), problem.deviations(poles)[1]
+    level, around = np.abs(data.mobility), _reaches(problem.data, poles)
     best = _decibels(level, problem.model(poles, full.residues))
-    found: tuple[float, int] = (CHANGE, -1)
+    least: tuple[float, int] = (CHANGE, -1)
     for i in range(len(poles) if len(poles) > 1 else 0):
         if wanted.size and np.abs(np.log(wanted / poles.freq[i])).min() < 0.03:
             continue
         fewer = poles.without([i])
         without = _decibels(level, problem.model(fewer, problem.solve(fewer).residues))
         reach = around[i]
-        near = np.abs(line.freq - poles.freq[i]) <= reach
+        near = np.abs(data.freq - poles.freq[i]) <= reach
         if not near.any() or (
             doubt[i] > UNKNOWN and not problem.shape.driving
         ):  # beyond the band it stands for modes there
             near = np.ones_like(near)
         change = np.sqrt(np.mean(without[:, near] ** 2, axis=1)) - np.sqrt(np.mean(best[:, near] ** 2, axis=1))
-        found = min(found, (float(change.max()), i))
-    return np.array([found[1]] if found[1] >= 0 else [], dtype=np.intp)
+        least = min(least, (float(change.max()), i))
+    return np.array([least[1]] if least[1] >= 0 else [], dtype=np.intp)
 
 
 def _decibels(level: Floats, model: Complexes) -> Floats:
@@ -311,8 +311,8 @@ def _may_be_one(problem: Projection, poles: Poles, residues: Floats, pair: tuple
         return True
     two, gone = poles[mine], [i - int(mine[0]), j - int(mine[0])]
     _, fewer = descend(around, two.without(gone).joined(one), 6, 1e-4)
-    found = around.solve(two)
-    return fewer.cost < found.cost + _DEARER * float(prices(around, two, found)[gone].max())
+    solution = around.solve(two)
+    return fewer.cost < solution.cost + _DEARER * float(prices(around, two, solution)[gone].max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,7 +323,7 @@ class MatchedFilters:
 
     @cached_property
     def _grid(self) -> tuple[Floats, Floats]:
-        freq, at, quality = self.problem.line.freq, [], []
+        freq, at, quality = self.problem.data.freq, [], []
         for q in _QUALITIES:
             # a resonance narrower than two bins cannot be distinguished from a wider one
             f = np.exp(np.arange(np.log(freq[0]), np.log(freq[-1]), 0.3 / q))
@@ -335,19 +335,19 @@ class MatchedFilters:
     @cached_property
     def _filters(self) -> tuple[list[sp.csr_array], Floats]:
         """Conjugate whitened resonances of each response, (grid, N), and their squared lengths, (P, grid)."""
-        line, (at, quality) = self.problem.line, self._grid
-        reach = 6 * at / quality + 3 * np.interp(at, line.freq, np.gradient(line.freq))
-        first = np.searchsorted(line.freq, at - reach)
-        count = np.searchsorted(line.freq, at + reach) - first
+        data, (at, quality) = self.problem.data, self._grid
+        reach = 6 * at / quality + 3 * np.interp(at, data.freq, np.gradient(data.freq))
+        first = np.searchsorted(data.freq, at - reach)
+        count = np.searchsorted(data.freq, at + reach) - first
         row = np.repeat(np.arange(at.size), count)
         starts = np.concatenate([[0], np.cumsum(count)])
         bins = np.arange(starts[-1]) - np.repeat(starts[:-1], count) + np.repeat(first, count)
-        s, w, q = line.s[bins], 2 * np.pi * at[row], quality[row]
+        s, w, q = data.s[bins], 2 * np.pi * at[row], quality[row]
         resonance = s / (s * s + (1j * w * w / q if self.problem.shape.structural else w / q * s) + w * w)
         filters, lengths = [], []
-        for sigma in line.sigma:
+        for sigma in data.sigma:
             values = resonance.conj() * (np.sqrt(2) / sigma[bins])
-            filters.append(sp.csr_array((values, bins, starts), shape=(at.size, line.freq.size)))
+            filters.append(sp.csr_array((values, bins, starts), shape=(at.size, data.freq.size)))
             lengths.append(np.add.reduceat(np.append(np.abs(values) ** 2, 0.0), starts[:-1]))
         return filters, np.array(lengths)
 
@@ -355,7 +355,7 @@ class MatchedFilters:
         """At most so many modes that would each gain more than the price, none within another's bandwidth."""
         filters, lengths = self._filters
         at, quality = self._grid
-        whitened = misfit * (np.sqrt(2) / self.problem.line.sigma)
+        whitened = misfit * (np.sqrt(2) / self.problem.data.sigma)
         seen = np.array([(f @ w).real for f, w in zip(filters, whitened, strict=True)])
         gain = (seen**2 / np.maximum(lengths, 1e-300)).sum(axis=0)
         gain[_never_positive(seen, seen**2 / np.maximum(lengths, 1e-300), self.problem.shape.driving)] = 0.0
@@ -369,7 +369,7 @@ class MatchedFilters:
 
 
 def sought(
-    line: Line, shape: Shape, start: Poles | None = None, tell: Callable[[Iteration], None] = lambda iteration: None
+    data: FitData, shape: Shape, start: Poles | None = None, tell: Callable[[Iteration], None] = lambda iteration: None
 ) -> tuple[Projection, Poles]:
     """Modes that stand out of the noise, on thinned bins.
 
@@ -377,13 +377,13 @@ def sought(
     ------
     NothingFoundError : no mode gains its price.
     """
-    problem = Projection(line.thinned(), shape)
+    problem = Projection(data.thinned(), shape)
     filters, poles = MatchedFilters(problem), start or Poles.none()
     best = np.inf
     if len(poles):
         best = problem.solve(poles).cost + problem.price * len(poles)
     for _ in range(_ITERATIONS):
-        misfit = problem.misfit(poles, problem.solve(poles).residues) if len(poles) else problem.line.mobility
+        misfit = problem.misfit(poles, problem.solve(poles).residues) if len(poles) else problem.data.mobility
         new = filters.candidates(misfit)
         if not len(new):
             break
@@ -400,9 +400,9 @@ def sought(
     return problem, joined(problem, poles)[0]
 
 
-def straightened(line: Line, shape: Shape, poles: Poles) -> tuple[Projection, Poles]:
+def straightened(data: FitData, shape: Shape, poles: Poles) -> tuple[Projection, Poles]:
     """Real residues to poles found with complex ones, on all bins: the nearest real modes. None is added."""
-    real = Projection(line, replace(shape, complex=False))
+    real = Projection(data, replace(shape, complex=False))
     poles, _ = pruned(real, descend(real, poles, 8, 1e-5)[0])
     poles, _ = joined(real, poles)
     return real, descend(real, poles, 20, 1e-7)[0]

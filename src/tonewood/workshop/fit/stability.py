@@ -52,7 +52,7 @@ def stability(freq: Floats, mobility: Complexes) -> Stability:
     inside = (powers.conj().T @ powers).real
     crossed = [-(powers.conj().T @ (row[:, None] * powers)).real for row in weighed]
     squared = [(powers.conj().T @ (np.abs(row[:, None]) ** 2 * powers)).real for row in weighed]
-    found: list[tuple[int, Floats, Floats, NDArray[np.bool_]]] = []
+    rows: list[tuple[int, Floats, Floats, NDArray[np.bool_]]] = []
     before = np.zeros((2, 0))
     for n in ORDERS:
         factor = sla.cho_factor(inside[: n + 1, : n + 1] + 1e-9 * inside[0, 0] * np.eye(n + 1))
@@ -69,11 +69,11 @@ def stability(freq: Floats, mobility: Complexes) -> Stability:
         keep = (f >= freq[0]) & (f <= freq[-1])
         f, q = f[keep], q[keep]
         alike = (np.abs(f[:, None] / before[0] - 1) < _SAME_FREQ) & (np.abs(before[1] / q[:, None] - 1) < _SAME_DAMPING)
-        found.append((n, f, q, np.asarray(alike.any(axis=1))))
+        rows.append((n, f, q, np.asarray(alike.any(axis=1))))
         before = np.array([f, q])
     return Stability(
-        np.concatenate([np.full(f.size, n) for n, f, _, _ in found]),
-        np.concatenate([f for _, f, _, _ in found]),
-        np.concatenate([q for _, _, q, _ in found]),
-        np.concatenate([stable for *_, stable in found]),
+        np.concatenate([np.full(f.size, n) for n, f, _, _ in rows]),
+        np.concatenate([f for _, f, _, _ in rows]),
+        np.concatenate([q for _, _, q, _ in rows]),
+        np.concatenate([stable for *_, stable in rows]),
     )

@@ -175,9 +175,9 @@ class OpenSession:
             the file may hold a part of the answer, take the session up again by `resume`.
         """
         record = {**self.session.record(given), "time": now}
-        line = (json.dumps(record, ensure_ascii=False, allow_nan=False) + "\n").encode()
-        _append(self.path, line, at=self.length, sync=not self.header["simulated"])
-        self.length += len(line)
+        record_bytes = (json.dumps(record, ensure_ascii=False, allow_nan=False) + "\n").encode()
+        _append(self.path, record_bytes, at=self.length, sync=not self.header["simulated"])
+        self.length += len(record_bytes)
         self.session.take(record)
         return record
 
@@ -222,11 +222,11 @@ def withdraw(test: ListeningTest, token: str, *, now: str) -> bool:
     try:
         if not _TOKEN.fullmatch(token) or not path.is_file():
             return False
-        line = json.dumps({"time": now, "answers": _lines_after_the_first(path)}) + "\n"
+        text = json.dumps({"time": now, "answers": _lines_after_the_first(path)}) + "\n"
         path.unlink()
         _sync(path.parent)
         with (path.parent / WITHDRAWN).open("ab") as stream:
-            stream.write(line.encode())
+            stream.write(text.encode())
     except OSError as fault:
         raise OutputError(f"cannot be removed: {fault.strerror}", file=path) from None
     return True
@@ -271,21 +271,21 @@ def begin(
         "started": started,
         "simulated": simulated,
     }
-    line = (json.dumps(header, ensure_ascii=False) + "\n").encode()
+    header_bytes = (json.dumps(header, ensure_ascii=False) + "\n").encode()
     path = test.folder / FOLDER / f"{token}.jsonl"
     part = path.with_suffix(".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             part.write_bytes(b"")
-            _append(part, line, at=0)
+            _append(part, header_bytes, at=0)
             os.replace(part, path)
         finally:
             part.unlink(missing_ok=True)
         _sync(path.parent)
     except OSError as fault:
         raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
-    return OpenSession(Session(test, own_seed, place_of(header)), header, path, len(line))
+    return OpenSession(Session(test, own_seed, place_of(header)), header, path, len(header_bytes))
 
 
 def clear_parts(test: ListeningTest) -> None:
@@ -382,9 +382,9 @@ def _replayed(test: ListeningTest, answers: ListenerAnswers) -> tuple[Session, L
             if (missing := skipped - (line - before - 1)) > 0:
                 reason = f"{missing} {'answer' if missing == 1 else 'answers'} before it missing"
                 left_out.append(LeftOut(str(ListeningError(reason, file=answers.path, line=line)), missing))
-        made = session.record(record["answer"])
-        session.take(made)
-        history.append(made)
+        record_of_answer = session.record(record["answer"])
+        session.take(record_of_answer)
+        history.append(record_of_answer)
         kept.append((line, record))
     return session, replace(
         answers,
@@ -400,8 +400,8 @@ def _misfit(session: Session, record: Mapping[str, Any]) -> ListeningError | Non
     try:
         if not isinstance(answer := record.get("answer"), dict):
             raise ListeningError(f"is {answer!r}; a mapping is allowed", key="answer")
-        made = session.record(answer)
-        for key, value in json.loads(json.dumps(made)).items():
+        entry = session.record(answer)
+        for key, value in json.loads(json.dumps(entry)).items():
             if key == "index" and session.incomplete:
                 continue  # the number of trials of the staircase is unknown
             if key not in record or record[key] != value:

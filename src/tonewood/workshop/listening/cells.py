@@ -34,8 +34,8 @@ def cells_of(
     who = unique([str(row["listener"]) for row in rows])
     if not used or len(who) < 3:
         return None
-    given = {f: {str(row[f]) for row in rows} for f in used}
-    return Cells(rows, used, sampled, {f: [v for v in levels[f] if v in given[f]] for f in used}, who, single)
+    rated = {f: {str(row[f]) for row in rows} for f in used}
+    return Cells(rows, used, sampled, {f: [v for v in levels[f] if v in rated[f]] for f in used}, who, single)
 
 
 def shared(rows: Rows, factors: Sequence[str]) -> tuple[Rows, tuple[str, ...]]:
@@ -66,15 +66,15 @@ class Cells:
         single: tuple[str, ...] = (),
     ):
         self.single = single
-        own = [tuple(str(row[f]) for f in used) for row in rows]
-        self.cells = sorted(set(own), key=lambda cell: [levels[f].index(v) for f, v in zip(used, cell, strict=True)])
+        cells = [tuple(str(row[f]) for f in used) for row in rows]
+        self.cells = sorted(set(cells), key=lambda cell: [levels[f].index(v) for f, v in zip(used, cell, strict=True)])
         items = [tuple(str(row[f]) for f in sampled) for row in rows]
         self.sounds = unique(items)
-        place = {cell: i for i, cell in enumerate(self.cells)}
+        index = {cell: i for i, cell in enumerate(self.cells)}
         listeners = {name: i for i, name in enumerate(who)}
         item = {name: i for i, name in enumerate(self.sounds)}
         self.value = np.array([row["value"] for row in rows], dtype=np.float64)
-        self.cell = np.array([place[cell] for cell in own])
+        self.cell = np.array([index[cell] for cell in cells])
         self.listener = np.array([listeners[str(row["listener"])] for row in rows])
         self.sound = np.array([item[name] for name in items])
         self.levels, self.used, self.sampled, self.who = levels, list(used), tuple(sampled), who

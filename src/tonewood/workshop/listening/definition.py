@@ -64,8 +64,8 @@ class ListeningTest:
     def trials_of(self, page: int) -> list[ServedTrial]:
         """Trials of a page, counted from 0, in the manifest's order; of a page that is trained, for training."""
         trials = self.pages[page]
-        wanted = trials.page - 1 if isinstance(trials, TrainingPage) else page
-        return [trial for trial in self.trials if trial.page == wanted]
+        number = trials.page - 1 if isinstance(trials, TrainingPage) else page
+        return [trial for trial in self.trials if trial.page == number]
 
     def sound(self, code: str) -> Path:
         """File of a code."""
@@ -81,8 +81,8 @@ class ListeningTest:
         """Words of the pages in a language; missing ones are in English."""
         built_in = built_in_texts()
         base = language.partition("-")[0]
-        own = self.manifest.texts
-        layers = (built_in["en"], built_in.get(base, {}), own.get(base, {}), own.get(language, {}))
+        texts = self.manifest.texts
+        layers = (built_in["en"], built_in.get(base, {}), texts.get(base, {}), texts.get(language, {}))
         return {key: text for layer in layers for key, text in layer.items()}
 
     def title(self, language: str) -> str:

@@ -22,26 +22,26 @@ def figures_of(panel: PanelResults, page: PageResults) -> dict[str, Any]:
     """Figures of one page: name -> figure."""
     who = f"{page.listeners} {'simulated ' if panel.simulated == panel.listeners else ''}listeners"
     heading = f"{who}, {100 * panel.confidence:g} % intervals"
-    made: dict[str, Any] = {}
+    figures: dict[str, Any] = {}
     if page.thresholds is not None:
-        made["tracks"] = _tracks(panel, page, who)
-        made["psychometric"] = _psychometric(panel, page, who)
+        figures["tracks"] = _tracks(panel, page, who)
+        figures["psychometric"] = _psychometric(panel, page, who)
     elif page.detections:
         rows = [(_cell(d.cell), d.share, d.low, d.high) for d in page.detections]
         chance = CHANCE[task_of(panel.test.pages[page.page - 1]) or "abx"]
-        made["shares"] = _points(rows, "share of right answers", heading, (0.0, 1.0), chance)
+        figures["shares"] = _points(rows, "share of right answers", heading, (0.0, 1.0), chance)
     elif page.scale:
         rows = [(s.level, s.value, s.low, s.high) for s in page.scale]
-        made["scale"] = _points(rows, "Bradley-Terry value, logits", heading, None, 0.0)
+        figures["scale"] = _points(rows, "Bradley-Terry value, logits", heading, None, 0.0)
     else:
         limits = (0.0, 100.0) if page.kind == "mushra" else None
         shown = [*page.cells, *(h for h in page.helpers if h.cell["role"] != "reference")]
         rows = [(_cell(m.cell), m.mean, m.low, m.high) for m in shown]
         label = "difference grade" if page.kind == "bs1116" else "rating"
-        made["means"] = _points(rows, label, heading, limits, 0.0 if page.kind == "bs1116" else None)
+        figures["means"] = _points(rows, label, heading, limits, 0.0 if page.kind == "bs1116" else None)
         if len(page.factors) > 1:
-            made["interaction"] = _interaction(page, label, heading, panel.confidence)
-    return made
+            figures["interaction"] = _interaction(page, label, heading, panel.confidence)
+    return figures
 
 
 def _cell(cell: dict[str, str]) -> str:
@@ -83,12 +83,12 @@ def _interaction(page: PageResults, label: str, heading: str, confidence: float)
         means = cell_means(sounds, (first, other), confidence)
         levels = unique([m.cell[other] for m in means])
         for i, level in enumerate(unique([m.cell[first] for m in means])):
-            line: list[CellMean] = [m for m in means if m.cell[first] == level]
-            x = [levels.index(m.cell[other]) + 0.06 * i for m in line]
-            below = [0.0 if m.low is None else m.mean - m.low for m in line]
-            above = [0.0 if m.high is None else m.high - m.mean for m in line]
+            row_means: list[CellMean] = [m for m in means if m.cell[first] == level]
+            x = [levels.index(m.cell[other]) + 0.06 * i for m in row_means]
+            below = [0.0 if m.low is None else m.mean - m.low for m in row_means]
+            above = [0.0 if m.high is None else m.high - m.mean for m in row_means]
             axes.errorbar(
-                x, [m.mean for m in line], yerr=[below, above], fmt="o", ls=DASHES[i % 4],
+                x, [m.mean for m in row_means], yerr=[below, above], fmt="o", ls=DASHES[i % 4],
                 color=COLOURS[i % len(COLOURS)], lw=LINE, ms=8, capsize=6, label=plain(level),
             )  # fmt: skip
         axes.set_xticks(range(len(levels)), [plain(level) for level in levels])
@@ -99,8 +99,8 @@ def _interaction(page: PageResults, label: str, heading: str, confidence: float)
 
 
 def _tracks(panel: PanelResults, page: PageResults, who: str) -> Any:
-    own = panel.test.pages[page.page - 1]
-    assert isinstance(own, StaircasePage)
+    settings = panel.test.pages[page.page - 1]
+    assert isinstance(settings, StaircasePage)
     made, grid = figure(heights=[4.6])
     axes = grid[0, 0]
     names = unique([(row["listener"], row["track"]) for row in page.rows])
@@ -113,7 +113,7 @@ def _tracks(panel: PanelResults, page: PageResults, who: str) -> Any:
         x = np.arange(1, len(rows) + 1)
         axes.plot(x, levels, "-", color=colour, lw=LINE, label=plain(str(listener)))
         axes.plot(x[~right], np.array(levels)[~right], "x", color=colour, ms=9, mew=2)
-    if own.ratio:
+    if settings.ratio:
         axes.set_yscale("log")
     axes.set(
         xlabel="trial (x: wrong)", ylabel=plain(f"level {page.thresholds.unit}".strip() if page.thresholds else "")

@@ -112,14 +112,14 @@ class IncompleteFit:
         count = there.sum(axis=-1)
         theta = 1 - 1 / np.sqrt(1 + _LEVELS * count)
         share = (theta / np.maximum(count, 1))[..., None]
-        own = np.where(there, y, 0.0)
-        own = np.where(there, own - share * own.sum(axis=-1, keepdims=True), 0.0)
+        centred = np.where(there, y, 0.0)
+        centred = np.where(there, centred - share * centred.sum(axis=-1, keepdims=True), 0.0)
         design: Any = there[..., None] * x
         design = there[..., None] * (design - share[..., None] * design.sum(axis=-2, keepdims=True))
         inverse = np.linalg.inv((np.swapaxes(design, -1, -2) @ design).sum(axis=-3))
         self.x, self.scale = x, largest(y, 2)
-        self.beta = np.einsum("...pq,...ncq,...nc->...p", inverse, design, own, optimize=True)
-        residuals = own - (design @ self.beta[..., None, :, None])[..., 0]
+        self.beta = np.einsum("...pq,...ncq,...nc->...p", inverse, design, centred, optimize=True)
+        residuals = centred - (design @ self.beta[..., None, :, None])[..., 0]
         turned = np.swapaxes(design, -1, -2)
         self.clusters = Clusters(turned @ design, (turned @ residuals[..., None])[..., 0], inverse)
 
@@ -177,11 +177,11 @@ class CrossedFit:
     def _parts(self, rows: Floats) -> Parts:
         (a, fa), (b, fb), (d, _) = (one.covariance(rows) for one in self.clusters)
         n, m, pairs = self.counts
-        known = pairs >= n + m
+        enough = pairs >= n + m
         of_a, of_b = (n - 1) / (pairs - 1), (m - 1) / (pairs - 1)
         with np.errstate(divide="ignore", invalid="ignore"):
             c = (d - of_a[..., None, None] * a - of_b[..., None, None] * b) / (1 - of_a - of_b)[..., None, None]
-        c = np.where(known[..., None, None], c, 0.0)
+        c = np.where(enough[..., None, None], c, 0.0)
         return [(a, fa), (b, fb), (c, np.maximum(pairs - n - m + 1, 1))]
 
     def tested(self, basis: Floats) -> Tested:

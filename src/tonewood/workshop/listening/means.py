@@ -90,14 +90,14 @@ def cell_means(rows: Rows, by: Sequence[str], confidence: float) -> list[CellMea
     for row in rows:
         if row["value"] is not None:
             cells.setdefault(tuple(str(row[name]) for name in by), []).append(row)
-    found = []
+    means_of_cells = []
     for levels, inside in cells.items():
         means = list(listener_means(inside).values())
         mean, low, high = student_interval(means, confidence)
         lower, median, upper = (float(q) for q in np.percentile([row["value"] for row in inside], [25, 50, 75]))
         cell = dict(zip(by, levels, strict=True))
-        found.append(CellMean(cell, len(means), len(inside), mean, low, high, median, lower, upper))
-    return found
+        means_of_cells.append(CellMean(cell, len(means), len(inside), mean, low, high, median, lower, upper))
+    return means_of_cells
 
 
 def screen(rows: Rows) -> tuple[ScreenedListener, ...]:

@@ -215,17 +215,17 @@ def linear_analysis(
         )
     terms, alone, alike = [], [], []
     for effect, one in estimates.items():
-        known = np.flatnonzero(np.isfinite(one.p_value))
-        adjusted = strata.holm(one.p_value[known])
+        indices = np.flatnonzero(np.isfinite(one.p_value))
+        adjusted = strata.holm(one.p_value[indices])
         names = contrasts.names[effect]
-        alone += [name for i, name in enumerate(names) if i not in known]
-        alike += [names[i] for i in known if one.low[i] == one.high[i] and one.difference[i] != 0]
+        alone += [name for i, name in enumerate(names) if i not in indices]
+        alike += [names[i] for i in indices if one.low[i] == one.high[i] and one.difference[i] != 0]
         terms += [
             ModelTerm(
                 names[i], effect, float(one.difference[i]), float(one.low[i]), float(one.high[i]), float(one.df[i]),
                 float(one.p_value[i]), float(p), float(one.difference[i] / cell_sd) if cell_sd > 0 else 0.0,
             )
-            for i, p in zip(known, adjusted, strict=True)
+            for i, p in zip(indices, adjusted, strict=True)
         ]  # fmt: skip
     if alone:
         alone += [" : ".join(e) for e, t in tests.items() if not np.isfinite(t.p_value)]
@@ -302,14 +302,14 @@ def superiorities(rows: Rows, factors: Sequence[str], confidence: float) -> list
     """Shares of preference of each pair of levels."""
     comparisons = []
     for factor in factors:
-        own: dict[tuple[str, ...], dict[str, list[float]]] = {}
+        by_listener: dict[tuple[str, ...], dict[str, list[float]]] = {}
         for row in rows:
-            place = (str(row["listener"]), *_cell(row, factors, factor))
-            own.setdefault(place, {}).setdefault(str(row[factor]), []).append(float(row["value"]))
+            key = (str(row["listener"]), *_cell(row, factors, factor))
+            by_listener.setdefault(key, {}).setdefault(str(row[factor]), []).append(float(row["value"]))
         pairs = []
         for a, b in itertools.combinations(unique([str(row[factor]) for row in rows]), 2):
             shares: dict[str, list[float]] = {}
-            for (who, *_), values in own.items():
+            for (who, *_), values in by_listener.items():
                 if a in values and b in values:
                     over = np.sign(np.subtract.outer(values[b], values[a]))
                     shares.setdefault(who, []).append(float(0.5 + 0.5 * over.mean()))

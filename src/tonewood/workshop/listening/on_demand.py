@@ -121,14 +121,14 @@ class RenderedPairs:
         standard = base if page.reference is None else with_value(self.test.manifest, base, page.path, page.reference)
         value = page.value(level, self.renderer.own_value(base, page.path))
         changed = with_value(self.test.manifest, base, page.path, value)
-        made = {}
+        pair = {}
         for name, condition in ((STANDARD, standard), (CHANGED, changed)):
-            made[name] = levelled(self._rendered(condition), settings, self._room)
-        peaks = [decibel(st.true_peak(sound)) for sound in made.values()]
+            pair[name] = levelled(self._rendered(condition), settings, self._room)
+        peaks = [decibel(st.true_peak(sound)) for sound in pair.values()]
         drop = st.page_drop_db(peaks, settings.loudness.true_peak_dbtp)
-        length = max(map(len, made.values()))
+        length = max(map(len, pair.values()))
         sounds = {}
-        for name, sound in made.items():
+        for name, sound in pair.items():
             padded = np.pad(sound, ((0, length - len(sound)), (0, 0))) * 10.0 ** (-drop / 20.0)
             random = generator(self.test.manifest.seed, "dither", index, level, name)
             stream = io.BytesIO()

@@ -194,10 +194,10 @@ def ordinal_analysis(
         else:
             f = strata.trace_test(eta @ basis, basis.T @ v @ basis, float(n - 1))
             tests.append(OddsTest(" : ".join(effect), float(f.statistic), float(f.df1), float(f.df2), float(f.p_value)))
-        own = contrasts.differences[effect]
-        finite = ~np.any(np.abs(own[:, extreme]) > _SMALL, axis=1)
-        variances: Any = np.einsum("ij,jk,ik->i", own, v, own)
-        one = strata.t_interval(own @ eta, variances, np.full(len(own), n - 1.0), confidence)
+        differences = contrasts.differences[effect]
+        finite = ~np.any(np.abs(differences[:, extreme]) > _SMALL, axis=1)
+        variances: Any = np.einsum("ij,jk,ik->i", differences, v, differences)
+        one = strata.t_interval(differences @ eta, variances, np.full(len(differences), n - 1.0), confidence)
         adjusted = strata.holm(one.p_value)
         terms += [
             OddsTerm(

@@ -131,29 +131,29 @@ class _Listener:
         step, page = session.step, session.page
         assert step is not None
         assert page is not None
-        given: dict[str, Any] = {"seconds": 5.0, "plays": dict.fromkeys(step.slots, 1)}
+        answer: dict[str, Any] = {"seconds": 5.0, "plays": dict.fromkeys(step.slots, 1)}
         if isinstance(page, StaircasePage):
             number = session.page_index or 0
-            return given | {
+            return answer | {
                 "choice": self._choice(choices(page, step), step.correct, self._detects(page, number, step.level))
             }
         if isinstance(page, HeadphonesPage):
-            return given | {"choice": step.correct}
+            return answer | {"choice": step.correct}
         if allowed := choices(page, step):
-            return given | {"choice": self._judged(page, step, allowed)}
+            return answer | {"choice": self._judged(page, step, allowed)}
         if isinstance(page, MushraPage):
-            return given | {"ratings": self._mushra(step.slots)}
+            return answer | {"ratings": self._mushra(step.slots)}
         if isinstance(page, Bs1116Page):
-            return given | {"ratings": self._bs1116(step.slots)}
+            return answer | {"ratings": self._bs1116(step.slots)}
         if isinstance(page, RatingPage):
             code = step.slots["A"]
             effect = self._effect(self.panel.ratings, code) + self._interaction(code) + self._response(code)
-            return given | {
+            return answer | {
                 "values": {s.name: self._within((s.low + s.high) / 2 + effect, s.low, s.high) for s in page.scales}
             }
         if isinstance(page, QuestionnairePage):
-            return given | {"values": {q.name: _reply(q) for q in page.questions}}
-        return given | {"agreed": True, "spl_db": 70.0}
+            return answer | {"values": {q.name: _reply(q) for q in page.questions}}
+        return answer | {"agreed": True, "spl_db": 70.0}
 
     def _within(self, centre: float, low: float, high: float) -> float:
         if self.careless:
@@ -259,7 +259,7 @@ def _reply(question: Any) -> Any:
 
 def _check(panel: SimulatedPanel, test: ListeningTest) -> None:
     """Factors, levels and pages exist."""
-    known = test.manifest.choices()
+    levels_of = test.manifest.choices()
     named = [
         (f, level, key)
         for key in ("ratings", "d_prime", "preference")
@@ -268,10 +268,10 @@ def _check(panel: SimulatedPanel, test: ListeningTest) -> None:
     ]
     named += [(f, level, "interactions") for rule in panel.interactions for f, level in _rule(rule).items()]
     for factor, level, key in named:
-        if factor not in known:
-            raise ListeningError(f"{factor} is not one of {', '.join(known)}", key=key)
-        if level not in known[factor]:
-            raise ListeningError(f"{level} is not one of {', '.join(known[factor])}", key=f"{key}.{factor}")
+        if factor not in levels_of:
+            raise ListeningError(f"{factor} is not one of {', '.join(levels_of)}", key=key)
+        if level not in levels_of[factor]:
+            raise ListeningError(f"{level} is not one of {', '.join(levels_of[factor])}", key=f"{key}.{factor}")
     stairs = [str(i + 1) for i, page in enumerate(test.pages) if isinstance(page, StaircasePage)]
     for number, wanted in panel.thresholds.items():
         if number not in stairs:

@@ -39,8 +39,8 @@ def _of_page(panel: PanelResults, page: PageResults) -> list[str]:
     if page.scale:
         best = max(page.scale, key=lambda s: s.value)
         sure = [s for s in page.scale if s is not best and s.high < best.low]
-        own = panel.test.pages[page.page - 1]
-        question = "" if not isinstance(own, PairedPage) else " in answer to the question"
+        settings = panel.test.pages[page.page - 1]
+        question = "" if not isinstance(settings, PairedPage) else " in answer to the question"
         if not sure:
             return [f"no level is chosen more often than all others{question}: the {percent} intervals overlap."]
         return [f"{best.level} is chosen more often than {' and '.join(s.level for s in sure)}{question} "
@@ -110,8 +110,8 @@ def _interactions(page: PageResults) -> list[list[FactorTest | OddsTest]]:
     """Tests of each interaction without and with the listeners who were left out."""
     tests: dict[str, list[FactorTest | OddsTest]] = {}
     for one in _analyses(page):
-        own = one.odds if page.ordinal else one.linear
-        for test in own.tests if own is not None else ():
+        model = one.odds if page.ordinal else one.linear
+        for test in model.tests if model is not None else ():
             if " : " in test.name:
                 tests.setdefault(test.name, []).append(test)
     return list(tests.values())
@@ -193,8 +193,8 @@ def _detected(panel: PanelResults, page: PageResults, one: Detection, percent: s
     cell = _levels(one)
     if one.share is None or one.p_holm is None:
         return f"{cell}: nobody decided."
-    own = panel.test.pages[page.page - 1]
-    task = task_of(own)
+    settings = panel.test.pages[page.page - 1]
+    task = task_of(settings)
     pair = next(((k, *v.split(VERSUS)) for k, v in one.cell.items() if VERSUS in v), None)
     varied = _in_unit(panel, *pair) if pair is not None and len(pair) == 3 else ""
     varied = f" ({varied})" if varied else ""
@@ -251,16 +251,16 @@ def _threshold(panel: PanelResults, page: PageResults, percent: str) -> str:
 
 def _in_unit(panel: PanelResults, factor: str, first: str, second: str) -> str:
     """Difference of two levels in the parameter that they set, and in just-noticeable differences of a staircase."""
-    own = panel.test.manifest.factors.get(factor)
-    if own is None or first not in own.levels or second not in own.levels:
+    factor_settings = panel.test.manifest.factors.get(factor)
+    if factor_settings is None or first not in factor_settings.levels or second not in factor_settings.levels:
         return ""
-    a, b = own.levels[first], own.levels[second]
+    a, b = factor_settings.levels[first], factor_settings.levels[second]
     if _scalar(a) is None or _scalar(b) is None:
         return ""
-    text = f"{own.path} {_value(b)} against {_value(a)}"
+    text = f"{factor_settings.path} {_value(b)} against {_value(a)}"
     for page in panel.pages:
         stairs = panel.test.pages[page.page - 1]
-        if page.thresholds is None or not isinstance(stairs, StaircasePage) or stairs.path != own.path:
+        if page.thresholds is None or not isinstance(stairs, StaircasePage) or stairs.path != factor_settings.path:
             continue
         seen = stairs.lowest <= page.thresholds.mean <= stairs.highest
         if (x := _as_level(stairs, a, b)) is not None and page.thresholds.mean > 0 and seen:
@@ -344,15 +344,15 @@ def methods(panel: PanelResults) -> str:
 
 
 def _stairs(test: ListeningTest, page: PageResults) -> str:
-    own = test.pages[page.page - 1]
-    assert isinstance(own, StaircasePage)
+    spec = test.pages[page.page - 1]
+    assert isinstance(spec, StaircasePage)
     rule = (
-        f"QUEST+ (Watson 2017), {own.trials} trials"
-        if own.adaptive == "quest_plus"
-        else f"a {own.down}-down, 1-up staircase (Levitt 1971), {own.reversals} reversals"
+        f"QUEST+ (Watson 2017), {spec.trials} trials"
+        if spec.adaptive == "quest_plus"
+        else f"a {spec.down}-down, 1-up staircase (Levitt 1971), {spec.reversals} reversals"
     )
     return (
-        f"Thresholds of {own.path} were measured by {rule} in {own.tracks} track{'s' if own.tracks > 1 else ''}, "
-        f"{own.intervals} intervals, at {100 * own.share:.1f} % right answers, and estimated by a hierarchical "
+        f"Thresholds of {spec.path} were measured by {rule} in {spec.tracks} track{'s' if spec.tracks > 1 else ''}, "
+        f"{spec.intervals} intervals, at {100 * spec.share:.1f} % right answers, and estimated by a hierarchical "
         "logistic psychometric function over all trials and listeners, lapse rates marginal."
     )

@@ -76,10 +76,10 @@ def pooled_same_different(hits: Counts, different: Counts, alarms: Counts, same:
     for centre in np.linspace(0.4, 4.0, 13):
         for spread in (0.05, 0.2, 0.4, 0.7, 1.1):
             law = np.exp(-(((k - centre) / spread) ** 2) / 2)
-            own = like @ (law / law.sum())
-            value = float(np.max(np.sum(np.log(own @ weights.T + 1e-300), axis=0)))
+            mean = like @ (law / law.sum())
+            value = float(np.max(np.sum(np.log(mean @ weights.T + 1e-300), axis=0)))
             if value > best:
-                best, estimate = value, own
+                best, estimate = value, mean
     return _estimate(np.log(estimate + 1e-300), confidence)
 
 

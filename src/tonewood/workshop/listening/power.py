@@ -96,11 +96,13 @@ def power_of(manifest: Manifest, trials: dict[int, int], pilot: PanelResults | N
     for index, page in enumerate(manifest.pages):
         name = localised(getattr(page, "name", ""), manifest.language) or page.type
         number = index + 1
-        own = next((p for p in pilot.pages if p.page == number), None) if pilot is not None else None
+        pilot_page = next((p for p in pilot.pages if p.page == number), None) if pilot is not None else None
         try:
-            row = _row(manifest, page, number, name, own, max(trials.get(index, 1), 1))
+            row = _row(manifest, page, number, name, pilot_page, max(trials.get(index, 1), 1))
         except TooManyListenersError as fault:
-            row = PowerRow(number, name, str(fault), None, getattr(page, "expect", None) is not None or own is not None)
+            row = PowerRow(
+                number, name, str(fault), None, getattr(page, "expect", None) is not None or pilot_page is not None
+            )
         rows += [] if row is None else [row]
     return rows
 

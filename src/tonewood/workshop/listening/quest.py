@@ -52,10 +52,10 @@ class QuestTable:
     def entropies(self, posterior: Floats) -> Floats:
         """Expected entropies (..., levels) after one more answer; posterior (..., sets)."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            own = np.where(posterior > 0, posterior * np.log(posterior), 0.0)
+            entropies = np.where(posterior > 0, posterior * np.log(posterior), 0.0)
         mean = np.clip(posterior @ self.right.T, 1e-300, 1 - 1e-16)
         response = mean * np.log(mean) + (1 - mean) * np.log1p(-mean)
-        return np.asarray(response - posterior @ self.information.T - own.sum(axis=-1)[..., None])
+        return np.asarray(response - posterior @ self.information.T - entropies.sum(axis=-1)[..., None])
 
     def best(self, posterior: Floats) -> NDArray[np.int_]:
         """Index (...) of the level to present."""

@@ -198,8 +198,8 @@ def _page_results(
         if not kept:
             raise ListeningError(f"page {index + 1}: no listener passes the screening; --no-screening keeps all")
         whole = _rated(base, rows, table, page, confidence, random, (0.0, 100.0)) if out else None
-        own = _rated(base, kept, table, page, confidence, random, (0.0, 100.0), out)
-        return [replace(own, everybody=whole)]
+        rated = _rated(base, kept, table, page, confidence, random, (0.0, 100.0), out)
+        return [replace(rated, everybody=whole)]
     if isinstance(page, Bs1116Page):
         return [_rated(base, _difference_grades(rows), table, page, confidence, random, (-4.0, 4.0))]
     if isinstance(page, RatingPage):

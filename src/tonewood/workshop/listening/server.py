@@ -148,22 +148,22 @@ class ListeningServer:
         return await self._with_session(request, lambda opened, _: JSONResponse(self._shown(opened)))
 
     async def _answer(self, request: Request) -> Response:
-        given = await json_body(request, ListeningError)
+        body = await json_body(request, ListeningError)
 
         def take(opened: OpenSession, entry: _Entry) -> Response:
             session = opened.session
-            index = given.get("index")
+            index = body.get("index")
             if type(index) is not int or not 0 <= index <= len(session.answers):
                 raise ListeningError("is not the number of a step", key="index")
             step = session.step
             if step is None or index != step.index:
                 # sent again, as the reply to it was lost: it is on the disk, the page goes on
-                if session.has_taken(given):
+                if session.has_taken(body):
                     return JSONResponse({"feedback": None, "step": self._shown(opened)})
                 error = "this page was answered before, otherwise; that answer counts"
                 return JSONResponse({"error": error, "step": self._shown(opened)}, status_code=409)
             page = opened.session.page
-            record = opened.answer(given, now=_now())
+            record = opened.answer(body, now=_now())
             tells = step.training or bool(getattr(page, "feedback", False))
             feedback = {"right": record["right"], "correct": record["correct"]} if tells and "right" in record else None
             return JSONResponse({"feedback": feedback, "step": self._shown(opened)})
@@ -207,9 +207,9 @@ class ListeningServer:
                     return Response(tone(self.test, page), media_type="audio/wav")
                 if step.level is not None and self.pairs is not None:
                     number = opened.session.page_index or 0
-                    made = self.pairs.pair(number, step.level)
+                    pair = self.pairs.pair(number, step.level)
                     self._expect(opened, number, step)
-                    return Response(made[step.slots[slot]], media_type="audio/wav")
+                    return Response(pair[step.slots[slot]], media_type="audio/wav")
                 if entry.read != step.index:  # the first sound costs as much whichever it is, the others are cached
                     for code in set(step.slots.values()):
                         self.test.sound(code).read_bytes()
@@ -285,8 +285,8 @@ class ListeningServer:
 
     def _say(self, place: str, fault: Exception) -> None:
         """Print a fault for the experimenter, each once."""
-        known = isinstance(fault, (TonewoodError, OSError))
-        text = str(fault) if known else "".join(traceback.format_exception(fault)).rstrip()
+        expected = isinstance(fault, (TonewoodError, OSError))
+        text = str(fault) if expected else "".join(traceback.format_exception(fault)).rstrip()
         with self._lock:
             if (key := f"{type(fault)}{fault}") in self._said:
                 return

@@ -290,11 +290,11 @@ class Session:
         self, page: pages.AfcPage | pages.StaircasePage, labels: tuple[object, ...], standard: str, other: str
     ) -> dict[str, Any]:
         """Slots of a forced choice: the other sound in one of the intervals."""
-        place = int(generator(self.test.manifest.seed, "interval", self.seed, *labels).integers(page.intervals))
-        slots = {str(i + 1): other if i == place else standard for i in range(page.intervals)}
+        interval = int(generator(self.test.manifest.seed, "interval", self.seed, *labels).integers(page.intervals))
+        slots = {str(i + 1): other if i == interval else standard for i in range(page.intervals)}
         if page.intervals == 2 and not page.question:
             slots = {OPEN: standard, **slots}
-        return {"slots": slots, "correct": str(place + 1)}
+        return {"slots": slots, "correct": str(interval + 1)}
 
     def _adaptive(self, number: int, page: pages.StaircasePage) -> Iterator[dict[str, Any]]:
         """Trials of interleaved tracks, until all have ended."""

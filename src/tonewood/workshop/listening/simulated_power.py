@@ -114,9 +114,9 @@ def screened_found(y: Floats, kept: NDArray[np.bool_], alpha: float, *, sounds: 
     counts = kept.sum(axis=1)
     whole = _differs(y, rows, alpha, sounds)
     for count in np.unique(counts[counts > 2]):
-        own = counts == count
-        rest = y[own][kept[own]].reshape(np.sum(own), count, *y.shape[2:])
-        detected[own] = whole[own] & (_differs(rest, rows, alpha, sounds) if count < y.shape[1] else True)
+        same = counts == count
+        rest = y[same][kept[same]].reshape(np.sum(same), count, *y.shape[2:])
+        detected[same] = whole[same] & (_differs(rest, rows, alpha, sounds) if count < y.shape[1] else True)
     return detected
 
 
@@ -197,11 +197,11 @@ class MushraListeners:
         figures; where no spread reaches them, the nearest that the search has come to.
         """
         answers = sounds * trials * cells
-        own = min(SimulatedPanel.model_fields["listener_sd"].default, sd / 2)
+        listener_sd = min(SimulatedPanel.model_fields["listener_sd"].default, sd / 2)
         single = min(SimulatedPanel.model_fields["residual_sd"].default, sd / 2 * math.sqrt(answers))
-        slope = math.sqrt((sd**2 - own**2 - single**2 / answers) / 2)
+        slope = math.sqrt((sd**2 - listener_sd**2 - single**2 / answers) / 2)
         wanted = np.asarray(effects, dtype=np.float64)
-        people = cls(wanted, sounds, trials, cells, own, slope, single, sound_sd)
+        people = cls(wanted, sounds, trials, cells, listener_sd, slope, single, sound_sd)
         at = int(np.argmax(np.abs(wanted)))
         if wanted[at] == 0 or sd <= 0:
             return people
@@ -233,9 +233,9 @@ class MushraListeners:
         heard = heard[..., None, None, :] + random.normal(
             0, self.residual_sd, (*shape, self.sounds, self.trials, self.cells, k)
         )
-        own = random.normal(0, self.own_sd, (*shape, 1, 1, 1, 1))
+        by_listener = random.normal(0, self.own_sd, (*shape, 1, 1, 1, 1))
         best = heard == heard.max(axis=(-2, -1), keepdims=True)
-        rated = np.where(best, 100.0, np.clip(100 + own + heard, 0, 100))
+        rated = np.where(best, 100.0, np.clip(100 + by_listener + heard, 0, 100))
         missed = (rated[..., 0, 0] < LIMIT_SCORE).mean(axis=(-2, -1))
         return rated.mean(axis=(-3, -2)), missed <= LIMIT_SHARE
 

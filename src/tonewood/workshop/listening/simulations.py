@@ -73,8 +73,10 @@ def ratings(
         return _others(random, (experiments, listeners), null, shift, repetitions)
     law: Any = NULLS[null]
     shape = (experiments, listeners)
-    own = random.normal(0, 6, (*shape, 1, 1)) + random.normal(0, 1, (*shape, 3, 1)) * np.array(law["own"])[:, None]
-    y = law["mean"] + own + np.array([0.0, shift, 0.0])[:, None]
+    by_listener = (
+        random.normal(0, 6, (*shape, 1, 1)) + random.normal(0, 1, (*shape, 3, 1)) * np.array(law["own"])[:, None]
+    )
+    y = law["mean"] + by_listener + np.array([0.0, shift, 0.0])[:, None]
     noise = random.normal(0, 1, (*shape, 3, 3, repetitions)) * np.array(law["residual"])[:, None, None]
     answers = np.clip(np.broadcast_to(y, (*shape, 3, 3))[..., None] + noise, 0.0, 100.0)
     return np.asarray(answers.reshape(*shape, 9, repetitions))
@@ -90,20 +92,20 @@ def _others(random: np.random.Generator, shape: tuple[int, int], name: str, shif
     the last two levels, rates it 18 points above the mean of all, the others 2 below.
     """
     each = (*shape, 3, 3, repetitions)
-    own = 50 + random.normal(0, 6, (*shape, 1, 1)) + np.array([0.0, shift, 0.0])[:, None]
+    means = 50 + random.normal(0, 6, (*shape, 1, 1)) + np.array([0.0, shift, 0.0])[:, None]
     if name == "heavy tails":
-        y = (own + 4 * random.standard_t(3, (*shape, 3, 1)))[..., None] + 5 * random.standard_t(3, each)
+        y = (means + 4 * random.standard_t(3, (*shape, 3, 1)))[..., None] + 5 * random.standard_t(3, each)
     elif name == "three values only":
-        y = (own + random.normal(0, 8, (*shape, 3, 1)))[..., None] + random.normal(0, 9, each)
+        y = (means + random.normal(0, 8, (*shape, 3, 1)))[..., None] + random.normal(0, 9, each)
         limit = random.uniform(4, 16, (*shape, 1, 1, 1))
         y = np.where(y > 50 + limit, 80.0, np.where(y < 50 - limit, 20.0, 50.0))
     elif name == "one listener in ten responds":
-        own[..., 1:, :] += np.where(random.random((*shape, 2, 1)) < 0.1, 18.0, -2.0)
-        y = own[..., None] + random.normal(0, 6, each)
+        means[..., 1:, :] += np.where(random.random((*shape, 2, 1)) < 0.1, 18.0, -2.0)
+        y = means[..., None] + random.normal(0, 6, each)
     else:
         x = random.exponential(1, (*shape, 3)) - 1
         x[..., 0], x[..., 2] = random.standard_normal(shape), -x[..., 2]
-        y = (own + 8 * x[..., None])[..., None] + random.normal(0, 6, each)
+        y = (means + 8 * x[..., None])[..., None] + random.normal(0, 6, each)
     return np.asarray(y.reshape(*shape, 9, repetitions))
 
 
@@ -266,10 +268,10 @@ def choice_rates(
     pairs = list(itertools.combinations(range(3), 2))
 
     def scale(mean: Floats, spread: float) -> list[ScaleValue]:
-        own = mean + spread * random.standard_normal((listeners, 3))
+        thresholds = mean + spread * random.standard_normal((listeners, 3))
         rows = [
             {"listener": str(i), "f": f"{a}|{b}", "value": float(random.random() < 1 / (1 + np.exp(v[a] - v[b])))}
-            for i, v in enumerate(own) for a, b in pairs for _ in range(each)
+            for i, v in enumerate(thresholds) for a, b in pairs for _ in range(each)
         ]  # fmt: skip
         return sorted(bradley_terry(rows, "f", 0.95), key=lambda one: one.level)
 
@@ -388,8 +390,8 @@ def sensitivity_rates(
     population = np.maximum(mean + sd * np.random.default_rng(0).standard_normal(200_000), 0.0).mean()
     rows = []
     for _ in range(experiments):
-        own = np.maximum(mean + sd * random.standard_normal(listeners), 0.0)
-        right = random.binomial(answers, np.interp(own, D, shares)).astype(np.float64)
+        d_primes = np.maximum(mean + sd * random.standard_normal(listeners), 0.0)
+        right = random.binomial(answers, np.interp(d_primes, D, shares)).astype(np.float64)
         value, low, high = pooled(right, np.full(listeners, float(answers)), shares, 0.95)
         together = min(float(right.sum()) / (listeners * answers), 1 - 1e-6)
         rows.append((value, sensitivity(together, task), float(low <= population <= high)))
@@ -407,8 +409,10 @@ def power_had(random: np.random.Generator, experiments: int, listeners: int, shi
     """
     contrasts = strata.contrasts(_CELLS, _LEVELS)
     part = sd / 2  # of the level's mean: own response and mean of six answers; var of a difference = 4 part^2
-    own = random.normal(0, 6, (experiments, listeners, 1, 1)) + random.normal(0, part, (experiments, listeners, 3, 1))
-    y = 50 + own + np.array([0.0, shift, 0.0])[:, None]
+    by_listener = random.normal(0, 6, (experiments, listeners, 1, 1)) + random.normal(
+        0, part, (experiments, listeners, 3, 1)
+    )
+    y = 50 + by_listener + np.array([0.0, shift, 0.0])[:, None]
     y = y + random.normal(0, part * np.sqrt(3), (experiments, listeners, 3, 3))
     p = strata.estimated(
         y.reshape(experiments, listeners, 9), contrasts.differences["factor",], 0.95, sounds=False
@@ -448,8 +452,8 @@ def power_had_by_shares(
     """
     detected = 0
     for _ in range(experiments):
-        own = random.normal(3.0, sd / 2, (listeners, 1, 3)) + np.array([0.0, shift, 0.0])
-        y = np.clip(own + random.normal(0, sd / 2 * np.sqrt(6), (listeners, 6, 3)), 1, 5)
+        by_listener = random.normal(3.0, sd / 2, (listeners, 1, 3)) + np.array([0.0, shift, 0.0])
+        y = np.clip(by_listener + random.normal(0, sd / 2 * np.sqrt(6), (listeners, 6, 3)), 1, 5)
         rows = [
             {"listener": str(i), "sound": str(j), "factor": _FACTOR[k], "value": float(v)}
             for (i, j, k), v in np.ndenumerate(y)

@@ -105,18 +105,18 @@ def thresholds(rows: Sequence[Mapping[str, Any]], page: StaircasePage, unit: str
     grid = ThresholdGrid(page)
     tables, reversals, counts = [], [], []
     for name in who:
-        own = sorted((row for row in rows if row["listener"] == name), key=lambda row: row["index"])
-        levels = np.array([row["level"] for row in own], dtype=np.float64)
-        right = np.array([bool(row["right"]) for row in own])
+        trials = sorted((row for row in rows if row["listener"] == name), key=lambda row: row["index"])
+        levels = np.array([row["level"] for row in trials], dtype=np.float64)
+        right = np.array([bool(row["right"]) for row in trials])
         tables.append(grid.likelihood(levels, right))
         ends = []
         if page.adaptive == "levitt":
             tracks = [StaircaseTrack(page) for _ in range(page.tracks)]
-            for row in own:
+            for row in trials:
                 tracks[int(row["track"])].answer(bool(row["right"]))
             ends = [end for track in tracks if (end := track.threshold) is not None]
         reversals.append(page.transformed(page.mean(ends)) if ends else None)
-        counts.append(len(own))
+        counts.append(len(trials))
     fit = grid.fit(np.array(tables), confidence)
     error = _error_of_reversals(page, fit) if any(x is not None for x in reversals) else None
     estimates = [
@@ -286,11 +286,11 @@ def _error_of_reversals(page: StaircasePage, fit: PopulationFit) -> float:
     assert task is not None
     errors = []
     for _ in range(_TRACKS):
-        own = fit.mean + fit.spread * random.standard_normal()
+        threshold = fit.mean + fit.spread * random.standard_normal()
         track = StaircaseTrack(page)
         while not track.done:
-            p = psychometric(page.transformed(track.level), own, fit.slope, CHANCE[task], page.share)
+            p = psychometric(page.transformed(track.level), threshold, fit.slope, CHANCE[task], page.share)
             track.answer(bool(random.random() < p))
         if track.threshold is not None:
-            errors.append(page.transformed(track.threshold) - own)
+            errors.append(page.transformed(track.threshold) - threshold)
     return float(np.mean(errors)) if errors else 0.0

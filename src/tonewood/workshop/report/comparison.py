@@ -142,13 +142,13 @@ def compare(
         faults = [fault for model in models if (fault := _fault(model, name))]
         if len(faults) == len(models):
             raise TonewoodError(faults[0], key=f"--notes {name}")
-    found: list[InstrumentFacts] = []
+    instruments: list[InstrumentFacts] = []
     for label, candidate, model in zip(LABELS, candidates, models, strict=False):
-        found.append(gather(model, label=label, changes=candidate.changes, called=candidate.name))
-        tell(0.5 * len(found) / len(candidates))
-    names = names or default_notes(found, models)
+        instruments.append(gather(model, label=label, changes=candidate.changes, called=candidate.name))
+        tell(0.5 * len(instruments) / len(candidates))
+    names = names or default_notes(instruments, models)
     whole = []
-    for i, (facts, model, candidate) in enumerate(zip(found, models, candidates, strict=True)):
+    for i, (facts, model, candidate) in enumerate(zip(instruments, models, candidates, strict=True)):
         missing = {name: reason for name in names if (reason := _fault(model, name))}
         tones = {
             name: play_note(candidate.instrument, model, name, fs=fs, duration=duration, velocity_midi=velocity_midi)

@@ -234,8 +234,8 @@ def frequencies(body: ModalBasis, fs: float) -> Floats:
     """Frequencies at which mobility is stated, Hz: equally spaced in their logarithm, and the body's own."""
     top = min(_HIGH, 0.45 * fs)
     even = np.geomspace(_LOW, top, int(_PER_DECADE * np.log10(top / _LOW)))
-    own = body.natural_freq[body.natural_freq > 0]
-    near = [own * (1 + x * np.minimum(body.damping_ratio[body.natural_freq > 0], 1.0)) for x in (-1.0, 0.0, 1.0)]
+    elastic = body.natural_freq[body.natural_freq > 0]
+    near = [elastic * (1 + x * np.minimum(body.damping_ratio[body.natural_freq > 0], 1.0)) for x in (-1.0, 0.0, 1.0)]
     every = np.concatenate([even, *near])
     return np.unique(every[(every >= _LOW) & (every <= top)])
 
@@ -305,7 +305,7 @@ def _kinds(provenance: Mapping[str, Provenance]) -> dict[str, int]:
 
 
 def _notes(model: Model) -> tuple[NoteRow, ...]:
-    found = pitches(model)
+    rows = pitches(model)
     return tuple(
         NoteRow(
             string=p.string,
@@ -317,7 +317,7 @@ def _notes(model: Model) -> tuple[NoteRow, ...]:
             t60=p.t60,
             tension=p.tension,
         )
-        for p, mounted in zip(found, mounted_pitches(model, found), strict=True)
+        for p, mounted in zip(rows, mounted_pitches(model, rows), strict=True)
     )
 
 
@@ -325,7 +325,7 @@ def _strings(instrument: Instrument, model: Model) -> tuple[StringRow, ...]:
     rows = []
     for name in model.groups:
         string = model.strings[name]
-        given = string.tuning.given
+        tension = string.tuning.given
         values: Mapping[str, Any] = instrument.resolved["strings"][name]
         density = values.get("linear_density")
         rows.append(
@@ -334,9 +334,9 @@ def _strings(instrument: Instrument, model: Model) -> tuple[StringRow, ...]:
                 note=note_name(string.open_note),
                 length=string.length(0),
                 linear_density=float(density) if isinstance(density, int | float) else None,
-                tension=given.used,
-                given_tension=given.given,
-                held=given.held,
+                tension=tension.used,
+                given_tension=tension.given,
+                held=tension.held,
                 stops=string.n_stops,
                 feel=feel(model, name),
                 partials=tuple(

@@ -41,20 +41,20 @@ def parameters(instrument: Instrument) -> dict[str, ParameterValue]:
         if isinstance(value, dict | list) and not value:
             continue
         kind, *rest = key.split(".")
-        made = None
+        plugin = None
         if kind in plugins and rest:
-            made = plugins[kind].get("" if kind == "body" else rest[0])
+            plugin = plugins[kind].get("" if kind == "body" else rest[0])
         inner = rest if kind == "body" else rest[1:]
         unit = _unit(Bundle, key.split("."))
-        if made is not None and not unit:
+        if plugin is not None and not unit:
             part = (
-                getattr(made.parameters, inner[0], None) if inner else None
+                getattr(plugin.parameters, inner[0], None) if inner else None
             )  # a plugin among its parameters: a loss law
-            own, below = (part, inner[1:]) if isinstance(part, Plugin) else (made, inner)
+            own, below = (part, inner[1:]) if isinstance(part, Plugin) else (plugin, inner)
             unit = _unit(type(own).Parameters, below)
-        if made is not None and inner == ["table"] and isinstance(value, str):
-            found = hashlib.sha256(made.files.path(value, key).read_bytes()).hexdigest()
-            value = f"{value} (SHA-256 {found[:12]})"
+        if plugin is not None and inner == ["table"] and isinstance(value, str):
+            digest = hashlib.sha256(plugin.files.path(value, key).read_bytes()).hexdigest()
+            value = f"{value} (SHA-256 {digest[:12]})"
         out[key] = ParameterValue(value, "" if unit == "1" else unit)
     return out
 

@@ -93,10 +93,10 @@ def place(model: Model, note: str) -> tuple[str, float]:
         if not (stop.isascii() and stop.isdigit() and int(stop) <= count):
             raise TonewoodError(f"{stop!r} is no stop of string {name}; 0 to {count} are allowed")
         return name, float(stop)
-    found = assign([Note(0.0, 1.0, note=note_number(note))], playable(model), tuning=model.instrument.tuning)
-    if found.dropped:
-        raise TonewoodError(found.dropped[0].reason)
-    return found.notes[0].string, found.notes[0].stop
+    assignment = assign([Note(0.0, 1.0, note=note_number(note))], playable(model), tuning=model.instrument.tuning)
+    if assignment.dropped:
+        raise TonewoodError(assignment.dropped[0].reason)
+    return assignment.notes[0].string, assignment.notes[0].stop
 
 
 def place_name(model: Model, string: str, stop: int) -> str:

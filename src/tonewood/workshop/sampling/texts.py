@@ -46,11 +46,11 @@ class Region:
 
     def level(self, velocity: float) -> float:
         """Return the level of the key at a velocity, dB: on straight lines between those measured, and beyond them."""
-        known = sorted(self.levels)
-        if len(known) == 1:
-            return self.levels[known[0]] + 40.0 * float(np.log10(max(velocity, 1.0) / known[0]))
-        i = int(np.clip(np.searchsorted(known, velocity), 1, len(known) - 1))
-        low, high = known[i - 1], known[i]
+        velocities = sorted(self.levels)
+        if len(velocities) == 1:
+            return self.levels[velocities[0]] + 40.0 * float(np.log10(max(velocity, 1.0) / velocities[0]))
+        i = int(np.clip(np.searchsorted(velocities, velocity), 1, len(velocities) - 1))
+        low, high = velocities[i - 1], velocities[i]
         slope = (self.levels[high] - self.levels[low]) / (high - low)
         return self.levels[low] + slope * (velocity - low)
 

@@ -1,1 +1,1 @@
-"""Taps: what rings after a knock, from a microphone or a sensor, without the force."""
+"""Tap tones: modes that ring after a knock, from a microphone or a sensor, without the force."""

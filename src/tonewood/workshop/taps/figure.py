@@ -1,4 +1,4 @@
-"""The spectrum of taps, with the peaks that were found."""
+"""Picture of the spectrum of taps with its peaks."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from tonewood.support.arrays import Complexes, Floats
 from tonewood.support.blas import one_blas_thread
 from tonewood.workshop.fit import noise
 from tonewood.workshop.fit.identify import LEAST_NOISE, identify
-from tonewood.workshop.fit.projection import Line, Poles, Projection, Shape
+from tonewood.workshop.fit.projection import FitData, Poles, Projection, Shape
 from tonewood.workshop.fit.search import NothingFoundError, descend
 
 #: standard deviations of half of a central interval of 90 % of a normal distribution
@@ -147,14 +147,14 @@ def _combined(spectra: Complexes) -> Complexes:
 
 def _standing(problem: Projection, poles: Poles, freq: Floats, spectra: Complexes) -> tuple[Projection, Poles]:
     """The modes that are peaks, fitted without the others, and the problem with the noise that these leave."""
-    together = Projection(Line(freq, spectra, np.ones(spectra.shape)), Shape((), len(spectra)))
+    together = Projection(FitData(freq, spectra, np.ones(spectra.shape)), Shape((), len(spectra)))
     while len(poles) > 1:
         columns, k = together.columns(poles)[0], len(poles)
         residues = together.solve(poles).residues
         at = np.clip(np.searchsorted(freq, poles.freq), 0, freq.size - 1)
-        own = residues[:, :k] * columns[np.arange(k), at] + residues[:, k : 2 * k] * columns[np.arange(k, 2 * k), at]
+        shares = residues[:, :k] * columns[np.arange(k), at] + residues[:, k : 2 * k] * columns[np.arange(k, 2 * k), at]
         there = together.model(poles, residues)[:, at]
-        share = np.sqrt((np.abs(own) ** 2).sum(axis=0) / (np.abs(there) ** 2).sum(axis=0))
+        share = np.sqrt((np.abs(shares) ** 2).sum(axis=0) / (np.abs(there) ** 2).sum(axis=0))
         weak: list[int] = []
         for i in np.argsort(share):
             # neighbours stand in for each other: one of them at a time
@@ -165,20 +165,20 @@ def _standing(problem: Projection, poles: Poles, freq: Floats, spectra: Complexe
         poles, found = descend(problem, poles.without(weak), 12, 1e-6)
         level = np.maximum(
             noise.of_misfit(problem.misfit(poles, found.residues), problem.model(poles, found.residues)),
-            LEAST_NOISE * np.abs(problem.line.mobility),
+            LEAST_NOISE * np.abs(problem.data.mobility),
         )
-        problem = Projection(replace(problem.line, sigma=level), problem.shape)
+        problem = Projection(replace(problem.data, sigma=level), problem.shape)
     return problem, poles
 
 
 def _in_each_tap(freq: Floats, spectra: Complexes, poles: Poles) -> tuple[Floats, NDArray[np.bool_]]:
     """(n_taps, K) amplitudes when the tap began, and whether each mode stands out of that tap's noise."""
     shape, k = Shape((), len(spectra)), len(poles)
-    line = Line(freq, spectra, np.ones(spectra.shape))
-    problem = Projection(line, shape)
+    data = FitData(freq, spectra, np.ones(spectra.shape))
+    problem = Projection(data, shape)
     left = problem.misfit(poles, problem.solve(poles).residues)
     level = np.maximum(noise.of_misfit(left), LEAST_NOISE * np.abs(spectra))
-    found = Projection(replace(line, sigma=level), shape).solve(poles)
-    chi2 = found.chi2[:, :k] + found.chi2[:, k : 2 * k]
+    solution = Projection(replace(data, sigma=level), shape).solve(poles)
+    chi2 = solution.chi2[:, :k] + solution.chi2[:, k : 2 * k]
     decayed = -np.expm1(-np.pi * poles.freq / poles.quality / float(np.median(np.diff(freq))))
-    return np.hypot(found.residues[:, :k], found.residues[:, k : 2 * k]) / decayed, chi2 > _SEEN
+    return np.hypot(solution.residues[:, :k], solution.residues[:, k : 2 * k]) / decayed, chi2 > _SEEN

@@ -46,8 +46,8 @@ class Guard:
             self.names.add(host.lower())
             self.local_only = host.lower() == "localhost"
         if not self.local_only:
-            own = socket.gethostname().lower()
-            self.names |= {own, f"{own}.local"}
+            hostname = socket.gethostname().lower()
+            self.names |= {hostname, f"{hostname}.local"}
 
     async def __call__(self, scope: MutableMapping[str, Any], receive: Any, send: Any) -> None:
         """Refuse a request, or pass it on."""

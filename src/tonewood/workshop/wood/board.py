@@ -170,9 +170,9 @@ class _Problem:
         long, cross, shear, nu, g_lt, g_rt, h, sensor = theta
         e = np.exp(long)
         nu = min(max(nu, 0.01), 0.9 * float(np.sqrt(e / np.exp(cross))))
-        made = Wood(float(e), float(np.exp(cross)), float(np.exp(shear)), float(nu), self.plate.nominal.density,
+        wood = Wood(float(e), float(np.exp(cross)), float(np.exp(shear)), float(nu), self.plate.nominal.density,
                     G_LT=float(e * np.exp(g_lt)), G_RT=float(e * np.exp(g_rt)))  # fmt: skip
-        return made, float(np.exp(h)), max(float(sensor), _LEAST_SENSOR)
+        return wood, float(np.exp(h)), max(float(sensor), _LEAST_SENSOR)
 
     def log_freq(self, theta: Floats) -> Floats:
         """Logarithms of the modes' frequencies."""
@@ -263,11 +263,11 @@ def losses_of(
     """
     from scipy.optimize import nnls
 
-    known = q > 0
-    n = int(np.count_nonzero(known))
+    measured = q > 0
+    n = int(np.count_nonzero(measured))
     if n < max(fewest, len(names)):
         return {}, {}
-    rows, right = shares[known] * q[known, None], np.ones(n)  # even relative errors
+    rows, right = shares[measured] * q[measured, None], np.ones(n)  # even relative errors
     solution, rest = nnls(rows, right)
     scatter = max(float(rest) ** 2 / (n - len(names) or 1), _Q_ERROR**2)
     error = NORMAL_90 * np.sqrt(scatter * np.diag(np.linalg.pinv(rows.T @ rows)))

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 import tonewood as tw
+from tonewood.instrument.model import string_tuning
 from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.performance.engine import schedule as schedules
 from tonewood.performance.engine.engine import GRID, Engine
 from tonewood.performance.engine.schedule import Schedule
 from tonewood.performance.player.playing import perform
 from tonewood.performance.player.timeline import Change, Timeline
+from tonewood.performance.score.note import Control
 
 FS = 16000
 
@@ -119,6 +121,18 @@ def test_an_engine_is_done_when_its_last_gesture_is_over(model: Model) -> None:
     assert held.done
     held.gestures.active = [object()]  # type: ignore[list-item]
     assert not held.done
+
+
+def test_no_string_is_tuned_while_an_engine_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tensions of stops, and the tension that a bend needs, are computed before the first sample."""
+    notes = [tw.Note(0.0, 0.1, string="G3", stop=2, force=2.0), tw.Note(0.05, 0.1, string="A2", stop=5, force=2.0)]
+    score = tw.Score(notes, controls=[Control(0.02, "bend", 60.0)])
+    renderer = tw.Renderer(score, tw.load_instrument("steel_guitar"), FS, max_duration=0.15)
+    assert renderer.performance.timeline.bent == {"G3": {2.0}, "A2": {5.0}}
+    for search in ("tune", "held_freq"):
+        monkeypatch.setattr(string_tuning, search, None)
+    assert sum(len(block) for block in renderer.blocks()) == round(0.15 * FS)
+    assert {renderer.engine.frettings[name].cents for name in ("G3", "A2")} == {60.0}
 
 
 def test_an_engine_keeps_no_account_and_switches_effects_unless_asked(model: Model) -> None:

@@ -5,8 +5,12 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import signal
 import struct
+import subprocess
+import sys
 import time
+import urllib.request
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -516,3 +520,19 @@ def test_a_search_is_stopped(client: Client, desk: Desk) -> None:
     assert (advice["seconds"], advice["fault"], advice["found"]) == (None, "stopped", {})
     assert process is not None
     assert process.wait(20) != 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [signal.SIGINT, signal.SIGTERM])
+def test_a_desk_that_is_ended_while_a_page_hears_it_says_so_in_one_line(name: signal.Signals) -> None:
+    command = [sys.executable, "-m", "tonewood", "desk", "monochord", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        address, _, token = process.stdout.readline().strip().partition("#")
+        asked = urllib.request.Request(f"{address}api/stream", headers={"X-Desk-Token": token})
+        with urllib.request.urlopen(asked, timeout=60) as stream:
+            assert len(stream.read(20)) == 20
+            process.send_signal(name)
+            said = process.communicate(timeout=60)[1]
+    assert "Traceback" not in said
+    assert said.count("\n") <= 1

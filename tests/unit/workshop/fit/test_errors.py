@@ -11,7 +11,7 @@ from fit_scenes import TAU, random_body
 
 from tonewood.workshop.fit import noise
 from tonewood.workshop.fit.body import passive_body
-from tonewood.workshop.fit.projection import Line, Poles, Projection, Shape
+from tonewood.workshop.fit.projection import FitData, Poles, Projection, Shape
 from tonewood.workshop.fit.search import MatchedFilters, _never_positive, descend, joined
 
 REAL = Shape((0,), 2, False, False, False)
@@ -23,7 +23,7 @@ def test_reported_errors_of_modes_are_what_the_errors_are():
     ratios = []
     for seed in range(40):
         mobility, sigma = truth.noisy(freq, 0.01, seed)
-        problem = Projection(Line(freq, mobility, sigma), REAL)
+        problem = Projection(FitData(freq, mobility, sigma), REAL)
         poles, found = descend(problem, Poles.at(truth.freq, truth.quality), 30, 1e-12)
         body = passive_body(
             SimpleNamespace(problem=problem, poles=poles, solution=found), (("a", "a"), ("b", "a"))
@@ -74,7 +74,7 @@ def test_errors_of_windowed_responses_stay_within_the_bound_on_tied_bins(alpha):
     size = 0.01 * np.sqrt(np.mean(np.abs(clean) ** 2, axis=1, keepdims=True))
     for _ in range(15):
         error = np.fft.rfft(rng.normal(size=(2, t.size)) * window)[:, 60:801] / np.sqrt(np.sum(window**2))
-        problem = Projection(Line(freq, clean + size * error, size * np.ones(freq.size), alpha), REAL)
+        problem = Projection(FitData(freq, clean + size * error, size * np.ones(freq.size), alpha), REAL)
         poles, _ = descend(problem, Poles.at(truth.freq, truth.quality), 10, 1e-9)
         by_freq, by_zeta, _ = problem.deviations(poles)
         ratios.append((poles.log_freq - np.log(TAU * truth.freq)) / by_freq)
@@ -88,7 +88,7 @@ def test_a_pair_is_not_joined_for_less_than_its_price(monkeypatch):
     truth = random_body(2, seed=1)
     truth.freq[:], truth.quality[:], truth.residues[:] = (200.0, 201.5), 50.0, [[1.0, 1.0], [1.0, 0.9]]
     mobility, sigma = truth.noisy(freq, 0.003, seed=3)
-    problem = Projection(Line(freq, mobility, sigma), REAL)
+    problem = Projection(FitData(freq, mobility, sigma), REAL)
     poles, two = descend(problem, Poles.at(truth.freq, truth.quality), 20, 1e-9)
     _, fewer = descend(problem, Poles.at([200.7], [49.0]), 20, 1e-9)
     gain = fewer.cost - two.cost
@@ -102,8 +102,8 @@ def test_a_pair_is_not_joined_for_less_than_its_price(monkeypatch):
 def test_a_mode_is_worth_its_numbers_in_schwarz_criterion(shape, numbers):
     """k ln n: frequency, damping and a residue for each point, or two; n counts real and imaginary parts."""
     freq = np.arange(100.0, 151.0)
-    line = Line(freq, np.ones((2, freq.size), complex), np.ones((2, freq.size)))
-    assert Projection(line, shape).price == pytest.approx(numbers * np.log(2 * 2 * 51), rel=1e-12)
+    data = FitData(freq, np.ones((2, freq.size), complex), np.ones((2, freq.size)))
+    assert Projection(data, shape).price == pytest.approx(numbers * np.log(2 * 2 * 51), rel=1e-12)
 
 
 def test_a_residue_is_negative_beyond_doubt_from_three_deviations_on():
@@ -117,7 +117,7 @@ def test_a_residue_is_negative_beyond_doubt_from_three_deviations_on():
 def test_a_matched_filter_sees_the_whole_gain_of_a_mode():
     """Of one mode without noise, on a grid that has it: the gain is the whole chi-squared, there and nowhere more."""
     freq = np.arange(100.0, 1000.0)
-    problem = Projection(Line(freq, np.zeros((1, freq.size), complex), np.ones((1, freq.size))), Shape((0,), 1))
+    problem = Projection(FitData(freq, np.zeros((1, freq.size), complex), np.ones((1, freq.size))), Shape((0,), 1))
     filters = MatchedFilters(problem)
     at, quality = filters._grid
     for k in np.flatnonzero(quality == 25)[[5, 40]]:
@@ -135,7 +135,7 @@ def test_modes_beyond_the_band_stand_for_nothing_that_noise_could_be():
     pairs = (("a", "a"), ("b", "a"))
     for seed in range(8):
         mobility, sigma = truth.noisy(freq, 0.01, seed)
-        problem = Projection(Line(freq, mobility, sigma), Shape((0,), 2, complex=False))
+        problem = Projection(FitData(freq, mobility, sigma), Shape((0,), 2, complex=False))
         poles, found = descend(problem, Poles.at(truth.freq, truth.quality), 10, 1e-9)
         modes: Any = SimpleNamespace(problem=problem, poles=poles, solution=found)
         body = passive_body(modes, pairs)
@@ -143,7 +143,7 @@ def test_modes_beyond_the_band_stand_for_nothing_that_noise_could_be():
         assert np.count_nonzero(~body.measured) == clear[0]
         assert body.compliance.any() == clear[1]
     s = 2j * np.pi * freq
-    modes.problem = problem = Projection(Line(freq, mobility + 4.0 / s + 2e-7 * s, sigma), problem.shape)
+    modes.problem = problem = Projection(FitData(freq, mobility + 4.0 / s + 2e-7 * s, sigma), problem.shape)
     modes.poles, modes.solution = descend(problem, poles, 10, 1e-9)
     body = passive_body(modes, pairs)
     assert np.count_nonzero(~body.measured) == 1
@@ -159,6 +159,6 @@ def test_a_descent_on_exact_data_ends_where_the_cost_is_rounding():
         cost = 0.0 if poles.freq[0] == pytest.approx(15.0, rel=1e-12) else -1e-20
         return SimpleNamespace(cost=cost, normal=np.eye(2), gradient=np.ones(2))
 
-    line = SimpleNamespace(freq=np.array([10.0, 20.0]), step=1.0)
-    problem: Any = SimpleNamespace(line=line, solve=solve, size=4)
+    data = SimpleNamespace(freq=np.array([10.0, 20.0]), step=1.0)
+    problem: Any = SimpleNamespace(data=data, solve=solve, size=4)
     assert descend(problem, Poles.at([15.0], [10.0]), 9, 1e-6)[1].cost == 0.0

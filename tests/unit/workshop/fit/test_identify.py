@@ -8,7 +8,7 @@ import scipy.linalg as sla
 from fit_scenes import guitar, random_body
 
 from tonewood.workshop.fit.identify import identify
-from tonewood.workshop.fit.projection import Line, Poles, Projection, Shape
+from tonewood.workshop.fit.projection import FitData, Poles, Projection, Shape
 from tonewood.workshop.fit.search import MatchedFilters, NothingFoundError, _unresolved, descend
 
 PAIR = Shape((0,), 2)
@@ -115,7 +115,7 @@ def test_known_noise_is_raised_where_more_is_left_and_never_lowered(said):
     truth, freq = random_body(1, seed=2, high=200.0), np.arange(70.0, 260.0, 0.5)
     mobility, sigma = truth.noisy(freq, 0.01, 3)
     found = identify(freq, mobility, PAIR, sigma=said * sigma)
-    assert np.median(found.problem.line.sigma / sigma) == pytest.approx(max(said, 1.0), rel=0.15)
+    assert np.median(found.problem.data.sigma / sigma) == pytest.approx(max(said, 1.0), rel=0.15)
     inside = (found.poles.freq > freq[0]) & (found.poles.freq < freq[-1])
     assert np.count_nonzero(inside) == 1
 
@@ -132,7 +132,7 @@ def test_gradient_is_that_of_the_cost():
     truth, freq = random_body(4, seed=1, high=900.0), np.arange(70.0, 1000.5)
     mobility, sigma = truth.noisy(freq, 0.02, seed=4)
     for shape in (PAIR, Shape((0,), 2, complex=False)):
-        problem = Projection(Line(freq, mobility, sigma), shape)
+        problem = Projection(FitData(freq, mobility, sigma), shape)
         at = np.concatenate([np.log(2 * np.pi * truth.freq) + 0.003, np.log(0.5 / truth.quality) - 0.1])
         gradient = problem.solve(Poles(at[:4], at[4:]), slopes=True).gradient
         for i in range(8):
@@ -148,7 +148,7 @@ def test_standard_deviations_are_what_the_errors_are():
     ratios = []
     for seed in range(40):
         mobility, sigma = truth.noisy(freq, 0.01, seed)
-        problem = Projection(Line(freq, mobility, sigma), Shape((0,), 2, False, False, False))
+        problem = Projection(FitData(freq, mobility, sigma), Shape((0,), 2, False, False, False))
         poles = Poles.at(truth.freq, truth.quality)
         poles, _ = descend(problem, poles, 30, 1e-12)
         by_freq, by_zeta, _ = problem.deviations(poles)
@@ -184,9 +184,9 @@ def test_thinned_bins_keep_a_sharp_mode_one():
 )  # fmt: skip
 def test_a_narrow_mode_within_two_bins_of_a_larger_one_is_its_peak_s_shape(quality, apart, gains, gone):
     freq = np.arange(100.0, 301.0)
-    line = Line(freq, np.zeros((1, freq.size), dtype=complex), np.ones((1, freq.size)), 0.0)
+    data = FitData(freq, np.zeros((1, freq.size), dtype=complex), np.ones((1, freq.size)), 0.0)
     poles = Poles.at(np.array([200.3, 200.3 + apart]), np.full(2, quality))
-    assert _unresolved(poles, np.array(gains), line).tolist() == gone
+    assert _unresolved(poles, np.array(gains), data).tolist() == gone
 
 
 def test_candidates_are_the_modes_of_a_misfit_and_one_to_a_bandwidth():
@@ -194,8 +194,8 @@ def test_candidates_are_the_modes_of_a_misfit_and_one_to_a_bandwidth():
     at, quality, residues = np.array([160.0, 300.0, 470.0]), np.array([40.0, 80.0, 60.0]), np.array([2.0, 1.0, 3.0])
     s, w = 2j * np.pi * freq[:, None], 2 * np.pi * at
     misfit = (residues * s / (s * s + w / quality * s + w * w)).sum(axis=1)[None]
-    line = Line(freq, misfit, np.full(misfit.shape, 1e-5), 0.0)
-    found = MatchedFilters(Projection(line, Shape((0,), 1))).candidates(misfit, most=60)
+    data = FitData(freq, misfit, np.full(misfit.shape, 1e-5), 0.0)
+    found = MatchedFilters(Projection(data, Shape((0,), 1))).candidates(misfit, most=60)
     assert np.abs(found.freq[:, None] / at - 1).min(axis=0).max() < 0.01
     apart = np.abs(np.log(found.freq[:, None] / found.freq))
     width = 0.75 * (1 / found.quality[:, None] + 1 / found.quality)

@@ -28,6 +28,9 @@ from tonewood.support.plotting import COLOURS, LINE, figure, legend_above, png, 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+#: first words of the page
+READERS = """\
+For readers who choose a sampling rate or a method. After this page you know the time of computing for a given error."""
 #: errors that are asked for: cents, relative
 TARGETS = {PITCH.name: (10.0, 1.0, 0.1, 0.01), WAVEFORM.name: (0.1, 0.01, 1e-3, 1e-4)}
 #: other damping cases of the same harp
@@ -128,7 +131,7 @@ def sentences(outcomes: Sequence[Outcome]) -> str:
 
 def section(outcomes: Sequence[Outcome]) -> str:
     """Sentences and tables."""
-    parts = [textwrap.fill(sentences(outcomes), 120)]
+    parts = [textwrap.fill(f"{READERS} {sentences(outcomes)}", 120)]
     for measure in (PITCH, WAVEFORM):
         text = table(outcomes, measure)
         if text.count("\n") > 1:
