@@ -69,6 +69,23 @@ def test_recordings_of_taps_are_read(
     assert float(out.split("E_L")[1].split()[0]) == pytest.approx(rectangle.nominal.E_L / 1e9, rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("--thickness-error", 0), "--thickness-error: is 0 m; 1e-07 to 0.0006 are allowed"),
+        (("--outline", 0.48, 0.28, "inf", 0.37), "--outline: is inf m; 0.01 to 3 are allowed"),
+    ],
+)
+def test_errors_and_outlines_without_size_are_refused_before_the_search(
+    tonewood: Run, tmp_path: Path, words: tuple, line: str
+) -> None:
+    (tmp_path / "p.csv").write_text("freq_Hz\n55.1\n98.2\n130.4\n")
+    sizes = ("--length", 0.5, "--width", 0.2, "--thickness", 0.003, "--mass", 0.12)
+    code, _, err = tonewood("wood", tmp_path / "p.csv", *sizes, *words)
+    assert code == 2
+    assert err == f"tonewood: {line}\n"
+
+
 @pytest.mark.slow
 def test_a_stick_gives_its_modulus_along_the_grain(tonewood: Run, tmp_path: Path) -> None:
     """Euler's slender bar by hand: E = 0.9464 rho f^2 L^4 / h^2, less what shear takes."""

@@ -49,6 +49,16 @@ def again() -> dict[str, np.ndarray]:
     return array_cache.cached_arrays({"x": 1}, arrays)
 
 
+@pytest.mark.parametrize("word", ["off", "OFF", " off "])
+def test_off_keeps_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, word: str) -> None:
+    """However it is written: no folder of that name appears."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("TONEWOOD_CACHE", word)
+    keep("words", KEY, b"line")
+    assert read() is None
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_what_is_kept_is_read_and_the_folder_is_private(folder: Path) -> None:
     assert read() is None
     keep("words", KEY, b"line\nand more")

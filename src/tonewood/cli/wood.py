@@ -69,7 +69,7 @@ def wood(
             key="--thickness",
         )
     _in_si("--mass", mass, 1e-4, 100.0, ("kg", "g"))
-    allow("--thickness-error", thickness_error, 0.0, 0.2 * thickness, "m")
+    allow("--thickness-error", thickness_error, 1e-7, 0.2 * thickness, "m")
     if sensor is not None:
         allow("--sensor", sensor, 0.0, 0.1 * mass, "kg")
     if not 0 < band[0] < band[1]:
@@ -85,6 +85,8 @@ def wood(
         raise TonewoodError(f"is {species!r}; {', '.join(SPECIES)} are allowed", key="--species")
     if stiffness is not None and outline is None:
         raise TonewoodError("needs --outline LENGTH UPPER WAIST LOWER", key="--stiffness")
+    for value in outline or ():
+        allow("--outline", value, 0.01, 3.0, "m")
     if stick and outline is not None:
         raise TonewoodError("is for a board; a stick has no E_R and G_LR", key="--outline")
     if output is not None and output.suffix not in (".yaml", ".yml"):

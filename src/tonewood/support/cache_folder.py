@@ -34,7 +34,7 @@ _MOST_BYTES = 1 << 30
 def cache_folder() -> Path | None:
     """Path of the folder, which need not exist; None where nothing is kept."""
     named = os.environ.get("TONEWOOD_CACHE", "")
-    if named == "off":
+    if named.strip().lower() == "off":
         return None
     base = os.environ.get("XDG_CACHE_HOME", "")
     try:

@@ -169,6 +169,11 @@ def test_bounds_know_of_it(guitar, tuned):
         ({**GRAMS, "frequency": 200.0}, r"body\.added\.0: .*a tuned damper has mass, frequency and q"),
         ({**GRAMS, "frequency": 200.0, "q": 5.0, "damping": 1.0}, r"body\.added\.0: .*no stiffness or damping"),
         ({**GRAMS, "frequency": -3.0, "q": 5.0}, r"body\.added\.0\.frequency"),
+        (
+            {**GRAMS, "mass": 5e-324, "frequency": 200.0, "q": 5.0},
+            r"body\.added\.0: .*mass is .*; 0, or 1e-09 and more",
+        ),
+        ({"at": "bridge_E2", "stiffness": 1e-300}, r"body\.added\.0: .*stiffness is 1e-300; 0, or 1e-09"),
         ({"at": "bridge_E2", "mass": 10}, r"body\.added\.0\.mass: is 10 kg; at most 5 kg: did you mean 10 g"),
     ],
 )

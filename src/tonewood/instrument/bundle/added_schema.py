@@ -7,6 +7,9 @@ from pydantic import model_validator
 from tonewood.instrument.contract.directions import Direction
 from tonewood.support.params import Parameters, described, quantity
 
+#: kg, N/m, N s/m: less moves no body, and its square may be no number
+_LEAST = 1e-9
+
 
 class Added(Parameters):
     """A mass, a spring to the ground or a dashpot to the ground, fixed to the body; several of them move as one.
@@ -26,6 +29,9 @@ class Added(Parameters):
 
     @model_validator(mode="after")
     def _something(self) -> Added:
+        for name in ("mass", "stiffness", "damping"):
+            if 0.0 < (size := getattr(self, name)) < _LEAST:
+                raise ValueError(f"{name} is {size:g}; 0, or {_LEAST:g} and more, is allowed")
         if self.frequency is not None or self.q is not None:
             if self.frequency is None or self.q is None or not self.mass or self.stiffness or self.damping:
                 raise ValueError("a tuned damper has mass, frequency and q, and no stiffness or damping to the ground")

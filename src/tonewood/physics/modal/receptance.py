@@ -97,7 +97,10 @@ class Joint:
 
     def receptance(self, s: complex) -> tuple[Complexes, Complexes]:
         """M(s) and its derivative, (p, p) each; what a search asks for most often."""
-        reach = 1 / (s - self._poles)
+        away = s - self._poles
+        if not away.all():  # at a pole, as of a mode that no gap moves: a rounding error beside it
+            away[away == 0] = np.spacing(abs(s))
+        reach = 1 / away
         reached = self._right * reach
         M, D = reached @ self._left.T + self._residual, -(reached * reach) @ self._left.T
         if self._stiffness.size:

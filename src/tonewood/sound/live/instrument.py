@@ -309,10 +309,10 @@ class Live:
         Raises
         ------
         NumericalError : the state is no longer finite.
-        TonewoodError : `frames` is below 1.
+        TonewoodError : `frames` is no whole number, or below 1.
         """
-        if frames < 1:
-            raise TonewoodError(f"is {frames}; 1 or more is allowed", key="frames")
+        if not (isinstance(frames, int | np.integer) and frames >= 1):
+            raise TonewoodError(f"is {frames}; a whole number, 1 or more, is allowed", key="frames")
         began = time.perf_counter()
         self._fill(frames)
         block, self._pending = self._pending[:frames], self._pending[frames:]

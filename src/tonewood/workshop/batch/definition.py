@@ -15,11 +15,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from tonewood.errors import TonewoodError, together
 from tonewood.support.text_files import json_value
+from tonewood.support.validation_messages import first_message
 from tonewood.workshop.batch.conditions import Condition, expand
 from tonewood.workshop.batch.layout import Group
-from tonewood.workshop.batch.manifest import Manifest, ManifestError
+from tonewood.workshop.batch.manifest import Manifest, ManifestError, RenderSettings
 from tonewood.workshop.batch.pages import StaircasePage
 
 SCHEMA = "tonewood-test/1"
@@ -97,13 +100,19 @@ def changed_condition(manifest: Manifest, conditions: Sequence[Condition], index
 
 
 def with_value(manifest: Manifest, condition: Condition, path: str, value: Any) -> Condition:
-    """The condition with one parameter of the bundle, or of the render (``render.``), changed."""
+    """The condition with one parameter of the bundle, or of the render (``render.``), changed.
+
+    Raises ManifestError : a setting of the render cannot have the value.
+    """
     name = f"{condition.name}.{path}={value}"
     if not path.startswith("render."):
         return dataclasses.replace(condition, name=name, overrides={**condition.overrides, path: value})
     factors = {manifest.factors[f].path: manifest.factors[f].levels[level] for f, level in condition.levels.items()}
     changes = {p.removeprefix("render."): v for p, v in factors.items() if p.startswith("render.")}
-    settings = manifest.render_settings({**changes, path.removeprefix("render."): value})
+    try:
+        settings = manifest.render_settings({**changes, path.removeprefix("render."): value})
+    except ValidationError as fault:
+        raise ManifestError(f"{path}: {first_message(fault, RenderSettings)[1]}") from None
     return dataclasses.replace(condition, name=name, render=settings)
 
 
@@ -159,8 +168,8 @@ def _levels_of(
             raise ManifestError(f"the value of {page.path} is not finite", key=key)
         # the condition itself where nothing is changed: its value may be none that an override can set
         same = name == "reference" and page.reference is None
-        level = condition if same else with_value(manifest, condition, page.path, value)
         try:
+            level = condition if same else with_value(manifest, condition, page.path, value)
             values[name] = own(level, page.path)
         except TonewoodError as fault:
             raise ManifestError(f"the level cannot be rendered: {fault}", key=key) from None

@@ -44,6 +44,14 @@ def test_zeros_that_were_found_are_divided_out():
     assert len(joint.zeros(near)) == 3
 
 
+def test_at_a_pole_that_no_gap_moves_the_receptance_is_that_of_the_others():
+    """As in a search from the mode of two dampers that move against each other."""
+    whole, others = (ModalBasis.real(OMEGA[:n], SIGMA[:n], {"p": [*SHAPE[:2], 0.0][:n]}) for n in (3, 2))
+    first, second = (Joint([Ports.of(basis, np.ones((1, 1)))]) for basis in (whole, others))
+    for found, wanted in zip(first.receptance(whole.poles[2]), second.receptance(whole.poles[2]), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-12)
+
+
 def test_the_root_of_a_pairing():
     rng = np.random.default_rng(3)
     U = sla.qr(rng.normal(size=(4, 4)))[0]

@@ -241,6 +241,7 @@ def test_wrong_events_are_one_line(monochord: tw.Instrument) -> None:
     for call in (
         lambda: live.note_on(400), lambda: live.control(64, 2.0), lambda: live.control(128, 0.0),
         lambda: live.bend(1e6), lambda: live.pressure(-1.0), lambda: live.process(0), lambda: live.note_on("H9"),
+        lambda: live.process(1.5), lambda: live.process(None), lambda: live.process(float("nan")),
     ):  # fmt: skip
         with pytest.raises(TonewoodError):
             call()

@@ -118,6 +118,15 @@ def test_a_batch_does_not_write_under_a_server(tmp_path: Path) -> None:
     assert files(out) == before
 
 
+def test_a_level_that_a_setting_of_the_render_cannot_have_is_one_line(tmp_path: Path) -> None:
+    rate = {"path": "render.fs", "scale": "add", "start": 0.5, "lowest": 0.0, "highest": 1.0, "steps": [0.25]}
+    rate |= {"reference": 48000}
+    path = fakes.write(tmp_path, fakes.manifest(**SMALL | {"pages": [STAIRS | rate]}))
+    with pytest.raises(ManifestError, match=r"page 1\.start: the level cannot be rendered: render\.fs: ") as caught:
+        plan_batch(path, tmp_path / "out", FakeRenderer())
+    assert "\n" not in str(caught.value)
+
+
 class Limited(FakeRenderer):
     """Refuses one value of a parameter: as it is set, or as it is rendered, or only in a whole render."""
 
