@@ -20,9 +20,10 @@ class PhantomStep {
     using S = Simd;
 
 public:
-    explicit PhantomStep(Block& block) : block_(block), due_(block.model.potentials.driven.size() * kBlock) {
+    explicit PhantomStep(Block& block) : block_(block) {
+        for (const DrivenForces& forces : block.model.potentials.driven_forces)
+            block_.known.push_back(forces.target), due_.emplace_back(forces.count * kBlock);
         for (const PhantomString& string : block.model.potentials.driven) {
-            block_.known.push_back(string.target);
             for (const auto& part : string.parts) copies_.emplace_back(2 * part.wide);
         }
         int most = 0;
@@ -35,10 +36,19 @@ public:
     void begin_block() {
         const auto& strings = block_.model.potentials.driven;
         const bool window = block_.start / kBlock % kWindow == 0;
+        for (std::size_t i = 0; i < due_.size(); ++i) {
+            const DrivenForces& forces = block_.model.potentials.driven_forces[i];
+            const std::size_t size = 2 * std::size_t(block_.model.components[forces.target].n);
+            for (std::size_t j = 0; j < forces.count; ++j) {
+                double* const due = due_[i].data() + j * kBlock;
+                std::fill_n(due, kBlock, 0.0);
+                for (std::size_t q = 0; q < strings.size(); ++q)
+                    for (int b = 0; b < kBlock; ++b)
+                        due[b] += forces.shares[j * strings.size() + q] * memory(strings[q])[b];
+                block_.inputs[forces.target].push_back({forces.vectors.data() + j * size, due});
+            }
+        }
         for (std::size_t q = 0, at = 0; q < strings.size(); ++q) {
-            double* const due = due_.data() + q * kBlock;
-            std::copy_n(memory(strings[q]), kBlock, due);
-            block_.inputs[strings[q].target].push_back({strings[q].vector.data(), due});
             for (const auto& part : strings[q].parts) {
                 Array<double>& copy = copies_[at++];
                 if (!window) continue;
@@ -155,7 +165,7 @@ private:
     }
 
     Block& block_;
-    Array<double> due_;                  // (strings, kBlock): forces in this block
+    std::vector<Array<double>> due_;     // by component that they act on, (vectors, kBlock): forces in this block
     std::vector<Array<double>> copies_;  // by part: (2, n)
     Array<double> path_;                 // (kBlock, width): first numbers of a part's modes
     std::vector<Input> inputs_;
