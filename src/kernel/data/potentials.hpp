@@ -39,9 +39,9 @@ constexpr int kPhantomMemory = kBlock + 2 * kPhantomModes;   // numbers of a str
 
 struct PhantomString {
     struct Part {  // a polarization: its lowest n modes
-        int slot = 0, wide = 0;  // component; these modes, padded as all are
-        Array<double> weights;   // (order + 1, padded to kLane; wide)
-        Array<double> mirrored;  // (order + 1, kPhantomModes)
+        int slot = 0, n = 0;     // component; these modes
+        Array<double> weights;   // (n, order + 1)
+        Array<double> mirrored;  // (order + 1, kPhantomModes / 2)
         bool operator==(const Part&) const = default;
     };
     std::size_t at = 0;          // of its numbers in the state

@@ -233,18 +233,18 @@ inline PhantomString load_phantom(const PotentialDescription& d, const std::vect
         const auto& p = d.parts[q];
         const int slot = d.slots[q];
         const std::size_t n = p.weights.ndim == 2 ? p.weights.shape[1] : 0;
-        const std::size_t wide = (n + kPadding - 1) / kPadding * kPadding;
         require(n > 0 && n <= std::size_t(components[slot].n) && !components[slot].driven &&
                     !components[slot].by_sample(),
                 name + "parts: one does not fit component " + std::to_string(slot));
         expect(name + "weights", p.weights, {order + 1, n});
         expect(name + "mirrored", p.mirrored, {order + 1, order});
         PhantomString::Part part;
-        part.slot = slot, part.wide = int(wide);
-        part.weights.assign(padded(order + 1) * wide, 0.0), part.mirrored.assign((order + 1) * kPhantomModes, 0.0);
+        part.slot = slot, part.n = int(n);
+        part.weights.assign(n * (order + 1), 0.0), part.mirrored.assign((order + 1) * kPhantomModes / 2, 0.0);
         for (std::size_t m = 0; m <= order; ++m) {
-            std::copy_n(p.weights.data + m * n, n, part.weights.data() + m * wide);
-            std::copy_n(p.mirrored.data + m * order, order, part.mirrored.data() + m * kPhantomModes);
+            for (std::size_t k = 0; k < n; ++k) part.weights[k * (order + 1) + m] = p.weights.data[m * n + k];
+            for (std::size_t k = 0; k < m; ++k)  // both orders of a pair
+                part.mirrored[m * kPhantomModes / 2 + std::min(k, m - 1 - k)] += p.mirrored.data[m * order + k];
         }
         out.parts.push_back(std::move(part));
     }
