@@ -145,7 +145,7 @@ def test_a_page_runs_in_full(name: str, folder: Path) -> None:
 
 def test_the_readme_runs(folder: Path) -> None:
     run_page(ROOT / "README.md", folder, whole=False)
-    assert sf.info("greensleeves.wav").frames == 4800
+    assert 4800 < sf.info("greensleeves.wav").frames < 7200  # 0.1 s of score, and the first pluck's preparation
 
 
 @pytest.mark.slow

@@ -190,7 +190,7 @@ def test_no_entities_in_any_encoding(tmp_path: Path, name: str, encoding: str) -
     text += parts(f"<measure><words>&b;</words>{NOTE}</measure>")
     path = tmp_path / "score.musicxml"
     path.write_bytes(text.encode(encoding))
-    refused(path, "entities, or has a DTD|multi-byte encodings|not a Standard MIDI File|not well-formed")
+    refused(path, "entities, or has a DTD|multi-byte encodings|does not begin with '<'|not well-formed")
     with zipfile.ZipFile(tmp_path / "score.mxl", "w") as archive:
         archive.writestr("META-INF/container.xml", '<c><rootfile full-path="s.xml"/></c>')
         archive.writestr("s.xml", text.encode(encoding))
