@@ -224,6 +224,8 @@ inline PhantomString load_phantom(const PotentialDescription& d, const std::vect
     const std::size_t order = d.steps.shape[0];
     expect(name + "steps", d.steps, {order, 4});
     expect(name + "vector", d.vector, {2, std::size_t(components[d.target].n)});
+    require(std::all_of(d.vector.data, d.vector.data + d.vector.size(), [](double x) { return std::isfinite(x); }),
+            name + "vector: its numbers must be finite");
     PhantomString out;
     out.at = d.at, out.target = d.target, out.order = int(order), out.scale = d.scale;
     out.steps.assign(4 * kPhantomModes, 0.0);
@@ -273,20 +275,20 @@ inline std::vector<DrivenForces> join_forces(const std::vector<PhantomString>& s
                 largest[k] = std::max(largest[k], std::abs(vectors[q][k]));
         for (const std::size_t q : own) scale(vectors[q], false);
         while (to.count < own.size()) {
-            const auto square = [&](std::size_t a, const Array<double>& b) {
-                return std::inner_product(b.begin(), b.end(), vectors[a].begin(), 0.0);
+            const auto product = [&](std::size_t q, const Array<double>& a) {
+                return std::inner_product(a.begin(), a.end(), vectors[q].begin(), 0.0);
             };
             double left = 0.0, most = 0.0;
             Array<double> next;
             for (const std::size_t q : own) {
                 for (const double x : vectors[q]) left = std::max(left, std::abs(x));
-                if (const double size = square(q, vectors[q]); size > most) most = size, next = vectors[q];
+                if (const double size = product(q, vectors[q]); size > most) most = size, next = vectors[q];
             }
             if (left <= 1e-14) break;
             for (double& x : next) x /= std::sqrt(most);
             to.shares.resize(++to.count * strings.size(), 0.0);
             for (const std::size_t q : own) {
-                const double share = to.shares[(to.count - 1) * strings.size() + q] = square(q, next);
+                const double share = to.shares[(to.count - 1) * strings.size() + q] = product(q, next);
                 for (std::size_t k = 0; k < next.size(); ++k) vectors[q][k] -= share * next[k];
             }
             scale(next, true);

@@ -6,6 +6,8 @@
 // numbers, at the beginning of a window. Then, in each sample,
 //
 //     s_m = sum_k w_mk x_k x_(k + m) + ...,      e_m = s_m + a_m,      force = EA (s_0 + sum e_m).
+//
+// The s_m have the samples of the block side by side: each weight is read once a block, and no lanes are added.
 #pragma once
 
 #include <algorithm>
@@ -23,12 +25,12 @@ public:
     explicit PhantomStep(Block& block) : block_(block) {
         for (const DrivenForces& forces : block.model.potentials.driven_forces)
             block_.known.push_back(forces.target), due_.emplace_back(forces.count * kBlock);
-        for (const PhantomString& string : block.model.potentials.driven) {
-            for (const auto& part : string.parts) copies_.emplace_back(2 * padded_modes(part));
-        }
         std::size_t most = 0;
         for (const PhantomString& string : block.model.potentials.driven)
-            for (const auto& part : string.parts) most = std::max(most, padded_modes(part));
+            for (const auto& part : string.parts) {
+                copies_.emplace_back(2 * padded_modes(part));
+                most = std::max(most, padded_modes(part));
+            }
         path_.assign(kBlock * (most + kPhantomModes + kTile), 0.0);
     }
 
@@ -92,7 +94,7 @@ public:
     }
 
 private:
-    static constexpr int kTile = 2 * kPack;                // s_m at a time
+    static constexpr int kTile = 2 * kPack;               // s_m at a time
     static constexpr int kOrder = kPhantomModes + kLane;  // s_0, and those of the modes, padded
 
     double* memory(const PhantomString& string) const {
@@ -114,13 +116,13 @@ private:
             inputs_.push_back(
                 {c.w.data() + std::size_t(2 * p) * n, block_.forces.data() + l.port[part.slot] + p, l.force_width});
         contacts.add_inputs(part.slot, inputs_);
-        alignas(64) double lines[kBlock * P::size] = {};
+        alignas(64) double block[kBlock * P::size] = {};
         for (std::size_t k = 0; k < own; k += P::size) {
             P x = P::load(copy.data() + k), y = P::load(copy.data() + own + k);
             const P e00 = P::load(c.e.data() + k), e01 = P::load(c.e.data() + n + k);
             const P e10 = P::load(c.e.data() + 2 * n + k), e11 = P::load(c.e.data() + 3 * n + k);
             for (int b = 0; b < nb; ++b) {
-                x.store(lines + b * P::size);
+                x.store(block + b * P::size);
                 const P moved = mul_add(e00, x, e01 * y);
                 y = mul_add(e11, y, e10 * x);
                 x = moved;
@@ -133,13 +135,13 @@ private:
             x.store(copy.data() + k), y.store(copy.data() + own + k);
             for (int i = 0; i < P::size; i += S::width)
                 for (int b = 0; b < kBlock; b += S::width)
-                    S::transpose(lines + b * P::size + i, P::size, path_.data() + (k + i) * kBlock + b, kBlock);
+                    S::transpose(block + b * P::size + i, P::size, path_.data() + (k + i) * kBlock + b, kBlock);
         }
-        // modes that are read `order` places further
+        // in place of modes after the last one
         std::fill_n(path_.begin() + part.n * kBlock, (order + kTile) * kBlock, 0.0);
     }
 
-    // Adds the s_m of a part to sums_, two vectors of samples side by side, from s_first on.
+    // Adds the s_m of a part to sums_, two vectors of samples side by side, s_first and those after it.
     template <int Most>
     void add_squares(const PhantomString::Part& part, int order, int first = 0) {
         using P = Pack<2>;
