@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import mido
 import pytest
 from ruamel.yaml import YAML
 
@@ -381,3 +382,130 @@ def test_a_whole_one_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str], 
     status, out, err = checked(bundle(tmp_path, key, code(key, {}, effect)), capsys)
     assert status == 0, err
     assert out.endswith("ok\n")
+
+
+def gesture(noise: str) -> str:
+    return f"def gesture(self, e, place):\n    return ta.Gesture((), 0.1, noise=ta.SampledForce({noise}))"
+
+
+def rows(made: str) -> str:
+    readout = "r = ta.Readout(name, 'velocity', (ta.Term('body', 'bridge'),))"
+    return f"def rows(self, name, scene):\n    {readout}\n    return ta.PickupRows({made})"
+
+
+def converted(made: str) -> str:
+    return rows(f"(r,), conversion=ta.Conversion({made})")
+
+
+def attached(made: str) -> str:
+    terms = "t = site.motion('at', (0.0, 0.0, 1.0))"
+    return f"def attach(self, name, site):\n    {terms}\n    return ta.Attached({{'at': 0.3}}, {made})"
+
+
+def with_law(made: str) -> str:
+    return attached(f"connections=(ta.Connection('A2.at', t, {made}),)")
+
+
+LONG = "def gesture(self, e, place):\n    return ta.Gesture((ta.Segment(0.0, 1e12, 1.0, 0.0, 0.0),))"
+PLACE = "def attach(self, name, site):\n    return ta.Attached({'at': 10**400})"
+
+
+@pytest.mark.parametrize(
+    ("key", "lines", "said"),
+    [
+        ("exciters.pluck", gesture("0.0, float('nan'), np.zeros(5)"), "noise.interval nan"),
+        ("exciters.pluck", gesture("None, 1e-4, np.zeros(5)"), "noise.start None"),
+        ("exciters.pluck", gesture("0.0, 1e-4, np.zeros(0)"), "an array (n,) of one or more real"),
+        ("exciters.pluck", gesture("0.0, 1e-4, np.zeros((2, 2))"), "an array (n,) of one or more real"),
+        ("exciters.pluck", gesture("0.0, 1e-4, np.array(['a'])"), "an array (n,) of one or more real"),
+        ("exciters.pluck", gesture("-1e6, 1e-4, np.zeros(5)"), "times of at most 3600 s"),
+        ("exciters.pluck", LONG, "times of at most 3600 s"),
+        ("exciters.pluck", "def gesture(self, e, place):\n    raise SystemExit(3)", "raises SystemExit: 3"),
+        ("outputs.bridge", "channels = 3", "channels is 3; a tuple of one or more names"),
+        ("outputs.bridge", "unit = None", "unit is None; a unit, as text,"),
+        ("outputs.bridge", rows("(ta.Readout(name, 'velocity', 3),)"), "Odd.rows returns a PickupRows that cannot be"),
+        ("outputs.bridge", rows("(r,), components=3"), "that cannot be used: it raises AttributeError"),
+        ("outputs.bridge", rows("(r,), components={'body': ta.loose_mass(1.0)}"), "two components 'body'"),
+        ("outputs.bridge", rows("(ta.Readout(name, 'velocity', (ta.Term([], 'bridge'),)),)"), "[]; the name of a"),
+        ("outputs.bridge", rows("(ta.Readout(name, 'force', forces=(([], 1.0),)),)"), "a pair (connection, factor)"),
+        ("outputs.bridge", converted("function=lambda x: 1 / 0"), "it raises ZeroDivisionError"),
+        ("outputs.bridge", converted("circuit='ab'"), "a ta.Circuit or None"),
+        ("outputs.bridge", converted("circuit=ta.Circuit((), ())"), "numerator (); a tuple of numbers"),
+        ("outputs.bridge", converted("circuit=ta.Circuit((1.0,), (0.0,))"), "a first coefficient other than 0"),
+        ("outputs.bridge", converted("circuit=ta.Circuit((np.nan,), (1.0,))"), "nan; a finite number"),
+        ("connections.felt", with_law("None"), "law None; a law, as ta.Contact"),
+        ("connections.felt", with_law("ta.Contact"), "a law, as ta.Contact"),
+        ("connections.felt", with_law("ta.Contact(1e300, 1.5)"), "law: stiffness 1e+300; a number from"),
+        ("connections.felt", with_law("ta.Contact(1e6, 1.5, offset=1e300)"), "law: offset 1e+300; a number from"),
+        ("connections.felt", PLACE, "a number of metres from the bridge"),
+        ("connections.felt", attached("components={'body': ta.loose_mass(1e-3)}"), "there are two components 'body'"),
+    ],
+)
+def test_a_part_of_a_result_that_cannot_be_used_is_named_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, lines: str, said: str
+) -> None:
+    method = lines.removeprefix("def ").replace(" ", "(").partition("(")[0]
+    status, out, err = checked(bundle(tmp_path, key, code(key, {method: lines})), capsys)
+    assert status == 2, out
+    assert err.count("\n") == 1, err
+    assert said in err
+
+
+def test_a_loss_factor_of_no_string_is_refused_before_it_costs_time(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A law that forgets to divide by omega; numbers that overflow do not warn besides."""
+    for eta in ("omega", "1e300 + 0 * omega"):
+        law = HEAD + "\n\nclass Odd(ta.Loss[P]):\n    '''A law.'''\n\n    api = 1\n    Parameters = P\n\n"
+        law += f"    def eta(self, omega, k, string):\n        return {eta}\n"
+        (tmp_path / eta[:2]).mkdir()
+        folder = bundle(tmp_path / eta[:2], "outputs.bridge", code("outputs.bridge", {}))
+        (folder / "law.py").write_text(law)
+        manifest = folder / "instrument.yaml"
+        manifest.write_text(manifest.read_text().replace("law: sigma", "law: law.py:Odd").replace("sigma0: 1.0", ""))
+        status, _, err = checked(folder, capsys)
+        assert status == 2
+        assert err.count("\n") == 1, err
+        assert "2 sigma / omega, and at most 100 is allowed" in err
+
+
+@pytest.mark.parametrize(
+    ("sounding", "said"),
+    [
+        ("1 / 0", "conversion.function raises ZeroDivisionError"),
+        ("exit(3)", "conversion.function raises SystemExit: 3"),
+        ("None", "conversion.function returns object of shape ()"),
+        ("x * 1j", "conversion.function returns complex128 of shape"),
+    ],
+)
+def test_a_conversion_that_fails_while_it_sounds_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], sounding: str, said: str
+) -> None:
+    lines = converted(f"function=lambda x: ({sounding}) if x.any() else x")
+    folder = bundle(tmp_path, "outputs.bridge", code("outputs.bridge", {"rows": lines}))
+    score, sound = tmp_path / "a.mid", tmp_path / "a.wav"
+    track = mido.MidiTrack(mido.Message(kind, note=45, time=t) for kind, t in (("note_on", 0), ("note_off", 200)))
+    mido.MidiFile(tracks=[track]).save(score)
+    with pytest.raises(SystemExit) as ended:
+        run(["render", str(score), "-i", str(folder), "-o", str(sound), "--allow-code", "--max-duration", "0.1"])
+    err = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert err.count("\n") == 1, err
+    assert "outputs.bridge" in err
+    assert said in err
+    assert not sound.exists()
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"), [("SystemExit(3)", "ended the program: SystemExit(3)"), ("MemoryError('8 GB')", "memory: 8 GB")]
+)
+def test_code_that_ends_the_program_or_takes_all_memory_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str, said: str
+) -> None:
+    """Outside of the methods of the contract, too: here where parameters are made."""
+    lines = indented(f"def model_post_init(self, context):\n    raise {fault}")
+    text = code("outputs.bridge", {}).replace("'''Of the part.'''", f"'''Of the part.'''\n\n{lines}")
+    status, _, err = checked(bundle(tmp_path, "outputs.bridge", text), capsys)
+    assert status == 2
+    assert err.count("\n") == 1, err
+    assert said in err

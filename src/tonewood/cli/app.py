@@ -16,7 +16,7 @@ import typer
 from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
 from tonewood.cli.common import warn
 from tonewood.cli.stopping import stopping
-from tonewood.errors import CacheFolderWarning, DamagedCacheWarning, OldFormatWarning
+from tonewood.errors import CacheFolderWarning, DamagedCacheWarning, OldFormatWarning, TonewoodError
 from tonewood.support.whole_files import check_unread, protect
 
 # typer may carry its own copy of click: its errors are found through it
@@ -72,6 +72,10 @@ def _command(command: Callable[..., Any]) -> Callable[..., Any]:
             raise InterruptError(*error.args) from None
         except BrokenPipeError:
             raise ReaderGoneError from None
+        except SystemExit as end:  # no command ends by it
+            raise TonewoodError(f"code of a plugin ended the program: SystemExit({end.code!r})") from end
+        except MemoryError as error:
+            raise TonewoodError(f"not enough memory: {error}" if str(error) else "not enough memory") from error
         finally:
             protect(())  # whoever calls commands from Python may write these files afterwards
         return code

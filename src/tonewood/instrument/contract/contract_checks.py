@@ -7,6 +7,7 @@ which the first still hangs, so that its traceback is there in Python.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import inspect
 import math
@@ -18,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from tonewood.errors import TonewoodError, kind_of
-from tonewood.instrument.contract.conversion import Conversion
-from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.instrument.contract.conversion import Circuit, Conversion
+from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.physics.coupling.laws import NonlinearLaw
 from tonewood.physics.coupling.layout import Drive, Readout
 from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.modal.modes import ModalBasis
@@ -30,6 +32,12 @@ Verify = Callable[[Any, Any, Mapping[str, Any]], None]
 
 
 _CONTRACT = "tonewood.instrument.contract.base"
+#: s, before and after its event, in which a gesture acts
+_LONGEST_GESTURE = 3600.0
+#: loss factor of a partial; from 2 on it does not oscillate
+_HIGHEST_LOSS = 100.0
+#: largest number of a law, and m, largest gap at which it begins: powers of greater ones are no numbers
+_LARGEST_OF_LAW, _LARGEST_OFFSET = 1e30, 1e3
 
 
 class WrongResultError(Exception):
@@ -47,7 +55,8 @@ def want(ok: object, value: object, wanted: str, where: str = "") -> None:
 def number(value: object, wanted: str, low: float = -math.inf, where: str = "", *, above: bool = False) -> None:
     """Check a finite number, `low` or more, or above it."""
     real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-    fits = real and math.isfinite(value) and (value > low if above else value >= low)  # type: ignore[arg-type,operator]  # real
+    most = sys.float_info.max  # an integer may be greater
+    fits = real and -most <= value <= most and (value > low if above else value >= low)  # type: ignore[operator]  # real
     want(fits, value, wanted, where)
 
 
@@ -92,7 +101,25 @@ def terms(value: object, where: str) -> None:
     want(isinstance(value, Sequence), value, "a tuple of ta.Term", where)
     for term in value:  # type: ignore[attr-defined]  # a sequence, by the line above
         want(isinstance(term, Term), term, "a ta.Term", where)
+        names(term, where)
         number(term.factor, "a finite factor", where=where)
+
+
+def names(term: Any, where: str) -> None:
+    """Check that component and point of a term are names."""
+    for name in (term.component, term.point):
+        want(isinstance(name, str), name, "the name of a component and that of its point, as texts,", where)
+
+
+def law(value: Any, where: str) -> None:
+    """Check a law of a connection for its type and its numbers."""
+    known = isinstance(value, (Rigid, SpringDashpot, NonlinearLaw))
+    want(known, value, "a law, as ta.Contact or ta.SpringDashpot,", where)
+    for field in dataclasses.fields(value) if dataclasses.is_dataclass(value) else ():
+        most = _LARGEST_OFFSET if field.name == "offset" else _LARGEST_OF_LAW
+        size = getattr(value, field.name)
+        if isinstance(size, (int, float)) and not isinstance(size, bool):
+            want(-most <= size <= most, size, f"a number from {-most:g} to {most:g}", f"{where}: {field.name}")
 
 
 def attached(value: Any) -> None:
@@ -109,7 +136,9 @@ def attached(value: Any) -> None:
     want(isinstance(value.connections, tuple), value.connections, "a tuple of ta.Connection", "connections")
     for connection in value.connections:
         want(isinstance(connection, Connection), connection, "a ta.Connection", "connections")
+        want(isinstance(connection.name, str), connection.name, "a text", "the name of a connection")
         terms(connection.terms, f"connection {connection.name!r}: terms")
+        law(connection.law, f"connection {connection.name!r}: law")
     names = {connection.name for connection in value.connections}
     for name in value.resting:
         want(name in names, name, "the name of one of its connections", "resting")
@@ -131,6 +160,8 @@ def segments(value: Any, where: str) -> None:
         for field in ("start", "stop", "c0", "c1", "c2"):
             number(getattr(piece, field), "a finite number", where=f"{where}: {field}")
         want(piece.start <= piece.stop, piece, "a start before the stop", where)
+        near = piece.start >= -_LONGEST_GESTURE and piece.stop <= _LONGEST_GESTURE
+        want(near, piece, f"times of at most {_LONGEST_GESTURE:g} s", where)
 
 
 def gesture(value: Any) -> None:
@@ -154,7 +185,7 @@ def gesture(value: Any) -> None:
     noise = value.noise
     want(noise is None or isinstance(noise, SampledForce), noise, "a ta.SampledForce or None", "noise")
     if noise is not None:
-        want(np.isfinite(noise.values).all(), "values that are not finite", "finite values", "noise")
+        _sampled(noise)
     want(isinstance(value.motions, tuple), value.motions, "a tuple of motions", "motions")
     for motion in value.motions:
         want(isinstance(motion, Motion), motion, "a ta.Motion", "motions")
@@ -163,6 +194,31 @@ def gesture(value: Any) -> None:
     for point, course in value.touches.items():
         segments(course, f"touches[{point!r}]")
         want(course, course, "one segment or more", f"touches[{point!r}]")
+
+
+def _sampled(noise: SampledForce) -> None:
+    """Check a force that is given by its values."""
+    number(noise.start, "a time in s", where="noise.start")
+    number(noise.interval, "a number of seconds above 0", 0.0, "noise.interval", above=True)
+    values = noise.values
+    real = isinstance(values, np.ndarray) and values.ndim == 1 and values.size and values.dtype.kind in "fi"
+    want(real, values, "an array (n,) of one or more real numbers", "noise.values")
+    want(np.isfinite(values).all(), "values that are not finite", "finite values", "noise")
+    near = noise.start >= -_LONGEST_GESTURE and noise.stop <= _LONGEST_GESTURE
+    want(near, (noise.start, noise.stop), f"times of at most {_LONGEST_GESTURE:g} s", "noise")
+
+
+def _circuit(circuit: Any) -> None:
+    """Check the circuit of a pickup."""
+    want(isinstance(circuit, Circuit), circuit, "a ta.Circuit or None", "conversion.circuit")
+    for name in ("numerator", "denominator"):
+        coefficients = getattr(circuit, name)
+        want(isinstance(coefficients, Sequence) and len(coefficients), coefficients, "a tuple of numbers", name)
+        for coefficient in coefficients:
+            number(coefficient, "a finite number", where=f"conversion.circuit: {name}")
+    want(circuit.denominator[0] != 0, circuit.denominator, "a first coefficient other than 0", "denominator")
+    proper = len(circuit.numerator) <= len(circuit.denominator) and bool(np.all(circuit.poles.real < 0))
+    want(proper, circuit.denominator, "a stable and proper circuit", "conversion.circuit")
 
 
 def pickup_rows(plugin: Any, value: Any) -> None:
@@ -174,10 +230,12 @@ def pickup_rows(plugin: Any, value: Any) -> None:
         for probe in readout.probes:
             where = f"readout {readout.name!r}: probes"
             want(all(hasattr(probe, k) for k in ("component", "point", "factor")), probe, "a ta.Term", where)
+            names(probe, where)
             number(probe.factor, "a finite factor", where=where)
         for force in readout.forces:
             where = f"readout {readout.name!r}: forces"
-            want(isinstance(force, Sequence) and len(force) == 2, force, "a pair (connection, factor)", where)
+            pair = isinstance(force, Sequence) and len(force) == 2 and isinstance(force[0], str)
+            want(pair, force, "a pair (connection, factor)", where)
             number(force[1], "a finite factor", where=where)
         empty = "probes" if readout.quantity != "force" else "forces"
         want(getattr(readout, empty), f"a readout {readout.name!r} without {empty}", f"a {readout.quantity} of some")
@@ -194,9 +252,7 @@ def pickup_rows(plugin: Any, value: Any) -> None:
             f"{len(value.readouts)} readouts; one for each of its {len(plugin.channels)} channels is wanted"
         )
     if conversion is not None and conversion.circuit is not None:
-        circuit = conversion.circuit
-        proper = len(circuit.numerator) <= len(circuit.denominator) and bool(np.all(circuit.poles.real < 0))
-        want(proper, circuit.denominator, "a stable and proper circuit", "conversion.circuit")
+        _circuit(conversion.circuit)
     for name, component in value.components.items():
         basis(component, where=f"components[{name!r}]")
     for drive in value.drives:
@@ -250,6 +306,10 @@ def _loss_factor(plugin: Any, value: Any, arguments: Mapping[str, Any]) -> None:
         i, flat = int(wrong[0]), np.broadcast_to(array, omega.shape).ravel()
         at = f" at {omega.ravel()[i] / (2 * np.pi):.6g} Hz" if omega.size else ""
         raise WrongResultError(f"eta = {flat[i] if omega.size else array:g}{at}; it must be 0 or more")
+    if array.size and array.max() > _HIGHEST_LOSS:
+        raise WrongResultError(
+            f"eta = {array.max():g}; it is 2 sigma / omega, and at most {_HIGHEST_LOSS:g} is allowed"
+        )
 
 
 def _class(module: str, name: str) -> type[Any]:
@@ -341,22 +401,29 @@ def _checked(
     @functools.wraps(function)
     def call(self: Any, *args: Any, **kwargs: Any) -> Any:
         try:
-            value = function(self, *args, **kwargs)
+            with np.errstate(all="ignore"):  # what is not finite is refused below, in one line
+                value = function(self, *args, **kwargs)
         except (TonewoodError, MemoryError):
             raise
-        except Exception as raised:  # any fault of somebody's plugin is told with its class, method and key
-            message = " ".join(str(raised).split())
-            text = f"{who} raises {type(raised).__name__}{': ' if message else ''}{message}{_place(raised)}"
-            raise fault(self, text) from raised
+        except (Exception, SystemExit, GeneratorExit) as raised:  # told with class, method and key
+            raise fault(self, f"{who} {raises(raised)}") from raised
         try:
             # the call went well: without keywords its arguments have the names in their order
             positional = dict(zip(names, (self, *args), strict=False))
             verify(self, value, signature.bind(self, *args, **kwargs).arguments if kwargs else positional)
         except WrongResultError as wrong:
             raise fault(self, f"{who} returns {wrong}") from None
+        except (Exception, SystemExit) as odd:  # an iterator, a sequence or a function of somebody's that fails
+            raise fault(self, f"{who} returns {kind_of(value)} that cannot be used: it {raises(odd)}") from odd
         return value
 
     return call
+
+
+def raises(raised: BaseException) -> str:
+    """``raises ValueError: its text (file.py, line 12)``."""
+    message = " ".join(str(raised).split())
+    return f"raises {type(raised).__name__}{': ' if message else ''}{message}{_place(raised)}"
 
 
 def _place(raised: BaseException) -> str:

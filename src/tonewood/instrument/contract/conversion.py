@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.errors import PluginError, TonewoodError
 from tonewood.support.arrays import Floats
 
 
@@ -76,11 +77,14 @@ class Converter:
     conversion : of the pickup.
     dt : step, s.
     n_channels : of the pickup.
+    fault : makes the error of the pickup, of a reason.
     memory : (order, n_channels) of the circuit's filter.
     """
 
-    def __init__(self, conversion: Conversion, dt: float, n_channels: int):
-        self._function, self._filter = conversion.function, None
+    def __init__(
+        self, conversion: Conversion, dt: float, n_channels: int, fault: Callable[[str], TonewoodError] = PluginError
+    ):
+        self._function, self._filter, self._fault, self._n = conversion.function, None, fault, n_channels
         self.memory: Floats = np.zeros((0, n_channels))
         if conversion.circuit is not None:
             b, a = self._filter = conversion.circuit.discrete(dt)
@@ -88,10 +92,20 @@ class Converter:
 
     def __call__(self, readouts: Floats) -> Floats:
         """(n, n_channels) from (n, n_readouts)."""
-        out = readouts if self._function is None else self._function(readouts)
+        out = readouts if self._function is None else self._called(self._function, readouts)
         if self._filter is None:
             return out
         from scipy.signal import lfilter
 
         out, self.memory = lfilter(*self._filter, out, axis=0, zi=self.memory)
         return np.asarray(out)
+
+    def _called(self, function: Callable[[Floats], Floats], readouts: Floats) -> Floats:
+        try:
+            out = np.asarray(function(readouts))
+        except (Exception, SystemExit) as raised:  # code of a third party may raise anything
+            raise self._fault(f"conversion.function raises {type(raised).__name__}: {raised}") from raised
+        if out.shape != (len(readouts), self._n) or out.dtype.kind not in "fi":
+            wanted = f"real numbers of shape ({len(readouts)}, {self._n})"
+            raise self._fault(f"conversion.function returns {out.dtype} of shape {out.shape}; {wanted} are wanted")
+        return out

@@ -19,7 +19,7 @@ from typing import Any
 
 from tonewood.errors import BundleError, PluginError, kind_of
 from tonewood.instrument.contract.base import API, KINDS, Plugin
-from tonewood.instrument.contract.contract_checks import CHECKS
+from tonewood.instrument.contract.contract_checks import CHECKS, WrongResultError
 from tonewood.instrument.contract.effects import Effect
 from tonewood.support.params import Parameters
 from tonewood.support.validation_messages import did_you_mean
@@ -27,6 +27,8 @@ from tonewood.support.validation_messages import did_you_mean
 PLUGINS = "tonewood.plugins"
 INSTRUMENTS = "tonewood.instruments"
 MANIFEST = "instrument.yaml"
+#: types of class attributes in place of properties
+_PLAIN = (type(None), bool, int, float, complex, str, bytes, tuple, list, dict, set)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,6 +158,11 @@ def check_plugin(cls: object, who: str) -> None:
             raise PluginError(f"{who}: {name} is a method; a property is wanted (@property)")
         if not isinstance(first, property) and not callable(member):
             raise PluginError(f"{who}: {name} is {kind_of(member)}; a method is wanted")
+        if isinstance(first, property) and isinstance(member, _PLAIN):
+            try:
+                CHECKS[cls.kind][name](cls, member, {})
+            except WrongResultError as wrong:
+                raise PluginError(f"{who}: {name} is {wrong}") from None
     _check_effects(cls, who)
 
 

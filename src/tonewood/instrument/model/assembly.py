@@ -6,7 +6,7 @@ components, connections and readouts.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -177,6 +177,7 @@ def assemble(
     channels = make_outputs(instrument, outputs, make_scene(strings, body_points, limit, added.forces, instrument.body))
     connections = [*_end_connections(strings.values()), *added.connections, *_attached_connections(attached, resting)]
     components = {"body": body, **added.components, **_string_components(strings.values())}
+    _check_components(strings.values(), {"body", *added.components}, channels)
     _check_references(instrument, strings, {**components, **channels.components}, connections, channels)
     owners = {component: name for name, string in strings.items() for component in string.all_components}
     if by_string:
@@ -238,6 +239,23 @@ def _check_references(
         readouts = [made.readouts[i] for i in group.readouts]
         check_readouts(readouts, (), components, names, partial(_fault, pickup, f"outputs.{group.name}"))
     check_readouts((), made.drives, components, names, partial(_fault, None, "outputs"))
+
+
+def _check_components(strings: Iterable[StringModel], taken: set[str], made: Outputs) -> None:
+    """Refuse a component of a part that has the name of another one: it would take its place."""
+    for string in strings:
+        _take(string.bases(), taken, partial(_fault, None, f"strings.{string.name}"))
+        for parts in string.attached():
+            plugin = string.touching.get(next((c.part for c in parts.connections), ""))
+            _take(parts.components, taken, partial(_fault, plugin, f"strings.{string.name}"))
+    _take(made.components, taken, partial(_fault, None, "outputs"))
+
+
+def _take(names: Iterable[str], taken: set[str], fault: Callable[[str], BundleError]) -> None:
+    for name in names:
+        if name in taken:
+            raise fault(f"there are two components {name!r}; names begin with the string's and the part's")
+        taken.add(name)
 
 
 def _fault(plugin: Plugin[Any] | None, key: str, reason: str) -> BundleError:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import accumulate, pairwise
 
 import numpy as np
 
+from tonewood.errors import BundleError
 from tonewood.instrument.contract.conversion import Converter
+from tonewood.instrument.contract.registry import MANIFEST
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.output_assembly import OutputGroup
 from tonewood.sound.equalizer import Equalizer
@@ -27,6 +30,11 @@ def columns_of(outputs: Sequence[OutputGroup], *, in_room: bool) -> list[list[in
     return [2 * group if in_room and len(group) == 1 else group for group in groups]
 
 
+def _fault(model: Model, group: str) -> Callable[[str], BundleError]:
+    """Make errors of an output group's pickup."""
+    return partial(BundleError, file=model.instrument.folder / MANIFEST, key=f"outputs.{group}")
+
+
 class Routing:
     """Converts readouts, scales them to full scale, gives them to channels, filters these and delays them by frames.
 
@@ -44,7 +52,7 @@ class Routing:
         alone = len(groups) == 1
         self.channels = tuple(name if alone else f"{group.name}.{name}" for group in groups for name in group.channels)
         self._converters = {
-            i: Converter(group.conversion, model.system.dt, len(set(group.columns)))
+            i: Converter(group.conversion, model.system.dt, len(set(group.columns)), _fault(model, group.name))
             for i, group in enumerate(groups)
             if group.conversion is not None
         }
