@@ -23,9 +23,9 @@ OTHERS = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum"
 SAID = {
     "quantity", "Field", "warn", "warning", "info", "debug", "sleep", "lru_cache", "__repr__", "__str__",
     "__getattr__", "help", "strict", "stacklevel", "timeout", "encoding", "maxsize", "exist_ok", "overwrite_a",
-    "check_finite", "frozen", "grid", "figure", "lw", "linewidth", "ms", "markersize", "alpha", "fontsize",
-    "color", "zorder", "pad", "rotation", "figsize", "set_params", "tight_layout", "savefig", "legend",
-    "tick_params", "set_title", "annotate",
+    "check_finite", "optimize", "linthresh", "frozen", "grid", "figure", "lw", "linewidth", "ms", "markersize",
+    "alpha", "fontsize", "color", "zorder", "pad", "rotation", "figsize", "set_params", "tight_layout", "savefig",
+    "legend", "tick_params", "set_title", "annotate",
 }  # fmt: skip
 #: functions of which the order of two arguments says nothing
 SYMMETRIC = {"isclose", "allclose", "array_equal", "hypot", "gcd", "multiply", "add", "union1d", "isinstance"}

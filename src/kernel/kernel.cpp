@@ -176,12 +176,14 @@ bool Kernel::load_potentials(const std::vector<PotentialDescription>& all, bool 
     Potentials& t = model_.potentials;
     const std::vector<Potentials::One> before = std::move(t.two_way);
     t.two_way.clear(), t.driven.clear(), t.stretches.clear(), t.users.clear(), t.memory = 0;
+    std::vector<Array<double>> vectors;  // of the strings that are driven
     for (std::size_t s = 0; s < all.size(); ++s) {
         const PotentialDescription& d = all[s];
         const std::string name = "potentials[" + std::to_string(s) + "].";
         t.memory = std::max(t.memory, d.at + kMemory[d.kind]);
         if (d.kind == Potentials::phantom) {
             t.driven.push_back(load_phantom(d, model_.components, name));
+            vectors.push_back(d.vector.copy());
             continue;
         }
         Potentials::One one;
@@ -192,6 +194,7 @@ bool Kernel::load_potentials(const std::vector<PotentialDescription>& all, bool 
             one.data = int(t.users.size()), t.users.push_back(load_user(d, model_.components, name));
         t.two_way.push_back(std::move(one));
     }
+    t.driven_forces = join_forces(t.driven, std::move(vectors));
     const bool same = std::equal(before.begin(), before.end(), t.two_way.begin(), t.two_way.end(),
                                  [](const auto& a, const auto& b) {
                                      return a.kind == b.kind && a.at == b.at && a.scale == b.scale &&

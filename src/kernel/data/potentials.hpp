@@ -39,19 +39,26 @@ constexpr int kPhantomMemory = kBlock + 2 * kPhantomModes;   // numbers of a str
 
 struct PhantomString {
     struct Part {  // a polarization: its lowest n modes
-        int slot = 0, wide = 0;  // component; these modes, padded as all are
-        Array<double> weights;   // (order + 1, padded to kLane; wide)
-        Array<double> mirrored;  // (order + 1, kPhantomModes)
+        int slot = 0, n = 0;     // component; these modes
+        Array<double> weights;   // (n, order + 1)
+        Array<double> mirrored;  // (order + 1, kPhantomModes / 2)
         bool operator==(const Part&) const = default;
     };
     std::size_t at = 0;          // of its numbers in the state
     int target = 0;              // component that its force acts on
     int order = 0;               // longitudinal modes
     double scale = 0;            // EA
-    Array<double> vector;        // (2, n) state that 1 N, held over a step, adds there
     Array<double> steps;         // (4, kPhantomModes)
     std::vector<Part> parts;
     bool operator==(const PhantomString&) const = default;
+};
+
+// Forces of such strings on a component: they add sum_j vectors_j sum_q shares_jq F_q to its state.
+struct DrivenForces {
+    int target = 0;
+    std::size_t count = 0;       // vectors: as many as are independent, at most
+    Array<double> vectors;       // (count, 2, n)
+    Array<double> shares;        // (count, strings): 0 for those that act on another component
 };
 
 // A potential given as a C function (potentials/user.hpp).
@@ -100,6 +107,7 @@ struct Potentials {
     };
     std::vector<One> two_way;           // those of a kind together, in the order of kinds
     std::vector<PhantomString> driven;
+    std::vector<DrivenForces> driven_forces;  // by component that they act on
     std::vector<Stretch> stretches;
     std::vector<UserPotential> users;
     std::size_t memory = 0;             // numbers in the state, at least

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <string>
 
 #include "../data/state.hpp"
@@ -223,29 +224,77 @@ inline PhantomString load_phantom(const PotentialDescription& d, const std::vect
     const std::size_t order = d.steps.shape[0];
     expect(name + "steps", d.steps, {order, 4});
     expect(name + "vector", d.vector, {2, std::size_t(components[d.target].n)});
+    require(std::all_of(d.vector.data, d.vector.data + d.vector.size(), [](double x) { return std::isfinite(x); }),
+            name + "vector: its numbers must be finite");
     PhantomString out;
     out.at = d.at, out.target = d.target, out.order = int(order), out.scale = d.scale;
-    out.vector = d.vector.copy(), out.steps.assign(4 * kPhantomModes, 0.0);
+    out.steps.assign(4 * kPhantomModes, 0.0);
     for (std::size_t m = 0; m < order; ++m)
         for (std::size_t i = 0; i < 4; ++i) out.steps[i * kPhantomModes + m] = d.steps[4 * m + i];
     for (std::size_t q = 0; q < d.parts.size(); ++q) {
         const auto& p = d.parts[q];
         const int slot = d.slots[q];
         const std::size_t n = p.weights.ndim == 2 ? p.weights.shape[1] : 0;
-        const std::size_t wide = (n + kPadding - 1) / kPadding * kPadding;
         require(n > 0 && n <= std::size_t(components[slot].n) && !components[slot].driven &&
                     !components[slot].by_sample(),
                 name + "parts: one does not fit component " + std::to_string(slot));
         expect(name + "weights", p.weights, {order + 1, n});
         expect(name + "mirrored", p.mirrored, {order + 1, order});
         PhantomString::Part part;
-        part.slot = slot, part.wide = int(wide);
-        part.weights.assign(padded(order + 1) * wide, 0.0), part.mirrored.assign((order + 1) * kPhantomModes, 0.0);
+        part.slot = slot, part.n = int(n);
+        part.weights.assign(n * (order + 1), 0.0), part.mirrored.assign((order + 1) * kPhantomModes / 2, 0.0);
         for (std::size_t m = 0; m <= order; ++m) {
-            std::copy_n(p.weights.data + m * n, n, part.weights.data() + m * wide);
-            std::copy_n(p.mirrored.data + m * order, order, part.mirrored.data() + m * kPhantomModes);
+            for (std::size_t k = 0; k < n; ++k) part.weights[k * (order + 1) + m] = p.weights.data[m * n + k];
+            for (std::size_t k = 0; k < m; ++k)  // both orders of a pair
+                part.mirrored[m * kPhantomModes / 2 + std::min(k, m - 1 - k)] += p.mirrored.data[m * order + k];
         }
         out.parts.push_back(std::move(part));
+    }
+    return out;
+}
+
+// Joins the state vectors (2, n) of 1 N of each string: strings on one bridge share few independent ones. Gram-Schmidt,
+// the largest remainder first, until no number is further than 1e-14 of the largest in its place from its string's.
+inline std::vector<DrivenForces> join_forces(const std::vector<PhantomString>& strings,
+                                             std::vector<Array<double>> vectors) {
+    std::vector<DrivenForces> out;
+    for (std::size_t first = 0; first < strings.size(); ++first) {
+        DrivenForces to;
+        to.target = strings[first].target;
+        if (std::any_of(out.begin(), out.end(), [&](const auto& other) { return other.target == to.target; })) continue;
+        std::vector<std::size_t> own;
+        for (std::size_t q = first; q < strings.size(); ++q)
+            if (strings[q].target == to.target) own.push_back(q);
+        Array<double> largest(vectors[first].size());
+        const auto scale = [&](Array<double>& a, bool back) {
+            for (std::size_t k = 0; k < a.size(); ++k)
+                a[k] = back ? a[k] * largest[k] : largest[k] > 0.0 ? a[k] / largest[k] : 0.0;
+        };
+        for (const std::size_t q : own)
+            for (std::size_t k = 0; k < largest.size(); ++k)
+                largest[k] = std::max(largest[k], std::abs(vectors[q][k]));
+        for (const std::size_t q : own) scale(vectors[q], false);
+        while (to.count < own.size()) {
+            const auto product = [&](std::size_t q, const Array<double>& a) {
+                return std::inner_product(a.begin(), a.end(), vectors[q].begin(), 0.0);
+            };
+            double left = 0.0, most = 0.0;
+            Array<double> next;
+            for (const std::size_t q : own) {
+                for (const double x : vectors[q]) left = std::max(left, std::abs(x));
+                if (const double size = product(q, vectors[q]); size > most) most = size, next = vectors[q];
+            }
+            if (left <= 1e-14) break;
+            for (double& x : next) x /= std::sqrt(most);
+            to.shares.resize(++to.count * strings.size(), 0.0);
+            for (const std::size_t q : own) {
+                const double share = to.shares[(to.count - 1) * strings.size() + q] = product(q, next);
+                for (std::size_t k = 0; k < next.size(); ++k) vectors[q][k] -= share * next[k];
+            }
+            scale(next, true);
+            to.vectors.insert(to.vectors.end(), next.begin(), next.end());
+        }
+        out.push_back(std::move(to));
     }
     return out;
 }

@@ -39,6 +39,26 @@ struct Simd {
             return peak<Half / 2>(v > other ? v : other, lanes);
         }
     }
+    // Transposes width x width numbers, whose rows are a stride apart.
+    static void transpose(const double* from, std::ptrdiff_t stride, double* to, std::ptrdiff_t to_stride) {
+        V rows[width];
+        for (int i = 0; i < width; ++i) rows[i] = load(from + i * stride);
+        exchange<1>(rows, std::make_index_sequence<width>{});
+        for (int i = 0; i < width; ++i) store(to + i * to_stride, rows[i]);
+    }
+    // Exchanges what lies off the diagonal in blocks of 2 Size rows and columns, then in larger ones.
+    template <int Size, std::size_t... I>
+    static void exchange(V* rows, std::index_sequence<I...> lanes) {
+        if constexpr (Size < width) {
+            for (int i = 0; i < width; ++i) {
+                if (i & Size) continue;
+                const V a = rows[i], b = rows[i + Size];
+                rows[i] = __builtin_shufflevector(a, b, (int(I) & Size ? width + int(I) - Size : int(I))...);
+                rows[i + Size] = __builtin_shufflevector(a, b, (int(I) & Size ? width + int(I) : int(I) + Size)...);
+            }
+            exchange<2 * Size>(rows, lanes);
+        }
+    }
     template <int Half, std::size_t... I>
     static V folded(V v, std::index_sequence<I...> lanes) {
         if constexpr (Half == 0) return v;

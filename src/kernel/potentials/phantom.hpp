@@ -6,6 +6,8 @@
 // numbers, at the beginning of a window. Then, in each sample,
 //
 //     s_m = sum_k w_mk x_k x_(k + m) + ...,      e_m = s_m + a_m,      force = EA (s_0 + sum e_m).
+//
+// The s_m have the samples of the block side by side: each weight is read once a block, and no lanes are added.
 #pragma once
 
 #include <algorithm>
@@ -20,25 +22,35 @@ class PhantomStep {
     using S = Simd;
 
 public:
-    explicit PhantomStep(Block& block) : block_(block), due_(block.model.potentials.driven.size() * kBlock) {
-        for (const PhantomString& string : block.model.potentials.driven) {
-            block_.known.push_back(string.target);
-            for (const auto& part : string.parts) copies_.emplace_back(2 * part.wide);
-        }
-        int most = 0;
+    explicit PhantomStep(Block& block) : block_(block) {
+        for (const DrivenForces& forces : block.model.potentials.driven_forces)
+            block_.known.push_back(forces.target), due_.emplace_back(forces.count * kBlock);
+        std::size_t most = 0;
         for (const PhantomString& string : block.model.potentials.driven)
-            for (const auto& part : string.parts) most = std::max(most, width(part, string.order));
-        path_.assign(std::size_t(kBlock) * (most + kPadding), 0.0);
+            for (const auto& part : string.parts) {
+                copies_.emplace_back(2 * padded_modes(part));
+                most = std::max(most, padded_modes(part));
+            }
+        path_.assign(kBlock * (most + kPhantomModes + kTile), 0.0);
     }
 
     // A block begins: the forces that are due in it become known inputs; before its free motion is read.
     void begin_block() {
         const auto& strings = block_.model.potentials.driven;
         const bool window = block_.start / kBlock % kWindow == 0;
+        for (std::size_t i = 0; i < due_.size(); ++i) {
+            const DrivenForces& forces = block_.model.potentials.driven_forces[i];
+            const std::size_t size = 2 * std::size_t(block_.model.components[forces.target].n);
+            for (std::size_t j = 0; j < forces.count; ++j) {
+                double* const due = due_[i].data() + j * kBlock;
+                std::fill_n(due, kBlock, 0.0);
+                for (std::size_t q = 0; q < strings.size(); ++q)
+                    for (int b = 0; b < kBlock; ++b)
+                        due[b] += forces.shares[j * strings.size() + q] * memory(strings[q])[b];
+                block_.inputs[forces.target].push_back({forces.vectors.data() + j * size, due});
+            }
+        }
         for (std::size_t q = 0, at = 0; q < strings.size(); ++q) {
-            double* const due = due_.data() + q * kBlock;
-            std::copy_n(memory(strings[q]), kBlock, due);
-            block_.inputs[strings[q].target].push_back({strings[q].vector.data(), due});
             for (const auto& part : strings[q].parts) {
                 Array<double>& copy = copies_[at++];
                 if (!window) continue;
@@ -55,13 +67,14 @@ public:
         const int nb = block_.nb;
         for (std::size_t q = 0, at = 0; q < strings.size(); ++q) {
             const PhantomString& string = strings[q];
-            std::fill_n(squares_, kBlock * kOrder, 0.0);
+            std::fill_n(sums_, kOrder * kBlock, 0.0);
             for (const auto& part : string.parts) {
                 step(part, string.order, copies_[at++], contacts);
-                const int line = width(part, string.order);
-                for (int b = 0; b < nb; ++b)
-                    add_squares(part, string.order, path_.data() + b * line, squares_ + b * kOrder);
+                add_squares<kTile>(part, string.order);
             }
+            for (int m = 0; m < string.order + S::width; m += S::width)
+                for (int b = 0; b < kBlock; b += S::width)
+                    S::transpose(sums_ + m * kBlock + b, kBlock, squares_ + b * kOrder + m, kOrder);
             double *const row = memory(string), *const a = row + kBlock, *const v = a + kPhantomModes;
             std::copy(row + nb, row + kBlock, row);
             for (int b = 0; b < nb; ++b) {
@@ -81,14 +94,14 @@ public:
     }
 
 private:
+    static constexpr int kTile = 2 * kPack;               // s_m at a time
     static constexpr int kOrder = kPhantomModes + kLane;  // s_0, and those of the modes, padded
 
     double* memory(const PhantomString& string) const {
         return block_.job.potentials + string.at;
     }
-    // Modes of a part in a line of the path, and room for those that are read `order` places further.
-    static int width(const PhantomString::Part& part, int order) {
-        return part.wide + (order + 2 * kPadding) / kPadding * kPadding;
+    static std::size_t padded_modes(const PhantomString::Part& part) {
+        return std::size_t(part.n + kPadding - 1) / kPadding * kPadding;
     }
 
     // Steps the copy of a part's modes over the block; their first numbers go to path_.
@@ -96,20 +109,20 @@ private:
         using P = Pack<2>;
         const Component& c = block_.model.components[part.slot];
         const std::size_t n = c.n, own = copy.size() / 2;
-        const int line = width(part, order), nb = block_.nb;
+        const int nb = block_.nb;
         const Layout& l = block_.model.layout;
         inputs_ = block_.inputs[part.slot];
         for (int p = 0; p < c.n_ports; ++p)
             inputs_.push_back(
                 {c.w.data() + std::size_t(2 * p) * n, block_.forces.data() + l.port[part.slot] + p, l.force_width});
         contacts.add_inputs(part.slot, inputs_);
-        std::fill(path_.begin(), path_.begin() + std::ptrdiff_t(nb) * line, 0.0);
+        alignas(64) double block[kBlock * P::size] = {};
         for (std::size_t k = 0; k < own; k += P::size) {
             P x = P::load(copy.data() + k), y = P::load(copy.data() + own + k);
             const P e00 = P::load(c.e.data() + k), e01 = P::load(c.e.data() + n + k);
             const P e10 = P::load(c.e.data() + 2 * n + k), e11 = P::load(c.e.data() + 3 * n + k);
             for (int b = 0; b < nb; ++b) {
-                x.store(path_.data() + std::ptrdiff_t(b) * line + k);
+                x.store(block + b * P::size);
                 const P moved = mul_add(e00, x, e01 * y);
                 y = mul_add(e11, y, e10 * x);
                 x = moved;
@@ -120,47 +133,48 @@ private:
                 }
             }
             x.store(copy.data() + k), y.store(copy.data() + own + k);
+            for (int i = 0; i < P::size; i += S::width)
+                for (int b = 0; b < kBlock; b += S::width)
+                    S::transpose(block + b * P::size + i, P::size, path_.data() + (k + i) * kBlock + b, kBlock);
         }
+        // in place of modes after the last one
+        std::fill_n(path_.begin() + part.n * kBlock, (order + kTile) * kBlock, 0.0);
     }
 
-    // Adds the s_m of a line x to `squares`, kLane of them at a time.
-    void add_squares(const PhantomString::Part& part, int order, const double* x, double* squares) {
-        const int n = part.wide;
-        for (int k = 0; k < kPhantomModes; ++k) backwards_[kPhantomModes - 1 - k] = k < n ? x[k] : 0.0;
-        alignas(64) double lanes[kLane * S::width];
-        for (int first = 0; first <= order; first += kLane) {
-            const int count = std::min(kLane, order + 1 - first);
-            const double *const w = part.weights.data() + std::ptrdiff_t(first) * n, *const y = x + first;
-            const auto add = [&]<int Count>() {
-                S::V sum[Count] = {};
-                for (int k = 0; k < n; k += S::width) {
-                    const S::V at = S::load(x + k);
-                    for (int m = 0; m < Count; ++m)
-                        sum[m] += S::load(w + std::ptrdiff_t(m) * n + k) * at * S::load(y + k + m);
+    // Adds the s_m of a part to sums_, two vectors of samples side by side, s_first and those after it.
+    template <int Most>
+    void add_squares(const PhantomString::Part& part, int order, int first = 0) {
+        using P = Pack<2>;
+        for (; first + Most <= order + 1; first += Most) {
+            for (int b = 0; b < kBlock; b += P::size) {
+                const double* const path = path_.data() + b;
+                P sum[Most] = {};
+                for (int k = 0; k < part.n - first; ++k) {
+                    const double* const w = part.weights.data() + std::ptrdiff_t(k) * (order + 1) + first;
+                    const P x = P::load(path + k * kBlock);
+                    for (int m = 0; m < Most; ++m)
+                        sum[m] = mul_add(x * P::load(path + (k + first + m) * kBlock), w[m], sum[m]);
                 }
-                for (int m = 0; m < Count; ++m) S::store(lanes + m * S::width, sum[m]);
-            };
-            if (count == kLane) add.template operator()<kLane>();
-            else if (count > 2) add.template operator()<kLane - 1>();  // rows beyond the last one are padding
-            else add.template operator()<2>();
-            for (int m = 0; m < count; ++m) {
-                // pairs k and first + m - 1 - k
-                const double* const other = part.mirrored.data() + std::ptrdiff_t(first + m) * kPhantomModes;
-                S::V sum = S::load(lanes + m * S::width);
-                for (int k = 0; k < first + m; k += S::width)
-                    sum += S::load(other + k) * S::load(x + k) * S::load(backwards_ + kPhantomModes - first - m + k);
-                squares[first + m] += S::sum(sum);
+                for (int m = 0; m < Most; ++m) {
+                    // pairs k and first + m - 1 - k
+                    const double* const w = part.mirrored.data() + (first + m) * kPhantomModes / 2;
+                    for (int k = 0; 2 * k < first + m; ++k)
+                        sum[m] = mul_add(P::load(path + k * kBlock) * P::load(path + (first + m - 1 - k) * kBlock),
+                                         w[k], sum[m]);
+                    double* const to = sums_ + (first + m) * kBlock + b;
+                    mul_add(sum[m], 1.0, P::load(to)).store(to);
+                }
             }
         }
+        if constexpr (Most > 1) add_squares<Most / 2>(part, order, first);
     }
 
     Block& block_;
-    Array<double> due_;                  // (strings, kBlock): forces in this block
+    std::vector<Array<double>> due_;     // by component that they act on, (vectors, kBlock): forces in this block
     std::vector<Array<double>> copies_;  // by part: (2, n)
-    Array<double> path_;                 // (kBlock, width): first numbers of a part's modes
+    Array<double> path_;                 // (modes of a part, kBlock): their first numbers; zeros follow
     std::vector<Input> inputs_;
-    alignas(64) double squares_[kBlock * kOrder],
-        backwards_[2 * kPhantomModes] = {};  // the lowest modes, the last one first
+    alignas(64) double sums_[kOrder * kBlock], squares_[kBlock * kOrder];  // s_m: by mode, and by sample
 };
 
 }  // namespace
