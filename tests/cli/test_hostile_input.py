@@ -526,3 +526,20 @@ def test_a_preset_cuts_nothing_off_the_first_note(tonewood: Run, score: Path, tm
 def test_an_integer_beyond_all_floats_is_one_line(tonewood: Run, score: Path, tmp_path: Path, option: str) -> None:
     result = tonewood("render", score, "-i", "monochord", "-o", tmp_path / "o.wav", option, "9" * 400)
     assert_one_line(result, tmp_path, f"{option.lstrip('-')}: is inf")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("migrate",), ("distance", "x" * 300), ("fit", "a.csv", "--form", "mobility", "-o"), ("batch", "m.yaml", "-o")],
+)
+def test_a_name_that_is_too_long_is_one_line(tonewood: Run, tmp_path: Path, words: tuple[str, ...]) -> None:
+    monochord = {"mono": "monochord"}
+    phrase = {"low": {"phrase": [{"time": 0.0, "duration": 0.3, "note": 45, "force": 1.1}]}}
+    manifest = {"schema": "tonewood-batch/1", "name": "m", "seed": 1, "instruments": monochord, "scores": phrase}
+    (tmp_path / "m.yaml").write_text(json.dumps(manifest))
+    (tmp_path / "a.csv").write_text("freq_Hz,bridge_re,bridge_im\n" + "".join(f"{k},1,1\n" for k in range(50, 99)))
+    files = [tmp_path / word if "." in word else word for word in words]
+    code, _, err = tonewood(*files, "x" * 300)
+    assert code == 2
+    assert err.count("\n") == 1, err
+    assert "x" * 300 in err

@@ -57,8 +57,10 @@ def run(arguments: list[str] | None = None) -> None:
         _no_more(sys.stdout)
         sys.exit(0)
     except OSError as error:
-        if error.filename is not None:
-            raise
+        if error.filename is not None:  # of the system, where no command has better words
+            fault = TonewoodError(f"cannot be used: {error.strerror}", file=str(error.filename))
+            _print_error(words, "OutputError", fault, 2)
+            _fail(str(fault), 2)
         _no_more(sys.stdout)
         if stopping.signal:  # SIGHUP: the terminal has gone
             _interrupted(words, _remaining())

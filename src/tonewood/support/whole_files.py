@@ -104,8 +104,15 @@ def _identity(file: Path) -> tuple[int, int]:
 
 
 def check_new_folder(folder: Path) -> None:
-    """Refuse a folder to make that is there already, or whose parent is not. Raises OutputError : one of these."""
-    if folder.exists() or folder.is_symlink():
+    """Refuse a folder to make that is there already, or whose parent is not.
+
+    Raises OutputError : one of these, or the name is too long.
+    """
+    try:
+        there = folder.exists() or folder.is_symlink()
+    except OSError as fault:  # a name too long
+        raise OutputError(f"cannot be made: {fault.strerror}", file=folder) from None
+    if there:
         raise OutputError("is there already; give another name", file=folder)
     if not folder.absolute().parent.is_dir():
         raise OutputError(f"there is no folder {str(folder.parent)!r}", file=folder)

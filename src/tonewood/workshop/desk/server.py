@@ -182,8 +182,11 @@ def _changes(use: Callable[[DeskSession, dict[str, Any]], None]) -> Callable[[De
 
 
 def _save(desk: Desk, given: dict[str, Any]) -> str:
-    folder = Path(str(given["folder"])).expanduser()
-    desk.session.save(folder)
+    try:
+        folder = Path(str(given["folder"])).expanduser()
+        desk.session.save(folder)
+    except RuntimeError as fault:  # the home of a user who is not there
+        raise TonewoodError(f"cannot be made: {fault}", key="folder") from None
     return f"saved in {folder.resolve()}: tonewood render {desk.phrase.file} -i {folder}"
 
 

@@ -135,6 +135,8 @@ def test_other_hosts_and_pages_are_refused(client: Client) -> None:
         ({"act": "set", "path": "exciters.pluck.from_bridge", "value": 99}, "from_bridge"),
         ({"act": "set", "path": "nothing.here", "value": 1}, "nothing"),
         ({"act": "save", "folder": "/proc/desk"}, "cannot be made"),
+        ({"act": "save", "folder": "x" * 5000}, "cannot be made: File name too long"),
+        ({"act": "save", "folder": "~nobody_of_this_name/x"}, "folder: cannot be made: "),
         ({"act": "phrase", "kind": "notes", "notes": "H9"}, "H9"),
         ({"act": "phrase", "kind": "notes", "notes": "C0"}, "C0"),
         ({"act": "phrase", "kind": "file"}, "--phrase"),
