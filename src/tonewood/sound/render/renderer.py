@@ -259,8 +259,8 @@ class Renderer:
         Raises
         ------
         NumericalError : the state is no longer finite; nothing of that block is yielded.
-        TonewoodError : `block_size` is no whole number, or below 1; or blocks are taken in several places at once, which
-            would each get pieces of the sound.
+        TonewoodError : `block_size` is no whole number, or below 1; or blocks are taken in several places at once,
+            which would each get pieces of the sound.
         """
         if not (isinstance(block_size, int | np.integer) and block_size >= 1):
             raise TonewoodError(f"is {block_size}; a whole number, 1 or more, is allowed", key="block_size")
