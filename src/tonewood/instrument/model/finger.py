@@ -41,7 +41,7 @@ def fingertips(finger: Finger, site: Site, residual: float | None) -> Attached:
         law = SpringDashpot(1 / (1 / finger.skin_stiffness + residual), finger.skin_damping)
     omega = 2 * math.pi * finger.freq
     for i, (component, _) in enumerate(site.polarizations, 1):
-        tip = f"{site.string}.{POINT}.tip{i}"
+        tip = f"{site.string}.fingertip{i}"  # no part can have this name, as an exciter may be called finger
         components[tip] = loose_mass(finger.mass, omega, finger.damping_ratio * omega)
         terms = (Term(component, POINT), Term(tip, "mass", -1.0))
         connections.append(Connection(f"{site.string}.{POINT}.skin{i}", terms, law))
