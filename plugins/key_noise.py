@@ -78,13 +78,13 @@ class KeyNoise(ta.Exciter[KeyNoiseParameters]):
         bottom = p.part == "bottom"
         speed, start = (p.velocity / p.ratio, p.travel / p.velocity - p.lead) if bottom else (p.speed, p.fall)
         middle, peak = start + p.contact / 2, 2 * p.mass * speed / p.contact
-        push = ta.smooth_step(start, middle, 0.0, -peak) + ta.smooth_step(middle, start + p.contact, -peak, 0.0)
+        force = ta.smooth_step(start, middle, 0.0, -peak) + ta.smooth_step(middle, start + p.contact, -peak, 0.0)
         omega = 2 * math.pi * p.shank_freq
         strength = p.shank_share * p.head * p.velocity * omega
         if not bottom or strength == 0.0:
-            return ta.Gesture(push)
+            return ta.Gesture(force)
         n = math.ceil(-math.log(_LEAST) / (p.shank_loss * omega) * _FS)
         time = np.arange(n + 1) / _FS
         values = strength * np.exp(-p.shank_loss * omega * time) * np.sin(omega * time)
         values[-1] = 0.0
-        return ta.Gesture(push, noise=ta.SampledForce(0.0, 1 / _FS, values))
+        return ta.Gesture(force, noise=ta.SampledForce(0.0, 1 / _FS, values))

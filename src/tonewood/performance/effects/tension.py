@@ -102,7 +102,7 @@ class TensionEffect(SwitchedEffect):
             load = self.load(name)
             whole += load * end
             rate = self.bounds.damping_rate(name, system)
-            per_force = self.bounds.pulled(name, system, Fretting(), 1.0)
+            per_force = self.bounds.rise_under_force(name, system, Fretting(), 1.0)
             free = 0.0  # time from which on the rise is within the budget
             for play in plays.get(name, []):
                 idle += load * max(min(play.start, end) - free - SHORTEST, 0.0)

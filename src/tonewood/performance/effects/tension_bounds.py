@@ -81,7 +81,7 @@ class TensionBounds:
         stiffness = self._laws[name].axial_stiffness
         return self.effect.bound(Norms(energy=energy, tension=tension, axial_stiffness=stiffness, length=length))
 
-    def pulled(self, name: str, system: System, fretting: Fretting, force: float) -> float:
+    def rise_under_force(self, name: str, system: System, fretting: Fretting, force: float) -> float:
         """Return the largest rise, cents, by the energy alone that a force (N) of a pluck stores on a string."""
         return _DRAWN * self.rise(name, system, 0.5 * self._compliance(name, system, fretting) * force**2)
 

@@ -258,8 +258,8 @@ def test_a_tuned_damper_on_a_drawn_body(box):
         "body.added.0.mass": "0.005 .. 0.02",
         "body.thickness": "2e-3 .. 3e-3",
     }
-    body, middle = DrawnDesign(heavy, parse_free(bounds, heavy), 500.0), np.array([150.0, 0.01, 2.5e-3])
-    bare = DrawnDesign(box, parse_free({"body.thickness": "2e-3 .. 3e-3"}, box), 500.0).at([2.5e-3])
+    body, middle = DrawnDesign(heavy, parse_free(bounds, heavy), 500.0, mobility=True), np.array([150.0, 0.01, 2.5e-3])
+    bare = DrawnDesign(box, parse_free({"body.thickness": "2e-3 .. 3e-3"}, box), 500.0, mobility=False).at([2.5e-3])
     now = body.at(middle)
     assert len(now.freq) == len(bare.freq) + 1
     assert now.mass == pytest.approx(bare.mass + 0.01)
