@@ -87,7 +87,7 @@ def trace(instrument: str, block: int, worst: int) -> None:
     live.process(block)
     profile.disable()
     print(f"  the worst block, number {worst}, with the profiler's own cost:")
-    found = pstats.Stats(profile).stats.items()  # type: ignore[attr-defined]
+    found = pstats.Stats(profile).stats.items()  # type: ignore[attr-defined]  # untyped
     for (file, _, name), (_, calls, own, whole, _) in sorted(found, key=lambda item: -item[1][3])[:16]:
         print(f"    {1e3 * whole:6.2f} ms, own {1e3 * own:5.2f}, {calls:4d} x {Path(file).name}:{name}")
 

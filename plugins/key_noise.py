@@ -1,6 +1,6 @@
 """Noises of a piano's key: the key that meets its felts, and the hammer's shank that rings after the blow.
 
-No note asks for this exciter; ``playing.noises`` of a bundle names it. Its forces act on one point of the body. A
+``playing.noises`` of a bundle names this exciter; a note does not. Its forces act on one point of the body. A
 force F on the keybed moves the case, here a rigid mass M, and the soundboard in it: mode k, of mass-normalised shape
 phi_k on a board of mass m per area, takes -F Gamma_k / M with Gamma_k = int m phi_k dA. So the shape at that point is
 -Gamma_k / M, and it is a point of the body like any other.

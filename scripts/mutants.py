@@ -121,7 +121,7 @@ class Reached:
                     kept.cache_clear()
         self.test = item.nodeid
         self.cover.switch_context(self.test)
-        for made in item._fixtureinfo.name2fixturedefs.values():  # type: ignore[attr-defined]
+        for made in item._fixtureinfo.name2fixturedefs.values():  # type: ignore[attr-defined]  # private in pytest
             self.shared.setdefault(f"{made[-1].baseid} {made[-1].argname}", []).append(self.test)
 
     @pytest.hookimpl(wrapper=True)
@@ -130,7 +130,7 @@ class Reached:
         self.cover.switch_context(f"{fixturedef.baseid} {fixturedef.argname}")
         made = yield
         self.cover.switch_context(self.test)
-        return made  # type: ignore[return-value]
+        return made  # type: ignore[return-value]  # passed on
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Add the time of a test, note that it failed."""

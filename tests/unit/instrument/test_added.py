@@ -164,7 +164,7 @@ def test_bounds_know_of_it(guitar, tuned):
     [
         ({"at": "nowhere", "mass": 0.01}, r"body\.added\.0\.at: there is no point 'nowhere'; there are bridge_E2"),
         ({"at": "bridge_E2", "mass": 0.01, "direction": "x"}, r"body\.added\.0\.direction: the body does not move"),
-        ({"at": "bridge_E2"}, r"body\.added\.0: .*a mass, a stiffness or a damping above 0 is wanted"),
+        ({"at": "bridge_E2"}, r"body\.added\.0: .*a mass, a stiffness or a damping above 0 is needed"),
         ({"at": "bridge_E2", "mass": -0.01}, r"body\.added\.0\.mass"),
         ({**GRAMS, "frequency": 200.0}, r"body\.added\.0: .*a tuned damper has mass, frequency and q"),
         ({**GRAMS, "frequency": 200.0, "q": 5.0, "damping": 1.0}, r"body\.added\.0: .*no stiffness or damping"),

@@ -7,12 +7,12 @@ from pydantic import model_validator
 from tonewood.instrument.contract.directions import Direction
 from tonewood.support.params import Parameters, described, quantity
 
-#: kg, N/m, N s/m: less moves no body, and its square may be no number
+#: kg, N/m, N s/m: smaller values change no body, and their squares underflow
 _LEAST = 1e-9
 
 
 class Added(Parameters):
-    """A mass, a spring to the ground or a dashpot to the ground, fixed to the body; several of them move as one.
+    """A mass, a spring to the ground or a dashpot to the ground, fixed to the body; those of one entry move as one.
 
     With `frequency` and `q` the mass hangs on the body by a spring and a dashpot: a tuned damper, as a wolf eliminator.
     """
@@ -37,5 +37,5 @@ class Added(Parameters):
                 raise ValueError("a tuned damper has mass, frequency and q, and no stiffness or damping to the ground")
             return self
         if not (self.mass or self.stiffness or self.damping):
-            raise ValueError("a mass, a stiffness or a damping above 0 is wanted")
+            raise ValueError("a mass, a stiffness or a damping above 0 is needed")
         return self

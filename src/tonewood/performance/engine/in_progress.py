@@ -13,7 +13,7 @@ from tonewood.physics.coupling.system import Injection, PrescribedMotion, System
 
 @dataclass(eq=False)
 class GesturesInProgress:
-    """All that moves of gestures.
+    """Gestures that have begun, and what they do to the system now.
 
     active : gestures that have begun and are not over.
     injections, controls : their forces and prescribed motions, compiled.
@@ -39,11 +39,11 @@ class GesturesInProgress:
     ) -> None:
         """Begin gestures at a sample.
 
-        A string is held by one finger at a time: a new gesture ends the one before it. The rest of a gesture whose
-        string is held otherwise from now on is compiled anew.
+        A string is held by one finger at a time: a new gesture ends the one before it. The rest of a gesture on a
+        string of `moved` is compiled anew.
 
         fresh : gestures.
-        moved : strings that are held otherwise.
+        moved : strings whose fretting changes at this sample.
         dampers : whether fingers hold strings.
         """
         struck = {play.string for play in fresh if play.string is not None}

@@ -82,7 +82,7 @@ class EnergyAccount:
     def stored(self, state: State) -> dict[str, float]:
         """Stored energy of a state, J, by component, connection and potential."""
         x = {name: modes[None] for name, modes in self._states(state).items()}
-        memory = self.system.potentials.checked(state.potentials.copy())
+        memory = self.system.potentials.checked(state.potentials)
         out = {name: float(values[0]) for name, values in self._of_components(x, memory[None]).items()}
         return out | self._laws.at(self._gaps(x)[0], state.series)
 

@@ -69,7 +69,7 @@ def step_again(
         return [at[spans[name]] if name in spans else none for name in system.names]
 
     solve, driven = PotentialSolve(system), DrivenForces(system)
-    memories, forces_of = np.tile(system.potentials.checked(memory.copy()), (T + 1, 1)), np.zeros((T, len(driven.on)))
+    memories, forces_of = np.tile(system.potentials.checked(memory), (T + 1, 1)), np.zeros((T, len(driven.on)))
     slots_on = sorted(slot for p in solve.active for slot in p.slots)
     modal_forces = {system.names[i]: np.zeros((T, system.compiled[i].basis.n_modes)) for i in slots_on}
     for t in range(T):

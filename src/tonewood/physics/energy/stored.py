@@ -56,7 +56,7 @@ def stored_energy(system: System, state: State) -> Energy:
         q, velocity = to_motion(compiled.basis, x)
         modes += 0.5 * float(np.sum(velocity**2 + compiled.basis.stiffness * q**2))
     states = _states(system, state)
-    memory = system.potentials.checked(state.potentials.copy())
+    memory = system.potentials.checked(state.potentials)
     potentials = float(np.sum(PotentialSolve(system).energies(states, memory)))
     gap = system.gaps(states)
     laws = [c.law for c in system.connections]

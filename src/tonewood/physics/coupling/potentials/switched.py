@@ -36,9 +36,9 @@ class Potentials:
 
     @classmethod
     def of(cls, potentials: Iterable[Potential], components: Collection[str], driven: Collection[str]) -> Potentials:
-        """Make it of potentials that all act, on some of the components of a system.
+        """Check potentials against the components of a system, and switch all of them on.
 
-        driven : those that are driven one way.
+        driven : components that are driven one way.
         Raises ValueError : two have one name, or a component is missing, driven one way, or of another potential.
         """
         each = tuple(potentials)
@@ -52,7 +52,7 @@ class Potentials:
         return cls(each, (True,) * len(each))
 
     def switched(self, names: Collection[str], among: Collection[str] | None = None) -> Potentials:
-        """Switch those of these names on, and all others off; of those `among` these names, if given.
+        """Return the potentials with `names` on and all others off; with `among`, only those names are changed.
 
         Raises ValueError : there is no potential of a name.
         """
@@ -80,7 +80,7 @@ class Potentials:
 
     @cached_property
     def user(self) -> tuple[int, ...]:
-        """Indices of those of one's own that act now."""
+        """Indices of the potentials written by users that act now."""
         return tuple(i for i in self.two_way if isinstance(self.each[i], ModalPotential))
 
     @cached_property
@@ -90,10 +90,15 @@ class Potentials:
         return tuple(slice(*pair) for pair in pairwise(ends))
 
     def checked(self, memory: Floats) -> Floats:
-        """Return the numbers of a state if they are of these potentials, else zeros; zero where a potential is off."""
+        """Return a state's numbers if they are as many as these potentials have, else zeros; 0 where one is off.
+
+        The argument is not changed.
+        """
         size = self.memory[-1].stop if self.memory else 0
         memory = memory if memory.size == size else np.zeros(size)
-        for place, on in zip(self.memory, self.on, strict=True):
-            if not on:
+        off = [place for place, on in zip(self.memory, self.on, strict=True) if not on and memory[place].any()]
+        if off:
+            memory = memory.copy()
+            for place in off:
                 memory[place] = 0.0
         return memory
