@@ -313,7 +313,7 @@ def _graced(out: list[_Sounding], compared: Allowance) -> list[_Sounding]:
     for s in out if grace else ():
         if s.end > s.at:
             together[s.at].append(s)
-    for note in grace:
+    for note in reversed(grace):  # each takes its time from the one after it
         there = together[note.at]
         compared.take(len(there))
         main = [s for s in there if s.sign.string in (note.sign.string, None)] or there
