@@ -173,3 +173,20 @@ def test_the_error_that_is_reported_at_peaks_is_that_of_the_mobility():
     assert new.peak_error_db == pytest.approx(20 * np.log10(moved.max() / size.max()), abs=1e-6)
     change = 20 * np.log10(level / size)
     assert new.peak_level_db == pytest.approx(change[np.argmax(np.abs(change))], abs=1e-6)
+
+
+def test_repaired_residues_and_direct_term_are_as_reported(rng):
+    given = body(2, 0.03, n_dof=16, n_ports=3).truncated()
+    new, scale = repair(*given), port_scale(*given)[:, None]
+    old, now = (np.einsum("ik,jk->kij", r / scale, l_ / scale) for r, l_ in (given[1:], (new.right, new.left)))
+    assert new.residue_change == pytest.approx(linalg.norm(now - old) / linalg.norm(old), rel=1e-9)
+    direct = 2 * now.sum(axis=0).real
+    assert linalg.norm(direct) < 1e-4 * 2 * np.sum(linalg.norm(now, axis=(1, 2)))
+    assert linalg.norm(2 * old.sum(axis=0).real) > 1e-2 * 2 * np.sum(linalg.norm(old, axis=(1, 2)))
+    np.testing.assert_allclose(direct, -direct.T, atol=1e-10 * linalg.norm(now))
+    assert new.direct_skew == pytest.approx(new.after.direct_term, rel=1e-12)
+    assert new.flattening == 0.5  # of 1, 0.5 and 0 the nearest
+    assert "imaginary shapes times 0.5" in new.summary()
+    residual, energy, lost = power_balance((new.poles, new.right, new.left), new.storage, rng)
+    assert np.abs(residual).max() < 1e-11 * energy.max()
+    assert lost.min() >= 0
