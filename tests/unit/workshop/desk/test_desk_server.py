@@ -30,6 +30,7 @@ from tonewood.workshop.desk.desk import TAIL, Desk
 from tonewood.workshop.desk.phrase import LONGEST
 from tonewood.workshop.desk.server import DeskServer
 from tonewood.workshop.desk.session import DeskSession
+from tonewood.workshop.desk.take import PhraseTake, Ringing
 
 HOST = (b"host", b"127.0.0.1:8137")
 
@@ -438,6 +439,77 @@ def test_a_page_that_hears_nothing_any_more_gets_nothing_any_more(
         return len([block async for block in client.server._blocks(1)])
 
     assert asyncio.run(listened()) * 512 < 48000
+
+
+def test_a_page_reports_what_it_hears_and_how_far_ahead_it_wants_to_be(client: Client, desk: Desk) -> None:
+    server, listener = client.server, desk.playback.listen(5.0)
+    server._stream = 3
+    report = {"stream": 3, "heard": 512, "ahead": 0.5, "underruns": 2, "state": "no number"}
+    assert client.ask("/api/heard", report) == (200, {"stream": 3})
+    assert (listener._heard, server._ahead, desk.playback.meter.underruns) == (512, 0.5, 2)
+    for asked, ahead in ((0.001, 0.03), (7.0, 1.0)):
+        client.ask("/api/heard", report | {"ahead": asked})
+        assert server._ahead == ahead
+    client.ask("/api/heard", {"stream": 3})
+    assert (listener._heard, server._ahead, desk.playback.meter.underruns) == (0, 1.0, 0)
+    client.ask("/api/heard", report | {"stream": 2})  # of another page
+    assert listener._heard == 0
+
+
+def test_moments_are_those_after_a_frame_up_to_now(client: Client, desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames of moments are multiples of 2048; a sound of 3 W gives 3 * 2048 / 48000 J between two of them."""
+    take = desk.playback.take
+    assert take is not None
+    fresh = PhraseTake(take.score, take.model, take.options, {})
+    monkeypatch.setattr("tonewood.workshop.desk.take.stored", lambda engine, at: Ringing(at, {"A2": 1.0}, 2.0, 3.0))
+    fresh.ensure(20000)
+    assert [m.frame for m in fresh.moments] == [2048 * k for k in range(1, 11)]
+    np.testing.assert_allclose([m.sound for m in fresh.moments], 3.0 * 2048 / 48000 * np.arange(1, 11))
+    desk.playback.take, desk.playback.at = fresh, 4096
+    for query, frames in (("", [2048, 4096, 6144, 8192]), ("?since=4096", [6144, 8192]), ("?since=-1", [2048])):
+        found = client.ask(f"/api/moments{query}")[1]
+        assert [m["frame"] for m in found["moments"]][: len(frames)] == frames
+        assert len(found["moments"]) == (4 if query != "?since=4096" else 2)
+    assert (found["frame"], found["seconds"]) == (4096, fresh.frames / 48000)
+    assert found["effects"][0]["title"] == f"{take.model.n_modes} modes"
+    assert found["effects"][0]["active"] == {"": fresh.frames / 48000}
+
+
+def test_the_phrase_has_a_peak_of_4_db_below_full_scale(client: Client, desk: Desk) -> None:
+    assert desk.playback.take is not None
+    assert 20 * np.log10(np.abs(desk.playback.take.sound()).max()) == pytest.approx(-4.0, abs=0.06)
+    client.act("phrase", kind="notes", notes="A2", velocity=1)
+    assert 20 * np.log10(np.abs(desk.playback.take.sound()).max()) == pytest.approx(-4.0, abs=0.06)
+
+
+def test_the_state_is_that_of_the_session(client: Client, desk: Desk) -> None:
+    take = desk.playback.take
+    assert take is not None
+    begun = client.ask("/api/state")[1]
+    expected = {
+        "name": "monochord", "serial": 0, "heard": 0, "changes": [], "added": [], "undo": False, "redo": False,
+        "snapshots": [], "making": None, "preview": "", "fault": "", "modes": take.model.n_modes,
+        "channels": list(take.renderer.channels), "dropped": [], "playing": False, "loop": True,
+        "phrase": {"kind": "chord", "notes": "", "velocity": 80}, "fs": 48000, "has_file": False, "compared": "",
+        "pair": None, "gain_db": take.options.gain_db,
+    }  # fmt: skip
+    assert {key: begun[key] for key in expected} == expected
+    assert f"--gain={begun['gain_db']:g} --tail=3" in begun["command"]
+    client.act("set", path="exciters.pluck.force", value=1.5)
+    client.act("keep", name="soft")
+    client.act("set", path="exciters.pluck.force", value=2.5)
+    after = client.act("undo")
+    assert (after["undo"], after["redo"], after["serial"], after["heard"]) == (True, True, 3, 3)
+    assert after["changes"] == [{"path": "exciters.pluck.force", "value": 1.5}]
+    assert after["snapshots"] == [{"name": "soft", "changes": ["exciters.pluck.force=1.5"]}]
+    assert client.act("loop", on=False)["loop"] is False
+    assert client.act("play")["playing"] is True
+    assert client.act("play", on=False, loop=True)["playing"] is False
+    assert desk.playback.loop is True
+    assert client.ask("/api/points")[1] == ["bridge"]
+    assert client.act("forget", name="soft")["snapshots"] == []
+    assert client.ask("/static/desk.css")[0] == 200
+    assert client.ask("/static/desk.html")[0] == 404
 
 
 @pytest.mark.validate
