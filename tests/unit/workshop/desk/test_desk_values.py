@@ -727,6 +727,18 @@ def test_frames_that_a_page_has_not_heard_are_sent_again(monkeypatch: pytest.Mon
     assert sound.unheard == 0
 
 
+def test_a_report_is_trusted_for_half_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [10.0]
+    monkeypatch.setattr(playback.time, "monotonic", lambda: now[0])
+    page = playback.PageProgress(FS, 0.0)
+    page.sent = 2000
+    unheard = []
+    for time in (9.0, 10.25, 10.5, 10.75):
+        now[0] = time
+        unheard.append(page.unheard)
+    assert unheard == [2000, 1750, 1500, 1500]
+
+
 def test_keys_are_sent_again_with_the_phrase() -> None:
     sound = sounding(0.0, frames=400)
     page = sound.listen(9.0)

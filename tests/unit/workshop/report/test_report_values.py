@@ -1,0 +1,574 @@
+"""Values of reports against figures worked out by hand: pairs of modes, wolf notes, changes, tones, pictures."""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import soundfile as sf
+from matplotlib.figure import Figure
+
+import tonewood as tw
+from tonewood.errors import TonewoodError
+from tonewood.instrument.inspection.frequencies import StringFeel
+from tonewood.instrument.inspection.wolf import WolfNote
+from tonewood.instrument.model.assembly import assemble
+from tonewood.workshop.report import comparison, figures, page, summary, tones
+from tonewood.workshop.report import facts as report_facts
+from tonewood.workshop.report.as_json import to_json
+from tonewood.workshop.report.comparison import Comparison, ModeMatch, NoteMatch, WolfMatch, alike, match_modes
+from tonewood.workshop.report.facts import BodyMode, InstrumentFacts, NoteRow, PartialRow, StringRow
+from tonewood.workshop.report.noticed import LEVEL, Threshold, resonance
+from tonewood.workshop.report.parameters import ParameterValue, flattened
+from tonewood.workshop.report.tones import Tone
+
+FREQ = np.geomspace(40.0, 10000.0, 241)
+
+
+def mode(freq: float, q: float = 20.0, mass: float = 0.1, shape: tuple[complex, ...] = (1.0,)) -> BodyMode:
+    return BodyMode(freq, q, math.log(1000) * q / (math.pi * freq), 1 / mass, mass, np.array(shape, dtype=complex))
+
+
+def wolf(string: str, low: float, high: float, severity: float, stops: tuple[int, ...] = ()) -> WolfNote:
+    return WolfNote(string, low, high, (low + high) / 2, 0.5, 50.0, severity, low, stops)
+
+
+def note(string: str, stop: int, t60: float = 1.0, name: str = "A2") -> NoteRow:
+    return NoteRow(string, stop, name, 110.0, 0.5, 0.25 * stop, t60, 60.0)
+
+
+def tone(name: str, lufs: float = -20.0, level: tuple[float, ...] = (-10.0, -5.0, -30.0), **other: Any) -> Tone:
+    values: dict[str, Any] = {
+        "note": name, "string": "A", "stop": 0.0, "freq": 110.0, "samples": np.full((480, 1), 0.5), "fs": 4800,
+        "time": np.arange(3) / 10, "level_db": np.array(level), "peak_dbfs": -6.0, "lufs": lufs,
+    }  # fmt: skip
+    return Tone(**values | other)
+
+
+def facts(label: str = "A", **other: Any) -> InstrumentFacts:
+    """Of one string A and modes at 100 and 200 Hz."""
+    feel = StringFeel(0.1, 1.0, None, None)
+    string = StringRow("A", "A2", 0.65, 1e-3, 60.0, 61.0, "pitch", 12, feel, (PartialRow(1, 110.0, 0.0, math.inf),))
+    values: dict[str, Any] = {
+        "label": label, "called": "", "name": "box", "title": "A box", "licence": "CC0-1.0", "description": "",
+        "folder": "", "changes": (), "added": (), "sources": {}, "stand_ins": {}, "unknown": (), "kinds": {},
+        "table_doubts": (), "warnings": (), "fs": 48000.0, "body_modes": (mode(100.0), mode(200.0)), "named": {},
+        "mass": None, "surface": None, "surface_modes": None, "freq": FREQ, "mobility": {"A": 0.01 + 0j * FREQ},
+        "strings": (string,), "notes": (note("A", 0), note("A", 1)), "wolves": (), "tones": {}, "missing_tones": {},
+        "parameters": {},
+    }  # fmt: skip
+    return InstrumentFacts(**values | other)
+
+
+def compared(*instruments: InstrumentFacts, **other: Any) -> Comparison:
+    values: dict[str, Any] = {
+        "instruments": instruments, "modes": match_modes([f.body_modes for f in instruments]),
+        "wolves": comparison.match_wolves([f.wolves for f in instruments]),
+        "notes": comparison.match_notes([f.notes for f in instruments]), "parameters": (), "tones": (),
+        "duration": 2.0, "velocity_midi": 80.0,
+    }  # fmt: skip
+    return Comparison(**values | other)
+
+
+# -- pairs ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("other", "one"),
+    [
+        (mode(200 * 2 ** (395 / 1200)), True),  # 395 of 400 cents
+        (mode(200 * 2 ** (405 / 1200)), False),
+        (mode(200 * 2 ** (-395 / 1200)), True),
+        (mode(200.0, mass=0.1 * 10**1.45), True),  # 1.45 of 1.5 decades
+        (mode(200.0, mass=0.1 * 10**1.55), False),
+        (mode(200 * 2 ** (200 / 1200), mass=0.1 * 10**0.7), True),  # 0.5 + 0.47
+        (mode(200 * 2 ** (200 / 1200), mass=0.1 * 10**0.8), False),
+        (replace(mode(200.0), residue=0.0, mass=math.inf), True),  # nothing is known of its size
+        (mode(200.0, shape=(1.0, 0.0)), True),  # nor of shapes of other strings
+        (mode(-1.0), False),
+    ],
+)
+def test_two_modes_are_one_within_400_cents_or_1_5_decades(other: BodyMode, one: bool) -> None:
+    rows = match_modes([[mode(200.0)], [other]])
+    assert [None in row.modes for row in rows] == ([False] if one else [True, True])
+
+
+@pytest.mark.parametrize(("share", "one"), [(0.3, True), (0.2, False)])
+def test_shapes_of_two_strings_count_by_their_modal_assurance(share: float, one: bool) -> None:
+    """300 cents are 0.75; a share of 0.3 in common leaves 0.7 * ... : |psi_a^H psi_b|^2 = share."""
+    shape = (math.sqrt(share) * 1j, math.sqrt(1 - share))
+    rows = match_modes([[mode(200.0, shape=(1.0, 0.0))], [mode(200 * 2 ** (100 / 1200), shape=shape)]])
+    assert (len(rows) == 1) is one  # 0.25 + 1 - share < 1
+
+
+@pytest.mark.parametrize(("places", "cents", "one"), [(61, 3500, True), (61, 3700, False), (60, 450, False)])
+def test_shapes_of_whole_surfaces_count_over_three_octaves(places: int, cents: float, one: bool) -> None:
+    shape = tuple(np.full(places, places**-0.5))
+    other = mode(200 * 2 ** (cents / 1200), mass=9.0 if one else 0.1, shape=shape)
+    assert (len(match_modes([[mode(200.0, shape=shape)], [other]])) == 1) is one
+
+
+def test_modes_of_three_instruments_are_rows_by_frequency() -> None:
+    a, b, c = [mode(300.0)], [mode(100.0), mode(301.0)], [mode(299.0), mode(2000.0)]
+    rows = match_modes([a, b, c])
+    assert [[m and m.freq for m in row.modes] for row in rows] == [
+        [None, 100.0, None], [300.0, 301.0, 299.0], [None, None, 2000.0]
+    ]  # fmt: skip
+    assert rows[1].cents(2) == pytest.approx(1200 * math.log2(299 / 300))
+    assert (rows[1].cents(0), rows[0].cents(1), rows[2].cents(1)) == (0.0, None, None)
+    assert match_modes([[], []]) == ()
+    assert [row.modes for row in match_modes([[], a])] == [(None, a[0])]
+    assert [row.modes for row in match_modes([a])] == [(a[0],)]
+
+
+@pytest.mark.parametrize(
+    ("other", "same"),
+    [
+        (mode(200 * (1 + 5e-6)), True),
+        (mode(200 * (1 + 7e-6)), False),
+        (mode(200.0, q=20 * (1 + 9e-5)), True),
+        (mode(200.0, q=20 * (1 - 1.2e-4)), False),
+        (mode(200.0, mass=0.1 * (1 + 9e-5)), True),
+        (mode(200.0, mass=0.1 * (1 + 1.2e-4)), False),
+        (None, False),
+    ],
+)
+def test_modes_are_alike_within_a_hundredth_of_a_cent(other: BodyMode | None, same: bool) -> None:
+    assert alike(ModeMatch((mode(200.0), mode(200.0), other))) is same
+    assert not alike(ModeMatch((None, mode(200.0))))
+
+
+@pytest.mark.parametrize(
+    ("other", "one"),
+    [
+        (wolf("A", 220, 230, 1), True),  # its end touches
+        (wolf("A", 190, 210, 1), True),
+        (wolf("B", 210, 220, 1), False),
+        (WolfNote("A", 221, 222, 215 * 2 ** (99 / 1200), 0.5, 9.0, 1.0, 215.0, ()), True),
+        (WolfNote("A", 221, 222, 215 * 2 ** (101 / 1200), 0.5, 9.0, 1.0, 215.0, ()), False),
+        (WolfNote("A", 221, 222, 215 * 2 ** (-101 / 1200), 0.5, 9.0, 1.0, 215.0, ()), False),
+    ],
+)
+def test_wolf_notes_are_one_that_overlap_or_lie_within_a_semitone(other: WolfNote, one: bool) -> None:
+    first = wolf("A", 210, 220, 5.0)
+    rows = comparison.match_wolves([[first], [other]])
+    assert [row.wolves for row in rows] == ([(first, other)] if one else [(first, None), (None, other)])
+
+
+def test_notes_and_parameters_of_two_instruments_stand_side_by_side() -> None:
+    a, b = [note("A", 0), note("A", 1)], [note("A", 1), note("B", 0)]
+    rows = comparison.match_notes([a, b])
+    assert [(m.string, m.stop, m.notes) for m in rows] == [
+        ("A", 0, (a[0], None)), ("A", 1, (a[1], b[0])), ("B", 0, (None, b[1]))
+    ]  # fmt: skip
+    one = {"x": ParameterValue(1.0, "N"), "same": ParameterValue("a", ""), "old": ParameterValue(2, "")}
+    other = {"new": ParameterValue(3, "m"), "x": ParameterValue(1.5, "N"), "same": ParameterValue("a", "")}
+    found = comparison.differing([facts(parameters=one), facts("B", parameters=other)])
+    assert [(row.key, row.values, row.unit) for row in found] == [
+        ("x", (1.0, 1.5), "N"), ("old", (2, None), ""), ("new", (None, 3), "m")
+    ]  # fmt: skip
+
+
+def test_a_sweep_is_in_the_order_of_its_values() -> None:
+    rows = [facts(label, parameters={"x": ParameterValue(v, "")}) for label, v in (("A", 2), ("B", 1.5), ("C", "no"))]
+    found = compared(*rows, facts("D"), sweep="x")
+    assert [(value, f.label) for value, f in found.swept()] == [(1.5, "B"), (2.0, "A")]
+    assert replace(found, sweep="").swept() == []
+    shown = to_json(found)["sweep"]
+    assert (shown["key"], [(r["value"], r["label"]) for r in shown["rows"]]) == ("x", [(1.5, "B"), (2.0, "A")])
+    assert shown["rows"][0]["figures"]["decay, median T60 of all stops"] == 1.0
+    assert "sweep" not in to_json(compared(*rows))
+
+
+def test_infinite_numbers_are_null_in_json() -> None:
+    assert [comparison.finite(x) for x in (1.5, math.inf, -math.inf, math.nan, None)] == [1.5, None, None, None, None]
+    still = replace(mode(100.0), q=math.inf, t60=math.inf, residue=0.0, mass=math.inf)
+    quiet = tone("A2", lufs=-math.inf, peak_dbfs=-math.inf)
+    lasting = note("A", 0, math.inf)
+    one = facts(body_modes=(still,), tones={"A2": quiet}, notes=(lasting,), named={"T1": 0}, mass=0.2, kinds={"a": 3})
+    found = to_json(compared(one))
+    assert found["modes"][0] == {
+        "modes": [{"freq": 100.0, "q": None, "t60": None, "residue": 0.0, "mass": None}], "cents": [0.0]
+    }  # fmt: skip
+    shown = found["instruments"][0]
+    assert shown["tones"]["A2"] == {
+        "string": "A", "stop": 0.0, "freq": 110.0, "peak_dbfs": None, "lufs": None, "time": [0.0, 0.1, 0.2],
+        "level_db": [-10.0, -5.0, -30.0],
+    }  # fmt: skip
+    assert shown["strings"][0]["partials"] == [{"number": 1, "freq": 110.0, "cents": 0.0, "t60": None}]
+    assert (shown["named_modes"], shown["mass"], shown["provenance"]) == ({"T1": 100.0}, 0.2, {"a": 3})
+    assert shown["mobility"]["level_db"]["A"] == [-40.0] * len(FREQ)
+    assert shown["mobility"]["freq"] == [round(f, 4) for f in FREQ]
+    assert found["notes"][0]["notes"][0] == {
+        "note": "A2", "freq": 110.0, "cents": 0.5, "cents_mounted": 0.0, "t60": None, "tension": 60.0
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("other", "short", "heading"),
+    [
+        ({}, "A: box", "A: box"),
+        ({"changes": ("x=1", "y=2")}, "A: x=1; y=2", "A: box (x=1; y=2)"),
+        ({"called": "mine", "changes": ("x=1",)}, "A: mine", "A: mine (box; x=1)"),
+        ({"called": "box"}, "A: box", "A: box"),
+        ({"called": "m" * 36}, "A: " + "m" * 36, "A: " + "m" * 36 + " (box)"),
+        ({"called": "m" * 37}, "A: " + "m" * 35 + "…", "A: " + "m" * 37 + " (box)"),
+    ],
+)
+def test_names_of_instruments(other: dict[str, Any], short: str, heading: str) -> None:
+    assert (facts(**other).short, facts(**other).heading) == (short, heading)
+
+
+def test_members_of_lists_are_keys_by_their_name_or_number() -> None:
+    value = {"a": {"b": 1, "c": []}, "d": [{"name": "x", "e": 2}, {"e": 3}], "f": [1, 2], "g": {}, "h": [[1, 2], [3]]}
+    assert dict(flattened(value)) == {
+        "a.b": 1, "a.c": [], "d.x.name": "x", "d.x.e": 2, "d.1.e": 3, "f": [1, 2], "g": {}, "h.0": [1, 2], "h.1": [3]
+    }  # fmt: skip
+    assert dict(flattened(5, "k")) == {"k": 5}
+
+
+# -- facts ------------------------------------------------------------------------------------------------------------
+
+
+def test_frequencies_of_mobility_are_even_and_the_modes_own() -> None:
+    """500 per factor of 10 from 40 Hz to 10 kHz or 0.45 fs; each mode at f and f (1 +- zeta)."""
+    body = SimpleNamespace(natural_freq=np.array([0.0, 20.0, 100.0, 9000.0]), damping_ratio=np.array([9, 0.1, 0.02, 3]))
+    found = report_facts.frequencies(body, 48000.0)  # type: ignore[arg-type]
+    assert (found[0], found[-1]) == pytest.approx((40.0, 10000.0))
+    assert (np.diff(found) > 0).all()
+    even = np.geomspace(40.0, 10000.0, int(500 * math.log10(250)))
+    extra = [98.0, 100.0, 102.0, 9000.0]  # a ratio above 1 counts as 1: 0 and 18 kHz are outside
+    np.testing.assert_allclose(found, np.unique(np.concatenate([even, extra])))
+    assert report_facts.frequencies(body, 10000.0)[-1] == pytest.approx(4500.0)  # type: ignore[arg-type]
+
+
+def test_a_string_is_told_as_it_is_used() -> None:
+    monochord = tw.load_instrument("monochord")
+    model = assemble(monochord.replace({"strings.A2.tension": 55.0}), 16000)
+    (row,) = report_facts._strings(model.instrument, model)
+    string = model.strings["A2"]
+    assert (row.name, row.note, row.length, row.linear_density) == ("A2", "A2", 0.9, 1.5e-3)
+    assert (row.given_tension, row.held, row.stops) == (55.0, "pitch", 24)
+    assert row.tension == string.tension(0) != 55.0
+    assert [p.number for p in row.partials] == list(range(1, 13))
+    assert row.feel.newton_per_mm == pytest.approx(1e-3 * row.tension * 0.9 / (0.15 * 0.75), rel=1e-9)
+    rows = report_facts._notes(model)
+    assert [(r.string, r.stop) for r in rows] == [("A2", k) for k in range(25)]
+    assert [r.note for r in rows[:3]] == ["A2", "A#2", "B2"]
+    np.testing.assert_allclose([r.freq for r in rows], 110.0 * 2 ** (np.arange(25) / 12))
+
+
+# -- summary ----------------------------------------------------------------------------------------------------------
+
+
+def test_figures_of_an_instrument_are_those_it_has() -> None:
+    wolves = (wolf("A", 90, 95, 9.99), wolf("A", 210, 220, 10.0), wolf("A", 310, 320, 30.0))
+    heard = {"a": tone("a", -20.0), "b": tone("b", -23.0), "c": tone("c", -math.inf)}
+    notes = (note("A", 0, 1.0), note("A", 1, 4.0), note("A", 2, 2.0), note("A", 3, math.inf))
+    one = facts(named={"A0": 0, "T1": 1}, mass=0.25, wolves=wolves, tones=heard, notes=notes)
+    assert summary.key_figures(one) == {
+        "A0": (100.0, "Hz"), "T1": (200.0, "Hz"), "mass of the body": (250.0, "g"),
+        "mean mobility, 80 to 1000 Hz": (pytest.approx(-40.0), "dB"), "loudness, mean of the notes": (-21.5, "LUFS"),
+        "decay, median T60 of all stops": (2.0, "s"), "worst wolf note, severity": (30.0, "cents"),
+        "wolf notes of 10 cents or more": (2.0, ""),
+    }  # fmt: skip
+    assert summary.key_figures(facts(strings=(), notes=(), mobility={})) == {}
+    few = facts(strings=(), notes=(), freq=np.array([80.0, 1000.0]), mobility={"A": np.array([1.0, 0.1])})
+    assert summary.key_figures(few)["mean mobility, 80 to 1000 Hz"][0] == pytest.approx(-10.0)
+    assert summary.key_figures(replace(few, freq=np.array([79.9, 1000.0]))) == {}
+
+
+def rows_of(a: InstrumentFacts, b: InstrumentFacts) -> dict[str, summary.FigureChange]:
+    return {row.name: row for row in summary.changes(compared(a, b), 1)}
+
+
+def test_changes_are_told_in_percent_or_in_their_unit() -> None:
+    a = facts(named={"T1": 1}, mass=0.2, tones={"x": tone("x", -20.0)}, wolves=(wolf("A", 1, 2, 40.0),))
+    moved = (mode(101.0, q=16.0), mode(204.0, q=30.0))
+    b = facts("B", named={"T1": 1}, mass=0.19, tones={"x": tone("x", -18.5)}, body_modes=moved)
+    found = rows_of(a, b)
+    told = {name: (row.difference, row.scale) for name, row in found.items()}
+    damping = 100 * ((20 / 16 + 20 / 30) / 2 - 1)
+    assert told == {
+        "T1": (pytest.approx(2.0), "%"), "mass of the body": (pytest.approx(-5.0), "%"),
+        "mean mobility, 80 to 1000 Hz": (0.0, "dB"), "loudness, mean of the notes": (1.5, "dB"),
+        "decay, median T60 of all stops": (0.0, "%"), "worst wolf note, severity": (-40.0, "cents"),
+        "wolf notes of 10 cents or more": (-1.0, ""), "all body modes, median": (pytest.approx(1.5), "%"),
+        "damping of all body modes, median": (pytest.approx(damping), "%"), "mode at 100 Hz": (pytest.approx(1.0), "%"),
+    }  # fmt: skip
+    assert found["T1"].times == pytest.approx(2.0 / (7.9 / math.sqrt(25.0)))  # the mean Q of both
+    assert found["mode at 100 Hz"].times == pytest.approx(1.0 / (7.9 / math.sqrt(18.0)))
+    assert found["loudness, mean of the notes"].threshold is LEVEL
+    assert found["mass of the body"].threshold is None
+    every = found["all body modes, median"]
+    assert (every.before, every.after) == pytest.approx((150.0, 152.25))
+    lossy = found["damping of all body modes, median"]
+    assert (lossy.before, lossy.after) == pytest.approx((5.0, 5.0 * (1 + damping / 100)))
+    assert lossy.times == pytest.approx(abs(damping) / 20)
+
+
+def test_loudness_is_compared_over_notes_that_both_play() -> None:
+    a = facts(tones={"x": tone("x", -20.0), "y": tone("y", -40.0)})
+    b = facts("B", tones={"x": tone("x", -21.0), "z": tone("z", 0.0)})
+    row = rows_of(a, b)["loudness, mean of the notes"]
+    assert (row.before, row.after) == (-20.0, -21.0)
+    assert "loudness, mean of the notes" not in rows_of(a, facts("B", tones={"z": tone("z", 0.0)}))
+
+
+def test_of_strong_modes_below_2_khz_those_that_changed_most_are_told() -> None:
+    """Seven move; one is 20.1 dB weaker than the strongest, one lies at 2 kHz: the others by size."""
+    freq = [100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 1999.0, 2000.0]
+    shift = [1.01, 1.03, 1.02, 1.0, 1.005, 1.04, 1.015, 1.05]
+    # residue * T60 is the size of a peak: of equal Q, residue / freq
+    size = [1.0, 1.0, 0.11, 1.0, 1.0, 0.099, 1.0, 1.0]
+    a = [replace(mode(f), residue=s * f, t60=1 / f) for f, s in zip(freq, size, strict=True)]
+    b = [replace(m, freq=m.freq * k) for m, k in zip(a, shift, strict=True)]
+    found = rows_of(facts(body_modes=tuple(a)), facts("B", body_modes=tuple(b)))
+    listed = [name for name in found if name.startswith("mode at")]
+    assert listed == ["mode at 200 Hz", "mode at 300 Hz", "mode at 1999 Hz", "mode at 100 Hz", "mode at 500 Hz"]
+    assert not [n for n in rows_of(facts(body_modes=()), facts("B", body_modes=())) if "mode" in n]
+
+
+@pytest.mark.parametrize(
+    ("difference", "times", "words"),
+    [
+        (-24.0, 0.96, "hardly heard: 0.96 x the least noticed"),
+        (-25.0, 1.0, "may be heard: 1 x the least noticed"),
+        (25.0, 0.625, "hardly heard: 0.62 x the least noticed"),
+    ],
+)
+def test_a_verdict_is_by_the_threshold_of_its_direction(difference: float, times: float, words: str) -> None:
+    row = summary.FigureChange("decay", 1.0, 1.0, "s", difference, "%", Threshold(25.0, 40.0, "x"))
+    assert (row.times, row.verdict) == (times, words)
+    assert summary.heard_words([row]) == (
+        "by published thresholds these may be heard: decay"
+        if times >= 1
+        else "no change here reaches a published threshold of hearing"
+    )
+    assert resonance(0.25).more == 7.9  # never more
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (123.456, "Hz", "123.5 Hz"),
+        (-20.04, "LUFS", "-20.0 LUFS"),
+        (1.236, "s", "1.24 s"),
+        (12.6, "cents", "13 cents"),
+        (2.0, "", "2"),
+        (3.456, "%", "3.46 %"),
+        (197.04, "g", "197.0 g"),
+    ],
+)
+def test_figures_in_words(value: float, unit: str, text: str) -> None:
+    assert summary.value_words(value, unit) == text
+
+
+@pytest.mark.parametrize(
+    ("difference", "scale", "text"),
+    [(1.26, "%", "+1.3 %"), (-0.04, "dB", "0 dB"), (-3.4, "cents", "-3 cents"), (2.0, "", "+2"), (0.0, "", "0")],
+)
+def test_differences_in_words(difference: float, scale: str, text: str) -> None:
+    assert summary.difference_words(summary.FigureChange("", 0, 0, "", difference, scale, None)) == text
+
+
+def test_lines_of_a_terminal_stand_in_columns() -> None:
+    a, b = facts(notes=(note("A", 0, 10.0),)), facts("B", notes=(note("A", 0, 5.0),), body_modes=())
+    a = replace(a, body_modes=())
+    assert summary.lines(compared(a, b), 1) == [
+        "by published thresholds these may be heard: decay, median T60 of all stops",
+        "  mean mobility, 80 to 1000 Hz    -40.0 dB to -40.0 dB     0 dB  no threshold is published",
+        "  decay, median T60 of all stops   10.00 s to   5.00 s  -50.0 %  may be heard: 2 x the least noticed",
+        "  worst wolf note, severity        0 cents to  0 cents  0 cents  no threshold is published",
+        "  wolf notes of 10 cents or more         0 to        0        0  no threshold is published",
+    ]
+
+
+# -- tones ------------------------------------------------------------------------------------------------------------
+
+
+def test_places_of_notes() -> None:
+    model = assemble(tw.load_instrument("monochord"), 16000)
+    assert tones.place(model, "A2:0") == ("A2", 0.0)
+    assert tones.place(model, "A2:24") == ("A2", 24.0)
+    assert tones.place(model, "C#3") == ("A2", 4.0)
+    for wrong in ("A2:25", "A2:-1", "A2:1.5", "A2:", "A2:²", "B2:0"):
+        with pytest.raises(TonewoodError):
+            tones.place(model, wrong)
+    assert tones.place_name(model, "A2", 4) == "C#3"
+    guitar = assemble(tw.load_instrument("classical_guitar"), 16000)
+    assert tones.place_name(guitar, "E2", 5) == "E2:5"  # the left hand would take the open string
+    assert tones.place_name(guitar, "A2", 0) == "A2"
+    near = guitar.strings["A2"].freq(7)
+    stops = replace(wolf("A2", near, near, 9.0), stops=(5, 6, 7, 8))
+    assert comparison.nearest_stop(guitar, stops) == 7
+    rows = [facts(wolves=(wolf("E2", 80, 90, 9.0), stops)), facts("B")]
+    assert comparison.default_notes(rows[:1], [guitar]) == ["E2", "A2", "D3", "G3", "B3", "E4", "A2:7"]
+    assert comparison.default_notes(rows, [guitar, guitar]) == ["E2", "E4", "A2:7"]
+
+
+def test_a_note_that_is_played_lasts_as_long_as_asked() -> None:
+    monochord = tw.load_instrument("monochord")
+    model = assemble(monochord, 8000)
+    played = tones.play_note(monochord, model, "A2:12", fs=8000, duration=0.25, velocity_midi=80.0)
+    assert played.samples.shape == (2000, 1)
+    assert (played.note, played.string, played.stop, played.fs) == ("A2:12", "A2", 12.0, 8000)
+    assert played.freq == model.strings["A2"].freq(12)
+    assert played.peak_dbfs == pytest.approx(20 * math.log10(np.abs(played.samples).max()))
+    assert np.abs(played.samples[-80:]).max() > 0.01 * np.abs(played.samples).max()  # it is held to the end
+
+
+def test_silence_keeps_its_gain_and_two_channels_are_heard() -> None:
+    silent = tone("s", samples=np.zeros((4800, 1)), peak_dbfs=-math.inf)
+    assert tones.matched_gains_db([silent]) == [0.0]
+    assert tones.matched_gains_db([]) == []
+    samples = np.tile([0.1, 0.2, 0.4], (480, 1))
+    sound, fs = sf.read(io.BytesIO(tones.flac(tone("x", samples=samples), 20 * math.log10(2))), always_2d=True)
+    assert (sound.shape, fs) == ((480, 2), 4800)
+    np.testing.assert_allclose(sound[:240], np.tile([0.2, 0.4], (240, 1)), atol=1e-4)
+    assert (samples == [0.1, 0.2, 0.4]).all()
+    fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(240) / 240)
+    np.testing.assert_allclose(sound[240:, 0], 0.2 * fade, atol=1e-4)
+    short = sf.read(io.BytesIO(tones.flac(tone("x", samples=np.full((4, 1), 0.5)))), always_2d=True)[0]
+    np.testing.assert_allclose(short[:, 0], 0.5 * (0.5 + 0.5 * np.cos(np.pi * np.arange(4) / 4)), atol=1e-4)
+
+
+# -- pictures and pages -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """Figures as they are made."""
+    made: list[Figure] = []
+    monkeypatch.setattr(figures, "_svg", lambda figure: made.append(figure) or "")
+    return made
+
+
+def test_mobility_of_one_instrument_is_a_curve_of_each_end(drawn: list[Figure]) -> None:
+    ends = {f"s{i}": 10.0 ** (-i) * (1 + 0j * FREQ) for i in range(7)}
+    figures.mobility_picture(compared(facts(mobility=dict(list(ends.items())[:6]))))
+    assert [line.get_ydata()[0] for line in drawn[0].axes[0].lines] == pytest.approx([-20.0 * i for i in range(6)])
+    figures.mobility_picture(compared(facts(mobility=ends)))
+    assert [line.get_ydata()[0] for line in drawn[1].axes[0].lines] == pytest.approx(
+        [-20.0 * i for i in (0, 1, 2, 3, 4, 6)]
+    )
+    assert figures.mobility_picture(compared(facts(mobility={}))) is None
+    only = facts("B", mobility={"s9": ends["s0"]})
+    assert figures.mobility_picture(compared(facts(mobility=ends), only)) is None
+
+
+def test_the_difference_of_mobilities_is_that_of_their_means(drawn: list[Figure]) -> None:
+    """Two ends of 20 and 40 dB less against one of 6 and 10 dB more: 8 dB at all frequencies."""
+    one = {"a": 0.1 + 0j * FREQ, "b": 0.01 + 0j * FREQ}
+    gains = {"a": 10 ** (6 / 20), "b": 10 ** (10 / 20)}
+    other = facts("B", mobility={name: y * gains[name] for name, y in one.items()})
+    figures.mobility_picture(compared(facts(mobility=one), other))
+    upper, lower, below = drawn[0].axes[:3]
+    assert [line.get_ydata()[5] for line in upper.lines] == pytest.approx([-20.0, -14.0])
+    assert [line.get_ydata()[5] for line in lower.lines] == pytest.approx([-40.0, -30.0])
+    np.testing.assert_allclose(below.lines[0].get_ydata(), 8.0)
+    x = below.lines[0].get_xdata()
+    assert (x[0], x[-1], len(x)) == (pytest.approx(40 * 2 ** (1 / 6)), pytest.approx(10000 / 2 ** (1 / 6)), 120)
+
+
+def test_notes_are_a_panel_of_each_string_and_a_curve_of_each_instrument(drawn: list[Figure]) -> None:
+    rows = tuple(
+        NoteMatch(f"s{k}", stop, (note(f"s{k}", stop, 1.0 + stop), None if k else note("s0", stop, math.inf)))
+        for k in range(13)
+        for stop in (0, 1)
+    )
+    figures.notes_picture(compared(facts(), facts("B"), notes=rows), "t60")
+    panels = [ax for ax in drawn[0].axes if ax.lines]
+    assert [ax.get_title() for ax in panels] == [f"s{k}" for k in range(12)]
+    assert [line.get_ydata().tolist() for line in panels[1].lines[:1]] == [[1.0, 2.0]]
+    assert np.isnan(panels[0].lines[1].get_ydata()).all()
+    assert np.isnan(panels[1].lines[1].get_ydata()).all()
+    labelled = [bool(ax.get_xlabel()) for ax in panels]
+    assert labelled == [False] * 10 + [True] * 2
+
+
+def test_bars_of_wolf_notes_stand_beside_each_other(drawn: list[Figure]) -> None:
+    rows = tuple(WolfMatch((wolf("A", 220 + 40 * k, 220 + 40 * k, 50.0 - k), None)) for k in range(11))
+    both = replace(rows[0], wolves=(None, wolf("A", 440, 440, 7.0)))
+    figures.wolf_picture(compared(facts(), facts("B"), wolves=(both, *rows)))
+    bars = drawn[0].axes[0].patches
+    assert [bar.get_width() for bar in bars] == [0.0, *(50.0 - k for k in range(9)), 7.0, *[0.0] * 9]
+    middle = [bar.get_y() + bar.get_height() / 2 for bar in bars]
+    assert middle == pytest.approx([k - 0.2 for k in range(10)] + [k + 0.2 for k in range(10)])
+    labels = [t.get_text() for t in drawn[0].axes[0].get_yticklabels()]
+    assert labels[:3] == ["A near A4", "A near A3", "A near C4"]
+
+
+def test_levels_of_tones_are_drawn_below_the_loudest_of_the_first(drawn: list[Figure]) -> None:
+    one, other = facts(tones={"x": tone("x")}), facts("B", tones={"x": tone("x", level=(-20.0, -2.0, -50.0))})
+    figures.decay_picture(compared(facts("Z"), one, other), "x")
+    axes = drawn[0].axes[0]
+    assert [line.get_ydata().tolist() for line in axes.lines] == [[-5.0, 0.0, -25.0], [-15.0, 3.0, -45.0]]
+    assert (axes.get_xlim(), axes.get_ylim()) == ((0.0, 2.0), (-80.0, 8.0))
+    assert axes.get_ylabel().endswith("maximum of A")
+    figures.decay_picture(compared(one), "x")
+    assert drawn[1].axes[0].get_ylabel().endswith("maximum")
+
+
+@pytest.mark.parametrize(("freq", "window"), [(69.9, 2 * 410), (70.0, 410)])
+def test_low_notes_have_the_longer_window(monkeypatch: pytest.MonkeyPatch, freq: float, window: int) -> None:
+    """4096 or 8192 samples at 48 kHz."""
+    asked: list[int] = []
+
+    def analysed(samples: Any, fs: int, **options: Any) -> Any:
+        asked.append(options["window"])
+        return np.array([0.0, 1.0]), np.array([0.0, 1000.0]), np.array([[-3.0, -90.0], [-20.0, -40.0]])
+
+    shown: list[Any] = []
+    draw = figures.draw_spectrogram
+    monkeypatch.setattr(figures, "spectrogram", analysed)
+    monkeypatch.setattr(figures, "draw_spectrogram", lambda *g, **o: shown.append((g[3], o)) or draw(*g, **o))
+    played = facts(tones={"x": tone("x", freq=freq)})
+    figures.spectrogram_picture(compared(played), "x")
+    assert asked == [pytest.approx(window, abs=1)]
+    np.testing.assert_allclose(shown[0][0], [[0.0, -87.0], [-17.0, -37.0]])
+    assert shown[0][1] == {"floor_db": -80.0}
+
+
+def test_cells_of_a_page_are_those_of_the_facts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(page, "sweep_picture", lambda found: "picture")
+    a = facts(parameters={"x": ParameterValue(2.5, "")}, mass=0.2, notes=(note("A", 0, 4.0), note("A", 1, 4.0)))
+    b = facts("B", parameters={"x": ParameterValue(1.0, "")}, kinds={"cited": 1}, notes=(note("A", 0, 1.0),))
+    found = compared(a, b, sweep="x")
+    table = page._sweep(found)
+    decay, mass = table["names"].index("decay, median T60 of all stops"), table["names"].index("mass of the body")
+    assert [(v, label, row[decay], row[mass]) for v, label, row in table["rows"]] == [
+        ("1", "B", "1.00 s", "\N{EN DASH}"), ("2.5", "A", "4.00 s", "200.0 g")
+    ]  # fmt: skip
+    assert [(labels, f.label) for labels, f in page._origins(compared(a, b, facts("C")))] == [("A, C", "A"), ("B", "B")]
+    stops = wolf("A", 1, 2, 9.0, (1, 2))
+    named = facts(notes=(note("A", 0, name="A2"), note("A", 1, name="A#2"), note("A", 2, name="B2"), note("B", 1)))
+    assert page._wolf_stops(named, stops) == "A#2, B2"
+    told = page._summary(found, 1)
+    assert (told["index"], told["label"]) == (1, "B")
+    row = next(row for row in told["rows"] if row[0].startswith("decay"))
+    assert row[1:5] == ("4.00 s", "1.00 s", "-75.0 %", True)
+    still = next(row for row in told["rows"] if row[0].startswith("worst"))
+    assert (still[4], still[6]) == (False, "")
+
+
+def test_sounds_of_a_page_are_those_of_instruments_that_play_the_note(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(page, "matched_gains_db", lambda played: [-1.0, -2.0][: len(played)])
+    monkeypatch.setattr(page, "flac", lambda one, gain: f"{one.note} {gain}".encode())
+    monkeypatch.setattr(page, "decay_picture", lambda *given: "decay")
+    monkeypatch.setattr(page, "spectrogram_picture", lambda *given: "spectrogram")
+    one, other = facts(tones={"A:1": tone("A:1", stop=1.0)}), facts("B", missing_tones={"A:1": "no such stop"})
+    named = replace(one, label="C", notes=(note("A", 0), note("A", 1, name="A#2")))
+    found = page._tone(compared(one, other, named), "A:1")
+    assert found["note"] == "A:1 (A2)"
+    assert [(s["index"], s["label"], s["gain_db"]) for s in found["sounds"]] == [
+        (0, "A: box", -1.0),
+        (2, "C: box", -2.0),
+    ]
+    assert found["missing"] == ["B does not play A:1: no such stop"]
+    assert page._tone(compared(facts(tones={"A2": tone("A2")})), "A2")["note"] == "A2"
