@@ -21,9 +21,19 @@ from tonewood.errors import ScoreError, TonewoodError
 from tonewood.instrument.inspection.wolf import WolfNote
 from tonewood.sound.live.instrument import Live
 from tonewood.sound.render.options import RenderOptions
-from tonewood.workshop.desk import advice, ahead, differences, kept_views, knobs, models, phrase, playback, take, views
+from tonewood.workshop.desk.advice import Adviser, offered
+from tonewood.workshop.desk.ahead import Ahead
+from tonewood.workshop.desk.ahead import main as make_ahead
 from tonewood.workshop.desk.desk import Desk
+from tonewood.workshop.desk.differences import differences, wolf_words
+from tonewood.workshop.desk.kept_views import KeptViews
+from tonewood.workshop.desk.knobs import acts_at_once, declared_field, groups, knobs, same_strings_and_body, shown, span
+from tonewood.workshop.desk.models import KeptModels, ModelMaker, Wanted, previewed
+from tonewood.workshop.desk.phrase import ChosenPhrase, phrase
+from tonewood.workshop.desk.playback import ComparedTakes, DeskSound, PageProgress
 from tonewood.workshop.desk.session import MOST_SNAPSHOTS, DeskSession
+from tonewood.workshop.desk.take import Ringing, stored
+from tonewood.workshop.desk.views import _rounded, drawing, shape
 from tonewood.workshop.report.facts import BodyMode
 
 FS = 1000  # a fade lasts 30 frames, the margin 40
@@ -54,7 +64,7 @@ def of_body(**body: Any) -> Any:
     ],
 )
 def test_free_parameters_are_offered_of_what_the_body_has(body: dict[str, Any], lines: list[str]) -> None:
-    assert advice.offered(of_body(**body)).splitlines() == lines
+    assert offered(of_body(**body)).splitlines() == lines
 
 
 class Search:
@@ -83,10 +93,15 @@ def test_a_search_ends_with_its_report_or_its_last_line(
     monkeypatch: pytest.MonkeyPatch, process: Search, lines: list[str], fault: str, overrides: dict[str, float]
 ) -> None:
     commands: list[list[str]] = []
-    monkeypatch.setattr(advice.subprocess, "Popen", lambda words, **_: commands.append(words) or process)
-    monkeypatch.setattr(advice.threading, "Thread", lambda target, args, daemon: SimpleNamespace(start=lambda: None))
+    monkeypatch.setattr(
+        "tonewood.workshop.desk.advice.subprocess.Popen", lambda words, **_: commands.append(words) or process
+    )
+    monkeypatch.setattr(
+        "tonewood.workshop.desk.advice.threading.Thread",
+        lambda target, args, daemon: SimpleNamespace(start=lambda: None),
+    )
     instrument = tw.load_instrument("monochord").replace({"body.added": [{"at": "bridge", "mass": 0.01}]})
-    adviser = advice.Adviser()
+    adviser = Adviser()
     adviser.overrides, adviser.fault = {"old": 1.0}, "old"
     adviser.ask(instrument, ["--set", "a=1"], "monochord", " mode 1 = 180\n\n", "\nbody.added.0.mass : 0 .. 0.05 \n")
     words = ["design", "monochord", "--set", "a=1", "--target", "mode 1 = 180"]
@@ -104,7 +119,7 @@ def test_a_search_ends_with_its_report_or_its_last_line(
 
 
 def test_the_last_fifty_lines_of_progress_are_kept_and_a_stopped_search_says_nothing() -> None:
-    adviser, process = advice.Adviser(), Search("", "".join(f" {i}\n" for i in range(60)))
+    adviser, process = Adviser(), Search("", "".join(f" {i}\n" for i in range(60)))
     process.wait = lambda: setattr(adviser, "seen", list(adviser.lines)) or 0  # type: ignore[method-assign, func-returns-value]
     adviser._process = process  # type: ignore[assignment]
     adviser._follow(process)  # type: ignore[arg-type]
@@ -115,7 +130,7 @@ def test_the_last_fifty_lines_of_progress_are_kept_and_a_stopped_search_says_not
     assert (adviser.lines, adviser.fault) == ([], "stopped")
     adviser._follow(Search('{"lines": ["x"], "overrides": {}}'))  # type: ignore[arg-type]
     assert (adviser.lines, adviser.fault) == ([], "stopped")
-    idle = advice.Adviser()
+    idle = Adviser()
     idle.stop()
     assert idle.fault == ""
 
@@ -125,11 +140,11 @@ def test_the_last_fifty_lines_of_progress_are_kept_and_a_stopped_search_says_not
 
 def test_the_process_ahead_assembles_the_design_that_it_reads(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[tuple[Any, Any]] = []
-    monkeypatch.setattr(ahead, "assembled", lambda *given: made.append(given))
-    monkeypatch.setattr(ahead.os, "nice", lambda n: made.append((n, None)))
+    monkeypatch.setattr("tonewood.workshop.desk.ahead.assembled", lambda *given: made.append(given))
+    monkeypatch.setattr("tonewood.workshop.desk.ahead.os.nice", lambda n: made.append((n, None)))
     asked = {"source": "monochord", "fs": 44100, "allow_code": False, "changes": {"strings.A2.tension": 60.0}}
     monkeypatch.setattr(sys, "stdin", io.StringIO(json.dumps(asked)))
-    ahead.main()
+    make_ahead()
     (nice, _), (instrument, options) = made
     assert nice == 5
     assert instrument.resolved["strings"]["A2"]["tension"] == 60.0
@@ -137,8 +152,8 @@ def test_the_process_ahead_assembles_the_design_that_it_reads(monkeypatch: pytes
 
 
 def test_nothing_is_made_ahead_where_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ahead, "cache_folder", lambda: None)
-    maker, called = ahead.Ahead("monochord", 48000, allow_code=False), list[int]()
+    monkeypatch.setattr("tonewood.workshop.desk.ahead.cache_folder", lambda: None)
+    maker, called = Ahead("monochord", 48000, allow_code=False), list[int]()
     maker.make(SimpleNamespace(instrument=of_body(x=1), changes={}), lambda: called.append(1))  # type: ignore[arg-type]
     assert called == [1]
     assert maker._process is None
@@ -146,8 +161,11 @@ def test_nothing_is_made_ahead_where_nothing_is_kept(monkeypatch: pytest.MonkeyP
 
 def test_the_last_three_models_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[int] = []
-    monkeypatch.setattr(models, "assembled", lambda instrument, _: made.append(instrument.resolved["n"]) or len(made))
-    kept, options = models.KeptModels(), RenderOptions()
+    monkeypatch.setattr(
+        "tonewood.workshop.desk.models.assembled",
+        lambda instrument, _: made.append(instrument.resolved["n"]) or len(made),
+    )
+    kept, options = KeptModels(), RenderOptions()
 
     def model(n: int) -> Any:
         return kept.model(SimpleNamespace(resolved={"n": n}), options)  # type: ignore[arg-type]
@@ -184,9 +202,9 @@ def test_faults_of_a_model_are_told_and_the_next_is_made() -> None:
         used.append((made, wanted.instrument))
         done.release()
 
-    maker = models.ModelMaker(RenderOptions(), fault, SimpleNamespace(model=model))  # type: ignore[arg-type]
+    maker = ModelMaker(RenderOptions(), fault, SimpleNamespace(model=model))  # type: ignore[arg-type]
     for n in range(1, 6):
-        maker.want(models.Wanted(n, {}, n, use))  # type: ignore[arg-type]
+        maker.want(Wanted(n, {}, n, use))  # type: ignore[arg-type]
         assert done.acquire(timeout=60)
     assert told == [(1, "body: no"), (2, "ValueError: bad"), (3, "MemoryError: much"), (4, "ZeroDivisionError: 0")]
     assert used == [(50, 5)]
@@ -195,15 +213,15 @@ def test_faults_of_a_model_are_told_and_the_next_is_made() -> None:
 
 def test_a_preview_is_of_another_body_that_is_not_coarse_already() -> None:
     guitar = tw.load_instrument("drawn_guitar")
-    made = models.previewed(guitar, None)
+    made = previewed(guitar, None)
     assert made is not None
     assert made[1] == "preview: body with fmax 1000, cell 0.04"
-    assert models.previewed(made[0], None) is None
-    assert models.previewed(guitar, guitar) is None
+    assert previewed(made[0], None) is None
+    assert previewed(guitar, guitar) is None
     other = guitar.replace({"strings.E2.tension": 70.0})
-    assert models.previewed(other, guitar) is None  # the same body
+    assert previewed(other, guitar) is None  # the same body
     half = guitar.replace({"body.fmax": 1000.0})
-    assert models.previewed(half, guitar)[1] == "preview: body with cell 0.04"  # type: ignore[index]
+    assert previewed(half, guitar)[1] == "preview: body with cell 0.04"  # type: ignore[index]
 
 
 # -- views ------------------------------------------------------------------------------------------------------------
@@ -215,9 +233,11 @@ class Seen:
     def __init__(self, monkeypatch: pytest.MonkeyPatch):
         self.computed: list[tuple[str, Any]] = []
         for name in ("mobility", "strings", "neck", "shape", "force"):
-            monkeypatch.setattr(kept_views.views, name, self.counted(name))
-        monkeypatch.setattr(kept_views, "wolf_notes", lambda m: self.computed.append(("wolves", m.name)) or [])
-        monkeypatch.setattr(kept_views, "differences", lambda a, b: (a.name, b.name))
+            monkeypatch.setattr(f"tonewood.workshop.desk.views.{name}", self.counted(name))
+        monkeypatch.setattr(
+            "tonewood.workshop.desk.kept_views.wolf_notes", lambda m: self.computed.append(("wolves", m.name)) or []
+        )
+        monkeypatch.setattr("tonewood.workshop.desk.kept_views.differences", lambda a, b: (a.name, b.name))
 
     def counted(self, name: str) -> Any:
         return lambda *given: (self.computed.append((name, *given[1:])), name, *given)[1:]
@@ -229,7 +249,7 @@ def fake(name: str) -> Any:
 
 def test_a_view_is_computed_once_per_model(monkeypatch: pytest.MonkeyPatch) -> None:
     seen, start, one, two = Seen(monkeypatch), fake("start"), fake("one"), fake("two")
-    kept = kept_views.KeptViews("first", "options", SimpleNamespace(model=lambda *given: start))  # type: ignore[arg-type]
+    kept = KeptViews("first", "options", SimpleNamespace(model=lambda *given: start))  # type: ignore[arg-type]
 
     def view(model: Any, kind: str, argument: str = "", *, of_start: bool = False, exact: bool = True) -> Any:
         return kept.view(model, kind, argument, of_start=of_start, exact=exact)
@@ -276,8 +296,8 @@ def modal(*modes: BodyMode, **strings: tuple[float, float]) -> Any:
 
 
 def told(monkeypatch: pytest.MonkeyPatch, model: Any, start: Any) -> list[str]:
-    monkeypatch.setattr(differences, "body_modes", lambda m: m.modes)
-    return differences.differences(model, start)
+    monkeypatch.setattr("tonewood.workshop.desk.differences.body_modes", lambda m: m.modes)
+    return differences(model, start)
 
 
 def cents_up(freq: float, cents: float) -> float:
@@ -347,12 +367,12 @@ def wolf(string: str, freq: float, severity: float) -> WolfNote:
 def test_wolf_notes_are_told_where_their_severity_differs() -> None:
     start = [wolf("A", 100, 5.0), wolf("B", 200, 3.0), wolf("C", 300, 2.0)]
     now = [wolf("A", 101, 5.04), wolf("B", 200, 8.0), wolf("D", 400, 1.0)]
-    assert differences.wolf_words(start, now) == [
+    assert wolf_words(start, now) == [
         "wolf note on B at 200 Hz: 3.0 → 8.0 cents",
         "wolf note on C at 300 Hz: 2.0 → none cents",
         "wolf note on D at 400 Hz: none → 1.0 cents",
     ]
-    assert len(differences.wolf_words([wolf(f"s{i}", 100, 1.0) for i in range(9)], [])) == 6
+    assert len(wolf_words([wolf(f"s{i}", 100, 1.0) for i in range(9)], [])) == 6
 
 
 @pytest.mark.parametrize(
@@ -360,23 +380,23 @@ def test_wolf_notes_are_told_where_their_severity_differs() -> None:
     [(1.23456789, 4, 1.235), (math.inf, 3, 0.0), (math.nan, 3, 0.0), (-123456.0, 2, -120000.0), (0.0, 3, 0.0)],
 )
 def test_numbers_of_pictures_have_so_many_digits(value: float, digits: int, shown: float) -> None:
-    assert views._rounded(np.array([value]), digits) == [shown]
+    assert _rounded(np.array([value]), digits) == [shown]
 
 
 def test_the_shape_of_a_mode_has_its_largest_end_real_and_positive(monkeypatch: pytest.MonkeyPatch) -> None:
     turned = np.array([0.6j, -0.8j])  # the larger end is turned to 1: (-0.6, 0.8)
     modes = [mode(100.0), replace(mode(200.0), shape=turned, q=math.inf), mode(400.0)]
-    monkeypatch.setattr(views, "body_modes", lambda model: modes)
+    monkeypatch.setattr("tonewood.workshop.desk.views.body_modes", lambda model: modes)
     body = SimpleNamespace(sources=lambda upper: None)
     model = SimpleNamespace(groups={"A": 0, "B": 0}, fs=1000.0, instrument=SimpleNamespace(body=body))
-    shown = views.shape(model, 290.0)  # type: ignore[arg-type]
+    shown = shape(model, 290.0)  # type: ignore[arg-type]
     assert shown["freq"] == 200.0
     assert shown["ends"] == [-0.6, 0.8]
     assert (shown["q"], shown["mass"], shown["strings"]) == (None, 1.0, ["A", "B"])
-    assert views.shape(model, 310.0)["freq"] == 400.0  # type: ignore[arg-type]
-    monkeypatch.setattr(views, "body_modes", lambda model: [])
+    assert shape(model, 310.0)["freq"] == 400.0  # type: ignore[arg-type]
+    monkeypatch.setattr("tonewood.workshop.desk.views.body_modes", lambda model: [])
     with pytest.raises(TonewoodError, match="no modes"):
-        views.shape(model, 100.0)  # type: ignore[arg-type]
+        shape(model, 100.0)  # type: ignore[arg-type]
 
 
 def test_the_surface_of_a_mode_is_its_volume_by_area_on_the_wood(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -390,20 +410,20 @@ def test_the_surface_of_a_mode_is_its_volume_by_area_on_the_wood(monkeypatch: py
     basis = SimpleNamespace(natural_freq=np.array([99.0, 201.0]))
     body = SimpleNamespace(sources=lambda upper: surface, basis=lambda upper: basis)
     model = SimpleNamespace(groups={"A": 0}, fs=1000.0, instrument=SimpleNamespace(body=body))
-    monkeypatch.setattr(views, "body_modes", lambda model: [mode(100.0), mode(200.0)])
-    shown = views.shape(model, 190.0)  # type: ignore[arg-type]
+    monkeypatch.setattr("tonewood.workshop.desk.views.body_modes", lambda model: [mode(100.0), mode(200.0)])
+    shown = shape(model, 190.0)  # type: ignore[arg-type]
     largest = 1.0 + 0.99 * (2.0 - 1.0)  # 99 % quantile of 1 and 2
     assert shown["points"] == [[0.2, 0.2], [0.8, 0.1]]
     assert shown["heights"] == pytest.approx([2 / largest, -1 / largest], rel=0.006)
     assert (shown["own_freq"], shown["label"]) == (201.0, "")
     assert shown["rings"] == [ring.tolist(), [[float(f"{x:.4g}") for x in p] for p in hole]]
-    assert views.shape(model, 100.0)["label"] == "A0"  # type: ignore[arg-type]
+    assert shape(model, 100.0)["label"] == "A0"  # type: ignore[arg-type]
 
 
 def test_bars_of_a_drawing_are_those_of_the_bundle() -> None:
-    assert views.drawing(tw.load_instrument("monochord")) is None
+    assert drawing(tw.load_instrument("monochord")) is None
     guitar = tw.load_instrument("drawn_guitar")
-    body, shown = guitar.resolved["body"], views.drawing(guitar)
+    body, shown = guitar.resolved["body"], drawing(guitar)
     assert shown is not None
     keys = ("start", "stop", "width")
     assert shown["braces"] == [{"name": n} | {k: b[k] for k in keys} for n, b in body["braces"].items()]
@@ -411,7 +431,7 @@ def test_bars_of_a_drawing_are_those_of_the_bundle() -> None:
     assert len(shown["rings"]) == 2  # outline and sound hole
     assert all(80 <= len(ring) <= 320 or len(ring) < 160 for ring in shown["rings"])
     bare = SimpleNamespace(resolved={"body": {"braces": {"a": {"start": 1, "stop": 2}}}}, body=None)
-    assert views.drawing(bare) is None  # type: ignore[arg-type]
+    assert drawing(bare) is None  # type: ignore[arg-type]
 
 
 # -- knobs ------------------------------------------------------------------------------------------------------------
@@ -434,21 +454,21 @@ def test_bars_of_a_drawing_are_those_of_the_bundle() -> None:
     ],
 )
 def test_ends_of_a_knob(value: float, low: float | None, high: float | None, ends: tuple[float, float, bool]) -> None:
-    assert knobs.span(value, low, high) == ends
+    assert span(value, low, high) == ends
 
 
 def test_groups_are_the_parts_of_a_bundle_in_the_order_of_the_page() -> None:
-    assert knobs.groups(tw.load_instrument("monochord")) == [
+    assert groups(tw.load_instrument("monochord")) == [
         "exciters.pluck", "playing", "strings.A2", "body", "body.points", "stops", "tuning", "outputs.bridge", "effects"
     ]  # fmt: skip
-    guitar = knobs.groups(tw.load_instrument("classical_guitar"))
+    guitar = groups(tw.load_instrument("classical_guitar"))
     assert guitar.index("strings.*") + 1 == guitar.index("strings.E2")
 
 
 def test_knobs_of_a_pluck_are_as_declared() -> None:
     start = tw.load_instrument("monochord")
     design = start.replace({"exciters.pluck.force": 3.0})
-    rows = {row["label"]: row for row in knobs.shown(design, start, {"exciters.pluck.force": 3.0}, "exciters.pluck")}
+    rows = {row["label"]: row for row in shown(design, start, {"exciters.pluck.force": 3.0}, "exciters.pluck")}
     assert rows["force"] == {
         "path": "exciters.pluck.force", "label": "force", "kind": "number", "value": 3.0, "low": 0.0, "high": 1000.0,
         "start": 0.5, "stop": 8.0, "log": True, "whole": False, "unit": "N", "doc": "force at the moment of release",
@@ -460,19 +480,19 @@ def test_knobs_of_a_pluck_are_as_declared() -> None:
     assert set(rows) == {
         "force", "from_bridge", "angle_deg", "ramp_time", "release_time", "hold_dashpot", "linear"
     }  # fmt: skip
-    assert [k.path for k in knobs.knobs(start, "body") if k.path.startswith("body.points")] == []
-    assert knobs.knobs(start, "strings") == []
-    scatter = {k.label: k for k in knobs.knobs(start, "strings.A2")}["scatter seed"]
+    assert [k.path for k in knobs(start, "body") if k.path.startswith("body.points")] == []
+    assert knobs(start, "strings") == []
+    scatter = {k.label: k for k in knobs(start, "strings.A2")}["scatter seed"]
     assert (scatter.whole, scatter.kind, scatter.low, scatter.high) == (True, "number", 0.0, None)
-    curve = {k.label: k for k in knobs.knobs(start, "playing")}["velocity curve"]
+    curve = {k.label: k for k in knobs(start, "playing")}["velocity curve"]
     assert (curve.kind, curve.choices) == ("choice", ("exponential", "linear"))
 
 
 def test_factors_are_on_numbers_that_all_strings_have() -> None:
     guitar = tw.load_instrument("classical_guitar")
-    rows = {row["path"]: row for row in knobs.shown(guitar, guitar, {"strings.*.length": {"scale": 1.02}}, "strings.*")}
+    rows = {row["path"]: row for row in shown(guitar, guitar, {"strings.*.length": {"scale": 1.02}}, "strings.*")}
     length = rows["strings.*.length"]
-    assert length["doc"] == "all strings: " + knobs.declared_field(guitar, "strings.E2.length").description  # type: ignore[union-attr, operator]
+    assert length["doc"] == "all strings: " + declared_field(guitar, "strings.E2.length").description  # type: ignore[union-attr, operator]
     keys = ("label", "kind", "value", "start_value", "start", "stop", "log", "whole", "unit", "at_once")
     assert [length[k] for k in keys] == ["length", "factor", 1.02, 1.0, 0.5, 2.0, True, False, "times", False]
     assert rows["strings.*.tension"]["value"] == 1.0
@@ -486,14 +506,14 @@ def test_factors_are_on_numbers_that_all_strings_have() -> None:
 
 def test_hands_of_another_folder_or_with_another_hammer_need_a_model() -> None:
     one, other = tw.load_instrument("monochord"), tw.load_instrument("struck_monochord")
-    assert knobs.same_strings_and_body(one, one)
-    assert not knobs.same_strings_and_body(one, other)
+    assert same_strings_and_body(one, one)
+    assert not same_strings_and_body(one, other)
     name = next(iter(other.exciters))
-    value = next(k for k in knobs.knobs(other, f"exciters.{name}") if k.kind == "number")
-    assert not knobs.same_strings_and_body(other, other.replace({value.path: 1.01 * value.value}))
-    assert knobs.acts_at_once(one, "playing.velocity.low")
-    assert not knobs.acts_at_once(one, "exciters.none_such.force")
-    assert not knobs.acts_at_once(one, "effects.mode")
+    value = next(k for k in knobs(other, f"exciters.{name}") if k.kind == "number")
+    assert not same_strings_and_body(other, other.replace({value.path: 1.01 * value.value}))
+    assert acts_at_once(one, "playing.velocity.low")
+    assert not acts_at_once(one, "exciters.none_such.force")
+    assert not acts_at_once(one, "effects.mode")
 
 
 # -- phrases ----------------------------------------------------------------------------------------------------------
@@ -519,7 +539,7 @@ def strung(*notes: float) -> Any:
     ],
 )
 def test_notes_of_a_phrase(tmp_path: Path, kind: str, words: str, strings: Any, expected: list[Any]) -> None:
-    made = phrase.phrase(kind, strung(*strings), tmp_path / "a.mid", notes=words, velocity=101)
+    made = phrase(kind, strung(*strings), tmp_path / "a.mid", notes=words, velocity=101)
     assert [(round(n.time, 3), n.note) for n in made.notes] == [(round(t, 3), note) for t, note in expected]
     assert {n.velocity_midi for n in made.notes} == {101}
     if kind == "chord":
@@ -528,30 +548,30 @@ def test_notes_of_a_phrase(tmp_path: Path, kind: str, words: str, strings: Any, 
 
 @pytest.mark.parametrize("velocity", [1, 127])
 def test_velocities_of_a_phrase_are_1_to_127(tmp_path: Path, velocity: int) -> None:
-    assert phrase.phrase("chord", strung(40), tmp_path / "a.mid", velocity=velocity).notes[0].velocity_midi == velocity
+    assert phrase("chord", strung(40), tmp_path / "a.mid", velocity=velocity).notes[0].velocity_midi == velocity
     with pytest.raises(ScoreError, match="1 to 127"):
-        phrase.phrase("chord", strung(40), tmp_path / "a.mid", velocity=0.99 if velocity == 1 else 127.1)
+        phrase("chord", strung(40), tmp_path / "a.mid", velocity=0.99 if velocity == 1 else 127.1)
 
 
 @pytest.mark.parametrize("words", ["", "A4 " * 65])
 def test_a_phrase_has_1_to_64_notes(tmp_path: Path, words: str) -> None:
     with pytest.raises(ScoreError, match=f"{len(words.split())} notes; 1 to 64"):
-        phrase.phrase("notes", strung(40), tmp_path / "a.mid", notes=words)
+        phrase("notes", strung(40), tmp_path / "a.mid", notes=words)
     with pytest.raises(ScoreError, match="file are allowed"):
-        phrase.phrase("melody", strung(40), tmp_path / "a.mid")
+        phrase("melody", strung(40), tmp_path / "a.mid")
 
 
 def test_a_file_is_the_phrase_until_another_is_asked_for(tmp_path: Path) -> None:
     file = tmp_path / "given.mid"
-    phrase.phrase("notes", strung(40), file, notes="A2 B2")
-    chosen = phrase.ChosenPhrase(file, tmp_path / "made.mid")
+    phrase("notes", strung(40), file, notes="A2 B2")
+    chosen = ChosenPhrase(file, tmp_path / "made.mid")
     assert chosen.asked == {"kind": "file", "notes": "", "velocity": 80}
     assert chosen.file == file
     assert [n.note for n in chosen.score(strung(40)).notes] == [45, 47]
     chosen.asked = {"kind": "scale", "notes": "", "velocity": 80}
     assert chosen.file == tmp_path / "made.mid"
     assert [n.note for n in chosen.score(strung(40)).notes][:2] == [40, 42]
-    assert phrase.ChosenPhrase(None, tmp_path / "made.mid").asked["kind"] == "chord"
+    assert ChosenPhrase(None, tmp_path / "made.mid").asked["kind"] == "chord"
 
 
 # -- sound ------------------------------------------------------------------------------------------------------------
@@ -589,8 +609,8 @@ class Keys(Live):
 FALL = 1 - np.arange(30) / 30
 
 
-def sounding(value: float, frames: int = 100, at: int = 0) -> playback.DeskSound:
-    sound = playback.DeskSound(FS)
+def sounding(value: float, frames: int = 100, at: int = 0) -> DeskSound:
+    sound = DeskSound(FS)
     sound.swap(Take(value, frames))  # type: ignore[arg-type]
     sound.start()
     if at:
@@ -598,7 +618,7 @@ def sounding(value: float, frames: int = 100, at: int = 0) -> playback.DeskSound
     return sound
 
 
-def left(sound: playback.DeskSound, frames: int) -> Any:
+def left(sound: DeskSound, frames: int) -> Any:
     out = sound.read(frames)[0]
     np.testing.assert_allclose(out[:, 1], -out[:, 0], atol=1e-6)
     return out[:, 0]
@@ -650,14 +670,14 @@ def test_a_sound_that_is_stopped_falls_and_its_keys_are_released() -> None:
     assert not sound.playing
     sound.start(again=False)
     assert (sound.playing, sound.at) == (True, 50)
-    empty = playback.DeskSound(FS)
+    empty = DeskSound(FS)
     empty.start()
     assert not empty.playing
 
 
 def test_a_and_b_are_exchanged_over_30_ms_at_their_gains() -> None:
     sound = sounding(9.0, at=20)
-    pair = playback.ComparedTakes((Take(1.0), Take(2.0)), (1.0, 0.5), ("this design", "the start"))  # type: ignore[arg-type]
+    pair = ComparedTakes((Take(1.0), Take(2.0)), (1.0, 0.5), ("this design", "the start"))  # type: ignore[arg-type]
     assert pair.state() == {"names": ["A: this design", "B: the start"], "which": 0, "blind": False}
     sound.compare(pair)
     rise = 1 - FALL
@@ -678,7 +698,7 @@ def test_a_and_b_are_exchanged_over_30_ms_at_their_gains() -> None:
 
 
 def test_keys_that_are_exchanged_fall_and_the_last_four_fades_are_kept() -> None:
-    sound = playback.DeskSound(FS)
+    sound = DeskSound(FS)
     sound.exchange_live(Keys())
     assert (sound.read(5)[0] == np.tile(np.arange(1, 6)[:, None], 2)).all()
     sound.exchange_live(None)
@@ -703,7 +723,7 @@ def test_a_fork_is_joined_at_its_frame() -> None:
 
 def test_frames_that_a_page_has_not_heard_are_sent_again(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [10.0]
-    monkeypatch.setattr(playback.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr("tonewood.workshop.desk.playback.time.monotonic", lambda: now[0])
     sound = sounding(1.0, frames=400)
     page = sound.listen(2.0)
     assert (page.reported, page.unheard, sound.unheard) == (12.0, 0, 0)
@@ -729,8 +749,8 @@ def test_frames_that_a_page_has_not_heard_are_sent_again(monkeypatch: pytest.Mon
 
 def test_a_report_is_trusted_for_half_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [10.0]
-    monkeypatch.setattr(playback.time, "monotonic", lambda: now[0])
-    page = playback.PageProgress(FS, 0.0)
+    monkeypatch.setattr("tonewood.workshop.desk.playback.time.monotonic", lambda: now[0])
+    page = PageProgress(FS, 0.0)
     page.sent = 2000
     unheard = []
     for time in (9.0, 10.25, 10.5, 10.75):
@@ -755,8 +775,8 @@ def test_keys_are_sent_again_with_the_phrase() -> None:
 
 def test_the_load_is_a_smoothed_share_of_the_blocks_time(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter((0.0, 0.05, 1.0, 1.02, 2.0, 2.001))
-    monkeypatch.setattr(playback.time, "perf_counter", lambda: next(times))
-    sound = playback.DeskSound(FS)
+    monkeypatch.setattr("tonewood.workshop.desk.playback.time.perf_counter", lambda: next(times))
+    sound = DeskSound(FS)
     sound.read(100)  # half of 0.1 s
     assert (sound.meter.load, sound.meter.worst) == pytest.approx((0.025, 0.5))
     sound.read(100)
@@ -790,12 +810,12 @@ def test_energy_of_modes_is_that_of_oscillators() -> None:
         names=list(parts), compiled=list(parts.values()), layout=layout, modes_of=lambda state, name: state[name].modes
     )
     engine = SimpleNamespace(system=system, state=parts, model=SimpleNamespace(strings={"A": 0, "B": 0}))
-    found = take.stored(engine, 77)  # type: ignore[arg-type]
-    assert found == take.Ringing(77, {"A": 10.5, "B": 2.0}, 10.0, 2 * 3 * 0.5 * 8 + 2 * 5 * 0.1 * 2)
+    found = stored(engine, 77)  # type: ignore[arg-type]
+    assert found == Ringing(77, {"A": 10.5, "B": 2.0}, 10.0, 2 * 3 * 0.5 * 8 + 2 * 5 * 0.1 * 2)
     parts["body"].basis.metadata = {}
-    assert take.stored(engine, 0).sound is None  # type: ignore[arg-type]
+    assert stored(engine, 0).sound is None  # type: ignore[arg-type]
     parts["A.0"].basis.is_real = False
-    assert take.stored(engine, 0).strings["A"] == 2.0  # type: ignore[arg-type]
+    assert stored(engine, 0).strings["A"] == 2.0  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -23,8 +23,11 @@ from tonewood.workshop.report import facts as report_facts
 from tonewood.workshop.report.as_json import to_json
 from tonewood.workshop.report.comparison import Comparison, ModeMatch, NoteMatch, WolfMatch, alike, match_modes
 from tonewood.workshop.report.facts import BodyMode, InstrumentFacts, NoteRow, PartialRow, StringRow
+from tonewood.workshop.report.figures import mobility_picture, notes_picture, wolf_picture
 from tonewood.workshop.report.noticed import LEVEL, Threshold, resonance
+from tonewood.workshop.report.page import _origins, _sweep
 from tonewood.workshop.report.parameters import ParameterValue, flattened
+from tonewood.workshop.report.summary import FigureChange, key_figures
 from tonewood.workshop.report.tones import Tone
 
 FREQ = np.geomspace(40.0, 10000.0, 241)
@@ -271,19 +274,19 @@ def test_figures_of_an_instrument_are_those_it_has() -> None:
     heard = {"a": tone("a", -20.0), "b": tone("b", -23.0), "c": tone("c", -math.inf)}
     notes = (note("A", 0, 1.0), note("A", 1, 4.0), note("A", 2, 2.0), note("A", 3, math.inf))
     one = facts(named={"A0": 0, "T1": 1}, mass=0.25, wolves=wolves, tones=heard, notes=notes)
-    assert summary.key_figures(one) == {
+    assert key_figures(one) == {
         "A0": (100.0, "Hz"), "T1": (200.0, "Hz"), "mass of the body": (250.0, "g"),
         "mean mobility, 80 to 1000 Hz": (pytest.approx(-40.0), "dB"), "loudness, mean of the notes": (-21.5, "LUFS"),
         "decay, median T60 of all stops": (2.0, "s"), "worst wolf note, severity": (30.0, "cents"),
         "wolf notes of 10 cents or more": (2.0, ""),
     }  # fmt: skip
-    assert summary.key_figures(facts(strings=(), notes=(), mobility={})) == {}
+    assert key_figures(facts(strings=(), notes=(), mobility={})) == {}
     few = facts(strings=(), notes=(), freq=np.array([80.0, 1000.0]), mobility={"A": np.array([1.0, 0.1])})
-    assert summary.key_figures(few)["mean mobility, 80 to 1000 Hz"][0] == pytest.approx(-10.0)
-    assert summary.key_figures(replace(few, freq=np.array([79.9, 1000.0]))) == {}
+    assert key_figures(few)["mean mobility, 80 to 1000 Hz"][0] == pytest.approx(-10.0)
+    assert key_figures(replace(few, freq=np.array([79.9, 1000.0]))) == {}
 
 
-def rows_of(a: InstrumentFacts, b: InstrumentFacts) -> dict[str, summary.FigureChange]:
+def rows_of(a: InstrumentFacts, b: InstrumentFacts) -> dict[str, FigureChange]:
     return {row.name: row for row in summary.changes(compared(a, b), 1)}
 
 
@@ -343,7 +346,7 @@ def test_of_strong_modes_below_2_khz_those_that_changed_most_are_told() -> None:
     ],
 )
 def test_a_verdict_is_by_the_threshold_of_its_direction(difference: float, times: float, words: str) -> None:
-    row = summary.FigureChange("decay", 1.0, 1.0, "s", difference, "%", Threshold(25.0, 40.0, "x"))
+    row = FigureChange("decay", 1.0, 1.0, "s", difference, "%", Threshold(25.0, 40.0, "x"))
     assert (row.times, row.verdict) == (times, words)
     assert summary.heard_words([row]) == (
         "by published thresholds these may be heard: decay"
@@ -374,7 +377,7 @@ def test_figures_in_words(value: float, unit: str, text: str) -> None:
     [(1.26, "%", "+1.3 %"), (-0.04, "dB", "0 dB"), (-3.4, "cents", "-3 cents"), (2.0, "", "+2"), (0.0, "", "0")],
 )
 def test_differences_in_words(difference: float, scale: str, text: str) -> None:
-    assert summary.difference_words(summary.FigureChange("", 0, 0, "", difference, scale, None)) == text
+    assert summary.difference_words(FigureChange("", 0, 0, "", difference, scale, None)) == text
 
 
 def test_lines_of_a_terminal_stand_in_columns() -> None:
@@ -451,15 +454,15 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
 
 def test_mobility_of_one_instrument_is_a_curve_of_each_end(drawn: list[Figure]) -> None:
     ends = {f"s{i}": 10.0 ** (-i) * (1 + 0j * FREQ) for i in range(7)}
-    figures.mobility_picture(compared(facts(mobility=dict(list(ends.items())[:6]))))
+    mobility_picture(compared(facts(mobility=dict(list(ends.items())[:6]))))
     assert [line.get_ydata()[0] for line in drawn[0].axes[0].lines] == pytest.approx([-20.0 * i for i in range(6)])
-    figures.mobility_picture(compared(facts(mobility=ends)))
+    mobility_picture(compared(facts(mobility=ends)))
     assert [line.get_ydata()[0] for line in drawn[1].axes[0].lines] == pytest.approx(
         [-20.0 * i for i in (0, 1, 2, 3, 4, 6)]
     )
-    assert figures.mobility_picture(compared(facts(mobility={}))) is None
+    assert mobility_picture(compared(facts(mobility={}))) is None
     only = facts("B", mobility={"s9": ends["s0"]})
-    assert figures.mobility_picture(compared(facts(mobility=ends), only)) is None
+    assert mobility_picture(compared(facts(mobility=ends), only)) is None
 
 
 def test_the_difference_of_mobilities_is_that_of_their_means(drawn: list[Figure]) -> None:
@@ -467,7 +470,7 @@ def test_the_difference_of_mobilities_is_that_of_their_means(drawn: list[Figure]
     one = {"a": 0.1 + 0j * FREQ, "b": 0.01 + 0j * FREQ}
     gains = {"a": 10 ** (6 / 20), "b": 10 ** (10 / 20)}
     other = facts("B", mobility={name: y * gains[name] for name, y in one.items()})
-    figures.mobility_picture(compared(facts(mobility=one), other))
+    mobility_picture(compared(facts(mobility=one), other))
     upper, lower, below = drawn[0].axes[:3]
     assert [line.get_ydata()[5] for line in upper.lines] == pytest.approx([-20.0, -14.0])
     assert [line.get_ydata()[5] for line in lower.lines] == pytest.approx([-40.0, -30.0])
@@ -482,7 +485,7 @@ def test_notes_are_a_panel_of_each_string_and_a_curve_of_each_instrument(drawn: 
         for k in range(13)
         for stop in (0, 1)
     )
-    figures.notes_picture(compared(facts(), facts("B"), notes=rows), "t60")
+    notes_picture(compared(facts(), facts("B"), notes=rows), "t60")
     panels = [ax for ax in drawn[0].axes if ax.lines]
     assert [ax.get_title() for ax in panels] == [f"s{k}" for k in range(12)]
     assert [line.get_ydata().tolist() for line in panels[1].lines[:1]] == [[1.0, 2.0]]
@@ -495,7 +498,7 @@ def test_notes_are_a_panel_of_each_string_and_a_curve_of_each_instrument(drawn: 
 def test_bars_of_wolf_notes_stand_beside_each_other(drawn: list[Figure]) -> None:
     rows = tuple(WolfMatch((wolf("A", 220 + 40 * k, 220 + 40 * k, 50.0 - k), None)) for k in range(11))
     both = replace(rows[0], wolves=(None, wolf("A", 440, 440, 7.0)))
-    figures.wolf_picture(compared(facts(), facts("B"), wolves=(both, *rows)))
+    wolf_picture(compared(facts(), facts("B"), wolves=(both, *rows)))
     bars = drawn[0].axes[0].patches
     assert [bar.get_width() for bar in bars] == [0.0, *(50.0 - k for k in range(9)), 7.0, *[0.0] * 9]
     middle = [bar.get_y() + bar.get_height() / 2 for bar in bars]
@@ -540,12 +543,12 @@ def test_cells_of_a_page_are_those_of_the_facts(monkeypatch: pytest.MonkeyPatch)
     a = facts(parameters={"x": ParameterValue(2.5, "")}, mass=0.2, notes=(note("A", 0, 4.0), note("A", 1, 4.0)))
     b = facts("B", parameters={"x": ParameterValue(1.0, "")}, kinds={"cited": 1}, notes=(note("A", 0, 1.0),))
     found = compared(a, b, sweep="x")
-    table = page._sweep(found)
+    table = _sweep(found)
     decay, mass = table["names"].index("decay, median T60 of all stops"), table["names"].index("mass of the body")
     assert [(v, label, row[decay], row[mass]) for v, label, row in table["rows"]] == [
         ("1", "B", "1.00 s", "\N{EN DASH}"), ("2.5", "A", "4.00 s", "200.0 g")
     ]  # fmt: skip
-    assert [(labels, f.label) for labels, f in page._origins(compared(a, b, facts("C")))] == [("A, C", "A"), ("B", "B")]
+    assert [(labels, f.label) for labels, f in _origins(compared(a, b, facts("C")))] == [("A, C", "A"), ("B", "B")]
     stops = wolf("A", 1, 2, 9.0, (1, 2))
     named = facts(notes=(note("A", 0, name="A2"), note("A", 1, name="A#2"), note("A", 2, name="B2"), note("B", 1)))
     assert page._wolf_stops(named, stops) == "A#2, B2"
