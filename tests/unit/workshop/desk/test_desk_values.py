@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
 import math
 import shlex
+import struct
 import sys
 import threading
 from dataclasses import replace
@@ -31,6 +33,7 @@ from tonewood.workshop.desk.knobs import acts_at_once, declared_field, groups, k
 from tonewood.workshop.desk.models import KeptModels, ModelMaker, Wanted, previewed
 from tonewood.workshop.desk.phrase import ChosenPhrase, phrase
 from tonewood.workshop.desk.playback import ComparedTakes, DeskSound, PageProgress
+from tonewood.workshop.desk.server import DeskServer
 from tonewood.workshop.desk.session import MOST_SNAPSHOTS, DeskSession
 from tonewood.workshop.desk.take import Ringing, stored
 from tonewood.workshop.desk.views import _rounded, drawing, shape
@@ -167,8 +170,11 @@ def test_the_last_three_models_are_kept(monkeypatch: pytest.MonkeyPatch) -> None
     )
     kept, options = KeptModels(), RenderOptions()
 
+    def of(values: dict[str, int]) -> Any:
+        return SimpleNamespace(resolved=values)
+
     def model(n: int) -> Any:
-        return kept.model(SimpleNamespace(resolved={"n": n}), options)  # type: ignore[arg-type]
+        return kept.model(of({"n": n}), options)
 
     assert [model(n) for n in (0, 1, 2)] == [1, 2, 3]
     assert model(0) == 1  # the newest again
@@ -176,6 +182,8 @@ def test_the_last_three_models_are_kept(monkeypatch: pytest.MonkeyPatch) -> None
     assert [model(n) for n in (2, 0, 3)] == [3, 1, 4]
     assert made == [0, 1, 2, 3]
     assert model(1) == 5
+    one, same = ({"n": 7, "m": 8}, {"m": 8, "n": 7})
+    assert kept.model(of(one), options) == kept.model(of(same), options) == 6
 
 
 def test_faults_of_a_model_are_told_and_the_next_is_made() -> None:
@@ -418,6 +426,10 @@ def test_the_surface_of_a_mode_is_its_volume_by_area_on_the_wood(monkeypatch: py
     assert (shown["own_freq"], shown["label"]) == (201.0, "")
     assert shown["rings"] == [ring.tolist(), [[float(f"{x:.4g}") for x in p] for p in hole]]
     assert shape(model, 100.0)["label"] == "A0"  # type: ignore[arg-type]
+    # one in 400 elements moves by 4, one by -4, the others by 1: those are cut at 1.5
+    surface.areas, surface.volumes = np.ones(400), np.r_[4.0, -4.0, np.ones(398)][:, None]
+    surface.points, basis.natural_freq = np.full((400, 2), 0.2), np.array([100.0])
+    assert shape(model, 100.0)["heights"][:3] == [1.5, -1.5, 1.0]  # type: ignore[arg-type]
 
 
 def test_bars_of_a_drawing_are_those_of_the_bundle() -> None:
@@ -759,6 +771,20 @@ def test_a_report_is_trusted_for_half_a_second(monkeypatch: pytest.MonkeyPatch) 
     assert unheard == [2000, 1750, 1500, 1500]
 
 
+def test_what_no_page_has_heard_is_taken_back_when_it_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 200 frames that were sent 40 are on their way; then the fade of 30 is not taken back."""
+    monkeypatch.setattr("tonewood.workshop.desk.playback.time.monotonic", lambda: 10.0)
+    sound = sounding(1.0, frames=400)
+    page = sound.listen(0.0)
+    sound.read(200)
+    sound.stop()
+    assert (page.sent, sound.at, sound.unheard) == (40, 40, 0)
+    sound.read(110)
+    assert (page.sent, sound.unheard) == (150, 80)
+    page.report(120)
+    assert sound.unheard == 0
+
+
 def test_keys_are_sent_again_with_the_phrase() -> None:
     sound = sounding(0.0, frames=400)
     page = sound.listen(9.0)
@@ -830,6 +856,117 @@ def test_a_preview_is_not_wanted_once_its_exact_sound_is_heard(
     assert Desk._exact_known(desk, wanted) is known  # type: ignore[arg-type]
     desk.playback = SimpleNamespace(take=None, serial=heard)
     assert not Desk._exact_known(desk, wanted)  # type: ignore[arg-type]
+
+
+# -- the server -------------------------------------------------------------------------------------------------------
+
+
+def served(**desk: Any) -> DeskServer:
+    return DeskServer(SimpleNamespace(**desk), token="t")  # type: ignore[arg-type]
+
+
+def asked(body: Any = None, **query: str) -> Any:
+    """A request with a token, a body and a query."""
+
+    async def stream() -> Any:
+        yield json.dumps(body).encode()
+
+    headers = {"x-desk-token": "t", "content-type": "application/json"}
+    return SimpleNamespace(headers=headers, stream=stream, query_params=query, path_params=query)
+
+
+def test_blocks_are_sent_ahead_of_what_is_heard() -> None:
+    """A head of five numbers before each; of another stream, or of a server that ends, nothing."""
+    sound = sounding(1.0, frames=9000)
+    sound.serial = 7
+    server = served(playback=sound)
+    server._ahead = 1.0
+
+    async def sent() -> list[bytes]:
+        server._stream, blocks = 4, []
+        async for block in server._blocks(4):
+            blocks.append(block)
+            if len(blocks) == 3:
+                server._stream = 5
+        return blocks + [block async for block in server._blocks(4)]
+
+    blocks = asyncio.run(sent())
+    assert [struct.unpack("<5I", b[:20]) for b in blocks] == [(512, 7, 512 * k, 1, 512 * k) for k in range(3)]
+    assert np.frombuffer(blocks[0][20:], dtype="<f4").tolist() == [1.0, -1.0] * 512
+
+
+def test_a_report_is_of_the_page_that_has_the_stream() -> None:
+    sound = DeskSound(FS)
+    server, page = served(playback=sound), sound.listen(0.0)
+    server._stream = 3
+    body = {"stream": 3, "heard": 70, "ahead": 0.5, "underruns": 2, "other": "text"}
+    reply = asyncio.run(server._report(asked(body)))
+    assert json.loads(bytes(reply.body)) == {"stream": 3}
+    assert (page._heard, server._ahead, sound.meter.underruns) == (70, 0.5, 2)
+    for ahead, kept in ((0.001, 0.03), (9.0, 1.0)):
+        asyncio.run(server._report(asked(body | {"ahead": ahead, "heard": 71})))
+        assert (page._heard, server._ahead) == (71, kept)
+    asyncio.run(server._report(asked({"stream": 2, "heard": 5, "ahead": 0.2})))
+    assert (page._heard, server._ahead, sound.meter.underruns) == (71, 1.0, 2)
+    asyncio.run(server._report(asked({"stream": 3})))
+    assert (page._heard, server._ahead, sound.meter.underruns) == (0, 1.0, 0)
+
+
+@pytest.mark.parametrize(
+    ("since", "frame"), [(None, 0), ("17", 17), ("-1", 0), ("x", 0), ("9" * 12, 0), ("9" * 11, 99999999999)]
+)
+def test_moments_are_asked_for_since_a_frame(since: str | None, frame: int) -> None:
+    query = {} if since is None else {"since": since}
+    assert served(moments=lambda at: at)._moments(asked(**query)) == frame
+
+
+def test_views_are_asked_for_by_kind_argument_and_design() -> None:
+    server = served(view=lambda *given, of_start: (*given, of_start))
+    assert server._view(asked(kind="shape", argument="90")) == ("shape", "90", False)
+    assert server._view(asked(kind="mobility", of="start")) == ("mobility", "", True)
+    assert server._view(asked(kind="mobility", of="design")) == ("mobility", "", False)
+
+
+@pytest.mark.parametrize(
+    ("given", "calls"),
+    [
+        ({"act": "key", "note": "A2", "on": True}, [("key", "A2", 80.0, True)]),
+        ({"act": "key", "note": 45, "on": 0, "velocity": 12}, [("key", 45, 12.0, False)]),
+        ({"act": "compare"}, [("compare", None, False)]),
+        ({"act": "compare", "name": "", "blind": True}, [("compare", "", True)]),
+        ({"act": "phrase", "kind": "notes"}, [("set_phrase", "notes", "", 80.0)]),
+        ({"act": "phrase", "kind": "notes", "notes": "A2", "velocity": 3}, [("set_phrase", "notes", "A2", 3.0)]),
+        ({"act": "advise", "targets": "T1 = 1", "free": "x"}, [("advise", "T1 = 1", "x")]),
+        ({"act": "pick", "which": 1}, [("pick", 1)]),
+        ({"act": "reveal"}, [("reveal",)]),
+    ],
+)
+def test_acts_are_done_with_their_values(given: dict[str, Any], calls: list[Any]) -> None:
+    done: list[Any] = []
+
+    def call(name: str) -> Any:
+        return lambda *values, **named: done.append((name, *values, *named.values()))
+
+    server = served(**{name: call(name) for name in ("key", "compare", "set_phrase", "advise", "pick", "reveal")})
+    assert server._done(given) == ""
+    assert done == calls
+
+
+def test_a_phrase_is_played_again_and_again_unless_it_is_said() -> None:
+    sound = DeskSound(FS)
+    sound.swap(Take(1.0))  # type: ignore[arg-type]
+    server = served(playback=sound)
+    for given, playing, loop in (
+        ({"act": "play"}, True, True),
+        ({"act": "play", "on": False}, False, True),
+        ({"act": "play", "loop": False}, True, False),
+        ({"act": "play"}, True, False),
+        ({"act": "loop", "on": True}, True, True),
+    ):
+        server._done(given)
+        assert (sound.playing, sound.loop) == (playing, loop)
+    with pytest.raises(TonewoodError, match="loop: a value is missing"):
+        server._done({"act": "loop"})
 
 
 # -- designs ----------------------------------------------------------------------------------------------------------

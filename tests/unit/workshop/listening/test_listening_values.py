@@ -1,0 +1,880 @@
+"""Values of the analysis and of the course of a test against figures worked out by hand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import listening_fakes as fakes
+import numpy as np
+import pytest
+from scipy import stats
+
+from tonewood.workshop.batch.pages import LevelPage, MushraPage, PairedPage, RatingPage, StaircasePage
+from tonewood.workshop.batch.pages import localised as in_language
+from tonewood.workshop.listening.cells import cells_of, shared
+from tonewood.workshop.listening.definition import ListeningError, ListeningTest, ServedTrial
+from tonewood.workshop.listening.detection import adjusted, detections, sensitivity, share_right, task_of
+from tonewood.workshop.listening.figures import figures_of
+from tonewood.workshop.listening.headphones import ramped
+from tonewood.workshop.listening.level_tone import tone
+from tonewood.workshop.listening.means import cell_means, screen, student_interval
+from tonewood.workshop.listening.models import bradley_terry, linear_analysis, rank_analysis, share_interval, share_test
+from tonewood.workshop.listening.ordinal import fit_counts, grades
+from tonewood.workshop.listening.panel import PanelThreshold, SimulatedPanel, _Listener, _reply, _rule
+from tonewood.workshop.listening.plain import _as_level, _in_unit, _number, _p, _scalar, _threshold, _value, methods
+from tonewood.workshop.listening.pooling import D, pooled
+from tonewood.workshop.listening.power import _levels, _pilot_means, _pilot_spread, _sounds, _trials, power_of
+from tonewood.workshop.listening.psychometric import psychometric
+from tonewood.workshop.listening.quest import LEVELS, QuestTable, QuestTrack, table_of
+from tonewood.workshop.listening.report import p_text
+from tonewood.workshop.listening.results import (
+    PageResults,
+    PanelResults,
+    _difference_grades,
+    _in_order,
+    _share,
+    _used,
+    levels_of,
+)
+from tonewood.workshop.listening.session import Session, Step, checked, choices, share_wanted
+from tonewood.workshop.listening.shown import kind_of_texts, shown
+from tonewood.workshop.listening.simulated_power import (
+    TooManyListenersError,
+    answers_for_share,
+    fewest,
+    screened_found,
+    stated_spread,
+)
+from tonewood.workshop.listening.staircase import StaircaseTrack
+from tonewood.workshop.listening.table import AnswerTable, _cell, _listener_names
+from tonewood.workshop.listening.thresholds import ListenerThreshold, ThresholdGrid, Thresholds, quantile, track_of
+
+LEVITT = StaircasePage.model_validate(fakes.STAIRS)
+LINEAR = StaircasePage.model_validate(
+    {"type": "staircase", "path": "body.t60", "scale": "add", "start": 4.0, "lowest": 0.0, "highest": 10.0,
+     "steps": [2.0, 1.0], "reversals": 4, "discard": 1, "longest": 30, "down": 2, "intervals": 2}
+)  # fmt: skip
+
+
+def row(listener: str, value: float | None, **other: Any) -> dict[str, Any]:
+    return {"listener": listener, "value": value, "role": "sound", "trial": "1", "repetition": 1, **other}
+
+
+# -- means, cells and models ------------------------------------------------------------------------------------------
+
+
+def test_quartiles_are_of_answers_and_means_of_listeners() -> None:
+    rows = [row("a", v, f="x", g=1) for v in (10, 20, 30)] + [row("b", 60, f="x", g=1), row("c", None, f="x", g=1)]
+    rows += [row("a", 5, f="y", g=1)]
+    x, y = cell_means(rows, ("g", "f"), 0.9)
+    assert (x.label, x.listeners, x.answers, x.mean) == ("g=1, f=x", 2, 4, 40.0)
+    assert (x.lower_quartile, x.median, x.upper_quartile) == (17.5, 25.0, 37.5)
+    half = stats.t.ppf(0.95, 1) * math.sqrt(800) / math.sqrt(2)
+    assert (x.low, x.high) == pytest.approx((40 - half, 40 + half))
+    assert (y.mean, y.low, y.high) == (5.0, None, None)
+    assert student_interval([3.0], 0.95) == (3.0, None, None)
+
+
+@pytest.mark.parametrize(
+    ("role", "value", "bad", "trials", "reason"),
+    [
+        ("reference", 89.9, 4, 20, "hidden reference below 90 in 4 of 20 trials"),
+        ("reference", 89.9, 3, 20, ""),  # 15 % is not more
+        ("reference", 90.0, 9, 20, ""),
+        ("anchor70", 90.1, 4, 20, "mid anchor above 90 in 4 of 20 trials"),
+        ("anchor70", 90.1, 3, 20, ""),
+        ("anchor70", 90.0, 9, 20, ""),
+        ("anchor35", 100.0, 9, 20, ""),
+    ],
+)
+def test_listeners_are_screened_at_15_percent(role: str, value: float, bad: int, trials: int, reason: str) -> None:
+    usual = {"reference": 100.0, "anchor70": 40.0, "anchor35": 20.0}[role]
+    rows = [
+        row(who, value if who == "x" and k < bad else usual, role=role, trial=str(k), repetition=rep)
+        for who in "xabcd" for k in range(trials // 2) for rep in (1, 2)
+    ]  # fmt: skip
+    changed = [r for r in rows if r["listener"] == "x"]
+    for k, r in enumerate(changed):
+        r["value"] = value if k < bad else usual
+    assert [(one.listener, one.reason) for one in screen(rows)] == ([("x", reason)] if reason else [])
+
+
+@pytest.mark.parametrize(("easy", "counts"), [(1, True), (2, False)])
+def test_a_trial_that_more_than_a_quarter_take_for_good_does_not_count(easy: int, counts: bool) -> None:
+    rows = [row(f"{k}", 95 if k < easy else 50, role="anchor70") for k in range(4)]
+    assert bool(screen(rows)) is counts
+
+
+def test_cells_are_of_levels_that_several_listeners_rated() -> None:
+    rows = [row(who, v, a=a, b="k") for who, a, v in
+            (("1", "x", 1), ("2", "x", 3), ("3", "x", 5), ("1", "y", 2), ("2", "y", 8), ("3", "z", 9))]  # fmt: skip
+    left, single = shared(rows, ["a"])
+    assert (single, len(left)) == (("a=z",), 5)
+    data = cells_of(rows, ["a", "b"], {"a": ["y", "x", "z"], "b": ["k"]}, [])
+    assert data is not None
+    assert (data.cells, data.used, data.sampled, data.complete) == ([("y",), ("x",)], ["a"], (), False)
+    assert data.single == ("a=z",)
+    np.testing.assert_allclose(data.means[:, 0], [[2, 1], [8, 3], [np.nan, 5]])
+    # within cells: (1, 3, 5) and (2, 8): squares 8 + 18 over 5 answers less 2 cells
+    assert data.cell_sd() == pytest.approx(math.sqrt(26 / 3))
+    assert cells_of(rows, ["b"], {"b": ["k"]}, []) is None
+    assert cells_of([r for r in rows if r["listener"] != "3"], ["a"], {"a": ["y", "x"]}, []) is None
+    sampled = cells_of([r | {"b": r["listener"]} for r in rows[:5]], ["a", "b"], {"a": ["x", "y"]}, ["b"])
+    assert sampled is not None
+    assert (sampled.sampled, sampled.means.shape) == (("b",), (3, 3, 2))
+
+
+def test_bradley_terry_of_one_listener_has_the_error_of_a_logit() -> None:
+    """Of n choices and one tie: value logit(p) / 2 each way, error of logit(p) 1 / sqrt((n + 1) p q)."""
+    rows = [row("a", float(i < 14), f="x|y") for i in range(19)]
+    p = 14.5 / 20
+    x, y = bradley_terry(rows, "f", 0.9)
+    logit = math.log(p / (1 - p))
+    half = stats.norm.ppf(0.95) / math.sqrt(20 * p * (1 - p)) / 2
+    assert (x.level, y.level) == ("x", "y")
+    assert (x.value, y.value) == pytest.approx((-logit / 2, logit / 2), rel=1e-5)
+    assert (y.low, y.high) == pytest.approx((logit / 2 - half, logit / 2 + half), rel=1e-4)
+    turned = bradley_terry([r | {"f": "y|x", "value": 1 - r["value"]} for r in rows], "f", 0.9)
+    assert {s.level: s.value for s in turned} == pytest.approx({"x": x.value, "y": y.value}, rel=1e-9)
+
+
+def test_ranks_of_pairs_are_those_by_hand() -> None:
+    """Changes 1, -2, 3, 4 of one listener each: ranks 1 + 3 + 4 - 2 of 10; above in 3 of 4."""
+    rows = [row(str(i), 50.0, f="a") for i in range(4)]
+    rows += [row(str(i), 50.0 + d, f="b") for i, d in enumerate((1, -2, 3, 4))]
+    found = rank_analysis(rows, ("f",))
+    (pair,) = found.pairs
+    assert (pair.first, pair.second, pair.listeners, pair.r) == ("a", "b", 4, 0.6)
+    assert pair.p_value == pair.p_holm == pytest.approx(stats.wilcoxon([1, -2, 3, 4]).pvalue)
+    (one,) = found.superiority
+    assert (one.share, one.listeners) == (0.75, 4)
+    t = stats.ttest_1samp([1, 0, 1, 1], 0.5)
+    assert one.p_value == pytest.approx(t.pvalue)
+    interval = t.confidence_interval(0.95)
+    assert (one.low, one.high) == pytest.approx((max(interval.low, 0), min(interval.high, 1)))
+    assert found.tests == ()  # Friedman's test is of three levels and more
+    assert rank_analysis(rows[:2] + rows[4:6], ("f",)).pairs == ()
+    equal = rank_analysis([r | {"value": 1.0} for r in rows], ("f",)).pairs[0]
+    assert (equal.p_value, equal.r) == (1.0, 0.0)
+
+
+def test_friedman_and_kendall_of_three_levels() -> None:
+    """Ranks 1 2 3 of all five listeners: chi^2 = n (k - 1) = 10, W = 1; then one listener turned round."""
+    rows = [row(str(i), float(10 * i + j), f=f) for i in range(5) for j, f in enumerate("abc")]
+    (test,) = rank_analysis(rows, ("f",)).tests
+    assert (test.statistic, test.df, test.effect) == pytest.approx((10.0, 2, 1.0))
+    turned = [r | {"value": -r["value"]} if r["listener"] == "0" else r for r in rows]
+    (test,) = rank_analysis(turned, ("f",)).tests
+    sums = np.array([4 * 1 + 3, 5 * 2, 4 * 3 + 1])
+    assert test.statistic == pytest.approx(12 / (5 * 3 * 4) * np.sum(sums**2) - 3 * 5 * 4)
+    assert test.effect == pytest.approx(test.statistic / 10)
+
+
+def test_shares_are_tested_against_a_half() -> None:
+    y = np.array([[0.2, 0.4, 0.9, 0.6], [0.7, 0.7, 0.7, 0.7], [0.5, 0.5, 0.5, 0.5]])
+    found = share_test(y)
+    assert found == pytest.approx([stats.ttest_1samp(y[0], 0.5).pvalue, 2 * 0.5**4, 1.0])
+    mean, low, high, p = share_interval(np.full(4, 0.7), 0.95)
+    unseen = 1 - 0.025 ** (1 / 4)
+    assert (mean, low, high, p) == pytest.approx((0.7, 0.7 * (1 - unseen), 0.7 + 0.3 * unseen, 0.125))
+    assert share_interval(np.array([0.0, 1.0, 1.0]), 0.95)[1:3] == (0.0, 1.0)
+
+
+def test_answers_at_the_ends_and_sizes_of_effects(rng: np.random.Generator) -> None:
+    y = np.round(np.clip(rng.normal(60, 20, (6, 2, 3)), 0, 100))
+    y[0, 0, 0], y[1, 1, 1] = 0.0, 100.0
+    rows = [row(str(i), y[i, j, k], f="ab"[j]) for i in range(6) for j in range(2) for k in range(3)]
+    found = linear_analysis(rows, ["f"], 0.95, {"f": ["b", "a"]}, ends=(0.0, 100.0))
+    assert found is not None
+    assert found.at_ends == pytest.approx(np.mean((y == 0) | (y == 100)))
+    (term,) = found.terms
+    assert (term.name, term.effect) == ("f=a", ("f",))
+    assert term.difference == pytest.approx(y[:, 0].mean() - y[:, 1].mean())
+    sd = math.sqrt(np.sum((y - y.mean(axis=(0, 2), keepdims=True)) ** 2) / (36 - 2))
+    assert term.cohens_d == pytest.approx(term.difference / sd)
+    assert (found.answers, found.listeners, found.formula, found.exact) == (36, 6, "value ~ f", True)
+    assert linear_analysis(rows, ["f"], 0.95, {"f": ["a", "b"]}).at_ends is None  # type: ignore[union-attr]
+
+
+# -- detection --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("page", "task"),
+    [
+        ({"type": "ab", "pairs": {"f": "all"}}, "same"),
+        ({"type": "abx", "pairs": {"f": "all"}}, "abx"),
+        ({"type": "afc", "pairs": {"f": "all"}}, "odd_3"),
+        ({"type": "afc", "pairs": {"f": "all"}, "intervals": 2}, "abx"),
+        ({"type": "afc", "pairs": {"f": "all"}, "intervals": 2, "question": "?"}, "more_2"),
+        ({"type": "afc", "pairs": {"f": "all"}, "question": "?"}, "more_3"),
+        ({"type": "paired_comparison", "pairs": {"f": "all"}, "question": "?"}, None),
+    ],
+)
+def test_tasks_of_pages(page: dict[str, Any], task: str | None) -> None:
+    from tonewood.workshop.batch.pages import AbPage, AbxPage, AfcPage
+
+    kinds: dict[str, Any] = {"ab": AbPage, "abx": AbxPage, "afc": AfcPage, "paired_comparison": PairedPage}
+    assert task_of(kinds[page["type"]].model_validate(page)) == task
+
+
+def test_shares_of_a_listener_have_exact_intervals() -> None:
+    """Clopper and Pearson by the beta distribution; d' of two intervals is sqrt(2) Phi^-1(p)."""
+    rows = [row("a", float(i < 15), right=i < 15) for i in range(20)] + [row("a", None, right=None)]
+    (one,) = detections([r | {"f": "x|y"} for r in rows], ("f",), "more_2", 0.9)
+    assert (one.cell, one.listeners, one.right, one.answers, one.undecided) == ({"f": "x|y"}, 1, 15, 20, 1)
+    bounds = stats.beta.ppf(0.05, 15, 6), stats.beta.ppf(0.95, 16, 5)
+    assert (one.share, one.low, one.high) == pytest.approx((0.75, *bounds))
+    assert one.p_value == pytest.approx(stats.binom.sf(14, 20, 0.5))
+    expected = [math.sqrt(2) * stats.norm.ppf(p) for p in (0.75, *bounds)]
+    assert (one.d_prime, one.d_low, one.d_high) == pytest.approx(expected, rel=1e-6)
+    assert (one.listener_mean, one.listener_low) == (0.75, None)
+    (nobody,) = detections([row("a", None, f="x")], ("f",), "abx", 0.95)
+    assert (nobody.share, nobody.p_value, nobody.undecided) == (None, None, 1)
+    both = adjusted([one, nobody, replace(one, p_value=0.03)])
+    p = one.p_value or 0.0
+    assert p < 0.03 < 2 * p
+    assert [d.p_holm for d in both] == [2 * p, None, 2 * p]
+
+
+@pytest.mark.parametrize("task", ["more_2", "more_3", "odd_3", "abx", "same"])
+def test_sensitivity_is_the_inverse_of_the_share(task: Any) -> None:
+    for d in (0.3, 1.0, 2.5):
+        assert sensitivity(share_right(d, task), task) == pytest.approx(d, rel=1e-6)
+    assert sensitivity(0.1, task) == 0.0
+
+
+def test_the_share_of_an_unbiased_listener_says_same_or_different() -> None:
+    """At the best criterion of a grid of them."""
+    k = np.linspace(0, 6, 4001)
+    d = 1.8
+    hit = stats.norm.cdf((d - k) / math.sqrt(2)) + stats.norm.cdf((-d - k) / math.sqrt(2))
+    assert share_right(d, "same") == pytest.approx(
+        np.max((hit + 1 - 2 * stats.norm.cdf(-k / math.sqrt(2))) / 2), abs=1e-6
+    )
+
+
+def test_the_population_of_many_like_listeners_has_their_sensitivity() -> None:
+    shares = np.array([share_right(float(d), "more_2") for d in D])
+    right = round(400 * share_right(1.5, "more_2"))
+    value, low, high = pooled(np.full(12, right), np.full(12, 400), shares, 0.95)
+    assert value == pytest.approx(1.5, abs=0.06)
+    assert low < 1.5 < high  # type: ignore[operator]
+    wide = pooled(np.full(12, right), np.full(12, 400), shares, 0.999)
+    assert wide[1] <= low
+    assert pooled(np.full(3, 9), np.full(3, 9), shares, 0.95)[2] is None  # always right: no upper bound
+
+
+# -- grades, psychometric functions, staircases -----------------------------------------------------------------------
+
+
+def test_twenty_grades_are_kept_and_more_are_grouped() -> None:
+    values = np.arange(20.0)
+    assert grades(values, None).tolist() == list(range(20))
+    more = grades(np.arange(200.0), None)
+    assert more.max() == 17
+    assert (np.bincount(more) >= 10).all()
+    ends = grades(np.r_[np.zeros(3), np.arange(1.0, 200.0), np.full(2, 200.0)], (0.0, 200.0))
+    assert (np.bincount(ends)[[0, -1]] == [3, 2]).all()
+    assert ends.max() == 19
+
+
+def test_odds_of_two_cells_of_two_grades_are_the_ratio_of_counts() -> None:
+    """Half an answer, distributed as all are, is added to each cell."""
+    counts = np.array([[30.0, 10.0], [16.0, 24.0]])
+    beta, alpha, done = fit_counts(counts, np.array([[0.0], [1.0]]))
+    share = counts.sum(axis=0) / counts.sum()
+    a, b = counts + 0.5 * share
+    assert done
+    assert beta[0] == pytest.approx(math.log(b[1] / b[0]) - math.log(a[1] / a[0]), rel=1e-6)
+    assert alpha[0] == pytest.approx(math.log(a[0] / a[1]), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("u", "p"), [(0.0, 0.75), (1e9, 0.96), (-1e9, 0.5), (0.5, None)]
+)  # at the threshold the share; far above 1 - lapses, far below the guesses
+def test_a_psychometric_function_at_its_threshold_and_its_ends(u: float, p: float | None) -> None:
+    found = psychometric(u, 0.0, 2.0, 0.5, 0.75, 0.04)
+    q = (0.75 - 0.5) / (1 - 0.5 - 0.04)
+    by_hand = 0.5 + 0.46 / (1 + math.exp(-min(max(2.0 * u, -700), 700) - math.log(q / (1 - q))))
+    assert found == pytest.approx(by_hand if p is None else p, rel=1e-9)
+
+
+def test_a_staircase_goes_step_by_step() -> None:
+    """Two right answers lower the level by 2, and by 1 after two reversals; a wrong one raises it."""
+    track = StaircaseTrack(LINEAR)
+    answers = (1, 1, 1, 0, 1, 1, 0, 0, 1, 1)
+    seen = []
+    for right in answers:
+        assert not track.done
+        ahead = track.step_after(bool(right))
+        seen.append(track.level)
+        track.answer(bool(right))
+        assert track.level == ahead
+    # right at 4 4, wrong at the second 2, right at 4 4, now by steps of 1, wrong at 3 and 4, right at 5 5
+    assert seen == [4, 4, 2, 2, 4, 4, 3, 4, 5, 5]
+    assert track.reversal_levels == [2, 4, 3, 5]
+    assert (track.done, track.converged) == (True, True)
+    assert track.threshold == pytest.approx((4 + 3 + 5) / 3)
+    assert (track.levels, track.right) == (seen, [bool(x) for x in answers])
+    long = StaircaseTrack(LINEAR.model_copy(update={"longest": 5}))
+    for _ in range(5):
+        long.answer(True)
+    assert (long.done, long.converged, long.threshold) == (True, False, None)
+    ratio = StaircaseTrack(LEVITT)
+    ratio.answer(False)
+    assert ratio.level == 10.0  # not above the highest
+    assert LEVITT.mean([1.0, 4.0]) == pytest.approx(2.0)
+
+
+def test_tracks_are_of_the_page_s_method() -> None:
+    quest = StaircasePage.model_validate(
+        {"type": "staircase", "path": "a.b", "start": 40.0, "ratio": True, "lowest": 0.5, "highest": 80.0, "trials": 10}
+    )
+    assert isinstance(track_of(LEVITT), StaircaseTrack)
+    track = track_of(quest)
+    assert isinstance(track, QuestTrack)
+    u, table = table_of(quest)
+    np.testing.assert_allclose(u, np.linspace(math.log(0.5), math.log(80), LEVELS))
+    assert abs(math.log(track.level / 40.0)) <= (u[1] - u[0]) / 2
+    for k in range(10):
+        assert track.done is (k >= 10)
+        track.answer(True)
+    assert (track.done, track.converged, track.threshold, len(track.levels)) == (True, True, None, 10)
+    assert track.levels[-1] < track.levels[0]
+    assert table.right.shape == (41, 61 * 7 * 3)
+
+
+def test_expected_entropies_are_those_by_hand() -> None:
+    right, prior = np.array([[0.6, 0.9], [0.8, 0.8]]), np.array([1.0, 3.0])
+    table = QuestTable(right, prior)
+
+    def entropy(p: Any) -> float:
+        return float(-np.sum(p * np.log(p)))
+
+    expected = []
+    for level in right:
+        yes = float(level @ table.prior)
+        up, down = table.prior * level / yes, table.prior * (1 - level) / (1 - yes)
+        expected.append(yes * entropy(up) + (1 - yes) * entropy(down))
+    np.testing.assert_allclose(table.entropies(table.prior), expected)
+    assert table.best(table.prior) == 0
+    np.testing.assert_allclose(table.updated(table.prior, 0, False), [0.25 * 0.4 / 0.175, 0.75 * 0.1 / 0.175])
+
+
+def test_quantiles_of_a_density_lie_in_the_middle_of_its_points() -> None:
+    x = np.array([0.0, 1.0, 2.0, 3.0])
+    assert quantile(x, np.array([1.0, 1.0, 1.0, 1.0]), 0.5) == pytest.approx(1.5)
+    assert quantile(x, np.array([0.0, 2.0, 2.0, 0.0]), 0.25) == pytest.approx(1.0)
+    assert quantile(x, np.array([1.0, 1.0, 1.0, 1.0]), 0.0) == 0.0
+
+
+def test_a_bound_beyond_the_levels_is_none() -> None:
+    grid = ThresholdGrid(LEVITT)
+    assert grid.bound(math.log(0.01)) == pytest.approx(0.01)
+    assert grid.bound(math.log(0.5)) == pytest.approx(0.5)
+    assert grid.bound(math.log(0.0099)) is None
+    assert grid.bound(math.log(10.1)) is None
+    assert (grid.u[0], grid.u[-1]) == pytest.approx((math.log(0.01) - grid.span / 4, math.log(10) + grid.span / 4))
+    assert grid.guess == pytest.approx(1 / 3)
+
+
+# -- power ------------------------------------------------------------------------------------------------------------
+
+
+def test_answers_for_a_share_are_those_of_the_binomial_test() -> None:
+    """From this number on, and not with one less, the power of the exact test stays above."""
+    n = answers_for_share(0.75, 0.5, 0.05, 0.8)
+
+    def reached(k: int) -> bool:
+        least = next(r for r in range(k + 2) if stats.binom.sf(r - 1, k, 0.5) <= 0.05)
+        return bool(stats.binom.sf(least - 1, k, 0.75) >= 0.8)
+
+    assert not reached(n - 1)
+    assert all(reached(k) for k in range(n, n + 30))
+    with pytest.raises(ListeningError, match="not above guessing"):
+        answers_for_share(0.5, 0.5, 0.05, 0.8)
+
+
+@pytest.mark.parametrize("needed", [3, 4, 5, 17, 10_000])
+def test_the_fewest_listeners_are_searched_for(needed: int) -> None:
+    assert fewest(lambda n: 0.9 if n >= needed else 0.1, 0.9, "") == needed
+    with pytest.raises(TooManyListenersError, match="more than 10000 listeners would be needed for it"):
+        fewest(lambda n: 0.0, 0.5, "it")
+
+
+def test_stated_spreads_are_halves_of_variances() -> None:
+    listeners, sounds = stated_spread(12.0, 5.0, 6, 3)
+    np.testing.assert_allclose(listeners, 36.0 * np.eye(3))
+    np.testing.assert_allclose(sounds.sounds, 12.5 * np.eye(3))
+    np.testing.assert_allclose(sounds.pairs, 6 * 36.0 * np.eye(3))
+    assert sounds.count == 6
+
+
+def test_an_effect_must_be_seen_with_and_without_those_left_out(rng: np.random.Generator) -> None:
+    y = np.zeros((4, 8, 2)) + rng.normal(0, 0.1, (4, 8, 2))
+    y[..., 1] += 5.0  # all differ
+    y[1, :4, 1] -= 30.0  # half of them the other way
+    kept = np.ones((4, 8), dtype=bool)
+    kept[1, :4] = False
+    kept[2, 2:] = False  # two are too few
+    kept[3, 3:] = False
+    assert screened_found(y, kept, 0.05)[:, 0].tolist() == [True, False, False, True]
+
+
+def manifest(**choices: list[str]) -> Any:
+    return SimpleNamespace(choices=lambda: choices, conditions=None, random=[], repeats=1)
+
+
+def test_numbers_of_trials_levels_and_sounds() -> None:
+    page = MushraPage.model_validate({"type": "mushra", "group_by": ["note"], "reference": {"damping": "a"}})
+    whole = manifest(note=["x", "y", "z"], damping=["a", "b"], body=["k", "l"])
+    assert _levels(whole, page) == 2
+    assert _levels(manifest(body=["k", "l", "m"], damping=["a"]), page) == 3
+    assert _levels(manifest(note=["x", "y"]), page) == 2  # nothing varies
+    assert _trials(whole, page, 2, 1) == (3, 2)
+    whole.repeats = 4
+    assert _trials(whole, page, 2, 3) == (4, 2)
+    assert _trials(whole, page.model_copy(update={"subset": 6}), 2, 1) == (6, 2)
+    whole.random = ["body"]
+    assert _trials(whole, page, 2, 2) == (6, 1)
+    assert (_sounds(whole), _sounds(manifest())) == (2, 1)
+    rows = [{"note": n, "damping": d, "body": "k"} for n in "xy" for d in "ab"]
+    listed = SimpleNamespace(choices=whole.choices, conditions=rows, random=["note"], repeats=1)
+    assert (_sounds(listed), _trials(listed, page, 2, 1)) == (2, (2, 1))
+
+
+def test_means_of_a_pilot_are_of_listeners_who_have_all() -> None:
+    rows = [row(who, 10 * i + j + 100 * k, d=d, n=n)
+            for i, who in enumerate("pqrs") for j, d in enumerate("ab") for k, n in enumerate("xy")]  # fmt: skip
+    rows = [r for r in rows if not (r["listener"] == "s" and r["n"] == "y")]
+    rows += [row("p", None, d="a", n="x"), row("p", 999, d="a", n="x") | {"role": "anchor70"}]
+    own = SimpleNamespace(factors=("n", "d"), rows=rows)
+    means, who = _pilot_means(own, {"d": "b"}, ["n"])  # type: ignore[arg-type, misc]
+    assert who == ["p", "q", "r"]
+    assert means.tolist() == [[[10 * i + 1, 10 * i], [10 * i + 101, 10 * i + 100]] for i in range(3)]
+    assert _pilot_means(SimpleNamespace(factors=("n",), rows=rows), {}, ["n"]) is None  # type: ignore[arg-type]
+    few = SimpleNamespace(factors=("n", "d"), rows=[r for r in rows if r["listener"] != "r"])
+    assert _pilot_means(few, {}, ["n"]) is None  # type: ignore[arg-type]
+    covariance, spread = _pilot_spread(means[:, :1], 1)
+    assert spread is None
+    np.testing.assert_allclose(covariance, np.full((2, 2), 100.0))
+
+
+def test_power_of_a_page_is_stated_with_its_defaults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tonewood.workshop.listening.simulated_power.EXPERIMENTS", 100)
+    pages = [
+        {"type": "abx", "pairs": {"damping": ["complex", "block"]}, "times": 2},
+        {"type": "paired_comparison", "pairs": {"damping": ["complex", "block"]}, "question": "?", "expect": 0.8},
+        {"type": "instructions"},
+    ]
+    test = fakes.made(tmp_path, pages)
+    abx, choice = power_of(test.manifest, {0: 6, 1: 3})
+    answers = answers_for_share(0.7, 0.5, 0.05, 0.8)
+    assert (abx.page, abx.name, abx.listeners, abx.stated) == (1, "abx", math.ceil(answers / 6), False)
+    d = sensitivity(0.7, "abx")
+    assert abx.effect == f"70 % right, d' = {d:.2f}: {answers} answers, 6 a listener, over all cells"
+    assert str(abx).endswith("over all cells (not stated by the page)")
+    assert choice.stated
+    assert choice.effect.startswith("80 % chosen: ")
+    assert f": {3 * (choice.listeners or 0)} answers, 3 a listener" in choice.effect
+
+
+# -- simulated listeners ----------------------------------------------------------------------------------------------
+
+
+def simulated(**changes: Any) -> Any:
+    """A listener without any spread of sounds r (the reference), s, an anchor."""
+    given = {"schema": "tonewood-panel/1", "listener_sd": 0.0, "residual_sd": 0.0, **changes}
+    levels = {"r": {"d": "a", "p": "x"}, "s": {"d": "b", "p": "y"}, "k": {"d": "a", "p": "x"}}
+    sounds = {c: SimpleNamespace(levels=v, role="anchor35" if c == "k" else "sound") for c, v in levels.items()}
+    trials = [SimpleNamespace(id="t", reference="r", stimuli=("s",))]
+    test = SimpleNamespace(trials=trials)
+    panel = SimulatedPanel.model_validate(given)
+    return _Listener(panel, SimpleNamespace(stimuli=sounds), test, np.random.default_rng(1))  # type: ignore[arg-type]
+
+
+def test_simulated_ratings_without_spread_are_the_effects() -> None:
+    one = simulated(ratings={"d": {"b": -20.0}, "p": {"y": -5.0, "x": 2.0}}, interactions={"d=b, p=y": -3.0})
+    slots = {"reference": "r", "A": "s", "B": "r", "C": "k"}
+    assert one._mushra(slots) == {"A": 100.0 - 20 - 5 - 2 - 3, "B": 100.0, "C": 25.0}
+    assert one._bs1116({"reference": "r", "A": "s", "B": "r"}) == {"A": 5 - 30 / 25, "B": 5.0}
+    page = RatingPage.model_validate(
+        {"type": "rating", "scales": [{"name": "q", "label": "Q", "low": 0.0, "high": 60.0}]}
+    )
+    session = SimpleNamespace(step=Step(0, 0, "t", {"A": "s"}), page=page, page_index=0)
+    assert one.answer(session)["values"] == {"q": 30.0 - 28.0}
+    assert _rule("d=b, p = y") == {"d": "b", "p": "y"}
+
+
+def test_simulated_choices_follow_positions_and_thresholds() -> None:
+    sure = simulated(d_prime={"d": {"b": 40.0}}, preference={"d": {"b": 60.0}}, thresholds={})
+    step = Step(0, 0, "t", {"A": "r", "B": "s", "X": "s"}, "B")
+    pages = {p["type"]: p for p in fakes.ALL}
+    from tonewood.workshop.batch.pages import AbPage, AbxPage
+
+    abx = AbxPage.model_validate({**pages["abx"], "pairs": {"d": "all"}})
+    ab = AbPage.model_validate({**pages["ab"], "pairs": {"d": "all"}})
+    paired = PairedPage.model_validate({**pages["paired_comparison"], "pairs": {"d": "all"}})
+    for _ in range(20):
+        assert sure._judged(abx, step, ["A", "B", "undecided"]) == "B"
+        assert sure._judged(ab, replace(step, correct="different"), ["same", "different"]) == "different"
+        assert sure._judged(ab, replace(step, correct="same"), ["same", "different"]) == "same"
+        assert sure._judged(paired, step, ["A", "B"]) == "B"
+        assert sure._judged(paired, replace(step, slots={"A": "s", "B": "r"}), ["A", "B"]) == "A"
+    wanted = PanelThreshold(mean=0.5, sd=1.2, slope=4.0, lapses=0.0)
+    one = simulated(thresholds={"1": wanted.model_dump()})
+    one.deviation = 2.0
+    assert one._detects(LEVITT, 0, 0.5 * 1.2**2) == pytest.approx(LEVITT.share)
+    assert one._detects(LEVITT, 1, 0.5) == pytest.approx(1 / 3)
+    assert one._detects(LEVITT, 0, None) == pytest.approx(1 / 3)
+
+
+def test_simulated_replies_to_questions() -> None:
+    assert _reply(SimpleNamespace(kind="choice", choices={"b": 1, "a": 2})) == "b"
+    for kind, reply in (("text", "simulated"), ("number", 0.0), ("scale", 3.5)):
+        assert _reply(SimpleNamespace(kind=kind, low=2.0, high=5.0)) == reply
+
+
+def test_responses_to_levels_are_a_listener_s_own() -> None:
+    one = simulated(slope_sd=4.0)
+    many = [_Listener(one.panel, one.key, one.test, np.random.default_rng(k))._response("s") for k in range(800)]
+    assert one._response("s") == one._response("s")
+    assert np.std(many) == pytest.approx(4.0 * math.sqrt(2), rel=0.1)  # of two levels
+    assert simulated()._response("s") == 0.0
+
+
+# -- the course of a test ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def every(tmp_path_factory: pytest.TempPathFactory) -> ListeningTest:
+    return fakes.made(tmp_path_factory.mktemp("every"), fakes.ALL)
+
+
+def stepped(test: ListeningTest) -> dict[tuple[str, bool], dict[str, Any]]:
+    """The first view of each type of page, of training apart."""
+    session, views = Session(test, 3), dict[tuple[str, bool], dict[str, Any]]()
+    while session.step is not None:
+        view = shown(test, session, "en")
+        assert view["index"] == session.step.index
+        assert view["progress"] == pytest.approx(session.step.index / session.total)
+        views.setdefault((view["type"], view["training"]), view)
+        session.pass_over()
+    views["done", False] = shown(test, session, "en")
+    return views
+
+
+def test_views_are_those_of_the_pages(every: ListeningTest) -> None:
+    views = stepped(every)
+    assert views["done", False] == {"type": "done", "index": 0, "progress": 1.0}
+    trained = views["abx", True]
+    assert trained["training"]
+    abx = views["abx", False]
+    assert [c["value"] for c in abx["choices"]] == ["A", "B", "undecided"]
+    assert (abx["slots"], abx["open"], abx["sequence"], abx["listen"]) == (["A", "B", "X"], None, False, 0.5)
+    assert (abx["loop"], abx["restart"], abx["plays"], abx["waveform"], abx["last"]) == (
+        "whole",
+        False,
+        None,
+        False,
+        False,
+    )
+    mushra = views["mushra", False]
+    assert (mushra["open"], mushra["slots"][0], len(mushra["slots"])) == ("reference", "reference", 1 + 5)
+    assert mushra["choices"] == []
+    afc = views["afc", False]
+    assert (afc["slots"], afc["sequence"], afc["question"]) == (["1", "2", "3"], True, "")
+    assert [c["value"] for c in afc["choices"]] == ["1", "2", "3"]
+    paired = views["paired_comparison", False]
+    assert (paired["question"], [c["value"] for c in paired["choices"]]) == ("Which is brighter?", ["A", "B", "tie"])
+    level = views["level", False]
+    assert level["measured"] is True
+    assert len(level["notes"]) == 3
+    assert "1000" in level["notes"][0]
+    assert "65" in level["notes"][1]
+    assert (views["rating", False]["scales"], views["instructions", False]["title"]) == (
+        [{"name": "bright", "label": "Brightness", "low": 0.0, "high": 100.0, "low_label": "", "high_label": ""}],
+        "Hello",
+    )
+    questions = views["questionnaire", False]["questions"]
+    assert [(q["name"], q["kind"], q["optional"]) for q in questions] == [
+        ("age", "number", True), ("plays", "choice", False)
+    ]  # fmt: skip
+    assert questions[1]["choices"] == [{"value": "much", "label": "much"}, {"value": "little", "label": "little"}]
+    assert views["consent", False]["agree"] == every.texts("en")["consent_agree"]
+    assert views["finish", False]["last"] is True
+    assert kind_of_texts(LEVITT) == "afc_3"
+    assert kind_of_texts(LINEAR) == "afc_2"
+    assert kind_of_texts(LINEAR.model_copy(update={"question": "?"})) == "afc_question"
+
+
+def given(test: ListeningTest, kind: str, answer: dict[str, Any]) -> dict[str, Any]:
+    """The record of an answer to the first page of a type."""
+    session = Session(test, 3)
+    while session.step is not None and (session.page is None or session.page.type != kind or session.step.training):
+        session.pass_over()
+    assert session.page is not None
+    assert session.step is not None
+    return checked(session.page, session.step, answer)
+
+
+MUSHRA = dict.fromkeys("ABCDE", 50.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "answer", "kept"),
+    [
+        ("abx", {"choice": "A", "extra": 1}, {"choice": "A"}),
+        ("abx", {"choice": "X"}, None),
+        ("abx", {"choice": "A", "comment": "c" * 2000}, {"choice": "A", "comment": "c" * 2000}),
+        ("abx", {"choice": "A", "comment": "c" * 2001}, None),
+        ("abx", {"choice": "A", "seconds": -0.1}, None),
+        ("abx", {"choice": "A", "seconds": 3.2e8}, {"choice": "A"}),
+        ("abx", {"choice": "A", "seconds": 3.3e8}, None),
+        ("abx", {"choice": "A", "plays": {"A": -1}}, None),
+        ("abx", {"choice": "A", "plays": {"A": 1e6, "Z": 1}}, {"choice": "A"}),
+        ("abx", {"choice": "A", "plays": {"A": 1e6 + 1}}, None),
+        ("abx", {"choice": "A", "heard": {"A": 0.5, "B": 0.5, "X": 1.0}}, {"heard": {"A": 0.5, "B": 0.5, "X": 1.0}}),
+        ("abx", {"choice": "A", "heard": {"A": 0.49, "B": 0.5, "X": 1.0}}, None),
+        ("abx", {"choice": "A", "heard": {"A": 0.5, "B": 0.5, "X": 1.01}}, None),
+        ("mushra", {"ratings": MUSHRA | {"A": 0.0, "B": 100.0}}, {"ratings": MUSHRA | {"A": 0.0, "B": 100.0}}),
+        ("mushra", {"ratings": MUSHRA | {"A": -0.1}}, None),
+        ("mushra", {"ratings": MUSHRA | {"A": 100.1}}, None),
+        ("mushra", {"ratings": {"A": 1.0}}, None),
+        ("mushra", {"ratings": MUSHRA | {"A": True}}, None),
+        ("mushra", {"ratings": MUSHRA | {"A": 10**400}}, None),
+        ("bs1116", {"ratings": {"A": 1.0, "B": 5.0}}, {"ratings": {"A": 1.0, "B": 5.0}}),
+        ("bs1116", {"ratings": {"A": 0.9, "B": 5.0}}, None),
+        ("bs1116", {"ratings": {"A": 4.9, "B": 4.9}}, None),
+        ("rating", {"values": {"bright": 100}}, {"values": {"bright": 100.0}}),
+        ("rating", {"values": {}}, None),
+        ("questionnaire", {"values": {"plays": "much"}}, {"values": {"plays": "much"}}),
+        ("questionnaire", {"values": {"plays": "much", "age": ""}}, {"values": {"plays": "much"}}),
+        ("questionnaire", {"values": {"plays": "never", "age": 3}}, None),
+        ("questionnaire", {"values": {"age": 3}}, None),
+        ("consent", {"agreed": True}, {"agreed": True}),
+        ("consent", {"agreed": 1}, None),
+        ("level", {"spl_db": 130}, {"spl_db": 130.0}),
+        ("level", {"spl_db": 130.1}, None),
+        ("ab", {"choice": "same"}, {"choice": "same"}),
+        ("ab", {"choice": "A"}, None),
+    ],
+)
+def test_answers_within_their_limits_are_taken(
+    every: ListeningTest, kind: str, answer: dict[str, Any], kept: dict[str, Any] | None
+) -> None:
+    if kept is None:
+        with pytest.raises(ListeningError):
+            given(every, kind, answer)
+        return
+    found = given(every, kind, answer)
+    assert {key: found[key] for key in kept} == kept
+    assert set(found) <= {"seconds", "plays", *answer}
+    assert found["seconds"] == answer.get("seconds", 0.0)
+    assert "Z" not in found["plays"]
+
+
+def test_the_level_tone_is_a_whole_number_of_periods(tmp_path: Path) -> None:
+    import io
+
+    import soundfile
+
+    page = LevelPage.model_validate({"type": "level", "freq": 997.3})
+    loudness = SimpleNamespace(target_lufs=-23.0)
+    settings = SimpleNamespace(fs=8000, channels=2, loudness=loudness)
+    test = SimpleNamespace(manifest=SimpleNamespace(stimuli=settings))
+    sound, fs = soundfile.read(io.BytesIO(tone(test, page)))  # type: ignore[arg-type]
+    level = 10 ** ((-23.0 + 3.01 - 10 * math.log10(2)) / 20)
+    expected = level * np.sin(2 * np.pi * 1995 / 16000 * np.arange(16000))
+    assert (fs, sound.shape) == (8000, (16000, 2))
+    np.testing.assert_allclose(sound, np.stack([expected, expected], axis=1), atol=2**-21)
+
+
+def test_ramps_are_raised_cosines() -> None:
+    found = ramped(np.ones((100, 2)), 1000, 0.01)
+    rise = np.sin(np.pi / 2 * (np.arange(10) + 0.5) / 10) ** 2
+    np.testing.assert_allclose(found[:, 1], np.r_[rise, np.ones(80), rise[::-1]])
+
+
+def test_words_are_of_the_nearest_language() -> None:
+    words = {"en": "colour", "de": "Farbe"}
+    assert [in_language(words, x) for x in ("de-CH", "en", "fr")] == ["Farbe", "colour", "colour"]
+    pages = SimpleNamespace(texts={"de": {"next": "Weiter!"}, "de-CH": {"next": "Wiiter"}}, title={"fr": "Essai"})
+    test = ListeningTest(Path(), Path(), pages, (), "")  # type: ignore[arg-type]
+    assert (test.texts("de")["next"], test.texts("de-CH")["next"]) == ("Weiter!", "Wiiter")
+    assert test.texts("de-AT")["next"] == "Weiter!"
+    assert test.title("de") == "Essai"
+    assert ServedTrial("t", 0, "r", ("a", "b")).codes == ("r", "a", "b")
+    assert ServedTrial("t", 0, None, ("a", "b")).codes == ("a", "b")
+
+
+def test_shares_that_must_be_heard() -> None:
+    pages = {p["type"]: p for p in fakes.ALL}
+    from tonewood.workshop.batch.pages import HeadphonesPage
+
+    assert share_wanted(LEVITT) == 0.5
+    assert share_wanted(HeadphonesPage.model_validate({"type": "headphones"})) == 0.5
+    assert share_wanted(LevelPage.model_validate(pages["level"])) == 0.0
+    assert choices(LINEAR, Step(0, 0, slots={"reference": "x", "1": "y", "2": "z"})) == ["1", "2"]
+    assert choices(LevelPage.model_validate(pages["level"]), Step(0, 0)) == []
+
+
+# -- results ----------------------------------------------------------------------------------------------------------
+
+
+def test_rows_are_in_the_manifest_s_order_and_levels_begin_with_the_reference() -> None:
+    table = AnswerTable(("d", "p"), {"d": ["a", "b", "c"], "p": ["x", "y"]}, ())
+    rows = [{"d": d, "p": p} for d, p in (("c", "x"), ("b|c", "y"), ("a", "y"), ("b", "x"), ("none", "x"))]
+    assert [r["d"] for r in _in_order(rows, table)] == ["none", "a", "b", "b|c", "c"]
+    page = SimpleNamespace(reference={"d": "b"})
+    assert levels_of(table, page) == {"d": ["b", "a", "c"], "p": ["x", "y"]}  # type: ignore[arg-type]
+    assert levels_of(table, SimpleNamespace(reference=None))["d"] == ["a", "b", "c"]  # type: ignore[arg-type]
+    used = [{"d": "a", "p": "x", "q": "k|l", "repeat": "1"}, {"d": "b", "p": "x", "q": "k|l", "repeat": "2"}]
+    assert _used(used, ("d", "p", "q", "repeat")) == ("d", "q")
+
+
+def test_grades_of_bs1116_are_less_the_hidden_reference() -> None:
+    rows = [row("a", 5.0, role="reference", index=3), row("a", 3.5, index=3), row("b", 4.0, role="reference", index=3),
+            row("b", 5.0, index=3)]  # fmt: skip
+    assert [r["value"] for r in _difference_grades(rows)] == [-1.5, 1.0]
+
+
+def test_shares_end_at_0_and_1() -> None:
+    (mean,) = cell_means([row("a", 1.0, f="x"), row("b", 0.0, f="x")], ("f",), 0.95)
+    assert (_share(mean).low, _share(mean).high) == (0.0, 1.0)
+    (alone,) = cell_means([row("a", 1.0, f="x")], ("f",), 0.95)
+    assert _share(alone).low is None
+
+
+@pytest.mark.parametrize(("value", "cell"), [(True, 1), (None, ""), (math.nan, ""), (0.0, 0.0), ("", ""), (2.5, 2.5)])
+def test_cells_of_the_table(value: Any, cell: Any) -> None:
+    assert _cell(value) == cell
+
+
+def test_names_that_are_given_twice_get_a_number() -> None:
+    answers = [SimpleNamespace(path=Path(str(i)), listener=name) for i, name in enumerate(("x", "x", "y", "x"))]
+    assert list(_listener_names(answers).values()) == ["x", "x #2", "y", "x #3"]  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(None, "\N{EN DASH}"), (0.001, "0.001"), (0.00099, "< 0.001"), (0.25, "0.250")]
+)
+def test_probabilities_in_words(value: float | None, text: str) -> None:
+    assert p_text(value) == text
+    if value is not None:
+        assert _p(value) == (text if text.startswith("<") else f"= {text}")
+
+
+def test_numbers_in_words() -> None:
+    assert [_number(x) for x in (-1.23456, 0.5)] == ["\N{MINUS SIGN}1.23", "0.5"]
+    assert [_scalar(x) for x in (2, True, {"scale": 0.5}, {"a": 1, "b": 2}, "x")] == [2.0, None, 0.5, None, None]
+    assert [_value(x) for x in (0.25, {"scale": 2.0}, {"fraction": 0.5})] == ["0.25", "2 times", "fraction 0.5"]
+    assert _as_level(LEVITT, {"scale": 2.0}, 1.0) is None
+
+
+def listener(name: str, threshold: float) -> ListenerThreshold:
+    return ListenerThreshold(name, 20, 1, None, threshold, 0.1, 5.0, threshold, 0.1, None, 3.0)
+
+
+def found(page: StaircasePage, mean: float, *bounds: float | None, count: int = 2) -> tuple[Any, PageResults]:
+    """Results of a staircase."""
+    people = tuple(listener(f"l{i}", mean) for i in range(count))
+    fit = Thresholds("%", 0.70711, people, mean, bounds[0], bounds[1], mean, 1.25, 3.0)
+    rows = tuple(
+        {"listener": "l0", "track": 0, "index": i, "level": level, "right": right, "value": float(right)}
+        for i, (level, right) in enumerate(((4.0, True), (4.0, False), (2.0, True), (8.0, True)))
+    )
+    own = PageResults(1, "staircase", "Stairs", count, (), rows, thresholds=fit)
+    factor = SimpleNamespace(path=page.path, levels={"near": 1.0, "far": 1.02, "odd": "word"})
+    settings = SimpleNamespace(factors={"pluck": factor}, name="t")
+    test = SimpleNamespace(pages=[page], manifest=settings)
+    panel = PanelResults(test, 0.95, SimpleNamespace(rows=rows), count, 0, (), (), (own,))  # type: ignore[arg-type]
+    return panel, own
+
+
+@pytest.mark.parametrize(
+    ("mean", "bounds", "count", "text"),
+    [
+        (0.5, (0.4, 0.6), 2, "is 0.5 % of body.detune, at 70.7 % right answers (95 % interval 0.4 to 0.6 %; listeners "
+         "differ by a factor of 1.25)."),
+        (0.5, (None, 0.6), 2, "95 % interval 0.01 to 0.6 %, beyond the levels at its lower end; "),
+        (0.5, (0.4, None), 2, "95 % interval 0.4 to 10 %, beyond the levels at its upper end; "),
+        (0.5, (None, None), 2, "95 % interval 0.01 to 10 %, beyond the levels at both ends; "),
+        (0.5, (None, None), 1, "(of one listener, without an interval of the mean)."),
+        (12.0, (None, None), 2, "lies above the levels that can be presented, which end at 10 %"),
+        (0.001, (None, None), 2, "lies below the levels that can be presented, which end at 0.01 %"),
+    ],
+)  # fmt: skip
+def test_a_threshold_in_words(mean: float, bounds: Any, count: int, text: str) -> None:
+    panel, own = found(LEVITT, mean, *bounds, count=count)
+    assert text in _threshold(panel, own, "95 %")
+
+
+def test_differences_are_told_in_just_noticeable_ones() -> None:
+    """2 % of a threshold of 0.5 %."""
+    panel, own = found(LEVITT, 0.5, 0.4, 0.6)
+    told = "body.detune 1.02 against 1, 4 just-noticeable differences"
+    assert _in_unit(panel, "pluck", "near", "far") == told
+    assert _in_unit(panel, "pluck", "near", "none") == _in_unit(panel, "other", "near", "far") == ""
+    assert _in_unit(panel, "pluck", "near", "odd") == ""
+    beyond, _ = found(LEVITT, 11.0, None, None)
+    assert _in_unit(beyond, "pluck", "near", "far") == "body.detune 1.02 against 1"
+    page = LEVITT.model_copy(update={"reference": 2.0})
+    panel, own = found(page, 0.5, 0.4, 0.6)
+    assert "of body.detune, 2.01 instead of 2, at" in _threshold(panel, own, "95 %")
+    assert methods(panel).startswith(
+        "2 listeners took part; 4 answers were given. Intervals are of 95 %. Thresholds of "
+    )
+    assert "a 2-down, 1-up staircase (Levitt 1971), 10 reversals in 1 track, 3 intervals" in methods(panel)
+
+
+def test_numbers_of_listeners_in_words() -> None:
+    panel, _ = found(LEVITT, 0.5, 0.4, 0.6)
+    assert panel.who == "2 listeners"
+    assert replace(panel, simulated=1).who == "2 listeners, 1 of them simulated"
+    assert replace(panel, simulated=2).who == "2 simulated listeners"
+
+
+def test_figures_of_a_staircase_are_its_answers() -> None:
+    panel, own = found(LEVITT, 3.0, 2.0, 5.0)
+    made = figures_of(panel, own)
+    track, wrong = made["tracks"].axes[0].lines[:2]
+    assert (track.get_xdata().tolist(), list(track.get_ydata())) == ([1, 2, 3, 4], [4.0, 4.0, 2.0, 8.0])
+    assert (wrong.get_xdata().tolist(), wrong.get_ydata().tolist()) == ([2], [4.0])
+    assert made["tracks"].axes[0].get_yscale() == "log"
+    lines = made["psychometric"].axes[0].lines
+    dots = [(float(np.ravel(x.get_xdata())[0]), float(np.ravel(x.get_ydata())[0])) for x in lines[:3]]
+    assert dots == [(2.0, 1.0), (4.0, 0.5), (8.0, 1.0)]
+    curve = lines[3]
+    x = np.asarray(curve.get_xdata())
+    assert (x[0], x[-1], len(x)) == (pytest.approx(2.0), pytest.approx(8.0), 200)
+    expected = psychometric(np.log(x), math.log(3.0), 3.0, 1 / 3, 0.70711)
+    np.testing.assert_allclose(np.asarray(curve.get_ydata()), expected)
+    assert lines[5].get_xdata()[0] == 3.0
+    assert lines[6].get_ydata()[0] == pytest.approx(1 / 3)
+
+
+def test_figures_of_means_are_the_means() -> None:
+    rows = [row(who, v + 10 * (d == "b"), d=d, p=p)
+            for who, v in (("1", 40.0), ("2", 50.0), ("3", 66.0)) for d in "ab" for p in "xy"]  # fmt: skip
+    cells = tuple(cell_means(rows, ("d", "p"), 0.95))
+    helpers = tuple(cell_means([r | {"role": "anchor35"} for r in rows], ("role",), 0.95))
+    own = PageResults(1, "mushra", "M", 3, ("d", "p"), tuple(rows), cells=cells, helpers=helpers)
+    panel: Any = SimpleNamespace(simulated=3, listeners=3, confidence=0.95)
+    made = figures_of(panel, own)
+    axes = made["means"].axes[0]
+    assert axes.get_xlim() == (0.0, 100.0)
+    line = axes.containers[0].lines
+    assert list(line[0].get_xdata()) == [m.mean for m in (*cells, *helpers)]
+    segments = line[2][0].get_segments()
+    np.testing.assert_allclose([s[:, 0] for s in segments], [(m.low, m.high) for m in (*cells, *helpers)])
+    assert [t.get_text() for t in axes.get_yticklabels()] == ["a, x", "a, y", "b, x", "b, y", "role = anchor35"]
+    assert axes.get_title().startswith("3 simulated listeners, 95 % intervals")
+    crossed = made["interaction"].axes[0].containers
+    assert [list(c.lines[0].get_ydata()) for c in crossed] == [[52.0, 52.0], [62.0, 62.0]]
+    np.testing.assert_allclose([list(c.lines[0].get_xdata()) for c in crossed], [[0, 1], [0.06, 1.06]])
