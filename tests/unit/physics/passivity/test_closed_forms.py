@@ -73,6 +73,11 @@ def test_undamped_poles_at_one_frequency_are_judged_together(apart, passive):
         assert [(v.size, v.worst_hz) for v in report.violations] == [pytest.approx((1.0, 500 / (2 * np.pi)))]
 
 
+def test_an_undamped_pole_without_a_residue_is_no_fault():
+    report = check(*one_port([-0.5j, 0.0, -0.4j + 0.1], [400j, 500j, POLE]), tolerance=0.2)
+    assert (report.method, report.violations) == ("pencil", ())
+
+
 @pytest.mark.parametrize(("turn", "size"), [(0.3, np.sin(0.3)), (np.pi / 2, 1.0), (3.0, -np.cos(3.0)), (1e-10, None)])
 def test_residue_of_an_undamped_pole_by_its_phase(turn, size):
     """exp(i turn) / 2: the Hermitian part is cos / 2, the skew one sin / 2."""
