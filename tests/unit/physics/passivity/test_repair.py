@@ -186,6 +186,7 @@ def test_repaired_residues_and_direct_term_are_as_reported(rng):
     np.testing.assert_allclose(direct, -direct.T, atol=1e-10 * linalg.norm(now))
     assert new.direct_skew == pytest.approx(new.after.direct_term, rel=1e-12)
     assert new.flattening == 0.5  # of 1, 0.5 and 0 the nearest
+    assert new.mobility_change < 0.0785  # regression: 0.0773; modes of uneven weight would end at 0.080
     assert "imaginary shapes times 0.5" in new.summary()
     residual, energy, lost = power_balance((new.poles, new.right, new.left), new.storage, rng)
     assert np.abs(residual).max() < 1e-11 * energy.max()
