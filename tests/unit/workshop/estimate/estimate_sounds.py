@@ -9,6 +9,8 @@ import numpy as np
 import soundfile as sf
 
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.workshop.estimate.analysis import NoteAnalysis
+from tonewood.workshop.estimate.partials import NotePartial
 from tonewood.workshop.estimate.playing import Stage, render_notes
 from tonewood.workshop.estimate.recordings import FS, Recording
 
@@ -27,6 +29,27 @@ def partials(freq, b, rates, *, seconds=2.0, place=0.15, before=0.1, level=0.3):
     )
     x *= level / np.abs(x).max() * np.minimum(1.0, t / 1e-3)
     return np.concatenate([np.zeros(round(before * FS)), x]), f
+
+
+def partial(number, *, freq=None, level=-20.0, rate=3.0, early=3.0, fell=30.0, misfit=-20.0):
+    """A partial of known figures."""
+    return NotePartial(number, freq or 100.0 * number, level, rate, early, fell, (), misfit, -90.0)
+
+
+def analysed(**figures):
+    """An analysis of known figures; `partials` is a list."""
+    usual = {
+        "onset": 0.1, "f0": 100.0, "b": 1e-4, "below": (None, None), "bands": np.zeros((4, 21)), "rise": 0.01,
+        "peak": -3.0, "level": -20.0, "bright": -30.0, "modulation": (np.nan,) * 3, "floor": (np.nan,) * 3,
+        "tail": np.empty((0, 2)), "partials": [],
+    } | figures  # fmt: skip
+    usual["partials"] = {p.number: p for p in usual["partials"]}
+    return NoteAnalysis(**usual)
+
+
+def recording(path: Path, x, fs) -> None:
+    """Write a file."""
+    sf.write(path, x, fs, subtype="PCM_24")
 
 
 def recorded(folder: Path, changes: dict[str, Any], places, *, seconds=1.5, dynamics=(), guitar=GUITAR) -> None:
