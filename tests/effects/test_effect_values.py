@@ -256,7 +256,7 @@ def test_the_quietest_strings_share_the_budget(model: Model, monkeypatch: pytest
 
 
 def test_a_share_of_idle_time_by_hand(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A pluck at 2 s of e^4 times 0.9 of the budget, that falls at 1/s: 2 s until it is below; idle times less 0.3 s."""
+    """A pluck at 2 s of e^4 times 0.9 of the budget, falling at 1/s: 2 s until it is below; idle times less 0.3 s."""
     monkeypatch.setattr(tension, "SHORTEST", 0.3)
     monkeypatch.setattr(tension, "LEAST_IDLE_SHARE", 0.55)
     effect = tension_effect(model)
