@@ -51,7 +51,7 @@ def check_readouts(
 
     Raises BundleError : as `fault` makes it.
     """
-    names = set(connections)
+    names = dict.fromkeys(connections)
     for readout in readouts:
         for probe in readout.probes:
             _check_point(probe.component, probe.point, components, f"readout {readout.name!r}", fault)

@@ -601,6 +601,8 @@ def test_a_score_is_played_with_its_counts(guitar: Model) -> None:
     ]  # fmt: skip
     assert [(a.string, a.stop, a.end) for a in played.notes] == [("E2", 0, 0.5), ("E2", 1, 1.5), ("E4", 0, 1.5)]
     assert [d.note for d in played.dropped] == [20]
+    assert {play.exciter for play in played.timeline.plays} >= {guitar.default_exciter}
+    assert "" not in {play.exciter for play in played.timeline.plays}
     starts = [play.start for play in played.timeline.plays]
     times = [change.time for change in played.timeline.changes]
     assert (starts, times) == (sorted(starts), sorted(times))
@@ -652,3 +654,27 @@ def test_a_bow_that_is_held_goes_on_for_a_quarter_of_a_second_ahead() -> None:
     assert rows[-1][0] == pytest.approx(0.8, abs=2 * TICK)
     assert rows[-1][1] - after == pytest.approx(rows[-1][0] - begun)
     assert first == 0.0
+
+
+def test_a_slide_that_comes_live_is_heard_at_the_points_before_its_stops() -> None:
+    """Every change of the stop at the last point of the grid before its time, or as soon as it can: one at a point."""
+    model = assemble(tw.load_instrument("electric_bass"), FS, freq_limit=600)
+    player, changes, plays = Player(model), [], []
+    notes = {0: tw.Note(0.0, 9.0, string="E1", stop=2), 100: tw.Note(0.0, 9.0, string="E1", stop=9, technique="slide")}
+    for point in range(200):
+        decided = player.feed([replace(notes[point], time=point * TICK)] if point in notes else [], 0.0, point * GRID)
+        changes += [c for c in decided.changes if c.stop is not None and c.string == "E1"]
+        plays += decided.plays
+        if point == 100:
+            planned = list(player.hands.strings["E1"].later)
+    slide = next(play for play in plays if play.exciter == "slide")
+    course = techniques.stop_course(slide, 9.0, False, TICK)
+    moved = [c for c in changes if c.time >= 99 * TICK]
+    assert len(course) > 4
+    assert [c.stop for c in moved] == [stop for _, stop in course]
+    last = moved[0].time
+    for change, (time, _) in zip(moved[1:], course[1:], strict=True):
+        last = max(math.floor(time / TICK + 1e-6) * TICK, last + TICK)
+        assert change.time == pytest.approx(last, abs=1e-9)
+    due = [math.floor(time / TICK + 1e-6) * GRID for time, _ in course[1:]]
+    assert [sample for sample, _ in planned] == due

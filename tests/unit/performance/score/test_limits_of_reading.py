@@ -12,6 +12,7 @@ from smf_bytes import event, smf
 
 import tonewood as tw
 from tonewood.errors import ScoreError
+from tonewood.performance.score import xml_files
 from tonewood.performance.score.assignment import Assigned, PlayableString, StringChooser, StringMatching, assign
 from tonewood.performance.score.controllers import Controllers, History
 from tonewood.performance.score.fingering import Option, Sounding, hand_after
@@ -377,3 +378,27 @@ def test_a_chord_is_written_for_four_quarters_at_most_and_rests_follow() -> None
     root = ET.fromstring(musicxml(tab_of((1, "E2", 0), (7, "E2", 0))))
     rows = [(n.find("rest") is not None, n.findtext("duration")) for n in root.iter("note")]
     assert rows == [(True, "24"), (False, "72"), (False, "24"), (True, "48"), (False, "24")]
+
+
+def one_part(measures: str) -> str:
+    return f"<score-partwise><part id='P'>{measures}</part></score-partwise>"
+
+
+NOTE_XML = "<note><pitch><step>A</step><octave>3</octave></pitch><duration>1</duration></note>"
+
+
+def test_pedals_of_sounds_are_up_down_or_between(tmp_path: Path) -> None:
+    sounds = "".join(f'<sound damper-pedal="{value}"/>{NOTE_XML}' for value in ("yes", "no", "25", "no"))
+    (tmp_path / "a.xml").write_text(one_part(f"<measure>{sounds}</measure>"))
+    score = tw.read_score(tmp_path / "a.xml")
+    assert [(c.kind, c.value) for c in score.controls] == [("cc64", v) for v in (1.0, 0.0, 0.25, 0.0)]
+
+
+def test_measures_are_forgotten_once_they_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hundred measures within a limit that two of them together would pass."""
+    monkeypatch.setattr(xml_files, "_MOST_KEPT", 25)
+    (tmp_path / "a.xml").write_text(one_part(100 * f"<measure>{NOTE_XML}</measure>"))
+    assert len(tw.read_score(tmp_path / "a.xml").notes) == 100
+    (tmp_path / "b.xml").write_text(one_part(f"<measure>{3 * NOTE_XML}</measure>"))
+    with pytest.raises(ScoreError, match="more than 25 elements, attributes and texts"):
+        tw.read_score(tmp_path / "b.xml")
