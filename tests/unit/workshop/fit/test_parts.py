@@ -1,0 +1,601 @@
+"""Parts of a fit by themselves: figures of modes, poles, bins, noise, responses and hits, worked out in the test."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from fit_scenes import TAU, Truth, random_body
+
+from tonewood.errors import TonewoodError
+from tonewood.workshop.fit import fit as whole
+from tonewood.workshop.fit import noise, search
+from tonewood.workshop.fit.body import passive_body
+from tonewood.workshop.fit.drift import Drift
+from tonewood.workshop.fit.fit import Fit, fit_responses
+from tonewood.workshop.fit.hits import is_double
+from tonewood.workshop.fit.identify import Modes, _reach
+from tonewood.workshop.fit.projection import FitData, LinearFit, Poles, Projection, Shape
+from tonewood.workshop.fit.radiation import FittedRadiation
+from tonewood.workshop.fit.responses import Responses, to_mobility
+from tonewood.workshop.fit.stability import ORDERS, stability
+
+FREQ = np.arange(60.0, 801.0)
+REAL = Shape((0,), 2, False, False, False)
+
+
+def resonances(freq, at, quality, alpha=0.0):
+    s, w = alpha + 1j * TAU * np.asarray(freq), TAU * np.asarray(at, float)[:, None]
+    return s / (s * s + w / np.asarray(quality, float)[:, None] * s + w * w)
+
+
+# poles and bins
+
+
+def test_poles_keep_their_order_and_damping() -> None:
+    poles = Poles.at([300.0, 100.0], [50.0, 10.0])
+    assert poles.freq.tolist() == pytest.approx([100.0, 300.0])
+    assert poles.quality.tolist() == pytest.approx([10.0, 50.0])
+    more = poles.joined(Poles.at([200.0], [400.0]))
+    assert more.freq.tolist() == pytest.approx([100.0, 200.0, 300.0])
+    assert more.without([1]).quality.tolist() == pytest.approx([10.0, 50.0])
+    assert more[more.freq > 150].freq.tolist() == pytest.approx([200.0, 300.0])
+    assert len(Poles.none()) == 0
+    assert more.damped_beyond(99.0, 201.0).quality.tolist() == pytest.approx([10.0, 400.0, 50.0])
+    assert more.damped_beyond(90.0, 110.0).quality.tolist() == pytest.approx([10.0, 10.0, 10.0])
+    assert more.damped_beyond(1.0, 2.0).quality.tolist() == pytest.approx([10.0, 400.0, 50.0])
+
+
+def test_thinned_bins_are_weighted_means() -> None:
+    """Resolution 10: at 60 Hz six bins of 1 Hz make one."""
+    rng = np.random.default_rng(1)
+    y, sigma = rng.standard_normal((2, 741)) + 1j, rng.uniform(1, 2, (2, 741))
+    thin = FitData(FREQ, y, sigma, 3.0).thinned(10.0)
+    weight = 1 / sigma[:, :6] ** 2
+    assert thin.freq[0] == np.mean(FREQ[:6])
+    assert thin.freq[1] == np.mean(FREQ[6:12])  # from 66 Hz on: 6 again
+    assert thin.mobility[:, 0] == pytest.approx((y[:, :6] * weight).sum(axis=1) / weight.sum(axis=1))
+    assert thin.sigma[:, 0] == pytest.approx(weight.sum(axis=1) ** -0.5)
+    assert thin.half_width[0] == pytest.approx(np.std(FREQ[:6]))
+    assert thin.alpha == 3.0
+    assert FitData(FREQ, y, sigma).thinned(900.0).freq.tolist() == FREQ.tolist()
+
+
+def test_muted_and_cut_bins() -> None:
+    data = FitData(FREQ, np.ones((1, 741), complex), np.ones((1, 741)), 2.0, np.arange(741.0))
+    muted = data.without([100.0, 200.5])
+    assert FREQ[muted.sigma[0] > 1].tolist() == [99.0, 100.0, 101.0, 199.0, 200.0, 201.0, 202.0]
+    assert muted.sigma.max() == 1e4
+    cut = data.cut(10, 13, np.full((1, 3), 0.25))
+    assert (cut.freq.tolist(), cut.mobility.tolist(), cut.alpha) == ([70.0, 71.0, 72.0], [[0.75] * 3], 2.0)
+    assert cut.half_width.tolist() == [10.0, 11.0, 12.0]
+    assert data.step == 1.0
+    assert data.s[0] == 2.0 + 1j * TAU * 60
+
+
+@pytest.mark.parametrize("structural", [False, True])
+def test_columns_are_resonances_with_their_slopes(structural) -> None:
+    poles, step = Poles.at([100.0, 300.0], [20.0, 40.0]), 1e-6
+    data = FitData(FREQ, np.zeros((1, 741), complex), np.ones((1, 741)), 5.0)
+    problem = Projection(data, Shape((0,), 1, True, True, True, structural))
+    columns, slopes = problem.columns(poles)
+    s, w = 5.0 + 1j * TAU * FREQ, TAU * np.array([[100.0], [300.0]])
+    loss = 1j * w * w / [[20.0], [40.0]] if structural else w / [[20.0], [40.0]] * s
+    h = s / (s * s + loss + w * w)
+    np.testing.assert_allclose(columns, np.vstack([h, w / s * h]), rtol=1e-10)
+    for t, moved in enumerate(
+        (Poles(poles.log_freq + step, poles.log_zeta), Poles(poles.log_freq, poles.log_zeta + step))
+    ):
+        change = (problem.columns(moved)[0] - columns) / step
+        np.testing.assert_allclose(np.vstack([pair[t] for pair in slopes]), change, atol=1e-4 * np.abs(change).max())
+    residues = np.array([[1.0, 2.0, 0.3, 0.0, 5.0, 7.0]])
+    scale = TAU * np.sqrt(60.0 * 800.0)
+    np.testing.assert_allclose(
+        problem.model(poles, residues)[0], residues[0, :4] @ columns + 5 * scale / s + 7 * s / scale
+    )
+    two = Projection(replace(data, half_width=np.full(741, 2.0)), Shape((0,), 1, False, False, False, structural))
+    mean = np.zeros((2, 741), complex)
+    for off in (2.0, -2.0):
+        moved = s + 1j * TAU * off
+        loss = 1j * w * w / [[20.0], [40.0]] if structural else w / [[20.0], [40.0]] * moved
+        mean = mean + moved / (moved * moved + loss + w * w) / 2
+    np.testing.assert_allclose(two.columns(poles)[0], mean, rtol=1e-10)
+
+
+def test_a_solution_has_the_cost_and_the_gains_of_its_residues() -> None:
+    """Least squares by NumPy; chi2 is the rise of the cost if one column is left out."""
+    rng = np.random.default_rng(2)
+    poles = Poles.at([100.0, 110.0, 300.0], [20.0, 30.0, 40.0])
+    sigma = rng.uniform(0.5, 1.5, (2, 741)) * 1e-4
+    y = np.array([[1.0, 2.0, 0.5], [0.3, -1.0, 0.5]]) @ resonances(FREQ, [100.0, 110.0, 300.0], [20.0, 30.0, 40.0])
+    y = y + sigma * (rng.standard_normal(y.shape) + 1j * rng.standard_normal(y.shape)) / np.sqrt(2)
+    problem = Projection(FitData(FREQ, y, sigma), REAL)
+    solution, cost = problem.solve(poles, slopes=True), 0.0
+    columns = problem.columns(poles)[0]
+
+    def squares(p, kept):
+        a = (columns[kept] * np.sqrt(2) / sigma[p]).T
+        b = y[p] * np.sqrt(2) / sigma[p]
+        a, b = np.concatenate([a.real, a.imag]), np.concatenate([b.real, b.imag])
+        x = np.linalg.lstsq(a, b, rcond=None)[0]
+        return x, float(np.sum((b - a @ x) ** 2))
+
+    for p in range(2):
+        x, least = squares(p, [0, 1, 2])
+        cost += least
+        assert solution.residues[p] == pytest.approx(x, rel=1e-6)
+        for i in range(3):
+            assert solution.chi2[p, i] == pytest.approx(
+                squares(p, [j for j in range(3) if j != i])[1] - least, rel=1e-5
+            )
+    assert solution.cost == pytest.approx(cost)
+    assert problem.size == 4 * 741
+    assert problem.price == pytest.approx(4 * np.log(problem.size))
+    assert Projection(problem.data, Shape((0,), 5)).price == pytest.approx(12 * np.log(problem.size))
+
+
+# the search
+
+
+def test_signs_of_residues_at_driving_points() -> None:
+    residues = np.array([[1.0, -1.0, -1.0, 0.0, 2.0], [5.0, -3.0, 2.0, -1.0, -2.0]])
+    chi2 = np.array([[100.0, 9.1, 8.9, 100.0, 50.0], [100.0, 100.0, 100.0, 1.0, 8.9]])
+    assert search._never_positive(residues, chi2, (0,)).tolist() == [False, True, True, True, False]
+    assert search._never_positive(residues, chi2, (0, 1)).tolist() == [False, True, False, True, False]
+    assert not search._never_positive(residues, chi2, ()).any()
+    assert search._put(np.array([0.26, -0.8]), np.array([0.5, 0.5])).tolist() == [0.5, -1.0]
+
+
+def test_a_price_is_that_of_the_misfit_around_a_mode() -> None:
+    """Bins within two bandwidths and five steps; a misfit of 4 per number costs four times as much."""
+    poles = Poles.at([200.0, 600.0], [40.0, 60.0])
+    data = FitData(FREQ, np.zeros((1, 741), complex), np.ones((1, 741)))
+    assert search._reaches(data, poles).tolist() == pytest.approx([15.0, 25.0])
+    problem = Projection(data, REAL)
+    left = np.where(FREQ < 400, 2.0, 0.5)[None] + 0j
+    noisy = Projection(replace(data, mobility=left), REAL)
+    none = LinearFit(0.0, np.zeros((1, 2)), np.zeros((1, 2)))
+    assert search.prices(noisy, poles, none) == pytest.approx([4 * problem.price, problem.price])
+    step = np.where(FREQ < 210, 3.0, 0.0)[None] + 0j  # 24 of the 30 bins around 200.5 Hz
+    found = search.prices(Projection(replace(data, mobility=step), REAL), Poles.at([200.5, 600.0], [40.0, 60.0]), none)
+    assert found == pytest.approx([9 * 24 / 30 * problem.price, problem.price])
+
+
+def test_modes_nobody_would_see_are_told() -> None:
+    """A mode of a millionth of another's residue; one that is wanted is left."""
+    data = FitData(
+        FREQ, np.array([1.0, 1e-6]) @ resonances(FREQ, [200.0, 600.0], [40.0, 60.0])[None], np.full((1, 741), 1e-9)
+    )
+    problem, poles = Projection(data, REAL), Poles.at([200.0, 600.0], [40.0, 60.0])
+    assert search.inaudible(problem, poles, np.zeros(0)).tolist() == [1]
+    assert search.inaudible(problem, poles, np.array([605.0])).tolist() == []
+    assert search.inaudible(problem, poles, np.array([640.0])).tolist() == [1]
+    assert search.inaudible(problem, poles[:1], np.zeros(0)).tolist() == []
+
+
+def test_lines_of_few_bins_are_no_modes() -> None:
+    """A line in one bin is worth nothing beside its four best; a sharp mode is."""
+    clean = resonances(FREQ, [200.3], [400.0])[0]
+    line = clean.copy()
+    line[440] += 0.05
+    for y, at, told in ((line, 500.0, [1]), (clean + resonances(FREQ, [500.2], [900.0])[0], 500.2, [])):
+        problem = Projection(FitData(FREQ, y[None], np.full((1, 741), 1e-6)), Shape((0,), 1, False, False, False))
+        assert search.mains(problem, Poles.at([200.3, at], [400.0, 900.0])).tolist() == told
+    assert search.mains(problem, Poles.at([200.3, 900.0], [400.0, 2000.0])).tolist() == []
+
+
+@pytest.mark.parametrize(("quality", "reach"), [(100.0, 0.03), (10.0, 0.05)])
+def test_a_frequency_names_modes_within_half_of_their_bandwidth(quality, reach) -> None:
+    assert _reach(Poles.at([100.0], [quality]), 0) == pytest.approx(reach)
+
+
+def test_collinearity_is_that_of_pappa() -> None:
+    """1 of residues in phase, whatever the phase; 0 of a circle; worked out for (1, j/2)."""
+    residues = np.array([[1.0, 1.0, 1.0, 0.0, 1.0, 0.0], [2.0, 0.0, 0.0, 0.0, 2.0, 0.5]])
+    residues[:, [1, 4]] = [[1.0, 0.0], [0.0, 1.0]]
+    residues[:, [0, 3]] = [[1.0, 1.0], [2.0, 2.0]]
+    poles = Poles.at([100.0, 200.0, 300.0], [9.0] * 3)
+    modes = Modes(None, poles, None, (None, poles, LinearFit(0.0, residues, residues)), [])
+    assert modes.complexity == pytest.approx([1.0, 0.0, (0.75 / 1.25) ** 2])
+
+
+# noise
+
+
+def test_noise_of_windows_runs_and_spikes() -> None:
+    x = np.array([0.5, 3.0])
+    assert [noise.tied(a, 2.0) for a in 2 * x] == pytest.approx(np.sqrt(2 * x / (1 - np.exp(-2 * x))))
+    assert noise.tied(0.0, 1.0) == 1.0
+    assert noise._runs(np.array([True, True, False, True])).tolist() == [[0, 2], [3, 4]]
+    rng = np.random.default_rng(3)
+    row = 1e-3 * (rng.standard_normal(400) + 1j * rng.standard_normal(400))
+    y = np.array([row, row[::-1]])
+    assert not noise.outliers(y).any()
+    y[0, 100] += 0.5
+    y[1, 200] -= 0.5j
+    assert [np.flatnonzero(out).tolist() for out in noise.outliers(y)] == [[100], [200]]
+    sharp = y[1:] * 0 + row + 0.01 * resonances(np.arange(400.0) + 100, [300.0], [60.0]) * 1e3
+    assert not noise.outliers(sharp).any()
+    assert not noise.outliers(y[:, :9]).any()
+    with pytest.raises(ValueError, match="9 bins tell no noise; 10 or more do"):
+        noise.of_neighbours(y[:, :9])
+    fourth = np.convolve(np.eye(1, 9, 4)[0] * 3, noise._FOURTH)[2:-2]
+    assert noise._spikes(fourth[2:7] * 10 + 0j, 50) == [54]
+
+
+def test_two_parts_are_found_from_medians() -> None:
+    """Powers that are exactly a + r |Y|^2; a constant level has no relative part."""
+    size = np.random.default_rng(4).uniform(0.1, 9.0, (2, 600)) ** 2
+    power = np.array([[2.0], [0.0]]) + np.array([[0.3], [0.01]]) * size
+    assert noise._two_parts(power, size) == pytest.approx(power, rel=0.02)
+    assert noise.of_misfit(np.full((1, 400), 2.0 + 0j)) == pytest.approx(np.full((1, 400), 2 / np.sqrt(np.log(2))))
+
+
+# responses
+
+
+def responses(truth, freq=FREQ, **more):
+    return Responses(freq, truth.mobility(freq), (("a", "a"), ("b", "a")), **more)
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    return Truth(
+        np.array([150.0, 320.0, 560.0]), np.array([30.0, 50.0, 60.0]), np.array([[1.0, 2.0, 4.0], [-0.5, 1.0, 2.0]])
+    )
+
+
+def test_bands_hold_both_ends_and_no_zero(truth) -> None:
+    freq = np.concatenate([[0.005], np.arange(1.0, 101.0)])
+    y = truth.mobility(freq)
+    y[0, 50] = np.nan
+    r = Responses(freq, y, (("a", "a"), ("b", "a")), coherence=np.ones((2, 101)), pressure={("m", "a"): y[1]})
+    assert r.band(None, None).freq.tolist() == [*range(1, 50), *range(51, 101)]
+    part = r.band(10.0, 60.0)
+    assert (part.freq[0], part.freq[-1], part.freq.size) == (10.0, 60.0, 50)
+    assert part.coherence.shape == (2, 50)
+    assert part.pressure["m", "a"] == pytest.approx(truth.mobility(part.freq)[1])
+    assert r.band(69.0, 100.0).freq.size == 32
+    with pytest.raises(TonewoodError, match="31 bins lie between 70 and 100 Hz; 32 or more are needed"):
+        r.band(70.0, None)
+
+
+def test_names_references_and_exchange(truth) -> None:
+    y = np.arange(4.0)[:, None] * np.ones(5) + 0j
+    pairs = (("a", "a"), ("a", "b"), ("c", "b"), ("b", "d"))
+    r = Responses(np.arange(5.0), y, pairs, pressure={("m", "b"): y[0], ("m", "a"): y[1]})
+    assert (r.points, r.references, r.driving, r.microphones) == (("a", "b", "c", "d"), ("a", "b", "d"), (0,), ("m",))
+    assert r.reciprocal().pairs == (("a", "a"), ("b", "a"), ("c", "b"), ("b", "d"))
+    kept, others = r.reciprocal().of_driven()
+    assert (kept.pairs, others) == ((("a", "a"), ("b", "a")), ("b", "d"))
+    assert kept.mobility[:, 0].tolist() == [0.0, 1.0]
+    assert list(kept.pressure) == [("m", "a")]
+    about = Responses(r.freq, y[:2], (("s", "a"), ("s", "b")))
+    assert about.reciprocal().pairs == (("a", "s"), ("b", "s"))
+    assert about.of_driven() == (about, ())
+    new = r.renamed({"a": "x", "m": "mic"})
+    assert new.pairs == (("x", "x"), ("x", "b"), ("c", "b"), ("b", "d"))
+    assert list(new.pressure) == [("mic", "b"), ("mic", "x")]
+    with pytest.raises(TonewoodError, match="there is no point 'q'; there are a, b, c, d, m"):
+        r.renamed({"q": "x"})
+    with pytest.raises(TonewoodError, match="two points would be called 'b'"):
+        r.renamed({"a": "b"})
+
+
+def test_what_no_body_has_is_told(truth) -> None:
+    r = responses(truth)
+    assert r.checked() is r
+    assert r.no_body() is None
+    assert replace(r, pairs=(("b", "a"), ("c", "a"))).no_body().startswith("no driving point: the sensor did not")
+    assert "'a' has a negative real part over 100%" in replace(r, mobility=-r.mobility).no_body()
+    half = r.mobility * np.where(FREQ < 60 + 0.07 * 741, -1, 1)  # 7 % of the band
+    assert "over 7%" in replace(r, mobility=half).no_body()
+    assert replace(r, mobility=r.mobility * np.where(FREQ < 60 + 0.04 * 741, -1, 1)).no_body() is None
+    size = float(np.median(np.abs(r.mobility[0])))
+    kg = 1 / (TAU * np.sqrt(60.0 * 800.0) * size)
+    for mass, told in ((1.1e-5, False), (0.9e-5, True), (0.9e4, False), (1.1e4, True)):
+        assert (replace(r, mobility=r.mobility * kg / mass).no_body() is not None) == told
+    with pytest.raises(TonewoodError, match="rings before it is struck"):
+        replace(r, mobility=r.mobility.conj()).checked()
+    with pytest.raises(TonewoodError, match="do not rise"):
+        replace(r, freq=r.freq[::-1]).checked()
+    zero = r.mobility.copy()
+    zero[1, 31:] = 0
+    with pytest.raises(TonewoodError, match="b:a is 0 in nearly all bins"):
+        replace(r, mobility=zero).checked()
+    zero[1, 31] = 1e-3
+    with pytest.raises(TonewoodError, match="rings"):
+        replace(r, mobility=zero.conj()).checked()
+
+
+def test_incoherent_parts_and_outliers(truth) -> None:
+    coherence = np.ones((2, 741))
+    coherence[0, 100:200] = 0.4
+    coherence[0, 400:410] = 0.1  # shorter than half of the running median
+    r = responses(truth, coherence=coherence)
+    assert r.incoherent(0) == [(160.0, 259.0)]
+    assert r.incoherent(1) == []
+    assert responses(truth).incoherent(0) == []
+    spiked = r.mobility.copy()
+    spiked[1, 300] += 1.0
+    kept, out = replace(r, mobility=spiked).without_outliers()
+    assert out == (360.0,)
+    assert (kept.freq.size, kept.mobility.shape, kept.coherence.shape) == (740, (2, 740), (2, 740))
+    uneven = np.array([*FREQ[:-1], 800.5])
+    assert replace(r, freq=uneven, mobility=spiked).without_outliers()[1] == ()
+
+
+@pytest.mark.parametrize(("form", "power"), [("receptance", 1), ("mobility", 0), ("accelerance", -1)])
+def test_forms_are_powers_of_s(form, power) -> None:
+    freq, y = np.array([10.0, 20.0]), np.array([1.0 + 1j, 2.0])
+    assert to_mobility(y, freq, form, 3.0) == pytest.approx(y * (3.0 + 1j * TAU * freq) ** power)
+    if power < 0:
+        assert to_mobility(y, np.array([0.0, 1.0]), form)[0] == 0
+
+
+# hits, drift, stability, radiation
+
+
+def test_a_second_pulse_is_a_double_hit() -> None:
+    fs, force = 10000.0, 1e-4 * np.random.default_rng(1).standard_normal(4000)
+    force[1000:1010] += np.hanning(10)
+    assert not is_double(force, fs)
+    for at, size, double in (
+        (2000, 0.05, True),
+        (2000, 0.02, False),
+        (1024, 0.05, False),
+        (1036, 0.05, True),
+        (500, 0.05, True),
+    ):
+        again = force.copy()
+        again[at] += size
+        assert is_double(again, fs) is double
+    noisy = force + 0.01 * np.random.default_rng(2).standard_normal(4000)
+    assert not is_double(noisy, fs)
+    assert not is_double(np.ones(3), fs)
+
+
+def test_lines_of_a_drift_have_its_figures() -> None:
+    zero, common, peak = Drift((0.012, 0.0), (0.001, -0.002), ((250.0, 0.004, 0.5),)).lines(("force", "a"))
+    assert "of force (1.2 % of its peak)" in zero
+    assert "drift by 0.3 % from hit to hit (+0.1, -0.2 %)" in common
+    assert peak.startswith("the peak at 250 Hz drifts by 0.4 % from hit to hit, 50% of its bandwidth")
+    assert Drift((0.0, 0.0), (0.0,)).lines(("force", "a")) == ()
+
+
+def test_poles_of_a_body_are_stable_at_every_order(truth) -> None:
+    chart = stability(FREQ, truth.mobility(FREQ))
+    assert set(chart.order) <= set(ORDERS)
+    for f, q in zip(truth.freq, truth.quality, strict=True):
+        near = (np.abs(chart.freq / f - 1) < 1e-3) & (np.abs(chart.quality / q - 1) < 0.05)
+        assert set(chart.order[near]) >= set(ORDERS[2:])
+        assert chart.stable[near & (chart.order > 12)].all()
+    assert not chart.stable[chart.order == 4].any()
+    assert chart.freq.min() >= 60
+    assert chart.freq.max() <= 800
+
+
+def test_a_bank_of_microphones_is_written_as_its_residues() -> None:
+    pole = np.array([-10.0 + 600j])
+    bank = FittedRadiation(
+        ("l", "r"), pole, 20.0, np.array([[1 + 2j], [3.0]]), np.array([[0.5j], [0.0]]), np.zeros((0, 0))
+    )
+    _, names, row = bank.table().splitlines()
+    assert names == "f_Hz,Q,l_re,l_im,l_moment_re,l_moment_im,r_re,r_im,r_moment_re,r_moment_im"
+    assert [float(x) for x in row.split(",")] == pytest.approx([600 / TAU, 30.0, 1, 2, 0, 0.5, 3, 0, 0, 0])
+    s = 4.0 + 1j * TAU * 90.0
+    cut = s * s / ((s + 0.8 * TAU * 20) * (s + 1.25 * TAU * 20))
+    wanted = [cut * (r / (s - pole[0]) + np.conj(r) / (s - np.conj(pole[0]))) for r in (1 + 2j - 0.25j, 3.0)]
+    assert bank.pressure(np.array([90.0]), -0.5, 4.0)[:, 0] == pytest.approx(wanted)
+
+
+# the body and its figures
+
+
+def exact(truth, shape=REAL, pairs=(("a", "a"), ("b", "a")), beside=0.0, sigma=1e-6):
+    """Modes of a problem of known residues."""
+    y = truth.mobility(FREQ) + beside
+    problem = Projection(FitData(FREQ, y, np.full(y.shape, sigma)), shape)
+    poles = Poles.at(truth.freq, truth.quality)
+    return SimpleNamespace(problem=problem, poles=poles, solution=problem.solve(poles)), pairs
+
+
+def test_a_body_has_the_shapes_of_its_residues(truth) -> None:
+    body = passive_body(*exact(truth))
+    assert body.points == ("a", "b")
+    assert body.freq == pytest.approx(truth.freq)
+    assert body.quality == pytest.approx(truth.quality)
+    assert body.shapes == pytest.approx((truth.residues / np.sqrt(truth.residues[0])).T, rel=1e-5)
+    assert body.measured.all()
+    assert not body.compliance.any()
+    assert [line.split(":")[0] for line in body.dropped] == [
+        "mass line of modes below the band",
+        "compliance of modes above the band",
+    ]
+    assert body.mobility(FREQ, (("b", "a"), ("b", "b")))[0] == pytest.approx(truth.mobility(FREQ)[1], rel=1e-4)
+    bb = (truth.residues[1] ** 2 / truth.residues[0]) @ resonances(FREQ, truth.freq, truth.quality, 2.0)
+    assert body.mobility(FREQ, (("b", "b"),), 2.0)[0] == pytest.approx(bb, rel=1e-4)
+    deviations = exact(truth)[0].problem.deviations(Poles.at(truth.freq, truth.quality))
+    assert body.cents == pytest.approx(1200 * deviations[0] / np.log(2))
+    assert body.quality_error == pytest.approx(deviations[1])
+    assert body.shape_error == pytest.approx(0.5 * deviations[2][0, :3] / truth.residues[0], rel=1e-5)
+
+
+def test_modes_beyond_the_band_become_a_mass_and_a_compliance(truth) -> None:
+    """Residues E of 0.2 and 0.1, C of 0.4 and 0.2 re the middle of the band."""
+    scale, s = TAU * np.sqrt(60.0 * 800.0), 1j * TAU * FREQ
+    lower, upper = np.array([[4e-3], [2e-3]]), np.array([[8e-3], [4e-3]])
+    shape = Shape((0,), 2, False)
+    body = passive_body(*exact(truth, shape, beside=lower * scale / s + upper * s / scale, sigma=1e-9))
+    assert body.freq == pytest.approx([60.0 / 8, *truth.freq])
+    assert body.quality[0] == 5.0
+    assert body.shapes[0] == pytest.approx(np.sqrt(scale) * np.array([4e-3, 2e-3]) / np.sqrt(4e-3), rel=1e-3)
+    assert body.compliance == pytest.approx(np.array([[8e-3, 4e-3], [4e-3, 2e-3]]) / scale, rel=1e-3)
+    assert body.measured.tolist() == [False, True, True, True]
+    assert np.isnan(body.cents[0])
+    assert body.dropped == ()
+
+
+def test_several_references_and_modes_that_create_energy() -> None:
+    one = Truth(
+        np.array([200.0, 500.0]), np.array([40.0, 1.9]), np.array([[4.0, 1.0], [2.0, -1.0], [2.2, -1.0], [1.0, 1.0]])
+    )
+    pairs = (("a", "a"), ("b", "a"), ("a", "b"), ("b", "b"))
+    body = passive_body(*exact(one, Shape((0, 3), 2, False, False, False), pairs, sigma=0.1))
+    values, vectors = np.linalg.eigh([[4.0, 2.1], [2.1, 1.0]])
+    assert np.abs(body.shapes[0]) == pytest.approx(np.abs(vectors[:, -1]) * np.sqrt(values[-1]), rel=1e-3)
+    assert np.abs(body.shapes[1]) == pytest.approx([1.0, 1.0], rel=1e-3)
+    assert body.shapes[1].prod() == pytest.approx(-1.0, rel=1e-3)
+    assert body.measured.tolist() == [True, False]  # Q below 2
+    negative = Truth(np.array([200.0, 500.0]), np.array([40.0, 30.0]), np.array([[4.0, -1.0], [2.0, 1.0]]))
+    left = passive_body(*exact(negative))
+    assert left.freq == pytest.approx([200.0])
+    assert left.dropped[0] == "mode at 500.0 Hz: negative residue at the driving point"
+
+
+@pytest.fixture(scope="module")
+def fitted() -> Fit:
+    truth = Truth(np.array([150.0, 320.0]), np.array([30.0, 50.0]), np.array([[1.0, 2.0], [-0.5, 1.0]]))
+    freq = np.arange(80.0, 481.0)
+    y, _ = truth.noisy(freq, 0.003, 1)
+    r = Responses(freq, y, (("a", "a"), ("b", "a")), files={"x.csv": "0"}, kept=(4, 5), remarks=("a remark",))
+    return fit_responses(r, damping="viscous")
+
+
+def test_rows_of_a_fit_have_intervals_and_changes(fitted) -> None:
+    measured = [row for row in fitted.rows if row["measured"]]
+    assert [row["freq_Hz"] for row in measured] == pytest.approx([150.0, 320.0], rel=1e-3)
+    assert [row["mass_kg"] for row in measured] == pytest.approx([1.0, 0.5], rel=0.02)
+    k = 1.6449
+    for row in measured:
+        spread = np.exp(k * row["sd_cents"] * np.log(2) / 1200)
+        assert row["interval_90"]["freq_Hz"] == pytest.approx([row["freq_Hz"] / spread, row["freq_Hz"] * spread])
+        assert row["interval_90"]["Q"] == pytest.approx([row["Q"] * np.exp(x * k * row["sd_Q"]) for x in (-1, 1)])
+        assert row["interval_90"]["mass_kg"] == pytest.approx(
+            [row["mass_kg"] * np.exp(2 * x * k * row["sd_shape"]) for x in (-1, 1)]
+        )
+        assert row["mpc"] == pytest.approx(1.0, abs=1e-3)
+    body, r = fitted.body, fitted.responses
+    assert fitted.mobility == pytest.approx(body.mobility(r.freq, r.pairs))
+    assert fitted.error_db == pytest.approx(np.abs(20 * np.log10(np.abs(fitted.mobility / r.mobility))))
+    for i in range(body.freq.size):
+        part = body.shapes[i, 0] ** 2 * resonances(r.freq, body.freq[i : i + 1], body.quality[i : i + 1])[0]
+        change = 20 * np.log10(np.abs(1 - part / fitted.mobility[0]))
+        assert fitted.without_db[i] == pytest.approx(np.abs(change).max())
+    assert repr(fitted) == f"<Fit of {body.freq.size} modes, {fitted.error_db.max():.2f} dB at most>"
+
+
+def test_facts_and_table_of_a_fit(fitted) -> None:
+    facts = fitted.facts()
+    assert (facts["band_Hz"], facts["step_Hz"], facts["window_tau_s"]) == ([80.0, 480.0], 1.0, None)
+    assert facts["hits"] == {"kept": 4, "given": 5}
+    assert (facts["pairs"], facts["damping"], facts["files"]) == ([["a", "a"], ["b", "a"]], "viscous", {"x.csv": "0"})
+    error = fitted.error_db
+    assert facts["error_db"] == pytest.approx(
+        {"rms": np.sqrt(np.mean(error**2)), "95%": np.quantile(error, 0.95), "most": error.max()}
+    )
+    assert facts["noise"] == pytest.approx(np.sqrt(np.mean(fitted.modes.problem.data.sigma**2, axis=1)))
+    assert facts["compliance_m_per_N"] == fitted.body.compliance.tolist()
+    assert "a remark" in facts["warnings"]
+    assert any(line.startswith("driven at a alone") for line in facts["warnings"])
+    first, _, names, *rows = fitted.table().splitlines()
+    assert first.startswith("# Fitted to x.csv from 80 to 480 Hz; mass-normalised shapes")
+    assert names == "f_Hz,Q,a,b,sd_cents,sd_Q_percent,measured"
+    cells = [[float(x) for x in row.split(",")] for row in rows]
+    assert [row[:2] for row in cells] == [
+        list(pair) for pair in zip(fitted.body.freq, fitted.body.quality, strict=True)
+    ]
+    assert [row[2:4] for row in cells] == fitted.body.shapes.tolist()
+    assert [row[6] for row in cells] == [float(x) for x in fitted.body.measured]
+    for row, of in zip(cells, fitted.rows, strict=True):
+        wanted = (of["sd_cents"], 100 * of["sd_Q"]) if of["measured"] else (0.0, 0.0)
+        assert row[4:6] == pytest.approx(wanted, rel=5e-3)
+
+
+def test_warnings_of_a_fit(fitted) -> None:
+    def said(rows=(), modes=None, **more):
+        fit = Fit(fitted.responses, modes or fitted.modes, fitted.body, **more)
+        fit.__dict__["rows"] = [{"measured": True, "mass_kg": 1.0, "freq_Hz": 300.0, "Q": 10.0} | row for row in rows]
+        return "\n".join(fit.warnings)
+
+    usual = said([{}])
+    assert usual == "a remark\n" + fitted.warnings[-1]
+    assert "mode at 300.0 Hz: its bandwidth of 2.9 Hz (Q 103) holds fewer than 3 bins of 1 Hz" in said([{"Q": 103.0}])
+    assert said([{"Q": 100.0}]) == usual
+    assert "3 modes are narrower than 3 bins of 1 Hz (300, 300, 300 Hz)" in said([{"Q": 103.0}] * 3)
+    assert said([{"Q": 103.0}] * 2).count("mode at 300.0 Hz") == 2
+    assert "the band ends in the peak of the mode at 470.0 Hz" in said([{"freq_Hz": 470.0, "Q": 46.0}])
+    assert said([{"freq_Hz": 470.0, "Q": 48.0}]) == usual
+    assert "the band ends in the peak of the mode at 81.0 Hz" in said([{"freq_Hz": 81.0, "Q": 20.0}])
+    assert "half of the modes weigh less than 0.001 kg" in said([{"mass_kg": 1e-3}])
+    assert said([{"mass_kg": 1.1e-3}, {"mass_kg": 1.2e-3}, {"mass_kg": 1e-5}]) == usual
+    assert "half of the modes weigh more than 1e+03 kg" in said([{"mass_kg": 1e3}])
+    assert "no passive body: because" in said([{}], no_body="because")
+    assert "responses from 'p', 'q' were left out" in said([{}], not_driven=("p", "q"))
+    seven = tuple(float(i) for i in range(100, 107))
+    assert "left out, 7: 100, 101, 102, 103, 104, 105 ... Hz" in said([{}], outliers=seven)
+    assert "left out, 6: 100, 101, 102, 103, 104, 105 Hz" in said([{}], outliers=seven[:6])
+    assert "3 bins without a finite number" in said([{}], empty=3)
+    assert "of the mains perhaps, were left out: 50.0, 100.0 Hz" in said(
+        [{}], replace(fitted.modes, mains=(100.0, 50.0))
+    )
+    idle = said([{}], replace(fitted.modes, idle=(*seven[::-1],)))
+    assert "7 weak or doubtful modes" in idle
+    assert "(100, 101, 102, 103, 104, 105 ... Hz); --keep 100 would keep one" in idle
+    problem, poles, solution = fitted.modes.bent
+    for misfit, told in ((1.49, False), (1.51, True)):
+        loud = LinearFit(misfit * problem.size, solution.residues, solution.chi2)
+        lines = said([{}], replace(fitted.modes, bent=(problem, poles, loud)))
+        assert (f"the misfit is {misfit:.2f} times the noise" in lines) is told
+
+
+def test_low_bands_and_coherences_are_told(fitted) -> None:
+    r = fitted.responses
+
+    def said(**more):
+        fit = Fit(replace(r, **more), fitted.modes, fitted.body)
+        fit.__dict__["rows"] = []
+        return "\n".join(fit.warnings)
+
+    assert "the responses end at 19.9 Hz: kHz read as Hz" in said(freq=r.freq * 19.9 / 480)
+    assert "kHz" not in said(freq=r.freq * 20.1 / 480)
+    coherence = np.ones((2, 401))
+    for k in range(5):
+        coherence[0, 10 + 80 * k : 50 + 80 * k] = 0.1
+    low = said(coherence=coherence, n_hits=4)
+    assert "the coherence at a is low: 90 to 129 Hz, 170 to 209 Hz, 250 to 289 Hz and 2 more; move --band" in low
+    assert "the coherences were not used" not in low
+    assert "the coherences were not used" in said(coherence=coherence)
+    assert "driven at" not in said(pairs=(("a", "a"), ("b", "b")))
+
+
+@pytest.mark.parametrize(("shape", "mass"), [([0.5, 9.0], 4.0), ([0.0, 1.0], None)])
+def test_masses_are_felt_at_the_first_point(shape, mass) -> None:
+    assert whole._mass(np.array(shape)) == mass
+    assert whole._or_none(np.inf) is None
+    assert whole._or_none(2.0) == 2.0
+    assert whole._change(np.array([2.0, 4.0 + 0j]), np.array([1.0, 3.0 + 0j])) == pytest.approx(20 * np.log10(4))
+
+
+def test_modes_of_a_fit_without_a_driving_point(truth) -> None:
+    """Shapes are residues re the largest; no mass; two points have a collinearity of 1."""
+    two = random_body(2, seed=5, high=300.0)
+    freq = np.arange(60.0, 361.0)
+    y, _ = two.noisy(freq, 0.003, 2)
+    fit = fit_responses(Responses(freq, y, (("b", "a"), ("c", "a"))), damping="viscous")
+    assert fit.body is None
+    assert fit.no_body.startswith("no driving point")
+    inside = [row for row in fit.rows if row["measured"]]
+    for row in inside:
+        i = int(np.argmin(np.abs(two.freq - row["freq_Hz"])))
+        assert (row["freq_Hz"], row["Q"]) == (
+            pytest.approx(two.freq[i], rel=2e-3),
+            pytest.approx(two.quality[i], rel=0.1),
+        )
+        wanted = two.residues[:, i] / two.residues[np.argmax(np.abs(two.residues[:, i])), i]
+        assert [complex(*x) for x in row["shape"]] == pytest.approx(wanted, abs=0.05)
+        assert (row["mass_kg"], row["sd_shape"], row["interval_90"]["mass_kg"]) == (None, None, None)
+    names = fit.table().splitlines()[2]
+    assert names == "f_Hz,Q,b:a_re,b:a_im,c:a_re,c:a_im,sd_cents,sd_Q_percent,measured"
