@@ -80,10 +80,12 @@ def strings_on_a_body(
     laws=False,
     rising=0,
     bare=99,
+    offset=0.0,
 ):
     """n strings of a body's points that move by fewer motions; a held one touches nothing, some have dashpots.
 
-    The tension of the first ones rises by a few per cent at 1e-6 in each coordinate. Every `bare`-th has no residual:
+    Ends are held at gaps of up to `offset` m. The tension of the first ones rises by a few per cent at 1e-6 in each
+    coordinate. Every `bare`-th has no residual:
     where the body has none either, its end is held at the gap alone, not at the gap and its rate.
     """
     shapes = rng.normal(size=(points, motions)) @ rng.normal(size=(motions, 20))
@@ -100,7 +102,7 @@ def strings_on_a_body(
             own, np.full(11, 0.5), place, residual=1e-8 * np.eye(2) * (i % bare != bare - 1)
         )
         at = () if held and i % 5 == 4 else (Term("body", names[i // 3 % points], -1.0),)
-        joints.append(Connection(f"s{i}.end", (Term(f"s{i}", "end"), *at)))
+        joints.append(Connection(f"s{i}.end", (Term(f"s{i}", "end"), *at), Rigid(offset * np.cos(i))))
         if dashpots and i % 4 == 0:
             joints.append(Connection(f"s{i}.felt", (Term(f"s{i}", "mid"),), SpringDashpot(0.0, 0.3)))
     if laws:
@@ -121,13 +123,16 @@ CASES = {
     "own motions, many": {"points": 19, "motions": 19, "n": 60}, "many motions": {"points": 24, "motions": 17, "n": 80},
     "several gammas": {"residual": 0.0, "bare": 7},
     "several gammas, own motions": {"points": 19, "motions": 19, "n": 60, "residual": 0.0, "bare": 4, "rising": 5},
+    "offsets": {"offset": 1e-6}, "offsets, own motions": {"points": 12, "motions": 12, "offset": 1e-6},
     "rising": {"rising": 9}, "rising, all at one point": {"points": 12, "motions": 1, "rising": 3},
     "rising, own motions": {"points": 12, "motions": 12, "rising": 30},
     "rising, many motions": {"points": 24, "motions": 17, "n": 80, "rising": 40},
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", ["plain", "several gammas, own motions", "many motions", "rising"])
+@pytest.mark.parametrize(
+    "case", ["several gammas, own motions", "many motions", "rising", "offsets", "offsets, own motions"]
+)
 def test_kernel_solves_in_parts_what_it_solves_by_the_whole_matrix(rng, case, monkeypatch):
     seed, found = int(rng.integers(10**6)), []
     for least in (20, 10**6):
