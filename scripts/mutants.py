@@ -240,6 +240,8 @@ class Copy:
         pattern = re.compile(rf"\b(?:from|import) [\w.]*\b{edit.file.stem}\b")
         texts = {f: (self.folder / f).read_text(encoding="utf-8") for f in {t.partition("::")[0] for t in known}}
         first = [t for t, row in known.items() if (at := row[1].get(source)) and (not lines or lines & set(at))]
+        if not lines:  # a constant: whoever imports it may read it without running a line of its module
+            first += [t for t in known if t not in first and pattern.search(texts[t.partition("::")[0]])]
         files = {t.partition("::")[0] for t in first}
         files |= set() if first else {f for f, text in texts.items() if re.search("subprocess|Popen|_in_process", text)}
         second = [t for t in known if t not in first and t.partition("::")[0] in files]

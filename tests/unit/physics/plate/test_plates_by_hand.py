@@ -140,6 +140,8 @@ def test_rings_by_hand() -> None:
     assert np.hypot(*(bend[1] - bend[0])) < 1e-6
     np.testing.assert_allclose(circle(2.0, (1.0, -1.0), 4), np.array([1.0, -1.0]) + np.sqrt(2 * np.pi) * np.array(
         [[1, 0], [0, 1], [-1, 0], [0, -1]]), atol=1e-12)  # fmt: skip
+    np.testing.assert_allclose(circle(0.5).mean(axis=0), 0.0, atol=1e-12)
+    assert len(circle(0.5)) == 720
     assert crossing(SQUARE, SQUARE + 2.0) is None
     assert crossing(SQUARE, SQUARE + 0.5) == pytest.approx([1.0, 0.5])
     assert crossing(SQUARE, 0.5 * SQUARE + 0.25) is None
@@ -199,6 +201,17 @@ def test_figures_of_woods_are_those_of_the_table() -> None:
         soft = "spruce" in name or "cedar" in name
         losses = (0.0075, 0.020, 0.018) if soft else (0.010, 0.022, 0.020)
         assert (wood.loss_L, wood.loss_R, wood.loss_shear) == losses
+
+
+@pytest.mark.parametrize("edge", [CLAMPED, HINGED, Edge(2e6, 300.0)])
+def test_frequencies_stay_where_stiffness_and_mass_grow_alike(edge: Edge) -> None:
+    """All moduli, springs and the density times 1000: stiff springs that stand for an edge follow the plate's."""
+    heavy = Wood(*(1e3 * x for x in (13e9, 0.9e9, 1.5e9)), 0.372, 440e3, G_LT=0.8e12, G_RT=0.04e12)
+    light = Wood(13e9, 0.9e9, 1.5e9, 0.372, 440.0, G_LT=0.8e9, G_RT=0.04e9)
+    stiffer = replace(edge, k_w=1e3 * edge.k_w, k_theta=1e3 * edge.k_theta)
+    ring = SQUARE * [0.3, 0.2]
+    freq = [Plate([ring], w, 3e-3, e, size=0.05).modes(count=6).freq for w, e in ((light, edge), (heavy, stiffer))]
+    np.testing.assert_allclose(*freq, rtol=1e-7)
 
 
 def test_a_beam_by_hand() -> None:

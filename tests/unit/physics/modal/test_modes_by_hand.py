@@ -335,6 +335,8 @@ def test_rates_of_mixtures_that_can_be_and_that_cannot():
     np.testing.assert_allclose(impossible.error, shares @ impossible.mode / [1.0, 10.0] - 1, rtol=1e-12)
     none = loss_rates(np.zeros((0, 2)), np.zeros(0), np.array([3.0, 4.0]))
     assert (none.mode.tolist(), none.error.size) == ([3.0, 4.0], 0)
+    stuck = loss_rates(shares, np.array([1.0, 2.0]), np.zeros(2))  # modes that begin at 0 stay there
+    assert (stuck.mode.tolist(), stuck.error.tolist()) == ([0.0, 0.0], [-1.0, -1.0])
     still = loss_rates(shares, np.zeros(2), np.zeros(2))
     assert (still.mode.tolist(), still.error.tolist()) == ([0.0, 0.0], [0.0, 0.0])
 
