@@ -250,6 +250,26 @@ def test_frequencies_of_mobility_are_even_and_the_modes_own() -> None:
     assert report_facts.frequencies(body, 10000.0)[-1] == pytest.approx(4500.0)  # type: ignore[arg-type]
 
 
+def test_modes_of_a_loaded_body_are_named_like_those_without() -> None:
+    """Own modes at 100 and 200 Hz; with a mass at 95, 150 and 190 Hz, of which the shape says which is T1."""
+    own = SimpleNamespace(natural_freq=np.array([100.0, 200.0]), points=("p", "q"), right=np.array([[1.0, 1], [1, -1]]))
+    right = np.array([[1.0, 2.0, 1.0], [1.0, -2.0, 0.9]])
+    whole = SimpleNamespace(natural_freq=np.array([95.0, 150.0, 190.0]), right=right, index={"p": 0, "q": 1}.get)
+    surface: Any = SimpleNamespace(labels=("A0", "T1"))
+    body = SimpleNamespace(sources=lambda upper: surface, basis=lambda upper: own)
+    spec = SimpleNamespace(stops=SimpleNamespace(kind="none"))
+    model: Any = SimpleNamespace(instrument=SimpleNamespace(body=body, spec=spec), body=whole, fs=1000.0)
+    modes = [mode(95.0), mode(150.0), mode(190.0)]
+    assert report_facts._named(model, modes) == {"A0": 0, "T1": 1}
+    surface.labels = ("top", "T1")
+    assert report_facts._named(model, modes) == {"T1": 1}
+    surface.labels = ("", "")
+    assert report_facts._named(model, modes) == {}
+    spec.stops.kind = "frets"
+    fretted = [mode(f) for f in (100.0, 200.0, 300.0)]  # A0, then 1.4 to 2.8 times that
+    assert report_facts._named(model, fretted)["T1"] == 1
+
+
 def test_a_string_is_told_as_it_is_used() -> None:
     monochord = tw.load_instrument("monochord")
     model = assemble(monochord.replace({"strings.A2.tension": 55.0}), 16000)
