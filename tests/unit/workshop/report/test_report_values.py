@@ -93,6 +93,7 @@ def compared(*instruments: InstrumentFacts, **other: Any) -> Comparison:
         (mode(200 * 2 ** (200 / 1200), mass=0.1 * 10**0.8), False),
         (replace(mode(200.0), residue=0.0, mass=math.inf), True),  # nothing is known of its size
         (mode(200.0, shape=(1.0, 0.0)), True),  # nor of shapes of other strings
+        (mode(200 * 2 ** (405 / 1200), shape=(1.0, 0.0)), False),
         (mode(-1.0), False),
     ],
 )
@@ -248,6 +249,46 @@ def test_frequencies_of_mobility_are_even_and_the_modes_own() -> None:
     extra = [98.0, 100.0, 102.0, 9000.0]  # a ratio above 1 counts as 1: 0 and 18 kHz are outside
     np.testing.assert_allclose(found, np.unique(np.concatenate([even, extra])))
     assert report_facts.frequencies(body, 10000.0)[-1] == pytest.approx(4500.0)  # type: ignore[arg-type]
+
+
+def test_modes_of_a_body_at_its_strings_and_alone() -> None:
+    """Residues of ends a and b: means; a mode without loss rings for ever, one that no end moves has no mass."""
+    shapes = np.array([[3.0, 0.0, 1.0], [4.0, 0.0, 2.0], [1.0, 1.0, 5.0]])
+    omega = 2 * np.pi * np.array([200.0, 0.0, 100.0])
+    body = SimpleNamespace(
+        natural_freq=omega / 2 / np.pi, stiffness=omega**2, damping_rate=np.array([10.0, 0.0, 0.0]), right=shapes,
+        n_modes=3, index={"a": 0, "b": 1, "c": 2}.get, residues=lambda p: shapes[{"a": 0, "b": 1, "c": 2}[p]] ** 2,
+    )  # fmt: skip
+    ends = {"A": {"a": 0.5, "c": 0.4}, "B": {"b": -1.0, "c": 0.9}}
+    strings = {n: SimpleNamespace(polarizations=[SimpleNamespace(ends=e)]) for n, e in ends.items()}
+    surface = SimpleNamespace(volumes=np.array([[0.0, 1.0, 3.0], [2.0, 1.0, 4.0]]))
+    made = SimpleNamespace(
+        body=SimpleNamespace(sources=lambda upper: surface), spec=SimpleNamespace(body=SimpleNamespace(added=()))
+    )
+    model: Any = SimpleNamespace(
+        body=body,
+        strings=strings,
+        groups=dict.fromkeys(strings),
+        body_points={"a": 0, "c": 0},
+        fs=1000.0,
+        instrument=made,
+    )
+    still, low, high = report_facts.body_modes(model)
+    assert (low.freq, high.freq) == pytest.approx((100.0, 200.0))
+    assert (low.q, low.t60, high.q) == (math.inf, math.inf, pytest.approx(2 * np.pi * 200 / 20))
+    assert high.t60 == pytest.approx(math.log(1000) / 10)
+    assert (low.residue, high.residue, high.mass) == pytest.approx(((1 + 4) / 2, (9 + 16) / 2, 2 / 25))
+    assert (still.residue, still.mass, still.freq) == (0.0, math.inf, 0.0)
+    np.testing.assert_allclose(high.shape, [0.6, 0.8])
+    np.testing.assert_allclose(still.shape, [0.0, 0.0])
+    model.strings = model.groups = {}
+    low, high = report_facts.body_modes(model)  # no rigid motion; shapes of the whole surface
+    np.testing.assert_allclose([low.shape, high.shape], [[0.6, 0.8], [0.0, 1.0]])
+    assert low.residue == (1 + 25) / 2  # at its points a and c
+    made.spec.body.added = (1,)
+    np.testing.assert_allclose(report_facts.body_modes(model)[0].shape, np.array([1.0, 5.0]) / math.sqrt(26))
+    model.body_points = {}
+    assert report_facts.body_modes(model)[0].mass == math.inf
 
 
 def test_modes_of_a_loaded_body_are_named_like_those_without() -> None:
@@ -495,6 +536,9 @@ def test_the_difference_of_mobilities_is_that_of_their_means(drawn: list[Figure]
     assert [line.get_ydata()[5] for line in upper.lines] == pytest.approx([-20.0, -14.0])
     assert [line.get_ydata()[5] for line in lower.lines] == pytest.approx([-40.0, -30.0])
     np.testing.assert_allclose(below.lines[0].get_ydata(), 8.0)
+    assert [ax.get_ylabel() for ax in drawn[0].axes[:3]] == ["mobility\ndB re 1 (m/s)/N"] * 2 + ["less A, dB"]
+    assert [ax.get_xlabel() for ax in drawn[0].axes[:3]] == ["", "", "frequency, Hz"]
+    assert below.lines[1].get_ydata()[0] == 0.0
     x = below.lines[0].get_xdata()
     assert (x[0], x[-1], len(x)) == (pytest.approx(40 * 2 ** (1 / 6)), pytest.approx(10000 / 2 ** (1 / 6)), 120)
 
