@@ -28,7 +28,9 @@ SAID = {
     "legend", "tick_params", "set_title", "annotate",
 }  # fmt: skip
 #: functions of which the order of two arguments says nothing
-SYMMETRIC = {"isclose", "allclose", "array_equal", "hypot", "gcd", "multiply", "add", "union1d", "isinstance"}
+SYMMETRIC = {
+    "isclose", "allclose", "array_equal", "hypot", "gcd", "multiply", "add", "union1d", "swapaxes", "isinstance",
+}  # fmt: skip
 #: C++ as the formatted sources have it: pattern, and its replacement
 TOKENS = [
     (r" \+ ", " - "), (r" - ", " + "), (r" \* ", " / "), (r" / ", " * "), (r" < ", " <= "), (r" <= ", " < "),
@@ -191,7 +193,8 @@ class PythonEdits:
                 elif len(args) > 1 and name not in SYMMETRIC and not any(isinstance(a, ast.Starred) for a in args[:2]):
                     first, second = args[:2]
                     text = f"{self.text(second)}, {self.text(first)}"
-                    yield Edit(self.file, self.source, self.span(first)[0], self.span(second)[1], text, "swapped")
+                    if self.text(first) != self.text(second):
+                        yield Edit(self.file, self.source, self.span(first)[0], self.span(second)[1], text, "swapped")
 
 
 def candidates(package: str) -> list[Edit]:

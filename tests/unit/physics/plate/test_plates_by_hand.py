@@ -634,6 +634,10 @@ def test_pictures_of_shapes_show_height_flow_and_names() -> None:
     assert [ax.patches[0].get_facecolor()[:3] for ax in axes[:2]] == [
         pytest.approx((0xF0 / 255, 0xB7 / 255, 0xA0 / 255)), pytest.approx((0xA6 / 255, 0xCD / 255, 0xE3 / 255)),
     ]  # fmt: skip
+    still = replace(sources, volumes=0.0 * sources.volumes)
+    (ax,) = Figure().subplots(1, 1, squeeze=False)[0]
+    draw_shapes([ax], still, np.array([50.0]), np.array([9.0]))
+    assert not ax.collections[0].get_array().any()  # a mode that does not move is white, and no number is missing
     for ax, column in zip(axes[:2], heights[:-1].T, strict=True):
         mesh = next(c for c in ax.collections if c.get_array() is not None and len(c.get_array()) == len(points) - 1)
         largest = np.quantile(np.abs(column), 0.99)
