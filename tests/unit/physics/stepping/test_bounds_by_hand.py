@@ -10,7 +10,7 @@ import pytest
 
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.laws import Contact
-from tonewood.physics.coupling.system import System
+from tonewood.physics.coupling.system import Injection, System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.stepping.kernel import KernelStepper, Shortcuts
 
@@ -44,14 +44,14 @@ def scene(clearances, modes=ALL, *, points=("at",), factor=1.0, pulled=True):
     return System.build({"s": string(modes), "body": body}, links, dt=DT)
 
 
-def statistics(system, state=None, *, kick=0.0, steps=BLOCK, **shortcuts):
+def statistics(system, state=None, *, kick=0.0, steps=BLOCK, injections=(), **shortcuts):
     """Statistics of a run in which nothing touches, and the forces of the last connection."""
     start = system.start()
     if state is not None:
         system.modes_of(start, "s")[:] = state
     system.modes_of(start, "body")[1] = kick
     stepper = KernelStepper(system, shortcuts=Shortcuts(**shortcuts))
-    _, forces = stepper.run(start, steps)
+    _, forces = stepper.run(start, steps, injections)
     contacts = [j for j, c in enumerate(system.connections) if isinstance(c.law, Contact)]
     assert not forces[:, contacts].any()
     return stepper.culling_statistics, forces[:, -1]
@@ -111,6 +111,34 @@ def test_the_fine_bound_is_that_about_the_middle_of_the_block(modes, sign):
     for beyond, read in ((NEAR, 0), (-NEAR, 1)):
         system = scene([min(bound, coarse) + beyond * abs(bound)], modes, pulled=False)
         assert statistics(system, state, group_bound=False)[0]["rows_read"] == read
+
+
+@pytest.mark.parametrize("fine", [False, True])
+@pytest.mark.parametrize("values", [np.ones(BLOCK), np.cos(2.0 * np.arange(BLOCK)), np.r_[np.zeros(10), np.ones(6)]])
+def test_known_forces_are_bounded_about_their_static_displacement(values, fine):
+    """A string at rest: the static state z of the mean force, about which it moves, and the deviations from the mean.
+
+    z = (1 - E)^-1 w. Coarse: |y of z| + peak (|z| + sum |deviation| |w|). Fine: y of z in place of its size, with the
+    motion about it in the middle of the block and its change, as without a force.
+    """
+    rows, w = Rows(ALL), 1e-7 * np.array([[1.0, -0.5], [0.4, 0.8], [-0.3, 0.2], [0.1, 0.6]])
+    system = scene([1.0], pulled=False)
+    E = system.compiled[0].E
+    mean = values.mean()
+    z = mean * np.linalg.solve(np.eye(2) - E, w[..., None])[..., 0].T
+    static = rows.a @ z[0]
+    deviation = np.abs(values - mean).sum() * rows.norm(w.T)
+    bound = abs(static) + rows.peak * (rows.norm(z) + deviation)
+    if fine:
+        far = np.max((rows.cos - rows.cos[8]) ** 2 + ((rows.sin - rows.sin[8]) / rows.s) ** 2, axis=0)
+        size = np.sort(np.abs([z[0], rows.s * z[1]]), axis=0)
+        spread = np.sum(np.sqrt(np.minimum(far, rows.all)) * (size[1] + 0.41421357 * size[0]))
+        middle = np.sum((rows.sin[8] * z[1] - rows.cos[8] * z[0])[far < rows.all])
+        bound = min(bound, spread + rows.peak * deviation - middle - static)
+    force = Injection("s", 0, w[None], values[None])
+    for near, read in ((1 + NEAR, 0), (1 - NEAR, 1)):
+        found = statistics(scene([bound * near], pulled=False), injections=[force], fine_bound=fine)[0]
+        assert found["rows_read"] == read
 
 
 def reach_of(system, onto, at):
