@@ -175,7 +175,7 @@ def main() -> None:
     piano = tw.load_instrument("grand_piano")
     strings = tw.Renderer(tw.Score([tw.Note(0.0, 0.1, 60)]), piano, FS).engine.model.strings
     played = {name for string in strings.values() if round(string.open_note) in pitches for name in string.group}
-    damped = {name for name, string in strings.items() if string.damper is not None} - played
+    damped = {name for name, string in strings.items() if string.places.damper is not None} - played
     ways: list[tuple[str, Way | None, Collection[str]]] = [
         ("nothing", None, ()),
         ("not played: left out", left_out, strings.keys() - played),

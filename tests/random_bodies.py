@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from tonewood.physics.modal.conjugates import full_state
+from tonewood.errors import PassivityError
+from tonewood.physics.modal.conjugates import extend
+from tonewood.physics.passivity.storage import Storage
 
 #: mean damping ratios of the three kinds of test body
 DAMPING = {"light": 0.003, "medium": 0.015, "heavy": 0.06}
@@ -43,6 +45,27 @@ class Body:
         return np.array(
             [1j * w * self.ports @ linalg.solve(d, self.ports.T) for w, d in zip(omega, dynamic, strict=True)]
         )
+
+
+def full_state(poles, z):
+    """The full state [z; conj(z_pairs)] of the stored one."""
+    return np.concatenate([z, np.conj(z[poles.imag != 0.0])])
+
+
+def mechanical_storage(poles, right, left, M, C, K):
+    """Mechanical energy of a structure from a complete list of its complex modes.
+
+    E = (v^T M v + u^T K u) / 2 and d = v^T C v with u = sum 2 Re(r z), v = sum 2 Re(lambda r z).
+    """
+    lam, psi, psi_left = extend(poles, right, left)
+    speed = psi * lam
+    P = 0.5 * (speed.conj().T @ M @ speed + psi.conj().T @ K @ psi)
+    supplied = 0.5 * speed.conj().T
+    if linalg.norm(P @ psi_left.T - supplied) > 1e-8 * linalg.norm(supplied):
+        raise PassivityError("the modes are not the complete list of these mass, damping and stiffness matrices")
+    n_dof = psi.shape[0]
+    cross = np.zeros((lam.size, n_dof), dtype=np.complex128)
+    return Storage(P, speed.conj().T @ C @ speed, cross, np.zeros((n_dof, n_dof)), "mechanical")
 
 
 def body(seed, zeta=0.015, n_dof=40, n_ports=3, low=80.0, high=8000.0, dashpots=6, mass=0.005):

@@ -192,7 +192,7 @@ def test_a_damper_without_resistance_takes_nothing(tmp_path: Path) -> None:
     model = ta.assemble(piano(tmp_path / "soft", ["C4"], {"damper.resistance": "0"}), 8000)
     string = model.strings["C4_1"]
     bases = string.bases(0.0)
-    for name, basis in string.under_damper(bases, 1.0).items():
+    for name, basis in string.modes.under_damper(bases, 1.0).items():
         assert (basis.poles == bases[name].poles).all()
 
 

@@ -200,8 +200,7 @@ class Stops(Parameters):
     """Stops of the strings."""
 
     kind: Literal["none", "frets", "continuous"] = described(
-        "none: open strings; frets: whole steps of the scale; continuous: any place up to `count` steps",
-        default="none",
+        "none: open strings; frets: whole steps of the scale; continuous: any place up to `count` steps", default="none"
     )
     count: int = described("number of steps of the scale", default=0, ge=0, le=200, strict=True)
     model: Literal["ideal", "finger"] = described(
@@ -244,8 +243,7 @@ class Velocity(Parameters):
     low: float = quantity("1", default=0.4, doc="at velocity 1, in the parameter's unit")
     high: float = quantity("1", default=4.0, doc="at velocity 127")
     curve: Literal["exponential", "linear"] = described(
-        "exponential: low (high / low)^((v - 1) / 126); linear: low + (high - low) (v - 1) / 126",
-        default="exponential",
+        "exponential: low (high / low)^((v - 1) / 126); linear: low + (high - low) (v - 1) / 126", default="exponential"
     )
 
     @model_validator(mode="after")

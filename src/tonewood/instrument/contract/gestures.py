@@ -215,7 +215,4 @@ def smooth_step(start: float, stop: float, low: float, high: float) -> tuple[Seg
         return ()
     width, rise = stop - start, high - low
     middle, bend = start + width / 2, 2 * rise / width**2
-    return (
-        Segment(start, middle, low, 0.0, bend),
-        Segment(middle, stop, low + rise / 2, 2 * rise / width, -bend),
-    )
+    return (Segment(start, middle, low, 0.0, bend), Segment(middle, stop, low + rise / 2, 2 * rise / width, -bend))

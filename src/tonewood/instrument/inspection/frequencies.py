@@ -150,7 +150,7 @@ def feel(model: Model, name: str) -> StringFeel:
     bridge with T sin(angle).
     """
     string = model.strings[name]
-    tension, a = string.tension(0.0), string.pluck_from_bridge
+    tension, a = string.tension(0.0), string.places.pluck
     b = string.length() - a
     angle = model.instrument.spec.strings[name].break_angle_deg
     return StringFeel(

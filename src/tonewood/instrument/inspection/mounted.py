@@ -94,13 +94,13 @@ def mounted_pitches(model: Model, alone: Sequence[Pitch]) -> list[MountedPitch]:
     A string that has a damper stands beside those of its key, which are lifted with it, the others with all strings
     that have none: a string under its damper is taken not to move.
     """
-    free = {name: string for name, string in model.strings.items() if string.damper is None}
+    free = {name: string for name, string in model.strings.items() if string.places.damper is None}
     undamped = Mounted(free, model.body)
     out = []
     for p in alone:
         string = model.strings[p.string]
         beside = {name: model.strings[name] for name in string.group}
-        out.append((undamped if string.damper is None else Mounted(beside, model.body)).pitch(p))
+        out.append((undamped if string.places.damper is None else Mounted(beside, model.body)).pitch(p))
     return out
 
 

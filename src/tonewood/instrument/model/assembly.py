@@ -179,7 +179,8 @@ def assemble(
     components = {"body": body, **added.components, **_string_components(strings.values())}
     _check_components(strings.values(), {"body", *added.components}, channels)
     _check_references(instrument, strings, {**components, **channels.components}, connections, channels)
-    owners = {component: name for name, string in strings.items() for component in string.all_components}
+    owners = {component: name for name, string in strings.items() for component in string.components}
+    owners |= {component: name for name, s in strings.items() for a in s.attached() for component in a.components}
     if by_string:
         channels = outputs_by_string(channels, connections, owners, list(strings), body, list(body_points))
     system = System.build(

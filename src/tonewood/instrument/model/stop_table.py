@@ -16,16 +16,12 @@ class StopTable:
     string : name, for errors.
     open_length : L, m; of real frets the length of the scale.
     stopping : its stops, and how they are tuned.
+    count : highest stop; 0 for a string that is only played open.
     """
 
     def __init__(self, string: str, open_length: float, stopping: Stopping):
-        self.string, self.open_length, self.stopping = string, open_length, stopping
+        self.string, self.open_length, self.stopping, self.count = string, open_length, stopping, stopping.count
         self._places: dict[int, float] = {}
-
-    @property
-    def count(self) -> int:
-        """Highest stop; 0 for a string that is only played open."""
-        return self.stopping.count
 
     @cached_property
     def freqs(self) -> tuple[float, ...]:

@@ -63,7 +63,7 @@ class StringBases:
         """Return bases of the same string by another table of tensions."""
         return StringBases(tuning, self.places, self._longitudinal, self._limit)
 
-    def made(
+    def at(
         self,
         stop: float,
         attached: Mapping[str, float],
@@ -104,14 +104,14 @@ class StringBases:
     def plucked_at(
         self, bases: Mapping[str, ModalBasis], stop: float, place: float | None, width: float
     ) -> dict[str, ModalBasis]:
-        """Return bases of a stop with the point ``pluck`` elsewhere."""
+        """Return bases of a stop with the point ``pluck`` elsewhere; `place` and `width` as for `StringModel.bases`."""
         pluck, width, out = self._pluck(stop, place), width or self.places.pluck_width, dict(bases)
         for name in (p.component for p in self.tuning.untuned.polarizations):
             out[name] = moved(bases[name], "pluck", pluck, width)
         return out
 
     def under_damper(self, bases: Mapping[str, ModalBasis], share: float) -> dict[str, ModalBasis]:
-        """Return bases of the string with a share of its damper's loss added."""
+        """Return bases of the string with a share of its damper's loss added; see `tonewood.physics.modal.damper`."""
         out = dict(bases)
         if self.places.damper is None:
             return out

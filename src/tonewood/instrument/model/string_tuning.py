@@ -6,12 +6,11 @@ import math
 from collections.abc import Iterable
 from copy import copy
 from functools import cached_property
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
 from tonewood.errors import BundleError
-from tonewood.instrument.contract.base import Resonator
 from tonewood.instrument.model.finger import compliance
 from tonewood.instrument.model.kept_tunings import KeptTunings
 from tonewood.instrument.model.string_setup import GivenTension
@@ -33,22 +32,18 @@ class StringTuning:
 
     stops : geometry.
     untuned : bases before tuning.
+    resonator : plugin of the string.
     body : `Ports` of the body, one row per polarization.
     pluck_from_bridge : m, for the strength of coupled modes.
     kept : tunings of open strings from an earlier run.
     """
 
     def __init__(self, untuned: UntunedBases, body: Ports, pluck_from_bridge: float, kept: KeptTunings | None = None):
-        self.stops, self.untuned = untuned.stops, untuned
+        self.stops, self.untuned, self.resonator = untuned.stops, untuned, untuned.resonator
         self._body, self._pluck, self._kept = body, pluck_from_bridge, kept
         self._tuned: dict[float, tuple[TunedStop | None, float]] = {}
         self._gains: dict[float, float] = {}
         self._interpolates = False
-
-    @property
-    def resonator(self) -> Resonator[Any]:
-        """Plugin of the string."""
-        return self.untuned.resonator
 
     def freq(self, stop: float = 0) -> float:
         """Return the pitch that a stop should sound, Hz: its note, transposed where the tension is held."""

@@ -8,10 +8,10 @@ from copy import copy
 from typing import Any
 
 from tonewood.instrument.contract.attached import Attached, Site
-from tonewood.instrument.contract.base import Attachment, Exciter, Resonator, StringMotion
+from tonewood.instrument.contract.base import Attachment, Exciter, StringMotion
 from tonewood.instrument.model.finger import POINT, fingertips, laid_down
 from tonewood.instrument.model.string_bases import StringBases, StringPlaces
-from tonewood.instrument.model.string_setup import LongitudinalMotion, Polarization, Stopping
+from tonewood.instrument.model.string_setup import LongitudinalMotion, Polarization
 from tonewood.instrument.model.string_tuning import StringTuning
 from tonewood.instrument.model.tuning import TunedStop
 from tonewood.physics.coupling.connections import Connection
@@ -26,7 +26,11 @@ class StringModel:
     name : of the string.
     open_note : note number of the open string.
     tuning : geometry (`tuning.stops`), tensions and coupled modes of its stops.
+    resonator : its plugin.
+    polarizations : one or two; the first is the one kept when effects are left out.
+    stopping, n_stops : its stops, and the highest; 0 for a string that is only played open.
     places : of pluck, damper and named points on it.
+    modes : its bases at every stop, bend and damping.
     longitudinal : its longitudinal motion, if that is stepped.
     potentials : energies that it stores beside those of its modes, those that are left out among them.
     group : strings that a note on the first of them plays together; itself among them.
@@ -51,6 +55,8 @@ class StringModel:
         group: tuple[str, ...] = (),
     ):
         self.name, self.open_note, self.tuning, self.places = name, open_note, tuning, places
+        self.resonator, self.polarizations = tuning.resonator, tuning.untuned.polarizations
+        self.stopping, self.n_stops = tuning.stops.stopping, tuning.stops.count
         self.longitudinal = longitudinal
         planes, lengthwise = (
             tuple(p.component for p in self.polarizations),
@@ -61,48 +67,13 @@ class StringModel:
         )
         self.group, self._of_key = group or (name,), bool(group)
         self.touching, self._tilt_deg = dict(touching or {}), tilt_deg
-        self._bases = StringBases(tuning, places, longitudinal, freq_limit)
+        self.modes = StringBases(tuning, places, longitudinal, freq_limit)
         self._attached: dict[float, tuple[Attached, ...]] = {}
-
-    @property
-    def resonator(self) -> Resonator[Any]:
-        """Its plugin."""
-        return self.tuning.resonator
-
-    @property
-    def polarizations(self) -> tuple[Polarization, ...]:
-        """One or two; the first is the one kept when effects are left out."""
-        return self.tuning.untuned.polarizations
-
-    @property
-    def stopping(self) -> Stopping:
-        """Its stops."""
-        return self.tuning.stops.stopping
-
-    @property
-    def pluck_from_bridge(self) -> float:
-        """Place of the pluck where a gesture gives none, m."""
-        return self.places.pluck
-
-    @property
-    def damper(self) -> tuple[float, float, float] | None:
-        """Resistance (N s/m), place and width (m, from the bridge) of the felt that rests on it; None without one."""
-        return self.places.damper
-
-    @property
-    def n_stops(self) -> int:
-        """Highest stop; 0 for a string that is only played open."""
-        return self.tuning.stops.count
 
     @property
     def components(self) -> tuple[str, ...]:
         """Names of its components in the system, the first polarization first, longitudinal motion last."""
         return tuple(p.component for p in self.ends)
-
-    @property
-    def all_components(self) -> tuple[str, ...]:
-        """Names of its components, then those that attachments, exciters and a finger add to it."""
-        return (*self.components, *(name for a in self.attached() for name in a.components))
 
     @property
     def ends(self) -> tuple[Polarization | LongitudinalMotion, ...]:
@@ -116,7 +87,7 @@ class StringModel:
             return self
         other = copy(self)
         other.tuning, other._attached = tuning, {}
-        other._bases = self._bases.tuned_by(tuning)
+        other.modes = self.modes.tuned_by(tuning)
         return other
 
     def freq(self, stop: float = 0) -> float:
@@ -180,7 +151,7 @@ class StringModel:
         whole : keep also modes that the tension has raised above the limit.
         """
         attached = {name: x for a in self.attached(stop) for name, x in a.places.items()} | dict(touches or {})
-        return self._bases.made(
+        return self.modes.at(
             stop,
             attached,
             bend_cents=bend_cents,
@@ -189,16 +160,6 @@ class StringModel:
             pluck_width=pluck_width,
             whole=whole,
         )
-
-    def plucked_at(
-        self, bases: Mapping[str, ModalBasis], stop: float, place: float | None, width: float
-    ) -> dict[str, ModalBasis]:
-        """Return bases of a stop with the point ``pluck`` elsewhere; `place` and `width` as those of `bases`."""
-        return self._bases.plucked_at(bases, stop, place, width)
-
-    def under_damper(self, bases: Mapping[str, ModalBasis], share: float) -> dict[str, ModalBasis]:
-        """Return bases of the string with a share of its damper's loss added; see `tonewood.physics.modal.damper`."""
-        return self._bases.under_damper(bases, share)
 
     def n_modes(self, stop: float = 0) -> int:
         """Modes per polarization of a stop before tension raises any above the limit."""

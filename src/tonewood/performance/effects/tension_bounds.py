@@ -185,7 +185,7 @@ class TensionBounds:
     def _compliance(self, name: str, system: System, fretting: Fretting) -> float:
         """Static compliance of a string between fixed ends where it is plucked, x (L - x) / (T L) in m/N."""
         tension, length = self._tension_and_length(name, system)
-        pluck = self.model.strings[name].pluck_from_bridge
+        pluck = self.model.strings[name].places.pluck
         x = min(pluck, 0.9 * length) if fretting.place is None else fretting.place
         return x * (length - x) / (tension * length)
 

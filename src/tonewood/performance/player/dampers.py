@@ -33,7 +33,7 @@ class Dampers:
         keys = model.instrument.spec.keys
         self._pedals = keys.pedals if keys is not None and keys.has_pedals else None
         self._groups = {
-            leader: group for leader, group in model.groups.items() if model.strings[leader].damper is not None
+            leader: group for leader, group in model.groups.items() if model.strings[leader].places.damper is not None
         }
         self._at: dict[str, dict[int | None, float]] = {SUSTAIN: {}, SOSTENUTO: {}, UNA_CORDA: {}}
         self._down: set[str] = set()

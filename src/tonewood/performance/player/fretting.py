@@ -67,7 +67,7 @@ class Fretting:
 
 def at_rest(string: StringModel) -> Fretting:
     """Fretting of a string that is not being played: under its damper, if it has one."""
-    return Fretting(damper=0.0 if string.damper is None else 1.0)
+    return Fretting(damper=0.0 if string.places.damper is None else 1.0)
 
 
 class FrettedBases:
@@ -96,7 +96,7 @@ class FrettedBases:
             return fretting
         string = self.model.strings[name]
         length = string.length(fretting.stop)
-        usual = fretting.place == min(string.pluck_from_bridge, 0.9 * length)
+        usual = fretting.place == min(string.places.pluck, 0.9 * length)
         return replace(fretting, place=None) if usual or fretting.place > length else fretting
 
     def bases(self, name: str, fretting: Fretting) -> dict[str, Compiled]:
@@ -120,7 +120,7 @@ class FrettedBases:
         if compiled is None:
             return {c: system.compile(c, basis) for c, basis in self._made(name, fretting).items()}
         before = {c: part.basis for c, part in compiled.items()}
-        bases = self.model.strings[name].plucked_at(before, fretting.stop, fretting.place, fretting.width)
+        bases = self.model.strings[name].modes.plucked_at(before, fretting.stop, fretting.place, fretting.width)
         return {
             c: compiled[c] if basis is before[c] else system.compile(c, basis, like=compiled[c])
             for c, basis in bases.items()
@@ -129,7 +129,8 @@ class FrettedBases:
     def _made(self, name: str, fretting: Fretting) -> dict[str, ModalBasis]:
         if fretting.damper:
             free = self.bases(name, replace(fretting, damper=0.0))
-            return self.model.strings[name].under_damper({c: part.basis for c, part in free.items()}, fretting.damper)
+            undamped = {c: part.basis for c, part in free.items()}
+            return self.model.strings[name].modes.under_damper(undamped, fretting.damper)
         if fretting.added_damping:
             ringing = self.bases(name, replace(fretting, added_damping=0.0))
             return damped({c: compiled.basis for c, compiled in ringing.items()}, fretting.added_damping)

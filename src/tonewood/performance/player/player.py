@@ -55,13 +55,7 @@ class Player:
     """
 
     def __init__(
-        self,
-        model: Model,
-        *,
-        ramp: float = 5e-3,
-        spacing: int = 2,
-        channel_per_string: bool = False,
-        capo: int = 0,
+        self, model: Model, *, ramp: float = 5e-3, spacing: int = 2, channel_per_string: bool = False, capo: int = 0
     ):
         self.model, self.spacing, self.capo, self.channel_per_string = model, spacing, capo, channel_per_string
         self.hands, self.keys, self.counters = PacedHands(model, ramp, spacing, capo), HeldKeys(), PlayerCounters()

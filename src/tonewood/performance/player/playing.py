@@ -112,10 +112,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
     changes = [*laid_on(first, model), *decided.changes]
     if capo:
         changes += [Change(first, name, stop=capo) for name in model.strings]
-    timeline = Timeline(
-        sorted(changes, key=lambda c: c.time),
-        sorted(plays, key=lambda p: p.start),
-    )
+    timeline = Timeline(sorted(changes, key=lambda c: c.time), sorted(plays, key=lambda p: p.start))
     notes_played = sorted(played, key=lambda a: a.note.time)
     return Performance(timeline, notes_played, sorted(dropped, key=lambda d: d.time), warnings, _ignored(score, model))
 

@@ -191,7 +191,7 @@ def ended(time: float, string: str, model: Model, capo: float, following: float 
     following : s, when the next gesture on the string begins, where that is known.
     """
     end = model.playing.note_end
-    if end.kind == "ring" or model.strings[string].damper is not None or not time < following - 1e-3:
+    if end.kind == "ring" or model.strings[string].places.damper is not None or not time < following - 1e-3:
         return []
     out = [Change(time, string, added_damping=damping(end))]
     free = time + LET_GO_AFTER * end.t60

@@ -22,7 +22,15 @@ from typing import NamedTuple
 
 from tonewood.errors import ScoreError
 from tonewood.instrument.scales import Tuning, note_name
-from tonewood.performance.score.fingering import Chord, FingeringCosts, Option, Sounding, finger, hand_after
+from tonewood.performance.score.fingering import (
+    Chord,
+    FingeringCosts,
+    Option,
+    Sounding,
+    StringMatching,
+    finger,
+    hand_after,
+)
 from tonewood.performance.score.note import Dropped, Note
 
 CHORD_WINDOW = 0.030
@@ -112,7 +120,6 @@ def assign(
     *,
     channel_per_string: bool = False,
     tuning: Tuning | None = None,
-    costs: FingeringCosts | None = None,
 ) -> Assignment:
     """Give every note a string and a stop.
 
@@ -121,7 +128,6 @@ def assign(
     strings : of the instrument.
     channel_per_string : notes of the first MIDI channel go to the first string, and so on.
     tuning : for notes given by `freq`, and for the size of `cents`; twelve equal steps, A4 at 440 Hz by default.
-    costs : weights of the terms that are minimised.
     Returns assignment : every note is in `notes`, in `doubled` or in `dropped`.
     """
     resolver = PlaceResolver(strings, tuning or Tuning(), channel_per_string)
@@ -129,8 +135,8 @@ def assign(
     doubled: list[Note] = []
     if not channel_per_string:
         plucks, doubled = _share_plucks(plucks)
-    chords, dropped = _chords(plucks, resolver, len(strings))
-    chosen, cost = finger([_chord(chord) for chord in chords], len(strings), costs or FingeringCosts())
+    chords, dropped = _chords(plucks, resolver)
+    chosen, cost = finger([_chord(chord) for chord in chords], len(strings), FingeringCosts())
     pairs = [
         (voice.note, option)
         for chord, options in zip(chords, chosen, strict=True)
@@ -144,20 +150,14 @@ def assign(
 class StringChooser:
     """Left hand of a player who reads as far ahead as notes are known, or not at all.
 
-    strings, channel_per_string, tuning, costs : as for `assign`.
+    strings, channel_per_string, tuning : as for `assign`.
     hand : stop under the first finger.
     """
 
     def __init__(
-        self,
-        strings: Sequence[PlayableString],
-        *,
-        channel_per_string: bool = False,
-        tuning: Tuning | None = None,
-        costs: FingeringCosts | None = None,
+        self, strings: Sequence[PlayableString], *, channel_per_string: bool = False, tuning: Tuning | None = None
     ):
         self.strings, self.hand = strings, 1.0
-        self._costs = costs or FingeringCosts()
         self._resolver = PlaceResolver(strings, tuning or Tuning(), channel_per_string)
 
     def assign(
@@ -172,13 +172,13 @@ class StringChooser:
         dropped : (index of the note, reason) of those that cannot be played.
         """
         now = notes[0].time if notes else 0.0
-        first, dropped = _chords(notes, self._resolver, len(self.strings))
-        later, _ = _chords(ahead, self._resolver, len(self.strings))
+        first, dropped = _chords(notes, self._resolver)
+        later, _ = _chords(ahead, self._resolver)
         if not first:
             return [], dropped
         chords = [_chord(chord, now) for chord in (*first, *later)]
         now_on = {i: sounding[string.name] for i, string in enumerate(self.strings) if string.name in sounding}
-        chosen, _ = finger(chords, len(self.strings), self._costs, hand=self.hand, sounding=now_on)
+        chosen, _ = finger(chords, len(self.strings), FingeringCosts(), hand=self.hand, sounding=now_on)
         self.hand = hand_after(self.hand, chosen[0])
         return [
             Assigned(v.note, self.strings[o.string].name, o.stop, self._resolver.cents(v.note, o), math.inf)
@@ -303,9 +303,7 @@ class _Candidate(NamedTuple):
 _Chord = list[_Candidate]
 
 
-def _chords(
-    notes: Sequence[Note], resolver: PlaceResolver, n_strings: int
-) -> tuple[list[_Chord], list[tuple[int, Dropped]]]:
+def _chords(notes: Sequence[Note], resolver: PlaceResolver) -> tuple[list[_Chord], list[tuple[int, Dropped]]]:
     """Group notes that begin together into chords that can be played on different strings; drop the others.
 
     Notes within `SIMULTANEOUS` cannot follow one another on a string. Those that begin within `CHORD_WINDOW` are one
@@ -323,7 +321,7 @@ def _chords(
         except ScoreError as error:
             drop(i, note, error.reason)
     chords: list[_Chord] = []
-    matching = StringMatching(n_strings)
+    matching = StringMatching()
     first = 0
     while first < len(playable):
         begin = playable[first].note.time
@@ -338,7 +336,7 @@ def _chords(
                 matching = joined
                 chords[-1].extend(unit)
                 continue
-        matching = StringMatching(n_strings)
+        matching = StringMatching()
         kept = {i for i in _by_importance(unit) if matching.add(unit[i].options)}
         sounding = {unit[i].note.note for i in kept if unit[i].note.note is not None}
         for i, (index, note, _) in enumerate(unit):
@@ -356,40 +354,8 @@ def _by_importance(unit: _Chord) -> list[int]:
     by_pitch = sorted(range(len(unit)), key=lambda i: unit[i].note.note or 0.0)
     depth = {i: min(rank, len(unit) - 1 - rank) for rank, i in enumerate(by_pitch)}
     return sorted(
-        range(len(unit)),
-        key=lambda i: (unit[i].note.string is None, -(unit[i].note.velocity_midi or 0.0), depth[i]),
+        range(len(unit)), key=lambda i: (unit[i].note.string is None, -(unit[i].note.velocity_midi or 0.0), depth[i])
     )
-
-
-class StringMatching:
-    """Notes matched to strings, one each; adding a note moves earlier ones aside where that helps.
-
-    The sets of notes that can be matched are the independent sets of a (transversal) matroid: taking notes greedily
-    by importance keeps as many as any choice could, and the most important ones.
-    """
-
-    def __init__(self, n_strings: int):
-        self._taken: list[list[Option] | None] = [None] * n_strings
-
-    def copy(self) -> StringMatching:
-        """A matching to try on."""
-        other = StringMatching(0)
-        other._taken = list(self._taken)
-        return other
-
-    def add(self, options: list[Option]) -> bool:
-        """Match one more note; False, and nothing changes, if that is impossible."""
-        return self._augment(options, set())
-
-    def _augment(self, options: list[Option], tried: set[int]) -> bool:
-        for option in options:
-            if option.string not in tried:
-                tried.add(option.string)
-                holder = self._taken[option.string]
-                if holder is None or self._augment(holder, tried):
-                    self._taken[option.string] = options
-                    return True
-        return False
 
 
 def _chord(voices: _Chord, origin: float = 0.0) -> Chord:

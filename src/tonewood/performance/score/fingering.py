@@ -195,33 +195,53 @@ def ways_to_play(chord: Chord, n_strings: int, costs: FingeringCosts) -> Fingeri
     return Fingerings(choice, used, stop, end, duration, np.array([way.cost for way in partial]), low, stop.max(axis=1))
 
 
+class StringMatching:
+    """Notes matched to strings, one each; adding a note moves earlier ones aside where that helps.
+
+    The sets of notes that can be matched are the independent sets of a (transversal) matroid: taking notes greedily
+    by importance keeps as many as any choice could, and the most important ones.
+
+    taken : strings, as bits, that are given to no note.
+    """
+
+    def __init__(self, taken: int = 0):
+        self._taken = taken
+        self._options: dict[int, Sequence[Option]] = {}  # of the note on each string
+
+    def copy(self) -> StringMatching:
+        """A matching to try on."""
+        other = StringMatching(self._taken)
+        other._options = dict(self._options)
+        return other
+
+    def add(self, options: Sequence[Option]) -> bool:
+        """Match one more note; False, and nothing changes, if that is impossible."""
+        return self._augment(options, set())
+
+    def _augment(self, options: Sequence[Option], tried: set[int]) -> bool:
+        for option in options:
+            string = option.string
+            if string not in tried and not self._taken >> string & 1:
+                tried.add(string)
+                if string not in self._options or self._augment(self._options[string], tried):
+                    self._options[string] = options
+                    return True
+        return False
+
+
 def _cheapest_completable(ways: list[_Partial], rest: list[tuple[Option, ...]]) -> list[_Partial]:
     """The first `MAX_FINGERINGS` that leave strings for the rest of the chord."""
     kept: list[_Partial] = []
     completable: dict[int, bool] = {}
     for way in ways:
         if way.taken not in completable:
-            completable[way.taken] = _completable(way.taken, rest)
+            matching = StringMatching(way.taken)
+            completable[way.taken] = all(matching.add(options) for options in rest)
         if completable[way.taken]:
             kept.append(way)
             if len(kept) == MAX_FINGERINGS:
                 break
     return kept
-
-
-def _completable(taken: int, rest: list[tuple[Option, ...]]) -> bool:
-    holder: dict[int, int] = {}
-
-    def place(note: int, tried: set[int]) -> bool:
-        for string, _ in rest[note]:
-            if not taken >> string & 1 and string not in tried:
-                tried.add(string)
-                if string not in holder or place(holder[string], tried):
-                    holder[string] = note
-                    return True
-        return False
-
-    return all(place(note, set()) for note in range(len(rest)))
 
 
 def _advance(

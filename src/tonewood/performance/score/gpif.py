@@ -14,16 +14,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
-from tonewood.performance.score.guitar_pro import (
-    DYNAMICS,
-    FEELS,
-    FRETS,
-    GRACES,
-    GRADUAL,
-    RASGUEADOS,
-    jump,
-    strummed,
-)
+from tonewood.performance.score.guitar_pro import DYNAMICS, FEELS, FRETS, GRACES, GRADUAL, RASGUEADOS, jump, strummed
 from tonewood.performance.score.harmonics import touched
 from tonewood.performance.score.limits import Allowance, number, whole
 from tonewood.performance.score.score_clock import near

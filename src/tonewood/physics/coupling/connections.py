@@ -160,25 +160,6 @@ class LinearSolve:
         return self.apply(self.offset)
 
 
-def linear_solve(laws: Sequence[Law], compliance: Floats, residual: Floats, dt: float) -> LinearSolve:
-    """Eliminate the forces of linear laws.
-
-    Parameters
-    ----------
-    laws : m laws.
-    compliance : (m, m) m/N, Z of the gaps over one step.
-    residual : (m, m) m/N, residual compliance seen by the gaps.
-    dt : s.
-
-    Notes
-    -----
-    The pseudo-inverse is taken of the matrix scaled to unit diagonal, so that rank is judged alike for light and
-    heavy parts. Of redundant constraints the motion is unique; their shares of the force are least squares in that
-    scaling. A connection without stiffness and damping carries no force.
-    """
-    return LinearLaws.of(laws, dt).solve(compliance, residual)
-
-
 @dataclass(frozen=True, eq=False)
 class LinearLaws:
     """Numbers of m laws that do not depend on the components.
@@ -217,7 +198,12 @@ class LinearLaws:
         return bool(numbers[0]), bool(numbers[1]), float(numbers[2]), float(numbers[3]), float(numbers[4])
 
     def solve(self, compliance: Floats, residual: Floats) -> LinearSolve:
-        """Eliminate the forces; see `linear_solve`."""
+        """Eliminate the forces: `compliance` Z and `residual` R are (m, m) m/N of the gaps, Z over one step.
+
+        The pseudo-inverse is taken of the matrix scaled to unit diagonal, so that rank is judged alike for light and
+        heavy parts. Of redundant constraints the motion is unique; their shares of the force are least squares in that
+        scaling. A connection without stiffness and damping carries no force.
+        """
         entries, twice_rigid, softness = self._among
         matrix = compliance.take(entries) + (twice_rigid * residual.take(entries) + softness)
         return self.solved(DenseInverse(scaled_pinv(matrix)), compliance.diagonal(), residual.diagonal())
@@ -297,7 +283,7 @@ class NonlinearGaps:
 
     @classmethod
     def of(cls, laws: NonlinearLaws, compliance: Floats, residual: Floats) -> NonlinearGaps:
-        """Select them from the compliance of all gaps; shapes as in `linear_solve`."""
+        """Select them from the compliance of all gaps; shapes as in `LinearLaws.solve`."""
         on, among = laws.index, np.ix_(laws.index, laws.index)
         yields = np.array([law.residual for law in laws.laws], dtype=bool)
         R = residual[among] * np.outer(yields, yields)

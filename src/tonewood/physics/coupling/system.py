@@ -2,7 +2,7 @@
 
 The arrays are the model: immutable, and shared by the C++ kernel and its NumPy twin. `State` is the rest.
 A component can be exchanged for another basis of itself (another stop, fewer modes): only its own arrays and the
-small matrix of `connections.linear_solve` change.
+small matrix of `connections.LinearLaws.solve` change.
 """
 
 from __future__ import annotations

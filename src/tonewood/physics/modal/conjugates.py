@@ -22,16 +22,6 @@ def conjugate_weights(poles: Complexes) -> Floats:
     return np.where(poles.imag == 0.0, 1.0, 2.0)
 
 
-def full_state(poles: Complexes, z: Complexes) -> Complexes:
-    """The full state [z; conj(z_pairs)] of the stored one.
-
-    poles : (n,) half list, 1/s.
-    z : (n, ...) stored modal states.
-    Returns (n + n_pairs, ...) full states.
-    """
-    return np.concatenate([z, np.conj(z[poles.imag != 0.0])])
-
-
 def halve(poles: Complexes, right: Complexes, left: Complexes) -> tuple[Complexes, Complexes, Complexes, float]:
     """Half list of a list that may hold both poles of each pair, and how far it is from being closed.
 

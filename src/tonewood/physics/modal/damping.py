@@ -191,45 +191,6 @@ def proper_shapes(shapes: Complexes) -> ProperShapes:
     return ProperShapes(np.asarray(0.5 * (X + Y @ U.T)), np.asarray(U))
 
 
-@dataclass(frozen=True, eq=False)
-class PrincipalForm:
-    """A group of modes as q'' + C q' + diag(omega^2) q = phi^T f, y = phi q.
-
-    omega : (n,) rad/s, of the group without its damping.
-    C : (n, n) 1/s, symmetric; diagonal only if the damping is proportional.
-    phi : (n_points, n) real, mass-normalised.
-    """
-
-    omega: Floats
-    C: Floats
-    phi: Floats
-
-
-def principal_form(poles: Complexes, proper: ProperShapes) -> PrincipalForm:
-    """The second-order system whose modes are `poles` with `proper` shapes (Balmes 1997).
-
-    With Q = I + iU and Pi = 1: M^-1 = 2 Re(Q L Q^T), K^-1 = -2 Re(Q L^-1 Q^T), C = -2 M Re(Q L^2 Q^T) M.
-
-    Raises ValueError : no such system has a positive mass and stiffness.
-    """
-    Q = np.eye(len(poles)) + 1j * proper.U
-
-    def moment(power: int) -> Floats:
-        return np.asarray(2 * ((Q * poles**power) @ Q.T).real, dtype=np.float64)
-
-    from tonewood.support.scipy_linalg import sla
-
-    try:
-        M = np.asarray(np.linalg.inv(moment(1)))
-        omega2, V = sla.eigh(np.asarray(np.linalg.inv(-moment(-1))), M)
-    except np.linalg.LinAlgError:
-        raise ValueError("these modes belong to no second-order system of positive mass") from None
-    if omega2[0] <= 0:
-        raise ValueError("these modes belong to no second-order system of positive stiffness")
-    C = -V.T @ M @ moment(2) @ M @ V
-    return PrincipalForm(np.sqrt(omega2), np.asarray(0.5 * (C + C.T)), np.asarray(proper.A @ V))
-
-
 def hermitian_mass_inverse(shapes: Complexes, poles: Complexes, norm: ArrayLike = 1.0) -> Complexes:
     """Inverse of the Hermitian modal mass matrix psi^H M psi of a structural body, from its modes alone.
 

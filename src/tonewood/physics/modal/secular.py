@@ -8,14 +8,7 @@ from tonewood.support.arrays import Floats
 
 
 def secular_roots(
-    pole: Floats,
-    weight: Floats,
-    low: Floats,
-    high: Floats,
-    start: Floats,
-    *,
-    slope: float = 0.0,
-    constant: float = 0.0,
+    pole: Floats, weight: Floats, low: Floats, high: Floats, start: Floats, *, slope: float = 0.0, constant: float = 0.0
 ) -> tuple[Floats, Floats]:
     """Find the one root in each interval of F(y) = slope y - constant - sum_n weight_n / (y - pole_n).
 

@@ -128,12 +128,7 @@ class PassivityReport:
 
 
 def check(
-    poles: ArrayLike,
-    right: ArrayLike,
-    left: ArrayLike,
-    *,
-    dt: float | None = None,
-    tolerance: float = TOLERANCE,
+    poles: ArrayLike, right: ArrayLike, left: ArrayLike, *, dt: float | None = None, tolerance: float = TOLERANCE
 ) -> PassivityReport:
     """Test whether a component given by its modes is passive; see the module's head for the method.
 

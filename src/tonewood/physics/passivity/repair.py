@@ -45,7 +45,7 @@ class RepairedBasis:
     """A passive basis, its storage function, and how far it is from the one given.
 
     poles, right, left : half list as given to `repair`, but for shapes; (n,) and (n_ports, n).
-    storage : its storage function; states as in `conjugates.full_state` of this list.
+    storage : its storage function; states [z; conj(z_pairs)] of this list.
     flattening : share mu of the imaginary parts of the right shapes that was kept; 1: right shapes unchanged.
     pole_change : 0: poles are never moved.
     residue_change : change of the residues r l^T relative to them, root of sums of squares, ports scaled.

@@ -1,6 +1,6 @@
 """Stored energy and dissipation of a passive component as quadratic forms of its modal states.
 
-With z the full state (`conjugates.full_state`), f the port forces and y' the port velocities,
+With z the full state [z; conj(z_pairs)] of the stored one, f the port forces and y' the port velocities,
 
     E = z^H P z,    dE/dt = f . y' - d,    d = z^H Q z + 2 Re(z^H S f) + f^T R f >= 0.
 
@@ -75,27 +75,6 @@ def storage_matrix(poles: Complexes, right: Complexes, left: Complexes) -> Stora
     if passive.all():
         return _of_modes(poles, right, left, partner)
     return _of_complex_modes(poles, right, left)
-
-
-def mechanical_storage(poles: Complexes, right: Complexes, left: Complexes, M: Floats, C: Floats, K: Floats) -> Storage:
-    """Mechanical energy of a structure from a complete list of its complex modes.
-
-    E = (v^T M v + u^T K u) / 2 and d = v^T C v with u = sum 2 Re(r z), v = sum 2 Re(lambda r z).
-
-    poles : (n,) half list, 1/s.
-    right, left : (n_dof, n) shapes at all degrees of freedom.
-    M, C, K : (n_dof, n_dof) mass (kg), damping (N s/m), stiffness (N/m), symmetric.
-    Raises PassivityError : the list is not complete, or is not one of M, C, K.
-    """
-    lam, psi, psi_left = extend(poles, right, left)
-    speed = psi * lam
-    P = 0.5 * (speed.conj().T @ M @ speed + psi.conj().T @ K @ psi)
-    Q = speed.conj().T @ C @ speed
-    supplied, stored = 0.5 * speed.conj().T, P @ psi_left.T
-    if float(np.linalg.norm(stored - supplied)) > _EXACT * float(np.linalg.norm(supplied)):
-        raise PassivityError("the modes are not the complete list of these mass, damping and stiffness matrices")
-    n_dof = psi.shape[0]
-    return Storage(P, Q, np.zeros((lam.size, n_dof), dtype=np.complex128), np.zeros((n_dof, n_dof)), "mechanical")
 
 
 def lyapunov_dissipation(poles: Complexes, P: Complexes) -> Complexes:

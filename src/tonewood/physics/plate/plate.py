@@ -145,6 +145,8 @@ class Plate:
     grain : rad, of the plate's grain from x.
     shear_factor : k.
     layers_of : wood whose edge layers the functions have; that of the plate where left out.
+    stiffness, losses, mass_matrix : (n, n) K, K'' and M of all unknowns, those of w last.
+    functions : number of functions of w.
     """
 
     def __init__(
@@ -192,7 +194,11 @@ class Plate:
         self._keep = keep[keep >= stiffness.slots["w"]] - stiffness.slots["w"]
         first = stiffness.slots[[*in_plane, *self._bending][0][0]]
         self.places = np.where(keep < first, np.nan, self.grid.places[(keep - first) % self.grid.count])
-        self._stiffness, self._losses, self._mass = (m[keep][:, keep].tocsc() for m in totals)
+        self.stiffness: csc_matrix
+        self.losses: csc_matrix
+        self.mass_matrix: csc_matrix
+        self.stiffness, self.losses, self.mass_matrix = (m[keep][:, keep].tocsc() for m in totals)
+        self.functions = len(self._keep)
 
     def _of_beam(self, beam: Beam) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
         def make() -> tuple[csr_matrix, csr_matrix, csr_matrix]:
@@ -275,30 +281,10 @@ class Plate:
         return layers
 
     @property
-    def stiffness(self) -> csc_matrix:
-        """(n, n) K of all unknowns, those of w last."""
-        return self._stiffness
-
-    @property
-    def losses(self) -> csc_matrix:
-        """(n, n) K''."""
-        return self._losses
-
-    @property
-    def mass_matrix(self) -> csc_matrix:
-        """(n, n) M."""
-        return self._mass
-
-    @property
-    def functions(self) -> int:
-        """Number of functions of w."""
-        return len(self._keep)
-
-    @property
     def mass(self) -> float:
         """Mass with its beams, kg."""
         one = np.ones(self.functions)  # the functions add up to 1 everywhere
-        return float(one @ (self._mass[-self.functions :, -self.functions :] @ one))
+        return float(one @ (self.mass_matrix[-self.functions :, -self.functions :] @ one))
 
     @property
     def area(self) -> float:
@@ -312,7 +298,7 @@ class Plate:
     def modes(self, fmax: float | None = None, count: int | None = None) -> PlateModes:
         """Modes up to `fmax` (Hz), or the first `count`. Raises ValueError : neither is given."""
         values, whole = self.solution(fmax, count)
-        lost = np.einsum("ij,ij->j", whole, self._losses @ whole)
+        lost = np.einsum("ij,ij->j", whole, self.losses @ whole)
         loss = np.where(values > 1e-6, lost / np.maximum(values, 1e-6), 0.0)
         return PlateModes(np.sqrt(values) / (2 * np.pi), loss, whole[-self.functions :], self)
 
@@ -324,12 +310,12 @@ class Plate:
         if count is None and fmax is None:
             raise ValueError("fmax or count is wanted")
         limit = (2 * np.pi * (fmax or 0.0)) ** 2
-        values, vectors = lowest(self._solver.solve, self._mass, self.shift**2, count=count or 0, below=limit)
+        values, vectors = lowest(self._solver.solve, self.mass_matrix, self.shift**2, count=count or 0, below=limit)
         return np.maximum(values, 0.0), vectors
 
     def stored(self, vectors: Floats) -> Floats:
         """(n, n) products v^T K v of vectors (unknowns, n) of `solution`."""
-        return np.asarray(vectors.T @ (self._stiffness @ vectors))
+        return np.asarray(vectors.T @ (self.stiffness @ vectors))
 
     def residual(self, loads: Floats, modes: PlateModes) -> Floats:
         """(m, m) m/N: compliance between m loads (m, functions) of all modes that `modes` leaves out.
@@ -337,11 +323,11 @@ class Plate:
         The difference of two sums over modes of phi phi^T (1 / (omega^2 + s^2) + s^2 / (omega^2 + s^2)^2): all of them
         from the factored stiffness, less those that are kept. It is 1 / omega^2 but for (s / omega)^4, s the shift.
         """
-        rhs = np.zeros((self._stiffness.shape[0], len(loads)))
+        rhs = np.zeros((self.stiffness.shape[0], len(loads)))
         rhs[-self.functions :] = loads.T
         moved = self._solver.solve(rhs)
         kept, soft = loads @ modes.vectors, 1 / ((2 * np.pi * modes.freq) ** 2 + self.shift**2)
-        rest = loads @ moved[-self.functions :] + self.shift**2 * (moved.T @ (self._mass @ moved))
+        rest = loads @ moved[-self.functions :] + self.shift**2 * (moved.T @ (self.mass_matrix @ moved))
         rest = rest - (kept * (soft + self.shift**2 * soft**2)) @ kept.T
         return np.asarray(0.5 * (rest + rest.T))
 
@@ -354,7 +340,7 @@ class Plate:
     @cached_property
     def _solver(self) -> BlockSolver:
         """Of K + s^2 M."""
-        return BlockSolver(self._stiffness + self.shift**2 * self._mass, self.places)
+        return BlockSolver(self.stiffness + self.shift**2 * self.mass_matrix, self.places)
 
     def _edge(self, edge: Edge) -> list[tuple[csr_matrix, csr_matrix, list[Field]]]:
         """Stiffness and losses of the springs on the outline.

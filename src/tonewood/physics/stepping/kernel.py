@@ -18,10 +18,7 @@ from tonewood import _kernel
 from tonewood.errors import NumericalError, TonewoodError
 from tonewood.physics.coupling.potentials.user import PotentialEnergy
 from tonewood.physics.coupling.system import Injection, PrescribedMotion, State, System
-from tonewood.physics.stepping.description import (
-    Description,
-    packed,
-)
+from tonewood.physics.stepping.description import Description, packed
 from tonewood.physics.stepping.forcing import controlled
 from tonewood.physics.stepping.kept_descriptions import KeptDescriptions
 from tonewood.physics.stepping.stepper import NumpyStepper, Statistics

@@ -140,11 +140,7 @@ class Live:
         self.model = replace(whole, strings={name: string.for_live() for name, string in whole.strings.items()})
         self.engine = Engine(self.model, Timeline((), ()))
         self.player = Player(
-            self.model,
-            ramp=ramp,
-            spacing=spacing,
-            channel_per_string=options.channel_per_string,
-            capo=options.capo,
+            self.model, ramp=ramp, spacing=spacing, channel_per_string=options.channel_per_string, capo=options.capo
         )
         self._bases = PreparedBases(self.model, self.engine.fingerboard, options.capo)
         self.player.spare = self._bases.compile_one

@@ -47,7 +47,7 @@ class PreparedBases:
             string.tuning.prepare_all()
         for name, stop in self._places:
             fretting = self._compile(name, stop, {})
-            under = replace(fretting, damper=1.0) if self._model.strings[name].damper else None
+            under = replace(fretting, damper=1.0) if self._model.strings[name].places.damper else None
             damped = replace(fretting, added_damping=damping(self._model.playing.note_end))
             for way in (fretting, under or damped):
                 self._fingerboard.prepare(name, way)

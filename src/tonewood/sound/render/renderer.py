@@ -7,6 +7,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
@@ -49,6 +50,8 @@ _WINDOW = 0.2
 SILENT = 2.0**-31
 #: s over which a step at the first frame is smoothed
 _SMOOTHING = 5e-3
+#: attributes of a renderer that change while it renders, besides its engine, filters and room
+_MOVING = ("_pending", "_made", "_frames", "_loudest", "_peak", "_recent", "_end", "_step")
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,14 +103,7 @@ class Checkpoint:
     engine: Snapshot
     memory: tuple[Floats, ...]
     room: tuple[NDArray[np.complex128], Floats, Floats] | None
-    pending: Floats
-    made: int
-    frames: int
-    loudest: float
-    peak: float
-    recent: tuple[tuple[int, float], ...]
-    end: str
-    step: Floats | None
+    values: Mapping[str, Any]
 
 
 def assembled(instrument: Instrument, options: RenderOptions, *, by_string: bool = False) -> Model:
@@ -306,14 +302,7 @@ class Renderer:
                 self.engine.snapshot(),
                 (self._resampler.memory.copy(), *self._routing.memory),
                 None if self._room is None else self._room.memory,
-                self._pending.copy(),
-                self._made,
-                self._frames,
-                self._loudest,
-                self._peak,
-                tuple(self._recent),
-                self._end,
-                self._step,
+                {name: copy(getattr(self, name)) for name in _MOVING},
             )
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -323,10 +312,7 @@ class Renderer:
             self._resampler.memory, self._routing.memory = checkpoint.memory[0].copy(), checkpoint.memory[1:]
             if self._room is not None and checkpoint.room is not None:
                 self._room.memory = checkpoint.room
-            self._pending, self._made, self._frames = checkpoint.pending.copy(), checkpoint.made, checkpoint.frames
-            self._loudest, self._recent, self._end = checkpoint.loudest, list(checkpoint.recent), checkpoint.end
-            self._peak = checkpoint.peak
-            self._step = checkpoint.step
+            vars(self).update({name: copy(value) for name, value in checkpoint.values.items()})
 
     def take_over(self, checkpoint: Checkpoint) -> None:
         """Go on from a `checkpoint` of a renderer of the same strings and body, with this one's own gestures.

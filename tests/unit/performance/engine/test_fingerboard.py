@@ -45,7 +45,7 @@ def test_a_damped_string_is_the_ringing_one_with_other_losses(model: Model, fret
 def test_the_usual_place_of_the_finger_is_no_other_way_to_hold_a_string(model: Model) -> None:
     board, string = FrettedBases(model), model.strings["E4"]
     for stop in (0.0, 12.0):
-        usual = min(string.pluck_from_bridge, 0.9 * string.length(stop))
+        usual = min(string.places.pluck, 0.9 * string.length(stop))
         assert board.playable("E4", Fretting(stop, place=usual)) == Fretting(stop)
         assert board.playable("E4", Fretting(stop, place=1.01 * string.length(stop))) == Fretting(stop)
         elsewhere = Fretting(stop, place=0.7 * usual)

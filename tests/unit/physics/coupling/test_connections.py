@@ -8,10 +8,14 @@ import scipy.linalg as sla
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tonewood.physics.coupling.connections import Rigid, SpringDashpot, linear_solve
+from tonewood.physics.coupling.connections import LinearLaws, Rigid, SpringDashpot
 from tonewood.physics.coupling.inverse import scaled_pinv
 
 DT = 1 / 48000
+
+
+def linear_solve(laws, compliance, residual, dt):
+    return LinearLaws.of(laws, dt).solve(compliance, residual)
 
 
 def random_psd(rng, m, rank=None):

@@ -11,13 +11,13 @@ import scipy.linalg as sla
 from scipy.integrate import quad_vec
 
 from assembled import chain, merged, uneven
+from random_bodies import mechanical_storage
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.system import Drive, Readout, System
 from tonewood.physics.energy.account import EnergyAccount, KnownForce
 from tonewood.physics.energy.forms import ComponentEnergy
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import real_form
-from tonewood.physics.passivity.storage import mechanical_storage
 from tonewood.physics.stepping.forcing import Segment, compile_force
 from tonewood.physics.stepping.kernel import KernelStepper
 from tonewood.physics.stepping.motion import from_motion, to_motion

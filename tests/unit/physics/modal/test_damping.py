@@ -10,7 +10,6 @@ from tonewood.physics.modal.damping import (
     damping_groups,
     hermitian_mass_inverse,
     phase_collinearity,
-    principal_form,
     proper_shapes,
     reciprocal_shapes,
     separation,
@@ -163,22 +162,34 @@ def test_nearest_proper_shapes_solve_the_riccati_equation(rng):
         assert sla.norm(A + 1j * A @ U - psi) >= best
 
 
+def principal_form(poles, proper):
+    """omega, C and phi of q'' + C q' + diag(omega^2) q = phi^T f, y = phi q: the system of these modes (Balmes 1997).
+
+    With Q = I + iU and Pi = 1: M^-1 = 2 Re(Q L Q^T), K^-1 = -2 Re(Q L^-1 Q^T), C = -2 M Re(Q L^2 Q^T) M.
+    """
+    Q = np.eye(len(poles)) + 1j * proper.U
+    first, inverse, second = (2 * ((Q * poles**power) @ Q.T).real for power in (1, -1, 2))
+    M = sla.inv(first)
+    omega2, V = sla.eigh(sla.inv(-inverse), M)
+    return np.sqrt(omega2), -V.T @ M @ second @ M @ V, proper.A @ V
+
+
 def test_principal_form_gives_back_the_body():
     M, C, K = body(5, 6, coupling=2.0)
     poles, psi, norm = modes_of(M, C, K)
-    form = principal_form(poles, proper_shapes(psi / np.sqrt(norm)))
-    np.testing.assert_allclose(form.omega**2, sla.eigh(K, M, eigvals_only=True), rtol=1e-10)
-    np.testing.assert_allclose(form.phi @ form.phi.T, sla.inv(M), atol=1e-12)
-    np.testing.assert_allclose(M @ form.phi @ form.C @ form.phi.T @ M, C, atol=1e-10)
+    omega, damping, phi = principal_form(poles, proper_shapes(psi / np.sqrt(norm)))
+    np.testing.assert_allclose(omega**2, sla.eigh(K, M, eigvals_only=True), rtol=1e-10)
+    np.testing.assert_allclose(phi @ phi.T, sla.inv(M), atol=1e-12)
+    np.testing.assert_allclose(M @ phi @ damping @ phi.T @ M, C, atol=1e-10)
 
 
 def test_group_is_a_second_order_system_with_its_poles():
     given = basis_of(pairs_of_modes(4))
     normal, _ = reciprocal_shapes(given)
     for group in damping_groups(given):
-        form = principal_form(given.poles[group], proper_shapes(normal[:, group]))
+        omega, damping, _ = principal_form(given.poles[group], proper_shapes(normal[:, group]))
         n = len(group)
-        values = sla.eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(form.omega**2), -form.C]]))
+        values = sla.eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(omega**2), -damping]]))
         np.testing.assert_allclose(
             np.sort_complex(values[values.imag > 0]), np.sort_complex(given.poles[group]), rtol=1e-9
         )

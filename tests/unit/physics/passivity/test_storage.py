@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from random_bodies import body, power_balance, solve
+from random_bodies import body, mechanical_storage, power_balance, solve
 from tonewood.errors import PassivityError
 from tonewood.physics.modal.conjugates import extend
-from tonewood.physics.passivity.storage import _of_riccati, mechanical_storage, storage_matrix
+from tonewood.physics.passivity.storage import _of_riccati, storage_matrix
 
 
 def states_of(one, u, v):
