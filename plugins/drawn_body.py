@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from dataclasses import replace
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any, Literal
 from xml.etree import ElementTree
@@ -36,36 +37,27 @@ MOST_SVG = 4_000_000
 MOST_BRACES = 100
 
 
-#: Pa, elastic moduli of woods
-_USUAL = (5e7, 5e10)
+#: an elastic modulus of a wood, and a loss factor, that may be left out
+_modulus = partial(ta.quantity, "Pa", low=1e6, high=1e12, usual=(5e7, 5e10), default=None)
+_loss = partial(ta.quantity, "1", low=0.0, high=0.5, default=None)
 
 
 class WoodParameters(Parameters):
     """A wood by its species, or by its constants; a constant that is given goes before that of the species."""
 
     species: str | None = ta.described("name in the table of woods", default=None)
-    E_L: float | None = ta.quantity(
-        "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="Young's modulus along the grain"
-    )
-    E_R: float | None = ta.quantity(
-        "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="Young's modulus across the grain"
-    )
-    G_LR: float | None = ta.quantity(
-        "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="shear modulus in the plate's plane"
-    )
+    E_L: float | None = _modulus(doc="Young's modulus along the grain")
+    E_R: float | None = _modulus(doc="Young's modulus across the grain")
+    G_LR: float | None = _modulus(doc="shear modulus in the plate's plane")
     nu_LR: float | None = ta.quantity(
         "1", low=0.0, high=0.99, default=None, doc="Poisson's ratio, pulled along the grain"
     )
     density: float | None = ta.quantity("kg/m^3", low=10.0, high=2e4, default=None, doc="mass per volume")
-    loss_L: float | None = ta.quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of E_L")
-    loss_R: float | None = ta.quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of E_R")
-    loss_shear: float | None = ta.quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of the shear moduli")
-    G_LT: float | None = ta.quantity(
-        "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="shear modulus through the thickness, along the grain"
-    )
-    G_RT: float | None = ta.quantity(
-        "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="the same across the grain: rolling shear"
-    )
+    loss_L: float | None = _loss(doc="loss factor of E_L")
+    loss_R: float | None = _loss(doc="loss factor of E_R")
+    loss_shear: float | None = _loss(doc="loss factor of the shear moduli")
+    G_LT: float | None = _modulus(doc="shear modulus through the thickness, along the grain")
+    G_RT: float | None = _modulus(doc="the same across the grain: rolling shear")
 
     @model_validator(mode="after")
     def _known(self) -> WoodParameters:
@@ -86,14 +78,9 @@ class WoodParameters(Parameters):
 
     def wood(self) -> ta.plate.Wood:
         """Constants of the species with those that are given in their place."""
-        names = ("E_L", "E_R", "G_LR", "nu_LR", "density", "loss_L", "loss_R", "loss_shear", "G_LT", "G_RT")
-        base = (
-            ta.plate.SPECIES[self.species].wood
-            if self.species
-            else ta.plate.Wood(0.0, 0.0, 0.0, 0.0, 0.0, 0.01, 0.02, 0.02)
-        )
-        values = {name: getattr(self, name) for name in names}
-        return ta.plate.Wood(**{name: getattr(base, name) if v is None else v for name, v in values.items()})
+        unknown = ta.plate.Wood(0.0, 0.0, 0.0, 0.0, 0.0, 0.01, 0.02, 0.02)
+        base = ta.plate.SPECIES[self.species].wood if self.species else unknown
+        return replace(base, **self.model_dump(exclude={"species"}, exclude_none=True))
 
 
 class GuitarOutline(Parameters):

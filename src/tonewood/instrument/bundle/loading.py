@@ -159,44 +159,14 @@ class Instrument(ModalViews):
     def _made_of(cls, values: Mapping[str, Any], files: Files) -> Instrument:
         """Make one from the values of a bundle whose table of keys is expanded."""
         spec = validated(Bundle, _with_strings(_merged(values, files), files), key="", file=files.manifest)
-
-        def make(part: PluginPart, kind: str, key: str) -> Plugin[Any]:
-            try:
-                plugin = plugin_named(part.plugin, kind, files)
-            except PluginError as fault:
-                raise PluginError(fault.reason, file=files.manifest, key=f"{key}.plugin") from None
-            return plugin.from_values(part.values, files, key)
-
-        body = make(spec.body, "body", "body")
-        strings = {name: make(part, "resonator", f"strings.{name}") for name, part in spec.strings.items()}
-        exciters = {name: make(part, "exciter", f"exciters.{name}") for name, part in spec.exciters.items()}
-        by_key: dict[str, Any] = {
-            name: make(part, "exciter", f"keys.{name}.{played}")
-            for name, played, part in key_exciters(spec, files.manifest)
-        }
-        attachments = {n: make(part, "connection", f"connections.{n}") for n, part in spec.connections.items()}
-        pickups = {part.name: make(part, "pickup", f"outputs.{part.name}") for part in spec.outputs}
-        resolved = spec.model_dump(mode="json", by_alias=True)
-        resolved["body"] = _flat(spec.body, body)
-        resolved["strings"] = {name: _flat(spec.strings[name], plugin) for name, plugin in strings.items()}
-        resolved["exciters"] = {name: _flat(spec.exciters[name], plugin) for name, plugin in exciters.items()}
-        resolved["connections"] = {name: _flat(spec.connections[name], plugin) for name, plugin in attachments.items()}
-        resolved["outputs"] = [_flat(part, pickups[part.name]) for part in spec.outputs]
-        parts: dict[str, Any] = {  # kinds were checked by the registry
-            "body": body, "resonators": strings, "exciters": exciters, "attachments": attachments, "pickups": pickups
-        }  # fmt: skip
+        parts = _parts(spec, files)
         instrument = cls(
-            folder=files.root or Path(),
-            spec=spec,
-            **parts,
-            key_exciters=by_key,
-            resolved=resolved,
-            granted=files.granted,
+            folder=files.root or Path(), spec=spec, **parts, resolved=_resolved(spec, parts), granted=files.granted,
             allow_code=files.allow_code,
-        )
+        )  # fmt: skip
         points = [name for name, point in instrument.body.points().items() if point.driven]
         check_references(spec, points, instrument.exciters, instrument.folder / registry.MANIFEST, instrument.open_note)
-        for name in strings:
+        for name in spec.strings:
             instrument.polarizations(name)
         return instrument
 
@@ -353,10 +323,45 @@ def _outside_files(overrides: Mapping[str, Any], folder: Path) -> tuple[dict[str
     return inside, frozenset(outside)
 
 
-def _flat(part: PluginPart, plugin: Plugin[Any]) -> dict[str, Any]:
-    """Keys of a part with every default written out: the common ones and the plugin's own."""
-    common = part.model_dump(mode="json", by_alias=True, include=set(type(part).model_fields))
-    return {**common, **plugin.parameters.model_dump(mode="json", by_alias=True)}
+def _parts(spec: Bundle, files: Files) -> dict[str, Any]:
+    """Plugins of a bundle, by the attributes of `Instrument` that hold them; the registry checks their kinds."""
+
+    def make(part: PluginPart, kind: str, key: str) -> Plugin[Any]:
+        try:
+            plugin = plugin_named(part.plugin, kind, files)
+        except PluginError as fault:
+            raise PluginError(fault.reason, file=files.manifest, key=f"{key}.plugin") from None
+        return plugin.from_values(part.values, files, key)
+
+    def each(parts: Mapping[str, PluginPart], kind: str, key: str) -> dict[str, Plugin[Any]]:
+        return {name: make(part, kind, f"{key}.{name}") for name, part in parts.items()}
+
+    body = make(spec.body, "body", "body")
+    resonators = each(spec.strings, "resonator", "strings")
+    exciters = each(spec.exciters, "exciter", "exciters")
+    by_key = {
+        name: make(part, "exciter", f"keys.{name}.{played}")
+        for name, played, part in key_exciters(spec, files.manifest)
+    }
+    attachments = each(spec.connections, "connection", "connections")
+    pickups = each({part.name: part for part in spec.outputs}, "pickup", "outputs")
+    return {
+        "body": body, "resonators": resonators, "exciters": exciters, "key_exciters": by_key,
+        "attachments": attachments, "pickups": pickups,
+    }  # fmt: skip
+
+
+def _resolved(spec: Bundle, parts: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of a bundle with every default written out."""
+
+    def flat(part: PluginPart, plugin: Plugin[Any]) -> dict[str, Any]:
+        common = part.model_dump(mode="json", by_alias=True, include=set(type(part).model_fields))
+        return {**common, **plugin.parameters.model_dump(mode="json", by_alias=True)}
+
+    values = spec.model_dump(mode="json", by_alias=True) | {"body": flat(spec.body, parts["body"])}
+    for key, kind in (("strings", "resonators"), ("exciters", "exciters"), ("connections", "attachments")):
+        values[key] = {name: flat(getattr(spec, key)[name], plugin) for name, plugin in parts[kind].items()}
+    return values | {"outputs": [flat(part, parts["pickups"][part.name]) for part in spec.outputs]}
 
 
 def _merged(values: Mapping[str, Any], files: Files) -> dict[str, Any]:

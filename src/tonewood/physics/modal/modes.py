@@ -56,14 +56,6 @@ class ModalBasis(ModalResponses, ModalViews):
     metadata : further data of the maker of the basis (its plugin reads them when a stop changes).
     """
 
-    poles: Complexes
-    kind: NDArray[np.uint8]
-    stiffness: Floats
-    damping_rate: Floats
-    points: tuple[str, ...]
-    right: Complexes
-    left: Complexes
-    residual: Floats
     shape: Callable[[float], Floats] | None = None
     residual_at: Callable[[ArrayLike, ArrayLike], Floats] | None = None
     places: Mapping[str, float] = field(default_factory=dict)

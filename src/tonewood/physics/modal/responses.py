@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -13,8 +15,9 @@ PAIR, REAL, BLOCK = 0, 1, 2
 _FRF_CELLS = 500_000
 
 
+@dataclass(frozen=True, eq=False)
 class ModalResponses:
-    """Responses of a basis between its points, for `ModalBasis`, whose attributes these are."""
+    """Arrays of a basis, as `ModalBasis` describes them, and the responses between its points."""
 
     poles: Complexes
     kind: NDArray[np.uint8]

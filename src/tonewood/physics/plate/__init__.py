@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from tonewood.physics.plate.body import BodyDrawing, BodyModes, PlateDrawing, body_modes, first_modes
     from tonewood.physics.plate.microphones import microphone
     from tonewood.physics.plate.outline import area, circle, crossing, guitar_outline, inside, refined, smooth_ring
-    from tonewood.physics.plate.plate import Edge
+    from tonewood.physics.plate.plate_parts import Edge
     from tonewood.physics.plate.radiation import Sources
     from tonewood.physics.plate.two_oscillators import displaced_volumes, pressure_shapes
     from tonewood.physics.plate.wood import SPECIES, Wood
@@ -24,7 +24,7 @@ _MODULES = {
     "body": ("BodyDrawing", "BodyModes", "PlateDrawing", "body_modes", "first_modes"),
     "microphones": ("microphone",),
     "outline": ("area", "circle", "crossing", "guitar_outline", "inside", "refined", "smooth_ring"),
-    "plate": ("Edge",),
+    "plate_parts": ("Edge",),
     "radiation": ("Sources",),
     "two_oscillators": ("displaced_volumes", "pressure_shapes"),
     "wood": ("SPECIES", "Wood"),

@@ -22,7 +22,8 @@ import numpy as np
 from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED, AirModes, cavity_modes, couple_air, hole_loss
 from tonewood.physics.plate.beams import Beam
 from tonewood.physics.plate.outline import area, quadrature
-from tonewood.physics.plate.plate import CLAMPED, Edge, Plate, PlateModes, Thickness, cell_size
+from tonewood.physics.plate.plate import Plate, PlateModes, cell_size
+from tonewood.physics.plate.plate_parts import CLAMPED, Edge, Thickness
 from tonewood.physics.plate.radiation import Sources, gathered_sources
 from tonewood.physics.plate.splines import SplineGrid
 from tonewood.physics.plate.wood import Wood

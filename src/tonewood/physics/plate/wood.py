@@ -104,40 +104,24 @@ def _sheared(wood: Wood, like: str) -> Wood:
     return replace(wood, G_LT=long * wood.E_L, G_RT=rolling * wood.E_L)
 
 
+#: name; E_L, E_R, G_LR, nu_LR and density; loss factors; species of its ratios; source; what is assumed
+_TABLE = (
+    ("sitka_spruce", (13.0e9, 0.90e9, 1.50e9, 0.372, 440.0), _SPRUCE, "Sitka spruce", _HANDBOOK, _LOSS),
+    ("engelmann_spruce", (9.79e9, 1.25e9, 1.21e9, 0.422, 350.0), _SPRUCE, "Engelmann spruce", _HANDBOOK, _LOSS),
+    ("european_spruce", (11.5e9, 0.85e9, 0.78e9, 0.37, 430.0), _SPRUCE, "Sitka spruce", _PRESETS,
+     "E_L at the lower end of the range 12 to 17 GPa, G_LR 0.068 E_L, nu_LR, G_LT and G_RT as of Sitka spruce; "
+     + _LOSS),
+    ("western_red_cedar", (8.5e9, 0.70e9, 0.74e9, 0.378, 350.0), _SPRUCE, "western red cedar", _PRESETS,
+     f"G_LR 0.087 E_L, nu_LR of softwoods; {_LOSS}"),
+    ("maple", (12.6e9, 2.2e9, 1.63e9, 0.424, 600.0), _HARD, "walnut", _HANDBOOK,
+     f"G_LT and G_RT as of walnut, as nobody measured the G_RT of maple; {_LOSS}"),
+    ("mahogany", (10.1e9, 1.5e9, 1.32e9, 0.300, 545.0), _HARD, "Honduras mahogany", _HANDBOOK, _LOSS),
+    ("indian_rosewood", (12.8e9, 0.90e9, 1.0e9, 0.36, 830.0), _HARD, "walnut", _PRESETS,
+     f"G_LR 0.08 E_L, nu_LR of hardwoods, G_LT and G_RT as of walnut; {_LOSS}"),
+    ("brazilian_rosewood", (14.0e9, 1.0e9, 1.1e9, 0.36, 880.0), _HARD, "walnut", _PRESETS,
+     f"G_LR 0.08 E_L, nu_LR of hardwoods, G_LT and G_RT as of walnut; {_LOSS}"),
+)  # fmt: skip
 SPECIES: dict[str, Species] = {
-    "sitka_spruce": Species(
-        _sheared(Wood(13.0e9, 0.90e9, 1.50e9, 0.372, 440.0, *_SPRUCE), "Sitka spruce"), _HANDBOOK, _LOSS
-    ),
-    "engelmann_spruce": Species(
-        _sheared(Wood(9.79e9, 1.25e9, 1.21e9, 0.422, 350.0, *_SPRUCE), "Engelmann spruce"), _HANDBOOK, _LOSS
-    ),
-    "european_spruce": Species(
-        _sheared(Wood(11.5e9, 0.85e9, 0.78e9, 0.37, 430.0, *_SPRUCE), "Sitka spruce"),
-        _PRESETS,
-        "E_L at the lower end of the range 12 to 17 GPa, G_LR 0.068 E_L, nu_LR, G_LT and G_RT as of Sitka spruce; "
-        + _LOSS,
-    ),
-    "western_red_cedar": Species(
-        _sheared(Wood(8.5e9, 0.70e9, 0.74e9, 0.378, 350.0, *_SPRUCE), "western red cedar"),
-        _PRESETS,
-        f"G_LR 0.087 E_L, nu_LR of softwoods; {_LOSS}",
-    ),
-    "maple": Species(
-        _sheared(Wood(12.6e9, 2.2e9, 1.63e9, 0.424, 600.0, *_HARD), "walnut"),
-        _HANDBOOK,
-        f"G_LT and G_RT as of walnut, as nobody measured the G_RT of maple; {_LOSS}",
-    ),
-    "mahogany": Species(
-        _sheared(Wood(10.1e9, 1.5e9, 1.32e9, 0.300, 545.0, *_HARD), "Honduras mahogany"), _HANDBOOK, _LOSS
-    ),
-    "indian_rosewood": Species(
-        _sheared(Wood(12.8e9, 0.90e9, 1.0e9, 0.36, 830.0, *_HARD), "walnut"),
-        _PRESETS,
-        f"G_LR 0.08 E_L, nu_LR of hardwoods, G_LT and G_RT as of walnut; {_LOSS}",
-    ),
-    "brazilian_rosewood": Species(
-        _sheared(Wood(14.0e9, 1.0e9, 1.1e9, 0.36, 880.0, *_HARD), "walnut"),
-        _PRESETS,
-        f"G_LR 0.08 E_L, nu_LR of hardwoods, G_LT and G_RT as of walnut; {_LOSS}",
-    ),
+    name: Species(_sheared(Wood(*constants, *losses), like), source, assumed)
+    for name, constants, losses, like, source, assumed in _TABLE
 }
