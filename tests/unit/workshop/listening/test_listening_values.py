@@ -44,11 +44,13 @@ from tonewood.workshop.listening.session import Session, Step, checked, choices,
 from tonewood.workshop.listening.shown import kind_of_texts, shown
 from tonewood.workshop.listening.simulated_power import (
     TooManyListenersError,
+    _batches,
     answers_for_share,
     fewest,
     screened_found,
     stated_spread,
 )
+from tonewood.workshop.listening.simulations import NULLS, graded, ratings, trials, without
 from tonewood.workshop.listening.staircase import StaircaseTrack
 from tonewood.workshop.listening.table import AnswerTable, _cell, _listener_names
 from tonewood.workshop.listening.thresholds import ListenerThreshold, ThresholdGrid, Thresholds, quantile, track_of
@@ -878,3 +880,144 @@ def test_figures_of_means_are_the_means() -> None:
     crossed = made["interaction"].axes[0].containers
     assert [list(c.lines[0].get_ydata()) for c in crossed] == [[52.0, 52.0], [62.0, 62.0]]
     np.testing.assert_allclose([list(c.lines[0].get_xdata()) for c in crossed], [[0, 1], [0.06, 1.06]])
+
+
+# -- simulated experiments --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("null", ["no effect", "listeners differ in the factor", "unequal variance"])
+def test_simulated_ratings_have_the_stated_means_and_spreads(null: str) -> None:
+    """Variances: 36 of listeners, those of their own responses to a level, and of single answers."""
+    law: Any = NULLS[null]
+    y = ratings(np.random.default_rng(3), 40, 500, null, 3.0).reshape(-1, 3, 3, 2)
+    assert y.mean(axis=(0, 2, 3)) == pytest.approx(law["mean"] + np.array([0.0, 3.0, 0.0]), abs=0.35)
+    own, residual = np.square(law["own"]), np.square(law["residual"])
+    assert y.var(axis=0).mean(axis=(1, 2)) == pytest.approx(36 + own + residual, rel=0.06)
+    assert y.var(axis=3, ddof=1).mean(axis=(0, 2)) == pytest.approx(residual, rel=0.06)
+    between = y.mean(axis=(2, 3))
+    assert np.cov(between, rowvar=False)[0, 1] == pytest.approx(36, rel=0.08)
+    assert between.var(axis=0) == pytest.approx(36 + own + residual / 6, rel=0.06)
+
+
+def test_simulated_ratings_end_at_100() -> None:
+    y = ratings(np.random.default_rng(3), 10, 200, "ratings at the ceiling")
+    assert np.mean(y == 100.0) == pytest.approx(stats.norm.sf(5 / math.sqrt(36 + 25 + 81)), abs=0.01)
+    assert y.shape == (10, 200, 9, 2)
+
+
+def test_simulated_ratings_of_other_populations() -> None:
+    def drawn(name: str, shift: float = 0.0) -> np.ndarray:
+        return ratings(np.random.default_rng(4), 40, 500, name, shift).reshape(-1, 3, 3, 2)
+
+    skewed = drawn("skewed differently in each level")
+    level = skewed.mean(axis=(2, 3))
+    assert level.var(axis=0) == pytest.approx(36 + 64 + 36 / 6, rel=0.08)
+    third = np.mean((level - level.mean(axis=0)) ** 3, axis=0)
+    assert third == pytest.approx([0, 2 * 8**3, -2 * 8**3], abs=160)
+    assert set(np.unique(drawn("three values only"))) == {20.0, 50.0, 80.0}
+    tenth = drawn("one listener in ten responds", 2.0)
+    assert tenth.mean(axis=(0, 2, 3)) == pytest.approx([50.0, 52.0, 50.0], abs=0.4)
+    change = tenth.mean(axis=(2, 3))[:, 2] - tenth.mean(axis=(2, 3))[:, 0]
+    assert change.var() == pytest.approx(20**2 * 0.09 + 2 * 36 / 6, rel=0.06)
+    assert np.mean(change > 8) == pytest.approx(0.1, abs=0.01)
+    heavy = drawn("heavy tails", 5.0)
+    assert np.median(heavy, axis=(0, 2, 3)) == pytest.approx([50.0, 55.0, 50.0], abs=0.4)
+    own = np.median(np.abs(heavy[..., 0] - heavy[..., 1])) / math.sqrt(2)
+    t = np.random.default_rng(0).standard_t(3, (200_000, 2))
+    assert own == pytest.approx(5 * np.median(np.abs(t[:, 0] - t[:, 1])) / math.sqrt(2), rel=0.04)
+
+
+def test_missing_answers_are_those_of_the_law() -> None:
+    y = np.arange(3 * 8 * 9 * 2, dtype=float).reshape(3, 8, 9, 2)
+    rng = np.random.default_rng(2)
+    sets = without(rng, y, "sets of six of nine sounds")
+    assert (np.isnan(sets).sum(axis=-1) == 3).all()
+    third = without(rng, y, "a third of every fourth listener's")
+    there = ~np.isnan(third)
+    assert there[:, [1, 2, 3, 5, 6, 7]].all()
+    assert np.array_equal(third[:, 1], y[:, 1].mean(axis=-1))
+    some = third[:, [0, 4]]
+    assert not np.array_equal(some, y[:, [0, 4]].mean(axis=-1), equal_nan=True)
+    expected = np.stack([y.mean(axis=-1), y[..., 0], y[..., 1]])[:, there]
+    assert (np.abs(expected - third[there]).min(axis=0) == 0).all()  # the mean of those that are left
+    many = np.zeros((20, 50, 9, 1))
+    assert np.isnan(without(rng, many, "20 % at random")).mean() == pytest.approx(0.2, abs=0.015)
+
+
+def test_simulated_grades_are_two_answers_a_cell() -> None:
+    found = graded(np.random.default_rng(2), 3, 400, "five grades", 1.0)
+    assert found.shape == (3, 400, 9, 5)
+    assert (found.sum(axis=-1) == 2).all()
+    share = found.sum(axis=(0, 1))[:3].sum(axis=0) / (3 * 400 * 3 * 2)
+    latent = np.random.default_rng(0)
+    many = latent.normal(0, math.hypot(1, 0.7), 200_000) + latent.logistic(size=200_000)
+    cuts = np.array([-2.0, -0.5, 0.7, 2.0])
+    assert share == pytest.approx(np.bincount(np.searchsorted(cuts, many), minlength=5) / 200_000, abs=0.02)
+    higher = found[:, :, 3:6].sum(axis=(0, 1, 2)) @ np.arange(5) - found[:, :, :3].sum(axis=(0, 1, 2)) @ np.arange(5)
+    assert higher > 0
+
+
+def test_simulated_tracks_of_sure_listeners_stay_at_their_thresholds() -> None:
+    """At a slope of 1e6 answers are right above the threshold, and two of five below it; no lapses."""
+    levels, right = trials(LINEAR, np.array([3.0]), np.array([1e6]), 0.0, np.random.default_rng(1))
+    (levels,), (right,) = levels, right
+    assert right[levels > 3.0].all()
+    assert levels[0] == 4.0
+    two = LINEAR.model_copy(update={"tracks": 2})
+    (both,), _ = trials(two, np.array([3.0]), np.array([1e6]), 0.0, np.random.default_rng(1))
+    assert np.flatnonzero(both[: len(levels)] != levels).size == 0
+    assert len(both) > len(levels)
+    quest = StaircasePage.model_validate(
+        {"type": "staircase", "path": "a.b", "start": 4.0, "lowest": 0.0, "highest": 10.0, "trials": 12, "tracks": 2}
+    )
+    (levels,), (right,) = trials(quest, np.array([3.0]), np.array([1e6]), 0.0, np.random.default_rng(1))
+    assert (levels.shape, levels[0], levels[12]) == ((24,), 4.0, 4.0)
+    assert right[levels > 3.0].all()
+
+
+@pytest.mark.parametrize(
+    ("size", "batches"),
+    [(1, [4000]), (500, [4000]), (501, [3992, 8]), (1500, [1333, 1333, 1333, 1]), (40_000, [50] * 4),
+     (3_000_000, [1] * 200)],
+)  # fmt: skip
+def test_experiments_are_simulated_in_batches_of_two_million_answers(size: int, batches: list[int]) -> None:
+    """4000 experiments, of large ones four batches, 200 at least."""
+    assert _batches(size) == batches
+    assert all(one * size <= 2_000_000 or one == 1 for one in _batches(size))
+
+
+# -- the fit of thresholds --------------------------------------------------------------------------------------------
+
+
+def test_the_likelihood_of_answers_is_summed_over_lapses() -> None:
+    """Beta(1, 30) on five lapse rates, each for the range between the middles; two answers right, one wrong."""
+    grid = ThresholdGrid(LEVITT)
+    lapses = np.array([0.005, 0.02, 0.05, 0.1, 0.2])
+    edges = np.r_[0.0, (lapses[1:] + lapses[:-1]) / 2, 0.25]
+    prior = stats.beta(1, 30).pdf(lapses) * np.diff(edges)
+    found = grid.likelihood(np.array([0.5, 0.5, 2.0]), np.array([True, False, True]))
+    assert found.shape == (241, 22)
+    for i, j in ((60, 0), (120, 10), (200, 21)):
+        p, q = (psychometric(math.log(x), grid.u[i], grid.slopes[j], 1 / 3, LEVITT.share, lapses) for x in (0.5, 2.0))
+        assert found[i, j] == pytest.approx(math.log(np.sum(prior * p * (1 - p) * q) / prior.sum()), rel=1e-9)
+    np.testing.assert_allclose(grid.slopes, np.geomspace(1.5, 100, 22) / grid.span)
+
+
+def test_slopes_of_listeners_spread_by_two_fifths() -> None:
+    """Where two slopes alone are possible, a listener's is their mean by the law of the population."""
+    grid = ThresholdGrid(LEVITT)
+    tables = np.full((4, 241, 22), -1000.0)
+    tables[:, 110:131, 5], tables[:, 110:131, 11] = 0.0, -0.4
+    fit = grid.fit(tables, 0.95)
+    logs = np.log(grid.slopes[[5, 11]])
+    weight = np.exp([0.0, -0.4]) * np.exp(-0.5 * ((logs - math.log(fit.slope)) / 0.4) ** 2)
+    np.testing.assert_allclose(np.log(fit.slopes), weight @ logs / weight.sum(), rtol=1e-6)
+    middle = grid.u[120]
+    assert fit.mean == pytest.approx(middle, abs=0.01)
+    np.testing.assert_allclose(fit.alone, middle, atol=0.01)
+    half = 10.5 * (grid.u[1] - grid.u[0])
+    np.testing.assert_allclose(fit.alone_intervals - middle, [[-0.95 * half, 0.95 * half]] * 4, rtol=1e-6)
+    assert (np.abs(fit.intervals - middle) <= half).all()
+    assert fit.interval[0] < fit.mean < fit.interval[1]
+    narrow = grid.fit(tables, 0.5)
+    np.testing.assert_allclose(narrow.alone_intervals - middle, [[-0.5 * half, 0.5 * half]] * 4, rtol=1e-6)
