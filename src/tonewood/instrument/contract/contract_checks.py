@@ -56,7 +56,8 @@ def number(value: object, wanted: str, low: float = -math.inf, where: str = "", 
     """Check a finite number, `low` or more, or above it."""
     real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
     most = sys.float_info.max  # an integer may be greater
-    fits = real and -most <= value <= most and (value > low if above else value >= low)  # type: ignore[operator]  # real
+    plain: Any = value.item() if isinstance(value, np.generic) else value  # a number of 32 bits has no such limit
+    fits = real and -most <= plain <= most and (plain > low if above else plain >= low)
     want(fits, value, wanted, where)
 
 
