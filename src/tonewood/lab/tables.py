@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+T = TypeVar("T")
 
 
 def number(value: float | None, digits: int = 2) -> str:
@@ -27,6 +29,11 @@ def markdown(heads: Sequence[str], rows: Iterable[Sequence[str]], *, left: int =
         for row in [cells[0], rule, *cells[1:]]
     ]
     return "\n".join(f"| {' | '.join(row)} |" for row in padded)
+
+
+def table(items: Iterable[T], columns: Mapping[str, Callable[[T], str]], *, left: int = 1) -> str:
+    """A `markdown` table of a row per item; `columns` says the cell below each heading."""
+    return markdown(list(columns), ([cell(item) for cell in columns.values()] for item in items), left=left)
 
 
 def terminal(

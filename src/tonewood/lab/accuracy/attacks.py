@@ -6,15 +6,16 @@ energy budget of a render, which know nothing of how a step is made.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.lab.accuracy.timing import Tell, silent
 from tonewood.lab.systems.harp_body import harp_body
-from tonewood.lab.tables import markdown, number
+from tonewood.lab.tables import number, table
 from tonewood.performance.effects.base import Moment, SwitchedEffect, Watched
 from tonewood.performance.effects.switching import switch
 from tonewood.performance.effects.tension import potential
@@ -73,7 +74,20 @@ class Attack:
     failures: int
 
 
-def run(*, quick: bool = False, tell: Callable[[float], None] | None = None) -> list[Attack]:
+#: heading -> cell
+COLUMNS: Mapping[str, Callable[[Attack], str]] = {
+    "attack": lambda a: a.name,
+    "steps": lambda a: f"{a.steps:.3g}",
+    "growth per 1e6 steps": lambda a: number(a.growth),
+    "largest residual": lambda a: number(a.residual),
+    "iterations per step": lambda a: number(a.iterations),
+    "most": lambda a: str(a.most),
+    "redone": lambda a: str(a.redone),
+    "lost": lambda a: str(a.failures),
+}
+
+
+def run(*, quick: bool = False, tell: Tell = silent) -> list[Attack]:
     """Make all attacks; a quick run makes a hundredth of the steps of the long ones."""
     less = 100 if quick else 1
     makes: list[Callable[[], Attack]] = [
@@ -89,36 +103,13 @@ def run(*, quick: bool = False, tell: Callable[[float], None] | None = None) -> 
     out = []
     for i, make in enumerate(makes):
         out.append(make())
-        if tell is not None:
-            tell((i + 1) / len(makes))
+        tell((i + 1) / len(makes))
     return out
 
 
 def section(attacks: Sequence[Attack]) -> str:
-    """Markdown: the attacks and their results."""
-    return f"{TEXT}\n\n{table(attacks)}"
-
-
-def table(attacks: Sequence[Attack]) -> str:
-    """A row per attack."""
-    rows = [
-        [
-            a.name, f"{a.steps:.3g}", number(a.growth), number(a.residual), number(a.iterations), str(a.most),
-            str(a.redone), str(a.failures),
-        ]
-        for a in attacks
-    ]  # fmt: skip
-    heads = [
-        "attack",
-        "steps",
-        "growth per 1e6 steps",
-        "largest residual",
-        "iterations per step",
-        "most",
-        "redone",
-        "lost",
-    ]
-    return markdown(heads, rows)
+    """Markdown: the attacks and their results, a row per attack."""
+    return f"{TEXT}\n\n{table(attacks, COLUMNS)}"
 
 
 def everything_on_one_string(duration: float) -> Attack:

@@ -16,38 +16,35 @@ from tonewood.lab.accuracy.nonlinear_cases import (
     tension_case,
 )
 
+Make = Callable[[], Case | NonlinearCase]
+
 
 @dataclass(frozen=True)
 class Entry:
     """A case of the study.
 
     make : the case.
-    quick : that of a quick run, if it is another; None: left out of a quick run over all.
+    quick : that of a quick run; None: left out of a quick run over all.
     weight : how long it takes, beside the others.
     """
 
-    make: Callable[[], Case | NonlinearCase]
-    quick: Callable[[], Case | NonlinearCase] | None
+    make: Make
+    quick: Make | None
     weight: float = 1.0
-
-    @classmethod
-    def of(cls, make: Callable[[], Case | NonlinearCase], weight: float = 1.0) -> Entry:
-        """Of one that a quick run takes as it is."""
-        return cls(make, make, weight)
 
 
 #: by name; all strings of the guitar sound in a quick run, but the poles of two are sought
 CASES = {
-    "fabre_guitar": Entry.of(fabre_case),
-    "harp": Entry.of(harp_case),
+    "fabre_guitar": Entry(fabre_case, fabre_case),
+    "harp": Entry(harp_case, harp_case),
     "harp_proportional": Entry(partial(harp_case, "proportional"), None),
     "harp_block": Entry(partial(harp_case, "block"), None),
-    "a2_on_16_modes": Entry.of(a2_case),
+    "a2_on_16_modes": Entry(a2_case, a2_case),
     "classical_guitar": Entry(guitar_case, partial(guitar_case, strings=("E2", "E4")), 3.0),
-    "tension": Entry.of(tension_case, 0.5),
-    "obstacle": Entry.of(obstacle_case, 0.5),
-    "hard_obstacle": Entry.of(hard_obstacle_case, 0.3),
-    "klosner_d": Entry.of(klosner_case, 0.3),
+    "tension": Entry(tension_case, tension_case, 0.5),
+    "obstacle": Entry(obstacle_case, obstacle_case, 0.5),
+    "hard_obstacle": Entry(hard_obstacle_case, hard_obstacle_case, 0.3),
+    "klosner_d": Entry(klosner_case, klosner_case, 0.3),
 }
 
 

@@ -6,8 +6,9 @@ the motion is regular, many times with forces a little apart where it is sensiti
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
+from operator import attrgetter
 from typing import Any
 
 from tonewood.instrument.bundle.loading import Instrument
@@ -15,7 +16,7 @@ from tonewood.instrument.contract.registry import INSTRUMENTS, entries
 from tonewood.lab.accuracy.partials import PartialErrors
 from tonewood.lab.accuracy.strokes import NUDGE, SENSITIVE, SPREAD, STEADY, VELOCITY_MIDI, NoteCase, Strokes, forces
 from tonewood.lab.accuracy.timing import Tell, silent
-from tonewood.lab.tables import markdown, number
+from tonewood.lab.tables import number, table
 from tonewood.sound.render.accuracy import LEVELS
 
 #: Hz and s of the sound
@@ -189,8 +190,8 @@ def run(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
 
 def section(points: Sequence[DialPoint]) -> str:
     """Markdown."""
-    table = _table(points, "--accuracy", "standard", "reference")
-    return f"{TEXT}\n\n{table}\n\n{_within(points)}\n\n{_order(points)}\n\n{WHY}"
+    rows = _table(points, "--accuracy", "standard", "reference")
+    return f"{TEXT}\n\n{rows}\n\n{_within(points)}\n\n{_order(points)}\n\n{WHY}"
 
 
 def out_of_order(points: Sequence[DialPoint]) -> list[str]:
@@ -259,20 +260,29 @@ def budget_section(points: Sequence[DialPoint]) -> str:
 def _table(points: Sequence[DialPoint], heading: str, unit: str, truth: str) -> str:
     """Rows of errors against `truth` and times in those of `unit`."""
     seconds = {p.instrument: p.seconds for p in points if p.accuracy == unit}
-    rows = []
-    for p in points:
-        e = p.errors
-        pairs = [(e.cents, e.cents_worst), (100 * e.decay, 100 * e.decay_worst), (e.level, e.level_worst)]
-        errors = ["" if p.accuracy == truth else f"{number(middle)} / {number(worst)}" for middle, worst in pairs]
-        errors.append("" if p.accuracy == truth or e.waveform is None else number(100 * e.waveform))
-        cost = (
-            []
-            if p.accuracy in (NUDGED, OTHERS)
-            else [number(p.seconds, 3), number(p.seconds / seconds[p.instrument], 3)]
-        )
-        rows.append([p.instrument, p.accuracy, str(p.n_modes), *errors, *(cost or ["", ""])])
-    heads = ["instrument", heading, "modes", "cents", "decay %", "level dB", "waveform %", "s per s", "time ratio"]
-    return markdown(heads, rows, left=2)
+
+    def errors(median: str, scale: float = 1.0) -> Callable[[DialPoint], str]:
+        pair = attrgetter(median, f"{median}_worst")
+        return lambda p: "" if p.accuracy == truth else " / ".join(number(scale * e) for e in pair(p.errors))
+
+    def waveform(p: DialPoint) -> str:
+        return "" if p.accuracy == truth or p.errors.waveform is None else number(100 * p.errors.waveform)
+
+    def cost(per: Callable[[DialPoint], float]) -> Callable[[DialPoint], str]:
+        return lambda p: "" if p.accuracy in (NUDGED, OTHERS) else number(p.seconds / per(p), 3)
+
+    columns: Mapping[str, Callable[[DialPoint], str]] = {
+        "instrument": lambda p: p.instrument,
+        heading: lambda p: p.accuracy,
+        "modes": lambda p: str(p.n_modes),
+        "cents": errors("cents"),
+        "decay %": errors("decay", 100.0),
+        "level dB": errors("level"),
+        "waveform %": waveform,
+        "s per s": cost(lambda p: 1.0),
+        "time ratio": cost(lambda p: seconds[p.instrument]),
+    }
+    return table(points, columns, left=2)
 
 
 def middle_string(instrument: Instrument) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from tonewood import _methods
 from tonewood.errors import NumericalError
 from tonewood.lab.assembled import continuous_force
+from tonewood.lab.methods import METHODS
 from tonewood.lab.methods.problem import Problem, RealModes
 from tonewood.lab.methods.scheme import Layout, Runner, Scheme, padded
 from tonewood.physics.coupling.connections import Connection
@@ -115,6 +116,18 @@ class KernelRun:
         if self._scene.is_linear:
             return self._scene.problem.energy(self._scene.problem.x_of(self.state.modes, self.system))
         return stored_energy(self.system, self.state).total
+
+
+def run_of(method: str, scene: Scene, fs: float, residual: bool = True) -> Run:
+    """A scene under a method; nonlinear scenes are stepped by the kernel and by velocity Verlet alone.
+
+    residual : see `KernelRun`.
+    """
+    if method == "tonewood":
+        return KernelRun(scene, fs, residual)
+    return (
+        SchemeRun(scene, METHODS[method].arrays(scene.problem, 1 / fs)) if scene.is_linear else ExplicitRun(scene, fs)
+    )
 
 
 def _laws(scene: Scene) -> tuple[Contact | HardeningSpring, ...]:

@@ -12,6 +12,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from tonewood.lab.accuracy import attacks
 from tonewood.lab.accuracy.attacks import Attack, section
 from tonewood.lab.accuracy.linear_cases import a2_case
 from tonewood.lab.accuracy.nonlinear_cases import STEEL, plucked_steel
-from tonewood.lab.accuracy.runs import ExplicitRun, KernelRun, Run, Scene, SchemeRun
+from tonewood.lab.accuracy.runs import Scene, run_of
 from tonewood.lab.accuracy.timing import Tell, silent
 from tonewood.lab.methods import METHODS
 from tonewood.lab.string_end import ExactString
@@ -46,24 +47,9 @@ _LOOKS = 16
 LINEAR = "string on 16 modes"
 TENSION = "string of rising tension on 16 modes"
 
-Make = Callable[[Scene, float], Run]
-
-
-def _scheme(name: str) -> Make:
-    return lambda scene, fs: SchemeRun(scene, METHODS[name].arrays(scene.problem, 1 / fs))
-
-
-#: name in tables -> (scene, sampling rate) -> run
-LINEAR_METHODS: dict[str, Make] = {
-    "ours": _scheme("held_position"),
-    "AB3": _scheme("ab3"),
-    "velocity Verlet": _scheme("verlet"),
-    "P1 force, acceleration level": _scheme("p1"),
-    "P0 force, acceleration level": _scheme("p0"),
-    "velocity level": _scheme("held_velocity"),
-    "linear force, position level": _scheme("linear_position"),
-}
-TENSION_METHODS: dict[str, Make] = {"ours": KernelRun, "velocity Verlet": ExplicitRun}
+#: methods that step each system, by their names
+LINEAR_METHODS = ("held_position", "ab3", "verlet", "p1", "p0", "held_velocity", "linear_position")
+TENSION_METHODS = ("tonewood", "verlet")
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +90,7 @@ class StabilityGrid:
             cells = [cell for cell in self.cells if cell.system == system]
             rows: dict[tuple[str, ...], dict[float, str]] = defaultdict(dict)
             for cell in cells:
-                rows[cell.method, str(cell.n_modes), f"{cell.force:g}"][cell.fs] = cell.verdict
+                rows[METHODS[cell.method].title, str(cell.n_modes), f"{cell.force:g}"][cell.fs] = cell.verdict
             rates = sorted({cell.fs for cell in cells})
             heads = ["method", "string modes", "pluck, N", *(f"{fs / 1e3:g} kHz" for fs in rates)]
             lines = [[*key, *(row.get(fs, "") for fs in rates)] for key, row in rows.items()]
@@ -137,9 +123,8 @@ def _linear(quick: bool, duration: float) -> Iterator[Callable[[], Cell]]:
     for n_modes in (48, 228) if quick else (24, 72, 168, 228, 480):
         problem = case.build(_between(string_and_body.A2, n_modes))
         scene = Scene(problem, problem.static(np.array([10.0])))
-        for label, make in LINEAR_METHODS.items():
-            for fs in rates:
-                yield partial(watched, LINEAR, label, make, scene, 10.0, fs, duration)
+        for method, fs in product(LINEAR_METHODS, rates):
+            yield partial(watched, LINEAR, method, scene, 10.0, fs, duration)
 
 
 def _tension(quick: bool, duration: float) -> Iterator[Callable[[], Cell]]:
@@ -148,9 +133,8 @@ def _tension(quick: bool, duration: float) -> Iterator[Callable[[], Cell]]:
     for n_modes in (41, 193) if quick else (21, 62, 143, 193):
         for force in forces:
             scene = plucked_steel(force, _between(STEEL, n_modes))
-            for label, make in TENSION_METHODS.items():
-                for fs in rates:
-                    yield partial(watched, TENSION, label, make, scene, force, fs, duration)
+            for method, fs in product(TENSION_METHODS, rates):
+                yield partial(watched, TENSION, method, scene, force, fs, duration)
 
 
 def _between(string: ExactString, n_modes: int) -> float:
@@ -158,9 +142,9 @@ def _between(string: ExactString, n_modes: int) -> float:
     return 0.5 * (string.held_freq(n_modes) + string.held_freq(n_modes + 1))
 
 
-def watched(system: str, label: str, make: Make, scene: Scene, force: float, fs: float, duration: float) -> Cell:
+def watched(system: str, method: str, scene: Scene, force: float, fs: float, duration: float) -> Cell:
     """Let a scene go under one method and look at its energy."""
-    run, growth = make(scene, fs), 1.0
+    run, growth = run_of(method, scene, fs), 1.0
     run.start()
     first = run.energy()
     with np.errstate(over="ignore", invalid="ignore"):
@@ -171,4 +155,4 @@ def watched(system: str, label: str, make: Make, scene: Scene, force: float, fs:
             if not np.isfinite(growth):
                 break
     verdict = NAN if not np.isfinite(growth) else GROWS if growth > GROWTH else STABLE
-    return Cell(system, label, scene.problem.components["string"].n_modes, force, fs, verdict, growth)
+    return Cell(system, method, scene.problem.components["string"].n_modes, force, fs, verdict, growth)

@@ -24,7 +24,7 @@ from tonewood.lab.accuracy.measures import energy_drift, pole_errors, wave_error
 from tonewood.lab.accuracy.nonlinear_cases import NonlinearCase, Truth
 from tonewood.lab.accuracy.outcome import DECAY, PITCH, WAVEFORM, Outcome, Point
 from tonewood.lab.accuracy.reference import FINE_RATE, ExactMotion, FineMotion, Motion
-from tonewood.lab.accuracy.runs import ExplicitRun, KernelRun, Run, Scene, SchemeRun
+from tonewood.lab.accuracy.runs import KernelRun, Run, Scene, run_of
 from tonewood.lab.accuracy.timing import Task, Tell, Timing, measure, silent
 from tonewood.lab.methods import METHODS
 from tonewood.lab.methods.problem import Problem
@@ -190,12 +190,10 @@ class Subject:
         return asdict(wave) | asdict(pole_errors(poles, self.poles, self.numbers))
 
     def attempt(
-        self, method: str, fs: float, make: Callable[[Scene], Run], problem: Problem, drift: bool,
-        dial: str = "fs", value: str = "",
-    ) -> Attempt:  # fmt: skip
+        self, method: str, fs: float, problem: Problem, drift: bool, dial: str = "fs", value: str = ""
+    ) -> Attempt:
         """Run one method on a problem and, if `drift` of the energy is asked for, on the undamped twin."""
-        value = value or f"{fs / 1e3:.4g} kHz"
-        point = Point(self.case.name, method, dial, value, fs, problem.n_modes, "")
+        point = Point(self.case.name, method, dial, value or kilohertz(fs), fs, problem.n_modes, "")
         watch = Watch()
 
         def judge(run: Run, y: Floats, energies: Floats, grows: bool) -> dict[str, Any]:
@@ -203,20 +201,21 @@ class Subject:
             return self.errors(y, fs / watch.every(fs), poles)
 
         steps = max(2, round(fs * min(0.2, 4e6 / (fs * problem.n_modes)) / 2) * 2)
-        got = attempt(make(self.start(problem)), point, watch, judge, steps)
-        if got.task is None or not drift:
-            return got
-        _, energies, finite = watch.follow(make(self.free_of_loss), fs)
-        return replace(got, point=replace(got.point, energy=energy_drift(energies) if finite else np.nan))
+        damped = attempt(run_of(method, self.start(problem), fs), point, watch, judge, steps)
+        if damped.task is None or not drift:
+            return damped
+        _, energies, finite = watch.follow(run_of(method, self.free_of_loss, fs), fs)
+        return replace(damped, point=replace(damped.point, energy=energy_drift(energies) if finite else np.nan))
+
+
+def kilohertz(fs: float) -> str:
+    """A sampling rate in a table."""
+    return f"{fs / 1e3:.4g} kHz"
 
 
 def scheme_point(subject: Subject, method: str, fs: float, *, freq_upper: float = FREQ_UPPER) -> Attempt:
     """A method of the compiled loop."""
-    arrays = METHODS[method].arrays
-    return subject.attempt(
-        method, fs, lambda scene: SchemeRun(scene, arrays(scene.problem, 1 / fs)), subject.problem(freq_upper),
-        freq_upper == FREQ_UPPER,
-    )  # fmt: skip
+    return subject.attempt(method, fs, subject.problem(freq_upper), freq_upper == FREQ_UPPER)
 
 
 def own_point(
@@ -225,7 +224,7 @@ def own_point(
     """The stepper of this project; modes up to 0.45 fs unless a basis is given."""
     stepped = problem or subject.problem(min(FREQ_UPPER, FREQ_LIMIT * fs))
     drift = problem is None and stepped is subject.problem()
-    return subject.attempt("tonewood", fs, lambda scene: KernelRun(scene, fs), stepped, drift, dial, value)
+    return subject.attempt("tonewood", fs, stepped, drift, dial, value)
 
 
 def superposition_point(subject: Subject, fs: float = 48000.0) -> Attempt:
@@ -239,7 +238,7 @@ def superposition_point(subject: Subject, fs: float = 48000.0) -> Attempt:
     y = run.run(round(fs * DURATION))[0][:, 0]
     nearest = np.array([same.poles[np.argmin(np.abs(same.poles - p))] for p in subject.poles])
     point = Point(
-        subject.case.name, "superposition", "fs", f"{fs / 1e3:.4g} kHz", fs, basis.n_modes, "stable",
+        subject.case.name, "superposition", "fs", kilohertz(fs), fs, basis.n_modes, "stable",
         **subject.errors(y, fs, nearest), energy=0.0,
         note="no stop, bend or contact may change; the eigenproblem of the whole is not in the time",
     )  # fmt: skip
@@ -350,8 +349,7 @@ def measured_period(y: Floats, fs: float, freq: float, cycles: int) -> float:
 
 
 def nonlinear_attempt(
-    case: NonlinearCase, truth: Truth | None, method: str, make: Callable[[Scene, float], Run], fs: float,
-    dial: str = "fs", value: str = "",
+    case: NonlinearCase, truth: Truth | None, method: str, fs: float, residual: bool, dial: str = "fs", value: str = "",
 ) -> Attempt:  # fmt: skip
     """One method on a nonlinear case, against its truth or, where there is none, the closed form of its pitch."""
     rate = case.reference_rate
@@ -371,9 +369,9 @@ def nonlinear_attempt(
         return judged
 
     source = "closed form of the pitch" if truth is None else truth.source
-    value, n_modes = value or f"{fs / 1e3:.4g} kHz", case.scene.problem.n_modes
-    point = Point(case.name, method, dial, value, fs, n_modes, "", note=source)
-    return attempt(make(case.scene, fs), point, Watch(rate, case.duration, 20, 0.01, 1), judge)
+    n_modes = case.scene.problem.n_modes
+    point = Point(case.name, method, dial, value or kilohertz(fs), fs, n_modes, "", note=source)
+    return attempt(run_of(method, case.scene, fs, residual), point, Watch(rate, case.duration, 20, 0.01, 1), judge)
 
 
 def _nonlinear_makes(case: NonlinearCase, quick: bool) -> Iterator[Make]:
@@ -382,14 +380,14 @@ def _nonlinear_makes(case: NonlinearCase, quick: bool) -> Iterator[Make]:
     # closed forms are of strings with all their modes, waveforms of the modes that are stepped
     whole = bool(case.pitch)
     for fs in case.rates[:3] if quick else case.rates:
-        yield partial(point, "tonewood", partial(KernelRun, residual=whole), fs)
+        yield partial(point, "tonewood", fs, whole)
     for fs in case.verlet_rates[:: 2 if quick else 1] if not (quick and case.pitch) else ():
-        yield partial(point, "verlet", ExplicitRun, fs)
+        yield partial(point, "verlet", fs, whole)
     if any(isinstance(c.law, Contact) for c in case.scene.laws):
         for fs in case.rates[:2] if quick else case.rates:
             named = "without" if whole else "with"
             value = f"{named} residual compliance at the contact, {fs / 1e3:.4g} kHz"
-            yield partial(point, "tonewood", partial(KernelRun, residual=not whole), fs, "residual", value)
+            yield partial(point, "tonewood", fs, not whole, "residual", value)
 
 
 # ---- one system, and all of them ----

@@ -18,7 +18,7 @@ from tonewood.lab.accuracy.outcome import (
     usual,
 )
 from tonewood.lab.methods import METHODS
-from tonewood.lab.tables import markdown, number
+from tonewood.lab.tables import markdown, number, table
 
 #: methods of the short table, and their headings there
 IN_SHORT = {
@@ -161,6 +161,8 @@ def _spread(p: Point) -> str:
 
 #: heading -> cell
 COLUMNS: Mapping[str, Callable[[Point], str]] = {
+    "method": lambda p: METHODS[p.method].title,
+    "dial": lambda p: p.value,
     "modes": lambda p: str(p.n_modes),
     "motion": lambda p: p.stable,
     "cents, median": lambda p: number(p.cents_median),
@@ -184,9 +186,8 @@ def point_table(outcome: Outcome) -> str:
     def ratio(p: Point) -> str:
         return "" if ours is None or not math.isfinite(p.seconds) else number(p.seconds / ours.seconds, 3)
 
-    cells = {k: cell for k, cell in COLUMNS.items() if any(cell(p) for p in outcome.points)} | {"ratio": ratio}
-    rows = [[METHODS[p.method].title, p.value, *(cell(p) for cell in cells.values())] for p in outcome.points]
-    return markdown(["method", "dial", *cells], rows, left=2)
+    columns = {k: cell for k, cell in COLUMNS.items() if any(cell(p) for p in outcome.points)} | {"ratio": ratio}
+    return table(outcome.points, columns, left=2)
 
 
 def section(outcome: Outcome) -> str:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from tonewood.lab.accuracy.target import NAMES, Frontier, Tried, Worst
-from tonewood.lab.tables import markdown, number
+from tonewood.lab.tables import number, table
 from tonewood.support.plotting import COLOURS, LINE, SMALL, figure, png, title
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ HEADS = {
 
 def summary(frontier: Frontier) -> str:
     """The answer first, then its grounds, then the table."""
-    lines = [_answer(frontier), "", *_ground(frontier), "", table(frontier)]
+    lines = [_answer(frontier), "", *_ground(frontier), "", settings_table(frontier)]
     return "\n".join(lines)
 
 
@@ -64,20 +64,28 @@ def _ground(frontier: Frontier) -> list[str]:
     return out
 
 
-def table(frontier: Frontier) -> str:
+def settings_table(frontier: Frontier) -> str:
     """A row per setting, from cheap to dear: `>` the cheapest that meets the target; `*` errors on the frontier."""
-    rows = []
-    for t in frontier.tried:
-        cells = [f"{_shown(t.errors, name)}{'*' if frontier.on_front(t, name) else ''}" for name in NAMES]
-        mark = ">" if t is frontier.cheapest else "yes" if t.met else ""
-        budgets = (
-            t.setting.effects or "" if t.setting.budgets is None else "{:g} cents, {:g} dB".format(*t.setting.budgets)
-        )
-        settings = [f"{t.setting.oversampling:g}", f"{t.highest / 1e3:.3g}", budgets, str(t.n_modes), *cells]
-        rows.append([mark, *settings, number(t.seconds, 3), number(t.seconds / frontier.default.seconds, 2)])
-    heads = ["meets", "oversampling", "modes to, kHz", "effects", "modes", *(h for h, _ in HEADS.values())]
+
+    def effects(t: Tried) -> str:
+        budgets = t.setting.budgets
+        return t.setting.effects or "" if budgets is None else "{:g} cents, {:g} dB".format(*budgets)
+
+    def error(name: str) -> Callable[[Tried], str]:
+        return lambda t: f"{_shown(t.errors, name)}{'*' if frontier.on_front(t, name) else ''}"
+
+    columns: Mapping[str, Callable[[Tried], str]] = {
+        "meets": lambda t: ">" if t is frontier.cheapest else "yes" if t.met else "",
+        "oversampling": lambda t: f"{t.setting.oversampling:g}",
+        "modes to, kHz": lambda t: f"{t.highest / 1e3:.3g}",
+        "effects": effects,
+        "modes": lambda t: str(t.n_modes),
+        **{HEADS[name][0]: error(name) for name in NAMES},
+        "s per s": lambda t: number(t.seconds, 3),
+        "time ratio": lambda t: number(t.seconds / frontier.default.seconds, 2),
+    }
     note = "`>`: the cheapest that meets the target. `*`: no cheaper one has as small an error."
-    return f"{markdown([*heads, 's per s', 'time ratio'], rows, left=1)}\n\n{note}"
+    return f"{table(frontier.tried, columns)}\n\n{note}"
 
 
 def _shown(errors: Worst, name: str) -> str:

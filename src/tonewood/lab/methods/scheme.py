@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy.linalg as sla
 
 from tonewood import _methods
 from tonewood.lab.methods.pole_search import Products, Transfer, nearest_zero
@@ -150,6 +151,20 @@ class Runner:
     def x(self) -> Floats:
         """(n, 2) the state."""
         return self.scheme.motion(self._layout.take(self.state))
+
+
+def multipliers(scheme: Scheme) -> Complexes:
+    """Eigenvalues of the step, found by stepping unit vectors of its state; parasitic ones among them."""
+    runner, layout = Runner(scheme), Layout(scheme.problem)
+    runner.start(np.zeros((scheme.problem.n_modes, 2)))
+    shape, forces = layout.take(runner.state).shape, runner.forces.shape
+    size = int(np.prod(shape))
+    columns = []
+    for unit in np.eye(size + int(np.prod(forces))):
+        runner.state, runner.forces = layout.put(unit[:size].reshape(shape)), unit[size:].reshape(forces).copy()
+        runner.run(scheme.phases)
+        columns.append(np.concatenate([layout.take(runner.state).ravel(), runner.forces.ravel()]))
+    return np.asarray(sla.eigvals(np.array(columns).T), dtype=np.complex128)
 
 
 # ---- characteristic matrices: det = 0 where exp(s t) is a motion ----

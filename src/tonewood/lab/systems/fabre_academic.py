@@ -16,7 +16,8 @@ from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
 from tonewood.lab.figures import figure, save
 from tonewood.lab.methods import METHODS, Problem, coupled_receptance
-from tonewood.lab.methods.matrices import held_position
+from tonewood.lab.methods.scheme import Runner
+from tonewood.lab.methods.step_map import held_position
 from tonewood.lab.row import Row, misfit, nearest, pole_error
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.modal.damping import damping_groups, phase_collinearity, with_damping_case
@@ -82,16 +83,17 @@ def problem(case: str = "complex") -> Problem:
     return Problem(bases(case), (JUNCTION,), (Term("S1", "m2"),), (Term("S2", "m9"),))
 
 
-def impulse_response(problem: Problem, method: str, n: int, fs: float = FS) -> Floats:
-    """(n,) displacement of m9 after a unit impulse on m2, stepped by a method."""
-    start = problem.impulse_columns[:, 0]
-    return METHODS[method].step_matrix(problem, 1 / fs).run(np.zeros((n, 1)), start)[:, 0]
+def free_motion(problem: Problem, method: str, fs: float, n: int) -> Floats:
+    """(n, n_outputs) displacements after a unit impulse on the first input, stepped by a method."""
+    runner = Runner(METHODS[method].arrays(problem, 1 / fs))
+    runner.start(problem.impulse_columns[:, 0].reshape(-1, 2))
+    return runner.run(n)[0][:n]
 
 
-def exact_impulse_response(system: Matrices, n: int, fs: float = FS) -> Floats:
+def exact_impulse_response(system: Matrices, n: int) -> Floats:
     """Return the impulse response from the matrix exponential of the assembled system."""
     v0 = sla.solve(system.M, np.eye(8)[1])
-    return assembled.free_motion(system, np.zeros(8), v0, 1 / fs, n)[:, 7]
+    return assembled.free_motion(system, np.zeros(8), v0, 1 / FS, n)[:, 7]
 
 
 def rows() -> Iterator[Row]:
@@ -127,7 +129,7 @@ def rows() -> Iterator[Row]:
         if number == 1:
             quantity, freq = "case 1: third coupled mode (Hz)", abs(third) / (2 * np.pi)
             yield Row(SYSTEM, quantity, source, 1.452, freq, 5e-4, kind="regression")
-        y, expected = impulse_response(this, "held_position", n), exact_impulse_response(reference, n)
+        y, expected = free_motion(this, "held_position", FS, n)[:, 0], exact_impulse_response(reference, n)
         by_expm = "expm of the assembled system"
         yield Row(SYSTEM, f"{label}: waveform of m9, largest error / peak", by_expm, 0, misfit(y, expected), 1e-9)
         if number == 1:
@@ -136,7 +138,7 @@ def rows() -> Iterator[Row]:
                 SYSTEM, "case 1: the same by the engine's stepper, 0.5 s", by_expm, 0,
                 float(np.abs(stepped - expected[:2000]).max() / np.abs(expected).max()), 1e-9,
             )  # fmt: skip
-            ab3 = impulse_response(this, "ab3", n)
+            ab3 = free_motion(this, "ab3", FS, n)[:, 0]
             yield Row(SYSTEM, "case 1: waveform of m9 by AB3 at 4 kHz", by_expm, 0, misfit(ab3, expected), 1e-5)
         grid = np.linspace(0.2, 5.0, 97)
         direct = assembled.receptance(reference, 2j * np.pi * grid, 7, 1)
@@ -187,7 +189,7 @@ def plots(directory: Path) -> list[Path]:
     )
     for number, case, style in ((1, "complex", "C0--"), (2, "proportional", "C3-")):
         wave.plot(
-            t, impulse_response(problem(case), "held_position", len(t)) * 1e3, style, label=f"case {number}: {case}"
+            t, free_motion(problem(case), "held_position", FS, len(t)) * 1e3, style, label=f"case {number}: {case}"
         )
         spectrum_axis.plot(freq, 20 * np.log10(np.abs(coupled_receptance(problem(case), freq)[:, 0, 0])), style)
     wave.set(xlabel="time (s)", ylabel="m9 (mm per N s)", title="Impulse on m2 (Fabre 2024, Fig. 3; reconstruction)")

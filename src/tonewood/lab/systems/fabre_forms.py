@@ -14,7 +14,7 @@ import scipy.linalg as sla
 from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
 from tonewood.lab.methods import Problem, StepMap, exact, forms, system_map
-from tonewood.lab.methods.matrices import held_position
+from tonewood.lab.methods.step_map import held_position
 from tonewood.lab.row import Row, halving_order, misfit, pole_error
 from tonewood.lab.systems.fabre_academic import FS, JUNCTION, MASSES, bases, problem, subsystems, whole
 from tonewood.lab.systems.fabre_guitar import BODY

@@ -17,7 +17,7 @@ from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
 from tonewood.lab.figures import figure, save
 from tonewood.lab.methods import Problem, coupled_receptance, forms
-from tonewood.lab.methods.matrices import held_position
+from tonewood.lab.methods.step_map import held_position
 from tonewood.lab.row import Row, cents, halving_order, nearest
 from tonewood.lab.string_end import ExactString, coupled_pole
 from tonewood.physics.coupling.connections import Connection, Term

@@ -8,6 +8,7 @@ linear in time, are stepped on the exact flow of the modes.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,11 @@ import scipy.linalg as sla
 from tonewood.lab import assembled
 from tonewood.lab.figures import figure, save
 from tonewood.lab.methods import METHODS, Method, Problem, forms, stability_limit
-from tonewood.lab.methods.matrices import held_position
+from tonewood.lab.methods.scheme import multipliers
 from tonewood.lab.row import Row, cents, halving_order, nearest, pole_error
 from tonewood.lab.string_end import coupled_pole
 from tonewood.lab.systems import fabre_guitar
-from tonewood.lab.systems.fabre_academic import problem, subsystems, whole
+from tonewood.lab.systems.fabre_academic import free_motion, problem, subsystems, whole
 from tonewood.lab.systems.fabre_forms import proportional_problem
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.modal.modes import ModalBasis
@@ -29,32 +30,28 @@ from tonewood.support.arrays import Complexes, Floats
 SYSTEM = "Fabre methods"
 #: largest |omega h| on the imaginary axis at which Adams-Bashforth 3 does not grow
 AB3_LIMIT = (5 + np.sqrt(5)) / 10
-#: methods that are given as matrices
-MATRICES = [m for m in METHODS.values() if m.matrix is not None]
+#: methods of other names are the same ones, or take no steps
+STEPPED = [m for name, m in METHODS.items() if name not in ("tonewood", "ab3_paper", "superposition")]
 
 
 def subject(method: Method) -> tuple[Problem, Complexes]:
     """The academic system for a method, with its true poles; proportional damping where real modes are asked for."""
     if method.real:
-        given, system = proportional_problem()
-        return given, assembled.poles(system)
+        system, matrices = proportional_problem()
+        return system, assembled.poles(matrices)
     return problem(), assembled.poles(whole(subsystems()))
 
 
 def pole_errors(method: Method, rates: Floats) -> Floats:
     """Largest relative pole error of a method at each sampling rate, Hz."""
-    given, expected = subject(method)
-    out = []
-    for fs in rates:
-        poles = method.step_matrix(given, 1 / fs).poles()
-        out.append(pole_error(poles, expected))
-    return np.array(out)
+    system, expected = subject(method)
+    return np.array([pole_error(method.arrays(system, 1 / fs).poles(expected), expected) for fs in rates])
 
 
 def free_oscillator(freq_rad: float) -> Problem:
     """One undamped mode, and a constraint that holds nothing."""
     basis = ModalBasis.real([freq_rad], [0.0], {"p": [1.0]})
-    return Problem({"a": basis}, (Connection("none", (Term("a", "p", 0.0),)),))
+    return Problem({"a": basis}, (Connection("none", (Term("a", "p", 0.0),)),), (), (Term("a", "p"),))
 
 
 def lowest_ab3_rate(poles: Complexes) -> float:
@@ -71,28 +68,26 @@ def lowest_ab3_rate(poles: Complexes) -> float:
 
 def rows() -> Iterator[Row]:
     """Orders, limits of stability, the constraint's gap."""
-    for method in MATRICES:
+    for method in STEPPED:
         errors = pole_errors(method, np.array([400.0, 800.0]))
         order = halving_order(errors[0], errors[1])
         yield Row(SYSTEM, f"{method.name}: measured order", "the order it states", method.order, order, 0.15)
-    oscillator = free_oscillator(1000.0)
-    limit = 1000.0 / stability_limit(METHODS["ab3_real"], oscillator, 500.0, 5000.0)
-    yield Row(SYSTEM, "AB3: largest stable omega h", "boundary locus, (5 + sqrt 5)/10", float(AB3_LIMIT), limit, 2e-3)
-    limit = 1000.0 / stability_limit(METHODS["verlet"], oscillator, 300.0, 5000.0)
-    yield Row(SYSTEM, "velocity Verlet: largest stable omega h", "closed form", 2.0, limit, 2e-3)
-    given, _ = subject(METHODS["linear_position"])
-    worst = METHODS["linear_position"].step_matrix(given, 1e-4).multipliers()
-    grows = float(worst[np.argmax(np.abs(worst))].real)
+    for name, label, source, limit, rate in (
+        ("ab3", "AB3", "boundary locus, (5 + sqrt 5)/10", float(AB3_LIMIT), 500.0),
+        ("verlet", "velocity Verlet", "closed form", 2.0, 300.0),
+    ):
+        value = 1000.0 / stability_limit(METHODS[name], free_oscillator(1000.0), rate, 5000.0)
+        yield Row(SYSTEM, f"{label}: largest stable omega h", source, limit, value, 2e-3)
+    academic = problem()
+    force = multipliers(METHODS["linear_position"].arrays(academic, 1e-4))
+    grows = float(force[np.argmax(np.abs(force))].real)
     source = "f2 + 4 f1 + f0 = 0, step to 0"
     yield Row(SYSTEM, "linear constraint force: multiplier of the force", source, -2 - np.sqrt(3), grows, 1e-2)
-    step = held_position(given, 1 / 400)
-    yield Row(
-        SYSTEM, "held_position: spectral radius - 1, if above", "energy never rises", 0,
-        max(step.spectral_radius() - 1, 0.0), 1e-12,
-    )  # fmt: skip
-    joint = Problem(given.components, given.constraints, given.inputs, (Term("S1", "m4"), Term("S2", "m5")))
+    above = max(float(np.abs(multipliers(METHODS["held_position"].arrays(academic, 1 / 400))).max()) - 1, 0.0)
+    yield Row(SYSTEM, "held_position: spectral radius - 1, if above", "energy never rises", 0, above, 1e-12)
+    joint = replace(academic, outputs=(Term("S1", "m4"), Term("S2", "m5")))
     for name, tolerance in (("held_position", 1e-12), ("ab3", 1e-9)):
-        y = METHODS[name].step_matrix(joint, 1 / 400).run(np.zeros((2001, 1)), joint.impulse_columns[:, 0])
+        y = free_motion(joint, name, 400.0, 2001)
         gap = float(np.abs(y[:, 0] - y[:, 1]).max() / np.abs(y).max())
         yield Row(SYSTEM, f"{name}: gap of the junction over 5 s / peak", "constraint", 0, gap, tolerance)
     # the paper's string of 150 modes on its guitar, and the rate it was stepped at
@@ -120,7 +115,7 @@ def plots(directory: Path) -> list[Path]:
     """Pole error against sampling rate, every method."""
     fig, axis = figure(1, 1, size=(8, 6))
     rates = np.array([50.0 * 2**i for i in range(8)])
-    for i, method in enumerate(MATRICES):
+    for i, method in enumerate(STEPPED):
         dashed = "--" if method.name == "linear_position" else "-"
         label = f"{method.name}, order {method.order}" + (" (unstable)" if dashed == "--" else "")
         axis.loglog(rates, pole_errors(method, rates), dashed + "osv^"[i % 4], color=f"C{i}", label=label, markersize=4)

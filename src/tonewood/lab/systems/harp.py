@@ -17,7 +17,7 @@ from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
 from tonewood.lab.figures import figure, save
 from tonewood.lab.methods import Problem, coupled_receptance
-from tonewood.lab.methods.matrices import held_position
+from tonewood.lab.methods.step_map import held_position
 from tonewood.lab.row import Row, cents, nearest, pole_error
 from tonewood.lab.string_end import ExactString
 from tonewood.lab.systems.fabre_academic import falsely_complex

@@ -13,7 +13,7 @@ import numpy as np
 
 from tonewood.lab.figures import figure, save
 from tonewood.lab.methods import Problem, StepMap, system_map
-from tonewood.lab.methods.matrices import held_position
+from tonewood.lab.methods.step_map import held_position
 from tonewood.lab.row import Row, nearest
 from tonewood.lab.string_end import ExactString, coupled_pole
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
