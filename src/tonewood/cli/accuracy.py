@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tonewood.cli.common import AllowCode, Json, Overrides, allow, load, need, print_json, progress
-from tonewood.errors import OutputError, TonewoodError
+from tonewood.cli.common import AllowCode, Json, Overrides, allow, allow_file, load, need, print_json, progress
+from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
     from tonewood.instrument.bundle.loading import Instrument
@@ -55,13 +55,8 @@ def accuracy(
     as_json: Json = False,
 ) -> None:
     """Compare error and time of this project with methods of the literature, and of each of its own settings."""
-    for path in (plot, report):
-        if path is not None and not path.absolute().parent.is_dir():
-            raise OutputError(f"there is no folder {str(path.parent)!r}", file=path)
-    if plot is not None and plot.suffix.lower() != ".png":
-        raise TonewoodError(f"is {plot.name!r}; a name ending in .png is allowed", key="--plot")
-    if report is not None and report.suffix.lower() not in (".html", ".md"):
-        raise TonewoodError(f"is {report.name!r}; a name ending in .html or .md is allowed", key="--report")
+    allow_file("--plot", plot, ".png")
+    allow_file("--report", report, ".html", ".md")
     if instrument is not None:
         if system is not None or quick or stability or report is not None:
             raise TonewoodError("--system, --quick, --stability and --report are of another comparison", key="-i")
@@ -75,7 +70,7 @@ def accuracy(
     if stability:
         _stability(system, quick, plot, report, as_json)
         return
-    html = report is not None and report.suffix.lower() == ".html"
+    html = report is not None and report.suffix.lower() != ".md"
     drawing = html or plot is not None
     if drawing:
         need(*(("report", "jinja2") if html else ("plot",)), "matplotlib")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
-from tonewood.errors import DroppedNotesWarning, TonewoodError
+from tonewood.errors import DroppedNotesWarning, OutputError, TonewoodError
 from tonewood.support.plain_values import finite
 from tonewood.support.units import as_float, counted
 
@@ -162,6 +162,32 @@ def allow(option: str, value: float, low: float, high: float, unit: str) -> None
     if not low <= value <= high:
         shown = f"{as_float(value):.12g} {unit}".strip()
         raise TonewoodError(f"is {shown}; {low:.12g} to {high:.12g} are allowed", key=option)
+
+
+def allow_word(option: str, value: str, words: Iterable[str]) -> None:
+    """Refuse an option's value that is none of some words. Raises TonewoodError : names the option and the words."""
+    if value not in (allowed := list(words)):
+        raise TonewoodError(f"is {value!r}; {', '.join(allowed)} are allowed", key=option)
+
+
+def allow_band(band: tuple[float, float]) -> None:
+    """Refuse a ``--band`` that does not rise, or begins below 0 Hz. Raises TonewoodError : says what is allowed."""
+    if not 0 <= band[0] < band[1]:
+        raise TonewoodError(f"is {band[0]:g} {band[1]:g}; a lower and a higher frequency are allowed", key="--band")
+
+
+def allow_file(option: str, path: Path | None, *endings: str) -> None:
+    """Refuse before any work a file to write of another ending, or in a folder that is not there; None is allowed.
+
+    Raises TonewoodError : names the option and the endings.  OutputError : names the folder.
+    """
+    if path is None:
+        return
+    ending = path.suffix.lower()
+    if {".htm": ".html", ".yml": ".yaml"}.get(ending, ending) not in endings:
+        raise TonewoodError(f"is {path.name!r}; a name ending in {' or '.join(endings)} is allowed", key=option)
+    if not path.absolute().parent.is_dir():
+        raise OutputError(f"there is no folder {str(path.parent)!r}", file=path)
 
 
 @contextmanager

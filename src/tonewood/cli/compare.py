@@ -16,6 +16,7 @@ from tonewood.cli.common import (
     Overrides,
     StringSetName,
     allow,
+    allow_file,
     installed,
     load,
     need,
@@ -24,7 +25,7 @@ from tonewood.cli.common import (
     warn,
 )
 from tonewood.cli.options import render_options
-from tonewood.errors import OutputError, TonewoodError
+from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.overrides import parse_assignment
 from tonewood.support.units import number_in
 
@@ -174,10 +175,7 @@ def _run(
     need("report", "pyloudnorm")
     if output is not None:
         need("report", "jinja2", "matplotlib")
-        if output.suffix.lower() not in (".html", ".htm"):
-            raise TonewoodError(f"is {output.name!r}; a name ending in .html is allowed", key="--output")
-        if not output.parent.is_dir():
-            raise OutputError(f"there is no folder {str(output.parent)!r}", file=output)
+        allow_file("--output", output, ".html")
     from tonewood.workshop.report.comparison import compare as compared
 
     with progress("computing", 1.0) as advance:

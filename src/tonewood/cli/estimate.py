@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tonewood.cli.commands import InterruptError
-from tonewood.cli.common import AllowCode, Json, load, need, print_json, progress, warn
+from tonewood.cli.common import AllowCode, Json, allow, allow_file, load, need, print_json, progress, warn
 from tonewood.cli.distance import NotesTable, Transpose, print_distances
-from tonewood.errors import OutputError, TonewoodError
 from tonewood.support.whole_files import check_new_folder
 
 if TYPE_CHECKING:
@@ -81,14 +80,10 @@ def _but(result: Estimate) -> str:
 def _check(output: Path, iterations: int, page: Path | None) -> None:
     """Refuse before any work what could not be written."""
     check_new_folder(output)
-    if not 1 <= iterations <= 10:
-        raise TonewoodError(f"is {iterations}; 1 to 10 are allowed", key="--iterations")
+    allow("--iterations", iterations, 1, 10, "")
     if page is not None:
         need("report", "jinja2", "matplotlib")
-        if page.suffix.lower() not in (".html", ".htm"):
-            raise TonewoodError(f"is {page.name!r}; a name ending in .html is allowed", key="--page")
-        if not page.absolute().parent.is_dir():
-            raise OutputError(f"there is no folder {str(page.parent)!r}", file=page)
+        allow_file("--page", page, ".html")
 
 
 def _print(result: Estimate) -> None:

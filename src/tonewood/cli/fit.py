@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tonewood.cli.commands import InterruptError
-from tonewood.cli.common import Json, allow, print_json, warn
+from tonewood.cli.common import Json, allow, allow_band, allow_word, print_json, warn
 from tonewood.errors import TonewoodError
 from tonewood.support.units import number_in
 
@@ -101,8 +101,7 @@ def fit(
     from tonewood.workshop.fit.radiation import fit_radiation
 
     _check_options(form, estimator, scale, window_tau, hits, band)
-    if damping not in ("viscous", "structural", "auto"):
-        raise TonewoodError(f"is {damping!r}; viscous, structural, auto are allowed", key="--damping")
+    allow_word("--damping", damping, ("viscous", "structural", "auto"))
     kept, dropped = _frequencies("--keep", keep), _frequencies("--drop", drop)
     _check_folder(output)
     reading = Reading(
@@ -111,7 +110,7 @@ def fit(
     )  # fmt: skip
     responses, places = _named(read_responses(files, reading), point or [])
     draw = _figure()
-    tell = _teller()
+    tell = _Teller()
     try:
         fitted = fit_responses(
             responses, band=band or (None, None), damping=damping, keep=kept, drop=dropped, tell=tell
@@ -151,17 +150,16 @@ def _check_options(
 ) -> None:
     from tonewood.workshop.fit.responses import FORMS
 
-    if form is not None and form not in FORMS:
-        raise TonewoodError(f"is {form!r}; {', '.join(FORMS)} are allowed", key="--form")
-    if estimator not in ("H1", "H2"):
-        raise TonewoodError(f"is {estimator!r}; H1, H2 are allowed", key="--estimator")
+    if form is not None:
+        allow_word("--form", form, FORMS)
+    allow_word("--estimator", estimator, ("H1", "H2"))
     allow("--scale", abs(scale), 1e-9, 1e9, "")
     if window_tau is not None:
         allow("--window-tau", window_tau, 1e-4, 1e3, "s")
     if hits is not None:
         allow("--hits", hits, 2, 100_000, "hits")
-    if band is not None and not 0 <= band[0] < band[1]:
-        raise TonewoodError(f"is {band[0]:g} {band[1]:g}; a lower and a higher frequency are allowed", key="--band")
+    if band is not None:
+        allow_band(band)
 
 
 def _check_folder(output: Path) -> None:
@@ -275,10 +273,6 @@ class _Teller:
     def end(self) -> None:
         if self._on:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
-
-
-def _teller() -> _Teller:
-    return _Teller()
 
 
 def _print(folder: FitFolder, written: list[Path]) -> None:

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import AllowCode, BundleName, Json, Overrides, StringSetName, load, need, print_json
+from tonewood.cli.common import (
+    AllowCode,
+    BundleName,
+    Json,
+    Overrides,
+    StringSetName,
+    allow_file,
+    load,
+    need,
+    print_json,
+)
 from tonewood.cli.options import render_options
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.physics.modal.views import SHOWN_TO
@@ -59,12 +69,9 @@ def modes(
         raise TonewoodError(f"there is no string {string!r}; {hint}", key="--string")
     if count < 1:
         raise TonewoodError(f"is {count}; 1 or more is allowed", key="--count")
-    if plot is not None and plot.suffix.lower() not in PICTURES:
-        raise TonewoodError(f"is {plot.name!r}; a name ending in {', '.join(PICTURES)} is allowed", key="--plot")
+    allow_file("--plot", plot, *PICTURES)
     if plot is not None:
         need("plot", "matplotlib")
-    if plot is not None and not plot.parent.is_dir():
-        raise OutputError(f"there is no folder {str(plot.parent)!r}", file=plot)
     names = [string] if string else list(model.groups)
     for name in names:
         if not 0 <= stop <= model.strings[name].n_stops:

@@ -163,8 +163,7 @@ class _Stems:
 
     def check(self, *, live: bool, limiter: bool) -> None:
         """Refuse stems that cannot be made, before anything is rendered."""
-        if self.by not in ("output", "string"):
-            raise TonewoodError(f"is {self.by!r}; output, string are allowed", key="--stems-by")
+        common.allow_word("--stems-by", self.by, ("output", "string"))
         if self.by == "string" and (self.folder is None or live or limiter):
             reason = "is for --stems without --live and --limiter, which strings have in common"
             raise TonewoodError(reason, key="--stems-by")

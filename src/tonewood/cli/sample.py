@@ -7,7 +7,18 @@ from typing import Annotated
 
 import typer
 
-from tonewood.cli.common import AllowCode, BundleName, Json, Overrides, StringSetName, load, need, print_json, progress
+from tonewood.cli.common import (
+    AllowCode,
+    BundleName,
+    Json,
+    Overrides,
+    StringSetName,
+    allow,
+    load,
+    need,
+    print_json,
+    progress,
+)
 from tonewood.cli.options import takes_render_options
 from tonewood.errors import TonewoodError
 from tonewood.sound.render.options import RenderOptions
@@ -65,8 +76,7 @@ def sample(
         raise TonewoodError(f"is {jobs}; 1 or more are allowed, or -1", key="--jobs")
     if jobs != 1:
         need("batch", "joblib")
-    if not 0.5 <= duration <= 120:
-        raise TonewoodError(f"is {duration:g} s; 0.5 to 120 s are allowed", key="--duration")
+    allow("--duration", duration, 0.5, 120.0, "s")
     lowest, highest = _range(keys)
     sampling = Sampling(every, _numbers(velocities), round_robins, lowest, highest, duration, releases)
     bundle = load(instrument, settings, allow_code, strings)

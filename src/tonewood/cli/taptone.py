@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tonewood.cli.commands import InterruptError
-from tonewood.cli.common import Json, allow, need, print_json, warn
+from tonewood.cli.common import Json, allow, allow_band, allow_file, need, print_json, warn
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.support.plotting import PICTURES
 
@@ -111,22 +111,17 @@ def _check(
     if record is not None:
         allow("--record", record, 1, 100, "taps")
         allow("--fs", fs, 8000, 192_000, "Hz")
-        if len(files) != 1 or files[0].suffix.lower() != ".wav":
+        if len(files) != 1:
             raise TonewoodError("--record writes one file; a name ending in .wav is allowed", key="FILES")
+        allow_file("FILES", files[0], ".wav")
         if files[0].exists():
             raise TonewoodError("is there already; it would be overwritten", file=files[0], key="--record")
     allow("--channel", channel, 1, 256, "")
-    if not 0 < band[0] < band[1]:
-        raise TonewoodError(f"is {band[0]:g} {band[1]:g}; a lower and a higher frequency are allowed", key="--band")
-    if output is not None and output.suffix.lower() != ".csv":
-        raise TonewoodError(f"is {output.name!r}; a name ending in .csv is allowed", key="--output")
-    if plot is not None and plot.suffix.lower() not in PICTURES:
-        raise TonewoodError(f"is {plot.name!r}; a name ending in {', '.join(PICTURES)} is allowed", key="--plot")
+    allow_band(band)
+    allow_file("--output", output, ".csv")
+    allow_file("--plot", plot, *PICTURES)
     if plot is not None:
         need("plot", "matplotlib")
-    for path in (output, plot, *(files if record is not None else ())):
-        if path is not None and not path.parent.is_dir():
-            raise OutputError(f"there is no folder {str(path.parent)!r}", file=path)
     return files
 
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import Json, allow, print_json, warn
-from tonewood.errors import OutputError, TonewoodError
+from tonewood.cli.common import Json, allow, allow_band, allow_file, allow_word, print_json, warn
+from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
     from tonewood.workshop.wood.board import Board
@@ -72,8 +72,7 @@ def wood(
     allow("--thickness-error", thickness_error, 1e-7, 0.2 * thickness, "m")
     if sensor is not None:
         allow("--sensor", sensor, 0.0, 0.1 * mass, "kg")
-    if not 0 < band[0] < band[1]:
-        raise TonewoodError(f"is {band[0]:g} {band[1]:g}; a lower and a higher frequency are allowed", key="--band")
+    allow_band(band)
     density = mass / (length * width * thickness)
     if not 80 < density < 1500:
         raise TonewoodError(
@@ -81,18 +80,14 @@ def wood(
             f"({mass:g} g are {mass / 1000:g})?",
             key="--mass",
         )
-    if species not in SPECIES:
-        raise TonewoodError(f"is {species!r}; {', '.join(SPECIES)} are allowed", key="--species")
+    allow_word("--species", species, SPECIES)
     if stiffness is not None and outline is None:
         raise TonewoodError("needs --outline LENGTH UPPER WAIST LOWER", key="--stiffness")
     for value in outline or ():
         allow("--outline", value, 0.01, 3.0, "m")
     if stick and outline is not None:
         raise TonewoodError("is for a board; a stick has no E_R and G_LR", key="--outline")
-    if output is not None and output.suffix not in (".yaml", ".yml"):
-        raise TonewoodError(f"is {output.name!r}; a name ending in .yaml is allowed", key="--output")
-    if output is not None and not output.parent.is_dir():
-        raise OutputError(f"there is no folder {str(output.parent)!r}", file=output)
+    allow_file("--output", output, ".yaml")
     peaks = read_peaks(files, band)
     nominal = typical(species, density)
     try:
