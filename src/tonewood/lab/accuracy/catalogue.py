@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from tonewood.errors import TonewoodError
-from tonewood.lab.accuracy.linear_cases import Case, a2_case, fabre_case, guitar_case, harp_case
+from tonewood.lab.accuracy.linear_cases import LinearCase, a2_case, fabre_case, guitar_case, harp_case
 from tonewood.lab.accuracy.nonlinear_cases import (
     NonlinearCase,
     hard_obstacle_case,
@@ -16,7 +16,7 @@ from tonewood.lab.accuracy.nonlinear_cases import (
     tension_case,
 )
 
-Make = Callable[[], Case | NonlinearCase]
+Make = Callable[[], LinearCase | NonlinearCase]
 
 
 @dataclass(frozen=True)

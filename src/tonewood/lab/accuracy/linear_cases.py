@@ -7,12 +7,17 @@ stepping then makes an error; known forces, which each method takes in its own w
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache, partial
+from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
+from numpy.typing import NDArray
 
+from tonewood.lab.accuracy.measures import pole_errors, wave_errors
+from tonewood.lab.accuracy.reference import ExactMotion, FineMotion, Motion
+from tonewood.lab.accuracy.runs import Scene
 from tonewood.lab.methods.pole_search import continuous_matrix, nearest_zero
 from tonewood.lab.methods.problem import Problem
 from tonewood.lab.string_end import ExactString, coupled_pole
@@ -27,12 +32,14 @@ from tonewood.support.arrays import Complexes, Floats
 
 #: Hz, modes of strings that every method steps unless its dial says otherwise
 FREQ_UPPER = 20000.0
+#: s of free motion that waveforms are compared over
+DURATION = 1.0
 PARTIALS = 40
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
-    """One linear system.
+class LinearCase:
+    """One linear system: its modes, its true values, and the state from which it is let go.
 
     name, title : short, and as a heading.
     build : highest string mode in Hz -> problem, one driven and one read point.
@@ -40,6 +47,7 @@ class Case:
     damped_as : in words, the damping of its bodies.
     string : its only string, if there is but one.
     strings : of many strings, for each true pole, the connection of its string.
+    real : whether all is in real modes, damping proportional, as second-order methods take it.
     """
 
     name: str
@@ -49,16 +57,76 @@ class Case:
     damped_as: str = ""
     string: ExactString | None = None
     strings: Callable[[], Sequence[int]] | None = None
+    real: bool = False
+    _problems: dict[float, Problem] = field(default_factory=dict, init=False)
+    _displacements: dict[tuple[float, int], Floats] = field(default_factory=dict, init=False)
 
-    @cached_property
-    def poles(self) -> Complexes:
-        """(n,) true poles of the partials, 1/s."""
-        return self.true_poles()
+    @property
+    def in_real_modes(self) -> LinearCase:
+        """The same in real modes: itself, if it has no others."""
+        return self if self.damped_as == "real modes" else replace(self, real=True)
+
+    def problem(self, freq_upper: float = FREQ_UPPER) -> Problem:
+        """With string modes up to a frequency (Hz), made once for each."""
+        if freq_upper not in self._problems:
+            problem = self.build(freq_upper)
+            self._problems[freq_upper] = real_modes_of(problem) if self.real else problem
+        return self._problems[freq_upper]
 
     @cached_property
     def joints(self) -> Sequence[int] | None:
         """Connection of each partial, where there are many strings."""
         return None if self.strings is None else self.strings()
+
+    @property
+    def numbers(self) -> NDArray[np.intp]:
+        """Number of each partial on its string."""
+        joints = self.joints
+        if joints is None:
+            return np.arange(1, len(self.poles) + 1)
+        return np.array([list(joints[: i + 1]).count(joint) for i, joint in enumerate(joints)])
+
+    @cached_property
+    def poles(self) -> Complexes:
+        """(n,) true poles of the partials, 1/s; of a twin in real modes those with twice the modes."""
+        poles = self.true_poles()
+        return continuous_poles(self.problem(2.5 * FREQ_UPPER), poles, self.joints) if self.real else poles
+
+    def start(self, problem: Problem) -> Scene:
+        """At rest under unit forces, to be let go."""
+        return Scene(problem, problem.static(np.ones(len(problem.inputs))))
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Partials below 20 kHz of the system with twice the modes; where there are too many, the same modes."""
+        if self.problem().n_modes > 400:
+            return FineMotion(self.problem(), self.start(self.problem()).x, DURATION)
+        fine = self.problem(2 * FREQ_UPPER)
+        return ExactMotion.of(fine, self.start(fine).x, FREQ_UPPER)
+
+    def displacement(self, fs: float, n: int) -> Floats:
+        """Return the true motion, see `reference.Motion`; made once for each rate."""
+        if (fs, n) not in self._displacements:
+            self._displacements[fs, n] = self.motion.displacement(fs, n)
+        return self._displacements[fs, n]
+
+    @cached_property
+    def sounding(self) -> Complexes:
+        """Poles of everything that sounds."""
+        if isinstance(self.motion, ExactMotion):
+            return self.motion.poles
+        return np.concatenate([self.poles, *(b.poles for b in self.problem().components.values())])
+
+    @cached_property
+    def free_of_loss(self) -> Scene:
+        """The undamped twin, in real modes."""
+        return self.start(undamped(real_modes_of(self.problem())))
+
+    def errors(self, y: Floats, rate: float, poles: Complexes) -> dict[str, Any]:
+        """Errors of displacements from time 0 on, and of partials."""
+        true = self.displacement(rate, len(y))
+        wave = wave_errors(y[: len(true)], true[:, 0], rate, self.sounding)
+        return asdict(wave) | asdict(pole_errors(poles, self.poles, self.numbers))
 
 
 def real_modes_of(problem: Problem) -> Problem:
@@ -160,10 +228,10 @@ def _on_body(
     )  # fmt: skip
 
 
-def fabre_case() -> Case:
+def fabre_case() -> LinearCase:
     """String on plate and air (Fabre et al. 2024, section 3.2.1)."""
     string = fabre_guitar.exact_string()
-    return Case(
+    return LinearCase(
         "fabre_guitar",
         "Guitar of Fabre et al. (2024): stiff string, plate and air",
         lambda freq_upper: fabre_guitar.problem(fabre_guitar.string(freq_upper)),
@@ -173,7 +241,7 @@ def fabre_case() -> Case:
     )
 
 
-def harp_case(case: str = "complex") -> Case:
+def harp_case(case: str = "complex") -> LinearCase:
     """String 4 on the stand-in for the Central African harp."""
     string, body = harp.exact_string(), with_damping_case(harp_body(), case)
     board = harp.COSINE**2
@@ -190,19 +258,19 @@ def harp_case(case: str = "complex") -> Case:
     build = _on_body(string, body, harp.STRING_4, fabre_guitar.PLUCK, Term("body", "s4"))
     name, label = ("harp", "") if case == "complex" else (f"harp_{case}", f", {case} damping")
     title = f"Central African harp, stand-in body of 32 complex modes{label}: string 4"
-    return Case(name, title, build, lambda: _coupled_poles(string, receptance), f"{case} modes", string)
+    return LinearCase(name, title, build, lambda: _coupled_poles(string, receptance), f"{case} modes", string)
 
 
-def a2_case() -> Case:
+def a2_case() -> LinearCase:
     """An ideal A2 on sixteen guitar modes (Antunes & Debut 2017)."""
     string, body = replace(string_and_body.A2, sigma0=0.2), string_and_body.sixteen_modes()
     build = _on_body(string, body, string_and_body.BRIDGE, 0.2, Term("body", "bridge"))
     title = "Ideal A2 on the 16 modes of Antunes & Debut (2017)"
     poles = partial(_coupled_poles, string, string_and_body.sixteen_mode_receptance)
-    return Case("a2_on_16_modes", title, build, poles, "real modes", string)
+    return LinearCase("a2_on_16_modes", title, build, poles, "real modes", string)
 
 
-def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None) -> Case:
+def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None) -> LinearCase:
     """The shipped classical guitar: six strings in two polarizations on its measured body, all plucked at once.
 
     Its joints are made rigid (the seat of a string on the saddle gives way by 2e-8 m/N, for which methods that
@@ -258,7 +326,7 @@ def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None
         return continuous_poles(build(2 * FREQ_UPPER), np.array([s for _, s in guesses]), [j for j, _ in guesses])
 
     of = f" (partials of {', '.join(strings)})" if strings is not None else ""
-    return Case(
+    return LinearCase(
         "classical_guitar",
         "Classical guitar: six strings, two polarizations, measured body" + of,
         build,

@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
 
 from tonewood.lab.accuracy.catalogue import CASES, selected
-from tonewood.lab.accuracy.linear_cases import (
-    FREQ_UPPER,
-    Case,
-    continuous_poles,
-    real_modes_of,
-    sliding_string,
-    undamped,
-)
-from tonewood.lab.accuracy.measures import energy_drift, pole_errors, wave_errors
+from tonewood.lab.accuracy.linear_cases import DURATION, FREQ_UPPER, LinearCase, sliding_string
+from tonewood.lab.accuracy.measures import energy_drift, wave_errors
 from tonewood.lab.accuracy.nonlinear_cases import NonlinearCase, Truth
 from tonewood.lab.accuracy.outcome import DECAY, PITCH, WAVEFORM, Outcome, Point
-from tonewood.lab.accuracy.reference import FINE_RATE, ExactMotion, FineMotion, Motion
+from tonewood.lab.accuracy.reference import FINE_RATE, ExactMotion, FineMotion
 from tonewood.lab.accuracy.runs import KernelRun, Run, Scene, run_of
 from tonewood.lab.accuracy.timing import Task, Tell, Timing, measure, silent
 from tonewood.lab.methods import METHODS
@@ -32,10 +24,8 @@ from tonewood.lab.systems import fabre_guitar
 from tonewood.physics.coupling.connections import Term
 from tonewood.physics.coupling.laws import Contact
 from tonewood.physics.modal.modes import ModalBasis
-from tonewood.support.arrays import Complexes, Floats
+from tonewood.support.arrays import Floats
 
-#: s of free motion that waveforms are compared over
-DURATION = 1.0
 #: share of the sampling rate above which this project steps no mode
 FREQ_LIMIT = 0.45
 #: largest stable |s| h of Adams-Bashforth 3 on the imaginary axis, and of velocity Verlet
@@ -118,94 +108,23 @@ def attempt(run: Run, point: Point, watch: Watch, judge: Judge, timed_steps: int
 # ---- linear systems ----
 
 
-class Subject:
-    """A case as some methods see it: its modes, its true values, and the state in which the motion starts.
+def linear_attempt(
+    case: LinearCase, method: str, fs: float, problem: Problem, drift: bool, dial: str = "fs", value: str = ""
+) -> Attempt:
+    """One method on a problem of a case and, if `drift` of the energy is asked for, on the undamped twin."""
+    point = Point(case.name, method, dial, value or kilohertz(fs), fs, problem.n_modes, "")
+    watch = Watch()
 
-    case : which.
-    real : in real modes, damping proportional; else as it is.
-    """
+    def judge(run: Run, y: Floats, energies: Floats, grows: bool) -> dict[str, Any]:
+        poles = METHODS[method].arrays(problem, 1 / fs).poles(case.poles, case.joints)
+        return case.errors(y, fs / watch.every(fs), poles)
 
-    def __init__(self, case: Case, *, real: bool = False):
-        self.case, self.real = case, real
-        self._problems: dict[float, Problem] = {}
-        self._displacements: dict[tuple[float, int], Floats] = {}
-
-    def problem(self, freq_upper: float = FREQ_UPPER) -> Problem:
-        """With string modes up to a frequency (Hz), made once for each."""
-        if freq_upper not in self._problems:
-            problem = self.case.build(freq_upper)
-            self._problems[freq_upper] = real_modes_of(problem) if self.real else problem
-        return self._problems[freq_upper]
-
-    @property
-    def numbers(self) -> NDArray[np.intp]:
-        """Number of each partial on its string."""
-        joints = self.case.joints
-        if joints is None:
-            return np.arange(1, len(self.poles) + 1)
-        return np.array([list(joints[: i + 1]).count(joint) for i, joint in enumerate(joints)])
-
-    @cached_property
-    def poles(self) -> Complexes:
-        """True poles: the case's own, or where damping is another, those of twice the modes."""
-        if not self.real or self.case.damped_as == "real modes":
-            return self.case.poles
-        return continuous_poles(self.problem(2.5 * FREQ_UPPER), self.case.poles, self.case.joints)
-
-    def start(self, problem: Problem) -> Scene:
-        """At rest under unit forces, to be let go."""
-        return Scene(problem, problem.static(np.ones(len(problem.inputs))))
-
-    @cached_property
-    def motion(self) -> Motion:
-        """Partials below 20 kHz of the system with twice the modes; where there are too many, the same modes."""
-        if self.problem().n_modes > 400:
-            return FineMotion(self.problem(), self.start(self.problem()).x, DURATION)
-        fine = self.problem(2 * FREQ_UPPER)
-        return ExactMotion.of(fine, self.start(fine).x, FREQ_UPPER)
-
-    def displacement(self, fs: float, n: int) -> Floats:
-        """Return the true motion, see `reference.Motion`; made once for each rate."""
-        if (fs, n) not in self._displacements:
-            self._displacements[fs, n] = self.motion.displacement(fs, n)
-        return self._displacements[fs, n]
-
-    @cached_property
-    def sounding(self) -> Complexes:
-        """Poles of everything that sounds."""
-        if isinstance(self.motion, ExactMotion):
-            return self.motion.poles
-        return np.concatenate([self.poles, *(b.poles for b in self.problem().components.values())])
-
-    @cached_property
-    def free_of_loss(self) -> Scene:
-        """The undamped twin, in real modes."""
-        problem = self.problem()
-        return self.start(undamped(problem if self.real else real_modes_of(problem)))
-
-    def errors(self, y: Floats, rate: float, poles: Complexes) -> dict[str, Any]:
-        """Errors of displacements from time 0 on, and of partials."""
-        true = self.displacement(rate, len(y))
-        wave = wave_errors(y[: len(true)], true[:, 0], rate, self.sounding)
-        return asdict(wave) | asdict(pole_errors(poles, self.poles, self.numbers))
-
-    def attempt(
-        self, method: str, fs: float, problem: Problem, drift: bool, dial: str = "fs", value: str = ""
-    ) -> Attempt:
-        """Run one method on a problem and, if `drift` of the energy is asked for, on the undamped twin."""
-        point = Point(self.case.name, method, dial, value or kilohertz(fs), fs, problem.n_modes, "")
-        watch = Watch()
-
-        def judge(run: Run, y: Floats, energies: Floats, grows: bool) -> dict[str, Any]:
-            poles = METHODS[method].arrays(problem, 1 / fs).poles(self.poles, self.case.joints)
-            return self.errors(y, fs / watch.every(fs), poles)
-
-        steps = max(2, round(fs * min(0.2, 4e6 / (fs * problem.n_modes)) / 2) * 2)
-        damped = attempt(run_of(method, self.start(problem), fs), point, watch, judge, steps)
-        if damped.task is None or not drift:
-            return damped
-        _, energies, finite = watch.follow(run_of(method, self.free_of_loss, fs), fs)
-        return replace(damped, point=replace(damped.point, energy=energy_drift(energies) if finite else np.nan))
+    steps = max(2, round(fs * min(0.2, 4e6 / (fs * problem.n_modes)) / 2) * 2)
+    damped = attempt(run_of(method, case.start(problem), fs), point, watch, judge, steps)
+    if damped.task is None or not drift:
+        return damped
+    _, energies, finite = watch.follow(run_of(method, case.free_of_loss, fs), fs)
+    return replace(damped, point=replace(damped.point, energy=energy_drift(energies) if finite else np.nan))
 
 
 def kilohertz(fs: float) -> str:
@@ -213,33 +132,33 @@ def kilohertz(fs: float) -> str:
     return f"{fs / 1e3:.4g} kHz"
 
 
-def scheme_point(subject: Subject, method: str, fs: float, *, freq_upper: float = FREQ_UPPER) -> Attempt:
+def scheme_point(case: LinearCase, method: str, fs: float, *, freq_upper: float = FREQ_UPPER) -> Attempt:
     """A method of the compiled loop."""
-    return subject.attempt(method, fs, subject.problem(freq_upper), freq_upper == FREQ_UPPER)
+    return linear_attempt(case, method, fs, case.problem(freq_upper), freq_upper == FREQ_UPPER)
 
 
 def own_point(
-    subject: Subject, fs: float, *, problem: Problem | None = None, dial: str = "fs", value: str = ""
+    case: LinearCase, fs: float, *, problem: Problem | None = None, dial: str = "fs", value: str = ""
 ) -> Attempt:
     """The stepper of this project; modes up to 0.45 fs unless a basis is given."""
-    stepped = problem or subject.problem(min(FREQ_UPPER, FREQ_LIMIT * fs))
-    drift = problem is None and stepped is subject.problem()
-    return subject.attempt("tonewood", fs, stepped, drift, dial, value)
+    stepped = problem or case.problem(min(FREQ_UPPER, FREQ_LIMIT * fs))
+    drift = problem is None and stepped is case.problem()
+    return linear_attempt(case, "tonewood", fs, stepped, drift, dial, value)
 
 
-def superposition_point(subject: Subject, fs: float = 48000.0) -> Attempt:
+def superposition_point(case: LinearCase, fs: float = 48000.0) -> Attempt:
     """The coupled modes themselves, by the same stepper: exact at any rate, as long as nothing changes."""
-    same = ExactMotion.of(subject.problem(), subject.start(subject.problem()).x)
+    same = ExactMotion.of(case.problem(), case.start(case.problem()).x)
     basis = same.basis()
     modes = Problem({"modes": basis}, (), (), (Term("modes", "out0"),))
     x = np.zeros((basis.n_modes, 2))
     x[:, 0] = 1.0
     run = KernelRun(Scene(modes, x), fs)
     y = run.run(round(fs * DURATION))[0][:, 0]
-    nearest = np.array([same.poles[np.argmin(np.abs(same.poles - p))] for p in subject.poles])
+    nearest = np.array([same.poles[np.argmin(np.abs(same.poles - p))] for p in case.poles])
     point = Point(
-        subject.case.name, "superposition", "fs", kilohertz(fs), fs, basis.n_modes, "stable",
-        **subject.errors(y, fs, nearest), energy=0.0,
+        case.name, "superposition", "fs", kilohertz(fs), fs, basis.n_modes, "stable",
+        **case.errors(y, fs, nearest), energy=0.0,
         note="no stop, bend or contact may change; the eigenproblem of the whole is not in the time",
     )  # fmt: skip
     steps = round(0.2 * fs)
@@ -254,19 +173,18 @@ def lowest_rate(problem: Problem, limit: float) -> float:
     return max(float(np.sqrt(b.stiffness.max())) for b in problem.components.values()) / limit
 
 
-def _linear_makes(case: Case, subject: Subject, quick: bool) -> Iterator[Make]:
-    real = subject if case.damped_as == "real modes" else Subject(case, real=True)
+def _linear_makes(case: LinearCase, quick: bool) -> Iterator[Make]:
     for fs in (24e3, 48e3, 96e3) if quick else (24e3, 32e3, 48e3, 96e3, 192e3):
-        yield partial(own_point, subject, fs)
+        yield partial(own_point, case, fs)
     if case.strings is None:
-        yield partial(superposition_point, subject)
-    yield from _others(subject, real, quick)
-    yield from _dials(subject, quick)
+        yield partial(superposition_point, case)
+    yield from _others(case, case.in_real_modes, quick)
+    yield from _dials(case, quick)
 
 
-def _others(subject: Subject, real: Subject, quick: bool) -> Iterator[Make]:
-    ab3, verlet = lowest_rate(subject.problem(), AB3_LIMIT), lowest_rate(real.problem(), VERLET_LIMIT)
-    if subject.case.strings is not None:
+def _others(case: LinearCase, real: LinearCase, quick: bool) -> Iterator[Make]:
+    ab3, verlet = lowest_rate(case.problem(), AB3_LIMIT), lowest_rate(real.problem(), VERLET_LIMIT)
+    if case.strings is not None:
         rates = {
             "ab3": [fs for fs in GRID if fs > ab3][: 2 if quick else 4],
             "verlet": [fs for fs in GRID if fs > verlet][: 2 if quick else 6],
@@ -278,35 +196,35 @@ def _others(subject: Subject, real: Subject, quick: bool) -> Iterator[Make]:
             "verlet": [1.05 * verlet, 400e3] if quick else [0.9 * verlet, 1.05 * verlet, 100e3, 200e3, 400e3, 800e3],
         }
         usual = [48e3, 192e3] if quick else [48e3, 96e3, 192e3, 384e3, 768e3]
-    few = ("p1", "newmark") if quick and subject.case.strings is not None else None
+    few = ("p1", "newmark") if quick and case.strings is not None else None
     for method in ("p0", "p1", "p2", "trapezoidal", "simpson", "newmark", "hht", "held_velocity"):
         if few is None or method in few:
             rates[method] = usual
     rates |= {"held_position": usual[:3], "linear_position": [48e3]}
     for method, values in rates.items():
         for fs in values:
-            yield partial(scheme_point, real if METHODS[method].real else subject, method, fs)
-    if subject.case.name == "fabre_guitar":
+            yield partial(scheme_point, real if METHODS[method].real else case, method, fs)
+    if case.name == "fabre_guitar":
         # as in the paper: 150 string modes, at the limit and at the paper's rate
         top = float(fabre_guitar.string(n_modes=150).natural_freq[-1]) * 1.0001
-        least = lowest_rate(subject.problem(top), AB3_LIMIT)
+        least = lowest_rate(case.problem(top), AB3_LIMIT)
         for fs in (1.02 * least, 1200e3) if quick else (0.9 * least, 1.02 * least, 800e3, 1200e3):
-            yield partial(scheme_point, subject, "ab3_paper", fs, freq_upper=top)
+            yield partial(scheme_point, case, "ab3_paper", fs, freq_upper=top)
 
 
-def _dials(subject: Subject, quick: bool) -> Iterator[Make]:
+def _dials(case: LinearCase, quick: bool) -> Iterator[Make]:
     """Dials of this project at 48 kHz, one turned at a time."""
-    own, problem = partial(own_point, subject, 48e3), subject.problem()
+    own, problem = partial(own_point, case, 48e3), case.problem()
     for freq in (5e3, 10e3) if quick else (2.5e3, 5e3, 10e3, 15e3):
         value = f"strings solved to {freq / 1e3:.4g} kHz"
-        yield partial(own, problem=subject.problem(freq), dial="modes", value=value)
+        yield partial(own, problem=case.problem(freq), dial="modes", value=value)
     for fold, named in ((True, "with"), (False, "without")):
         value = f"string modes above 10 kHz dropped, {named} their compliance"
         yield partial(own, problem=_cut(problem, 10e3, fold), dial="residual", value=value)
-    if subject.case.string is not None:
+    if case.string is not None:
         pluck = {"pluck": problem.components["string"].places["pluck"]}
         for fold, named in ((True, "with"), (False, "without")):
-            basis = sliding_string(subject.case.string, FREQ_UPPER, residual=fold).with_places(pluck)
+            basis = sliding_string(case.string, FREQ_UPPER, residual=fold).with_places(pluck)
             value = f"sliding cosines, {named} residual compliance"
             yield partial(own, problem=exchanged(problem, "string", basis), dial="basis", value=value)
 
@@ -401,13 +319,12 @@ def study(name: str, *, quick: bool = False, tell: Tell = silent) -> Outcome:
         points = timed(list(_nonlinear_makes(case, quick)), 3 if quick else 7, tell)
         measure = PITCH if case.pitch else WAVEFORM
         return Outcome(name, case.title, points[0].note.rpartition("; ")[2], (measure,), tuple(points))
-    subject = Subject(case)
-    points = timed(list(_linear_makes(case, subject, quick)), 3 if quick else 9, tell)
+    points = timed(list(_linear_makes(case, quick)), 3 if quick else 9, tell)
     truth = "poles of the transcendental string on its body; waveform superposed from the coupled modes up to 20 kHz"
     # where there are many strings most methods lose some partials: the chart is of those that all of them have
     measures = (PITCH, DECAY, WAVEFORM) if case.strings is None else (WAVEFORM, PITCH, DECAY)
-    if isinstance(subject.motion, FineMotion):
-        far = f"converged to {subject.motion.convergence:.1e}"
+    if isinstance(case.motion, FineMotion):
+        far = f"converged to {case.motion.convergence:.1e}"
         points = [replace(p, note="; ".join(filter(None, (p.note, f"reference {far}")))) for p in points]
         if case.strings is not None:
             truth = (
