@@ -112,6 +112,16 @@ def test_kind_and_pole_of_a_second_order_mode(zeta, kind):
     assert (basis.stiffness[0], basis.damping_rate[0]) == (pytest.approx(2500.0), pytest.approx(50 * zeta))
 
 
+def test_points_may_be_places_or_shapes_of_their_own() -> None:
+    basis = ModalBasis.real(
+        [50.0, 70.0], [1.0, 2.0], {"at": 0.5, "own": [3.0, -1.0]}, modal_mass=[4.0, 0.25],
+        shape=lambda x: np.array([1.0 + x, 2.0 * x]),
+    )  # fmt: skip
+    np.testing.assert_allclose(basis.right, [[0.75, 2.0], [1.5, -2.0]])
+    assert basis.places == {"at": 0.5}
+    assert basis.shape(2.0).tolist() == [1.5, 8.0]
+
+
 def mixed() -> ModalBasis:
     """A pair, a real pole and a block that reads both of its numbers."""
     pair = ModalBasis.complex([-3 + 40j, -20.0], {"p": [1 + 0.5j, 2.0], "q": [0.3 - 1j, 0.7]})

@@ -30,7 +30,7 @@ from tonewood.physics.plate.edge_layer import _depth, _sides
 from tonewood.physics.plate.figures import draw_shapes
 from tonewood.physics.plate.integrals import integrals
 from tonewood.physics.plate.lanczos import lowest
-from tonewood.physics.plate.microphones import Bank, _frequencies, microphone, pressure
+from tonewood.physics.plate.microphones import Bank, _background, _frequencies, microphone, pressure
 from tonewood.physics.plate.mode_changes import clusters
 from tonewood.physics.plate.outline import (
     area,
@@ -43,7 +43,7 @@ from tonewood.physics.plate.outline import (
     smooth_ring,
 )
 from tonewood.physics.plate.plate import CLAMPED, FREE, HINGED, Edge, Plate, cell_size
-from tonewood.physics.plate.radiation import Sources
+from tonewood.physics.plate.radiation import Sources, gathered_sources
 from tonewood.physics.plate.splines import SplineGrid, line_functions
 from tonewood.physics.plate.tracking import followed
 from tonewood.physics.plate.two_oscillators import displaced_volumes, pressure_shapes
@@ -214,6 +214,94 @@ def test_frequencies_stay_where_stiffness_and_mass_grow_alike(edge: Edge) -> Non
     np.testing.assert_allclose(*freq, rtol=1e-7)
 
 
+def plate(edge: Edge = FREE, thickness=3e-3, beams=(), **options) -> Plate:
+    return Plate([SQUARE * [0.3, 0.2]], SPRUCE, thickness, edge, beams, **({"size": 0.05} | options))
+
+
+def test_springs_of_an_edge_hold_and_lose() -> None:
+    """On soft springs a plate heaves as a mass, f = sqrt(k P / m) / 2 pi, and loses as the springs do."""
+    k = 5.0
+    soft, stiff = plate(Edge(k, loss=0.1)), plate(Edge(1e5, 300.0, loss=0.1))
+    first = soft.modes(count=3)
+    heave = np.sqrt(k * 1.0 / soft.mass) / (2 * np.pi)
+    assert np.abs(first.freq / heave - 1).min() < 1e-3
+    assert first.loss == pytest.approx(0.1, rel=1e-3)
+    lossless = plate(Edge(1e5, 300.0)).modes(count=4)
+    more = stiff.modes(count=4)
+    np.testing.assert_allclose(more.freq, lossless.freq, rtol=1e-9)
+    values, whole = stiff.solution(count=4)
+    free = plate(Edge(1e-6, 1e-6))  # without a layer along its edge, as the others
+    bent = np.diag(free.stored(whole))
+    np.testing.assert_allclose(more.loss - lossless.loss, 0.1 * (1 - bent / values), rtol=1e-4)
+    np.testing.assert_allclose(stiff.stored(whole), np.diag(values), atol=1e-6 * values[-1])
+    for infinite in (Edge(np.inf, 0.0, loss=0.1), Edge(1e5, np.inf, loss=0.1)):  # stand for an edge that does not move
+        np.testing.assert_allclose(
+            plate(infinite).modes(count=2).loss, plate(replace(infinite, loss=0.0)).modes(count=2).loss
+        )
+
+
+def test_a_beam_above_is_the_mirror_image_of_one_below() -> None:
+    beam = Beam(np.array([0.05, 0.05]), np.array([0.25, 0.15]), 0.008, np.array([0.01]), SPRUCE)
+    below, above, inward = (
+        plate(Edge(1e5, 100.0, in_plane), beams=[b])
+        for b, in_plane in ((beam, 0.0), (replace(beam, above=True), 0.0), (beam, 1e8))
+    )
+    freq = [p.modes(count=6).freq for p in (below, above, inward)]
+    np.testing.assert_allclose(freq[1], freq[0], rtol=1e-6)
+    assert np.all(freq[2] > freq[0])  # an edge that is held in its plane stiffens a plate with a brace beside it
+    assert freq[2] == pytest.approx(freq[0], rel=0.1)
+    assert below.mass == pytest.approx(plate().mass + beam.mass, rel=1e-9)
+
+
+def test_a_thickness_as_a_function_is_that_thickness() -> None:
+    even, sloped = (
+        plate(HINGED, lambda p: np.full(p.shape[:-1], 3e-3)),
+        plate(HINGED, lambda p: 2e-3 + 0.01 * p[..., 0]),
+    )
+    np.testing.assert_allclose(even.modes(count=5).freq, plate(HINGED).modes(count=5).freq, rtol=1e-9)
+    np.testing.assert_allclose(even.modes(count=5).loss, plate(HINGED).modes(count=5).loss, rtol=1e-9)
+    assert sloped.mass == pytest.approx(440.0 * 0.06 * 3.5e-3, rel=1e-9)
+    assert sloped.thickness(np.array([[0.1, 0.0], [0.3, 0.1]])).tolist() == pytest.approx([3e-3, 5e-3])
+    kirchhoff = replace(SPRUCE, G_LT=np.inf)
+    pair = [
+        Plate([SQUARE * [0.3, 0.2]], kirchhoff, h, HINGED, size=0.05).modes(count=4)
+        for h in (3e-3, lambda p: np.full(p.shape[:-1], 3e-3))
+    ]
+    np.testing.assert_allclose(pair[0].freq, pair[1].freq, rtol=1e-9)
+    shearing = plate(HINGED, shear_factor=0.4).modes(count=4).freq
+    assert np.all(shearing < plate(HINGED).modes(count=4).freq)
+    assert np.all(plate(HINGED).modes(count=4).freq < pair[0].freq)
+
+
+def test_modes_up_to_a_frequency_are_those_of_a_count() -> None:
+    hinged = plate(HINGED)
+    eight = hinged.modes(count=8)
+    limit = 0.5 * (eight.freq[5] + eight.freq[6])
+    np.testing.assert_allclose(hinged.modes(limit).freq, eight.freq[:6], rtol=1e-9)
+    points = np.array([[0.1, 0.07], [0.21, 0.12]])
+    step = np.array([1e-6, 0.0])
+    slope = (eight.shapes(points + step) - eight.shapes(points - step)) / 2e-6
+    np.testing.assert_allclose(eight.shapes(points, (1, 0)), slope, rtol=1e-5, atol=1e-5 * np.abs(slope).max())
+    with pytest.raises(ValueError, match="fmax or count"):
+        hinged.modes()
+
+
+def test_poles_of_high_damping_follow_the_spread_of_delays() -> None:
+    """1 / T apart and as wide, up to 2.5 times the highest mode, after the shelf's pole of a body in free air."""
+    sources = Sources(np.array([[0.0, 0.0], [0.3, 0.4]]), np.ones((2, 1)))
+    spread = np.sqrt(1.25) / SOUND_SPEED - 1.0 / SOUND_SPEED
+    for top in (5000.0, 9000.0):
+        step = min(1 / spread, 0.3 * top)
+        poles = _background(sources, (0.0, 0.0, 1.0), top, 1.0 / SOUND_SPEED)
+        expected = 2 * np.pi * step * (1j * (np.arange(int(2.5 * top / step)) + 0.5) - 1)
+        np.testing.assert_allclose(poles, expected, rtol=1e-9)
+        free = _background(replace(sources, baffled=False), (0.0, 0.0, 1.0), top, 1.0 / SOUND_SPEED)
+        np.testing.assert_allclose(free, [-sources.shelf, *expected], rtol=1e-9)
+    box = replace(sources, behind=np.array([[0.0, 0.0, -9.0]]), behind_volumes=np.ones((1, 1)))
+    few = _background(box, (0.0, 0.0, 1.0), 5000.0, 1.0 / SOUND_SPEED)
+    assert few[0] == pytest.approx(2 * np.pi * SOUND_SPEED / 9.0 * (0.5j - 1))
+
+
 def test_a_beam_by_hand() -> None:
     beam = Beam(np.array([0.1, 0.1]), np.array([0.4, 0.5]), 0.01, np.array([0.002, 0.010, 0.004]), SPRUCE)
     assert beam.length == pytest.approx(0.5)
@@ -288,6 +376,9 @@ def test_a_single_source_is_a_point_source_on_a_wall() -> None:
     behind = replace(source, labels=(), behind=np.array([[0.0, 0.4, -0.5]]), behind_volumes=np.array([[3.0, 4.0]]))
     assert behind.of(np.array([True, False])).behind_volumes.tolist() == [[3.0]]
     assert behind.distances_behind((0.0, 0.0, 0.0)) == pytest.approx([np.sqrt(0.41)])
+    box = replace(behind, baffled=False)
+    turned = box.pressure(at, freq) * np.exp(2j * np.pi * freq * 2e-3)
+    np.testing.assert_allclose(box.pressure(at, freq, 2e-3), turned, rtol=1e-9)
     many = Sources(np.array([[0.01 * i, 0.0] for i in range(130)]), np.ones((130, 1)))  # more than a block
     apart = 0.01 * np.abs(np.subtract.outer(np.arange(130), np.arange(130)))
     total = np.sinc(k[1] * apart / np.pi).sum() * AIR_DENSITY * (2 * np.pi * 700) ** 2 / (2 * np.pi * SOUND_SPEED)
@@ -599,6 +690,19 @@ def test_lumps_on_a_whole_body_by_hand() -> None:
     np.testing.assert_allclose(back, f, atol=1e-6 * np.abs(f).max())
     below = body.modes(below=0.5 * (plain.freq[3] + plain.freq[4]))[0]
     np.testing.assert_allclose(below, values[:4], rtol=1e-6)
+    omega = np.sqrt(values)
+    radiated, swept = body._radiated(omega, vectors)
+    (top,), (opening, shares) = body.plates, mouth_of(body.drawing.hole)
+    motion = top.operator(top.quadrature.points) @ vectors[: top.stiffness.shape[0]][-top.functions :]
+    points, _, volumes = gathered_sources(top.quadrature.points, top.quadrature.weights, motion, 0.02)
+    np.testing.assert_allclose(swept, top.quadrature.weights @ motion, rtol=1e-9, atol=1e-12)
+    disc, parts, _ = gathered_sources(opening, shares, np.zeros((len(shares), 0)), 0.02)
+    flow = vectors[top.stiffness.shape[0]]
+    points, volumes = np.vstack([points, disc]), np.vstack([volumes, np.outer(parts / parts.sum(), flow)])
+    apart = np.hypot(*(points[:, None] - points).T)
+    for k, w in enumerate(omega):
+        total = volumes[:, k] @ np.sinc(w / SOUND_SPEED * apart / np.pi) @ volumes[:, k]
+        assert radiated[k] == pytest.approx(AIR_DENSITY * w**2 / (2 * np.pi * SOUND_SPEED) * total, rel=1e-9)
     fixed = with_cells(replace(drawing(), top=replace(drawing().top, size=0.0)), 1000.0)
     assert (fixed.fmax, fixed.top.size, fixed.back) == (1000.0, cell_size(SPRUCE, 2.5e-3, 1000.0), None)
 

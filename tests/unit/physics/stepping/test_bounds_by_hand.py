@@ -10,9 +10,13 @@ import pytest
 
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.laws import Contact
+from tonewood.physics.coupling.potentials.solve import PotentialSolve
+from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.system import Injection, System
 from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.propagator import apply
 from tonewood.physics.stepping.kernel import KernelStepper, Shortcuts
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 DT = 1 / 48000
 OMEGA = 2 * np.pi * np.array([300.0, 1100.0, 4000.0, 9000.0])
@@ -190,3 +194,38 @@ def test_the_tightest_of_a_groups_contacts_counts():
     for first, second in ((1.5, 1 + NEAR), (1 + NEAR, 1.5), (1 - NEAR, 1.5), (1.5, 1 - NEAR), (0.999, 0.999)):
         system = scene([bounds[0] * first, bounds[1] * second], points=both)
         assert statistics(system, kick=1e-3, group_bound=False)[0]["added"] == (first < 1) + (second < 1)
+
+
+@pytest.mark.parametrize("axial_stiffness", [2e7, 2e8])
+def test_a_rising_tension_uses_up_the_clearance_by_its_reach(axial_stiffness):
+    """Its forces -psi_m g move the row by at most psi_m sqrt(sum g^2 / a) sqrt(max_j sum a (row E^j kick)^2)."""
+    weights = np.array([1.0, 3.0, 20.0, 60.0]) * 1e3
+    tension = TensionModulation("T", ("s",), axial_stiffness, 0.65, {"s": weights})
+
+    def system(clearance):
+        links = [Connection("c", (Term("s", "at"),), Contact(1e7, 1.5, offset=-clearance, residual=False))]
+        return System.build({"s": string()}, links, dt=DT, potentials=[tension])
+
+    far = system(1.0)
+    state = far.start()
+    far.modes_of(state, "s")[:] = 1e-4 * np.array([[1.0, -0.5, 0.1, 0.05], [0.4, 0.3, -0.1, 0.02]])
+    start, rows, compiled, solve = state.copy(), Rows(ALL), far.compiled[0], PotentialSolve(far)
+    used = 0.0
+    for _ in range(BLOCK):
+        x = far.modes_of(state, "s").T.copy()
+        over = solve.over([x], [apply(compiled.E, x)], np.zeros(1), state.potentials)
+        used += abs(over.mean(np.zeros(1))[0]) * np.sqrt(np.sum(over.modal[0][1] ** 2 / weights))
+        NumpyStepper(far).run(state, 1)
+    moved, most = compiled.coordinates.kick, []
+    for _ in range(BLOCK):
+        most.append(np.sum(weights * np.einsum("mx,mx->m", compiled.rows[0], moved) ** 2))
+        moved = apply(compiled.E, moved)
+    motion = rows.peak * rows.norm(far.modes_of(start, "s"))
+    bound = motion + used * np.sqrt(max(most))
+    assert bound > 1.01 * motion
+    for near, added in ((1.1, 0), (1.0, 1)):  # its bound of |g| is a little looser
+        clearance = motion + near * (bound - motion)
+        stepper = KernelStepper(system(clearance), shortcuts=Shortcuts(fine_bound=False, group_bound=False))
+        _, forces = stepper.run(start.copy(), BLOCK)
+        assert not forces.any()
+        assert stepper.culling_statistics["added"] == added
