@@ -15,17 +15,41 @@ from scipy import stats
 
 from tonewood.workshop.batch.pages import LevelPage, MushraPage, PairedPage, RatingPage, StaircasePage
 from tonewood.workshop.batch.pages import localised as in_language
+from tonewood.workshop.listening.answer_file import listener_of, place_of, printable
 from tonewood.workshop.listening.cells import cells_of, shared
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest, ServedTrial
-from tonewood.workshop.listening.detection import adjusted, detections, sensitivity, share_right, task_of
+from tonewood.workshop.listening.detection import Detection, adjusted, detections, sensitivity, share_right, task_of
 from tonewood.workshop.listening.figures import figures_of
 from tonewood.workshop.listening.headphones import ramped
 from tonewood.workshop.listening.level_tone import tone
 from tonewood.workshop.listening.means import cell_means, screen, student_interval
-from tonewood.workshop.listening.models import bradley_terry, linear_analysis, rank_analysis, share_interval, share_test
-from tonewood.workshop.listening.ordinal import fit_counts, grades
+from tonewood.workshop.listening.models import (
+    END_SHARE,
+    LinearAnalysis,
+    ModelTerm,
+    RankAnalysis,
+    Superiority,
+    bradley_terry,
+    linear_analysis,
+    rank_analysis,
+    share_interval,
+    share_test,
+)
+from tonewood.workshop.listening.ordinal import OddsTerm, OrdinalAnalysis, fit_counts, grades
 from tonewood.workshop.listening.panel import PanelThreshold, SimulatedPanel, _Listener, _reply, _rule
-from tonewood.workshop.listening.plain import _as_level, _in_unit, _number, _p, _scalar, _threshold, _value, methods
+from tonewood.workshop.listening.plain import (
+    _as_level,
+    _cells,
+    _detected,
+    _difference,
+    _in_unit,
+    _number,
+    _p,
+    _scalar,
+    _threshold,
+    _value,
+    methods,
+)
 from tonewood.workshop.listening.pooling import D, pooled
 from tonewood.workshop.listening.power import _levels, _pilot_means, _pilot_spread, _sounds, _trials, power_of
 from tonewood.workshop.listening.psychometric import psychometric
@@ -1021,3 +1045,150 @@ def test_slopes_of_listeners_spread_by_two_fifths() -> None:
     assert fit.interval[0] < fit.mean < fit.interval[1]
     narrow = grid.fit(tables, 0.5)
     np.testing.assert_allclose(narrow.alone_intervals - middle, [[-0.5 * half, 0.5 * half]] * 4, rtol=1e-6)
+
+
+# -- words of results -------------------------------------------------------------------------------------------------
+
+
+def detected(**changes: Any) -> Detection:
+    values: dict[str, Any] = {
+        "cell": {"pluck": "near|far"}, "listeners": 4, "right": 30, "answers": 40, "undecided": 0, "share": 0.75,
+        "low": 0.6, "high": 0.9, "p_value": 0.01, "d_prime": 2.0, "d_low": 1.0, "d_high": 3.0, "listener_mean": 0.75,
+        "listener_low": 0.6, "listener_high": 0.9, "p_holm": 0.02,
+    }  # fmt: skip
+    return Detection(**values | changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({}, "pluck near and far (body.detune 1.02 against 1) are told apart (30 of 40 answers, 75 % right, p = 0.020; "
+             "d' = 2.00 (95 % interval 1.00 to 3.00), {jnd} just-noticeable differences by these answers)."),
+        ({"d_high": None}, "d' = 2.00 (95 % interval from 1.00), "),
+        ({"d_low": None, "d_high": None}, "d' = 2.00, "),
+        ({"d_prime": None}, "p = 0.020; d' is at least 1.00)."),
+        ({"d_prime": None, "d_low": None}, "75 % right, p = 0.020)."),
+        ({"p_holm": 0.051}, "are not shown to be told apart (30 of 40 answers, 75 %, p = 0.051; d' is at most 3)."),
+        ({"p_holm": 0.5, "d_high": None}, "75 %, p = 0.500)."),
+        ({"share": None}, "pluck near and far: nobody decided."),
+        ({"p_holm": 0.049}, "are told apart"),
+        ({"cell": {"score": "low"}}, "score low are told apart"),
+    ],
+)  # fmt: skip
+def test_a_pair_in_words(changes: dict[str, Any], text: str) -> None:
+    from tonewood.workshop.batch.pages import AbxPage
+
+    page = AbxPage.model_validate({"type": "abx", "pairs": {"pluck": "all"}})
+    factor = SimpleNamespace(path="body.detune", levels={"near": 1.0, "far": 1.02})
+    test = SimpleNamespace(pages=[page], manifest=SimpleNamespace(factors={"pluck": factor}))
+    panel: Any = SimpleNamespace(test=test, confidence=0.95, pages=())
+    own = PageResults(1, "abx", "A", 4, ("pluck",), ())
+    jnd = 2.0 / sensitivity(2**-0.5, "abx")
+    assert text.format(jnd=f"{jnd:.2g}") in _detected(panel, own, detected(**changes), "95 %")
+
+
+def test_cells_of_pairs_in_words() -> None:
+    sure, other = detected(cell={"pluck": "a|b", "score": "low"}, p_holm=0.0004), detected(p_holm=0.05)
+    own = PageResults(1, "abx", "A", 4, (), (), detections=(other, sure, other))
+    assert _cells(own, 0.05) == (
+        "in 1 of 3 cells a pair is told apart by the answers of that cell alone (p by Holm): "
+        "pluck a and b, score low (30 of 40 right, p < 0.001)."
+    )
+    none = replace(own, detections=(other, other))
+    assert _cells(none, 0.05).startswith("in none of 2 cells is a pair shown")
+
+
+def linear(*terms: tuple[str, float, float, float, float], at_ends: float | None = None) -> LinearAnalysis:
+    made = tuple(ModelTerm(n, ("d",), v, low, high, 9.0, p, p, 0.5) for n, v, low, high, p in terms)
+    return LinearAnalysis("", "", True, 10, 5, (), made, (), 3.0, at_ends)
+
+
+def rated(model: LinearAnalysis, **changes: Any) -> PageResults:
+    rows = tuple(
+        {"d": d, "role": role} for role, d in (("anchor35", "x"), ("reference", "a"), ("sound", "b"), ("sound", "c"))
+    )
+    return PageResults(1, "mushra", "M", 5, ("d",), rows, linear=model, **changes)
+
+
+def told_of(own: PageResults) -> tuple[float, str]:
+    panel: Any = SimpleNamespace(test=SimpleNamespace(manifest=SimpleNamespace(factors={})), confidence=0.95, pages=())
+    assert own.linear is not None
+    p, text = _difference(panel, own, own.linear, own.linear.terms[0])
+    return p, text.replace("\N{MINUS SIGN}", "-")
+
+
+@pytest.mark.parametrize(
+    ("term", "text"),
+    [
+        (("d=b", -7.5, -9.0, -6.0, 0.0004), "b is rated 7.5 points below a (95 % interval -9 to -6, p < 0.001)"),
+        (("d=b", 7.5, 6.0, 9.0, 0.049), "b is rated 7.5 points above a (95 % interval 6 to 9, p = 0.049)"),
+        (("d=b", 1.0, -2.0, 4.0, 0.051), "no difference between b and a is shown (1 points, 95 % interval -2 to 4, "
+         "p = 0.051); one of more than 4 points is unlikely"),
+        (("d=b", -1.0, -5.5, 4.0, 0.5), "; one of more than 5.5 points is unlikely"),
+        (("d=b", 0.0, 0.0, 0.0, 1.0), "no difference between b and a is shown (every "
+         "listener's answers to both are equal)"),
+        (("d=b", 2.0, 2.0, 2.0, 0.25), "is shown (2 points, the same for every listener, sign test p = 0.250)"),
+        (("d=b", 2.0, 2.0, 2.0, 0.01), "b is rated 2 points above a (the same for every listener, sign test "
+         "p = 0.010)"),
+    ],
+)  # fmt: skip
+def test_a_difference_of_ratings_in_words(term: Any, text: str) -> None:
+    p, told = told_of(rated(linear(term, ("d=c", 0.0, 0.0, 0.0, 1.0))))
+    assert p == term[-1]
+    assert told == text if not text.startswith((";", "is shown")) else text in told
+
+
+def test_the_larger_p_of_those_with_and_without_the_screened_is_told() -> None:
+    kept = linear(("d=b", -7.5, -9.0, -6.0, 0.001), ("d=c", 0.0, 0.0, 0.0, 1.0))
+    every = linear(("d=b", -3.0, -7.0, 1.0, 0.2), ("d=c", 0.0, 0.0, 0.0, 1.0))
+    p, told = told_of(rated(kept, everybody=rated(every)))
+    assert (p, told.startswith("no difference between b and a is shown (-3 points")) == (0.2, True)
+    assert told_of(rated(every, everybody=rated(kept)))[0] == 0.2
+
+
+def test_shares_and_odds_are_told_where_the_scale_ends() -> None:
+    share = Superiority("d", "a", "b", 5, 0.25, 0.1, 0.4, 0.01, 0.02)
+    ranks = RankAnalysis((), (), (share,))
+    odds = OrdinalAnalysis(5, 5, (OddsTerm("d=b", ("d",), 0.5, 0.25, 1.0, 4.0, 0.03, 0.06),), (), True)
+    terms = (("d=b", -7.5, -9.0, -6.0, 0.001), ("d=c", 0.0, 0.0, 0.0, 1.0))
+    said = "b is rated above a in 25 % of comparisons (95 % interval 10 to 40 %, p = 0.020)"
+    ratio = "the odds of a higher rating are 0.5 times as large (95 % interval 0.25 to 1, p = 0.060)"
+    _, plain = told_of(rated(linear(*terms, at_ends=END_SHARE), ranks=ranks, odds=odds))
+    assert plain.endswith(f"p = 0.001); {ratio}")
+    _, bent = told_of(rated(linear(*terms, at_ends=END_SHARE + 0.01), ranks=ranks, odds=odds))
+    assert bent.endswith(f"; {said}; {ratio}")
+    p, ordinal = told_of(rated(linear(*terms), ranks=ranks, odds=odds, ordinal=True))
+    assert (p, ordinal) == (0.02, f"{said}; {ratio}")
+    turned = RankAnalysis((), (), (replace(share, first="b", second="a", p_holm=0.051),))
+    p, ordinal = told_of(rated(linear(*terms), ranks=turned, ordinal=True))
+    assert p == 0.051
+    assert ordinal == (
+        "no difference between b and a is shown: b is rated above a in 75 % of comparisons (95 % interval 60 to 90 %, "
+        "p = 0.051)"
+    )
+
+
+# -- sessions and files of answers ------------------------------------------------------------------------------------
+
+
+def test_steps_are_counted_with_every_attempt_of_a_check(tmp_path: Path) -> None:
+    """Six trials of headphones, three of the second attempt so far, then two pairs and the end."""
+    pages = [{"type": "headphones"}, {"type": "abx", "pairs": {"damping": ["complex", "block"]}, "group_by": ["pluck"]}]
+    session = Session(fakes.made(tmp_path, pages), 1)
+    pairs = len(session.test.trials)
+    assert session.total == 6 + pairs + 1
+    for k in range(9):
+        assert session.step is not None
+        wrong = next(slot for slot in session.step.slots if slot != session.step.correct)
+        session.answer({"choice": wrong if k == 0 else session.step.correct})
+        assert session.total == max(6, k + 1) + pairs + 1
+
+
+def test_names_are_one_line_of_sixty_characters() -> None:
+    assert printable(" a\n\x1b b\t" + "c" * 80) == "a b " + "c" * 56
+    assert listener_of({"listener": "\n", "token": "0123456789"}) == "01234567"
+    assert listener_of({"listener": " x ", "token": "0"}) == "x"
+    assert [place_of(x) for x in ({}, {"place": 0}, {"place": 2**31 - 1})] == [0, 0, 2**31 - 1]
+    for wrong in (-1, 2**31, True, 1.0, "1"):
+        with pytest.raises(ListeningError, match="is no number of a listener"):
+            place_of({"place": wrong})
