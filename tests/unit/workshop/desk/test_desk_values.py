@@ -880,7 +880,7 @@ def test_blocks_are_sent_ahead_of_what_is_heard() -> None:
     sound = sounding(1.0, frames=9000)
     sound.serial = 7
     server = served(playback=sound)
-    server._ahead = 1.0
+    server._ahead = 5.0
 
     async def sent() -> list[bytes]:
         server._stream, blocks = 4, []
