@@ -11,7 +11,7 @@ from nonlinear_scenes import LENGTH, body, drawn, hang, held_string, modulated_g
 from assembled import held_force
 from tonewood import _kernel
 from tonewood.errors import NumericalError
-from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
+from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.physics.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
 from tonewood.physics.coupling.system import PrescribedMotion, Readout, System
 from tonewood.physics.energy.stored import stored_energy
@@ -350,3 +350,60 @@ def test_a_string_slips_later_than_it_is_caught(stepper, sign):
         if pull[k] > (0.85 if k < n // 2 else 0.55):
             assert net[k] == pytest.approx(sliding(pull[k]), abs=0.02)
     np.testing.assert_allclose(net[n // 2 :][falling < 0.42], 0.0, atol=5e-3)  # the roots meet at 0.48 N
+
+
+def linear_springs():
+    """Springs and dashpots that are stepped with the nonlinear laws, on a string, its joint and a body."""
+    springs = {
+        "pluck": (("s0", "pluck"), HardeningSpring(4e3, damping=0.5, offset=2e-5)),
+        "stay": (("body", "b0"), HardeningSpring(3e4, damping=3.0, offset=-3e-5, residual=False)),
+        "felt": (("s0", "felt"), HardeningSpring(0.0, damping=0.3)),
+        "nothing": (("body", "b1"), HardeningSpring()),
+    }
+    parts = {
+        "s0": held_string(40, {"pluck": 0.07, "felt": 0.2, "bridge": 0.01}, damping=0.5),
+        "body": body(["b0", "b1"]),
+    }
+    joint = Connection("joint", (Term("s0", "bridge"), Term("body", "b0", -0.9)), Rigid(1e-6))
+    laws = [Connection(name, (Term(*at, 1.5),), law) for name, (at, law) in springs.items()]
+    rail = Connection("rail", (Term("s0", "felt"),), Contact(1e7, 1.5, offset=-0.1))
+    readouts = [
+        Readout("a", "acceleration", (Term("body", "b1"),)),
+        Readout("f", "force", (), (("stay", 1.0), ("joint", 0.5))),
+    ]
+    return System.build(parts, [joint, *laws, rail], readouts, dt=DT)
+
+
+STEADY = {"scale": np.full(90, 0.4)}
+CONTROLS = {
+    "none": [],
+    "one factor": [("pluck", 0, STEADY)],
+    "none at all": [("stay", 0, {"scale": np.zeros(90)})],
+    "a factor from a block on": [("stay", 32, {"scale": np.full(58, 2.0)})],
+    "two factors": [("pluck", 0, {"scale": np.repeat([0.3, 1.7, 0.9], 30)}), ("stay", 0, STEADY)],
+    "at its offset": [("stay", 0, {"offset": np.full(91, -3e-5)})],
+    "at another offset": [("stay", 0, {"offset": np.full(91, 4e-5)})],
+    "that moves": [("stay", 20, {"offset": np.linspace(-3e-5, 5e-5, 41)})],
+    "moves at its end": [("stay", 0, {"offset": np.r_[np.full(15, -3e-5), 1e-5]})],
+    "a contact that is not met": [("rail", 0, {"offset": np.full(91, -0.2)})],
+}
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+@pytest.mark.parametrize("case", CONTROLS)
+def test_linear_springs_take_the_steps_of_their_twin(case, at_once):
+    system = linear_springs()
+    controls = [PrescribedMotion(name, start, **arrays) for name, start, arrays in CONTROLS[case]]
+    a = system.start()
+    hang(system, a, "s0", 2e-4, 0.07)
+    a.series[system.layout.places["pluck"]] = 1e-7
+    b = a.copy()
+    out, forces = NumpyStepper(system).run(a, 90, (), controls)
+    stepper = KernelStepper(system, shortcuts=Shortcuts(linear_laws=at_once))
+    found = stepper.run(b, 90, (), controls)
+    for ours, theirs in ((found[0], out), (found[1], forces), (b.modes, a.modes), (b.series, a.series)):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-10 * np.abs(theirs).max())
+    acted = np.abs(forces).max(axis=0) > 0
+    expected = [True, True, case != "none at all", True, False, False]
+    assert acted.tolist() == expected
+    assert stepper.statistics.failures == 0
