@@ -13,12 +13,13 @@ from test_design import BOX
 
 from tonewood.errors import BundleError, OutputError, TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.plate.whole_body import LowModes, WholeBody
 from tonewood.workshop.design import bodies, search, sensitivity, words
 from tonewood.workshop.design.figures import DrawnResonances, StringEnd, figures, worst_wolf
 from tonewood.workshop.design.folder import _yaml, write_changed
 from tonewood.workshop.design.search import FoundDesign, _Named, _Search, _value
-from tonewood.workshop.design.task import Free, Target, _leaves, _pitch, _under, parse_free
+from tonewood.workshop.design.task import Free, Target, _leaves, _pitch, _under, parse_free, parse_targets
 
 SMALL = {
     **BOX,
@@ -311,6 +312,8 @@ def test_a_drawn_body_beside_its_parameters_is_the_body_computed_there(small) ->
     now = body.at([2.5e-3])
     assert body._below == pytest.approx(520.0)
     assert np.all(now.freq < 520.0)
+    assert len(now.freq) == 5
+    assert np.count_nonzero(small.body.modes_below(520.0).freq < 500.0) <= len(now.freq) + 1
     less, more, step = body.beside(0)
     assert step == pytest.approx(1e-8)
     rates = body.freq_rates(0)
@@ -448,3 +451,35 @@ def test_a_changed_bundle_has_every_value_and_its_origin(small, tmp_path, monkey
 def test_slopes_of_targets() -> None:
     assert search.slope(target(kind="mass", value=0.5), 9.0) == 200.0
     assert search.slope(target(kind="wolf"), 9.0) == 1.0
+
+
+def test_a_design_of_a_drawn_body_is_checked_by_two_full_computations(small) -> None:
+    """A thinner plate has lower modes; what is said to be reached is the figure of the design that is returned."""
+    told = []
+    now = small.body.modes_below(math.inf).freq
+    wanted = 0.95 * float(now[0])
+    (row,) = parse_targets([f"mode 1 = {wanted:.4f}"], small)
+    found = search.find_design(small, [row], parse_free({"body.thickness": "2e-3 .. 3e-3"}, small), told.append)
+    assert [line for line in told if not line.startswith("step")] == [
+        "the body as it is, in full",
+        "search",
+        "the design in full",
+        "search, corrected by it",
+        "the design in full",
+    ]
+    assert found.given == pytest.approx([now[0]])
+    assert found.reached == pytest.approx([found.instrument.body.modes_below(math.inf).freq[0]])
+    assert found.ok
+    assert found.instrument.resolved["body"]["thickness"] == found.values[0]
+
+
+def test_residual_compliance_is_part_of_a_measured_body_s_mobility() -> None:
+    """The sum over poles and conjugates, and i w R."""
+    basis = ModalBasis.real([700.0], [9.0], {"a": [1.5]}, residual=np.array([[2e-6]]))
+    freq = np.array([60.0, 300.0])
+    w = 2 * np.pi * freq
+    wanted = 1j * w * (1.5**2 / (700.0**2 - w**2 + 18j * w) + 2e-6)
+    table = bodies.TabledResonances(basis, basis.poles, basis.right * basis.left, {})
+    assert table.mobility(0, freq) == pytest.approx(wanted, rel=1e-9)
+    moved = replace(table, less={0: lambda omega: omega})
+    assert moved.mobility(0, freq) - wanted == pytest.approx(w, rel=1e-9)

@@ -295,3 +295,18 @@ def test_peaks_at_both_ends_of_the_band_count(tmp_path) -> None:
         BoardPeak(100.0, pytest.approx(1 / 1.6449)),
         BoardPeak(300.0, 2.0, 9.0),
     ]
+
+
+def test_a_shear_modulus_that_is_not_known_widens_a_stick_s_interval() -> None:
+    """One peak: ln f = ln E / 2 + b ln (G / E), with 0.4 for the deviation of the latter."""
+    length, width, height, young, rho = 0.25, 0.02, 0.02, 1.2e10, 410.0
+    freq = bar_freq(length, height, rho, young, 0.06 * young, count=1)
+    size = {"size_error": 0.0, "thickness_error": 0.0}
+    found = estimate_stick(
+        length, width, height, rho * length * width * height, freq, 1e-2 * freq, shear_ratio=0.06, **size
+    )
+    less, more = (bar_freq(length, height, rho, young, 0.06 * young * np.exp(by), count=1)[0] for by in (-1e-3, 1e-3))
+    slope = np.log(more / less) / 2e-3
+    low, high = found.intervals["E_L"]
+    assert np.log(high / low) / 2 / 1.645 == pytest.approx(2 * np.sqrt(1e-4 + 0.004**2 + (0.4 * slope) ** 2), rel=1e-3)
+    assert 0.4 * slope > 0.01
