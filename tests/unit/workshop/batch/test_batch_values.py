@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import hashlib
 import json
 import math
 from pathlib import Path
@@ -42,15 +44,17 @@ from tonewood.workshop.batch.production import (
     level_faults,
     longest,
     prepared,
+    room_response,
     trial_of_a_file,
 )
-from tonewood.workshop.batch.records import _flat, batch_record, file_records, key_of
+from tonewood.workshop.batch.records import _flat, batch_record, file_records, key_of, write_csv, write_json
 from tonewood.workshop.batch.rendering import EngineRenderer, _numbers, _plain
 from tonewood.workshop.batch.runner import Report, _check, _complete, plan_batch
-from tonewood.workshop.batch.seeds import blind_codes
+from tonewood.workshop.batch.seeds import blind_codes, generator
 from tonewood.workshop.batch.stimuli import level_gain_db, page_drop_db, quantised
-from tonewood.workshop.batch.store import Rendered, Store
+from tonewood.workshop.batch.store import Rendered, Store, content_key
 from tonewood.workshop.batch.trimming import convolved, end, onset, shifted
+from tonewood.workshop.batch.workers import Workers
 
 HERE = Path(__file__).parent
 STAIRS = {
@@ -656,3 +660,69 @@ def test_a_factor_of_the_precision_is_for_the_author() -> None:
 )
 def test_pages_are_counted_from_one(key: str, shown: str) -> None:
     assert ManifestError.shown_key(key) == shown
+
+
+# -- randomness and hashes --------------------------------------------------------------------------------------------
+
+
+def test_random_numbers_are_those_of_the_hash_of_their_purpose() -> None:
+    """PCG64 from the first 16 bytes of SHA-256 over seed and labels; codes of consonants from all bytes."""
+    digest = hashlib.sha256(b"7\x1fdither\x1f3").digest()
+    expected = np.random.Generator(np.random.PCG64(int.from_bytes(digest[:16], "big"))).random(4)
+    np.testing.assert_array_equal(generator(7, "dither", 3).random(4), expected)
+    number = int.from_bytes(hashlib.sha256(b"7\x1fcode\x1fa\x1f0").digest(), "big")
+    letters = "bcdfghjkmnpqrstvwxz"
+    assert blind_codes(7, ["a"]) == {"a": "".join(letters[number // 19**i % 19] for i in range(6))}
+
+
+def test_keys_are_of_finite_values_with_their_schema() -> None:
+    text = '{"a":[1],"b":"x","schema":"tonewood-render/2"}'
+    assert content_key({"b": "x", "a": [1]}) == hashlib.sha256(text.encode()).hexdigest()
+    with pytest.raises(ValueError, match="Out of range float values"):
+        content_key({"a": math.nan})
+
+
+def test_code_of_bundles_runs_where_it_is_allowed_alone() -> None:
+    assert EngineRenderer().allow_code is False
+    assert EngineRenderer(True).allow_code is True
+
+
+def test_records_are_readable_and_finite(tmp_path: Path) -> None:
+    write_json(tmp_path / "sub" / "a.json", {"ä": [1, None]})
+    assert (tmp_path / "sub" / "a.json").read_text("utf-8") == '{\n "ä": [\n  1,\n  null\n ]\n}\n'
+    with pytest.raises(ValueError, match="Out of range float values"):
+        write_json(tmp_path / "b.json", {"a": math.inf})
+    write_csv(tmp_path / "a.csv", [{"a": 1, "b": {"c": [2]}}, {"d": None, "a": "x"}])
+    with (tmp_path / "a.csv").open(newline="") as stream:
+        assert list(csv.reader(stream)) == [["a", "b.c", "d"], ["1", "[2]", ""], ["x", "", ""]]
+
+
+def test_workers_are_of_this_machine() -> None:
+    assert Workers(2, "threads", "tcp://x").local() == Workers(2, "threads")
+    assert (Workers().jobs, Workers().backend, Workers(3).count) == (1, "processes", 3)
+    assert sorted(Workers(1, "threads").each(lambda x: x * x, [1, 2, 3])) == [1, 4, 9]
+
+
+def test_a_room_has_one_channel_or_those_of_the_files(tmp_path: Path) -> None:
+    import soundfile
+
+    def room(name: str, samples: Any, fs: int = 48000) -> Path:
+        soundfile.write(tmp_path / name, np.asarray(samples, dtype=float), fs, subtype="DOUBLE")
+        return tmp_path / name
+
+    stereo = stimuli(channels=2)
+    assert room_response(room("one.wav", [0.5, 0.25]), stereo).tolist() == [[0.5], [0.25]]
+    assert room_response(room("two.wav", [[0.5, 0.1], [0.25, 0.2]]), stereo).tolist() == [[0.5, 0.1], [0.25, 0.2]]
+    for name, samples, reason in (
+        ("three.wav", np.ones((4, 3)), "has 3 channels; 1 or 2 are allowed"),
+        ("silent.wav", np.zeros(4), "is silent"),
+        ("nan.wav", [0.1, np.nan], "not finite"),
+    ):
+        with pytest.raises(TonewoodError, match=reason):
+            room_response(room(name, samples), stereo)
+    with pytest.raises(TonewoodError, match="cannot be read: No such file"):
+        room_response(tmp_path / "none.wav", stereo)
+    # the convolution of a click with its room, aligned to the room's loudest sample
+    whole = stimuli(channels=2, fade={"in": 0.0, "out": 0.0}, trim={"level_db": None})
+    dry = prepared(Rendered(np.eye(100, 1, -10), 48000), whole, room=tmp_path / "two.wav")
+    np.testing.assert_allclose(dry[480:482], [[0.5, 0.1], [0.25, 0.2]], atol=1e-12)

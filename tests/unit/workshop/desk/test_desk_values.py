@@ -36,7 +36,7 @@ from tonewood.workshop.desk.playback import ComparedTakes, DeskSound, PageProgre
 from tonewood.workshop.desk.server import DeskServer
 from tonewood.workshop.desk.session import MOST_SNAPSHOTS, DeskSession
 from tonewood.workshop.desk.take import Ringing, stored
-from tonewood.workshop.desk.views import _rounded, drawing, shape
+from tonewood.workshop.desk.views import _rounded, drawing, force, mobility, neck, shape, strings
 from tonewood.workshop.report.facts import BodyMode
 
 FS = 1000  # a fade lasts 30 frames, the margin 40
@@ -430,6 +430,59 @@ def test_the_surface_of_a_mode_is_its_volume_by_area_on_the_wood(monkeypatch: py
     surface.areas, surface.volumes = np.ones(400), np.r_[4.0, -4.0, np.ones(398)][:, None]
     surface.points, basis.natural_freq = np.full((400, 2), 0.2), np.array([100.0])
     assert shape(model, 100.0)["heights"][:3] == [1.5, -1.5, 1.0]  # type: ignore[arg-type]
+
+
+def test_the_force_on_the_body_before_the_release_is_the_lever_s() -> None:
+    """F (1 - a / L) of a finger 0.15 m from the bridge of 0.9 m; F at velocity 80 is 0.4 * 10^(79/126) N."""
+    instrument = tw.load_instrument("monochord")
+    found = force(instrument, "A2", RenderOptions(fs=16000))
+    assert (found["string"], found["fs"], found["before"]) == ("A2", 16000, 0.01)
+    assert len(found["force"]) == round((0.01 + 0.06) * 16000)
+    assert all(x == float(f"{x:.5g}") for x in found["force"])
+    at_rest = abs(found["force"][round((0.01 - 1e-4) * 16000)])
+    assert at_rest == pytest.approx(0.4 * 10 ** (79 / 126) * (1 - 0.15 / 0.9), rel=0.03)
+    with pytest.raises(TonewoodError, match="there is no 'B2'; there is A2"):
+        force(instrument, "B2", RenderOptions(fs=16000))
+
+
+def test_strings_and_their_stops_for_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = {
+        f"s{i}": SimpleNamespace(open_note=45 + i, tuning=SimpleNamespace(freqs=[110.12345, 2.0])) for i in range(13)
+    }
+    model: Any = SimpleNamespace(strings=rows, groups=dict.fromkeys(rows))
+    asked: list[Any] = []
+    partial = SimpleNamespace(number=2, freq=220.5, cents=3.25, t60=math.inf)
+    monkeypatch.setattr(
+        "tonewood.workshop.desk.views.partials",
+        lambda m, name, stop, count: asked.append((name, stop, count)) or [partial],
+    )
+    found = strings(model)
+    assert [row["string"] for row in found] == [f"s{i}" for i in range(12)]
+    assert (found[1]["note"], found[1]["partials"]) == ("A#2", [{"n": 2, "freq": 220.5, "cents": 3.25, "t60": None}])
+    assert asked[0] == ("s0", 0, 20)
+    assert neck(model)[0] == {"string": "s0", "freqs": [110.123, 2.0]}
+    assert len(neck(model)) == 13
+
+
+def test_mobility_of_the_page_has_2500_points_and_400_modes(monkeypatch: pytest.MonkeyPatch) -> None:
+    place = "tonewood.workshop.desk.views."
+    freq = np.linspace(40.0, 10000.0, 6001)
+    monkeypatch.setattr(f"{place}frequencies", lambda body, fs: freq)
+    monkeypatch.setattr(f"{place}bridge_mobility", lambda model, f: {"A": 1e-3 * f * 1j, "B": 0 * f})
+    monkeypatch.setattr(f"{place}body_modes", lambda model: [replace(mode(100.0 + i), q=math.inf) for i in range(401)])
+    model: Any = SimpleNamespace(body=None, fs=48000.0)
+    found = mobility(model)
+    shown = np.array(found["freq"])
+    assert (len(shown), shown[0], shown[-1]) == (2500, 40.0, 10000.0)
+    np.testing.assert_allclose(found["db"]["A"], 20 * np.log10(1e-3 * shown), atol=2e-3)
+    assert found["db"]["B"] == [-240.0] * 2500
+    assert (found["n_modes"], len(found["modes"]), found["modes"][0]) == (
+        401,
+        400,
+        {"freq": 100.0, "q": None, "mass": 1.0},
+    )
+    monkeypatch.setattr(f"{place}frequencies", lambda body, fs: freq[:2500])
+    assert mobility(model)["freq"][1] == 41.66
 
 
 def test_bars_of_a_drawing_are_those_of_the_bundle() -> None:
@@ -1001,6 +1054,7 @@ def test_a_command_tells_the_changes_in_their_order() -> None:
         " --set 'strings.A2.note=\"B2\"' --level calibrated --gain=-7.25 --tail=3 --max-duration=60 --subtype FLOAT"
     )
     assert session.command("a.mid", "out.wav", -7.25, 3.0) == words + " -o out.wav"
+    assert session.instrument.resolved["stops"]["count"] == 12
     session.reset("strings.A2.length")  # never changed
     session.undo()
     assert (dict(session.design.changes), session.can_undo) == ({"strings.A2.tension": 60.0}, False)

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 import tonewood as tw
 from tonewood.errors import TonewoodError
+from tonewood.instrument.bundle.schema import Source
 from tonewood.instrument.inspection.frequencies import StringFeel
 from tonewood.instrument.inspection.wolf import WolfNote
 from tonewood.instrument.model.assembly import assemble
@@ -195,7 +196,9 @@ def test_infinite_numbers_are_null_in_json() -> None:
     quiet = tone("A2", lufs=-math.inf, peak_dbfs=-math.inf)
     lasting = note("A", 0, math.inf)
     one = facts(body_modes=(still,), tones={"A2": quiet}, notes=(lasting,), named={"T1": 0}, mass=0.2, kinds={"a": 3})
-    found = to_json(compared(one))
+    source = Source(text="A book", licence="facts")
+    found = to_json(compared(replace(one, sources={"k": source})))
+    assert found["instruments"][0]["sources"] == {"k": {"text": "A book", "licence": "facts"}}
     assert found["modes"][0] == {
         "modes": [{"freq": 100.0, "q": None, "t60": None, "residue": 0.0, "mass": None}], "cents": [0.0]
     }  # fmt: skip
@@ -639,3 +642,128 @@ def test_sounds_of_a_page_are_those_of_instruments_that_play_the_note(monkeypatc
     ]
     assert found["missing"] == ["B does not play A:1: no such stop"]
     assert page._tone(compared(facts(tones={"A2": tone("A2")})), "A2")["note"] == "A2"
+
+
+# -- a comparison as a whole ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Comparisons of instruments that are names; strings are in their models, notes beyond `high` cannot be played."""
+    asked: list[Any] = []
+
+    def assembled(instrument: Any, fs: int, *, alone: bool) -> Any:
+        asked.append(("assemble", instrument, fs, alone))
+        strings = {} if instrument == "plate" else {"A": 0}
+        return SimpleNamespace(name=instrument, strings=strings, groups=strings)
+
+    def fault(model: Any, name: str) -> str:
+        return f"{model.name} has no {name}" if name == "high" or (model.name, name) == ("two", "mid") else ""
+
+    def played(instrument: Any, model: Any, name: str, **how: Any) -> Any:
+        asked.append(("play", instrument, model.name, name, how))
+        return tone(name)
+
+    place = "tonewood.workshop.report.comparison."
+    monkeypatch.setattr(f"{place}assemble", assembled)
+    monkeypatch.setattr(f"{place}_fault", fault)
+    monkeypatch.setattr(f"{place}play_note", played)
+    monkeypatch.setattr(f"{place}default_notes", lambda instruments, models: ["usual"])
+    monkeypatch.setattr(
+        f"{place}gather", lambda model, label, changes, called: facts(label, changes=changes, called=called)
+    )
+    return asked
+
+
+def candidate(name: Any, *changes: str, called: str = "") -> Any:
+    return comparison.Candidate(name, changes, called)
+
+
+def test_a_comparison_plays_what_each_instrument_can(quick: list[Any]) -> None:
+    shares: list[float] = []
+    found = comparison.compare(
+        [candidate("one"), candidate("two", "x=1", called="mine")], notes=["low", "mid", "low"], fs=8000, duration=0.5,
+        velocity_midi=70.0, sweep="x", tell=shares.append,
+    )  # fmt: skip
+    assert shares == pytest.approx([0.25, 0.5, 0.7, 0.9])
+    assert quick[:2] == [("assemble", "one", 8000, True), ("assemble", "two", 8000, True)]
+    how = {"fs": 8000, "duration": 0.5, "velocity_midi": 70.0}
+    assert quick[2:] == [("play", "one", "one", "low", how), ("play", "one", "one", "mid", how),
+                         ("play", "two", "two", "low", how)]  # fmt: skip
+    one, two = found.instruments
+    assert (one.label, two.label, two.changes, two.called) == ("A", "B", ("x=1",), "mine")
+    assert (list(one.tones), list(two.tones)) == (["low", "mid"], ["low"])
+    assert (one.missing_tones, two.missing_tones) == ({}, {"mid": "two has no mid"})
+    assert (found.tones, found.duration, found.velocity_midi, found.sweep) == (("low", "mid"), 0.5, 70.0, "x")
+    assert [m.modes[0] and m.modes[0].freq for m in found.modes] == [100.0, 200.0]
+    assert len(found.notes) == 2
+    alone = comparison.compare([candidate("one")])
+    assert alone.tones == ("usual",)
+    assert quick[-1][4] == {"fs": 48000, "duration": 4.0, "velocity_midi": 80.0}
+
+
+def test_comparisons_that_cannot_be(quick: list[Any]) -> None:
+    for count in (0, 7):
+        with pytest.raises(TonewoodError, match=f"{count} instruments; 1 to 6 are allowed"):
+            comparison.compare([candidate("one")] * count)
+    assert len(comparison.compare([candidate("one")] * 6).instruments) == 6
+    with pytest.raises(TonewoodError, match="one has no high") as fault:
+        comparison.compare([candidate("one"), candidate("two")], notes=["high"])
+    assert fault.value.key == "--notes high"
+    with pytest.raises(TonewoodError, match="a body without strings plays none"):
+        comparison.compare([candidate("one"), candidate("plate")], notes=["low"])
+    assert comparison.compare([candidate("plate")]).tones == ("usual",)
+
+
+def test_pictures_have_words_for_those_who_do_not_see_them(drawn: list[Figure]) -> None:
+    one, other = facts(tones={"x": tone("x")}, wolves=(wolf("A", 1, 2, 9.0),)), facts("B")
+    both, alone = compared(one, other), compared(one)
+    said = {
+        "Mobility of the body of box at the ends of its strings": mobility_picture(alone),
+        "Mobility of the bodies at the ends of A, overlaid, and their difference": mobility_picture(both),
+        "T60, s of every note, by string": notes_picture(both, "t60"),
+        "cents of every note, by string": notes_picture(both, "cents_mounted"),
+        "Severity of the worst wolf notes": wolf_picture(both),
+        "Level of x over time": figures.decay_picture(both, "x"),
+    }
+    assert all(picture is not None and picture.alt == words for words, picture in said.items())
+    spectrogram = figures.spectrogram_picture(alone, "x")
+    assert (spectrogram.alt, spectrogram.uri[:22]) == ("Spectrogram of x", "data:image/png;base64,")
+    values = [{"a.b": ParameterValue(x, "")} for x in (2.0, 1.0)]
+    swept = compared(replace(one, parameters=values[0]), replace(other, parameters=values[1]), sweep="a.b")
+    assert figures.sweep_picture(swept).alt == "Figures of the instrument over a.b"
+    panels = [ax for ax in drawn[-1].axes if ax.lines]
+    assert [ax.lines[0].get_xdata().tolist() for ax in panels] == [[1.0, 2.0]] * len(panels)
+    by_name = {ax.get_title(): ax.lines[0].get_ydata().tolist() for ax in panels}
+    assert by_name["worst wolf note"] == [0.0, 9.0]
+
+
+def test_the_first_modes_of_a_whole_surface_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three rows of one body, a row of each of several; rigid motion is left out."""
+    rows: list[Any] = []
+    monkeypatch.setattr(
+        figures, "draw_shapes", lambda axes, surface, freq, q: rows.append((len(axes), surface, freq, q))
+    )
+    monkeypatch.setattr(figures, "png", lambda made, dpi: b"png")
+    columns = figures.COLUMNS
+    freq = np.r_[0.0, np.arange(1.0, 40.0)]
+    basis = SimpleNamespace(natural_freq=freq, damping_ratio=np.full(40, 0.01))
+    surface: Any = SimpleNamespace(areas=np.ones(2), of=lambda moves: np.flatnonzero(moves))
+    drawn_body = facts(surface=surface, surface_modes=basis)
+    alone = figures.shapes_picture(compared(drawn_body))
+    assert alone is not None
+    assert alone.alt == "First modes of the bodies of box"
+    (one,) = rows
+    assert one[0] == 3 * columns
+    np.testing.assert_array_equal(one[1], np.arange(1, 3 * columns + 1))
+    np.testing.assert_allclose(one[2], freq[1 : 3 * columns + 1])
+    np.testing.assert_allclose(one[3], 50.0)
+    rows.clear()
+    both = figures.shapes_picture(compared(drawn_body, facts("B"), replace(drawn_body, label="C")))
+    assert both is not None
+    assert both.alt == "First modes of the bodies of A, C"
+    assert [row[0] for row in rows] == [columns, columns]
+    np.testing.assert_array_equal(rows[1][1], np.arange(1, columns + 1))
+    assert figures.shapes_picture(compared(facts())) is None
+    surface.areas = np.zeros(0)
+    assert figures.shapes_picture(compared(drawn_body)) is None

@@ -75,6 +75,7 @@ def test_gains_of_a_region() -> None:
         [10 ** ((-20 - 10 * 14 / 24 + 20 - 16 / 6) / 20), 10 ** (-16 / 120), 1]
     )
     assert list(region(velocities=Span(64, 48, 64)).curve) == [48, 64]
+    assert list(region(velocities=Span(64, 1, 127)).curve) == [1, 16, 32, 48, 64, 80, 96, 112, 127]
     falling = region(levels={40: -10.0, 100: -20.0})
     assert set(falling.curve.values()) == {1.0}  # never more
 
