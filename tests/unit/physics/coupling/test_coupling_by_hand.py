@@ -21,7 +21,6 @@ from tonewood.physics.coupling.connections import (
     Rigid,
     SpringDashpot,
     Term,
-    linear_solve,
 )
 from tonewood.physics.coupling.inverse import Hub, scaled_pinv
 from tonewood.physics.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
@@ -261,7 +260,7 @@ def test_elimination_of_linear_laws_is_the_inverse_of_what_they_see(rng):
     R = np.diag([3e-6, 1e-19, 5e-6, 7e-6])
     R[0, 3] = R[3, 0] = 1e-6
     laws = [Rigid(1e-3), Rigid(2e-3), Contact(1.0), SpringDashpot(3e4, 5.0, 1e-3)]
-    solve = linear_solve(laws, Z, R, DT)
+    solve = LinearLaws.of(laws, DT).solve(Z, R)
     alpha, beta = 1.5e4 + 5.0 / DT, 1.5e4 - 5.0 / DT
     on = [0, 1, 3]
     seen = Z[np.ix_(on, on)] + np.diag([6e-6, 0.0, 1 / alpha])
@@ -286,7 +285,7 @@ def test_elimination_of_linear_laws_under_nonlinear_ones(rng):
     assert others.index.tolist() == [1, 2, 3, 4]
     assert others.is_contact.tolist() == [True, False, False, True]
     assert others.theta == pytest.approx(1 / (1 + np.exp(-0.4)))
-    solve = NonlinearSolve(NonlinearGaps.of(others, Z, R), linear_solve(laws, Z, R, DT))
+    solve = NonlinearSolve(NonlinearGaps.of(others, Z, R), LinearLaws.of(laws, DT).solve(Z, R))
     series = R[1:, 1:].copy()
     series[2] = series[:, 2] = 0.0  # friction has none
     n = [1, 2, 3, 4]

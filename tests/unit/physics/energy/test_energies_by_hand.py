@@ -343,6 +343,7 @@ def test_numbers_of_a_trace_are_sums_of_its_columns() -> None:
     assert (still.peak, still.worst_residual, still.worst_cumulative_residual) == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.filterwarnings("ignore:Data has no positive values", "ignore:overflow encountered")  # of nothing stored
 def test_picture_of_a_trace_shows_its_columns(monkeypatch) -> None:
     from tonewood.support import plotting
 

@@ -10,7 +10,7 @@ import pytest
 import scipy.linalg as sla
 
 from tonewood.physics.modal import views
-from tonewood.physics.modal.conjugates import conjugate_weights, extend, full_state, halve, real_form
+from tonewood.physics.modal.conjugates import conjugate_weights, extend, halve, real_form
 from tonewood.physics.modal.damper import damper_rates
 from tonewood.physics.modal.fretted import FretboardGeometry, FrettedString, compensated
 from tonewood.physics.modal.held_modes import HeldModes
@@ -176,7 +176,6 @@ def test_half_and_full_lists_of_poles():
     poles = np.array([-1 + 5j, -3.0, -2 + 7j])
     right, left = np.array([[1 + 1j, 2.0, 3j]]), np.array([[2.0, 1.0, 1 - 1j]])
     assert conjugate_weights(poles).tolist() == [2.0, 1.0, 2.0]
-    np.testing.assert_array_equal(full_state(poles, np.array([1j, 4.0, 2 + 1j])), [1j, 4.0, 2 + 1j, -1j, 2 - 1j])
     full = extend(poles, right, left)
     np.testing.assert_array_equal(full[0], [-1 + 5j, -3.0, -2 + 7j, -1 - 5j, -2 - 7j])
     np.testing.assert_array_equal(full[1], [[1 + 1j, 2.0, 3j, 1 - 1j, -3j]])

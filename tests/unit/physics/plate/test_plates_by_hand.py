@@ -11,6 +11,7 @@ import scipy.linalg as sla
 from scipy.interpolate import BSpline
 from scipy.sparse import csc_matrix, csr_matrix
 
+from tonewood.physics.plate import plate_parts
 from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED, air_matrices, cavity_modes, couple_air
 from tonewood.physics.plate.beams import Beam, _across, beam_line, rotations, torsion_constant
 from tonewood.physics.plate.block_solve import BlockSolver, _blocks, _places
@@ -47,7 +48,7 @@ from tonewood.physics.plate.radiation import Sources, gathered_sources
 from tonewood.physics.plate.splines import SplineGrid, line_functions
 from tonewood.physics.plate.tracking import followed
 from tonewood.physics.plate.two_oscillators import displaced_volumes, pressure_shapes
-from tonewood.physics.plate.whole_body import Lump, WholeBody, with_cells
+from tonewood.physics.plate.whole_body import Lump, WholeBody, body_change, with_cells
 from tonewood.physics.plate.wood import SPECIES, Wood
 
 SPRUCE = SPECIES["sitka_spruce"].wood
@@ -705,6 +706,73 @@ def test_lumps_on_a_whole_body_by_hand() -> None:
         assert radiated[k] == pytest.approx(AIR_DENSITY * w**2 / (2 * np.pi * SOUND_SPEED) * total, rel=1e-9)
     fixed = with_cells(replace(drawing(), top=replace(drawing().top, size=0.0)), 1000.0)
     assert (fixed.fmax, fixed.top.size, fixed.back) == (1000.0, cell_size(SPRUCE, 2.5e-3, 1000.0), None)
+
+
+def test_losses_of_a_whole_body_are_added_by_their_shares() -> None:
+    body = WholeBody(drawing())
+    values, vectors = body.modes(count=5)
+    described = {
+        name: WholeBody(drawing(**change)).described(values, vectors, residual=False)
+        for name, change in (("plain", {}), ("glue", {"extra_loss": 0.01}), ("air", {"air_loss": 0.02}),
+                             ("open", {"baffled": False}))
+    }  # fmt: skip
+    plain = described["plain"].loss
+    glue, air = (described["glue"].loss - plain) / 0.01, (described["air"].loss - plain) / 0.02
+    wood = vectors[: body.plates[0].stiffness.shape[0]]
+    stored = np.einsum("ij,ij->j", wood, body.plates[0].stiffness @ wood) / values
+    np.testing.assert_allclose(glue, stored, rtol=1e-6)
+    np.testing.assert_allclose(air, 1 - stored, rtol=1e-6, atol=1e-9)
+    heard = body._radiated(np.sqrt(values), vectors)[0] - WholeBody(drawing(baffled=False))._radiated(
+        np.sqrt(values), vectors
+    )[0]  # fmt: skip
+    np.testing.assert_allclose(plain - described["open"].loss, heard / np.sqrt(values), rtol=1e-6, atol=1e-12)
+    known = body_modes(drawing())
+    np.testing.assert_allclose(plain, known.loss[:5], rtol=0.02)
+    same = body_change(body, values, vectors, body, body, 1e-3, 3, residual=False)
+    for side in (same.less, same.more):
+        np.testing.assert_allclose(side.freq, described["plain"].freq[:3], rtol=1e-12)
+        np.testing.assert_allclose(side.loss, plain[:3], rtol=1e-9)
+    assert same.step == 1e-3
+    back = PlateDrawing(SPECIES["mahogany"].wood, 3e-3)
+    fixed = with_cells(drawing(back=back), 1200.0)
+    assert fixed.back.size == cell_size(back.wood, 3e-3, 1200.0)
+
+
+def test_results_that_are_kept_are_those_made_anew() -> None:
+    """Plates of one grid that differ in one number each, with what was kept of the others and without."""
+    beam = Beam(np.array([0.05, 0.05]), np.array([0.25, 0.15]), 0.008, np.array([0.01]), SPRUCE)
+    moved = (
+        replace(beam, start=np.array([0.06, 0.05])), replace(beam, stop=np.array([0.25, 0.14])),
+        replace(beam, width=0.009), replace(beam, heights=np.array([0.011])), replace(beam, above=True),
+        replace(beam, wood=SPECIES["maple"].wood),
+    )  # fmt: skip
+    springs = Edge(1e5, 100.0)
+    variants = [
+        {}, {"thickness": 3.1e-3}, {"grain": 0.2}, {"shear_factor": 0.7}, {"edge": Edge(2e5, 100.0)}, {"edge": FREE},
+        {"edge": FREE, "layers_of": replace(SPRUCE, G_LT=2e9)}, {"beams": [beam]}, {"edge": Edge(1e5, 200.0)},
+        *({"beams": [b]} for b in moved), {"beams": [beam, moved[0]]},
+    ]  # fmt: skip
+
+    def freq(change):
+        return plate(**({"edge": springs, "size": 0.06} | change)).modes(count=6).freq
+
+    together = [freq(change) for change in variants]
+    for change, found in zip(variants, together, strict=True):
+        for kept in plate_parts._RESULTS.values():
+            kept.clear()
+        np.testing.assert_allclose(freq(change), found, rtol=1e-9, atol=1e-6)
+    assert len({tuple(np.round(f, 6)) for f in together}) == len(variants) - 1  # mirrored beams sound alike
+
+
+def test_names_of_the_package_are_those_of_its_modules() -> None:
+    from tonewood.physics import plate as package
+
+    for name in package.__all__:
+        value = getattr(package, name)
+        assert getattr(value, "__module__", "tonewood.physics.plate").startswith("tonewood.physics.plate")
+    assert (package.SOUND_SPEED, package.Beam, package.body_modes) == (SOUND_SPEED, Beam, body_modes)
+    with pytest.raises(AttributeError, match="no attribute 'Plates'"):
+        _ = package.Plates
 
 
 def test_modes_are_followed_where_they_cross() -> None:
