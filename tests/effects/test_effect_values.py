@@ -209,7 +209,7 @@ def test_rises_of_pitch_by_the_energy_of_a_string(model: Model) -> None:
     stored = 0.5 * force**2 * x * (length - x) / (T * length)
     drawn = bounds.rise_under_force("E4", system, Fretting(place=x), force)
     assert drawn == pytest.approx(4 / 3 * bounds.rise("E4", system, stored), rel=0.01)
-    usual = min(model.strings["E4"].pluck_from_bridge, 0.9 * length)
+    usual = min(model.strings["E4"].places.pluck, 0.9 * length)
     assert bounds.rise_under_force("E4", system, Fretting(), force) == pytest.approx(
         bounds.rise_under_force("E4", system, Fretting(place=usual), force)
     )

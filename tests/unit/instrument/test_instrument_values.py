@@ -548,7 +548,7 @@ def test_pitches_planes_and_feel_of_a_guitar(guitar: Model) -> None:
     )
     assert first.off_cents == first.cents - first.split_cents
     felt, string = feel(guitar, "E2"), guitar.strings["E2"]
-    a, length, T = string.pluck_from_bridge, string.length(), string.tension(0.0)
+    a, length, T = string.places.pluck, string.length(), string.tension(0.0)
     assert (felt.from_bridge, felt.newton_per_mm) == (a, pytest.approx(1e-3 * T * length / (a * (length - a))))
     angle = guitar.instrument.spec.strings["E2"].break_angle_deg
     assert felt.force_on_bridge == (None if angle is None else pytest.approx(T * math.sin(math.radians(angle))))

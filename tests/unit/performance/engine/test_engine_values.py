@@ -15,6 +15,8 @@ from tonewood.errors import BundleError
 from tonewood.instrument.contract.attached import Motion
 from tonewood.instrument.contract.gestures import Gesture, Hold
 from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.performance.effects.base import Switching, Watched
+from tonewood.performance.engine import schedule as schedules
 from tonewood.performance.engine.energy_budget import EnergyBudget
 from tonewood.performance.engine.engine import GRID, Engine
 from tonewood.performance.engine.in_progress import GesturesInProgress
@@ -81,7 +83,7 @@ def test_the_next_sample_at_which_an_engine_stops(
 
 def test_changes_and_gestures_are_taken_at_the_point_before_them(model: Model) -> None:
     """The last of several changes counts; a pluck moves the place, but not where it is the usual one."""
-    usual = model.strings["E2"].pluck_from_bridge
+    usual = model.strings["E2"].places.pluck
     parts = [
         Change(0.0, "A2", stop=2.0),
         Change(10 / FS, "A2", stop=3.0),
@@ -251,3 +253,73 @@ def test_a_change_without_a_time_left_is_due_at_once() -> None:
     assert not schedule.done
     schedule.take(19)
     assert schedule.done
+
+
+def test_an_engine_keeps_no_energy_budget_unasked(model: Model) -> None:
+    assert engine(model).energy_budget is None
+    assert engine(model, energy=True).energy_budget is not None
+
+
+def test_what_was_taken_is_forgotten_in_bulk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not one by one, each of which moves all that are left; and not never."""
+    monkeypatch.setattr(schedules, "_FORGET", 5)
+    line = schedules._Line[int]()
+    for i in range(20):
+        line.add(float(i), i)
+    kept = []
+    for until in range(1, 13):
+        assert line.take(until) == [until - 1]
+        kept.append(len(line._entries))
+    assert kept == [20] * 5 + [14] * 6 + [8]
+    assert (line.next_due, line.copy()._entries) == (12.0, list(range(12, 20)))
+
+
+class Wanted:
+    """A switched effect without any cost, wanted where it is told to be."""
+
+    name, components = "wanted", ("a", "b")
+
+    def __init__(self) -> None:
+        self.watched: Watched | None = None
+        self.done: list[object] = []
+
+    def watch(self, moment: object, before: Switching) -> Watched | None:
+        return self.watched
+
+    def cost(self, moment: object, component: str, on: bool) -> float:
+        return 0.0
+
+    def reset(self, system: object, state: object, components: frozenset[str]) -> None:
+        self.done.append(("reset", sorted(components)))
+
+    def apply(self, system: object, on: frozenset[str], frettings: object) -> object:
+        self.done.append(("apply", sorted(on)))
+        return system
+
+    def wants(self, *components: str, until: int = 0) -> None:
+        self.watched = Watched(frozenset(components), (), dict.fromkeys(components, until))
+
+
+def test_an_effect_is_exchanged_where_its_switch_moves_and_only_there(model: Model) -> None:
+    one, effect = engine(model), Wanted()
+    one._watched, one.switchings["wanted"] = [effect], Switching(frozenset("a"))  # type: ignore[list-item]
+
+    def switched() -> list[object]:
+        effect.done.clear()
+        one._switch((), ())
+        return effect.done
+
+    assert switched() == []  # nothing was watched
+    assert one.switchings["wanted"] == Switching(frozenset("a"))
+    effect.wants("a", until=7)
+    assert switched() == []  # it is on already
+    assert one.switchings["wanted"] == Switching(frozenset("a"), until={"a": 7})
+    effect.wants("b", until=9)
+    assert switched() == [("reset", ["a", "b"]), ("apply", ["b"])]
+    assert one.switchings["wanted"] == Switching(frozenset("b"), until={"b": 9})
+    effect.wants("a", "b")
+    assert switched() == [("reset", ["a"]), ("apply", ["a", "b"])]
+    one.only_watch = True
+    effect.wants("b", until=3)
+    assert switched() == []
+    assert one.switchings["wanted"] == Switching(frozenset("b"), until={"b": 3})

@@ -471,7 +471,7 @@ def test_a_fretting_changes_in_the_values_that_are_given() -> None:
 
 def test_the_usual_place_of_a_pluck_is_none_of_its_own(guitar: Model) -> None:
     bases, string = FrettedBases(guitar), guitar.strings["E2"]
-    usual, length = string.pluck_from_bridge, string.length(0)
+    usual, length = string.places.pluck, string.length(0)
     for place, kept in (
         (None, None),
         (usual, None),

@@ -236,7 +236,8 @@ def test_stops_and_pitches_of_a_string() -> None:
 
 
 def test_notes_move_aside_for_one_that_has_a_single_string() -> None:
-    matching = StringMatching(3)
+    matching = StringMatching(taken=0b1000)
+    assert not matching.add([Option(3, 0.0)])
     both, first, second = [Option(0, 0.0), Option(1, 0.0)], [Option(0, 0.0)], [Option(1, 0.0)]
     assert matching.add(both)
     assert matching.add(first)  # the one before goes to the other string
