@@ -262,7 +262,6 @@ def test_a_thickness_as_a_function_is_that_thickness() -> None:
     np.testing.assert_allclose(even.modes(count=5).freq, plate(HINGED).modes(count=5).freq, rtol=1e-9)
     np.testing.assert_allclose(even.modes(count=5).loss, plate(HINGED).modes(count=5).loss, rtol=1e-9)
     assert sloped.mass == pytest.approx(440.0 * 0.06 * 3.5e-3, rel=1e-9)
-    assert sloped.thickness(np.array([[0.1, 0.0], [0.3, 0.1]])).tolist() == pytest.approx([3e-3, 5e-3])
     kirchhoff = replace(SPRUCE, G_LT=np.inf)
     pair = [
         Plate([SQUARE * [0.3, 0.2]], kirchhoff, h, HINGED, size=0.05).modes(count=4)
@@ -754,7 +753,7 @@ def test_results_that_are_kept_are_those_made_anew() -> None:
     ]  # fmt: skip
 
     def freq(change):
-        return plate(**({"edge": springs, "size": 0.06} | change)).modes(count=6).freq
+        return plate(**({"edge": springs, "size": 0.1} | change)).modes(count=6).freq
 
     together = [freq(change) for change in variants]
     for change, found in zip(variants, together, strict=True):
