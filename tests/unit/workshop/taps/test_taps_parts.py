@@ -9,10 +9,10 @@ import pytest
 
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.workshop.fit.projection import FitData, Poles, Projection, Shape
-from tonewood.workshop.taps import cutting, figure, recordings, ringing, strongest
+from tonewood.workshop.taps import figure, recordings, ringing, strongest
 from tonewood.workshop.taps.cutting import Taps, _clipped, _noise, _onsets, _powers, _ring_out, cut_taps
 from tonewood.workshop.taps.ringing import Peak, _in_each_tap, _interval, _spectra, _standing
-from tonewood.workshop.taps.strongest import StrongPeak, _faded, _pole
+from tonewood.workshop.taps.strongest import _faded, _pole
 
 FS = 8000
 
@@ -133,7 +133,6 @@ def test_a_recording_ends_after_two_minutes_or_two_and_a_half_seconds_of_quiet(m
     assert told == [{"samplerate": 1000, "channels": 1, "dtype": "float32", "device": 3}]
     assert set(samples) == {0.5}
     assert len(recordings.record_taps(2, fs=10, stream=Microphone)) == 1200
-    assert recordings._heard.__name__ == "<lambda>"
 
 
 def test_taps_that_are_heard_are_counted() -> None:
@@ -198,7 +197,6 @@ def test_strong_peaks_are_within_the_band_and_50_db() -> None:
     # the first two seconds alone are taken
     long = np.concatenate([tones(*rows[:1], seconds=2.0), np.random.default_rng(1).standard_normal(FS)])
     assert strongest.strongest([long], FS, (100.0, 200.0))[0].quality == pytest.approx(40.0, rel=0.05)
-    assert StrongPeak(1.0, 2.0, 3.0).error == 3.0
 
 
 # ringing
@@ -296,4 +294,3 @@ def test_the_picture_has_the_levels_of_the_spectra(monkeypatch, tmp_path) -> Non
     assert (doubtful.get_xdata()[0], doubtful.get_ydata()[0]) == pytest.approx((300.0, level[200]))
     assert [text.get_text() for text in made.axes[0].texts] == ["A0 150\nQ 20"]
     assert made.axes[0].get_ylim() == (-70.0, 18.0)
-    assert cutting.CONTACT == 5e-3
