@@ -348,6 +348,7 @@ def test_a_definition_has_the_trials_whose_sounds_are_there(tmp_path: Path) -> N
     ]
     assert (found["schema"], found["name"], found["folder"]) == ("tonewood-test/1", "damping", str(tmp_path.resolve()))
     assert "room_sha256" not in found
+    assert found["manifest"] == fakes.manifest()  # the keys that were written, and no others
     path = tmp_path / "answers.jsonl"
     for text, count in (("", 0), ("head\n", 0), ("head\na\nb\n", 2), ("head\na\nto", 1)):
         path.write_text(text)
@@ -477,6 +478,8 @@ def test_facts_of_all_sounds() -> None:
     }  # fmt: skip
     assert subject.digests == {"b": "ab", "c": "cd", "d": "ab"}
     assert "measured" not in _subject(made, files[2:]).facts
+    assert subject.manifest["schema"] == "tonewood-batch/1"
+    assert "conditions" not in subject.manifest
 
 
 @pytest.mark.parametrize(("count", "drawn"), [(1, False), (2, True), (13, True), (14, False)])
@@ -544,6 +547,8 @@ def test_records_and_keys_have_every_value() -> None:
     record = batch_record(made, [row], [Fault("x", "why")], ["note"])
     assert record["failed"] == [{"name": "x", "reason": "why", "detail": ""}]
     assert (record["schema"], record["notes"], record["files"]) == ("tonewood-record/1", ["note"], [row])
+    assert record["manifest"]["schema"] == "tonewood-batch/1"
+    assert "conditions" not in record["manifest"]  # what is not there
     assert _flat({"a": {"b": 1, "c": {"d": [1, "ä"]}}, "e": None}) == [("a.b", 1), ("a.c.d", '[1, "ä"]'), ("e", None)]
 
 

@@ -480,6 +480,9 @@ def test_a_plan_in_numbers() -> None:
     assert (record["sounds"], record["seconds"], record["sounds_sha256"]) == (3, 9.0, "cd")
     assert (record["bundles"], record["shards"]) == (["monochord"], [{"a": "1"}, {}])
     assert [f["name"] for f in record["failed"]] == ["x", "y"]
+    assert (record["manifest"]["schema"], record["manifest"]["size"]) == ("tonewood-batch/1", 11)
+    assert "folder" not in record["manifest"]  # what is not there
+    assert "duration" not in _subject(plan(), 1.0, {}).manifest["sounds"]
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -10,9 +11,11 @@ from typing import Any
 
 import listening_fakes as fakes
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from scipy import stats
 
+from tonewood.sound.level.loudness import loudest
 from tonewood.workshop.batch.pages import LevelPage, MushraPage, PairedPage, RatingPage, StaircasePage
 from tonewood.workshop.batch.pages import localised as in_language
 from tonewood.workshop.listening.answer_file import listener_of, place_of, printable
@@ -28,6 +31,7 @@ from tonewood.workshop.listening.models import (
     LinearAnalysis,
     ModelTerm,
     RankAnalysis,
+    ScaleValue,
     Superiority,
     bradley_terry,
     linear_analysis,
@@ -35,7 +39,15 @@ from tonewood.workshop.listening.models import (
     share_interval,
     share_test,
 )
-from tonewood.workshop.listening.ordinal import OddsTerm, OrdinalAnalysis, fit_counts, grades
+from tonewood.workshop.listening.on_demand import RenderedPairs
+from tonewood.workshop.listening.ordinal import (
+    OddsTerm,
+    OrdinalAnalysis,
+    clustered,
+    fit_counts,
+    grades,
+    ordinal_analysis,
+)
 from tonewood.workshop.listening.panel import PanelThreshold, SimulatedPanel, _Listener, _reply, _rule
 from tonewood.workshop.listening.plain import (
     _as_level,
@@ -63,6 +75,7 @@ from tonewood.workshop.listening.results import (
     _share,
     _used,
     levels_of,
+    write_tables,
 )
 from tonewood.workshop.listening.session import Session, Step, checked, choices, share_wanted
 from tonewood.workshop.listening.shown import kind_of_texts, shown
@@ -1192,3 +1205,146 @@ def test_names_are_one_line_of_sixty_characters() -> None:
     for wrong in (-1, 2**31, True, 1.0, "1"):
         with pytest.raises(ListeningError, match="is no number of a listener"):
             place_of({"place": wrong})
+
+
+# -- tables, odds and sounds on demand --------------------------------------------------------------------------------
+
+
+def test_means_of_a_page_are_rows_of_a_table(tmp_path: Path) -> None:
+    """Means by factor, and by all where there are several factors; shares, values and thresholds."""
+    rows = [row(w, v, d=d, p="x", role="sound") for w, v in (("1", 2.0), ("2", 4.0)) for d in "ab"]
+    means = tuple(cell_means(rows, ("d",), 0.95))
+    helper = tuple(cell_means([r | {"role": "anchor35"} for r in rows], ("role",), 0.95))
+    one = PageResults(2, "mushra", "M", 2, ("d",), (), per_factor=means, cells=means, helpers=helper)
+    two = replace(one, page=3, factors=("d", "p"))
+    bare = replace(one, page=4, per_factor=(), helpers=())
+    pairs = PageResults(
+        5, "abx", "A", 4, (), (), detections=(detected(),), by_listener=(detected(cell={"listener": "z"}),)
+    )
+    scale = PageResults(6, "paired_comparison", "P", 4, (), (), scale=(ScaleValue("near", 0.5, 0.25, 0.75),))
+    stairs = found(LEVITT, 0.5, 0.4, 0.6)[1]
+    table = AnswerTable(
+        ("d",), {"d": ["a", "b"]}, ({"listener": "1", "page": 2, "right": True, "value": 1.5, "d": "a"},)
+    )
+    panel: Any = SimpleNamespace(table=table, pages=(one, two, bare, pairs, scale, stairs))
+    write_tables(panel, tmp_path)
+    with (tmp_path / "means.csv").open(newline="") as stream:
+        told = list(csv.DictReader(stream))
+    assert [(r["page"], r["cell"]) for r in told] == [
+        ("2", "d=a"), ("2", "d=b"), ("2", "role=anchor35"),
+        ("3", "d=a"), ("3", "d=b"), ("3", "d=a"), ("3", "d=b"), ("3", "role=anchor35"),
+        ("4", "d=a"), ("4", "d=b"),
+        ("5", "pluck=near|far"), ("5", "listener=z"), ("6", "near"), ("1", "listener=l0"), ("1", "listener=l1"),
+    ]  # fmt: skip
+    assert [float(told[0][key]) for key in ("mean", "listeners", "answers", "median")] == [3.0, 2, 2, 3.0]
+    assert [float(told[10][key]) for key in ("right", "answers", "share", "d_prime", "p_holm")] == [
+        30,
+        40,
+        0.75,
+        2.0,
+        0.02,
+    ]
+    assert [float(told[12][key]) for key in ("mean", "low", "high")] == [0.5, 0.25, 0.75]
+    assert [told[13][key] for key in ("threshold", "low", "high", "slope", "reversals")] == [
+        "0.5",
+        "0.1",
+        "5.0",
+        "3.0",
+        "",
+    ]
+    with (tmp_path / "answers.csv").open(newline="") as stream:
+        (answer,) = csv.DictReader(stream)
+    assert (answer["right"], answer["value"], answer["d"], answer["page"], answer["heard"]) == (
+        "1",
+        "1.5",
+        "a",
+        "2",
+        "",
+    )
+    assert pq.read_table(tmp_path / "means.parquet").num_rows == len(told)
+    assert pq.read_table(tmp_path / "answers.parquet").num_rows == 1
+
+
+def test_odds_of_an_analysis_are_those_of_its_fit() -> None:
+    """Two grades at two levels: the ratio of counts with half an answer added; t on listeners - 1 degrees."""
+    rng = np.random.default_rng(3)
+    counts = np.zeros((9, 2, 2))
+    rows = []
+    for i in range(9):
+        for j in (0, 1):
+            for _ in range(4):
+                grade = int(rng.random() < (0.3, 0.6)[j])
+                counts[i, j, grade] += 1
+                rows.append(row(str(i), float(grade), f="xy"[j]))
+    found_of = ordinal_analysis(rows, ["f"], 0.9, {"f": ["x", "y"]})
+    assert found_of is not None
+    (term,), (test,) = found_of.terms, found_of.tests
+    share = counts.sum(axis=(0, 1)) / counts.sum()
+    a, b = counts.sum(axis=0) + 0.5 * share
+    assert (found_of.grades, found_of.listeners, found_of.converged, found_of.notes) == (2, 9, True, ())
+    assert (term.name, term.effect, term.df) == ("f=y", ("f",), 8.0)
+    assert term.ratio == pytest.approx((b[1] / b[0]) / (a[1] / a[0]), rel=1e-5)
+    eta, v, _ = clustered(counts, np.array([[0.0], [1.0]]))
+    error = math.sqrt(v[1, 1])
+    assert math.log(term.high / term.ratio) == pytest.approx(stats.t.ppf(0.95, 8) * error, rel=1e-5)
+    assert math.log(term.ratio / term.low) == pytest.approx(stats.t.ppf(0.95, 8) * error, rel=1e-5)
+    p = 2 * stats.t.sf(abs(eta[1]) / error, 8)
+    assert (term.p_value, term.p_holm, test.p_value) == pytest.approx((p, p, p), rel=1e-4)
+    assert (test.df, test.df2, test.statistic) == pytest.approx((1, 8, (eta[1] / error) ** 2), rel=1e-4)
+    assert ordinal_analysis([r | {"value": 1.0} for r in rows], ["f"], 0.9, {"f": ["x", "y"]}) is None
+    sampled = [r | {"s": str(i % 3)} for i, r in enumerate(rows)]
+    assert ordinal_analysis(sampled, ["f", "s"], 0.9, {"f": ["x", "y"]}, ["s"]) is None
+
+
+class Renders(fakes.fakes.FakeRenderer):
+    """Notes what it renders."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rendered: list[float] = []
+
+    def render(self, condition: Any) -> Any:
+        self.rendered.append(condition.overrides["body.detune"])
+        return super().render(condition)
+
+
+def test_both_sounds_of_a_level_are_made_once(tmp_path: Path) -> None:
+    """8 % of a detuning of 1 is 1.08; both have one length and one loudness."""
+    import io
+
+    import soundfile
+
+    test = fakes.made(tmp_path, [{"type": "instructions"}, fakes.STAIRS])
+    renders = Renders()
+    pairs = RenderedPairs(test, renders)
+    assert pairs.changes() == []
+    one = pairs.pair(1, 5.0)
+    assert pairs.pair(1, 5.0) is one
+    assert renders.rendered == [pytest.approx(1.05)]  # the standard is kept by the batch
+    pairs.expect(1, 4.0)
+    assert pairs.pair(1, 4.0) is not one
+    sounds = {name: soundfile.read(io.BytesIO(raw)) for name, raw in one.items()}
+    assert set(sounds) == {"standard", "changed"}
+    (standard, fs), (changed, _) = sounds["standard"], sounds["changed"]
+    assert (fs, len(standard)) == (48000, len(changed))
+    assert loudest(standard[:, None], fs, 0.1) == pytest.approx(-23.0, abs=0.05)
+    assert loudest(changed[:, None], fs, 0.1) == pytest.approx(-23.0, abs=0.05)
+    assert not np.allclose(standard, changed, atol=1e-3)
+    for level in range(70):
+        pairs._pairs[1, float(100 + level)] = pairs._pairs[1, 5.0]
+    pairs.pair(1, 5.0)
+    assert len(pairs._pairs) == 64
+    assert next(reversed(pairs._pairs)) == (1, 5.0)
+    pairs.close()
+    (tmp_path / "out" / "work").rename(tmp_path / "gone")
+    assert RenderedPairs(test, renders).changes()[0].startswith("page 2: its sound of the batch is not in ")
+
+
+@pytest.mark.parametrize(
+    ("asked", "language"),
+    [("de", "de"), ("de-CH", "de"), ("xx, de-AT;q=0.5", "de"), ("xx,de-AT", "de"), ("", "en"), ("xx", "en")],
+)
+def test_the_first_language_that_is_known_is_taken(every: ListeningTest, asked: str, language: str) -> None:
+    from tonewood.workshop.listening.server import ListeningServer
+
+    assert ListeningServer(every)._language(asked) == language
