@@ -19,7 +19,7 @@ from batch_fakes import FakeRenderer
 import tonewood as tw
 from tonewood.errors import TonewoodError
 from tonewood.performance.score.note import Note
-from tonewood.workshop.batch import outputs
+from tonewood.workshop.batch import outputs, rendering
 from tonewood.workshop.batch.audition import facts_of
 from tonewood.workshop.batch.conditions import MAX_CONDITIONS, Draw, bundle_of, expand
 from tonewood.workshop.batch.data_sheet import Subject, _software, _sources, data_sheet
@@ -33,10 +33,10 @@ from tonewood.workshop.batch.definition import (
     with_value,
 )
 from tonewood.workshop.batch.layout import MAX_SIGNALS, Group, Stimulus, Trial, lay_out
-from tonewood.workshop.batch.manifest import Manifest, ManifestError, Stimuli, check_manifest
+from tonewood.workshop.batch.manifest import Manifest, ManifestError, Stimuli, check_manifest, manifest_schema
 from tonewood.workshop.batch.migration import manifest_edits
 from tonewood.workshop.batch.outputs import _draw_differences, _subject
-from tonewood.workshop.batch.pages import as_pairs
+from tonewood.workshop.batch.pages import HeadphonesPage, as_pairs
 from tonewood.workshop.batch.production import (
     Fault,
     SoundFile,
@@ -48,8 +48,8 @@ from tonewood.workshop.batch.production import (
     trial_of_a_file,
 )
 from tonewood.workshop.batch.records import _flat, batch_record, file_records, key_of, write_csv, write_json
-from tonewood.workshop.batch.rendering import EngineRenderer, _numbers, _plain
-from tonewood.workshop.batch.runner import Report, _check, _complete, plan_batch
+from tonewood.workshop.batch.rendering import EngineRenderer, _channel_per_string, _numbers, _plain, instrument_of
+from tonewood.workshop.batch.runner import Report, _check, _complete, plan_batch, run_batch
 from tonewood.workshop.batch.seeds import blind_codes, generator
 from tonewood.workshop.batch.stimuli import level_gain_db, page_drop_db, quantised
 from tonewood.workshop.batch.store import Rendered, Store, content_key
@@ -280,6 +280,8 @@ def test_sounds_are_finite_and_have_channels() -> None:
     sound[5, 1] = np.inf
     with pytest.raises(TonewoodError, match=r"not finite from 0\.0050 s on"):
         _check(Rendered(sound, 1000))
+    with pytest.raises(ValueError, match="Out of range float values"):
+        _check(Rendered(np.zeros((3, 1)), 1000, {"a": math.nan}))
     for wrong in (np.zeros(5), np.zeros((0, 1))):
         with pytest.raises(TonewoodError, match="shape"):
             _check(Rendered(wrong, 1000))
@@ -448,6 +450,8 @@ def test_levels_without_a_loudness_are_told(tmp_path: Path) -> None:
     faults = list(level_faults({"silent": "a1", "well": "b2", "unmade": None, "gone": "c3"}, store, stimuli(), None))
     assert [f.name for f in faults] == ["silent", "gone"]
     assert "silent" in faults[0].reason
+    with pytest.raises(ValueError, match="Out of range float values"):
+        store.save("d4", Rendered(np.zeros((4, 1)), 48000, {"a": math.nan}))
     assert (store.others({"a1"}), store.others(set()), store.others({"a1", "b2"})) == (1, 2, 0)
     assert store.facts("b2") == {"fs": 48000, "frames": 9600, "info": {}}
 
@@ -514,6 +518,10 @@ def test_rows_of_a_data_sheet() -> None:
     assert _sources([{"sources": sources}, {"sources": None}]) == {
         ("A, doi:10/x", "L", "c"), ("B, http://u", "M", ""), ("C", "N", "")
     }  # fmt: skip
+    whole = hashlib.sha256(json.dumps({"a": 1, "seed": 3}).encode()).hexdigest()
+    assert f"| SHA-256 of the manifest | `{whole}` |" in data_sheet(
+        Subject("n", "", "", {"seed": 3, "a": 1}, {}, {}), []
+    )
     sheet = data_sheet(Subject("n", "", "", {"seed": 3}, {"length": "1 | 2"}, {"b": "1", "a": "2"}), [])
     for line in ("| title | n |", "| licence of the sounds | not stated |", "| sounds | 2 |", "| seed | 3 |"):
         assert line in sheet
@@ -687,9 +695,42 @@ def test_keys_are_of_finite_values_with_their_schema() -> None:
         content_key({"a": math.nan})
 
 
-def test_code_of_bundles_runs_where_it_is_allowed_alone() -> None:
+def test_code_of_bundles_runs_where_it_is_allowed_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     assert EngineRenderer().allow_code is False
     assert EngineRenderer(True).allow_code is True
+    asked: list[Any] = []
+    monkeypatch.setattr(rendering, "_loaded", lambda bundle, allow_code: asked.append((bundle, allow_code)))
+    monkeypatch.setattr(rendering, "_changed", lambda *given: None)
+    one = expand(manifest(), HERE)[0]
+    instrument_of(one)
+    instrument_of(one, True)
+    assert asked == [("african_harp", False), ("african_harp", True)]
+    assert _channel_per_string(one) is False
+    for midi in ({"channel_per_string": True}, {}):
+        assert _channel_per_string(dataclasses.replace(one, midi=midi)) is bool(midi)
+
+
+def test_a_batch_is_made_in_a_folder_of_folders(tmp_path: Path) -> None:
+    path = fakes.write(tmp_path, fakes.manifest(pages=[{"type": "html"}], stimuli={"longest": 0.1}, factors={}))
+    report = run_batch(path, tmp_path / "a" / "b", FakeRenderer())
+    assert (report.ok, report.rendered, report.reused, len(report.files)) == (True, 2, 0, 2)
+    again = run_batch(path, tmp_path / "a" / "b", FakeRenderer())
+    assert (again.rendered, again.reused) == (0, 2)
+    assert {"schema", "pages"} <= set(manifest_schema()["properties"])
+
+
+@pytest.mark.parametrize(
+    ("fields", "needed"),
+    [
+        ({}, 6),
+        ({"trials": 4}, 4),
+        ({"method": "antiphase"}, 5),
+        ({"method": "antiphase", "trials": 1}, 1),
+        ({"right": 3}, 3),
+    ],
+)
+def test_right_answers_to_a_check_of_headphones(fields: dict[str, Any], needed: int) -> None:
+    assert HeadphonesPage.model_validate({"type": "headphones", **fields}).needed == needed
 
 
 def test_records_are_readable_and_finite(tmp_path: Path) -> None:

@@ -16,14 +16,16 @@ import pytest
 import soundfile
 from scipy.stats import qmc
 
+import tonewood as tw
 from tonewood.errors import NumericalError, TonewoodError
 from tonewood.performance.score.note import Note
 from tonewood.workshop.batch.conditions import Draw
 from tonewood.workshop.batch.manifest import ManifestError
 from tonewood.workshop.batch.production import Fault
+from tonewood.workshop.batch.rendering import EngineRenderer
 from tonewood.workshop.batch.seeds import generator
 from tonewood.workshop.dataset.labels import _word, by_string, jams, midi
-from tonewood.workshop.dataset.manifest import Parameter, check_dataset, midi_clock
+from tonewood.workshop.dataset.manifest import Parameter, check_dataset, dataset_schema, midi_clock
 from tonewood.workshop.dataset.runner import (
     DatasetPlan,
     DatasetReport,
@@ -33,6 +35,7 @@ from tonewood.workshop.dataset.runner import (
     _record,
     _subject,
     _write,
+    run_dataset,
 )
 from tonewood.workshop.dataset.sampling import points, samples, sources
 from tonewood.workshop.dataset.shards import Shard, ShardTask, make, parquet, shard_name, zipped
@@ -232,6 +235,9 @@ def test_labels_of_a_sound() -> None:
     text = jams("x", notes, 1000, 2.5, {"p": 1}, "tonewood 9")
     data = json.loads(text)
     assert text.endswith("}\n")
+    assert list(data) == sorted(data)
+    with pytest.raises(ValueError, match="Out of range float values"):
+        jams("x", [played(pitch=math.nan)], 1000, 2.5, {}, "")
     first = data["annotations"][0]
     assert first["data"] == [
         {"time": 0.05, "duration": 0.5, "value": 47.25, "confidence": 1.0},
@@ -307,6 +313,8 @@ def test_sounds_without_samples_or_numbers_are_refused(monkeypatch: pytest.Monke
     for wrong in (np.zeros((0, 1)), np.array([[1.0], [np.nan]])):
         with pytest.raises(NumericalError, match="s: the sound is empty, or not finite"):
             made(Renders(wrong), condition, "peak", False, None)  # type: ignore[arg-type]
+    soft = made(Renders(np.full((4, 1), 0.01)), condition, "peak", False, None)  # type: ignore[arg-type]
+    assert (soft.gain_db, soft.clipped) == (pytest.approx(39.0), 0)
     silent = made(Renders(np.zeros((4, 1))), condition, "peak", False, None)  # type: ignore[arg-type]
     assert (silent.gain_db, silent.clipped) == (0.0, 0)
 
@@ -395,7 +403,9 @@ def test_sounds_stand_one_after_the_other_in_a_shard(monkeypatch: pytest.MonkeyP
             "dropped": 1, "file": "00007.flac", "fs": 16000, "p.p": task.samples[0].parameters["p"]}  # fmt: skip
     assert {key: first[key] for key in told} == told
     assert made_of.seconds == pytest.approx(2 * 5 / 16000)
-    assert f"{first['physics']}.json" in made_of.physics
+    resolved = json.dumps(tw.load_instrument("monochord").resolved, sort_keys=True, default=str).encode()
+    assert first["physics"] == hashlib.sha256(resolved).hexdigest()[:16]
+    assert made_of.physics == {f"{first['physics']}.json": resolved}
     assert made_of.notes[:3] == (
         "m/one/000000: loud", "m/one/000000: 1.000 s: low",
         "m/one/000000: 2 samples clipped; lower render.gain_db, or take sounds: {level: peak}",
@@ -450,6 +460,16 @@ def test_a_shard_is_made_where_all_of_it_stands_there(tmp_path: Path, monkeypatc
     _write(tmp_path, Shard(3, whole.files, {}, 1.5, (Fault("x", "why"),), ()), "key")
     assert json.loads((place / "00003.json").read_text())["failed"] == [{"name": "x", "reason": "why"}]
     assert not _is_made(tmp_path, 3, "key")
+
+
+def test_a_set_is_made_in_a_folder_of_folders(tmp_path: Path) -> None:
+    data = dataset(render={"fs": 16000, "max_duration": 0.02, "effects": "none"}, sounds={"labels": []})
+    report = run_dataset(data, tmp_path, tmp_path / "a" / "b", EngineRenderer())
+    assert (report.ok, report.made, report.reused, report.sounds) == (True, 1, 0, 1)
+    assert report.sound_seconds == pytest.approx(0.02)
+    again = run_dataset(data, tmp_path, tmp_path / "a" / "b", EngineRenderer())
+    assert (again.made, again.reused, again.sha256) == (0, 1, report.sha256)
+    assert {"schema", "instruments"} <= set(dataset_schema()["properties"])
 
 
 # -- plans and records ------------------------------------------------------------------------------------------------

@@ -270,7 +270,8 @@ def test_one_process_makes_the_models_of_one_body(monkeypatch: pytest.MonkeyPatc
     processes: list[Process] = []
     called: list[int] = []
 
-    def popen(words: list[str], **_: Any) -> Process:
+    def popen(words: list[str], *, text: bool, **_: Any) -> Process:
+        assert text
         assert words[1:] == ["-m", "tonewood.workshop.desk.ahead"]
         processes.append(Process())
         return processes[-1]
@@ -565,6 +566,7 @@ def test_keys_play_the_take_s_model_at_its_gain(desk: Any, monkeypatch: pytest.M
     class Plays:
         def __init__(self, instrument: Any, options: Any, model: Any, prepare: bool):
             self.options, self.model, self.notes = options, model, list[Any]()
+            assert not prepare  # the first key is not kept waiting
             self.player = SimpleNamespace(counters=SimpleNamespace(latest=[SimpleNamespace(reason=r) for r in "pq"]))
             made.append(self)
 

@@ -97,7 +97,8 @@ def test_a_search_ends_with_its_report_or_its_last_line(
 ) -> None:
     commands: list[list[str]] = []
     monkeypatch.setattr(
-        "tonewood.workshop.desk.advice.subprocess.Popen", lambda words, **_: commands.append(words) or process
+        "tonewood.workshop.desk.advice.subprocess.Popen",
+        lambda words, *, text, **_: commands.append(words) or (text and process),
     )
     monkeypatch.setattr(
         "tonewood.workshop.desk.advice.threading.Thread",

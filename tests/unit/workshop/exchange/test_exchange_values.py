@@ -272,6 +272,7 @@ def test_psychopy_s_components(test: ListeningTest, tmp_path: Path) -> None:
         rows = list(csv.DictReader(stream))
     assert sorted(row["stimulus"] for row in rows) == ["ra", "sb", "sc"]
     assert len(list((tmp_path / "out" / "conditions").iterdir())) == 20 * 7
+    assert (tmp_path / "out" / "my-test.psyexp").read_text().startswith("<?xml version='1.0' encoding='utf-8'?>")
     assert ET.parse(tmp_path / "out" / "my-test.psyexp").getroot().get("version") == "2025.1.0"
 
 
@@ -466,6 +467,10 @@ def test_answers_to_questions(test: ListeningTest) -> None:
     assert text is not None
     assert text["answer"] == {"values": {"plays": "x" * 10_000}}
     assert _questionnaire(test, row | {"item": "pain", "value": "2"})["answer"] == {"values": {"pain": 2.0}}  # type: ignore[index]
+    for large in ("1e300", "-1e300"):
+        assert _questionnaire(test, row | {"value": large})["answer"] == {"values": {"age": float(large)}}  # type: ignore[index]
+        with pytest.raises(ListeningError, match="is no number from"):
+            _questionnaire(test, row | {"value": large.replace("1", "1.1", 1)})
     for other in ({"value": ""}, {"trial": "tm"}, {"item": ""}):
         assert _questionnaire(test, row | other) is None
     for wrong in ({"page": "9"}, {"page": "0"}, {"page": "13"}, {"page": "x"}, {"item": "height"}):
@@ -517,12 +522,15 @@ def test_plain_rows_one_by_one(test: ListeningTest) -> None:
     same = {"page": "6", "trial": "ts", "A": "ra", "B": "sb", "answer6.keys": "d"}
     _take_plain(test, same, trials, into)
     assert (into["ts", 1].choice, into["ts", 1].right) == ("different", True)
+    _take_plain(test, pair | {"response": "B", "repetition": "1000", "seconds": "3.2e8"}, trials, into)
+    assert (into["tx", 1000].seconds, into["tx", 1000].right) == (3.2e8, False)
     for wrong, reason in (
         ({"response": "C"}, "'C' is not one of A, B, undecided"),
         ({"response": "A", "X": "zz"}, "'zz' is no sound of trial tx"),
         ({"response": "A", "page": "6"}, "is '6', and 5 is the page of trial tx"),
         ({"response": "A", "repetition": "1001"}, "from 1 to 1000"),
         ({"response": "A", "seconds": "-1"}, "from 0 to"),
+        ({"response": "A", "seconds": "3.3e8"}, "from 0 to 3.2e\\+08"),
     ):
         with pytest.raises(ListeningError, match=reason):
             _take_plain(test, pair | {"repetition": "9"} | wrong, trials, into)
