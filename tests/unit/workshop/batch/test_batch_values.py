@@ -22,7 +22,7 @@ from tonewood.performance.score.note import Note
 from tonewood.workshop.batch import outputs, rendering
 from tonewood.workshop.batch.audition import facts_of
 from tonewood.workshop.batch.conditions import MAX_CONDITIONS, Draw, bundle_of, expand
-from tonewood.workshop.batch.data_sheet import Subject, _software, _sources, data_sheet
+from tonewood.workshop.batch.data_sheet import Subject, _software, _sources, data_sheet, write_data_sheet
 from tonewood.workshop.batch.definition import (
     changed_condition,
     check_answers,
@@ -36,7 +36,7 @@ from tonewood.workshop.batch.layout import MAX_SIGNALS, Group, Stimulus, Trial, 
 from tonewood.workshop.batch.manifest import Manifest, ManifestError, Stimuli, check_manifest, manifest_schema
 from tonewood.workshop.batch.migration import manifest_edits
 from tonewood.workshop.batch.outputs import _draw_differences, _subject
-from tonewood.workshop.batch.pages import HeadphonesPage, as_pairs
+from tonewood.workshop.batch.pages import HeadphonesPage, StaircasePage, as_pairs
 from tonewood.workshop.batch.production import (
     Fault,
     SoundFile,
@@ -206,6 +206,15 @@ def test_pairs_of_levels() -> None:
 
 def test_codes_that_meet_are_drawn_again() -> None:
     codes = blind_codes(3, [str(i) for i in range(19)], length=1)
+    taken: list[str] = []
+    for name in map(str, range(19)):  # of the first letter that is free
+        for attempt in range(1000):
+            digest = hashlib.sha256(f"3\x1fcode\x1f{name}\x1f{attempt}".encode()).digest()
+            letter = "bcdfghjkmnpqrstvwxz"[int.from_bytes(digest, "big") % 19]
+            if letter not in taken:
+                taken.append(letter)
+                break
+    assert list(codes.values()) == taken
     assert sorted(codes.values()) == sorted("bcdfghjkmnpqrstvwxz")
     assert {len(c) for c in blind_codes(3, ["a", "b"]).values()} == {6}
 
@@ -424,6 +433,9 @@ def test_gains_and_drops(rng: np.random.Generator) -> None:
         assert level_gain_db(tone, 48000, method, -23.0, 0.4) == pytest.approx(-23 + 3.01, abs=0.01)
     assert [page_drop_db([x], -1.0) for x in (-1.0, -0.9)] == [0.0, pytest.approx(0.11)]
     assert page_drop_db([-math.inf, -3.0], -1.0) == 0.0
+    for beyond in (2**15 - 0.6, -(2**15) - 0.4):
+        with pytest.raises(TonewoodError, match="passes full scale"):
+            quantised(np.full((1000, 1), beyond / 2**15), "PCM_16", rng)
     edge = np.array([[(2**15 - 3) / 2**15], [-(2**15 - 2) / 2**15]])
     assert quantised(edge, "PCM_16", rng).dtype == np.int16
     assert quantised(edge * 0, "PCM_24", rng).dtype == np.int32
@@ -506,7 +518,7 @@ def test_differences_are_drawn_of_2_to_13_sounds(
         assert list(files.values())[1] == tmp_path / "c0.wav"
 
 
-def test_rows_of_a_data_sheet() -> None:
+def test_rows_of_a_data_sheet(tmp_path: Path) -> None:
     one = {"version": "1", "isa": "avx2", "computed_with": {"numpy": "2.0", "blas": [{"b": 1, "a": 2}]}}
     assert _software([one, {"version": "2"}]) == [
         ("tonewood", "1; 2"), ("instruction set", "avx2; not stated"), ("numpy", "2.0"), ("blas", '[{"a": 2, "b": 1}]')
@@ -523,6 +535,8 @@ def test_rows_of_a_data_sheet() -> None:
         Subject("n", "", "", {"seed": 3, "a": 1}, {}, {}), []
     )
     sheet = data_sheet(Subject("n", "", "", {"seed": 3}, {"length": "1 | 2"}, {"b": "1", "a": "2"}), [])
+    write_data_sheet(tmp_path / "new", Subject("n", "", "", {"seed": 3}, {}, {}), [])
+    assert (tmp_path / "new" / "datasheet.md").read_text().startswith("# Data sheet: n\n")
     for line in ("| title | n |", "| licence of the sounds | not stated |", "| sounds | 2 |", "| seed | 3 |"):
         assert line in sheet
     assert r"| length | 1 \| 2 |" in sheet
@@ -630,6 +644,16 @@ def test_the_engine_s_renders_have_facts() -> None:
         options=made.render_settings({}),
     ).samples  # fmt: skip
     np.testing.assert_array_equal(found.samples, wanted)
+
+
+@pytest.mark.parametrize(("reversals", "discard", "allowed"), [(4, 2, True), (4, 3, False), (2, 0, True)])
+def test_two_reversals_count_at_least(reversals: int, discard: int, allowed: bool) -> None:
+    fields = {**STAIRS, "steps": [10.0, 5.0], "reversals": reversals, "discard": discard}
+    if allowed:
+        assert StaircasePage.model_validate(fields).discard == discard
+    else:
+        with pytest.raises(ValueError, match="reversals must be at least discard"):
+            StaircasePage.model_validate(fields)
 
 
 # -- migration --------------------------------------------------------------------------------------------------------

@@ -401,6 +401,14 @@ def test_the_first_model_is_heard_at_4_db_below_full_scale(desk: Any) -> None:
     state = desk.state()
     assert (state["modes"], state["warnings"], state["channels"]) == (3, ["w"], ["c"])
     assert state["dropped"] == ["0", "1", "2"]
+    asked: list[Any] = []
+    desk._views.view = lambda *given, **named: asked.append((*given, named)) or "seen"
+    assert desk.view("differences") == "seen"
+    assert desk.view("shape", "90", of_start=True) == "seen"
+    assert asked == [
+        (made, "differences", "", {"of_start": False, "exact": True}),
+        (made, "shape", "90", {"of_start": True, "exact": True}),
+    ]
     assert desk.command().split()[:2] == ["tonewood", "render"]
     assert "--gain=2 " in desk.command()
 

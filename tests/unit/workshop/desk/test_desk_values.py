@@ -220,6 +220,36 @@ def test_faults_of_a_model_are_told_and_the_next_is_made() -> None:
     maker.close()
 
 
+def test_the_newest_model_that_waits_is_made_next_and_those_before_are_passed_over() -> None:
+    made: list[Any] = []
+    began, go, done = threading.Event(), threading.Event(), threading.Event()
+
+    def model(instrument: Any, _: Any) -> Any:
+        began.set()
+        assert go.wait(60)
+        return instrument
+
+    maker = ModelMaker(RenderOptions(), lambda *_: None, SimpleNamespace(model=model))  # type: ignore[arg-type]
+    assert maker.busy is None
+
+    def wanted(n: int) -> Wanted:
+        return Wanted(n, {}, n, lambda found, _: made.append(found) or (done.set() if n == 3 else None))  # type: ignore[arg-type, func-returns-value]
+
+    one, two, three = map(wanted, (1, 2, 3))
+    maker.want(one)
+    assert began.wait(60)
+    assert (maker.busy, maker.making) == (one, one)
+    maker.want(two)
+    assert maker.busy is two
+    maker.want(three)
+    assert maker.busy is three
+    go.set()
+    assert done.wait(60)
+    assert made == [1, 3]
+    maker.forget()
+    maker.close()
+
+
 def test_a_preview_is_of_another_body_that_is_not_coarse_already() -> None:
     guitar = tw.load_instrument("drawn_guitar")
     made = previewed(guitar, None)
@@ -927,6 +957,12 @@ def asked(body: Any = None, **query: str) -> Any:
 
     headers = {"x-desk-token": "t", "content-type": "application/json"}
     return SimpleNamespace(headers=headers, stream=stream, query_params=query, path_params=query)
+
+
+def test_an_address_has_a_token_of_16_random_bytes() -> None:
+    one, other = (DeskServer(SimpleNamespace()) for _ in range(2))  # type: ignore[arg-type]
+    assert len(one.token) == len(other.token) == 22
+    assert one.token != other.token
 
 
 def test_blocks_are_sent_ahead_of_what_is_heard() -> None:

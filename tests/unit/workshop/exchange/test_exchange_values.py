@@ -217,6 +217,8 @@ def test_sounds_of_psychopy_follow_each_other(test: ListeningTest) -> None:
     assert _sequence(["ra", "sb"], lengths) == {
         "sound1": "stimuli/ra.wav", "start1": 0.5, "sound2": "stimuli/sb.wav", "start2": 1.5, "ends": 2.5
     }  # fmt: skip
+    assert _sequence(["x"], {"x": 1 / 3})["ends"] == 0.833  # to the millisecond
+    assert _sequence(["x", "x"], {"x": 1 / 3})["start2"] == 1.333
     rows = {row["trial"]: row for row in course(test, 0)}
     rated = _rows(test, rows["tm"], lengths)
     assert {r["stimulus"] for r in rated} == {"ra", "sb", "sc"}
