@@ -36,6 +36,7 @@ from tonewood.workshop.batch.layout import MAX_SIGNALS, Group, Stimulus, Trial, 
 from tonewood.workshop.batch.manifest import Manifest, ManifestError, Stimuli, check_manifest, manifest_schema
 from tonewood.workshop.batch.migration import manifest_edits
 from tonewood.workshop.batch.outputs import _draw_differences, _subject
+from tonewood.workshop.batch.page_parts import Question, RatingScale
 from tonewood.workshop.batch.pages import HeadphonesPage, StaircasePage, as_pairs
 from tonewood.workshop.batch.production import (
     Fault,
@@ -654,6 +655,17 @@ def test_two_reversals_count_at_least(reversals: int, discard: int, allowed: boo
     else:
         with pytest.raises(ValueError, match="reversals must be at least discard"):
             StaircasePage.model_validate(fields)
+
+
+@pytest.mark.parametrize(("low", "high", "allowed"), [(1.0, 1.0, False), (1.0, 1.001, True), (2.0, 1.0, False)])
+def test_scales_rise(low: float, high: float, allowed: bool) -> None:
+    ends: dict[str, Any] = {"name": "q", "label": "Q", "low": low, "high": high}
+    for kind in (RatingScale, Question):
+        if allowed:
+            assert kind.model_validate(ends).high == high
+        else:
+            with pytest.raises(ValueError, match="low must be below high"):
+                kind.model_validate(ends)
 
 
 # -- migration --------------------------------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ from tonewood.instrument.bundle.schema import Source
 from tonewood.instrument.inspection.frequencies import StringFeel
 from tonewood.instrument.inspection.wolf import WolfNote
 from tonewood.instrument.model.assembly import assemble
+from tonewood.support.plotting import figure as plotting_figure
 from tonewood.workshop.report import comparison, figures, page, summary, tones
 from tonewood.workshop.report import facts as report_facts
 from tonewood.workshop.report.as_json import to_json
@@ -197,6 +198,8 @@ def test_infinite_numbers_are_null_in_json() -> None:
     lasting = note("A", 0, math.inf)
     one = facts(body_modes=(still,), tones={"A2": quiet}, notes=(lasting,), named={"T1": 0}, mass=0.2, kinds={"a": 3})
     source = Source(text="A book", licence="facts")
+    found = to_json(compared(replace(one, sources={"k": source}, mobility={"A": 0.0123 + 0j * FREQ})))
+    assert set(found["instruments"][0]["mobility"]["level_db"]["A"]) == {round(20 * math.log10(0.0123), 3)}
     found = to_json(compared(replace(one, sources={"k": source})))
     assert found["instruments"][0]["sources"] == {"k": {"text": "A book", "licence": "facts"}}
     assert found["modes"][0] == {
@@ -305,6 +308,12 @@ def test_modes_of_a_loaded_body_are_named_like_those_without() -> None:
     model: Any = SimpleNamespace(instrument=SimpleNamespace(body=body, spec=spec), body=whole, fs=1000.0)
     modes = [mode(95.0), mode(150.0), mode(190.0)]
     assert report_facts._named(model, modes) == {"A0": 0, "T1": 1}
+    turned = np.array([[1.0, 1.0, 1.0], [2.0j, -2.0j, 0.5]])  # of complex modes the conjugate counts
+    complex_own = SimpleNamespace(natural_freq=np.array([100.0]), points=("p", "q"), right=np.array([[1.0], [1.0j]]))
+    near = SimpleNamespace(natural_freq=np.array([101.0, 99.0, 300.0]), right=turned, index=whole.index)
+    apart: Any = SimpleNamespace(sources={500.0: SimpleNamespace(labels=("A0",))}.get, basis={500.0: complex_own}.get)
+    with_complex: Any = SimpleNamespace(instrument=SimpleNamespace(body=apart, spec=spec), body=near, fs=1000.0)
+    assert report_facts._named(with_complex, [mode(99.0), mode(101.0), mode(300.0)]) == {"A0": 1}
     surface.labels = ("top", "T1")
     assert report_facts._named(model, modes) == {"T1": 1}
     surface.labels = ("", "")
@@ -557,6 +566,9 @@ def test_the_difference_of_mobilities_is_that_of_their_means(drawn: list[Figure]
     assert [ax.get_ylabel() for ax in drawn[0].axes[:3]] == ["mobility\ndB re 1 (m/s)/N"] * 2 + ["less A, dB"]
     assert [ax.get_xlabel() for ax in drawn[0].axes[:3]] == ["", "", "frequency, Hz"]
     assert below.lines[1].get_ydata()[0] == 0.0
+    assert [ax.get_title() for ax in drawn[0].axes[:3]] == [
+        "at the end of a", "at the end of b", "difference, mean of all ends, third octaves"
+    ]  # fmt: skip
     x = below.lines[0].get_xdata()
     assert (x[0], x[-1], len(x)) == (pytest.approx(40 * 2 ** (1 / 6)), pytest.approx(10000 / 2 ** (1 / 6)), 120)
 
@@ -608,6 +620,7 @@ def test_low_notes_have_the_longer_window(monkeypatch: pytest.MonkeyPatch, freq:
 
     def analysed(samples: Any, fs: int, **options: Any) -> Any:
         asked.append(options["window"])
+        assert (options["freq_upper"], options["columns"]) == (6000.0, 500)
         return np.array([0.0, 1.0]), np.array([0.0, 1000.0]), np.array([[-3.0, -90.0], [-20.0, -40.0]])
 
     shown: list[Any] = []
@@ -752,6 +765,12 @@ def test_pictures_have_words_for_those_who_do_not_see_them(drawn: list[Figure]) 
     assert [ax.lines[0].get_xdata().tolist() for ax in panels] == [[1.0, 2.0]] * len(panels)
     by_name = {ax.get_title(): ax.lines[0].get_ydata().tolist() for ax in panels}
     assert by_name["worst wolf note"] == [0.0, 9.0]
+    assert [ax.get_xlabel() for ax in panels[-2:]] == ["b", "b"]
+
+
+def test_a_picture_is_an_address_that_holds_it() -> None:
+    made, _ = plotting_figure(heights=[1.0])
+    assert figures._svg(made).startswith("data:image/svg+xml")
 
 
 def test_the_first_modes_of_a_whole_surface_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
