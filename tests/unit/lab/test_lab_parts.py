@@ -57,7 +57,7 @@ def test_every_row_of_a_system_passes(name: str, count: int) -> None:
     """Papers' figures, closed forms and direct solutions, each within its tolerance."""
     rows = validation.run([name])
     assert [f"{row.quantity}: {row.value} for {row.reference}" for row in rows if not row.passed] == []
-    assert len(rows) == count
+    assert len(rows) >= count  # of methods more may be registered
 
 
 # assembled systems

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,8 +11,8 @@ import pytest
 from fit_scenes import TAU, Truth, random_body
 
 from tonewood.errors import TonewoodError
+from tonewood.workshop.fit import figure, files, noise, search
 from tonewood.workshop.fit import fit as whole
-from tonewood.workshop.fit import noise, search
 from tonewood.workshop.fit.body import passive_body
 from tonewood.workshop.fit.drift import Drift
 from tonewood.workshop.fit.fit import Fit, fit_responses
@@ -599,3 +600,137 @@ def test_modes_of_a_fit_without_a_driving_point(truth) -> None:
         assert (row["mass_kg"], row["sd_shape"], row["interval_90"]["mass_kg"]) == (None, None, None)
     names = fit.table().splitlines()[2]
     assert names == "f_Hz,Q,b:a_re,b:a_im,c:a_re,c:a_im,sd_cents,sd_Q_percent,measured"
+
+
+@pytest.mark.parametrize("bent", [False, True])
+def test_neighbouring_modes_are_moved_on_the_bins_around_them_less_the_others(bent) -> None:
+    """Bins within four bandwidths; residues of the others, turned ones too, are taken off."""
+    shape = Shape((0,), 1, bent, False, False)
+    poles = Poles.at([100.0, 300.0, 500.0], [20.0, 30.0, 50.0])
+    rows = resonances(FREQ, [100.0, 300.0, 500.0], [20.0, 30.0, 50.0])
+    turned = TAU * np.array([[100.0], [300.0], [500.0]]) / (2j * np.pi * FREQ) * rows
+    y = np.array([1.0, 2.0, 3.0]) @ rows + bent * (np.array([0.2, -0.3, 0.4]) @ turned)
+    problem = Projection(FitData(FREQ, y[None], np.full((1, 741), 1e-6)), shape)
+    part = search._around(problem, poles, problem.solve(poles).residues, np.array([1]))
+    assert part.data.freq.tolist() == list(range(260, 340))
+    own = 2.0 * rows[1] - bent * 0.3 * turned[1]
+    assert part.data.mobility[0] == pytest.approx(own[200:280], rel=1e-5)
+    assert part.shape == shape
+    coarse = Projection(FitData(FREQ[::60], y[None, ::60], np.full((1, 13), 1e-6)), shape)
+    assert search._around(coarse, poles, problem.solve(poles).residues, np.array([1])) is None
+
+
+def test_modes_that_create_energy_or_gain_nothing_are_taken_away() -> None:
+    y = resonances(FREQ, [200.0], [40.0])[0] - 0.5 * resonances(FREQ, [500.0], [50.0])[0]
+    problem = Projection(FitData(FREQ, y[None], np.full((1, 741), 1e-5)), Shape((0,), 1, False, False, False))
+    poles = Poles.at([200.0, 500.0], [40.0, 50.0])
+    assert search.without_negative(problem, poles).freq == pytest.approx([200.0])
+    assert search.pruned(problem, poles)[0].freq == pytest.approx([200.0], rel=1e-3)
+    assert len(search.without_negative(problem, poles[1:])) == 1
+    two = Projection(replace(problem.data, mobility=resonances(FREQ, [200.0], [40.0])), problem.shape)
+    apart = Poles.at([199.0, 201.0], [40.0, 40.0])
+    joined, solution = search.joined(two, apart)
+    assert (joined.freq, joined.quality) == (pytest.approx([200.0], rel=1e-5), pytest.approx([40.0], rel=1e-3))
+    assert solution.residues[0] == pytest.approx([1.0], rel=1e-3)
+    both = Poles.at([200.0, 300.0], [40.0, 40.0])
+    assert search.joined(two, both)[0] is both
+
+
+@pytest.mark.parametrize(
+    ("time", "rate"),
+    [
+        (np.arange(50) / 1000, 1000.0),
+        (np.round(np.arange(3000) / 2000, 3), 2000.0),  # some times repeat
+        (np.array([0.0, 1.0, 2.005]), 2 / 2.005),
+        (np.array([0.0, 1.0, 2.02]), None),
+        (np.array([0.0, 1.0, 1.0, 3.0]), None),
+        (np.zeros(3), None),
+        (np.zeros(1), None),
+    ],
+)
+def test_rates_of_times(time, rate) -> None:
+    if rate is None:
+        with pytest.raises(TonewoodError, match="times are not evenly spaced"):
+            files._rate(Path("a.csv"), time)
+    else:
+        assert files._rate(Path("a.csv"), time) == pytest.approx(rate, rel=1e-3 if time.size > 99 else 1e-9)
+
+
+def test_two_sided_and_padded_data_are_told() -> None:
+    half = np.array([1 + 1j, 2 - 1j, 0.5j])
+    assert files._mirrored([np.concatenate([half, half[::-1].conj()])]) == 3
+    assert files._mirrored([np.concatenate([[7.0], half, [4.0], half[::-1].conj()])]) == 5
+    assert files._mirrored([np.concatenate([half, half])]) == 0
+    assert files._mirrored([np.concatenate([half, half[::-1].conj()]), np.arange(6) + 1j]) == 0
+    assert files._mirrored([np.ones(6, complex)]) == 0
+    assert files._padded(np.append(np.ones(18), np.zeros(2)))
+    assert not files._padded(np.append(np.ones(19), np.zeros(1)))
+    assert files._padded(np.zeros(1))
+
+
+def test_nodes_without_a_response_are_named() -> None:
+    def sets(nodes, reference=1):
+        return [{"rsp_node": n, "ref_node": reference} for n in nodes]
+
+    path = Path("a.uff")
+    assert files._missing_nodes(path, [{"type": 58}], sets([1, 2, 4])) == (
+        "a.uff has no response at 1 of its nodes: 3; sets may be missing",
+    )
+    assert files._missing_nodes(path, {"type": 15, "node_nums": [1, 2, 4, 9]}, sets([1, 2, 4]))[0].count(": 9;") == 1
+    assert files._missing_nodes(path, [], sets([1, 2, 3])) == ()
+    assert files._missing_nodes(path, [], sets([1, 9])) == ()
+    many = [{"type": 15, "node_nums": range(1, 15)}]
+    (line,) = files._missing_nodes(path, many, sets(range(1, 8)))
+    assert "at 7 of its nodes: 8, 9, 10, 11, 12, 13 ...;" in line
+    moved = [{"rsp_node": 1, "ref_node": n} for n in (1, 2, 4)]
+    assert ": 3;" in files._missing_nodes(path, [], moved)[0]
+
+
+def test_ends_of_universal_files() -> None:
+    for line, bound in (
+        (b"    -1", True),
+        (b"ab    -1", True),
+        (b"abcde    -1", False),
+        (b"a\0cdef    -1", True),
+        (b"    -2", False),
+    ):
+        assert files._bounds(line) is bound
+    assert files._uff_units([{"type": 15}, {"type": 164, "force": 2, "length": 3}]) == (2.0, 3.0)
+    assert files._uff_units({"type": 58}) == (1.0, 1.0)
+
+
+def test_a_hit_is_scaled_and_named() -> None:
+    reading = files.Reading("mobility", points=("p", "q"), references=(("p", "a_"),), sensitivity=(2.0, 3.0, 4.0))
+    hit = files._scaled(Path("a_1.wav"), 100.0, np.array([[1.0, 2], [1, 0], [0, 1]]), reading, reading.sensitivity)
+    assert (hit.force.tolist(), hit.motion.tolist()) == ([2.0, 4.0], [[3.0, 0.0], [0.0, 4.0]])
+    assert (hit.names, hit.reference, hit.fs) == (("p", "q"), "p", 100.0)
+    for channels, sensitivity, name, said in (
+        (1, (1.0,), "a_1.wav", "has one channel"),
+        (2, (1.0, 1.0), "a_1.wav", "has 1 responses; --points names 2"),
+        (3, (1.0, 1.0), "a_1.wav", "has 3 channels; --sensitivity gives 2 numbers"),
+        (3, (1.0, 1.0, 1.0), "b.wav", "is not named"),
+    ):
+        with pytest.raises(TonewoodError, match=said):
+            files._scaled(Path(name), 1.0, np.ones((channels, 2)), reading, sensitivity)
+
+
+def test_the_picture_of_a_fit_has_its_curves(fitted, monkeypatch, tmp_path) -> None:
+    drawn = []
+    monkeypatch.setattr(figure, "save", lambda made, path: drawn.append(made))
+    figure.draw_fit(fitted, tmp_path / "a.png")
+    top, off, spread, quality, chart = drawn[0].axes
+    r = fitted.responses
+    lines = top.lines[1:]
+    for i in range(2):
+        for line, values in ((lines[2 * i], r.mobility[i]), (lines[2 * i + 1], fitted.mobility[i])):
+            assert line.get_ydata() == pytest.approx(20 * np.log10(np.abs(values)) - 40.0 * i)
+        assert off.lines[i].get_ydata() == pytest.approx(20 * np.log10(np.abs(fitted.mobility[i] / r.mobility[i])))
+    sure = [row for row in fitted.rows if row["measured"]]
+    assert spread.lines[0].get_ydata() == pytest.approx([row["sd_cents"] for row in sure])
+    assert quality.lines[0].get_ydata() == pytest.approx([100 * row["sd_Q"] for row in sure])
+    assert spread.lines[0].get_xdata() == pytest.approx([row["freq_Hz"] for row in sure])
+    stable = stability(r.freq, r.mobility)
+    assert chart.lines[1].get_xdata() == pytest.approx(stable.freq[stable.stable])
+    assert chart.lines[0].get_ydata().tolist() == stable.order[~stable.stable].tolist()
+    most = max(1.0, np.quantile(fitted.error_db, 0.99))
+    assert off.get_ylim() == pytest.approx((-most, most))
