@@ -52,13 +52,13 @@ def _command(command: Callable[..., Any]) -> Callable[..., Any]:
     def wrapped(*args: Any, **options: Any) -> Any:
         show, shown = warnings.showwarning, set[str]()
 
-        def show_in_one_line(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        def show_in_one_line(message: Warning | str, category: type[Warning], *location: Any, **more: Any) -> None:
             if issubclass(category, OldFormatWarning | DamagedCacheWarning | CacheFolderWarning):
                 if str(message) not in shown:  # filters that a library changes make Python forget what was shown
                     shown.add(str(message))
                     warn([str(message)])
             else:
-                show(message, category, *place, **more)
+                show(message, category, *location, **more)
 
         try:
             stopping.command_begins()
@@ -88,8 +88,8 @@ def _protect_sources(options: Mapping[str, Any]) -> None:
 
     Outputs that arguments name are refused at once, those that the command names itself as it begins to write them.
     """
-    given = [(name, one) for name, value in options.items() for one in (value if isinstance(value, list) else [value])]
-    paths = [(name, Path(value)) for name, value in given if isinstance(value, Path | str)]
+    values = [(name, one) for name, value in options.items() for one in (value if isinstance(value, list) else [value])]
+    paths = [(name, Path(value)) for name, value in values if isinstance(value, Path | str)]
     protect(file for name, path in paths if name not in _WRITTEN for file in _files(path))
     for name, path in paths:
         if name in _WRITTEN:
@@ -105,8 +105,8 @@ def _files(path: Path) -> Iterator[Path]:
             yield from path.iterdir()
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(value: bool) -> None:
+    if value:
         from tonewood import __version__
 
         print(f"tonewood {__version__}")

@@ -169,7 +169,7 @@ def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) ->
     from tonewood.instrument.scales import note_name
 
     string, mine = model.strings[name], [(p, m) for p, m in pairs if p.string == name]
-    given, errors = string.tuning.given, law_errors(model, name)
+    tension, errors = string.tuning.given, law_errors(model, name)
     return {
         "note": note_name(string.open_note),
         "stops": string.n_stops,
@@ -177,9 +177,9 @@ def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) ->
         "tension": mine[0][0].tension,
         "count": len(string.group),
         "feel": asdict(feel(model, name)),
-        "given_tension": given.given,
-        "held": given.held,
-        "held_note": given.line() if given.noticeable else None,
+        "given_tension": tension.given,
+        "held": tension.held,
+        "held_note": tension.line() if tension.noticeable else None,
         "worst_cents": max((p.error_cents for p, _ in mine), key=abs),
         "worst_cents_mounted": max((m.error_cents for _, m in mine), key=abs),
         "loss_error": None
@@ -403,8 +403,8 @@ def _print_strings(report: dict[str, Any]) -> None:
             down = ""
             if feel["break_angle_deg"] is not None:
                 down = f"; {feel['break_angle_deg']:g} deg over it, {feel['force_on_bridge']:.1f} N down on it"
-            place = 1e3 * feel["from_bridge"]
-            print(f"    {feel['newton_per_mm']:.2f} N for 1 mm sideways, {place:.0f} mm from the bridge{down}")
+            distance = 1e3 * feel["from_bridge"]
+            print(f"    {feel['newton_per_mm']:.2f} N for 1 mm sideways, {distance:.0f} mm from the bridge{down}")
         for line in [row["held_note"], *(x for x in _law_lines(row["law"]) if not x.startswith("warning"))]:
             if line:
                 print(f"    {line}")

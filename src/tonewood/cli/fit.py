@@ -115,7 +115,7 @@ def fit(
         fitted = fit_responses(
             responses, band=band or (None, None), damping=damping, keep=kept, drop=dropped, tell=tell
         )
-        places_u = {name: place.u for name, place in places.items() if place.u is not None}
+        places_u = {name: location.u for name, location in places.items() if location.u is not None}
         radiation = None if fitted.body is None else fit_radiation(fitted.responses, fitted.body, places_u, tell=tell)
         origin = Origin(title or UNKNOWN, measured_by or UNKNOWN, licence or UNKNOWN)
         settings = {

@@ -128,11 +128,11 @@ def _usage(error: Exception, words: list[str]) -> str:
     return f"{text if text.endswith(('.', '?')) else text + '.'} See: {command}"
 
 
-def _in_its_line(error: TonewoodError, given: list[str]) -> TonewoodError:
+def _in_its_line(error: TonewoodError, arguments: list[str]) -> TonewoodError:
     """Return an error with the line of its file, unless an option gave the value at fault."""
-    if error.key and f"--{error.key}" in given:
+    if error.key and f"--{error.key}" in arguments:
         return error
-    words = [b for a, b in pairwise(given) if a == "--set"] + [a[6:] for a in given if a.startswith("--set=")]
+    words = [b for a, b in pairwise(arguments) if a == "--set"] + [a[6:] for a in arguments if a.startswith("--set=")]
     for path in (word.partition("=")[0].split(".") for word in words):
         if error.key and all(a in ("*", b) for a, b in zip(path, error.key.split("."), strict=False)):
             return error

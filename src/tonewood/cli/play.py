@@ -91,22 +91,22 @@ def play(
     if record is not None:
         raise TonewoodError("records live playing; with a SCORE there is nothing to record", key="--record")
     keywords = common.reading(start, stop, transpose, tempo, tracks)
-    wanted, notes = level_name(level, gain_db=options.gain_db, limiter=limiter), read_score(score, **keywords)
-    if wanted == "LUFS":
+    level_kind, notes = level_name(level, gain_db=options.gain_db, limiter=limiter), read_score(score, **keywords)
+    if level_kind == "LUFS":
         raise TonewoodError("the loudness of live playing is not known before; calibrated or peak", key="--level")
     with common.dropped_notes_listed():
         bundle = common.load(instrument, settings, allow_code, strings)
-        if wanted == "peak":
+        if level_kind == "peak":
             options = options.at(gain_db=preview_gain(notes, bundle, options))
         renderer = Renderer(notes, bundle, options=options)
-    hold = Limiter(options.fs) if limiter or wanted == "peak" else None
+    hold = Limiter(options.fs) if limiter or level_kind == "peak" else None
     played = play_renderer(renderer, block_size=block or 1024, device=chosen, limiter=hold)
     summary = renderer.summary()
     seconds, warnings = played.frames / options.fs, list(summary.warnings)
     if played.clipped:
         warnings.append(f"{counted(played.clipped, 'sample')} clipped; lower --gain or use --limiter")
     if as_json:
-        level_of = {"level": wanted, "gain_db": options.gain_db}
+        level_of = {"level": level_kind, "gain_db": options.gain_db}
         report = {"duration_s": seconds, "underruns": played.underruns, "clipped": played.clipped}
         dropped = [asdict(drop) for drop in summary.notes_dropped]
         common.print_json(
@@ -116,4 +116,4 @@ def play(
     common.warn_of_kinds(warnings)
     common.warn_of_dropped(summary.notes_dropped)
     print(f"played {seconds:.2f} s, {played.underruns} underruns; {summary.realtime_factor:.1f} x real time")
-    print(f"  level {wanted}: {meaning(renderer.model.outputs, options.gain_db)}")
+    print(f"  level {level_kind}: {meaning(renderer.model.outputs, options.gain_db)}")

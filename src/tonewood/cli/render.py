@@ -185,7 +185,7 @@ def _render_one(
     bundle: Instrument,
     options: RenderOptions,
     form: _Form,
-    given: dict[str, Any],
+    keywords: dict[str, Any],
     stems: _Stems,
     began: float,
     *,
@@ -201,9 +201,9 @@ def _render_one(
     with common.dropped_notes_listed():
         renderer: Renderer | Replay
         if live:
-            renderer = Replay(score, bundle, options=options, channels=given["tracks"])
+            renderer = Replay(score, bundle, options=options, channels=keywords["tracks"])
         else:
-            music = read_score(score, **given)
+            music = read_score(score, **keywords)
             renderer = Renderer(music, bundle, options=options)
     by_string = assembled(bundle, options, by_string=True) if stems.by == "string" else None
     outputs = (by_string or renderer.model).outputs
@@ -214,7 +214,8 @@ def _render_one(
     try:
         with nullcontext() if stems.folder is None else stem_folder(stems.folder):
             if by_string is not None:
-                again = Renderer(read_score(score, **given), bundle, options=options.at(energy=False), model=by_string)
+                notes = read_score(score, **keywords)
+                again = Renderer(notes, bundle, options=options.at(energy=False), model=by_string)
                 write_string_stems(again, files, form.subtype, rendered.gain_db, renderer.summary().frames, tags)
             elif files:
                 write_output_stems(form.output, files, form.subtype, renderer, tags)
@@ -228,7 +229,7 @@ def _render_parts(
     players: list[EnsemblePart],
     options: RenderOptions,
     form: _Form,
-    given: dict[str, Any],
+    keywords: dict[str, Any],
     stems: Path | None,
     lines: list[str] | None,
     as_json: bool,
@@ -241,13 +242,13 @@ def _render_parts(
     if stems is not None:
         check_stem_folder(stems, parents=True)
     render_parts(
-        score, players, form.output, options, reading={k: v for k, v in given.items() if k != "tracks"},
+        score, players, form.output, options, reading={k: v for k, v in keywords.items() if k != "tracks"},
         subtype=form.subtype, level=form.level, target=form.target, stems=stems, as_json=as_json, left_out=lines,
     )  # fmt: skip
 
 
 def _players(
-    score: Path, given: dict[str, Any], parts: Sequence[str], ensemble: Path | None, programs: Path | None
+    score: Path, keywords: dict[str, Any], parts: Sequence[str], ensemble: Path | None, programs: Path | None
 ) -> tuple[list[EnsemblePart], list[str] | None]:
     """Parts and their instruments, from the command line, a file, or by their programs; then also lines to print."""
     from tonewood.performance.score.reading import read_score
@@ -259,7 +260,7 @@ def _players(
     if parts or ensemble is not None:
         return ([parse_part(text) for text in parts] if ensemble is None else read_ensemble(ensemble)), None
     table = read_programs(programs)
-    music = read_score(score, **given)
+    music = read_score(score, **keywords)
     return choose_players(music.parts, table, score)
 
 

@@ -76,8 +76,8 @@ def _facts_of(record: Any) -> dict[str, Any] | None:
     }
     rows = [
         {"name": name, "low": min(values), "high": max(values)}
-        for name, given in names.items()
-        if (values := [v for v in given if v is not None])
+        for name, figures in names.items()
+        if (values := [v for v in figures if v is not None])
     ]
     onset = record["manifest"].get("stimuli", {}).get("onset", {}).get("at", 0.010)
     return {"count": len(files), "fs": files[0]["fs"], "onset_ms": 1000 * onset, "rows": rows} if files else None

@@ -171,12 +171,12 @@ def driven_states(A: Floats, column: Floats, pieces: Sequence[Segment], dt: floa
             x = (over(edge - t) @ np.concatenate([x, [c[0], c[1], 2 * c[2]]]))[:size]
             t = edge
         out[step] = x
-    power, known = over(dt)[:size, :size], driven - 1
-    while known < n - 1:
+    power, last = over(dt)[:size, :size], driven - 1
+    while last < n - 1:
         # free motion, doubled: samples driven-1 .. known give those that follow
-        more = min(known - driven + 2, n - 1 - known)
-        out[known + 1 : known + 1 + more] = out[driven - 1 : driven - 1 + more] @ power.T
-        known += more
+        more = min(last - driven + 2, n - 1 - last)
+        out[last + 1 : last + 1 + more] = out[driven - 1 : driven - 1 + more] @ power.T
+        last += more
         power = power @ power
     return out
 

@@ -43,11 +43,11 @@ def selected(only: Sequence[str] | None) -> list[str]:
     if not only:
         return list(SYSTEMS)
     names = []
-    for wanted in only:
-        matches = [name for name in SYSTEMS if name.startswith(wanted)]
-        if not matches or not wanted:
+    for entry in only:
+        matches = [name for name in SYSTEMS if name.startswith(entry)]
+        if not matches or not entry:
             raise TonewoodError(
-                f"is {wanted!r}; there are {', '.join(SYSTEMS)}, or the beginning of these", key="--only"
+                f"is {entry!r}; there are {', '.join(SYSTEMS)}, or the beginning of these", key="--only"
             )
         names += [name for name in matches if name not in names]
     return names

@@ -58,9 +58,9 @@ def all_messages(error: ValidationError, model: type[BaseModel]) -> list[tuple[s
     answered = [f for f in faults if not _spelt_otherwise(f, faults)]
     places = {i: ".".join(_walk(f["loc"], model)[0]) for i, f in enumerate(answered)}
     groups: dict[str, list[Any]] = {}
-    for place in sorted(set(places.values()), key=len):
-        if not any(place.startswith(above + ".") for above in groups):
-            groups[place] = []
+    for path in sorted(set(places.values()), key=len):
+        if not any(path.startswith(above + ".") for above in groups):
+            groups[path] = []
     for i, fault in enumerate(answered):
         above = next(g for g in groups if places[i] == g or places[i].startswith(g + "."))
         groups[above].append(fault)

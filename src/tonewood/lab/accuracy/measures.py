@@ -92,11 +92,11 @@ def wave_errors(y: Floats, true: Floats, fs: float, partials: Complexes) -> Wave
     freq = rfftfreq(len(y), 1 / fs)
     weight = (2 * np.pi * freq) ** 2
     tiny = np.finfo(float).tiny
-    ours, wanted, wrong = (np.abs(rfft(signal * window)) * weight for signal in (y, true, error))
+    ours, theirs, wrong = (np.abs(rfft(signal * window)) * weight for signal in (y, true, error))
     band = np.digitize(freq, BANDS * 2 ** (-1 / 6))
     levels = [
         10 * np.log10(np.maximum(np.bincount(band, spectrum**2, len(BANDS) + 1)[1:], tiny))
-        for spectrum in (ours, wanted)
+        for spectrum in (ours, theirs)
     ]
     there = (0.45 * fs > BANDS * 2 ** (1 / 6)) & (levels[1] > levels[1].max() + BAND_FLOOR)
     true_freq = np.sort(np.concatenate([[0.0], np.abs(partials.imag) / (2 * np.pi), [1e12]]))
@@ -106,7 +106,7 @@ def wave_errors(y: Floats, true: Floats, fs: float, partials: Complexes) -> Wave
     return WaveErrors(
         float(sla.norm(error) / sla.norm(true)),
         float(np.sqrt(np.mean((levels[0] - levels[1])[there] ** 2))),
-        float(20 * np.log10(max(wrong[apart].max(), tiny) / wanted.max())) if apart.any() else np.nan,
+        float(20 * np.log10(max(wrong[apart].max(), tiny) / theirs.max())) if apart.any() else np.nan,
     )
 
 

@@ -166,12 +166,12 @@ def headlines(points: Sequence[Point], measure: Measure) -> list[Headline]:
     ours = usual(points, measure)
     if ours is None:
         return []
-    error, own = measure.of(ours), line(points, OURS, measure)
+    error, our_line = measure.of(ours), line(points, OURS, measure)
     out = []
     for method in dict.fromkeys(p.method for p in points if p.method != OURS and p.dial == DIAL):
         theirs = front(line(points, method, measure))
         reached = seconds_at(theirs, error)
-        at_best = seconds_at(own, theirs[-1][1]) if theirs else None
+        at_best = seconds_at(our_line, theirs[-1][1]) if theirs else None
         out.append(
             Headline(
                 method,

@@ -205,14 +205,14 @@ class ExplicitRun:
             )
             self._method.add_law(isinstance(one, Contact), numbers, one.offset)
         coef = np.stack([a.modes.omega2, 2 * a.modes.sigma, a.weights.sum(axis=0)])
-        for name, modes, place in self._layout.parts:
+        for name, modes, slots in self._layout.parts:
             which = [np.flatnonzero(rows[:, modes].any(axis=1)) for rows in (r, a.law, outs)]
             rigid, law, out = (
-                padded(rows[i][:, modes], place) for rows, i in zip((r, a.law, outs), which, strict=True)
+                padded(rows[i][:, modes], slots) for rows, i in zip((r, a.law, outs), which, strict=True)
             )
             links = [i.tolist() for i in which]
             tension = next((i for i, t in enumerate(scene.tensions) if name in t.components), -1)
-            self._method.add_part(place.start, tension, padded(coef[:, modes], place), rigid, law, out, *links)
+            self._method.add_part(slots.start, tension, padded(coef[:, modes], slots), rigid, law, out, *links)
         self._method.set_solve(np.ascontiguousarray(a.G), np.ascontiguousarray(r @ a.law.T))
         self.start()
 

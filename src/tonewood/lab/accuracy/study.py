@@ -214,19 +214,19 @@ def _others(case: LinearCase, real: LinearCase, quick: bool) -> Iterator[Make]:
 
 def _dials(case: LinearCase, quick: bool) -> Iterator[Make]:
     """Dials of this project at 48 kHz, one turned at a time."""
-    own, problem = partial(own_point, case, 48e3), case.problem()
+    point, problem = partial(own_point, case, 48e3), case.problem()
     for freq in (5e3, 10e3) if quick else (2.5e3, 5e3, 10e3, 15e3):
         value = f"strings solved to {freq / 1e3:.4g} kHz"
-        yield partial(own, problem=case.problem(freq), dial="modes", value=value)
+        yield partial(point, problem=case.problem(freq), dial="modes", value=value)
     for fold, named in ((True, "with"), (False, "without")):
         value = f"string modes above 10 kHz dropped, {named} their compliance"
-        yield partial(own, problem=_cut(problem, 10e3, fold), dial="residual", value=value)
+        yield partial(point, problem=_cut(problem, 10e3, fold), dial="residual", value=value)
     if case.string is not None:
         pluck = {"pluck": problem.components["string"].places["pluck"]}
         for fold, named in ((True, "with"), (False, "without")):
             basis = sliding_string(case.string, FREQ_UPPER, residual=fold).with_places(pluck)
             value = f"sliding cosines, {named} residual compliance"
-            yield partial(own, problem=exchanged(problem, "string", basis), dial="basis", value=value)
+            yield partial(point, problem=exchanged(problem, "string", basis), dial="basis", value=value)
 
 
 def exchanged(problem: Problem, name: str, basis: ModalBasis) -> Problem:

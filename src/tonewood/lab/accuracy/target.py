@@ -286,7 +286,7 @@ class _Search:
         base = Setting(standard, effects=self.effects)
         plain = [case.strokes(base.options) for case in self.cases]
         pairs = zip(self.cases, plain, strict=True)
-        nudged = Worst.of([case.errors(case.strokes(base.options, NUDGE), own) for case, own in pairs])
+        nudged = Worst.of([case.errors(case.strokes(base.options, NUDGE), strokes) for case, strokes in pairs])
         if self.target.excess(replace(nudged, waveform=0.0)) > SENSITIVE:
             self.factors = forces(STROKES)
         spent = sum(p.seconds * case.duration for p, case in zip(plain, self.cases, strict=True)) * len(self.factors)
@@ -326,7 +326,7 @@ class _Search:
 
     def _held_against(self, strokes: Sequence[Strokes]) -> Worst:
         triples = zip(self.cases, strokes, self.truths, strict=True)
-        return Worst.of([case.errors(own, truth) for case, own, truth in triples])
+        return Worst.of([case.errors(rendered, truth) for case, rendered, truth in triples])
 
     def _tried(self, reference: float) -> list[Tried]:
         """Settings from the lowest rate up, until well beyond the first that meets the target."""
@@ -394,4 +394,4 @@ class _Search:
         wider = {f"strings.{name}.freq_upper": min(2 * f, 1e5) for name, f in uppers.items()}
         rate = replace(base, oversampling=2 * base.oversampling)
         pairs = zip(self.cases, self._strokes(rate, wider), self._strokes(rate), strict=True)
-        return Worst.of([case.errors(wide, own) for case, wide, own in pairs])
+        return Worst.of([case.errors(wide, usual) for case, wide, usual in pairs])

@@ -57,15 +57,15 @@ def measure(tasks: Sequence[Task], repeats: int, tell: Tell = silent) -> list[Ti
     gc.disable()
     try:
         for done in range(1, repeats + 1):
-            for own, task in zip(spent, tasks, strict=True):
-                own.append(_once(task))
+            for times, task in zip(spent, tasks, strict=True):
+                times.append(_once(task))
             tell(done / repeats)
     finally:
         if collecting:
             gc.enable()
     return [
-        Timing(float(np.median(own)), float(np.quantile(own, 0.1)), float(np.quantile(own, 0.9)), repeats)
-        for own in spent
+        Timing(float(np.median(times)), float(np.quantile(times, 0.1)), float(np.quantile(times, 0.9)), repeats)
+        for times in spent
     ]
 
 

@@ -77,7 +77,7 @@ class Layout:
 
     def __init__(self, problem: Problem):
         pad, self.capacity = _methods.PADDING, 0
-        #: component, its modes in the problem, its place in the state
+        #: component, its modes in the problem, its slots in the state
         self.parts: list[tuple[str, slice, slice]] = []
         for name, modes in problem.starts.items():
             size = -(-(modes.stop - modes.start) // pad) * pad
@@ -87,20 +87,20 @@ class Layout:
     def put(self, numbers: Floats) -> Floats:
         """(k, capacity) from numbers (k, n) of the modes."""
         state = np.zeros((len(numbers), self.capacity))
-        for _, modes, place in self.parts:
-            state[:, place.start : place.start + modes.stop - modes.start] = numbers[:, modes]
+        for _, modes, slots in self.parts:
+            state[:, slots.start : slots.start + modes.stop - modes.start] = numbers[:, modes]
         return state
 
     def take(self, state: Floats) -> Floats:
         """Numbers (k, n) of the modes."""
         return np.concatenate(
-            [state[:, place.start : place.start + modes.stop - modes.start] for _, modes, place in self.parts], axis=1
+            [state[:, slots.start : slots.start + modes.stop - modes.start] for _, modes, slots in self.parts], axis=1
         )
 
 
-def padded(a: Floats, place: slice) -> Floats:
-    """With zeros to the size of a place in the last direction."""
-    out = np.zeros((*a.shape[:-1], place.stop - place.start))
+def padded(a: Floats, slots: slice) -> Floats:
+    """With zeros to the size of some slots in the last direction."""
+    out = np.zeros((*a.shape[:-1], slots.stop - slots.start))
     out[..., : a.shape[-1]] = a
     return out
 
@@ -116,17 +116,17 @@ class Runner:
         self._method = _methods.Method(
             s.rule, instruction_set(), capacity, m, channels, s.phases, s.lags, list(s.constants)
         )
-        for _, modes, place in self._layout.parts:
+        for _, modes, slots in self._layout.parts:
             links = np.flatnonzero(
                 s.reads[:, modes].any(axis=(1, 2)) | s.scatter[:, :, :, modes].any(axis=(0, 2, 3, 4))
             )
             outs = np.flatnonzero(s.outs[:, modes].any(axis=(1, 2)))
             self._method.add_part(
-                place.start,
-                padded(s.coef[:, modes], place),
-                padded(s.scatter[:, links][:, :, :, modes].swapaxes(-1, -2), place),
-                padded(s.reads[links][:, modes].swapaxes(-1, -2), place),
-                padded(s.outs[outs][:, modes].swapaxes(-1, -2), place),
+                slots.start,
+                padded(s.coef[:, modes], slots),
+                padded(s.scatter[:, links][:, :, :, modes].swapaxes(-1, -2), slots),
+                padded(s.reads[links][:, modes].swapaxes(-1, -2), slots),
+                padded(s.outs[outs][:, modes].swapaxes(-1, -2), slots),
                 links.tolist(),
                 outs.tolist(),
             )

@@ -98,12 +98,12 @@ def exact_impulse_response(system: Matrices, n: int) -> Floats:
 
 def rows() -> Iterator[Row]:
     """Table 1, coupled modes, waveform and spectrum in damping cases 1 and 2, block case."""
-    parts, given = subsystems(), bases()
+    parts, components = subsystems(), bases()
     for name, table in TABLE_1.items():
-        mpc = phase_collinearity(given[name].right)
+        mpc = phase_collinearity(components[name].right)
         for k, (freq, collinearity) in enumerate(table):
             source = "Fabre 2024, Table 1; the reconstruction was fitted to it"
-            freq_computed = given[name].natural_freq[k]
+            freq_computed = components[name].natural_freq[k]
             yield Row(
                 SYSTEM, f"{name} mode {k + 1} frequency (Hz)", source, freq, freq_computed, 0.005, kind="regression"
             )
@@ -154,7 +154,7 @@ def rows() -> Iterator[Row]:
         SYSTEM, "case 2 - case 1 at 1.452 Hz (dB)", source, exact_levels[1] - exact_levels[0], levels[1] - levels[0],
         1e-6,
     )  # fmt: skip
-    groups = {name: damping_groups(basis) for name, basis in given.items()}
+    groups = {name: damping_groups(basis) for name, basis in components.items()}
     # one group, all modes: the block case must give the body back
     joined = all(len(g) == 1 for g in groups.values())
     block = held_position(problem("block"), 1 / FS).poles()

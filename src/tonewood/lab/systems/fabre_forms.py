@@ -46,13 +46,13 @@ def proportional_problem() -> tuple[Problem, Matrices]:
 
 
 def _structural() -> Iterator[Row]:
-    given, system = problem(), whole(subsystems())
+    academic, system = problem(), whole(subsystems())
     n, dt = 4000, 1 / 400
     expected = assembled.free_motion(system, np.zeros(8), np.eye(8)[1] / system.M[1, 1], dt, n)[:, 7]
     motions = {}
     cases: tuple[tuple[str, str, Callable[[Problem], forms.Ode], Problem, Matrices], ...] = (
-        ("complex modes, general form", "Eqs 24-27", forms.general, given, system),
-        ("complex modes, compact form", "Eqs 28-32, A.4", forms.compact, given, system),
+        ("complex modes, general form", "Eqs 24-27", forms.general, academic, system),
+        ("complex modes, compact form", "Eqs 28-32, A.4", forms.compact, academic, system),
         ("real modes", "Eqs 11-12", forms.real, *proportional_problem()),
         ("complex form of real modes", "Eqs 24-27", forms.general, *proportional_problem()),
     )
@@ -79,18 +79,18 @@ def _structural() -> Iterator[Row]:
     error = pole_error(np.asarray(sla.eigvals(ode.F), dtype=np.complex128), assembled.poles(system))
     yield Row(SYSTEM, "physical matrices (Eqs 1-7): largest relative pole error", _BY_EIG, 0, error, 1e-11)
     b = 0.7  # m/s^2, an acceleration of the gap asked for by the constraint
-    at_joint = Problem(given.components, (JUNCTION,), given.inputs, JUNCTION.terms)
+    at_joint = Problem(academic.components, (JUNCTION,), academic.inputs, JUNCTION.terms)
     for name, form in (("general", forms.general), ("compact", forms.compact)):
         ode = form(at_joint)
         rate = ode.F @ np.ones(len(ode.F)) + ode.H[:, 0] * b
-        poles = np.concatenate([*(c.poles for c in given.components.values())] * 2)
+        poles = np.concatenate([*(c.poles for c in academic.components.values())] * 2)
         poles[len(poles) // 2 :] = poles[len(poles) // 2 :].conj()
         acceleration = float((ode.C.sum(axis=0) * poles @ rate).real)
         yield Row(
             SYSTEM, f"{name} form: acceleration of a driven gap (m/s^2)", "A y'' = b (Eq. 3)", b, acceleration, 1e-9
         )
 
-    basis, part = given.components["S2"], subsystems()["S2"]
+    basis, part = academic.components["S2"], subsystems()["S2"]
     inverse = sla.inv(part.M)
     from_modes = 2 * ((basis.right * basis.poles) @ basis.left.T).real
     error = misfit(from_modes, inverse)
@@ -163,8 +163,8 @@ def measured_body(pressure_form: Matrices) -> ModalBasis:
 def _redundant() -> Iterator[Row]:
     """Constraints stated more than once: the pseudo-inverse, and the same motion."""
     twice = Connection("again, thrice as much", tuple(Term(t.component, t.point, 3 * t.factor) for t in JUNCTION.terms))
-    given, system = problem(), whole(subsystems())
-    doubled = Problem(given.components, (JUNCTION, twice), given.inputs, given.outputs)
+    academic, system = problem(), whole(subsystems())
+    doubled = Problem(academic.components, (JUNCTION, twice), academic.inputs, academic.outputs)
     poles = np.asarray(sla.eigvals(forms.general(doubled).F), dtype=np.complex128)
     error = pole_error(poles, assembled.poles(system))
     yield Row(SYSTEM, "redundant constraint: poles, general form", _BY_EIG, 0, error, 1e-11)

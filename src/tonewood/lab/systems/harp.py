@@ -84,9 +84,9 @@ def rows() -> Iterator[Row]:
     )  # fmt: skip
     yield Row(SYSTEM, "separation criterion, all pairs, relative", "Fabre 2024, Eq. 39", 0, float(error), 1e-8)
     groups = damping_groups(body)
-    for k, (made, group) in enumerate(zip(FREQS, groups, strict=True)):
+    for k, (freqs, group) in enumerate(zip(FREQS, groups, strict=True)):
         quantity, source = f"group {k + 1} at threshold 0.2: modes", "the groups the stand-in was made of"
-        yield Row(SYSTEM, quantity, source, len(made), len(group), 0, kind="regression")
+        yield Row(SYSTEM, quantity, source, len(freqs), len(group), 0, kind="regression")
 
     n_modes, n_partials = 60, 8
     reference, plucked, tie = whole(n_modes - 1, matrices)

@@ -52,8 +52,8 @@ def harp_body_matrices(seed: int = SEED) -> tuple[Matrices, dict[str, Floats]]:
     n = omega.size
     mass = _MODAL_MASS * np.exp(rng.normal(0.0, 0.3, n))
     theta = rng.uniform(0.0, 2 * np.pi, n)
-    place = np.linspace(0.0, 1.0, N_STRINGS)
-    shapes = np.cos(np.pi * np.outer(place, np.arange(n) / 8) + theta) / np.sqrt(mass)
+    position = np.linspace(0.0, 1.0, N_STRINGS)
+    shapes = np.cos(np.pi * np.outer(position, np.arange(n) / 8) + theta) / np.sqrt(mass)
     C = np.diag(2 * _LIGHT_DAMPING * omega)
     start = 0
     for group in FREQS:

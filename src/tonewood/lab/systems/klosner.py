@@ -137,20 +137,20 @@ def _printed_modes() -> Iterator[Row]:
     unit = K_CHAIN / M_CHAIN
 
     def printed(
-        kind: str, i: int, modes: FixedBaseModes | FreeFreeModes, dof: int, given: Sequence[float]
+        kind: str, i: int, modes: FixedBaseModes | FreeFreeModes, dof: int, figures: Sequence[float]
     ) -> Iterator[Row]:
         first, other = modes.shapes[0, i], "second" if dof == 1 else "last"
         values = (modes.omega[i] ** 2 / unit, 1 / first**2 / M_CHAIN, modes.shapes[dof, i] / first)
         names = ("frequency squared / (k/m)", "modal mass / m", f"{other} over first component")
         source = f"{where} C ({'i' if dof == 1 else 'ii'})"
-        for name, reference, value in zip(names, given, values, strict=True):
+        for name, reference, value in zip(names, figures, values, strict=True):
             yield Row("klosner C", f"{kind} mode {i + 1}: {name}", source, reference, float(value), 1e-12)
 
-    for i, given in enumerate(((0.5, 6.0, 2.0), (2.0, 3.0, -1.0))):
-        yield from printed("fixed-base", i, fixed, 1, given)
+    for i, figures in enumerate(((0.5, 6.0, 2.0), (2.0, 3.0, -1.0))):
+        yield from printed("fixed-base", i, fixed, 1, figures)
     yield Row("klosner C", "constraint mode, last dof", f"{where} C (i)", 1.0, float(fixed.constraint[1, 0]), 1e-12)
-    for i, given in enumerate(((0.0, 3.0, 1.0), (1.5, 6.0, -2.0))):
-        yield from printed("free-free", i, free, 2, given)
+    for i, figures in enumerate(((0.0, 3.0, 1.0), (1.5, 6.0, -2.0))):
+        yield from printed("free-free", i, free, 2, figures)
     soft = free.shapes[0, 2]
     yield Row("klosner C", "massless mode: 1 / frequency", f"{where} C (ii)", 0.0, float(1 / free.omega[2]), 0.0)
     yield Row("klosner C", "massless mode: stiffness / k", f"{where} C (ii)", 2.0, float(soft**-2 / K_CHAIN), 1e-12)

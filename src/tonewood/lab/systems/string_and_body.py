@@ -123,8 +123,8 @@ def _weinreich() -> Iterator[Row]:
         if split > 2 * r:  # equal decay, two frequencies
             envelope = envelope[np.argsort(envelope.imag)]
             expected = expected[np.argsort(expected.imag)]
-        for k, (got, wanted) in enumerate(zip(envelope, expected, strict=True), start=1):
-            error = float(abs(got - wanted))
+        for k, (got, reference) in enumerate(zip(envelope, expected, strict=True), start=1):
+            error = float(abs(got - reference))
             source = "-r +- sqrt(r^2 - D^2/4)"
             yield Row("Weinreich pair", f"{name}: envelope pole {k}, distance (1/s)", source, 0, error, 0.01)
 

@@ -294,7 +294,7 @@ class MeasuredDesign:
 
     def _rates(self, i: int) -> list[Rate]:
         """Where and by which rate parameter i changes the dynamic stiffness of each part put on the body."""
-        free, found = self._free[i], []
+        free, rates = self._free[i], []
         for path, base in zip(free.paths, free.base, strict=True):
             _, _, number, key, *_ = [*path.split("."), ""]
             entry = self._made.spec.body.added[int(number)]
@@ -304,8 +304,8 @@ class MeasuredDesign:
                 raise BundleError(fault.reason, key=path) from None
             rate = (tuple((base if free.kind == "x" else 1.0) * x for x in top), below)
             massive = entry.mass > 0 and entry.frequency is None
-            found.append((entry.at, point_factor(int(number), entry, self._points), rate, massive))
-        return found
+            rates.append((entry.at, point_factor(int(number), entry, self._points), rate, massive))
+        return rates
 
     def _change(self, point: int, rates: Sequence[Rate], by: float) -> Any:
         """Change of a point's mobility, -Y_pa Y_ap z'(i omega) / i omega for each part."""

@@ -90,8 +90,8 @@ class DrawnResonances:
 
     def mobility(self, point: int, freq: Floats) -> Complexes:
         """(f,) m/s/N: i omega (sum phi^2 / (omega_k^2 - omega^2 + i omega omega_k eta_k) + R)."""
-        w, own = 2 * np.pi * freq[:, None], 2 * np.pi * self.modes.freq
-        receptance = self.modes.shapes[point] ** 2 / (own**2 - w**2 + 1j * w * own * self.modes.loss)
+        w, omega = 2 * np.pi * freq[:, None], 2 * np.pi * self.modes.freq
+        receptance = self.modes.shapes[point] ** 2 / (omega**2 - w**2 + 1j * w * omega * self.modes.loss)
         return np.asarray(1j * w[:, 0] * (receptance.sum(axis=1) + self.modes.residual[point, point]))
 
 
@@ -114,7 +114,7 @@ class StringEnd:
 
 def string_ends(instrument: Instrument) -> list[StringEnd]:
     """Strings of uniform mass that end on the body, by their first polarization."""
-    found, names = [], list(instrument.body.points())
+    ends, names = [], list(instrument.body.points())
     count = instrument.spec.stops.count
     for name, part in instrument.spec.strings.items():
         string = instrument.resonators[name]
@@ -122,8 +122,8 @@ def string_ends(instrument: Instrument) -> list[StringEnd]:
         if part.body_points and string.linear_density > 0:
             product = string.linear_density * string.length * pitch
             high = pitch * 2 ** (count / 12)
-            found.append(StringEnd(name, names.index(part.body_points[0]), product, pitch, high))
-    return found
+            ends.append(StringEnd(name, names.index(part.body_points[0]), product, pitch, high))
+    return ends
 
 
 def figures(
@@ -136,32 +136,32 @@ def figures(
     return np.array([_figure(target, resonances, points, ends) for target in targets])
 
 
-def _figure(target: Target, found: Resonances, points: Sequence[str], ends: Sequence[StringEnd]) -> float:
+def _figure(target: Target, resonances: Resonances, points: Sequence[str], ends: Sequence[StringEnd]) -> float:
     if target.kind == "mass":
-        if found.mass is None:
+        if resonances.mass is None:
             raise TonewoodError(f"{target.text!r}: the mass of a measured body is not known", key="targets")
-        return found.mass
+        return resonances.mass
     if target.kind == "mobility":
         freq = np.geomspace(*target.band, _POINTS)
-        return float(np.mean(20 * np.log10(np.abs(found.mobility(points.index(target.at), freq)))))
+        return float(np.mean(20 * np.log10(np.abs(resonances.mobility(points.index(target.at), freq)))))
     if target.kind == "wolf":
-        return worst_wolf(found, ends, target.band)
-    moves = np.flatnonzero(found.freq > _RIGID * found.freq[:4].max(initial=0.0))
-    modes = {str(k + 1): int(mode) for k, mode in enumerate(moves)} | dict(found.named)
+        return worst_wolf(resonances, ends, target.band)
+    moves = np.flatnonzero(resonances.freq > _RIGID * resonances.freq[:4].max(initial=0.0))
+    modes = {str(k + 1): int(mode) for k, mode in enumerate(moves)} | dict(resonances.named)
     if target.mode not in modes:
-        named = ", ".join(found.named) or "none has a name"
+        named = ", ".join(resonances.named) or "none has a name"
         raise TonewoodError(
             f"{target.text!r}: this body has no such mode; of {len(moves)} modes looked at, {named}: "
             "`mode N` counts them",
             key="targets",
         )
-    return float(found.freq[modes[target.mode]])
+    return float(resonances.freq[modes[target.mode]])
 
 
-def worst_wolf(found: Resonances, ends: Sequence[StringEnd], band: tuple[float, float]) -> float:
+def worst_wolf(resonances: Resonances, ends: Sequence[StringEnd], band: tuple[float, float]) -> float:
     """Figure of the module's first lines, cents; -1200 where no mode comes near."""
     worst = -1200.0
-    freq, quality, squares = found.freq, found.quality, found.squares
+    freq, quality, squares = resonances.freq, resonances.quality, resonances.squares
     for end in ends:
         low, high = max(band[0], end.low * 2 ** (-1 / 24)), min(band[1], end.high * 2 ** (1 / 24))
         near = np.flatnonzero((freq > low / 2) & (freq < 2 * high))

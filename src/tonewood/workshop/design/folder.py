@@ -35,14 +35,14 @@ def write_design(design: FoundDesign, folder: Path) -> Instrument:
 
     Raises OutputError : the folder cannot be written; nothing stays behind.
     """
-    made = design.instrument
-    note = f"found by tonewood design from {made.name}"
+    instrument = design.instrument
+    note = f"found by tonewood design from {instrument.name}"
     notes = {path: note for parameter in design.free for path in parameter.paths}
-    title = f"{made.spec.title}, changed for {'; '.join(t.text for t in design.targets)}"
-    return write_changed(made, folder, title, notes)
+    title = f"{instrument.spec.title}, changed for {'; '.join(t.text for t in design.targets)}"
+    return write_changed(instrument, folder, title, notes)
 
 
-def write_changed(made: Instrument, folder: Path, title: str, notes: Mapping[str, str]) -> Instrument:
+def write_changed(instrument: Instrument, folder: Path, title: str, notes: Mapping[str, str]) -> Instrument:
     """Write a bundle of a changed instrument; changed values become authored, others keep their origin.
 
     folder : to make; its last part is the instrument's name.
@@ -52,16 +52,16 @@ def write_changed(made: Instrument, folder: Path, title: str, notes: Mapping[str
     Raises OutputError : the folder is there already or cannot be written; nothing stays behind.
     """
     check_folder(folder)
-    if made.granted:
+    if instrument.granted:
         raise BundleError("a scale outside of the bundle: copy it into the bundle's folder first", key="tuning")
-    values = {k: v for k, v in made.resolved.items() if v is not None}
+    values = {k: v for k, v in instrument.resolved.items() if v is not None}
     values |= {"name": folder.name, "title": title[:200]}
     authored = {path: {"kind": "authored", "note": note[:300]} for path, note in notes.items()}
     values["provenance"] = {**values.get("provenance", {}), **authored}
     try:
-        shutil.copytree(made.folder, folder, ignore=shutil.ignore_patterns(MANIFEST, "__pycache__"))
+        shutil.copytree(instrument.folder, folder, ignore=shutil.ignore_patterns(MANIFEST, "__pycache__"))
         write_whole(folder / MANIFEST, _yaml(values))
-        return Instrument.load(folder, allow_code=made.allow_code)
+        return Instrument.load(folder, allow_code=instrument.allow_code)
     except BaseException as fault:
         with suppress(OSError):
             shutil.rmtree(folder)

@@ -128,8 +128,8 @@ class _Search:
         self._at: tuple[bytes, Resonances] | None = None
         self._rates: tuple[bytes, Floats] | None = None
 
-    def _figures(self, found: Resonances) -> Floats:
-        return figures(self.targets, found, self.points, self.ends)
+    def _figures(self, resonances: Resonances) -> Floats:
+        return figures(self.targets, resonances, self.points, self.ends)
 
     def _resonances(self, values: Floats) -> Resonances:
         if self._at is None or self._at[0] != values.tobytes():
@@ -227,11 +227,11 @@ class _Search:
             raise TonewoodError("is no drawn and no measured body", key="body")
         modes: BodyModes = drawn(np.inf)
         mass = float(modes.masses.sum()) + sum(e.mass for e in instrument.spec.body.added)
-        own = LowModes(modes.freq, modes.loss, modes.shapes, modes.residual, mass, modes.named())
+        low = LowModes(modes.freq, modes.loss, modes.shapes, modes.residual, mass, modes.named())
         if not instrument.spec.body.added:
-            return DrawnResonances(own)
+            return DrawnResonances(low)
         basis = body_parts(instrument.spec.body.added, instrument.body.basis(np.inf), instrument.body.points()).body
-        return with_parts(basis, mass, own)
+        return with_parts(basis, mass, low)
 
 
 def _value(parameter: Free, instrument: Instrument) -> float:
@@ -253,7 +253,7 @@ def slope(target: Target, figure: float) -> float:
 class _Named:
     """Resonances with other names."""
 
-    def __init__(self, found: Resonances, named: dict[str, int]):
-        self._found, self.named = found, named
-        self.freq, self.quality, self.squares, self.mass = found.freq, found.quality, found.squares, found.mass
-        self.mobility = found.mobility
+    def __init__(self, resonances: Resonances, named: dict[str, int]):
+        self._found, self.named = resonances, named
+        self.freq, self.quality, self.squares = resonances.freq, resonances.quality, resonances.squares
+        self.mass, self.mobility = resonances.mass, resonances.mobility

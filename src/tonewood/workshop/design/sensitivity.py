@@ -82,13 +82,13 @@ def _points(instrument: Instrument) -> list[str]:
 
 def _dimensions(instrument: Instrument) -> Sequence[str]:
     """Keys of thicknesses and heights."""
-    body, found = instrument.resolved["body"], []
+    body, paths = instrument.resolved["body"], []
     for key, part in (("body", body), ("body.back", body.get("back"))):
         if isinstance(part, dict):
             if isinstance(part.get("thickness"), float):
-                found.append(f"{key}.thickness")
-            found += [f"{key}.braces.{name}.height" for name in part.get("braces") or {}]
-    return [*found, *(["body.bridge.height"] if body.get("bridge") else [])]
+                paths.append(f"{key}.thickness")
+            paths += [f"{key}.braces.{name}.height" for name in part.get("braces") or {}]
+    return [*paths, *(["body.bridge.height"] if body.get("bridge") else [])]
 
 
 def _rates(body: MeasuredDesign, i: int) -> Floats:
@@ -96,10 +96,10 @@ def _rates(body: MeasuredDesign, i: int) -> Floats:
     return np.asarray((more.freq - less.freq) / (2 * step))
 
 
-def words(found: Sensitivity) -> list[str]:
+def words(result: Sensitivity) -> list[str]:
     """A table: a row for each change, a column for each mode."""
-    heads = ["cents of each mode", *(f"{n} {f:.0f} Hz" for n, f in zip(found.labels, found.freq, strict=True))]
-    rows = [[name, *(f"{x:+.1f}" for x in cents)] for name, cents in found.rows.items()]
+    heads = ["cents of each mode", *(f"{n} {f:.0f} Hz" for n, f in zip(result.labels, result.freq, strict=True))]
+    rows = [[name, *(f"{x:+.1f}" for x in cents)] for name, cents in result.rows.items()]
     wide = [max(len(row[k]) for row in [heads, *rows]) for k in range(len(heads))]
     table = [[row[0].ljust(wide[0]), *map(str.rjust, row[1:], wide[1:])] for row in [heads, *rows]]
-    return [*("  ".join(row) for row in table), "; ".join(found.remarks)]
+    return [*("  ".join(row) for row in table), "; ".join(result.remarks)]

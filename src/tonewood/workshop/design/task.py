@@ -211,8 +211,8 @@ def parse_free(lines: Mapping[str, str], instrument: Instrument) -> list[Free]:
 
 def _under(path: str, pattern: str) -> bool:
     """Whether a path is one that a pattern means, or below it."""
-    words, wanted = path.split("."), pattern.split(".")
-    return len(words) >= len(wanted) and all(map(fnmatchcase, words, wanted))
+    words, pattern_words = path.split("."), pattern.split(".")
+    return len(words) >= len(pattern_words) and all(map(fnmatchcase, words, pattern_words))
 
 
 def _leaves(value: Any, path: str) -> Iterator[tuple[str, float]]:

@@ -93,8 +93,8 @@ def lines(design: FoundDesign) -> Sequence[str]:
         out.append(f"  {parameter.name}: {shown(parameter, before)} to {shown(parameter, value)}  ({bounds})")
     out.append("targets: now, designed, by full computations")
     rows = zip(design.targets, design.given, design.reached, design.off, strict=True)
-    for target, given, reached, off in rows:
-        words = f"{figure_words(target, given)} to {figure_words(target, reached)}"
+    for target, present, reached, off in rows:
+        words = f"{figure_words(target, present)} to {figure_words(target, reached)}"
         out.append(f"  {target.text}: {words}; {off_words(target, off)}")
     if design.free:
         out.append("what a tenth of each parameter's range does, at the design")

@@ -144,8 +144,8 @@ def with_laws(figures: Figures, values: Mapping[str, Floats], bending: Mapping[s
     """
     laws, stiff = dict(figures.laws), dict(figures.bending)
     pitch = {name: stage.open_note(name) for name in laws}
-    for known, new in ((values, True), (bending, False)):
-        measured = sorted((name for name in known if name in laws), key=pitch.__getitem__)
+    for table, new in ((values, True), (bending, False)):
+        measured = sorted((name for name in table if name in laws), key=pitch.__getitem__)
         if not measured:
             continue
         at = np.array([pitch[name] for name in measured])

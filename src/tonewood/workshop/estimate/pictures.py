@@ -37,14 +37,14 @@ def spectrograms(name: str, sounds: Mapping[str, Floats]) -> Picture:
     """Spectrograms of one note, a row each, re the loudest of all."""
     rows = {label: spectrogram(x[:, None], FS, columns=400, freq_upper=_TOP) for label, x in sounds.items()}
     top = max(float(level.max()) for _, _, level in rows.values())
-    made, axes = figure(len(rows), heights=[2.4] * len(rows), sharex=True)
+    chart, axes = figure(len(rows), heights=[2.4] * len(rows), sharex=True)
     shown: Any = None
     for ax, (label, (time, freq, level)) in zip(axes[:, 0], rows.items(), strict=True):
         shown = draw_spectrogram(ax, time, freq, level - top, floor_db=-_RANGE)
         title(ax, label)
     axes[-1, 0].set(xlabel="time, s")
-    colour_bar(made, shown, axes[:, 0], "level, dB")
-    return Picture(data_uri(png(made, 72), "image/png"), f"Spectrograms of {name}: {', '.join(sounds)}")
+    colour_bar(chart, shown, axes[:, 0], "level, dB")
+    return Picture(data_uri(png(chart, 72), "image/png"), f"Spectrograms of {name}: {', '.join(sounds)}")
 
 
 def rates_picture(estimate: Estimate, strings: Sequence[str]) -> Picture | None:
@@ -54,7 +54,7 @@ def rates_picture(estimate: Estimate, strings: Sequence[str]) -> Picture | None:
         return None
     rows = -(-len(drawn) // 2)
     columns = min(len(drawn), 2)
-    made, axes = figure(rows, columns, heights=[3.0] * rows, sharex=True, sharey=True)
+    chart, axes = figure(rows, columns, heights=[3.0] * rows, sharex=True, sharey=True)
     for ax in axes.ravel()[len(drawn) :]:
         ax.set_axis_off()
     freq = np.geomspace(150.0, 9000.0, 60)
@@ -74,19 +74,20 @@ def rates_picture(estimate: Estimate, strings: Sequence[str]) -> Picture | None:
             ax.set_ylabel("decay rate, 1/s")
         if k >= len(drawn) - columns:
             ax.set_xlabel("frequency, Hz")
-    legend_above(made, axes[0, 0])
-    return Picture(data_uri(svg(made), "image/svg+xml"), "Decay rates of partials over frequency, by string")
+    legend_above(chart, axes[0, 0])
+    return Picture(data_uri(svg(chart), "image/svg+xml"), "Decay rates of partials over frequency, by string")
 
 
 def gain_picture(estimate: Estimate) -> Picture:
     """Gain of the first output, with its interval."""
     name, curve = next(iter(estimate.figures.gains.items()))
-    made, axes = figure(heights=[3.6])
+    chart, axes = figure(heights=[3.6])
     ax = axes[0, 0]
     half = (estimate.gain_interval[1] - estimate.gain_interval[0]) / 2
     ax.fill_between(gain.KNOTS, curve - half, curve + half, color=COLOURS[0], alpha=0.25, lw=0, label="90 %")
     ax.plot(gain.KNOTS, curve, "o-", color=COLOURS[0], lw=LINE, ms=5, label=plain(name))
     frequency_axis(ax, float(gain.KNOTS[0]), float(gain.KNOTS[-1]))
     ax.set(xlabel="frequency, Hz", ylabel="gain, dB")
-    legend_above(made, ax)
-    return Picture(data_uri(svg(made), "image/svg+xml"), f"Gain of {name} over frequency, re the instrument begun with")
+    legend_above(chart, ax)
+    alt = f"Gain of {name} over frequency, re the instrument begun with"
+    return Picture(data_uri(svg(chart), "image/svg+xml"), alt)

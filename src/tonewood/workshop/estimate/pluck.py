@@ -138,8 +138,8 @@ def scaled_forces(forces: tuple[float, float], ratio: float) -> tuple[float, flo
     return float(middle / half), float(middle * half)
 
 
-def edge_for(edges: Floats, changes: Floats, wanted: float) -> float:
-    """Edge (m) whose change of brightness from soft to loud is nearest to the wanted one, between those tried."""
+def edge_for(edges: Floats, changes: Floats, change: float) -> float:
+    """Edge (m) whose change of brightness from soft to loud is nearest to `change`, between those tried."""
     grid = np.geomspace(edges[0], edges[-1], 200)
     between = np.interp(np.log(grid), np.log(edges), changes)
-    return float(grid[np.argmin(np.abs(between - wanted))])
+    return float(grid[np.argmin(np.abs(between - change))])

@@ -131,8 +131,8 @@ class Search:
         The range of forces is that of the recorded peaks, unless these were normalised. Of several edges, each rendered
         with both strokes, the one that brightens as much; without pairs an edge trades with the gain and stays.
         """
-        wanted, strokes = pluck.louder(notes, recorded), pluck.pairs(notes)
-        if wanted is None or figures.edge is None:
+        louder, strokes = pluck.louder(notes, recorded), pluck.pairs(notes)
+        if louder is None or figures.edge is None:
             return figures
         strokes = tuple(replace(p, recording=_shortened(p.recording)) for p in strokes)
 
@@ -141,12 +141,12 @@ class Search:
             assert change is not None, "the rendered strokes are those of the recorded pairs"
             return change
 
-        if figures.forces is not None and np.isfinite(wanted.peak):
-            ratio = float(np.clip(wanted.peak / changes(figures).peak, 1 / _MOST_RANGE, _MOST_RANGE))
+        if figures.forces is not None and np.isfinite(louder.peak):
+            ratio = float(np.clip(louder.peak / changes(figures).peak, 1 / _MOST_RANGE, _MOST_RANGE))
             figures = replace(figures, forces=pluck.scaled_forces(figures.forces, ratio))
         edges = float(figures.edge or 0.0) * EDGES
         bright = np.array([changes(replace(figures, edge=float(edge))).bright for edge in edges])
-        return replace(figures, edge=pluck.edge_for(edges, bright, wanted.bright))
+        return replace(figures, edge=pluck.edge_for(edges, bright, louder.bright))
 
     def _modes(
         self, figures: Figures, recorded: Sequence[NoteAnalysis], now: Sequence[NoteAnalysis]
@@ -155,8 +155,8 @@ class Search:
         out = dict(figures.modes)
         if not len(self.body_table):
             return out
-        wanted, heard = (self.body_modes(rows) for rows in (recorded, now))
-        for mode in wanted:
+        modes, heard = (self.body_modes(rows) for rows in (recorded, now))
+        for mode in modes:
             pair = min(heard, key=lambda other: abs(np.log(other.freq / mode.freq)), default=None)
             if pair is None or not 1 / _PAIR < mode.freq / pair.freq < _PAIR:
                 continue

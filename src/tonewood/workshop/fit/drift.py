@@ -68,10 +68,10 @@ class Spectra:
         variance = uniform_filter1d(np.mean(np.abs(left) ** 2, axis=0), _SMOOTHED, axis=-1, mode="mirror")
         weight = 1 / np.maximum(variance, 1e-12 * variance.max() + 1e-300)
         column = -self.force[:, None] * self.freq * slope / power
-        by, wanted, w = column[..., bins], left[..., bins], weight[..., bins]
+        by, target, w = column[..., bins], left[..., bins], weight[..., bins]
         length = np.maximum(np.sum(w * np.abs(by) ** 2, axis=(1, 2)), 1e-300)
-        slopes = np.sum(w * (by.conj() * wanted).real, axis=(1, 2)) / length
-        misfit = wanted - slopes[:, None, None] * by
+        slopes = np.sum(w * (by.conj() * target).real, axis=(1, 2)) / length
+        misfit = target - slopes[:, None, None] * by
         per_bin = np.mean(w * np.abs(misfit) ** 2, axis=(1, 2)) / 2
         return slopes, np.sqrt(per_bin / length)
 

@@ -300,13 +300,12 @@ def _uff(path: Path) -> ResponseTable:
     return ResponseTable(freq, rows, coherence, form, _missing_nodes(path, data_sets, responses))
 
 
-def _missing_nodes(path: Path, given: Any, responses: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+def _missing_nodes(path: Path, data_sets: Any, responses: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """Say which nodes have no response: of the geometry (data set 15), else in the row of their numbers."""
     moved, driven = ({int(x[f"{end}_node"]) for x in responses} for end in _ENDS)
     nodes = moved if len(moved) >= len(driven) else driven
-    listed = {
-        int(n) for x in (given if isinstance(given, list) else [given]) if x["type"] == 15 for n in x["node_nums"]
-    }
+    sets = data_sets if isinstance(data_sets, list) else [data_sets]
+    listed = {int(n) for x in sets if x["type"] == 15 for n in x["node_nums"]}
     missing = sorted((listed or set(range(min(nodes), max(nodes) + 1))) - nodes)
     if not missing or len(missing) > len(nodes):
         return ()
@@ -338,9 +337,9 @@ def _bounds(line: bytes) -> bool:
     return len(before) <= 4 or not all(32 <= byte < 127 for byte in before)
 
 
-def _uff_units(given: Any) -> tuple[float, float]:
+def _uff_units(data_sets: Any) -> tuple[float, float]:
     """Units of force and length of the file per SI unit (data set 164); 1 where it does not say."""
-    for x in given if isinstance(given, list) else [given]:
+    for x in data_sets if isinstance(data_sets, list) else [data_sets]:
         if x["type"] == 164:
             return float(x["force"]), float(x["length"])
     return 1.0, 1.0

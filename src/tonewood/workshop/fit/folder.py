@@ -206,6 +206,6 @@ def _matrix(rows: list[list[float]]) -> str:
     return "[" + ", ".join("[" + ", ".join(repr(x) for x in row) + "]" for row in rows) + "]"
 
 
-def _place(place: MeasuredPoint) -> str:
-    shown = place.direction if isinstance(place.direction, str) else f"[{', '.join(map(repr, place.direction))}]"
-    return f"{{direction: {shown}{'' if place.u is None else f', u: {place.u!r}'}}}"
+def _place(point: MeasuredPoint) -> str:
+    shown = point.direction if isinstance(point.direction, str) else f"[{', '.join(map(repr, point.direction))}]"
+    return f"{{direction: {shown}{'' if point.u is None else f', u: {point.u!r}'}}}"

@@ -40,7 +40,7 @@ _REACHED = 10.0
 TURNED = 30.0
 #: difference of two kinds of damping, chi-squared per number measured, below which real residues decide
 _CLOSE = 0.05
-#: Q at which a wanted mode begins, and distance (of ln f) up to which a mode is the wanted one
+#: Q at which a required mode begins, and distance (of ln f) up to which a mode is the required one
 _Q_WANTED, _NEAR = 50.0, 0.03
 
 
@@ -126,7 +126,7 @@ def identify(
     shape : rows that are driving points, number of points, and residual terms.
     sigma : (P, N) standard deviation of the complex error; None if not known.
     damping : viscous, structural, or auto: the one that needs fewer modes for a better fit.
-    keep, drop : Hz, where a mode has to be, whatever it gains, and where none is wanted.
+    keep, drop : Hz, where a mode has to be, whatever it gains, and where none may be.
     least_error : of a model, re the response, below which no mode is sought: what is not linear must not become modes.
     tell : called after each iteration of the search.
 
@@ -160,7 +160,7 @@ def identify(
     if shape.driving and len(orders) == 2 and np.ptp([order.total(least_allowed) for order in orders]) < _CLOSE * bins:
         best = min(orders, key=lambda order: order.total_of_real(least_allowed))
     data, shape, start, lines = best.weighed(best.allowed), best.shape, best.poles, best.lines
-    wanted = Poles.at(keep, np.full(len(keep), _Q_WANTED))
+    required = Poles.at(keep, np.full(len(keep), _Q_WANTED))
     for f in drop:
         if not any(abs(np.log(start.freq[i] / f)) < _reach(start, i) for i in range(len(start))):
             near = start.freq[np.argmin(np.abs(np.log(start.freq / f)))]
@@ -176,7 +176,7 @@ def identify(
     data = replace(data, sigma=level).without(lines) if lines else replace(data, sigma=level)
     bent = Projection(data, shape)
     idle: list[float] = []
-    start = _fixed(bent, pruned(bent, descend(bent, start, 20, 1e-7)[0])[0], wanted, drop, idle)
+    start = _fixed(bent, pruned(bent, descend(bent, start, 20, 1e-7)[0])[0], required, drop, idle)
     start, solution = descend(bent, start, 20, 1e-8)
     turned = float(np.median(solution.chi2[:, len(start) : 2 * len(start)].mean(axis=0)))
     real, poles = Projection(data, replace(shape, complex=False)), start
@@ -186,7 +186,7 @@ def identify(
         if driven:
             poles = without_negative(real, poles)
         else:
-            poles = _fixed(real, straightened(data, real.shape, poles)[1], wanted, drop, [])
+            poles = _fixed(real, straightened(data, real.shape, poles)[1], required, drop, [])
             poles, _ = descend(real, poles, 20, 1e-8)
         if (fewer := _without_idle_edges(real, poles)) == real.shape:
             break
@@ -285,14 +285,14 @@ def _reach(poles: Poles, i: int) -> float:
     return float(max(_NEAR, 0.5 / poles.quality[i]))
 
 
-def _fixed(problem: Projection, poles: Poles, wanted: Poles, drop: Sequence[float], idle: list[float]) -> Poles:
-    """Modes less those dropped and those whose absence nobody would see (noted in `idle`), with those wanted."""
+def _fixed(problem: Projection, poles: Poles, required: Poles, drop: Sequence[float], idle: list[float]) -> Poles:
+    """Modes less those dropped and those whose absence nobody would see (noted in `idle`), with those `required`."""
     gone = [i for i in range(len(poles)) if any(abs(np.log(poles.freq[i] / f)) < _reach(poles, i) for f in drop)]
     poles = descend(problem, poles.without(gone), 6, 1e-6)[0] if gone else poles
-    while len(weak := inaudible(problem, poles, wanted.freq)):
+    while len(weak := inaudible(problem, poles, required.freq)):
         idle += [float(f) for f in poles.freq[weak] if problem.data.freq[0] < f < problem.data.freq[-1]]
         poles = descend(problem, poles.without(weak.tolist()), 6, 1e-6)[0]
-    missing = [f for f in wanted.freq if not len(poles) or np.abs(np.log(poles.freq / f)).min() > _NEAR]
+    missing = [f for f in required.freq if not len(poles) or np.abs(np.log(poles.freq / f)).min() > _NEAR]
     if missing:
         poles = descend(problem, poles.joined(Poles.at(missing, [_Q_WANTED] * len(missing))), 12, 1e-6)[0]
     return poles

@@ -77,10 +77,10 @@ def _two_parts(power: Floats, size: Floats) -> Floats:
         # most groups agree on two numbers; the one of sharp peaks may be far above them
         columns, weight = np.stack([np.ones(at.size), at / max(at.max(), 1e-300)], axis=1), 1 / level
         for _ in range(_ROUNDS):
-            found, _ = nnls(columns * weight[:, None], level * weight)
-            fitted = np.maximum(columns @ found, 1e-12 * level.max() + 1e-300)
+            shares, _ = nnls(columns * weight[:, None], level * weight)
+            fitted = np.maximum(columns @ shares, 1e-12 * level.max() + 1e-300)
             weight = 1 / (fitted * np.maximum(1.0, np.abs(level / fitted - 1) / _AGREE))
-        out[p] = np.maximum(found[0] + found[1] * square / max(at.max(), 1e-300), 1e-12 * level.max() + 1e-300)
+        out[p] = np.maximum(shares[0] + shares[1] * square / max(at.max(), 1e-300), 1e-12 * level.max() + 1e-300)
     return out
 
 

@@ -263,18 +263,18 @@ class Projection:
             out.normal, out.gradient = np.zeros((2 * k, 2 * k)), np.zeros(2 * k)
         for p, (y, weight) in enumerate(zip(self.data.mobility, self._weight, strict=True)):
             flat = np.ascontiguousarray(stack * weight).view(np.float64)
-            wanted = np.ascontiguousarray(y * weight).view(np.float64)
+            target = np.ascontiguousarray(y * weight).view(np.float64)
             length = np.maximum(np.sqrt(np.einsum("ij,ij->i", flat[:n], flat[:n])), 1e-150)
             # an orthogonal basis: normal equations of modes that overlap leave rounding of what the slopes add
             columns = np.vstack([flat[:n].T / length, np.sqrt(_RIDGE) * np.eye(n)])
             basis, triangle = sla.qr(columns, mode="economic", overwrite_a=True, check_finite=False)
             inverse = sla.solve_triangular(triangle, np.eye(n), check_finite=False)
-            wanted = np.append(wanted, np.zeros(n))
-            seen = basis.T @ wanted
-            c, own = inverse @ seen, np.einsum("ij,ij->i", inverse, inverse)
-            left = wanted - basis @ seen
+            target = np.append(target, np.zeros(n))
+            seen = basis.T @ target
+            c, variance = inverse @ seen, np.einsum("ij,ij->i", inverse, inverse)
+            left = target - basis @ seen
             out.cost += float(left @ left)
-            out.residues[p], out.chi2[p] = c / length, c**2 / own
+            out.residues[p], out.chi2[p] = c / length, c**2 / variance
             if not slopes:
                 continue
             # slopes of the model in ln w, ln zeta: slopes of columns times residues
@@ -285,7 +285,7 @@ class Projection:
             beside = slope - within @ basis.T
             out.normal += beside @ beside.T
             out.gradient += beside @ left
-            out.follows.append(((inverse @ within.T) / length[:, None], own / length**2))
+            out.follows.append(((inverse @ within.T) / length[:, None], variance / length**2))
         return out
 
     def model(self, poles: Poles, residues: Floats) -> Complexes:
@@ -300,6 +300,6 @@ class Projection:
         """Standard deviations of ln w, ln zeta, (K,), and residues, (P, n), from the information matrix."""
         solution = self.solve(poles, slopes=True)
         covariance = sla.pinvh(solution.normal, rtol=1e-12)
-        variances = [own + np.einsum("ij,jk,ik->i", f, covariance, f) for f, own in solution.follows]
+        variances = [variance + np.einsum("ij,jk,ik->i", f, covariance, f) for f, variance in solution.follows]
         deviation, k = np.sqrt(np.maximum(np.diag(covariance), 0.0)), len(poles)
         return deviation[:k], deviation[k:], np.sqrt(np.maximum(variances, 0.0))

@@ -134,7 +134,7 @@ def fit_radiation(
     split = sla.pinv(by_place) @ residues.reshape(len(channels), u.size, k)
     moment = split[:, 1] if u.size > 1 else np.zeros_like(split[:, 0])
     bank = FittedRadiation(channels, pole, low_cut, split[:, 0], moment, np.zeros((0, 0)))
-    each = [bank.pressure(responses.freq, place, responses.alpha) for place in u]
+    each = [bank.pressure(responses.freq, position, responses.alpha) for position in u]
     fitted = np.array([each[r][c] for c in range(len(channels)) for r in range(u.size)])
     error = np.asarray(20 * np.log10(np.abs(fitted) / np.maximum(np.abs(measured), 1e-300)))
     return replace(bank, error_db=error)

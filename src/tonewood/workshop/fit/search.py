@@ -142,14 +142,14 @@ def _around(problem: Projection, poles: Poles, residues: Floats, mine: NDArray[n
     return Projection(problem.data.cut(start, stop, residues[:, rows] @ columns), problem.shape)
 
 
-def prices(problem: Projection, poles: Poles, found: LinearFit) -> Floats:
+def prices(problem: Projection, poles: Poles, solution: LinearFit) -> Floats:
     """(K,) chi-squared that each mode has to gain: the price, times the misfit per number around it if above 1.
 
     Where no number of modes reaches the noise, the misfit is the model's error. A mode that gains no more than chance
     would in noise of that size is no mode.
     """
     data = problem.data
-    left = (np.abs(problem.misfit(poles, found.residues)) ** 2 / data.sigma**2).mean(axis=0)
+    left = (np.abs(problem.misfit(poles, solution.residues)) ** 2 / data.sigma**2).mean(axis=0)
     total = np.concatenate([[0.0], np.cumsum(left)])
     first, stop = (np.searchsorted(data.freq, poles.freq + side * _reaches(data, poles)) for side in (-1, 1))
     count = np.maximum(stop - first, 1)
@@ -192,12 +192,12 @@ def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, Li
 def without_negative(problem: Projection, poles: Poles) -> Poles:
     """Leave out modes that would create energy; the others stay where they are."""
     while True:
-        found, k = problem.solve(poles), len(poles)
-        wrong = _never_positive(found.residues[:, :k], found.chi2[:, :k], problem.shape.driving)
+        solution, k = problem.solve(poles), len(poles)
+        wrong = _never_positive(solution.residues[:, :k], solution.chi2[:, :k], problem.shape.driving)
         if not wrong.any() or k <= 1:
             return poles
         # neighbours stand in for each other: the one that gains least at a time
-        poles = poles.without([int(np.argmin(np.where(wrong, found.chi2[:, :k].sum(axis=0), np.inf)))])
+        poles = poles.without([int(np.argmin(np.where(wrong, solution.chi2[:, :k].sum(axis=0), np.inf)))])
 
 
 def _unresolved(poles: Poles, gain: Floats, data: FitData) -> NDArray[np.bool_]:
@@ -212,22 +212,22 @@ def mains(problem: Projection, poles: Poles) -> NDArray[np.intp]:
 
     A mode narrower than two steps has to be worth its price in the bins beside its four best.
     """
-    data, found = problem.data, problem.solve(poles)
+    data, solution = problem.data, problem.solve(poles)
     k, step = len(poles), np.gradient(data.freq)
-    weight, misfit = np.sqrt(2) / data.sigma, problem.misfit(poles, found.residues)
+    weight, misfit = np.sqrt(2) / data.sigma, problem.misfit(poles, solution.residues)
     columns, out = problem.columns(poles)[0], []
     for i in np.flatnonzero(poles.freq / poles.quality < 2 * np.interp(poles.freq, data.freq, step)):
         if not data.freq[0] < poles.freq[i] < data.freq[-1]:
             continue
         rows = [i + m * k for m in range(1 + problem.shape.complex)]
-        at_drive = found.residues[:, rows] @ columns[rows]
+        at_drive = solution.residues[:, rows] @ columns[rows]
         gain = ((np.abs(misfit + at_drive) ** 2 - np.abs(misfit) ** 2) * weight**2).sum(axis=0)
         if np.sort(gain)[:-4].sum() < problem.price:
             out.append(i)
     return np.array(out, dtype=np.intp)
 
 
-def inaudible(problem: Projection, poles: Poles, wanted: Floats) -> NDArray[np.intp]:
+def inaudible(problem: Projection, poles: Poles, required: Floats) -> NDArray[np.intp]:
     """Return the mode, if any, without which the fit changes least, and by less than 0.05 dB.
 
     The others' residues adapt; compared are the r.m.s. levels of data re model within two bandwidths, and ten bins at
@@ -240,7 +240,7 @@ def inaudible(problem: Projection, poles: Poles, wanted: Floats) -> NDArray[np.i
     best = _decibels(level, problem.model(poles, full.residues))
     least: tuple[float, int] = (CHANGE, -1)
     for i in range(len(poles) if len(poles) > 1 else 0):
-        if wanted.size and np.abs(np.log(wanted / poles.freq[i])).min() < 0.03:
+        if required.size and np.abs(np.log(required / poles.freq[i])).min() < 0.03:
             continue
         fewer = poles.without([i])
         without = _decibels(level, problem.model(fewer, problem.solve(fewer).residues))
@@ -263,13 +263,13 @@ def _never_positive(residues: Floats, chi2: Floats, driving: tuple[int, ...]) ->
     """(n,) modes that would create energy: negative at one driving point beyond doubt, or positive at none."""
     if not driving:
         return np.zeros(residues.shape[1], dtype=bool)
-    own, sure = residues[list(driving)], chi2[list(driving)] > DOUBT**2
-    return np.asarray(np.any((own < 0) & sure, axis=0) | np.all(own <= 0, axis=0))
+    at_drive, sure = residues[list(driving)], chi2[list(driving)] > DOUBT**2
+    return np.asarray(np.any((at_drive < 0) & sure, axis=0) | np.all(at_drive <= 0, axis=0))
 
 
 def joined(problem: Projection, poles: Poles) -> tuple[Poles, LinearFit]:
     """Put one pole in place of two that lie within their bandwidths wherever that costs less than the price of one."""
-    found, tried = problem.solve(poles), set()
+    solution, tried = problem.solve(poles), set()
     while True:
         zeta = np.exp(poles.log_zeta)
         near = sorted(
@@ -283,20 +283,20 @@ def joined(problem: Projection, poles: Poles) -> tuple[Poles, LinearFit]:
             if distance < 1 and (round(poles.log_freq[i], 3), round(poles.log_freq[j], 3)) not in tried
         ]
         if not pairs:
-            return poles, found
+            return poles, solution
         i, j = pairs[0]
         tried.add((round(poles.log_freq[i], 3), round(poles.log_freq[j], 3)))
-        size = np.abs(found.residues).max(axis=0)
+        size = np.abs(solution.residues).max(axis=0)
         share = size[i] / max(size[i] + size[j], 1e-300)
         one = Poles(
             np.array([share * poles.log_freq[i] + (1 - share) * poles.log_freq[j]]),
             np.array([share * poles.log_zeta[i] + (1 - share) * poles.log_zeta[j]]),
         )
-        if not _may_be_one(problem, poles, found.residues, (i, j), one):
+        if not _may_be_one(problem, poles, solution.residues, (i, j), one):
             continue
         fewer, there = descend(problem, poles.without([i, j]).joined(one), 6, 1e-4)
-        if there.cost < found.cost + prices(problem, poles, found)[[i, j]].max():
-            poles, found = fewer, there
+        if there.cost < solution.cost + prices(problem, poles, solution)[[i, j]].max():
+            poles, solution = fewer, there
 
 
 def _may_be_one(problem: Projection, poles: Poles, residues: Floats, pair: tuple[int, int], one: Poles) -> bool:
@@ -388,9 +388,9 @@ def sought(
         if not len(new):
             break
         more = descend_in_groups(problem, poles.joined(new), 8)
-        more, found = pruned(problem, descend(problem, more, 4, 1e-4)[0])
-        total = found.cost + problem.price * len(more)
-        tell(Iteration(more.freq, more.quality, found.cost / problem.size))
+        more, solution = pruned(problem, descend(problem, more, 4, 1e-4)[0])
+        total = solution.cost + problem.price * len(more)
+        tell(Iteration(more.freq, more.quality, solution.cost / problem.size))
         if total >= best - 1:
             break
         poles, best = more, total

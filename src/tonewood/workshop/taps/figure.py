@@ -29,7 +29,7 @@ def draw_taps(
     inside = (freq >= band[0]) & (freq <= band[1])
     power = np.abs(np.fft.rfft(samples)[:, inside]) ** 2 + 1e-300
     mean = power.mean(axis=0)
-    made, axes = figure(1, 1, heights=[5.0])
+    chart, axes = figure(1, 1, heights=[5.0])
     axis = axes[0, 0]
     for row in power:
         axis.plot(freq[inside], 10 * np.log10(row / mean.max()), color="0.8", lw=0.5 * LINE)
@@ -46,4 +46,4 @@ def draw_taps(
             )  # fmt: skip
     axis.set(ylim=(-_SHOWN, 18), ylabel="level, dB re the strongest bin")
     frequency_axis(axis, *band)
-    save(made, path)
+    save(chart, path)

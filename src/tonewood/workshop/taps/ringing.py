@@ -162,9 +162,9 @@ def _standing(problem: Projection, poles: Poles, freq: Floats, spectra: Complexe
                 weak.append(int(i))
         if not weak:
             break
-        poles, found = descend(problem, poles.without(weak), 12, 1e-6)
+        poles, solution = descend(problem, poles.without(weak), 12, 1e-6)
         level = np.maximum(
-            noise.of_misfit(problem.misfit(poles, found.residues), problem.model(poles, found.residues)),
+            noise.of_misfit(problem.misfit(poles, solution.residues), problem.model(poles, solution.residues)),
             LEAST_NOISE * np.abs(problem.data.mobility),
         )
         problem = Projection(replace(problem.data, sigma=level), problem.shape)

@@ -60,13 +60,13 @@ def strongest(taps: Sequence[Floats], fs: float, band: tuple[float, float], most
     apart = max(1, int(0.01 * band[0] / (freq[1] - freq[0])))
     maxima, _ = find_peaks(level, prominence=_STANDS, height=level.max() - _DEEPEST, distance=apart)
     out: list[StrongPeak] = []
-    for place in sorted(maxima, key=lambda i: -level[i])[:most]:
-        pole = _pole(freq, spectra, float(freq[place]))
-        if pole is None or abs(pole[0] / freq[place] - 1) > _SAME:
+    for index in sorted(maxima, key=lambda i: -level[i])[:most]:
+        pole = _pole(freq, spectra, float(freq[index]))
+        if pole is None or abs(pole[0] / freq[index] - 1) > _SAME:
             continue
         if any(abs(pole[0] - other.freq) < 0.5 * other.freq / other.quality for other in out):
             continue  # the shoulder of a higher peak
-        alone = [one[0] for x in spectra if (one := _pole(freq, x[None], float(freq[place]))) is not None]
+        alone = [one[0] for x in spectra if (one := _pole(freq, x[None], float(freq[index]))) is not None]
         near = np.array([f for f in alone if abs(f / pole[0] - 1) < _SAME])
         scatter = float(np.std(near, ddof=1) / np.sqrt(len(near))) if len(near) > 1 else 0.0
         least = 0.02 * pole[0] / pole[1]  # of its width
