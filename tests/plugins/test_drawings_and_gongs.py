@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import sys
+from importlib.util import find_spec, module_from_spec
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock, patch
 
 import numpy as np
 import pytest
@@ -302,3 +305,42 @@ def test_the_energy_of_a_gong_and_of_its_mallet_raises_its_pitch() -> None:
     assert bound.cents == pytest.approx(1200 / math.log(2) * 1.5 * 0.02 * energy)
     assert bound.level == pytest.approx(4 * 0.02 * energy)
     assert effect._bound(at(system=system, state=None), "h").cents == 0.0
+
+
+def uncompiled() -> ModuleType:
+    """The module of the gong's C function with a Numba that compiles nothing and takes arrays for addresses."""
+    found = find_spec("tonewood.plugins._gong_energy_numba")
+    assert found is not None
+    assert found.loader is not None
+    module = module_from_spec(found)
+    numba = MagicMock()
+    numba.njit = numba.cfunc = lambda *_, cache: lambda function: function
+    numba.carray = lambda array, n, dtype=None: array[:n]
+    with patch.dict(sys.modules, {"numba": numba}):
+        found.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("edges", ["sliding", "movable"])
+@pytest.mark.parametrize("n", [1, 2, 7, 12])
+def test_the_compiled_potential_step_by_step(edges: str, n: int) -> None:
+    """The functions that Numba compiles, as Python runs them; nothing is written where no gradient is asked for."""
+    made = uncompiled()
+    one = gong(edges=edges)
+    grid, omega = one.grid(n), np.sqrt(one.basis(3000.0).stiffness[:n])
+    y = np.random.default_rng(3).normal(size=n) / omega
+    slope, scratch = np.full(n, np.nan), np.full(grid.scratch, np.nan)
+    value = made.potential(grid.packed, n, y, slope, scratch)
+    expected, expected_slope = grid.gradient(y)
+    assert value == pytest.approx(expected, rel=1e-12)
+    np.testing.assert_allclose(slope, expected_slope, rtol=0, atol=1e-12 * np.abs(expected_slope).max())
+
+    class Null:
+        """Array at the address 0."""
+
+        ctypes = SimpleNamespace(data=0)
+
+        def __getitem__(self, index: object) -> Null:
+            return self
+
+    assert made.potential(grid.packed, n, y, Null(), scratch) == value

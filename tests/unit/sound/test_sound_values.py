@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -41,7 +42,7 @@ from tonewood.sound.render.plan import (
     predicted,
 )  # fmt: skip
 from tonewood.sound.render.presets import with_preset
-from tonewood.sound.render.renderer import silence
+from tonewood.sound.render.renderer import _TICKS, _WINDOW, Renderer, silence
 from tonewood.sound.render.resampling import Resampler
 from tonewood.sound.render.routing import columns_of
 
@@ -516,3 +517,79 @@ def test_gains_of_groups_and_silent_sounds() -> None:
     assert silence(0.0, ended=True) == ["the sound is silent: its peak is -inf dBFS"]
     group = OutputGroup("g", ("a",), (0,), "velocity", "m/s", 2.0, "", 6.0206)
     assert level.meaning([group], 0.0) == "gain +0.0 dB, 0 dBFS is 1 m/s"
+
+
+@pytest.mark.parametrize("step", [None, [0.0, 0.0], [1.0, -2.0]])
+def test_a_sound_that_begins_earlier_than_its_first_frame_fades_in_from_there(step: list[float] | None) -> None:
+    """Frames before are left out; what the first is away from 0 is taken off, by a fade over the next blocks."""
+    fade = np.array([1.0, 0.75, 0.5, 0.25])
+    waiting = SimpleNamespace(_step=step if step is None else np.array(step), _fade=fade)
+    begun = partial(Renderer._begun, waiting)  # type: ignore[arg-type]
+    blocks = [np.arange(6.0).reshape(3, 2) + 10 * i for i in range(4)]
+    assert begun(blocks[0], -3).shape == (0, 2)
+    assert (waiting._step is None) == (step is None)
+    second, third, last = begun(blocks[1], -1), begun(blocks[2], 2), begun(blocks[3], 5)
+    taken = blocks[1][1] if step is None else np.array(step)
+    np.testing.assert_allclose(second, blocks[1][1:] - fade[:2, None] * taken)
+    np.testing.assert_allclose(third, blocks[2] - np.array([0.5, 0.25, 0.0])[:, None] * taken)
+    assert last is not blocks[3]
+    np.testing.assert_array_equal(last, blocks[3])
+    np.testing.assert_array_equal(blocks[1], np.arange(6.0).reshape(3, 2) + 10)  # the engine's own stays
+
+
+#: frames of the last window and of a span of the grid, at 100 Hz
+_KEPT = round(_WINDOW * 100) + _TICKS * GRID
+
+
+def watcher(**values: Any) -> SimpleNamespace:
+    """A render at half of the model's rate, 100 Hz; its last event is at 2 s, and a channel is late by 0.5 s."""
+    usual = {
+        "_resampler": SimpleNamespace(ratio=2),
+        "_loudest": 1.0,
+        "_recent": [],
+        "model": SimpleNamespace(fs=200),
+        "fs": 100,
+        "performance": SimpleNamespace(timeline=SimpleNamespace(stop=2.0)),
+        "_routing": SimpleNamespace(longest_delay=50),
+        "_end": "",
+        "engine": SimpleNamespace(done=True),
+        "options": SimpleNamespace(tail_level_db=-60.0, tail=3.0),
+    }
+    return SimpleNamespace(**{**usual, **values})
+
+
+@pytest.mark.parametrize(
+    ("seconds", "peak", "changes", "end"),
+    [
+        (2.5 + _WINDOW, 1e-3, {}, "decayed"),
+        (2.5 + _WINDOW, 1.1e-3, {}, ""),
+        (2.49 + _WINDOW, 0.0, {}, ""),  # the delayed channel is not over
+        (2.5 + _WINDOW, 0.0, {"_routing": SimpleNamespace(longest_delay=60)}, ""),
+        (2.5 + _WINDOW, 0.0, {"engine": SimpleNamespace(done=False)}, ""),
+        (2.5 + _WINDOW, 1.9e-3, {"_loudest": 2.0}, "decayed"),
+        (5.0, 0.1, {}, "tail cap"),
+        (4.99, 0.1, {}, ""),
+        (5.0, 0.0, {"_end": "duration"}, "duration"),
+        (4.9, 0.0, {"_recent": [(490 - _KEPT + 1, 0.5)]}, ""),  # heard within the window
+        (4.9, 0.0, {"_recent": [(490 - _KEPT, 0.5)]}, "decayed"),
+        (4.9, 0.0, {"_recent": [(-900, 0.5), (-800, 0.5), (485, 2e-3)]}, ""),
+    ],
+)
+def test_a_render_ends_when_its_sound_has_decayed_or_its_tail_is_over(
+    seconds: float, peak: float, changes: dict[str, Any], end: str
+) -> None:
+    one = watcher(**changes)
+    Renderer._watch(one, round(seconds * 200), peak)  # type: ignore[arg-type]
+    assert one._end == end
+    assert one._recent[-1] == (round(seconds * 200) // 2, peak)
+    assert one._loudest == changes.get("_loudest", 1.0)
+
+
+def test_the_loudest_frame_and_the_last_window_are_kept() -> None:
+    one = watcher(_loudest=0.0, engine=SimpleNamespace(done=False))
+    for sample in range(0, 2000, 2):
+        Renderer._watch(one, sample, 1.0 if sample == 1900 else 0.5)  # type: ignore[arg-type]
+    assert one._loudest == 1.0
+    first = one._recent[0][0]
+    assert one._recent == [(i, 1.0 if i == 950 else 0.5) for i in range(first, 1000)]
+    assert first == 999 - _KEPT + 1
