@@ -45,7 +45,7 @@ from tonewood.workshop.exchange.answers import (
 from tonewood.workshop.exchange.bids import COLUMNS
 from tonewood.workshop.exchange.bids import write as write_bids
 from tonewood.workshop.exchange.course import Exported, codes_of, course, left_out, shown_pages, words
-from tonewood.workshop.exchange.export import PROGRAMS, check_programs
+from tonewood.workshop.exchange.export import PROGRAMS, check_programs, export
 from tonewood.workshop.exchange.jspsych import write as write_jspsych
 from tonewood.workshop.exchange.psychopy import _experiment, _rows, _sequence
 from tonewood.workshop.exchange.psychopy import write as write_psychopy
@@ -359,6 +359,29 @@ def test_tables_of_bids(test: ListeningTest, tmp_path: Path, monkeypatch: pytest
     listener.records = []
     with pytest.raises(ListeningError, match="holds no answers; BIDS is of participants"):
         write_bids(test, tmp_path / "none")
+
+
+def test_each_program_is_exported_once_into_a_folder_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[Any] = []
+
+    def write(test: Any, folder: Path) -> Exported:
+        assert not folder.exists()  # an earlier export is removed
+        written.append((test, folder))
+        return Exported(folder, ("note",))
+
+    for name in ("bids", "jspsych"):
+        monkeypatch.setitem(PROGRAMS, name, write)
+    monkeypatch.setattr("tonewood.workshop.exchange.export.load_test", lambda folder: f"test of {folder.name}")
+    batch = tmp_path / "batch"
+    (batch / "export" / "bids" / "old").mkdir(parents=True)
+    (batch / "export" / "psychopy").mkdir()
+    folders = [batch / "export" / name for name in ("jspsych", "bids")]
+    assert export(batch, ["jspsych", "bids", "jspsych"]) == [Exported(folder, ("note",)) for folder in folders]
+    assert written == [("test of batch", folder) for folder in folders]
+    assert (batch / "export" / "psychopy").exists()
+    assert export(batch, []) == []
 
 
 # -- answers that come in ---------------------------------------------------------------------------------------------
