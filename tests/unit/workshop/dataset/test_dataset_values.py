@@ -35,6 +35,7 @@ from tonewood.workshop.dataset.runner import (
     _record,
     _subject,
     _write,
+    plan_dataset,
     run_dataset,
 )
 from tonewood.workshop.dataset.sampling import points, samples, sources
@@ -346,6 +347,8 @@ def test_a_label_tells_what_was_played(note: dict[str, Any], velocity: int) -> N
     play: Any = SimpleNamespace(gesture=gesture, exciter="nail")
     of_play = _label(renderer, assigned, {("A", 0.25): play}, None)
     assert (of_play.from_bridge, of_play.angle_deg, of_play.technique, of_play.pitch) == (0.1, None, "nail", 45.5)
+    assigned.note = Note(0.25, 1.0, freq=110.0, **note)
+    assert _label(renderer, assigned, {}, None).pitch == 0.5  # of a note without a number
     assigned.end = 0.1
     assert _label(renderer, assigned, {}, 50.0).duration == 0.0
 
@@ -464,12 +467,28 @@ def test_a_shard_is_made_where_all_of_it_stands_there(tmp_path: Path, monkeypatc
 
 def test_a_set_is_made_in_a_folder_of_folders(tmp_path: Path) -> None:
     data = dataset(render={"fs": 16000, "max_duration": 0.02, "effects": "none"}, sounds={"labels": []})
-    report = run_dataset(data, tmp_path, tmp_path / "a" / "b", EngineRenderer())
+    seen: list[Any] = []
+    report = run_dataset(
+        data, tmp_path, tmp_path / "a" / "b", EngineRenderer(), progress=lambda *step: seen.append(step)
+    )
+    assert seen == [("shards", 1, 1)]
     assert (report.ok, report.made, report.reused, report.sounds) == (True, 1, 0, 1)
     assert report.sound_seconds == pytest.approx(0.02)
     again = run_dataset(data, tmp_path, tmp_path / "a" / "b", EngineRenderer())
     assert (again.made, again.reused, again.sha256) == (0, 1, report.sha256)
     assert {"schema", "instruments"} <= set(dataset_schema()["properties"])
+    unknown = dataset(parameters={"p": {"path": "strings.A2.tenson", "values": [60.0]}})
+    with pytest.raises(ManifestError, match="no sound can be resolved"):
+        plan_dataset(unknown, tmp_path, tmp_path / "c", EngineRenderer())
+
+
+def test_sounds_are_counted_over_instruments_and_scores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tonewood.workshop.dataset.sampling.MAX_SOUNDS", 6)
+    two = BASE["scores"] | {"two": BASE["scores"]["one"]}
+    assert len(samples(dataset(scores=two, sampling="random", size=3), Path())) == 6
+    many = dataset(scores=two, instruments={"m": "monochord", "n": "monochord"}, sampling="random", size=2)
+    with pytest.raises(ManifestError, match="8 sounds; 6 are allowed"):
+        samples(many, Path())
 
 
 # -- plans and records ------------------------------------------------------------------------------------------------
@@ -493,6 +512,8 @@ def test_a_plan_in_numbers() -> None:
         "name": "n", "folder": "f", "made": 1, "reused": 2, "sounds": 3, "sound_seconds": 4.0, "sha256": "ab",
         "faults": [{"name": "x", "reason": "why"}], "notes": ["note"], "seconds": 5.0,
     }  # fmt: skip
+    subject = _subject(plan(title="A set", licence="CC0-1.0"), 1.0, {"s": "ab"})
+    assert (subject.name, subject.title, subject.licence, subject.digests) == ("set", "A set", "CC0-1.0", {"s": "ab"})
     facts = _subject(plan(), 12.34, {"s": "ab"}).facts
     assert facts == {"format": "FLAC, 16000 Hz, PCM_24", "length": "12.3 s in all", "level": "calibrated"}
     shards: Any = [{"files": {"a": "1"}, "sounds": {"s": 1, "t": 2}}, {"files": {}, "sounds": {"u": 3}}]

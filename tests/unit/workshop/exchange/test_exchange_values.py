@@ -18,6 +18,7 @@ from tonewood.workshop.batch.pages import (
     AfcPage,
     Bs1116Page,
     ConsentPage,
+    FinishPage,
     HtmlPage,
     InstructionsPage,
     LevelPage,
@@ -155,6 +156,10 @@ def test_a_course_has_every_trial_with_its_choices(test: ListeningTest) -> None:
         f"p: page {i} ({PAGES[i - 1].type}) is left out: the export has no counterpart yet"
         for i in (2, 4, 5, 6, 7, 8, 9, 10)
     )
+    last: Any = SimpleNamespace(
+        manifest=SimpleNamespace(pages=[FinishPage.model_validate({"type": "finish"}), PAGES[10]])
+    )
+    assert left_out(last, "p", ()) == ()
     assert Exported(Path("f")).notes == ()
     check_programs(["bids", "jspsych"])
     with pytest.raises(Exception, match="--export"):
@@ -359,6 +364,16 @@ def test_tables_of_bids(test: ListeningTest, tmp_path: Path, monkeypatch: pytest
     listener.records = []
     with pytest.raises(ListeningError, match="holds no answers; BIDS is of participants"):
         write_bids(test, tmp_path / "none")
+
+
+def test_tables_have_200_million_bytes_at_most(
+    test: ListeningTest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = "listener,page,trial,stimulus,value\na,3,tm,sb,70\n"
+    monkeypatch.setattr("tonewood.workshop.exchange.answers._MOST_BYTES", len(text))
+    assert len(read_answers(table(tmp_path / "t.csv", text), test).listeners) == 1
+    with pytest.raises(ListeningError, match=f"is longer than the {len(text)} bytes allowed"):
+        read_answers(table(tmp_path / "t.csv", text + "\n"), test)
 
 
 def test_each_program_is_exported_once_into_a_folder_of_its_own(
@@ -601,6 +616,8 @@ def test_a_table_is_read_by_listener(test: ListeningTest, tmp_path: Path) -> Non
         "started": "",
         "language": "",
     }
+    beyond = read_answers(table(tmp_path / "b.csv", "\n".join([*lines[:3], "e,4,tg,sb,9,"])), test)
+    assert ["'9' is no number" in one.reason for one in beyond.left_out] == [True]  # told once
     for text, reason in (
         ("page,trial\n3,tm\n", "has no column listener"), ("listener,trial\na,tm\n", "has no column page"),
         ("listener,page\na,3\n", "has no column trial"), ("listener,page,trial\n", "holds no answers to this test$"),
