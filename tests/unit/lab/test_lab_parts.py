@@ -14,6 +14,7 @@ from numpy.polynomial import Polynomial
 from tonewood.errors import TonewoodError
 from tonewood.lab import estimates, figures, tables, validation
 from tonewood.lab.accuracy import least_time, measures, outcome, timing
+from tonewood.lab.accuracy import study as study_
 from tonewood.lab.accuracy import tables as study_tables
 from tonewood.lab.accuracy.outcome import PITCH, WAVEFORM, Outcome, Point
 from tonewood.lab.accuracy.report import Study, _html
@@ -32,12 +33,16 @@ from tonewood.lab.assembled import (
 )
 from tonewood.lab.beam import Beam
 from tonewood.lab.interpolatory import P0, P1, P2, P2_MIDSTEP, SIMPSON, TRAPEZOIDAL, Update, interpolatory, lagrange
+from tonewood.lab.methods import METHODS, Problem
+from tonewood.lab.methods.method import stability_limit
 from tonewood.lab.newmark import AVERAGE_ACCELERATION, hht
 from tonewood.lab.nonproportionality import reduced, reduction_shapes
 from tonewood.lab.pseudo_load import PseudoLoad
 from tonewood.lab.row import Row, cents, halving_order, misfit, nearest, pole_error
 from tonewood.lab.string_end import ExactString
+from tonewood.lab.systems import chinnakonda, fabre_methods, klosner
 from tonewood.lab.transition import Transition
+from tonewood.physics.coupling.connections import Term
 from tonewood.physics.coupling.laws import Contact
 from tonewood.physics.modal.modes import ModalBasis
 
@@ -458,3 +463,113 @@ def test_tasks_are_timed_in_turn() -> None:
     assert told == [0.5, 1.0]
     assert [t.repeats for t in found] == [2, 2]
     assert all(0 <= t.low <= t.median <= t.high for t in found)
+
+
+@pytest.mark.parametrize(
+    ("module", "part", "count"),
+    [
+        (chinnakonda, "_two_masses", 18),
+        (chinnakonda, "_initial_conditions", 2),
+        (chinnakonda, "_every_kind", 14),
+        (chinnakonda, "_stiff", 12),
+        (chinnakonda, "_alternatives", 10),
+        (chinnakonda, "_estimates", 12),
+        (chinnakonda, "_indices", 5),
+        (klosner, "_printed_modes", 17),
+    ],
+)
+def test_rows_of_a_part_pass(module, part: str, count: int) -> None:
+    rows = list(getattr(module, part)())
+    assert [f"{row.quantity}: {row.value} for {row.reference}" for row in rows if not row.passed] == []
+    assert len(rows) == count
+
+
+def test_a_beam_and_its_chain_have_the_frequencies_of_the_closed_form() -> None:
+    exact = klosner.exact_frequencies(2)
+    for form in klosner.FORMS:
+        assert klosner.coupled_frequencies(form, 40, 2) == pytest.approx(exact, rel=2e-4)
+
+
+# the study
+
+
+def test_a_period_is_the_shift_that_meets_the_motion() -> None:
+    t = np.arange(4000) / 8000
+    y = np.sin(2 * np.pi * 100.05 * t) + 0.3 * np.cos(2 * np.pi * 300.15 * t)
+    assert study_.measured_period(y, 8000, 100.0, 40) == pytest.approx(1 / 100.05, rel=1e-7)
+
+
+def two_modes() -> Problem:
+    parts = {
+        "body": ModalBasis.real([300.0], [1.0], {"p": [1.0]}),
+        "string": ModalBasis.real([2000.0, 9e4], [2.0, 3.0], {"p": [1.0, 2.0]}),
+    }
+    return Problem(parts, (), (Term("string", "p"),), (Term("string", "p"),))
+
+
+def test_modes_are_dropped_with_or_without_their_compliance() -> None:
+    """Those above 10 kHz; a quarter of the static compliance at 90000 rad/s is 4 / 90000^2."""
+    problem = two_modes()
+    for fold, left in ((True, 4 / 9e4**2), (False, 0.0)):
+        cut = study_._cut(problem, 1e4, fold).components
+        assert cut["string"].n_modes == 1
+        assert cut["string"].residual[0, 0] == pytest.approx(left, rel=1e-3)
+        assert cut["body"] is problem.components["body"]
+    other = study_.exchanged(problem, "string", problem.components["body"])
+    assert other.components["string"] is problem.components["body"]
+    assert other.inputs == problem.inputs
+    assert study_.lowest_rate(problem, 0.5) == pytest.approx(9e4 / 0.5, rel=1e-3)
+
+
+def test_dials_of_a_study(monkeypatch) -> None:
+    made = []
+    monkeypatch.setattr(study_, "own_point", lambda case, fs, **more: made.append((fs, more)))
+    monkeypatch.setattr(study_, "_cut", lambda problem, freq, fold: (freq, fold))
+    monkeypatch.setattr(
+        study_, "sliding_string", lambda string, freq, residual: SimpleNamespace(with_places=lambda p: residual)
+    )
+    monkeypatch.setattr(study_, "exchanged", lambda problem, name, basis: (name, basis))
+    places = SimpleNamespace(places={"pluck": 0.1})
+    case = SimpleNamespace(problem=lambda freq=None: freq or SimpleNamespace(components={"string": places}), string="s")
+    for make in study_._dials(case, quick=False):
+        make()
+    assert {fs for fs, _ in made} == {48e3}
+    assert [(m["dial"], m["value"], m["problem"]) for _, m in made] == [
+        ("modes", "strings solved to 2.5 kHz", 2.5e3),
+        ("modes", "strings solved to 5 kHz", 5e3),
+        ("modes", "strings solved to 10 kHz", 10e3),
+        ("modes", "strings solved to 15 kHz", 15e3),
+        ("residual", "string modes above 10 kHz dropped, with their compliance", (10e3, True)),
+        ("residual", "string modes above 10 kHz dropped, without their compliance", (10e3, False)),
+        ("basis", "sliding cosines, with residual compliance", ("string", True)),
+        ("basis", "sliding cosines, without residual compliance", ("string", False)),
+    ]
+    made.clear()
+    for make in study_._dials(SimpleNamespace(problem=case.problem, string=None), quick=True):
+        make()
+    assert [m["value"] for _, m in made][:2] == ["strings solved to 5 kHz", "strings solved to 10 kHz"]
+    assert len(made) == 4
+
+
+def test_limits_of_stability_lie_between_the_rates() -> None:
+    """Verlet on one undamped mode: omega h = 2."""
+    oscillator = fabre_methods.free_oscillator(1000.0)
+    verlet = METHODS["verlet"]
+    assert stability_limit(verlet, oscillator, 300.0, 5000.0) == pytest.approx(500.0, rel=2e-4)
+    for low, high in ((600.0, 5000.0), (300.0, 400.0)):
+        with pytest.raises(ValueError, match=f"no limit of stability between {low:g} and {high:g} Hz"):
+            stability_limit(verlet, oscillator, low, high)
+    assert fabre_methods.lowest_ab3_rate(np.array([1000j])) == pytest.approx(1000 / ((5 + 5**0.5) / 10), rel=2e-3)
+
+
+def test_heads_and_sentences_of_least_times(study) -> None:
+    pitch = [cell.strip() for cell in least_time.table([study], PITCH).splitlines()[0].split("|")[1:-1]]
+    assert pitch == ["system", "10 cent", "1 cent", "0.1 cent", "0.01 cent", "superposition"]
+    wave = [cell.strip() for cell in least_time.table([study], WAVEFORM).splitlines()[0].split("|")[1:-1]]
+    assert wave[1:5] == ["10 %", "1 %", "0.1 %", "0.01 %"]
+    said = least_time.sentences([study])
+    assert "costs 0.01 to 0.01 s of computing" in said
+    assert "the best other method takes 0.5 to 0.5 times as long" in said
+    assert "takes 0.2 to 0.2 times that" in said
+    rising = Outcome("tension", "t", "r", (WAVEFORM,), study.points)
+    assert "velocity Verlet is the quicker one for errors above" in least_time.sentences([rising])
