@@ -16,7 +16,7 @@ from tonewood.instrument.contract.losses import StringData
 from tonewood.sound.equalizer import response_db
 from tonewood.workshop.estimate import analysis, body_modes, gain, laws, pluck, room
 from tonewood.workshop.estimate.distance import bands_apart, distance, neighbours, strokes
-from tonewood.workshop.estimate.partials import Bands, _followed, _fundamental, _inharmonicity
+from tonewood.workshop.estimate.partials import Bands, _followed, _fundamental, _inharmonicity, measure_partial
 from tonewood.workshop.estimate.recordings import Recording, _mono, _number, clipped, read_folder
 from tonewood.workshop.estimate.spectra import PARTS, THIRD_OCTAVES, bands_over_time, share
 
@@ -577,3 +577,19 @@ def test_numbers_of_a_table_lie_within_limits(tmp_path, text, value) -> None:
             _number({"place": text}, "place", 1e-3, 5.0, tmp_path / "t.csv", 3)
     else:
         assert _number({"place": text}, "place", 1e-3, 5.0, tmp_path / "t.csv", 3) == value
+
+
+def test_partials_of_a_low_note_are_apart_from_their_neighbours() -> None:
+    """At 55 Hz the band of a partial ends before its neighbours, and so do those half-way between them."""
+    t = np.arange(2 * FS) / FS - 0.1
+    x = sum(np.exp(-2 * np.maximum(t, 0)) * np.cos(2 * np.pi * 55.0 * n * t) for n in range(1, 12)) * (t >= 0)
+    x = x + 1e-4 * np.random.default_rng(1).standard_normal(len(x))
+    found = measure_partial(Bands(x, 4410), 5, 275.0, 55.0)
+    assert found.noise < -50
+    assert found.level == pytest.approx(-20 * 2 * 0.06 / np.log(10), abs=0.5)
+    assert (found.rate, found.early) == pytest.approx((2.0, 2.0), rel=0.02)
+    assert (found.number, found.freq) == (5, 275.0)
+    assert found.fell > 20
+    assert found.misfit < -20
+    assert measure_partial(Bands(x[: 4410 + 3000], 4410), 5, 275.0, 55.0) is None
+    assert measure_partial(Bands(1e-4 * np.random.default_rng(2).standard_normal(FS), 4410), 5, 275.0, 55.0) is None
