@@ -63,7 +63,15 @@ from tonewood.workshop.listening.plain import (
     methods,
 )
 from tonewood.workshop.listening.pooling import D, pooled
-from tonewood.workshop.listening.power import _levels, _pilot_means, _pilot_spread, _sounds, _trials, power_of
+from tonewood.workshop.listening.power import (
+    _levels,
+    _pilot_means,
+    _pilot_spread,
+    _sounds,
+    _staircase,
+    _trials,
+    power_of,
+)
 from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.quest import LEVELS, QuestTable, QuestTrack, table_of
 from tonewood.workshop.listening.report import p_text
@@ -90,7 +98,14 @@ from tonewood.workshop.listening.simulated_power import (
 from tonewood.workshop.listening.simulations import NULLS, graded, ratings, trials, without
 from tonewood.workshop.listening.staircase import StaircaseTrack
 from tonewood.workshop.listening.table import AnswerTable, _cell, _listener_names
-from tonewood.workshop.listening.thresholds import ListenerThreshold, ThresholdGrid, Thresholds, quantile, track_of
+from tonewood.workshop.listening.thresholds import (
+    ListenerThreshold,
+    ThresholdGrid,
+    Thresholds,
+    quantile,
+    thresholds,
+    track_of,
+)
 
 LEVITT = StaircasePage.model_validate(fakes.STAIRS)
 LINEAR = StaircasePage.model_validate(
@@ -1348,3 +1363,96 @@ def test_the_first_language_that_is_known_is_taken(every: ListeningTest, asked: 
     from tonewood.workshop.listening.server import ListeningServer
 
     assert ListeningServer(every)._language(asked) == language
+
+
+# -- wiring -----------------------------------------------------------------------------------------------------------
+
+
+def test_factors_that_go_together_cannot_be_told_apart(rng: np.random.Generator) -> None:
+    rows = [row(str(i), float(rng.normal()), a=a, b=a.upper(), c=c) for i in range(5) for a in "xy" for c in "pq"]
+    found_of = linear_analysis(rows, ["a", "b", "c"], 0.95, {"a": ["x", "y"], "b": ["X", "Y"], "c": ["p", "q"]})
+    assert found_of is not None
+    assert [n for n in found_of.notes if "told" in n] == [f"{f} cannot be told from the other factors" for f in "ab"]
+    left_out = [n.rpartition(", it has empty cells: ")[2] for n in found_of.notes if "empty" in n]
+    assert left_out == ["a : b", "a : c", "b : c"]
+    assert found_of.formula == "value ~ c"
+    assert [t.name for t in found_of.terms] == ["c=q"]
+
+
+@pytest.mark.parametrize(
+    ("page", "mean", "sd", "slope", "margin"),
+    [
+        (LEVITT, math.sqrt(0.01 * 10), 0.1 * math.log(1000), 10 / math.log(1000), math.log(1.2)),
+        (LINEAR, 5.0, 1.0, 1.0, 1.0),
+        (LINEAR.model_copy(update={"steps": []}), 5.0, 1.0, 1.0, 0.5),
+        (LEVITT.model_copy(update={"steps": [], "expect": 2.0, "expect_sd": 1.5, "expect_slope": 4.0, "margin": 1.3}),
+         2.0, math.log(1.5), 4.0, math.log(1.3)),
+        (LEVITT.model_copy(update={"steps": []}), math.sqrt(0.1), 0.1 * math.log(1000), 10 / math.log(1000),
+         math.log(1.25)),
+    ],
+)  # fmt: skip
+def test_a_staircase_that_states_nothing_is_planned_with_defaults(
+    monkeypatch: pytest.MonkeyPatch, page: StaircasePage, mean: float, sd: float, slope: float, margin: float
+) -> None:
+    """The middle of the levels, a spread of a tenth of them, a slope of ten over them, the last step."""
+    asked: list[Any] = []
+    place = "tonewood.workshop.listening.power.threshold_listeners"
+    monkeypatch.setattr(place, lambda page, people, *given: asked.append((people, *given)) or 12)
+    planned = _staircase(page, 3, "Stairs", None, 0.05, 0.8)
+    ((people, by, alpha, power),) = asked
+    assert (people.mean, people.sd, people.slope, by) == pytest.approx((mean, sd, slope, margin))
+    assert (planned.page, planned.name, planned.listeners, alpha, power) == (3, "Stairs", 12, 0.05, 0.8)
+    assert planned.stated is (page.expect is not None)
+    by_text = f"by {100 * (math.exp(margin) - 1):.0f} %" if page.ratio else f"by {margin:g}"
+    assert planned.effect.startswith(f"a mean threshold other {by_text} than {mean:.3g}, spread between listeners ")
+
+
+def test_thresholds_of_listeners_are_those_of_the_fit() -> None:
+    rng = np.random.default_rng(8)
+    rows = []
+    for who, threshold in (("q", 0.3), ("p", 0.8)):
+        for index in range(60):
+            level = float(np.exp(rng.uniform(math.log(0.05), math.log(5))))
+            p = psychometric(math.log(level), math.log(threshold), 4.0, 1 / 3, LEVITT.share)
+            rows.append({"listener": who, "index": index, "level": level, "right": bool(rng.random() < p), "track": 0})
+    quest = LEVITT.model_copy(update={"steps": []})
+    fit_of = thresholds(rows[::-1], quest, "%", 0.9)  # in any order
+    grid = ThresholdGrid(quest)
+    tables = [
+        grid.likelihood(np.array([r["level"] for r in own]), np.array([r["right"] for r in own]))
+        for own in ([r for r in rows if r["listener"] == who] for who in "pq")
+    ]
+    fit = grid.fit(np.array(tables), 0.9)
+    assert [one.listener for one in fit_of.listeners] == ["p", "q"]
+    for one, i in zip(fit_of.listeners, (0, 1), strict=True):
+        assert (one.trials, one.tracks, one.reversals) == (60, 1, None)
+        told = (one.threshold, one.low, one.high, one.alone, one.alone_low, one.alone_high)
+        expected = (fit.listeners[i], *fit.intervals[i], fit.alone[i], *fit.alone_intervals[i])
+        np.testing.assert_allclose(np.log(np.array(told, dtype=float)), expected, rtol=1e-9)
+        assert one.slope == fit.slopes[i]
+        assert one.low < one.threshold < one.high  # type: ignore[operator]
+    assert (fit_of.mean, fit_of.spread, fit_of.slope) == pytest.approx(
+        (math.exp(fit.mean), math.exp(fit.spread), fit.slope)
+    )
+    assert (fit_of.low, fit_of.high) == pytest.approx(tuple(np.exp(fit.interval)))
+    assert fit_of.median == pytest.approx(np.mean([one.threshold for one in fit_of.listeners]))
+    assert (fit_of.unit, fit_of.share, fit_of.correction) == ("%", LEVITT.share, None)
+    assert thresholds(rows[:60], quest, "%", 0.9).low is None  # of one listener
+
+
+def test_trials_of_a_staircase_are_counted_from_one(tmp_path: Path) -> None:
+    session = Session(fakes.made(tmp_path, [fakes.STAIRS | {"reversals": 4, "longest": 8, "tracks": 2}]), 1)
+    seen: list[tuple[int, int | None]] = []
+    while session.step is not None and session.step.track is not None:
+        seen.append((session.step.repetition, session.step.track))
+        level, track = session.step.level, session.tracks[0][session.step.track]
+        assert level == track.level
+        session.answer({"choice": session.step.correct})
+    assert [repetition for repetition, _ in seen] == list(range(1, 17))
+    assert sorted(track for _, track in seen) == [0] * 8 + [1] * 8
+    assert {track for _, track in seen[:8]} == {0, 1}  # they take turns
+
+
+def test_a_reference_that_is_no_number_is_not_told() -> None:
+    panel, own = found(LEVITT.model_copy(update={"reference": True}), 0.5, 0.4, 0.6)
+    assert "instead of" not in _threshold(panel, own, "95 %")
