@@ -78,3 +78,11 @@ def test_strings_still_need_ways_of_playing(top: Path) -> None:
     (top / "instrument.yaml").write_text(text)
     with pytest.raises(BundleError, match="title: is missing"):
         tw.load_instrument(top)
+
+
+@pytest.mark.parametrize("command", ["check", "modes"])
+def test_an_instrument_whose_strings_are_taken_off_is_a_body(capsys: pytest.CaptureFixture[str], command: str) -> None:
+    """Its exciters stay in the bundle, and have no string on which to be placed."""
+    report = json.loads(out(capsys, command, "monochord", "--set", "strings={}", "--fs", 16000, "--json"))
+    assert report["ok"]
+    assert not report["strings"]

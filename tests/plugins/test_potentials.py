@@ -180,3 +180,30 @@ def test_check_measures_a_potential_near_rest(
         printed = capsys.readouterr().out
         assert (motion.doubt is None) == ("block: " not in printed)
         assert motion.doubt is None or f"warning: {motion.doubt}" in printed
+
+
+@pytest.mark.parametrize(
+    ("changed", "ratio"),
+    [
+        (WORKS, None),
+        (WORKS.replace("self.k * y**3", "-self.k * y**3"), -1.0),
+        (WORKS.replace("self.k * y**3", "0.99 * self.k * y**3"), 0.99),
+        (WORKS + "\n\n    def energy(self, y):\n        return float(0.5 * self.k * y[0] ** 4)", 0.5),
+    ],
+    ids=["right", "sign", "1 %", "another energy"],
+)
+def test_check_compares_the_gradient_with_differences_of_v(tmp_path: Path, changed: str, ratio: float | None) -> None:
+    """A render with a wrong gradient ends well: the step balances the energies with any."""
+    block(tmp_path / "hard", 1e15)
+    (tmp_path / "hard" / "block.py").write_text(SOURCE.replace(WORKS, changed), encoding="utf-8")
+    motion = small_motions(assemble(tw.load_instrument(tmp_path / "hard", allow_code=True), 8000.0))[0]
+    if ratio is None:
+        assert motion.wrong is None
+        assert motion.doubt is None
+        return
+    assert motion.wrong is not None
+    coordinate, slope, difference = motion.wrong
+    assert coordinate == 0
+    assert slope / difference == pytest.approx(ratio, rel=1e-6)
+    assert motion.doubt is not None
+    assert motion.doubt.startswith("block: its gradient is not that of its V: dV/dy of coordinate 0 is ")

@@ -1,6 +1,8 @@
 """What potentials of plugins do to small motion: a force at rest, and a stiffness that belongs to the modes.
 
-The tuner knows the modes alone. With H = d2V/dy2 at rest, small motion has the frequencies of omega^2 + H.
+The tuner knows the modes alone. With H = d2V/dy2 at rest, small motion has the frequencies of omega^2 + H. In larger
+motion the gradient is compared with differences of V: nothing else would tell that one of them is wrong, because the
+step keeps the balance of energies with any gradient.
 """
 
 from __future__ import annotations
@@ -8,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
 from tonewood.physics.coupling.potentials.user import ModalPotential, PotentialEnergy
@@ -18,6 +21,8 @@ from tonewood.support.units import cents
 _ENERGY = 1e-16
 #: cents, and J, from which on a potential is said to act on small motion
 TOLERANCE_CENTS, _AT_REST = 1.0, 1e-12
+#: J of the modes in the motion in which the gradient is compared; step of a difference, and error that is reported
+_MOTION, _STEP, _WRONG = 1e-4, 1e-4, 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +33,7 @@ class SmallMotion:
     freq_modes, freq : Hz, lowest frequency of its components by their modes alone, and with the potential.
     energy : J, that the force at rest sets free.
     effect : name of the effect that may leave the potential out; empty without one.
+    wrong : number of a coordinate at which the gradient is wrong, dV/dy and the difference of V there; or None.
     """
 
     name: str
@@ -35,6 +41,7 @@ class SmallMotion:
     freq: float
     energy: float
     effect: str
+    wrong: tuple[int, float, float] | None = None
 
     @property
     def cents(self) -> float:
@@ -44,6 +51,12 @@ class SmallMotion:
     @property
     def doubt(self) -> str | None:
         """What is worth a warning, in one line."""
+        if self.wrong is not None:
+            k, slope, difference = self.wrong
+            return (
+                f"{self.name}: its gradient is not that of its V: dV/dy of coordinate {k} is {slope:.4g}, differences "
+                f"of V give {difference:.4g}"
+            )
         if abs(self.cents) > TOLERANCE_CENTS:
             small = "is unstable" if self.freq == 0.0 else f"sounds at {self.freq:.6g} Hz ({self.cents:+.1f} cents)"
             return (
@@ -82,4 +95,23 @@ def _near_rest(potential: ModalPotential, energy: PotentialEnergy, squares: Floa
     lowest = float(np.linalg.eigvalsh(stiffness)[0])
     freqs = np.sqrt([squares[moving].min(), max(lowest, 0.0)]) / (2 * np.pi)
     free = 0.5 * float(slope @ np.linalg.solve(stiffness, slope)) if lowest > 0.0 else 0.0
-    return SmallMotion(potential.name, float(freqs[0]), float(freqs[1]), free, potential.effect)
+    wrong = _wrong_slope(energy, squares, moving)
+    return SmallMotion(potential.name, float(freqs[0]), float(freqs[1]), free, potential.effect, wrong)
+
+
+def _wrong_slope(energy: PotentialEnergy, squares: Floats, moving: NDArray[np.intp]) -> tuple[int, float, float] | None:
+    """Coordinate at which dV/dy differs most from differences of V, with both, as the kernel calls them."""
+    y = np.zeros(len(squares))
+    y[moving] = np.sqrt(2 * _MOTION / moving.size / squares[moving]) * (-1.0) ** np.arange(moving.size)
+    value, slope = energy.stepped(y)
+    differences = np.zeros(len(squares))
+    for k in moving:
+        step = np.zeros(len(squares))
+        step[k] = _STEP * y[k]
+        differences[k] = (energy.stepped(y + step)[0] - energy.stepped(y - step)[0]) / (2 * step[k])
+    errors = np.abs((slope - differences) * y)
+    rounding = 100 * np.finfo(float).eps * abs(value) / _STEP
+    worst = int(np.argmax(errors))
+    if errors[worst] <= _WRONG * np.abs(differences * y).max() + rounding:
+        return None
+    return worst, float(slope[worst]), float(differences[worst])

@@ -313,7 +313,7 @@ def _check_places(instrument: Instrument, strings: Mapping[str, StringModel]) ->
     """Check places of exciters: the default one plays every string, any other one at least the longest."""
     lengths = [string.length() for string in strings.values()]
     for name, exciter in instrument.exciters.items():
-        if exciter.at is None:
+        if exciter.at is None and lengths:
             length = min(lengths) if name == instrument.spec.playing.default_exciter else max(lengths)
             try:
                 places(exciter.parameters, length, length)

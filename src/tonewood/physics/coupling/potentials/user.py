@@ -192,6 +192,26 @@ class PotentialEnergy(JoinedPotential):
             return float("nan")
         return value
 
+    def stepped(self, y: Floats) -> tuple[float, Floats]:
+        """Return V, J, and dV/dy as the kernel gets them: V by a call without a gradient, both of `c_function`.
+
+        Raises
+        ------
+        TonewoodError : as `checked`.
+        """
+        f, at, slope, scratch = (
+            self.c_function,
+            np.array(y),
+            np.zeros(len(y)),
+            np.zeros(max(self.c_function.scratch, 1)),
+        )
+        pointers = [array.ctypes.data_as(_DOUBLES) for array in (at, slope, scratch)]
+        call = FUNCTION(f.address)
+        call(f.data or None, len(y), *pointers)
+        value = call(f.data or None, len(y), pointers[0], None, pointers[2])
+        self.raise_fault()
+        return float(value), slope
+
     def raise_fault(self) -> None:
         """Raise what a call from C++ could not."""
         if (fault := vars(self).pop("fault", None)) is not None:
