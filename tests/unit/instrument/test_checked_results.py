@@ -394,11 +394,11 @@ def test_a_wolf_is_near_and_loud_or_keeps_the_note_from_its_pitch(
 
 
 def test_a_string_without_a_mode_says_what_to_change() -> None:
-    calm = ModalBasis.real([2 * math.pi * 50.0], [1.0], {"bridge": [1.0]})
+    light = ModalBasis.real([2 * math.pi * 50.0], [1.0], {"bridge": [1.0]})
     heavy = ModalBasis.real([2 * math.pi * 50.0], [2 * math.pi * 60.0], {"bridge": [0.0]})
-    assert "sounds near 100 Hz; check `tension`" in no_mode(calm, 100.0)
+    assert "sounds near 100 Hz; check `tension`" in no_mode(light, 100.0)
     assert "decays at 377 1/s, and from 628.3 1/s on nothing vibrates there: lower `loss`" in no_mode(heavy, 100.0)
-    assert (ends_at_rest(calm), ends_at_rest(heavy)) == (False, True)
+    assert (ends_at_rest(light), ends_at_rest(heavy)) == (False, True)
     ports = body_ports(REAL, [{"bridge": 0.5}, {"p": 2.0}], copies=4)
     single = body_ports(REAL, [{"bridge": 0.5}, {"p": 2.0}])
     np.testing.assert_allclose(ports.right, 2 * single.right)

@@ -48,14 +48,14 @@ from tonewood.sound.render.routing import columns_of
 
 
 @pytest.mark.parametrize("band", [(2500.0, 9.0, None), (2500.0, -9.0, None), (700.0, 9.0, 2.0), (700.0, -12.0, 0.5)])
-def test_digital_bands_are_the_analogue_ones_at_warped_frequencies(band: equalizer.Band) -> None:
+def test_digital_bands_are_the_analogue_ones_at_mapped_frequencies(band: equalizer.Band) -> None:
     """H(z) at f is H(s) at s = i tan(pi f / fs) / tan(pi f0 / fs) re the middle."""
     fs, freq = 16000.0, np.array([50.0, 300.0, 700.0, 2500.0, 5000.0, 7900.0])
     b0, b1, b2, a0, a1, a2 = equalizer.section(band, fs)
     z = np.exp(-2j * np.pi * freq / fs)
     found = 20 * np.log10(np.abs((b0 + b1 * z + b2 * z * z) / (a0 + a1 * z + a2 * z * z)))
-    warped = band[0] * np.tan(np.pi * freq / fs) / math.tan(math.pi * band[0] / fs)
-    assert found == pytest.approx(equalizer.response_db([band], warped), abs=1e-9)
+    mapped = band[0] * np.tan(np.pi * freq / fs) / math.tan(math.pi * band[0] / fs)
+    assert found == pytest.approx(equalizer.response_db([band], mapped), abs=1e-9)
     assert equalizer.response_db([band, band], freq) == pytest.approx(2 * equalizer.response_db([band], freq))
 
 
