@@ -1,0 +1,405 @@
+"""What commands read from their options and print of their results, with each figure from the result."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import soundfile as sf
+import yaml
+
+from tonewood.cli import dataset, design, distance, fit, intonation, live, render, sample, serve, wood
+from tonewood.errors import OutputError, TonewoodError
+from tonewood.physics.plate.wood import Wood
+from tonewood.sound.files.tags import Tags
+from tonewood.workshop.design.search import FoundDesign
+from tonewood.workshop.design.task import Free, Target
+from tonewood.workshop.estimate.distance import Distance
+from tonewood.workshop.fit.responses import Responses
+from tonewood.workshop.wood.board import Board, MatchedPeak
+from tonewood.workshop.wood.stick import Stick
+
+
+def refused(said, call, *arguments, **options) -> None:
+    with pytest.raises(TonewoodError, match=said):
+        call(*arguments, **options)
+
+
+# options of a fit
+
+
+def test_numbers_and_references_of_a_fit(tmp_path) -> None:
+    assert fit._words(None) == []
+    assert fit._words("a, b") == ["a", "b"]
+    assert fit._numbers("1, -2e-3") == (1.0, -2e-3)
+    refused("'x' is no number", fit._numbers, "1,x")
+    refused("0 is not allowed", fit._numbers, "1,0")
+    assert fit._frequencies("--keep", "100,2e3") == (100.0, 2000.0)
+    for text in ("0", "-1", "x", "1e999"):
+        refused("--keep: .* is no frequency", fit._frequencies, "--keep", text)
+    assert fit._references(["a", "b=bb", "c=c_1"]) == (("c", "c_1"), ("b", "bb"), ("a", ""))
+    assert fit._references(None) == ()
+    fit._check_options("mobility", "H2", -1.0, 1e-4, 2, (1.0, 2.0))
+    for options, said in (
+        (("speed", "H1", 1.0, None, None, None), "--form"),
+        ((None, "H3", 1.0, None, None, None), "--estimator"),
+        ((None, "H1", 0.0, None, None, None), "--scale"),
+        ((None, "H1", 1.0, 0.0, None, None), "--window-tau"),
+        ((None, "H1", 1.0, None, 1, None), "--hits: is 1 hits; 2 to 100000"),
+        ((None, "H1", 1.0, None, None, (2.0, 1.0)), "--band"),
+    ):
+        refused(said, fit._check_options, *options)
+    fit._check_folder(tmp_path / "new")
+    refused("there is no folder", fit._check_folder, tmp_path / "no" / "new")
+    (tmp_path / "instrument.yaml").write_text("")
+    refused("holds an instrument", fit._check_folder, tmp_path)
+    refused("is a file", fit._check_folder, tmp_path / "instrument.yaml")
+
+
+def test_points_of_a_fit_have_names_directions_and_places() -> None:
+    pairs = (("12+3", "12+3"), ("7-1", "12+3"), ("3+0", "12+3"), ("p", "12+3"))
+    responses = Responses(np.ones(1), np.ones((4, 1), complex), pairs)
+    named, places = fit._named(responses, ["p=q:x:-0.5", "3+0=bass::1"])
+    assert named.points == ("n12", "n7_x_back", "bass", "q")
+    assert (places["n12"].direction, places["n12"].u) == ("z", None)
+    assert places["n7_x_back"].direction == (-1.0, -0.0, -0.0)
+    assert (places["q"].direction, places["q"].u) == ("x", -0.5)
+    assert (places["bass"].direction, places["bass"].u) == ("z", 1.0)
+    moved, places = fit._named(responses, ["12+3=top:y"])
+    assert moved.points[0] == "top"
+    assert places["top"].direction == "y"
+    for text, said in (
+        ("p", "NODE=NAME"),
+        ("p=q:x:0:1", "NODE=NAME"),
+        ("p=q:w", "the directions x, y, z"),
+        ("p=q:x:1.1", "from -1"),
+        ("p=Q", "cannot be the name"),
+        ("p=sd_a", "cannot be the name"),
+        ("p=a b", "cannot be the name"),
+    ):
+        refused(said, fit._named, responses, [text])
+
+
+# a design
+
+
+def test_a_report_of_a_design_has_its_figures() -> None:
+    target = Target("A0 = 100", "freq", "=", 100.0, mode="A0")
+    free = Free("b.*", ("b.0", "b.1"), (1.0, 2.0), "x", 0.5, 2.0)
+    best = FoundDesign(
+        (target,),
+        (free,),
+        np.array([1.0]),
+        np.array([1.5]),
+        np.array([90.0]),
+        np.array([101.0]),
+        np.array([[3.0]]),
+        SimpleNamespace(name="i"),
+    )
+    out = json.loads(json.dumps(design._report(best, Path("made"))))
+    assert out["parameters"] == [
+        {"path": "b.*", "keys": ["b.0", "b.1"], "kind": "x", "low": 0.5, "high": 2.0, "now": 1.0, "designed": 1.5}
+    ]
+    assert out["targets"] == [
+        {
+            "text": "A0 = 100",
+            "now": 90.0,
+            "designed": 101.0,
+            "off": pytest.approx(1200 * math.log2(1.01)),
+            "unit": "cents",
+            "reached": False,
+            "rates": [3.0],
+        }
+    ]
+    assert out["overrides"] == {"b.0": 1.5, "b.1": 3.0}
+    assert (out["instrument"], out["bundle"], out["at_bounds"], out["trades"]) == ("i", "made", [], [])
+
+
+# wood
+
+
+def board(**more):
+    pairs = (MatchedPeak(100.0, 101.0, (0.9, 0.0, 0.1), 50.0), MatchedPeak(200.0, 199.0, (0.0, 0.9, 0.1), 0.0))
+    constants = Wood(1.2e10, 8e8, 7e8, 0.37, 410.0, G_LT=6e8, G_RT=5e7, loss_L=0.01, loss_R=0.02, loss_shear=0.015)
+    return Board(
+        **{
+            "wood": constants,
+            "intervals": {"E_L": (1.1e10, 1.3e10), "loss_L": (0.009, 0.011)},
+            "pairs": pairs,
+            "peaks_without_mode": (150.0,),
+            "modes_without_peak": (120.0,),
+            "misfit": 0.0121,
+            "sensor": 2e-3,
+        }
+        | more
+    )
+
+
+def test_a_report_of_a_board(capsys) -> None:
+    tops = [{"thickness_m": 2.5e-3, "freq_Hz": 75.0, "of": "here"}]
+    report = wood._report(board(), 410.0, tops, True)
+    assert report["constants"] == {
+        "E_L": {"value": 1.2e10, "interval_90": [1.1e10, 1.3e10]},
+        "loss_L": {"value": 0.01, "interval_90": [0.009, 0.011]},
+    }
+    assert report["pairs"][0] == {"measured_Hz": 100.0, "computed_Hz": 101.0, "kind": "bending along"}
+    assert (report["density"], report["sensor_kg"], report["modes_without_peak_Hz"]) == (410.0, 2e-3, [120.0])
+    said = "\n".join(report["warnings"])
+    for text in ("a sensor of 2.0 g", "differ by 1.2 %", "no mode of such a board: 150.0 Hz"):
+        assert text in said
+    quiet = wood._report(board(misfit=0.012, peaks_without_mode=(), sensor=0.0), 410.0, [], True)
+    assert quiet["warnings"] == []
+    assert wood._report(board(misfit=0.0, peaks_without_mode=()), 410.0, [], False)["warnings"] == []
+    wood._print(report)
+    text = capsys.readouterr().out.splitlines()
+    assert text[0] == "density 410 kg/m^3"
+    assert text[1].split() == ["E_L", "12", "11", "to", "13", "GPa"]
+    assert text[2].split() == ["loss_L", "0.01", "0.009", "to", "0.011"]
+    assert text[4].split() == ["100.00", "101.00", "+1.00", "bending", "along"]
+    assert text[5].split()[:3] == ["200.00", "199.00", "-0.50"]
+    assert "modes without a peak: 120 Hz" in text
+    assert "2.50 mm: 75.0 Hz, here" in text
+    values = yaml.safe_load(wood._yaml(board(), "sitka_spruce"))["wood"]
+    assert values.pop("species") == "sitka_spruce"
+    assert {key: float(value) for key, value in values.items()} == {
+        "density": 410.0,
+        "E_L": 1.2e10,
+        "E_R": 8e8,
+        "G_LR": 7e8,
+        "G_LT": 6e8,
+        "G_RT": 5e7,
+        "nu_LR": 0.37,
+        "loss_L": 0.01,
+        "loss_R": 0.02,
+        "loss_shear": 0.015,
+    }
+    stick = Stick(1.1e10, 420.0, None, {"E_L": (1e10, 1.2e10)}, (100.0,), (101.0,), ())
+    assert wood._report(stick, 420.0, [], True)["pairs"] == [
+        {"measured_Hz": 100.0, "computed_Hz": 101.0, "kind": "bending along"}
+    ]
+    lines = wood._yaml(stick, "s").splitlines()
+    assert lines[0].endswith("E_L 1e+10 to 1.2e+10")
+    assert lines[1:] == ["wood:", "  species: s", "  density: 420", "  E_L: 1.1e+10"]
+    assert wood._tops(stick, (0.48, 0.28, 0.24, 0.37), None) == []
+    assert wood._tops(board(), None, None) == []
+
+
+# intonation
+
+
+def stop(number, rigid, planes, rests=None):
+    return SimpleNamespace(
+        stop=number, rigid=rigid, planes=planes, rests_on=rests or number, frets=1.0, stretch=2.0, stiffness=0.5
+    )
+
+
+def test_lines_on_intonation(capsys) -> None:
+    assert intonation._setup(None) == " " * 20 + "none"
+    assert intonation._setup(SimpleNamespace(nut_setback=1e-3, saddle_setback=-2.5e-3, rms=1.25)).split() == [
+        "+1.00",
+        "-2.50",
+        "1.25",
+    ]
+    assert intonation._planes({"E2.z": 1.0, "E2.y": 2.0, "E2.x": -0.1}) == "z +1.0, x -0.1"
+    string = SimpleNamespace(
+        name="E2", stops=[stop(1, 0.5, {"E2.z": 1.0}), stop(2, 1.0, {"E2.z": -1.0, "E2.y": 3.0}, rests=3)]
+    )
+    assert intonation._warnings([string]) == ["warning: string E2 pressed to fret 2 lies on fret 3, which stands out"]
+    intonation._print_body([string])
+    assert capsys.readouterr().out.splitlines()[1] == "  E2 fret  2: z -1.0, y +3.0 cents, +1.0 without the body"
+    intonation._print_detail([string])
+    assert capsys.readouterr().out.splitlines()[3] == "     2   +1.00   +2.00   +0.50 =   +1.00   z -1.00  y +3.00"
+
+
+# tables of numbers
+
+
+def test_columns_of_distances(capsys) -> None:
+    a = Distance(1.234, 2.0, 1.5, math.nan, 4.0, 5.0, 3, 7)
+    distance.print_distances({"A to B": a, "scale   ": a})
+    rows = capsys.readouterr().out.splitlines()
+    assert rows[0].split() == ["A", "to", "B", "scale"]
+    assert [row.split()[-1] for row in rows[1:]] == ["1.23", "2.00", "1.50", "-", "4.00", "5.00", "3"]
+    assert len({len(row) for row in rows}) == 1
+
+
+@dataclass
+class Fault:
+    name: str
+    reason: str
+
+
+def test_lines_on_a_data_set(capsys) -> None:
+    plan = SimpleNamespace(
+        samples=range(10),
+        keys=range(4),
+        tasks=range(3),
+        sound_seconds=7200.0,
+        compute_seconds=400.0,
+        hours_per_core_hour=18.0,
+        faults=[],
+    )
+    dataset._print_plan(plan, 2)
+    assert capsys.readouterr().out.splitlines() == [
+        "10 sounds in 4 shards, 3 of them to make",
+        "about 2 hours of sound, 18 hours of sound per core-hour; about 150 s to go on 2 cores",
+    ]
+    plan.sound_seconds = None
+    dataset._print_plan(plan, 2)
+    assert len(capsys.readouterr().out.splitlines()) == 1
+    report = SimpleNamespace(
+        folder="f",
+        sounds=10,
+        sound_seconds=1800.0,
+        made=2,
+        reused=1,
+        seconds=3.25,
+        sha256="0123456789abcdefXX",
+        notes=[f"n{i}" for i in range(21)],
+        faults=[Fault("a", "r")],
+    )
+    dataset._print_report(report)
+    out, err = capsys.readouterr()
+    assert (
+        out
+        == "f: 10 sounds, 0.5 hours, in 2 new and 1 earlier shards, 3.2 s; SHA-256 of all samples 0123456789abcdef\n"
+    )
+    lines = err.splitlines()
+    assert len(lines) == 22
+    assert lines[20:] == ["tonewood: warning: 1 more notes: --json has all", "tonewood: failed: a: r"]
+
+
+def test_velocities_and_ranges_of_keys() -> None:
+    assert sample._numbers("32, 64") == [32, 64]
+    for text in ("", "1,,2", "-1", "x", "٣"):
+        refused("numbers from 1 to 127", sample._numbers, text)
+    assert sample._range(None) == (None, None)
+    assert sample._range("E2-E5") == (40, 76)
+    assert sample._range("40-76") == (40, 76)
+    for host, names in (("127.0.0.1", ["127.0.0.1"]), ("::1", ["[::1]"]), ("name", ["name"])):
+        assert serve._names(host) == names
+    assert serve._names("0.0.0.0")[0] == "127.0.0.1"
+    assert len(serve._names("::")) == 2
+
+
+# live playing
+
+
+def test_a_session_tells_its_figures(capsys) -> None:
+    effects = [
+        SimpleNamespace(title=t, bound=b, seconds_active=s)
+        for t, b, s in (("x", 0.1, 1.0), ("y", 0.0, 1.0), ("z", 0.1, 2.0), ("x", 0.1, 0.5))
+    ]
+    summary = SimpleNamespace(
+        ignored={"a": 1},
+        dropped={"no string": 2, "too low": 1},
+        clipped=1,
+        notes=5,
+        cut=3,
+        peak_dbfs=-3.25,
+        frames=96000,
+        effects=effects,
+    )
+    stage = SimpleNamespace(
+        live=SimpleNamespace(summary=lambda: summary, fs=48000),
+        receiver=SimpleNamespace(ignored={"b": 4}, messages=9),
+        stream=SimpleNamespace(block_size=480),
+        latency={},
+        take=SimpleNamespace(messages=[1, 2]),
+    )
+    played = SimpleNamespace(underruns=2, late=1, frames=72000, load=0.256, worst_block_s=0.0045)
+    live._tell(stage, played, Path("r.mid"), as_json=False)
+    out, err = capsys.readouterr()
+    assert out.splitlines() == [
+        "played 1.50 s, 5 notes, 3 dropped, 3 ended by another on their string; 2 underruns (1 for want of a block, "
+        "others by the device or system)",
+        "  load 26 %, worst block 4.50 ms of 10.00 ms; peak -3.2 dBFS",
+        "  left out at times within the budget: x",
+        "  without effect: 1 a, 4 b",
+        "  r.mid: 2 messages",
+    ]
+    assert [line.removeprefix("tonewood: warning: ") for line in err.splitlines()] == [
+        "1 sample clipped; lower --gain",
+        "2 not played: no string",
+        "1 not played: too low",
+    ]
+    quiet = SimpleNamespace(underruns=0, late=0, frames=72000, load=0.0, worst_block_s=0.0)
+    summary.clipped = 0
+    live._tell(stage, quiet, None, as_json=False)
+    assert capsys.readouterr().out.splitlines()[0].endswith("; 0 underruns")
+
+
+def test_takes_are_kept_once_a_second(monkeypatch, tmp_path) -> None:
+    now, saved = [0.0], []
+    monkeypatch.setattr(live.time, "monotonic", lambda: now[0])
+    take = SimpleNamespace(messages=[], save=lambda record, of, frames: saved.append((record, frames)))
+    kept = live.Kept(take, tmp_path / "t.mid", SimpleNamespace(frames=7))
+    for at, count in ((0.5, 1), (0.99, 1), (1.0, 2), (1.5, 3), (2.5, 3), (9.0, 3)):
+        now[0] = at
+        take.messages[:] = range(count)
+        kept.now_and_then()
+    assert len(saved) == 2  # at 1 s and, of the third message, at 2.5 s
+    kept.save()
+    assert saved[-1] == (tmp_path / "t.mid", 7)
+    live.Kept(None, None, None).now_and_then()
+    live._check_record(tmp_path / "new.mid")
+    refused("there is no folder", live._check_record, tmp_path / "no" / "t.mid")
+    refused("cannot be written", live._check_record, tmp_path)
+
+
+# files of a render
+
+
+class Fixed:
+    """A renderer of given samples."""
+
+    def __init__(self, samples, fs=8000):
+        self.samples, self.fs, self.channels, self.time = samples, fs, ("a", "b"), 0.0
+        self.expected_duration = len(samples) / fs
+
+    def blocks(self, size):
+        for first in range(0, len(self.samples), size):
+            yield self.samples[first : first + size]
+
+
+@pytest.mark.parametrize(
+    ("level", "target", "gain"), [("calibrated", 0.0, 0.0), ("peak", -1.0, 20 * math.log10(4) - 1.0)]
+)
+def test_a_sound_is_written_at_its_level(tmp_path, level, target, gain) -> None:
+    t = np.arange(4000) / 8000
+    samples = 0.25 * np.stack([np.sin(2 * np.pi * 1000 * t), 0.5 * np.cos(2 * np.pi * 500 * t)], 1)
+    form = render._Form(tmp_path / "a.wav", "FLOAT", 300, level, target, False)
+    written = render._write(Fixed(samples), form, Tags())
+    out, fs = sf.read(tmp_path / "a.wav")
+    assert fs == 8000
+    assert written.gain_db == pytest.approx(gain, abs=0.02)
+    assert out == pytest.approx(samples * 10 ** (written.gain_db / 20), abs=1e-6)
+    assert written.peak == pytest.approx(10 ** (target / 20) if level == "peak" else 0.25, rel=2e-3)
+    assert (written.clipped, written.level, written.limiter) == (0, level, None)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.wav"]
+
+
+def test_stems_that_cannot_be_made_are_refused(tmp_path) -> None:
+    render._Stems(None, "output").check(live=True, limiter=True)
+    render._Stems(tmp_path / "s", "string").check(live=False, limiter=False)
+    assert not (tmp_path / "s").exists()
+    for folder, by, how, said in (
+        (None, "part", {}, "output, string are allowed"),
+        (None, "string", {}, "is for --stems"),
+        (tmp_path / "s", "string", {"live": True}, "is for --stems"),
+        (tmp_path / "s", "string", {"limiter": True}, "is for --stems"),
+        (tmp_path / "no" / "s", "output", {}, "there is no folder"),
+    ):
+        refused(said, render._Stems(folder, by).check, **{"live": False, "limiter": False} | how)
+    render._refuse({"--a": None, "--b": False, "--c": []})
+    refused("--b: is for one instrument", render._refuse, {"--a": None, "--b": True})
+    refused("one of --part and --ensemble", render._players, tmp_path, {}, ["a"], tmp_path, None)
+    with pytest.raises(OutputError):
+        render._write(
+            Fixed(np.zeros((10, 2))), render._Form(tmp_path / "no" / "a.wav", "FLOAT", 5, "peak", 0.0, False), Tags()
+        )
