@@ -67,10 +67,10 @@ class Bow(ta.Exciter[BowParameters]):
         # for a normal force of 1 N: the scale of the partner's motion is then the bow force in N
         law = ta.Friction(1.0, p.static, p.dynamic, p.speed)
         # the string's surface under the hair rolls back as it is pushed
-        own, m = f"{site.string}.{name}.roll", p.roll_mass
+        surface, m = f"{site.string}.{name}.roll", p.roll_mass
         roll = ta.loose_mass(m, math.sqrt(1 / (p.roll_compliance * m)), 0.5 * p.roll_impedance / m)
-        terms = (*terms, ta.Term(own, "mass", 1.0))
-        return ta.Attached(components={own: roll}, connections=(ta.Connection(hair, terms, law),), resting=(hair,))
+        terms = (*terms, ta.Term(surface, "mass", 1.0))
+        return ta.Attached(components={surface: roll}, connections=(ta.Connection(hair, terms, law),), resting=(hair,))
 
     def gesture(self, event: ta.Event, place: ta.Place) -> ta.Gesture:
         """A stroke that begins at time 0."""

@@ -176,7 +176,6 @@ def slip(force: float, impedance: float, speed: float, tip: Tip, mass: float) ->
 def _scaled(
     segments: tuple[ta.Segment, ...], noise: ta.SampledForce | None, factor: float
 ) -> tuple[tuple[ta.Segment, ...], ta.SampledForce | None]:
-    """Forces times a factor."""
     louder = tuple(replace(s, c0=factor * s.c0, c1=factor * s.c1, c2=factor * s.c2) for s in segments)
     return louder, None if noise is None else replace(noise, values=factor * noise.values)
 

@@ -143,8 +143,6 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
 
 @dataclass(frozen=True)
 class _Row:
-    """One row of a table of keys."""
-
     file: str
     line: int
     cells: Mapping[str, str]

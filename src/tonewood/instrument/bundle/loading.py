@@ -151,12 +151,12 @@ class Instrument(ModalViews):
             values = apply_edits(values, edits)
         rows = with_keys(values, files)
         try:
-            return cls._made_of(rows.values, files)
+            return cls._of_values(rows.values, files)
         except (BundleError, PluginError) as fault:
             raise rows.located(fault) from None
 
     @classmethod
-    def _made_of(cls, values: Mapping[str, Any], files: Files) -> Instrument:
+    def _of_values(cls, values: Mapping[str, Any], files: Files) -> Instrument:
         """Make one from the values of a bundle whose table of keys is expanded."""
         spec = validated(Bundle, _with_strings(_merged(values, files), files), key="", file=files.manifest)
         parts = _parts(spec, files)
@@ -285,22 +285,24 @@ class Instrument(ModalViews):
     @property
     def plugin_hashes(self) -> dict[str, str]:
         """Plugin -> SHA-256 of its source file, as it is run; of an installed one with its distribution's version."""
-        return plugin_hashes(self._made())
+        return plugin_hashes(self._named_plugins())
 
-    def _made(self) -> Iterator[tuple[str, Plugin[Any]]]:
+    def _named_plugins(self) -> Iterator[tuple[str, Plugin[Any]]]:
         """Name and plugin of every part, and of the loss laws of strings."""
         spec = self.spec
         yield spec.body.plugin, self.body
-        yield from ((spec.strings[name].plugin, made) for name, made in self.resonators.items())
-        yield from ((law.law, law) for made in self.resonators.values() for law in made.inner if isinstance(law, Loss))
-        yield from ((spec.connections[name].plugin, made) for name, made in self.attachments.items())
-        yield from ((spec.exciters[name].plugin, made) for name, made in self.exciters.items())
+        yield from ((spec.strings[name].plugin, plugin) for name, plugin in self.resonators.items())
+        yield from (
+            (law.law, law) for plugin in self.resonators.values() for law in plugin.inner if isinstance(law, Loss)
+        )
+        yield from ((spec.connections[name].plugin, plugin) for name, plugin in self.attachments.items())
+        yield from ((spec.exciters[name].plugin, plugin) for name, plugin in self.exciters.items())
         yield from ((part.plugin, self.pickups[part.name]) for part in spec.outputs)
 
     @property
     def plugin_names(self) -> tuple[str, ...]:
         """Plugins the bundle uses, each once."""
-        return tuple(dict.fromkeys(name for name, _ in self._made()))
+        return tuple(dict.fromkeys(name for name, _ in self._named_plugins()))
 
     @property
     def _files(self) -> Files:

@@ -118,7 +118,6 @@ def _type(annotation: Any) -> str:
 
 
 def _models(annotation: Any) -> list[type[BaseModel]]:
-    """Models named in an annotation."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return list(dict.fromkeys(m for a in get_args(annotation) for m in _models(a)))

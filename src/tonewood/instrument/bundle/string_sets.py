@@ -67,13 +67,13 @@ def with_set(values: Mapping[str, Any], name: str, *, over: bool, file: Any = No
             file=file,
             key=_KEY,
         )
-    made: dict[str, Any] = {}
+    parts: dict[str, Any] = {}
     names: set[str] = set()
     for (key, part), entry in zip(strings.items(), chosen.strings, strict=True):
         part_values = _of_string(part, entry, chosen, f"strings.{key}", file)
-        made[key] = {**part, **dict.fromkeys(_OWN), **part_values} if over else {**part_values, **part}
+        parts[key] = {**part, **dict.fromkeys(_OWN), **part_values} if over else {**part_values, **part}
         names |= {k for k in part_values if (over or k not in part) and k != "made_of"}
-    out = {**values, "strings": made, _KEY: name}
+    out = {**values, "strings": parts, _KEY: name}
     if names:
         source = f"strings_{name}"
         out["sources"] = {**values.get("sources", {}), source: chosen.source.model_dump(exclude_none=True)}
@@ -102,7 +102,6 @@ def _of_string(
 
 
 def _fields(part: Mapping[str, Any], key: str, file: Any) -> Mapping[str, Any]:
-    """Parameters of a string's plugin."""
     try:
         return registry.plugin(str(part.get("plugin")), "resonator").Parameters.model_fields
     except PluginError as fault:

@@ -210,7 +210,6 @@ def _sampled(noise: SampledForce) -> None:
 
 
 def _circuit(circuit: Any) -> None:
-    """Check the circuit of a pickup."""
     want(isinstance(circuit, Circuit), circuit, "a ta.Circuit or None", "conversion.circuit")
     for name in ("numerator", "denominator"):
         coefficients = getattr(circuit, name)

@@ -15,7 +15,6 @@ from tonewood.errors import BundleError
 from tonewood.instrument.bundle.added import body_parts
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.schema import Playing
-from tonewood.instrument.contract.attached import Attached
 from tonewood.instrument.contract.base import BodyPoint, Exciter, Plugin
 from tonewood.instrument.contract.gestures import Place, places
 from tonewood.instrument.contract.registry import MANIFEST
@@ -175,7 +174,9 @@ def assemble(
     attached = [a for string in strings.values() for a in string.attached()]
     resting = {c.name: c for a in attached for c in a.connections if c.name in a.resting}
     channels = make_outputs(instrument, outputs, make_scene(strings, body_points, limit, added.forces, instrument.body))
-    connections = [*_end_connections(strings.values()), *added.connections, *_attached_connections(attached, resting)]
+    # connections that only gestures move begin without effect
+    parts = (replace(c, law=SpringDashpot()) if c.name in resting else c for a in attached for c in a.connections)
+    connections = [*_end_connections(strings.values()), *added.connections, *parts]
     components = {"body": body, **added.components, **_string_components(strings.values())}
     _check_components(strings.values(), {"body", *added.components}, channels)
     _check_references(instrument, strings, {**components, **channels.components}, connections, channels)
@@ -265,7 +266,6 @@ def _fault(plugin: Plugin[Any] | None, key: str, reason: str) -> BundleError:
 
 
 def _string_components(strings: Iterable[StringModel]) -> dict[str, ModalBasis]:
-    """Components of all strings, then those that parts add to them."""
     bases = {name: basis for string in strings for name, basis in string.bases().items()}
     return bases | {name: b for string in strings for a in string.attached() for name, b in a.components.items()}
 
@@ -291,11 +291,6 @@ def _end_connections(strings: Iterable[StringModel]) -> list[Connection]:
         for p in string.polarizations
     ]
     return joints + holds
-
-
-def _attached_connections(attached: Iterable[Attached], resting: Mapping[str, Connection]) -> list[Connection]:
-    """Connections of parts on strings; those that only gestures move begin without effect."""
-    return [replace(c, law=SpringDashpot()) if c.name in resting else c for a in attached for c in a.connections]
 
 
 def _potentials(

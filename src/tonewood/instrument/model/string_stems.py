@@ -82,7 +82,6 @@ def _copy(component: str, stem: str) -> str:
 
 
 def _of_stem(readout: Readout, stem: str, copied: Mapping[str, ModalBasis], owners: Mapping[str, str]) -> list[Term]:
-    """Probes of a readout that belong to a stem."""
     probes = [replace(p, component=_copy(p.component, stem)) for p in readout.probes if p.component in copied]
     return probes + [p for p in readout.probes if p.component not in copied and owners.get(p.component, BODY) == stem]
 

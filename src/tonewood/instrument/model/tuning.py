@@ -15,7 +15,6 @@ import numpy as np
 
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.receptance import Joint, Ports
-from tonewood.support.arrays import Complexes
 from tonewood.support.units import cents, decibel
 
 #: a second mode this near and this strong makes a wolf note
@@ -103,7 +102,7 @@ class StringOnBody:
 
     def __init__(self, bases: Callable[[float], Sequence[ModalBasis]], body: Ports, pluck: float):
         self._bases, self.body, self.pluck = bases, body, pluck
-        self._made: dict[float, tuple[Joint, Sequence[ModalBasis]]] = {}
+        self._joined: dict[float, tuple[Joint, Sequence[ModalBasis]]] = {}
 
     def joint(self, tension: float) -> Joint:
         """String and body at a tension."""
@@ -114,10 +113,10 @@ class StringOnBody:
         return self._at(tension)[1]
 
     def _at(self, tension: float) -> tuple[Joint, Sequence[ModalBasis]]:
-        if tension not in self._made:
+        if tension not in self._joined:
             bases = self._bases(tension)
-            self._made[tension] = (self._join(bases), bases)
-        return self._made[tension]
+            self._joined[tension] = (self._join(bases), bases)
+        return self._joined[tension]
 
     def _join(self, bases: Sequence[ModalBasis]) -> Joint:
         parts = []
@@ -133,12 +132,12 @@ class StringOnBody:
         A resonator that does not move at its bridge end keeps its own modes; only the nearest one is returned.
         """
         target = 2 * math.pi * freq
-        first = next(bases[0] for joint_of, bases in self._made.values() if joint_of is joint)
+        first = next(bases[0] for joint_of, bases in self._joined.values() if joint_of is joint)
         if ends_at_rest(first):
-            own = first.poles[first.poles.imag > 0]
-            own = own[(own.imag < _NEAR * target) & (own.imag > target / _NEAR)]
+            alone = first.poles[first.poles.imag > 0]
+            alone = alone[(alone.imag < _NEAR * target) & (alone.imag > target / _NEAR)]
             shares = (1.0,) + joint.size * (0.0,)
-            return [(complex(own[np.argmin(np.abs(own.imag - target))]), shares)] if own.size else []
+            return [(complex(alone[np.argmin(np.abs(alone.imag - target))]), shares)] if alone.size else []
         ratio = np.abs(self.body.poles) / target
         seen = np.abs(self.body.right).max(axis=0) * np.abs(self.body.left).max(axis=0) > 0
         near = seen & (self.body.poles.imag > 0) & (ratio < _NEAR) & (ratio > 1 / _NEAR)
@@ -170,12 +169,8 @@ class StringOnBody:
         if first.shape is not None:
             bridge, pluck = first.right[first.index("bridge")].real, first.shape(self.pluck)
             h[0] = np.sum(bridge * pluck / (s**2 + 2 * first.damping_rate * s + first.stiffness))
-        body = float(np.abs(self.body_motion(s, v)).sum())
+        body = float(np.abs((self.body.right / (s - self.body.poles)) @ (self.body.left.T @ v)).sum())
         return float(abs(w @ h) / abs(w @ slope @ v) * body / abs(s))
-
-    def body_motion(self, s: complex, force: Complexes) -> Complexes:
-        """(p,) displacement of the body at its ports under port forces."""
-        return np.asarray((self.body.right / (s - self.body.poles)) @ (self.body.left.T @ force))
 
 
 def ends_at_rest(basis: ModalBasis) -> bool:

@@ -29,7 +29,8 @@ def runtime_effects(model: Model) -> tuple[RuntimeEffect, ...]:
             effects.setdefault(key, effect)
             plugins.setdefault(key, {})[component] = plugin
     effects_of = [
-        _made(_maker(effect, kind), model, effect, plugins[name, kind]) for (name, kind), effect in effects.items()
+        _checked(effect.runtime or _BY_KIND.get(kind, RuntimeEffect), model, effect, plugins[name, kind])
+        for (name, kind), effect in effects.items()
     ]
     watched = [runtime for runtime in effects_of if isinstance(runtime, SwitchedEffect) and runtime.watched]
     for one in watched:
@@ -37,7 +38,7 @@ def runtime_effects(model: Model) -> tuple[RuntimeEffect, ...]:
     return tuple(effects_of)
 
 
-def _made(maker: Maker, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]) -> RuntimeEffect:
+def _checked(maker: Maker, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]) -> RuntimeEffect:
     first = next(iter(plugins.values()))
     try:
         running = maker(model, effect, plugins)
@@ -60,7 +61,3 @@ def _plugins(model: Model) -> Iterator[tuple[str, Plugin[Any]]]:
     yield from model.exciters.items()
     yield "body", model.instrument.body
     yield from model.instrument.pickups.items()
-
-
-def _maker(effect: Effect, kind: str) -> Maker:
-    return effect.runtime or _BY_KIND.get(kind, RuntimeEffect)

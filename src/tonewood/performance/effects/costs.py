@@ -38,20 +38,20 @@ class Costs:
         self.declared = dict(declared)
         # modes and loads -> samples that were stepped with them, and the seconds that took
         self._runs: dict[tuple[float, ...], list[float]] = {}
-        self._found: Rates | None = None
+        self._rates: Rates | None = None
 
     def add(self, seconds: float, samples: int, modes: int, loads: Sequence[float]) -> None:
         """Enter a run: how many modes were stepped, and the load of every effect, 0 where it did not run."""
         totals = self._runs.setdefault((modes, *loads), [0.0, 0.0])
         totals[0] += samples
         totals[1] += seconds
-        self._found = None
+        self._rates = None
 
     def rates(self) -> Rates:
         """Best fit of all runs so far."""
-        if self._found is None:
-            self._found = self._fitted()
-        return self._found
+        if self._rates is None:
+            self._rates = self._fitted()
+        return self._rates
 
     def _fitted(self) -> Rates:
         zeros = dict.fromkeys(self.declared, 0.0)

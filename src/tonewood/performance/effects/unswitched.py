@@ -46,20 +46,17 @@ class PickupEffect(RuntimeEffect):
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:
         """Recorded groups ran all the time."""
-        recorded, whole = self._recorded, usage.seconds(usage.samples)
+        recorded, whole = {group.name for group in self.model.outputs}, usage.seconds(usage.samples)
         return [self._report(name, whole if name in recorded else 0.0) for name in self.components]
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
         """Recorded groups will run all the time."""
-        recorded, whole, out = self._recorded, ((0.0, foreseen.seconds),), []
+        recorded, whole = {group.name for group in self.model.outputs}, ((0.0, foreseen.seconds),)
+        out = []
         for name in self.components:
             spans, why = (whole, "it is recorded") if name in recorded else ((), "it is not recorded")
             out.append(PlannedEffect(self.name, name, spans, why, None))
         return out
-
-    @property
-    def _recorded(self) -> set[str]:
-        return {group.name for group in self.model.outputs}
 
 
 class OccasionalEffect(RuntimeEffect):

@@ -17,16 +17,15 @@ class EnergyBudget:
 
     system, state : where it begins.
     model : of the engine.
-    interval : steps per entry.
     """
 
-    def __init__(self, system: System, state: State, model: Model, interval: int = 64):
+    def __init__(self, system: System, state: State, model: Model):
         self.model = model
         driven: dict[str, list[str]] = {}
         for entries in model.inputs.values():
             for component, point, _ in entries:
                 driven.setdefault(component, []).append(point)
-        self.account = EnergyAccount(system, state.copy(), interval, driven_points=driven)
+        self.account = EnergyAccount(system, state.copy(), driven_points=driven)
 
     def changed(self, label: str, system: System, state: State) -> None:
         """Go on with a changed system or state, and enter the energy that the change added under `label`."""

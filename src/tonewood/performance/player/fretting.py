@@ -118,7 +118,7 @@ class FrettedBases:
         """Compile the bases of a string; where only its pluck is elsewhere, from those that it had before."""
         system, compiled = self.model.system, self._held.get((name, fretting.unplucked))
         if compiled is None:
-            return {c: system.compile(c, basis) for c, basis in self._made(name, fretting).items()}
+            return {c: system.compile(c, basis) for c, basis in self._uncompiled(name, fretting).items()}
         before = {c: part.basis for c, part in compiled.items()}
         bases = self.model.strings[name].modes.plucked_at(before, fretting.stop, fretting.place, fretting.width)
         return {
@@ -126,7 +126,7 @@ class FrettedBases:
             for c, basis in bases.items()
         }
 
-    def _made(self, name: str, fretting: Fretting) -> dict[str, ModalBasis]:
+    def _uncompiled(self, name: str, fretting: Fretting) -> dict[str, ModalBasis]:
         if fretting.damper:
             free = self.bases(name, replace(fretting, damper=0.0))
             undamped = {c: part.basis for c, part in free.items()}
@@ -196,14 +196,14 @@ def bridge_forces(system: System, state: State) -> ForceAtBridge:
     """Return the forces of bridges on strings' ends, N, from the residual compliance; all are solved for at once."""
 
     @cache
-    def found() -> dict[str, float]:
+    def forces() -> dict[str, float]:
         rigid = system.elimination.linear.rigid
         R = system.elimination.gap.residual[np.ix_(rigid, rigid)]
         force = -scaled_pinv(R) @ gaps(system, state)[rigid]
         components = [c.terms[0].component for c, on in zip(system.connections, rigid, strict=True) if on]
         return dict(zip(components, force.tolist(), strict=True))
 
-    return lambda component: found()[component]
+    return lambda component: forces()[component]
 
 
 def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, component: str, bridge_force: ForceAtBridge) -> Floats:

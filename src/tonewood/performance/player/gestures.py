@@ -100,7 +100,6 @@ def _sampled(play: Play, course: Course, model: Model, system: System) -> list[I
 
 
 def _sum(a: Course, b: Course) -> Course:
-    """Sum of two known forces."""
     courses = [c for c in (a, b) if c.values.shape[1]]
     if not courses:
         return Course(a.dt, a.parts + b.parts, a.start, a.values)

@@ -116,7 +116,6 @@ class Hands:
         return timeline
 
     def _has_una_corda(self, voice: Voice) -> bool:
-        """Whether that pedal is down for a note."""
         return (self._una_corda.at(voice.note.time) or 0.0) >= 0.5
 
     def _prepared(self, play: Play, voice: Voice, before: Voice | None) -> Play:
@@ -274,7 +273,6 @@ class PacedHands(Hands):
             self.changes += self.dampers.moved(self.now * self.dt)
 
     def _gesture(self, voice: Voice, event: Event) -> Gesture:
-        """Gesture of a note that sounds, with another event."""
         assert voice.assigned is not None
         place = self.model.place(voice.assigned.string, voice.assigned.stop)
         return exciter_of(voice.note, self.model, voice.assigned.string).gesture(event, place)

@@ -79,10 +79,10 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
     for numbered in _by_string(assignment.notes, model, capo):
         notes_of_string = [assigned for _, assigned in numbered]
         gestures = []
-        for (i, own), following in zip_longest(numbered, notes_of_string[1:]):
-            voice = Voice(i, own.note, assigned=own, duration=_duration(own, following, model))
-            voice.bends = bends.get(own.note.channel, voice.bends)
-            gestures.append(hands.begin(voice, event_values(own.note, model, controllers.of(own.note))))
+        for (i, assigned), following in zip_longest(numbered, notes_of_string[1:]):
+            voice = Voice(i, assigned.note, assigned=assigned, duration=_duration(assigned, following, model))
+            voice.bends = bends.get(assigned.note.channel, voice.bends)
+            gestures.append(hands.begin(voice, event_values(assigned.note, model, controllers.of(assigned.note))))
         hands.finish(voice)
         hands.plays += noises(notes_of_string, gestures, model, capo)
         hands.plays += key_noises(notes_of_string, model)
@@ -200,7 +200,6 @@ def _glided(bends: Sequence[Control], tick: float) -> list[Control]:
 
 
 def _by_channel(controls: Sequence[Control]) -> dict[int | None, list[Control]]:
-    """Bends of each channel."""
     out: dict[int | None, list[Control]] = defaultdict(list)
     for control in controls:
         if control.kind == "bend":

@@ -198,7 +198,6 @@ class ChannelReader:
             self._all_notes_off(time, channel)
 
     def _bend(self, time: float) -> None:
-        """Keep the bends that a message has changed."""
         for number, cents in self._midi.bends():
             self._control(time, number, "bend", cents)
 

@@ -117,7 +117,6 @@ class _Gpif:
         return out
 
     def _staff(self, track: Element, staff: Element, columns: list[list[str]], column: int) -> WrittenPart:
-        """Part of one staff."""
         values = {p.get("name"): p for p in staff.findall("Properties/Property")}
         pitches = text_of(values.get("Tuning"), "Pitches").split()
         self.tuning = [pitch for pitch in (number(x, -128.0, 256.0) for x in pitches) if pitch is not None]
@@ -143,7 +142,6 @@ class _Gpif:
         return part
 
     def _ids(self, element: Element | None, path: str) -> list[str]:
-        """Ids that an element lists."""
         ids = text_of(element, path).split()
         self.references.take(len(ids))
         return ids
@@ -342,7 +340,6 @@ class _Gpif:
         )  # fmt: skip
 
     def _signs(self, note: Element, values: dict[str | None, Element]) -> set[str]:
-        """Signs of a note by itself."""
         switches = {"PalmMuted": "palm_mute", "Muted": "dead", "Tapped": "tapping", "LeftHandTapped": "tapping"}
         signs = {sign for name, sign in switches.items() if _on(values.get(name))}
         accent = int(number_of(note, "Accent", 0.0, 0.0, _FLAGS))
@@ -369,7 +366,6 @@ def _on(value: Element | None) -> bool:
 
 
 def _flags(values: dict[str | None, Element]) -> int:
-    """Bits of a note's slides."""
     return int(number_of(values.get("Slide"), "Flags", 0.0, 0.0, _FLAGS))
 
 

@@ -91,7 +91,6 @@ def read_guitar_pro(data: bytes, path: Path) -> WrittenMusic:
 
 
 def _fill(music: WrittenMusic, song: Any) -> None:
-    """Take over a song of pyguitarpro."""
     texts = {"title": song.title, "composer": song.music or song.artist}
     music.metadata |= {name: text for name, text in texts.items() if text}
     for header in song.measureHeaders:
@@ -165,7 +164,6 @@ class _Track:
         self.ignored["wah"] += change.wah is not None and change.wah.value >= 0
 
     def _beat(self, beat: Any, at: Fraction) -> list[WrittenNote]:
-        """Notes of one beat."""
         effect, length = beat.effect, Fraction(beat.duration.time, _QUARTER)
         signs = {"vibrato"} if effect.vibrato else set()
         if effect.slapEffect.name != "none":

@@ -136,8 +136,6 @@ class _Reader:
 
 
 class _PartReader:
-    """Reads the measures of one part."""
-
     def __init__(self, part: WrittenPart, music: WrittenMusic):
         self.part, self.music = part, music
         self.divisions, self.velocity = Fraction(0), 80
@@ -458,7 +456,6 @@ def _pitch(element: Element | None, step: str, alter: str, octave: str) -> float
 
 
 def _signs(element: Element) -> tuple[set[str], Counter[str]]:
-    """Signs of a note, and those that are not followed."""
     signs: set[str] = set()
     ignored: Counter[str] = Counter()
     for sign in _notated(element):

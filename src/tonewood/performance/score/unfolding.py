@@ -159,8 +159,6 @@ def _targets(
 
 
 class _Score:
-    """Repeats as scores have them."""
-
     def __init__(self, measures: Sequence[Measure]):
         self._measures = measures
         self._played: Counter[int] = Counter()

@@ -290,41 +290,18 @@ class NonlinearGaps:
         return cls(laws, compliance[among] + R / laws.theta, compliance[on], compliance[:, on], R)
 
 
-@dataclass(frozen=True, eq=False)
 class NonlinearSolve:
-    """The k nonlinear connections of a system after the linear ones are eliminated.
+    """The k nonlinear connections of a system after the linear ones are eliminated; immutable.
 
-    gaps : compliance of the nonlinear gaps without the linear connections.
+    gaps : compliance of the nonlinear gaps without the linear connections; `from_linear` and `residual` are its.
     linear : elimination of the linear connections.
+    index, laws, theta : of `NonlinearLaws`.
     """
 
-    gaps: NonlinearGaps
-    linear: LinearSolve
-
-    @property
-    def index(self) -> NDArray[np.intp]:
-        """(k,) their places among the m connections."""
-        return self.gaps.laws.index
-
-    @property
-    def laws(self) -> tuple[NonlinearLaw, ...]:
-        """(k,)."""
-        return self.gaps.laws.laws
-
-    @property
-    def theta(self) -> float:
-        """Weight of the step's end in the law of R in series."""
-        return self.gaps.laws.theta
-
-    @property
-    def from_linear(self) -> Floats:
-        """(k, m) m/N, Z_nl: gaps per force of the linear connections."""
-        return self.gaps.from_linear
-
-    @property
-    def residual(self) -> Floats:
-        """(k, k) m/N, R of the gaps whose laws have it; zero elsewhere."""
-        return self.gaps.residual
+    def __init__(self, gaps: NonlinearGaps, linear: LinearSolve):
+        self.gaps, self.linear = gaps, linear
+        self.index, self.laws, self.theta = gaps.laws.index, gaps.laws.laws, gaps.laws.theta
+        self.from_linear, self.residual = gaps.from_linear, gaps.residual
 
     @cached_property
     def answer(self) -> Floats:

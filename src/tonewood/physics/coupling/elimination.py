@@ -69,7 +69,7 @@ class GapCompliance:
         compliance = np.where(others, compliance, 0.0)
         residual = 2 * residual * (laws.rigid[rows] & laws.rigid[columns])
 
-        def found(residual: Floats, hub: Hub | None) -> InverseInParts | None:
+        def inverted(residual: Floats, hub: Hub | None) -> InverseInParts | None:
             values = compliance + residual
             joined = laws.active[rows] & laws.active[columns] & (values != 0.0)
             entries = (
@@ -80,12 +80,12 @@ class GapCompliance:
             return InverseInParts.of(k, entries, hub)
 
         if hub < 0:
-            return found(residual, None)
+            return inverted(residual, None)
         at = self.compiled[hub].gaps
-        solution = found(residual, self._hub(hub, place))
+        solution = inverted(residual, self._hub(hub, place))
         if solution is None and np.any(self.compiled[hub].residual) and np.all(laws.rigid[at[place[at] >= 0]]):
             # its residual compliance joins connections that are in parts otherwise: it goes with the hub's motions
-            return found(np.where(others, residual, 0.0), self._hub(hub, place, yields=True))
+            return inverted(np.where(others, residual, 0.0), self._hub(hub, place, yields=True))
         return solution
 
     def _hub(self, slot: int, place: NDArray[np.intp], *, yields: bool = False) -> Hub:

@@ -198,11 +198,6 @@ class EnergyAccount:
                 if name == component:
                     yield f"{string.name} longitudinal", point, share * force
 
-    def _displacement(self, component: str, point: str, x: Floats) -> Floats:
-        """(T + 1,) m, of a point."""
-        compiled = self.system.compiled[self.system.slot(component)]
-        return np.asarray(np.einsum("mx,tmx->t", compiled.form.C[compiled.basis.index(point)], x))
-
     def _gaps(self, path: Mapping[str, Floats]) -> Floats:
         """(T, m) gaps of all connections."""
         total: Floats = np.zeros((1, len(self.system.connections)))
@@ -237,7 +232,8 @@ class EnergyAccount:
             for label, point, tension in self._driven(name, again):
                 column = energy.points.index(point)
                 port_forces[:, column] += tension
-                moved = np.diff(self._displacement(name, point, x))
+                compiled = self.system.compiled[self.system.slot(name)]
+                moved = np.diff(np.einsum("mx,tmx->t", compiled.form.C[compiled.basis.index(point)], x))
                 supplied[label] = supplied.get(label, np.zeros(T)) + tension * moved
             mine = [k for k in known if k.component == name]
             lost[name], sound, works = over_steps(energy, x[:-1], port_forces, modal_forces.get(name), mine, sample, dt)

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -143,17 +144,11 @@ class ModalBasis(ModalResponses, ModalViews):
         phi = np.array(rows, dtype=np.float64).reshape(len(points), omega.size)
 
         poles, kind, gain = second_order(omega, sigma)
-        kept_residual: Callable[[ArrayLike, ArrayLike], Floats] | None = None
+        residual_at: Callable[[ArrayLike, ArrayLike], Floats] | None = None
         if static_compliance is not None:
-            full, soft, shape_at = static_compliance, omega > 0, normal_shape
-
-            def left_over(x: float, y: float) -> float:
-                assert shape_at is not None
-                stepped = np.sum(shape_at(x)[soft] * shape_at(y)[soft] / omega[soft] ** 2)
-                return float(full(x, y) - stepped)
-
-            kept_residual = np.vectorize(left_over, otypes=[np.float64])
-            residual = [[left_over(x, y) for y in places.values()] for x in places.values()]
+            assert normal_shape is not None
+            residual_at = _softened(static_compliance, normal_shape, omega > 0, -(omega**2))
+            residual = [[float(residual_at(x, y)) for y in places.values()] for x in places.values()]
         return cls(
             poles=poles,
             kind=kind,
@@ -164,7 +159,7 @@ class ModalBasis(ModalResponses, ModalViews):
             left=(phi * gain).astype(np.complex128),
             residual=_residual(residual, len(points)),
             shape=normal_shape,
-            residual_at=kept_residual,
+            residual_at=residual_at,
             places=places,
             metadata=dict(metadata or {}),
         )
@@ -326,15 +321,8 @@ class ModalBasis(ModalResponses, ModalViews):
             shape = lambda x: whole(x)[keep]  # noqa: E731
         if fold and not keep.all():
             residual = residual + self.static_of(~keep)
-            if (whole_at := self.residual_at) and (every := self.shape):
-                drop = ~keep
-
-                def softer(x: float, y: float) -> float:
-                    extra = np.sum(every(x)[drop] * every(y)[drop] / self.stiffness[drop])
-                    return float(whole_at(x, y) + extra)
-
-                residual_at = np.vectorize(softer, otypes=[np.float64])
-
+            if self.residual_at and self.shape:
+                residual_at = _softened(self.residual_at, self.shape, ~keep, self.stiffness)
         return replace(
             self,
             poles=self.poles[keep],
@@ -357,6 +345,17 @@ def second_order(omega: Floats, sigma: Floats) -> tuple[Complexes, NDArray[np.ui
     poles = np.where(block & (sigma >= omega), -sigma + slow, -sigma + 1j * damped).astype(np.complex128)
     gain = np.where(block, 1.0, -0.5j / np.where(block, 1.0, damped))
     return poles, np.where(block, BLOCK, PAIR).astype(np.uint8), gain
+
+
+def _softened(
+    compliance: Callable[..., Any], shape: Callable[[float], Floats], modes: NDArray[np.bool_], stiffness: Floats
+) -> Callable[[ArrayLike, ArrayLike], Floats]:
+    """Compliance between two places, m/N, with that of some modes added: sum phi phi / stiffness."""
+
+    def at(x: float, y: float) -> float:
+        return float(compliance(x, y) + np.sum(shape(x)[modes] * shape(y)[modes] / stiffness[modes]))
+
+    return np.vectorize(at, otypes=[np.float64])
 
 
 def _residual(residual: ArrayLike | None, n_points: int) -> Floats:

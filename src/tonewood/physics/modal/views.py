@@ -57,7 +57,6 @@ class ModalViews(ABC):
         """Modes, and label -> point at which mobility is of interest."""
 
     def _view_title(self) -> str:
-        """Title of figures."""
         return ""
 
     def modes(self) -> Any:

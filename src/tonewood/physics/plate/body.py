@@ -346,8 +346,8 @@ def _with_air(
     rest = top.plate.residual(np.vstack([loads, volumes[0]]), top)
     points = len(loads)
     compliance, lever = rest[points:, points:], rest[:points, points:]
-    for back, own in zip(plates[1:], volumes[1:], strict=True):
-        compliance = compliance + back.plate.residual(own, back)
+    for back, swept_by in zip(plates[1:], volumes[1:], strict=True):
+        compliance = compliance + back.plate.residual(swept_by, back)
     modes = couple_air(freq, outward[0], cavity.volume, hole, (cavity.freq, b, at_hole), compliance)
     stiff = np.eye(1 + m) * cavity.volume / (AIR_DENSITY * SOUND_SPEED**2) + compliance
     added = lever @ sla.solve(stiff, lever.T, assume_a="pos")

@@ -47,8 +47,6 @@ class Statistics:
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
-    """One step."""
-
     x: list[Floats]
     forces: Floats
     series: Floats
@@ -146,8 +144,6 @@ class NumpyStepper:
         self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats, memory: Floats,
         partners: Partners, time: float,
     ) -> _Attempt:  # fmt: skip
-        """Find the forces of one step."""
-
         def attempt() -> _Attempt:
             branches = {}
             if (nonlinear := self.system.nonlinear) is not None:

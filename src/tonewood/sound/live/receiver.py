@@ -99,7 +99,6 @@ class MidiReceiver:
             self.ignored[fault.reason] += 1
 
     def _bend(self) -> None:
-        """Pass on the bends that a message has changed."""
         for at, cents in self._channels.bends():
             if abs(cents) > BEND_LIMIT:
                 self.ignored[f"bend beyond {BEND_LIMIT:g} cents, held there"] += 1

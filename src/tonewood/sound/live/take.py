@@ -120,13 +120,12 @@ def _number(settings: dict[str, str], name: str, default: float, path: str | os.
 class Replay:
     """Plays a MIDI file as if it were coming in live: no note knows those that follow.
 
-    A take gives the samples that were heard when it was recorded, to the last bit, with the same options; its own
-    sampling rate, ramp and spacing are taken where none are given.
+    A take gives the samples that were heard when it was recorded, to the last bit, with the same options, and
+    its own ramp and spacing; so is its sampling rate where none is given.
 
     path : a take, or any MIDI file.
     instrument, fs, options : as for `Renderer`, single options as keywords too. After the last message the tail is as
         for a score.
-    ramp, spacing : as for `Live`.
     channels : as for `MidiReceiver`; those of the take where left out.
     """
 
@@ -137,8 +136,6 @@ class Replay:
         fs: float | None = None,
         *,
         options: RenderOptions | None = None,
-        ramp: float | None = None,
-        spacing: int | None = None,
         channels: Collection[int] | None = None,
         **settings: Any,
     ):
@@ -155,8 +152,8 @@ class Replay:
         ended = {name: getattr(defaults, name) for name in ("tail", "tail_level_db", "max_duration")}
         self.live = Live(
             instrument,
-            ramp=_number(recorded_settings, "ramp", 5e-3, path) if ramp is None else ramp,
-            spacing=int(_number(recorded_settings, "spacing", 2, path)) if spacing is None else spacing,
+            ramp=_number(recorded_settings, "ramp", 5e-3, path),
+            spacing=int(_number(recorded_settings, "spacing", 2, path)),
             prepare=False,
             options=options.at(**ended),
         )

@@ -120,7 +120,6 @@ def assembled(instrument: Instrument, options: RenderOptions, *, by_string: bool
 
 
 def _steps(instrument: Instrument, options: RenderOptions) -> Fraction:
-    """Steps per sample."""
     if options.oversampling is not None:
         return Fraction(options.oversampling)
     return LEVELS[options.accuracy].oversampling(instrument.spec)

@@ -43,7 +43,7 @@ class Routing:
     gain_db : of all channels.
     channels : names, ``GROUP.CHANNEL`` where there are several groups.
     scale : (n_channels,) 1 per unit of each channel.
-    delays : (n_channels,) frames, the nearest to those of the outputs.
+    delays, longest_delay : (n_channels,) frames, the nearest to those of the outputs, and the largest.
     plain : whether channels are the readouts, scaled.
     """
 
@@ -64,13 +64,9 @@ class Routing:
         self.scale = np.array([gain * factor / group.full_scale for group in groups for factor in group.gains])
         self._equalizer = Equalizer([group.equalizer for group in groups for _ in group.channels], fs)
         self.delays = [round(group.delay * fs) for group in groups for _ in group.channels]
-        self._late: Floats = np.zeros((max(self.delays, default=0), len(self.channels)))
+        self.longest_delay = max(self.delays, default=0)
+        self._late: Floats = np.zeros((self.longest_delay, len(self.channels)))
         self.plain = whole and not any(self.delays) and not self._equalizer
-
-    @property
-    def longest_delay(self) -> int:
-        """Return the largest delay of a channel, frames."""
-        return len(self._late)
 
     @property
     def memory(self) -> Memory:
@@ -99,7 +95,7 @@ class Routing:
 
     def finished(self, sound: Floats) -> Floats:
         """(n, n_channels) frames behind their equalizers, each as late as its output says; the last are kept."""
-        sound, longest = self._equalizer(sound), len(self._late)
+        sound, longest = self._equalizer(sound), self.longest_delay
         if not longest:
             return sound
         whole = np.concatenate([self._late, sound])
