@@ -18,11 +18,12 @@ from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
+import listening_studies as sim
 import numpy as np
 
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening import power
-from tonewood.workshop.listening import simulations as sim
+from tonewood.workshop.listening.simulations import Population
 
 SEEDS = (1, 2, 3)
 BEGAN = time.monotonic()
@@ -39,13 +40,13 @@ PAGES = {
 #: populations on which the fit was chosen (A to C), and others: mean threshold, standard deviation of ln(level), slope
 #: per unit of ln(level), standard deviation of its logarithm, lapse rate
 PEOPLE = {
-    "A": sim.Population(5.0, 0.25, 2.0, 0.3, 0.02),
-    "B": sim.Population(5.0, 0.25, 1.0, 0.3, 0.02),
-    "C": sim.Population(5.0, 0.25, 4.0, 0.3, 0.04),
-    "D": sim.Population(2.0, 0.4, 3.0, 0.3, 0.02),
-    "E": sim.Population(5.0, 0.6, 2.5, 0.5, 0.03),
-    "F": sim.Population(8.0, 0.35, 6.0, 0.3, 0.05),
-    "G": sim.Population(12.0, 0.15, 1.5, 0.2, 0.01),
+    "A": Population(5.0, 0.25, 2.0, 0.3, 0.02),
+    "B": Population(5.0, 0.25, 1.0, 0.3, 0.02),
+    "C": Population(5.0, 0.25, 4.0, 0.3, 0.04),
+    "D": Population(2.0, 0.4, 3.0, 0.3, 0.02),
+    "E": Population(5.0, 0.6, 2.5, 0.5, 0.03),
+    "F": Population(8.0, 0.35, 6.0, 0.3, 0.05),
+    "G": Population(12.0, 0.15, 1.5, 0.2, 0.01),
 }
 
 
@@ -239,7 +240,7 @@ def powers(options: argparse.Namespace) -> None:
     )  # fmt: skip
     rows.append(["0.6 points of an ordinal scale of 1 to 5, sd 1, six sounds", str(n), percent(of_shares(n)),
                  percent(had[0])])  # fmt: skip
-    page, people = StaircasePage.model_validate(STAIRS), sim.Population(5.0, 0.25, 2.0)
+    page, people = StaircasePage.model_validate(STAIRS), Population(5.0, 0.25, 2.0)
     margin = float(np.log(1.25))
     n = power.threshold_listeners(page, people, margin, 0.05, 0.8)
     had = means(

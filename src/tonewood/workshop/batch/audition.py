@@ -15,7 +15,7 @@ from importlib.resources import files as package_files
 from pathlib import Path
 from typing import Any
 
-from tonewood.support.whole_files import whole_file
+from tonewood.support.whole_files import write_whole
 from tonewood.workshop.batch.conditions import Condition
 from tonewood.workshop.batch.layout import Group
 from tonewood.workshop.batch.manifest import Manifest
@@ -56,13 +56,16 @@ def write_audition(
             levels = conditions[stimulus.condition].all_levels
             names[stimulus.code] = {"name": stimulus.condition, "role": stimulus.role, "levels": levels}
         sounds = {s.code: base64.b64encode((folder / files[s.code].file).read_bytes()).decode() for s in present}
-        _write(folder / FOLDER / f"set{number}.js", f"soundsOf({number - 1}, {_json(sounds)});\n")
+        write_whole(
+            folder / FOLDER / f"set{number}.js", f"soundsOf({number - 1}, {_json(sounds)});\n", make_folder=True
+        )
     for path in (folder / FOLDER).glob("set*.js"):
         if path.stem.removeprefix("set").isdigit() and int(path.stem.removeprefix("set")) > len(sets):
             path.unlink()
     factors = [name for name, levels in manifest.choices().items() if len(levels) > 1]
     factors += ["repeat"] if manifest.repeats > 1 else []
-    _write(folder / FOLDER / "names.js", f"namesAre({_json({'factors': factors, 'names': names})});\n")
+    revealed = _json({"factors": factors, "names": names})
+    write_whole(folder / FOLDER / "names.js", f"namesAre({revealed});\n", make_folder=True)
     title = localised(manifest.title, language) or manifest.name
     data = {"sets": sets, "blind": manifest.output.blind, "pictures": PICTURES if manifest.output.pictures else ""}
     assets = package_files("tonewood.workshop.batch")
@@ -73,7 +76,7 @@ def write_audition(
         ("{{data}}", _json(data)), ("{{script}}", script),
     ):  # fmt: skip
         page = page.replace(mark, text)
-    _write(folder / FILE, page)
+    write_whole(folder / FILE, page, make_folder=True)
 
 
 def facts_of(file: SoundFile) -> str:
@@ -87,8 +90,3 @@ def _json(data: Any) -> str:
     """JSON that may stand in a script element of a page."""
     text = json.dumps(data, ensure_ascii=False)
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
-
-
-def _write(path: Path, text: str) -> None:
-    with whole_file(path, make_folder=True) as stream:
-        stream.write(text.encode())

@@ -12,7 +12,7 @@ import dataclasses
 import hashlib
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -115,7 +115,6 @@ class Condition:
 def expand(manifest: Manifest, folder: Path) -> tuple[Condition, ...]:
     """All conditions of a manifest, in its order.
 
-    manifest : checked manifest.
     folder : the manifest's folder, to which its paths are relative.
     Raises ManifestError
         A score's file cannot be read, nothing is left after exclusion, or there are more than `MAX_CONDITIONS`.
@@ -203,15 +202,16 @@ def _condition(
         bundle=bundle_of(manifest.instruments[instrument], folder),
         overrides={p: v for p, v in values.items() if not p.startswith("render.")},
         render=manifest.render_settings(settings),
-        draws=tuple(_draw(path, law, manifest.seed, labels) for path, law in manifest.vary.items()),
+        draws=draws_of(manifest.vary, manifest.seed, labels),
         seed=manifest.seed,
         **source,
     )
 
 
-def _draw(path: str, variation: Variation, seed: int, labels: tuple[str, ...]) -> Draw:
-    law, spread = next((k, v) for k, v in variation.model_dump(exclude_none=True).items())
-    return Draw(path=path, law=law, spread=float(spread), seed=seed, labels=labels)
+def draws_of(vary: Mapping[str, Variation], seed: int, labels: tuple[str, ...]) -> tuple[Draw, ...]:
+    """The human variation of one performance, which `labels` name."""
+    laws = {path: next(iter(law.model_dump(exclude_none=True).items())) for path, law in vary.items()}
+    return tuple(Draw(path, law, float(spread), seed, labels) for path, (law, spread) in laws.items())
 
 
 def bundle_of(value: str, folder: Path) -> str:
@@ -226,15 +226,18 @@ def _source(name: str, score: ScoreSource, folder: Path) -> dict[str, Any]:
     if score.phrase is not None:
         return {"notes": tuple(fields.to_note() for fields in score.phrase)}
     assert score.midi is not None  # the schema asks for one of the two
-    path = (folder / score.midi).resolve()
+    return midi_source((folder / score.midi).resolve(), score.midi, f"scores.{name}.midi", score)
+
+
+def midi_source(path: Path, name: str, key: str, excerpt: ScoreSource | None = None) -> dict[str, Any]:
+    """Fields `midi` and `midi_sha256` of a condition; the whole file without an excerpt.
+
+    Raises ManifestError : the file, which is called `name`, cannot be read; names the key.
+    """
     try:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as fault:
-        raise ManifestError(f"{score.midi} cannot be read: {fault.strerror}", key=f"scores.{name}.midi") from None
-    excerpt = {
-        "path": str(path),
-        "start": score.start,
-        "stop": score.stop,
-        "channel_per_string": score.channel_per_string,
-    }
-    return {"midi": excerpt, "midi_sha256": digest}
+        raise ManifestError(f"{name} cannot be read: {fault.strerror}", key=key) from None
+    fields = excerpt or ScoreSource(midi=name)
+    midi = {key: getattr(fields, key) for key in ("start", "stop", "channel_per_string")}
+    return {"midi": {"path": str(path), **midi}, "midi_sha256": digest}

@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from tonewood.support.whole_files import whole_file
+from tonewood.support.whole_files import write_whole
 
 FILE = "datasheet.md"
 #: papers of the method, as in CITATION.cff
@@ -44,8 +44,7 @@ def write_data_sheet(folder: Path, subject: Subject, identities: Iterable[Mappin
 
     identities : everything that decided the samples of each sound (`StimulusRenderer.identity`).
     """
-    with whole_file(folder / FILE, make_folder=True) as stream:
-        stream.write(data_sheet(subject, list(identities)).encode())
+    write_whole(folder / FILE, data_sheet(subject, list(identities)), make_folder=True)
 
 
 def data_sheet(subject: Subject, identities: Sequence[Mapping[str, Any]]) -> str:

@@ -38,7 +38,6 @@ def definition_of(
 ) -> dict[str, Any]:
     """The definition as plain data; trials with a sound that is not in `codes` are left out.
 
-    folder : the manifest's, to which its paths are relative.
     drops_db : by name of a group, by which its files were lowered.
     Raises ManifestError : the room's file cannot be read.
     """
@@ -119,7 +118,6 @@ def with_value(manifest: Manifest, condition: Condition, path: str, value: Any) 
 def staircase_levels(manifest: Manifest, folder: Path, own: Callable[[Condition, str], Any]) -> list[StaircaseLevel]:
     """Sounds that every staircase needs: reference, start, lowest and highest level.
 
-    folder : the manifest's.
     own : of (condition, path), the parameter's value in the bundle; raises a TonewoodError if there is none.
     Raises ManifestError : a staircase changes no condition or several, a level does not fit, or levels change nothing;
         names
@@ -203,9 +201,6 @@ def count_answers(path: Path) -> int:
 def check_answers(folder: Path, manifest: Manifest, source: Path, groups: Sequence[Group], todo: int) -> None:
     """Check that a batch leaves a test as it is to which answers were given.
 
-    folder : of the batch.
-    source : the manifest's.
-    groups : that are planned.
     todo : sounds that would be rendered.
     Raises ManifestError : the test or its sounds would be replaced, or it is unknown whether answers were given.
     """

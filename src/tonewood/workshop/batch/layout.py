@@ -11,19 +11,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from tonewood.errors import TonewoodError, together
+from tonewood.workshop.batch import pages
 from tonewood.workshop.batch.conditions import Condition
 from tonewood.workshop.batch.manifest import Manifest, ManifestError
-from tonewood.workshop.batch.pages import (
-    Bs1116Page,
-    HtmlPage,
-    MushraPage,
-    PairPage,
-    RatedPage,
-    RatingPage,
-    SoundPage,
-    StaircasePage,
-    as_pairs,
-)
 from tonewood.workshop.batch.seeds import blind_codes
 
 MAX_SIGNALS = 12  # BS.1534-3: signals on one page, hidden reference and anchors among them
@@ -71,25 +61,24 @@ class Group:
 def lay_out(manifest: Manifest, conditions: Sequence[Condition]) -> tuple[tuple[Group, ...], list[str]]:
     """All groups of a batch in the manifest's order, and notes on them.
 
-    Raises ManifestError
-        A page has not exactly one reference, holds more than `MAX_SIGNALS`, or pairs nothing.
+    Raises ManifestError : a page has not exactly one reference, holds more than `MAX_SIGNALS`, or pairs nothing.
     """
     drafts: list[_Draft] = []
     notes: list[str] = []
     faults: list[TonewoodError] = []
     for index, page in enumerate(manifest.pages):
         try:
-            if isinstance(page, HtmlPage) and not page.group_by and page.reference is None:
+            if isinstance(page, pages.HtmlPage) and not page.group_by and page.reference is None:
                 used = {c for draft in drafts for c in draft.sounds}
                 left = [c for c in conditions if c.name not in used]
                 drafts += _drafts(manifest, index, page, left, ["instrument", "score", "repeat"], notes)
-            elif isinstance(page, SoundPage):
+            elif isinstance(page, pages.SoundPage):
                 drafts += _drafts(manifest, index, page, conditions, page.group_by, notes)
         except ManifestError as fault:
             faults.append(fault)
     if faults:
         raise together(faults)
-    if not drafts and not any(isinstance(page, StaircasePage) for page in manifest.pages):
+    if not drafts and not any(isinstance(page, pages.StaircasePage) for page in manifest.pages):
         raise ManifestError("no page is left with anything to hear", key="pages")
     names = [name for draft in drafts for name in draft.names()]
     codes = blind_codes(manifest.seed, names)
@@ -131,19 +120,19 @@ class _Draft:
 def _drafts(
     manifest: Manifest,
     index: int,
-    page: SoundPage,
+    page: pages.SoundPage,
     conditions: Sequence[Condition],
     group_by: list[str],
     notes: list[str],
 ) -> Iterator[_Draft]:
-    rated = isinstance(page, RatedPage)
+    rated = isinstance(page, pages.RatedPage)
     keys = [*group_by, "repeat"] if rated and "repeat" not in group_by else group_by
     for fixed, members in _grouped(conditions, keys):
         label = ".".join([f"page{index + 1}", *(f"{k}={v}" for k, v in fixed.items())])
         draft: _Draft | None
-        if isinstance(page, PairPage):
+        if isinstance(page, pages.PairPage):
             draft = _paired(manifest, index, page, label, fixed, members)
-        elif isinstance(page, RatingPage):
+        elif isinstance(page, pages.RatingPage):
             names = tuple(c.name for c in members)
             draft = _Draft(label, index, fixed, names, tuple((None, (name,)) for name in names))
         else:
@@ -163,11 +152,7 @@ def _grouped(conditions: Sequence[Condition], keys: list[str]) -> Iterator[tuple
 
 
 def _compared(
-    index: int,
-    page: SoundPage,
-    label: str,
-    fixed: dict[str, str],
-    members: list[Condition],
+    index: int, page: pages.SoundPage, label: str, fixed: dict[str, str], members: list[Condition]
 ) -> _Draft | None:
     names = tuple(c.name for c in members)
     reference: dict[str, str] | None = getattr(page, "reference", None)
@@ -186,23 +171,22 @@ def _compared(
     if not others:
         return None
     signals = len(names) + len(cutoffs)
-    if isinstance(page, MushraPage) and page.strict and signals > MAX_SIGNALS:
+    if isinstance(page, pages.MushraPage) and page.strict and signals > MAX_SIGNALS:
         raise ManifestError(
-            f"{signals} signals on {label}; at most {MAX_SIGNALS} (BS.1534), or strict: false",
-            key=f"pages.{index}",
+            f"{signals} signals on {label}; at most {MAX_SIGNALS} (BS.1534), or strict: false", key=f"pages.{index}"
         )
     anchors = tuple(ANCHOR_ROLES[cutoff] for cutoff in cutoffs)
-    if isinstance(page, Bs1116Page):  # one sound at a time
+    if isinstance(page, pages.Bs1116Page):  # one sound at a time
         return _Draft(label, index, fixed, names, tuple((references[0], (other,)) for other in others))
     return _Draft(label, index, fixed, names, ((references[0], others),), anchors, references[0])
 
 
 def _paired(
-    manifest: Manifest, index: int, page: PairPage, label: str, fixed: dict[str, str], members: list[Condition]
+    manifest: Manifest, index: int, page: pages.PairPage, label: str, fixed: dict[str, str], members: list[Condition]
 ) -> _Draft | None:
     (factor, pairs), *_ = page.pairs.items()
     trials: list[tuple[str | None, tuple[str, ...]]] = []
-    for first, second in as_pairs(pairs, manifest.choices()[factor]):
+    for first, second in pages.as_pairs(pairs, manifest.choices()[factor]):
         partner = {_rest(c, factor): c.name for c in members if c.all_levels[factor] == second}
         for condition in members:
             if condition.all_levels[factor] == first and (other := partner.get(_rest(condition, factor))):

@@ -22,14 +22,7 @@ from tonewood.sound.render.options import RenderOptions
 from tonewood.support.params import described, quantity
 from tonewood.support.validation_messages import all_messages, first_message
 from tonewood.support.yaml_io import load_yaml
-from tonewood.workshop.batch.page_parts import (
-    Language,
-    Levels,
-    Name,
-    ParameterPath,
-    Section,
-    Text,
-)
+from tonewood.workshop.batch.page_parts import Language, Levels, Name, ParameterPath, Section, Text
 from tonewood.workshop.batch.pages import (
     TRIALS,
     AnyPage,
@@ -388,8 +381,7 @@ def _misfits_of_levels(row: Levels, choices: dict[str, list[str]], key: str) -> 
 def load_manifest(path: str | os.PathLike[str]) -> Manifest:
     """Read and check a manifest.
 
-    Raises ManifestError
-        A line for each fault: file, key, fault and the values allowed.
+    Raises ManifestError : a line for each fault: file, key, fault and the values allowed.
     """
     return check_manifest(load_yaml(path, error=ManifestError), file=Path(path))
 

@@ -404,24 +404,10 @@ class HtmlPage(SoundPage):
 
 
 AnyPage = Annotated[
-    ConsentPage
-    | InstructionsPage
-    | LevelPage
-    | HeadphonesPage
-    | TrainingPage
-    | QuestionnairePage
-    | MushraPage
-    | Bs1116Page
-    | AbxPage
-    | AbPage
-    | PairedPage
-    | AfcPage
-    | RatingPage
-    | StaircasePage
-    | HtmlPage
-    | FinishPage,
+    ConsentPage | InstructionsPage | LevelPage | HeadphonesPage | TrainingPage | QuestionnairePage | MushraPage
+    | Bs1116Page | AbxPage | AbPage | PairedPage | AfcPage | RatingPage | StaircasePage | HtmlPage | FinishPage,
     Field(discriminator="type"),
-]
+]  # fmt: skip
 #: pages with trials that listeners answer
 TRIALS = (MushraPage, Bs1116Page, PairPage, RatingPage, StaircasePage)
 

@@ -128,21 +128,14 @@ def make_files(
     faults = [Fault(j.stimulus.condition, f) for j in jobs if (f := levels[j.stimulus.code].fault)]
     drops, notes = _drops(groups, levels, settings)
     lengths = {g.name: group_length([levels[s.code].frames for s in g.stimuli], settings) for g in groups}
-    tasks = [
-        (
-            job,
-            lengths[job.group],
-            levels[job.stimulus.code].gain_db - drops[job.group],
-            drops[job.group],
-            folder,
-            pictures,
-        )
-        for job in jobs
-        if levels[job.stimulus.code].fault is None
-    ]
+    tasks = []
+    for job in jobs:
+        level, drop = levels[job.stimulus.code], drops[job.group]
+        if level.fault is None:
+            tasks.append((job, lengths[job.group], level.gain_db - drop, drop, folder, pictures))
     files: dict[str, SoundFile] = {}
-    for made in workers.each(_write, tasks):
-        files[made.code] = made
+    for file in workers.each(_write, tasks):
+        files[file.code] = file
         advance()
     return [files[j.stimulus.code] for j in jobs if j.stimulus.code in files], faults, notes
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from tonewood.support.csv_text import csv_text
 from tonewood.support.parquet import write_parquet
-from tonewood.support.whole_files import whole_file
+from tonewood.support.whole_files import write_whole
 from tonewood.workshop.batch.conditions import Condition
 from tonewood.workshop.batch.layout import Group
 from tonewood.workshop.batch.manifest import Manifest
@@ -66,8 +66,6 @@ def file_records(
 ) -> list[dict[str, Any]]:
     """One record per file: the condition, its sources, facts about the render, and the file itself.
 
-    files : that were written.
-    conditions : by name.
     identities, renders : by content key; the renderer's identity of a sound, and its facts about the render.
     """
     records = []
@@ -90,10 +88,7 @@ def file_records(
 
 
 def batch_record(
-    manifest: Manifest,
-    records: Sequence[Mapping[str, Any]],
-    faults: Sequence[Fault],
-    notes: Sequence[str],
+    manifest: Manifest, records: Sequence[Mapping[str, Any]], faults: Sequence[Fault], notes: Sequence[str]
 ) -> dict[str, Any]:
     """The whole record of a batch."""
     return {
@@ -108,22 +103,24 @@ def batch_record(
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
     """Write readable JSON, as a whole file."""
-    with whole_file(path, make_folder=True) as stream:
-        stream.write((json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode())
+    text = json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False)
+    write_whole(path, text + "\n", make_folder=True)
 
 
 def write_csv(path: Path, records: Sequence[Mapping[str, Any]]) -> None:
     """Write records as a table: nested facts get dotted columns, lists stand as JSON."""
-    rows = [dict(_flat(record)) for record in records]
-    columns = list(dict.fromkeys(name for row in rows for name in row))
-    with whole_file(path, make_folder=True) as stream:
-        stream.write(csv_text(columns, rows).encode())
+    write_whole(path, csv_text(*_table(records)), make_folder=True)
 
 
 def write_table(path: Path, records: Sequence[Mapping[str, Any]]) -> None:
     """As `write_csv`, as Parquet."""
+    write_parquet(path, *_table(records))
+
+
+def _table(records: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[dict[str, Any]]]:
+    """Columns and rows of records."""
     rows = [dict(_flat(record)) for record in records]
-    write_parquet(path, list(dict.fromkeys(name for row in rows for name in row)), rows)
+    return list(dict.fromkeys(name for row in rows for name in row)), rows
 
 
 def _flat(value: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:

@@ -65,8 +65,7 @@ class EngineRenderer:
     def own_value(self, condition: Condition, path: str) -> Any:
         """Value of a parameter of the instrument, or of an option of the render (``render.``); None if not given.
 
-        Raises TonewoodError
-            The bundle cannot be loaded, or an override does not fit it.
+        Raises TonewoodError : the bundle cannot be loaded, or an override does not fit it.
         """
         value: Any = instrument_of(condition, self.allow_code).resolved
         if path.startswith("render."):
@@ -101,8 +100,7 @@ class EngineRenderer:
     def render(self, condition: Condition) -> Rendered:
         """The sound of a condition, with its human variation.
 
-        Raises TonewoodError
-            A score cannot be read or played, or the render went wrong.
+        Raises TonewoodError : a score cannot be read or played, or the render went wrong.
         """
         renderer = self.renderer(condition)
         samples = np.concatenate(list(renderer.blocks(4096)))

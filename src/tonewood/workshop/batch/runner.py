@@ -13,7 +13,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -40,6 +40,7 @@ from tonewood.workshop.batch.workers import Workers
 
 WORK = "work"
 Progress = Callable[[str, int, int], None]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -84,24 +85,14 @@ def plan_batch(
 ) -> BatchPlan:
     """Expand a manifest and list the conditions that are not rendered yet; nothing is written.
 
-    manifest_path, folder, renderer, workers : as for `run_batch`.
     predict : predict the time too, for which the renderer may try itself.
-    Raises TonewoodError
-        The manifest cannot be used, or no condition can be resolved.
+    Raises TonewoodError : the manifest cannot be used, or no condition can be resolved.
     """
     manifest = load_manifest(manifest_path)
     conditions, groups, notes, levels = _laid_out(manifest, manifest_path, renderer)
-    keys: dict[str, str] = {}
-    identities: dict[str, dict[str, Any]] = {}
-    faults: list[Fault] = []
-    for condition in (*conditions, *(level.condition for level in levels)):
-        try:
-            identity = renderer.identity(condition)
-        except TonewoodError as fault:
-            faults.append(Fault(condition.name, str(fault)))
-            continue
-        keys[condition.name] = key = content_key(identity)
-        identities[key] = identity
+    every = (*conditions, *(level.condition for level in levels))
+    identified, faults = _each_of(every, renderer.identity)
+    keys = {name: content_key(identity) for name, identity in identified.items()}
     if not keys:  # a misspelt path of a factor: one line, however many conditions have it
         raise ManifestError(f"no condition can be resolved: {faults[0].reason}", file=manifest_path)
     store = Store(folder / WORK)
@@ -110,16 +101,10 @@ def plan_batch(
         definition.check_rendering(new, renderer.render)
     except ManifestError as fault:
         raise ManifestError(fault.reason, file=manifest_path, key=fault.key) from None
-    todo: dict[str, Condition] = {}
-    for condition in (*conditions, *(level.condition for level in levels)):
-        expected_key = keys.get(condition.name)
-        if expected_key is not None and expected_key not in todo and not store.has(expected_key):
-            todo[expected_key] = condition
+    first = {keys[c.name]: c for c in reversed(every) if c.name in keys}
+    missing = [first[key] for key in dict.fromkeys(keys[c.name] for c in every if c.name in keys) if not store.has(key)]
     # one instrument after the other: workers keep the models that they used last
-    order = sorted(
-        todo, key=lambda key: json.dumps([(c := todo[key]).bundle, c.overrides], default=str, sort_keys=True)
-    )
-    todo = {key: todo[key] for key in order}
+    todo = tuple(sorted(missing, key=lambda c: json.dumps([c.bundle, c.overrides], default=str, sort_keys=True)))
     if todo and (unused := store.others(set(keys.values()))):
         notes.append(
             f"{unused} renders in {store.folder} are not used: they were made of something else (parameters, scores, "
@@ -128,29 +113,30 @@ def plan_batch(
     seconds = None
     if predict:
         file, start = trial_of_a_file(manifest.stimuli, pictures=manifest.output.pictures)
-        seconds = file * sum(len(g.stimuli) for g in groups)
-        for condition in todo.values():
-            try:
-                seconds += renderer.predict(condition)
-            except TonewoodError as fault:
-                faults.append(Fault(condition.name, str(fault)))
+        predicted, unpredicted = _each_of(todo, renderer.predict)
+        seconds = file * sum(len(g.stimuli) for g in groups) + sum(predicted.values())
+        faults += unpredicted
         if workers is not None and workers.count > 1:
             seconds = seconds / workers.count + (start if workers.backend == "processes" else 0.0)
+    identities = {keys[name]: identity for name, identity in identified.items()}
     plan = BatchPlan(
-        manifest,
-        manifest_path.parent,
-        conditions,
-        tuple(levels),
-        groups,
-        keys,
-        identities,
-        tuple(todo.values()),
-        seconds,
-        tuple(faults),
-        tuple(notes),
-    )
+        manifest, manifest_path.parent, conditions, tuple(levels), groups, keys, identities, todo, seconds,
+        tuple(faults), tuple(notes),
+    )  # fmt: skip
     _check_answers(plan, folder)
     return plan
+
+
+def _each_of(conditions: Sequence[Condition], call: Callable[[Condition], T]) -> tuple[dict[str, T], list[Fault]]:
+    """Results of a call by the condition's name, and a fault for each condition that it refused."""
+    results: dict[str, T] = {}
+    faults: list[Fault] = []
+    for condition in conditions:
+        try:
+            results[condition.name] = call(condition)
+        except TonewoodError as fault:
+            faults.append(Fault(condition.name, str(fault)))
+    return results, faults
 
 
 def _laid_out(
@@ -196,11 +182,8 @@ def run_batch(
 ) -> Report:
     """Render the missing conditions and write the whole batch into `folder`.
 
-    manifest_path : the YAML file.
     folder : made if need be; of it, listeners get sounds only, by `tonewood serve`.
-    renderer : see `StimulusRenderer`.
     workers : where the work is done; rendering may go to a cluster, files are made here.
-    progress : called with the stage's name, the number done and the number in all.
     Raises TonewoodError
         The batch cannot begin or go on: the manifest is wrong, the disk is full, the workers are gone. Finished
         renders are kept.

@@ -16,7 +16,6 @@ _LETTERS = "bcdfghjkmnpqrstvwxz"  # no vowels: no words; no digits: never read a
 def generator(seed: int, *labels: object) -> np.random.Generator:
     """Generator for the choice named by `labels`.
 
-    seed : the manifest's seed.
     labels : purpose of the choice, e.g. ``("dither", "page_1", "harp.low")``; compared as text.
     """
     return np.random.Generator(np.random.PCG64(int.from_bytes(_digest(seed, labels)[:16], "big")))
@@ -25,9 +24,7 @@ def generator(seed: int, *labels: object) -> np.random.Generator:
 def blind_codes(seed: int, names: list[str], *, length: int = 6) -> dict[str, str]:
     """One code of consonants per name, all different; a code tells nothing of name or order.
 
-    seed : the manifest's seed.
     names : the names to be hidden, all different.
-    length : letters in a code.
     """
     codes: dict[str, str] = {}
     taken: set[str] = set()

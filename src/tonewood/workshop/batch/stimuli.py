@@ -124,9 +124,7 @@ def quantised(audio: Samples, subtype: str, random: np.random.Generator) -> NDAr
 
     audio : full scale is 1.0.
     subtype : ``PCM_16`` (int16) or ``PCM_24`` (int32, in the lower 24 bits).
-    random : source of the dither.
-    Raises StimulusError
-        A sample would be clipped.
+    Raises StimulusError : a sample would be clipped.
     """
     full = 2 ** (BITS[subtype] - 1)
     dither = random.random(audio.shape) - random.random(audio.shape)
@@ -147,8 +145,7 @@ def anchor(audio: Samples, fs: int, cutoff: int) -> Samples:
     Mask of the 3.5 kHz anchor: within 0.1 dB up to the cutoff, 25 dB down 500 Hz above it, 50 dB 1 kHz above it; the
     7 kHz anchor is held to the same one.
 
-    Raises StimulusError
-        The rate is too low for the cutoff.
+    Raises StimulusError : the rate is too low for the cutoff.
     """
     from scipy.signal import firwin, kaiserord, oaconvolve
 

@@ -70,11 +70,7 @@ class Store:
             np.savez(stream, samples=rendered.samples, facts=np.frombuffer(facts, dtype=np.uint8))
 
     def load(self, key: str) -> Rendered:
-        """The render of `key`.
-
-        Raises OutputError
-            It is not there or damaged; the next run makes it again.
-        """
+        """The render of `key`. Raises OutputError : it is not there or damaged; the next run makes it again."""
         with self._open(key) as archive:
             facts, samples = _facts(archive), archive["samples"]
             if samples.dtype != np.float64 or samples.ndim != 2 or len(samples) != facts["frames"]:

@@ -50,8 +50,7 @@ class Workers:
     def each(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
         """Results of `function` in the order they are finished; each is dropped here once it is taken.
 
-        Raises TonewoodError
-            A worker process died, or the cluster does not answer.
+        Raises TonewoodError : a worker process died, or the cluster does not answer.
         """
         from joblib import Parallel, delayed
         from joblib.externals.loky.process_executor import BrokenProcessPool

@@ -34,8 +34,6 @@ def jams(
 ) -> str:
     """A JAMS file.
 
-    name : title of the sound.
-    seconds : its length.
     parameters : of the data set, kept in the file's sandbox.
     by : program and version that made it.
     """

@@ -25,11 +25,7 @@ from tonewood.workshop.batch.manifest import (
     misfits_of_vary,
     raise_misfits,
 )
-from tonewood.workshop.batch.page_parts import (
-    Name,
-    ParameterPath,
-    Section,
-)
+from tonewood.workshop.batch.page_parts import Name, ParameterPath, Section
 
 #: fields of a note that a parameter may set
 SETTABLE = (*NOTE_FIELDS, "string", "stop", "technique", "channel")

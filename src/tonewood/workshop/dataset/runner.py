@@ -10,8 +10,9 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -109,15 +110,12 @@ def plan_dataset(
 ) -> DatasetPlan:
     """List the shards that are not made yet; nothing is written.
 
-    dataset : checked manifest.
-    source : its folder.
-    folder : of the data set.
     predict : try some sounds, and predict time and length.
     Raises TonewoodError : a score cannot be read, or no sound can be resolved.
     """
     every = tuple(samples(dataset, source))
     size = dataset.sounds.per_shard
-    by = f"tonewood {_version()}"
+    by = f"tonewood {version('tonewood')}"
     settings = {"sounds": dataset.sounds.model_dump(mode="json"), "by": by, "labels": SHARD_SCHEMA}
     tasks, keys = [], {}
     faults: list[Fault] = []
@@ -138,12 +136,6 @@ def plan_dataset(
         raise ManifestError(f"no sound can be resolved: {faults[0].reason}")
     plan = DatasetPlan(dataset, every, tuple(tasks), keys, tuple(faults))
     return _predicted(plan, renderer) if predict else plan
-
-
-def _version() -> str:
-    from importlib.metadata import version
-
-    return version("tonewood")
 
 
 def _is_made(folder: Path, number: int, key: str) -> bool:
@@ -186,9 +178,7 @@ def _predicted(plan: DatasetPlan, renderer: EngineRenderer) -> DatasetPlan:
         return plan
     passes = 2 if plan.dataset.sounds.stems == "string" else 1
     sound = n * (plan.dataset.sounds.duration or sum(lengths) / len(lengths))
-    return DatasetPlan(
-        plan.dataset, plan.samples, plan.tasks, plan.keys, plan.faults, sound, passes * n * sum(costs) / len(costs)
-    )
+    return replace(plan, sound_seconds=sound, compute_seconds=passes * n * sum(costs) / len(costs))
 
 
 def run_dataset(
@@ -203,7 +193,6 @@ def run_dataset(
 
     dataset, source, folder, renderer : as for `plan_dataset`.
     workers : where shards are rendered; only this process writes.
-    progress : called with the stage's name, the number done and the number in all.
     Raises TonewoodError : the manifest is wrong, the disk is full, the workers are gone. Finished shards are kept.
     """
     started = time.perf_counter()

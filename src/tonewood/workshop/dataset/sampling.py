@@ -7,7 +7,6 @@ to values: the points of a grid, independent random ones, or a scrambled Sobol s
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import math
 from collections.abc import Iterator
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from tonewood.errors import TonewoodError
-from tonewood.workshop.batch.conditions import Condition, Draw, bundle_of
+from tonewood.workshop.batch.conditions import Condition, bundle_of, draws_of, midi_source
 from tonewood.workshop.batch.manifest import ManifestError, ScoreSource
 from tonewood.workshop.batch.seeds import generator
 from tonewood.workshop.dataset.manifest import MAX_SOUNDS, Dataset
@@ -77,14 +76,13 @@ def sources(dataset: Dataset, folder: Path) -> dict[str, dict[str, Any]]:
         name = path.relative_to(root).with_suffix("").as_posix()
         if name in by_name:
             raise ManifestError(f"{dataset.folder}: two scores are called {name}", key="folder")
-        by_name[name] = _midi(path, "folder", {"start": 0.0, "stop": None, "channel_per_string": False})
+        by_name[name] = midi_source(path, path.name, "folder")
     return by_name
 
 
 def samples(dataset: Dataset, folder: Path) -> list[Sample]:
     """All sounds of a data set, in order.
 
-    folder : the manifest's, to which its paths are relative.
     Raises ManifestError : a score's file cannot be read, or there are more than `MAX_SOUNDS`.
     """
     scores = sources(dataset, folder)
@@ -113,10 +111,6 @@ def _condition(
         else:
             settings[""][parameter.path] = parameter.setting(value)
     labels = (instrument[0], score, str(k))
-    draws = []
-    for path, variation in dataset.vary.items():
-        law, spread = next(iter(variation.model_dump(exclude_none=True).items()))
-        draws.append(Draw(path=path, law=law, spread=float(spread), seed=dataset.seed, labels=labels))
     return Condition(
         name=f"{instrument[0]}/{score}/{k:06d}",
         instrument=instrument[0],
@@ -126,7 +120,7 @@ def _condition(
         bundle=instrument[1],
         overrides=settings[""],
         render=dataset.render_settings(settings["render"]),
-        draws=tuple(draws),
+        draws=draws_of(dataset.vary, dataset.seed, labels),
         seed=dataset.seed,
         note_changes=settings["note"],
         **source,
@@ -140,13 +134,5 @@ def _source(name: str, score: ScoreSource, folder: Path) -> dict[str, Any]:
         except TonewoodError as fault:
             raise ManifestError(fault.reason, key=f"scores.{name}.phrase") from None
     assert score.midi is not None  # the schema asks for one of the two
-    excerpt = {"start": score.start, "stop": score.stop, "channel_per_string": score.channel_per_string}
-    return _midi((folder / score.midi).resolve(), f"scores.{name}.midi", excerpt)
-
-
-def _midi(path: Path, key: str, excerpt: dict[str, Any]) -> dict[str, Any]:
-    try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as fault:
-        raise ManifestError(f"{path.name} cannot be read: {fault.strerror}", key=key) from None
-    return {"midi": {"path": str(path), **excerpt}, "midi_sha256": digest}
+    path = (folder / score.midi).resolve()
+    return midi_source(path, path.name, f"scores.{name}.midi", score)

@@ -69,7 +69,6 @@ def made(renderer: EngineRenderer, condition: Condition, level: str, by_string: 
     """Render a sound.
 
     level : ``calibrated`` or ``peak``.
-    by_string : render the shares of the strings, too.
     duration : s, to which it is cut or padded; None leaves its length.
     Raises TonewoodError : it cannot be rendered, or is empty or not finite.
     """

@@ -43,8 +43,6 @@ def offered(instrument: Instrument) -> str:
 class Adviser:
     """One search for a design at a time.
 
-    Attributes
-    ----------
     lines : of progress, then of the result.
     fault : why there is none.
     overrides : path -> value of the design that was found.
@@ -61,15 +59,9 @@ class Adviser:
     def ask(self, instrument: Instrument, options: Sequence[str], source: str, targets: str, free: str) -> None:
         """Begin a search.
 
-        Parameters
-        ----------
-        instrument : the design to begin with.
         options, source : arguments of a command that make it.
         targets, free : lines, as in a file of ``tonewood design``.
-
-        Raises
-        ------
-        TonewoodError : a line is not allowed, or a search goes on.
+        Raises TonewoodError : a line is not allowed, or a search goes on.
         """
         wanted = [line.strip() for line in targets.splitlines() if line.strip()]
         bounds = _bounds(free)

@@ -27,8 +27,6 @@ _NICE = 5
 class Ahead:
     """One design at a time, assembled in another process.
 
-    Parameters
-    ----------
     source, allow_code : of the instrument, as for `Instrument.load`.
     fs : sampling rate, Hz.
     """
@@ -48,8 +46,6 @@ class Ahead:
     def make(self, design: Design, then: Callable[[], None]) -> None:
         """Assemble a design, and call `then`: at once where nothing is kept between processes, never if stopped.
 
-        Parameters
-        ----------
         design : one whose body is being made goes on.
         then : called when its arrays are kept, or cannot be made: the desk finds out why.
         """

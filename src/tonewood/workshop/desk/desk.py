@@ -3,35 +3,31 @@
 from __future__ import annotations
 
 import json
-import secrets
 import tempfile
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.string_sets import string_sets
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.score.note import Score
 from tonewood.sound.live.instrument import Live
 from tonewood.sound.render.options import RenderOptions
-from tonewood.support.units import decibel
 from tonewood.workshop.desk import views
 from tonewood.workshop.desk.advice import Adviser, offered
 from tonewood.workshop.desk.kept_views import KeptViews
-from tonewood.workshop.desk.knobs import groups, same_strings_and_body, shown
+from tonewood.workshop.desk.knobs import same_strings_and_body
 from tonewood.workshop.desk.making import DesignModels
 from tonewood.workshop.desk.models import KeptModels, ModelMaker, Wanted
 from tonewood.workshop.desk.phrase import LONGEST, ChosenPhrase
 from tonewood.workshop.desk.playback import ComparedTakes, DeskSound
 from tonewood.workshop.desk.session import Design, DeskSession
-from tonewood.workshop.desk.take import PhraseTake, with_hands
+from tonewood.workshop.desk.take import LeveledTakes, PhraseTake, with_hands
 
-#: s of ringing after the last note; dBFS of the loudest sample of the phrase on the start design
-TAIL, _PEAK = 3.0, -4.0
+#: s of ringing after the last note
+TAIL = 3.0
 #: frames that are rendered before a take is heard
 _READY = 4096
 
@@ -39,16 +35,11 @@ _READY = 4096
 class Desk:
     """One instrument on the desk.
 
-    Parameters
-    ----------
     session : the designs.
     score : file of a phrase; the chord of open strings where left out.
     fs : sampling rate, Hz.
     folder : for the phrase's file that commands name; a temporary one where left out.
-
-    Raises
-    ------
-    TonewoodError : the phrase cannot be read.
+    Raises TonewoodError : the phrase cannot be read.
     """
 
     def __init__(
@@ -58,15 +49,14 @@ class Desk:
         self._temporary = None if folder is not None else tempfile.TemporaryDirectory(prefix="tonewood-desk-")
         self.folder = folder if folder is not None else Path(str(self._temporary and self._temporary.name))
         self.phrase = ChosenPhrase(score, self.folder / "phrase.mid")
-        self.score: Score = self.phrase.score(session.instrument)
-        self.options = RenderOptions(fs=fs, tail=TAIL, max_duration=LONGEST)
+        options = RenderOptions(fs=fs, tail=TAIL, max_duration=LONGEST)
+        self.takes = LeveledTakes(self.phrase, session.instrument, options)
         self.playback = DeskSound(fs)
-        self._gain: float | None = None
         self.serial, self.fault = 0, ""
-        self._kept = KeptModels()
-        self._models = DesignModels(session, self.options, self._kept, self._ready, self._failed)
-        self._other = ModelMaker(self.options, self._failed, self._kept)
-        self._views = KeptViews(session.start.instrument, self.options, self._kept)
+        models = KeptModels()
+        self._models = DesignModels(session, options, models, self._ready, self._failed)
+        self._other = ModelMaker(options, self._failed, models)
+        self._views = KeptViews(session.start.instrument, options, models)
         self._compared = ""
         self.adviser = Adviser()
         self._make(session.design)
@@ -79,22 +69,11 @@ class Desk:
         if self._temporary is not None:
             self._temporary.cleanup()
 
-    # -- the design -----------------------------------------------------------------------------------------------
-
     def change(self, act: Callable[[DeskSession], None]) -> int:
-        """Change the session, and let the design be heard as soon as it can.
+        """Change the session by `act`, and let the design be heard as soon as it can.
 
-        Parameters
-        ----------
-        act : on the session.
-
-        Returns
-        -------
-        The serial of the change, which blocks bear from which on it is heard.
-
-        Raises
-        ------
-        TonewoodError : the change is not allowed; nothing has changed.
+        Returns the serial of the change: blocks of sound bear it from the first in which the change is heard.
+        Raises TonewoodError : the change is not allowed; nothing has changed.
         """
         with self.lock:
             before, model = self.session.course(), self._models.exact
@@ -113,18 +92,15 @@ class Desk:
 
     def _make(self, design: Design) -> None:
         """Let a design be heard: at once where strings and body stay, else as a preview and then exactly."""
-        known, take = self._models.exact, self.playback.take
-        same = known is not None and same_strings_and_body(known.instrument, self._applied(design))
-        if same and known is not None and take is not None:
+        exact, take = self._models.exact, self.playback.take
+        applied = self.takes.options.applied_to(design.instrument)
+        if exact is not None and take is not None and same_strings_and_body(exact.instrument, applied):
             self._models.forget()
             if self._models.busy is None:
-                self._models.exact = with_hands(known, design.instrument)
+                self._models.exact = with_hands(exact, design.instrument)
                 self._by_hands(take, self._models.exact, design)
                 return
         self._models.want(design, self.serial)
-
-    def _applied(self, design: Design) -> Any:
-        return self.options.applied_to(design.instrument)
 
     def _by_hands(self, take: PhraseTake, model: Model, design: Design) -> None:
         """Play on with other hands, on the model of a design; a take of a preview may be of another body."""
@@ -136,23 +112,20 @@ class Desk:
             if forked is not None:
                 self.playback.fork(*forked, self.serial)
             else:
-                fresh = PhraseTake(self.score, model, take.options, dict(design.changes))
-                self.playback.swap(fresh, serial=self.serial)
+                self.playback.swap(self.takes.take(model, design.changes), serial=self.serial)
 
     def _ready(self, model: Model, wanted: Wanted) -> None:
         """Let a model be heard that has been made."""
         with self.lock:
             if wanted.serial != self.serial or (wanted.preview and self._exact_known(wanted)):
                 return
-            options = self._leveled(model)
-            score = self.score
-        take = PhraseTake(score, model, options, dict(wanted.changes), wanted.preview)
+            take = self.takes.take(model, wanted.changes, wanted.preview)
         playback = self.playback
         goes_on = playback.take is not None and bool(playback.take.preview) and playback.playing
         goes_on = goes_on and playback.serial == wanted.serial
         take.ensure((playback.at if goes_on else 0) + 2 * _READY)
         with self.lock:
-            if wanted.serial != self.serial or score is not self.score:
+            if wanted.serial != self.serial or take.score is not self.takes.score:
                 return
             playback.swap(take, goes_on=goes_on, serial=wanted.serial)
             if not wanted.preview:
@@ -162,77 +135,30 @@ class Desk:
         take = self.playback.take
         return take is not None and not take.preview and self.playback.serial >= wanted.serial and wanted.serial > 0
 
-    def _leveled(self, model: Model) -> RenderOptions:
-        """Options with the gain of the phrase, found once: that of the first model that plays it."""
-        if self._gain is None:
-            trial = PhraseTake(self.score, model, self.options, {})
-            peak = float(abs(trial.sound()).max(initial=0.0))
-            self._gain = round(_PEAK - decibel(peak), 1) if peak > 0 else 0.0
-        return self.options.at(gain_db=self._gain)
-
     def _failed(self, wanted: Wanted, reason: str) -> None:
         with self.lock:
             if wanted.serial == self.serial:
                 self.fault = f"no model of this design: {reason}. The sound is still that of the design before."
 
-    def advise(self, targets: str, free: str) -> None:
-        """Look for the least change that reaches targets, beside the sound; `state` tells how it goes.
-
-        Parameters
-        ----------
-        targets, free : lines, as in a file of ``tonewood design``.
-
-        Raises
-        ------
-        TonewoodError : a line is not allowed, or a search goes on.
-        """
-        session = self.session
-        self.adviser.ask(session.instrument, session.options(), session.source, targets, free)
-
-    # -- what plays -----------------------------------------------------------------------------------------------
-
     def set_phrase(self, kind: str, notes: str = "", velocity: float = 80.0) -> None:
-        """Play another phrase.
+        """Play another phrase; values are those of `phrase`, or the kind ``file``: that of the command line.
 
-        Parameters
-        ----------
-        kind, notes, velocity : as for `phrase`; ``file`` is that of the command line.
-
-        Raises
-        ------
-        TonewoodError : it cannot be played.
+        Raises TonewoodError : it cannot be played.
         """
         with self.lock:
-            instrument, before = self.session.instrument, self.phrase.asked
-            self.phrase.asked = {"kind": kind, "notes": notes, "velocity": velocity}
-            try:
-                score = self.phrase.score(instrument)
-                if self._models.exact is not None:
-                    PhraseTake(score, self._models.exact, self.options, {})
-            except TonewoodError:
-                self.phrase.asked = before
-                self.phrase.score(instrument)
-                raise
-            self.score, self._gain = score, None
+            exact = self._models.exact
+            self.takes.choose(kind, notes, velocity, self.session.instrument, exact)
             self.serial += 1
             self.playback.compare(None)
-            if self._models.exact is not None:
-                options = self._leveled(self._models.exact)
-                take = PhraseTake(score, self._models.exact, options, dict(self.session.design.changes))
-                self.playback.swap(take, serial=self.serial)
+            if exact is not None:
+                self.playback.swap(self.takes.take(exact, self.session.design.changes), serial=self.serial)
 
     def key(self, note: float | str, velocity: float, *, on: bool) -> None:
-        """Press or release a key; `state` tells of notes that cannot be played.
+        """Press or release a key; `state` names notes that cannot be played.
 
-        Parameters
-        ----------
         note : MIDI number or name.
         velocity : 1 to 127.
-        on : whether it is pressed.
-
-        Raises
-        ------
-        TonewoodError : there is no model yet, or a value is not allowed.
+        Raises TonewoodError : there is no model yet, or a value is not allowed.
         """
         take = self.playback.take
         if take is None:
@@ -253,14 +179,9 @@ class Desk:
     def compare(self, name: str | None, *, blind: bool = False) -> None:
         """Put the design beside another one, at one loudness; None ends that.
 
-        Parameters
-        ----------
         name : of the other one; empty for the start.
-        blind : call them X and Y, in an order that `reveal` tells.
-
-        Raises
-        ------
-        TonewoodError : there is none of that name, or no model of the design yet.
+        blind : call them X and Y, in a random order.
+        Raises TonewoodError : there is none of that name, or no model of the design yet.
         """
         with self.lock:
             if name is None:
@@ -268,133 +189,64 @@ class Desk:
                 self.playback.compare(None)
                 return
             other = self.session.snapshot(name)
-            model, design = self._models.exact, self.session.design
+            model, design, serial = self._models.exact, self.session.design, self.serial
             if model is None or self._models.busy is not None:
                 raise TonewoodError("the model of this design is not ready yet: try again when it is")
-            self._compared = f"both are brought to one loudness: {name or 'the start'} is made"
-            serial, score = self.serial, self.score
+            title = name or "the start"
+            self._compared = f"both are brought to one loudness: {title} is made"
 
-        def use(theirs: Model, wanted: Wanted) -> None:
-            options = self._leveled(model)
-            a = PhraseTake(score, model, options, dict(design.changes))
-            b = PhraseTake(score, theirs, options, dict(other.changes))
-            louder = a.loudness() - b.loudness()
-            gains = (10 ** (-max(louder, 0.0) / 20), 10 ** (min(louder, 0.0) / 20))
-            order = (0, 1) if not blind or secrets.randbelow(2) else (1, 0)
+        def use(other_model: Model, wanted: Wanted) -> None:
+            takes = self.takes.take(model, design.changes), self.takes.take(other_model, other.changes)
+            pair, louder = ComparedTakes.of_one_loudness(takes, ("this design", title), blind=blind)
             with self.lock:
-                if self.serial != serial:
-                    return
-                self._compared = "" if blind else f"A is {louder:+.1f} LU from {name or 'the start'}, taken out"
-                pair = ComparedTakes((a, b), gains, ("this design", name or "the start"), blind=blind, order=order)
-                self.playback.compare(pair)
+                if self.serial == serial:
+                    self._compared = "" if blind else f"A is {louder:+.1f} LU from {title}, taken out"
+                    self.playback.compare(pair)
 
         self._other.want(Wanted(other.instrument, other.changes, serial, use))
-
-    def pick(self, which: int) -> None:
-        """Hear the first (0) or second (1) of a comparison."""
-        with self.lock:
-            if (pair := self.playback.pair) is not None and which in (0, 1):
-                self.playback.switch(pair.order[which])
-
-    def reveal(self) -> None:
-        """End the blindness of a comparison."""
-        with self.lock:
-            if self.playback.pair is not None:
-                self.playback.pair.blind = False
-
-    # -- what is shown --------------------------------------------------------------------------------------------
-
-    def command(self) -> str:
-        """Return the command line that renders what is heard."""
-        gain = self._gain or 0.0
-        return self.session.command(str(self.phrase.file), f"{self.session.instrument.name}.wav", gain, TAIL)
 
     def state(self) -> dict[str, Any]:
         """Return all that the page shows besides knobs and pictures."""
         with self.lock:
-            session, playback, take = self.session, self.playback, self.playback.take
-            busy, pair, seen = self._models.busy, playback.pair, self._seen
-            waited = time.monotonic() - busy.since if busy is not None else 0.0
-            return {
-                "name": session.instrument.name,
-                "title": session.instrument.spec.title,
+            playback, take, live, seen = self.playback, self.playback.take, self.playback.live, self._seen
+            busy, pair = self._models.busy, playback.pair
+            notes = [] if live is None else [d.reason for d in live.player.counters.latest][-1:]
+            phrase = {"phrase": self.phrase.asked, "gain_db": self.takes.gain_db, "has_file": bool(self.phrase.given)}
+            return self._shown_session() | phrase | {
                 "serial": self.serial,
                 "heard": playback.serial,
-                "changes": [{"path": path, "value": value} for path, value in session.design.changes.items()],
-                "added": session.instrument.resolved["body"]["added"],
-                "undo": session.can_undo,
-                "redo": session.can_redo,
-                "snapshots": [
-                    {"name": name, "changes": [f"{k}={json.dumps(v)}" for k, v in kept.changes.items()]}
-                    for name, kept in session.snapshots.items()
-                ],
-                "sets": list(string_sets()),
-                "making": round(waited, 1) if busy is not None else None,
+                "making": None if busy is None else round(time.monotonic() - busy.since, 1),
                 "preview": "" if take is None else take.preview,
                 "fault": self.fault,
                 "modes": None if seen is None else seen.n_modes,
                 "warnings": [] if seen is None else list(seen.warnings),
                 "channels": [] if take is None else list(take.renderer.channels),
-                "dropped": self._dropped(),
+                "dropped": notes + ([] if take is None else [d.reason for d in take.renderer.dropped[:3]]),
                 "playing": playback.playing,
                 "loop": playback.loop,
-                "phrase": self.phrase.asked,
-                "gain_db": self._gain,
                 "fs": playback.fs,
-                "has_file": self.phrase.given is not None,
                 "compared": self._compared,
                 "pair": None if pair is None else pair.state(),
-                "command": self.command(),
-                "advice": self.adviser.state() | {"offered": offered(session.instrument)},
-            }
+            }  # fmt: skip
 
-    def _dropped(self) -> list[str]:
-        """Reasons for which notes of the phrase, and the last key, are not played."""
-        take, live = self.playback.take, self.playback.live
-        keys = [] if live is None else [d.reason for d in live.player.counters.latest][-1:]
-        return keys + ([] if take is None else [d.reason for d in take.renderer.dropped[:3]])
-
-    def moments(self, since: int) -> dict[str, Any]:
-        """Return what rings: moments of energy after a frame, effects that run, load.
-
-        Parameters
-        ----------
-        since : frame of the phrase.
-        """
-        playback = self.playback
-        with playback.lock:
-            take = playback.take
-            at = playback.at
-            found = [] if take is None else [asdict(m) for m in take.moments if since < m.frame <= at + 4096]
-            effects = [] if take is None else take.effects()
-            seconds = 0.0 if take is None else take.frames / take.fs
-        meter = playback.meter
+    def _shown_session(self) -> dict[str, Any]:
+        session, instrument = self.session, self.session.instrument
+        gain = self.takes.gain_db or 0.0
         return {
-            "frame": at,
-            "moments": found,
-            "effects": effects,
-            "seconds": seconds,
-            "load": meter.load,
-            "worst": meter.worst,
+            "name": instrument.name,
+            "title": instrument.spec.title,
+            "changes": [{"path": path, "value": value} for path, value in session.design.changes.items()],
+            "added": instrument.resolved["body"]["added"],
+            "undo": session.can_undo,
+            "redo": session.can_redo,
+            "snapshots": [
+                {"name": name, "changes": [f"{k}={json.dumps(v)}" for k, v in design.changes.items()]}
+                for name, design in session.snapshots.items()
+            ],
+            "sets": list(string_sets()),
+            "command": session.command(str(self.phrase.file), f"{instrument.name}.wav", gain, TAIL),
+            "advice": self.adviser.state() | {"offered": offered(instrument)},
         }
-
-    def points(self) -> list[str]:
-        """Return points of the body on which a mass can be put."""
-        points = self.session.instrument.body.points()
-        return [name for name, point in points.items() if point.driven]
-
-    def groups(self) -> list[str]:
-        """Return names of the groups of knobs."""
-        return groups(self.session.instrument)
-
-    def knobs(self, group: str) -> list[dict[str, Any]]:
-        """Return the knobs of a group, with the values of the design and of the start.
-
-        Parameters
-        ----------
-        group : one of `groups`.
-        """
-        return shown(self.session.design.instrument, self.session.start.instrument, self.session.design.changes, group)
 
     @property
     def _seen(self) -> Model | None:
@@ -405,21 +257,16 @@ class Desk:
     def view(self, kind: str, argument: str = "", *, of_start: bool = False) -> Any:
         """Return a view of the design's exact model, computed where it is not kept.
 
-        Parameters
-        ----------
         kind : mobility, shape (at a frequency), strings, wolves, force (of a string), drawing or differences.
         argument : frequency (Hz) or string.
         of_start : of the design that the session began with.
-
-        Raises
-        ------
-        TonewoodError : there is no such view, or no model yet.
+        Raises TonewoodError : there is no such view, or no model yet.
         """
         if kind == "drawing":
             return views.drawing(self.session.instrument)
-        design = self._seen
-        if design is None:
+        model, exact = self._seen, self._models.exact
+        if model is None:
             raise TonewoodError("there is no model yet: wait for the first sound")
-        if kind == "differences" and design is not self._models.exact and self._models.exact is not None:
+        if kind == "differences" and exact is not None and model is not exact:
             return ["a coarse preview is seen: what differs is told of the exact model, which follows"]
-        return self._views.view(design, kind, argument, of_start=of_start, exact=self._models.exact is not None)
+        return self._views.view(model, kind, argument, of_start=of_start, exact=exact is not None)

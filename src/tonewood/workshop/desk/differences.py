@@ -16,13 +16,7 @@ MOST_MODES = 400
 
 
 def differences(model: Model, start: Model) -> list[str]:
-    """Return what differs from the start, in words: strongest modes moved or without a counterpart, open strings.
-
-    Parameters
-    ----------
-    model : of the design.
-    start : to which it is compared.
-    """
+    """Return what differs from the start, in words: strongest modes moved or without a counterpart, open strings."""
     lines: list[str] = []
     before, after = body_modes(start)[:MOST_MODES], body_modes(model)[:MOST_MODES]
     moved, alone = [], []
@@ -53,12 +47,7 @@ def differences(model: Model, start: Model) -> list[str]:
 
 
 def wolf_words(start: Sequence[WolfNote], now: Sequence[WolfNote]) -> list[str]:
-    """Return which wolf notes differ from the start's, in words, the most severe first.
-
-    Parameters
-    ----------
-    start, now : wolf notes of both.
-    """
+    """Return which wolf notes differ from the start's, in words, the most severe first."""
     lines = []
     for match in match_wolves([start, now]):
         one, other = match.wolves

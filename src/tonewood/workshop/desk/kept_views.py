@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from tonewood.errors import TonewoodError
@@ -22,8 +24,6 @@ _MOST = 24
 class KeptViews:
     """Computes one view at a time, and keeps it as long as its model.
 
-    Parameters
-    ----------
     start : instrument to which designs are compared.
     options : of renders, which decide on the modes.
     models : that are kept.
@@ -39,30 +39,25 @@ class KeptViews:
     def view(self, design: Model, kind: str, argument: str, *, of_start: bool, exact: bool) -> Any:
         """Return a view as plain data.
 
-        Parameters
-        ----------
         design : the model that is seen.
         kind, argument, of_start : as for `Desk.view`.
         exact : whether an exact model is known; of a body that is drawn the start's takes long, and until it is known
             the first preview stands for it.
-
-        Raises
-        ------
-        TonewoodError : there is no such view.
+        Raises TonewoodError : there is no such view.
         """
         with self._lock:
             model = self._start_model(design, exact) if of_start else design
             key = (kind, argument, of_start)
-            found = self._views.get(key)
-            if found is not None and found[0] is model:
-                return found[1]
-            made = self._made(model, kind, argument, exact)
-            self._views[key] = (model, made)
+            of_model, view = self._views.get(key, (None, None))
+            if of_model is model:
+                return view
+            view = self._computed(model, kind, argument, exact)
+            self._views[key] = (model, view)
             for old in [k for k, (of, _) in self._views.items() if of is not design and of is not self._start]:
                 del self._views[old]
             while len(self._views) > _MOST:
                 del self._views[next(iter(self._views))]
-            return made
+            return view
 
     def _start_model(self, design: Model, exact: bool) -> Model:
         """The exact model of the start, kept; the design where no exact model is known yet."""
@@ -78,23 +73,25 @@ class KeptViews:
             self._start_wolves = wolf_notes(model)
         return self._start_wolves
 
-    def _made(self, model: Model, kind: str, argument: str, exact: bool) -> Any:
-        if kind == "mobility":
-            return views.mobility(model)
-        if kind == "shape":
-            return views.shape(model, _number(argument))
-        if kind == "strings":
-            return views.strings(model)
-        if kind == "wolves":
-            found, start = self._wolves(model), self._wolves(self._start_model(model, exact))
-            shown = {"wolves": [asdict(w) for w in found], "start": [asdict(w) for w in start]}
-            return {**shown, "neck": views.neck(model), "words": wolf_words(start, found)}
-        if kind == "force":
-            return views.force(model.instrument, argument or next(iter(model.groups)), self._options)
-        if kind == "differences":
-            return differences(model, self._start_model(model, exact))
-        known = "mobility, shape, strings, wolves, force, drawing, differences"
-        raise TonewoodError(f"is {kind!r}; {known} are allowed", key="view")
+    def _computed(self, model: Model, kind: str, argument: str, exact: bool) -> Any:
+        start = partial(self._start_model, model, exact)
+        kinds: dict[str, Callable[[], Any]] = {
+            "mobility": lambda: views.mobility(model),
+            "shape": lambda: views.shape(model, _number(argument)),
+            "strings": lambda: views.strings(model),
+            "wolves": lambda: self._wolf_view(model, start()),
+            "force": lambda: views.force(model.instrument, argument or next(iter(model.groups)), self._options),
+            "differences": lambda: differences(model, start()),
+        }
+        if kind not in kinds:
+            allowed = "mobility, shape, strings, wolves, force, drawing, differences"
+            raise TonewoodError(f"is {kind!r}; {allowed} are allowed", key="view")
+        return kinds[kind]()
+
+    def _wolf_view(self, model: Model, start: Model) -> dict[str, Any]:
+        wolves, before = self._wolves(model), self._wolves(start)
+        shown = {"wolves": [asdict(w) for w in wolves], "start": [asdict(w) for w in before]}
+        return {**shown, "neck": views.neck(model), "words": wolf_words(before, wolves)}
 
 
 def _number(text: str) -> float:

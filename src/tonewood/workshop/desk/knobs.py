@@ -11,7 +11,7 @@ from pydantic.fields import FieldInfo
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.schema import Bundle
 from tonewood.instrument.contract.base import Exciter, Plugin
-from tonewood.workshop.report.parameters import alternatives, field_at, flattened
+from tonewood.workshop.report.parameters import alternatives, field_at, flattened, plugins_of
 
 #: keys of a bundle that change the sound, in the order of the page
 SECTIONS = ("exciters", "playing", "strings", "body", "connections", "stops", "tuning", "outputs", "effects")
@@ -25,8 +25,6 @@ _WIDE, _REACH = 100.0, 4.0
 class Knob:
     """A value that may be changed.
 
-    Attributes
-    ----------
     path : dotted key, as ``--set`` takes it.
     label : its last part, or parts.
     kind : number, factor (on the values of all strings), choice, switch or value (JSON).
@@ -81,9 +79,6 @@ def _many(part: Any) -> bool:
 def knobs(instrument: Instrument, group: str, about: Instrument | None = None) -> list[Knob]:
     """Knobs of one group of an instrument; none where there is no such group.
 
-    Parameters
-    ----------
-    instrument : whose values they show.
     group : one of `groups`.
     about : in the middle of whose values the knobs stand; the instrument itself where left out.
     """
@@ -103,14 +98,7 @@ def knobs(instrument: Instrument, group: str, about: Instrument | None = None) -
 
 
 def shown(design: Instrument, start: Instrument, changes: Mapping[str, Any], group: str) -> list[dict[str, Any]]:
-    """Return the knobs of a group as plain data, with the values of the design and of the start.
-
-    Parameters
-    ----------
-    design, start : both instruments.
-    changes : of the design.
-    group : one of `groups`.
-    """
+    """Return the knobs of a group as plain data, with the values of the design and of the start."""
     before = {knob.path: knob.value for knob in knobs(start, group)}
     out = []
     for knob in knobs(design, group, start):
@@ -184,10 +172,7 @@ def _knob(instrument: Instrument, path: str, group: str, value: Any, middle: Any
 def span(value: float, low: float | None, high: float | None) -> tuple[float, float, bool]:
     """Ends of a knob, and whether it is logarithmic: all that is allowed, or where that is wide about the value.
 
-    Parameters
-    ----------
     value : in the middle, where the range is wide.
-    low, high : allowed.
     """
     bounded = low is not None and high is not None and (low <= 0 <= high or high <= _WIDE * low)
     if bounded and low is not None and high is not None and (value == 0 or high - low <= _WIDE * abs(value)):
@@ -201,16 +186,13 @@ def span(value: float, low: float | None, high: float | None) -> tuple[float, fl
 def acts_at_once(instrument: Instrument, path: str) -> bool:
     """Whether a value is of the hands alone, so that strings and body stay: no new model is needed.
 
-    Parameters
-    ----------
     instrument : with the plugins of its exciters; one that puts a part on the string (a hammer) needs a new model.
-    path : dotted key.
     """
     kind, _, rest = path.partition(".")
     if kind == "playing":
         return True
-    made = instrument.exciters.get(rest.partition(".")[0])
-    return kind == "exciters" and made is not None and type(made).attach is Exciter.attach
+    exciter = instrument.exciters.get(rest.partition(".")[0])
+    return kind == "exciters" and exciter is not None and type(exciter).attach is Exciter.attach
 
 
 def same_strings_and_body(a: Instrument, b: Instrument) -> bool:
@@ -226,31 +208,18 @@ def same_strings_and_body(a: Instrument, b: Instrument) -> bool:
 
 
 def declared_field(instrument: Instrument, path: str) -> FieldInfo | None:
-    """Return the declaration of a value, of the bundle or of the plugin that takes it; None where there is none.
-
-    Parameters
-    ----------
-    instrument : with its plugins.
-    path : dotted key.
-    """
+    """Return the declaration of a value, of the bundle or of the plugin that takes it; None where there is none."""
     kind, *rest = path.split(".")
-    plugins: dict[str, Mapping[str, Plugin[Any]]] = {
-        "body": {"": instrument.body},
-        "strings": instrument.resonators,
-        "exciters": instrument.exciters,
-        "connections": instrument.attachments,
-        "outputs": instrument.pickups,
-    }
-    if found := field_at(Bundle, [kind, *rest]):
-        return found
-    made = plugins.get(kind, {}).get("" if kind == "body" else rest[0]) if rest else None
+    if field := field_at(Bundle, [kind, *rest]):
+        return field
+    plugin = plugins_of(instrument).get(kind, {}).get("" if kind == "body" else rest[0]) if rest else None
     inner = rest if kind == "body" else rest[1:]
-    if made is None or not inner:
+    if plugin is None or not inner:
         return None
-    part = getattr(made.parameters, inner[0], None)
+    part = getattr(plugin.parameters, inner[0], None)
     if isinstance(part, Plugin) and inner[1:]:
         return field_at(type(part).Parameters, inner[1:])
-    return field_at(type(made).Parameters, inner)
+    return field_at(type(plugin).Parameters, inner)
 
 
 def _words(field: FieldInfo | None) -> tuple[Any, ...]:
@@ -264,8 +233,8 @@ def _words(field: FieldInfo | None) -> tuple[Any, ...]:
 
 
 def _limits(field: FieldInfo | None) -> tuple[float | None, float | None]:
-    bounds: list[float | None] = []
-    for name in ("ge", "le"):
-        found = [getattr(m, name) for m in (field.metadata if field is not None else ()) if hasattr(m, name)]
-        bounds.append(float(found[0]) if found else None)
-    return bounds[0], bounds[1]
+    def limit(name: str) -> float | None:
+        limits = [getattr(m, name) for m in (field.metadata if field is not None else ()) if hasattr(m, name)]
+        return float(limits[0]) if limits else None
+
+    return limit("ge"), limit("le")

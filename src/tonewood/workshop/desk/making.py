@@ -18,16 +18,11 @@ _REST = 0.7
 class DesignModels:
     """The newest design's model, as far as it is made.
 
-    Parameters
-    ----------
     session : whose designs they are of.
     options : of renders, which decide on the modes.
     kept : models by their values, shared.
     ready : called with a model, a preview or exact, in a thread.
     failed : called with a design that has no model, and words on why.
-
-    Attributes
-    ----------
     exact : the last exact model; None until the first is made.
     """
 
@@ -67,13 +62,7 @@ class DesignModels:
             self._exact.forget()
 
     def want(self, design: Design, serial: int) -> None:
-        """Make the model of a design, in place of any other.
-
-        Parameters
-        ----------
-        design : whose model is wanted.
-        serial : of its change.
-        """
+        """Make the model of a design, in place of any other."""
         known = None if self.exact is None else self.exact.instrument
         coarse = previewed(design.instrument, known)
         with self._lock:

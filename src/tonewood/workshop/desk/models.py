@@ -18,14 +18,14 @@ from tonewood.sound.render.renderer import assembled
 
 #: models that are kept for going back to them
 _KEPT = 3
+#: s that `ModelMaker.close` waits for a model that is being made
+_PATIENCE = 5.0
 
 
 @dataclass(frozen=True)
 class Wanted:
     """A model that is asked for.
 
-    Attributes
-    ----------
     instrument, changes : the design.
     serial : of the change that asked for it.
     preview : words on the coarse basis in place of the design's; empty for the design itself.
@@ -43,8 +43,6 @@ class Wanted:
 class ModelMaker:
     """A thread that makes models, the newest wanted one next.
 
-    Parameters
-    ----------
     options : of renders, which decide on the modes.
     fault : called with what was wanted and words on why it could not be made.
     kept : models by their values, shared.
@@ -57,7 +55,8 @@ class ModelMaker:
         self._changed = threading.Condition()
         #: that is made now
         self.making: Wanted | None = None
-        threading.Thread(target=self._run, daemon=True).start()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
 
     def want(self, wanted: Wanted) -> None:
         """Make this one next, in place of any that has not been begun."""
@@ -71,10 +70,11 @@ class ModelMaker:
             self._next = None
 
     def close(self) -> None:
-        """End the thread when it has finished what it makes."""
+        """End the thread when it has finished what it makes; at the end of Python none may be in the kernel."""
         with self._changed:
             self._closed, self._next = True, None
             self._changed.notify()
+        self._thread.join(_PATIENCE)
 
     @property
     def busy(self) -> Wanted | None:
@@ -108,24 +108,18 @@ class KeptModels:
         self._lock = threading.Lock()
 
     def model(self, instrument: Instrument, options: RenderOptions) -> Model:
-        """Return the model of an instrument, made if it is not kept.
-
-        Parameters
-        ----------
-        instrument : whose model is wanted.
-        options : of the render.
-        """
+        """Return the model of an instrument, made if it is not kept."""
         key = json.dumps(instrument.resolved, sort_keys=True)
         with self._lock:
-            if (found := self._models.get(key)) is not None:
+            if (model := self._models.get(key)) is not None:
                 self._models.move_to_end(key)
-                return found
-        made = assembled(instrument, options)
+                return model
+        model = assembled(instrument, options)
         with self._lock:
-            self._models[key] = made
+            self._models[key] = model
             while len(self._models) > _KEPT:
                 self._models.popitem(last=False)
-        return made
+        return model
 
 
 def previewed(instrument: Instrument, before: Instrument | None) -> tuple[Instrument, str] | None:
@@ -134,9 +128,6 @@ def previewed(instrument: Instrument, before: Instrument | None) -> tuple[Instru
     The body's plugin declares the values of a coarse basis (`Body.preview`). Nothing is previewed where the body is
     that of the model before: its modes are known.
 
-    Parameters
-    ----------
-    instrument : that is wanted.
     before : whose body is known; None where none is.
     """
     coarse = {k: v for k, v in type(instrument.body).preview.items() if instrument.resolved["body"].get(k) != v}

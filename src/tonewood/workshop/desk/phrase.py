@@ -23,50 +23,38 @@ LONGEST = 60.0
 def phrase(kind: str, instrument: Instrument, file: Path, *, notes: str = "", velocity: float = 80.0) -> Score:
     """Make a phrase, write it as MIDI, and read it back: what is heard is what the file says.
 
-    Parameters
-    ----------
     kind : chord (open strings), scale (from the lowest string on), or notes.
-    instrument : whose strings a chord is of.
-    file : to be written.
     notes : names such as ``E2 B2 E3``; those with + between them sound together.
     velocity : 1 to 127.
-
-    Raises
-    ------
-    ScoreError : there is no such kind, or a note has no name.
+    Raises ScoreError : there is no such kind, or a note has no name.
     """
     if not 1 <= velocity <= 127:
         raise ScoreError(f"is {velocity!r}; 1 to 127 are allowed", key="velocity")
-    opened = [round(instrument.open_note(name)) for name in instrument.groups]
-    steps: list[list[int]]
+    strings = sorted({round(instrument.open_note(name)) for name in instrument.groups})
+    apart, lasting = _STEP, 4 * _STEP
     if kind == "chord":
-        kept = list(dict.fromkeys(sorted(opened)))
-        chosen = [kept[i * len(kept) // 6] for i in range(6)] if len(kept) > 6 else kept
-        made = [Note(_STRUM * i, _CHORD, note=key, velocity_midi=velocity) for i, key in enumerate(chosen)]
-    elif kind in ("scale", "notes"):
-        if kind == "scale":
-            steps = [[min(opened) + k] for k in (0, 2, 4, 5, 7, 9, 11, 12)]
-        else:
-            words = notes.split()
-            if not 1 <= len(words) <= _MOST:
-                raise ScoreError(f"{len(words)} notes; 1 to {_MOST} are allowed, e.g. E2 B2 E3+G3", key="notes")
-            steps = [[round(float(note_number(name))) for name in word.split("+")] for word in words]
-        made = [
-            Note(_STEP * i, 2 * _STEP if kind == "scale" else 4 * _STEP, note=key, velocity_midi=velocity)
-            for i, step in enumerate(steps)
-            for key in step
-        ]
+        apart, lasting = _STRUM, _CHORD
+        steps = [[key] for key in strings]
+        if len(strings) > 6:
+            steps = [steps[i * len(steps) // 6] for i in range(6)]
+    elif kind == "scale":
+        lasting = 2 * _STEP
+        steps = [[min(strings) + k] for k in (0, 2, 4, 5, 7, 9, 11, 12)]
+    elif kind == "notes":
+        words = notes.split()
+        if not 1 <= len(words) <= _MOST:
+            raise ScoreError(f"{len(words)} notes; 1 to {_MOST} are allowed, e.g. E2 B2 E3+G3", key="notes")
+        steps = [[round(float(note_number(name))) for name in word.split("+")] for word in words]
     else:
         raise ScoreError(f"is {kind!r}; chord, scale, notes or file are allowed", key="phrase")
-    write_midi(Score(made, name="phrase"), file)
+    played = [Note(apart * i, lasting, note=k, velocity_midi=velocity) for i, step in enumerate(steps) for k in step]
+    write_midi(Score(played, name="phrase"), file)
     return read_midi(file)
 
 
 class ChosenPhrase:
     """The phrase that the page asks for, and its file.
 
-    Parameters
-    ----------
     given : score of the command line; None without one.
     file : where chords, scales and notes are written.
     """
@@ -84,13 +72,7 @@ class ChosenPhrase:
     def score(self, instrument: Instrument) -> Score:
         """Return the notes of the phrase, of a file the first `LONGEST` seconds.
 
-        Parameters
-        ----------
-        instrument : that plays them.
-
-        Raises
-        ------
-        TonewoodError : the phrase cannot be read, or no file was given.
+        Raises TonewoodError : the phrase cannot be read, or no file was given.
         """
         asked = self.asked
         if asked["kind"] != "file":

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import secrets
 import threading
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -38,8 +39,6 @@ class _Fading:
 class ComparedTakes:
     """Two takes of one loudness.
 
-    Attributes
-    ----------
     takes, gains : A and B; the louder one is turned down.
     names : of the designs.
     which : 0 or 1, what is heard.
@@ -52,6 +51,16 @@ class ComparedTakes:
     which: int = 0
     blind: bool = False
     order: tuple[int, int] = (0, 1)
+
+    @classmethod
+    def of_one_loudness(
+        cls, takes: tuple[PhraseTake, PhraseTake], names: tuple[str, str], *, blind: bool
+    ) -> tuple[ComparedTakes, float]:
+        """Return two takes, the louder one turned down, and by how many LU the first was louder."""
+        louder = takes[0].loudness() - takes[1].loudness()
+        gains = (10 ** (-max(louder, 0.0) / 20), 10 ** (min(louder, 0.0) / 20))
+        order = (0, 1) if not blind or secrets.randbelow(2) else (1, 0)
+        return cls(takes, gains, names, blind=blind, order=order), louder
 
     def state(self) -> dict[str, Any]:
         """Return the names in the order of the page, and which of them is heard."""
@@ -66,19 +75,13 @@ class Meter:
     load: float = 0.0
     worst: float = 0.0
     underruns: int = 0
-    reported: dict[str, float] = field(default_factory=dict)
 
 
 class PageProgress:
     """Where the page of the stream is: places are frames since its beginning.
 
-    Parameters
-    ----------
     fs : sampling rate, Hz.
     patience : s until its first report.
-
-    Attributes
-    ----------
     sent : place of the next block.
     reported : time of the last report.
     """
@@ -104,12 +107,7 @@ class DeskSound:
     A change is heard before sound that has been sent already: frames that the page has not heard are sent again, from
     an earlier place on, and take the place of those before (`PageProgress`).
 
-    Parameters
-    ----------
     fs : sampling rate, Hz.
-
-    Attributes
-    ----------
     take, at : that is heard, and its next frame; None until the first model is made.
     serial : counts changes that are heard; the page measures the time to them.
     """
@@ -142,9 +140,6 @@ class DeskSound:
     def swap(self, take: PhraseTake, *, goes_on: bool = False, serial: int | None = None) -> None:
         """Let another take be heard, as soon as the page can.
 
-        Parameters
-        ----------
-        take : that is heard from now on.
         goes_on : at the same place of the phrase, faded in, as far as it is rendered; else from the beginning.
         serial : of the change that is heard with it.
         """
@@ -187,6 +182,18 @@ class DeskSound:
                 self.pair.which = which
                 self._fade_in = 0
 
+    def pick(self, which: int) -> None:
+        """Let the first (0) or second (1) of a comparison be heard, in the order of the page."""
+        with self.lock:
+            if self.pair is not None and which in (0, 1):
+                self.switch(self.pair.order[which])
+
+    def reveal(self) -> None:
+        """End the blindness of a comparison."""
+        with self.lock:
+            if self.pair is not None:
+                self.pair.blind = False
+
     def _fade_out(self, source: PhraseTake | Live, at: int, gain: float) -> None:
         self._fading = [*self._fading[-3:], _Fading(source, at, gain)]
         if self.listener is not None:
@@ -195,10 +202,7 @@ class DeskSound:
     def fork(self, take: PhraseTake, at: int, serial: int) -> None:
         """Let a take go on that another one was up to a frame: exactly there, without a fade.
 
-        Parameters
-        ----------
         take, at : and its first frame, no earlier than `unheard` frames ago.
-        serial : of the change that is heard with it.
         """
         with self.lock:
             self._take_back(self.at - at)
@@ -267,6 +271,19 @@ class DeskSound:
         self.meter.load += 0.05 * (share - self.meter.load)
         self.meter.worst = max(0.99 * self.meter.worst, share)
         return out, {"serial": serial, "frame": first, "playing": self.playing, "place": place}
+
+    def moments(self, since: int) -> dict[str, Any]:
+        """Return what rings: moments of energy after frame `since` of the phrase, effects that run, load."""
+        with self.lock:
+            take, at = self.take, self.at
+            return {
+                "frame": at,
+                "moments": [] if take is None else [asdict(m) for m in take.moments if since < m.frame <= at + 4096],
+                "effects": [] if take is None else take.effects(),
+                "seconds": 0.0 if take is None else take.frames / take.fs,
+                "load": self.meter.load,
+                "worst": self.meter.worst,
+            }
 
     def _keys(self, frames: int, live: Live) -> Singles:
         """Sound of the keys; what is sent again is that of before."""

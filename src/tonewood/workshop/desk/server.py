@@ -22,7 +22,6 @@ import secrets
 import struct
 import time
 from collections.abc import AsyncIterator, Callable
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -33,18 +32,15 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from tonewood.errors import TonewoodError
+from tonewood.instrument.bundle.string_sets import string_set
 from tonewood.workshop.desk.desk import Desk
-from tonewood.workshop.desk.session import DeskSession, known_set
+from tonewood.workshop.desk.knobs import groups, shown
+from tonewood.workshop.desk.session import DeskSession
 from tonewood.workshop.web.guard import Guard
-from tonewood.workshop.web.requests import RefusalError, json_body, mistake, refuse
+from tonewood.workshop.web.requests import RefusalError, asset, json_body, mistake, one_line, refuse
 
-_STATIC = {
-    "desk.js": "text/javascript",
-    "sound.js": "text/javascript",
-    "ring.js": "text/javascript",
-    "views.js": "text/javascript",
-    "desk.css": "text/css",
-}
+_PACKAGE = "tonewood.workshop.desk"
+_STATIC = dict.fromkeys(("desk.js", "sound.js", "ring.js", "views.js"), "text/javascript") | {"desk.css": "text/css"}
 #: frames of a block; s that blocks are sent ahead of what is heard, at least and at most
 BLOCK = 512
 AHEAD = (0.03, 1.0)
@@ -55,8 +51,6 @@ _SILENT = 6.0
 class DeskServer:
     """Requests to one desk.
 
-    Parameters
-    ----------
     desk : that is shown.
     token : of the address; a new one where left out.
     """
@@ -74,9 +68,9 @@ class DeskServer:
             Route("/static/{name}", self._static),
             Route("/api/state", self._with(lambda request: self.desk.state())),
             Route("/api/act", self._act, methods=["POST"]),
-            Route("/api/points", self._with(lambda request: self.desk.points())),
-            Route("/api/groups", self._with(lambda request: self.desk.groups())),
-            Route("/api/knobs/{group}", self._with(lambda request: self.desk.knobs(request.path_params["group"]))),
+            Route("/api/points", self._with(self._points)),
+            Route("/api/groups", self._with(lambda request: groups(self.desk.session.instrument))),
+            Route("/api/knobs/{group}", self._with(self._knobs)),
             Route("/api/view/{kind}", self._with(self._view)),
             Route("/api/moments", self._with(self._moments)),
             Route("/api/stream", self._streamed),
@@ -91,13 +85,13 @@ class DeskServer:
             raise RefusalError(403, "the address has no token, or an old one: `tonewood desk` prints the right one")
 
     async def _index(self, request: Request) -> Response:
-        return Response(_asset("desk.html"), media_type="text/html")
+        return Response(asset(_PACKAGE, "desk.html"), media_type="text/html")
 
     async def _static(self, request: Request) -> Response:
         name = request.path_params["name"]
         if name not in _STATIC:
             return Response(status_code=404)
-        return Response(_asset(name), media_type=_STATIC[name])
+        return Response(asset(_PACKAGE, name), media_type=_STATIC[name])
 
     def _with(self, use: Callable[[Request], Any]) -> Callable[[Request], Any]:
         """A reply of JSON, made in a thread."""
@@ -108,6 +102,14 @@ class DeskServer:
 
         return reply
 
+    def _points(self, request: Request) -> list[str]:
+        """Points of the body on which a mass can be put."""
+        return [name for name, point in self.desk.session.instrument.body.points().items() if point.driven]
+
+    def _knobs(self, request: Request) -> list[dict[str, Any]]:
+        design, start = self.desk.session.design, self.desk.session.start
+        return shown(design.instrument, start.instrument, design.changes, request.path_params["group"])
+
     def _view(self, request: Request) -> Any:
         query = request.query_params
         kind = request.path_params["kind"]
@@ -115,7 +117,7 @@ class DeskServer:
 
     def _moments(self, request: Request) -> Any:
         since = request.query_params.get("since", "0")
-        return self.desk.moments(int(since) if since.isdecimal() and len(since) < 12 else 0)
+        return self.desk.playback.moments(int(since) if since.isdecimal() and len(since) < 12 else 0)
 
     async def _act(self, request: Request) -> Response:
         self._check(request)
@@ -168,20 +170,29 @@ class DeskServer:
             yield struct.pack("<5I", *numbers) + block.astype("<f4").tobytes()
 
 
-def _set(session: DeskSession, given: dict[str, Any]) -> None:
-    session.set(str(given["path"]), given["value"], dragging=bool(given.get("dragging")))
+Act = dict[str, Any]
 
 
-def _changes(use: Callable[[DeskSession, dict[str, Any]], None]) -> Callable[[Desk, dict[str, Any]], str | None]:
+def _changes(use: Callable[[DeskSession, Act], None]) -> Callable[[Desk, Act], str | None]:
     """An act on the session that may change the design."""
 
-    def act(desk: Desk, given: dict[str, Any]) -> None:
+    def act(desk: Desk, given: Act) -> None:
         desk.change(lambda session: use(session, given))
 
     return act
 
 
-def _save(desk: Desk, given: dict[str, Any]) -> str:
+def _set(session: DeskSession, given: Act) -> None:
+    session.set(str(given["path"]), given["value"], dragging=bool(given.get("dragging")))
+
+
+def _strings(session: DeskSession, given: Act) -> None:
+    name = str(given["name"])
+    string_set(name)  # raises where there is none
+    session.set("strings_from", name)
+
+
+def _save(desk: Desk, given: Act) -> str:
     try:
         folder = Path(str(given["folder"])).expanduser()
         desk.session.save(folder)
@@ -190,7 +201,7 @@ def _save(desk: Desk, given: dict[str, Any]) -> str:
     return f"saved in {folder.resolve()}: tonewood render {desk.phrase.file} -i {folder}"
 
 
-def _play(desk: Desk, given: dict[str, Any]) -> None:
+def _play(desk: Desk, given: Act) -> None:
     desk.playback.loop = bool(given.get("loop", desk.playback.loop))
     if given.get("on", True):
         desk.playback.start()
@@ -198,15 +209,24 @@ def _play(desk: Desk, given: dict[str, Any]) -> None:
         desk.playback.stop()
 
 
-def _loop(desk: Desk, given: dict[str, Any]) -> None:
+def _loop(desk: Desk, given: Act) -> None:
     desk.playback.loop = bool(given["on"])
 
 
-def _key(desk: Desk, given: dict[str, Any]) -> None:
+def _phrase(desk: Desk, given: Act) -> None:
+    desk.set_phrase(str(given["kind"]), str(given.get("notes", "")), float(given.get("velocity", 80)))
+
+
+def _key(desk: Desk, given: Act) -> None:
     desk.key(given["note"], float(given.get("velocity", 80)), on=bool(given["on"]))
 
 
-def _take_advice(desk: Desk, given: dict[str, Any]) -> str:
+def _advise(desk: Desk, given: Act) -> None:
+    session = desk.session
+    desk.adviser.ask(session.instrument, session.options(), session.source, str(given["targets"]), str(given["free"]))
+
+
+def _take_advice(desk: Desk, given: Act) -> str:
     values = dict(desk.adviser.overrides)
     if not values:
         raise TonewoodError("there is no design yet: look for one first", key="take")
@@ -214,16 +234,16 @@ def _take_advice(desk: Desk, given: dict[str, Any]) -> str:
     return "The design that was found is on view; Undo takes it back."
 
 
-def _compare(desk: Desk, given: dict[str, Any]) -> None:
+def _compare(desk: Desk, given: Act) -> None:
     name = given.get("name")
     desk.compare(None if name is None else str(name), blind=bool(given.get("blind")))
 
 
 #: what a page may ask for -> how it is done
-_ACTS: dict[str, Callable[[Desk, dict[str, Any]], str | None]] = {
+_ACTS: dict[str, Callable[[Desk, Act], str | None]] = {
     "set": _changes(_set),
     "reset": _changes(lambda session, given: session.reset(str(given["path"]))),
-    "strings": _changes(lambda session, given: session.set("strings_from", known_set(str(given["name"])))),
+    "strings": _changes(_strings),
     "undo": _changes(lambda session, given: session.undo()),
     "redo": _changes(lambda session, given: session.redo()),
     "recall": _changes(lambda session, given: session.recall(str(given["name"]))),
@@ -232,24 +252,17 @@ _ACTS: dict[str, Callable[[Desk, dict[str, Any]], str | None]] = {
     "save": _save,
     "play": _play,
     "loop": _loop,
-    "phrase": lambda desk, given: desk.set_phrase(
-        str(given["kind"]), str(given.get("notes", "")), float(given.get("velocity", 80))
-    ),
+    "phrase": _phrase,
     "key": _key,
     "compare": _compare,
-    "advise": lambda desk, given: desk.advise(str(given["targets"]), str(given["free"])),
+    "advise": _advise,
     "advise_stop": lambda desk, given: desk.adviser.stop(),
     "advise_take": _take_advice,
-    "pick": lambda desk, given: desk.pick(int(given["which"])),
-    "reveal": lambda desk, given: desk.reveal(),
+    "pick": lambda desk, given: desk.playback.pick(int(given["which"])),
+    "reveal": lambda desk, given: desk.playback.reveal(),
 }
 
 
 async def _fault(request: Request, fault: Exception) -> Response:
-    """One line, for the page to show."""
     assert isinstance(fault, TonewoodError)
-    return JSONResponse({"error": f"{fault.key}: {fault.reason}" if fault.key else fault.reason}, 400)
-
-
-def _asset(name: str) -> bytes:
-    return (files("tonewood.workshop.desk") / "static" / name).read_bytes()
+    return one_line(fault)

@@ -11,7 +11,6 @@ from typing import Any
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
-from tonewood.instrument.bundle.string_sets import string_set
 from tonewood.workshop.design.folder import write_changed
 from tonewood.workshop.desk.phrase import LONGEST
 
@@ -30,26 +29,18 @@ class Design:
 class DeskSession:
     """Changes of one instrument.
 
-    Parameters
-    ----------
     source : name or folder of the instrument, as on the command line.
     changes : path -> value, that were asked for on the command line.
     allow_code : run plugins that lie as Python files in the bundle's folder.
-
-    Attributes
-    ----------
     start : the design that the session began with, to which others are compared.
     snapshots : name -> design.
-
-    Raises
-    ------
-    TonewoodError : there is no such instrument, or a value is not allowed.
+    Raises TonewoodError : there is no such instrument, or a value is not allowed.
     """
 
     def __init__(self, source: str, changes: Mapping[str, Any] | None = None, *, allow_code: bool = False):
         self.source, self.allow_code = source, allow_code
         self._base = Instrument.load(source, allow_code=allow_code)
-        self.start = self._made(changes or {})
+        self.start = self._design(changes or {})
         self.snapshots: dict[str, Design] = {}
         self._past: list[Design] = []
         self._future: list[Design] = []
@@ -62,51 +53,43 @@ class DeskSession:
         """The instrument as it is now."""
         return self.design.instrument
 
-    def _made(self, changes: Mapping[str, Any]) -> Design:
+    def _design(self, changes: Mapping[str, Any]) -> Design:
         return Design(dict(changes), self._base.replace(changes))
 
     def set(self, path: str, value: Any, *, dragging: bool = False) -> None:
         """Change a value; where it is not allowed nothing changes.
 
-        Parameters
-        ----------
         path, value : as for `Instrument.replace`; a path that was changed before takes the new value in its place.
         dragging : whether the knob is still moved: changes of one movement are undone together.
-
-        Raises
-        ------
-        TonewoodError : the value is not allowed; one line.
+        Raises TonewoodError : the value is not allowed; one line.
         """
         changes = {key: old for key, old in self.design.changes.items() if key != path}
-        design = self._made(changes | {path: value})
-        if not (dragging and self._dragged == path):
-            self._remember()
-        self.design, self._dragged = design, path if dragging else None
-        self._future.clear()
+        design = self._design(changes | {path: value})
+        if dragging and self._dragged == path:
+            self.design = design
+            self._future.clear()
+        else:
+            self._go(design)
+        self._dragged = path if dragging else None
 
     def set_all(self, values: Mapping[str, Any]) -> None:
         """Change several values in one step; where one is not allowed nothing changes.
 
-        Raises
-        ------
-        TonewoodError : a value is not allowed; one line.
+        Raises TonewoodError : a value is not allowed; one line.
         """
-        self._go(self._made({k: v for k, v in self.design.changes.items() if k not in values} | dict(values)))
+        self._go(self._design({k: v for k, v in self.design.changes.items() if k not in values} | dict(values)))
 
     def reset(self, path: str) -> None:
         """Take a change back, wherever it stands in the history; the start's value holds again."""
         if path in self.design.changes:
             first = {path: self.start.changes[path]} if path in self.start.changes else {}
-            self._go(self._made({key: old for key, old in self.design.changes.items() if key != path} | first))
+            self._go(self._design({key: old for key, old in self.design.changes.items() if key != path} | first))
 
     def _go(self, design: Design) -> None:
-        self._remember()
-        self.design, self._dragged = design, None
-        self._future.clear()
-
-    def _remember(self) -> None:
         self._past.append(self.design)
         del self._past[:-MOST_CHANGES]
+        self.design, self._dragged = design, None
+        self._future.clear()
 
     @property
     def can_undo(self) -> bool:
@@ -123,12 +106,7 @@ class DeskSession:
         return self.design, self._past.copy(), self._future.copy(), self._dragged
 
     def go_back(self, course: tuple[Design, list[Design], list[Design], str | None]) -> None:
-        """Take back a change that cannot be played, as if it had not been made.
-
-        Parameters
-        ----------
-        course : of before.
-        """
+        """Take back a change that cannot be played, as if it had not been made."""
         self.design, self._past, self._future, self._dragged = course
 
     def undo(self) -> None:
@@ -146,9 +124,7 @@ class DeskSession:
     def keep(self, name: str) -> None:
         """Keep the design under a name; another one of that name is replaced.
 
-        Raises
-        ------
-        TonewoodError : the name is empty or too long, or too many are kept.
+        Raises TonewoodError : the name is empty or too long, or too many are kept.
         """
         name = name.strip()
         if not 0 < len(name) <= 60:
@@ -158,36 +134,24 @@ class DeskSession:
         self.snapshots[name] = self.design
 
     def recall(self, name: str) -> None:
-        """Go to the design of a name; this can be undone.
-
-        Raises
-        ------
-        TonewoodError : there is none of that name.
-        """
+        """Go to the design of a name; this can be undone. Raises TonewoodError : there is none of that name."""
         self._go(self.snapshot(name))
 
     def forget(self, name: str) -> None:
-        """Forget the design of a name.
-
-        Raises
-        ------
-        TonewoodError : there is none of that name.
-        """
+        """Forget the design of a name. Raises TonewoodError : there is none of that name."""
         self.snapshot(name)
         del self.snapshots[name]
 
     def snapshot(self, name: str) -> Design:
         """Return the design of a name; the empty name is the start.
 
-        Raises
-        ------
-        TonewoodError : there is none of that name.
+        Raises TonewoodError : there is none of that name.
         """
         if not name:
             return self.start
         if name not in self.snapshots:
-            known = ", ".join(self.snapshots) or "nothing yet"
-            raise TonewoodError(f"there is no {name!r}; kept are: {known}", key="name")
+            names = ", ".join(self.snapshots) or "nothing yet"
+            raise TonewoodError(f"there is no {name!r}; kept are: {names}", key="name")
         return self.snapshots[name]
 
     def options(self) -> list[str]:
@@ -199,58 +163,28 @@ class DeskSession:
     def command(self, score: str, output: str, gain_db: float, tail: float) -> str:
         """Return the command line that renders the samples heard, in single precision.
 
-        Parameters
-        ----------
-        score : path of the phrase's file.
-        output : path of the sound file.
         gain_db, tail : of the desk, dB and s.
         """
         words = ["tonewood", "render", score, "-i", self.source, *self.options(), "--level", "calibrated"]
-        words += [
-            f"--gain={gain_db:g}",
-            f"--tail={tail:g}",
-            f"--max-duration={LONGEST:g}",
-            "--subtype",
-            "FLOAT",
-            "-o",
-            output,
-        ]
-        return shlex.join(words)
+        words += [f"--gain={gain_db:g}", f"--tail={tail:g}", f"--max-duration={LONGEST:g}"]
+        return shlex.join([*words, "--subtype", "FLOAT", "-o", output])
 
     def save(self, folder: str | Path) -> Instrument:
         """Write a bundle of this design; `render`, `compare` and `batch` take its folder.
 
         Values that were changed become authored, with a note of the change; others keep their origin.
 
-        Parameters
-        ----------
         folder : to make; its last part is the instrument's name.
-
-        Returns
-        -------
-        The instrument, loaded from its new folder.
-
-        Raises
-        ------
-        TonewoodError : the folder is there already, cannot be made, or has no name for an instrument.
+        Returns the instrument, loaded from its new folder.
+        Raises TonewoodError : the folder is there already, cannot be made, or has no name for an instrument.
         """
-        made, changes = self.instrument, {k: v for k, v in self.design.changes.items() if k != "strings_from"}
-        target, note = Path(folder).expanduser(), f"changed at the desk; {made.name} has another value. Now "
-        notes = {path: note + json.dumps(value, ensure_ascii=False) for path, value in changes.items()}
-        return write_changed(made, target, f"{target.name}, changed from {made.name}: {made.spec.title}", notes)
+        instrument, target = self.instrument, Path(folder).expanduser()
+        note = f"changed at the desk; {instrument.name} has another value. Now "
+        changes = {k: json.dumps(v, ensure_ascii=False) for k, v in self.design.changes.items() if k != "strings_from"}
+        title = f"{target.name}, changed from {instrument.name}: {instrument.spec.title}"
+        return write_changed(instrument, target, title, {path: note + value for path, value in changes.items()})
 
 
 def assignment(path: str, value: Any) -> str:
     """Return ``PATH=VALUE`` as ``--set`` reads it: the value as JSON, which is YAML."""
     return f"{path}={json.dumps(value, ensure_ascii=False)}"
-
-
-def known_set(name: str) -> str:
-    """Check the name of a string set.
-
-    Raises
-    ------
-    TonewoodError : there is no such set.
-    """
-    string_set(name)
-    return name

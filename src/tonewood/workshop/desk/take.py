@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.engine.engine import Engine
@@ -17,7 +19,8 @@ from tonewood.physics.stepping.motion import to_motion
 from tonewood.sound.level.loudness import BLOCK, loudest
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import Checkpoint, Renderer
-from tonewood.workshop.desk.phrase import LONGEST
+from tonewood.support.units import decibel
+from tonewood.workshop.desk.phrase import LONGEST, ChosenPhrase
 
 Singles = NDArray[np.float32]
 
@@ -25,6 +28,8 @@ Singles = NDArray[np.float32]
 PIECE = 512
 #: frames between two checkpoints, and checkpoints that are kept
 _APART, _KEPT = 2048, 16
+#: dBFS of the loudest sample of a phrase on the first model that plays it
+_PEAK = -4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +45,6 @@ class Ringing:
 class PhraseTake:
     """A phrase on one model.
 
-    Parameters
-    ----------
     score : the phrase.
     model : that is stepped.
     options : of the render, as `DeskSession.command` states them.
@@ -101,21 +104,14 @@ class PhraseTake:
     def forked(self, frame: int, instrument: Instrument, design: dict[str, Any]) -> tuple[PhraseTake, int] | None:
         """Go on with other hands while strings and body ring on.
 
-        Parameters
-        ----------
         frame : from which on another take may begin.
         instrument : with these hands; strings and body are the same.
-        design : its changes.
-
-        Returns
-        -------
-        The take, and the frame at which it begins; None where no checkpoint lies there.
+        Returns the take, and the frame at which it begins; None where no checkpoint lies there.
         """
         self.ensure(frame + _APART)
-        found = next(((at, point) for at, point in self._checkpoints if at >= frame), None)
-        if found is None:
+        at, checkpoint = next(((at, point) for at, point in self._checkpoints if at >= frame), (0, None))
+        if checkpoint is None:
             return None
-        at, checkpoint = found
         other = PhraseTake(self.score, with_hands(self.model, instrument), self.options, design, self.preview)
         other.renderer.take_over(checkpoint)
         other._sound = self._sound.copy()
@@ -137,12 +133,9 @@ class PhraseTake:
         self.moments.append(moment)
 
     def effects(self) -> list[dict[str, Any]]:
-        """Effects that this model may run.
-
-        Returns
-        -------
-        Of the steps of all modes and of each effect: title, components, seconds in which it ran on each; of those that
-        are switched the components on which it runs now; the share of the sound's time that its steps take there.
+        """Effects that this model may run: of the steps of all modes, and of each effect, the title, the components,
+        the seconds in which it ran on each; of those that are switched the components on which it runs now, and the
+        share of the sound's time that its steps take there.
         """
         engine = self.renderer.engine
         rates, usage = engine.usage.costs.rates(), engine.usage
@@ -167,10 +160,47 @@ class PhraseTake:
         return list(rows.values())
 
 
+class LeveledTakes:
+    """Takes of the chosen phrase, all at one gain: that of the first model that plays it.
+
+    phrase : what the page asks for.
+    instrument : that plays it first.
+    options : of renders.
+    """
+
+    def __init__(self, phrase: ChosenPhrase, instrument: Instrument, options: RenderOptions) -> None:
+        self._phrase, self.options = phrase, options
+        self.score = phrase.score(instrument)
+        #: dB; None before a model has played the phrase
+        self.gain_db: float | None = None
+
+    def choose(self, kind: str, notes: str, velocity: float, instrument: Instrument, model: Model | None) -> None:
+        """Choose another phrase. Raises TonewoodError : it cannot be played; the one before stays."""
+        before = self._phrase.asked
+        self._phrase.asked = {"kind": kind, "notes": notes, "velocity": velocity}
+        try:
+            score = self._phrase.score(instrument)
+            if model is not None:
+                PhraseTake(score, model, self.options, {})
+        except TonewoodError:
+            self._phrase.asked = before
+            self._phrase.score(instrument)
+            raise
+        self.score, self.gain_db = score, None
+
+    def take(self, model: Model, changes: Mapping[str, Any], preview: str = "") -> PhraseTake:
+        """Return a take of a model; the arguments are those of `PhraseTake`."""
+        if self.gain_db is None:
+            peak = float(abs(PhraseTake(self.score, model, self.options, {}).sound()).max(initial=0.0))
+            self.gain_db = round(_PEAK - decibel(peak), 1) if peak > 0 else 0.0
+        return PhraseTake(self.score, model, self.options.at(gain_db=self.gain_db), dict(changes), preview)
+
+
 def with_hands(model: Model, instrument: Instrument) -> Model:
     """Return a model played by the hands of another instrument, whose strings and body are the same."""
-    own = instrument.replace({f"effects.{k}": v for k, v in model.instrument.resolved["effects"].items()})
-    return replace(model, instrument=own, exciters=own.exciters, default_exciter=own.spec.playing.default_exciter)
+    player = instrument.replace({f"effects.{k}": v for k, v in model.instrument.resolved["effects"].items()})
+    default = player.spec.playing.default_exciter
+    return replace(model, instrument=player, exciters=player.exciters, default_exciter=default)
 
 
 def stored(engine: Engine, frame: int) -> Ringing:
@@ -178,11 +208,6 @@ def stored(engine: Engine, frame: int) -> Ringing:
 
     E = (q'^2 + omega^2 q^2) / 2 summed over a component's modes; `sound` is the power sum 2 sigma s E over the body's
     modes, W, where s is the share of a mode's loss that is sound. Components whose modes are not real are left out.
-
-    Parameters
-    ----------
-    engine : that steps.
-    frame : of this moment.
     """
     system, state = engine.system, engine.state
     strings: dict[str, float] = dict.fromkeys(engine.model.strings, 0.0)

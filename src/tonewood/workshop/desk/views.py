@@ -32,15 +32,12 @@ _FORCE = 0.06
 def mobility(model: Model) -> dict[str, Any]:
     """Mobility of the body at every string's end, and its modes.
 
-    Returns
-    -------
-    freq : Hz; db : string -> dB re 1 (m/s)/N; modes : Hz, Q and mass (kg) of each, by frequency.
+    Returns freq : Hz; db : string -> dB re 1 (m/s)/N; modes : Hz, Q and mass (kg) of each, by frequency.
     """
     freq = frequencies(model.body, model.fs)
     if len(freq) > _MOST_POINTS:
         freq = np.unique(freq[np.linspace(0, len(freq) - 1, _MOST_POINTS).astype(int)])
-    found = bridge_mobility(model, freq)
-    db = {name: 20 * np.log10(np.maximum(np.abs(y), 1e-12)) for name, y in found.items()}
+    db = {n: 20 * np.log10(np.maximum(np.abs(y), 1e-12)) for n, y in bridge_mobility(model, freq).items()}
     modes = body_modes(model)
     return {
         "freq": _rounded(freq, 6),
@@ -53,14 +50,8 @@ def mobility(model: Model) -> dict[str, Any]:
 def shape(model: Model, freq: float) -> dict[str, Any]:
     """Shape of the body's mode nearest to a frequency: on its whole surface where that is known, else at strings' ends.
 
-    Parameters
-    ----------
-    model : whose body it is of.
     freq : Hz.
-
-    Raises
-    ------
-    TonewoodError : the body has no modes.
+    Raises TonewoodError : the body has no modes.
     """
     modes = body_modes(model)
     if not modes:
@@ -74,8 +65,8 @@ def shape(model: Model, freq: float) -> dict[str, Any]:
     surface = model.instrument.body.sources(model.fs / 2)
     if surface is None or not len(surface.areas):
         return out
-    own = model.instrument.body.basis(model.fs / 2).natural_freq
-    k = int(np.argmin(np.abs(own - mode.freq)))
+    alone = model.instrument.body.basis(model.fs / 2).natural_freq
+    k = int(np.argmin(np.abs(alone - mode.freq)))
     heights = surface.volumes[:, k] / surface.areas
     wood = inside(surface.points, surface.rings)
     largest = float(np.quantile(np.abs(heights[wood]), 0.99)) or 1.0
@@ -84,7 +75,7 @@ def shape(model: Model, freq: float) -> dict[str, Any]:
         "points": [_rounded(p, 4) for p in surface.points[wood]],
         "heights": _rounded(np.clip(heights[wood] / largest, -1.5, 1.5), 3),
         "rings": [[_rounded(p, 4) for p in ring[:: max(1, len(ring) // 120)]] for ring in surface.rings],
-        "own_freq": float(own[k]),
+        "own_freq": float(alone[k]),
     }
     return out
 
@@ -112,15 +103,7 @@ def neck(model: Model) -> list[dict[str, Any]]:
 def force(instrument: Instrument, string: str, options: RenderOptions) -> dict[str, Any]:
     """Constraint force between a plucked open string and the body: its first 60 ms, N.
 
-    Parameters
-    ----------
-    instrument : that is played.
-    string : its name.
-    options : of the render.
-
-    Raises
-    ------
-    TonewoodError : there is no such string.
+    Raises TonewoodError : there is no such string.
     """
     if string not in instrument.groups:
         raise TonewoodError(f"there is no {string!r}; there is {', '.join(instrument.groups)}", key="string")
@@ -129,15 +112,13 @@ def force(instrument: Instrument, string: str, options: RenderOptions) -> dict[s
     probed = Instrument.from_values(values, instrument.folder, instrument.granted, allow_code=instrument.allow_code)
     score = Score([Note(0.0, 1.0, string=string, stop=0, velocity_midi=80.0)])
     settings = options.at(outputs=("desk_force",), gain_db=0.0, max_duration=_FORCE, tail=_FORCE, lead_in=0.01)
-    found = np.concatenate(list(Renderer(score, probed, options=settings).blocks(4096)))[:, 0]
-    return {"string": string, "fs": options.fs, "before": 0.01, "force": _rounded(found, 5)}
+    sound = np.concatenate(list(Renderer(score, probed, options=settings).blocks(4096)))[:, 0]
+    return {"string": string, "fs": options.fs, "before": 0.01, "force": _rounded(sound, 5)}
 
 
 def drawing(instrument: Instrument) -> dict[str, Any] | None:
     """Outline and braces of a body that is drawn, and paths of their ends; None of another one.
 
-    Parameters
-    ----------
     instrument : whose body has braces with `start` and `stop`, and a surface with rings.
     """
     values = instrument.resolved["body"]

@@ -17,22 +17,12 @@ from pathlib import Path
 from typing import Any
 
 from tonewood.support.text_files import decoded
-from tonewood.workshop.batch.pages import (
-    AbPage,
-    AbxPage,
-    AfcPage,
-    AnyPage,
-    Bs1116Page,
-    MushraPage,
-    PairedPage,
-    PairPage,
-    QuestionnairePage,
-    RatingPage,
-)
+from tonewood.workshop.batch import pages
 from tonewood.workshop.exchange.psychopy import KEYS
 from tonewood.workshop.listening.answer_file import LeftOut, ListenerAnswers, printable
+from tonewood.workshop.listening.checked_answer import choices
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest, ServedTrial
-from tonewood.workshop.listening.session import LETTERS, OPEN
+from tonewood.workshop.listening.trials import LETTERS, OPEN
 
 _SLOTS = ("A", "B", "X", "1", "2", "3", OPEN)
 _WEBMUSHRA = {"rating_stimulus": "mushra", "choice_answer": "pair", "rating_reference_score": "bs1116"}
@@ -98,7 +88,7 @@ def read_answers(path: Path, test: ListeningTest) -> Imported:
         kept = []
         for one in answers.get(who, {}).values():
             graded = {code for code, _ in one.ratings}
-            if isinstance(test.pages[one.page], Bs1116Page) and 0 < len(graded) < 2:
+            if isinstance(test.pages[one.page], pages.Bs1116Page) and 0 < len(graded) < 2:
                 reason = f"{who} has no grade of both sounds of trial {one.trial.id}"
                 left_out.append(LeftOut(str(ListeningError(reason, file=path))))
             elif graded or one.choice is not None:
@@ -200,7 +190,7 @@ def _take_plain(
     repetition = int(_number(row.get("repetition") or "1", "repetition", 1, 1000))
     key = (trial.id, repetition)
     seconds = _number(row.get("seconds") or "0", "seconds", 0.0, 3.2e8)
-    if isinstance(page, (MushraPage, Bs1116Page, RatingPage)):
+    if isinstance(page, (pages.MushraPage, pages.Bs1116Page, pages.RatingPage)):
         one = into.setdefault(key, _Given(trial, trial.page, repetition, {}, {}, seconds=seconds))
         for item, value in _values(row).items():
             low, high, name = _limits(page, item)
@@ -213,8 +203,8 @@ def _take_plain(
         raise ListeningError(f"{min(unknown)!r} is no sound of trial {trial.id}", key="trial")
     response = row.get("response") or next((row[c] for c in row if _KEY.fullmatch(c) and row[c]), "")
     if "response" not in row or not row["response"]:
-        response = next((choice for choice in _choices(page, slots) if KEYS[choice] == response), response)
-    if response not in (allowed := _choices(page, slots)):
+        response = next((choice for choice in choices(page, slots) if KEYS[choice] == response), response)
+    if response not in (allowed := choices(page, slots)):
         raise ListeningError(f"{response!r} is not one of {', '.join(allowed)}", key="response")
     right = _right(page, trial, slots, response)
     into[key] = _Given(trial, trial.page, repetition, slots, {}, response, right, seconds)
@@ -227,9 +217,9 @@ def _values(row: Row) -> dict[str, str]:
     return {m[1]: row[c] for c in row if (m := _RATE.fullmatch(c)) and row[c]}
 
 
-def _limits(page: MushraPage | Bs1116Page | RatingPage, item: str) -> tuple[float, float, str]:
-    if not isinstance(page, RatingPage):
-        return (0.0, 100.0, "") if isinstance(page, MushraPage) else (1.0, 5.0, "")
+def _limits(page: pages.MushraPage | pages.Bs1116Page | pages.RatingPage, item: str) -> tuple[float, float, str]:
+    if not isinstance(page, pages.RatingPage):
+        return (0.0, 100.0, "") if isinstance(page, pages.MushraPage) else (1.0, 5.0, "")
     scales = {scale.name: scale for scale in page.scales}
     name = next(iter(scales)) if not item and len(scales) == 1 else item
     if name not in scales:
@@ -237,34 +227,24 @@ def _limits(page: MushraPage | Bs1116Page | RatingPage, item: str) -> tuple[floa
     return scales[name].low, scales[name].high, name
 
 
-def _choices(page: AnyPage, slots: Mapping[str, str]) -> list[str]:
-    if isinstance(page, AbPage):
-        return ["same", "different"]
-    if isinstance(page, AbxPage):
-        return ["A", "B", *(["undecided"] if page.unforced else [])]
-    if isinstance(page, PairedPage):
-        return ["A", "B", *(["tie"] if page.tie else [])]
-    return [slot for slot in slots if slot != OPEN]
-
-
-def _right(page: AnyPage, trial: ServedTrial, slots: Mapping[str, str], response: str) -> bool | None:
+def _right(page: pages.AnyPage, trial: ServedTrial, slots: Mapping[str, str], response: str) -> bool | None:
     """Whether a response is right; None where none is.
 
     Raises ListeningError : the slots are not those of such a page.
     """
     reference, other = trial.reference or "", trial.stimuli[0]
-    labels: Sequence[str] = ("A", "B", "X") if isinstance(page, AbxPage) else ("A", "B")
-    if isinstance(page, AfcPage):
+    labels: Sequence[str] = ("A", "B", "X") if isinstance(page, pages.AbxPage) else ("A", "B")
+    if isinstance(page, pages.AfcPage):
         labels = [str(i + 1) for i in range(page.intervals)]
     if missing := [slot for slot in labels if slot not in slots]:
         raise ListeningError(f"has no sound in slot {missing[0]}", key="trial")
-    if isinstance(page, AbPage):
+    if isinstance(page, pages.AbPage):
         return response == ("same" if slots["A"] == slots["B"] else "different")
-    if isinstance(page, AbxPage):
+    if isinstance(page, pages.AbxPage):
         if slots["X"] not in (slots["A"], slots["B"]) or slots["A"] == slots["B"]:
             raise ListeningError("X is not one of A and B", key="trial")
         return response != "undecided" and slots[response] == slots["X"]
-    if isinstance(page, AfcPage):
+    if isinstance(page, pages.AfcPage):
         if sorted(slots[i] for i in labels) != sorted([other, *[reference] * (page.intervals - 1)]):
             raise ListeningError("the intervals do not hold one other sound", key="trial")
         return slots[response] == other
@@ -279,7 +259,7 @@ def _questionnaire(test: ListeningTest, row: Row) -> dict[str, Any] | None:
         return None
     number = row.get("page", "")
     page = test.pages[int(number) - 1] if number.isdecimal() and 0 < int(number) <= len(test.pages) else None
-    questions = {q.name: q for q in page.questions} if isinstance(page, QuestionnairePage) else {}
+    questions = {q.name: q for q in page.questions} if isinstance(page, pages.QuestionnairePage) else {}
     if row["item"] not in questions:
         raise ListeningError(f"{row['item']!r} is no question of page {number}", key="item")
     question, value = questions[row["item"]], row.get("value", "")
@@ -298,9 +278,9 @@ def _record(test: ListeningTest, one: _Given, index: int) -> dict[str, Any]:
     page, answer = test.pages[one.page], {"seconds": one.seconds}
     slots: dict[str, str] = one.slots
     fields: dict[str, Any] = {}
-    if isinstance(page, PairPage):
+    if isinstance(page, pages.PairPage):
         fields = {"choice": one.choice}
-    elif isinstance(page, RatingPage):
+    elif isinstance(page, pages.RatingPage):
         slots = {"A": one.trial.stimuli[0]}
         fields = {"values": {item: value for (_, item), value in one.ratings.items()}}
     else:

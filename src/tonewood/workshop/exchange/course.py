@@ -26,10 +26,12 @@ from tonewood.workshop.batch.pages import (
     TrialPage,
     localised,
 )
+from tonewood.workshop.listening.checked_answer import choices
 from tonewood.workshop.listening.definition import ListeningTest
 from tonewood.workshop.listening.level_tone import tone
-from tonewood.workshop.listening.session import Session, Step, choices
-from tonewood.workshop.listening.shown import kind_of_texts
+from tonewood.workshop.listening.session import Session
+from tonewood.workshop.listening.shown import kind_of_texts, scales_of
+from tonewood.workshop.listening.trials import Step
 
 FOLDER = "export"
 #: courses that are written; listeners beyond them begin again with the first
@@ -98,13 +100,7 @@ def shown_pages(test: ListeningTest) -> list[dict[str, Any]]:
 def _scales(test: ListeningTest, page: AnyPage) -> list[dict[str, Any]]:
     language = test.manifest.language
     if isinstance(page, RatingPage):
-        return [
-            {
-                "name": scale.name, "label": localised(scale.label, language), "low": scale.low, "high": scale.high,
-                "low_label": localised(scale.low_label, language), "high_label": localised(scale.high_label, language),
-            }
-            for scale in page.scales
-        ]  # fmt: skip
+        return scales_of(page, language)
     limits = {"mushra": (0.0, 100.0), "bs1116": (1.0, 5.0)}.get(page.type)
     if limits is None:
         return []
@@ -120,10 +116,10 @@ def course(test: ListeningTest, number: int) -> list[dict[str, Any]]:
     for index, page in enumerate(test.manifest.pages):
         if not isinstance(page, TrialPage) or isinstance(page, StaircasePage):
             continue
-        for fields in session.known_steps(index):
+        for fields in session.trials.steps(index):
             step = Step(index=len(pages), page=index, **fields)
             row = {"page": index + 1, "trial": step.trial, "repetition": step.repetition, "slots": dict(step.slots)}
-            pages.append({**row, "choices": choices(page, step)})
+            pages.append({**row, "choices": choices(page, step.slots)})
     return pages
 
 

@@ -10,15 +10,7 @@ from typing import Any
 
 from tonewood.support.whole_files import write_whole
 from tonewood.workshop.batch.pages import ConsentPage, InstructionsPage, LevelPage, QuestionnairePage, TrialPage
-from tonewood.workshop.exchange.course import (
-    COURSES,
-    Exported,
-    codes_of,
-    copy_sounds,
-    course,
-    left_out,
-    shown_pages,
-)
+from tonewood.workshop.exchange.course import COURSES, Exported, codes_of, copy_sounds, course, left_out, shown_pages
 from tonewood.workshop.listening.definition import ListeningTest
 
 _KEPT = (ConsentPage, InstructionsPage, LevelPage, QuestionnairePage, TrialPage)
@@ -40,11 +32,7 @@ _PAGE = """<!DOCTYPE html>
 <body></body>
 </html>
 """
-_SCRIPTS = (
-    *(f"node_modules/{name}/dist/index.browser.min.js" for name in PACKAGES),
-    "test.js",
-    "tonewood.js",
-)
+_SCRIPTS = (*(f"node_modules/{name}/dist/index.browser.min.js" for name in PACKAGES), "test.js", "tonewood.js")
 
 
 def write(test: ListeningTest, folder: Path) -> Exported:

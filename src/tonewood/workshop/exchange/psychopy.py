@@ -14,27 +14,11 @@ import soundfile
 
 from tonewood.support.csv_text import csv_text
 from tonewood.support.whole_files import write_whole
-from tonewood.workshop.batch.pages import (
-    Bs1116Page,
-    ConsentPage,
-    InstructionsPage,
-    LevelPage,
-    MushraPage,
-    RatingPage,
-    TrialPage,
-)
-from tonewood.workshop.exchange.course import (
-    COURSES,
-    Exported,
-    codes_of,
-    copy_sounds,
-    course,
-    left_out,
-    shown_pages,
-)
+from tonewood.workshop.batch import pages
+from tonewood.workshop.exchange.course import COURSES, Exported, codes_of, copy_sounds, course, left_out, shown_pages
 from tonewood.workshop.listening.definition import ListeningTest
 
-_KEPT = (ConsentPage, InstructionsPage, LevelPage, TrialPage)
+_KEPT = (pages.ConsentPage, pages.InstructionsPage, pages.LevelPage, pages.TrialPage)
 #: key that gives an answer
 KEYS = {"A": "a", "B": "b", "same": "s", "different": "d", "tie": "t", "undecided": "u", "1": "1", "2": "2", "3": "3"}
 #: s of silence between two sounds
@@ -64,13 +48,13 @@ def write(test: ListeningTest, folder: Path) -> Exported:
         make_folder=True,
     )
     copy_sounds(test, codes_of(row for rows in courses for row in rows), folder / "stimuli")
-    rated = [i + 1 for i, p in enumerate(test.manifest.pages) if isinstance(p, (MushraPage, Bs1116Page))]
+    rated = [i + 1 for i, p in enumerate(test.manifest.pages) if isinstance(p, (pages.MushraPage, pages.Bs1116Page))]
     notes = [f"psychopy: page {i}: its sounds are rated one at a time after the reference" for i in rated]
     return Exported(folder, (*left_out(test, "psychopy", _KEPT), *notes))
 
 
 def _rated(test: ListeningTest, page: int) -> bool:
-    return isinstance(test.manifest.pages[page - 1], (MushraPage, Bs1116Page, RatingPage))
+    return isinstance(test.manifest.pages[page - 1], (pages.MushraPage, pages.Bs1116Page, pages.RatingPage))
 
 
 def _rows(test: ListeningTest, row: dict[str, Any], lengths: dict[str, float]) -> list[dict[str, Any]]:

@@ -13,6 +13,7 @@ A listener may withdraw: the file is deleted, and ``withdrawn.log`` keeps the ti
 
 from __future__ import annotations
 
+import datetime
 import json
 import os
 import re
@@ -82,6 +83,11 @@ class Answers:
 
     listeners: tuple[ListenerAnswers, ...]
     left_out: tuple[LeftOut, ...]
+
+
+def now(timespec: str = "milliseconds") -> str:
+    """The time, UTC, as records have it."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec=timespec)
 
 
 def printable(name: str) -> str:

@@ -23,10 +23,7 @@ def cells_of(
     Levels of fixed factors that a single listener rated are left out: what they are worth could not be told from who
     that listener is.
 
-    rows : answers, with `listener`, `value` and the factors.
-    factors : columns that may vary.
     levels : factor -> its levels, the first being that of the reference.
-    random : factors whose levels are a random sample of many.
     """
     rows, single = shared(rows, [f for f in factors if f not in random])
     used = [f for f in factors if f not in random and len({row[f] for row in rows}) > 1]

@@ -98,18 +98,24 @@ def built_in_texts() -> dict[str, dict[str, str]]:
     return texts
 
 
-def load_test(folder: Path) -> ListeningTest:
-    """Open the test of a batch's folder. Raises ListeningError : there is none, or it is damaged; one line."""
-    path = folder / FILE
+def read_json(path: Path, schema: str, noun: str, hint: str = "") -> tuple[bytes, dict[str, Any]]:
+    """Read a file of a schema: its bytes and values. Raises ListeningError : it cannot be read, or is no such file."""
     try:
         raw = path.read_bytes()
         data: Any = json_value(raw)
     except OSError as fault:
-        raise ListeningError(f"cannot be read: {fault.strerror}; `tonewood batch` writes it", file=path) from None
+        raise ListeningError(f"cannot be read: {fault.strerror}{hint}", file=path) from None
     except (ValueError, RecursionError) as fault:
         raise ListeningError(f"not JSON: {fault}", file=path) from None
-    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
-        raise ListeningError(f"not a test: schema {SCHEMA} is wanted", file=path)
+    if not isinstance(data, dict) or data.get("schema") != schema:
+        raise ListeningError(f"not a {noun}: schema {schema} is wanted", file=path)
+    return raw, data
+
+
+def load_test(folder: Path) -> ListeningTest:
+    """Open the test of a batch's folder. Raises ListeningError : there is none, or it is damaged; one line."""
+    path = folder / FILE
+    raw, data = read_json(path, SCHEMA, "test", "; `tonewood batch` writes it")
     try:
         trials = tuple(
             ServedTrial(row["id"], row["page"] - 1, row["reference"], tuple(row["stimuli"]), row["drop_db"])

@@ -86,6 +86,13 @@ def task_of(page: AnyPage) -> Task | None:
     return None
 
 
+def chance_of(page: StaircasePage) -> float:
+    """Share of right answers of somebody who guesses on a page."""
+    task = task_of(page)
+    assert task is not None
+    return CHANCE[task]
+
+
 def share_right(d_prime: float, task: Task) -> float:
     """Share of right answers at a sensitivity; for ``same`` that of an unbiased listener (largest over criteria)."""
     z, w = _nodes()

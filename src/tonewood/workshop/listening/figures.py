@@ -9,7 +9,7 @@ import numpy as np
 
 from tonewood.support.plotting import COLOURS, DASHES, LINE, figure, legend, plain, title
 from tonewood.workshop.batch.pages import StaircasePage
-from tonewood.workshop.listening.detection import CHANCE, task_of
+from tonewood.workshop.listening.detection import CHANCE, chance_of, task_of
 from tonewood.workshop.listening.means import CellMean, cell_means, unique
 from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.results import PageResults, PanelResults
@@ -59,7 +59,7 @@ def _points(
     values = [math.nan if v is None else v for _, v, _, _ in rows]
     below = [0.0 if low is None or v is None else v - low for _, v, low, _ in rows]
     above = [0.0 if high is None or v is None else high - v for _, v, _, high in rows]
-    made, grid = figure(heights=[2.6 + 0.62 * len(rows)])
+    picture, grid = figure(heights=[2.6 + 0.62 * len(rows)])
     axes = grid[0, 0]
     axes.errorbar(values, range(len(rows)), xerr=[below, above], fmt="o", capsize=6, color=COLOURS[0], lw=LINE, ms=8)
     axes.set_yticks(range(len(rows)), [plain(name) for name, *_ in rows])
@@ -71,14 +71,14 @@ def _points(
     if line is not None:
         axes.axvline(line, color="0.5", lw=1.0, ls="--")
     title(axes, heading)
-    return made
+    return picture
 
 
 def _interaction(page: PageResults, label: str, heading: str, confidence: float) -> Any:
     """Means over the levels of each other factor, a line for each level of the first."""
     first, *others = page.factors
     sounds = [row for row in page.rows if row["role"] in ("sound", "reference")]
-    made, grid = figure(len(others), heights=[4.6] * len(others))
+    picture, grid = figure(len(others), heights=[4.6] * len(others))
     for axes, other in zip(grid[:, 0], others, strict=True):
         means = cell_means(sounds, (first, other), confidence)
         levels = unique([m.cell[other] for m in means])
@@ -95,13 +95,13 @@ def _interaction(page: PageResults, label: str, heading: str, confidence: float)
         axes.set(xlabel=plain(other), ylabel=label)
         legend(axes, title=plain(first))
     title(grid[0, 0], heading)
-    return made
+    return picture
 
 
 def _tracks(panel: PanelResults, page: PageResults, who: str) -> Any:
     settings = panel.test.pages[page.page - 1]
     assert isinstance(settings, StaircasePage)
-    made, grid = figure(heights=[4.6])
+    picture, grid = figure(heights=[4.6])
     axes = grid[0, 0]
     names = unique([(row["listener"], row["track"]) for row in page.rows])
     for i, (listener, track) in enumerate(names[:_TRACKS]):
@@ -121,16 +121,15 @@ def _tracks(panel: PanelResults, page: PageResults, who: str) -> Any:
     legend(axes, ncols=2)
     shown = "" if len(names) <= _TRACKS else f", the first {_TRACKS} tracks"
     title(axes, f"{who}{shown}")
-    return made
+    return picture
 
 
 def _psychometric(panel: PanelResults, page: PageResults, who: str) -> Any:
     own, thresholds = panel.test.pages[page.page - 1], page.thresholds
     assert isinstance(own, StaircasePage)
     assert thresholds is not None
-    task = task_of(own)
-    assert task is not None
-    made, grid = figure(heights=[4.6])
+    chance = chance_of(own)
+    picture, grid = figure(heights=[4.6])
     axes = grid[0, 0]
     levels = np.array([row["level"] for row in page.rows], dtype=np.float64)
     right = np.array([bool(row["right"]) for row in page.rows])
@@ -141,15 +140,15 @@ def _psychometric(panel: PanelResults, page: PageResults, who: str) -> Any:
     x = np.geomspace(low, high, 200) if own.ratio else np.linspace(low, high, 200)
     transform = np.log if own.ratio else np.asarray
     for one in thresholds.listeners:
-        y = psychometric(transform(x), transform(np.array(one.threshold)), one.slope, CHANCE[task], thresholds.share)
+        y = psychometric(transform(x), transform(np.array(one.threshold)), one.slope, chance, thresholds.share)
         axes.plot(x, y, "-", color=COLOURS[0], lw=1.0, alpha=0.5)
     axes.axvline(thresholds.mean, color=COLOURS[1], lw=LINE, label=f"mean threshold {thresholds.mean:.4g}")
     if thresholds.low is not None and thresholds.high is not None:
         axes.axvspan(thresholds.low, thresholds.high, color=COLOURS[1], alpha=0.15)
-    axes.axhline(CHANCE[task], color="0.5", lw=1.0, ls="--")
+    axes.axhline(chance, color="0.5", lw=1.0, ls="--")
     if own.ratio:
         axes.set_xscale("log")
     axes.set(ylim=(0, 1.02), xlabel=plain(f"level {thresholds.unit}".strip()), ylabel="share of right answers")
     legend(axes)
     title(axes, f"{who}; one line a listener, dots: all answers")
-    return made
+    return picture

@@ -20,7 +20,8 @@ from tonewood.workshop.batch.production import encoded_wav
 from tonewood.workshop.batch.seeds import generator
 from tonewood.workshop.batch.stimuli import quantised
 from tonewood.workshop.listening.definition import ListeningTest
-from tonewood.workshop.listening.session import CHANGED, INTERVALS, Session
+from tonewood.workshop.listening.session import Session
+from tonewood.workshop.listening.trials import CHANGED, INTERVALS
 
 SECONDS = 1.0
 #: Hz, band of the Huggins pitch

@@ -24,8 +24,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -163,11 +164,7 @@ def linear_analysis(
 ) -> LinearAnalysis | None:
     """Estimate and test differences of means; None where no fixed factor varies or listeners are fewer than three.
 
-    rows : answers, with `listener`, `value` and the factors.
-    factors : columns that may vary.
-    levels : factor -> its levels; differences are from the first that is there.
     random : factors whose levels are a random sample of many (of notes, of pieces).
-    ends : of the scale.
     """
     data = cells_of(rows, factors, levels, random)
     if data is None:
@@ -180,34 +177,11 @@ def linear_analysis(
     notes += [f"{e[0]} cannot be told from the other factors" for e in contrasts.without if len(e) == 1]
     if not contrasts.bases:
         return None
-    values, cell_sd = data.value, data.cell_sd()
-    at_ends = None if ends is None else float(np.mean((values <= ends[0]) | (values >= ends[1])))
-    exact = data.complete
-    if exact:
-        estimates, tests = _by_strata(data, contrasts, confidence, bool(sampled))
-        what = (
-            "quasi-F of listeners and sounds (Clark 1973) with degrees of freedom after Cochran (1964)"
-            if sampled
-            else "Greenhouse-Geisser degrees of freedom as corrected by Huynh and Feldt"
-        )
-        method = f"analysis of variance by strata, {what}; each difference against its own spread over the listeners"
-    else:
-        design = data.design(contrasts)
-        fit = CrossedFit(data.means, design) if sampled else IncompleteFit(data.means[:, 0], design)
-        estimates = {e: fit.estimated(rows, confidence) for e, rows in contrasts.differences.items()}
-        tests = {e: fit.tested(basis) for e, basis in contrasts.bases.items()}
-        of = "listeners and of sounds" if sampled else "listeners"
-        what = (
-            "joined as in the quasi-F of both (Clark 1973), with degrees of freedom after Cochran (1964)"
-            if sampled
-            else "F by the trace, with degrees of freedom as corrected by Huynh and Feldt"
-        )
-        method = (
-            f"least squares of the listeners' cell means, some missing, with variances that are robust by clusters of "
-            f"{of} (CR2) and Satterthwaite's degrees of freedom (Bell and McCaffrey 2002); {what}"
-        )
-        empty = int(np.sum(np.isnan(data.means)))
-        notes.append(f"{empty} of {data.means.size} cells of listeners have no answer")
+    cell_sd = data.cell_sd()
+    at_ends = None if ends is None else float(np.mean((data.value <= ends[0]) | (data.value >= ends[1])))
+    estimates, tests, method = _fitted(data, contrasts, confidence)
+    if not data.complete:
+        notes.append(f"{int(np.sum(np.isnan(data.means)))} of {data.means.size} cells of listeners have no answer")
     if sampled and len(data.sounds) < FEW_SOUNDS:
         notes.append(
             f"{len(data.sounds)} sounds are few for a random sample: with fewer than {FEW_SOUNDS}, between 1 and 6.5 % "
@@ -216,17 +190,14 @@ def linear_analysis(
     terms, alone, alike = [], [], []
     for effect, one in estimates.items():
         indices = np.flatnonzero(np.isfinite(one.p_value))
-        adjusted = strata.holm(one.p_value[indices])
         names = contrasts.names[effect]
         alone += [name for i, name in enumerate(names) if i not in indices]
         alike += [names[i] for i in indices if one.low[i] == one.high[i] and one.difference[i] != 0]
-        terms += [
-            ModelTerm(
-                names[i], effect, float(one.difference[i]), float(one.low[i]), float(one.high[i]), float(one.df[i]),
-                float(one.p_value[i]), float(p), float(one.difference[i] / cell_sd) if cell_sd > 0 else 0.0,
-            )
-            for i, p in zip(indices, adjusted, strict=True)
-        ]  # fmt: skip
+        for i, p in zip(indices, strata.holm(one.p_value[indices]), strict=True):
+            arrays = one.difference, one.low, one.high, one.df, one.p_value
+            difference, low, high, df, p_value = (float(x[i]) for x in arrays)
+            d = difference / cell_sd if cell_sd > 0 else 0.0
+            terms.append(ModelTerm(names[i], effect, difference, low, high, df, p_value, float(p), d))
     if alone:
         alone += [" : ".join(e) for e, t in tests.items() if not np.isfinite(t.p_value)]
         notes.append(f"not stated, because one listener or sound alone decides it: {', '.join(alone)}")
@@ -244,18 +215,42 @@ def linear_analysis(
     ]  # fmt: skip
     formula = "value ~ " + " + ".join(":".join(effect) for effect in contrasts.bases)
     return LinearAnalysis(
-        formula, method, exact, len(data.value), len(data.who), sampled, tuple(terms), tuple(named), cell_sd, at_ends,
-        tuple(notes),
+        formula, method, data.complete, len(data.value), len(data.who), sampled, tuple(terms), tuple(named), cell_sd,
+        at_ends, tuple(notes),
     )  # fmt: skip
 
 
-Results = tuple[dict[strata.EffectName, strata.Estimated], dict[strata.EffectName, strata.Tested]]
-
-
-def _by_strata(data: Cells, contrasts: strata.Contrasts, confidence: float, sounds: bool) -> Results:
+def _fitted(
+    data: Cells, contrasts: strata.Contrasts, confidence: float
+) -> tuple[dict[strata.EffectName, strata.Estimated], dict[strata.EffectName, strata.Tested], str]:
+    """Differences and tests of each effect, and the method in words."""
+    sounds = bool(data.sampled)
     y = data.means if sounds else data.means[:, 0]
-    estimates = {e: strata.estimated(y, rows, confidence, sounds=sounds) for e, rows in contrasts.differences.items()}
-    return estimates, {e: strata.tested(y, basis, sounds=sounds) for e, basis in contrasts.bases.items()}
+    estimated: Callable[[Floats, float], strata.Estimated]
+    tested: Callable[[Floats], strata.Tested]
+    if data.complete:
+        estimated, tested = partial(strata.estimated, y, sounds=sounds), partial(strata.tested, y, sounds=sounds)
+        words = (
+            "quasi-F of listeners and sounds (Clark 1973) with degrees of freedom after Cochran (1964)"
+            if sounds
+            else "Greenhouse-Geisser degrees of freedom as corrected by Huynh and Feldt"
+        )
+        method = f"analysis of variance by strata, {words}; each difference against its own spread over the listeners"
+    else:
+        fit = (CrossedFit if sounds else IncompleteFit)(y, data.design(contrasts))
+        estimated, tested = fit.estimated, fit.tested
+        of = "listeners and of sounds" if sounds else "listeners"
+        words = (
+            "joined as in the quasi-F of both (Clark 1973), with degrees of freedom after Cochran (1964)"
+            if sounds
+            else "F by the trace, with degrees of freedom as corrected by Huynh and Feldt"
+        )
+        method = (
+            f"least squares of the listeners' cell means, some missing, with variances that are robust by clusters of "
+            f"{of} (CR2) and Satterthwaite's degrees of freedom (Bell and McCaffrey 2002); {words}"
+        )
+    differences = {e: estimated(rows, confidence) for e, rows in contrasts.differences.items()}
+    return differences, {e: tested(basis) for e, basis in contrasts.bases.items()}, method
 
 
 def rank_analysis(rows: Rows, factors: Sequence[str], confidence: float = 0.95) -> RankAnalysis:
@@ -277,17 +272,8 @@ def rank_analysis(rows: Rows, factors: Sequence[str], confidence: float = 0.95) 
         if len(levels) > 2 and np.any(np.ptp(table, axis=1) > 0):
             test = friedmanchisquare(*table.T)
             w = float(test.statistic) / (len(who) * (len(levels) - 1))
-            tests.append(
-                FactorTest(
-                    factor,
-                    "Friedman chi^2",
-                    float(test.statistic),
-                    len(levels) - 1,
-                    float(test.pvalue),
-                    w,
-                    "Kendall's W",
-                )
-            )
+            figures = float(test.statistic), len(levels) - 1, float(test.pvalue), w
+            tests.append(FactorTest(factor, "Friedman chi^2", *figures, "Kendall's W"))
         raw = []
         for a, b in itertools.combinations(range(len(levels)), 2):
             change = table[:, b] - table[:, a]

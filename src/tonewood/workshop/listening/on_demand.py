@@ -28,7 +28,7 @@ from tonewood.workshop.batch.runner import WORK
 from tonewood.workshop.batch.seeds import generator
 from tonewood.workshop.batch.store import Rendered, Store, content_key
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
-from tonewood.workshop.listening.session import CHANGED, STANDARD
+from tonewood.workshop.listening.trials import CHANGED, STANDARD
 
 #: trials of which the sounds stay in memory
 _KEPT = 64

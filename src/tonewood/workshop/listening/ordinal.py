@@ -86,7 +86,6 @@ def fit_counts(counts: Floats, x: Floats, prior: float = PRIOR) -> tuple[Floats,
 
     counts : (..., cells, grades), no grade without an answer in the table with the most answers.
     x : (cells, p) columns without a constant.
-    prior : answers added to each cell.
     Returns beta : (..., p).
     alpha : (..., grades - 1).
     converged : (...) whether the search by Fisher's scoring ended.
@@ -147,7 +146,6 @@ def clustered(counts: Floats, x: Floats, prior: float = PRIOR) -> tuple[Floats, 
 
     counts : (..., listeners, cells, grades); axes in front are experiments.
     x : (cells, p) columns without a constant.
-    prior : answers added to each cell.
     """
     whole, n = counts.sum(axis=-3), counts.shape[-3]
     beta, alpha, done = fit_counts(whole, x, prior)

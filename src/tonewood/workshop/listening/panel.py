@@ -17,7 +17,6 @@ They go through the same session as a browser does and write the same files, mar
 
 from __future__ import annotations
 
-import datetime
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,27 +27,17 @@ from pydantic import Field, ValidationError
 
 from tonewood.support.validation_messages import first_message
 from tonewood.support.yaml_io import load_yaml
-from tonewood.workshop.batch.page_parts import (
-    Name,
-    Section,
-)
-from tonewood.workshop.batch.pages import (
-    AbPage,
-    Bs1116Page,
-    HeadphonesPage,
-    MushraPage,
-    PairedPage,
-    QuestionnairePage,
-    RatingPage,
-    StaircasePage,
-)
+from tonewood.workshop.batch import pages
+from tonewood.workshop.batch.page_parts import Name, Section
 from tonewood.workshop.batch.seeds import generator
-from tonewood.workshop.listening.answer_file import begin
+from tonewood.workshop.listening.answer_file import begin, now
+from tonewood.workshop.listening.checked_answer import choices
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
-from tonewood.workshop.listening.detection import CHANCE, share_right, task_of
+from tonewood.workshop.listening.detection import chance_of, share_right, task_of
 from tonewood.workshop.listening.psychometric import psychometric
-from tonewood.workshop.listening.session import OPEN, Session, choices
+from tonewood.workshop.listening.session import Session
 from tonewood.workshop.listening.table import Key, read_key
+from tonewood.workshop.listening.trials import OPEN
 
 #: points of the scale of 100 in one grade of BS.1116
 _POINTS = 25.0
@@ -106,12 +95,12 @@ def simulate(test: ListeningTest, panel: SimulatedPanel, listeners: int, seed: i
     for k in range(listeners):
         random = generator(seed, "simulated listener", test.manifest.name, k)
         opened = begin(
-            test, language=test.manifest.language, listener=f"simulated {k + 1}", started=_now(),
+            test, language=test.manifest.language, listener=f"simulated {k + 1}", started=now("microseconds"),
             seed=int(random.integers(2**48)), simulated=True,
         )  # fmt: skip
         listener = _Listener(panel, key, test, random)
         while opened.session.step is not None:
-            opened.answer(listener.answer(opened.session), now=_now())
+            opened.answer(listener.answer(opened.session), now=now("microseconds"))
         answers.append(opened.path)
     return answers
 
@@ -132,26 +121,24 @@ class _Listener:
         assert step is not None
         assert page is not None
         answer: dict[str, Any] = {"seconds": 5.0, "plays": dict.fromkeys(step.slots, 1)}
-        if isinstance(page, StaircasePage):
-            number = session.page_index or 0
-            return answer | {
-                "choice": self._choice(choices(page, step), step.correct, self._detects(page, number, step.level))
-            }
-        if isinstance(page, HeadphonesPage):
+        if isinstance(page, pages.StaircasePage):
+            share = self._detects(page, session.page_index or 0, step.level)
+            return answer | {"choice": self._choice(choices(page, step.slots), step.correct, share)}
+        if isinstance(page, pages.HeadphonesPage):
             return answer | {"choice": step.correct}
-        if allowed := choices(page, step):
+        if allowed := choices(page, step.slots):
             return answer | {"choice": self._judged(page, step, allowed)}
-        if isinstance(page, MushraPage):
+        if isinstance(page, pages.MushraPage):
             return answer | {"ratings": self._mushra(step.slots)}
-        if isinstance(page, Bs1116Page):
+        if isinstance(page, pages.Bs1116Page):
             return answer | {"ratings": self._bs1116(step.slots)}
-        if isinstance(page, RatingPage):
+        if isinstance(page, pages.RatingPage):
             code = step.slots["A"]
             effect = self._effect(self.panel.ratings, code) + self._interaction(code) + self._response(code)
             return answer | {
                 "values": {s.name: self._within((s.low + s.high) / 2 + effect, s.low, s.high) for s in page.scales}
             }
-        if isinstance(page, QuestionnairePage):
+        if isinstance(page, pages.QuestionnairePage):
             return answer | {"values": {q.name: _reply(q) for q in page.questions}}
         return answer | {"agreed": True, "spl_db": 70.0}
 
@@ -187,7 +174,7 @@ class _Listener:
         if self.careless:
             return {slot: float(self.random.uniform(0, 100)) for slot in codes}
         heard = self._heard(slots[OPEN], codes)
-        best = max(heard, key=lambda slot: heard[slot])
+        best = max(heard, key=heard.__getitem__)
         return {
             slot: 100.0 if slot == best else float(np.clip(100 + self.own + value, 0, 100))
             for slot, value in heard.items()
@@ -198,34 +185,32 @@ class _Listener:
         heard = self._heard(slots[OPEN], codes)
         if self.careless:
             heard = {slot: float(self.random.uniform(-100, 0)) for slot in codes}
-        best = max(heard, key=lambda slot: heard[slot])
+        best = max(heard, key=heard.__getitem__)
         lead = heard[best] - min(heard.values())
         return {slot: 5.0 if slot == best else float(np.clip(5 - lead / _POINTS, 1, 5)) for slot in codes}
 
     def _judged(self, page: Any, step: Any, allowed: list[str]) -> str:
         trial = next(t for t in self.test.trials if t.id == step.trial)
         codes = (trial.reference or "", trial.stimuli[0])
-        if isinstance(page, PairedPage):
+        if isinstance(page, pages.PairedPage):
             lead = self._difference(self.panel.preference, step.slots["A"], step.slots["B"])
             return "B" if self.random.random() < 1 / (1 + math.exp(-lead)) else "A"
         d = abs(self._difference(self.panel.d_prime, *codes))
-        if isinstance(page, AbPage):
+        if isinstance(page, pages.AbPage):
             heard = self.random.normal(0.0, math.sqrt(2)) + (d if step.correct == "different" else 0.0)
             return "different" if abs(heard) > max(d / 2, 0.7) else "same"
         task = task_of(page)
         assert task is not None
         return self._choice(allowed, step.correct, share_right(d, task))
 
-    def _detects(self, page: StaircasePage, number: int, level: float | None) -> float:
+    def _detects(self, page: pages.StaircasePage, number: int, level: float | None) -> float:
         """Share of right answers at a level."""
-        task, wanted = task_of(page), self.panel.thresholds.get(str(number + 1))
-        assert task is not None
-        if wanted is None or level is None:
-            return CHANCE[task]
-        spread = 0.0 if wanted.sd is None else page.transformed(wanted.sd)
-        centre = page.transformed(wanted.mean) + spread * self.deviation
-        u = page.transformed(level)
-        return float(psychometric(u, centre, wanted.slope, CHANCE[task], page.share, wanted.lapses))
+        chance, law = chance_of(page), self.panel.thresholds.get(str(number + 1))
+        if law is None or level is None:
+            return chance
+        spread = 0.0 if law.sd is None else page.transformed(law.sd)
+        centre = page.transformed(law.mean) + spread * self.deviation
+        return float(psychometric(page.transformed(level), centre, law.slope, chance, page.share, law.lapses))
 
     def _choice(self, allowed: list[str], correct: str | None, share: float) -> str:
         others = [c for c in allowed if c not in (correct, "undecided")]
@@ -260,30 +245,22 @@ def _reply(question: Any) -> Any:
 def _check(panel: SimulatedPanel, test: ListeningTest) -> None:
     """Factors, levels and pages exist."""
     levels_of = test.manifest.choices()
-    named = [
-        (f, level, key)
-        for key in ("ratings", "d_prime", "preference")
-        for f, of in getattr(panel, key).items()
-        for level in of
-    ]
+    keys = ("ratings", "d_prime", "preference")
+    named = [(f, level, key) for key in keys for f, of in getattr(panel, key).items() for level in of]
     named += [(f, level, "interactions") for rule in panel.interactions for f, level in _rule(rule).items()]
     for factor, level, key in named:
         if factor not in levels_of:
             raise ListeningError(f"{factor} is not one of {', '.join(levels_of)}", key=key)
         if level not in levels_of[factor]:
             raise ListeningError(f"{level} is not one of {', '.join(levels_of[factor])}", key=f"{key}.{factor}")
-    stairs = [str(i + 1) for i, page in enumerate(test.pages) if isinstance(page, StaircasePage)]
+    stairs = [str(i + 1) for i, page in enumerate(test.pages) if isinstance(page, pages.StaircasePage)]
     for number, wanted in panel.thresholds.items():
         if number not in stairs:
             raise ListeningError(f"page {number} is no staircase; {', '.join(stairs) or 'none'} is", key="thresholds")
         page = test.pages[int(number) - 1]
-        assert isinstance(page, StaircasePage)
+        assert isinstance(page, pages.StaircasePage)
         if page.ratio and (wanted.mean <= 0 or (wanted.sd is not None and wanted.sd < 1)):
             key, value = ("mean", wanted.mean) if wanted.mean <= 0 else ("sd", wanted.sd)
             allowed = "a level above 0" if key == "mean" else "a ratio of 1 or more (1.2: 20 %)"
             raise ListeningError(f"is {value:g}; {allowed} is allowed, the page has ratio: true",
                                  key=f"thresholds.{number}.{key}")  # fmt: skip
-
-
-def _now() -> str:
-    return datetime.datetime.now(datetime.UTC).isoformat(timespec="microseconds")

@@ -48,7 +48,6 @@ def pooled(right: Counts, answers: Counts, shares: Floats, confidence: float) ->
 
     right, answers : (listeners,) counts.
     shares : (161,) of right answers at `D`.
-    confidence : of the interval.
     """
     p = np.clip(shares, 1e-12, 1 - 1e-12)
     hits, misses = np.asarray(right, dtype=np.float64), np.asarray(answers - right, dtype=np.float64)
@@ -60,7 +59,6 @@ def pooled_same_different(hits: Counts, different: Counts, alarms: Counts, same:
 
     hits, different : (listeners,) answers "different" to different sounds, and their trials.
     alarms, same : the same of equal sounds.
-    confidence : of the interval.
     """
     d, k = D[:, None], _CRITERIA
     h = np.clip(ndtr((d - k) / np.sqrt(2)) + ndtr((-d - k) / np.sqrt(2)), 1e-12, 1 - 1e-12)

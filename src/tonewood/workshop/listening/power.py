@@ -25,17 +25,8 @@ import numpy as np
 
 from tonewood.support.arrays import Floats
 from tonewood.support.units import counted
+from tonewood.workshop.batch import pages
 from tonewood.workshop.batch.manifest import Manifest
-from tonewood.workshop.batch.pages import (
-    AnyPage,
-    Bs1116Page,
-    MushraPage,
-    PairPage,
-    RatingPage,
-    StaircasePage,
-    as_pairs,
-    localised,
-)
 from tonewood.workshop.listening import simulations
 from tonewood.workshop.listening.detection import CHANCE, sensitivity, task_of
 from tonewood.workshop.listening.means import unique
@@ -64,6 +55,10 @@ _SHARE = 0.70
 _STEEPNESS = 10.0
 
 
+#: the effect in words, listeners, and whether the page states the effect
+Need = tuple[str, int | None, bool]
+
+
 @dataclass(frozen=True)
 class PowerRow:
     """Listeners that one page needs, with the effect in words; `stated` is False where it is this module's default.
@@ -78,48 +73,43 @@ class PowerRow:
     stated: bool
 
     def __str__(self) -> str:
+        listeners = "" if self.listeners is None else f"{self.listeners} listeners for "
         default = "" if self.stated else " (not stated by the page)"
-        if self.listeners is None:
-            return f"page {self.page}, {self.name}: {self.effect}{default}"
-        return f"page {self.page}, {self.name}: {self.listeners} listeners for {self.effect}{default}"
+        return f"page {self.page}, {self.name}: {listeners}{self.effect}{default}"
 
 
 def power_of(manifest: Manifest, trials: dict[int, int], pilot: PanelResults | None = None) -> list[PowerRow]:
     """Listeners that each page needs.
 
-    manifest : with the effects that its pages expect, and the probabilities of errors.
     trials : page (from 0) -> trials that a listener gets of one pair on it.
     pilot : results of listeners who took the same pages; their spread, and their effects where a page expects none,
         take the place of the stated ones.
     """
     rows = []
     for index, page in enumerate(manifest.pages):
-        name = localised(getattr(page, "name", ""), manifest.language) or page.type
-        number = index + 1
-        pilot_page = next((p for p in pilot.pages if p.page == number), None) if pilot is not None else None
+        name = pages.localised(getattr(page, "name", ""), manifest.language) or page.type
+        pilot_page = next((p for p in pilot.pages if p.page == index + 1), None) if pilot is not None else None
+        need: Need | None
         try:
-            row = _row(manifest, page, number, name, pilot_page, max(trials.get(index, 1), 1))
+            need = _need(manifest, page, pilot_page, max(trials.get(index, 1), 1))
         except TooManyListenersError as fault:
-            row = PowerRow(
-                number, name, str(fault), None, getattr(page, "expect", None) is not None or pilot_page is not None
-            )
-        rows += [] if row is None else [row]
+            need = str(fault), None, getattr(page, "expect", None) is not None or pilot_page is not None
+        if need is not None:
+            rows.append(PowerRow(index + 1, name, *need))
     return rows
 
 
-def _row(
-    manifest: Manifest, page: AnyPage, number: int, name: str, own: PageResults | None, each: int
-) -> PowerRow | None:
+def _need(manifest: Manifest, page: pages.AnyPage, own: PageResults | None, each: int) -> Need | None:
     """Listeners that a page needs; None where nothing is tested."""
     alpha, power = manifest.power.alpha, manifest.power.power
-    if isinstance(page, RatingPage) and page.scales[0].ordinal:
-        return _graded(manifest, page, number, name, own)
-    if isinstance(page, (MushraPage, Bs1116Page, RatingPage)):
-        return _rated(manifest, page, number, name, own)
-    if isinstance(page, StaircasePage):
+    if isinstance(page, pages.RatingPage) and page.scales[0].ordinal:
+        return _graded(manifest, page, own)
+    if isinstance(page, (pages.MushraPage, pages.Bs1116Page, pages.RatingPage)):
+        return _rated(manifest, page, own)
+    if isinstance(page, pages.StaircasePage):
         stated = page.expect_sd is not None or own is not None
-        return _staircase(page, number, name, own, alpha, power) if stated else None
-    if not isinstance(page, PairPage):
+        return _staircase(page, own, alpha, power) if stated else None
+    if not isinstance(page, pages.PairPage):
         return None
     task = task_of(page)
     seen = _share_of(own)
@@ -130,20 +120,20 @@ def _row(
         text += f": {n * each} answers, {each} a listener"
     else:
         (factor, named), *_ = page.pairs.items()
-        tests = len(as_pairs(named, manifest.choices()[factor]))
+        tests = len(pages.as_pairs(named, manifest.choices()[factor]))
         answers = answers_for_share(share, CHANCE[task], alpha / tests, power)  # Holm's first step
         n = math.ceil(answers / each)
         d = "" if task == "same" else f", d' = {sensitivity(share, task):.2f}"
         text += f"{d}: {answers} answers, {each} a listener, over all cells"
         text += f", of one of {tests} pairs" if tests > 1 else ""
-    return PowerRow(number, name, text, n, page.expect is not None or seen is not None)
+    return text, n, page.expect is not None or seen is not None
 
 
 def _rated(
-    manifest: Manifest, page: MushraPage | Bs1116Page | RatingPage, number: int, name: str, own: PageResults | None
-) -> PowerRow:
+    manifest: Manifest, page: pages.MushraPage | pages.Bs1116Page | pages.RatingPage, own: PageResults | None
+) -> Need:
     alpha, power = manifest.power.alpha, manifest.power.power
-    width = 100.0 if not isinstance(page, RatingPage) else page.scales[0].high - page.scales[0].low
+    width = 100.0 if not isinstance(page, pages.RatingPage) else page.scales[0].high - page.scales[0].low
     effect = page.expect or _EFFECT.get(page.type, 0.1 * width)
     sd = page.expect_sd or _SD.get(page.type, 0.15 * width)
     reference, sounds = getattr(page, "reference", None) or {}, _sounds(manifest)
@@ -154,12 +144,11 @@ def _rated(
         sound_sd = page.expect_sound_sd or sd
         covariance, sampled = stated_spread(sd, sound_sd, sounds, k)
         text += f", {sounds} random sounds with sd {sound_sd:g}"
-    pilot_means = None if own is None else _pilot_means(own.everybody or own, reference, manifest.random)
+    pilot, who = _pilot_means(None if own is None else own.everybody or own, reference, manifest.random)
     out = set() if own is None else {one.listener for one in own.screened}
-    pilot, who = (None, []) if pilot_means is None else pilot_means
     kept = np.array([name not in out for name in who])
     people = None
-    if isinstance(page, MushraPage) and pilot is None:
+    if isinstance(page, pages.MushraPage) and pilot is None:
         effects[1] = -effect  # below the reference
         people = MushraListeners.stated(
             effects, sd, sounds, *_trials(manifest, page, k, sounds), 0.0 if sampled is None else sound_sd
@@ -197,11 +186,10 @@ def _rated(
             return float(screened_power(pilot.mean(axis=1), kept, effects, m, alpha, sampled=sampled)[at])
         return float(rating_power(effects, covariance, m, alpha, sampled=sampled)[at])
 
-    n = fewest(reached, power, text)
-    return PowerRow(number, name, text, n, page.expect is not None or pilot is not None)
+    return text, fewest(reached, power, text), page.expect is not None or pilot is not None
 
 
-def _trials(manifest: Manifest, page: MushraPage, levels: int, sounds: int) -> tuple[int, int]:
+def _trials(manifest: Manifest, page: pages.MushraPage, levels: int, sounds: int) -> tuple[int, int]:
     """Trials of a listener with each random sound, and sounds of one level in a trial."""
     choices = manifest.choices()
     rows = manifest.conditions
@@ -217,22 +205,21 @@ def _trials(manifest: Manifest, page: MushraPage, levels: int, sounds: int) -> t
     return max(1, round(trials / sounds)), cells
 
 
-def _levels(manifest: Manifest, page: MushraPage | Bs1116Page | RatingPage) -> int:
+def _levels(manifest: Manifest, page: pages.MushraPage | pages.Bs1116Page | pages.RatingPage) -> int:
     """Number of levels of the first factor that a page varies, that of its reference."""
     choices, reference = manifest.choices(), getattr(page, "reference", None) or {}
     varied = [f for f, levels in choices.items() if f not in (*page.group_by, *manifest.random) and len(levels) > 1]
     return len(choices[min(varied, key=lambda f: f not in reference)]) if varied else 2
 
 
-def _graded(manifest: Manifest, page: RatingPage, number: int, name: str, own: PageResults | None) -> PowerRow:
+def _graded(manifest: Manifest, page: pages.RatingPage, own: PageResults | None) -> Need:
     """Listeners that the first scale of a page needs, which is ordinal."""
     alpha, power, scale = manifest.power.alpha, manifest.power.power, page.scales[0]
     width, k = scale.high - scale.low, _levels(manifest, page)
     effect, sd = page.expect or 0.1 * width, page.expect_sd or 0.15 * width
     effects, sounds = np.zeros(k), math.prod(len(x) for x in manifest.choices().values())
     spread = f"sd {sd:g}"
-    pilot_means = None if own is None else _pilot_means(own, {}, ())
-    pilot = None if pilot_means is None else pilot_means[0]
+    pilot, _ = _pilot_means(own, {}, ())
     if pilot is not None:
         k = pilot.shape[2]
         means = pilot.mean(axis=(0, 1))
@@ -248,7 +235,7 @@ def _graded(manifest: Manifest, page: RatingPage, number: int, name: str, own: P
     cells, ends = max(1, sounds // k), (scale.low, scale.high)
     text = f"{effect:.3g} of {width:g} points, {spread}, by shares of comparisons in {counted(cells, 'sound')}"
     n = fewest(lambda m: float(ordinal_power(effects, sd, cells, ends, m, alpha)[at]), power, text)
-    return PowerRow(number, name, text, n, page.expect is not None or pilot is not None)
+    return text, n, page.expect is not None or pilot is not None
 
 
 def _sounds(manifest: Manifest) -> int:
@@ -260,17 +247,15 @@ def _sounds(manifest: Manifest) -> int:
 
 
 def _pilot_means(
-    own: PageResults, reference: Mapping[str, str], random: Sequence[str]
-) -> tuple[Floats, list[str]] | None:
-    """Means (listeners, random sounds, levels) of the levels of a page's first factor, of listeners who have all.
+    own: PageResults | None, reference: Mapping[str, str], random: Sequence[str]
+) -> tuple[Floats | None, list[str]]:
+    """Means (listeners, random sounds, levels) of the levels of a page's first factor, and the listeners who have all.
 
-    The names of these listeners are returned, too.
-
-    None with fewer than three such listeners or two levels.
+    None with fewer than three such listeners or two levels, or without a pilot.
     """
-    factor = next((f for f in own.factors if f not in random), None)
-    if factor is None:
-        return None
+    factor = None if own is None else next((f for f in own.factors if f not in random), None)
+    if own is None or factor is None:
+        return None, []
     sampled = [f for f in random if f in own.factors]
     rows = [row for row in own.rows if row["role"] in ("sound", "reference") and row["value"] is not None]
     first = reference.get(factor)
@@ -284,7 +269,7 @@ def _pilot_means(
     whole = {name: of for name, of in values.items() if len(of) == len(cells)}
     means = [[np.mean(of[cell]) for cell in cells] for of in whole.values()]
     if len(means) < 3 or len(levels) < 2:
-        return None
+        return None, []
     return np.array(means).reshape(len(means), len(sounds), len(levels)), list(whole)
 
 
@@ -306,9 +291,7 @@ def _share_of(own: PageResults | None) -> float | None:
     return max(shares) if shares else None
 
 
-def _staircase(
-    page: StaircasePage, number: int, name: str, own: PageResults | None, alpha: float, power: float
-) -> PowerRow:
+def _staircase(page: pages.StaircasePage, own: PageResults | None, alpha: float, power: float) -> Need:
     span = page.transformed(page.highest) - page.transformed(page.lowest)
     slope = page.expect_slope or _STEEPNESS / span
     sd = page.transformed(page.expect_sd) if page.expect_sd is not None else 0.1 * span
@@ -318,9 +301,8 @@ def _staircase(
         mean, slope, sd = seen.mean, seen.slope, page.transformed(seen.spread)
     last = page.steps[-1] if page.steps else (1.25 if page.ratio else 0.05 * span)
     margin = page.margin or last
-    n = threshold_listeners(
-        page, simulations.Population(mean, sd, slope), page.transformed(margin), alpha, power
-    )  # fmt: skip
+    people = simulations.Population(mean, sd, slope)
+    n = threshold_listeners(page, people, page.transformed(margin), alpha, power)
     by = f"by {100 * (margin - 1):.0f} %" if page.ratio else f"by {margin:g}"
     text = f"a mean threshold other {by} than {mean:.3g}, spread between listeners {page.level_of(sd):.3g}"
-    return PowerRow(number, name, text, n, page.expect is not None or own is not None)
+    return text, n, page.expect is not None or own is not None

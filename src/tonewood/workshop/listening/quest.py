@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from tonewood.support.arrays import Floats
 from tonewood.workshop.batch.pages import StaircasePage
-from tonewood.workshop.listening.detection import CHANCE, task_of
+from tonewood.workshop.listening.detection import chance_of
 from tonewood.workshop.listening.psychometric import psychometric
 
 #: levels that may be presented, and steps of the thresholds' grid
@@ -74,10 +74,8 @@ def table_of(page: StaircasePage) -> tuple[Floats, QuestTable]:
     """Levels (41,) of a page, and its table."""
     low, high = page.transformed(page.lowest), page.transformed(page.highest)
     u = np.linspace(low, high, LEVELS)
-    task = task_of(page)
-    assert task is not None
     t, b, lapse = np.meshgrid(np.linspace(low, high, THRESHOLDS), SLOPES / (high - low), LAPSE_RATES, indexing="ij")
-    right = psychometric(u[:, None], t.ravel(), b.ravel(), CHANCE[task], page.share, lapse.ravel())
+    right = psychometric(u[:, None], t.ravel(), b.ravel(), chance_of(page), page.share, lapse.ravel())
     return u, QuestTable(np.clip(right, 1e-9, 1 - 1e-9), np.ones(t.size))
 
 
@@ -87,14 +85,12 @@ class QuestTrack:
 
     level : of the next trial; the first is the page's `start`.
     levels, right : of the trials so far.
-    reversal_levels : empty; this method has none.
     """
 
     page: StaircasePage
     level: float = 0.0
     levels: list[float] = field(default_factory=list)
     right: list[bool] = field(default_factory=list)
-    reversal_levels: list[float] = field(default_factory=list)
     _posterior: Floats = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
@@ -106,16 +102,6 @@ class QuestTrack:
     def done(self) -> bool:
         """Whether it has its trials."""
         return len(self.levels) >= self.page.trials
-
-    @property
-    def converged(self) -> bool:
-        """Whether it has its trials."""
-        return self.done
-
-    @property
-    def threshold(self) -> float | None:
-        """None: there are no reversals."""
-        return None
 
     def step_after(self, right: bool) -> float:
         """The level that an answer would lead to."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from tonewood.support.csv_text import csv_text
 from tonewood.support.parquet import write_parquet
-from tonewood.support.whole_files import whole_file
+from tonewood.support.whole_files import write_whole
 from tonewood.workshop.batch.pages import (
     AnyPage,
     Bs1116Page,
@@ -115,14 +115,10 @@ class PanelResults:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready."""
+        keys = ("confidence", "listeners", "simulated", "unfinished", "not_passed", "withdrawn")
         return {
             "name": self.test.manifest.name,
-            "confidence": self.confidence,
-            "listeners": self.listeners,
-            "simulated": self.simulated,
-            "unfinished": list(self.unfinished),
-            "not_passed": list(self.not_passed),
-            "withdrawn": self.withdrawn,
+            **{key: list(v) if isinstance(v := getattr(self, key), tuple) else v for key in keys},
             "left_out": [asdict(one) for one in self.left_out],
             "pages": [page.to_dict() for page in self.pages],
         }
@@ -139,9 +135,7 @@ def analyse(
 ) -> PanelResults:
     """Read the answers in a batch's folder and work out the results.
 
-    folder : of the batch, with ``test.json`` and ``answers/``.
     key : if it is not in the folder.
-    confidence : of all intervals, between 0 and 1.
     screening : leave listeners out after BS.1534-3 (MUSHRA pages only).
     others, others_left_out : answers that were given elsewhere, and those of them that do not count.
     Raises ListeningError : a file cannot be read, something does not fit, or there are no answers.
@@ -217,29 +211,18 @@ def _page_results(
         unit = localised(page.unit, language)
         fit = thresholds(rows, page, unit, confidence)
         return [PageResults(**base, listeners=len(fit.listeners), factors=(), rows=tuple(rows), thresholds=fit)]
-    if (task := task_of(page)) is not None or isinstance(page, PairedPage):
-        used = _used(rows, table.factors)
-        by = used or ("type",)
-        if task is None and isinstance(page, PairedPage):
-            varied = next(iter(page.pairs))
-            decided = [row for row in rows if row["value"] is not None]
-            return [
-                PageResults(
-                    **base, listeners=_count(rows), factors=used, rows=tuple(rows),
-                    cells=tuple(_share(mean) for mean in cell_means(decided, by, confidence)),
-                    scale=bradley_terry(decided, varied, confidence),
-                )
-            ]  # fmt: skip
-        assert task is not None
+    counts: dict[str, Any] = {"listeners": _count(rows), "factors": _used(rows, table.factors), "rows": tuple(rows)}
+    by = counts["factors"] or ("type",)
+    if isinstance(page, PairedPage):
+        decided = [row for row in rows if row["value"] is not None]
+        cells = tuple(_share(mean) for mean in cell_means(decided, by, confidence))
+        scale = bradley_terry(decided, next(iter(page.pairs)), confidence)
+        return [PageResults(**base, **counts, cells=cells, scale=scale)]
+    if (task := task_of(page)) is not None:
         pair = tuple(f for f in by if any(VERSUS in str(row.get(f)) for row in rows)) or by
-        return [
-            PageResults(
-                **base, listeners=_count(rows), factors=used, rows=tuple(rows),
-                pairs=adjusted(detections(rows, pair, task, confidence)),
-                detections=adjusted(detections(rows, by, task, confidence)),
-                by_listener=tuple(detections(rows, (*by, "listener"), task, confidence)),
-            )
-        ]  # fmt: skip
+        pairs, cells_of = (adjusted(detections(rows, names, task, confidence)) for names in (pair, by))
+        by_listener = tuple(detections(rows, (*by, "listener"), task, confidence))
+        return [PageResults(**base, **counts, pairs=pairs, detections=cells_of, by_listener=by_listener)]
     return []
 
 
@@ -323,11 +306,8 @@ def write_tables(panel: PanelResults, folder: Path) -> None:
     rows: list[dict[str, Any]] = []
     for page in panel.pages:
         head = {"page": page.page, "type": page.kind}
-        for mean in (
-            *page.per_factor,
-            *(page.cells if len(page.factors) > 1 or not page.per_factor else ()),
-            *page.helpers,
-        ):
+        cells = page.cells if len(page.factors) > 1 or not page.per_factor else ()
+        for mean in (*page.per_factor, *cells, *page.helpers):
             rows.append({**head, "cell": mean.label, **_numbers(asdict(mean))})
         for one in (*page.detections, *page.by_listener):
             label = ", ".join(f"{k}={v}" for k, v in one.cell.items())
@@ -338,8 +318,7 @@ def write_tables(panel: PanelResults, folder: Path) -> None:
             for listener in page.thresholds.listeners:
                 rows.append({**head, "cell": f"listener={listener.listener}", **_numbers(asdict(listener))})
     columns = list(dict.fromkeys(name for row in rows for name in row))
-    with whole_file(folder / "means.csv", make_folder=True) as stream:
-        stream.write(csv_text(columns, rows).encode())
+    write_whole(folder / "means.csv", csv_text(columns, rows), make_folder=True)
     write_parquet(folder / "means.parquet", columns, rows)
 
 

@@ -15,7 +15,6 @@ address to the disk. Two slots with one sound have replies with the same headers
 
 from __future__ import annotations
 
-import datetime
 import sys
 import threading
 import traceback
@@ -23,7 +22,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from importlib.resources import files
 from typing import Any
 
 from starlette.applications import Starlette
@@ -34,20 +32,21 @@ from starlette.routing import Route
 
 from tonewood.errors import TonewoodError
 from tonewood.workshop.batch.pages import HeadphonesPage, LevelPage, StaircasePage
-from tonewood.workshop.listening.answer_file import FOLDER, OpenSession, begin, exported, resume, withdraw
+from tonewood.workshop.listening.answer_file import FOLDER, OpenSession, begin, exported, now, resume, withdraw
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.headphones import interval
 from tonewood.workshop.listening.level_tone import tone
 from tonewood.workshop.listening.on_demand import PairSource
-from tonewood.workshop.listening.session import Step
 from tonewood.workshop.listening.shown import shown
+from tonewood.workshop.listening.trials import Step
 from tonewood.workshop.web.guard import Guard
-from tonewood.workshop.web.requests import RefusalError, json_body, mistake, refuse
+from tonewood.workshop.web.requests import RefusalError, asset, json_body, mistake, one_line, refuse
 
 #: sessions in memory; others are read from the disk again when they go on
 _MOST_OPEN = 200
 #: sessions of one test, on the disk
 _MOST_SESSIONS = 10_000
+_PACKAGE = "tonewood.workshop.listening"
 _STATIC = {"test.js": "text/javascript", "players.js": "text/javascript", "test.css": "text/css"}
 #: slot of the tone of a level page
 TONE = "tone"
@@ -99,13 +98,13 @@ class ListeningServer:
         return Guard(Starlette(routes=routes, exception_handlers=handlers), host, names)
 
     async def _index(self, request: Request) -> Response:
-        return Response(_asset("test.html"), media_type="text/html")
+        return Response(asset(_PACKAGE, "test.html"), media_type="text/html")
 
     async def _static(self, request: Request) -> Response:
         name = request.path_params["name"]
         if name not in _STATIC:
             return Response(status_code=404)
-        return Response(_asset(name), media_type=_STATIC[name])
+        return Response(asset(_PACKAGE, name), media_type=_STATIC[name])
 
     async def _about(self, request: Request) -> Response:
         language = self._language(request.query_params.get("language", ""))
@@ -132,7 +131,7 @@ class ListeningServer:
                 self._begun += 1
             try:
                 with self._beginning:
-                    opened = begin(self.test, language=language, listener=listener, started=_now())
+                    opened = begin(self.test, language=language, listener=listener, started=now())
             except BaseException:
                 with self._lock:
                     self._begun -= 1
@@ -163,7 +162,7 @@ class ListeningServer:
                 error = "this page was answered before, otherwise; that answer counts"
                 return JSONResponse({"error": error, "step": self._shown(opened)}, status_code=409)
             page = opened.session.page
-            record = opened.answer(body, now=_now())
+            record = opened.answer(body, now=now())
             tells = step.training or bool(getattr(page, "feedback", False))
             feedback = {"right": record["right"], "correct": record["correct"]} if tells and "right" in record else None
             return JSONResponse({"feedback": feedback, "step": self._shown(opened)})
@@ -183,7 +182,7 @@ class ListeningServer:
         def work() -> Response:
             with self._entry(token) as entry, entry.lock:
                 entry.opened = None
-                if not withdraw(self.test, token, now=_now()):
+                if not withdraw(self.test, token, now=now()):
                     return JSONResponse({"error": "there is no such session"}, status_code=404)
                 with self._lock:
                     self._begun -= 1
@@ -280,8 +279,7 @@ class ListeningServer:
         assert isinstance(fault, TonewoodError)
         if not isinstance(fault, ListeningError):
             self._say("an answer is not confirmed", fault)
-        status = 400 if isinstance(fault, ListeningError) else 500
-        return JSONResponse({"error": f"{fault.key}: {fault.reason}" if fault.key else fault.reason}, status)
+        return one_line(fault, 400 if isinstance(fault, ListeningError) else 500)
 
     def _say(self, place: str, fault: Exception) -> None:
         """Print a fault for the experimenter, each once."""
@@ -301,14 +299,6 @@ class ListeningServer:
                 if name in self.test.languages:
                     return name
         return self.test.manifest.language
-
-
-def _asset(name: str) -> bytes:
-    return (files("tonewood.workshop.listening") / "static" / name).read_bytes()
-
-
-def _now() -> str:
-    return datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
 
 
 def has_staircase(test: ListeningTest) -> bool:

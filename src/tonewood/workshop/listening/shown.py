@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 from urllib.parse import quote
 
 from tonewood.workshop.batch import pages
-from tonewood.workshop.batch.page_parts import (
-    Text,
-)
+from tonewood.workshop.listening.checked_answer import choices, share_wanted
 from tonewood.workshop.listening.definition import ListeningTest
-from tonewood.workshop.listening.session import OPEN, Session, Step, choices, share_wanted
+from tonewood.workshop.listening.session import Session
+from tonewood.workshop.listening.trials import OPEN
 
 
 def shown(test: ListeningTest, session: Session, language: str, listener: str = "", own: str = "") -> dict[str, Any]:
     """The step of a session; ``{"type": "done"}`` after the last one, ``{"type": "failed"}`` after a check not passed.
 
-    test, session : what is shown.
-    language : of the texts.
     listener : name given by the listener or the address; own name of the session, if there is none.
     own : name that the results give to a listener without a name.
     """
@@ -26,10 +24,7 @@ def shown(test: ListeningTest, session: Session, language: str, listener: str = 
         kind = "done" if session.failed is None else "failed"
         return {"type": kind, "index": len(session.answers), "progress": 1.0, **_back(test, session, listener, own)}
     words = test.texts(language)
-
-    def text(value: Text) -> str:
-        return pages.localised(value, language)
-
+    text = partial(pages.localised, language=language)
     manifest_page = test.pages[step.page]
     kind = kind_of_texts(page)
     content = [paragraph for part in (manifest_page, page) if (paragraph := text(part.content))]
@@ -44,7 +39,7 @@ def shown(test: ListeningTest, session: Session, language: str, listener: str = 
         "slots": list(step.slots),
         "open": OPEN if OPEN in step.slots else None,
         "choices": [
-            {"value": choice, "label": words.get(f"choice_{choice}", choice)} for choice in choices(page, step)
+            {"value": choice, "label": words.get(f"choice_{choice}", choice)} for choice in choices(page, step.slots)
         ],
         "sequence": isinstance(page, (pages.AfcPage, pages.StaircasePage, pages.HeadphonesPage)),
         "listen": share_wanted(page),
@@ -54,7 +49,7 @@ def shown(test: ListeningTest, session: Session, language: str, listener: str = 
         "waveform": bool(getattr(page, "waveform", False)),
         "last": page.type == "finish",
     }
-    return view | _details(test, page, step, text, words)
+    return view | _details(test, page, language)
 
 
 def _back(test: ListeningTest, session: Session, listener: str, own: str) -> dict[str, Any]:
@@ -82,35 +77,29 @@ def kind_of_texts(page: pages.AnyPage) -> str:
     return page.type
 
 
-def _details(test: ListeningTest, page: pages.AnyPage, step: Step, text: Any, words: dict[str, str]) -> dict[str, Any]:
+def scales_of(page: pages.RatingPage, language: str) -> list[dict[str, Any]]:
+    """Scales of a page with their words in a language."""
+    texts = ("label", "low_label", "high_label")
+    return [
+        scale.model_dump(exclude={"ordinal"}) | {key: pages.localised(getattr(scale, key), language) for key in texts}
+        for scale in page.scales
+    ]
+
+
+def _details(test: ListeningTest, page: pages.AnyPage, language: str) -> dict[str, Any]:
     """Fields of one type of page."""
+    words, text = test.texts(language), partial(pages.localised, language=language)
     if isinstance(page, (pages.AfcPage, pages.StaircasePage, pages.PairedPage)):
         return {"question": text(page.question)}
     if isinstance(page, pages.RatingPage):
-        return {
-            "scales": [
-                {
-                    "name": scale.name,
-                    "label": text(scale.label),
-                    "low": scale.low,
-                    "high": scale.high,
-                    "low_label": text(scale.low_label),
-                    "high_label": text(scale.high_label),
-                }
-                for scale in page.scales
-            ]
-        }
+        return {"scales": scales_of(page, language)}
     if isinstance(page, pages.QuestionnairePage):
         return {
             "questions": [
                 {
-                    "name": question.name,
+                    **question.model_dump(include={"name", "kind", "low", "high", "optional"}),
                     "label": text(question.label),
-                    "kind": question.kind,
                     "choices": [{"value": v, "label": text(t)} for v, t in (question.choices or {}).items()],
-                    "low": question.low,
-                    "high": question.high,
-                    "optional": question.optional,
                 }
                 for question in page.questions
             ]

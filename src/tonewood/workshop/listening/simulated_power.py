@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.support.arrays import Floats
-from tonewood.workshop.batch.pages import (
-    StaircasePage,
-)
+from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening import simulations, strata
 from tonewood.workshop.listening.definition import ListeningError
 from tonewood.workshop.listening.means import LIMIT_SCORE, LIMIT_SHARE
@@ -75,19 +73,15 @@ def rating_power(
 
     effects : (levels,) points.
     covariance : (levels, levels) of the listeners' means of the levels.
-    listeners, alpha : of the experiment, and of its tests.
-    seed : of the draws.
     sampled : the sounds, where the manifest's `random` names them.
     Returns shares : (levels - 1,).
     """
     k = len(effects)
-    names = [str(i) for i in range(k)]
-    rows = strata.contrasts([(name,) for name in names], {"factor": names}).differences["factor",]
+    rows = _differences(k)
     random = np.random.default_rng([seed, listeners])
-    most = max(1, 4_000_000 // (listeners * k * (1 if sampled is None else sampled.count)))
-    count, detected = max(200, min(EXPERIMENTS, most)), np.zeros(k - 1)
-    for begin in range(0, count, most):
-        n = min(most, count - begin)
+    batches = _batches(listeners * k * (1 if sampled is None else sampled.count), 4_000_000, 1)
+    detected = np.zeros(k - 1)
+    for n in batches:
         if sampled is None:
             y = np.asarray(effects) + _draws(random, covariance, n, listeners)
         else:
@@ -96,7 +90,7 @@ def rating_power(
             y = y + _draws(random, sampled.pairs, n, listeners, sampled.count)
         p = strata.estimated(y, rows, 1 - alpha, sounds=sampled is not None).p_value
         detected += (strata.holm(p) < alpha).sum(axis=0)
-    return detected / count
+    return detected / sum(batches)
 
 
 def screened_found(y: Floats, kept: NDArray[np.bool_], alpha: float, *, sounds: bool = False) -> NDArray[np.bool_]:
@@ -104,12 +98,9 @@ def screened_found(y: Floats, kept: NDArray[np.bool_], alpha: float, *, sounds: 
 
     y : (experiments, listeners, levels) listeners' means, or (experiments, listeners, sounds, levels).
     kept : (experiments, listeners) whether the screening keeps them; fewer than three are not analysed.
-    alpha : of the tests.
-    sounds : whether `y` has the axis of sounds, a random sample.
     Returns detected : (experiments, levels - 1).
     """
-    names = [str(i) for i in range(y.shape[-1])]
-    rows = strata.contrasts([(name,) for name in names], {"factor": names}).differences["factor",]
+    rows = _differences(y.shape[-1])
     detected = np.zeros((len(y), len(rows)), dtype=bool)
     counts = kept.sum(axis=1)
     whole = _differs(y, rows, alpha, sounds)
@@ -118,6 +109,12 @@ def screened_found(y: Floats, kept: NDArray[np.bool_], alpha: float, *, sounds: 
         rest = y[same][kept[same]].reshape(np.sum(same), count, *y.shape[2:])
         detected[same] = whole[same] & (_differs(rest, rows, alpha, sounds) if count < y.shape[1] else True)
     return detected
+
+
+def _differences(levels: int) -> Floats:
+    """Rows of contrasts (levels - 1, levels): each level less the first."""
+    names = [str(i) for i in range(levels)]
+    return strata.contrasts([(name,) for name in names], {"factor": names}).differences["factor",]
 
 
 def _differs(y: Floats, rows: Floats, alpha: float, sounds: bool) -> NDArray[np.bool_]:
@@ -138,7 +135,6 @@ def screened_power(
     pilot : (pilot listeners, levels) their means.
     kept : (pilot listeners,) whether the screening kept them.
     effects : (levels,) points, which the pilot's mean effects are moved to.
-    listeners, alpha, seed : as for `rating_power`.
     sampled : random sounds; listeners then differ by as much less as single answers of the pilot account for.
     Returns shares : (levels - 1,) found with all listeners and with those who are kept.
     """
@@ -159,10 +155,10 @@ def screened_power(
     return np.asarray(np.concatenate(powers).mean(axis=0))
 
 
-def _batches(size: int) -> list[int]:
-    """Numbers of experiments to be simulated at once, of `size` answers each."""
-    most = max(1, 2_000_000 // size)
-    count = max(200, min(EXPERIMENTS, 4 * most))
+def _batches(size: int, answers: int = 2_000_000, times: int = 4) -> list[int]:
+    """Numbers of experiments to be simulated at once, of `size` answers each: `answers` of them, so many times."""
+    most = max(1, answers // size)
+    count = max(200, min(EXPERIMENTS, times * most))
     return [min(most, count - begin) for begin in range(0, count, most)]
 
 
@@ -243,8 +239,6 @@ class MushraListeners:
 def mushra_power(people: MushraListeners, listeners: int, alpha: float, seed: int = 1) -> Floats:
     """Share of experiments in which the report of a MUSHRA page, with its screening, finds each level's difference.
 
-    people : what the listeners hear.
-    listeners, alpha, seed : as for `rating_power`.
     Returns shares : (levels - 1,) found with all listeners and with those who are kept.
     """
     random, detected = np.random.default_rng([seed, listeners]), []
@@ -269,21 +263,17 @@ def ordinal_power(
     effects : (levels,) points, from the middle of the scale.
     sd : standard deviation of listeners' differences; half of the variance is that of single answers.
     cells : answers of a listener to each level.
-    ends : of the scale.
-    listeners, alpha, seed : as for `rating_power`.
     Returns shares : (levels - 1,).
     """
     k, random = len(effects), np.random.default_rng([seed, listeners])
-    most = max(1, 2_000_000 // (listeners * k * cells))
-    count, detected = max(200, min(EXPERIMENTS, 4 * most)), np.zeros(k - 1)
-    for begin in range(0, count, most):
-        n = min(most, count - begin)
+    batches, detected = _batches(listeners * k * cells), np.zeros(k - 1)
+    for n in batches:
         y = sum(ends) / 2 + np.asarray(effects) + random.normal(0, sd / 2, (n, listeners, 1, k))
         y = np.clip(y + random.normal(0, sd / 2 * math.sqrt(cells), (n, listeners, cells, k)), *ends)
         pairs = [np.sign(y[..., j] - y[..., i]).mean(axis=-1) for i, j in itertools.combinations(range(k), 2)]
         p = share_test(0.5 + 0.5 * np.stack(pairs, axis=1))
         detected += (strata.holm(p) < alpha)[:, : k - 1].sum(axis=0)
-    return detected / count
+    return detected / sum(batches)
 
 
 def stated_spread(sd: float, sound_sd: float, sounds: int, levels: int) -> tuple[Floats, SoundSpread]:
@@ -307,7 +297,6 @@ def choice_power(share: float, each: int, listeners: int, alpha: float, seed: in
 
     share : of choices of one of the two.
     each : choices of a listener.
-    listeners, alpha, seed : as for `rating_power`.
     """
     from scipy.special import stdtrit
 
@@ -329,10 +318,7 @@ def threshold_listeners(
     """
     random = np.random.default_rng(seed)
     pool, grid, centre = 200, ThresholdGrid(page), page.transformed(people.mean)
-    true = centre + people.sd * random.standard_normal(pool)
-    slopes = people.slope * np.exp(people.slope_sd * random.standard_normal(pool))
-    levels, right = simulations.trials(page, true, slopes, people.lapses, random)
-    tables = np.array([grid.likelihood(x, r) for x, r in zip(levels, right, strict=True)])
+    _, _, tables = simulations.likelihoods(grid, people, pool, random)
     spread = float(np.std(grid.fit(tables, 1 - alpha).alone))
     n = max(3, math.ceil((2.8 * spread / margin) ** 2))
     while n <= MOST:
@@ -352,7 +338,6 @@ def answers_for_share(share: float, chance: float, alpha: float, power: float) -
     Raises TooManyListenersError : more than `MOST` are needed.
     Raises ListeningError : the share is not above guessing.
     """
-    import numpy as np
     from scipy.stats import binom
 
     if share <= chance:

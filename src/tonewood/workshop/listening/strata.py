@@ -174,9 +174,7 @@ def quasi_test(parts: Parts, mean: Floats) -> Tested:
     from scipy.special import fdtrc
 
     trace, df1, df2 = _joined(parts)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        square = np.sum(mean**2, axis=-1)
-        statistic = np.where(trace > 0, square / trace, np.where(square > 0, np.inf, 0.0))
+    statistic = _ratio(np.sum(mean**2, axis=-1), trace)
     p = np.where(np.isinf(statistic), _of_signs(df2), fdtrc(df1, df2, statistic))
     return Tested(statistic, df1, df2, p, df1 / mean.shape[-1], p)
 
@@ -185,15 +183,16 @@ def trace_test(mean: Floats, v: Floats, f: Any) -> Tested:
     """F of contrasts (..., q) by the trace of their covariance matrix (..., q, q), which has f degrees of freedom."""
     from scipy.special import fdtrc
 
-    trace = np.trace(v, axis1=-2, axis2=-1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        square = np.sum(mean**2, axis=-1)
-        statistic = np.where(trace > 0, square / trace, np.where(square > 0, np.inf, 0.0))
+    statistic = _ratio(np.sum(mean**2, axis=-1), np.trace(v, axis1=-2, axis2=-1))
     df1, plain = _dimensions(v, f)
-    p, greenhouse = (
-        np.where(np.isinf(statistic), _of_signs(f), fdtrc(x, f * x, statistic)) for x in (df1, plain)
-    )  # fmt: skip
+    p, greenhouse = (np.where(np.isinf(statistic), _of_signs(f), fdtrc(x, f * x, statistic)) for x in (df1, plain))
     return Tested(statistic, df1, f * df1, p, plain / mean.shape[-1], greenhouse)
+
+
+def _ratio(size: Floats, error: Floats) -> Floats:
+    """A statistic: inf for a size without an error, 0 for neither."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.where(error > 0, size / error, np.where(size > 0, np.inf, 0.0)))
 
 
 def _dimensions(v: Floats, f: Any) -> tuple[Floats, Floats]:
@@ -230,8 +229,7 @@ def t_interval(value: Floats, v: Floats, df: Floats, confidence: float) -> Estim
     """Intervals and t tests of differences (..., rows) with variances v and their degrees of freedom."""
     from scipy.special import stdtr, stdtrit
 
-    with np.errstate(invalid="ignore", divide="ignore"):
-        t = np.where(v > 0, np.abs(value) / np.sqrt(v), np.where(np.abs(value) > 0, np.inf, 0.0))
+    t = _ratio(np.abs(value), np.sqrt(np.maximum(v, 0.0)))
     half = stdtrit(df, (1 + confidence) / 2) * np.sqrt(np.maximum(v, 0.0))
     p = np.where(np.isinf(t), _of_signs(df), 2 * stdtr(df, -t))
     return Estimated(value, value - half, value + half, df, p)

@@ -20,14 +20,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from pydantic_core import PydanticCustomError
 
 from tonewood.support.csv_text import csv_text
-from tonewood.support.text_files import json_value
 from tonewood.support.validation_messages import first_message
-from tonewood.support.whole_files import whole_file
+from tonewood.support.whole_files import write_whole
 from tonewood.workshop.batch.pages import PairedPage
 from tonewood.workshop.batch.records import KEY_SCHEMA
 from tonewood.workshop.listening.answer_file import ListenerAnswers
-from tonewood.workshop.listening.definition import ListeningError, ListeningTest, ServedTrial
-from tonewood.workshop.listening.session import OPEN
+from tonewood.workshop.listening.definition import ListeningError, ListeningTest, ServedTrial, read_json
+from tonewood.workshop.listening.trials import OPEN
 
 #: levels of two sounds of a pair, and between them
 VERSUS = "|"
@@ -35,6 +34,8 @@ COLUMNS = (
     "listener", "simulated", "page", "type", "trial", "index", "repetition", "training", "stimulus", "role", "item",
     "value", "response", "right", "level", "track", "seconds", "plays", "heard", "time",
 )  # fmt: skip
+#: columns that are fields of a record
+_FROM_RECORD = ("page", "type", "trial", "index", "repetition", "training", "right", "level", "track")
 
 
 class KeySound(BaseModel):
@@ -86,20 +87,12 @@ class AnswerTable:
     def write(self, path: Path) -> None:
         """Write all rows as CSV."""
         rows = ({k: _cell(v) for k, v in row.items()} for row in self.rows)
-        with whole_file(path, make_folder=True) as stream:
-            stream.write(csv_text([*COLUMNS, *self.factors], rows).encode())
+        write_whole(path, csv_text([*COLUMNS, *self.factors], rows), make_folder=True)
 
 
 def read_key(path: Path) -> Key:
     """Read the key of a batch. Raises ListeningError : it cannot be read, or is no key."""
-    try:
-        data = json_value(path.read_bytes())
-    except OSError as fault:
-        raise ListeningError(f"cannot be read: {fault.strerror}", file=path) from None
-    except (ValueError, RecursionError) as fault:
-        raise ListeningError(f"not JSON: {fault}", file=path) from None
-    if not isinstance(data, dict) or data.get("schema") != KEY_SCHEMA:
-        raise ListeningError(f"not a key: schema {KEY_SCHEMA} is wanted", file=path)
+    _, data = read_json(path, KEY_SCHEMA, "key")
     try:
         return Key.model_validate(data)
     except ValidationError as fault:
@@ -120,8 +113,7 @@ def tidy(test: ListeningTest, key: Key, answers: Sequence[ListenerAnswers]) -> A
                 "listener": names[one.path],
                 "simulated": bool(one.header.get("simulated")),
                 "time": record.get("time", ""),
-                **{k: record.get(k) for k in ("page", "type", "trial", "index", "repetition", "training")},
-                **{k: record.get(k) for k in ("right", "level", "track")},
+                **{k: record.get(k) for k in _FROM_RECORD},
                 "seconds": record["answer"].get("seconds"),
                 "plays": sum(record["answer"].get("plays", {}).values()),
                 "heard": min(record["answer"].get("heard", {}).values(), default=None),

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from tonewood.support.arrays import Floats
 from tonewood.workshop.batch.pages import StaircasePage
-from tonewood.workshop.listening.detection import CHANCE, task_of
+from tonewood.workshop.listening.detection import chance_of
 from tonewood.workshop.listening.means import unique
 from tonewood.workshop.listening.psychometric import psychometric
 from tonewood.workshop.listening.quest import QuestTrack
@@ -168,9 +168,7 @@ class ThresholdGrid:
         self.limits = (low, high)
         self.u = np.linspace(low - 0.25 * self.span, high + 0.25 * self.span, _POINTS)
         self.slopes = np.geomspace(1.5, 100.0, 22) / self.span
-        task = task_of(page)
-        assert task is not None
-        self.guess = CHANCE[task]
+        self.guess = chance_of(page)
         self._logs: dict[float, tuple[Floats, Floats]] = {}
 
     def likelihood(self, levels: Floats, right: NDArray[np.bool_]) -> Floats:
@@ -281,15 +279,12 @@ def quantile(x: Floats, weights: Floats, q: float) -> float:
 
 def _error_of_reversals(page: StaircasePage, fit: PopulationFit) -> float:
     """Mean of reversals less thresholds, over simulated tracks of listeners of a population."""
-    random = np.random.default_rng(20)
-    task = task_of(page)
-    assert task is not None
-    errors = []
+    random, guess, errors = np.random.default_rng(20), chance_of(page), []
     for _ in range(_TRACKS):
         threshold = fit.mean + fit.spread * random.standard_normal()
         track = StaircaseTrack(page)
         while not track.done:
-            p = psychometric(page.transformed(track.level), threshold, fit.slope, CHANCE[task], page.share)
+            p = psychometric(page.transformed(track.level), threshold, fit.slope, guess, page.share)
             track.answer(bool(random.random() < p))
         if track.threshold is not None:
             errors.append(page.transformed(track.threshold) - threshold)

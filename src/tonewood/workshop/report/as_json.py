@@ -7,45 +7,48 @@ from typing import Any
 
 import numpy as np
 
-from tonewood.instrument.inspection.wolf import WolfNote
 from tonewood.workshop.report.comparison import Comparison, finite
-from tonewood.workshop.report.facts import BodyMode, InstrumentFacts, NoteRow
+from tonewood.workshop.report.facts import BodyMode, InstrumentFacts, NoteRow, StringRow
 from tonewood.workshop.report.summary import changes, key_figures
 from tonewood.workshop.report.tones import Tone
 
 
-def to_json(found: Comparison) -> dict[str, Any]:
+def to_json(comparison: Comparison) -> dict[str, Any]:
     """A comparison, ``tonewood-compare/1``, or of one instrument a report, ``tonewood-report/1``; infinity is null."""
-    alone = len(found.instruments) == 1
+    alone = len(comparison.instruments) == 1
     common: dict[str, Any] = {
         "schema": f"tonewood-{'report' if alone else 'compare'}/1",
-        "duration": found.duration,
-        "velocity_midi": found.velocity_midi,
-        "instruments": [_instrument(facts) for facts in found.instruments],
+        "duration": comparison.duration,
+        "velocity_midi": comparison.velocity_midi,
+        "instruments": [_instrument(facts) for facts in comparison.instruments],
         "modes": [
             {
                 "modes": [None if mode is None else _mode(mode) for mode in match.modes],
                 "cents": [match.cents(i) for i in range(len(match.modes))],
             }
-            for match in found.modes
+            for match in comparison.modes
         ],
         "notes": [
             {"string": m.string, "stop": m.stop, "notes": [None if n is None else _note(n) for n in m.notes]}
-            for m in found.notes
+            for m in comparison.notes
         ],
-        "wolf_notes": [[None if w is None else _wolf(w) for w in match.wolves] for match in found.wolves],
+        "wolf_notes": [
+            [None if w is None else asdict(w) | {"stops": list(w.stops)} for w in match.wolves]
+            for match in comparison.wolves
+        ],
     }
     if alone:
         return common
     common["changes"] = [
-        [asdict(row) | {"times": row.times} for row in changes(found, i)] for i in range(1, len(found.instruments))
+        [asdict(row) | {"times": row.times} for row in changes(comparison, i)]
+        for i in range(1, len(comparison.instruments))
     ]
-    if found.sweep:
-        common["sweep"] = {"key": found.sweep, "rows": [
+    if comparison.sweep:
+        common["sweep"] = {"key": comparison.sweep, "rows": [
             {"value": value, "label": facts.label, "figures": {k: v for k, (v, _) in key_figures(facts).items()}}
-            for value, facts in found.swept()
+            for value, facts in comparison.swept()
         ]}  # fmt: skip
-    rows = [{"key": row.key, "values": list(row.values), "unit": row.unit} for row in found.parameters]
+    rows = [{"key": row.key, "values": list(row.values), "unit": row.unit} for row in comparison.parameters]
     return {**common, "parameters": rows}
 
 
@@ -74,56 +77,23 @@ def _instrument(facts: InstrumentFacts) -> dict[str, Any]:
                 name: _rounded(20 * np.log10(np.maximum(np.abs(y), 1e-12)), 3) for name, y in facts.mobility.items()
             },
         },
-        "strings": [
-            {
-                "name": s.name,
-                "note": s.note,
-                "length": s.length,
-                "linear_density": s.linear_density,
-                "tension": s.tension,
-                "given_tension": s.given_tension,
-                "held": s.held,
-                "stops": s.stops,
-                "feel": asdict(s.feel),
-                "partials": [
-                    {"number": p.number, "freq": p.freq, "cents": p.cents, "t60": finite(p.t60)} for p in s.partials
-                ],
-            }
-            for s in facts.strings
-        ],
+        "strings": [_string(s) for s in facts.strings],
         "tones": {name: _tone(tone) for name, tone in facts.tones.items()},
         "missing_tones": dict(facts.missing_tones),
     }
 
 
 def _mode(mode: BodyMode) -> dict[str, Any]:
-    numbers = {"freq": mode.freq, "q": mode.q, "t60": mode.t60, "residue": mode.residue, "mass": mode.mass}
-    return {key: finite(value) for key, value in numbers.items()}
+    return {key: finite(getattr(mode, key)) for key in ("freq", "q", "t60", "residue", "mass")}
 
 
 def _note(note: NoteRow) -> dict[str, Any]:
-    return {
-        "note": note.note,
-        "freq": note.freq,
-        "cents": note.cents,
-        "cents_mounted": note.cents_mounted,
-        "t60": finite(note.t60),
-        "tension": note.tension,
-    }
+    keys = ("note", "freq", "cents", "cents_mounted", "t60", "tension")
+    return {key: getattr(note, key) for key in keys} | {"t60": finite(note.t60)}
 
 
-def _wolf(wolf: WolfNote) -> dict[str, Any]:
-    return {
-        "string": wolf.string,
-        "low_freq": wolf.low_freq,
-        "high_freq": wolf.high_freq,
-        "worst_freq": wolf.worst_freq,
-        "depth": wolf.depth,
-        "breadth_cents": wolf.breadth_cents,
-        "severity_cents": wolf.severity_cents,
-        "body_freq": wolf.body_freq,
-        "stops": list(wolf.stops),
-    }
+def _string(string: StringRow) -> dict[str, Any]:
+    return asdict(string) | {"partials": [asdict(p) | {"t60": finite(p.t60)} for p in string.partials]}
 
 
 def _tone(tone: Tone) -> dict[str, Any]:

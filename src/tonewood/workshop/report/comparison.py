@@ -129,7 +129,6 @@ def compare(
         as all can play them.
     fs : Hz. duration : s, of each note. velocity_midi : 1 to 127.
     sweep : key of the bundle that the instruments differ in; empty where they are no sweep.
-    tell : called with the share that is done.
     Raises TonewoodError : there is no instrument or too many; no instrument can play a note.
     """
     if not 1 <= len(candidates) <= len(LABELS):
@@ -170,14 +169,14 @@ def compare(
     )
 
 
-def default_notes(found: Sequence[InstrumentFacts], models: Sequence[Model]) -> list[str]:
+def default_notes(instruments: Sequence[InstrumentFacts], models: Sequence[Model]) -> list[str]:
     """Notes that are played where none are asked for; see `compare`."""
     names: list[str] = []
-    for facts, model in zip(found, models, strict=True):
+    for facts, model in zip(instruments, models, strict=True):
         strings = list(model.groups)
         if not strings:
             return []
-        if len(found) > 1:
+        if len(instruments) > 1:
             strings = [strings[0], strings[-1]]
         elif len(strings) > _MOST_OPEN:
             strings = [strings[i] for i in np.linspace(0, len(strings) - 1, _MOST_OPEN).astype(int)]
@@ -201,7 +200,7 @@ def nearest_stop(model: Model, wolf: WolfNote) -> int:
     return min(wolf.stops, key=lambda stop: abs(cents(model.strings[wolf.string].freq(stop) / wolf.worst_freq)))
 
 
-def match_modes(found: Sequence[Sequence[BodyMode]]) -> tuple[ModeMatch, ...]:
+def match_modes(instruments: Sequence[Sequence[BodyMode]]) -> tuple[ModeMatch, ...]:
     """Pair the modes of each instrument with those of the first, and list the others by themselves.
 
     Pairs minimise the sum of |cents| / 400 + |lg(A_b / A_a)| / 1.5 + 1 - MAC, where A is the residue and
@@ -213,7 +212,7 @@ def match_modes(found: Sequence[Sequence[BodyMode]]) -> tuple[ModeMatch, ...]:
     """
     from scipy.optimize import linear_sum_assignment
 
-    first, *others = found
+    first, *others = instruments
     rows: list[list[BodyMode | None]] = [[mode, *[None] * len(others)] for mode in first]
     for i, modes in enumerate(others, 1):
         paired: set[int] = set()
@@ -225,7 +224,7 @@ def match_modes(found: Sequence[Sequence[BodyMode]]) -> tuple[ModeMatch, ...]:
                     paired.add(int(m))
         for j, mode in enumerate(modes):
             if j not in paired:
-                alone: list[BodyMode | None] = [None] * len(found)
+                alone: list[BodyMode | None] = [None] * len(instruments)
                 alone[i] = mode
                 rows.append(alone)
     rows.sort(key=lambda row: next(mode.freq for mode in row if mode is not None))
@@ -255,16 +254,16 @@ def _unlike(a: BodyMode, b: BodyMode) -> float:
     return abs(cents(b.freq / a.freq)) / _REACH_CENTS + size / _REACH_DECADES + 1.0 - float(alike)
 
 
-def match_wolves(found: Sequence[Sequence[WolfNote]]) -> tuple[WolfMatch, ...]:
+def match_wolves(instruments: Sequence[Sequence[WolfNote]]) -> tuple[WolfMatch, ...]:
     """Put wolf notes on one string together that overlap or are worst within a semitone, the worst first."""
     rows: list[list[WolfNote | None]] = []
-    for i, wolves in enumerate(found):
+    for i, wolves in enumerate(instruments):
         for wolf in wolves:
             fit = [row for row in rows if row[i] is None and any(w is not None and _one(w, wolf) for w in row)]
             if fit:
                 fit[0][i] = wolf
             else:
-                rows.append([wolf if j == i else None for j in range(len(found))])
+                rows.append([wolf if j == i else None for j in range(len(instruments))])
     return tuple(sorted((WolfMatch(tuple(row)) for row in rows), key=lambda m: -m.severity_cents))
 
 
@@ -275,19 +274,19 @@ def _one(a: WolfNote, b: WolfNote) -> bool:
     return overlap or abs(cents(a.worst_freq / b.worst_freq)) <= 100.0
 
 
-def match_notes(found: Sequence[Sequence[NoteRow]]) -> tuple[NoteMatch, ...]:
+def match_notes(instruments: Sequence[Sequence[NoteRow]]) -> tuple[NoteMatch, ...]:
     """Put notes of one string and stop together."""
-    keys = dict.fromkeys((note.string, note.stop) for notes in found for note in notes)
-    at: list[Mapping[tuple[str, int], NoteRow]] = [{(n.string, n.stop): n for n in notes} for notes in found]
+    keys = dict.fromkeys((note.string, note.stop) for notes in instruments for note in notes)
+    at: list[Mapping[tuple[str, int], NoteRow]] = [{(n.string, n.stop): n for n in notes} for notes in instruments]
     return tuple(NoteMatch(*key, tuple(notes.get(key) for notes in at)) for key in keys)
 
 
-def differing(found: Sequence[InstrumentFacts]) -> tuple[ParameterRow, ...]:
+def differing(instruments: Sequence[InstrumentFacts]) -> tuple[ParameterRow, ...]:
     """Parameters whose values are not all the same, in the order of the bundles."""
-    keys = dict.fromkeys(key for facts in found for key in facts.parameters)
+    keys = dict.fromkeys(key for facts in instruments for key in facts.parameters)
     rows = []
     for key in keys:
-        entries = [facts.parameters.get(key) for facts in found]
+        entries = [facts.parameters.get(key) for facts in instruments]
         values = tuple(None if entry is None else entry.value for entry in entries)
         there = [entry for entry in entries if entry is not None]
         if any(value != values[0] for value in values):

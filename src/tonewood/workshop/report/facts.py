@@ -190,7 +190,6 @@ def gather(model: Model, *, label: str = "A", changes: tuple[str, ...] = (), cal
     model : of the instrument, at the sampling rate that decides which modes it has.
     label : A, B, ... in a comparison.
     changes : as the caller wrote them.
-    called : name that the caller gave it.
     """
     body = model.body
     instrument, spec = model.instrument, model.instrument.spec

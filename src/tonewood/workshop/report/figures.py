@@ -57,53 +57,53 @@ class Picture:
     alt: str
 
 
-def _names(found: Comparison) -> list[str]:
-    return [facts.short for facts in found.instruments]
+def _names(comparison: Comparison) -> list[str]:
+    return [facts.short for facts in comparison.instruments]
 
 
-def mobility_picture(found: Comparison) -> Picture | None:
+def mobility_picture(comparison: Comparison) -> Picture | None:
     """Mobility of the body at strings' ends; None where no body moves.
 
     Of one instrument, all ends in one row; of several, a row for the end of the first string and one for the last.
     """
-    first = found.instruments[0]
-    ends = [name for name in first.mobility if all(name in facts.mobility for facts in found.instruments)]
+    first = comparison.instruments[0]
+    ends = [name for name in first.mobility if all(name in facts.mobility for facts in comparison.instruments)]
     if not ends:
         return None
-    if len(found.instruments) == 1:
+    if len(comparison.instruments) == 1:
         shown = ends if len(ends) <= MOST_ENDS else [ends[int(i)] for i in np.linspace(0, len(ends) - 1, MOST_ENDS)]
-        made, axes = figure(heights=[5.5])
+        drawing, axes = figure(heights=[5.5])
         draw_mobility(axes[0, 0], first.freq, {f"{name}": first.mobility[name] for name in shown})
         legend(axes[0, 0], title="at the end of", ncols=3)
-        return Picture(_svg(made), f"Mobility of the body of {first.name} at the ends of its strings")
+        return Picture(_svg(drawing), f"Mobility of the body of {first.name} at the ends of its strings")
     shown = list(dict.fromkeys((ends[0], ends[-1])))
-    made, axes = figure(len(shown) + 1, heights=[3.7] * len(shown) + [3.0], sharex=True)
+    drawing, axes = figure(len(shown) + 1, heights=[3.7] * len(shown) + [3.0], sharex=True)
     for ax, name in zip(axes[:, 0], shown, strict=False):
-        for i, facts in enumerate(found.instruments):
+        for i, facts in enumerate(comparison.instruments):
             level = 20 * np.log10(np.maximum(np.abs(facts.mobility[name]), 1e-12))
-            ax.plot(facts.freq, level, color=COLOURS[i], ls=DASHES[i % 4], lw=LINE, label=plain(_names(found)[i]))
+            ax.plot(facts.freq, level, color=COLOURS[i], ls=DASHES[i % 4], lw=LINE, label=plain(_names(comparison)[i]))
         frequency_axis(ax, float(first.freq[0]), float(first.freq[-1]))
         ax.set(ylabel="mobility\ndB re 1 (m/s)/N", xlabel="")
         title(ax, f"at the end of {name}")
-    freq, levels = band_levels(found, ends)
+    freq, levels = band_levels(comparison, ends)
     for i, level in enumerate(levels[1:], 1):
         axes[-1, 0].plot(freq, level - levels[0], color=COLOURS[i], ls=DASHES[i % 4], lw=LINE)
     axes[-1, 0].axhline(0.0, color=COLOURS[0], lw=1.0)
     frequency_axis(axes[-1, 0], float(first.freq[0]), float(first.freq[-1]))
     axes[-1, 0].set(ylabel=f"less {first.label}, dB", xlabel="frequency, Hz")
     title(axes[-1, 0], "difference, mean of all ends, third octaves")
-    legend_above(made, axes[0, 0])
+    legend_above(drawing, axes[0, 0])
     ends_shown = " and ".join(shown)
-    return Picture(_svg(made), f"Mobility of the bodies at the ends of {ends_shown}, overlaid, and their difference")
+    return Picture(_svg(drawing), f"Mobility of the bodies at the ends of {ends_shown}, overlaid, and their difference")
 
 
-def band_levels(found: Comparison, ends: Sequence[str]) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
+def band_levels(comparison: Comparison, ends: Sequence[str]) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
     """(f,) Hz, and of each instrument (f,) dB: mean of 20 lg |Y| over the ends and a third of an octave."""
-    low = max(float(facts.freq[0]) for facts in found.instruments) * 2 ** (1 / 6)
-    high = min(float(facts.freq[-1]) for facts in found.instruments) / 2 ** (1 / 6)
+    low = max(float(facts.freq[0]) for facts in comparison.instruments) * 2 ** (1 / 6)
+    high = min(float(facts.freq[-1]) for facts in comparison.instruments) / 2 ** (1 / 6)
     freq = np.geomspace(low, high, 120)
     levels = []
-    for facts in found.instruments:
+    for facts in comparison.instruments:
         x = np.log2(facts.freq)
         level = np.mean([20 * np.log10(np.maximum(np.abs(facts.mobility[n]), 1e-12)) for n in ends], axis=0)
         total = np.concatenate([[0.0], np.cumsum(np.diff(x) * (level[1:] + level[:-1]) / 2)])
@@ -112,13 +112,13 @@ def band_levels(found: Comparison, ends: Sequence[str]) -> tuple[NDArray[np.floa
     return freq, levels
 
 
-def shapes_picture(found: Comparison) -> Picture | None:
+def shapes_picture(comparison: Comparison) -> Picture | None:
     """First modes of the bodies whose whole surface is known, with nodal lines, a row or more each."""
-    bodies = [f for f in found.instruments if f.surface is not None and len(f.surface.areas)]
+    bodies = [f for f in comparison.instruments if f.surface is not None and len(f.surface.areas)]
     if not bodies:
         return None
     rows = _SHAPE_ROWS if len(bodies) == 1 else 1
-    made, axes = figure(rows * len(bodies), COLUMNS, heights=[3.6] * rows * len(bodies))
+    drawing, axes = figure(rows * len(bodies), COLUMNS, heights=[3.6] * rows * len(bodies))
     for k, facts in enumerate(bodies):
         assert facts.surface is not None
         basis = facts.surface_modes
@@ -126,48 +126,48 @@ def shapes_picture(found: Comparison) -> Picture | None:
         moves &= np.cumsum(moves) <= rows * COLUMNS
         mine = axes[k * rows : (k + 1) * rows].ravel()
         draw_shapes(mine, facts.surface.of(moves), basis.natural_freq[moves], 0.5 / basis.damping_ratio[moves])
-        if len(found.instruments) > 1:
+        if len(comparison.instruments) > 1:
             mine[0].set_title(plain(f"{facts.label}: {mine[0].get_title()}"))
-    names = ", ".join(facts.label for facts in bodies) if len(found.instruments) > 1 else bodies[0].name
-    return Picture(data_uri(png(made, 72), "image/png"), f"First modes of the bodies of {names}")
+    names = ", ".join(facts.label for facts in bodies) if len(comparison.instruments) > 1 else bodies[0].name
+    return Picture(data_uri(png(drawing, 72), "image/png"), f"First modes of the bodies of {names}")
 
 
-def sweep_picture(found: Comparison) -> Picture:
+def sweep_picture(comparison: Comparison) -> Picture:
     """Key figures over the value that is swept, a panel each."""
-    rows = [(value, key_figures(facts)) for value, facts in found.swept()]
+    rows = [(value, key_figures(facts)) for value, facts in comparison.swept()]
     names = [n for n in dict.fromkeys(n for _, f in rows for n in f) if all(n in f for _, f in rows)]
-    made, axes = figure(-(-len(names) // 2), 2, heights=[2.6] * -(-len(names) // 2), sharex=True)
+    drawing, axes = figure(-(-len(names) // 2), 2, heights=[2.6] * -(-len(names) // 2), sharex=True)
     for ax in axes.ravel()[len(names) :]:
         ax.set_axis_off()
     for k, (ax, name) in enumerate(zip(axes.ravel(), names, strict=False)):
         ax.plot([v for v, _ in rows], [f[name][0] for _, f in rows], "o-", color=COLOURS[0], lw=LINE, ms=7)
         ax.set_title(plain(name.partition(",")[0]), fontsize=TEXT)
-        ax.set(ylabel=rows[0][1][name][1], xlabel=found.sweep.rpartition(".")[2] if k >= len(names) - 2 else "")
-    return Picture(_svg(made), f"Figures of the instrument over {found.sweep}")
+        ax.set(ylabel=rows[0][1][name][1], xlabel=comparison.sweep.rpartition(".")[2] if k >= len(names) - 2 else "")
+    return Picture(_svg(drawing), f"Figures of the instrument over {comparison.sweep}")
 
 
-def notes_picture(found: Comparison, quantity: str) -> Picture:
+def notes_picture(comparison: Comparison, quantity: str) -> Picture:
     """T60 or cents of every stop, a panel per string.
 
     quantity : ``t60`` or ``cents_mounted``.
     """
     label = {"t60": "T60, s", "cents_mounted": "cents"}[quantity]
-    strings = list(dict.fromkeys(match.string for match in found.notes))
-    stopped = any(match.stop for match in found.notes)
+    strings = list(dict.fromkeys(match.string for match in comparison.notes))
+    stopped = any(match.stop for match in comparison.notes)
     panels = strings[:MOST_PANELS] if stopped else [""]
     columns = 2 if len(panels) > 1 else 1
     rows = -(-len(panels) // columns)
-    lines = [DASHES[i % 4] if stopped else "" for i in range(len(found.instruments))]  # strings are no sequence
-    made, axes = figure(rows, columns, heights=[2.6 if rows > 1 else 4.0] * rows, sharex=stopped, sharey=True)
+    lines = [DASHES[i % 4] if stopped else "" for i in range(len(comparison.instruments))]  # strings are no sequence
+    drawing, axes = figure(rows, columns, heights=[2.6 if rows > 1 else 4.0] * rows, sharex=stopped, sharey=True)
     for ax in axes.ravel()[len(panels) :]:
         ax.set_axis_off()
     for p, (ax, string) in enumerate(zip(axes.ravel(), panels, strict=False)):
-        mine = [match for match in found.notes if not string or match.string == string]
+        mine = [match for match in comparison.notes if not string or match.string == string]
         x = np.array([match.stop for match in mine]) if stopped else np.arange(len(mine))
-        for i in range(len(found.instruments)):
+        for i in range(len(comparison.instruments)):
             values = [np.nan if (n := m.notes[i]) is None else getattr(n, quantity) for m in mine]
             values = [v if np.isfinite(v) else np.nan for v in values]
-            ax.plot(x, values, "o", ls=lines[i], color=COLOURS[i], ms=6, lw=LINE, label=plain(_names(found)[i]))
+            ax.plot(x, values, "o", ls=lines[i], color=COLOURS[i], ms=6, lw=LINE, label=plain(_names(comparison)[i]))
         if quantity == "t60":
             log_axis(ax)
         if stopped:
@@ -179,29 +179,29 @@ def notes_picture(found: Comparison, quantity: str) -> Picture:
             ax.set_ylabel(label)
         if stopped and p >= len(panels) - columns:
             ax.set_xlabel("stop")
-    if len(found.instruments) > 1:
-        legend_above(made, axes[0, 0])
-    return Picture(_svg(made), f"{label} of every note, by string")
+    if len(comparison.instruments) > 1:
+        legend_above(drawing, axes[0, 0])
+    return Picture(_svg(drawing), f"{label} of every note, by string")
 
 
-def wolf_picture(found: Comparison) -> Picture | None:
+def wolf_picture(comparison: Comparison) -> Picture | None:
     """Severity of the worst wolf notes as bars; None where there is none."""
-    worst = found.wolves[:MOST_WOLVES]
+    worst = comparison.wolves[:MOST_WOLVES]
     if not worst:
         return None
-    count = len(found.instruments)
-    made, axes = figure(heights=[1.6 + 0.3 * len(worst) * count + 0.15 * len(worst)])
+    count = len(comparison.instruments)
+    drawing, axes = figure(heights=[1.6 + 0.3 * len(worst) * count + 0.15 * len(worst)])
     ax = axes[0, 0]
     for i in range(count):
         places = [k + (i - (count - 1) / 2) * 0.8 / count for k in range(len(worst))]
         sizes = [0.0 if (w := match.wolves[i]) is None else w.severity_cents for match in worst]
-        ax.barh(places, sizes, height=0.72 / count, color=COLOURS[i], label=plain(_names(found)[i]))
+        ax.barh(places, sizes, height=0.72 / count, color=COLOURS[i], label=plain(_names(comparison)[i]))
     ax.set_yticks(range(len(worst)), [plain(wolf_name(match)) for match in worst])
     ax.set(xlabel="severity, cents", ylim=(len(worst) - 0.5, -0.5))
     ax.grid(visible=False, axis="y")
     if count > 1:
-        legend_above(made, ax)
-    return Picture(_svg(made), "Severity of the worst wolf notes")
+        legend_above(drawing, ax)
+    return Picture(_svg(drawing), "Severity of the worst wolf notes")
 
 
 def wolf_name(match: WolfMatch) -> str:
@@ -210,28 +210,33 @@ def wolf_name(match: WolfMatch) -> str:
     return f"{wolf.string} near {note_name(round(69 + 12 * np.log2(wolf.worst_freq / 440.0)))}"
 
 
-def decay_picture(found: Comparison, note: str) -> Picture:
+def decay_picture(comparison: Comparison, note: str) -> Picture:
     """Level over time of a note on every instrument that plays it, dB re the first one's loudest 20 ms."""
-    played = [(i, facts.tones[note]) for i, facts in enumerate(found.instruments) if note in facts.tones]
+    played = [(i, facts.tones[note]) for i, facts in enumerate(comparison.instruments) if note in facts.tones]
     top = float(played[0][1].level_db.max())
-    made, axes = figure(heights=[4.0])
+    drawing, axes = figure(heights=[4.0])
     ax = axes[0, 0]
     for i, tone in played:
         ax.plot(
-            tone.time, tone.level_db - top, color=COLOURS[i], ls=DASHES[i % 4], lw=LINE, label=plain(_names(found)[i])
+            tone.time,
+            tone.level_db - top,
+            color=COLOURS[i],
+            ls=DASHES[i % 4],
+            lw=LINE,
+            label=plain(_names(comparison)[i]),
         )
     highest = max(float(tone.level_db.max()) for _, tone in played) - top
-    of = f" of {found.instruments[played[0][0]].label}" if len(found.instruments) > 1 else ""
+    of = f" of {comparison.instruments[played[0][0]].label}" if len(comparison.instruments) > 1 else ""
     ax.set(xlabel="time, s", ylabel=f"level\ndB re maximum{of}")
-    ax.set(xlim=(0.0, found.duration), ylim=(-RANGE_DB, highest + 5.0))
-    if len(found.instruments) > 1:
-        legend_above(made, ax)
-    return Picture(_svg(made), f"Level of {note} over time")
+    ax.set(xlim=(0.0, comparison.duration), ylim=(-RANGE_DB, highest + 5.0))
+    if len(comparison.instruments) > 1:
+        legend_above(drawing, ax)
+    return Picture(_svg(drawing), f"Level of {note} over time")
 
 
-def spectrogram_picture(found: Comparison, note: str) -> Picture:
+def spectrogram_picture(comparison: Comparison, note: str) -> Picture:
     """Spectrogram of a note on every instrument that plays it, a row each, at one loudness."""
-    played = [(i, facts.tones[note]) for i, facts in enumerate(found.instruments) if note in facts.tones]
+    played = [(i, facts.tones[note]) for i, facts in enumerate(comparison.instruments) if note in facts.tones]
     gains = matched_gains_db([tone for _, tone in played])
     rows = []
     for (_, tone), gain in zip(played, gains, strict=True):
@@ -241,18 +246,18 @@ def spectrogram_picture(found: Comparison, note: str) -> Picture:
         )
         rows.append((time, freq, level + gain))
     top = max(float(level.max()) for _, _, level in rows)
-    made, axes = figure(len(rows), heights=[3.0] * len(rows), sharex=True)
+    drawing, axes = figure(len(rows), heights=[3.0] * len(rows), sharex=True)
     shown: Any = None
     for ax, (i, _), (time, freq, level) in zip(axes[:, 0], played, rows, strict=True):
         shown = draw_spectrogram(ax, time, freq, level - top, floor_db=-RANGE_DB)
-        if len(found.instruments) > 1:
-            ax.set_ylabel(f"{found.instruments[i].label}: frequency, kHz")
-    axes[-1, 0].set(xlabel="time, s", xlim=(0.0, found.duration))
-    colour_bar(made, shown, axes[:, 0], "level, dB")
+        if len(comparison.instruments) > 1:
+            ax.set_ylabel(f"{comparison.instruments[i].label}: frequency, kHz")
+    axes[-1, 0].set(xlabel="time, s", xlim=(0.0, comparison.duration))
+    colour_bar(drawing, shown, axes[:, 0], "level, dB")
     stream = io.BytesIO()
-    made.savefig(stream, format="png", dpi=96, metadata={"Software": None})
+    drawing.savefig(stream, format="png", dpi=96, metadata={"Software": None})
     return Picture(data_uri(stream.getvalue(), "image/png"), f"Spectrogram of {note}")
 
 
-def _svg(made: Figure) -> str:
-    return data_uri(svg(made), "image/svg+xml")
+def _svg(drawing: Figure) -> str:
+    return data_uri(svg(drawing), "image/svg+xml")

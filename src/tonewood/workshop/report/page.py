@@ -32,43 +32,43 @@ PRINTED: dict[str, Any] = {
 }  # fmt: skip
 
 
-def page(found: Comparison) -> str:
+def page(comparison: Comparison) -> str:
     """A comparison, or of one instrument a report, as HTML; every text of a bundle is escaped.
 
     Raises TonewoodError : jinja2 is not installed.
     """
     template = (files("tonewood.workshop.report") / "page.html").read_text(encoding="utf-8")
-    several = len(found.instruments) > 1
-    names = [facts.heading for facts in found.instruments]
+    several = len(comparison.instruments) > 1
+    names = [facts.heading for facts in comparison.instruments]
     return offline_page(
         template,
-        found=found,
+        comparison=comparison,
         several=several,
-        title=", ".join(names) if several else found.instruments[0].title,
+        title=", ".join(names) if several else comparison.instruments[0].title,
         most_rows=MOST_ROWS,
-        figures=[(name, value_words(*pair)) for name, pair in key_figures(found.instruments[0]).items()],
-        summary=[] if found.sweep else [_summary(found, i) for i in range(1, len(found.instruments))],
-        sweep=_sweep(found) if found.sweep else None,
-        modes_differ=any(not alike(match) for match in found.modes),
-        tones=[_tone(found, note) for note in found.tones],
-        mobility=mobility_picture(found),
-        shapes=shapes_picture(found),
-        t60_picture=notes_picture(found, "t60"),
-        cents_picture=notes_picture(found, "cents_mounted"),
-        wolf_picture=wolf_picture(found),
+        figures=[(name, value_words(*pair)) for name, pair in key_figures(comparison.instruments[0]).items()],
+        summary=[] if comparison.sweep else [_summary(comparison, i) for i in range(1, len(comparison.instruments))],
+        sweep=_sweep(comparison) if comparison.sweep else None,
+        modes_differ=any(not alike(match) for match in comparison.modes),
+        tones=[_tone(comparison, note) for note in comparison.tones],
+        mobility=mobility_picture(comparison),
+        shapes=shapes_picture(comparison),
+        t60_picture=notes_picture(comparison, "t60"),
+        cents_picture=notes_picture(comparison, "cents_mounted"),
+        wolf_picture=wolf_picture(comparison),
         wolf_stops=_wolf_stops,
-        origins=_origins(found),
+        origins=_origins(comparison),
         **PRINTED,
     )
 
 
-def _summary(found: Comparison, i: int) -> dict[str, Any]:
+def _summary(comparison: Comparison, i: int) -> dict[str, Any]:
     """Changes of one instrument from the first."""
-    rows = changes(found, i)
+    rows = changes(comparison, i)
     return {
         "index": i,
-        "label": found.instruments[i].label,
-        "short": found.instruments[i].short,
+        "label": comparison.instruments[i].label,
+        "short": comparison.instruments[i].short,
         "said": heard_words(rows),
         "rows": [
             (
@@ -85,29 +85,29 @@ def _summary(found: Comparison, i: int) -> dict[str, Any]:
     }
 
 
-def _sweep(found: Comparison) -> dict[str, Any]:
+def _sweep(comparison: Comparison) -> dict[str, Any]:
     """Key figures over the swept value."""
-    rows = [(value, facts, key_figures(facts)) for value, facts in found.swept()]
+    rows = [(value, facts, key_figures(facts)) for value, facts in comparison.swept()]
     names = list(dict.fromkeys(name for _, _, figures in rows for name in figures))
     cells = [[value_words(*f[name]) if name in f else "\N{EN DASH}" for name in names] for _, _, f in rows]
     return {
         "names": names,
         "rows": [(f"{v:g}", facts.label, row) for (v, facts, _), row in zip(rows, cells, strict=True)],
-        "picture": sweep_picture(found),
+        "picture": sweep_picture(comparison),
     }
 
 
-def _origins(found: Comparison) -> list[tuple[str, InstrumentFacts]]:
+def _origins(comparison: Comparison) -> list[tuple[str, InstrumentFacts]]:
     """Instruments that name other sources than those before them, each with all labels that share them."""
     groups: dict[tuple[str, str], list[InstrumentFacts]] = {}
-    for facts in found.instruments:
+    for facts in comparison.instruments:
         groups.setdefault((facts.name, repr((facts.sources, facts.stand_ins, facts.kinds))), []).append(facts)
     return [(", ".join(facts.label for facts in group), group[0]) for group in groups.values()]
 
 
-def _tone(found: Comparison, note: str) -> dict[str, Any]:
+def _tone(comparison: Comparison, note: str) -> dict[str, Any]:
     """Sounds and pictures of one note."""
-    played = [(i, facts, facts.tones[note]) for i, facts in enumerate(found.instruments) if note in facts.tones]
+    played = [(i, facts, facts.tones[note]) for i, facts in enumerate(comparison.instruments) if note in facts.tones]
     gains = matched_gains_db([tone for _, _, tone in played])
     _, facts, tone = played[0]
     sounding = next((n.note for n in facts.notes if (n.string, n.stop) == (tone.string, tone.stop)), note)
@@ -125,11 +125,11 @@ def _tone(found: Comparison, note: str) -> dict[str, Any]:
         ],
         "missing": [
             f"{facts.label} does not play {note}: {facts.missing_tones[note]}"
-            for facts in found.instruments
+            for facts in comparison.instruments
             if note in facts.missing_tones
         ],
-        "decay": decay_picture(found, note),
-        "spectrogram": spectrogram_picture(found, note),
+        "decay": decay_picture(comparison, note),
+        "spectrogram": spectrogram_picture(comparison, note),
     }
 
 

@@ -29,13 +29,7 @@ def parameters(instrument: Instrument) -> dict[str, ParameterValue]:
 
     A key ``table`` is given with the SHA-256 of the file's bytes, so that tables of one name differ by their contents.
     """
-    plugins: dict[str, Mapping[str, Plugin[Any]]] = {
-        "body": {"": instrument.body},
-        "strings": instrument.resonators,
-        "exciters": instrument.exciters,
-        "connections": instrument.attachments,
-        "outputs": instrument.pickups,
-    }
+    plugins = plugins_of(instrument)
     out: dict[str, ParameterValue] = {}
     for key, value in flattened(instrument.resolved):
         if isinstance(value, dict | list) and not value:
@@ -47,9 +41,8 @@ def parameters(instrument: Instrument) -> dict[str, ParameterValue]:
         inner = rest if kind == "body" else rest[1:]
         unit = _unit(Bundle, key.split("."))
         if plugin is not None and not unit:
-            part = (
-                getattr(plugin.parameters, inner[0], None) if inner else None
-            )  # a plugin among its parameters: a loss law
+            # a plugin among its parameters: a loss law
+            part = getattr(plugin.parameters, inner[0], None) if inner else None
             own, below = (part, inner[1:]) if isinstance(part, Plugin) else (plugin, inner)
             unit = _unit(type(own).Parameters, below)
         if plugin is not None and inner == ["table"] and isinstance(value, str):
@@ -57,6 +50,17 @@ def parameters(instrument: Instrument) -> dict[str, ParameterValue]:
             value = f"{value} (SHA-256 {digest[:12]})"
         out[key] = ParameterValue(value, "" if unit == "1" else unit)
     return out
+
+
+def plugins_of(instrument: Instrument) -> dict[str, Mapping[str, Plugin[Any]]]:
+    """Plugins of an instrument by key of the bundle and name; the body has the empty one."""
+    return {
+        "body": {"": instrument.body},
+        "strings": instrument.resonators,
+        "exciters": instrument.exciters,
+        "connections": instrument.attachments,
+        "outputs": instrument.pickups,
+    }
 
 
 def flattened(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
@@ -88,10 +92,10 @@ def field_at(annotation: Any, path: list[str]) -> FieldInfo | None:
                 continue
             if len(path) == 1:
                 return field
-            if found := field_at(field.annotation, path[1:]):
-                return found
-        elif get_origin(kind) in (dict, list, tuple) and (found := field_at(get_args(kind)[-1], path[1:])):
-            return found
+            if inner := field_at(field.annotation, path[1:]):
+                return inner
+        elif get_origin(kind) in (dict, list, tuple) and (field := field_at(get_args(kind)[-1], path[1:])):
+            return field
     return None
 
 

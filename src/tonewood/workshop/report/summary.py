@@ -86,9 +86,9 @@ def key_figures(facts: InstrumentFacts) -> dict[str, tuple[float, str]]:
     return out
 
 
-def changes(found: Comparison, i: int) -> list[FigureChange]:
+def changes(comparison: Comparison, i: int) -> list[FigureChange]:
     """Differences of instrument `i` from the first, the named figures before the modes that changed most."""
-    first, other = found.instruments[0], found.instruments[i]
+    first, other = comparison.instruments[0], comparison.instruments[i]
     before, after = key_figures(first), key_figures(other)
     if first.tones.keys() != other.tones.keys():
         shared = {**first.tones}.keys() & other.tones.keys()
@@ -102,7 +102,9 @@ def changes(found: Comparison, i: int) -> list[FigureChange]:
     for name, (value, unit) in before.items():
         if name in after:
             out.append(_change(name, value, after[name][0], unit, _threshold(name, first, other)))
-    pairs = [(a, b) for match in found.modes if (a := match.modes[0]) and (b := match.modes[i]) and a.freq and b.freq]
+    pairs = [
+        (a, b) for match in comparison.modes if (a := match.modes[0]) and (b := match.modes[i]) and a.freq and b.freq
+    ]
     if pairs:
         shift = [100 * (b.freq / a.freq - 1) for a, b in pairs]
         at = float(np.median([a.freq for a, _ in pairs]))
@@ -168,9 +170,9 @@ def heard_words(rows: Sequence[FigureChange]) -> str:
     return f"by published thresholds these may be heard: {'; '.join(heard)}"
 
 
-def lines(found: Comparison, i: int) -> list[str]:
+def lines(comparison: Comparison, i: int) -> list[str]:
     """Differences of instrument `i` from the first, as lines of a terminal."""
-    rows = changes(found, i)
+    rows = changes(comparison, i)
     texts = [(r.name, value_words(r.before, r.unit), value_words(r.after, r.unit), difference_words(r)) for r in rows]
     wide = [max((len(row[k]) for row in texts), default=0) for k in range(4)]
     out = [heard_words(rows)]

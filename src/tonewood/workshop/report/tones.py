@@ -55,7 +55,6 @@ def play_note(
 ) -> Tone:
     """Render one note.
 
-    model : of the instrument, which says where the note is played.
     note : name such as ``E2``, or STRING:STOP for a place, such as ``A2:12``.
     duration : s, of the note and of its sound.
     velocity_midi : 1 to 127.

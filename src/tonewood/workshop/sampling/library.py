@@ -117,23 +117,13 @@ def make_library(
     """Render an instrument's notes and write them as a sample library.
 
     path : of the SFZ file; beside it go a folder of its name with the samples, and the preset of Decent Sampler.
-    sampling : strokes to render.
     options : of the renders; `max_duration` is the sampling's.
     jobs : worker processes; -1 for one per core.
     suffix : of the sound files, ``.flac`` or ``.wav``.
-    tell : hears of the share that is done.
     Raises OutputError : the path has another suffix than ``.sfz``, or one of the files is there already.
     Raises TonewoodError : the sampling asks for keys, velocities or counts that are not allowed.
     """
-    sfz = Path(path)
-    folder, decent = sfz.with_suffix(""), sfz.with_suffix(".dspreset")
-    if sfz.suffix.lower() != ".sfz":
-        raise OutputError(f"has the suffix {sfz.suffix!r}; .sfz is allowed", file=sfz)
-    for target in (sfz, folder, decent):
-        if target.exists():
-            raise OutputError("is there already; give another name", file=target)
-    if not sfz.absolute().parent.is_dir():
-        raise OutputError(f"there is no folder {str(sfz.parent)!r}", file=sfz)
+    sfz, folder, decent = _targets(Path(path))
     options = options.at(max_duration=sampling.duration, tail=sampling.duration)
     if sampling.repeats > 1 and options.humanize is None and instrument.spec.playing.variation.seed is None:
         options = options.at(humanize=1)  # or strokes that are played in turn would be the same
@@ -154,19 +144,19 @@ def make_library(
         # a stroke harder than those rendered is the loudest one, raised by its region's gain
         above = max(r.volume_db for r in regions if r.decay_db is None)
         gain_db = _PEAK - decibels(measures.peak) - max(0.0, above)
+        tags = Tags.of(None, [instrument])
         for task, raw in measures.made.values():
             scaled = np.load(raw) * 10 ** (gain_db / 20)
-            Audio(scaled, options.fs, tags=Tags.of(None, [instrument])).save(scratch / f"{task.name}{suffix}", "PCM_24")
+            Audio(scaled, options.fs, tags=tags).save(scratch / f"{task.name}{suffix}", "PCM_24")
             raw.unlink()
         regions.sort(key=lambda r: (r.decay_db is not None, r.keys.centre, r.velocities.centre, r.repeat))
         _about(instrument, scratch / "README.txt")
         size = sum(file.stat().st_size for file in scratch.iterdir())
-        lines = _head(instrument, gain_db)
-        texts = {sfz: sfz_text(regions, folder.name, lines, rings=rings(instrument))}
-        texts[decent] = decent_text(regions, folder.name, lines, rings=rings(instrument))
-        files = [AtomicFile(target) for target in texts]
-        for file, text in zip(files, texts.values(), strict=True):
-            file.path.write_text(text, encoding="utf-8")
+        files = []
+        for target, text_of in ((sfz, sfz_text), (decent, decent_text)):
+            text = text_of(regions, folder.name, _head(instrument, gain_db), rings=rings(instrument))
+            files.append(AtomicFile(target))
+            files[-1].path.write_text(text, encoding="utf-8")
         scratch.chmod(0o755)
         scratch.rename(folder)
     except BaseException as fault:
@@ -181,6 +171,19 @@ def make_library(
     return Library(
         sfz, decent, folder, len(regions) - n_releases, n_releases, seconds, size, gain_db, rings(instrument)
     )
+
+
+def _targets(sfz: Path) -> tuple[Path, Path, Path]:
+    """The SFZ file, the folder of its samples and the other preset; raises OutputError where they cannot be made."""
+    folder, decent = sfz.with_suffix(""), sfz.with_suffix(".dspreset")
+    if sfz.suffix.lower() != ".sfz":
+        raise OutputError(f"has the suffix {sfz.suffix!r}; .sfz is allowed", file=sfz)
+    for target in (sfz, folder, decent):
+        if target.exists():
+            raise OutputError("is there already; give another name", file=target)
+    if not sfz.absolute().parent.is_dir():
+        raise OutputError(f"there is no folder {str(sfz.parent)!r}", file=sfz)
+    return sfz, folder, decent
 
 
 def _tasks(instrument: Instrument, sampling: Sampling, options: RenderOptions) -> list[_Task]:

@@ -71,7 +71,6 @@ class Region:
 def sfz_text(regions: Sequence[Region], folder: str, about: Sequence[str], *, rings: bool) -> str:
     """Return the text of an SFZ file.
 
-    regions : notes, then releases.
     folder : of the samples, beside the file.
     about : lines of a comment at its head.
     rings : whether notes go on when their keys come up.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+from importlib.resources import files
 from typing import Any
 
 from starlette.requests import ClientDisconnect, Request
@@ -34,6 +35,16 @@ async def refuse(request: Request, fault: Exception) -> Response:
     return JSONResponse({"error": fault.reason}, status_code=fault.status, headers=headers)
 
 
+def one_line(fault: TonewoodError, status: int = 400) -> Response:
+    """Reply with an error in one line, for the page to show; without paths of the server's disk."""
+    return JSONResponse({"error": f"{fault.key}: {fault.reason}" if fault.key else fault.reason}, status)
+
+
+def asset(package: str, name: str) -> bytes:
+    """Return a file of a package's folder ``static``."""
+    return (files(package) / "static" / name).read_bytes()
+
+
 async def mistake(request: Request, fault: Exception) -> Response:
     """Reply to a request that a mistake of the program ended; the server prints the traceback."""
     return JSONResponse({"error": "the server made a mistake"}, status_code=500)
@@ -42,7 +53,6 @@ async def mistake(request: Request, fault: Exception) -> Response:
 async def json_body(request: Request, error: type[TonewoodError] = TonewoodError) -> dict[str, Any]:
     """Return the body of a request as a mapping; characters that are no text are replaced.
 
-    request : whose body is read.
     error : class of the error where it is no JSON object.
     Raises TonewoodError : it is no JSON object, or nested too deeply.
     Raises RefusalError : it is too long, too slow, or of another type.

@@ -542,7 +542,7 @@ def test_views_are_given_and_unknown_ones_refused(client: Client, desk: Desk) ->
     assert client.ask("/api/knobs/none.such") == (200, [])
     force = np.array(client.ask("/api/view/force?argument=A2")[1]["force"])
     assert np.abs(force).max() > 0.0
-    rings = desk.moments(0)
+    rings = desk.playback.moments(0)
     assert set(rings) >= {"moments", "effects", "load"}
 
 

@@ -11,6 +11,7 @@ from tonewood.workshop.batch.runner import run_batch
 from tonewood.workshop.listening.definition import ListeningTest, load_test
 
 sys.path.append(str(Path(__file__).parents[1] / "batch"))
+sys.path.append(str(Path(__file__).parents[4] / "scripts"))
 import batch_fakes as fakes
 
 PLUCK = {"near": 1.0, "middle": 1.005, "far": 1.01}

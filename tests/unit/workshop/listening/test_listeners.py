@@ -20,7 +20,8 @@ from tonewood.workshop.listening.answer_file import WITHDRAWN, answers_of, begin
 from tonewood.workshop.listening.definition import ListeningTest
 from tonewood.workshop.listening.results import analyse
 from tonewood.workshop.listening.server import ListeningServer
-from tonewood.workshop.listening.session import CHANGED, Session
+from tonewood.workshop.listening.session import Session
+from tonewood.workshop.listening.trials import CHANGED
 
 CHECK = {"type": "headphones", "back": {"code": "NO", "address": "https://crowd.example/?c={code}"}}
 PAIRS = {"type": "abx", "pairs": {"pluck": "all"}}

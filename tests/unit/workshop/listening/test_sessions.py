@@ -17,10 +17,11 @@ from tonewood.workshop.listening import answer_file
 from tonewood.workshop.listening.answer_file import answers_of, begin, read, resume
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.panel import SimulatedPanel, _Listener
-from tonewood.workshop.listening.session import OPEN, Session
+from tonewood.workshop.listening.session import Session
 from tonewood.workshop.listening.shown import shown
 from tonewood.workshop.listening.staircase import StaircaseTrack
 from tonewood.workshop.listening.table import read_key
+from tonewood.workshop.listening.trials import OPEN
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from dataclasses import astuple, replace
 from pathlib import Path
 
 import listening_fakes as fakes
+import listening_studies as studies
 import numpy as np
 import pytest
 from published import DRUGS, HOUSING, MACHINES, RATINGS, SLEEP
@@ -225,10 +226,10 @@ def test_sounds_are_a_sample_where_the_manifest_says_so() -> None:
 
 
 @pytest.mark.parametrize("gaps", ["", "20 % at random"])
-@pytest.mark.parametrize("null", simulations.NULLS)
+@pytest.mark.parametrize("null", studies.NULLS)
 def test_false_alarms_and_coverage_hold(null: str, gaps: str) -> None:
     """The small count: bounds are wider than those of the long tier by the standard error."""
-    found = simulations.rating_rates(np.random.default_rng(1), 1000 if gaps else 3000, 12, null, gaps)
+    found = studies.rating_rates(np.random.default_rng(1), 1000 if gaps else 3000, 12, null, gaps)
     wider = 0.01 if gaps else 0.0
     for share in (found.test, found.difference, found.other, found.interaction):
         assert 0.033 - wider < share < 0.067 + wider
@@ -237,12 +238,12 @@ def test_false_alarms_and_coverage_hold(null: str, gaps: str) -> None:
 
 @pytest.mark.validate
 @pytest.mark.parametrize("listeners", [12, 20, 40])
-@pytest.mark.parametrize("gaps", ["", *simulations.GAPS])
-@pytest.mark.parametrize("null", simulations.NULLS)
+@pytest.mark.parametrize("gaps", ["", *studies.GAPS])
+@pytest.mark.parametrize("null", studies.NULLS)
 def test_false_alarms_and_coverage_of_5000_experiments(null: str, gaps: str, listeners: int) -> None:
     rates = []
     for seed in (1, 2, 3):
-        found = simulations.rating_rates(np.random.default_rng(seed), 5000, listeners, null, gaps)
+        found = studies.rating_rates(np.random.default_rng(seed), 5000, listeners, null, gaps)
         alarms = (found.test, found.difference, found.other, found.interaction)
         for share in alarms:
             assert 0.035 - 0.0035 <= share <= 0.06 + 0.0035  # a standard error beyond, for a single seed
@@ -252,10 +253,10 @@ def test_false_alarms_and_coverage_of_5000_experiments(null: str, gaps: str, lis
     assert 0.94 <= coverage <= 0.97
 
 
-@pytest.mark.parametrize("population", simulations.OTHERS)
+@pytest.mark.parametrize("population", studies.OTHERS)
 def test_populations_that_nothing_was_chosen_on(population: str) -> None:
     """Where one listener in ten responds, intervals of 40 listeners are too narrow, too; the page says so."""
-    found = simulations.rating_rates(np.random.default_rng(5), 1000, 40, population)
+    found = studies.rating_rates(np.random.default_rng(5), 1000, 40, population)
     few = population == "one listener in ten responds"
     assert 0.025 < found.test < 0.07
     assert 0.025 < found.difference < (0.09 if few else 0.07)
@@ -263,9 +264,9 @@ def test_populations_that_nothing_was_chosen_on(population: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("spread", simulations.SPREADS)
+@pytest.mark.parametrize("spread", studies.SPREADS)
 def test_random_sounds_with_missing_answers_hold_false_alarms_and_coverage(spread: str) -> None:
-    *alarms, coverage = simulations.sampled_rates(np.random.default_rng(1), 1000, 12, 6, 0.1, spread)
+    *alarms, coverage = studies.sampled_rates(np.random.default_rng(1), 1000, 12, 6, 0.1, spread)
     assert all(0.012 < share < 0.075 for share in alarms)  # standard error 0.7 %
     assert 0.93 < coverage < 0.985
 
@@ -273,10 +274,10 @@ def test_random_sounds_with_missing_answers_hold_false_alarms_and_coverage(sprea
 @pytest.mark.validate
 @pytest.mark.parametrize("listeners", [12, 20, 40])
 @pytest.mark.parametrize("sounds", [6, 12])
-@pytest.mark.parametrize("spread", simulations.SPREADS)
+@pytest.mark.parametrize("spread", studies.SPREADS)
 def test_random_sounds_of_15000_experiments(spread: str, sounds: int, listeners: int) -> None:
     case = (5000, listeners, sounds, 0.1, spread)
-    rates = [simulations.sampled_rates(np.random.default_rng(seed), *case) for seed in (1, 2, 3)]
+    rates = [studies.sampled_rates(np.random.default_rng(seed), *case) for seed in (1, 2, 3)]
     *alarms, coverage = np.mean(rates, axis=0)
     least = 0.035 if spread != "neither differs" else 0.027
     assert all(least - 0.002 <= share <= 0.06 for share in alarms)  # a standard error beyond
@@ -426,9 +427,9 @@ def test_values_are_grouped_into_grades_that_keep_their_order(rng: np.random.Gen
     "listeners", [pytest.param(12, marks=pytest.mark.slow), 20, pytest.param(40, marks=pytest.mark.slow)]
 )
 @pytest.mark.parametrize("count", [1500, pytest.param(15_000, marks=pytest.mark.validate)])
-@pytest.mark.parametrize("cuts", simulations.CUTS)
+@pytest.mark.parametrize("cuts", studies.CUTS)
 def test_odds_hold_false_alarms_and_coverage(cuts: str, count: int, listeners: int) -> None:
-    *alarms, coverage, bias, failed = simulations.odds_rates(np.random.default_rng(1), count, listeners, cuts)
+    *alarms, coverage, bias, failed = studies.odds_rates(np.random.default_rng(1), count, listeners, cuts)
     wider = 0.015 if count < 5000 else 0.0
     assert all(0.035 - wider < share < 0.06 + wider for share in alarms)
     assert 0.94 - wider < coverage < 0.97 + wider
@@ -535,14 +536,14 @@ def test_few_listeners_who_agree_are_no_scale() -> None:
     for n, sure in ((3, False), (5, False), (7, True), (12, True)):  # as in the sign test, from six or seven on
         x, y = bradley_terry(rows[:n], "f", 0.95)
         assert (y.low > x.high) == sure
-    alarms, covered = simulations.choice_rates(np.random.default_rng(2), 300, 12, 2, 0.5)
+    alarms, covered = studies.choice_rates(np.random.default_rng(2), 300, 12, 2, 0.5)
     assert alarms < 0.09
     assert covered > 0.91
 
 
 def test_the_power_promised_is_had() -> None:
     promised = power.rating_power([0.0, 5.0, 0.0], 8.0**2 / 2 * np.eye(3), 25, 0.05)[0]
-    had = simulations.power_had(np.random.default_rng(3), 3000, 25, 5.0, 8.0)
+    had = studies.power_had(np.random.default_rng(3), 3000, 25, 5.0, 8.0)
     assert had == pytest.approx(promised, abs=0.035)
 
 
@@ -563,7 +564,7 @@ def test_power_of_random_sounds_is_had(tmp_path: Path) -> None:
     """Six sounds, which differ in the effect: the power is that of the quasi-F, whatever the number of listeners."""
     own, spread = power.stated_spread(12.0, 5.0, 6, 2)
     promised = power.rating_power([0.0, 8.0], own, 20, 0.05, sampled=spread)[0]
-    had = simulations.power_had_by_sounds(np.random.default_rng(3), 1500, 20, 6, 8.0, 12.0, 5.0)
+    had = studies.power_had_by_sounds(np.random.default_rng(3), 1500, 20, 6, 8.0, 12.0, 5.0)
     assert had == pytest.approx(promised, abs=0.04)
     page = {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}, "expect": 10.0}
     fixed = fakes.made(tmp_path, [page])
@@ -584,7 +585,7 @@ def test_power_of_random_sounds_is_had(tmp_path: Path) -> None:
 def test_power_of_ordinal_scales_is_that_of_shares_of_comparisons(tmp_path: Path) -> None:
     """Grades are drawn one by one and analysed as in the report; a scale that ends changes little."""
     promised = power.ordinal_power([0.0, 0.6, 0.0], 1.0, 6, (1.0, 5.0), 25, 0.05)[0]
-    had = simulations.power_had_by_shares(np.random.default_rng(3), 300, 25, 0.6, 1.0)
+    had = studies.power_had_by_shares(np.random.default_rng(3), 300, 25, 0.6, 1.0)
     assert had == pytest.approx(promised, abs=0.07)
     assert power.ordinal_power([0.0, 0.6, 0.0], 1.0, 6, (2.9, 3.1), 25, 0.05)[0] == pytest.approx(promised, abs=0.06)
     assert power.ordinal_power([0.0, 0.0, 0.0], 1.0, 6, (1.0, 5.0), 12, 0.05)[0] < 0.03  # a third of 5 %, by Holm
@@ -809,7 +810,7 @@ def test_a_track_of_quest_plus_is_that_of_many_at_once() -> None:
 )
 def test_thresholds_are_without_bias(page: dict) -> None:
     people = simulations.Population(5.0, 0.25, 2.0)
-    found = simulations.threshold_rates(np.random.default_rng(3), 25, 12, StaircasePage.model_validate(page), people)
+    found = studies.threshold_rates(np.random.default_rng(3), 25, 12, StaircasePage.model_validate(page), people)
     assert abs(found.bias_mean) < 0.09  # the standard error is 2.5 %
     assert found.coverage_mean >= 0.84
     assert 0.90 < found.coverage_listener < 0.99
@@ -819,7 +820,7 @@ def test_thresholds_are_without_bias(page: dict) -> None:
 @pytest.mark.parametrize("slope", [2.0, 4.0])
 def test_thresholds_of_the_guide_hold_bias_and_coverage(slope: float) -> None:
     people, page = simulations.Population(5.0, 0.25, slope), StaircasePage.model_validate(GUIDE)
-    found = [simulations.threshold_rates(np.random.default_rng(seed), 67, 12, page, people) for seed in (1, 2, 3)]
+    found = [studies.threshold_rates(np.random.default_rng(seed), 67, 12, page, people) for seed in (1, 2, 3)]
     mean, coverage, own, each = np.mean(
         [(x.bias_mean, x.coverage_mean, x.bias_listener, x.coverage_listener) for x in found], axis=0
     )
@@ -851,7 +852,7 @@ def test_reversals_are_corrected() -> None:
 
 
 def test_pooled_sensitivity_is_that_of_the_population() -> None:
-    ours, together, coverage = simulations.sensitivity_rates(np.random.default_rng(1), 150, 20, 20, "more_2", 2.5, 0.8)
+    ours, together, coverage = studies.sensitivity_rates(np.random.default_rng(1), 150, 20, 20, "more_2", 2.5, 0.8)
     assert abs(ours) < 0.05
     assert together < -0.08
     assert coverage > 0.9
