@@ -368,7 +368,7 @@ def model(name: str, instrument: Any) -> Any:
 @pytest.fixture
 def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Any]:
     place = "tonewood.workshop.desk.desk."
-    monkeypatch.setattr(f"{place}PhraseTake", Take)
+    monkeypatch.setattr("tonewood.workshop.desk.take.PhraseTake", Take)
     monkeypatch.setattr(f"{place}DesignModels", Models)
     monkeypatch.setattr(f"{place}ModelMaker", Maker)
     monkeypatch.setattr(f"{place}with_hands", lambda known, hands: model("hands", hands))
@@ -397,7 +397,7 @@ def test_the_first_model_is_heard_at_4_db_below_full_scale(desk: Any) -> None:
     take = desk.playback.take
     assert (take.model, desk._models.exact, take.ensured) == (made, made, 2 * 4096)
     assert take.options.gain_db == desk.state()["gain_db"] == 2.0  # 0.5 is -6.02 dB
-    assert (desk.options.tail, desk.options.max_duration, desk.options.fs) == (3.0, 60.0, 8000)
+    assert (desk.takes.options.tail, desk.takes.options.max_duration, desk.takes.options.fs) == (3.0, 60.0, 8000)
     state = desk.state()
     assert (state["modes"], state["warnings"], state["channels"]) == (3, ["w"], ["c"])
     assert state["dropped"] == ["0", "1", "2"]
@@ -409,8 +409,8 @@ def test_the_first_model_is_heard_at_4_db_below_full_scale(desk: Any) -> None:
         (made, "differences", "", {"of_start": False, "exact": True}),
         (made, "shape", "90", {"of_start": True, "exact": True}),
     ]
-    assert desk.command().split()[:2] == ["tonewood", "render"]
-    assert "--gain=2 " in desk.command()
+    assert desk.state()["command"].split()[:2] == ["tonewood", "render"]
+    assert "--gain=2 " in desk.state()["command"]
 
 
 def test_a_silent_phrase_has_no_gain(desk: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -508,8 +508,8 @@ def test_another_phrase_has_its_own_gain(desk: Any, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(Take, "peak", 0.25)
     desk.set_phrase("notes", "A2 B2", 100.0)
     assert (desk.serial, desk.playback.serial, desk.state()["gain_db"]) == (1, 1, 8.0)
-    assert [n.note for n in desk.score.notes] == [45, 47]
-    assert desk.playback.take.score is desk.score
+    assert [n.note for n in desk.takes.score.notes] == [45, 47]
+    assert desk.playback.take.score is desk.takes.score
     asked = {"kind": "notes", "notes": "A2 B2", "velocity": 100.0}
     assert desk.state()["phrase"] == asked
     with pytest.raises(TonewoodError):
@@ -536,9 +536,9 @@ def test_the_louder_of_two_designs_is_turned_down(
     assert pair.gains == pytest.approx(gains)
     assert (pair.names, pair.order, pair.blind) == (("this design", "kept"), (0, 1), False)
     assert desk.state()["compared"] == f"A is {own - other:+.1f} LU from kept, taken out"
-    desk.pick(1)
+    desk.playback.pick(1)
     assert pair.which == 1
-    desk.pick(2)
+    desk.playback.pick(2)
     assert pair.which == 1
     desk.compare(None)
     assert (desk.playback.pair, desk.state()["compared"]) == (None, "")
@@ -551,7 +551,7 @@ def test_the_louder_of_two_designs_is_turned_down(
 def test_a_blind_pair_is_in_a_drawn_order(
     desk: Any, monkeypatch: pytest.MonkeyPatch, drawn: int, order: tuple[int, int]
 ) -> None:
-    monkeypatch.setattr("tonewood.workshop.desk.desk.secrets.randbelow", lambda n: drawn)
+    monkeypatch.setattr("tonewood.workshop.desk.playback.secrets.randbelow", lambda n: drawn)
     exact = ready(desk)
     desk.compare("", blind=True)
     wanted = desk._other.wants[-1]
@@ -562,9 +562,9 @@ def test_a_blind_pair_is_in_a_drawn_order(
     wanted.use(model("other", exact.instrument), wanted)
     assert (desk.playback.pair.order, desk.state()["compared"]) == (order, "")
     assert desk.state()["pair"]["names"] == ["X", "Y"]
-    desk.pick(1)
+    desk.playback.pick(1)
     assert desk.playback.pair.which == order[1]
-    desk.reveal()
+    desk.playback.reveal()
     assert desk.state()["pair"]["names"] == [f"{'AB'[i]}: {('this design', 'the start')[i]}" for i in order]
 
 
@@ -604,11 +604,11 @@ def test_keys_play_the_take_s_model_at_its_gain(desk: Any, monkeypatch: pytest.M
 
 
 def test_moments_up_to_4096_frames_ahead(desk: Any) -> None:
-    assert (desk.moments(0)["moments"], desk.moments(0)["seconds"]) == ([], 0.0)
+    assert (desk.playback.moments(0)["moments"], desk.playback.moments(0)["seconds"]) == ([], 0.0)
     ready(desk)
     desk.playback.at = 1000
     desk.playback.take.moments = [Ringing(at, {}, 1.0, None) for at in (10, 11, 5096, 5097)]
-    found = desk.moments(10)
+    found = desk.playback.moments(10)
     assert [m["frame"] for m in found["moments"]] == [11, 5096]
     assert (found["frame"], found["effects"], found["seconds"]) == (1000, ["effects"], 5000 / 8000)
     assert (found["load"], found["worst"]) == (0.0, 0.0)
@@ -620,8 +620,6 @@ def test_a_model_that_is_made_is_told_with_its_seconds(desk: Any, monkeypatch: p
     desk._models.busy = SimpleNamespace(since=10.0)
     assert desk.state()["making"] == 2.3
     assert desk.view("drawing") is None
-    assert desk.groups()[0] == "exciters.pluck"
-    assert desk.knobs("stops")[1]["value"] == 24
 
 
 def test_the_last_500_changes_can_be_undone() -> None:

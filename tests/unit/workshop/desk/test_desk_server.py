@@ -540,6 +540,9 @@ def test_views_are_given_and_unknown_ones_refused(client: Client, desk: Desk) ->
     assert client.ask("/api/view/shape?argument=x")[0] == 400
     assert client.ask("/api/view/force?argument=Z9")[0] == 400
     assert client.ask("/api/knobs/none.such") == (200, [])
+    assert client.ask("/api/knobs/stops")[1][1]["value"] == 24
+    assert client.ask("/api/groups")[1][0] == "exciters.pluck"
+    assert "bridge" in client.ask("/api/points")[1]
     force = np.array(client.ask("/api/view/force?argument=A2")[1]["force"])
     assert np.abs(force).max() > 0.0
     rings = desk.playback.moments(0)

@@ -1007,7 +1007,7 @@ def test_a_report_is_of_the_page_that_has_the_stream() -> None:
 )
 def test_moments_are_asked_for_since_a_frame(since: str | None, frame: int) -> None:
     query = {} if since is None else {"since": since}
-    assert served(moments=lambda at: at)._moments(asked(**query)) == frame
+    assert served(playback=SimpleNamespace(moments=lambda at: at))._moments(asked(**query)) == frame
 
 
 def test_views_are_asked_for_by_kind_argument_and_design() -> None:
@@ -1026,7 +1026,7 @@ def test_views_are_asked_for_by_kind_argument_and_design() -> None:
         ({"act": "compare", "name": "", "blind": True}, [("compare", "", True)]),
         ({"act": "phrase", "kind": "notes"}, [("set_phrase", "notes", "", 80.0)]),
         ({"act": "phrase", "kind": "notes", "notes": "A2", "velocity": 3}, [("set_phrase", "notes", "A2", 3.0)]),
-        ({"act": "advise", "targets": "T1 = 1", "free": "x"}, [("advise", "T1 = 1", "x")]),
+        ({"act": "advise", "targets": "T1 = 1", "free": "x"}, [("ask", "now", ["--set"], "harp", "T1 = 1", "x")]),
         ({"act": "pick", "which": 1}, [("pick", 1)]),
         ({"act": "reveal"}, [("reveal",)]),
     ],
@@ -1037,7 +1037,11 @@ def test_acts_are_done_with_their_values(given: dict[str, Any], calls: list[Any]
     def call(name: str) -> Any:
         return lambda *values, **named: done.append((name, *values, *named.values()))
 
-    server = served(**{name: call(name) for name in ("key", "compare", "set_phrase", "advise", "pick", "reveal")})
+    server = served(
+        key=call("key"), compare=call("compare"), set_phrase=call("set_phrase"),
+        adviser=SimpleNamespace(ask=call("ask")), playback=SimpleNamespace(pick=call("pick"), reveal=call("reveal")),
+        session=SimpleNamespace(instrument="now", options=lambda: ["--set"], source="harp"),
+    )  # fmt: skip
     assert server._done(given) == ""
     assert done == calls
 
