@@ -77,7 +77,6 @@ class Condition:
     render : settings of the render, with the levels of ``render.*`` factors in them.
     notes : of an inline phrase, or None.
     midi : absolute path, start, stop (s or None), channel_per_string of a MIDI excerpt, or None.
-    midi_sha256 : of the MIDI file's bytes.
     draws : the human variation of this repeat.
     note_changes : field of `tonewood.Note` -> value for every note of the score.
     """

@@ -25,7 +25,6 @@ _NOT_STATED = "not stated"
 class Subject:
     """What a data sheet is of.
 
-    name, title, licence : of the sounds.
     manifest : as plain data; its hash is that of its JSON with sorted keys.
     facts : name -> value, of the sounds.
     digests : of the samples of each sound, by name.

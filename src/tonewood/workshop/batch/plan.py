@@ -35,7 +35,6 @@ class StimulusRenderer(Protocol):
 class BatchPlan:
     """The work of a batch, before anything is rendered.
 
-    source : the manifest's folder.
     conditions, groups : of the manifest, those that could be resolved.
     levels : of staircases, rendered beforehand.
     keys : content key by condition name.

@@ -28,7 +28,6 @@ class Workers:
     """Place of the work.
 
     jobs : workers on this machine; -1 for one per core.
-    backend : ``processes`` or ``threads``.
     cluster : address of a Dask scheduler, instead of this machine.
     """
 

@@ -43,8 +43,6 @@ Progress = Callable[[str, int, int], None]
 class DatasetPlan:
     """The work of a data set, before anything is rendered.
 
-    samples : all sounds.
-    tasks : shards that are not made yet.
     keys : of all shards, by number.
     faults : sounds that cannot be resolved.
     sound_seconds, compute_seconds : predicted for all sounds, s of one core; None if not asked.

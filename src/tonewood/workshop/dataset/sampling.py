@@ -30,8 +30,6 @@ class Sample:
     """One sound to be made.
 
     index : its number in the data set, from 0.
-    parameters : name -> value.
-    condition : all that is rendered.
     """
 
     index: int

@@ -44,7 +44,6 @@ class Adviser:
     """One search for a design at a time.
 
     lines : of progress, then of the result.
-    fault : why there is none.
     overrides : path -> value of the design that was found.
     """
 

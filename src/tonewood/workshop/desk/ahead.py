@@ -28,7 +28,6 @@ class Ahead:
     """One design at a time, assembled in another process.
 
     source, allow_code : of the instrument, as for `Instrument.load`.
-    fs : sampling rate, Hz.
     """
 
     def __init__(self, source: str, fs: int, *, allow_code: bool):

@@ -35,9 +35,7 @@ _READY = 4096
 class Desk:
     """One instrument on the desk.
 
-    session : the designs.
     score : file of a phrase; the chord of open strings where left out.
-    fs : sampling rate, Hz.
     folder : for the phrase's file that commands name; a temporary one where left out.
     Raises TonewoodError : the phrase cannot be read.
     """

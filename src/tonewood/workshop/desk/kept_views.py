@@ -22,12 +22,7 @@ _MOST = 24
 
 
 class KeptViews:
-    """Computes one view at a time, and keeps it as long as its model.
-
-    start : instrument to which designs are compared.
-    options : of renders, which decide on the modes.
-    models : that are kept.
-    """
+    """Computes one view at a time, and keeps it as long as its model."""
 
     def __init__(self, start: Instrument, options: RenderOptions, models: KeptModels):
         self._instrument, self._options, self._models = start, options, models

@@ -26,15 +26,8 @@ class Knob:
     """A value that may be changed.
 
     path : dotted key, as ``--set`` takes it.
-    label : its last part, or parts.
     kind : number, factor (on the values of all strings), choice, switch or value (JSON).
-    value : of the instrument now.
     low, high : allowed; None where there is no limit.
-    start, stop : of the knob.
-    log : whether the knob is logarithmic.
-    whole : whether it takes whole numbers alone.
-    unit, doc : as declared.
-    choices : words of a choice.
     at_once : whether it needs no new model.
     """
 

@@ -18,9 +18,6 @@ _REST = 0.7
 class DesignModels:
     """The newest design's model, as far as it is made.
 
-    session : whose designs they are of.
-    options : of renders, which decide on the modes.
-    kept : models by their values, shared.
     ready : called with a model, a preview or exact, in a thread.
     failed : called with a design that has no model, and words on why.
     exact : the last exact model; None until the first is made.

@@ -26,10 +26,7 @@ _PATIENCE = 5.0
 class Wanted:
     """A model that is asked for.
 
-    instrument, changes : the design.
-    serial : of the change that asked for it.
     preview : words on the coarse basis in place of the design's; empty for the design itself.
-    use : called with the model.
     """
 
     instrument: Instrument
@@ -43,9 +40,7 @@ class Wanted:
 class ModelMaker:
     """A thread that makes models, the newest wanted one next.
 
-    options : of renders, which decide on the modes.
     fault : called with what was wanted and words on why it could not be made.
-    kept : models by their values, shared.
     """
 
     def __init__(self, options: RenderOptions, fault: Callable[[Wanted, str], None], kept: KeptModels):

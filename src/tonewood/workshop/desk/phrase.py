@@ -56,7 +56,6 @@ class ChosenPhrase:
     """The phrase that the page asks for, and its file.
 
     given : score of the command line; None without one.
-    file : where chords, scales and notes are written.
     """
 
     def __init__(self, given: Path | None, file: Path):

@@ -40,7 +40,6 @@ class ComparedTakes:
     """Two takes of one loudness.
 
     takes, gains : A and B; the louder one is turned down.
-    names : of the designs.
     which : 0 or 1, what is heard.
     blind : whether the page calls them X and Y; `order` is that of X and Y.
     """
@@ -80,7 +79,6 @@ class Meter:
 class PageProgress:
     """Where the page of the stream is: places are frames since its beginning.
 
-    fs : sampling rate, Hz.
     patience : s until its first report.
     sent : place of the next block.
     reported : time of the last report.
@@ -107,7 +105,6 @@ class DeskSound:
     A change is heard before sound that has been sent already: frames that the page has not heard are sent again, from
     an earlier place on, and take the place of those before (`PageProgress`).
 
-    fs : sampling rate, Hz.
     take, at : that is heard, and its next frame; None until the first model is made.
     serial : counts changes that are heard; the page measures the time to them.
     """

@@ -51,7 +51,6 @@ _SILENT = 6.0
 class DeskServer:
     """Requests to one desk.
 
-    desk : that is shown.
     token : of the address; a new one where left out.
     """
 

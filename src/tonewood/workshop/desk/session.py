@@ -33,7 +33,6 @@ class DeskSession:
     changes : path -> value, that were asked for on the command line.
     allow_code : run plugins that lie as Python files in the bundle's folder.
     start : the design that the session began with, to which others are compared.
-    snapshots : name -> design.
     Raises TonewoodError : there is no such instrument, or a value is not allowed.
     """
 

@@ -45,10 +45,7 @@ class Ringing:
 class PhraseTake:
     """A phrase on one model.
 
-    score : the phrase.
-    model : that is stepped.
     options : of the render, as `DeskSession.command` states them.
-    design : changes that made the model's instrument, for the page.
     preview : words on how the model differs from the design; empty where it does not.
     """
 
@@ -161,12 +158,7 @@ class PhraseTake:
 
 
 class LeveledTakes:
-    """Takes of the chosen phrase, all at one gain: that of the first model that plays it.
-
-    phrase : what the page asks for.
-    instrument : that plays it first.
-    options : of renders.
-    """
+    """Takes of the chosen phrase, all at one gain: that of the first model that plays it."""
 
     def __init__(self, phrase: ChosenPhrase, instrument: Instrument, options: RenderOptions) -> None:
         self._phrase, self.options = phrase, options

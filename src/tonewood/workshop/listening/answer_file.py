@@ -152,12 +152,7 @@ def _row(line: bytes) -> dict[str, Any]:
 
 
 class OpenSession:
-    """A session whose answers are kept on disk.
-
-    session : its course.
-    header : first line of its file.
-    length : of its file, bytes.
-    """
+    """A session whose answers are kept on disk."""
 
     def __init__(self, session: Session, header: dict[str, Any], path: Path, length: int):
         self.session, self.header, self.path, self.length = session, header, path, length

@@ -42,8 +42,6 @@ class ServedTrial:
 class ListeningTest:
     """A test and the folder of its batch.
 
-    folder : of the batch, with sounds and answers.
-    source : the manifest's folder.
     sha256 : of the definition's bytes; answers are given to one definition.
     room_sha256 : of the room's impulse response; empty where there is none.
     """

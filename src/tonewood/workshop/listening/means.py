@@ -29,8 +29,6 @@ Rows = Sequence[Mapping[str, Any]]
 class CellMean:
     """Mean of the answers in one cell.
 
-    cell : column -> level.
-    listeners, answers : numbers of them.
     mean, low, high : of the listeners' means, with the bounds of the interval (None with one listener).
     median, lower_quartile, upper_quartile : of all answers.
     """

@@ -84,9 +84,6 @@ class FactorTest:
 class LinearAnalysis:
     """Differences of means and their tests.
 
-    formula, method : the effects, and the analysis in words.
-    exact : whether every listener answered every cell.
-    random : factors whose levels are a sample.
     cell_sd : standard deviation of answers within a cell, over listeners and repetitions.
     at_ends : share of answers at the ends of the scale; None for a scale without ends.
     """

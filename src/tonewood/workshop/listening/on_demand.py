@@ -51,8 +51,6 @@ class PairSource(Protocol):
 class RenderedPairs:
     """Renders pairs on one thread, each level once.
 
-    test : the definition.
-    renderer : as for a batch.
     Raises TonewoodError : the manifest's files cannot be used, or the room is not that of the batch.
     """
 

@@ -67,9 +67,7 @@ class OddsTest:
 class OrdinalAnalysis:
     """Odds of higher grades and their tests.
 
-    grades, listeners : numbers of them.
     terms, tests : differences and effects whose odds are finite.
-    converged : whether the search ended.
     notes : effects that are left out, and why.
     """
 

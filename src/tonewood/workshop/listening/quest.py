@@ -84,7 +84,6 @@ class QuestTrack:
     """One track of QUEST+, at the level of its next trial; `StaircaseTrack` is the other method.
 
     level : of the next trial; the first is the page's `start`.
-    levels, right : of the trials so far.
     """
 
     page: StaircasePage

@@ -44,14 +44,11 @@ FOLDER = "results"
 class PageResults:
     """Results of one page, or of one scale of a page with several.
 
-    page : its number, from 1.
-    kind : type of the page.
     heading : its title, and the scale.
     rows : answers that count, after screening.
     per_factor, cells, helpers : means by each factor, by all, and of hidden reference and anchors.
     pairs, detections, by_listener : discrimination of each pair over all other factors, by cell, and by cell and
         listener.
-    scale : Bradley-Terry values by factor.
     everybody : the analyses with the listeners who were left out, if any were.
     ordinal : whether the scale's grades have an order only.
     odds : the cumulative logit model, where `ordinal` or many answers stand at an end of the scale.
@@ -88,8 +85,6 @@ class PageResults:
 class PanelResults:
     """Results of a test.
 
-    simulated : listeners among them that are simulated.
-    unfinished : listeners who did not finish.
     left_out : answers that do not count because their files are damaged, or of another version of the test.
     not_passed : listeners whom the check of headphones stopped.
     withdrawn : number of listeners who had their answers deleted.

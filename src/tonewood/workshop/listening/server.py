@@ -66,7 +66,6 @@ class _Entry:
 class ListeningServer:
     """Requests of listeners to one test.
 
-    test : the definition.
     pairs : sounds of its staircases; None if it has none.
     """
 

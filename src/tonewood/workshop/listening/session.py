@@ -19,12 +19,10 @@ from tonewood.workshop.listening.trials import ListenerTrials, Step
 class Session:
     """The course of a test for one listener.
 
-    test : the definition.
     seed : the listener's; it decides orders and right answers.
     place : number of the listener, from 0; it decides which trials of a `subset` are theirs.
     step : the one to answer; None after the last.
     failed : the page (from 0) of the check of headphones that ended the test, or None.
-    answers : records of the answers taken.
     incomplete : staircases (pages from 0) of which a trial was passed over.
     """
 

@@ -51,7 +51,6 @@ def fewest(power_with: Callable[[int], float], power: float, effect: str) -> int
 class SoundSpread:
     """A random sample of sounds.
 
-    count : number of sounds.
     sounds : covariance (levels, levels) of the sounds' own means of the levels, the same for all listeners.
     pairs : that of the answers of one listener to one sound, beyond both.
     """

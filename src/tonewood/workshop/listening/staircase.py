@@ -18,8 +18,6 @@ from tonewood.workshop.batch.pages import StaircasePage
 class StaircaseTrack:
     """One track, at the level of its next trial.
 
-    level : of the next trial.
-    levels, right : of the trials so far.
     reversal_levels : levels at which the direction changed.
     """
 

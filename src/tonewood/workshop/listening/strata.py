@@ -69,7 +69,6 @@ class Contrasts:
     bases : effect -> orthonormal contrasts (cells, q), orthogonal to all other effects.
     differences : effect -> rows of contrasts (differences, cells): from the first level, over all cells; for an
         interaction differences of differences.
-    names : effect -> name of each difference.
     without : interactions that are left out because cells are empty.
     """
 

@@ -72,7 +72,6 @@ class AnswerTable:
     """Answers of all listeners.
 
     factors : columns of factors with more than one level.
-    levels : factor -> its levels in the manifest's order.
     rows : one an answer; values are str, float, bool or None.
     """
 

@@ -29,9 +29,7 @@ class Step:
     trial : blind id of its trial; empty for a page without sounds.
     slots : slot (A, B, X, 1, 2, 3, reference) -> code, in the order shown.
     correct : the right answer, if there is one.
-    training : does not count.
     repetition : of the trial, from 1.
-    track, level : of a staircase.
     """
 
     index: int
@@ -48,7 +46,6 @@ class Step:
 class ListenerTrials:
     """Fields of a listener's steps; nothing here depends on answers.
 
-    test : the definition.
     seed : the listener's; it decides orders and right answers.
     place : number of the listener, from 0; it decides which trials of a `subset` are theirs.
     """

@@ -61,7 +61,6 @@ class BodyMode:
 class NoteRow:
     """A string at a stop.
 
-    string, stop, note : name of the string, number of the stop, name of the note.
     freq : Hz, of the note.
     cents : of the string-dominated mode from the note, the string alone on the body.
     cents_mounted : of the same with all other strings open beside it.
@@ -93,13 +92,9 @@ class PartialRow:
 class StringRow:
     """An open string.
 
-    name, note : of the string.
     length : m; linear_density : kg/m, None where the string's plugin has no such parameter.
     tension, given_tension : N, in use and in the bundle.
     held : ``pitch`` or ``tension``, which of the two the instrument keeps.
-    stops : number of them.
-    feel : force that pushes it aside, and force on the bridge.
-    partials : of the open string on its body.
     """
 
     name: str
@@ -118,9 +113,7 @@ class StringRow:
 class InstrumentFacts:
     """Everything that a report states.
 
-    label : A, B, ... of the instrument in a comparison.
     called : name that the caller gave it there; may be empty.
-    name, title, licence, description, folder : of the bundle.
     changes : values changed by the caller, PATH=VALUE.
     added : masses, springs and dashpots on the body, one line each.
     sources, stand_ins : source key -> source; paths of stand-ins -> note.

@@ -27,7 +27,6 @@ _WOLF_CENTS = 10.0
 class FigureChange:
     """One figure of two instruments.
 
-    name : of the figure.
     before, after : of the first instrument and the other, in `unit`.
     unit : of both; empty for a number.
     difference : after less before, in `scale`.

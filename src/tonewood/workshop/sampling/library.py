@@ -41,7 +41,6 @@ class Sampling:
     """Strokes that a library holds.
 
     step : semitones between sampled keys.
-    velocities : rendered.
     repeats : strokes of one key and velocity that a sampler plays in turn.
     lowest, highest : keys; those of the instrument where they are None.
     duration : s, of a sample at most.
@@ -62,7 +61,6 @@ class Library:
     """Written files.
 
     sfz, decent, folder : the texts, and the folder of sound files.
-    n_samples, n_releases : of the files.
     seconds, size : of sound, and bytes.
     gain_db : from the instrument's calibrated level to that of the files.
     rings : whether notes go on when their keys come up.

@@ -29,7 +29,6 @@ _POINTS = (1, 16, 32, 48, 64, 80, 96, 112, 127)
 class Region:
     """One sound file and the notes that it serves.
 
-    file : its name in the folder of samples.
     keys, velocities : served.
     repeat, n_repeats : of the round robins.
     levels : velocity -> measured level of this key, dB.

@@ -32,8 +32,6 @@ _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9_.-]+)(?::([0-9]{1,5}))?")
 class Guard:
     """An ASGI application before which `Host` and `Origin` are checked; adds the headers of every reply.
 
-    application : behind the checks.
-    host : address that the server listens at.
     names : other names by which browsers reach it.
     """
 

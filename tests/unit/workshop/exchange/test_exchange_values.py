@@ -29,7 +29,6 @@ from tonewood.workshop.batch.pages import (
     StaircasePage,
 )
 from tonewood.workshop.exchange.answers import (
-    _choices,
     _Given,
     _limits,
     _number,
@@ -52,6 +51,7 @@ from tonewood.workshop.exchange.psychopy import _experiment, _rows, _sequence
 from tonewood.workshop.exchange.psychopy import write as write_psychopy
 from tonewood.workshop.exchange.webmushra import _config, _html, _trial
 from tonewood.workshop.exchange.webmushra import write as write_webmushra
+from tonewood.workshop.listening.checked_answer import choices
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest, ServedTrial
 
 KINDS: dict[str, Any] = {
@@ -403,7 +403,7 @@ def test_each_program_is_exported_once_into_a_folder_of_its_own(
 
 
 @pytest.mark.parametrize(
-    ("index", "slots", "choices"),
+    ("index", "slots", "allowed"),
     [
         (4, {}, ["A", "B", "undecided"]),
         (5, {}, ["same", "different"]),
@@ -411,12 +411,10 @@ def test_each_program_is_exported_once_into_a_folder_of_its_own(
         (7, {}, ["A", "B", "tie"]),
     ],
 )
-def test_choices_of_pages(index: int, slots: dict[str, str], choices: list[str]) -> None:
-    assert _choices(PAGES[index], slots) == choices
+def test_choices_of_pages(index: int, slots: dict[str, str], allowed: list[str]) -> None:
+    assert choices(PAGES[index], slots) == allowed
     assert (
-        _choices(page("abx", **PAIRS), {})
-        == _choices(page("paired_comparison", question="?", **PAIRS), {})
-        == ["A", "B"]
+        choices(page("abx", **PAIRS), {}) == choices(page("paired_comparison", question="?", **PAIRS), {}) == ["A", "B"]
     )
 
 

@@ -13,6 +13,7 @@ import listening_fakes as fakes
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from listening_studies import NULLS, graded, ratings, without
 from scipy import stats
 
 from tonewood.sound.level.loudness import loudest
@@ -20,6 +21,7 @@ from tonewood.workshop.batch.pages import LevelPage, MushraPage, PairedPage, Rat
 from tonewood.workshop.batch.pages import localised as in_language
 from tonewood.workshop.listening.answer_file import listener_of, place_of, printable
 from tonewood.workshop.listening.cells import cells_of, shared
+from tonewood.workshop.listening.checked_answer import checked, choices, share_wanted
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest, ServedTrial
 from tonewood.workshop.listening.detection import Detection, adjusted, detections, sensitivity, share_right, task_of
 from tonewood.workshop.listening.figures import figures_of
@@ -85,7 +87,7 @@ from tonewood.workshop.listening.results import (
     levels_of,
     write_tables,
 )
-from tonewood.workshop.listening.session import Session, Step, checked, choices, share_wanted
+from tonewood.workshop.listening.session import Session
 from tonewood.workshop.listening.shown import kind_of_texts, shown
 from tonewood.workshop.listening.simulated_power import (
     TooManyListenersError,
@@ -95,7 +97,7 @@ from tonewood.workshop.listening.simulated_power import (
     screened_found,
     stated_spread,
 )
-from tonewood.workshop.listening.simulations import NULLS, graded, ratings, trials, without
+from tonewood.workshop.listening.simulations import trials
 from tonewood.workshop.listening.staircase import StaircaseTrack
 from tonewood.workshop.listening.table import AnswerTable, _cell, _listener_names
 from tonewood.workshop.listening.thresholds import (
@@ -106,6 +108,7 @@ from tonewood.workshop.listening.thresholds import (
     thresholds,
     track_of,
 )
+from tonewood.workshop.listening.trials import Step
 
 LEVITT = StaircasePage.model_validate(fakes.STAIRS)
 LINEAR = StaircasePage.model_validate(
@@ -398,7 +401,7 @@ def test_tracks_are_of_the_page_s_method() -> None:
     for k in range(10):
         assert track.done is (k >= 10)
         track.answer(True)
-    assert (track.done, track.converged, track.threshold, len(track.levels)) == (True, True, None, 10)
+    assert (track.done, len(track.levels)) == (True, 10)
     assert track.levels[-1] < track.levels[0]
     assert table.right.shape == (41, 61 * 7 * 3)
 
@@ -511,9 +514,9 @@ def test_means_of_a_pilot_are_of_listeners_who_have_all() -> None:
     means, who = _pilot_means(own, {"d": "b"}, ["n"])  # type: ignore[arg-type, misc]
     assert who == ["p", "q", "r"]
     assert means.tolist() == [[[10 * i + 1, 10 * i], [10 * i + 101, 10 * i + 100]] for i in range(3)]
-    assert _pilot_means(SimpleNamespace(factors=("n",), rows=rows), {}, ["n"]) is None  # type: ignore[arg-type]
+    assert _pilot_means(SimpleNamespace(factors=("n",), rows=rows), {}, ["n"]) == (None, [])  # type: ignore[arg-type]
     few = SimpleNamespace(factors=("n", "d"), rows=[r for r in rows if r["listener"] != "r"])
-    assert _pilot_means(few, {}, ["n"]) is None  # type: ignore[arg-type]
+    assert _pilot_means(few, {}, ["n"]) == (None, [])  # type: ignore[arg-type]
     covariance, spread = _pilot_spread(means[:, :1], 1)
     assert spread is None
     np.testing.assert_allclose(covariance, np.full((2, 2), 100.0))
@@ -774,8 +777,8 @@ def test_shares_that_must_be_heard() -> None:
     assert share_wanted(LEVITT) == 0.5
     assert share_wanted(HeadphonesPage.model_validate({"type": "headphones"})) == 0.5
     assert share_wanted(LevelPage.model_validate(pages["level"])) == 0.0
-    assert choices(LINEAR, Step(0, 0, slots={"reference": "x", "1": "y", "2": "z"})) == ["1", "2"]
-    assert choices(LevelPage.model_validate(pages["level"]), Step(0, 0)) == []
+    assert choices(LINEAR, ("reference", "1", "2")) == ["1", "2"]
+    assert choices(LevelPage.model_validate(pages["level"]), ()) == []
 
 
 # -- results ----------------------------------------------------------------------------------------------------------
