@@ -1401,13 +1401,13 @@ def test_a_staircase_that_states_nothing_is_planned_with_defaults(
     asked: list[Any] = []
     place = "tonewood.workshop.listening.power.threshold_listeners"
     monkeypatch.setattr(place, lambda page, people, *given: asked.append((people, *given)) or 12)
-    planned = _staircase(page, 3, "Stairs", None, 0.05, 0.8)
+    effect, listeners, stated = _staircase(page, None, 0.05, 0.8)
     ((people, by, alpha, power),) = asked
     assert (people.mean, people.sd, people.slope, by) == pytest.approx((mean, sd, slope, margin))
-    assert (planned.page, planned.name, planned.listeners, alpha, power) == (3, "Stairs", 12, 0.05, 0.8)
-    assert planned.stated is (page.expect is not None)
+    assert (listeners, alpha, power) == (12, 0.05, 0.8)
+    assert stated is (page.expect is not None)
     by_text = f"by {100 * (math.exp(margin) - 1):.0f} %" if page.ratio else f"by {margin:g}"
-    assert planned.effect.startswith(f"a mean threshold other {by_text} than {mean:.3g}, spread between listeners ")
+    assert effect.startswith(f"a mean threshold other {by_text} than {mean:.3g}, spread between listeners ")
 
 
 def test_thresholds_of_listeners_are_those_of_the_fit() -> None:
