@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tonewood.errors import TonewoodError
 from tonewood.support.plotting import COLOURS
-from tonewood.support.whole_files import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,10 +24,3 @@ def figure(
     for ax in fig.axes:
         ax.set_prop_cycle(color=COLOURS)
     return fig, axes
-
-
-def save(fig: Figure, path: Path) -> Path:
-    """Write a PNG, making its directory where needed."""
-    with whole_file(path, make_folder=True) as stream:
-        fig.savefig(stream, dpi=110)
-    return path

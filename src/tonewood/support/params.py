@@ -77,7 +77,6 @@ def validated(
     values: Mapping[str, Any],
     *,
     key: str,
-    error: type[BundleError] = BundleError,
     file: Any = None,
     context: Mapping[str, Any] | None = None,
 ) -> _P:
@@ -89,4 +88,4 @@ def validated(
         return model.model_validate(dict(values), context=context)
     except ValidationError as fault:
         where, reason = first_message(fault, model)
-        raise error(reason, file=file, key=".".join(part for part in (key, where) if part)) from None
+        raise BundleError(reason, file=file, key=".".join(part for part in (key, where) if part)) from None

@@ -235,6 +235,20 @@ def whole_file(path: str | os.PathLike[str], *, make_folder: bool = False) -> It
         raise OutputError(f"cannot be written: {fault.strerror or fault}", file=path) from None
 
 
+@contextmanager
+def folder_whole(folder: Path) -> Iterator[None]:
+    """Remove a new folder again if the ``with`` block that fills it fails. Raises OutputError : it cannot be made."""
+    try:
+        yield
+    except BaseException as fault:
+        from shutil import rmtree
+
+        rmtree(folder, ignore_errors=True)
+        if isinstance(fault, OSError):
+            raise OutputError(f"cannot be made: {fault.strerror or fault}", file=folder) from None
+        raise
+
+
 def write_whole(path: str | os.PathLike[str], content: str | bytes, *, make_folder: bool = False) -> None:
     """Write a file in one go; text as UTF-8; `make_folder` and errors as of `whole_file`."""
     with whole_file(path, make_folder=make_folder) as stream:

@@ -161,7 +161,7 @@ def _against(
     return [replace(point, seconds=(seconds or {}).get(point.accuracy, point.seconds)) for point in points]
 
 
-def budgets(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
+def budgets(*, quick: bool = False) -> list[DialPoint]:
     """Measure time and errors of effects: the steel-string guitar with all of them, with budgets, without."""
     instrument = Instrument.load("steel_strings")
     options: dict[str, dict[str, Any]] = {"all": {"effects": "all"}}
@@ -171,9 +171,7 @@ def budgets(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
     options["none"] = {"effects": "none"}
     case = NoteCase.of(instrument, middle_string(instrument), SHORT if quick else DURATION, force=FORCE, fs=FS)
     times = None if quick else dict(zip(options, case.timed(list(options.values()), REPEATS), strict=True))
-    out = _against(case, {label: case.strokes(setting) for label, setting in options.items()}, "all", times)
-    tell(1.0)
-    return out
+    return _against(case, {label: case.strokes(setting) for label, setting in options.items()}, "all", times)
 
 
 def run(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:

@@ -270,14 +270,13 @@ def a2_case() -> LinearCase:
     return LinearCase("a2_on_16_modes", title, build, poles, "real modes", string)
 
 
-def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None) -> LinearCase:
+def guitar_case(strings: Sequence[str] | None = None) -> LinearCase:
     """The shipped classical guitar: six strings in two polarizations on its measured body, all plucked at once.
 
     Its joints are made rigid (the seat of a string on the saddle gives way by 2e-8 m/N, for which methods that
     constrain accelerations have no place), and it is heard at one point of the bridge.
 
-    n_partials : of each string, whose true poles are wanted.
-    strings : whose; all.
+    strings : whose true poles are sought; all.
     """
 
     @lru_cache(maxsize=4)
@@ -316,7 +315,7 @@ def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None
                 float(np.asarray(metadata[key])) for key in ("length", "tension", "linear_density", "bending_stiffness")
             )
             alone = ExactString(length, tension, mu, EI)
-            freqs = [alone.held_freq(n) for n in range(1, n_partials + 1)]
+            freqs = [alone.held_freq(n) for n in range(1, PARTIALS + 1)]
             out += [(index, 2 * np.pi * f * complex(-1e-4, 1.0)) for f in freqs if f < 0.9 * FREQ_UPPER]
         return out
 

@@ -14,7 +14,7 @@ from tonewood.lab.accuracy.catalogue import CASES, selected
 from tonewood.lab.accuracy.linear_cases import DURATION, FREQ_UPPER, LinearCase, sliding_string
 from tonewood.lab.accuracy.measures import energy_drift, wave_errors
 from tonewood.lab.accuracy.nonlinear_cases import NonlinearCase, Truth
-from tonewood.lab.accuracy.outcome import DECAY, PITCH, WAVEFORM, Outcome, Point
+from tonewood.lab.accuracy.outcome import DECAY, PITCH, USUAL_RATE, WAVEFORM, Outcome, Point
 from tonewood.lab.accuracy.reference import FINE_RATE, ExactMotion, FineMotion
 from tonewood.lab.accuracy.runs import KernelRun, Run, Scene, run_of
 from tonewood.lab.accuracy.timing import Task, Tell, Timing, measure, silent
@@ -146,9 +146,9 @@ def own_point(
     return linear_attempt(case, "tonewood", fs, stepped, drift, dial, value)
 
 
-def superposition_point(case: LinearCase, fs: float = 48000.0) -> Attempt:
+def superposition_point(case: LinearCase) -> Attempt:
     """The coupled modes themselves, by the same stepper: exact at any rate, as long as nothing changes."""
-    same = ExactMotion.of(case.problem(), case.start(case.problem()).x)
+    fs, same = USUAL_RATE, ExactMotion.of(case.problem(), case.start(case.problem()).x)
     basis = same.basis()
     modes = Problem({"modes": basis}, (), (), (Term("modes", "out0"),))
     x = np.zeros((basis.n_modes, 2))

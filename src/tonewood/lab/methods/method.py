@@ -68,15 +68,15 @@ _METHODS = (
 METHODS = {m.name: m for m in _METHODS}
 
 
-def stability_limit(method: Method, problem: Problem, low: float, high: float, tolerance: float = 1e-6) -> float:
+def stability_limit(method: Method, problem: Problem, low: float, high: float) -> float:
     """Smallest sampling rate, Hz, between `low` and `high` from which the method is stable, to one part in 10^4.
 
-    Stable: spectral radius not above 1 + tolerance; a constraint on accelerations leaves double multipliers at 1,
+    Stable: spectral radius not above 1 + 1e-6; a constraint on accelerations leaves double multipliers at 1,
     which rounding spreads by the root of its own size.
     """
 
     def stable(fs: float) -> bool:
-        return float(np.abs(multipliers(method.arrays(problem, 1 / fs))).max()) <= 1 + tolerance
+        return float(np.abs(multipliers(method.arrays(problem, 1 / fs))).max()) <= 1 + 1e-6
 
     if stable(low) or not stable(high):
         raise ValueError(f"{method.name}: no limit of stability between {low:g} and {high:g} Hz")

@@ -17,6 +17,9 @@ from tonewood.lab.methods.problem import Problem
 from tonewood.physics.modal.propagator import apply
 from tonewood.support.arrays import Complexes, Floats
 
+#: most linear problems that are solved for one zero
+_STEPS = 60
+
 
 @dataclass(frozen=True, eq=False)
 class Products:
@@ -89,16 +92,15 @@ def continuous_matrix(flat: Problem) -> Callable[[complex], Complexes]:
 
 
 def nearest_zero(
-    matrix: Callable[[complex], Complexes], start: complex, joint: int | None = None, *, reach: float = 0.02,
-    steps: int = 60,
-) -> complex:  # fmt: skip
+    matrix: Callable[[complex], Complexes], start: complex, joint: int | None = None, *, reach: float = 0.02
+) -> complex:
     """Zero of det matrix(s) near `start` by successive linear problems; nan if it does not converge.
 
     joint : of several zeros near, take the one whose null vector (the forces) is largest there; None takes the nearest.
     reach : longest step, and farthest zero considered, relative to s.
     """
     s = complex(start)
-    for _ in range(steps):
+    for _ in range(_STEPS):
         d = 1e-6 * abs(s)
         M, D = matrix(s), (matrix(s + d) - matrix(s - d)) / (2 * d)
         if not (np.all(np.isfinite(M)) and np.all(np.isfinite(D))):

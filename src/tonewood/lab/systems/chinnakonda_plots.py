@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tonewood.lab.assembled import free_motion
-from tonewood.lab.figures import figure, save
+from tonewood.lab.figures import figure
 from tonewood.lab.interpolatory import P0, P1, P2, SIMPSON, TRAPEZOIDAL, respond
 from tonewood.lab.newmark import HHT
 from tonewood.lab.systems.chinnakonda_problems import (
@@ -28,6 +28,7 @@ from tonewood.lab.systems.chinnakonda_problems import (
     two_step,
 )
 from tonewood.physics.modal.synthesis import initial_state
+from tonewood.support.plotting import save
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -110,7 +110,7 @@ STIFF_START = np.array([1.0, 10.0])
 STIFF_DAMPING = {True: 4 * np.pi / 10, False: 4 * np.pi / 5}
 
 
-def two_step(system: Matrices, n_modes: int, times: ArrayLike, start: ArrayLike, update: Update = P1) -> Response:
+def two_step(system: Matrices, n_modes: int, times: ArrayLike, start: ArrayLike) -> Response:
     """Real modal reduction first, complex modes of the reduced system second (the thesis' algorithm, p. 17).
 
     Returns Response with displacements at the physical dofs.
@@ -119,12 +119,13 @@ def two_step(system: Matrices, n_modes: int, times: ArrayLike, start: ArrayLike,
     basis = basis_from_matrices(*small, [f"q{k}" for k in range(n_modes)])
     none = np.zeros(n_modes)
     state = initial_state(basis, small.M, small.C, P.T @ system.M @ np.asarray(start), none)
-    response = respond(update, basis, {}, times, state)
+    response = respond(P1, basis, {}, times, state)
     return Response(response.times, response.state, response.displacement @ P.T, response.velocity @ P.T)
 
 
-def damped_chain(n: int = 12) -> Matrices:
-    """Masses of 1 kg between walls on springs of 1000 N/m, and a dashpot of 20 N s/m from the third to the ground."""
+def damped_chain() -> Matrices:
+    """Twelve masses of 1 kg between walls on springs of 1000 N/m; 20 N s/m from the third to the ground."""
+    n = 12
     K = 1000.0 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
     C = np.zeros((n, n))
     C[2, 2] = 20.0
@@ -156,12 +157,12 @@ def _coinciding() -> Matrices:
     return Matrices(T.T @ M @ T, T.T @ C @ T, T.T @ K @ T)
 
 
-def ramp_difference(system: Matrices, update: Update = P1, dt: float = 0.05) -> float:
+def ramp_difference(system: Matrices, update: Update) -> float:
     """Largest difference between an update and the exact motion under a broken line of forces on the first mass.
 
     From a motion that is not at rest; relative to the largest displacement.
     """
-    size, n = len(system.M), 61
+    size, n, dt = len(system.M), 61, 0.05
     pieces = (Segment(0.0, 20 * dt, 0.0, 3.0), Segment(20 * dt, 60 * dt, 60 * dt, -5.0))
     x0, v0 = np.linspace(0.5, -1.0, size), np.linspace(1.0, 2.0, size)
     times = np.arange(n) * dt

@@ -14,7 +14,7 @@ import scipy.linalg as sla
 
 from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
-from tonewood.lab.figures import figure, save
+from tonewood.lab.figures import figure
 from tonewood.lab.methods import METHODS, Problem, coupled_receptance
 from tonewood.lab.methods.scheme import Runner
 from tonewood.lab.methods.step_map import held_position
@@ -25,6 +25,7 @@ from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import basis_from_matrices
 from tonewood.physics.stepping.stepper import NumpyStepper
 from tonewood.support.arrays import Floats
+from tonewood.support.plotting import save
 
 SYSTEM = "Fabre 4+5 dof (reconstruction)"
 #: Hz; the paper's

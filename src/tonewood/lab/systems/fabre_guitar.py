@@ -15,7 +15,7 @@ import scipy.linalg as sla
 
 from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
-from tonewood.lab.figures import figure, save
+from tonewood.lab.figures import figure
 from tonewood.lab.methods import Problem, coupled_receptance, forms
 from tonewood.lab.methods.step_map import held_position
 from tonewood.lab.row import Row, cents, halving_order, nearest
@@ -25,6 +25,7 @@ from tonewood.physics.modal.damping import phase_collinearity, with_damping_case
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import basis_from_matrices
 from tonewood.support.arrays import Floats
+from tonewood.support.plotting import save
 
 SYSTEM = "Fabre guitar"
 #: plate and air, dofs x_s (m) and z_a (velocity potential): Eq. 38

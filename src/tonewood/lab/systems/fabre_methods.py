@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from tonewood.lab import assembled
-from tonewood.lab.figures import figure, save
+from tonewood.lab.figures import figure
 from tonewood.lab.methods import METHODS, Method, Problem, forms, stability_limit
 from tonewood.lab.methods.scheme import multipliers
 from tonewood.lab.row import Row, cents, halving_order, nearest, pole_error
@@ -26,6 +26,7 @@ from tonewood.lab.systems.fabre_forms import proportional_problem
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.support.arrays import Complexes, Floats
+from tonewood.support.plotting import save
 
 SYSTEM = "Fabre methods"
 #: largest |omega h| on the imaginary axis at which Adams-Bashforth 3 does not grow

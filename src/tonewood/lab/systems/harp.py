@@ -15,7 +15,7 @@ import scipy.linalg as sla
 
 from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
-from tonewood.lab.figures import figure, save
+from tonewood.lab.figures import figure
 from tonewood.lab.methods import Problem, coupled_receptance
 from tonewood.lab.methods.step_map import held_position
 from tonewood.lab.row import Row, cents, nearest, pole_error
@@ -26,6 +26,7 @@ from tonewood.lab.systems.harp_body import FREQS, harp_body, harp_body_matrices
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.modal.damping import damping_groups, phase_collinearity, separation, with_damping_case
 from tonewood.support.arrays import Complexes, Floats
+from tonewood.support.plotting import save
 
 SYSTEM = "Fabre harp (stand-in body)"
 COSINE = float(np.cos(np.radians(23.6)))

@@ -76,12 +76,12 @@ def harp_body(seed: int = SEED) -> ModalBasis:
     return basis_from_matrices(*matrices, points)
 
 
-def harp_body_table(seed: int = SEED) -> tuple[list[str], Floats]:
+def harp_body_table() -> tuple[list[str], Floats]:
     """Columns ``f_Hz, zeta, s1_right_re, s1_right_im, s1_left_re, s1_left_im, ...`` and their (32, n) values.
 
     Shapes are scaled so that Pi = 1: left and right ones are equal.
     """
-    basis = harp_body(seed)
+    basis = harp_body()
     shapes, _ = reciprocal_shapes(basis)
     names, columns = ["f_Hz", "zeta"], [basis.natural_freq, basis.damping_ratio]
     for point, row in zip(basis.points, shapes, strict=True):

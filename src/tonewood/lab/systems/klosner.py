@@ -14,7 +14,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from tonewood.lab.component_modes import FixedBaseModes, FreeFreeModes, fixed_base_modes, free_free_modes
-from tonewood.lab.figures import figure, save
+from tonewood.lab.figures import figure
 from tonewood.lab.klosner_forms import MainStructure, fixed_base_form, free_free_form
 from tonewood.lab.row import Row, halving_order
 from tonewood.lab.systems.klosner_modes import MOUNTINGS, WAYS, errors, modes_needed
@@ -42,6 +42,7 @@ from tonewood.lab.systems.klosner_problems import (
 from tonewood.physics.energy.stored import stored_energy
 from tonewood.physics.stepping.stepper import NumpyStepper
 from tonewood.support.arrays import Floats
+from tonewood.support.plotting import save
 
 #: s, step of the coarsest engine run and of the reference grid
 DT = 1 / 400
@@ -102,10 +103,10 @@ def exact_frequencies(count: int) -> Floats:
     return np.array(roots)
 
 
-def energy_drift(form: str, dt: float = 1 / 200, steps: int = 4000) -> float:
+def energy_drift(form: str, steps: int = 4000) -> float:
     """Relative change of the energy of problem B without dashpots after its load has gone, largest over the run."""
     problem = problem_b(spring_mounting(40.0, 300.0))
-    system = engine_system(problem, form, dt)
+    system = engine_system(problem, form, 1 / 200)
     stepper, state = NumpyStepper(system), system.start()
     stepper.run(state, 60, engine_injections(problem, system))
     start, worst = stored_energy(system, state).total, 0.0

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tonewood.lab.figures import figure, save
+from tonewood.lab.figures import figure
 from tonewood.lab.methods import Problem, StepMap, system_map
 from tonewood.lab.methods.step_map import held_position
 from tonewood.lab.row import Row, nearest
@@ -21,6 +21,7 @@ from tonewood.physics.coupling.system import System
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.synthesis import basis_from_matrices
 from tonewood.support.arrays import Complexes
+from tonewood.support.plotting import save
 
 #: f (Hz), zeta, modal mass (kg) of 16 guitar modes at the bridge: Antunes & Debut, J. Acoust. Soc. Am. 141 (2017) 764
 SIXTEEN_MODES = (
@@ -55,9 +56,9 @@ def on_sixteen_modes(string: ExactString, freq_upper: float) -> Problem:
     return Problem({"string": string.basis(freq_upper=freq_upper), "body": sixteen_modes()}, (BRIDGE,))
 
 
-def weinreich_pair(split: float, r: float, freq: float = 440.0) -> StepMap:
-    """Two modes `split` (rad/s) apart that pull on one dashpot; each alone decays through it at `r` (1/s)."""
-    omega = 2 * np.pi * freq
+def weinreich_pair(split: float, r: float) -> StepMap:
+    """Two modes near 440 Hz, `split` (rad/s) apart, on one dashpot; each alone decays through it at `r` (1/s)."""
+    omega = 2 * np.pi * 440.0
     strings = {
         name: ModalBasis.real([omega + side * split / 2], [0.0], {"end": [1.0]}) for name, side in (("a", -1), ("b", 1))
     }

@@ -6,14 +6,13 @@ import json
 import re
 import shutil
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from tonewood.errors import BundleError, OutputError
+from tonewood.errors import BundleError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.contract.registry import MANIFEST
-from tonewood.support.whole_files import check_new_folder, write_whole
+from tonewood.support.whole_files import check_new_folder, folder_whole, write_whole
 from tonewood.workshop.design.search import FoundDesign
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -58,16 +57,10 @@ def write_changed(instrument: Instrument, folder: Path, title: str, notes: Mappi
     values |= {"name": folder.name, "title": title[:200]}
     authored = {path: {"kind": "authored", "note": note[:300]} for path, note in notes.items()}
     values["provenance"] = {**values.get("provenance", {}), **authored}
-    try:
+    with folder_whole(folder):
         shutil.copytree(instrument.folder, folder, ignore=shutil.ignore_patterns(MANIFEST, "__pycache__"))
         write_whole(folder / MANIFEST, _yaml(values))
         return Instrument.load(folder, allow_code=instrument.allow_code)
-    except BaseException as fault:
-        with suppress(OSError):
-            shutil.rmtree(folder)
-        if isinstance(fault, OSError):
-            raise OutputError(f"cannot be made: {fault.strerror or fault}", file=folder) from None
-        raise
 
 
 def _yaml(values: Mapping[str, Any]) -> str:

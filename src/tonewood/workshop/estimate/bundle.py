@@ -5,20 +5,18 @@ from __future__ import annotations
 import csv
 import io
 import json
-import shutil
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tonewood.errors import BundleError, OutputError
+from tonewood.errors import BundleError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.new_bundle import new_bundle
 from tonewood.instrument.contract.registry import MANIFEST
-from tonewood.support.whole_files import write_whole
+from tonewood.support.whole_files import folder_whole, write_whole
 from tonewood.workshop.estimate import laws
 from tonewood.workshop.estimate.as_json import to_json
 from tonewood.workshop.estimate.estimate import Estimate
@@ -58,7 +56,7 @@ def write_bundle(
     Raises BundleError, OutputError : as `new_bundle`; nothing stays behind.
     """
     new_bundle(folder, source, allow_code=allow_code)
-    try:
+    with folder_whole(folder):
         manifest = folder / MANIFEST
         text = manifest.read_text(encoding="utf-8")
         if (name := _table_of_keys(text)) is not None:
@@ -72,12 +70,6 @@ def write_bundle(
                 "the strings written are not those estimated; this bundle's form is not known", file=manifest
             )
         return copy
-    except BaseException as fault:
-        with suppress(OSError):
-            shutil.rmtree(folder)
-        if isinstance(fault, OSError):
-            raise OutputError(f"cannot be made: {fault.strerror}", file=folder) from None
-        raise
 
 
 def _edited(text: str, estimate: Estimate, origin: RecordingOrigin) -> str:

@@ -76,12 +76,9 @@ def _pairs(
     return out
 
 
-def played_as(
-    folder: Folder, instrument: Instrument, *, advance: Callable[[float], None] = lambda seconds: None
-) -> Folder:
+def played_as(folder: Folder, instrument: Instrument) -> Folder:
     """Notes of a folder played on an instrument, in the places that the folder tells or in the lowest position.
 
-    advance : called with the seconds of sound rendered since the last call.
     Raises TonewoodError : the instrument has none of the notes.
     """
     stage = Stage(instrument)
@@ -95,16 +92,9 @@ def played_as(
     if not notes:
         raise TonewoodError(f"none of the notes is between {stage.span}", file=instrument.folder)
     output = instrument.spec.outputs[0].name
-    sounds = render_notes(instrument, notes, [output], advance)
-    rows = [
-        Recording(
-            f"{instrument.name}: {p.recording.file}",
-            p.recording.note,
-            sound[output],
-            p.string,
-            p.stop,
-            p.recording.dynamic,
-        )
-        for p, sound in zip(notes, sounds, strict=True)
-    ]
+    sounds = render_notes(instrument, notes, [output], lambda seconds: None)
+    rows = []
+    for p, sound in zip(notes, sounds, strict=True):
+        name = f"{instrument.name}: {p.recording.file}"
+        rows.append(Recording(name, p.recording.note, sound[output], p.string, p.stop, p.recording.dynamic))
     return Folder(tuple(rows), tuple(warnings))
