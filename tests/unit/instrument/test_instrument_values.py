@@ -53,6 +53,8 @@ from tonewood.instrument.model.finger import POINT, compliance, fingertips, laid
 from tonewood.instrument.model.output_assembly import OutputGroup, pan_gains
 from tonewood.instrument.model.references import by_part, check_connections, check_readouts
 from tonewood.instrument.model.stretch import inharmonicity
+from tonewood.instrument.model.string_bases import StringBases, StringPlaces
+from tonewood.instrument.scales import KeyMap, Scale, Tuning
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.layout import Drive, Readout
 from tonewood.physics.modal.modes import ModalBasis
@@ -597,3 +599,31 @@ def test_mobility_of_a_guitar_s_strings_is_that_of_their_bridge_points(guitar: M
 
 def test_parameters_without_places_have_none() -> None:
     assert places(Parameters(), 0.65, 0.5) == {}
+
+
+def test_of_several_notes_at_a_frequency_the_one_nearest_to_equal_steps_counts() -> None:
+    """0, 700, 300, 1200 cents: 500 lie between the first two keys and between the last two."""
+    tuning = Tuning(Scale("back and forth", (700.0, 300.0, 1200.0)), KeyMap(reference_key=60), 440.0)
+    found = tuning.note(440.0 * 2 ** (500 / 1200))
+    assert found == pytest.approx(62 + 2 / 9)
+    assert tuning.freq(found) == pytest.approx(440.0 * 2 ** (500 / 1200))
+    assert tuning.freq(60 + 5 / 7) == pytest.approx(tuning.freq(found))
+
+
+@pytest.mark.parametrize(
+    ("stop", "place", "found"), [(0, None, 0.1), (1, None, 0.09 * 0.9), (0, 0.3, 0.3), (1, 0.09, 0.09), (1, 0.0, 0.0)]
+)
+def test_the_usual_pluck_is_on_the_string_at_every_stop(stop: int, place: float | None, found: float) -> None:
+    stops = SimpleNamespace(length=lambda stop: (0.65, 0.09)[stop], string="E2")
+    bases = SimpleNamespace(places=StringPlaces(0.1), tuning=SimpleNamespace(stops=stops))
+    assert StringBases._pluck(bases, stop, place) == pytest.approx(found)  # type: ignore[arg-type]
+    for beyond in (0.091, -0.001):
+        with pytest.raises(ValueError, match=f"string E2 is 0.09 m long at stop 1; {beyond:g} m is not on it"):
+            StringBases._pluck(bases, 1, beyond)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("core", [{"share": 0.4}, {"gauge": 0.4e-3}])
+def test_two_of_three_gauges_are_enough(core: dict[str, float]) -> None:
+    wrap = {"material": "phosphor_bronze", "gauge": 0.3e-3}
+    with pytest.raises(ValueError, match=r"wrap\.gauge: follows from"):
+        MadeOf.model_validate({"material": "wound", "gauge": 1e-3, "core": core, "wrap": wrap})

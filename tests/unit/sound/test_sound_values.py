@@ -28,6 +28,7 @@ from tonewood.sound.level.limiter import Limiter
 from tonewood.sound.level.loudness import resampled
 from tonewood.sound.level.spectrum import SILENCE_DB, level_curve, spectrogram
 from tonewood.sound.live.keyboard import HELD, ComputerKeyboard
+from tonewood.sound.live.receiver import MidiReceiver
 from tonewood.sound.live.stream import Arrivals, AudioStream
 from tonewood.sound.render import level
 from tonewood.sound.render.accuracy import LEVELS
@@ -593,3 +594,22 @@ def test_the_loudest_frame_and_the_last_window_are_kept() -> None:
     first = one._recent[0][0]
     assert one._recent == [(i, 1.0 if i == 950 else 0.5) for i in range(first, 1000)]
     assert first == 999 - _KEPT + 1
+
+
+@pytest.mark.parametrize(
+    ("channels", "played"),
+    [
+        (None, {*range(16)} - {9}),
+        ({1}, {0, 1, 2}),  # of a zone with its members
+        ({16}, {15, *range(10, 15)}),
+        ({3}, {2}),
+        ({10}, {9}),
+    ],
+)
+def test_channels_of_zones_are_played_with_their_masters(channels: set[int] | None, played: set[int]) -> None:
+    zones = {0: [1, 2], 15: list(range(10, 15))}
+    of = SimpleNamespace(is_member=lambda number: any(number in members for members in zones.values()))
+    one = SimpleNamespace(zones=zones, channels=channels, _channels=of)
+    one._masters = partial(MidiReceiver._masters, one)  # type: ignore[arg-type]
+    assert [one._masters(i) for i in (0, 1, 2, 3, 10, 15)] == [[], [0], [0], [], [15], []]
+    assert {i for i in range(16) if MidiReceiver._is_played(one, i)} == played  # type: ignore[arg-type]
