@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib import colormaps
 from matplotlib.image import imread
 
 from tonewood.workshop.batch import pictures
@@ -44,6 +46,31 @@ def test_a_tone_does_not_leak(tmp_path: Path) -> None:
     _, levels = picture(tmp_path, tone)
     row = SPECTRUM_HEIGHT * (1 - np.log(6100.0 / LOW_HZ) / np.log(TOP_HZ / LOW_HZ))
     assert levels[int(row), WIDTH // 2].sum() == levels.sum(axis=-1).min()
+
+
+@pytest.mark.parametrize("fs", [24000, 44100])
+def test_rows_are_the_loudest_bins_of_their_band(rng: np.random.Generator, fs: int) -> None:
+    """Or a value between two bins, or silence above half the sampling rate."""
+    n, size = 3 * WIDTH, 4096
+    sound = 1e-4 * np.cumsum(rng.standard_normal(n))
+    shown = pictures._spectrogram(sound, fs)
+    edges = [LOW_HZ * (TOP_HZ / LOW_HZ) ** (i / SPECTRUM_HEIGHT) * size / fs for i in range(SPECTRUM_HEIGHT + 1)]
+    columns, rows = (0, 200, WIDTH - 1), np.zeros((SPECTRUM_HEIGHT, WIDTH))
+    padded = np.concatenate([np.zeros(size // 2), sound, np.zeros(size)])
+    cut = np.stack([padded[3 * column : 3 * column + size] for column in range(WIDTH)], axis=1)
+    power = np.abs(np.fft.rfft(cut * np.hanning(size)[:, None], axis=0)) ** 2
+    for i, (low, high) in enumerate(itertools.pairwise(edges)):
+        bins = np.arange(int(np.ceil(low - 1e-9)), int(np.floor(high + 1e-9)) + 1)
+        if high < size // 2 + 1:
+            below, share = int(low), 0.5 * (low + high) % 1
+            between = (1 - share) * power[below] + share * power[below + 1]
+            rows[i] = power[bins].max(axis=0) if len(bins) else between
+    level = 10 * np.log10(np.maximum(rows[::-1], 1e-30) / rows.max())
+    expected = colormaps[pictures.LEVELS](1 - level / pictures.FLOOR_DB, bytes=True)
+    lines = (np.log10(np.array([100.0, 1e3, 1e4]) / LOW_HZ) / np.log10(TOP_HZ / LOW_HZ) * SPECTRUM_HEIGHT).astype(int)
+    kept = np.setdiff1d(np.arange(SPECTRUM_HEIGHT), SPECTRUM_HEIGHT - 1 - lines)
+    for column in columns:
+        assert np.abs(shown[kept, column].astype(int) - expected[kept, column]).max() <= 2
 
 
 def test_an_impulse_stands_at_its_time(tmp_path: Path) -> None:
@@ -107,6 +134,7 @@ def test_a_picture_of_differences_shows_bands_and_times_that_differ(
     pictures.write_differences(tmp_path / "d.png", {"a": first, "b": low + 2 * high, "c": 2 * first}, fs, "heading")
     top, bottom = axes[0][1][:, 0]  # type: ignore[index]
     b, c, *_ = (np.asarray(line.get_xydata()) for line in top.get_lines())
+    assert [list(np.asarray(ax.get_lines()[2].get_ydata())) for ax in (top, bottom)] == [[0.0, 0.0]] * 2
     assert dict(zip(np.rint(b[:, 0]), np.round(b[:, 1], 1), strict=True))[4000.0] == pytest.approx(6.0, abs=2.6)
     np.testing.assert_allclose(c[:, 1], 20 * np.log10(2.0), atol=1e-9)
     assert c[:, 0].max() < fs / 2

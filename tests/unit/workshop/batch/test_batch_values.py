@@ -7,11 +7,13 @@ import dataclasses
 import hashlib
 import json
 import math
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import batch_fakes as fakes
+import mido
 import numpy as np
 import pytest
 from batch_fakes import FakeRenderer
@@ -36,8 +38,8 @@ from tonewood.workshop.batch.layout import MAX_SIGNALS, Group, Stimulus, Trial, 
 from tonewood.workshop.batch.manifest import Manifest, ManifestError, Stimuli, check_manifest, manifest_schema
 from tonewood.workshop.batch.migration import manifest_edits
 from tonewood.workshop.batch.outputs import _draw_differences, _subject
-from tonewood.workshop.batch.page_parts import Question, RatingScale
-from tonewood.workshop.batch.pages import HeadphonesPage, StaircasePage, as_pairs
+from tonewood.workshop.batch.page_parts import Question, RatingScale, Return
+from tonewood.workshop.batch.pages import LEAST_SPAN, AbxPage, HeadphonesPage, StaircasePage, as_pairs
 from tonewood.workshop.batch.production import (
     Fault,
     SoundFile,
@@ -49,8 +51,16 @@ from tonewood.workshop.batch.production import (
     trial_of_a_file,
 )
 from tonewood.workshop.batch.records import _flat, batch_record, file_records, key_of, write_csv, write_json
-from tonewood.workshop.batch.rendering import EngineRenderer, _channel_per_string, _numbers, _plain, instrument_of
-from tonewood.workshop.batch.runner import Report, _check, _complete, plan_batch, run_batch
+from tonewood.workshop.batch.rendering import (
+    EngineRenderer,
+    _Base,
+    _channel_per_string,
+    _numbers,
+    _plain,
+    _score,
+    instrument_of,
+)
+from tonewood.workshop.batch.runner import Report, _check, _complete, _Counter, _render, plan_batch, run_batch
 from tonewood.workshop.batch.seeds import blind_codes, generator
 from tonewood.workshop.batch.stimuli import level_gain_db, page_drop_db, quantised
 from tonewood.workshop.batch.store import Rendered, Store, content_key
@@ -808,3 +818,170 @@ def test_a_room_has_one_channel_or_those_of_the_files(tmp_path: Path) -> None:
     whole = stimuli(channels=2, fade={"in": 0.0, "out": 0.0}, trim={"level_db": None})
     dry = prepared(Rendered(np.eye(100, 1, -10), 48000), whole, room=tmp_path / "two.wav")
     np.testing.assert_allclose(dry[480:482], [[0.5, 0.1], [0.25, 0.2]], atol=1e-12)
+
+
+# -- pages and work ---------------------------------------------------------------------------------------------------
+
+
+def test_one_sound_after_the_other_is_graded_against_the_reference() -> None:
+    pages = [{"type": "bs1116", "group_by": ["score", "pluck"], "reference": {"damping": "proportional"}}]
+    _, conditions, groups, _ = laid(pages=pages)
+    assert [(g.name, g.page) for g in groups[:2]] == [
+        (f"page1.score=low.pluck={pluck}.repeat=1", 0) for pluck in ("near", "far")
+    ]
+    levels = {s.code: conditions[s.condition].levels["damping"] for s in groups[0].stimuli}
+    asked = [(levels[t.reference or ""], [levels[c] for c in t.stimuli]) for t in groups[0].trials]
+    assert asked == [("proportional", ["complex"]), ("proportional", ["block"])]
+
+
+def test_random_factors_are_factors() -> None:
+    assert manifest(random=["damping"]).random == ["damping"]
+    with pytest.raises(ManifestError, match="nope is not one of "):
+        manifest(random=["damping", "nope"])
+
+
+@pytest.mark.parametrize(
+    ("fields", "reason"),
+    [
+        ({}, None),
+        ({"code": "C-{id}"}, None),
+        ({"code": "C"}, None),
+        ({"address": "https://x.org/?c={code}&l={listener}"}, None),
+        ({"address": "https://x.org/"}, None),
+        ({"code": "{code}"}, "{code} is not one of id"),
+        ({"code": "{"}, "Single '{' encountered"),
+        ({"address": "https://x.org/{id}"}, "{id} is not one of code, listener"),
+        ({"address": "https://x.org/{code}{z}{b}"}, "{b} is not one of code, listener"),
+    ],
+)
+def test_names_that_a_return_is_filled_in_with(fields: dict[str, str], reason: str | None) -> None:
+    if reason is None:
+        assert Return.model_validate(fields).model_dump(exclude_unset=True) == fields
+    else:
+        with pytest.raises(ValueError, match=re.escape(reason)):
+            Return.model_validate(fields)
+
+
+@pytest.mark.parametrize(
+    ("fields", "loops"),
+    [({}, "whole"), ({"loop": "region"}, "region"), ({"plays": 2}, "off"), ({"plays": 2, "loop": "off"}, "off")],
+)
+def test_sounds_of_limited_plays_do_not_loop(fields: dict[str, Any], loops: str) -> None:
+    assert AbxPage.model_validate({"type": "abx", "pairs": {"damping": "all"}, **fields}).loops == loops
+
+
+@pytest.mark.parametrize(("down", "share"), [(1, 0.5), (2, 0.70711), (3, 0.79370)])
+def test_levels_of_a_staircase_by_ratio_and_by_difference(down: int, share: float) -> None:
+    plain = StaircasePage.model_validate(STAIRS | {"steps": [10.0], "down": down})
+    ratio = StaircasePage.model_validate(STAIRS | {"steps": [2.0], "down": down, "ratio": True})
+    assert plain.share == ratio.share == pytest.approx(share, abs=5e-6)
+    assert (plain.adaptive, StaircasePage.model_validate(STAIRS).adaptive) == ("levitt", "quest_plus")
+    assert (plain.transformed(3.0), ratio.transformed(3.0)) == (3.0, pytest.approx(math.log(3)))
+    assert (plain.level_of(3.0), ratio.level_of(3.0)) == (3.0, pytest.approx(math.exp(3)))
+    assert (plain.mean([1.0, 4.0, 16.0]), ratio.mean([1.0, 4.0, 16.0])) == (7.0, pytest.approx(4.0))
+    assert hash(plain) == hash(plain.model_copy())
+    assert hash(plain) != hash(ratio)
+
+
+@pytest.mark.parametrize(
+    ("fields", "reason"),
+    [
+        ({"ratio": True, "start": 1.0, "highest": 1 + 1.5 * LEAST_SPAN}, None),
+        ({"ratio": True, "start": 1.0, "highest": 1 + 0.5 * LEAST_SPAN}, "too near to each other"),
+        ({"lowest": -40.0, "highest": -40.0 + 60 * LEAST_SPAN, "start": -40.0}, None),
+        ({"lowest": -40.0, "highest": -40.0 + 20 * LEAST_SPAN, "start": -40.0}, "too near to each other"),
+        ({"ratio": True, "steps": [2.0, 1.0]}, "steps above 1"),
+        ({"ratio": True, "steps": [2.0, 1.01]}, None),
+        ({"ratio": True, "lowest": 0.0}, "levels above 0"),
+        ({"ratio": True, "lowest": 1e-9}, None),
+    ],
+)
+def test_ends_and_steps_of_a_staircase(fields: dict[str, Any], reason: str | None) -> None:
+    if reason is None:
+        assert StaircasePage.model_validate(STAIRS | fields).ratio is fields.get("ratio", False)
+    else:
+        with pytest.raises(ValueError, match=reason):
+            StaircasePage.model_validate(STAIRS | fields)
+
+
+def test_notes_of_a_condition_are_changed_all() -> None:
+    one = expand(manifest(), HERE)[0]
+    assert _score(one).notes == (Note(0.0, freq=110.0, force=1.0),)
+    two = Note(1.0, freq=220.0, force=3.0)
+    changed = dataclasses.replace(one, notes=(*(one.notes or ()), two), note_changes={"force": 5.0})
+    assert [(n.time, n.freq, n.force) for n in _score(changed).notes] == [(0.0, 110.0, 5.0), (1.0, 220.0, 5.0)]
+
+
+def test_a_condition_may_have_a_file_of_midi(tmp_path: Path) -> None:
+    """Quarter notes of half a second each; those from 0.5 s on are played."""
+    on = [mido.Message("note_on", note=57 + k, velocity=64, time=0 if k == 0 else 480) for k in range(3)]
+    file = mido.MidiFile(ticks_per_beat=480)
+    file.tracks.append(mido.MidiTrack([*on, mido.Message("note_off", note=59, time=480)]))
+    file.save(tmp_path / "a.mid")
+    midi = {"path": str(tmp_path / "a.mid"), "start": 0.5, "stop": None}
+    one = dataclasses.replace(expand(manifest(), HERE)[0], notes=None, midi=midi)
+    assert [n.note for n in _score(one).notes] == [58, 59]
+
+
+def test_what_a_field_of_a_note_is_before_it_varies() -> None:
+    instrument = tw.load_instrument("monochord")
+    made = manifest(instruments={"m": "monochord"}, factors={}, pages=[{"type": "html"}])
+    (condition, *_) = expand(made, HERE)
+    note = Note(0.0, freq=110.0, duration=2.0)
+    base = _Base(_score(condition), instrument, condition)
+
+    def value(path: str, note: Note = note) -> float | None:
+        return base.value(Draw(path, "normal", 1.0, 1, ()), note)
+
+    velocity = dataclasses.replace(note, velocity_midi=64)
+    assert value("note.force", velocity) == instrument.spec.playing.velocity.value(64)
+    assert value("note.force", dataclasses.replace(note, force=2.5, velocity_midi=64)) == 2.5
+    of_pluck = instrument.resolved["exciters"]["pluck"]
+    for name in ("force", "angle_deg"):
+        assert value(f"exciters.pluck.{name}") == of_pluck[name]
+    assert value("exciters.nail.force") is None
+    assert value("exciters.*.from_bridge") == of_pluck["from_bridge"] == 0.15
+    assert (value("note.duration"), value("note.held")) == (2.0, None)
+
+
+def test_a_plan_goes_on_without_what_cannot_be_foretold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tonewood.workshop.batch.runner.trial_of_a_file", lambda settings, pictures: (2.0, 7.0))
+
+    class Short(FakeRenderer):
+        def predict(self, condition: Any) -> float:
+            if condition.levels["damping"] == "block" and condition.levels["pluck"] == "far":
+                raise TonewoodError("cannot be told")
+            return 0.5
+
+    plan = plan_batch(fakes.write(tmp_path, fakes.manifest()), tmp_path / "out", Short(), predict=True)
+    assert [(f.name, f.reason) for f in plan.faults] == [
+        (f"harp.{score}.damping=block.pluck=far", "cannot be told") for score in ("low", "high")
+    ]
+
+
+def test_a_worker_renders_what_was_asked_for_alone() -> None:
+    one = expand(manifest(), HERE)[0]
+    renderer = FakeRenderer()
+    key = content_key(renderer.identity(one))
+    right = _render((renderer, one, key))
+    assert (right.key, right.fault) == (key, None)
+    assert right.rendered is not None
+    other = _render((renderer, one, "other"))
+    assert (other.key, other.rendered) == ("other", None)
+    assert other.fault is not None
+    assert other.fault.name == one.name
+    assert "would render something else" in other.fault.reason
+
+
+def test_finished_work_is_counted() -> None:
+    said: list[Any] = []
+    count = _Counter(lambda *progress: said.append(progress), "render", 2)
+    count()
+    count()
+    _Counter(None, "render", 1)()
+    assert said == [("render", 1, 2), ("render", 2, 2)]
+
+
+def test_tables_are_written_into_new_folders(tmp_path: Path) -> None:
+    write_csv(tmp_path / "new" / "a.csv", [{"a": 1}])
+    assert (tmp_path / "new" / "a.csv").read_text().split() == ["a", "1"]
