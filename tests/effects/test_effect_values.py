@@ -306,10 +306,11 @@ def test_looks_at_rising_tensions(model: Model) -> None:
     [(4.0, 0.0, 4.0), (1.0, 8.0, 4.0), (0.5, 0.5, 1.0), (2.0, math.inf, 2.0), (1e30, 0.0, 1e30)],
 )
 def test_the_next_bound_waits_half_the_time_in_which_it_may_fall(
-    model: Model, cents: float, level: float, over: float
+    model: Model, cents: float, level: float, over: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Energy falls by exp(-2 s t), sidebands with its power 3/2; at most half a second."""
     effect, at = tension_effect(model), moment(model.system, model.system.start(), 640)
+    monkeypatch.setattr(effect.bounds, "damping_rate", lambda name, system: {"E4": 2.0}[name])
     bound = Bound(cents * effect.budget, level * effect.budget_level)
     rate = effect.bounds.damping_rate("E4", model.system)
     seconds = min(math.log(over) / (4 * rate), 0.5)
@@ -345,6 +346,32 @@ def test_strings_that_rise_are_watched_by_hand(model: Model, monkeypatch: pytest
     ((name, bound, left_out),) = fresh.bounds
     assert (name, left_out) == ("E4", False)
     assert bound.cents > effect.budget
+
+
+@pytest.mark.parametrize(("on", "sample", "asked"), [("B3", GRID, {"E4"}), ("", GRID, {"B3", "E4"}), ("E4", 0, None)])
+def test_strings_that_are_held_otherwise_are_asked_for_unless_they_rise(
+    model: Model, on: str, sample: int, asked: set[str] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    effect, seen = tension_effect(model), list[set[str]]()
+
+    def of_motion(at: Moment, cents: dict[str, float], names: list[str]) -> dict[str, Bound]:
+        seen.append(set(names))
+        return {name: Bound(0.0) for name in names}
+
+    monkeypatch.setattr(effect.bounds, "of_motion", of_motion)
+    found = effect.watch(replace_moment(model, {}, sample, moved=["B3", "E4"]), Switching(frozenset({on} - {""})))
+    assert found is not None
+    assert seen == [{"B3", "E4"} if asked is None else asked]
+    assert found.wanted == (set() if sample == 0 else {on} - {""})
+
+
+def test_a_wrong_result_names_the_plugin_that_declares_the_effect() -> None:
+    declared = SimpleNamespace(files=SimpleNamespace(manifest="a/plugin.toml"), key="strings.a")
+    effect = SimpleNamespace(effect=SimpleNamespace(name="buzz"), plugins={"a": declared, "b": None})
+    fault = base._fault(effect, "is wrong")
+    assert (fault.reason, str(fault.file), fault.key) == ("effect 'buzz': is wrong", "a/plugin.toml", "strings.a")
+    alone = base._fault(SimpleNamespace(plugins={}), "is wrong")
+    assert (alone.reason, alone.file, alone.key) == ("is wrong", None, None)
 
 
 def hand_phantoms() -> Phantoms:
