@@ -19,7 +19,7 @@ from scipy import stats
 from tonewood.sound.level.loudness import loudest
 from tonewood.workshop.batch.pages import LevelPage, MushraPage, PairedPage, RatingPage, StaircasePage
 from tonewood.workshop.batch.pages import localised as in_language
-from tonewood.workshop.listening.answer_file import listener_of, place_of, printable
+from tonewood.workshop.listening.answer_file import _lines_after_the_first, listener_of, place_of, printable
 from tonewood.workshop.listening.cells import cells_of, shared
 from tonewood.workshop.listening.checked_answer import checked, choices, share_wanted
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest, ServedTrial
@@ -63,6 +63,7 @@ from tonewood.workshop.listening.plain import (
     _threshold,
     _value,
     methods,
+    summary,
 )
 from tonewood.workshop.listening.pooling import D, pooled
 from tonewood.workshop.listening.power import (
@@ -1459,3 +1460,83 @@ def test_trials_of_a_staircase_are_counted_from_one(tmp_path: Path) -> None:
 def test_a_reference_that_is_no_number_is_not_told() -> None:
     panel, own = found(LEVITT.model_copy(update={"reference": True}), 0.5, 0.4, 0.6)
     assert "instead of" not in _threshold(panel, own, "95 %")
+
+
+# -- figures and words of choices, careless listeners ------------------------------------------------------------------
+
+
+def points_of(axes: Any) -> list[tuple[float, float, float]]:
+    """Value and ends of each row of a picture."""
+    line, _, (bars, *_) = axes.containers[0].lines
+    ends = [segment[:, 0] for segment in bars.get_segments()]
+    return [(float(x), *map(float, end)) for x, end in zip(line.get_xdata(), ends, strict=True)]
+
+
+def test_figures_of_choices_are_shares_and_logits() -> None:
+    from tonewood.workshop.batch.pages import AbxPage, AfcPage
+
+    for page, chance in (
+        (AbxPage.model_validate({"type": "abx", "pairs": {"pluck": "all"}}), 0.5),
+        (AfcPage.model_validate({"type": "afc", "pairs": {"pluck": "all"}}), 1 / 3),
+    ):
+        panel: Any = SimpleNamespace(test=SimpleNamespace(pages=[page]), confidence=0.9, simulated=1, listeners=4)
+        pairs = (detected(), detected(cell={"pluck": "far|near"}, share=0.25, low=0.125, high=0.5))
+        axes = figures_of(panel, PageResults(1, page.type, "A", 4, (), (), detections=pairs))["shares"].axes[0]
+        assert points_of(axes) == [pytest.approx((0.75, 0.6, 0.9)), pytest.approx((0.25, 0.125, 0.5))]
+        assert (axes.get_xlim(), axes.get_ylim()) == ((0.0, 1.0), (1.5, -0.5))
+        assert list(axes.lines[-1].get_xdata()) == pytest.approx([chance] * 2)
+        assert (axes.get_xlabel(), axes.get_title()[:27]) == ("share of right answers", "4 listeners, 90 % intervals")
+    scale = (ScaleValue("a", 1.5, 1.0, 2.25), ScaleValue("b", -1.5, -2.0, -1.25))
+    made = figures_of(panel, PageResults(1, "paired_comparison", "P", 4, (), (), scale=scale))["scale"].axes[0]
+    assert points_of(made) == [(1.5, 1.0, 2.25), (-1.5, -2.0, -1.25)]
+    assert [text.get_text() for text in made.get_yticklabels()] == ["a", "b"]
+    assert (list(made.lines[-1].get_xdata()), made.get_xlabel()) == ([0.0, 0.0], "Bradley-Terry value, logits")
+
+
+@pytest.mark.parametrize(
+    ("highs", "text"),
+    [
+        (
+            (0.4, 0.9, 2.0),
+            "b is chosen more often than a{} (95 % intervals of the Bradley-Terry values do not overlap).",
+        ),
+        ((0.4, 0.49, 2.0), "b is chosen more often than a and c{} (95 % intervals "),
+        ((0.5, 0.9, 2.0), "no level is chosen more often than all others{}: the 95 % intervals overlap."),
+        ((0.4999, 0.5, 2.0), "b is chosen more often than a{} (95 % "),
+    ],
+)
+def test_the_level_that_is_chosen_most_in_words(highs: tuple[float, float, float], text: str) -> None:
+    """b lies at 1, its interval begins at 0.5; a and c are below."""
+    a, c, b = highs
+    scale = (ScaleValue("a", 0.1, -1.0, a), ScaleValue("b", 1.0, 0.5, b), ScaleValue("c", 0.2, -1.0, c))
+    pages = [{p["type"]: p for p in fakes.ALL}["paired_comparison"] | {"pairs": {"d": "all"}}]
+    test = SimpleNamespace(pages=[LEVITT, PairedPage.model_validate(pages[0])])
+    for page, question in ((2, " in answer to the question"), (1, "")):
+        own = PageResults(page, "paired_comparison", "P", 4, (), (), scale=scale)
+        panel: Any = SimpleNamespace(test=test, confidence=0.95, pages=(own,))
+        (said,) = summary(panel)
+        assert said.startswith(f"Page {page}, P: ")
+        assert text.format(question) in said
+
+
+def test_careless_listeners_rate_at_random() -> None:
+    one = simulated(careless=1.0, ratings={"d": {"b": -90.0}})
+    slots = {"reference": "r", "A": "s", "B": "r"}
+    ratings = np.array([list(one._mushra(slots).values()) for _ in range(800)])
+    assert (ratings.min(), ratings.max()) == (pytest.approx(0.0, abs=0.5), pytest.approx(100.0, abs=0.5))
+    assert ratings.min() >= 0.0
+    assert ratings.max() <= 100.0
+    assert ratings.mean(axis=0) == pytest.approx([50.0, 50.0], abs=4.0)
+    within = np.array([one._within(5.0, 2.0, 6.0) for _ in range(800)])
+    assert (within.min(), within.max(), within.mean()) == pytest.approx((2.0, 6.0, 4.0), abs=0.2)
+    grades = np.array([list(one._bs1116(slots).values()) for _ in range(800)])
+    assert (grades == 5.0).sum(axis=1).tolist() == [1] * 800
+    other = grades.min(axis=1)  # 5 less the difference of two uniform numbers from 0 to 100, in 25ths
+    assert other.mean() == pytest.approx(5 - 100 / 3 / 25, abs=0.12)
+    assert other.min() == pytest.approx(1.0, abs=0.4)
+
+
+def test_answers_of_a_file_that_is_not_there_are_none(tmp_path: Path) -> None:
+    assert _lines_after_the_first(tmp_path / "none") == 0
+    (tmp_path / "a.jsonl").write_text("{}\n{}\n{}\n")
+    assert _lines_after_the_first(tmp_path / "a.jsonl") == 2

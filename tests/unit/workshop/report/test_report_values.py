@@ -503,6 +503,18 @@ def test_places_of_notes() -> None:
     assert comparison.default_notes(rows, [guitar, guitar]) == ["E2", "E4", "A2:7"]
 
 
+@pytest.mark.parametrize(
+    ("count", "played"), [(12, range(12)), (13, [*range(11), 12]), (23, range(0, 23, 2)), (0, []), (1, [0])]
+)
+def test_twelve_open_strings_are_played(monkeypatch: pytest.MonkeyPatch, count: int, played: Any) -> None:
+    monkeypatch.setattr(comparison, "place_name", lambda model, name, stop: f"{name}:{stop}")
+    monkeypatch.setattr(comparison, "_fault", lambda model, note: "")
+    harp: Any = SimpleNamespace(groups={f"s{i}": None for i in range(count)})
+    assert comparison.default_notes([facts()], [harp]) == [f"s{i}:0" for i in played]
+    ends = [f"s{i}:0" for i in dict.fromkeys((0, count - 1))] if count else []
+    assert comparison.default_notes([facts(), facts()], [harp, harp]) == ends
+
+
 def test_a_note_that_is_played_lasts_as_long_as_asked() -> None:
     monochord = tw.load_instrument("monochord")
     model = assemble(monochord, 8000)
