@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
 from smf_bytes import event, smf
+from tablatures import gpif
 
 import tonewood as tw
 from tonewood.errors import ScoreError
@@ -16,6 +18,7 @@ from tonewood.performance.score import xml_files
 from tonewood.performance.score.assignment import Assigned, PlayableString, StringChooser, StringMatching, assign
 from tonewood.performance.score.controllers import Controllers, History
 from tonewood.performance.score.fingering import Option, Sounding, hand_after
+from tonewood.performance.score.guitar_pro import FEELS
 from tonewood.performance.score.note import Beats, Control, ScorePart, ignored_name
 from tonewood.performance.score.reading import _channels, _excerpt, _moved
 from tonewood.performance.score.smf import Findings
@@ -403,3 +406,38 @@ def test_measures_are_forgotten_once_they_are_read(tmp_path: Path, monkeypatch: 
     (tmp_path / "b.xml").write_text(one_part(f"<measure>{3 * NOTE_XML}</measure>"))
     with pytest.raises(ScoreError, match="more than 25 elements, attributes and texts"):
         tw.read_score(tmp_path / "b.xml")
+
+
+@pytest.mark.parametrize(
+    ("how", "time", "pitch"),
+    [
+        ({}, 0.5, 60.0),
+        ({"tempo": 2.0}, 0.25, 60.0),
+        ({"transpose": 2.0}, 0.5, 62.0),
+        ({"tempo": 0.5, "transpose": -3.0}, 1.0, 57.0),
+    ],
+)
+def test_a_score_is_read_faster_or_higher_or_both(tmp_path: Path, how: Any, time: float, pitch: float) -> None:
+    path = tmp_path / "a.mid"
+    path.write_bytes(smf(event(480, 0x90, 60, 80) + event(480, 0x80, 60, 0)))
+    (note,) = tw.read_score(path, **how).notes
+    assert (note.time, note.duration, note.note) == pytest.approx((time, time, pitch))
+    for wrong in ({"tempo": 0.049}, {"tempo": 20.1}, {"transpose": 48.1}, {"transpose": -48.1}):
+        with pytest.raises(ScoreError, match="are allowed"):
+            tw.read_score(path, **wrong)
+    for edge in ({"tempo": 0.05}, {"tempo": 20.0}, {"transpose": 48.0}, {"transpose": -48.0}):
+        assert len(tw.read_score(path, **edge).notes) == 1
+
+
+def test_feels_of_two_values() -> None:
+    """The value that is swung, in quarter notes, and the share of the first of two."""
+    shares = {"Triplet": Fraction(2, 3), "Dotted": Fraction(3, 4), "Scottish": Fraction(1, 4)}
+    eighths = {f"{name}8th": (Fraction(1, 2), share) for name, share in shares.items()}
+    assert eighths | {f"{name}16th": (Fraction(1, 4), share) for name, share in shares.items()} == FEELS
+
+
+@pytest.mark.parametrize(("tie", "times"), [("", [0.0, 1.0]), ("origin", [0.0, 1.0]), ("destination", [0.0])])
+def test_a_note_is_tied_where_a_tie_ends(tmp_path: Path, tie: str, times: list[float]) -> None:
+    ends = "".join(f' {end}="{str(end == tie).lower()}"' for end in ("origin", "destination"))
+    score = tw.read_score(gpif(tmp_path / "a.gp", [(1, 2, "", ""), (1, 2, "", f"<Tie{ends}/>")]))
+    assert [note.time for note in score.notes] == times
