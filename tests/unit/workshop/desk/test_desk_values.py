@@ -13,10 +13,11 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
+from pydantic.fields import FieldInfo
 
 import tonewood as tw
 from tonewood.errors import ScoreError, TonewoodError
@@ -29,7 +30,16 @@ from tonewood.workshop.desk.ahead import main as make_ahead
 from tonewood.workshop.desk.desk import Desk
 from tonewood.workshop.desk.differences import differences, wolf_words
 from tonewood.workshop.desk.kept_views import KeptViews
-from tonewood.workshop.desk.knobs import acts_at_once, declared_field, groups, knobs, same_strings_and_body, shown, span
+from tonewood.workshop.desk.knobs import (
+    _words,
+    acts_at_once,
+    declared_field,
+    groups,
+    knobs,
+    same_strings_and_body,
+    shown,
+    span,
+)
 from tonewood.workshop.desk.models import KeptModels, ModelMaker, Wanted, previewed
 from tonewood.workshop.desk.phrase import ChosenPhrase, phrase
 from tonewood.workshop.desk.playback import ComparedTakes, DeskSound, PageProgress
@@ -571,6 +581,7 @@ def test_knobs_of_a_pluck_are_as_declared() -> None:
         "choices": (), "at_once": True, "start_value": 2.0,
     }  # fmt: skip
     assert rows["linear"]["kind"] == "switch"
+    assert [rows["linear"][key] for key in ("start", "stop", "log", "choices")] == [0.0, 0.0, False, ()]
     assert (rows["angle_deg"]["start"], rows["angle_deg"]["stop"], rows["angle_deg"]["log"]) == (-360.0, 360.0, False)
     assert rows["from_bridge"]["unit"] == ""  # a length or a fraction: not declared
     assert set(rows) == {
@@ -582,6 +593,21 @@ def test_knobs_of_a_pluck_are_as_declared() -> None:
     assert (scatter.whole, scatter.kind, scatter.low, scatter.high) == (True, "number", 0.0, None)
     curve = {k.label: k for k in knobs(start, "playing")}["velocity curve"]
     assert (curve.kind, curve.choices) == ("choice", ("exponential", "linear"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        (Literal["a", "b"], ("a", "b")),
+        (Literal["a"] | Literal["c"] | None, ("a", "c")),
+        (Literal["a"] | float, ()),
+        (str, ()),
+        (None, ()),
+    ],
+)
+def test_words_that_a_value_may_be(kind: Any, words: tuple[str, ...]) -> None:
+    assert _words(None if kind is None else FieldInfo(annotation=kind)) == words
+    assert _words(FieldInfo(annotation=type(None))) == ()
 
 
 def test_factors_are_on_numbers_that_all_strings_have() -> None:
@@ -1064,6 +1090,20 @@ def test_a_phrase_is_played_again_and_again_unless_it_is_said() -> None:
 
 
 # -- designs ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_bundle_that_is_saved_tells_its_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[Any] = []
+    monkeypatch.setattr("tonewood.workshop.desk.session.write_changed", lambda *given: written.append(given))
+    session = DeskSession("monochord")
+    changes = {"body.a": "Föhre", "strings_from": "x", "body.b": [1.5, None]}
+    session.design = replace(session.design, changes=changes)
+    session.save(tmp_path / "mine")
+    ((instrument, folder, title, notes),) = written
+    assert (instrument, folder) == (session.instrument, tmp_path / "mine")
+    assert title == f"mine, changed from monochord: {instrument.spec.title}"
+    said = "changed at the desk; monochord has another value. Now "
+    assert notes == {"body.a": said + '"Föhre"', "body.b": said + "[1.5, null]"}
 
 
 def test_designs_are_kept_under_1_to_60_characters() -> None:
