@@ -87,6 +87,15 @@ def kind_of(value: object) -> str:
     return "None" if value is None else f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"
 
 
+def words_of(error: BaseException) -> str:
+    """``ValueError: its text`` on one line, of an exception of anybody's code, whose text may raise another one."""
+    try:
+        text = " ".join(str(error).split())
+    except Exception:
+        text = ""
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
 def _rebuild(
     cls: type[TonewoodError],
     reason: str,

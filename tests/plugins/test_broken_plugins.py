@@ -139,6 +139,35 @@ def checked(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[object, s
     return ended.value.code, *capsys.readouterr()
 
 
+#: an exception whose own text raises another
+UNTOLD = """@property
+def length(self):
+    class E(Exception):
+        def __str__(self):
+            raise RuntimeError("none")
+    raise E"""
+#: a bank of a pickup that gains energy
+GROWING = """def rows(self, name, scene):
+    own = f"{name}.bank"
+    bank = ta.ModalBasis.real([1e3], [-5.0], {"in": [1.0]})
+    return ta.PickupRows((ta.Readout(name, "velocity", (ta.Term(own, "in"),)),), components={own: bank})"""
+
+
+def felt(place: str, at: str = "f'{name}.at'", law: str = "ta.Contact(1e6, 1.5, offset=-1e-5)") -> str:
+    """A contact at a place of the string, m."""
+    return f"""def attach(self, name, site):
+    at = {at}
+    touch = ta.Connection(f"{{site.string}}.{{at}}", site.motion(at, (0.0, 0.0, 1.0)), {law})
+    return ta.Attached({{at: {place}}}, connections=(touch,))"""
+
+
+def of_function(function: str) -> str:
+    """The rows of a pickup, of which a function of x makes the channel."""
+    return f"""def rows(self, name, scene):
+    readouts = (ta.Readout(name, "velocity", (ta.Term("body", "bridge"),)),)
+    return ta.PickupRows(readouts, conversion=ta.Conversion(function=lambda x: {function}))"""
+
+
 def cases() -> list[tuple[str, str, str, str]]:
     """Key, method, its lines, words of the error."""
     out = []
@@ -303,6 +332,34 @@ def cases() -> list[tuple[str, str, str, str]]:
             "    return ta.PickupRows((ta.Readout(name, 'force', forces=(('A2', 1.0),)),))",
             "there is no connection 'A2'",
         ),
+    ]
+    out += [
+        (
+            "strings.A2",
+            "eta",
+            "def eta(self, omega, k, tension=None):\n    return 2.0 / omega + 0j",
+            "eta must be real",
+        ),
+        ("strings.A2", "length", UNTOLD, "Odd.length raises E (odd.py, line"),
+        ("connections.felt", "attach", felt("-0.1"), "'felt.at' on string A2 -0.1 m from the bridge; 0 to 0.9 m"),
+        ("connections.felt", "attach", felt("3.0"), "'felt.at' on string A2 3 m from the bridge; 0 to 0.9 m"),
+        (
+            "connections.felt",
+            "attach",
+            felt("0.3", at="'pluck'"),
+            "'pluck' on string A2, which has a point of this name",
+        ),
+        ("connections.felt", "attach", felt("0.3", at="'bridge'"), "'bridge' on string A2, which has a point of this"),
+        ("outputs.bridge", "rows", of_function("np.where(x == 0.0, 0.0, np.nan)"), "small readouts are not finite"),
+        (
+            "outputs.bridge",
+            "rows",
+            of_function("x if len(x) == 1 else x[:-1]"),
+            "an array (3, 1) of real numbers is wanted",
+        ),
+        ("outputs.bridge", "rows", of_function("x if len(x) == 1 else 1 / 0"), "it raises ZeroDivisionError"),
+        ("outputs.bridge", "rows", of_function("x - x.mean()"), "of a row and of its neighbours"),
+        ("outputs.bridge", "rows", GROWING, "components['bridge.bank'] a basis of which a mode grows at 5 1/s"),
     ]
     return out
 
@@ -481,7 +538,7 @@ def test_a_loss_factor_of_no_string_is_refused_before_it_costs_time(
 def test_a_conversion_that_fails_while_it_sounds_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], sounding: str, said: str
 ) -> None:
-    lines = converted(f"function=lambda x: ({sounding}) if x.any() else x")
+    lines = converted(f"function=lambda x: ({sounding}) if len(x) > 3 else x")
     folder = bundle(tmp_path, "outputs.bridge", code("outputs.bridge", {"rows": lines}))
     score, sound = tmp_path / "a.mid", tmp_path / "a.wav"
     track = mido.MidiTrack(mido.Message(kind, note=45, time=t) for kind, t in (("note_on", 0), ("note_off", 200)))
@@ -509,3 +566,30 @@ def test_code_that_ends_the_program_or_takes_all_memory_is_one_line(
     assert status == 2
     assert err.count("\n") == 1, err
     assert said in err
+
+
+PUSHING = felt("0.3", law="ta.Contact(1e6, 1.5, offset=1e-3)")
+STRING_BASIS = WHOLE["strings.A2"][1]["basis"]
+
+
+@pytest.mark.parametrize(
+    ("key", "method", "lines", "said"),
+    [
+        # 1e6 N/m^1.5 of 1 mm, and of nothing
+        ("connections.felt", "attach", PUSHING, "connection A2.felt.at: pushes with 31.6 N"),
+        ("connections.felt", "attach", PUSHING.replace("offset=1e-3", "offset=0.0"), None),
+        # two semitones by tension alone: 2^(4 / 12) - 1
+        ("strings.A2", "basis", STRING_BASIS.replace("0.9 - stop", "0.9"), "string A2: stop 2 is in tune at +26 %"),
+        ("strings.A2", "basis", STRING_BASIS, None),
+    ],
+)
+def test_what_check_can_only_doubt(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, method: str, lines: str, said: str | None
+) -> None:
+    """A contact with the wrong sign of its offset, and a basis that does not know its stop, play without an error."""
+    status, out, err = checked(bundle(tmp_path, key, code(key, {method: lines})), capsys)
+    assert (status, err) == (0, "")
+    if said is None:
+        assert "warning" not in out
+    else:
+        assert f"warning: {said}" in out

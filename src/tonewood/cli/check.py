@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from tonewood.instrument.model.assembly import Model
 
 #: cause of partials that are off
+#: share of the tension by which the tuner may change it at a stop; that of no built-in instrument exceeds 0.03
+_STOP_TENSION = 0.1
 _DETUNED = "the plugin's `detuned` gives others than its `basis`"
 #: stops whose second plane is off that are printed
 _PLANES = 12
@@ -55,7 +57,7 @@ def check(
         pitches,
     )
     from tonewood.instrument.inspection.mounted import mounted_pitches
-    from tonewood.instrument.inspection.potentials_at_rest import small_motions
+    from tonewood.instrument.inspection.potentials_at_rest import pushes_at_rest, small_motions
     from tonewood.instrument.model.assembly import assemble
     from tonewood.performance.engine.trial import try_parts
 
@@ -86,6 +88,7 @@ def check(
         "strings": {name: _string(model, name, pairs) for name in model.groups},
         "microphones": [_microphone(response) for response in microphone_responses(model)],
         "potentials": [asdict(motion) | {"doubt": motion.doubt} for motion in small_motions(model)],
+        "pushes_at_rest": pushes_at_rest(model),
         "off_pitch": [pitch_row(p) for p in off],
         "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
         "off_planes": [plane_row(p) for p in off_planes],
@@ -175,6 +178,7 @@ def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) ->
         "stops": string.n_stops,
         "n_modes": sum(model.system.compiled[model.system.slot(c)].basis.n_modes for c in string.components),
         "tension": mine[0][0].tension,
+        "stop_tension": _stop_tension([p for p, _ in mine]),
         "count": len(string.group),
         "feel": asdict(feel(model, name)),
         "given_tension": tension.given,
@@ -187,6 +191,12 @@ def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) ->
         else {"partial": errors[0].decay_partial, "relative": errors[0].decay},
         "law": [asdict(e) | {"decay_is_off": e.decay_is_off, "pitch_is_off": e.pitch_is_off} for e in errors],
     }
+
+
+def _stop_tension(mine: list[Pitch]) -> dict[str, float]:
+    """Stop at which the tuner has changed the tension most, and by which share of the open string's."""
+    worst = max(mine, key=lambda p: abs(p.tension / mine[0].tension - 1))
+    return {"stop": worst.stop, "relative": worst.tension / mine[0].tension - 1}
 
 
 def _worst_plane(p: Pitch) -> float:
@@ -347,7 +357,17 @@ def _warnings(report: dict[str, Any]) -> list[str]:
     doubts = [*report["table_doubts"]]
     doubts += [f"{row['output']}.{row['channel']} {row['doubt']}" for row in report["microphones"] if row["doubt"]]
     doubts += [row["doubt"] for row in report["potentials"] if row["doubt"]]
+    doubts += [
+        f"connection {name}: pushes with {abs(force):.3g} N at rest, which sounds at the start of every render: the "
+        "`offset` of a contact should be 0 or less"
+        for name, force in report["pushes_at_rest"].items()
+    ]
     for name, row in report["strings"].items():
+        if abs(share := row["stop_tension"]["relative"]) > _STOP_TENSION:
+            doubts.append(
+                f"string {name}: stop {row['stop_tension']['stop']:g} is in tune at {100 * share:+.0f} % of the open "
+                "string's tension more or less: its plugin's `basis` at this stop is out of tune"
+            )
         lines = [line for line in _law_lines(row["law"]) if line.startswith("warning: ")]
         doubts += [f"string {name}: {line.removeprefix('warning: ')}" for line in lines]
     return doubts

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from tonewood.errors import BundleError, PluginError
+from tonewood.errors import BundleError, PluginError, words_of
 from tonewood.instrument.contract import registry
 from tonewood.instrument.contract.base import Plugin
 from tonewood.instrument.contract.files import Files
@@ -61,7 +61,7 @@ def _code_plugin(name: str, kind: str, files: Files) -> type[Plugin[Any]]:
     except BundleError as fault:
         raise PluginError(fault.reason) from None
     except (Exception, SystemExit) as fault:  # code of a third party may raise anything
-        raise PluginError(f"{file} cannot be run: {type(fault).__name__}: {fault}") from None
+        raise PluginError(f"{file} cannot be run: {words_of(fault)}") from None
     if not hasattr(module, cls):
         raise PluginError(f"{file} has no class {cls}")
     plugin: type[Plugin[Any]] = getattr(module, cls)

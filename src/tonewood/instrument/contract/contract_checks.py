@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from tonewood.errors import TonewoodError, kind_of
+from tonewood.errors import TonewoodError, kind_of, words_of
 from tonewood.instrument.contract.conversion import Circuit, Conversion
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.physics.coupling.laws import NonlinearLaw
@@ -80,6 +80,14 @@ def basis(value: Any, *, where: str = "") -> None:
             raise WrongResultError(f"{where} a basis whose {name} are not finite".strip())
 
 
+def brought_basis(value: Any, where: str) -> None:
+    """Check a basis that a part brings: no mode may grow by itself."""
+    basis(value, where=where)
+    growth = float(np.max(value.poles.real, initial=0.0))
+    if growth > 0.0:
+        raise WrongResultError(f"{where} a basis of which a mode grows at {growth:g} 1/s; none may grow")
+
+
 def string_basis(value: Any) -> None:
     """Check a basis of a string: real modes that lose energy or keep it, the bridge's point, shapes between places."""
     basis(value)
@@ -133,7 +141,7 @@ def attached(value: Any) -> None:
         number(x, "a number of metres from the bridge (ta.metres)", where=f"places[{point!r}]")
     want(isinstance(value.components, Mapping), value.components, "a mapping of name to ta.ModalBasis", "components")
     for name, component in value.components.items():
-        basis(component, where=f"components[{name!r}]")
+        brought_basis(component, f"components[{name!r}]")
     want(isinstance(value.connections, tuple), value.connections, "a tuple of ta.Connection", "connections")
     for connection in value.connections:
         want(isinstance(connection, Connection), connection, "a ta.Connection", "connections")
@@ -221,6 +229,18 @@ def _circuit(circuit: Any) -> None:
     want(proper, circuit.denominator, "a stable and proper circuit", "conversion.circuit")
 
 
+def _without_memory(function: Callable[[Any], Any], n: int, n_channels: int) -> None:
+    """Check that a conversion makes finite channels of small readouts, each row by itself."""
+    readouts = 1e-6 * np.cos(np.arange(1.0, 3 * n + 1)).reshape(3, n)
+    together, alone = (np.asarray(function(rows.copy())) for rows in (readouts, readouts[1:2]))
+    shape, where = (3, n_channels), "conversion.function"
+    want(together.shape == shape and together.dtype.kind in "fi", together, f"an array {shape} of real numbers", where)
+    if not np.isfinite(together).all():
+        raise WrongResultError(f"a {where} whose channels of small readouts are not finite")
+    if alone.shape != (1, n_channels) or not np.allclose(alone[0], together[1], rtol=1e-9, atol=0.0):
+        raise WrongResultError(f"a {where} of a row and of its neighbours; one of each row alone is wanted")
+
+
 def pickup_rows(plugin: Any, value: Any) -> None:
     """Check rows of a pickup; that their components and points exist, `references` checks."""
     want(isinstance(value, _class(_CONTRACT, "PickupRows")), value, "a ta.PickupRows")
@@ -247,6 +267,7 @@ def pickup_rows(plugin: Any, value: Any) -> None:
         want(
             np.shape(rest) == shape and not np.any(rest), rest, f"zeros of shape {shape} at rest", "conversion.function"
         )
+        _without_memory(conversion.function, n, len(plugin.channels))
     elif n != len(plugin.channels):
         raise WrongResultError(
             f"{len(value.readouts)} readouts; one for each of its {len(plugin.channels)} channels is wanted"
@@ -254,7 +275,7 @@ def pickup_rows(plugin: Any, value: Any) -> None:
     if conversion is not None and conversion.circuit is not None:
         _circuit(conversion.circuit)
     for name, component in value.components.items():
-        basis(component, where=f"components[{name!r}]")
+        brought_basis(component, f"components[{name!r}]")
     for drive in value.drives:
         want(isinstance(drive, Drive), drive, "a ta.Drive", "drives")
 
@@ -422,8 +443,7 @@ def _checked(
 
 def raises(raised: BaseException) -> str:
     """``raises ValueError: its text (file.py, line 12)``."""
-    message = " ".join(str(raised).split())
-    return f"raises {type(raised).__name__}{': ' if message else ''}{message}{_place(raised)}"
+    return f"raises {words_of(raised)}{_place(raised)}"
 
 
 def _place(raised: BaseException) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.errors import PluginError, TonewoodError
+from tonewood.errors import PluginError, TonewoodError, words_of
 from tonewood.support.arrays import Floats
 
 
@@ -104,7 +104,7 @@ class Converter:
         try:
             out = np.asarray(function(readouts))
         except (Exception, SystemExit) as raised:  # code of a third party may raise anything
-            raise self._fault(f"conversion.function raises {type(raised).__name__}: {raised}") from raised
+            raise self._fault(f"conversion.function raises {words_of(raised)}") from raised
         if out.shape != (len(readouts), self._n) or out.dtype.kind not in "fi":
             wanted = f"real numbers of shape ({len(readouts)}, {self._n})"
             raise self._fault(f"conversion.function returns {out.dtype} of shape {out.shape}; {wanted} are wanted")

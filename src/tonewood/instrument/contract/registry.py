@@ -17,7 +17,7 @@ from importlib.resources import files as package_files
 from pathlib import Path
 from typing import Any
 
-from tonewood.errors import BundleError, PluginError, kind_of
+from tonewood.errors import BundleError, PluginError, kind_of, words_of
 from tonewood.instrument.contract.base import API, KINDS, Plugin
 from tonewood.instrument.contract.contract_checks import CHECKS, WrongResultError
 from tonewood.instrument.contract.effects import Effect
@@ -117,7 +117,7 @@ def plugin(name: str, kind: str | None = None) -> type[Plugin[Any]]:
     except PluginError:
         raise
     except (Exception, SystemExit) as fault:  # code of a third party may raise anything
-        reason = f"cannot be imported: {type(fault).__name__}: {fault}"
+        reason = f"cannot be imported: {words_of(fault)}"
         raise PluginError(f"plugin {name!r} of {entry.distribution} {reason}") from None
     checked: type[Plugin[Any]] = imported
     if kind is not None:

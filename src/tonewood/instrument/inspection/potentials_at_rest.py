@@ -1,4 +1,4 @@
-"""What potentials of plugins do to small motion: a force at rest, and a stiffness that belongs to the modes.
+"""What laws and potentials of plugins do to small motion: a force at rest, and a stiffness that belongs to the modes.
 
 The tuner knows the modes alone. With H = d2V/dy2 at rest, small motion has the frequencies of omega^2 + H. In larger
 motion the gradient is compared with differences of V: nothing else would tell that one of them is wrong, because the
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
+from tonewood.physics.coupling.laws.base import PotentialLaw
 from tonewood.physics.coupling.potentials.user import ModalPotential, PotentialEnergy
 from tonewood.support.arrays import Floats
 from tonewood.support.units import cents
@@ -21,6 +22,8 @@ from tonewood.support.units import cents
 _ENERGY = 1e-16
 #: cents, and J, from which on a potential is said to act on small motion
 TOLERANCE_CENTS, _AT_REST = 1.0, 1e-12
+#: N, from which on a connection is said to push at rest
+_PUSH = 1e-9
 #: J of the modes in the motion in which the gradient is compared; step of a difference, and error that is reported
 _MOTION, _STEP, _WRONG = 1e-4, 1e-4, 1e-3
 
@@ -78,6 +81,16 @@ def small_motions(model: Model) -> list[SmallMotion]:
             squares = np.concatenate([b.stiffness[:n] for b, n in zip(bases, energy.sizes, strict=True)])
             out.append(_near_rest(potential, energy, squares))
     return out
+
+
+def pushes_at_rest(model: Model) -> dict[str, float]:
+    """Connection -> N with which its law pushes while nothing moves."""
+    forces = {
+        c.name: float(c.law.force(c.law.offset, c.law.offset, model.system.dt)[0])
+        for c in model.system.connections
+        if isinstance(c.law, PotentialLaw)
+    }
+    return {name: force for name, force in forces.items() if abs(force) > _PUSH}
 
 
 def _near_rest(potential: ModalPotential, energy: PotentialEnergy, squares: Floats) -> SmallMotion:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from typing import Any
 
@@ -119,11 +119,24 @@ class StringModel:
             site = self.site(stop)
             # pairs: an exciter may have the name of the soft finger
             parts = [(name, part.attach(name, site)) for name, part in self.touching.items()]
+            self._check_places([a for _, a in parts])
             if self.stopping.finger is not None:
                 left = self.tuning.left_under_finger(stop)
                 parts.append((POINT, fingertips(self.stopping.finger, site, left)))
             self._attached[stop] = tuple(a.owned_by(self.name, part) for part, a in parts if a is not None)
         return self._attached[stop]
+
+    def _check_places(self, parts: Sequence[Attached | None]) -> None:
+        """Refuse places that the open string does not have, and names of points that are there already."""
+        taken, longest = {"bridge", "pluck", *self.places.points}, self.tuning.stops.open_length
+        for plugin, part in zip(self.touching.values(), parts, strict=True):
+            for point, x in {} if part is None else part.places.items():
+                who = f"{type(plugin).__name__}.attach puts {point!r} on string {self.name}"
+                if point in taken:
+                    raise plugin.fault(f"{who}, which has a point of this name; names begin with the part's")
+                if not 0.0 <= x <= longest:
+                    raise plugin.fault(f"{who} {x:g} m from the bridge; 0 to {longest:g} m are allowed")
+                taken.add(point)
 
     def connections(self, stop: float = 0) -> tuple[Connection, ...]:
         """Connections of `attached`; at every stop the same ones, with laws that may differ."""

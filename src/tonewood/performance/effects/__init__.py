@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from tonewood.errors import PluginError, TonewoodError, kind_of
+from tonewood.errors import PluginError, TonewoodError, kind_of, words_of
 from tonewood.instrument.contract.base import Plugin
 from tonewood.instrument.contract.effects import Effect
 from tonewood.instrument.model.assembly import Model
@@ -46,7 +46,7 @@ def _checked(maker: Maker, model: Model, effect: Effect, plugins: Mapping[str, P
         raise
     except Exception as fault:  # of somebody's class: told with the effect's name and key
         name = getattr(maker, "__name__", repr(maker))
-        reason = f"effect {effect.name!r}: {name} raises {type(fault).__name__}: {fault}"
+        reason = f"effect {effect.name!r}: {name} raises {words_of(fault)}"
         raise PluginError(reason, file=first.files.manifest, key=first.key) from fault
     if not isinstance(running, RuntimeEffect):
         reason = f"effect {effect.name!r}: runtime makes {kind_of(running)}; a ta.RuntimeEffect is wanted"

@@ -27,6 +27,8 @@ _RANGES: dict[str, tuple[float, float]] = {
     "partial": (2, 64),
     "program": (1, 128),
 }
+#: semitones of a glide, from the lowest note to the highest
+_MOST_GLIDE = 384
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +123,11 @@ class Note:
                     else f"numbers from {low:g}" + (f" to {high:g}" if high < math.inf else "")
                 )
                 raise ScoreError(f"{name} of a note is {value!r}: {allowed} are allowed")
+
+        for time, steps in self.glides:
+            if not (0.0 <= time < math.inf and abs(steps) <= _MOST_GLIDE):
+                allowed = f"times from 0 and up to {_MOST_GLIDE} semitones are allowed"
+                raise ScoreError(f"a glide of a note is ({time!r}, {steps!r}): {allowed}")
 
     @property
     def key_up(self) -> float:

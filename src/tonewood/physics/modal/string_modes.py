@@ -183,7 +183,10 @@ def _count_below(limit: float, length: float, tension: float, linear_density: fl
 
 def _rates(loss: LossFactor, freq_rad: Floats, wavenumber: Floats) -> Floats:
     """Decay rates sigma = omega eta / 2, 1/s, of partials of these frequencies."""
-    eta = np.broadcast_to(np.asarray(loss(freq_rad, wavenumber), dtype=np.float64), freq_rad.shape)
+    law = np.asarray(loss(freq_rad, wavenumber))
+    if law.dtype.kind not in "fiu":
+        raise ValueError(f"the loss law gives numbers of the type {law.dtype}; eta must be real")
+    eta = np.broadcast_to(law.astype(np.float64), freq_rad.shape)
     wrong = np.flatnonzero(~(np.isfinite(eta) & (eta >= 0.0)))
     if wrong.size:
         freq = freq_rad[wrong[0]] / (2 * np.pi)

@@ -69,3 +69,10 @@ def test_a_volume_without_a_channel_holds_for_all():
 def test_controls_out_of_range(time: float, kind: str, value: float, said: str) -> None:
     with pytest.raises(ScoreError, match=said):
         Control(time, kind, value)
+
+
+@pytest.mark.parametrize("glide", [(math.nan, 1.0), (-0.1, 1.0), (math.inf, 1.0), (0.1, math.nan), (0.1, 400.0)])
+def test_a_glide_that_is_no_place_in_time_and_pitch_is_refused(glide: tuple[float, float]) -> None:
+    Note(0.0, note=45, glides=((0.0, 0.0), (0.1, -384.0)))
+    with pytest.raises(ScoreError, match=r"a glide of a note is .*: times from 0 and up to 384 semitones are allowed"):
+        Note(0.0, note=45, glides=((0.0, 0.0), glide))

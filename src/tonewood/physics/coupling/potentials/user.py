@@ -38,7 +38,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.errors import TonewoodError
+from tonewood.errors import TonewoodError, words_of
 from tonewood.physics.coupling.c_functions import CFunction
 from tonewood.physics.coupling.potentials.base import SAME, JoinedPotential, Kind, MiddleOfStep, Potential
 from tonewood.physics.modal.modes import ModalBasis
@@ -130,7 +130,7 @@ class PotentialEnergy(JoinedPotential):
         except TonewoodError:
             raise
         except (Exception, SystemExit) as error:
-            raise TonewoodError(f"{name} raises {type(error).__name__}: {' '.join(str(error).split())}") from error
+            raise TonewoodError(f"{name} raises {words_of(error)}") from error
         if slope.shape != (self.n,):
             raise TonewoodError(f"{name}: dV/dy has shape {slope.shape}, not ({self.n},)")
         return value, slope
