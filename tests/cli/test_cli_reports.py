@@ -8,19 +8,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
+import mido
 import numpy as np
 import pytest
 import soundfile as sf
 import yaml
 
-from tonewood.cli import dataset, design, distance, fit, intonation, live, render, sample, serve, wood
+from tonewood.cli import compare, dataset, design, distance, fit, intonation, live, render, sample, serve, wood
+from tonewood.cli.options import _metavar
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.physics.plate.wood import Wood
 from tonewood.sound.files.tags import Tags
+from tonewood.sound.render.options import RenderOptions
 from tonewood.workshop.design.search import FoundDesign
 from tonewood.workshop.design.task import Free, Target
 from tonewood.workshop.estimate.distance import Distance
 from tonewood.workshop.fit.responses import Responses
+from tonewood.workshop.report import summary
 from tonewood.workshop.wood.board import Board, MatchedPeak
 from tonewood.workshop.wood.stick import Stick
 
@@ -403,3 +407,43 @@ def test_stems_that_cannot_be_made_are_refused(tmp_path) -> None:
         render._write(
             Fixed(np.zeros((10, 2))), render._Form(tmp_path / "no" / "a.wav", "FLOAT", 5, "peak", 0.0, False), Tags()
         )
+
+
+def test_infinite_sensitivities_are_refused() -> None:
+    refused("1e999 is not allowed", fit._numbers, "2,1e999")
+
+
+def test_placeholders_of_options_are_their_words() -> None:
+    fields = RenderOptions.model_fields
+    assert _metavar(fields["lead_in"]).split("|")[-1] == "SECONDS"
+    assert "auto" in _metavar(fields["lead_in"])
+    assert _metavar(fields["outputs"]).endswith("NAMES")
+    assert _metavar(fields["fs"]) == ""
+
+
+@pytest.mark.parametrize(("count", "every", "told"), [(8, False, False), (9, False, True), (9, True, False)])
+def test_parameters_that_are_not_printed_are_told(capsys, count, every, told) -> None:
+    rows = [SimpleNamespace(key=f"k{i}", values=(1, None), unit="m") for i in range(count)]
+    facts = [SimpleNamespace(heading=h, strings=(), label=h, short=h, warnings=[], missing_tones={}) for h in "AB"]
+    result = SimpleNamespace(instruments=facts, sweep="", wolves=[], parameters=rows)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(summary, "lines", lambda of, i: ["first", "  rest"])
+        compare._print(result, every)
+    out = capsys.readouterr().out.splitlines()
+    assert out[:4] == ["A, a body without strings", "B, a body without strings", "A to B: first", "  rest"]
+    assert out[4] == f"parameters that differ: {count}"
+    assert out[5] == "  k0: 1 | none m"
+    assert len([line for line in out if line.startswith("  k")]) == (count if every else 8)
+    assert (out[-1] == "(--all prints the rest)") is told
+
+
+def test_measures_of_a_length_begin_at_the_first_note(tonewood, tmp_path) -> None:
+    """Six quarter notes in 3/4: two measures of three."""
+    file, track = mido.MidiFile(ticks_per_beat=480), mido.MidiTrack()
+    file.tracks.append(track)
+    for pitch in (57, 59, 57, 60, 57, 62):
+        track += [mido.Message("note_on", note=pitch, velocity=80), mido.Message("note_off", note=pitch, time=480)]
+    file.save(tmp_path / "a.mid")
+    code, out, err = tonewood("tab", tmp_path / "a.mid", "-i", "classical_guitar", "--meter", "3/4", "--json")
+    assert code == 0, err
+    assert [row["measure"] for row in json.loads(out)["notes"]] == [1, 1, 1, 2, 2, 2]
