@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tonewood.plugins.finger_pluck import FLESH, NAIL, slip
+from tonewood.plugins.finger_pluck import FLESH, NAIL, roughness, slip
 from tonewood.plugins.hammer import _course
 from tonewood.plugins.hand_noises import impedance
 from tonewood.plugins.magnetic_pickup import field, induced
@@ -564,3 +564,56 @@ def test_bodies_of_tables_by_hand(tmp_path: Path) -> None:
 def test_fractions_of_a_string_are_places() -> None:
     half = made("pluck_ramp", from_bridge=Fraction(fraction=0.5)).gesture(Event(), Place("S", 0.4))
     assert half.from_bridge == pytest.approx(0.2)
+
+
+def smooth(x: np.ndarray) -> np.ndarray:
+    x = np.clip(x, 0.0, 1.0)
+    return np.asarray(3 * x**2 - 2 * x**3)
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "factor", "begin", "place", "angle", "held"),
+    [
+        ("fretting", 0.65, 0.1, -0.015, 0.5, 180.0, 1.0),  # a finger comes
+        ("fretting", 0.4, 0.1 * 0.5, -0.015, 0.99 * 0.4, 90.0, 1.0),  # one leaves: half as hard, beside its stop
+        ("fretting", 0.0, 0.1 * 0.5, -0.015, 0.99 * 0.5, 90.0, 1.0),  # nothing was before
+        ("touch", 0.65, 0.05, 0.0, None, 180.0, None),
+    ],
+)
+def test_fingers_press_with_twice_the_impedance_times_their_speed(
+    name: str, before: float, factor: float, begin: float, place: float | None, angle: float, held: float | None
+) -> None:
+    """A rise and a fall by 3 x^2 - 2 x^3, 48000 values a second; the skin damps while a finger comes or goes."""
+    kind = {"fretting": "fretting_noise", "touch": "touch_noise"}[name]
+    found = made(kind, roughness=0.0).gesture(
+        Event(freq=100.0, stop=3.0, stop_before=1.0, length_before=before), Place("S", 0.5, 2, 60.0)
+    )
+    assert (found.segments, found.from_bridge, found.angle_deg) == ((), place, angle)
+    assert found.hold == (None if held is None else Hold(begin, begin, 0.0, held))
+    time, (rise, fall) = (0.015, (0.25, 0.02)) if name == "fretting" else (0.02, (0.025, 0.975))
+    n, share = round(time * 48000), np.linspace(0.0, 1.0, round(time * 48000) + 1)
+    assert (found.noise.start, found.noise.interval) == pytest.approx((begin, time / n))
+    force = 2 * 60.0 / (2 * 0.5 * 100.0) * factor
+    assert found.noise.values == pytest.approx(force * smooth(share / rise) * smooth((1 - share) / fall))
+    rough = made(kind, roughness=0.5, hold_dashpot=0.0) if name == "fretting" else made(kind, roughness=0.5)
+    other = rough.gesture(Event(freq=100.0, length_before=before), Place("S", 0.5, 2, 60.0))
+    assert other.hold is None
+    inner = slice(len(share) // 3, -len(share) // 3)
+    ratio = other.noise.values[inner] / found.noise.values[inner] - 1.0
+    assert 0.4 < ratio.std() < 0.6
+
+
+def test_roughness_follows_the_force_of_its_segments() -> None:
+    """Rising to 2 N in 0.01 s, then 1 N; none at both ends; the same numbers of a seed for all shares."""
+    segments = (Segment(-0.01, 0.0, 0.0, 200.0), Segment(0.0, 0.02, 1.0))
+    one, twice = roughness(segments, 0.1, 7), roughness(segments, 0.2, 7)
+    n = len(one.values) - 1
+    assert (one.start, one.interval) == pytest.approx((-0.01, 0.03 / n))
+    np.testing.assert_allclose(twice.values, 2 * one.values)
+    assert one.values[0] == one.values[-1] == 0.0
+    times = -0.01 + np.arange(n + 1) * 0.03 / n
+    white = np.random.Generator(np.random.PCG64(7)).standard_normal(n + 1)
+    level = np.where(times < -1e-12, 200.0 * (times + 0.01), 1.0)
+    inner = [i for i in range(1, n) if abs(times[i]) > 1e-9]  # between the segments either may count
+    np.testing.assert_allclose(one.values[inner], (0.1 * level * white)[inner], rtol=1e-9, atol=1e-12)
+    assert np.any(roughness(segments, 0.1, 8).values != one.values)
