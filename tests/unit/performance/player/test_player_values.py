@@ -678,3 +678,20 @@ def test_a_slide_that_comes_live_is_heard_at_the_points_before_its_stops() -> No
         assert change.time == pytest.approx(last, abs=1e-9)
     due = [math.floor(time / TICK + 1e-6) * GRID for time, _ in course[1:]]
     assert [sample for sample, _ in planned] == due
+
+
+def test_keys_struck_by_hand_are_due_at_once_and_released_in_their_order(guitar: Model) -> None:
+    player = Player(guitar)
+    note = tw.Note(0.0, 1.0, note=52, channel=3, force=1.0)
+    first, second = player.note_on(note), player.note_on(note, time=0.5)
+    assert first is not None
+    assert second is not None
+    assert (first.time, second.time) == (-math.inf, 0.5)
+    assert list(player.waiting) == [first, second]
+    assert (first.key_down, second.key_down) == (True, True)
+    assert not player.note_off(52)  # another channel's
+    assert player.note_off(52, 3)
+    assert (first.key_down, second.key_down) == (False, True)
+    assert player.note_off(52, 3)
+    assert not player.note_off(52, 3)
+    assert not second.key_down
