@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +15,20 @@ import pytest
 import soundfile as sf
 import yaml
 
-from tonewood.cli import compare, dataset, design, distance, fit, intonation, live, render, sample, serve, wood
+from tonewood.cli import (
+    compare,
+    dataset,
+    design,
+    distance,
+    fit,
+    intonation,
+    live,
+    render,
+    sample,
+    serve,
+    stopping,
+    wood,
+)
 from tonewood.cli.options import _metavar
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.physics.plate.wood import Wood
@@ -447,3 +461,62 @@ def test_measures_of_a_length_begin_at_the_first_note(tonewood, tmp_path) -> Non
     code, out, err = tonewood("tab", tmp_path / "a.mid", "-i", "classical_guitar", "--meter", "3/4", "--json")
     assert code == 0, err
     assert [row["measure"] for row in json.loads(out)["notes"]] == [1, 1, 1, 2, 2, 2]
+
+
+def test_a_sweep_prints_a_row_for_each_value(capsys, monkeypatch) -> None:
+    facts = [
+        SimpleNamespace(
+            heading=h, strings=(), label=h, short=h, warnings=[], missing_tones={}, body_modes=[SimpleNamespace(freq=f)]
+        )
+        for h, f in (("A", 100.0), ("B", 120.0))
+    ]
+    result = SimpleNamespace(
+        instruments=facts,
+        sweep="body.h",
+        wolves=[],
+        parameters=[],
+        swept=lambda: list(zip((1.0, 2.5), facts, strict=True)),
+    )
+    monkeypatch.setattr(summary, "key_figures", lambda one: {"mass": (0.5, "kg")} if one is facts[0] else {})
+    monkeypatch.setattr(summary, "value_words", lambda value, unit: f"{value:g} {unit}")
+    monkeypatch.setattr(summary, "lines", lambda of, i: ["first"])
+    compare._print(result, False)
+    assert capsys.readouterr().out.splitlines() == [
+        "A, a body without strings",
+        "B, a body without strings",
+        "   body.h  mode 1    mass",
+        "    1 (A)  100 Hz  0.5 kg",
+        "  2.5 (B)  120 Hz       -",
+        "parameters that differ: 0",
+        "(--all prints the rest)",
+    ]
+    compare._print(result, True)
+    assert "A to B: first" in capsys.readouterr().out
+    one = SimpleNamespace(instruments=facts[:1], sweep="", wolves=[], parameters=[])
+    compare._print(one, False)
+    assert capsys.readouterr().out.splitlines() == ["A, a body without strings", "  mass: 0.5 kg"]
+
+
+def test_a_stiffness_needs_an_outline(tonewood, tmp_path) -> None:
+    size = ("--length", 0.5, "--width", 0.2, "--thickness", 0.003, "--mass", 0.12, "--stiffness", 60)
+    assert "needs --outline LENGTH UPPER WAIST LOWER" in tonewood("wood", tmp_path / "p.csv", *size)[2]
+    code, _, err = tonewood("wood", tmp_path / "p.csv", *size, "--outline", 0.48, 0.28, 0.24, 0.37)
+    assert code == 2
+    assert "p.csv: cannot be read" in err
+
+
+@pytest.mark.parametrize(
+    ("ended", "code", "line"), [(False, 143, "tonewood: terminated; nothing was written\n"), (True, 3, "")]
+)
+def test_a_signal_outside_of_a_command_ends_the_program(monkeypatch, ended, code, line) -> None:
+    said, codes = [], []
+    monkeypatch.setattr(stopping, "_write", lambda descriptor, text: said.append((descriptor, text)))
+    monkeypatch.setattr(stopping.os, "_exit", codes.append)
+    handling = stopping.SignalHandling()
+    if ended:
+        handling.command_begins()
+        handling.command_ends(3)
+    with pytest.raises(KeyboardInterrupt):  # as the exit is none here
+        handling._take(signal.SIGTERM, None)
+    assert codes == [code]
+    assert said == ([(2, line)] if line else [])
