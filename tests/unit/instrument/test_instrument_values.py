@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -26,7 +28,7 @@ from tonewood.instrument.bundle.string_materials import made_figures, string_mat
 from tonewood.instrument.bundle.string_schema import INCH, Fretboard, MadeOf, Scatter
 from tonewood.instrument.bundle.string_sets import figures, string_sets
 from tonewood.instrument.contract.attached import Attached, Motion, Site, loose_mass
-from tonewood.instrument.contract.base import BodyPoint
+from tonewood.instrument.contract.base import MOST_MODES, BodyPoint
 from tonewood.instrument.contract.directions import unit_vector
 from tonewood.instrument.contract.effects import Effect, Norms, contact_effect, level_db, modes, nothing
 from tonewood.instrument.contract.gestures import Fraction, Hold, Place, is_played, metres, places, smooth_step
@@ -44,9 +46,10 @@ from tonewood.instrument.inspection.frequencies import (
     pitches,
 )  # fmt: skip
 from tonewood.instrument.inspection.mode_names import mode_names
-from tonewood.instrument.inspection.potentials_at_rest import SmallMotion
+from tonewood.instrument.inspection.potentials_at_rest import SmallMotion, _near_rest
 from tonewood.instrument.inspection.string_laws import LawErrors, _relative
 from tonewood.instrument.inspection.wolf import _refined, disturbed_share, intervals
+from tonewood.instrument.model import fretboard
 from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.instrument.model.choice import Choice
 from tonewood.instrument.model.finger import POINT, compliance, fingertips, laid_down
@@ -627,3 +630,64 @@ def test_two_of_three_gauges_are_enough(core: dict[str, float]) -> None:
     wrap = {"material": "phosphor_bronze", "gauge": 0.3e-3}
     with pytest.raises(ValueError, match=r"wrap\.gauge: follows from"):
         MadeOf.model_validate({"material": "wound", "gauge": 1e-3, "core": core, "wrap": wrap})
+
+
+def test_more_modes_than_are_allowed_are_counted_by_the_wave_number(guitar: Model) -> None:
+    """EI k^4 + T k^2 = mu (2 pi f)^2 at k = n pi / L."""
+    string = guitar.strings["E2"].resonator
+    k = (MOST_MODES + 1.5) * math.pi / string.length
+    freq = math.sqrt((string.bending_stiffness * k**4 + string.tension * k**2) / string.linear_density) / (2 * math.pi)
+    said = f"has some {MOST_MODES + 1} modes below {freq:g} Hz; at most {MOST_MODES} are allowed"
+    with pytest.raises(BundleError, match=re.escape(said)):
+        string.basis(freq)
+
+
+def test_places_of_frets_by_tuning_rule_and_list() -> None:
+    instrument = SimpleNamespace(
+        spec=SimpleNamespace(
+            stops=SimpleNamespace(count=3), strings={"a": SimpleNamespace(stops=None), "b": SimpleNamespace(stops=2)}
+        ),
+        tuning=Tuning(),
+        open_note=lambda name: 40.0,
+        folder=Path("x"),
+    )
+
+    def places(name: str, **keys: object) -> tuple[float, ...]:
+        return fretboard._places(instrument, name, keys, 0.65)  # type: ignore[arg-type]
+
+    assert places("a") == pytest.approx([0.65 * (1 - 2 ** (-n / 12)) for n in (1, 2, 3)])
+    assert places("b") == pytest.approx([0.65 * (1 - 2 ** (-n / 12)) for n in (1, 2)])
+    assert places("b", rule=18.0) == pytest.approx([0.65 / 18, 0.65 * (1 - (17 / 18) ** 2)])
+    assert places("b", places=[0.03, 0.06, 0.09]) == (0.03, 0.06)
+    for wrong in ([0.03, 0.06], [0.03, 0.06, 0.65]):
+        with pytest.raises(BundleError, match=f"has {len(wrong)} frets up to {wrong[-1]:g} m; 3 below 0.65 m"):
+            places("a", places=wrong)
+
+
+@pytest.mark.parametrize(
+    ("own", "push", "lowest", "free"),
+    [
+        (0.0, 0.0, 100.0, 0.0),
+        (300.0, 3.0, 400.0, 0.5 * 9.0 / 400.0),
+        (-100.0, 3.0, 0.0, 0.0),  # where it is unstable, no rest is near
+        (-101.0, 3.0, 0.0, 0.0),
+    ],
+)
+def test_small_motion_of_a_quadratic_potential(own: float, push: float, lowest: float, free: float) -> None:
+    """V = own y^2 / 2 + push y of the lower of two modes, of 10 and 30 rad/s; one more does not move."""
+
+    def called(y: np.ndarray) -> tuple[float, np.ndarray]:
+        return 0.5 * own * y[1] ** 2 + push * y[1], np.array([0.0, own * y[1] + push, 0.0])
+
+    energy = SimpleNamespace(called=called, stepped=called)
+    potential = SimpleNamespace(name="v", effect="one")
+    found = _near_rest(potential, energy, np.array([0.0, 100.0, 900.0]))  # type: ignore[arg-type]
+    assert (found.name, found.effect, found.freq_modes) == ("v", "one", pytest.approx(10 / (2 * math.pi)))
+    assert found.freq == pytest.approx(math.sqrt(lowest) / (2 * math.pi), abs=1e-4)
+    assert found.energy == pytest.approx(free, rel=1e-6)
+    assert found.wrong is None
+    if own and push:
+        energy.stepped = lambda y: (called(y)[0], 1.01 * called(y)[1])
+        wrong = _near_rest(potential, energy, np.array([0.0, 100.0, 900.0])).wrong  # type: ignore[arg-type]
+        assert wrong is not None
+        assert (wrong[0], wrong[1]) == (1, pytest.approx(1.01 * wrong[2]))
