@@ -16,6 +16,7 @@ from tonewood.instrument.contract.attached import Motion
 from tonewood.instrument.contract.gestures import Gesture, Hold
 from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.performance.effects.base import Switching, Watched
+from tonewood.performance.engine import engine as engines
 from tonewood.performance.engine import schedule as schedules
 from tonewood.performance.engine.energy_budget import EnergyBudget
 from tonewood.performance.engine.engine import GRID, Engine
@@ -323,3 +324,26 @@ def test_an_effect_is_exchanged_where_its_switch_moves_and_only_there(model: Mod
     effect.wants("b", until=3)
     assert switched() == []
     assert one.switchings["wanted"] == Switching(frozenset("b"), until={"b": 3})
+
+
+@pytest.mark.parametrize(
+    ("change", "done"),
+    [(Fretting(stop=2.0), ["effects", "velocities"]), (Fretting(cents=20.0), []), (Fretting(added_damping=9.0), [])],
+)
+def test_a_new_stop_takes_effects_and_joined_velocities_along(
+    model: Model, change: Fretting, done: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bend or a damper does not: laws stay, and velocities with them; the motion of the string is carried."""
+    one, seen = engine(model, pluck(0.02)), list[str]()
+    one.advance(8)
+    before = {c: one.system.modes_of(one.state, c).copy() for c in model.strings["A2"].components}
+    monkeypatch.setattr(one, "_with_effects", lambda system: seen.append("effects") or system)
+    monkeypatch.setattr(engines, "share_velocities", lambda system, state: seen.append("velocities"))
+    exchanges = one.counters.exchanges
+    one._refret({"A2": change})
+    assert seen == done
+    assert one.frettings["A2"] == change
+    assert one.counters.exchanges == exchanges + 1
+    if not done:  # the same modes go on
+        for component, modes in before.items():
+            np.testing.assert_allclose(one.system.modes_of(one.state, component)[0], modes[0], rtol=0.05, atol=1e-9)
