@@ -482,6 +482,16 @@ def test_a_set_is_made_in_a_folder_of_folders(tmp_path: Path) -> None:
         plan_dataset(unknown, tmp_path, tmp_path / "c", EngineRenderer())
 
 
+def test_sounds_that_cannot_be_resolved_are_named(tmp_path: Path) -> None:
+    data = dataset(parameters={"p": {"path": "strings.A2.tension", "values": [60.0, -1.0]}})
+    found = plan_dataset(data, tmp_path, tmp_path / "out", EngineRenderer())
+    wrong = [s.condition.name for s in found.samples if s.parameters["p"] == -1.0]
+    assert [f.name for f in found.faults] == wrong
+    assert len(wrong) == 1
+    assert "strings.A2.tension" in found.faults[0].reason
+    assert len(found.samples) == 2
+
+
 def test_sounds_are_counted_over_instruments_and_scores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tonewood.workshop.dataset.sampling.MAX_SOUNDS", 6)
     two = BASE["scores"] | {"two": BASE["scores"]["one"]}
