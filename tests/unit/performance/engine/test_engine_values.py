@@ -18,6 +18,7 @@ from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.performance.effects.base import Switching, Watched
 from tonewood.performance.engine import engine as engines
 from tonewood.performance.engine import schedule as schedules
+from tonewood.performance.engine import trial
 from tonewood.performance.engine.energy_budget import EnergyBudget
 from tonewood.performance.engine.engine import GRID, Engine
 from tonewood.performance.engine.in_progress import GesturesInProgress
@@ -347,3 +348,25 @@ def test_a_new_stop_takes_effects_and_joined_velocities_along(
     if not done:  # the same modes go on
         for component, modes in before.items():
             np.testing.assert_allclose(one.system.modes_of(one.state, component)[0], modes[0], rtol=0.05, atol=1e-9)
+
+
+def test_every_gesture_of_an_instrument_is_tried_once(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One after another on the strings, 5 ms apart where they share one; eight points of the grid after the last."""
+    made, compared = list[Engine](), list[str]()
+
+    def kept(*given: Any) -> Engine:
+        made.append(Engine(*given))
+        return made[-1]
+
+    monkeypatch.setattr(trial, "Engine", kept)
+    monkeypatch.setattr(trial, "_same_connections", lambda string: compared.append(string.name))
+    trial.try_parts(model)
+    (one,) = made
+    assert compared == [name for name in model.groups if model.strings[name].n_stops]
+    n = len(model.groups)
+    exciters = list(model.exciters)
+    assert one.counters.strings_played == {list(model.groups)[i % n] for i in range(len(exciters))}
+    last = 0.005 * ((len(exciters) - 1) // n) * FS
+    assert 0 <= one.state.sample - (last + 8 * GRID) < GRID
+    trial.try_parts(SimpleNamespace(groups={}, exciters=model.exciters))  # type: ignore[arg-type]
+    assert len(made) == 1
