@@ -194,7 +194,7 @@ def test_a_sweep_is_in_the_order_of_its_values() -> None:
 def test_infinite_numbers_are_null_in_json() -> None:
     assert [comparison.finite(x) for x in (1.5, math.inf, -math.inf, math.nan, None)] == [1.5, None, None, None, None]
     still = replace(mode(100.0), q=math.inf, t60=math.inf, residue=0.0, mass=math.inf)
-    quiet = tone("A2", lufs=-math.inf, peak_dbfs=-math.inf)
+    quiet = tone("A2", level=(-10.0, -5.0, -30.127), lufs=-math.inf, peak_dbfs=-math.inf)
     lasting = note("A", 0, math.inf)
     one = facts(body_modes=(still,), tones={"A2": quiet}, notes=(lasting,), named={"T1": 0}, mass=0.2, kinds={"a": 3})
     source = Source(text="A book", licence="facts")
@@ -208,7 +208,7 @@ def test_infinite_numbers_are_null_in_json() -> None:
     shown = found["instruments"][0]
     assert shown["tones"]["A2"] == {
         "string": "A", "stop": 0.0, "freq": 110.0, "peak_dbfs": None, "lufs": None, "time": [0.0, 0.1, 0.2],
-        "level_db": [-10.0, -5.0, -30.0],
+        "level_db": [-10.0, -5.0, -30.13],
     }  # fmt: skip
     assert shown["strings"][0]["partials"] == [{"number": 1, "freq": 110.0, "cents": 0.0, "t60": None}]
     assert (shown["named_modes"], shown["mass"], shown["provenance"]) == ({"T1": 100.0}, 0.2, {"a": 3})
@@ -583,6 +583,19 @@ def test_the_difference_of_mobilities_is_that_of_their_means(drawn: list[Figure]
     ]  # fmt: skip
     x = below.lines[0].get_xdata()
     assert (x[0], x[-1], len(x)) == (pytest.approx(40 * 2 ** (1 / 6)), pytest.approx(10000 / 2 ** (1 / 6)), 120)
+
+
+def test_levels_in_bands_are_over_what_all_instruments_have() -> None:
+    """20 dB a decade by third octaves: those of the frequency between their ends."""
+    spans = ((40.0, 5000.0), (100.0, 10000.0), (20.0, 8000.0))
+    each = [np.geomspace(*ends, 400) for ends in spans]
+    made = [facts(freq=f, mobility={"A": 1e-4 * f + 0j, "B": 1e-2 * f + 0j}) for f in each]
+    freq, levels = figures.band_levels(compared(*made), ["A", "B"])
+    assert (freq[0], freq[-1], len(freq)) == (
+        pytest.approx(100.0 * 2 ** (1 / 6)), pytest.approx(5000.0 / 2 ** (1 / 6)), 120
+    )  # fmt: skip
+    for level in levels:
+        np.testing.assert_allclose(level, 20 * np.log10(1e-3 * freq), atol=1e-3)
 
 
 def test_notes_are_a_panel_of_each_string_and_a_curve_of_each_instrument(drawn: list[Figure]) -> None:
