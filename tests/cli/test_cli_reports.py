@@ -26,6 +26,7 @@ from tonewood.cli import (
     render,
     sample,
     serve,
+    stems,
     stopping,
     wood,
 )
@@ -520,3 +521,27 @@ def test_a_signal_outside_of_a_command_ends_the_program(monkeypatch, ended, code
         handling._take(signal.SIGTERM, None)
     assert codes == [code]
     assert said == ([(2, line)] if line else [])
+
+
+@pytest.mark.parametrize(("loudness", "gain"), [(-6.0, -6.0), (99.0, 20 * math.log10(4) - 1.0)])
+def test_a_loudness_is_reached_unless_the_peak_would_be_too_high(tmp_path, monkeypatch, loudness, gain) -> None:
+    monkeypatch.setattr(render, "_loudness_gain", lambda path: loudness)
+    samples = 0.25 * np.sin(2 * np.pi * np.arange(4000) / 8)[:, None] * [1.0, 0.5]
+    form = render._Form(tmp_path / "a.wav", "FLOAT", 300, "LUFS", -1.0, False)
+    assert render._write(Fixed(samples), form, Tags()).gain_db == pytest.approx(gain, abs=0.02)
+
+
+@pytest.mark.parametrize("frames", [400, 1500])
+def test_stems_of_strings_are_as_long_as_the_mix_and_at_its_gain(tmp_path, frames) -> None:
+    """Blocks of 1000 samples of two groups, of one channel and of two: cut, or filled with silence."""
+    samples = np.arange(3000.0).reshape(1000, 3) / 6000
+    renderer = Fixed(samples)
+    renderer.columns = [[0], [1, 2]]
+    files = [tmp_path / "a.wav", tmp_path / "b.wav"]
+    parts = [samples[:300], samples[300:600], samples[600:]]
+    renderer.blocks = lambda size: iter(parts)
+    stems.write_string_stems(renderer, files, "FLOAT", -6.0, frames, Tags())
+    wanted = np.zeros((frames, 3))
+    wanted[: min(frames, 1000)] = samples[:frames] * 10 ** (-6 / 20)
+    for file, columns in zip(files, renderer.columns, strict=True):
+        assert sf.read(file, always_2d=True)[0] == pytest.approx(wanted[:, columns], abs=1e-6)
