@@ -16,7 +16,7 @@ from tonewood.performance.engine.engine import Engine
 def test_all_exciters_of_one_string_have_played_when_the_trial_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Four exciters on one string take turns of 5 ms; the trial ends after the force of the last one has begun."""
+    """Four exciters on one string take turns of 5 ms; the trial ends eight points of the grid after the last one."""
     engines: list[Engine] = []
 
     class Watched(Engine):
@@ -38,4 +38,6 @@ def test_all_exciters_of_one_string_have_played_when_the_trial_ends(
     trial.try_parts(model)
     assert sorted(set(asked)) == sorted(names)
     (engine,) = engines
-    assert engine.state.sample >= 3 * 0.005 * model.fs
+    notes = sorted(play.time for play in engine.timeline.plays)
+    assert notes == pytest.approx([0.0, 0.005, 0.01, 0.015])
+    assert 0 <= engine.state.sample - (720 + 8 * 64) < 64

@@ -1,0 +1,395 @@
+"""Pieces of a model with closed forms or by hand: stops, tensions, bases that are kept, banks, stems, tables."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+
+from tonewood.errors import BundleError, TonewoodError
+from tonewood.instrument.bundle.key_schema import Damper, KeyEntry, Keys, Pedals
+from tonewood.instrument.bundle.schema import Finger
+from tonewood.instrument.bundle.schema_table import parameter_table
+from tonewood.instrument.contract import array_cache
+from tonewood.instrument.contract.base import BodyPoint, BridgeForce
+from tonewood.instrument.contract.gestures import Fraction
+from tonewood.instrument.contract.microphones import Microphones
+from tonewood.instrument.inspection import frequencies
+from tonewood.instrument.inspection.modal_export import modal_table_text
+from tonewood.instrument.model import kept_tunings, string_tuning
+from tonewood.instrument.model.assembly import Model
+from tonewood.instrument.model.choice import Choice
+from tonewood.instrument.model.kept_tunings import KeptTunings
+from tonewood.instrument.model.output_assembly import OutputGroup, Outputs
+from tonewood.instrument.model.stop_table import StopTable
+from tonewood.instrument.model.string_assembly import _end_shares, _is_beyond, _transverse_ends
+from tonewood.instrument.model.string_setup import GivenTension, Polarization, Stopping
+from tonewood.instrument.model.string_stems import outputs_by_string
+from tonewood.instrument.model.string_tuning import StringTuning
+from tonewood.instrument.model.tuning import CoupledMode, TunedStop
+from tonewood.instrument.model.untuned_bases import PASSING_STOPS, UntunedBases, held_freq
+from tonewood.instrument.scales import note_name
+from tonewood.physics.coupling.connections import Connection, Rigid, Term
+from tonewood.physics.coupling.layout import Drive, Readout
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.support.params import Parameters, described, quantity
+
+
+def semitones(stop: float) -> float:
+    return 100.0 * 2 ** (stop / 12)
+
+
+@pytest.mark.parametrize(
+    ("given", "used", "held", "raised", "stretch", "cents"),
+    [
+        (80.0, 80.0, "pitch", 7.0, 0.0, 0.0), (160.0, 80.0, "pitch", 7.0, 0.0, 600.0),
+        (80.0, 160.0, "pitch", 7.0, 5.0, -595.0), (80.0, 160.0, "tension", 7.0, 5.0, 7.0),
+        (80.0, 80.0, "tension", 30.0, 0.0, 30.0), (80.0, 80.0, "tension", -30.001, 0.0, -30.001),
+    ],
+)  # fmt: skip
+def test_cents_of_a_tension(given: float, used: float, held: str, raised: float, stretch: float, cents: float) -> None:
+    tension = GivenTension("A", given, used, held, raised, stretch)
+    assert (tension.cents, tension.noticeable) == (pytest.approx(cents), abs(cents) > 30.0)
+    assert f"{cents:+.0f} cents" in tension.line()
+    assert ("is held" in tension.line()) == (held == "tension")
+
+
+def test_stops_of_an_ideal_string() -> None:
+    """Stop n is at L (1 - 2^(-n/12)); a soft finger leaves the whole string in motion."""
+    table = StopTable("A", 0.6, Stopping(12, False, semitones, "each_stop"))
+    assert table.freqs == pytest.approx([semitones(n) for n in range(13)])
+    assert table.lengths == pytest.approx([0.6 * 2 ** (-n / 12) for n in range(13)])
+    assert (table.position(12), table.end(3.0)) == (pytest.approx(0.3), 3.0)
+    assert (table.freq(0.5), table.freq(-1.0), table.freq(13)) == pytest.approx([semitones(x) for x in (0.5, -1, 13)])
+    slide = StopTable("A", 0.6, Stopping(12, True, semitones, "each_stop", finger=Finger()))
+    assert (slide.length(6.5), slide.end(6.5)) == (pytest.approx(0.6 * 2 ** (-6.5 / 12)), 0.0)
+    for one, stop in ((table, 0.5), (table, 13), (table, -1), (slide, 12.01), (slide, -0.01)):
+        with pytest.raises(ValueError, match=f"stops from 0 to 12, not {stop:g}") as caught:
+            one.position(stop)
+        assert ("whole" in str(caught.value)) == (one is table)
+
+
+def test_bases_of_stops_between_frets_are_forgotten_in_turn() -> None:
+    calls: list[tuple[float, float]] = []
+
+    def basis(upper: float, *, stop: float, tension: float) -> ModalBasis:
+        calls.append((stop, tension))
+        n = 1 if stop > 0.1 else 2
+        return ModalBasis.real(np.arange(1.0, n + 1), np.ones(n), {"bridge": np.ones(n), "x": np.zeros(n)})
+
+    def fault(reason: str, key: str) -> BundleError:
+        return BundleError(reason, key=key)
+
+    resonator: Any = SimpleNamespace(basis=basis, fault=fault, detuned=lambda base, tension: tension)
+    stops = StopTable("A", 1.0, Stopping(24, True, semitones, "each_stop"))
+    planes = [Polarization("A.z", (0, 0, 1), {}), Polarization("A.y", (0, 1, 0), {}, 2.0)]
+    bases = UntunedBases(resonator, stops, planes, 900.0, 0.25, lambda stop: 1200.0 * stop)
+    passing = [n / 64 + 1 / 128 for n in range(PASSING_STOPS)]
+    for stop in (0.0, *passing, 0.0, *passing):
+        assert bases.at(stop, lambda: 70.0).residual.tolist() == [[0.25, 0.0], [0.0, 0.0]]
+    assert (len(calls), {tension for _, tension in calls}) == (PASSING_STOPS + 1, {70.0})
+    for stop, n in ((1.5, 2), (0.0, 2), (passing[1], 2), (passing[0], 3)):
+        bases.at(stop, lambda: 70.0)
+        assert len(calls) == PASSING_STOPS + n
+    assert [bases.detune(p, 1.0) for p in planes] == [1.0, 4.0]
+    assert bases.planes(None, 3.0, 1.0) == [3.0, 48.0]  # type: ignore[arg-type]
+    with pytest.raises(BundleError, match=r"900 Hz leave 1 of the modes at stop 2; 112\.25 Hz need 2"):
+        bases.at(2.0, lambda: 1.0)
+
+
+def test_a_resonator_at_rest_has_its_lowest_frequency() -> None:
+    basis = ModalBasis.real([300.0, 200.0], [0.1, 0.1], {"bridge": [0.0, 0.0]})
+    assert held_freq(basis) == pytest.approx(200 / (2 * math.pi))
+    assert frequencies.held_partials(basis, 1) == [pytest.approx(200 / (2 * math.pi))]
+
+
+@pytest.mark.parametrize(
+    ("zeros", "partials", "asked"),
+    [
+        ([100.0, 201.0, 303.0, 9.0], [100.0, 201.0, 303.0], [100.0, 200.0, 302.0]),
+        ([100.0, 150.0], [100.0], [100.0, 200.0]),  # half a step on is not the next one
+        ([100.0, 150.1, 200.0], [100.0, 150.1, 200.0], [100.0, 200.0, 200.2]),
+        ([100.0, None], [100.0], [100.0, 200.0]),
+        ([50.0], [], [100.0]),
+        ([100.0, 241.0], [100.0, 241.0], [100.0, 200.0]),  # the next is searched below the highest mode alone
+    ],
+)
+def test_partials_are_searched_a_step_above_the_last(
+    monkeypatch: pytest.MonkeyPatch, zeros: list[float | None], partials: list[float], asked: list[float]
+) -> None:
+    left, starts = list(zeros), list[complex]()
+
+    def newton(start: complex, steps: int) -> complex | None:
+        starts.append(start / (2 * math.pi))
+        freq = left.pop(0)
+        return None if freq is None else complex(-0.1, 2 * math.pi * freq)
+
+    monkeypatch.setattr(frequencies, "Joint", lambda ports: SimpleNamespace(newton=newton))
+    monkeypatch.setattr(frequencies, "held_freq", lambda basis: 100.0)
+    basis = ModalBasis.real([2 * math.pi * 380.0, 1.0], [0.1, 0.1], {"bridge": [1.0, 1.0]})
+    assert frequencies.held_partials(basis, 3) == pytest.approx(partials)
+    assert [s.imag for s in starts] == pytest.approx(asked)
+    assert all(s.real == pytest.approx(-1e-4 * s.imag) for s in starts)
+
+
+def test_names_have_sharps_unless_flats_are_wanted() -> None:
+    assert [note_name(n) for n in (61, 70.25, 0, 59.5)] == ["C#4", "A#4+25", "C-1", "C4-50"]
+    assert [note_name(n, flats=True) for n in (61, 70.25, 63)] == ["Db4", "Bb4+25", "Eb4"]
+
+
+def test_a_pedal_lifts_its_dampers_by_eighths() -> None:
+    pedals = Pedals(rises=0.2, free=0.6)
+    assert [pedals.share(x) for x in (0.0, 0.2, 0.22, 0.23, 0.25, 0.4, 0.58, 0.6, 1.0)] == pytest.approx(
+        [1, 1, 1, 49 / 64, 49 / 64, 1 / 4, 0, 0, 0]
+    )
+    assert (Pedals().rises, Pedals().free, Pedals().una_corda_stiffness) == (0.3, 0.7, 0.5)
+    for rises, free in ((0.6, 0.6), (0.7, 0.6)):
+        with pytest.raises(ValueError, match="rises must be below free"):
+            Pedals(rises=rises, free=free)
+    damper = Damper(from_bridge=0.1, resistance=1)
+    for keys, moves in (({}, False), ({"una_corda": 1}, True), ({"damper": damper}, True)):
+        assert Keys(entries={"C4": KeyEntry(note=60, strings=["a"], **keys)}).has_pedals is moves
+
+
+@pytest.mark.parametrize(
+    ("met", "una_corda", "factors"),
+    [(2, False, [1, 1, 1]), (2, True, [0.25, 0.25, 0]), (None, True, [0.25] * 3), (3, True, [0.25] * 3)],
+)
+def test_the_soft_pedal_leaves_strings_out(met: int | None, una_corda: bool, factors: list[float]) -> None:
+    group = ("a", "b", "c")
+    string = SimpleNamespace(length=lambda stop: 0.5 - stop, tension=lambda stop: 70 + stop, polarizations=[1, 2],
+                             group=group)  # fmt: skip
+    entry = KeyEntry(note=60, strings=list(group), una_corda=met)
+    keys: Keys | None = Keys(entries={"C4": entry}, pedals=Pedals(una_corda_stiffness=0.25))
+    instrument = SimpleNamespace(spec=SimpleNamespace(keys=keys), key_of={"a": "C4"})
+    model: Any = SimpleNamespace(strings={"a": string, "d": string}, instrument=instrument)
+    place = Model.place(model, "a", 0.25, una_corda=una_corda)
+    assert (place.name, place.length, place.planes, place.tension) == ("a", 0.25, 2, 70.25)
+    assert dict(place.strings) == dict(zip(group, factors, strict=True))
+    assert Model.place(model, "d", una_corda=una_corda).strings == ()
+
+
+def test_effects_that_are_not_declared_always_run() -> None:
+    choice = Choice("list", frozenset({"a"}), -80.0, 0.5)
+    parts: list[Any] = [SimpleNamespace(effects=[SimpleNamespace(name=n) for n in names]) for names in ("", "ab", "b")]
+    assert [choice.keeps(part) for part in parts] == [True, True, False]
+    assert [choice.keeps(parts[1], name) for name in "abc"] == [True, False, True]
+
+
+def test_banks_hear_forces_on_driven_points() -> None:
+    points = {"p": BodyPoint((0, 0, 1)), "q": BodyPoint((0, 0, 1), driven=False)}
+    scene: Any = SimpleNamespace(body_points=points, bridge_forces=[BridgeForce("k", "p", 3.0)])
+    assert Microphones.at_points(None, "m", scene, -2.0) == (  # type: ignore[arg-type]
+        ["p"], [Drive("m", "at_p", "k", -6.0)], {"p": (("m", "at_p", -2.0),)}
+    )  # fmt: skip
+    assert Microphones.at_points(None, "m", scene)[1] == [Drive("m", "at_p", "k", 3.0)]  # type: ignore[arg-type]
+    drives, bank = [Drive("m", "at_p", "k", f) for f in (0.0, -1.0)], ModalBasis.real([1.0], [0.1], {"left": [1.0]})
+    rows = Microphones.bank_rows(SimpleNamespace(channels=("left", "right")), "m", bank, drives, {})  # type: ignore[arg-type]
+    assert rows.readouts == tuple(Readout(f"m.{c}", "displacement", (Term("m", c),)) for c in ("left", "right"))
+    assert (rows.drives, rows.components) == ((drives[1],), {"m": bank})
+
+
+def test_stems_share_forces_by_owner() -> None:
+    """A readout of a bank, of the body and of a string: copies for each string and for the body's other forces."""
+    basis = ModalBasis.real([1.0], [0.1], {"p": [1.0]})
+    connections = [
+        Connection("a.bridge", (Term("a", "bridge"), Term("body", "p", -2.0)), Rigid(), owner="a"),
+        Connection("lump", (Term("body", "p", -1.0),), Rigid()),
+    ]
+    readouts = (
+        Readout("r", "velocity", (Term("bank", "p", 3.0), Term("a", "x")), forces=(("a.bridge", 5.0), ("lump", 7.0))),
+        Readout("s", "velocity", (Term("free", "x"),)),
+    )
+    group = OutputGroup("g", ("c", "d"), (0, 1), "velocity", "m/s", 1.0, "", columns=(0, 1))
+    inputs = {"p": (("bank", "at", 4.0),)}
+    given = Outputs((group,), readouts, {"bank": basis, "idle": basis}, (Drive("bank", "p", "a.bridge", 9.0),), inputs)
+    out = outputs_by_string(given, connections, {"a": "a"}, ["a"], basis, ["p", "q"])
+    assert [(g.name, g.readouts) for g in out.groups] == [("g.a", (0, 2)), ("g.body", (1, 3))]
+    assert [(r.name, [(t.component, t.factor) for t in r.probes], r.forces) for r in out.readouts] == [
+        ("r.a", [("bank.of_a", 3.0), ("a", 1.0)], (("a.bridge", 5.0),)),
+        ("r.body", [("bank.of_body", 3.0)], (("lump", 7.0),)),
+        ("s.a", [], ()),
+        ("s.body", [("free", 1.0)], ()),
+    ]
+    assert set(out.components) == {"bank.of_a", "bank.of_body"}
+    assert out.drives == (Drive("bank.of_a", "p", "a.bridge", 9.0),)
+    assert out.body_inputs == {"p": (("bank.of_body", "at", 4.0),), "q": ()}
+    body = Outputs((group,), (Readout("r", "velocity", (Term("body", "p"),)), readouts[1]), {}, (), {})
+    out = outputs_by_string(body, connections, {"a": "a"}, ["a"], basis, ["p"])
+    drives = [("body.of_a", "a.bridge", -2.0), ("body.of_body", "lump", -1.0)]
+    assert out.drives == tuple(Drive(c, "p", k, factor, impulses=True) for c, k, factor in drives)
+    assert out.body_inputs == {"p": (("body.of_body", "p", 1.0),)}
+
+
+def fake_tuning(**values: Any) -> Any:
+    stops = SimpleNamespace(count=2, freq=semitones, length=lambda stop: 0.6 * 2 ** (-stop / 12), string="A",
+                            stopping=SimpleNamespace(compensate="each_stop", finger=None))  # fmt: skip
+    return SimpleNamespace(**{"stops": stops, "_interpolates": False, "_gains": {}, **values})
+
+
+@pytest.mark.parametrize(("bow", "n"), [(0.0, 5), (1.15e-3, 5), (1.16e-3, 9), (4.6e-3, 9), (4.7e-3, 17), (1.0, 33)])
+def test_a_table_of_tensions_is_as_fine_as_a_cent_asks(bow: float, n: int) -> None:
+    """log T = b s (1 - s): the middle of a step h misses the mean by b h^2 / 4, 600 / ln 2 times as much in cents."""
+    fake = fake_tuning(_tune=lambda stop: (None, math.exp(2.0 + 4 * bow * stop * (1 - stop))))
+    stops, log = StringTuning.table.func(fake)
+    assert log == pytest.approx(2.0 + 4 * bow * stops * (1 - stops))
+    assert n == 1 + 4 * 2 ** sum(600 / math.log(2) * bow * 4**-i > 1.0 for i in range(3))
+    assert (len(stops), stops[0], stops[-1]) == (n, 0.0, 2.0)
+
+
+def test_tensions_between_stops_and_under_bends() -> None:
+    fake = fake_tuning(
+        _interpolates=True, table=(np.array([0.0, 1.0]), np.log([64.0, 81.0])), _tune=lambda s: (None, s)
+    )
+    assert StringTuning.tension(fake, 0.5) == pytest.approx(72.0)
+    assert [StringTuning.tension(fake, s) for s in (1, 2)] == [1, 2]
+    fake.stops.stopping.compensate = "open_only"
+    assert StringTuning.tension(fake, 2) == 0.0
+    bent: Any = SimpleNamespace(tension=lambda stop: 80.0, _bend_gain=lambda stop: 0.5)
+    assert [StringTuning.bent(bent, 0, x) for x in (0.0, 1200.0, -1200.0)] == pytest.approx([80.0, 160.0, 40.0])
+
+
+def test_cents_of_tension_per_cent_of_pitch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where f goes as T^p, a cent of pitch needs 1 / (2 p) cents of tension; between stops the gain is straight."""
+    fake = fake_tuning(base=lambda stop: 0.5 if stop else 0.25, tension=lambda stop: 70.0)
+    fake.resonator = SimpleNamespace(detuned=lambda power, tension: 100.0 * tension**power)
+    fake._bend_gain = lambda stop: StringTuning._bend_gain(fake, stop)
+    monkeypatch.setattr(string_tuning, "held_freq", lambda freq: freq)
+    assert [fake._bend_gain(stop) for stop in (0, 1, 0.5)] == pytest.approx([2.0, 1.0, 1.0])
+    fake._interpolates = True
+    assert fake._bend_gain(0.25) == pytest.approx(1.75)
+    for freq in (None, 100.0):
+        monkeypatch.setattr(string_tuning, "held_freq", lambda _, freq=freq: freq)
+        fake._gains = {}
+        assert fake._bend_gain(0) == 1.0
+
+
+def test_a_soft_finger_lies_nearer_to_the_bridge_by_its_compliance() -> None:
+    finger = Finger()
+    tensions = {0.0: 70.0, 1.0: 72.0, 2.0: 76.0}
+    fake = fake_tuning(tension=lambda stop: 70.0, freq=semitones, _tune=lambda stop: (None, tensions[stop]))
+    fake.base = lambda stop: SimpleNamespace(metadata={"bending_stiffness": 7e-5})
+    fake.stops.stopping.finger = finger
+    for compensate, stop, ideal in (("each_stop", 1.0, 72.0), ("each_stop", 1.25, 73.0), ("none", 1.0, 70.0)):
+        fake.stops.stopping.compensate = compensate
+        s, w = 2j * math.pi * semitones(stop), 2 * math.pi * finger.freq
+        tip = finger.mass * (s * s + 2 * finger.damping_ratio * w * s + w * w)
+        soft = (1 / (finger.skin_stiffness + finger.skin_damping * s) + 1 / tip).real
+        length = 0.6 * 2 ** (-stop / 12) * math.sqrt(70.0 / ideal)
+        assert StringTuning.under_finger(fake, stop) == pytest.approx(length + 0.5e-3 - 70.0 * soft, abs=1e-12)
+
+
+def test_tunings_are_kept_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = list[bytes]()
+    monkeypatch.setattr(kept_tunings, "_key", lambda instrument, limit: f"{instrument} {limit}")
+    monkeypatch.setattr(kept_tunings, "read_kept", lambda *_: None)
+    monkeypatch.setattr(kept_tunings, "keep", lambda folder, key, content: written.append(content))
+    kept = KeptTunings("guitar", 900.0)  # type: ignore[arg-type]
+    kept.save()
+    assert (kept.known, written) == ({}, [])
+    tuned = TunedStop(110.1, 71.3, (CoupledMode(complex(-0.1, 691.7), (0.9, 0.05, 0.05), 1.625),))
+    kept.add("A2", 70.0, tuned)
+    kept.save()
+    kept.save()
+    (content,) = written
+    assert kept_tunings._decoded(content) == {"A2": (70.0, tuned)} == kept.known
+    for before, after in ((b"110.1", b"110"), (b"1.625", b"true")):
+        with pytest.raises(TypeError, match="is no number"):
+            kept_tunings._decoded(content.replace(before, after))
+    with pytest.raises(ValueError, match="no modes"):
+        kept_tunings._entry({"modes": []})
+
+
+def test_arrays_are_computed_once_and_the_last_sixteen_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("read_kept", lambda *_: None), ("keep", lambda *_: None), ("_RECENT", {})):
+        monkeypatch.setattr(array_cache, name, value)
+    calls: list[int] = []
+
+    def arrays(n: int) -> array_cache.Arrays:
+        return array_cache.cached_arrays({"n": n}, lambda: calls.append(n) or {"x": np.full(2, n)}, "support")
+
+    for n in (*range(16), *range(16)):
+        assert arrays(n)["x"].tolist() == [n, n]
+    with pytest.raises(ValueError, match="read-only"):
+        arrays(0)["x"][0] = 1
+    arrays(0).clear()
+    assert arrays(0)["x"].tolist() == [0, 0]
+    for n in (16, 1, 0):
+        arrays(n)
+    assert calls == [*range(16), 16, 0]
+
+
+def test_modes_of_a_body_as_a_table() -> None:
+    basis = ModalBasis.real([2 * math.pi * 200.0, 2 * math.pi * 100.0], [3.0, 2.0], {"p": [3.0, 1.0], "q": [4.0, 2.0]})
+    points = {"p": BodyPoint((0, 0, 1)), "q": BodyPoint((0, 1, 0), driven=False)}
+    body: Any = SimpleNamespace(basis=lambda upper: basis, points=lambda: points)
+    lines = modal_table_text(body, "t.csv", 900.0).splitlines()
+    assert lines[-3] == "f_Hz,Q,p,q"
+    rows = [[float(x) for x in line.split(",")] for line in lines[-2:]]
+    shape = basis.right.real
+    assert rows[0] == pytest.approx([100.0, math.pi * 50.0, *shape[:, 1]])
+    assert rows[1] == pytest.approx([200.0, math.pi * 200 / 3, *shape[:, 0]])
+    assert "#     p: {direction: [0, 0, 1]}" in lines
+    assert "#     q: {direction: [0, 1, 0], driven: false}" in lines
+    for freq, rate in ((0.0, 1.0), (10.0, 0.0)):
+        basis = ModalBasis.real([freq], [rate], {"p": [1.0]})
+        with pytest.raises(TonewoodError, match="with stiffness and loss"):
+            modal_table_text(body, "t.csv", 900.0)
+
+
+class Shown(Parameters):
+    """Shown."""
+
+    freq: float = quantity("Hz", low=1.0, high=20.0, doc="a")
+    share: float = quantity("1", low=0.0, default=0.5, doc="b")
+    kind: Literal["x", "y"] = described("c", default="x")
+    place: Fraction | None = described("d", default=None)
+    inner: Fraction = described("e", default=Fraction(fraction=0.5))
+    many: list[int] = described("f", default=[])
+    named: dict[str, bool] = described("g", default={})
+
+
+def test_tables_of_parameters() -> None:
+    assert parameter_table(Shown).splitlines()[2:] == [
+        "| `freq` | number (Hz), 1 to 20 | required | a |",
+        "| `share` | number, from 0 | `0.5` | b |",
+        "| `kind` | `x`, `y` | `x` | c |",
+        "| `place` | Fraction | none | d |",
+        "| `inner` | Fraction | see below | e |",
+        "| `many` | list of whole number | empty | f |",
+        "| `named` | NAME: true, false | empty | g |",
+    ]
+
+
+def test_ends_project_on_the_points_of_the_body() -> None:
+    points = {"z": BodyPoint((0.0, 0.0, 1.0)), "x": BodyPoint((1.0, 0.0, 0.0))}
+    assert _transverse_ends((0.0, 0.6, 0.8), ["z", "x"], points) == {"z": pytest.approx(0.8)}
+    part: Any = SimpleNamespace(axis=(3.0, 0.0, -4.0), body_points=["z", "x"])
+    to_nut, shares = _end_shares(part, points)
+    assert (to_nut, shares) == (pytest.approx((-0.6, 0.0, 0.8)), pytest.approx({"z": 0.8, "x": -0.6}))
+
+
+@pytest.mark.parametrize(
+    ("freq", "n_modes", "beyond"), [(249.9, 0, False), (250.1, 1, True), (250.1, 2, False), (2000.0, 1, True)]
+)
+def test_keys_without_two_modes_below_the_limit_are_beyond_it(freq: float, n_modes: int, beyond: bool) -> None:
+    """The limit is 0.98 / 1.06 of what is stepped, or of the string's own; a fourth of it is always far enough."""
+    upper = list[float]()
+
+    def basis(freq_upper: float, tension: float) -> SimpleNamespace:
+        upper.append(freq_upper)
+        return SimpleNamespace(n_modes=n_modes)
+
+    instrument: Any = SimpleNamespace(
+        spec=SimpleNamespace(strings={"a": SimpleNamespace(freq_upper=1e5), "b": SimpleNamespace(freq_upper=1060.0)}),
+        tuning=SimpleNamespace(freq=lambda note: freq), open_note=lambda name: 60.0, key_of={"a": 1, "b": 1},
+        resonators=dict.fromkeys("ab", SimpleNamespace(basis=basis, tension=70.0)),
+    )  # fmt: skip
+    assert _is_beyond(instrument, "a", 1060.0 / 0.98) is beyond
+    assert _is_beyond(instrument, "b", 1e5) is beyond
+    assert upper == pytest.approx([] if freq < 250 else [1000.0] * 2)
+    instrument.key_of = {}
+    assert not _is_beyond(instrument, "a", 1060.0 / 0.98)
