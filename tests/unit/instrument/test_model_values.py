@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tonewood.errors import BundleError, TonewoodError
 from tonewood.instrument.bundle.key_schema import Damper, KeyEntry, Keys, Pedals
+from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.schema import Finger
-from tonewood.instrument.bundle.schema_table import parameter_table
 from tonewood.instrument.contract import array_cache
 from tonewood.instrument.contract.base import BodyPoint, BridgeForce
-from tonewood.instrument.contract.gestures import Fraction
 from tonewood.instrument.contract.microphones import Microphones
 from tonewood.instrument.inspection import frequencies
 from tonewood.instrument.inspection.modal_export import modal_table_text
@@ -29,13 +28,12 @@ from tonewood.instrument.model.string_assembly import _end_shares, _is_beyond, _
 from tonewood.instrument.model.string_setup import GivenTension, Polarization, Stopping
 from tonewood.instrument.model.string_stems import outputs_by_string
 from tonewood.instrument.model.string_tuning import StringTuning
-from tonewood.instrument.model.tuning import CoupledMode, TunedStop
+from tonewood.instrument.model.tuning import CoupledMode, TunedStop, tune
 from tonewood.instrument.model.untuned_bases import PASSING_STOPS, UntunedBases, held_freq
 from tonewood.instrument.scales import note_name
 from tonewood.physics.coupling.connections import Connection, Rigid, Term
 from tonewood.physics.coupling.layout import Drive, Readout
 from tonewood.physics.modal.modes import ModalBasis
-from tonewood.support.params import Parameters, described, quantity
 
 
 def semitones(stop: float) -> float:
@@ -340,28 +338,29 @@ def test_modes_of_a_body_as_a_table() -> None:
             modal_table_text(body, "t.csv", 900.0)
 
 
-class Shown(Parameters):
-    """Shown."""
+@pytest.mark.parametrize("guess", [60.0, 69.9, 70.0, 71.0, 80.0])
+@pytest.mark.parametrize("jump", [0.0, 20.0])
+def test_a_tension_is_found_by_its_pitch_or_at_the_jump_over_it(guess: float, jump: float) -> None:
+    """Pitch goes as the root of the tension, or jumps from 20 cents below the note at 70 N to 20 above."""
+    tried: list[float] = []
 
-    freq: float = quantity("Hz", low=1.0, high=20.0, doc="a")
-    share: float = quantity("1", low=0.0, default=0.5, doc="b")
-    kind: Literal["x", "y"] = described("c", default="x")
-    place: Fraction | None = described("d", default=None)
-    inner: Fraction = described("e", default=Fraction(fraction=0.5))
-    many: list[int] = described("f", default=[])
-    named: dict[str, bool] = described("g", default={})
+    def pole(tension: float) -> complex:
+        cents = 600 * math.log2(tension / 70.0) + (jump if tension > 70.0 else -jump)
+        return complex(-1.0, 2 * math.pi * 110.0 * 2 ** (cents / 1200))
+
+    string: Any = SimpleNamespace(
+        joint=lambda tension: SimpleNamespace(newton=lambda s: pole(tension), tension=tension),
+        poles=lambda joint, freq: tried.append(joint.tension) or [(pole(joint.tension), (1.0, 0.0))],
+        modes=lambda tension, freq: (CoupledMode(pole(tension), (1.0, 0.0), 1.0),),
+    )
+    tuned = tune(string, 110.0, guess)
+    assert tuned.tension == pytest.approx(70.0, rel=1e-5)
+    assert abs(tuned.error_cents) == pytest.approx(jump, abs=0.01)
+    assert len(tried) < 24  # the search ends by itself
 
 
-def test_tables_of_parameters() -> None:
-    assert parameter_table(Shown).splitlines()[2:] == [
-        "| `freq` | number (Hz), 1 to 20 | required | a |",
-        "| `share` | number, from 0 | `0.5` | b |",
-        "| `kind` | `x`, `y` | `x` | c |",
-        "| `place` | Fraction | none | d |",
-        "| `inner` | Fraction | see below | e |",
-        "| `many` | list of whole number | empty | f |",
-        "| `named` | NAME: true, false | empty | g |",
-    ]
+def test_code_in_a_bundle_may_not_run_unasked() -> None:
+    assert Instrument.allow_code is False
 
 
 def test_ends_project_on_the_points_of_the_body() -> None:
