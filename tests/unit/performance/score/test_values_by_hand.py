@@ -1,0 +1,244 @@
+"""Costs of fingerings, lengths of notation and numbers of files, each worked out by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+from smf_bytes import event, smf
+from tablatures import GPIF, gpif, musicxml, note
+
+import tonewood as tw
+from tonewood.performance.score import gpif as gpif_module
+from tonewood.performance.score.assignment import Assigned, PlayableString, assign
+from tonewood.performance.score.fingering import Chord, FingeringCosts, Option, Sounding, finger, hand_after
+from tonewood.performance.score.musicxml_words import passes_of, velocity_of
+from tonewood.performance.score.note import Beats
+from tonewood.performance.score.tablature import Tablature, tablature
+from tonewood.performance.score.tablature import musicxml as written
+
+F = Fraction
+GUITAR = [
+    PlayableString.fretted(name, pitch, 19)
+    for name, pitch in {"E2": 40, "A2": 45, "D3": 50, "G3": 55, "B3": 59, "E4": 64}.items()
+]
+
+
+def struck(time: float, *notes: tuple[int, float, float]) -> Chord:
+    """Chord of (string, stop, duration), each with one place."""
+    ends, durations = tuple(time + d for *_, d in notes), tuple(d for *_, d in notes)
+    return Chord(time, ends, durations, tuple((Option(s, stop),) for s, stop, _ in notes))
+
+
+@pytest.mark.parametrize(
+    ("chords", "sounding", "cost"),
+    [
+        # a tenth of the stops, a shift by one each, from stop 1
+        ([struck(0, (0, 1.0, 1))], {}, 0.1),
+        ([struck(0, (0, 5.0, 1))], {}, 0.5 + 1.0),
+        ([struck(0, (0, 0.0, 1), (1, 0.0, 1))], {}, 0.0),
+        # a span of five is two too many; the hand stays at 1, as the lower finger has it
+        ([struck(0, (0, 1.0, 1), (1, 6.0, 1))], {}, 0.7 + 4.0),
+        ([struck(0, (0, 1.0, 1), (1, 4.0, 1))], {}, 0.5),
+        # a finger at stop 1 that the hand leaves behind, half of its note before the end; an open string rings on
+        ([struck(0, (0, 1.0, 2)), struck(1, (1, 8.0, 1))], {}, 0.9 + 4.0 + 6.0 / 2),
+        ([struck(0, (0, 0.0, 2)), struck(1, (1, 8.0, 1))], {}, 0.8 + 4.0),
+        # a note that is ended by another stop, or by the same one; within a millisecond of its end neither costs
+        ([struck(0, (0, 2.0, 4)), struck(1, (0, 3.0, 1))], {}, 0.5 + 6.0 * 3 / 4),
+        ([struck(0, (0, 2.0, 4)), struck(1, (0, 2.0, 1))], {}, 0.4),
+        ([struck(0, (0, 2.0, 1.0009)), struck(1, (0, 3.0, 1))], {}, 0.5),
+        ([struck(0, (0, 2.0, 1.0011)), struck(1, (0, 3.0, 1))], {}, 0.5 + 6.0 * 0.0011 / 1.0011),
+        # what sounds before weighs as it is held
+        ([struck(0, (1, 8.0, 1))], {0: Sounding(1.0, 0.5)}, 0.8 + 4.0 + 6.0 / 2),
+        ([struck(0, (1, 8.0, 1))], {0: Sounding(0.0, 1.0)}, 0.8 + 4.0),
+        ([struck(0, (0, 2.0, 1))], {0: Sounding(0.0, 1.0)}, 0.2 + 6.0),
+        ([struck(0, (0, 2.0, 1))], {0: Sounding(3.0, 0.0)}, 0.2),
+    ],
+)
+def test_costs_of_fingerings_with_the_usual_weights(
+    chords: list[Chord], sounding: dict[int, Sounding], cost: float
+) -> None:
+    assert finger(chords, 2, FingeringCosts(), sounding=sounding)[1] == pytest.approx(cost, abs=1e-12)
+    assert hand_after(5.0, [Option(0, 1.0), Option(1, 0.0)]) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("notes", "kept"),
+    [
+        # of three notes on two strings: named ones first, then the loudest, then the outer ones
+        ([(60, 80, None), (61, 80, None), (62, 80, None)], {60, 62}),
+        ([(60, 80, None), (61, 81, None), (62, 80, None)], {60, 61}),
+        ([(60, 80, None), (61, 1, "b"), (62, 90, None)], {61, 62}),
+        ([(62, 80, None), (61, 80, None), (60, 80, None)], {60, 62}),
+    ],
+)
+def test_the_most_important_notes_get_the_strings(notes: list[tuple[int, int, str | None]], kept: set[int]) -> None:
+    strings = [PlayableString.fretted(name, 60, 5) for name in "ab"]
+    chord = [tw.Note(0.0, note=n, velocity_midi=v, string=s, channel=0) for n, v, s in notes]
+    result = assign(chord, strings)
+    assert {a.note.note for a in result.notes} == kept
+    assert [d.reason for d in result.dropped] == ["no string is free beside the other 2 notes at its moment"]
+
+
+def tab_of(*rows: tuple[float, str]) -> Tablature:
+    """Tablature of (quarter note, string) at one quarter a second."""
+    notes = [Assigned(tw.Note(at, 0.5, note=60), string, 0.0, 0.0, at + 0.5) for at, string in rows]
+    return tablature(notes, GUITAR, Beats([(0.0, 0.0, 60.0)]))
+
+
+def lengths(tab: Tablature) -> list[tuple[str, str, int, str, str]]:
+    """Duration, type, dots, notes in the time of others, edges of the bracket: one of each length that is written."""
+    out = []
+    for n in ET.fromstring(written(tab)).iter("note"):
+        change = n.find("time-modification")
+        ratio = "" if change is None else f"{change.findtext('actual-notes')}:{change.findtext('normal-notes')}"
+        edges = " ".join(t.get("type", "") for t in n.iter("tuplet"))
+        out.append((n.findtext("duration", ""), n.findtext("type", ""), len(n.findall("dot")), ratio, edges))
+    return out
+
+
+@pytest.mark.parametrize(
+    ("onsets", "first"),
+    [
+        ([0, 1 / 3, 2 / 3, 1], [("8", "eighth", 0, "3:2", "start"), ("8", "eighth", 0, "3:2", ""),
+                                ("8", "eighth", 0, "3:2", "stop")]),
+        ([0, 2 / 3, 1], [("16", "quarter", 0, "3:2", "start"), ("8", "eighth", 0, "3:2", "stop")]),
+        ([0, 1 / 6, 1], [("4", "16th", 0, "3:2", "start"), ("16", "quarter", 0, "3:2", ""),
+                         ("4", "16th", 0, "3:2", "stop")]),
+        ([0, 1 / 2, 2 / 3, 1], [("12", "eighth", 1, "3:2", "start"), ("4", "16th", 0, "3:2", ""),
+                                ("8", "eighth", 0, "3:2", "stop")]),
+        # a length before a triplet ends with its quarter note
+        ([0, 1 + 1 / 3, 2], [("24", "quarter", 0, "", ""), ("8", "eighth", 0, "3:2", "start"),
+                             ("16", "quarter", 0, "3:2", "stop")]),
+        ([0, 3 / 8, 1], [("9", "16th", 1, "", ""), ("12", "eighth", 0, "", ""), ("3", "32nd", 0, "", "")]),
+        ([0, 3 / 4, 1], [("18", "eighth", 1, "", ""), ("6", "16th", 0, "", "")]),
+        ([0, 3, 4], [("72", "half", 1, "", ""), ("24", "quarter", 0, "", "")]),
+        ([0, 4], [("96", "whole", 0, "", "")]),
+        ([0, 1.5, 3.5, 4], [("36", "quarter", 1, "", ""), ("48", "half", 0, "", ""), ("12", "eighth", 0, "", "")]),
+    ],
+)  # fmt: skip
+def test_lengths_of_notation(onsets: list[float], first: list[tuple[str, str, int, str, str]]) -> None:
+    assert lengths(tab_of(*((at, "E2") for at in onsets)))[: len(first)] == first
+
+
+def test_a_whole_quarter_note_is_no_triplet() -> None:
+    tab = replace(tab_of((0, "E2"), (1, "E2")), triplets=frozenset({0}))
+    assert lengths(tab)[0] == ("24", "quarter", 0, "", "")
+
+
+def direction(inside: str) -> str:
+    return f"<direction><direction-type>{inside}</direction-type></direction>"
+
+
+A = note("A", 3, 4)
+
+
+@pytest.mark.parametrize(
+    ("notes", "velocities"),
+    [
+        *(
+            (direction(f"<dynamics><{name}/></dynamics>") + A, [velocity])
+            for name, velocity in zip(
+                ("pppp", "ppp", "pp", "p", "mp", "mf", "f", "ff", "fff", "ffff"),
+                (8, 20, 33, 49, 64, 80, 96, 112, 126, 127),
+                strict=True,
+            )
+        ),
+        # a hairpin without dynamics adds or takes 16, to those within a quarter of its end it leads
+        (direction('<wedge type="crescendo"/>') + A + A + direction('<wedge type="stop"/>') + A, [80, 88, 96]),
+        (direction('<wedge type="diminuendo"/>') + A + A + direction('<wedge type="stop"/>') + A, [80, 72, 64]),
+        (
+            direction('<wedge type="crescendo"/>') + A + A + direction('<wedge type="stop"/>') + A
+            + direction("<dynamics><ff/></dynamics>") + A,
+            [80, 96, 112, 112],
+        ),
+        (
+            direction('<wedge type="crescendo"/>') + A + A + direction('<wedge type="stop"/>') + A + A
+            + direction("<dynamics><ff/></dynamics>") + A,
+            [80, 88, 96, 96, 112],
+        ),
+    ],
+)  # fmt: skip
+def test_velocities_of_dynamics_and_hairpins(tmp_path: Path, notes: str, velocities: list[int]) -> None:
+    (tmp_path / "a.musicxml").write_text(musicxml(notes).replace('<repeat direction="backward"/>', ""))
+    assert [n.velocity_midi for n in tw.read_score(tmp_path / "a.musicxml").notes] == velocities
+
+
+def test_dynamics_in_percent_and_passes_of_endings() -> None:
+    assert [velocity_of(share) for share in (0.0, 1.0, 50.0, 100.0, 141.0, 200.0)] == [1, 1, 45, 90, 127, 127]
+    passes = {"1": {1}, "2-4": {2, 3, 4}, "3-3": {3}, "4-2": set(), "x": set(), "1-": set(), "0": set()}
+    assert {word: set(passes_of(word)) for word in passes} == passes
+    assert passes_of("9999") == {9999}
+    assert passes_of("10000") == frozenset()
+    assert passes_of("5-99") == set(range(5, 38))
+
+
+RHYTHM = "<NoteValue>Quarter</NoteValue>"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "quarters"),
+    [
+        *((RHYTHM, f"<NoteValue>{name}</NoteValue>", value) for name, value in (
+            ("Whole", 4), ("Half", 2), ("Quarter", 1), ("Eighth", F(1, 2)), ("16th", F(1, 4)),
+            ("32nd", F(1, 8)), ("64th", F(1, 16)), ("x", F(1, 2)))),
+        *((RHYTHM, f'<NoteValue>Half</NoteValue><AugmentationDot count="{n}"/>', 4 - F(2, 2**d)) for n, d in (
+            (0, 0), (1, 1), (2, 2), (4, 4), (5, 4))),
+        (RHYTHM, '<NoteValue>Quarter</NoteValue><PrimaryTuplet num="3" den="2"/>', F(2, 3)),
+        (RHYTHM, "<NoteValue>Half</NoteValue><PrimaryTuplet><Num>5</Num><Den>4</Den></PrimaryTuplet>", F(8, 5)),
+        (RHYTHM, '<NoteValue>Quarter</NoteValue><PrimaryTuplet num="0" den="2"/>', 1),
+        # a tempo of 60 of its unit: eighth, quarter, dotted quarter, half, dotted half
+        *(("60 2", f"60 {unit}", F(2, n)) for unit, n in (("1", 1), ("2", 2), ("3", 3), ("4", 4), ("5", 6), ("", 2))),
+    ],
+)  # fmt: skip
+def test_note_values_and_tempos_of_guitar_pro(
+    tmp_path: Path, old: str, new: str, quarters: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert old in GPIF
+    monkeypatch.setattr("tablatures.GPIF", GPIF.replace(old, new))
+    (one, two) = tw.read_score(gpif(tmp_path / "a.gp", [(0, 1, "", ""), (1, 2, "", "")])).notes
+    assert (one.duration, two.time) == (pytest.approx(float(quarters)), pytest.approx(float(quarters)))
+
+
+@pytest.mark.parametrize(
+    ("values", "curve"),
+    [
+        ({"DestinationValue": "100"}, ((0.0, 0.0), (1.0, 200.0))),
+        ({"OriginValue": "50", "DestinationOffset": "25"}, ((0.0, 100.0), (0.25, 0.0))),
+        ({"MiddleValue": "50", "MiddleOffset1": "20", "MiddleOffset2": "60"},
+         ((0.0, 0.0), (0.2, 100.0), (0.6, 100.0), (1.0, 0.0))),
+        ({"MiddleValue": "-50", "OriginOffset": "10"}, ((0.1, 0.0), (0.5, -100.0), (0.5, -100.0), (1.0, 0.0))),
+        ({"DestinationValue": "4801"}, ()),
+        ({"DestinationValue": "4800"}, ((0.0, 0.0), (1.0, 9600.0))),
+    ],
+)  # fmt: skip
+def test_bends_of_guitar_pro_7(values: dict[str, str], curve: tuple[tuple[float, float], ...]) -> None:
+    """100 is a whole tone; a middle is held between its two places, halfway where they are not said."""
+    assert gpif_module._curve(lambda name: values.get(name, "")) == curve
+
+
+def test_numbers_of_guitar_pro_within_their_limits() -> None:
+    programs = {"0": 1, "24": 25, "127": 128, "128": None, "-1": None, "": None}
+    assert {text: gpif_module._program(text) for text in programs} == programs
+    times = {"": 0, "2": 2, "32": 32, "33": 32, "0": 0, "-1": 0, "2.7": 2}
+    assert {text: gpif_module._times(text) for text in times} == times
+
+
+def test_beats_of_a_midi_file_follow_tempos_and_meters(tmp_path: Path) -> None:
+    """480 ticks a quarter: 60 a minute from the second quarter, 3/4 at once, 6/8 from the fourth quarter on."""
+    events = (
+        b"\0\xff\x58\4\3\2\x18\x08" + event(0, 0x90, 60, 80) + event(480, 0x80, 60, 0)
+        + b"\0\xff\x51\3" + (1_000_000).to_bytes(3, "big") + event(960, 0x90, 62, 80)
+        + b"\0\xff\x58\4\6\3\x18\x08" + event(480, 0x80, 62, 0)
+    )  # fmt: skip
+    (tmp_path / "a.mid").write_bytes(smf(events))
+    score = tw.read_midi(tmp_path / "a.mid")
+    assert score.beats is not None
+    assert [tuple(t) for t in score.beats.tempos] == [pytest.approx(t) for t in ((0, 0, 120), (0.5, 1, 60))]
+    assert list(score.beats.meters) == [(0.0, 3.0), (3.0, 3.0)]
+    assert [n.time for n in score.notes] == pytest.approx([0.0, 2.5])
+    assert score.beats.measures(6.5) == [0.0, 3.0, 6.0, 9.0]
+    assert score.beats.quarter(2.5) == pytest.approx(3.0)
