@@ -52,6 +52,8 @@ between measured points. *Not reached*: no measured point of the method is that 
 *Partials lost*: every stable one has lost some. Where methods stay stable at all, by modes, force and sampling rate:
 `tonewood accuracy --stability`."""
 
+TABLES = """For readers who check [the cost of accuracy](accuracy.md). Here are all points behind it: every method and
+setting on every system."""
 READING = """\
 A cell has the cheapest setting of tonewood that was measured with an error no larger (sampling rate, or the highest
 mode of strings at 48 kHz), its seconds of computing per second of sound, and the best other method with its time as a
@@ -125,7 +127,7 @@ class Study:
 
     def tables(self) -> str:
         """The appendix: every point of every system."""
-        parts = ["# What accuracy costs: tables", self._made, SHORT, summary_table(self.outcomes)]
+        parts = ["# What accuracy costs: tables", TABLES, self._made, SHORT, summary_table(self.outcomes)]
         parts += [HEADLINE, headline_tables(self.outcomes)]
         parts += [expectation(o) for o in self.outcomes if o.name == "fabre_guitar"]
         parts += [section(o).rstrip() for o in self.outcomes]
