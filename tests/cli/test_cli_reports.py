@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
 import signal
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,24 +18,38 @@ import soundfile as sf
 import yaml
 
 from tonewood.cli import (
+    accuracy,
+    check,
+    common,
     compare,
     dataset,
     design,
     distance,
+    ensemble,
+    estimate,
     fit,
     intonation,
     live,
+    modes,
+    play,
     render,
+    results,
     sample,
     serve,
+    simulate,
     stems,
     stopping,
+    tab,
+    taptone,
     wood,
 )
 from tonewood.cli.options import _metavar
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.physics.plate.wood import Wood
+from tonewood.sound.ensemble import mix
+from tonewood.sound.ensemble.mix import EnsemblePart
 from tonewood.sound.files.tags import Tags
+from tonewood.sound.level.loudness import true_peak
 from tonewood.sound.render.options import RenderOptions
 from tonewood.workshop.design.search import FoundDesign
 from tonewood.workshop.design.task import Free, Target
@@ -545,3 +561,94 @@ def test_stems_of_strings_are_as_long_as_the_mix_and_at_its_gain(tmp_path, frame
     wanted[: min(frames, 1000)] = samples[:frames] * 10 ** (-6 / 20)
     for file, columns in zip(files, renderer.columns, strict=True):
         assert sf.read(file, always_2d=True)[0] == pytest.approx(wanted[:, columns], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("command", "defaults"),
+    [
+        (accuracy.accuracy, {"fs": 48000, "bandwidth": 10000.0}),
+        (check.check, {"fs": 48000}),
+        (compare.compare, {"duration": 4.0, "velocity": 80.0, "fs": 48000}),
+        (estimate.estimate, {"transpose": 0, "iterations": 3}),
+        (intonation.intonation, {"frets": 12, "fs": 48000, "detail": False}),
+        (modes.modes, {"stop": 0, "count": 12, "fs": 48000}),
+        (play.play, {"fs": 48000, "ramp": 5.0, "spacing": 2, "ahead": 4, "tempo": 1.0, "start": 0.0}),
+        (render.render, {"fs": 48000, "block": 4096, "gain_db": 0.0, "transpose": 0.0, "tempo": 1.0, "start": 0.0}),
+        (results.results, {"confidence": 0.95, "screening": True}),
+        (sample.sample, {"every": 3, "round_robins": 2, "duration": 8.0, "releases": True, "tail_level_db": -60.0}),
+        (serve.serve, {"port": 8000}),
+        (simulate.simulate, {"listeners": 20, "seed": 1}),
+        (tab.tab, {"transpose": 0.0, "capo": 0}),
+        (taptone.taptone, {"fs": 48000, "channel": 1, "names": True}),
+        (wood.wood, {"thickness_error": 5e-5}),
+        (common.print_json, {"ok": True}),
+    ],
+)
+def test_regression_of_defaults_of_options(command, defaults) -> None:
+    """Figures of the help of commands; a change of one changes what users get."""
+    parameters = inspect.signature(command).parameters
+    assert {name: parameters[name].default for name in defaults} == defaults
+
+
+def test_a_bar_on_a_terminal_moves_to_its_end_and_no_farther(monkeypatch) -> None:
+    from rich.progress import Progress
+
+    done, totals = [], []
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr(Progress, "update", lambda self, task, *, completed: done.append(completed))
+    monkeypatch.setattr(Progress, "add_task", lambda self, label, *, total: totals.append((label, total)))
+    with common.progress("rendering", 10.0) as advance:
+        for position in (0.0, 4.0, 10.0, 12.5):
+            advance(position)
+    assert (done, totals) == ([0.0, 4.0, 10.0, 10.0], [("rendering", 10.0)])
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
+    with common.progress("rendering", 10.0) as advance:
+        advance(3.0)
+    assert len(done) == 4
+
+
+@pytest.mark.parametrize(("level", "target"), [("peak", -7.0), ("LUFS", -1.0)])
+def test_a_mix_is_the_sum_of_its_stems_at_its_level(monkeypatch, tmp_path, capsys, level, target) -> None:
+    file, track = mido.MidiFile(), mido.MidiTrack()
+    file.tracks.append(track)
+    track += [mido.Message("note_on", note=60, velocity=80), mido.Message("note_off", note=60, time=480)]
+    file.save(tmp_path / "a.mid")
+    t = np.arange(48000) / 48000
+    sounds = [0.2 * np.sin(2 * np.pi * f * t)[:, None] * [1.0, 0.5] for f in (500.0, 700.0)]
+    summary = SimpleNamespace(notes=1, ignored={}, notes_dropped=[], warnings=[])
+    parts = [EnsemblePart(part=i + 1, instrument="monochord") for i in range(3)]
+    rendered = [SimpleNamespace(part=parts[i], samples=sounds[i], summary=summary) for i in range(2)]  # 3 is silent
+    monkeypatch.setattr(mix, "render_ensemble", lambda *arguments, **options: rendered)
+    ensemble.render_parts(
+        tmp_path / "a.mid", parts, tmp_path / "a.wav", RenderOptions(fs=48000), reading={}, subtype="DOUBLE",
+        level=level, target=target, stems=tmp_path / "stems", as_json=True, left_out=["part 9"],
+    )  # fmt: skip
+    told = json.loads(capsys.readouterr().out)
+    whole = sf.read(tmp_path / "a.wav")[0]
+    peak = 20 * math.log10(true_peak(sounds[0] + sounds[1]))
+    gain = target - peak if level == "peak" else told["gain_db"]
+    assert told["gain_db"] == pytest.approx(gain)
+    assert whole == pytest.approx((sounds[0] + sounds[1]) * 10 ** (gain / 20), abs=1e-9)
+    assert told["true_peak_dbtp"] == pytest.approx(peak + gain)
+    names = [Path(name).name for name in told["stems"]]
+    assert names == ["01_monochord.wav", "02_monochord.wav"]
+    for name, sound in zip(names, sounds, strict=True):
+        assert sf.read(tmp_path / "stems" / name)[0] == pytest.approx(sound * 10 ** (gain / 20), abs=1e-9)
+    assert [row["peak_dbfs"] for row in told["parts"]] == pytest.approx([20 * math.log10(0.2) + gain] * 2, abs=1e-6)
+    assert (told["frames"], told["duration_s"], told["fs"], told["clipped"]) == (48000, 1.0, 48000, 0)
+    assert (told["ok"], told["level"], told["left_out"]) == (True, level, ["part 9"])
+    if level == "LUFS":  # below the limit of the peak
+        assert told["loudness_lufs"] == pytest.approx(-23.0, abs=0.1)
+
+
+def test_shares_of_a_coupled_mode_add_up_to_its_energy(tonewood) -> None:
+    code, out, err = tonewood("modes", "classical_guitar", "--string", "D3", "--stop", 2, "--count", 5, "--json")
+    assert code == 0, err
+    told = json.loads(out)
+    row = told["strings"]["D3"]
+    assert row["wanted_freq"] == pytest.approx(440 * 2 ** ((52 - 69) / 12))
+    assert [p["number"] for p in row["partials"]] == [1, 2, 3, 4, 5]
+    for p in row["partials"]:
+        assert p["string_share"] + p["body_share"] == pytest.approx(1.0, rel=1e-6)
+        assert 0 <= p["body_share"] < 0.5
+        assert p["cents"] == pytest.approx(1200 * math.log2(p["freq"] / p["number"] / row["wanted_freq"]), abs=1e-6)

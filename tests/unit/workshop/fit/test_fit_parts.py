@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 from fit_scenes import TAU, Truth, random_body
 
 from tonewood.errors import TonewoodError
-from tonewood.workshop.fit import figure, files, noise, search
+from tonewood.workshop.fit import drift, figure, files, folder, noise, radiation, search
 from tonewood.workshop.fit import fit as whole
 from tonewood.workshop.fit.body import passive_body
 from tonewood.workshop.fit.drift import Drift
@@ -734,3 +737,155 @@ def test_the_picture_of_a_fit_has_its_curves(fitted, monkeypatch, tmp_path) -> N
     assert chart.lines[0].get_ydata().tolist() == stable.order[~stable.stable].tolist()
     most = max(1.0, np.quantile(fitted.error_db, 0.99))
     assert off.get_ylim() == pytest.approx((-most, most))
+
+
+# drift, the grid of poles, folders
+
+
+def shifted_hits(shift, noise_size=0.0, seed=5):
+    """Hits X = F (H - e f H') of two responses; forces of constant shares of the power, any phase."""
+    rng, freq = np.random.default_rng(seed), np.arange(1.0, 201.0)
+    size = np.array([1.0, 2.0, 3.0])
+    force = size[:, None] * np.exp(2j * np.pi * rng.uniform(size=(3, 200)))
+    h, slope = rng.standard_normal((2, 2, 200)) + 1j * rng.standard_normal((2, 2, 200))
+    motion = force[:, None] * (h - np.asarray(shift)[:, None, None] * freq * slope)
+    motion = motion + noise_size * (rng.standard_normal(motion.shape) + 1j * rng.standard_normal(motion.shape))
+    turn = 0.01 * rng.standard_normal((3, 200))
+    return drift.Spectra(freq, force, motion, force * turn, motion * turn[:, None] + force[:, None] * slope), size
+
+
+def test_shifts_of_hits_are_relative_to_the_mean_by_power() -> None:
+    """H of all hits by H1 moves by the mean of their shifts, weighted by the power of their forces."""
+    shift, bins = np.array([3e-6, -1e-6, 2e-6]), np.arange(20, 180)
+    spectra, size = shifted_hits(shift)
+    moved, deviation = spectra.moves(bins)
+    assert moved == pytest.approx(shift - np.sum(size**2 * shift) / np.sum(size**2), rel=1e-4)
+    assert np.all(deviation < 1e-9)
+    many = [shifted_hits(np.zeros(3), 1.0, seed)[0].moves(bins) for seed in range(60)]
+    spread = np.std([m for m, _ in many], axis=0)
+    assert np.mean([d for _, d in many], axis=0) == pytest.approx(spread, rel=0.35)
+
+
+def test_peaks_have_the_width_of_half_their_power() -> None:
+    """Triangles of power at bins 50 and 120, of equal forces; the third is below 1e-4 of the first."""
+    power = np.zeros(200)
+    for at, height in ((50, 1.0), (120, 0.01), (160, 0.9e-4)):
+        power += height * np.maximum(0, 1 - np.abs(np.arange(200) - at) / 9.5)
+    force = np.ones((2, 200)) * np.array([[1.0], [2j]])
+    motion = (force * np.sqrt(power))[:, None]
+    peaks = drift.Spectra(2.0 * np.arange(200), force, motion, 0 * force, 0 * motion).peaks()
+    assert [width for _, width in peaks] == [18.0, 18.0]  # the nine bins above half, of 2 Hz
+    assert [(bins[0], bins[-1]) for bins, _ in peaks] == [(37, 63), (107, 133)]
+
+
+def test_one_hit_is_not_brought_together() -> None:
+    hit = np.zeros((1, 64))
+    hit[0, 3] = 2.0
+    spectra, stretch, peaks = drift.brought_together(hit, hit[:, None] * 0.5, 640.0)
+    assert (stretch.tolist(), peaks) == ([0.0], [])
+    assert spectra.freq[[1, -1]].tolist() == [10.0, 320.0]
+    assert spectra.motion[0, 0] == pytest.approx(np.exp(-2j * np.pi * np.arange(33) * 3 / 64))
+    assert np.abs(spectra.force_slope).max() < 1e-12  # time begins at the hit
+
+
+def test_poles_lie_on_a_grid_that_costs_a_hundredth_of_what_ends_a_descent() -> None:
+    rng = np.random.default_rng(6)
+    at, quality = [100.0, 250.0, 400.0], [20.0, 30.0, 40.0]
+    clean = np.array([[1.0, 2.0, 0.5]]) @ resonances(FREQ, at, quality)
+    y = clean + 1e-4 * (rng.standard_normal(clean.shape) + 1j * rng.standard_normal(clean.shape))
+    problem = Projection(FitData(FREQ, y, np.full(y.shape, 1e-4)), Shape((0,), 1, False, False, False))
+    start = Poles.at(np.array(at) * 1.003, np.array(quality) * 1.1)
+    before = problem.solve(start, slopes=True)
+    poles, there = search.descend(problem, start, 1, 1e-3)
+    assert there.cost < 0.5 * before.cost
+    step = 2.0 ** np.floor(np.log2(np.sqrt(1e-2 * 1e-3 * before.cost / np.diag(before.normal))))
+    steps = np.concatenate([poles.log_freq, poles.log_zeta]) / step
+    assert steps == pytest.approx(np.round(steps), abs=1e-6)
+    assert np.any(np.round(steps) % 2 == 1)
+
+
+def test_a_folder_of_a_fit_has_its_figures(fitted, tmp_path) -> None:
+    """Keys of the bundle and facts against the fit; files of another fit are removed."""
+    bank = FittedRadiation(
+        ("l", "r"), np.array([-1 + 9j, -2 + 20j]), 12.0, np.ones((2, 2)), np.ones((2, 2)), np.array([[3.0, -4.0]])
+    )
+    places = {"a": folder.MeasuredPoint(), "b": folder.MeasuredPoint((0.0, 1.0, 0.0), 0.25)}
+    out = folder.FitFolder(fitted, bank, places, folder.Origin(title='a "b"', licence="CC0"), {"x": 1})
+    facts = out.facts()
+    assert facts["radiation"] == {"channels": ["l", "r"], "modes": 2, "error_db_rms": pytest.approx(12.5**0.5)}
+    assert (facts["title"], facts["settings"]) == ('a "b"', {"x": 1})
+    path = tmp_path / "new"
+    files = out.write(path, lambda fit, file: file.write_bytes(b"picture"))
+    assert [file.name for file in files] == ["body.csv", "radiation.csv", "body.yaml", "fit.json", "fit.png"]
+    assert (path / "fit.png").read_bytes() == b"picture"
+    assert json.loads((path / "fit.json").read_text())["radiation"]["modes"] == 2
+    keys = yaml.safe_load((path / "body.yaml").read_text())
+    hashes = [hashlib.sha256((path / name).read_bytes()).hexdigest() for name in ("body.csv", "radiation.csv")]
+    assert [keys["provenance"][key]["sha256"] for key in ("body", "outputs.microphones")] == hashes
+    source = keys["sources"]["measurement"]
+    assert source["text"].startswith('a "b"; measured by ')
+    assert source["text"].endswith(f"driven at {', '.join(fitted.responses.references)}; files: x.csv (SHA-256 0)")
+    r, measured = fitted.responses, fitted.body.measured
+    assert source["changes"].startswith(f"{np.count_nonzero(measured)} modes fitted by ")
+    assert source["changes"].endswith(f": {r.freq[0]:g} to {r.freq[-1]:g} Hz, 4 of 5 hits")
+    note = keys["provenance"]["body.truncation"]["note"]
+    assert note.startswith(f"modes above {r.freq[-1]:g} Hz; {np.count_nonzero(~measured)} rows")
+    assert keys["body"]["truncation"]["residual_compliance"] == fitted.body.compliance.tolist()
+    # driven at one point, which counts as the middle
+    assert keys["body"]["points"]["a"]["u"] == 0.0
+    assert keys["body"]["points"]["b"] == {"direction": [0.0, 1.0, 0.0], "u": 0.25}
+    assert [o["name"] for o in keys["outputs"]] == ["microphones", "bridge"]
+    assert (keys["outputs"][0]["low_cut"], keys["outputs"][0]["full_scale"]) == (12.0, 40.0)
+    assert keys["outputs"][1]["at"] == {"mean": [f"body.{name}" for name in r.references]}
+    replace(out, radiation=None).write(path)
+    assert not (path / "radiation.csv").exists()
+    assert json.loads((path / "fit.json").read_text())["radiation"] is None
+    assert "u" not in yaml.safe_load((path / "body.yaml").read_text())["body"]["points"]["a"]
+    with pytest.raises(ZeroDivisionError):
+        out.write(tmp_path / "fails", lambda fit, file: 1 / 0)
+    assert not (tmp_path / "fails").exists()
+
+
+@pytest.mark.parametrize(("places", "driven"), [((0.0,), "a"), ((-0.5, 0.5), "ab")])
+def test_a_bank_is_that_of_its_pressures(places, driven) -> None:
+    """Two poles, one microphone, noise of 1e-5: poles, heave and moment; the high-pass lies at a fifth of 60 Hz."""
+    poles = TAU * np.array([200.0, 500.0]) * (-0.5 / np.array([40.0, 60.0]) + 1j)
+    heave, moment = np.array([3.0 + 1j, -2.0 + 2j]), np.array([1.0 - 1j, 0.5j])
+    s = 1j * TAU * FREQ
+    a, b = TAU * 12.0 * np.array([0.8, 1.25])
+    rng, heard = np.random.default_rng(7), {}
+    for name, u in zip(driven, places, strict=True):
+        residues = (heave + u * moment)[:, None]
+        bank = (residues / (s - poles[:, None]) + residues.conj() / (s - poles.conj()[:, None])).sum(axis=0)
+        error = rng.standard_normal(FREQ.size) + 1j * rng.standard_normal(FREQ.size)
+        heard["m", name] = bank * s * s / ((s + a) * (s + b)) + 1e-5 * np.abs(bank).max() * error
+    pairs = tuple((name, name) for name in driven)
+    given = Responses(FREQ, np.ones((len(pairs), FREQ.size), complex), pairs, pressure=heard)
+    body = SimpleNamespace(
+        freq=np.array([201.0, 498.0, 900.0]), quality=np.array([35.0, 70.0, 5.0]), measured=np.array([1, 1, 0], bool)
+    )
+    at = dict(zip(driven, places, strict=True))
+    bank = radiation.fit_radiation(given, body, at)
+    assert (bank.channels, bank.low_cut) == (("m",), 12.0)
+    assert bank.poles == pytest.approx(poles, rel=1e-4)
+    assert bank.heave[0] == pytest.approx(heave, rel=1e-3)
+    assert bank.moment[0] == pytest.approx(moment if len(places) > 1 else [0, 0], rel=5e-3, abs=1e-12)
+    assert bank.error_db.shape == (len(places), FREQ.size)
+    assert np.median(np.abs(bank.error_db)) < 0.05
+    assert radiation.fit_radiation(replace(given, pressure={}), body, at) is None
+    if len(places) > 1:
+        with pytest.raises(TonewoodError, match="say where these lie"):
+            radiation.fit_radiation(given, body, {"a": 0.3, "b": 0.3})
+        with pytest.raises(TonewoodError, match="'m' was not measured from 'b'"):
+            radiation.fit_radiation(replace(given, pressure={("m", "a"): heard["m", "a"]}), body, at)
+
+
+def test_a_picture_leaves_out_what_has_no_deviation_or_lies_beyond_the_band(fitted, monkeypatch, tmp_path) -> None:
+    drawn = []
+    monkeypatch.setattr(figure, "save", lambda made, path: drawn.append(made))
+    row = {"measured": True, "sd_cents": 2.0, "freq_Hz": 200.0, "sd_Q": 0.03}
+    rows = [row, row | {"sd_cents": None, "freq_Hz": 210.0}, row | {"measured": False, "freq_Hz": 900.0}]
+    fit = SimpleNamespace(rows=rows, responses=fitted.responses, mobility=fitted.mobility, error_db=fitted.error_db)
+    figure.draw_fit(fit, tmp_path / "a.png")
+    assert [drawn[0].axes[i].lines[0].get_xdata().tolist() for i in (2, 3)] == [[200.0]] * 2
+    assert drawn[0].axes[3].lines[0].get_ydata().tolist() == [3.0]
