@@ -483,3 +483,28 @@ def test_residual_compliance_is_part_of_a_measured_body_s_mobility() -> None:
     assert table.mobility(0, freq) == pytest.approx(wanted, rel=1e-9)
     moved = replace(table, less={0: lambda omega: omega})
     assert moved.mobility(0, freq) - wanted == pytest.approx(w, rel=1e-9)
+
+
+def test_a_tuned_damper_splits_the_resonances_of_a_drawn_body(small) -> None:
+    """Poles of modes z and a mass on a spring and a dashpot: z'' + loss + w^2 z = phi F, m y'' = -F at the bridge."""
+    m, freq, q = 0.01, 90.0, 5.0
+    lines = {"body.thickness": "2e-3 .. 3e-3"}
+    damped = small.replace({"body.added": [{"at": "bridge", "mass": m, "frequency": freq, "q": q}]})
+    bare, body = (bodies.DrawnDesign(one, parse_free(lines, one), 200.0, mobility=False) for one in (small, damped))
+    alone, found = bare.at([2.5e-3]), body.at([2.5e-3])
+    assert found.mass == pytest.approx(alone.mass + m)
+    own, phi = 2 * np.pi * alone.freq, alone.modes.shapes[list(small.body.points()).index("bridge")]
+    n, k = len(own), m * (2 * np.pi * freq) ** 2
+    reach, c = np.append(phi, -1.0), np.sqrt(k * m) / q
+    mass, stiffness = np.diag([*np.ones(n), m]), np.diag([*own**2, 0.0]) + k * np.outer(reach, reach)
+    loss = np.diag([*(own * alone.modes.loss), 0.0]) + c * np.outer(reach, reach)
+    flow = np.block(
+        [[np.zeros((n + 1, n + 1)), np.eye(n + 1)], [-np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, loss)]]
+    )
+    poles = np.linalg.eigvals(flow)
+    poles = poles[poles.imag > 0]
+    poles = poles[np.argsort(np.abs(poles))]
+    assert found.freq == pytest.approx(np.abs(poles) / 2 / np.pi, rel=1e-2)
+    assert found.quality == pytest.approx(np.abs(poles) / -2 / poles.real, rel=0.1)
+    less, more, step = body.beside(0)
+    assert body.freq_rates(0) == pytest.approx((more.freq - less.freq) / (2 * step))
