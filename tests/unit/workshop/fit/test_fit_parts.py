@@ -14,7 +14,7 @@ import yaml
 from fit_scenes import TAU, Truth, random_body
 
 from tonewood.errors import TonewoodError
-from tonewood.workshop.fit import drift, figure, files, folder, noise, radiation, search
+from tonewood.workshop.fit import drift, figure, files, folder, noise, radiation, search, texts
 from tonewood.workshop.fit import fit as whole
 from tonewood.workshop.fit.body import passive_body
 from tonewood.workshop.fit.drift import Drift
@@ -889,3 +889,24 @@ def test_a_picture_leaves_out_what_has_no_deviation_or_lies_beyond_the_band(fitt
     figure.draw_fit(fit, tmp_path / "a.png")
     assert [drawn[0].axes[i].lines[0].get_xdata().tolist() for i in (2, 3)] == [[200.0]] * 2
     assert drawn[0].axes[3].lines[0].get_ydata().tolist() == [3.0]
+
+
+def test_a_universal_file_cut_off_after_its_nodes_names_them(tmp_path) -> None:
+    """The node line is the eighth of a data set; of seven lines it is not there."""
+    nodes = "    4         0    1         0       NONE        12   3       NONE         7   3"
+    lines = ["    -1", "    58", *["text"] * 5, nodes]
+    for count, said in ((8, r"data set 1 \(response at node 12 to node 7\), and"), (7, "data set 1, and")):
+        (tmp_path / "a.uff").write_text("\n".join(lines[:count]) + "\n")
+        with pytest.raises(TonewoodError, match=said):
+            files._whole(tmp_path / "a.uff")
+    (tmp_path / "a.uff").write_text("\n".join([*lines, "    -1"]) + "\n")
+    assert files._whole(tmp_path / "a.uff") is None
+
+
+def test_signs_at_the_end_of_each_line_are_no_columns(tmp_path) -> None:
+    rows = [(100.0 + k, 0.5 * k, -1.0 * k) for k in range(64)]
+    text = "\n".join(["f;re;im;;", *("{};{};{};;".format(*row) for row in rows)])
+    (tmp_path / "a.csv").write_text(text)
+    _, columns, names, others = texts._table(tmp_path / "a.csv")
+    assert columns.T.tolist() == [list(row) for row in rows]
+    assert (names, others) == ([], 0)  # words of the head and columns do not match in number
