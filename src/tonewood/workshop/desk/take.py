@@ -113,7 +113,8 @@ class PhraseTake:
         other.renderer.take_over(checkpoint)
         other._sound = self._sound.copy()
         other.frames = other.foreign = at
-        other._heard, other.moments = self._heard, self.moments.copy()
+        other.moments.extend(moment for moment in self.moments if moment.frame <= at)
+        other._heard = (other.moments[-1].sound or 0.0) if other.moments else 0.0
         return other, at
 
     def again(self) -> PhraseTake:
