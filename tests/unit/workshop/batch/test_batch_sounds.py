@@ -17,6 +17,7 @@ from tonewood.workshop.batch import pictures, production
 from tonewood.workshop.batch.conditions import Draw
 from tonewood.workshop.batch.layout import Group, Stimulus
 from tonewood.workshop.batch.manifest import ManifestError, RenderSettings, Stimuli, check_manifest
+from tonewood.workshop.batch.outputs import _remove_strangers
 from tonewood.workshop.batch.pages import StaircasePage, localised
 from tonewood.workshop.batch.pictures import GAP, WAVE_HEIGHT, WIDTH
 from tonewood.workshop.batch.production import _drops, _find_level, _Job, _Level, prepared, write_wav
@@ -193,3 +194,20 @@ def test_a_fraction_varies_about_its_length() -> None:
 
 def test_numbers_that_are_not_finite_are_left_out_of_records() -> None:
     assert [production._finite(x) for x in (1.5, math.inf, -math.inf, math.nan)] == [1.5, None, None, None]
+
+
+@pytest.mark.parametrize(("pictures_kept", "left"), [(True, ["bcdfgh.png", "differences1.png"]), (False, [])])
+def test_sounds_and_pictures_of_other_codes_are_removed(tmp_path: Path, pictures_kept: bool, left: list[str]) -> None:
+    """Codes are six consonants; files of other names stay wherever they are."""
+    for folder, names in (
+        ("stimuli", ("bcdfgh.wav", "zzzzzz.wav", "notes.wav")),
+        ("pictures", ("bcdfgh.png", "zzzzzz.png", "differences1.png", "abcdef.png")),
+        (".", ("zzzzzz.wav", "zzzzzz.png")),
+    ):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        for name in names:
+            (tmp_path / folder / name).touch()
+    _remove_strangers(tmp_path, {"bcdfgh"}, pictures=pictures_kept)
+    assert sorted(p.name for p in (tmp_path / "stimuli").iterdir()) == ["bcdfgh.wav", "notes.wav"]
+    assert sorted(p.name for p in (tmp_path / "pictures").iterdir()) == sorted(["abcdef.png", *left])
+    assert sorted(p.name for p in tmp_path.iterdir() if p.is_file()) == ["zzzzzz.png", "zzzzzz.wav"]
