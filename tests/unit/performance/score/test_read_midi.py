@@ -331,6 +331,8 @@ def test_percussion_is_read_where_its_channel_is_asked_for(tmp_path):
     path.write_bytes(smf(drum, event(0, 0x90, 60, 80) + event(480, 0x80, 60, 0)))
     for tracks, notes in ((None, [60]), ([1], [60]), ([10], [36]), ([1, 10], [36, 60])):
         assert sorted(n.note for n in read_score(path, tracks=tracks).notes) == notes
+    (line,) = read_score(path).warnings  # the end of what is left out is no fault
+    assert line.endswith("left out (--tracks 10 plucks them): channel 10, note 36 at 0.000 s")
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.5])
