@@ -134,7 +134,7 @@ A = note("A", 3, 4)
 
 
 def test_velocities_of_dynamics(tmp_path: Path) -> None:
-    names = "pppp ppp pp p mp mf f ff fff ffff".split()
+    names = ["pppp", "ppp", "pp", "p", "mp", "mf", "f", "ff", "fff", "ffff"]
     notes = "".join(direction(f"<dynamics><{name}/></dynamics>") + A for name in names)
     (tmp_path / "a.musicxml").write_text(musicxml(notes).replace('<repeat direction="backward"/>', ""))
     velocities = [n.velocity_midi for n in tw.read_score(tmp_path / "a.musicxml").notes]
