@@ -1,4 +1,4 @@
-"""Pieces of a model with closed forms or by hand: stops, tensions, bases that are kept, banks, stems, tables."""
+"""Pieces of a model with closed forms or by hand: stops, tensions, bases that are kept, banks, stems, tunings."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tonewood.errors import BundleError, TonewoodError
+from tonewood.errors import BundleError
 from tonewood.instrument.bundle.key_schema import Damper, KeyEntry, Keys, Pedals
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.bundle.schema import Finger
@@ -17,14 +17,13 @@ from tonewood.instrument.contract import array_cache
 from tonewood.instrument.contract.base import BodyPoint, BridgeForce
 from tonewood.instrument.contract.microphones import Microphones
 from tonewood.instrument.inspection import frequencies
-from tonewood.instrument.inspection.modal_export import modal_table_text
 from tonewood.instrument.model import kept_tunings, string_tuning
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.choice import Choice
 from tonewood.instrument.model.kept_tunings import KeptTunings
 from tonewood.instrument.model.output_assembly import OutputGroup, Outputs
 from tonewood.instrument.model.stop_table import StopTable
-from tonewood.instrument.model.string_assembly import _end_shares, _is_beyond, _transverse_ends
+from tonewood.instrument.model.string_assembly import _is_beyond
 from tonewood.instrument.model.string_setup import GivenTension, Polarization, Stopping
 from tonewood.instrument.model.string_stems import outputs_by_string
 from tonewood.instrument.model.string_tuning import StringTuning
@@ -320,24 +319,6 @@ def test_arrays_are_computed_once_and_the_last_sixteen_stay(monkeypatch: pytest.
     assert calls == [*range(16), 16, 0]
 
 
-def test_modes_of_a_body_as_a_table() -> None:
-    basis = ModalBasis.real([2 * math.pi * 200.0, 2 * math.pi * 100.0], [3.0, 2.0], {"p": [3.0, 1.0], "q": [4.0, 2.0]})
-    points = {"p": BodyPoint((0, 0, 1)), "q": BodyPoint((0, 1, 0), driven=False)}
-    body: Any = SimpleNamespace(basis=lambda upper: basis, points=lambda: points)
-    lines = modal_table_text(body, "t.csv", 900.0).splitlines()
-    assert lines[-3] == "f_Hz,Q,p,q"
-    rows = [[float(x) for x in line.split(",")] for line in lines[-2:]]
-    shape = basis.right.real
-    assert rows[0] == pytest.approx([100.0, math.pi * 50.0, *shape[:, 1]])
-    assert rows[1] == pytest.approx([200.0, math.pi * 200 / 3, *shape[:, 0]])
-    assert "#     p: {direction: [0, 0, 1]}" in lines
-    assert "#     q: {direction: [0, 1, 0], driven: false}" in lines
-    for freq, rate in ((0.0, 1.0), (10.0, 0.0)):
-        basis = ModalBasis.real([freq], [rate], {"p": [1.0]})
-        with pytest.raises(TonewoodError, match="with stiffness and loss"):
-            modal_table_text(body, "t.csv", 900.0)
-
-
 @pytest.mark.parametrize("guess", [60.0, 69.9, 70.0, 71.0, 80.0])
 @pytest.mark.parametrize("jump", [0.0, 20.0])
 def test_a_tension_is_found_by_its_pitch_or_at_the_jump_over_it(guess: float, jump: float) -> None:
@@ -361,14 +342,6 @@ def test_a_tension_is_found_by_its_pitch_or_at_the_jump_over_it(guess: float, ju
 
 def test_code_in_a_bundle_may_not_run_unasked() -> None:
     assert Instrument.allow_code is False
-
-
-def test_ends_project_on_the_points_of_the_body() -> None:
-    points = {"z": BodyPoint((0.0, 0.0, 1.0)), "x": BodyPoint((1.0, 0.0, 0.0))}
-    assert _transverse_ends((0.0, 0.6, 0.8), ["z", "x"], points) == {"z": pytest.approx(0.8)}
-    part: Any = SimpleNamespace(axis=(3.0, 0.0, -4.0), body_points=["z", "x"])
-    to_nut, shares = _end_shares(part, points)
-    assert (to_nut, shares) == (pytest.approx((-0.6, 0.0, 0.8)), pytest.approx({"z": 0.8, "x": -0.6}))
 
 
 @pytest.mark.parametrize(

@@ -56,3 +56,11 @@ def test_a_tone_of_the_standard_on_one_channel(level_db: float, seconds: float, 
     rest = np.zeros((FS, 1))
     expected = level_db - 3.01 - lost_db  # of the loudest 400 ms, whatever stands before and after
     assert loudest(np.concatenate([rest, tone, rest, 0.5 * tone]), FS) == pytest.approx(expected, abs=0.1)
+
+
+@pytest.mark.parametrize(("n", "gated"), [(3532, False), (3533, True)])
+def test_a_block_at_a_rate_that_it_does_not_divide(n: int, gated: bool) -> None:
+    """400 ms are 3532.8 samples at 8832 Hz: 3532 are less than a block, 3533 are one."""
+    tone = 0.1 * np.sin(2 * np.pi * 997.0 / 8832 * np.arange(n))[:, None]
+    found, gates = loudness(tone, 8832)
+    assert (found, gates) == (pytest.approx(-23.01, abs=0.1), gated)

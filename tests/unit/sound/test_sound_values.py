@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -613,3 +614,23 @@ def test_channels_of_zones_are_played_with_their_masters(channels: set[int] | No
     one._masters = partial(MidiReceiver._masters, one)  # type: ignore[arg-type]
     assert [one._masters(i) for i in (0, 1, 2, 3, 10, 15)] == [[], [0], [0], [], [15], []]
     assert {i for i in range(16) if MidiReceiver._is_played(one, i)} == played  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("number", "done"),
+    [
+        (120, ["all_off 3"]),
+        (121, ["reset 3", "control 1 0.0 3", "control 11 1.0 3", "control 64 0.0 3"]),
+        (122, ["local control"]),
+        *((number, ["release_keys 3"]) for number in (123, 124, 127)),
+    ],
+)
+def test_messages_of_the_mode_of_a_channel(number: int, done: list[str]) -> None:
+    """MIDI 1.0: 120 all sound off, 121 reset, 122 local control, from 123 on all notes off."""
+    said = list[str]()
+    calls = {name: lambda *a, name=name: said.append(" ".join(map(str, (name, *a))))
+             for name in ("all_off", "reset", "control", "release_keys")}  # fmt: skip
+    channels = SimpleNamespace(reached=lambda n: [n], reset=calls["reset"])
+    one: Any = SimpleNamespace(_channels=channels, live=SimpleNamespace(**calls), ignored=Counter(), _bend=list)
+    MidiReceiver._mode(one, 3, number)
+    assert [*said, *one.ignored] == done
