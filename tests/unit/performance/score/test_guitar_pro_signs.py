@@ -95,6 +95,12 @@ def test_harmonics_sound_at_their_pitch(tmp_path: Path) -> None:
     assert score.ignored == {"harmonic that touches no node, plucked as a note": 1}
 
 
+@pytest.mark.parametrize(("stroke", "n"), [("1/2", 2), ("1/4", 4), ("1/8", 8), ("1/3", 1)])
+def test_strokes_of_a_tremolo_in_a_quarter_note(tmp_path: Path, stroke: str, n: int) -> None:
+    score = edited(tmp_path / "a.gp", ('<Beat id="0">', f'<Beat id="0"><Tremolo>{stroke}</Tremolo>'))
+    assert [note.time for note in score.notes][: n + 1] == pytest.approx([*(i / n for i in range(n)), 1.0])
+
+
 def test_a_tie_over_a_rest_is_not_struck(tmp_path: Path) -> None:
     """It joins the note before it on its string, as far back as three measures; so does a legato slide."""
     tie = '<Tie origin="false" destination="true"/>'
