@@ -179,6 +179,7 @@ class Engine:
             if self.energy_budget:  # it makes the motion again from the forces: rounding must not grow long
                 steps = min(steps, GRID)
             before = self.state.copy() if self.energy_budget else None
+            self.gestures.reach(start + steps)
             if self.system is not self.stepper.system:
                 self.stepper.exchange(self.system)
             ready = time.thread_time()

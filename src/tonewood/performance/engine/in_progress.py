@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from tonewood.instrument.model.assembly import Model
-from tonewood.performance.player.gestures import Active, courses, cut, forces, hold_steps, samples
-from tonewood.performance.player.timeline import Play
+from tonewood.performance.player.gestures import Active, courses, forces, hold_steps, samples
+from tonewood.performance.player.timeline import GRID, Play
 from tonewood.physics.coupling.system import Injection, PrescribedMotion, System
+
+#: samples for which forces and motions are computed at once
+WINDOW = 128 * GRID
+_Acting = TypeVar("_Acting", Injection, PrescribedMotion)
 
 
 @dataclass(eq=False)
@@ -16,7 +21,7 @@ class GesturesInProgress:
     """Gestures that have begun, and what they do to the system now.
 
     active : gestures that have begun and are not over.
-    injections, controls : their forces and prescribed motions, compiled.
+    injections, controls : their forces and prescribed motions, compiled as far as they were reached.
     holds : string -> damping (N s/m) of the finger that holds it now.
     """
 
@@ -51,18 +56,32 @@ class GesturesInProgress:
         again = [a.play for a in self.active if a.play.string in called - struck]
         self.active = [a for a in self.active if a.play.string not in struck]
         owners, connections = system.layout.owners, system.connections
-        self.injections = [cut(i, now) if owners.get(i.component) in called else i for i in self.injections]
-        self.injections = [i for i in self.injections if i.stop > max(now, i.start)]
+        self.injections = [i for i in self.injections if owners.get(i.component) not in called and i.stop > now]
         places = system.layout.places
         self.controls = [c for c in self.controls if connections[places[c.connection]].owner not in called]
         for play in (*again, *fresh):
-            self.injections += forces(play, model, system, now)
-            self.controls += courses(play, system.dt, now)
+            self.injections += forces(play, model, system, now, window=WINDOW)
+            self.controls += courses(play, system.dt, now, window=WINDOW)
         for play in fresh:
             holds = hold_steps(play, system.dt) if dampers else ()
             self.active.append(Active(play, samples(play.stop, system.dt), holds))
+
+    def reach(self, until: int) -> None:
+        """Compile forces and motions as far as a sample, before it is reached."""
+        self.injections = _reaching(self.injections, until)
+        self.controls = _reaching(self.controls, until)
 
     def end(self, now: int) -> None:
         """Forget forces and motions that are over at a sample."""
         self.injections = [i for i in self.injections if i.stop > now]
         self.controls = [c for c in self.controls if c.stop > now]
+
+
+def _reaching(acting: Sequence[_Acting], until: int) -> list[_Acting]:
+    out = list[_Acting]()
+    for one in acting:
+        out.append(one)
+        while one.further and one.stop <= until:
+            one = one.further()
+            out.append(one)
+    return out

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from tonewood.errors import BundleError
+from tonewood.instrument.contract.attached import Motion
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.player.timeline import GRID, Play
 from tonewood.physics.coupling.system import Injection, PrescribedMotion, System
-from tonewood.physics.stepping.forcing import Course, course
+from tonewood.physics.stepping.forcing import Course, course, windowed
 from tonewood.support.arrays import Floats
 
 #: steps in which a finger's dashpot grows
@@ -48,20 +50,23 @@ def places(play: Play, model: Model) -> tuple[tuple[str, str, float], ...]:
     return tuple((component, "pluck", weight) for component, weight in weights.items())
 
 
-def forces(play: Play, model: Model, system: System, first: int) -> list[Injection]:
-    """Compile a gesture's known forces from sample `first` on.
+def forces(play: Play, model: Model, system: System, first: int, *, window: int | None = None) -> list[Injection]:
+    """Compile a gesture's known forces from sample `first` on, in windows; see `windowed`.
 
     Raises BundleError : the gesture names an input, a connection or a point that nothing has attached.
     """
     _check_names(play, model)
-    if play.gesture.noise is not None and not play.gesture.segments:
-        return _sampled(play, play.gesture.noise.course(system.dt, time=play.time, first=first), model, system)
-    course = Course.of(play.gesture.segments, system.dt, time=play.time, first=first)
-    if play.gesture.noise is not None:
-        course = _sum(course, play.gesture.noise.course(system.dt, time=play.time, first=first))
+    segments, noise = play.gesture.segments, play.gesture.noise
+    course = Course.of(segments, system.dt, time=play.time, first=first)
+    if noise is not None:
+        course = course.with_noise(noise.course(system.dt, time=play.time, first=first))
     out: list[Injection] = []
     for component, point, factor in places(play, model):
-        out += course.injections(component, system.compiled[system.slot(component)].impulses(point), factor)
+        compiled = system.compiled[system.slot(component)]
+        if segments or noise is None:
+            out += course.injections(component, compiled.impulses(point), factor, window=window)
+        else:  # constant in each step: one vector
+            out += course.held(component, factor * compiled.held_force(point)[None], [0], window=window)
     return out
 
 
@@ -86,28 +91,6 @@ def _check_names(play: Play, model: Model) -> None:
                     file=exciter.files.manifest if exciter else None,
                     key=exciter.key if exciter else f"exciters.{play.exciter}",
                 )
-
-
-def _sampled(play: Play, course: Course, model: Model, system: System) -> list[Injection]:
-    """Compile a force that is constant in each step: one vector for each component."""
-    steps = course.values[:1]
-    if not steps.size:
-        return []
-    return [
-        Injection(c, course.start, factor * system.compiled[system.slot(c)].held_force(point)[None], steps)
-        for c, point, factor in places(play, model)
-    ]
-
-
-def _sum(a: Course, b: Course) -> Course:
-    courses = [c for c in (a, b) if c.values.shape[1]]
-    if not courses:
-        return Course(a.dt, a.parts + b.parts, a.start, a.values)
-    start = min(c.start for c in courses)
-    values = np.zeros((3, max(c.start + c.values.shape[1] for c in courses) - start))
-    for c in courses:
-        values[:, c.start - start : c.start - start + c.values.shape[1]] += c.values
-    return Course(a.dt, a.parts + b.parts, start, values)
 
 
 def quasi_static(active: Sequence[Active], model: Model, system: System, start: int, n: int) -> Floats | None:
@@ -141,21 +124,19 @@ def quasi_static(active: Sequence[Active], model: Model, system: System, start: 
     return out
 
 
-def courses(play: Play, dt: float, first: int) -> list[PrescribedMotion]:
-    """Compile the course of a gesture's partners, sample by sample from `first` until the gesture ends on the grid."""
-    out = []
-    for motion in play.gesture.motions:
-        if not motion.segments:
-            continue
-        n = max(math.ceil(samples(play.stop, dt) / GRID) * GRID - first, 0)
+def courses(play: Play, dt: float, first: int, *, window: int | None = None) -> list[PrescribedMotion]:
+    """Compile the course of a gesture's partners from sample `first` until the gesture ends on the grid, in windows."""
+    stop = max(math.ceil(samples(play.stop, dt) / GRID) * GRID, first)
+
+    def moving(motion: Motion, start: int, stop: int) -> PrescribedMotion:
         # offsets are given at both ends of every step, other quantities at its middle, as means
         if motion.quantity == "offset":
-            times = (first + np.arange(n + 1)) * dt - play.time
+            times = (start + np.arange(stop - start + 1)) * dt - play.time
         else:
-            times = (first + np.arange(n) + 0.5) * dt - play.time
-        values = motion.course(times)
-        out.append(PrescribedMotion(motion.connection, first, **{motion.quantity: values}))
-    return out
+            times = (start + np.arange(stop - start) + 0.5) * dt - play.time
+        return PrescribedMotion(motion.connection, start, **{motion.quantity: motion.course(times)})
+
+    return [windowed(first, stop, partial(moving, m), window) for m in play.gesture.motions if m.segments]
 
 
 def hold_steps(play: Play, dt: float) -> tuple[tuple[int, float], ...]:
@@ -170,9 +151,3 @@ def hold_steps(play: Play, dt: float) -> tuple[tuple[int, float], ...]:
     times = [*(hold.start + rise * (hold.grown - hold.start) for rise in _RISE), hold.stop]
     sizes = [*((i + 1) / _HOLD_LEVELS * hold.damping for i in range(_HOLD_LEVELS)), 0.0]
     return tuple((math.floor(samples(play.time + t, dt)), size) for t, size in zip(times, sizes, strict=True))
-
-
-def cut(injection: Injection, sample: int) -> Injection:
-    """Return the injection up to a sample."""
-    keep = max(0, min(sample - injection.start, injection.values.shape[1]))
-    return replace(injection, values=injection.values[:, :keep])

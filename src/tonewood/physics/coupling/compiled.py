@@ -245,12 +245,14 @@ class Injection:
     start : absolute sample of the first step it acts in.
     vectors : (n_vectors, n_modes, 2).
     values : (n_vectors, n_steps).
+    further : computes what follows after the last step; None where nothing does.
     """
 
     component: str
     start: int
     vectors: Floats
     values: Floats
+    further: Callable[[], Injection] | None = None
 
     @cached_property
     def stop(self) -> int:
@@ -269,6 +271,7 @@ class PrescribedMotion:
     offset : (n_steps + 1,) m, gap of zero compression at the beginning of each step and the end of the last.
     velocity : (n_steps,) m/s, of the partner in a `Friction`, mean over each step.
     scale : (n_steps,) factor, not negative, on the force of the law: a bow's pressure, a finger's weight.
+    further : computes what follows after the last step; None where nothing does.
     """
 
     connection: str
@@ -276,6 +279,7 @@ class PrescribedMotion:
     offset: Floats | None = None
     velocity: Floats | None = None
     scale: Floats | None = None
+    further: Callable[[], PrescribedMotion] | None = None
 
     def __post_init__(self) -> None:
         lengths = {len(a) for a in (self.velocity, self.scale) if a is not None}

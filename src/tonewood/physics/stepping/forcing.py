@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,8 +16,9 @@ from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.propagator import SERIES_TERMS, impulse_series, moments, real_form
 from tonewood.support.arrays import Floats
 
-#: steps with breakpoints that lie so far apart are injected one by one, others together
-_APART = 64
+#: steps with breakpoints that lie so far apart are injected one by one, others together, so many at most
+_APART = _TOGETHER = 64
+_Acting = TypeVar("_Acting", Injection, PrescribedMotion)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +71,21 @@ class SampledForce:
 
     def at(self, times: ArrayLike) -> Floats:
         """Return the values at times (n,) s."""
-        grid = self.start + self.interval * np.arange(len(self.values))
-        return np.asarray(np.interp(np.asarray(times, dtype=np.float64), grid, self.values, left=0.0, right=0.0))
+        t, last = np.asarray(times, dtype=np.float64), len(self.values) - 1
+        if not t.size:
+            return np.zeros_like(t)
+        # the part of the grid about these times, a value more on either side
+        first, stop = (math.floor((float(end) - self.start) / self.interval) for end in (t.min(), t.max()))
+        part = slice(min(max(first - 1, 0), last), min(max(stop + 3, 1), last + 1))
+        grid = self.start + self.interval * np.arange(part.start, part.stop)
+        return np.asarray(np.interp(t, grid, self.values[part], left=0.0, right=0.0))
 
     def rate(self, times: ArrayLike) -> Floats:
         """Return the first derivative at times (n,) s, N/s; from the right where two lines meet."""
         place = np.floor((np.asarray(times, dtype=np.float64) - self.start) / self.interval).astype(np.intp)
-        slopes = np.concatenate([[0.0], np.diff(self.values) / self.interval, [0.0]])
-        return np.asarray(slopes[np.clip(place + 1, 0, len(self.values))])
+        last = len(self.values) - 1
+        rise = self.values[np.clip(place + 1, 0, last)] - self.values[np.clip(place, 0, last)]
+        return np.asarray(rise / self.interval)
 
     def by_step(self, sample: int, n: int, dt: float, time: float = 0.0) -> Floats:
         """Return (n,) N, the force over the steps from `sample` on.
@@ -91,8 +100,7 @@ class SampledForce:
     def course(self, dt: float, *, time: float = 0.0, first: int) -> Course:
         """Return it from step to step of `dt` s, from the step `first` on; `time` (s) is that of its event."""
         begin = max(first, math.floor((time + self.start) / dt))
-        n = max(math.ceil((time + self.stop) / dt) - begin, 0)
-        return Course(dt, (), begin, np.stack([self.by_step(begin, n, dt, time), np.zeros(n), np.zeros(n)]))
+        return Course(dt, (), (), begin, max(math.ceil((time + self.stop) / dt), begin), (self, time))
 
     def after(self, time: float) -> SampledForce:
         """Return the part from a time (s) on."""
@@ -107,14 +115,17 @@ class Course:
     dt : s, step; step n is [n dt, (n + 1) dt].
     parts : step, and the part of it that the force fills: begin and end (s from its beginning), coefficients there; of
         steps with breakpoints.
-    start, values : (3, n) constant, linear and quadratic part at the beginning of each step from `start` on, that lies
-        inside one piece; 0 in other steps.
+    whole : first step, the step after the last, begin (in steps) and piece, of the steps that lie inside one piece.
+    start, stop : the first of those steps or of the noise, and the step after the last.
+    noise : a random part, and the time (s) of its origin.
     """
 
     dt: float
     parts: tuple[tuple[int, float, float, tuple[float, float, float]], ...]
+    whole: tuple[tuple[int, int, float, Segment], ...]
     start: int
-    values: Floats
+    stop: int
+    noise: tuple[SampledForce, float] | None = None
 
     @classmethod
     def of(cls, pieces: Sequence[Segment], dt: float, *, time: float = 0.0, first: int | None = None) -> Course:
@@ -135,16 +146,35 @@ class Course:
             if full1 > full0:
                 whole.append((full0, full1, begin, piece))
         start, stop = min((w[0] for w in whole), default=0), max((w[1] for w in whole), default=0)
+        return cls(dt, tuple(parts), tuple(whole), start, stop)
+
+    def with_noise(self, noise: Course) -> Course:
+        """Return the sum of this force, which has none, and a random one."""
+        courses = [c for c in (self, noise) if c.stop > c.start] or [self]
+        start, stop = min(c.start for c in courses), max(c.stop for c in courses)
+        return Course(self.dt, self.parts, self.whole, start, stop, noise.noise)
+
+    def between(self, start: int, stop: int) -> Floats:
+        """Return (3, n) constant, linear and quadratic part at the beginning of each whole step; 0 in other steps."""
         total = np.zeros((3, stop - start))
+        whole = [(max(w[0], start), min(w[1], stop), *w[2:]) for w in self.whole if w[0] < stop and w[1] > start]
         if whole:
             counts = [full1 - full0 for full0, full1, *_ in whole]
             steps = np.concatenate([np.arange(full0, full1) for full0, full1, *_ in whole])
             numbers = np.array([(begin, piece.c0, piece.c1, piece.c2) for *_, begin, piece in whole])
             begins, c0, c1, c2 = np.repeat(numbers, counts, axis=0).T
-            at = (steps - begins) * dt
+            at = (steps - begins) * self.dt
             for row, values in zip(total, (c0 + at * (c1 + c2 * at), c1 + 2 * c2 * at, c2), strict=True):
                 np.add.at(row, steps - start, values)
-        return cls(dt, tuple(parts), start, total)
+        if self.noise:
+            noise, time = self.noise
+            total[0] += noise.by_step(start, stop - start, self.dt, time)
+        return total
+
+    @cached_property
+    def values(self) -> Floats:
+        """`between` start and stop."""
+        return self.between(self.start, self.stop)
 
     @cached_property
     def steps(self) -> tuple[int, ...]:
@@ -153,25 +183,37 @@ class Course:
 
     @cached_property
     def used(self) -> NDArray[np.intp]:
-        """Which of constant, linear and quadratic part there are in `values`."""
-        return np.flatnonzero(np.any(self.values != 0.0, axis=1))
+        """Which of constant, linear and quadratic part there are in whole steps."""
+        given = np.array([(p.c0, p.c1, p.c2) for *_, p in self.whole]).reshape(-1, 3).any(axis=0)
+        noisy = self.noise is not None and bool(np.any(self.noise[0].values))
+        return np.flatnonzero([noisy or given.any(), given[1:].any(), given[2]])
 
-    def injections(self, component: str, impulses: Floats, factor: float = 1.0) -> list[Injection]:
-        """Injection of the force into a component, from the `impulse_series` of the point it acts on."""
+    def injections(
+        self, component: str, impulses: Floats, factor: float = 1.0, *, window: int | None = None
+    ) -> list[Injection]:
+        """Injection of the force into a component, from the `impulse_series` of the point it acts on, in windows."""
         n_cells, n_terms, n_modes, _ = impulses.shape
         added = factor * (self._moments(n_cells) @ impulses.reshape(n_cells * n_terms, 2 * n_modes))
         added = added.reshape(len(added), n_modes, 2)
         out, steps = [], np.array(self.steps, dtype=np.intp)
-        for group in np.split(np.arange(len(steps)), np.flatnonzero(np.diff(steps) >= _APART) + 1):
-            if group.size:
+        for near in np.split(np.arange(len(steps)), np.flatnonzero(np.diff(steps) >= _APART) + 1):
+            for group in (near[i : i + _TOGETHER] for i in range(0, len(near), _TOGETHER)):
                 at = steps[group] - steps[group[0]]
                 values = np.zeros((len(group), int(at[-1]) + 1))
                 values[np.arange(len(group)), at] = 1.0
                 out.append(Injection(component, int(steps[group[0]]), added[group[0] : group[-1] + 1], values))
         if self.used.size:
-            vectors = added[len(self.steps) + self.used]
-            out.append(Injection(component, self.start, vectors, self.values[self.used]))
+            out += self.held(component, added[len(self.steps) + self.used], self.used, window=window)
         return out
+
+    def held(self, component: str, vectors: Floats, rows: Any, *, window: int | None) -> list[Injection]:
+        """Injection of some of its parts in whole steps, in windows."""
+
+        def acting(start: int, stop: int) -> Injection:
+            whole = (start, stop) == (self.start, self.stop)
+            return Injection(component, start, vectors, (self.values if whole else self.between(start, stop))[rows])
+
+        return [windowed(self.start, self.stop, acting, window)] if self.stop > self.start else []
 
     def _moments(self, n_cells: int) -> Floats:
         """(n_steps + 3, n_cells SERIES_TERMS) of the steps with breakpoints, then of 1, t and t^2 over a whole step."""
@@ -189,6 +231,17 @@ class Course:
     @cached_property
     def _known(self) -> dict[int, Floats]:
         return {}
+
+
+def windowed(start: int, stop: int, acting: Callable[[int, int], _Acting], window: int | None) -> _Acting:
+    """Return what acts from one step to another, computed for the first `window` steps; `further` has what follows.
+
+    acting : computes it between two steps.
+    window : steps; the end is rounded down to a multiple of it. None computes all.
+    """
+    end = stop if window is None else min((start // window + 1) * window, stop)
+    first = acting(start, end)
+    return replace(first, further=lambda: windowed(end, stop, acting, window)) if end < stop else first
 
 
 @cache

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,25 @@ def test_partners_move_at_ends_of_steps_and_press_at_their_middles() -> None:
     np.testing.assert_allclose(velocity.velocity[:300], 1.0 + 30.0 * ((k + 0.5) * DT - time), rtol=1e-12)
     np.testing.assert_allclose(scale.scale[:300], 1.0 + 30.0 * ((k + 0.5) * DT - time), rtol=1e-12)
     np.testing.assert_allclose(offset.offset[:300], 1.0 + 30.0 * (k * DT - time), rtol=1e-12)
+
+
+@pytest.mark.parametrize("window", [1, 64, 300])
+def test_partners_move_in_windows_as_at_once(window: int) -> None:
+    """The windows follow each other to the end of the gesture, and end at multiples of their length."""
+    ramp = (Segment(0.0, 0.1, 1.0, 30.0), Segment(0.1, 0.15, 4.0, -9.0, 2.0))
+    for quantity in ("velocity", "offset", "scale"):
+        play = Play(0.01003, Gesture((), motions=(Motion("a", quantity, ramp),)))
+        (whole,), pieces = courses(play, DT, 100), courses(play, DT, 100, window=window)
+        while pieces[-1].further:
+            pieces.append(pieces[-1].further())
+        assert [p.start for p in pieces[1:]] == [p.stop for p in pieces[:-1]]
+        assert {p.start % window for p in pieces[1:]} == {0}
+        assert max(p.stop - p.start for p in pieces) <= window
+        values = [getattr(p, quantity) for p in pieces]
+        if quantity == "offset":  # it is known at the beginning of the first step too, and there the pieces meet
+            assert all(a[-1] == b[0] for a, b in pairwise(values))
+            values = [values[0][:1], *(v[1:] for v in values)]
+        np.testing.assert_array_equal(np.concatenate(values), getattr(whole, quantity))
 
 
 @pytest.mark.parametrize(("quantity", "order"), [("displacement", 0), ("velocity", 1)])

@@ -82,3 +82,21 @@ def test_nothing_is_added_elsewhere_or_after_the_gesture() -> None:
     assert tail.state.sample > after
     now = float(row @ np.asarray(tail.system.modes_of(tail.state, "A2.z"))[0])
     assert got[tail.state.sample] == pytest.approx(now, rel=1e-9, abs=1e-15)
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+def test_a_gesture_of_an_hour_is_computed_as_far_as_it_is_reached(noisy: bool) -> None:
+    """F = 1 + 0.002 t - 1e-7 t^2, and lines between 3 and 5 N every second: few numbers at a time, at any time."""
+    pull, lines = (1.0, 2e-3, -1e-7), np.tile([3.0, 5.0], 1800)
+    noise = ta.SampledForce(0.0, 1.0, lines) if noisy else None
+    play = Play(0.3 / FS, Gesture((ta.Segment(0.0, 3600.0, *pull),), PLUCKED, noise=noise), string="A2")
+    one = Engine(scene(1000.0, "displacement"), Timeline([], [play]))
+    for ticks in (1, 126, 1, 200, 300):
+        one.advance(ticks)
+        assert sum(i.values.size for i in one.gestures.injections) < 2e5
+        one.gestures.reach(one.state.sample + 1)
+        (acting,) = (i for i in one.gestures.injections if i.start <= one.state.sample < i.stop)
+        t = (one.state.sample - 0.3) / FS
+        mean = 3.0 + 2.0 * (t + 0.5 / FS) if noisy else 0.0
+        force = [pull[0] + t * (pull[1] + t * pull[2]) + mean, pull[1] + 2 * t * pull[2], pull[2]]
+        assert acting.values[:, one.state.sample - acting.start] == pytest.approx(force, rel=1e-12)

@@ -19,7 +19,7 @@ from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.performance.player import between_notes, techniques
 from tonewood.performance.player.dampers import on_grid, pressed_farthest
 from tonewood.performance.player.fretting import FrettedBases, Fretting
-from tonewood.performance.player.gestures import _RISE, Active, cut, hold_steps, samples
+from tonewood.performance.player.gestures import _RISE, hold_steps, samples
 from tonewood.performance.player.hands import PacedHands
 from tonewood.performance.player.player import Player
 from tonewood.performance.player.playing import _duration, _glided, _why_nothing, perform, playable
@@ -29,7 +29,6 @@ from tonewood.performance.player.variation import Deviates, moved, touched
 from tonewood.performance.player.voices import CONTINUED, HeldKeys, PlayerCounters, Voice
 from tonewood.performance.score.assignment import Assigned, PlayableString
 from tonewood.performance.score.note import Control, Dropped
-from tonewood.physics.coupling.system import Injection
 from tonewood.physics.stepping.forcing import Segment
 from tonewood.physics.stepping.motion import to_motion
 
@@ -286,13 +285,6 @@ def test_a_dashpot_grows_in_three_steps_where_its_smooth_course_passes_half_way(
     assert hold_steps(Play(1.0, Gesture((), hold=hold)), 1e-4) == ()
     assert hold_steps(Play(1.0, Gesture(()), string="E2"), 1e-4) == ()
     assert samples(0.3, 0.1) == 3.0
-
-
-@pytest.mark.parametrize(("sample", "kept"), [(0, 0), (5, 0), (7, 2), (10, 5), (99, 5)])
-def test_an_injection_is_cut_at_a_sample(sample: int, kept: int) -> None:
-    values = np.arange(15.0).reshape(3, 5)
-    assert np.array_equal(cut(Injection("c", 5, np.ones((3, 2)), values), sample).values, values[:, :kept])
-    assert Active(Play(0.0, Gesture(())), 9.0).holds == ()
 
 
 def course(*segments: Segment, stop: float, continuous: bool, tick: float = 0.1) -> list[tuple[float, float]]:

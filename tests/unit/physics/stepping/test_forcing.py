@@ -144,3 +144,26 @@ def test_the_rate_of_a_sampled_force_is_that_of_its_lines() -> None:
     force = SampledForce(2e-3, 1e-3, np.array([0.0, 3.0, -1.0, 0.0]))
     times = [0.0, 1.9e-3, 2.1e-3, 2.9e-3, 3.1e-3, 4.5e-3, 4.9e-3, 5.1e-3, 9.0]
     np.testing.assert_allclose(force.rate(times), [0.0, 0.0, 3e3, 3e3, -4e3, 1e3, 1e3, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("span", [(-1.0, -0.5), (-0.3, 0.2), (0.31, 0.34), (0.9, 1.5), (1.1, 2.0), (0.0, 0.0)])
+def test_a_part_of_a_sampled_force_is_that_of_the_whole(span):
+    """To the last bit, by the lines and slopes of all values."""
+    values = np.random.default_rng(4).normal(size=101)
+    force, times = SampledForce(0.013, 0.01, values), np.linspace(*span, 9)
+    grid = 0.013 + 0.01 * np.arange(101)
+    np.testing.assert_array_equal(force.at(times), np.interp(times, grid, values, left=0.0, right=0.0))
+    place = np.floor((times - 0.013) / 0.01).astype(int)
+    slopes = [(values[k + 1] - values[k]) / 0.01 if 0 <= k < 100 else 0.0 for k in place]
+    np.testing.assert_array_equal(force.rate(times), slopes)
+    assert force.at([]).shape == (0,)
+
+
+def test_breakpoints_that_lie_near_are_injected_few_at_a_time():
+    """One table of all steps with breakpoints would have 2001 x 8001 numbers, most of them 0."""
+    basis = ModalBasis.real([0.0], [0.0], {"n0": [1.0]})
+    pieces = [Segment(k * 4 * DT, (k + 1) * 4 * DT, 1.0 + k) for k in np.arange(2000) + 0.125]
+    out = compile_force("a", basis, "n0", pieces, DT)
+    assert sum(i.values.size for i in out) < 1e6
+    momentum = sum(np.einsum("vt,vmx->x", i.values, i.vectors) for i in out)[1]
+    assert momentum * basis.right[0, 0].real == pytest.approx(sum(p.c0 * 4 * DT for p in pieces), rel=1e-9)
