@@ -206,6 +206,8 @@ def cases() -> list[tuple[str, str, str, str]]:
         ("strings.A2", "basis", real.format("[300.0, 600.0], [1.0, 1.0], {'bridge': [1.0, 1.0]}"), "without `shape`"),
         ("strings.A2", "basis", real.format("[300.0, 600.0], [1.0, 1.0], {'nut': [1.0, 1.0]}"), "'bridge' is wanted"),
         ("strings.A2", "basis", made + "ta.retuned(b, np.sqrt(b.stiffness), -b.damping_rate)", "a damping rate of -"),
+        ("strings.A2", "basis", made.replace("=freq_upper", "=3e6"), "27274 modes below 3e+06 Hz; at most 3000"),
+        ("strings.A2", "basis", real.format("np.arange(1.0, 3002), 1.0, {'bridge': 1.0}"), "3001 modes; at most 3000"),
         (
             "strings.A2",
             "basis",

@@ -28,7 +28,7 @@ from tonewood.instrument.bundle.string_materials import made_figures, string_mat
 from tonewood.instrument.bundle.string_schema import INCH, Fretboard, MadeOf, Scatter
 from tonewood.instrument.bundle.string_sets import figures, string_sets
 from tonewood.instrument.contract.attached import Attached, Motion, Site, loose_mass
-from tonewood.instrument.contract.base import MOST_MODES, BodyPoint
+from tonewood.instrument.contract.base import BodyPoint
 from tonewood.instrument.contract.directions import unit_vector
 from tonewood.instrument.contract.effects import Effect, Norms, contact_effect, level_db, modes, nothing
 from tonewood.instrument.contract.gestures import Fraction, Hold, Place, is_played, metres, places, smooth_step
@@ -61,6 +61,7 @@ from tonewood.instrument.scales import KeyMap, Scale, Tuning
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.layout import Drive, Readout
 from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_modes import MOST_MODES
 from tonewood.physics.stepping.forcing import Segment
 from tonewood.support.params import Parameters
 

@@ -49,9 +49,6 @@ from tonewood.support.params import Vector, validated
 if TYPE_CHECKING:
     from tonewood.physics.plate.radiation import Sources
 
-#: limit of the number of modes of a string: cost and memory grow with its square
-MOST_MODES = 3000
-
 
 class Resonator(Plugin[P]):
     """A string in one polarization: held at the nut or a stop, moved by a body at the bridge.
@@ -156,9 +153,6 @@ class Resonator(Plugin[P]):
         """
         actual, length = self.tension if tension is None else tension, self.length - stop
         density, stiffness = self.linear_density, self.bending_stiffness
-        count = int(length / np.pi * wavenumber(2 * np.pi * freq_upper, actual, density, stiffness))
-        if count > MOST_MODES:
-            raise self.fault(f"has some {count} modes below {freq_upper:g} Hz; at most {MOST_MODES} are allowed")
         try:
             return string_basis(
                 length, actual, density, stiffness, lambda w, k: self.loss(w, k, actual), freq_upper=freq_upper

@@ -25,6 +25,7 @@ from tonewood.physics.coupling.laws import NonlinearLaw
 from tonewood.physics.coupling.layout import Drive, Readout
 from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_modes import MOST_MODES
 from tonewood.physics.stepping.forcing import SampledForce, Segment
 
 #: check of a result, which raises `WrongResultError`: object, result, arguments of the call
@@ -93,6 +94,8 @@ def string_basis(value: Any) -> None:
     basis(value)
     if not value.is_real:
         raise WrongResultError("a basis of complex modes; real modes are wanted")
+    if value.n_modes > MOST_MODES:
+        raise WrongResultError(f"a basis of {value.n_modes} modes; at most {MOST_MODES} are allowed")
     if "bridge" not in value.points:
         raise WrongResultError(
             f"a basis of the points {', '.join(value.points) or 'none'}; 'bridge' is wanted among them"

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -134,7 +135,8 @@ def courses(play: Play, dt: float, first: int, *, window: int | None = None) -> 
             times = (start + np.arange(stop - start + 1)) * dt - play.time
         else:
             times = (start + np.arange(stop - start) + 0.5) * dt - play.time
-        return PrescribedMotion(motion.connection, start, **{motion.quantity: motion.course(times)})
+        values: dict[str, Any] = {motion.quantity: motion.course(times)}
+        return PrescribedMotion(motion.connection, start, **values)
 
     return [windowed(first, stop, partial(moving, m), window) for m in play.gesture.motions if m.segments]
 

@@ -31,6 +31,8 @@ from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.secular import secular_roots
 from tonewood.support.arrays import Floats
 
+#: limit of the number of modes of a string: cost and memory grow with its square
+MOST_MODES = 3000
 #: eta(omega rad/s, k 1/m) -> loss factor; the decay rate of a partial is sigma = omega eta / 2
 LossFactor = Callable[[Floats, Floats], ArrayLike]
 
@@ -92,7 +94,7 @@ def string_basis(
 
     Raises
     ------
-    ValueError : a parameter is out of range, not even one mode lies below `freq_upper`, or the loss law gives a
+    ValueError : a parameter is out of range, no mode or more than 3000 lie below `freq_upper`, or the loss law gives a
         negative or infinite number.
 
     Source: Klosner and Ranlet (1978), fixed-base modes and a constraint mode, eqs. 1-8; docs/theory.md, section 4.
@@ -103,11 +105,17 @@ def string_basis(
         raise ValueError("give either freq_upper or n_modes of a string")
     parameters = (length, tension, linear_density, bending_stiffness)
     if freq_upper is not None:
-        n_modes = _count_below(2 * np.pi * freq_upper, *parameters)
+        count = length / np.pi * float(wavenumber(2 * np.pi * freq_upper, *parameters[1:]))
+        if not count < MOST_MODES + 1:
+            raise ValueError(
+                f"this string has some {np.floor(count):.6g} modes below {freq_upper:g} Hz; "
+                f"at most {MOST_MODES} are allowed"
+            )
+        n_modes = min(_count_below(2 * np.pi * freq_upper, *parameters), MOST_MODES)
         if n_modes < 1:
             raise ValueError(f"no mode of this string lies below {freq_upper:g} Hz")
-    if n_modes is None or n_modes < 1:
-        raise ValueError("a string needs at least one mode")
+    if n_modes is None or not 1 <= n_modes <= MOST_MODES:
+        raise ValueError(f"a string of {n_modes} modes; 1 to {MOST_MODES} are allowed")
     omega2, vec = _solve(n_modes - 1, *parameters)
     n_sines = len(vec) - 1
     k = np.asarray(np.arange(1, n_sines + 1) * np.pi / length, dtype=np.float64)
