@@ -16,7 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from tonewood.errors import TonewoodError
+from tonewood.errors import OutputError, TonewoodError
 from tonewood.support.folder_lock import locked
 from tonewood.support.text_files import json_value
 from tonewood.support.whole_files import remove, write_whole
@@ -109,8 +109,10 @@ def plan_dataset(
     """List the shards that are not made yet; nothing is written.
 
     predict : try some sounds, and predict time and length.
-    Raises TonewoodError : a score cannot be read, or no sound can be resolved.
+    Raises TonewoodError
+        A score cannot be read, no sound can be resolved, or the folder holds a data set of another name.
     """
+    _check_folder(dataset, folder)
     every = tuple(samples(dataset, source))
     size = dataset.sounds.per_shard
     by = f"tonewood {version('tonewood')}"
@@ -140,13 +142,28 @@ def _is_made(folder: Path, number: int, key: str) -> bool:
     """Whether a shard is there, whole and of this key, with no sound that failed."""
     try:
         record = json_value((folder / SHARDS / f"{shard_name(number)}.json").read_bytes())
-        same = record["key"] == key and not record["failed"]
-        return bool(same) and all(
-            hashlib.sha256((folder / SHARDS / name).read_bytes()).hexdigest() == digest
-            for name, digest in record["files"].items()
+        if record.pop("sha256") != _digest(record) or record["key"] != key or record["failed"]:
+            return False
+        return all(
+            hashlib.sha256((folder / place / name).read_bytes()).hexdigest() == digest
+            for place, files in ((SHARDS, record["files"]), (PHYSICS, record["physics"]))
+            for name, digest in files.items()
         )
-    except (OSError, ValueError, LookupError, TypeError):
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return False
+
+
+def _digest(record: dict[str, Any]) -> str:
+    """SHA-256 of the record of a shard, by which a damaged one is known."""
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
+def _check_folder(dataset: Dataset, folder: Path) -> None:
+    """Check that a folder holds no shard of a data set of another name. Raises OutputError : it does."""
+    for path in sorted((folder / SHARDS).glob("*.json")):
+        with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
+            if (name := json_value(path.read_bytes())["name"]) != dataset.name:
+                raise OutputError(f"holds the data set {name!r}; take another folder", file=folder)
 
 
 def _predicted(plan: DatasetPlan, renderer: EngineRenderer) -> DatasetPlan:
@@ -202,13 +219,14 @@ def run_dataset(
     with locked(folder, "tonewood batch"):
         shards = (workers or Workers()).each(make, plan.tasks) if plan.tasks else ()
         for done, shard in enumerate(shards, start=1):
-            _write(folder, shard, plan.keys[shard.number])
+            _write(folder, shard, plan.keys[shard.number], dataset.name)
             faults += shard.faults
             notes += shard.notes
             if progress is not None:
                 progress("shards", done, len(plan.tasks))
-        for stray in place.glob("*.*"):
-            if stray.name.partition(".")[0] not in {shard_name(number) for number in plan.keys}:
+        for stray in place.glob("[0-9][0-9][0-9][0-9][0-9]*.*"):
+            name = stray.name.partition(".")[0]
+            if name.isdecimal() and name not in {shard_name(number) for number in plan.keys}:
                 remove(stray)
         records = _records(folder, plan.keys)
         digests = sorted((name, digest) for record in records for name, digest in record["sounds"].items())
@@ -251,7 +269,7 @@ def _identities(plan: DatasetPlan, renderer: EngineRenderer) -> list[dict[str, A
     return list(identities.values())
 
 
-def _write(folder: Path, shard: Shard, key: str) -> None:
+def _write(folder: Path, shard: Shard, key: str, data_set: str) -> None:
     """Write the files of a shard, and its record last."""
     place, name = folder / SHARDS, shard_name(shard.number)
     remove(place / f"{name}.json")
@@ -260,17 +278,17 @@ def _write(folder: Path, shard: Shard, key: str) -> None:
             remove(stray)
     for file, content in {**shard.files, **{f"../{PHYSICS}/{k}": v for k, v in shard.physics.items()}}.items():
         write_whole((place / file).resolve(), content, make_folder=True)
-    write_json(
-        place / f"{name}.json",
-        {
-            "schema": SHARD_SCHEMA,
-            "key": key,
-            "seconds": shard.seconds,
-            "failed": [{"name": f.name, "reason": f.reason} for f in shard.faults],
-            "files": {file: hashlib.sha256(content).hexdigest() for file, content in sorted(shard.files.items())},
-            "sounds": _digests(shard),
-        },
-    )
+    record = {
+        "schema": SHARD_SCHEMA,
+        "name": data_set,
+        "key": key,
+        "seconds": shard.seconds,
+        "failed": [{"name": f.name, "reason": f.reason} for f in shard.faults],
+        "files": {file: hashlib.sha256(content).hexdigest() for file, content in sorted(shard.files.items())},
+        "physics": {file: hashlib.sha256(content).hexdigest() for file, content in sorted(shard.physics.items())},
+        "sounds": _digests(shard),
+    }
+    write_json(place / f"{name}.json", {**record, "sha256": _digest(record)})
 
 
 def _digests(shard: Shard) -> dict[str, str]:

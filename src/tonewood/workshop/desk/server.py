@@ -44,6 +44,8 @@ _STATIC = dict.fromkeys(("desk.js", "sound.js", "ring.js", "views.js"), "text/ja
 #: frames of a block; s that blocks are sent ahead of what is heard, at least and at most
 BLOCK = 512
 AHEAD = (0.03, 1.0)
+#: numbers of a report are smaller: frames of a thousand years
+_MOST_FRAMES = 2**51
 #: s without a report of the page after which its stream ends
 _SILENT = 6.0
 
@@ -133,13 +135,13 @@ class DeskServer:
             raise TonewoodError(f"is {name!r}; {', '.join(_ACTS)} are allowed", key="act")
         try:
             return act(self.desk, given) or ""
-        except (KeyError, TypeError, ValueError) as fault:
+        except (KeyError, TypeError, ValueError, OverflowError) as fault:
             raise TonewoodError(f"a value is missing or of another type ({fault})", key=str(name)) from None
 
     async def _report(self, request: Request) -> Response:
         self._check(request)
         given = await json_body(request)
-        numbers = {k: float(v) for k, v in given.items() if isinstance(v, int | float)}
+        numbers = {k: float(v) for k, v in given.items() if isinstance(v, int | float) and abs(v) < _MOST_FRAMES}
         listener = self.desk.playback.listener
         if numbers.get("stream") == self._stream and listener is not None:
             listener.report(int(numbers.get("heard", 0)))

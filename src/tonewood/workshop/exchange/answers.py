@@ -26,6 +26,15 @@ from tonewood.workshop.listening.trials import LETTERS, OPEN
 
 _SLOTS = ("A", "B", "X", "1", "2", "3", OPEN)
 _WEBMUSHRA = {"rating_stimulus": "mushra", "choice_answer": "pair", "rating_reference_score": "bs1116"}
+#: kind of webMUSHRA's table -> columns that are read, and the page whose trials it may name
+_READ: dict[str, tuple[tuple[str, ...], type[pages.AnyPage]]] = {
+    "mushra": (("trial_id", "rating_stimulus", "rating_score"), pages.MushraPage),
+    "pair": (("trial_id", "choice_answer"), pages.AbxPage),
+    "bs1116": (
+        ("trial_id", "rating_reference_score", "rating_non_reference", "rating_non_reference_score"),
+        pages.Bs1116Page,
+    ),
+}
 #: columns of PsychoPy's table with an answer
 _KEY, _RATE = re.compile(r"answer\d+\.keys"), re.compile(r"rate\d+_(\w+)\.response")
 _MOST_BYTES = 200_000_000
@@ -68,6 +77,8 @@ def read_answers(path: Path, test: ListeningTest) -> Imported:
             raise ListeningError(
                 f"has no column {missing[0] if missing else 'listener'}; {allowed} are wanted", file=path
             )
+    elif missing := [name for name in _READ[kind][0] if name not in columns]:
+        raise ListeningError(f"has no column {missing[0]}; {', '.join(_READ[kind][0])} are wanted", file=path)
     trials = {trial.id: trial for trial in test.trials}
     answers: dict[str, dict[tuple[Any, ...], _Given]] = {}
     spoken: dict[str, list[dict[str, Any]]] = {}
@@ -76,8 +87,16 @@ def read_answers(path: Path, test: ListeningTest) -> Imported:
         who = printable(_who(row, path, line))
         try:
             if kind is None and (record := _questionnaire(test, row)) is not None:
+                if any(
+                    r["page"] == record["page"] and row["item"] in r["answer"]["values"] for r in spoken.get(who, [])
+                ):
+                    raise ListeningError("this question was answered before", key="item")
                 spoken.setdefault(who, []).append(record)
             elif kind is not None:
+                trial = trials.get(row["trial_id"].partition("-")[0])
+                if trial is not None and not isinstance(page := test.pages[trial.page], _READ[kind][1]):
+                    reason = f"trial {trial.id} is of a page {page.type}, which has no answers in such a table"
+                    raise ListeningError(reason, key="trial_id")
                 _take_webmushra(kind, row, trials, answers.setdefault(who, {}))
             elif row["trial"]:  # PsychoPy writes rows for pages without trials, too
                 _take_plain(test, row, trials, answers.setdefault(who, {}))
@@ -114,7 +133,7 @@ def _table(path: Path) -> tuple[list[Row], set[str]]:
         raise ListeningError(f"cannot be read: {fault.strerror}", file=path) from None
     try:
         reader = csv.DictReader(io.StringIO(text, newline=""), restval="", strict=True)
-        rows = [{k: (v or "").strip() for k, v in row.items() if isinstance(k, str)} for row in reader]
+        rows = [{k.strip(): (v or "").strip() for k, v in row.items() if isinstance(k, str)} for row in reader]
     except csv.Error as fault:
         raise ListeningError(f"is no table: {fault}", file=path) from None
     return rows, {name.strip() for name in reader.fieldnames or ()}
@@ -157,7 +176,7 @@ def _take_webmushra(
 ) -> None:
     name, _, count = row["trial_id"].partition("-")
     trial = _trial(row, name, trials)
-    repetition = int(count) if count.isdecimal() else 1
+    repetition = int(_number(count, "trial_id", 0, 1000)) if count.isdecimal() else 1
     key = (row.get("session_uuid", ""), name, repetition)
     reference, other = trial.reference or "", trial.stimuli[0]
     if kind == "pair":
@@ -194,7 +213,7 @@ def _take_plain(
         one = into.setdefault(key, _Given(trial, trial.page, repetition, {}, {}, seconds=seconds))
         for item, value in _values(row).items():
             low, high, name = _limits(page, item)
-            _rate(one, row["stimulus"], name, _number(value, "value", low, high))
+            _rate(one, row.get("stimulus", ""), name, _number(value, "value", low, high))
         return
     if key in into:
         raise ListeningError("this trial was answered before", key="trial")
@@ -258,7 +277,7 @@ def _questionnaire(test: ListeningTest, row: Row) -> dict[str, Any] | None:
     if row.get("trial") or not row.get("item"):
         return None
     number = row.get("page", "")
-    page = test.pages[int(number) - 1] if number.isdecimal() and 0 < int(number) <= len(test.pages) else None
+    page = next((p for i, p in enumerate(test.pages) if number == str(i + 1)), None)
     questions = {q.name: q for q in page.questions} if isinstance(page, pages.QuestionnairePage) else {}
     if row["item"] not in questions:
         raise ListeningError(f"{row['item']!r} is no question of page {number}", key="item")

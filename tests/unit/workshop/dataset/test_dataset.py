@@ -6,6 +6,7 @@ import hashlib
 import io
 import itertools
 import json
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -21,6 +22,7 @@ import soundfile
 from scipy.stats import kstest
 
 import tonewood as tw
+from tonewood.errors import OutputError
 from tonewood.workshop.batch.manifest import ManifestError
 from tonewood.workshop.batch.rendering import EngineRenderer
 from tonewood.workshop.batch.workers import Workers
@@ -113,6 +115,39 @@ def test_a_smaller_set_leaves_no_shard_behind(tmp_path: Path) -> None:
     made(tmp_path)
     folder, _ = made(tmp_path, size=2)
     assert {path.name.partition(".")[0] for path in (folder / SHARDS).iterdir()} == {"00000"}
+
+
+@pytest.mark.parametrize(
+    "damage", [{"sounds": [1]}, {"seconds": "x"}, {"files": {}}, {"physics": None}], ids=lambda damage: str(*damage)
+)
+def test_a_shard_with_a_damaged_record_is_made_again(
+    tmp_path: Path, alone: tuple[Path, Any], damage: dict[str, Any]
+) -> None:
+    folder = tmp_path / "out"
+    shutil.copytree(alone[0], folder)
+    path = folder / SHARDS / "00002.json"
+    path.write_text(json.dumps({k: v for k, v in {**json.loads(path.read_text()), **damage}.items() if v is not None}))
+    assert [t.number for t in plan_dataset(check_dataset(BASE), tmp_path, folder, EngineRenderer()).tasks] == [2]
+
+
+def test_shards_without_the_parameters_of_their_sounds_are_made_again(tmp_path: Path, alone: tuple[Path, Any]) -> None:
+    folder = tmp_path / "out"
+    shutil.copytree(alone[0], folder)
+    shutil.rmtree(folder / "physics")
+    assert len(plan_dataset(check_dataset(BASE), tmp_path, folder, EngineRenderer()).tasks) == 3
+
+
+def test_a_set_does_not_remove_another_one_nor_files_of_others(tmp_path: Path, alone: tuple[Path, Any]) -> None:
+    folder = tmp_path / "out"
+    shutil.copytree(alone[0], folder)
+    (folder / SHARDS / "notes.txt").write_text("of the user")
+    before = bits(folder)
+    with pytest.raises(OutputError, match="holds the data set 'plucks'; take another folder"):
+        made(tmp_path, name="scales", size=2)
+    assert bits(folder) == before
+    made(tmp_path, size=2)
+    assert (folder / SHARDS / "notes.txt").read_text() == "of the user"
+    assert not list((folder / SHARDS).glob("00001.*"))
 
 
 def test_the_index_finds_every_sound_and_its_hash(alone: tuple[Path, Any]) -> None:

@@ -449,7 +449,7 @@ def test_a_shard_is_made_where_all_of_it_stands_there(tmp_path: Path, monkeypatc
     place.mkdir()
     (place / "00003.old").write_text("")
     (place / "00004.flac").write_text("")
-    _write(tmp_path, whole, "key")
+    _write(tmp_path, whole, "key", "plucks")
     assert {p.name for p in place.iterdir()} == {"00003.flac", "00003.parquet", "00003.json", "00004.flac"}
     assert (tmp_path / "physics" / "p.json").read_bytes() == b"{}"
     record = json.loads((place / "00003.json").read_text())
@@ -460,7 +460,7 @@ def test_a_shard_is_made_where_all_of_it_stands_there(tmp_path: Path, monkeypatc
     assert not _is_made(tmp_path, 4, "key")
     (place / "00003.flac").write_bytes(b"g")
     assert not _is_made(tmp_path, 3, "key")
-    _write(tmp_path, Shard(3, whole.files, {}, 1.5, (Fault("x", "why"),), ()), "key")
+    _write(tmp_path, Shard(3, whole.files, {}, 1.5, (Fault("x", "why"),), ()), "key", "plucks")
     assert json.loads((place / "00003.json").read_text())["failed"] == [{"name": "x", "reason": "why"}]
     assert not _is_made(tmp_path, 3, "key")
 

@@ -143,6 +143,9 @@ def test_other_hosts_and_pages_are_refused(client: Client) -> None:
         ({"act": "phrase", "kind": "file"}, "--phrase"),
         ({"act": "phrase", "kind": "chord", "velocity": 300}, "velocity"),
         ({"act": "key", "note": 1e9, "on": True}, "note"),
+        ({"act": "key", "note": 10**400, "on": True}, "key"),
+        ({"act": "phrase", "kind": "notes", "notes": "A2", "velocity": 10**400}, "phrase"),
+        (b'{"act": "pick", "which": 1e400}', "pick"),
         ({"act": "strings", "name": "no_set"}, "no_set"),
         ({"act": "recall", "name": "never kept"}, "never kept"),
     ],
@@ -155,6 +158,14 @@ def test_what_cannot_be_done_is_said_in_one_line(client: Client, desk: Desk, bod
     assert "\n" not in reply["error"]
     after = desk.state()
     assert {k: v for k, v in after.items() if k != "making"} == {k: v for k, v in before.items() if k != "making"}
+
+
+@pytest.mark.parametrize("number", [10**400, 1e300, -(10**400)])
+def test_numbers_of_a_report_that_no_page_sends_are_left_out(client: Client, desk: Desk, number: float) -> None:
+    listener = desk.playback.listen(10.0)
+    assert client.ask("/api/heard", {"stream": 0, "heard": number, "underruns": number}) == (200, {"stream": 0})
+    assert listener.unheard >= 0
+    assert desk.playback.meter.underruns == 0
 
 
 def test_the_phrase_is_the_render_again_and_again(client: Client, desk: Desk) -> None:

@@ -253,6 +253,68 @@ def test_other_tables_of_webmushra(made: ListeningTest, tmp_path: Path) -> None:
     assert [row["value"] for row in page.rows if row["listener"] == "a"] == [pytest.approx(3.2 - 5.0)]
 
 
+@pytest.mark.parametrize(
+    ("columns", "missing"),
+    [
+        ("listener rating_stimulus rating_score", "trial_id"),
+        ("listener trial_id rating_stimulus", "rating_score"),
+        ("listener choice_answer", "trial_id"),
+        ("listener trial_id rating_reference_score rating_non_reference", "rating_non_reference_score"),
+    ],
+)
+def test_a_table_of_webmushra_without_a_column_is_one_line(
+    made: ListeningTest, tmp_path: Path, columns: str, missing: str
+) -> None:
+    table = webmushra_table(tmp_path / "cut.csv", columns, [["a"] * len(columns.split())])
+    with pytest.raises(ListeningError, match=f"has no column {missing}; trial_id, "):
+        read_answers(table, made)
+
+
+@pytest.mark.parametrize(
+    ("columns", "values"),
+    [
+        ("rating_stimulus rating_score", ["reference", 4]),
+        ("choice_answer", ["correct"]),
+        ("rating_reference_score rating_non_reference rating_non_reference_score", [5, "CODE", 3]),
+    ],
+)
+def test_answers_of_one_kind_of_page_do_not_count_for_another(
+    made: ListeningTest, tmp_path: Path, columns: str, values: list[Any]
+) -> None:
+    """Grades from 1 to 5 would be points from 0 to 100."""
+    types = {"rating_stimulus": "mushra", "choice_answer": "abx", "rating_reference_score": "bs1116"}
+    for trial in made.trials:
+        if (page := made.pages[trial.page].type) != types[columns.split()[0]]:
+            cells = [trial.stimuli[0] if value == "CODE" else value for value in values]
+            rows = [["a", trial.id, *cells]]
+            with pytest.raises(ListeningError, match=f"trial {trial.id} is of a page {page}, which has no answers"):
+                read_answers(webmushra_table(tmp_path / "other.csv", f"listener trial_id {columns}", rows), made)
+
+
+def test_headings_and_numbers_that_are_odd(made: ListeningTest, tmp_path: Path) -> None:
+    """Blanks round names of columns; numbers of thousands of digits; a question that is answered twice."""
+    page = next(i + 1 for i, page in enumerate(made.pages) if page.type == "questionnaire")
+    table = tmp_path / "odd.csv"
+    digits = "9" * 5000
+    table.write_text(f"listener, page , trial, item, value\na,{page},,age,40\na,{page},,age,41\na,{digits},,age,40\n")
+    answers = read_answers(table, made)
+    assert [r["answer"]["values"] for one in answers.listeners for r in one.records] == [{"age": 40}]
+    assert [one.reason.partition(": ")[2][:8] for one in answers.left_out] == ["line 3: ", "line 4: "]
+    trial = next(trial for trial in made.trials if made.pages[trial.page].type == "mushra")
+    rows = [["a", f"{trial.id}-{digits}", "reference", 100]]
+    with pytest.raises(ListeningError, match="is no number from 0 to 1000"):
+        read_answers(
+            webmushra_table(tmp_path / "long.csv", "listener trial_id rating_stimulus rating_score", rows), made
+        )
+
+
+def test_ratings_without_a_column_of_sounds_are_left_out(made: ListeningTest, tmp_path: Path) -> None:
+    trial = next(trial for trial in made.trials if made.pages[trial.page].type == "mushra")
+    (tmp_path / "x.csv").write_text(f"listener,page,trial,value\na,{trial.page + 1},{trial.id},50\n")
+    with pytest.raises(ListeningError, match="stimulus: '' is no sound of trial"):
+        read_answers(tmp_path / "x.csv", made)
+
+
 def plain_rows(test: ListeningTest) -> list[dict[str, Any]]:
     """One listener who hears everything, in the plain table."""
     key = json.loads((test.folder / "key.json").read_text())["stimuli"]
