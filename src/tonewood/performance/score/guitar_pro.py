@@ -173,7 +173,8 @@ class _Track:
         grace_length = min(GRACES[0], length / 2) if on_beat else Fraction(0)
         bar = effect.tremoloBar
         every = WrittenNote(
-            at + grace_length, length - grace_length, 0.0, signs=tuple(signs), whammy=_points(bar, 50.0) if bar else (),
+            at + grace_length, length - grace_length, 0.0, signs=tuple(signs),
+            whammy=_points(bar, 50.0, self.ignored) if bar else (),
         )  # fmt: skip
         graces: list[WrittenNote] = []
         notes: list[WrittenNote] = []
@@ -240,7 +241,7 @@ class _Track:
         stroke = trill.duration if trill else picking.duration if picking else None
         return replace(
             every, pitch=pitch, string=string, fret=fret, velocity=note.velocity, signs=tuple(sorted(signs)), tied=tied,
-            bend=_points(effect.bend, 50.0) if effect.bend else (), partial=partial, arrives=arrives,
+            bend=_points(effect.bend, 50.0, self.ignored) if effect.bend else (), partial=partial, arrives=arrives,
             tremolo=Fraction(stroke.time, _QUARTER) if stroke else None,
             trill=float(self.open[string] + self.capo + trill.fret) if trill else None,
             slides=tuple(sorted(_SLIDES[name] for name in slides & set(_SLIDES))),
@@ -267,6 +268,8 @@ class _Track:
         return touched(fret, pitch, node, False, self.ignored)
 
 
-def _points(effect: Any, unit: float) -> Curve:
+def _points(effect: Any, unit: float, ignored: Counter[str]) -> Curve:
     points = [(p.position / effect.maxPosition, unit * p.value) for p in effect.points]
-    return bend_curve([(share, cents) for share, cents in points if abs(cents) <= 50.0 * _BENDS])
+    within = [(share, cents) for share, cents in points if abs(cents) <= 50.0 * _BENDS]
+    ignored[f"point of a bend beyond {_BENDS / 2:g} semitones"] += len(points) - len(within)
+    return bend_curve(within)

@@ -18,18 +18,22 @@ from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import Allowance, number, whole
+from tonewood.performance.score.musicxml_harmonics import kind_of_pitch, not_heard, sounding
 from tonewood.performance.score.musicxml_words import (
     MOST_DIVISIONS,
+    bend_of,
     divisions_of,
     jump_sign,
+    meter_of,
     offset_of,
     passes_of,
+    strum_of,
     velocity_of,
     written_tempo,
 )
 from tonewood.performance.score.score_clock import near
 from tonewood.performance.score.unfolding import Measure, number_endings
-from tonewood.performance.score.written import Curve, WrittenMusic, WrittenNote, WrittenPart, bend_curve
+from tonewood.performance.score.written import WrittenMusic, WrittenNote, WrittenPart
 from tonewood.performance.score.xml_files import MOST, member, number_of, parsed, text_of
 
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
@@ -121,7 +125,9 @@ class _Reader:
         ids = [e.get("id") for e in root.iter("score-part") if e.find(_PROGRAM) is not None]
         music.ignored["midi-program outside 1 to 128"] += sum(programs[part] is None for part in ids)
         starts = [Fraction(0)]
-        for measure in music.measures:
+        for i, measure in enumerate(music.measures):
+            if not measure.length:  # nothing is in it, not even a rest
+                measure.length = max(p.without_notes[i] for p in self._parts.values() if i < len(p.without_notes))
             starts.append(near(starts[-1] + measure.length))
         for part, reader in self._parts.items():
             reader.hairpins(starts)
@@ -144,6 +150,8 @@ class _PartReader:
         self.ending: frozenset[int] = frozenset()
         self.palm = False
         self.fifths = 0
+        #: quarter notes of a measure by the time signature, and of each measure without notes
+        self.meter, self.without_notes = Fraction(0), list[Fraction]()
         self.feel: tuple[Fraction, Fraction] | None = None
         #: (measure, quarter notes, velocity) of dynamics, and (measure, quarter notes, kind) of ends of hairpins
         self.levels: list[tuple[int, Fraction, int]] = []
@@ -173,6 +181,8 @@ class _PartReader:
         notes: list[WrittenNote] = []
         now = longest = began = Fraction(0)
         n_chord = 0
+        silent, octaves = not_heard(element)
+        self.music.ignored["harmonic whose sounding pitch is not written, played at the octave"] += octaves
         if not self.divisions:  # they may stand after the first notes
             self.divisions = next(filter(None, map(divisions_of, element.findall("attributes"))), Fraction(1))
             has_divisions = element.find("note/duration") is None or element.find("attributes/divisions") is not None
@@ -184,7 +194,7 @@ class _PartReader:
                 if not chord:
                     began, n_chord = now, 0
                     now = near(now + length)
-                sign = self._note(child, began, length, n_chord)
+                sign = None if child in silent else self._note(child, began, length, n_chord)
                 if sign is not None:
                     notes.append(sign)
                     n_chord += 1
@@ -206,12 +216,14 @@ class _PartReader:
         if self.ending and any(e.get("type") != "start" for e in element.iter("ending")):
             self.ending = frozenset()
         self.part.measures.append(notes)
+        self.without_notes.append(Fraction(0) if element.find("note") is not None else self.meter)
 
     def _attributes(self, element: Element) -> None:
         self.divisions = divisions_of(element) or self.divisions
         wrong = number(text_of(element, "divisions"), -MOST, MOST) is not None and not divisions_of(element)
         self.music.ignored[f"divisions outside 1/{MOST_DIVISIONS} to {MOST_DIVISIONS}"] += wrong
         self.music.ignored["fifths outside -7 to 7"] += abs(number_of(element, "key/fifths", 0.0)) > 7
+        self.meter = meter_of(element, self.meter)
         self.fifths = int(number_of(element, "key/fifths", self.fifths, -7.0, 7.0))
         for move in element.findall("transpose"):
             steps = number_of(move, "chromatic", 0.0) + 12 * number_of(move, "octave-change", 0.0)
@@ -250,6 +262,8 @@ class _PartReader:
             said_jumps = {sign for name, sign in jumps.items() if sound.get(name, "no") not in ("", "no")}
             measure.signs |= said_jumps
             self.sounded = self.sounded or bool(said_jumps)
+            measure.opens = measure.opens or sound.get("forward-repeat") == "yes"
+            self.music.ignored["sound of some passes only, obeyed in all"] += sound.get("time-only") is not None
             mute = text_of(sound, "play/mute")
             self.palm = mute == "palm" if mute else self.palm
             if (feel := sound.find("swing")) is not None:
@@ -363,6 +377,7 @@ class _PartReader:
             self.music.ignored["unpitched note" if written is None else "note whose pitch cannot be read"] += 1
             self.part.n_drums += written is None
             return None
+        self.music.ignored["note of some passes only, played in all"] += element.get("time-only") is not None
         self.music.ignored["octave that is not whole"] += number_of(written, "octave", 4.0) % 1 > 0
         self.music.ignored["pitch without an octave"] += written is not None and written.find("octave") is None
         self.music.signs.take()
@@ -385,8 +400,8 @@ class _PartReader:
         note = WrittenNote(
             at, length, pitch + moved, velocity=self.velocity if share is None else velocity_of(share),
             signs=tuple(sorted(signs)),
-            tied="stop" in ties, bend=_bend(technical),
-            strum=_strum(element.find("notations/arpeggiate"), place), steps=self._steps(element),
+            tied="stop" in ties, bend=bend_of(technical),
+            strum=strum_of(element.find("notations/arpeggiate"), place), steps=self._steps(element),
         )  # fmt: skip
         if element.find("notations/fermata") is not None and length:
             self.music.measures[len(self.part.measures)].holds.add((at, at + length))
@@ -395,10 +410,12 @@ class _PartReader:
             up = self._steps(element)[1]
             note = replace(note, trill=note.pitch + up, signs=tuple(s for s in note.signs if s != "vibrato"))
         strokes = number_of(ornaments, "tremolo", 0.0)
+        alternates = ornaments is not None and ornaments.find("tremolo[@type='start']") is not None
+        self.music.ignored["tremolo between two notes, each repeated"] += alternates
         if 0 < strokes <= 5:
             note = replace(note, tremolo=Fraction(1, 2 ** int(strokes)))
         self.music.ignored["tremolo outside 0 to 5 strokes"] += not 0 <= strokes <= 5
-        return self._placed(note, technical)
+        return self._placed(note, technical, kind_of_pitch(element))
 
     def _steps(self, element: Element) -> tuple[int, int]:
         """Semitones down and up to the neighbours of a note in its key, or by an accidental at its ornament."""
@@ -416,11 +433,17 @@ class _PartReader:
             out.append(step if 0 < step < 5 else 2)
         return out[0], out[1]
 
-    def _placed(self, note: WrittenNote, technical: Element | None) -> WrittenNote:
+    def _placed(self, note: WrittenNote, technical: Element | None, kind: str) -> WrittenNote:
         """The note with its string and fret, if its pitch is there."""
         string, fret = number_of(technical, "string", -1.0), number_of(technical, "fret", -1.0)
         if string < 1 or fret < 0:
-            return note
+            return sounding(note, False, None) if kind == "sounding-pitch" else note
+        if kind == "sounding-pitch":
+            base = self.tuning.get(int(string))
+            natural = technical is not None and technical.find("harmonic/artificial") is None
+            if base is not None:
+                base += self.part.capo + (0.0 if natural else fret)
+            return sounding(replace(note, string=int(string), fret=int(fret)), natural, base)
         if self.tuning and "harmonic" not in note.signs:
             # the fret counts from the capo, or from the nut
             left = note.pitch - self.tuning.get(int(string), -1e3)
@@ -430,11 +453,6 @@ class _PartReader:
                 return replace(note, string=int(string))
             fret = frets[0]
         return replace(note, string=int(string), fret=int(fret))
-
-
-def _strum(arpeggiate: Element | None, place: int) -> int:
-    """Place of a note of an arpeggio; below 0 counted from its highest note, which comes first."""
-    return 0 if arpeggiate is None else -place if arpeggiate.get("direction") == "down" else place
 
 
 def _from_lowest(notes: list[WrittenNote]) -> None:
@@ -477,19 +495,3 @@ def _notated(element: Element) -> Iterator[Element]:
                 yield from sign
             else:
                 yield sign
-
-
-def _bend(technical: Element | None) -> Curve:
-    """Course of a note's bends, one after the other, in equal parts of the note."""
-    bends = [] if technical is None else technical.findall("bend")
-    if not bends:
-        return ()
-    points: list[tuple[float, float]] = []
-    value = 0.0
-    for i, bend in enumerate(bends):
-        target = 0.0 if bend.find("release") is not None else 100.0 * number_of(bend, "bend-alter", 0.0)
-        begin = i / len(bends)
-        points.append((begin, target if bend.find("pre-bend") is not None else value))
-        points.append((begin + 0.5 / len(bends), target))
-        value = target
-    return bend_curve([*points, (1.0, value)])

@@ -1,4 +1,4 @@
-"""Tempos and jumps of MusicXML that are drawn or stand in words; its units of time and loudness."""
+"""Tempos and jumps of MusicXML that are drawn or stand in words; its units of time, loudness and bends."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ from fractions import Fraction
 from xml.etree.ElementTree import Element
 
 from tonewood.performance.score.limits import number, whole
+from tonewood.performance.score.written import Curve, bend_curve
 from tonewood.performance.score.xml_files import MOST, number_of, text_of
 
 #: durations per quarter note; others are damaged
 MOST_DIVISIONS = 16384
 #: number of an ending, and passes between two with a hyphen
 _MOST_ENDING, _MOST_BETWEEN = 9999, 32
+#: beats of a measure, and the number of their note value
+_MOST_BEATS = 1024
 _UNITS = {
     "long": 16.0,
     "breve": 8.0,
@@ -77,6 +80,21 @@ def divisions_of(element: Element) -> Fraction:
     return Fraction(divisions).limit_denominator(MOST_DIVISIONS)
 
 
+def meter_of(element: Element, before: Fraction) -> Fraction:
+    """Return the quarter notes of a measure by the time signature of attributes; those before where there is none."""
+    time = element.find("time")
+    if time is None:
+        return before
+    meter = Fraction(0)
+    for over, under in zip(time.findall("beats"), time.findall("beat-type"), strict=False):
+        beats = [whole(word, 1, _MOST_BEATS) for word in (over.text or "").split("+")[:_MOST_BEATS]]
+        unit = whole(under.text or "", 1, _MOST_BEATS)
+        if unit is None or None in beats:
+            return Fraction(0)
+        meter += Fraction(4 * sum(n or 0 for n in beats), unit)
+    return meter
+
+
 def offset_of(element: Element, sound: Element | None, ignored: Counter[str]) -> Fraction:
     """Return the durations by which a direction, or its sound, acts later; what cannot be read is counted.
 
@@ -97,3 +115,24 @@ def passes_of(word: str) -> frozenset[int]:
     low = whole(first, 1, _MOST_ENDING)
     high = whole(last, 1, _MOST_ENDING) if hyphen else low
     return frozenset() if low is None or high is None else frozenset(range(low, min(high, low + _MOST_BETWEEN) + 1))
+
+
+def strum_of(arpeggiate: Element | None, place: int) -> int:
+    """Place of a note of an arpeggio; below 0 counted from its highest note, which comes first."""
+    return 0 if arpeggiate is None else -place if arpeggiate.get("direction") == "down" else place
+
+
+def bend_of(technical: Element | None) -> Curve:
+    """Course of a note's bends, one after the other, in equal parts of the note."""
+    bends = [] if technical is None else technical.findall("bend")
+    if not bends:
+        return ()
+    points: list[tuple[float, float]] = []
+    value = 0.0
+    for i, bend in enumerate(bends):
+        target = 0.0 if bend.find("release") is not None else 100.0 * number_of(bend, "bend-alter", 0.0)
+        begin = i / len(bends)
+        points.append((begin, target if bend.find("pre-bend") is not None else value))
+        points.append((begin + 0.5 / len(bends), target))
+        value = target
+    return bend_curve([*points, (1.0, value)])

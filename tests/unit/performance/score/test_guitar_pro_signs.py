@@ -6,6 +6,7 @@ import math
 import struct
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tablatures import enabled, gpif, gpx_bits, gpx_system, guitar_pro
@@ -299,3 +300,18 @@ def test_sustain_pedal_of_a_track(tmp_path: Path) -> None:
     assert [n.duration for n in score.notes] == pytest.approx([1.0, 1.5, 1.0, 1.0])
     assert {(c.time, c.value) for c in score.controls} == {(1.5, 1.0), (2.5, 0.0)}
     assert score.ignored == {"sustain pedal that cannot be read": 1}
+
+
+@pytest.mark.parametrize("version", [3, 4, 5])
+def test_points_of_a_bend_that_are_left_out_are_counted(tmp_path: Path, version: int) -> None:
+    """One of 20 million quarter tones; the other, 4 of them, is a whole tone when the note ends."""
+
+    def change(_: Any, beats: Any) -> None:
+        import guitarpro as gp
+
+        points = [gp.BendPoint(0, 0), gp.BendPoint(6, 20_000_000), gp.BendPoint(12, 4)]
+        beats[0].notes[0].effect.bend = gp.BendEffect(type=gp.BendType.bend, value=100, points=points)
+
+    score = tw.read_score(guitar_pro(tmp_path / f"a.gp{version}", change))
+    assert score.ignored == {"point of a bend beyond 48 semitones": 1}
+    assert max(c.value for c in score.controls if c.kind == "bend") == pytest.approx(200.0, abs=5.0)

@@ -220,3 +220,61 @@ def test_endings_of_several_passes(tmp_path: Path, between: str, third: str) -> 
     played = ["CDEFGAB"[[0, 2, 4, 5, 7, 9, 11].index(int(n.note or 0) % 12)] for n in score.notes]
     assert "".join(played) == ("ABACABD" if third == "2" else "ABABACD")
     assert score.ignored == {}
+
+
+def test_a_measure_with_nothing_in_it_lasts_as_its_time_signature_says(tmp_path: Path) -> None:
+    """3/4 + 2/8 is four quarters; without a time signature nothing says how long it lasts."""
+    time = "<attributes><time>{}</time></attributes>"
+    meter = time.format("<beats>3</beats><beat-type>4</beat-type><beats>1+1</beats><beat-type>8</beat-type>")
+    assert [n.time for n in read(tmp_path, meter + plain("A"), "", plain("B")).notes] == [0.0, 5.0]
+    assert [n.time for n in read(tmp_path, plain("A"), "", plain("B")).notes] == [0.0, 1.0]
+    free = time.format("<senza-misura/>")
+    assert [n.time for n in read(tmp_path, meter + plain("A"), free, plain("B")).notes] == [0.0, 1.0]
+
+
+def harmonic(step: str, octave: int, inside: str, *, place: str = "", before: str = "") -> str:
+    return note(step, octave, 4, f"<harmonic>{inside}</harmonic>{place}", before=before)
+
+
+@pytest.mark.parametrize(
+    ("fret", "step", "octave", "pitch", "partial"), [(12, "E", 5, 76, 2), (7, "B", 5, 83, 3), (5, "E", 6, 88, 4)]
+)
+def test_a_natural_harmonic_at_its_sounding_pitch(
+    tmp_path: Path, fret: int, step: str, octave: int, pitch: int, partial: int
+) -> None:
+    """Of the open E4 the touched octave, twelfth and double octave; nothing sounds above them."""
+    place = f"<string>1</string><fret>{fret}</fret>"
+    (one,) = read(tmp_path, harmonic(step, octave, "<natural/><sounding-pitch/>", place=place)).notes
+    assert (one.note, one.partial, one.stop, one.marks) == (pitch, partial, 0, ("tablature",))
+
+
+def test_of_an_artificial_harmonic_in_three_pitches_one_is_heard(tmp_path: Path) -> None:
+    """A3 touched a fourth higher sounds A5; the other two notes say where the fingers are."""
+    three = (("A", 3, "base"), ("D", 4, "touching"), ("A", 5, "sounding"))
+    chord = [
+        harmonic(step, octave, f"<artificial/><{kind}-pitch/>", before="<chord/>" if i else "")
+        for i, (step, octave, kind) in enumerate(three)
+    ]
+    score = read(tmp_path, "".join(chord) + plain("C"))
+    assert [(n.note, n.time) for n in score.notes] == [(81, 0.0), (60, 1.0)]
+    assert score.ignored == {}
+    without = read(tmp_path, "".join(chord[:2]))
+    assert [n.note for n in without.notes] == [57]
+    assert without.ignored == {"harmonic whose sounding pitch is not written, played at the octave": 1}
+
+
+def test_a_sound_begins_a_repeat(tmp_path: Path) -> None:
+    back = '<barline><repeat direction="backward"/></barline>'
+    score = read(tmp_path, plain("A"), '<sound forward-repeat="yes"/>' + plain("B") + back, plain("C"))
+    assert [n.note for n in score.notes] == [69, 71, 71, 60]
+
+
+def test_what_is_not_followed_of_passes_and_tremolos_is_counted(tmp_path: Path) -> None:
+    some = note("A", 4, 4).replace("<note>", '<note time-only="2">')
+    pair = [note("A", 4, 4, more=f'<ornaments><tremolo type="{t}">2</tremolo></ornaments>') for t in ("start", "stop")]
+    score = read(tmp_path, some + '<sound time-only="1" tempo="60"/>' + "".join(pair))
+    assert score.ignored == {
+        "note of some passes only, played in all": 1,
+        "sound of some passes only, obeyed in all": 1,
+        "tremolo between two notes, each repeated": 1,
+    }
