@@ -643,3 +643,9 @@ def test_words_of_an_estimate(tmp_path) -> None:
     refused("1 to 10 are allowed", estimate._check, tmp_path / "new", 11, None)
     with pytest.raises(OutputError, match="is there already"):
         estimate._check(tmp_path, 3, None)
+
+
+def test_the_stop_of_the_largest_change_of_tension_is_told() -> None:
+    pitches = [SimpleNamespace(stop=n, tension=t) for n, t in enumerate((80.0, 82.0, 76.0, 81.0))]
+    told = check._stop_tension(pitches)
+    assert told == {"stop": 2, "relative": pytest.approx(-0.05)}
