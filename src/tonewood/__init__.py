@@ -102,10 +102,10 @@ def __getattr__(name: str) -> Any:
     from tonewood.support.garbage import without_collecting
 
     if name in _NEW_HOME:
-        place = _NEW_HOME[name]
-        text = f"tonewood.{name} is deprecated since 0.2 and will be removed in 0.4: it is {place}.{name}"
+        module = _NEW_HOME[name]
+        text = f"tonewood.{name} is deprecated since 0.2 and will be removed in 0.4: it is {module}.{name}"
         warnings.warn(text, DeprecationWarning, stacklevel=2)
-        return getattr(import_module(place), name)
+        return getattr(import_module(module), name)
     if name == "__version__":
         from importlib.metadata import version
 

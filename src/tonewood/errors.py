@@ -60,9 +60,9 @@ class TonewoodError(Exception):
         self.reason = text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} [...] {text[-_LONGEST // 2 :]}"
         self.file = None if file is None else os.fspath(file)
         self.key, self.line, self.also = key, line, tuple(also)
-        place = None if line is None else f"line {line}"
+        location = None if line is None else f"line {line}"
         shown = None if key is None else self.shown_key(key)
-        line_of_text = ": ".join(part for part in (self.file, place, shown, self.reason) if part)
+        line_of_text = ": ".join(part for part in (self.file, location, shown, self.reason) if part)
         # bytes of a file's name that are no UTF-8 can be printed, and written to a report
         super().__init__(line_of_text.encode(errors="backslashreplace").decode())
 

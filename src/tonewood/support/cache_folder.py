@@ -70,8 +70,8 @@ def read_kept(kind: str, key: str, decode: Callable[[bytes], T]) -> T | None:
     except (OSError, ValueError) as fault:
         _warn_damaged(path, "a link" if path.is_symlink() else getattr(fault, "strerror", None) or str(fault))
         return None
-    line, _, content = data.partition(b"\n")
-    if line != _heading(kind, key, content):
+    heading, _, content = data.partition(b"\n")
+    if heading != _heading(kind, key, content):
         _warn_damaged(path, "damaged, or not the file of this name")
         return None
     try:

@@ -66,7 +66,7 @@ class AtomicFile:
         self.discard = weakref.finalize(self, _discard, claimed)
         try:
             last = _place(self._final, secrets.token_hex(4))
-            self.path = next(place for place in (*places, last) if _claim(place, claimed, mode))
+            self.path = next(candidate for candidate in (*places, last) if _claim(candidate, claimed, mode))
         except OSError as fault:
             raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
         self._claimed = claimed
@@ -127,16 +127,16 @@ def _places(target: Path) -> list[Path]:
     return [_place(target, i) for i in range(_PLACES)]
 
 
-def _claim(place: Path, claimed: dict[Path, int], mode: int) -> bool:
+def _claim(path: Path, claimed: dict[Path, int], mode: int) -> bool:
     """Make and lock a file; False where another writer has it."""
-    remove_leftover(place)
+    remove_leftover(path)
     try:
-        claimed[place] = lock = os.open(place, os.O_RDWR | os.O_CREAT | os.O_EXCL | _FLAGS, mode)
+        claimed[path] = lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _FLAGS, mode)
     except FileExistsError:
         return False
     if fcntl is None:
         os.close(lock)
-        claimed[place] = -1
+        claimed[path] = -1
         return True
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -145,27 +145,27 @@ def _claim(place: Path, claimed: dict[Path, int], mode: int) -> bool:
     except OSError:  # locks are not known here
         mine = True
     else:
-        mine = _is_at(place, lock)
+        mine = _is_at(path, lock)
     if mine:
         return True
-    os.close(claimed.pop(place))
+    os.close(claimed.pop(path))
     return False
 
 
-def _is_at(place: Path, lock: int) -> bool:
+def _is_at(path: Path, lock: int) -> bool:
     """Whether a file still has its name."""
     try:
-        return os.path.samestat(os.fstat(lock), os.stat(place, follow_symlinks=False))
+        return os.path.samestat(os.fstat(lock), os.stat(path, follow_symlinks=False))
     except OSError:
         return False
 
 
-def remove_leftover(place: Path) -> None:
+def remove_leftover(path: Path) -> None:
     """Remove an incomplete file, unless a program that still runs is its writer. Raises OutputError : as `remove`."""
     if fcntl is None:
         return
     try:
-        lock = os.open(place, os.O_RDWR | os.O_NONBLOCK | _FLAGS)
+        lock = os.open(path, os.O_RDWR | os.O_NONBLOCK | _FLAGS)
     except OSError:  # it is not there, or somebody else's
         return
     try:
@@ -173,25 +173,25 @@ def remove_leftover(place: Path) -> None:
     except OSError:  # its writer has locked it, or locks are not known here
         pass
     else:
-        if _is_at(place, lock):
-            remove(place)
+        if _is_at(path, lock):
+            remove(path)
     finally:
         os.close(lock)
 
 
 def remove_leftovers(target: Path) -> None:
     """Remove the incomplete files of a target, unless programs that still run are their writers."""
-    for place in _places(target.resolve()):
-        remove_leftover(place)
+    for path in _places(target.resolve()):
+        remove_leftover(path)
 
 
 def _discard(claimed: dict[Path, int]) -> None:
     try:
-        for place, lock in claimed.items():
-            if lock < 0 or _is_at(place, lock):
-                remove(place)
+        for path, lock in claimed.items():
+            if lock < 0 or _is_at(path, lock):
+                remove(path)
             else:
-                remove_leftover(place)
+                remove_leftover(path)
     finally:
         _unlock(claimed)
 

@@ -69,8 +69,8 @@ def line_of(text: str, key: str) -> int | None:
         entry = _entry(node, part) or (_entry(defaults[1], part) if defaults else None)
         if entry is None:
             break
-        parent, (place, node) = node, entry
-        line = place.start_mark.line + 1
+        parent, (key_node, node) = node, entry
+        line = key_node.start_mark.line + 1
     return line
 
 
@@ -143,8 +143,8 @@ def _joined(node: ScalarNode) -> str:
             raise _refused("half a surrogate pair is no character", node) from None
 
 
-def _refused(problem: str, place: Any) -> MarkedYAMLError:
-    return MarkedYAMLError(problem=problem, problem_mark=place.start_mark)
+def _refused(problem: str, node: Any) -> MarkedYAMLError:
+    return MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
 
 
 def _check_finite(value: Any, key: str, file: str | os.PathLike[str] | None, error: type[TonewoodError]) -> None:

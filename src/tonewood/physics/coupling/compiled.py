@@ -32,7 +32,7 @@ class Compiled:
     form : their real 2 x 2 blocks.
     ports : (n_ports,) rows of `basis.points` that connections act on, in order of their names.
     E : (n_modes, 2, 2) propagator of one step.
-    held : (n_modes, 2, 2) dt phi_1(A dt): state added by a force that is held over one step, per its B.
+    response : (n_modes, 2, 2) dt phi_1(A dt): state added by a force that is constant over one step, per its B.
     W : (n_ports, n_modes, 2) state added by a unit force held over one step.
     rows : (n_rows, n_modes, 2) displacement rows of the ports, then the readouts' rows.
     history : (BLOCK_SIZE, n_ports, n_rows) response of every row k steps after a unit force held over one step;
@@ -51,7 +51,7 @@ class Compiled:
     form: RealForm
     ports: NDArray[np.intp]
     E: Floats
-    held: Floats
+    response: Floats
     W: Floats
     rows: Floats
     history: Floats
@@ -85,12 +85,12 @@ class Compiled:
         slot = layout.slots[name]
         ports = np.array([basis.index(p) for p in layout.ports[name]], dtype=np.intp)
         if like is not None and like.basis.poles is basis.poles:
-            E, held, form = like.E, like.held, real_form(basis, like.form.A)
+            E, response, form = like.E, like.response, real_form(basis, like.form.A)
         else:
-            E, held = flow(basis, dt)
-            held *= dt
+            E, response = flow(basis, dt)
+            response *= dt
             form = real_form(basis)
-        W = apply(held, form.B[ports])
+        W = apply(response, form.B[ports])
         rows, readouts, difference = [form.C[ports]], [], []
         for channel, readout in enumerate(layout.readouts):
             probes = [p for p in readout.probes if p.component == name]
@@ -115,7 +115,7 @@ class Compiled:
         if acting and not basis.is_real:
             raise ValueError(f"{acting[0].name}: the modes of {name} must be real")
         return cls(
-            basis, dt, form, ports, E, held, W, all_rows, history,
+            basis, dt, form, ports, E, response, W, all_rows, history,
             np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool), gaps, a, compliance, residual,
             {p.name: p.share(name, basis, dt) for p in acting},
         )  # fmt: skip
@@ -123,7 +123,7 @@ class Compiled:
     @cached_property
     def coordinates(self) -> ModalCoordinates:
         """Coordinates of its modes, which must be real."""
-        return ModalCoordinates.of(self.basis, self.dt, self.held)
+        return ModalCoordinates.of(self.basis, self.dt, self.response)
 
     def joined(self, name: str, shares: tuple[Any, ...], join: Callable[[tuple[Any, ...]], Any]) -> Any:
         """The potential of a name joined of all its components' shares; the last result is kept with the first one."""
@@ -140,7 +140,7 @@ class Compiled:
 
     def held_force(self, point: str) -> Floats:
         """(n_modes, 2) state added by a unit force at a named point held over one step."""
-        return apply(self.held, self.form.B[self.basis.index(point)])
+        return apply(self.response, self.form.B[self.basis.index(point)])
 
     def motions(self, ports: NDArray[np.intp]) -> tuple[NDArray[np.intp], Floats]:
         """(r,) as few of some ports (p,) as move the others with them, and (p, r) how, u = span u_r.

@@ -55,8 +55,8 @@ class GapCompliance:
         """Invert the compliance of linear connections in parts; None where there are few, or no parts."""
         if (k := len(laws.on)) < LEAST_IN_PARTS:
             return None
-        place = np.full(len(self.layout.connections), -1)
-        place[laws.on] = np.arange(k)
+        index = np.full(len(self.layout.connections), -1)
+        index[laws.on] = np.arange(k)
         slots, connections = self.layout.joints
         met = np.bincount(slots[laws.active[connections]], minlength=len(self.compiled))
         hub = int(np.argmax(met)) if met.max(initial=0) > MOST_IN_PART else -1
@@ -73,8 +73,8 @@ class GapCompliance:
             values = compliance + residual
             joined = laws.active[rows] & laws.active[columns] & (values != 0.0)
             entries = (
-                np.concatenate([place[rows[joined]], np.arange(k)]),
-                np.concatenate([place[columns[joined]], np.arange(k)]),
+                np.concatenate([index[rows[joined]], np.arange(k)]),
+                np.concatenate([index[columns[joined]], np.arange(k)]),
                 np.concatenate([values[joined], laws.softness[laws.on]]),
             )
             return InverseInParts.of(k, entries, hub)
@@ -82,25 +82,25 @@ class GapCompliance:
         if hub < 0:
             return inverted(residual, None)
         at = self.compiled[hub].gaps
-        solution = inverted(residual, self._hub(hub, place))
-        if solution is None and np.any(self.compiled[hub].residual) and np.all(laws.rigid[at[place[at] >= 0]]):
+        solution = inverted(residual, self._hub(hub, index))
+        if solution is None and np.any(self.compiled[hub].residual) and np.all(laws.rigid[at[index[at] >= 0]]):
             # its residual compliance joins connections that are in parts otherwise: it goes with the hub's motions
-            return inverted(np.where(others, residual, 0.0), self._hub(hub, place, yields=True))
+            return inverted(np.where(others, residual, 0.0), self._hub(hub, index, yields=True))
         return solution
 
-    def _hub(self, slot: int, place: NDArray[np.intp], *, yields: bool = False) -> Hub:
+    def _hub(self, slot: int, index: NDArray[np.intp], *, yields: bool = False) -> Hub:
         """Motions of a component.
 
-        place : (m,) of each connection that can carry force, -1 of the others.
+        index : (m,) of each connection that can carry force, -1 of the others.
         yields : its residual compliance, of which rigid connections see twice as much, is in that of the motions.
         """
         compiled = self.compiled[slot]
-        gaps = np.flatnonzero(place[compiled.gaps] >= 0)
-        shares, at = compiled.shares[gaps], place[compiled.gaps[gaps]]
+        gaps = np.flatnonzero(index[compiled.gaps] >= 0)
+        shares, at = compiled.shares[gaps], index[compiled.gaps[gaps]]
         used = np.flatnonzero(np.any(shares != 0.0, axis=0))
         ports, span = (used, np.eye(len(used))) if yields else compiled.motions(used)
         shares = shares[:, used]
-        point, factor = np.full(int(place.max()) + 1, -1), np.zeros(int(place.max()) + 1)
+        point, factor = np.full(int(index.max()) + 1, -1), np.zeros(int(index.max()) + 1)
         if np.all(np.count_nonzero(shares, axis=1) == 1):
             point[at], factor[at] = np.argmax(shares != 0.0, axis=1), shares.sum(axis=1)
         else:  # ends that several points share: every connection has a point of its own

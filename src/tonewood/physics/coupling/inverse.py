@@ -22,7 +22,7 @@ import numpy as np
 
 from tonewood.support.arrays import Floats, Indices
 
-#: (e,) rows, columns and values of a sparse matrix; those of one place add up
+#: (e,) rows, columns and values of a sparse matrix; those of one entry add up
 Entries = tuple[Indices, Indices, Floats]
 
 #: connections of one part at most
@@ -99,7 +99,7 @@ class DenseInverse:
 class InverseInParts:
     """The inverse as small blocks and the motions of a hub.
 
-    parts : (b, n) places among the k connections, and (b, n, n) N/m inverses, of parts of n connections each.
+    parts : (b, n) indices among the k connections, and (b, n, n) N/m inverses, of parts of n connections each.
     hub : None if no connection needs it.
     """
 
@@ -170,8 +170,8 @@ def _parts(k: int, entries: Entries) -> tuple[tuple[Indices, Floats], ...] | Non
         return None
     order = np.argsort(label, kind="stable")
     first = np.cumsum(sizes) - sizes
-    place = np.empty_like(order)
-    place[order] = np.arange(k) - first[label[order]]
+    position = np.empty_like(order)
+    position[order] = np.arange(k) - first[label[order]]
     out = []
     for n in np.unique(sizes[sizes > 0]):
         labels = np.flatnonzero(sizes == n)
@@ -179,7 +179,7 @@ def _parts(k: int, entries: Entries) -> tuple[tuple[Indices, Floats], ...] | Non
         which[labels] = np.arange(len(labels))
         here = sizes[label[rows]] == n
         blocks = np.zeros((len(labels), n, n))
-        np.add.at(blocks, (which[label[rows[here]]], place[rows[here]], place[columns[here]]), values[here])
+        np.add.at(blocks, (which[label[rows[here]]], position[rows[here]], position[columns[here]]), values[here])
         diagonal = np.einsum("bii->bi", blocks)
         if np.any(diagonal <= 0.0) or np.abs(blocks - blocks.swapaxes(1, 2)).max() > 1e-12 * np.abs(blocks).max():
             return None

@@ -214,7 +214,7 @@ class EnergyAccount:
         again: Path,
         series: Floats,
         forces: Floats,
-        known: Sequence[KnownForce],
+        inputs: Sequence[KnownForce],
         moving: Mapping[int, Floats],
     ) -> None:
         """Entries for the steps of one path."""
@@ -235,7 +235,7 @@ class EnergyAccount:
                 compiled = self.system.compiled[self.system.slot(name)]
                 moved = np.diff(np.einsum("mx,tmx->t", compiled.form.C[compiled.basis.index(point)], x))
                 supplied[label] = supplied.get(label, np.zeros(T)) + tension * moved
-            mine = [k for k in known if k.component == name]
+            mine = [k for k in inputs if k.component == name]
             lost[name], sound, works = over_steps(energy, x[:-1], port_forces, modal_forces.get(name), mine, sample, dt)
             if energy.radiated is not None:
                 lost[name], lost[f"{name}.sound"] = lost[name] - sound, sound

@@ -98,7 +98,7 @@ class LawEnergies:
         gaps : (T + 1, m) m, without displacements in series.
         series : (T + 1, k) m.
         forces : (T, m) N; only the work of partners is taken from them.
-        moving : place among the nonlinear laws -> (4, T), as `physics.stepping.forcing.controlled` gives it.
+        moving : index among the nonlinear laws -> (4, T), as `physics.stepping.forcing.controlled` gives it.
         """
         flows = Flows({}, {}, {})
         for j, spring in self._springs.items():

@@ -29,24 +29,24 @@ class KnownForce:
 def over_steps(
     energy: ComponentEnergy,
     x: Floats,
-    held: Floats,
+    constant: Floats,
     modal_forces: Floats | None,
-    known: Sequence[KnownForce],
+    forces: Sequence[KnownForce],
     sample: int,
     dt: float,
 ) -> tuple[Floats, Floats, list[Floats]]:
     """Energy lost in each of T steps, J, the part of it that is sound, and the work of each known force.
 
     x : (T, n_modes, 2) states at the beginning of each step.
-    held : (T, n_points) N, forces on points that are constant over each step.
-    modal_forces : (T, n_modes) modal forces that are, or None.
-    known : forces on this component.
+    constant : (T, n_points) N, forces on points that are constant over each step.
+    modal_forces : (T, n_modes) modal forces that are constant over each step, or None.
+    forces : forces on this component.
     sample : absolute number of the first step.
     """
     T = len(x)
     if not x.shape[1]:  # all its modes lie above the highest that is stepped
-        return np.zeros(T), np.zeros(T), [np.zeros(T) for _ in known]
-    coefficients = [_by_step(force, sample, T, dt) for force in known]
+        return np.zeros(T), np.zeros(T), [np.zeros(T) for _ in forces]
+    coefficients = [_by_step(force, sample, T, dt) for force in forces]
     broken = np.zeros(T, dtype=bool)
     for c in coefficients:
         broken |= np.isnan(c[:, 0])
@@ -54,7 +54,7 @@ def over_steps(
     for c in coefficients:
         driven |= np.any(c != 0.0, axis=1)
     driven &= ~broken
-    lost, sound, works = np.zeros(T), np.zeros(T), [np.zeros(T) for _ in known]
+    lost, sound, works = np.zeros(T), np.zeros(T), [np.zeros(T) for _ in forces]
 
     def of(which: NDArray[np.bool_] | slice) -> Floats | None:
         return None if modal_forces is None else modal_forces[which]
@@ -62,31 +62,31 @@ def over_steps(
     forms = energy.forms(dt)
     quiet = ~driven & ~broken
     if quiet.any():
-        s = energy.start(x[quiet], held[quiet][:, :, None], of(quiet))
+        s = energy.start(x[quiet], constant[quiet][:, :, None], of(quiet))
         lost[quiet], sound[quiet] = energy.lost(forms, s), energy.sound(forms, s)
     if driven.any():
         total = np.zeros((T, len(energy.points), 3))
-        total[:, :, 0] = held
-        for force, c in zip(known, coefficients, strict=True):
+        total[:, :, 0] = constant
+        for force, c in zip(forces, coefficients, strict=True):
             total[driven, energy.points.index(force.point)] += c[driven]
         s = energy.start(x[driven], total[driven], of(driven))
         lost[driven], sound[driven] = energy.lost(forms, s), energy.sound(forms, s)
-        for force, c, work in zip(known, coefficients, works, strict=True):
+        for force, c, work in zip(forces, coefficients, works, strict=True):
             work[driven] = np.sum(c[driven] * energy.moments(forms, s, force.point), axis=1)
     for step in np.flatnonzero(broken):
-        edges = [e for force in known for e in _edges(force, sample + int(step), dt)]
+        edges = [e for force in forces for e in _edges(force, sample + int(step), dt)]
         at = x[step : step + 1]
         for start, stop in pairwise(sorted({0.0, 1.0, *(e for e in edges if 0 < e < 1)})):
-            parts = [_on_interval(force, sample + int(step), start, stop, dt) for force in known]
+            parts = [_on_interval(force, sample + int(step), start, stop, dt) for force in forces]
             total = np.zeros((1, len(energy.points), 3))
-            total[0, :, 0] = held[step]
-            for force, part in zip(known, parts, strict=True):
+            total[0, :, 0] = constant[step]
+            for force, part in zip(forces, parts, strict=True):
                 total[0, energy.points.index(force.point)] += part
             forms = energy.forms((stop - start) * dt)
             s = energy.start(at, total, of(slice(step, step + 1)))
             lost[step] += energy.lost(forms, s)[0]
             sound[step] += energy.sound(forms, s)[0]
-            for force, part, work in zip(known, parts, works, strict=True):
+            for force, part, work in zip(forces, parts, works, strict=True):
                 work[step] += float(part @ energy.moments(forms, s, force.point)[0])
             at = energy.flow(forms, s)
     return lost, sound, works

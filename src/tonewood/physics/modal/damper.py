@@ -37,26 +37,26 @@ _PLACES = 9
 _ITERATIONS = 100
 
 
-def damper_rates(basis: ModalBasis, resistance: float, place: float, width: float = 0.0) -> Floats:
+def damper_rates(basis: ModalBasis, resistance: float, position: float, width: float = 0.0) -> Floats:
     """Return the decay rates that a felt adds to the modes of a string.
 
-    basis : of real modes with the bridge end free, the point ``bridge`` and a shape for every place.
+    basis : of real modes with the bridge end free, the point ``bridge`` and a shape at every position.
     resistance : N s/m, of the whole felt.
-    place, width : m, its middle from the bridge, and how far it reaches.
+    position, width : m, its middle from the bridge, and how far it reaches.
     Returns (n_modes,) 1/s.
     Raises ValueError : the basis has no shapes.
     """
     if basis.shape is None:
-        raise ValueError("a damper needs the shapes of the string's modes at every place")
+        raise ValueError("a damper needs the shapes of the string's modes at every position")
     offsets = width * ((np.arange(_PLACES) + 0.5) / _PLACES - 0.5)
-    shapes = np.array([basis.shape(place + x) for x in offsets])
+    shapes = np.array([basis.shape(position + x) for x in offsets])
     rates: Floats = 0.5 * resistance * np.mean(shapes**2, axis=0)
     if basis.n_modes < 2 or not rates.any():
         return rates
     modes = HeldModes.of(basis, "bridge")
-    wanted = 0.5 * resistance * np.mean((shapes @ modes.vectors.T) ** 2, axis=0)
+    projected = 0.5 * resistance * np.mean((shapes @ modes.vectors.T) ** 2, axis=0)
     shares = modes.vectors**2
-    target, normal = shares.T @ wanted, shares.T @ shares
+    target, normal = shares.T @ projected, shares.T @ shares
     rates = np.maximum(rates, 1e-3 * rates.max())
     for _ in range(_ITERATIONS):
         rates = rates * target / (normal @ rates)

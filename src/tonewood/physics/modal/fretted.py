@@ -40,7 +40,7 @@ class FretboardGeometry:
     nut_height, saddle_height : m, of the string there over the same plane.
     nut_setback : m, by which the nut lies farther from the saddle than the end of the scale; less than 0 is nearer.
     saddle_setback : m, by which the saddle lies farther from the nut than the other end of the scale.
-    finger : m, place of the finger behind the fret.
+    finger : m, position of the finger behind the fret.
     press_depth : m below the crown to which the finger presses the string at least.
     behind : m, length of the string behind nut and saddle that shares the stretch.
     """
@@ -154,19 +154,19 @@ class FrettedString:
         longer = board.pressed(0).length / self.board.pressed(0).length
         return replace(self, board=board, tension=self.tension * longer**2)
 
-    def cents(self, wanted: Sequence[float]) -> Floats:
-        """Return cents of the stops from the first on above the pitches wanted.
+    def cents(self, ratios: Sequence[float]) -> Floats:
+        """Return cents of the stops from the first on above the target pitches.
 
-        wanted : pitch of each stop over that of the open string.
-        Returns (len(wanted),)
+        ratios : pitch of each stop over that of the open string.
+        Returns (len(ratios),)
         """
-        return np.array([cents(self.ratio(n) / ratio) for n, ratio in enumerate(wanted, 1)])
+        return np.array([cents(self.ratio(n) / ratio) for n, ratio in enumerate(ratios, 1)])
 
 
-def compensated(string: FrettedString, wanted: Sequence[float], *, nut: bool = True) -> FrettedString:
+def compensated(string: FrettedString, ratios: Sequence[float], *, nut: bool = True) -> FrettedString:
     """Return the string with the setbacks at which its stops are nearest to their pitches, by least squares.
 
-    wanted : pitch of each stop over that of the open string, from the first stop on: those that count.
+    ratios : pitch of each stop over that of the open string, from the first stop on: those that count.
     nut : whether the nut moves too, or the saddle alone.
     Raises ValueError : no setbacks within a tenth of the scale are found.
     """
@@ -175,8 +175,8 @@ def compensated(string: FrettedString, wanted: Sequence[float], *, nut: bool = T
     free = [0, 1] if nut else [1]
     step = 1e-6 * board.scale_length
     for _ in range(20):
-        errors = string.moved(*at).cents(wanted)
-        slopes = np.array([(string.moved(*(at + step * np.eye(2)[i])).cents(wanted) - errors) / step for i in free])
+        errors = string.moved(*at).cents(ratios)
+        slopes = np.array([(string.moved(*(at + step * np.eye(2)[i])).cents(ratios) - errors) / step for i in free])
         change = np.linalg.lstsq(slopes.T, -errors, rcond=None)[0]
         at[free] += change
         if np.abs(at).max() > 0.1 * board.scale_length:

@@ -134,8 +134,8 @@ class ModalBasis(ModalResponses, ModalViews):
             unscaled = shape
             normal_shape = lambda x: np.asarray(unscaled(x), dtype=np.float64) * scale  # noqa: E731
         rows, places = [], {}
-        for name, place in points.items():
-            given_shape = np.asarray(place, dtype=np.float64)
+        for name, point in points.items():
+            given_shape = np.asarray(point, dtype=np.float64)
             if normal_shape is not None and given_shape.ndim == 0:
                 places[name] = float(given_shape)
                 rows.append(normal_shape(places[name]))

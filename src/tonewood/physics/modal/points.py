@@ -37,9 +37,9 @@ def with_still_points(basis: ModalBasis, names: Sequence[str]) -> ModalBasis:
 
 
 def spread(basis: ModalBasis, point: str, width: float) -> ModalBasis:
-    """Let a point stand for the mean over `width` (m) of the string about it, by a Gauss rule of three places.
+    """Let a point stand for the mean over `width` (m) of the string about it, by a Gauss rule of three points.
 
-    A force spread evenly acts on that mean. The residual compliance stays that of the place.
+    A force spread evenly acts on that mean. The residual compliance stays that of the point.
     """
     if basis.shape is None:
         return basis
@@ -71,23 +71,23 @@ def damped(bases: Mapping[str, ModalBasis], added_damping: float) -> dict[str, M
     return {c: retuned(b, np.sqrt(b.stiffness), b.damping_rate + added_damping) for c, b in bases.items()}
 
 
-def moved(basis: ModalBasis, point: str, place: float, width: float) -> ModalBasis:
-    """Put a point at another place (m) of a string; all else, the poles among it, is that of `basis`.
+def moved(basis: ModalBasis, point: str, position: float, width: float) -> ModalBasis:
+    """Put a point at another position (m) on a string; all else, the poles among it, is that of `basis`.
 
     The basis is the same as one that is made with the point there, and then `spread` where `width` (m) is not 0.
     """
     assert basis.shape is not None
-    i, residual, places = basis.points.index(point), basis.residual.copy(), {**basis.places, point: place}
+    i, residual, places = basis.points.index(point), basis.residual.copy(), {**basis.places, point: position}
     if (between := basis.residual_at) is not None:
         at, xs = [basis.points.index(name) for name in places], np.array(list(places.values()))
-        compliance = between(xs, place)
+        compliance = between(xs, position)
         if len(at) > 2:  # other points than the bridge: the mean of both, as where they are made together
             added = np.array([name != "bridge" for name in places])
-            compliance = np.where(added, 0.5 * (compliance + between(place, xs)), compliance)
+            compliance = np.where(added, 0.5 * (compliance + between(position, xs)), compliance)
         residual[at, i] = residual[i, at] = compliance
     if width:
         return spread(replace(basis, residual=residual, places=places), point, width)
     right, left, pair = basis.right.copy(), basis.left.copy(), basis.kind == PAIR
-    right[i] = shape = basis.shape(place)
+    right[i] = shape = basis.shape(position)
     left[i] = shape * np.where(pair, -0.5j / np.where(pair, basis.poles.imag, 1.0), 1.0)
     return replace(basis, right=right, left=left, residual=residual, places=places)

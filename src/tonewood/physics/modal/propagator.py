@@ -161,12 +161,12 @@ def apply(blocks: Floats, x: Floats) -> Floats:
 def powers(blocks: Floats, x: Floats, count: int) -> Floats:
     """(count, ..., n_modes, 2) of blocks^k x, k = 0 .. count - 1, by doubling."""
     out = np.empty((count, *x.shape))
-    out[0], known, power = x, 1, blocks
-    while known < count:
-        more = min(known, count - known)
-        out[known : known + more] = apply(power, out[:more])
-        known += more
-        if known < count:
+    out[0], filled, power = x, 1, blocks
+    while filled < count:
+        more = min(filled, count - filled)
+        out[filled : filled + more] = apply(power, out[:more])
+        filled += more
+        if filled < count:
             power = power @ power
     return out
 

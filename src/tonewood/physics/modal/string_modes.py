@@ -130,7 +130,7 @@ def string_basis(
         return np.asarray((1 - x / length) * vec[0] + np.sin(k * x) @ vec[1:])
 
     def residual_at(x: ArrayLike, y: ArrayLike) -> Floats:
-        at_x, at_y = (np.sin(np.asarray(place)[..., None] * k) for place in (x, y))
+        at_x, at_y = (np.sin(np.asarray(position)[..., None] * k) for position in (x, y))
         sines = np.sum(at_x * (at_y / (tension * k**2 + bending_stiffness * k**4)), axis=-1)
         return np.asarray(held_string_compliance(x, y, length, tension, bending_stiffness) - 2 / length * sines)
 

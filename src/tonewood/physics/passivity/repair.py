@@ -207,8 +207,8 @@ class _Nearest:
         n, pairs = lam.size, int(np.sum(lam.imag > 0.0))
         self._rows = np.concatenate([np.arange(pairs), np.arange(n, n + pairs), np.arange(pairs, n)])
         form = real_form(lam, shapes * self._gain, left / self._gain)
-        given = real_form(lam, right * self._gain, left / self._gain)
-        self._R, self._C, given_C = (a[:, self._rows] for a in (form.R, form.C, given.C))
+        transformed = real_form(lam, right * self._gain, left / self._gain)
+        self._R, self._C, given_C = (a[:, self._rows] for a in (form.R, form.C, transformed.C))
         given_B = form.B[self._rows]
         self._to_full = form.to_full[:, self._rows]
         self._pairs = pairs
@@ -326,10 +326,10 @@ class _Nearest:
         P = 0.5 * (P + P.conj().T) / np.outer(gains, gains)
         left = (self._to_full @ L)[:n].T * self._gain * self._unit
         # back to the order given: modes, then the conjugates of its pairs
-        place = np.argsort(self._order)
+        position = np.argsort(self._order)
         pairs_first = self._order[: self._pairs]
-        full_place = np.concatenate([place, n + np.argsort(np.argsort(pairs_first))])
-        return self.right, left[:, place], P[np.ix_(full_place, full_place)]
+        full_position = np.concatenate([position, n + np.argsort(np.argsort(pairs_first))])
+        return self.right, left[:, position], P[np.ix_(full_position, full_position)]
 
 
 def _skew(matrix: Floats) -> Floats:

@@ -60,9 +60,9 @@ class Beam:
         """Length of its axis, m."""
         return float(np.hypot(*(self.stop - self.start)))
 
-    def height(self, place: Floats) -> Floats:
-        """(n,) m, at places from 0 (start) to 1 (stop)."""
-        return np.interp(place, np.linspace(0.0, 1.0, len(self.heights)), self.heights)
+    def height(self, share: Floats) -> Floats:
+        """(n,) m, at shares of the length from 0 (start) to 1 (stop)."""
+        return np.interp(share, np.linspace(0.0, 1.0, len(self.heights)), self.heights)
 
     @property
     def mass(self) -> float:
@@ -85,11 +85,11 @@ def _gauss(order: int) -> tuple[Floats, Floats]:
 
 
 def line(start: Floats, stop: Floats, parts: int, order: int = 3) -> tuple[Floats, Floats, Floats]:
-    """Gauss points (n, 2), weights (n,) in m and places (n,) from 0 to 1 on a straight line in `parts` parts."""
+    """Gauss points (n, 2), weights (n,) in m and shares of the length (n,) on a straight line in `parts` parts."""
     g, w = _gauss(order)
-    place = ((np.arange(parts)[:, None] + (g + 1) / 2) / parts).ravel()
+    share = ((np.arange(parts)[:, None] + (g + 1) / 2) / parts).ravel()
     length = float(np.hypot(*(stop - start)))
-    return start + place[:, None] * (stop - start), np.tile(w * length / (2 * parts), parts), place
+    return start + share[:, None] * (stop - start), np.tile(w * length / (2 * parts), parts), share
 
 
 def beam_matrices(
@@ -103,17 +103,17 @@ def beam_matrices(
     """
     from scipy.sparse import csr_matrix, diags, eye, hstack, kron, vstack
 
-    points, weights, place = beam_line(grid, beam)
+    points, weights, share = beam_line(grid, beam)
     c, s = (beam.stop - beam.start) / beam.length
-    height, wood, b = beam.height(place), beam.wood, beam.width
+    height, wood, b = beam.height(share), beam.wood, beam.width
     below = 1.0 if not beam.above else -1.0
     w_x, w_y, w_xx, w_xy, w_yy = (grid.at(points, d) for d in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2)))
     w_s, w_n = c * w_x + s * w_y, c * w_y - s * w_x
     w_ss = c * c * w_xx + 2 * c * s * w_xy + s * s * w_yy
     w_sn = c * s * (w_yy - w_xx) + (c * c - s * s) * w_xy
-    theta, theta_s = (line_functions(place, _parts(grid, beam), grid.degree, order) for order in (0, 1))
+    theta, theta_s = (line_functions(share, _parts(grid, beam), grid.degree, order) for order in (0, 1))
     theta_s = csr_matrix(theta_s / beam.length)
-    half = diags(np.broadcast_to(below * thickness / 2, place.shape))
+    half = diags(np.broadcast_to(below * thickness / 2, share.shape))
     turned_s = [-half @ (c * w_s), -half @ (s * w_s)] if shears else []
     strain = hstack([diags(below * height / 2) @ theta_s, c * w_s, s * w_s, *turned_s, half @ w_ss])
     none = csr_matrix(w_s.shape)
@@ -121,7 +121,7 @@ def beam_matrices(
     bend, twist = hstack([theta_s, *others, none]), hstack([csr_matrix(theta.shape), *others, w_sn])
     # mean over the width, in which the section stays plane
     lines = _across(grid, beam)[1]
-    mean = kron(np.outer(np.ones(len(lines)), lines), eye(len(place) // len(lines)))
+    mean = kron(np.outer(np.ones(len(lines)), lines), eye(len(share) // len(lines)))
     shear = hstack([-theta, *others, csr_matrix(mean @ w_s)])
 
     long = [wood.E_L * b * height, wood.E_L * b * height**3 / 12]
@@ -147,15 +147,15 @@ def _parts(grid: SplineGrid, beam: Beam) -> int:
 
 
 def beam_line(grid: SplineGrid, beam: Beam) -> tuple[Floats, Floats, Floats]:
-    """Points (n, 2), weights (n,) in m and places (n,) of a beam's integrals, spread evenly over its width.
+    """Points (n, 2), weights (n,) in m and shares of the length (n,) of a beam's integrals, spread evenly over its width.
 
     Parts along it are at most half a cell long; the same lines of points run through all of them, see `_across`.
     """
-    middle, weights, place = line(beam.start, beam.stop, max(2, int(np.ceil(2 * beam.length / grid.size.min()))))
+    middle, weights, share = line(beam.start, beam.stop, max(2, int(np.ceil(2 * beam.length / grid.size.min()))))
     g, w = _across(grid, beam)
     c, s = (beam.stop - beam.start) / beam.length
     points = middle + g[:, None, None] * np.array([-s, c])
-    return points.reshape(-1, 2), np.outer(w, weights).ravel(), np.tile(place, len(g))
+    return points.reshape(-1, 2), np.outer(w, weights).ravel(), np.tile(share, len(g))
 
 
 def _across(grid: SplineGrid, beam: Beam) -> tuple[Floats, Floats]:

@@ -1,12 +1,12 @@
 """Solutions of A x = f with a sparse, symmetric, positive definite A whose unknowns lie along a line.
 
-Unknowns sorted by their place couple with near ones only: in blocks, each with the next alone, A is tridiagonal,
+Unknowns sorted by their position couple with near ones only: in blocks, each with the next alone, A is tridiagonal,
 
     S_1 = A_11,    S_k = L_k L_k^T,    S_k+1 = A_k+1,k+1 - C_k^T C_k,    C_k = L_k^-1 A_k,k+1,
 
 and a solution takes two solutions with every S_k. These are dense, as those of plates nearly fill up: the functions
 of a spline's grid couple with all others of p columns of cells. A is scaled to a diagonal of ones. Where rounding makes
-it indefinite, it is solved by sparse factors without an order of places.
+it indefinite, it is solved by sparse factors without sorting.
 
 Source: G. H. Golub and C. F. Van Loan, Matrix Computations, 4th ed. (2013), section 4.5.1.
 """
@@ -32,15 +32,15 @@ class BlockSolver:
     """Factors of a matrix.
 
     matrix : (n, n) A.
-    place : (n,) of each unknown; NaN of those that lie in the middle of the others that they couple with.
+    position : (n,) of each unknown; NaN of those that lie in the middle of the unknowns that they couple with.
     """
 
-    def __init__(self, matrix: csc_matrix, place: Floats):
+    def __init__(self, matrix: csc_matrix, position: Floats):
         from scipy.sparse import csr_matrix, diags
 
         self._scale = np.asarray(1.0 / np.sqrt(matrix.diagonal()))
         scaled = csr_matrix(diags(self._scale) @ matrix @ diags(self._scale))
-        self._order = np.argsort(_places(scaled, place), kind="stable")
+        self._order = np.argsort(_positions(scaled, position), kind="stable")
         try:
             self._factor(scaled[self._order][:, self._order])
             self._solve: Callable[[Floats], Floats] = self._by_blocks
@@ -87,12 +87,12 @@ class BlockSolver:
         return out
 
 
-def _places(matrix: csr_matrix, place: Floats) -> Floats:
-    """(n,) places, where they are not known the mean of those of the unknowns that couple with it."""
-    finite = np.isfinite(place)
+def _positions(matrix: csr_matrix, position: Floats) -> Floats:
+    """(n,) positions; an unknown without one gets the mean position of the unknowns that it couples with."""
+    finite = np.isfinite(position)
     couples = abs(matrix) > 0
-    total = couples @ np.column_stack([finite, np.where(finite, place, 0.0)])
-    return np.where(finite, place, total[:, 1] / np.maximum(total[:, 0], 1.0))
+    total = couples @ np.column_stack([finite, np.where(finite, position, 0.0)])
+    return np.where(finite, position, total[:, 1] / np.maximum(total[:, 0], 1.0))
 
 
 def _blocks(matrix: csr_matrix) -> list[int]:

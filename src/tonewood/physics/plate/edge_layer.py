@@ -104,10 +104,10 @@ def layer_matrices(
     shear = shear_factor * wood.transverse(grain)
     total: list[csr_matrix] = []
     for i, side in enumerate(sides):
-        points, weights, segment, place, depth = _strip(
+        points, weights, segment, position, depth = _strip(
             side, sides[i - 1].delta[-1], sides[(i + 1) % len(sides)].delta[0]
         )
-        mine = _rows(side, segment, place, depth, count)
+        mine = _rows(side, segment, position, depth, count)
         near = list(mine)
         for j, row in _neighbours(sides, i, points, count):
             if j > i:  # each pair of sides once
@@ -186,7 +186,7 @@ def _strip(side: _Side, before: float, after: float) -> tuple[Floats, Floats, In
     """Points of integrals over a side's layer.
 
     before, after : m, delta of the sides that meet it at its start and end, whose layers cross it there.
-    Returns points (n, 2) m, weights (n,) m^2, segment (n,), place s / L (n,), depth d / delta (n,).
+    Returns points (n, 2) m, weights (n,) m^2, segment (n,), position s / L (n,), depth d / delta (n,).
     """
     g, w = np.polynomial.legendre.leggauss(4)
     starts = side.starts
@@ -208,21 +208,21 @@ def _strip(side: _Side, before: float, after: float) -> tuple[Floats, Floats, In
     return points.reshape(-1, 2), weights.ravel(), np.repeat(segment, n), np.repeat(s / length, n), np.tile(d, len(s))
 
 
-def _rows(side: _Side, segment: Indices, place: Floats, depth: Floats, count: int) -> list[csr_matrix]:
+def _rows(side: _Side, segment: Indices, position: Floats, depth: Floats, count: int) -> list[csr_matrix]:
     """Rows (kappa, gamma, beta) of the functions g of one side, among `count` of all sides."""
     from scipy.sparse import csr_matrix, diags, hstack
 
     (t_x, t_y), (n_x, n_y) = side.tangents[segment].T, side.normals[segment].T
     fall, delta = np.exp(-depth), side.delta[segment]
-    value = line_functions(place, side.parts, side.degree)
-    slope = line_functions(place, side.parts, side.degree, 1) / side.starts[-1]
+    value = line_functions(position, side.parts, side.degree)
+    slope = line_functions(position, side.parts, side.degree, 1) / side.starts[-1]
     g_x = diags(fall * t_x) @ slope - diags(fall * n_x / delta) @ value
     g_y = diags(fall * t_y) @ slope - diags(fall * n_y / delta) @ value
     g = diags(fall) @ value
     x, y = diags(t_x), diags(t_y)
     rows = [-x @ g_x, -y @ g_y, -(x @ g_y + y @ g_x), x @ g, y @ g, -x @ g, -y @ g]
-    before = csr_matrix((len(place), side.first))
-    after = csr_matrix((len(place), count - side.first - side.count))
+    before = csr_matrix((len(position), side.first))
+    after = csr_matrix((len(position), count - side.first - side.count))
     return [hstack([before, row, after]).tocsr() for row in rows]
 
 

@@ -147,8 +147,8 @@ def quadrature(grid: SplineGrid, rings: Sequence[Floats], strips: int = 4) -> Qu
     points_of: dict[tuple[int, int], list[Floats]] = {}
     places = [((s + a) / strips, b / strips) for s in range(strips) for a, b in zip(g, w, strict=True)]
     for i in np.flatnonzero(cut.any(axis=1)):
-        for place, share in places:
-            x = grid.low[0] + grid.size[0] * (i + place)
+        for position, share in places:
+            x = grid.low[0] + grid.size[0] * (i + position)
             for start, stop in (_scan(rings, x) - grid.low[1]) / grid.size[1]:
                 for j in range(max(0, int(np.floor(start))), min(int(grid.cells[1]), int(np.ceil(stop)))):
                     if cut[i, j] and (length := min(stop, j + 1) - max(start, j)) > 0:

@@ -113,13 +113,13 @@ class SplineGrid:
         return csr_matrix((values.ravel(), (rows, index.ravel())), shape=(len(p), self.count))
 
 
-def line_functions(place: Floats, parts: int, degree: int, order: int = 0) -> csr_matrix:
-    """(n, parts + p) sparse: a derivative of every function on `parts` cells at places from 0 to 1, per place."""
+def line_functions(position: Floats, parts: int, degree: int, order: int = 0) -> csr_matrix:
+    """(n, parts + p) sparse: a derivative of every function on `parts` cells; a row for each position from 0 to 1."""
     from scipy.sparse import csr_matrix
 
-    cell = np.clip(np.floor(place * parts).astype(np.intp), 0, parts - 1)
-    powers = (place * parts - cell)[:, None] ** np.arange(degree + 1)
+    cell = np.clip(np.floor(position * parts).astype(np.intp), 0, parts - 1)
+    powers = (position * parts - cell)[:, None] ** np.arange(degree + 1)
     values = powers @ _pieces(degree, order).T * float(parts) ** order
     index = cell[:, None] + np.arange(degree + 1)
-    rows = np.repeat(np.arange(len(place)), degree + 1)
-    return csr_matrix((values.ravel(), (rows, index.ravel())), shape=(len(place), parts + degree))
+    rows = np.repeat(np.arange(len(position)), degree + 1)
+    return csr_matrix((values.ravel(), (rows, index.ravel())), shape=(len(position), parts + degree))

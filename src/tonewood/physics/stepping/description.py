@@ -50,14 +50,14 @@ def sort_ports(
     """Sort a component's ports by the connections in use.
 
     shares : (g, n_ports) of its ports in the g connections that touch it.
-    use : (g, 2) place of each among the k linear ones that can carry force, -1 of others; 1 for a nonlinear one, 2 for
+    use : (g, 2) index of each among the k linear ones that can carry force, -1 of others; 1 for a nonlinear one, 2 for
         a contact, 0 for others.
     coupled, one_way : to a longitudinal motion; a driven component.
     hub_ports : of a hub, whose ports are its motions; else None.
     """
-    place, kind = use.T
+    index, kind = use.T
     acts = shares != 0.0
-    touched, needed = np.any(acts[kind > 0], axis=0), np.any(acts[(place >= 0) | (kind == 1)], axis=0)
+    touched, needed = np.any(acts[kind > 0], axis=0), np.any(acts[(index >= 0) | (kind == 1)], axis=0)
     is_contact = touched & ~needed & (not one_way and not coupled)
     contact, fixed = np.flatnonzero(is_contact), np.flatnonzero((touched | needed) & ~is_contact)
     if hub_ports is not None:
@@ -68,7 +68,7 @@ def sort_ports(
         numbers.append((int(i), int(np.searchsorted(among, port)), bool(is_contact[port]), float(shares[i, port])))
     incidence = np.zeros((0 if hub_ports is not None else k, len(fixed)))  # the hub's is that of the parts
     if hub_ports is None:
-        incidence[place[place >= 0]] = shares[place >= 0][:, fixed]
+        incidence[index[index >= 0]] = shares[index >= 0][:, fixed]
     used = np.nonzero(incidence)
     parts = [part.tobytes() for part in (*used, incidence[used], fixed, contact)]
     parts.append(b"coupled" if coupled else b"" if hub_ports is None else b"hub")

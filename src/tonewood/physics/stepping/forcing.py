@@ -82,9 +82,9 @@ class SampledForce:
 
     def rate(self, times: ArrayLike) -> Floats:
         """Return the first derivative at times (n,) s, N/s; from the right where two lines meet."""
-        place = np.floor((np.asarray(times, dtype=np.float64) - self.start) / self.interval).astype(np.intp)
+        index = np.floor((np.asarray(times, dtype=np.float64) - self.start) / self.interval).astype(np.intp)
         last = len(self.values) - 1
-        rise = self.values[np.clip(place + 1, 0, last)] - self.values[np.clip(place, 0, last)]
+        rise = self.values[np.clip(index + 1, 0, last)] - self.values[np.clip(index, 0, last)]
         return np.asarray(rise / self.interval)
 
     def by_step(self, sample: int, n: int, dt: float, time: float = 0.0) -> Floats:

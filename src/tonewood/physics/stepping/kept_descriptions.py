@@ -132,10 +132,10 @@ class KeptDescriptions:
         self, system: System, hub: Hub | None, is_contact: NDArray[np.bool_], coupled: frozenset[int]
     ) -> tuple[list[PortSets], Terms]:
         m = len(system.connections)
-        place, law, culled = np.full(m, -1), np.full(m, -1), np.zeros(m, dtype=bool)
-        place[self._active], law[self._nonlinear] = np.arange(len(self._active)), np.arange(len(self._nonlinear))
+        index, law, culled = np.full(m, -1), np.full(m, -1), np.zeros(m, dtype=bool)
+        index[self._active], law[self._nonlinear] = np.arange(len(self._active)), np.arange(len(self._nonlinear))
         culled[self._nonlinear] = is_contact
-        use = np.stack([place, np.where(law < 0, 0, 1 + culled)], axis=1)
+        use = np.stack([index, np.where(law < 0, 0, 1 + culled)], axis=1)
         port_sets: list[PortSets] = []
         terms: list[tuple[int, int, int, bool]] = []
         factors: list[float] = []

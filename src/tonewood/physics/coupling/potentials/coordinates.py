@@ -34,17 +34,17 @@ class ModalCoordinates:
     middle: Floats
 
     @classmethod
-    def of(cls, basis: ModalBasis, dt: float, held: Floats) -> ModalCoordinates:
+    def of(cls, basis: ModalBasis, dt: float, response: Floats) -> ModalCoordinates:
         """Make them of real modes.
 
         dt : s, step.
-        held : (n_modes, 2, 2) h phi_1(A h), the response to an input held over it.
+        response : (n_modes, 2, 2) h phi_1(A h), the response to an input held over it.
         """
         pair = basis.kind == PAIR
         kick = np.where(pair[:, None], [[0.0, -0.5]] / np.where(pair, basis.poles.imag, 1.0)[:, None], [[0.0, 1.0]])
         _, on_first, on_second, *_, per_velocity = basis.motion
         velocity = np.stack([on_first, on_second, per_velocity])
-        over_step, stiffness = apply(held, kick), np.asarray(basis.stiffness)
+        over_step, stiffness = apply(response, kick), np.asarray(basis.stiffness)
         u = np.minimum(0.5 * dt * np.sqrt(stiffness), 0.5 * np.pi - 1e-6)
         return cls(np.where(pair, 2.0, 1.0), over_step, velocity, stiffness, middle_of_step(u))
 

@@ -34,15 +34,15 @@ class PotentialsOverStep:
     """Action of s potentials over one step.
 
     reach : (m, s) gaps per psi_m.
-    own : (s,) g . w g, loss of g . y+ per psi_m.
+    self_loss : (s,) g . w g, loss of g . y+ per psi_m.
     start : (s,) psi + g . (y_free - y) / 2, sqrt(J).
     linear : (m, m) N/m, forces of the linear connections against gaps.
-    modal : component slot -> place of its potential, its direction g (n_modes,), and (n_modes, 2) state per psi_m.
+    modal : component slot -> index of its potential, its direction g (n_modes,), and (n_modes, 2) state per psi_m.
     shift, psi : (s,) C, J, and psi, sqrt(J), before the step.
     """
 
     reach: Floats
-    own: Floats
+    self_loss: Floats
     start: Floats
     linear: Floats
     modal: dict[int, tuple[int, Floats, Floats]]
@@ -52,7 +52,7 @@ class PotentialsOverStep:
     @cached_property
     def matrix(self) -> Floats:
         """(s, s) of the equations of psi_m, the linear connections answering; symmetric, positive definite."""
-        return np.asarray(np.diag(1 + 0.5 * self.own) - 0.5 * self.reach.T @ self.linear @ self.reach)
+        return np.asarray(np.diag(1 + 0.5 * self.self_loss) - 0.5 * self.reach.T @ self.linear @ self.reach)
 
     def mean(self, forces: Floats) -> Floats:
         """(s,) psi_m, sqrt(J), if `forces` (m,) are those of the linear connections without potentials."""
@@ -61,7 +61,7 @@ class PotentialsOverStep:
 
     def mean_under(self, forces: Floats) -> Floats:
         """(s,) psi_m, sqrt(J), if `forces` (m,) are those of all connections."""
-        return np.asarray((self.start - 0.5 * self.reach.T @ forces) / (1 + 0.5 * self.own))
+        return np.asarray((self.start - 0.5 * self.reach.T @ forces) / (1 + 0.5 * self.self_loss))
 
     def answer(self, moved: Floats) -> Floats:
         """(s, k) psi_m per force of nonlinear connections, of whose gaps `moved` (k, s) are reached by psi_m."""
@@ -171,13 +171,13 @@ class PotentialSolve:
             answer = forces - s.solve.G @ self._gaps(added)
             answered = self._moved([f + added[i] if i in added else f for i, f in enumerate(free)], answer)
         reach = np.zeros((len(s.connections), count))
-        own, start, shift, psi = np.zeros((4, count))
+        self_loss, start, shift, psi = np.zeros((4, count))
         modal: dict[int, tuple[int, Floats, Floats]] = {}
         for q, (p, (before, alone_y), middle) in enumerate(zip(self.active, ends, middles, strict=True)):
             shift[q], psi[q] = p.joined.begin(before, memory[p.memory], partial(p.energy, x))
             answered_y = p.middle(before, alone_y, p.y(answered)) if added else middle
             g = p.joined.direction(MiddleOfStep(middle, answered_y, p.compliance, float(shift[q]), float(psi[q])))
-            own[q] = g @ (p.compliance * g)
+            self_loss[q] = g @ (p.compliance * g)
             start[q] = psi[q] + 0.5 * g @ (p.y(free) - before)
             action = p.added(-g)
             reach[:, q] = self._gaps(action)
@@ -185,7 +185,7 @@ class PotentialSolve:
                 direction = np.zeros(len(part.reading))
                 direction[: at.stop - at.start] = g[at]
                 modal[slot] = q, direction, action[slot]
-        return PotentialsOverStep(reach, own, start, s.solve.G, modal, shift, psi)
+        return PotentialsOverStep(reach, self_loss, start, s.solve.G, modal, shift, psi)
 
     def carried(
         self, after: Sequence[Floats], over: PotentialsOverStep, mean: Floats, memory: Floats, step: int
@@ -265,5 +265,5 @@ def force_vector(system: System, string: DrivenLongitudinal) -> Floats:
     compiled = system.compiled[system.slot(string.onto[0][0])]
     # not rows of W: a string whose transverse end is rigid makes no port of the point on which its tension acts
     points = [compiled.basis.index(point) for _, point, _ in string.onto]
-    inputs = apply(compiled.held, compiled.form.B[points])
+    inputs = apply(compiled.response, compiled.form.B[points])
     return np.asarray(sum(share * row for (_, _, share), row in zip(string.onto, inputs, strict=True)))

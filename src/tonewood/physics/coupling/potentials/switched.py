@@ -96,9 +96,9 @@ class Potentials:
         """
         size = self.memory[-1].stop if self.memory else 0
         memory = memory if memory.size == size else np.zeros(size)
-        off = [place for place, on in zip(self.memory, self.on, strict=True) if not on and memory[place].any()]
+        off = [block for block, on in zip(self.memory, self.on, strict=True) if not on and memory[block].any()]
         if off:
             memory = memory.copy()
-            for place in off:
-                memory[place] = 0.0
+            for block in off:
+                memory[block] = 0.0
         return memory
