@@ -147,7 +147,7 @@ def _parts(grid: SplineGrid, beam: Beam) -> int:
 
 
 def beam_line(grid: SplineGrid, beam: Beam) -> tuple[Floats, Floats, Floats]:
-    """Points (n, 2), weights (n,) in m and shares of the length (n,) of a beam's integrals, spread evenly over its width.
+    """Points (n, 2), weights (n,) in m and shares of the length (n,) for a beam's integrals, spread over its width.
 
     Parts along it are at most half a cell long; the same lines of points run through all of them, see `_across`.
     """

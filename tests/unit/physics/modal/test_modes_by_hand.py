@@ -404,7 +404,7 @@ def test_a_felt_on_one_mode_is_the_mean_of_its_square():
     places = 0.3 + 0.09 * (np.arange(9) - 4) / 9
     assert damper_rates(basis, 0.5, 0.3, 0.09) == pytest.approx([0.25 * np.mean((2 + places) ** 2)], rel=1e-12)
     assert damper_rates(basis, 0.5, 0.3) == pytest.approx([0.25 * 2.3**2], rel=1e-12)
-    with pytest.raises(ValueError, match="at every place"):
+    with pytest.raises(ValueError, match="at every position"):
         damper_rates(body(), 0.5, 0.3)
 
 
