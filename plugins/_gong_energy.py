@@ -268,9 +268,9 @@ class PlateGrid:
 
     def _means(self, y: Floats) -> tuple[float, float, float]:
         """Mean strains ex and ey, and their energy, J."""
-        ax, ay, held = self.means
+        ax, ay, stiffness = self.means
         ex, ey = 0.5 * float(ax @ y**2), 0.5 * float(ay @ y**2)
-        return ex, ey, 0.5 * held * (ex * ex + ey * ey + 2 * self.plate.poisson * ex * ey)
+        return ex, ey, 0.5 * stiffness * (ex * ex + ey * ey + 2 * self.plate.poisson * ex * ey)
 
     def energy(self, y: Floats) -> float:
         """V, J, of coordinates (n_modes,), m sqrt(kg)."""
@@ -289,11 +289,11 @@ class PlateGrid:
         force = p.young * p.thickness / 2 * (px.T @ f @ py)
         on = sxx.T @ (force * wyy) @ sy.T + sx.T @ (force * wxx) @ syy.T - 2 * (cx.T @ (force * wxy) @ cy.T)
         slope = on.ravel()[self.places]
-        ax, ay, held = self.means
-        if held > 0.0:
+        ax, ay, stiffness = self.means
+        if stiffness > 0.0:
             ex, ey, stored = self._means(y)
             value += stored
-            slope = slope + held * ((ex + p.poisson * ey) * ax + (ey + p.poisson * ex) * ay) * y
+            slope = slope + stiffness * ((ex + p.poisson * ey) * ax + (ey + p.poisson * ex) * ay) * y
         return value, slope
 
     @property
@@ -314,13 +314,13 @@ class PlateGrid:
         stress = px[fx, :hx], py[fy, :hy]
         place_x, place_y = np.argsort(wx), np.argsort(wy)
         places = place_x[self.numbers[:, 0] - 1] * my + place_y[self.numbers[:, 1] - 1]
-        ax, ay, held = self.means
+        ax, ay, stiffness = self.means
         modulus = self.plate.young * self.plate.thickness
         if self.edges == "sliding":
             compliance, r = self.compliance[np.ix_(fx, fy)], 0
         else:
             compliance, r = self.compliance, self.compliance.shape[1]
-        head = [mx, my, hx, hy, jx, jy, r, modulus, self.plate.poisson, held]
+        head = [mx, my, hx, hy, jx, jy, r, modulus, self.plate.poisson, stiffness]
         arrays = (
             head, *of_x, *(f.T for f in of_x), *of_y, *(f.T for f in of_y), stress[0], stress[0].T,
             stress[1], stress[1].T, compliance, places, ax, ay,

@@ -114,13 +114,13 @@ def _airy(compliance, blocks, b, f, work):
         wide, count = y1 - y0, (x1 - x0) * (y1 - y0)
         # the block is symmetric: its rows are its columns
         block = compliance[q * blocks * blocks : (q + 1) * blocks * blocks].reshape(blocks, blocks)[:count, :count]
-        known, unknown = work[:count].reshape(1, count), work[count : 2 * count].reshape(1, count)
+        source, solution = work[:count].reshape(1, count), work[count : 2 * count].reshape(1, count)
         for i in range(count):
-            known[0, i] = b[x0 + i // wide, y0 + i % wide]
-            unknown[0, i] = 0.0
-        _add(known, block, unknown, 1, 0, count, 1.0)
+            source[0, i] = b[x0 + i // wide, y0 + i % wide]
+            solution[0, i] = 0.0
+        _add(source, block, solution, 1, 0, count, 1.0)
         for i in range(count):
-            f[x0 + i // wide, y0 + i % wide] = unknown[0, i]
+            f[x0 + i // wide, y0 + i % wide] = solution[0, i]
 
 
 @nb.njit(cache=True)
@@ -134,7 +134,7 @@ def potential(data_at, n, y_at, gradient_at, scratch_at):
     """V, J, of n coordinates at `y_at`; writes dV/dy unless `gradient_at` is NULL. `data_at`: `PlateGrid.packed`."""
     head = nb.carray(data_at, HEAD, np.float64)
     mx, my, hx, hy = int(head[0]), int(head[1]), int(head[2]), int(head[3])
-    jx, jy, blocks, modulus, poisson, held = int(head[4]), int(head[5]), int(head[6]), head[7], head[8], head[9]
+    jx, jy, blocks, modulus, poisson, stiffness = int(head[4]), int(head[5]), int(head[6]), head[7], head[8], head[9]
     stress = jx * jy if blocks == 0 else 4 * blocks * blocks
     total = HEAD + 6 * hx * mx + 6 * hy * my + 2 * hx * jx + 2 * hy * jy + stress + 3 * n
     data, y = nb.carray(data_at, total, np.float64), nb.carray(y_at, n)
@@ -192,7 +192,7 @@ def potential(data_at, n, y_at, gradient_at, scratch_at):
     _from_points_x(px, force, between, 1.0, work)
     _from_points_y(between, pyt, b, 1.0, 1.0, work)
     _airy(compliance, blocks, b, f, work)
-    value = 0.5 * held * (ex * ex + ey * ey + 2 * poisson * ex * ey)
+    value = 0.5 * stiffness * (ex * ex + ey * ey + 2 * poisson * ex * ey)
     for i in range(jx):
         for j in range(jy):
             value += modulus / 8 * b[i, j] * f[i, j]
@@ -222,7 +222,7 @@ def potential(data_at, n, y_at, gradient_at, scratch_at):
     _from_points_x(cxt, wxy, across, -1.0, work)
     _from_points_y(across, cyt, slope, -1.0, -2.0, work)
     flat_slope = slope.reshape(mx * my)
-    tension_x, tension_y = held * (ex + poisson * ey), held * (ey + poisson * ex)
+    tension_x, tension_y = stiffness * (ex + poisson * ey), stiffness * (ey + poisson * ex)
     for k in range(n):
         gradient[k] = flat_slope[int(places[k])] + (tension_x * ax[k] + tension_y * ay[k]) * y[k]
     return value

@@ -60,8 +60,8 @@ class BodyMicrophones(ta.Microphones[BodyMicrophonesParameters]):
     ) -> ta.ModalBasis:
         """Bank of all microphones; each has modes of its own, so that those that are not recorded are not stepped."""
         shapes = np.array([body.right[body.index(point)].real for point in driven])
-        place = self.parameters.at
-        nearest = {name: float(sources.distances(at).min()) for name, at in place.items()}
+        positions = self.parameters.at
+        nearest = {name: float(sources.distances(at).min()) for name, at in positions.items()}
         far = max(nearest, key=lambda name: nearest[name])
         if nearest[far] - min(nearest.values()) > FARTHEST:
             raise self.fault(f"is more than {FARTHEST:g} m farther from the body than the nearest one", f"at.{far}")
@@ -70,7 +70,7 @@ class BodyMicrophones(ta.Microphones[BodyMicrophonesParameters]):
         for array in (body.poles, shapes, sources.points, sources.volumes):
             digest.update(np.ascontiguousarray(array).tobytes())
         poles, residues, index = [], [], []
-        for k, (name, at) in enumerate(place.items()):
+        for k, (name, at) in enumerate(positions.items()):
             if nearest[name] < NEAREST:
                 raise self.fault(f"is nearer than {NEAREST:g} m to the body", f"at.{name}")
 
@@ -84,7 +84,7 @@ class BodyMicrophones(ta.Microphones[BodyMicrophonesParameters]):
             index.append(np.full(len(bank["poles"]), k))
         owner = np.concatenate(index)
         left = {f"at_{point}": np.concatenate([r[:, i] for r in residues]) for i, point in enumerate(driven)}
-        right = {name: (owner == k).astype(np.complex128) for k, name in enumerate(place)}
+        right = {name: (owner == k).astype(np.complex128) for k, name in enumerate(positions)}
         none = np.zeros(len(owner), dtype=np.complex128)
         inputs, outputs = dict.fromkeys(left, none), dict.fromkeys(right, none)
         return ta.ModalBasis.complex(np.concatenate(poles), inputs | right, left | outputs)

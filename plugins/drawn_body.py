@@ -341,7 +341,7 @@ class DrawnBody(ta.Body[DrawnBodyParameters]):
             + " ".join(f"{f:.0f}" for f in modes.vacuum_freq[:5])
             + " Hz",
         ]
-        place = next(iter(self._places))
+        point = next(iter(self._places))
         flexible = modes.freq > 0
         if not flexible.all():
             lines.append(
@@ -351,7 +351,7 @@ class DrawnBody(ta.Body[DrawnBodyParameters]):
         whole = kept + float(((modes.shapes[0, flexible] / (2 * np.pi * modes.freq[flexible])) ** 2).sum())
         lines.append(
             f"modes above {self.parameters.fmax:g} Hz are not stepped; their static compliance is kept, "
-            f"{100 * kept / whole:.2g} % of that at {place}"
+            f"{100 * kept / whole:.2g} % of that at {point}"
         )
         for name, wood in self._woods():
             if not wood.shears:
@@ -518,6 +518,6 @@ class DrawnBody(ta.Body[DrawnBodyParameters]):
         return np.asarray(ring * [p.svg.scale, -p.svg.scale])
 
 
-def _shown(place: Any) -> str:
+def _shown(position: Any) -> str:
     """A place in millimetres, for errors."""
-    return f"x {1e3 * place[0]:.1f} mm, y {1e3 * place[1]:.1f} mm"
+    return f"x {1e3 * position[0]:.1f} mm, y {1e3 * position[1]:.1f} mm"

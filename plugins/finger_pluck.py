@@ -115,7 +115,7 @@ class FingerPluck(ta.Exciter[FingerPluckParameters]):
     def gesture(self, event: ta.Event, place: ta.Place) -> ta.Gesture:
         """Landing, drawing, slip; the slip begins at time 0."""
         p = self.adjusted(event.values)
-        wanted, force = p.force, self.parameters.force if p.linear else p.force
+        peak, force = p.force, self.parameters.force if p.linear else p.force
         if p.linear and force <= 0.0:
             raise self.fault("is 0 N; `linear` needs a force above 0 of which the slip is taken", "force")
         tip, x = p.tip, ta.metres(p.from_bridge, place)
@@ -134,7 +134,7 @@ class FingerPluck(ta.Exciter[FingerPluckParameters]):
         label = f"{p.seed} {place.name} {event.stop:g} {force!r} {x!r}"
         noise = roughness(segments, p.roughness, zlib.crc32(label.encode())) if p.roughness * force > 0 else None
         if p.linear:
-            segments, noise = _scaled(segments, noise, wanted / force)
+            segments, noise = _scaled(segments, noise, peak / force)
         return ta.Gesture(segments, x, p.angle_deg, hold, width=min(tip.width, x, place.length - x), noise=noise)
 
 

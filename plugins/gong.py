@@ -157,16 +157,16 @@ class LargeDeflection(ta.SwitchedEffect):
     def watch(self, moment: ta.Moment, switching: ta.Switching) -> ta.Watched | None:
         """Compare the rise of pitch at the energy of each gong with the budget."""
         fresh = {play.string for play in moment.fresh}
-        wanted, bounds = set(), []
+        names, bounds = set(), []
         for name in self.components:
             bound = self._bound(moment, name)
             on = name in switching.on or name in switching.pending
             part = _LEAVE if on else 1.0
             within = bound.cents <= part * self.model.choice.budget_cents and bound.level <= part * self._budget_level
             if name in fresh or (on and name in moment.busy) or not within:
-                wanted.add(name)
-            bounds.append((name, bound, name not in wanted))
-        return ta.Watched(frozenset(wanted), bounds)
+                names.add(name)
+            bounds.append((name, bound, name not in names))
+        return ta.Watched(frozenset(names), bounds)
 
     def _bound(self, moment: ta.Moment, name: str) -> ta.Bound:
         system, energy, factor = moment.system, 0.0, 0.0
@@ -280,7 +280,7 @@ class Gong(ta.Resonator[GongParameters]):
             omega,
             p.sigma0 + p.sigma2 * omega**2,
             {"bridge": 0.0},
-            shape=lambda place: self._shape(numbers, place),
+            shape=lambda position: self._shape(numbers, position),
             metadata={
                 "length": self.length, "tension": self.tension, "numbers": numbers, "coupled": coupled,
                 "stiffening": self._stiffening(coupled),
@@ -296,11 +296,11 @@ class Gong(ta.Resonator[GongParameters]):
             )
         return count
 
-    def _shape(self, numbers: NDArray[np.intp], place: float) -> Floats:
+    def _shape(self, numbers: NDArray[np.intp], position: float) -> Floats:
         """(n_modes,) shape at a place of the line, m from its start, 1/sqrt(kg)."""
-        x, y = self.start + place / self.length * (self.end - self.start)
+        x, y = self.start + position / self.length * (self.end - self.start)
         shape = self.plate.shapes(numbers, float(x), float(y))
-        return np.where(np.abs(shape) > 1e-12 * np.abs(shape).max(initial=0.0), shape, 0.0) if place else 0.0 * shape
+        return np.where(np.abs(shape) > 1e-12 * np.abs(shape).max(initial=0.0), shape, 0.0) if position else 0.0 * shape
 
     def grid(self, count: int) -> PlateGrid:
         """Return V of the lowest modes, `count` of them."""

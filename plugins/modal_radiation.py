@@ -63,25 +63,26 @@ class ModalRadiation(ta.Microphones[ModalRadiationParameters]):
 
     def rows(self, name: str, scene: ta.Scene) -> ta.PickupRows:
         """A component `name` with inputs ``heave`` and ``moment``, or one a point, and an output per channel."""
-        sign, place = float(self.parameters.force_sign), {}
+        sign, coordinates = float(self.parameters.force_sign), {}
         if self.parameters.driven_by == "points":
             driven, drives, inputs = self.at_points(name, scene, sign)
             return self.bank_rows(name, self.basis(scene.freq_upper, driven), drives, inputs)
         for point, body_point in scene.body_points.items():
             if "u" in body_point.coordinates:
-                place[point] = (body_point.coordinates.get("heave", 1.0), body_point.coordinates["u"])
+                coordinates[point] = (body_point.coordinates.get("heave", 1.0), body_point.coordinates["u"])
         drives = []
         for force in scene.bridge_forces:
-            if force.point not in place:
+            if force.point not in coordinates:
                 raise self.fault(f"the body's point {force.point!r} has no place u on the bridge")
-            heave, u = place[force.point]
+            heave, u = coordinates[force.point]
             if abs(u) > 1.0:
                 raise self.fault(f"the body's point {force.point!r} lies at u = {u:g}; -1 to 1 are allowed")
             factor = sign * force.factor
             drives.append(ta.Drive(name, "heave", force.connection, factor * heave))
             drives.append(ta.Drive(name, "moment", force.connection, factor * u))
         inputs = {
-            point: ((name, "heave", sign * heave), (name, "moment", sign * u)) for point, (heave, u) in place.items()
+            point: ((name, "heave", sign * heave), (name, "moment", sign * u))
+            for point, (heave, u) in coordinates.items()
         }
         return self.bank_rows(name, self.basis(scene.freq_upper), drives, inputs)
 

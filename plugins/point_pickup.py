@@ -80,12 +80,12 @@ class PointPickup(ta.Pickup[PointPickupParameters]):
             return ta.Readout(name, "force", forces=tuple(f for f in forces if f[1] != 0.0))
         probes: list[ta.Term] = []
         for point in points:
-            component, _, place = point.partition(".")
-            if component == "body" and place in scene.body_points:
-                probes.append(ta.Term("body", place, share))
+            component, _, point_name = point.partition(".")
+            if component == "body" and point_name in scene.body_points:
+                probes.append(ta.Term("body", point_name, share))
             elif point in scene.string_points:
                 probes += [ta.Term(c, p, share * ta.dot(v, direction)) for c, p, v in scene.string_points[point]]
             else:
-                known = [f"body.{p}" for p in scene.body_points] + list(scene.string_points)
-                raise self.fault(f"there is no point {point!r}; there are {', '.join(known)}")
+                choices = [f"body.{p}" for p in scene.body_points] + list(scene.string_points)
+                raise self.fault(f"there is no point {point!r}; there are {', '.join(choices)}")
         return ta.Readout(name, self.parameters.quantity, tuple(p for p in probes if p.factor != 0.0))

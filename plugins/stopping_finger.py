@@ -57,18 +57,18 @@ class StoppingFinger(ta.Exciter[FingerParameters]):
 
     def attach(self, name: str, site: ta.Site) -> ta.Attached:
         """Fingertip and skin in every direction the string moves in."""
-        p, own, on = self.parameters, f"{site.string}.{name}", ta.Place(site.string, site.length)
+        p, prefix, on = self.parameters, f"{site.string}.{name}", ta.Place(site.string, site.length)
         omega = 2 * math.pi * p.hand_freq
         middle, n = ta.metres(p.touch, on), self._points
         places = {f"{name}.touch{j}": ta.metres(middle + dx, on) for j, dx in enumerate(self._spread, 1)}
         law = ta.HardeningSpring(p.skin_stiffness / n, damping=p.skin_damping / n)
         components, connections = {}, []
         for i, (component, _) in enumerate(site.polarizations, 1):
-            tip = f"{own}.tip{i}"
+            tip = f"{prefix}.tip{i}"
             components[tip] = ta.loose_mass(p.mass, omega, p.hand_damping * omega)
             for j, point in enumerate(places, 1):
                 terms = (ta.Term(component, point), ta.Term(tip, "mass", -1.0))
-                connections.append(ta.Connection(f"{own}.skin{i}{j}", terms, law))
+                connections.append(ta.Connection(f"{prefix}.skin{i}{j}", terms, law))
         return ta.Attached(places, components, tuple(connections), resting=tuple(c.name for c in connections))
 
     @property

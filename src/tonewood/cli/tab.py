@@ -53,7 +53,7 @@ def tab(
     bundle = common.load(instrument, settings, allow_code, strings)
     model = assembled(bundle, RenderOptions())
     lines = playable(model, capo)
-    if not any(len(line.pitches) > 1 for line in lines):
+    if not any(len(string.pitches) > 1 for string in lines):
         raise TonewoodError(f"{bundle.name} has no stops: tablature is for strings that fingers stop")
     if len(lines) > _MOST:
         raise TonewoodError(f"{bundle.name} has {len(lines)} strings: tablature has up to {_MOST}")

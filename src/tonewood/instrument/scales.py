@@ -96,8 +96,8 @@ class KeyMap:
         """Cents of a key above degree 0 of the middle key's pattern; None if the key plays nothing."""
         if self.size == 0:
             return scale.cents_at(key - self.middle)
-        patterns, place = divmod(key - self.middle, self.size)
-        degree = self.degrees[place] if place < len(self.degrees) else None
+        patterns, index = divmod(key - self.middle, self.size)
+        degree = self.degrees[index] if index < len(self.degrees) else None
         if degree is None:
             return None
         return patterns * scale.cents_at(self.octave_degree or len(scale.cents)) + scale.cents_at(degree)

@@ -329,6 +329,6 @@ def _places(
         if isinstance(defaults, Mapping):
             out |= {f"{at}.{key}": (0, f"strings.defaults.{key}") for key in defaults}
         out |= {f"{at}.note": (line, "note"), f"{at}.cents": (line, f"cents_{i + 1}")}
-        for own in ("string", f"string_{i + 1}"):
-            out |= {f"{at}.{path}": (line, f"{own}.{path}") for head, _, path in columns if head == own and path}
+        for stem in ("string", f"string_{i + 1}"):
+            out |= {f"{at}.{path}": (line, f"{stem}.{path}") for head, _, path in columns if head == stem and path}
     return out

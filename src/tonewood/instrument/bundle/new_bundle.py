@@ -79,11 +79,11 @@ def new_bundle(folder: Path, source: str, *, strings: str | None = None, allow_c
             f"{name!r} cannot be the name of an instrument; letters, digits and _ are allowed", key="NAME"
         )
     check_new_folder(folder)
-    place = Path(source)
-    if not (place / registry.MANIFEST).is_file() and (place / PARTS).is_file():
-        text = _from_fit(name, place, strings or "ej46")
-        files = _tables(place)
-        root = place.resolve()
+    source_path = Path(source)
+    if not (source_path / registry.MANIFEST).is_file() and (source_path / PARTS).is_file():
+        text = _from_fit(name, source_path, strings or "ej46")
+        files = _tables(source_path)
+        root = source_path.resolve()
     else:
         original = Instrument.load(source, allow_code=allow_code)
         text, root = _from_bundle(name, original, strings), original.folder

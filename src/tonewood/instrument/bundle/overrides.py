@@ -44,29 +44,29 @@ def apply_overrides(values: Mapping[str, Any], overrides: Mapping[str, Any], *, 
         *above, last = path.split(".")
         if not last or "" in above:
             raise BundleError("is not a dotted path", file=file, key=path)
-        for place, holder in _holders(out, above, [], path, file):
-            for key in _keys(holder, last, path, place, file):
-                _assign(holder, key, value, [*place, str(key)], file)
+        for prefix, holder in _holders(out, above, [], path, file):
+            for key in _keys(holder, last, path, prefix, file):
+                _assign(holder, key, value, [*prefix, str(key)], file)
     return out
 
 
 def _holders(
-    at: Any, path: list[str], place: list[str], whole: str, file: Any
+    at: Any, path: list[str], prefix: list[str], whole: str, file: Any
 ) -> Iterator[tuple[list[str], dict[str, Any] | list[Any]]]:
     if not isinstance(at, dict | list):
-        raise BundleError(f"{'.'.join(place)} holds a value, nothing lies below it", file=file, key=whole)
+        raise BundleError(f"{'.'.join(prefix)} holds a value, nothing lies below it", file=file, key=whole)
     if not path:
-        yield place, at
+        yield prefix, at
         return
-    for key in _keys(at, path[0], whole, place, file):
+    for key in _keys(at, path[0], whole, prefix, file):
         if isinstance(at, dict) and key not in at:
             allowed = f"{did_you_mean(key, map(str, at))}there is {', '.join(map(str, at)) or 'nothing'}"
             raise BundleError(f"there is no {key!r}; {allowed}", file=file, key=whole)
         below = at[key]
-        yield from _holders(below, path[1:], [*place, str(key)], whole, file)
+        yield from _holders(below, path[1:], [*prefix, str(key)], whole, file)
 
 
-def _keys(holder: dict[str, Any] | list[Any], key: str, whole: str, place: list[str], file: Any) -> list[Any]:
+def _keys(holder: dict[str, Any] | list[Any], key: str, whole: str, prefix: list[str], file: Any) -> list[Any]:
     if isinstance(holder, dict):
         return list(holder) if key == "*" else [key]
     names = [member.get("name") if isinstance(member, dict) else None for member in holder]
@@ -78,18 +78,18 @@ def _keys(holder: dict[str, Any] | list[Any], key: str, whole: str, place: list[
         return [int(key)]
     choices = ", ".join(str(n) for n in names if n) or f"0 to {len(holder) - 1}"
     hint = did_you_mean(key, [str(n) for n in names if n])
-    raise BundleError(f"there is no {key!r} in {'.'.join(place)}; {hint}there is {choices}", file=file, key=whole)
+    raise BundleError(f"there is no {key!r} in {'.'.join(prefix)}; {hint}there is {choices}", file=file, key=whole)
 
 
-def _assign(holder: dict[str, Any] | list[Any], key: Any, value: Any, place: list[str], file: Any) -> None:
+def _assign(holder: dict[str, Any] | list[Any], key: Any, value: Any, prefix: list[str], file: Any) -> None:
     if isinstance(value, Mapping) and set(value) == {"scale"}:
         old = holder.get(key) if isinstance(holder, dict) else holder[key]
         factor = value["scale"]
         if not all(isinstance(x, int | float) and not isinstance(x, bool) for x in (old, factor)):
             reason = f"{old!r} cannot be scaled by {factor!r}: numbers are wanted"
-            raise BundleError(reason, file=file, key=".".join(place))
+            raise BundleError(reason, file=file, key=".".join(prefix))
         value = old * factor
     holder[key] = copy.deepcopy(value)
     other = _INSTEAD.get(str(key))
-    if other and len(place) == 3 and place[0] == "strings" and isinstance(holder, dict) and value is not None:
+    if other and len(prefix) == 3 and prefix[0] == "strings" and isinstance(holder, dict) and value is not None:
         holder[other] = None

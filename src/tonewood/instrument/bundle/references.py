@@ -67,11 +67,11 @@ def check_references(
     switched = [("switches", k, v) for k, v in playing.switches.items()]
     switched += [("noises", k, v) for k, v in playing.noises.named.items()]
     switched += [("slurs", k, v) for k, v in playing.slurs.named.items()]
-    for kind, key, wanted in [*switched, *(("keyswitches", k, v) for k, v in playing.keyswitches.items())]:
-        if wanted not in exciters:
-            raise none("exciter", wanted, exciters, f"playing.{kind}.{key}")
-        if kind == "noises" and key in ("key", "release") and exciters[wanted].at is None:
-            reason = f"{wanted!r} acts on strings; an exciter with `at`, a point of the body, is wanted"
+    for kind, key, target in [*switched, *(("keyswitches", k, v) for k, v in playing.keyswitches.items())]:
+        if target not in exciters:
+            raise none("exciter", target, exciters, f"playing.{kind}.{key}")
+        if kind == "noises" and key in ("key", "release") and exciters[target].at is None:
+            reason = f"{target!r} acts on strings; an exciter with `at`, a point of the body, is wanted"
             raise BundleError(reason, file=file, key=f"playing.noises.{key}")
         if kind == "keyswitches":
             try:

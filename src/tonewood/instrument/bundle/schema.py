@@ -444,13 +444,13 @@ class Bundle(Parameters):
     @model_validator(mode="after")
     def _fretted(self) -> Bundle:
         if self.tuning.at == "frets":
-            for key, value, wanted in (
+            for key, value, required in (
                 ("stops.kind", self.stops.kind, "frets"),
                 ("stops.model", self.stops.model, "ideal"),
                 ("tuning.compensate", self.tuning.compensate, "coupled"),
             ):
-                if value != wanted:
-                    raise ValueError(f"tuning.at: frets wants {key}: {wanted}, which is {value}")
+                if value != required:
+                    raise ValueError(f"tuning.at: frets wants {key}: {required}, which is {value}")
         return self
 
     @model_validator(mode="after")

@@ -125,11 +125,11 @@ def with_materials(values: Mapping[str, Any], *, over: Collection[str] = (), fil
     """
     strings, out = values.get("strings"), dict(values)
     parts = strings.items() if isinstance(strings, Mapping) else ()
-    made = {
+    entries = {
         name: part for name, part in parts if isinstance(part, Mapping) and isinstance(part.get("made_of"), Mapping)
     }
     sources, provenance = dict(values.get("sources") or {}), dict(values.get("provenance") or {})
-    for name, part in made.items():
+    for name, part in entries.items():
         key = f"strings.{name}"
         bought = validated(MadeOf, part["made_of"], key=f"{key}.made_of", file=file)
         length, freq = _length(part, key, file), _freq(part, None, key, file)
@@ -137,10 +137,10 @@ def with_materials(values: Mapping[str, Any], *, over: Collection[str] = (), fil
         fields = _fields(part, key, file)
         keys = [k for k in data.kinds if k in fields or k in _OWN]
         chosen = [k for k in keys if name in over or part.get(k) is None]
-        made[name] = {**part, **{k: dict(data.loss) if k == "loss" else getattr(data, k) for k in chosen}}
+        entries[name] = {**part, **{k: dict(data.loss) if k == "loss" else getattr(data, k) for k in chosen}}
         provenance, sources = _with_kinds(provenance, sources, name, chosen, data)
-    if made:
-        out |= {"strings": {**dict(parts), **made}, "provenance": provenance, "sources": sources}
+    if entries:
+        out |= {"strings": {**dict(parts), **entries}, "provenance": provenance, "sources": sources}
     return out
 
 

@@ -45,21 +45,21 @@ class WrongResultError(Exception):
     """A result breaks the contract; the text goes on from ``returns``."""
 
 
-def want(ok: object, value: object, wanted: str, where: str = "") -> None:
+def want(ok: object, value: object, requirement: str, where: str = "") -> None:
     """Raise `WrongResultError` unless `ok`: ``EvenString.length returns 'long'; a number above 0 is wanted``."""
     if not ok:
         text = repr(value)
         shown = text if len(text) <= 60 and "\n" not in text else kind_of(value)
-        raise WrongResultError(f"{where} {shown}; {wanted} is wanted".strip())
+        raise WrongResultError(f"{where} {shown}; {requirement} is wanted".strip())
 
 
-def number(value: object, wanted: str, low: float = -math.inf, where: str = "", *, above: bool = False) -> None:
+def number(value: object, requirement: str, low: float = -math.inf, where: str = "", *, above: bool = False) -> None:
     """Check a finite number, `low` or more, or above it."""
     real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
     most = sys.float_info.max  # an integer may be greater
     plain: Any = value.item() if isinstance(value, np.generic) else value  # a number of 32 bits has no such limit
     fits = real and -most <= plain <= most and (plain > low if above else plain >= low)
-    want(fits, value, wanted, where)
+    want(fits, value, requirement, where)
 
 
 def pair_of_arrays(value: Any, shape: tuple[int, ...]) -> None:
@@ -125,8 +125,8 @@ def names(term: Any, where: str) -> None:
 
 def law(value: Any, where: str) -> None:
     """Check a law of a connection for its type and its numbers."""
-    known = isinstance(value, (Rigid, SpringDashpot, NonlinearLaw))
-    want(known, value, "a law, as ta.Contact or ta.SpringDashpot,", where)
+    is_law = isinstance(value, (Rigid, SpringDashpot, NonlinearLaw))
+    want(is_law, value, "a law, as ta.Contact or ta.SpringDashpot,", where)
     for field in dataclasses.fields(value) if dataclasses.is_dataclass(value) else ():
         most = _LARGEST_OFFSET if field.name == "offset" else _LARGEST_OF_LAW
         size = getattr(value, field.name)
@@ -283,10 +283,10 @@ def pickup_rows(plugin: Any, value: Any) -> None:
         want(isinstance(drive, Drive), drive, "a ta.Drive", "drives")
 
 
-def texts(value: Any, wanted: str, *, some: bool) -> None:
+def texts(value: Any, requirement: str, *, some: bool) -> None:
     """Check a sequence of words."""
     listed = isinstance(value, (tuple, list)) and all(isinstance(word, str) for word in value)
-    want(listed and (value or not some), value, wanted)
+    want(listed and (value or not some), value, requirement)
 
 
 def body_points(value: Any) -> None:

@@ -106,6 +106,6 @@ class Converter:
         except (Exception, SystemExit) as raised:  # code of a third party may raise anything
             raise self._fault(f"conversion.function raises {words_of(raised)}") from raised
         if out.shape != (len(readouts), self._n) or out.dtype.kind not in "fi":
-            wanted = f"real numbers of shape ({len(readouts)}, {self._n})"
-            raise self._fault(f"conversion.function returns {out.dtype} of shape {out.shape}; {wanted} are wanted")
+            requirement = f"real numbers of shape ({len(readouts)}, {self._n})"
+            raise self._fault(f"conversion.function returns {out.dtype} of shape {out.shape}; {requirement} are wanted")
         return out

@@ -187,10 +187,10 @@ def places(parameters: Parameters, open_length: float, length: float) -> dict[st
     """
     metres = {}
     for name in _place_fields(type(parameters)):
-        place = getattr(parameters, name)
-        if place is None:
+        position = getattr(parameters, name)
+        if position is None:
             continue
-        metres[name] = place.fraction * length if isinstance(place, Fraction) else float(place)
+        metres[name] = position.fraction * length if isinstance(position, Fraction) else float(position)
         if metres[name] > open_length:
             raise ValueError(
                 f"{name} is {metres[name]:g} m; places up to {open_length:g} m, the open string, are allowed"

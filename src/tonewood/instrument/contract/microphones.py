@@ -64,6 +64,6 @@ class Microphones(Pickup[P]):
         scene : points and forces of the instrument.
         sign : of the bank's inputs re the forces on the body.
         """
-        driven = [point for point, place in scene.body_points.items() if place.driven]
+        driven = [point for point, body_point in scene.body_points.items() if body_point.driven]
         drives = [Drive(name, f"at_{f.point}", f.connection, sign * f.factor) for f in scene.bridge_forces]
         return driven, drives, {point: ((name, f"at_{point}", sign),) for point in driven}

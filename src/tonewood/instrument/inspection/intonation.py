@@ -100,25 +100,25 @@ def intonation(instrument: Instrument, *, frets: int = 12, fs: float = 48000.0) 
         for p in (p for p in tones if p.string == name and p.stop):
             opened, pressed = fretted.board.pressed(0), fretted.board.pressed(p.stop)
             by = [opened.length / pressed.length, flexible.ratio(p.stop), fretted.ratio(p.stop)]
-            place, stretched, stiff = (cents(ratio / ratios[p.stop - 1]) for ratio in by)
+            fret_cents, stretched, stiff = (cents(ratio / ratios[p.stop - 1]) for ratio in by)
             planes = {plane.component: plane.cents for plane in p.planes}
-            row = StopIntonation(p.stop, place, stretched - place, stiff - stretched, pressed.fret, planes)
+            row = StopIntonation(p.stop, fret_cents, stretched - fret_cents, stiff - stretched, pressed.fret, planes)
             rows.append(row)
         out.append(StringIntonation(name, fretted, tuple(rows), *_setups(fretted, ratios[:frets])))
     return out
 
 
-def _setups(string: FrettedString, wanted: list[float]) -> tuple[Setup, Setup | None, Setup | None]:
+def _setups(string: FrettedString, ratios: list[float]) -> tuple[Setup, Setup | None, Setup | None]:
     """Nut and saddle as built, the best saddle alone, and the best of both."""
 
     def setup(s: FrettedString) -> Setup:
-        errors = tuple(float(x) for x in s.cents(wanted))
+        errors = tuple(float(x) for x in s.cents(ratios))
         return Setup(s.board.nut_setback, s.board.saddle_setback, errors)
 
     best: list[Setup | None] = []
     for nut in (False, True):
         try:
-            best.append(setup(compensated(string, wanted, nut=nut)))
+            best.append(setup(compensated(string, ratios, nut=nut)))
         except ValueError:
             best.append(None)
     return setup(string), best[0], best[1]

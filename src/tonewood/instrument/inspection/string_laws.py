@@ -72,8 +72,8 @@ def law_errors(model: Model, name: str) -> list[LawErrors]:
 
 def _compared(string: StringModel, stop: int, bend_cents: float) -> LawErrors:
     tension = string.tension(stop) * ratio_of_cents(bend_cents) ** 2
-    freq_upper, place = string.tuning.untuned.freq_upper, string.tuning.stops.position(stop)
-    basis = string.resonator.basis(freq_upper, stop=place, tension=tension)
+    freq_upper, position = string.tuning.untuned.freq_upper, string.tuning.stops.position(stop)
+    basis = string.resonator.basis(freq_upper, stop=position, tension=tension)
     try:
         tuned_modes, basis_modes = (
             HeldModes.of(b, "bridge") for b in (string.tuning.coupled(stop).bases(tension)[0], basis)

@@ -225,7 +225,7 @@ def _check_references(
     strings: Mapping[str, StringModel],
     components: Mapping[str, ModalBasis],
     connections: Sequence[Connection],
-    made: Outputs,
+    outputs: Outputs,
 ) -> None:
     """Refuse connections and readouts of plugins that name unknown components, points and connections."""
     earlier = {c.name for c in connections if c.role != "attached"}
@@ -236,21 +236,21 @@ def _check_references(
             check_connections(parts, components, earlier, fault)
             earlier |= {c.name for c in parts}
     names = [c.name for c in connections]
-    for group in made.groups:
+    for group in outputs.groups:
         pickup = instrument.pickups.get(group.name.partition(".")[0], instrument.pickups.get(group.name))
-        readouts = [made.readouts[i] for i in group.readouts]
+        readouts = [outputs.readouts[i] for i in group.readouts]
         check_readouts(readouts, (), components, names, partial(_fault, pickup, f"outputs.{group.name}"))
-    check_readouts((), made.drives, components, names, partial(_fault, None, "outputs"))
+    check_readouts((), outputs.drives, components, names, partial(_fault, None, "outputs"))
 
 
-def _check_components(strings: Iterable[StringModel], taken: set[str], made: Outputs) -> None:
+def _check_components(strings: Iterable[StringModel], taken: set[str], outputs: Outputs) -> None:
     """Refuse a component of a part that has the name of another one: it would take its place."""
     for string in strings:
         _take(string.bases(), taken, partial(_fault, None, f"strings.{string.name}"))
         for parts in string.attached():
             plugin = string.touching.get(next((c.part for c in parts.connections), ""))
             _take(parts.components, taken, partial(_fault, plugin, f"strings.{string.name}"))
-    _take(made.components, taken, partial(_fault, None, "outputs"))
+    _take(outputs.components, taken, partial(_fault, None, "outputs"))
 
 
 def _take(names: Iterable[str], taken: set[str], fault: Callable[[str], BundleError]) -> None:

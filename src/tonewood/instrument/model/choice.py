@@ -28,21 +28,21 @@ class Choice:
     budget_cents: float
 
     @classmethod
-    def of(cls, wanted: Effects, declared: Mapping[str, Effect]) -> Choice:
+    def of(cls, request: Effects, declared: Mapping[str, Effect]) -> Choice:
         """Resolve a bundle's ``effects`` for the effects that its parts declare.
 
         Raises TonewoodError : a name is none of theirs.
         """
         basic = {name for name, effect in declared.items() if effect.basic}
-        if isinstance(wanted.mode, str):
-            names = set(declared) if wanted.mode in ("auto", "all") else basic
-            return cls(wanted.mode, frozenset(names), wanted.budget_db, wanted.budget_cents)
-        unknown = [name for name in wanted.mode if name not in declared]
+        if isinstance(request.mode, str):
+            names = set(declared) if request.mode in ("auto", "all") else basic
+            return cls(request.mode, frozenset(names), request.budget_db, request.budget_cents)
+        unknown = [name for name in request.mode if name not in declared]
         if unknown:
-            known = ", ".join(sorted(declared)) or "none"
+            allowed = ", ".join(sorted(declared)) or "none"
             hint = did_you_mean(unknown[0], declared)
-            raise TonewoodError(f"there is no effect {unknown[0]!r}; {hint}auto, all, none or {known}", key="effects")
-        return cls("list", frozenset(basic | set(wanted.mode)), wanted.budget_db, wanted.budget_cents)
+            raise TonewoodError(f"there is no effect {unknown[0]!r}; {hint}auto, all, none or {allowed}", key="effects")
+        return cls("list", frozenset(basic | set(request.mode)), request.budget_db, request.budget_cents)
 
     def keeps(self, plugin: Plugin[Any], name: str | None = None) -> bool:
         """Whether a part runs its effect `name`, or any of its effects; an effect that is not declared always runs."""

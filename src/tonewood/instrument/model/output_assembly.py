@@ -55,7 +55,7 @@ class OutputGroup:
         """Factor of each channel by gain and pan."""
         alone = len(set(self.columns)) == 1
         places = (1.0,) * len(self.channels) if self.pan is None else pan_gains(self.pan, 1 if alone else 2)
-        return tuple(10 ** (self.gain_db / 20) * place for place in places)
+        return tuple(10 ** (self.gain_db / 20) * factor for factor in places)
 
 
 def pan_gains(pan: float, n_channels: int) -> tuple[float, float]:
@@ -85,14 +85,14 @@ class Outputs:
     body_inputs: Mapping[str, tuple[tuple[str, str, float], ...]]
 
 
-def make_outputs(instrument: Instrument, wanted: Sequence[str] | None, scene: Scene) -> Outputs:
+def make_outputs(instrument: Instrument, request: Sequence[str] | None, scene: Scene) -> Outputs:
     """Ask the pickups of the wanted groups for their rows.
 
-    wanted : names of output groups; the bundle's first where left out.
+    request : names of output groups; the bundle's first where left out.
     Raises BundleError : there is no group of that name, or two channels of a group have one name.
     """
     names = list(instrument.pickups)
-    chosen = names[:1] if wanted is None else list(wanted)
+    chosen = names[:1] if request is None else list(request)
     unknown = [name for name in chosen if name not in names]
     if unknown:
         raise BundleError(

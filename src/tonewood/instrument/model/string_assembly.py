@@ -164,9 +164,9 @@ def _string(
     return string
 
 
-def _metres(place: Any, resonator: Resonator[Any]) -> float:
+def _metres(position: Any, resonator: Resonator[Any]) -> float:
     """Distance from the bridge of a place on the open string, m."""
-    return place.fraction * resonator.length if isinstance(place, Fraction) else float(place)
+    return position.fraction * resonator.length if isinstance(position, Fraction) else float(position)
 
 
 def _stopping(instrument: Instrument, name: str, raised_cents: float) -> Stopping:

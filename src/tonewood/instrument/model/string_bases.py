@@ -102,10 +102,10 @@ class StringBases:
         return damped(out, added_damping) if added_damping else out
 
     def plucked_at(
-        self, bases: Mapping[str, ModalBasis], stop: float, place: float | None, width: float
+        self, bases: Mapping[str, ModalBasis], stop: float, position: float | None, width: float
     ) -> dict[str, ModalBasis]:
-        """Return bases of a stop with the point ``pluck`` elsewhere; `place` and `width` as for `StringModel.bases`."""
-        pluck, width, out = self._pluck(stop, place), width or self.places.pluck_width, dict(bases)
+        """Bases of a stop with the point ``pluck`` elsewhere; `position`, `width` as for `StringModel.bases`."""
+        pluck, width, out = self._pluck(stop, position), width or self.places.pluck_width, dict(bases)
         for name in (p.component for p in self.tuning.untuned.polarizations):
             out[name] = moved(bases[name], "pluck", pluck, width)
         return out
@@ -124,10 +124,10 @@ class StringBases:
             out[name] = retuned(basis, np.sqrt(basis.stiffness), basis.damping_rate + rates)
         return out
 
-    def _pluck(self, stop: float, place: float | None) -> float:
+    def _pluck(self, stop: float, position: float | None) -> float:
         """Place of the pluck, m from the bridge; the usual one where none is given."""
         length = self.tuning.stops.length(stop)
-        pluck = min(self.places.pluck, 0.9 * length) if place is None else place
+        pluck = min(self.places.pluck, 0.9 * length) if position is None else position
         if not 0 <= pluck <= length:
             string = self.tuning.stops.string
             raise ValueError(f"string {string} is {length:g} m long at stop {stop:g}; {pluck:g} m is not on it")

@@ -53,20 +53,20 @@ def outputs_by_string(
     )
     inputs: dict[str, tuple[tuple[str, str, float], ...]] = {
         point: (
-            *((_copy(name, BODY), place, factor) for name, place, factor in outputs.body_inputs.get(point, ())),
+            *((_copy(name, BODY), port, factor) for name, port, factor in outputs.body_inputs.get(point, ())),
             (_copy(BODY, BODY), point, 1.0),
         )
         for point in points
     }
     readouts: list[Readout] = []
-    place: dict[tuple[int, str], int] = {}
+    slots: dict[tuple[int, str], int] = {}
     for index, readout in enumerate(outputs.readouts):
         for stem in stems:
             probes = tuple(_of_stem(readout, stem, copied, owners))
             forces = tuple(entry for entry in readout.forces if owner[entry[0]] == stem)
-            place[index, stem] = len(readouts)
+            slots[index, stem] = len(readouts)
             readouts.append(replace(readout, name=f"{readout.name}.{stem}", probes=probes, forces=forces))
-    groups = tuple(_group(group, stem, place) for group in outputs.groups for stem in stems)
+    groups = tuple(_group(group, stem, slots) for group in outputs.groups for stem in stems)
     used = {probe.component for readout in readouts for probe in readout.probes}
     return Outputs(
         groups,
@@ -86,5 +86,5 @@ def _of_stem(readout: Readout, stem: str, copied: Mapping[str, ModalBasis], owne
     return probes + [p for p in readout.probes if p.component not in copied and owners.get(p.component, BODY) == stem]
 
 
-def _group(group: OutputGroup, stem: str, place: Mapping[tuple[int, str], int]) -> OutputGroup:
-    return replace(group, name=f"{group.name}.{stem}", readouts=tuple(place[i, stem] for i in group.readouts))
+def _group(group: OutputGroup, stem: str, slots: Mapping[tuple[int, str], int]) -> OutputGroup:
+    return replace(group, name=f"{group.name}.{stem}", readouts=tuple(slots[i, stem] for i in group.readouts))

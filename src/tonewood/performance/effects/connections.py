@@ -98,11 +98,11 @@ class SwitchedConnections(SwitchedEffect, ABC):
 
     def apply(self, system: System, on: Collection[str], frettings: Mapping[str, Fretting]) -> System:
         """Give the connections of these strings their laws, and all others none."""
-        wanted: list[tuple[int, Law]] = []
+        changes: list[tuple[int, Law]] = []
         for string, places in self._places.items():
             laws = self.laws(string, frettings[string]) if string in on else [_NONE] * len(places)
-            wanted += zip(places, laws, strict=True)
-        return with_laws(system, wanted)
+            changes += zip(places, laws, strict=True)
+        return with_laws(system, changes)
 
     def cost(self, moment: Moment, component: str, on: bool) -> float:
         """Return the potential of the laws that are switched, J, with the sign of the switch.
@@ -170,13 +170,13 @@ class ConnectionsInReach(SwitchedConnections):
         """Compare bounds on the excursion with the reach; gestures switch a string's connections on at once."""
         if moment.sample % (GRID * self._looks(switching)) and not (moment.moved or moment.fresh):
             return None
-        wanted = set(moment.busy) & set(self.components)
+        active = set(moment.busy) & set(self.components)
         for string in self.components:
             share = self.ON if string not in switching.on else self.OFF
             reach = np.array([self.reach(name) for name in self.names(string)])
             if np.any(self.excursion(moment.system, moment.state, string) > share * reach):
-                wanted.add(string)
-        return Watched(frozenset(wanted), [(s, Bound(), s not in wanted) for s in self.components])
+                active.add(string)
+        return Watched(frozenset(active), [(s, Bound(), s not in active) for s in self.components])
 
     def _looks(self, switching: Switching) -> int:
         return self.LOOK if len(switching.on) < len(self.components) else self.SELDOM

@@ -17,12 +17,12 @@ _KEPT = 256
 
 def holds_at(active: Sequence[Active], now: int) -> dict[str, float]:
     """String -> damping (N s/m) of the finger that holds it at a sample."""
-    wanted: dict[str, float] = {}
+    damping: dict[str, float] = {}
     for gesture in active:
         reached = [size for sample, size in gesture.holds if sample <= now]
         if reached and reached[-1] > 0 and gesture.play.string is not None:
-            wanted[gesture.play.string] = reached[-1]
-    return wanted
+            damping[gesture.play.string] = reached[-1]
+    return damping
 
 
 class GestureConnections:
@@ -76,8 +76,8 @@ class GestureConnections:
         return with_laws(system, [(j, c.law if c.name in moved else none) for j, none, c in self._idle])
 
 
-def with_laws(system: System, wanted: Sequence[tuple[int, Law]]) -> System:
+def with_laws(system: System, changes: Sequence[tuple[int, Law]]) -> System:
     """Return the system with these laws at these places; itself if they are there already."""
     now = system.connections
-    laws = {now[j].name: replace(now[j], law=law) for j, law in wanted if law is not now[j].law and law != now[j].law}
+    laws = {now[j].name: replace(now[j], law=law) for j, law in changes if law is not now[j].law and law != now[j].law}
     return system.with_laws(laws) if laws else system

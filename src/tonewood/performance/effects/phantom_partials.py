@@ -98,18 +98,18 @@ class PhantomPartialsEffect(SwitchedEffect):
         peak = np.maximum(moment.peak, _SILENT)
         levels = {name: self._level(moment, name, peak) for name in self._laws if name not in staying}
         # levels of the strings of a key add up, and so do those of few strings; those of several keys in power
-        wanted, missing, power = set(staying), dict.fromkeys(("", *self._laws), 0.0), 0.0
+        names, missing, power = set(staying), dict.fromkeys(("", *self._laws), 0.0), 0.0
         for name, level in sorted(levels.items(), key=lambda item: item[1]):
             key = "" if self._few else self.model.strings[name].group[0]
             more = power + level * (level + 2 * missing[key])
             if math.sqrt(more) > self.budget * (_LEAVE if name in switching.on else 1.0):
-                wanted.add(name)
+                names.add(name)
             else:
                 missing[key], power = missing[key] + level, more
-        if self._few and wanted:
-            wanted = set(self._laws)
-        bounds = [(name, Bound(level=level), name not in wanted) for name, level in levels.items()]
-        return Watched(frozenset(wanted), bounds, until)
+        if self._few and names:
+            names = set(self._laws)
+        bounds = [(name, Bound(level=level), name not in names) for name, level in levels.items()]
+        return Watched(frozenset(names), bounds, until)
 
     def _moved(self, played: Iterable[str | None]) -> set[str]:
         """Strings that gestures on these move at once: those of their keys, or all where there are few."""

@@ -44,14 +44,14 @@ class PartialSlopes:
     moving: Floats
 
     @classmethod
-    def of(cls, part: GeometricShare, held: HeldModes) -> PartialSlopes:
+    def of(cls, part: GeometricShare, modes: HeldModes) -> PartialSlopes:
         """Make them of a transverse component's share and its modes with the bridge held."""
-        n = held.n_modes
-        shapes = part.slopes @ held.vectors[:, : part.n].T
+        n = modes.n_modes
+        shapes = part.slopes @ modes.vectors[:, : part.n].T
         # a held mode is one sine but for the change by bending and the bridge's ramp
         slope = np.sqrt(np.sum(shapes**2, axis=0))[:n]
-        rows = held.vectors * held.stiffness / held.freq_rad[:, None] ** 2
-        return cls(slope[:, None] * rows, (slope / held.freq_rad)[:, None] * rows)
+        rows = modes.vectors * modes.stiffness / modes.freq_rad[:, None] ** 2
+        return cls(slope[:, None] * rows, (slope / modes.freq_rad)[:, None] * rows)
 
     def first(self, n: int) -> PartialSlopes:
         """The lowest n partials."""

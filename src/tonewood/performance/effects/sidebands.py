@@ -66,9 +66,11 @@ class Plane:
     stopped: Floats
 
     @classmethod
-    def of(cls, component: str, basis: ModalBasis, held: HeldModes, system: System, response: BridgeResponse) -> Plane:
+    def of(
+        cls, component: str, basis: ModalBasis, held_modes: HeldModes, system: System, response: BridgeResponse
+    ) -> Plane:
         """Make it of a component and its modes with the bridge held."""
-        w, g, s = held.freq_rad, held.force, held.damping_rate
+        w, g, s = held_modes.freq_rad, held_modes.force, held_modes.damping_rate
         n, m = w[:, None, None], w[None, :_BEATING, None]
         freq = np.abs(n + 2 * m * np.array([-1.0, 1.0]))
         away = np.maximum(np.abs(n**2 - freq**2), 2 * freq * (_DRIFT * freq + s[:, None, None]))
@@ -76,7 +78,7 @@ class Plane:
         modes = np.arange(min(len(w), _BEATING))
         answer[modes, modes, 0] = bridge[modes, modes, 0] = 0.0
         decay = s[:, None, None] + 2 * s[None, :_BEATING, None] + np.zeros(2)
-        force = (g / w)[:, None, None] * _resonant(component, basis, held, response, freq, decay, bridge)
+        force = (g / w)[:, None, None] * _resonant(component, basis, held_modes, response, freq, decay, bridge)
         heard = response.heard_at(component, freq.ravel()).reshape(-1, *freq.shape) * force
         top = response.heard[:, response.components.index(component)].max(axis=1)
         # sidebands far above a partial act on the bridge alone; those close to it are as strong as its number
@@ -84,19 +86,19 @@ class Plane:
         for r, readout in enumerate(system.readouts):
             for probe in readout.probes:
                 if probe.component == component:
-                    moved = np.abs(probe.factor * (held.vectors @ basis.right[basis.index(probe.point)].real)) / w
+                    moved = np.abs(probe.factor * (held_modes.vectors @ basis.right[basis.index(probe.point)].real)) / w
                     power = _POWER.get(readout.quantity, 0)
                     heard[r] += moved[:, None, None] * answer * freq**power
                     rest[r] += moved * (2.0 + w / w[0]) * w[-1] ** power
         each = np.zeros((*rest.shape, _BEATING + 1))
         each[..., : len(modes)], each[..., -1] = heard.sum(axis=-1), rest
-        bent = held.vectors * held.stiffness / w[:, None]
+        bent = held_modes.vectors * held_modes.stiffness / w[:, None]
         single = min(_SINGLE, len(w))
         return cls(
-            held.stiffness,
-            held.shape,
+            held_modes.stiffness,
+            held_modes.shape,
             np.ascontiguousarray(bent[:single]),
-            np.ascontiguousarray(held.vectors[:single]),
+            np.ascontiguousarray(held_modes.vectors[:single]),
             (g / w) @ bent,
             np.ascontiguousarray(each[:, :single]),
             np.sqrt(np.sum(each[:, single:] ** 2, axis=1)),
@@ -115,7 +117,7 @@ class Plane:
 def _resonant(
     component: str,
     basis: ModalBasis,
-    held: HeldModes,
+    modes: HeldModes,
     response: BridgeResponse,
     freq: Floats,
     decay: Floats,
@@ -126,16 +128,16 @@ def _resonant(
     freq, decay, bridge : (n, m, 2) rad/s, 1/s, and magnitudes without these partials.
     """
     i, end = response.components.index(component), basis.index("bridge")
-    w = held.freq_rad
+    w = modes.freq_rad
     mobility = np.interp(w, response.freq_rad, response.mobility[i]) + w * abs(basis.residual[end, end])
-    shift = held.force**2 * mobility / (2 * w**2)
-    low = held.vectors[:_BEATING]
+    shift = modes.force**2 * mobility / (2 * w**2)
+    low = modes.vectors[:_BEATING]
     form = (low * cast(Floats, stretch_weights(basis))) @ low.T
     coupled = np.abs(form) / np.sqrt(np.outer(np.diag(form), np.diag(form))) - np.eye(len(low))
     near = np.searchsorted(0.5 * (w[1:] + w[:-1]), freq)
     apart = np.abs(freq - w[near]) - _DRIFT * w[near] - shift[near]
     driven = bridge * shift[near] + 0.5 * coupled.max(initial=0.0) * w[near] * (bridge > 0.0)
-    return np.asarray(bridge + driven / np.maximum(held.damping_rate[near] + decay, apart))
+    return np.asarray(bridge + driven / np.maximum(modes.damping_rate[near] + decay, apart))
 
 
 def _same_modes(one: ModalBasis, other: ModalBasis) -> bool:

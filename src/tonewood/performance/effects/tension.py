@@ -139,12 +139,10 @@ class TensionEffect(SwitchedEffect):
         fresh = [play for play in moment.fresh if play.string in self.components]
         if not (look or moved or fresh or switching.pending):
             return None
-        wanted = on | switching.pending
+        names = on | switching.pending
         until = {name: sample for name, sample in switching.until.items() if sample > moment.sample}
         staying = {
-            name
-            for name in wanted
-            if not whole or name in moment.busy or name in until or moment.until(name) < SHORTEST
+            name for name in names if not whole or name in moment.busy or name in until or moment.until(name) < SHORTEST
         }
         if len(staying) == len(self.components) and not (fresh or switching.pending):
             return None  # all rise, and none is to be switched off
@@ -154,20 +152,20 @@ class TensionEffect(SwitchedEffect):
         seen: list[tuple[str, Bound, bool]] = []
         if look or moved:
             others = {name: value for name, value in cents.items() if name not in staying}
-            asked = [name for name in others if whole or (name in moved and name not in wanted)]
+            asked = [name for name in others if whole or (name in moved and name not in names)]
             bounds = self.bounds.of_motion(moment, others, asked)
             unasked = (on | switching.pending) - set(asked)
-            wanted = self.wanted(bounds, wanted) | staying | unasked
-            until |= {name: self.next_bound(name, moment, bound) for name, bound in bounds.items() if name in wanted}
-            seen += [(name, bound, name not in wanted) for name, bound in bounds.items()]
+            names = self.wanted(bounds, names) | staying | unasked
+            until |= {name: self.next_bound(name, moment, bound) for name, bound in bounds.items() if name in names}
+            seen += [(name, bound, name not in names) for name, bound in bounds.items()]
         for play in fresh:
             name = play.string or ""
             # a string that rises goes on: how loud it would be without is not asked for
-            bound = self.bounds.foreseen(play, moment, float(energies[self.components.index(name)]), name not in wanted)
+            bound = self.bounds.foreseen(play, moment, float(energies[self.components.index(name)]), name not in names)
             if bound.cents > self.budget or bound.level > self.budget_level:
-                wanted |= {name}
-            seen.append((name, bound, name not in wanted))
-        return Watched(wanted, seen, until)
+                names |= {name}
+            seen.append((name, bound, name not in names))
+        return Watched(names, seen, until)
 
     def apply(self, system: System, on: Collection[str], frettings: Mapping[str, Fretting]) -> System:
         """Switch the tensions of these strings on, and all others off."""

@@ -318,8 +318,8 @@ class Engine:
         for play in fresh:
             if play.string is not None:
                 before = latest.get(play.string, self.frettings[play.string])
-                if (place := play.gesture.from_bridge) is not None:
-                    before = replace(before, place=place, width=play.gesture.width)
+                if (position := play.gesture.from_bridge) is not None:
+                    before = replace(before, place=position, width=play.gesture.width)
                 latest[play.string] = before
                 self.counters.strings_played.add(play.string)
         frettings = {name: self.fingerboard.playable(name, fretting) for name, fretting in latest.items()}

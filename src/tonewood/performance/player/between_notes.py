@@ -57,7 +57,7 @@ def noises(notes: Sequence[Assigned], plays: Sequence[Play], model: Model, capo:
     line, plays : notes of the string and their gestures.
     capo : stop at which the string is held before its first note.
     """
-    wanted, end, kept = model.playing.noises, model.playing.note_end, _kept(model)
+    options, end, kept = model.playing.noises, model.playing.note_end, _kept(model)
     if not kept:
         return
     fret, free_from, slurs = capo, -math.inf, model.playing.slurs.named.values()
@@ -65,7 +65,7 @@ def noises(notes: Sequence[Assigned], plays: Sequence[Play], model: Model, capo:
         # a stop changes at the last point of the control grid before the gesture that needs it
         until = _point_before(play.start, model.fs)
         for kind in ("fretting", "squeak"):
-            far = abs(assigned.stop - fret) >= wanted.least_shift and min(assigned.stop, fret) > capo
+            far = abs(assigned.stop - fret) >= options.least_shift and min(assigned.stop, fret) > capo
             moves = assigned.stop != fret and not play.gesture.stops and play.exciter not in slurs
             if kind not in kept or not moves or (kind == "squeak" and not far):
                 continue
@@ -133,10 +133,10 @@ def _point_before(time: float, fs: float) -> float:
     return math.floor(round(time * fs / GRID, 6)) * GRID / fs
 
 
-def _noise(name: str, assigned: Assigned, held: float, time: float, longest: float, model: Model) -> Play | None:
+def _noise(name: str, assigned: Assigned, stop_before: float, time: float, longest: float, model: Model) -> Play | None:
     """Gesture of an exciter at a time; None if it does nothing, or would be prepared for longer than `longest` (s)."""
     string = model.strings[assigned.string]
-    event = Event({}, string.freq(assigned.stop), 0.0, assigned.stop, held, string.length(held))
+    event = Event({}, string.freq(assigned.stop), 0.0, assigned.stop, stop_before, string.length(stop_before))
     gesture = model.exciters[name].gesture(event, model.place(assigned.string, assigned.stop))
     if gesture.start == gesture.stop or -gesture.start > longest:
         return None

@@ -81,10 +81,10 @@ def _check_names(play: Play, model: Model) -> None:
         ("motions", [motion.connection for motion in gesture.motions], model.system.layout.places),
         ("touches", list(gesture.touches), [point for part in parts for point in part.places]),
     )
-    for field, wanted, known in named:
-        for name in wanted:
-            if name not in known:
-                reason = f"gesture: {field} names {name!r}; there are {', '.join(list(known)[:10]) or 'none'}"
+    for field, names, allowed in named:
+        for name in names:
+            if name not in allowed:
+                reason = f"gesture: {field} names {name!r}; there are {', '.join(list(allowed)[:10]) or 'none'}"
                 exciter = model.exciters.get(play.exciter or "")
                 named_class = f"{type(exciter).__name__}." if exciter else ""
                 raise BundleError(

@@ -75,7 +75,7 @@ class Hands:
         plays: list[Play] = []
         for name in model.groups[assigned.string]:
             event, play = stroke(
-                assigned, name, model, values, held=string.stop, duration=voice.duration,
+                assigned, name, model, values, stop_before=string.stop, duration=voice.duration,
                 una_corda=self._has_una_corda(voice), drawn=drawn,
             )  # fmt: skip
             if not plays:

@@ -285,6 +285,6 @@ class Player:
         return True
 
 
-def rounded(place: float) -> float:
-    """Round a place (m) that a controller asks for."""
-    return round(place / GRAIN) * GRAIN
+def rounded(position: float) -> float:
+    """Round a position (m) that a controller asks for."""
+    return round(position / GRAIN) * GRAIN

@@ -134,7 +134,7 @@ def stroke(
     model: Model,
     values: Mapping[str, float],
     *,
-    held: float,
+    stop_before: float,
     duration: float,
     una_corda: bool = False,
     drawn: Deviates | None = None,
@@ -143,7 +143,7 @@ def stroke(
 
     assigned, string : the note, and the string.
     values : of the exciter's parameters, see `event_values`.
-    held : stop at which the string is held before.
+    stop_before : stop at which the string is held before.
     duration : s, for which a gesture that lasts as long as its note goes on.
     una_corda : whether that pedal is down.
     drawn : how the note varies, if it does.
@@ -155,7 +155,7 @@ def stroke(
         values = touched(values, exciter, course.length(assigned.stop), drawn, model.playing.variation)
     if note.partial is not None and "touch" in type(exciter.parameters).model_fields:
         values = {**_on_nodes(note.partial, exciter, course.length(assigned.stop)), **values}
-    event = Event(values, course.freq(assigned.stop), duration, assigned.stop, held, course.length(held))
+    event = Event(values, course.freq(assigned.stop), duration, assigned.stop, stop_before, course.length(stop_before))
     gesture = exciter.gesture(event, model.place(string, assigned.stop, una_corda=una_corda))
     return event, Play(note.time, gesture, string=string, exciter=note.technique or model.default_exciter)
 

@@ -118,23 +118,23 @@ class ChannelReader:
             return
         if key in channel.pedalled:
             self.ends[channel.pedalled.pop(key)] = time
-        held = channel.held.setdefault(key, deque())
-        if held:
+        indices = channel.held.setdefault(key, deque())
+        if indices:
             self._findings.add("key struck again before its note-off", where(number, key, time))
-        held.append(len(self.notes))
+        indices.append(len(self.notes))
         self.notes.append((time, number, key, velocity))
         self.ends.append(time)
         self.releases.append(time)
         self.programs.append(channel.program)
 
     def _note_off(self, time: float, number: int, channel: _Channel, key: int) -> None:
-        held = channel.held.get(key)
-        if not held and self._is_drum(number):
+        indices = channel.held.get(key)
+        if not indices and self._is_drum(number):
             return
-        if not held:
+        if not indices:
             self._findings.add("note-off without a note, ignored", where(number, key, time))
             return
-        self._release(time, channel, key, held.popleft())
+        self._release(time, channel, key, indices.popleft())
 
     def _release(self, time: float, channel: _Channel, key: int, note: int) -> None:
         """Release a key: its note ends, or is left to the pedal, which holds one note per key."""

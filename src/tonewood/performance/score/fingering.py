@@ -146,8 +146,8 @@ def finger(
     stops, ends = np.zeros((1, n_strings)), np.full((1, n_strings), -math.inf)
     for i, note in (sounding or {}).items():
         stops[0, i], ends[0, i] = note.stop, note.weight or -math.inf
-    held = (stops > 0).astype(float)
-    states = _States(np.zeros(1), np.array([hand]), ends, np.ones((1, n_strings)), stops, held)
+    stopped = (stops > 0).astype(float)
+    states = _States(np.zeros(1), np.array([hand]), ends, np.ones((1, n_strings)), stops, stopped)
     steps: list[tuple[list[tuple[Option, ...]], NDArray[np.int16], NDArray[np.int16]]] = []
     for i, chord in enumerate(chords):
         ways = ways_to_play(chord, n_strings, costs)
@@ -273,12 +273,14 @@ def _advance(
     rings = end > until + LEGATO
     stop = np.where(rings, np.where(used, ways.stop[way], states.stop[parent]), 0.0)
     duration = np.where(rings, np.where(used, ways.duration[way], states.duration[parent]), 1.0)
-    held = np.where(used, ways.stop[way] > 0, (states.held[parent] > 0) & ~left[parent, way]) & rings
+    is_stopped = np.where(used, ways.stop[way] > 0, (states.held[parent] > 0) & ~left[parent, way]) & rings
     end = np.where(rings, end, -math.inf)
     hand = hand[parent, way]
 
-    table = np.ascontiguousarray(np.column_stack([hand, end, duration, stop, held]))
+    table = np.ascontiguousarray(np.column_stack([hand, end, duration, stop, is_stopped]))
     rows = table.view(np.dtype((np.void, table.dtype.itemsize * table.shape[1]))).ravel()
     kept = np.sort(np.unique(rows, return_index=True)[1])[:BEAM_WIDTH]
-    after = _States(flat[first[kept]], hand[kept], end[kept], duration[kept], stop[kept], held[kept].astype(float))
+    after = _States(
+        flat[first[kept]], hand[kept], end[kept], duration[kept], stop[kept], is_stopped[kept].astype(float)
+    )
     return after, parent[kept].astype(np.int16), way[kept].astype(np.int16)

@@ -157,21 +157,21 @@ class _Gpif:
     def _tempo(self, change: Element) -> None:
         """Enter a change of tempo, if it says a measure, a place in it and a number."""
         beats, unit, *_ = [*text_of(change, "Value").split(), "", ""]
-        place, value = self._place(change), number(beats, 0.0, 1e9)
-        if place is None or value is None:
+        position, value = self._place(change), number(beats, 0.0, 1e9)
+        if position is None or value is None:
             self.ignored["tempo that cannot be read"] += 1
             return
         self.ignored[GRADUAL] += text_of(change, "Linear") == "true"
-        self.out.tempo(self.out.measures[place[0]], place[1], value * _TEMPO_UNITS.get(unit, 1.0))
+        self.out.tempo(self.out.measures[position[0]], position[1], value * _TEMPO_UNITS.get(unit, 1.0))
 
     def _pedals(self, track: Element) -> None:
         """Enter moves of the sustain pedal of a track."""
         for change in track.findall("Automations/Automation"):
             if text_of(change, "Type") == "SustainPedal":
-                place, value = self._place(change), _PEDALS.get(text_of(change, "Value").partition(" ")[2])
-                self.ignored["sustain pedal that cannot be read"] += place is None or value is None
-                if place is not None and value is not None:
-                    self.part.pedals.append((*place, 0.0, "cc64", value))
+                position, value = self._place(change), _PEDALS.get(text_of(change, "Value").partition(" ")[2])
+                self.ignored["sustain pedal that cannot be read"] += position is None or value is None
+                if position is not None and value is not None:
+                    self.part.pedals.append((*position, 0.0, "cc64", value))
 
     def _measure(self, bar: Element) -> Measure:
         over, _, under = text_of(bar, "Time", "4/4").partition("/")

@@ -48,13 +48,13 @@ def _file(system: memoryview, at: int, path: Path) -> bytes:
     """Content of the file that a sector describes."""
     (size,) = struct.unpack_from("<i", system, at + _SIZE)
     out = bytearray()
-    place, end = at + _SECTORS, min(at + _SECTOR, len(system)) - 3
-    while place < end and 0 <= len(out) < size:
-        (sector,) = struct.unpack_from("<i", system, place)
+    offset, end = at + _SECTORS, min(at + _SECTOR, len(system)) - 3
+    while offset < end and 0 <= len(out) < size:
+        (sector,) = struct.unpack_from("<i", system, offset)
         if sector <= 0:
             break
         out += system[sector * _SECTOR : (sector + 1) * _SECTOR]
-        place += 4
+        offset += 4
     if size < 0 or len(out) < size:
         raise ScoreError(f"damaged Guitar Pro 6 file: {SCORE} ends early", file=path)
     return bytes(out[:size])

@@ -42,13 +42,13 @@ def middle_node(partial: int) -> float:
     return max(k for k in range(1, partial) if math.gcd(k, partial) == 1 and 2 * k <= partial) / partial
 
 
-def antinode_near(partial: int, place: float) -> float:
-    """Place next to `place` where a partial moves most, both as shares of the length.
+def antinode_near(partial: int, share: float) -> float:
+    """Point nearest to `share` at which a partial moves most; both are shares of the length.
 
     A pluck there drives the partial well and twice its frequency not at all: what is an antinode of one is a node of
     the other.
     """
-    i = min(max(round(partial * place - 0.5), 0), partial - 1)
+    i = min(max(round(partial * share - 0.5), 0), partial - 1)
     return (2 * i + 1) / (2 * partial)
 
 

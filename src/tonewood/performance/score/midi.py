@@ -227,11 +227,11 @@ def _check_time(notes: Sequence[Note], path: Path, findings: Findings) -> None:
         gap = note.time - sounding
         if gap > LONG_GAP:
             silence += gap
-            place = f"{gap:.0f} s before the note at {note.time:.0f} s"
-            findings.add("long silence", place)
+            location = f"{gap:.0f} s before the note at {note.time:.0f} s"
+            findings.add("long silence", location)
             if silence > MAX_SILENCE:
                 raise ScoreError(
-                    f"too much silence, {place}: {MAX_SILENCE:.0f} s in all are allowed; {way_out}", file=path
+                    f"too much silence, {location}: {MAX_SILENCE:.0f} s in all are allowed; {way_out}", file=path
                 )
         sounding = max(sounding, note.time + note.duration)
     if sounding > MAX_TIME:

@@ -95,13 +95,13 @@ def tablature(
     chords: list[tuple[int, list[Placed]]] = []
     hand = 1.0
     struck: dict[int, dict[int, Assigned]] = {}
-    taken: dict[int, dict[int, int]] = {line: {} for line in number.values()}
+    taken: dict[int, dict[int, int]] = {row: {} for row in number.values()}
     for tick, note in zip(grid, notes, strict=True):
-        line = number[note.string]
-        struck.setdefault(_free(tick, taken[line]), {})[line] = note
+        row = number[note.string]
+        struck.setdefault(_free(tick, taken[row]), {})[row] = note
     for tick, chord in sorted(struck.items()):
-        hand = hand_after(hand, [Option(line, a.stop - capo) for line, a in chord.items()])
-        chords.append((tick, [_placed(a, line, capo, hand) for line, a in chord.items()]))
+        hand = hand_after(hand, [Option(row, a.stop - capo) for row, a in chord.items()])
+        chords.append((tick, [_placed(a, row, capo, hand) for row, a in chord.items()]))
     last = max((tick for tick, _ in chords), default=0) + TICKS
     measures = [round(m * TICKS) for m in beats.measures(last / TICKS)]
     by_tick = {max(round(at * TICKS), 0): bpm for _, at, bpm in beats.tempos}
@@ -121,10 +121,10 @@ def _free(tick: int, taken: dict[int, int]) -> int:
     return passed[-1]
 
 
-def _placed(assigned: Assigned, line: int, capo: int, hand: float) -> Placed:
+def _placed(assigned: Assigned, row: int, capo: int, hand: float) -> Placed:
     stop = assigned.stop - capo
     finger = 0 if stop <= 0 else 1 + min(max(math.floor(stop - hand), 0), int(HAND_SPAN))
-    return Placed(assigned, line, round(stop), finger, max(round(hand), 1))
+    return Placed(assigned, row, round(stop), finger, max(round(hand), 1))
 
 
 def _grid(quarters: Sequence[float]) -> tuple[list[int], frozenset[int]]:
@@ -230,8 +230,8 @@ def _attributes(measure: ET.Element, tab: Tablature, size: int, *, first: bool) 
     _text(clef, "line", 5)
     details = ET.SubElement(attributes, "staff-details")
     _text(details, "staff-lines", len(tab.strings))
-    for line, string in enumerate(reversed(tab.strings), 1):
-        tuning = _text(details, "staff-tuning", line=str(line))
+    for row, string in enumerate(reversed(tab.strings), 1):
+        tuning = _text(details, "staff-tuning", line=str(row))
         step, alter, octave = _spelled(string.pitches[0] - tab.capo)
         _text(tuning, "tuning-step", step)
         if alter:
@@ -350,8 +350,8 @@ def text(tab: Tablature) -> str:
             lead = 1 + ((tick - begin) * 8 // TICKS if k == 0 else 0) // 2
             wide = max(max(map(len, frets.values())), len(here)) + max(1, min((following - tick) * 4 // TICKS, 8))
             columns[0] += " " * lead * (k == 0) + f"{here:<{wide}}"
-            for line in range(1, len(names) + 1):
-                columns[line] += "-" * lead * (k == 0) + f"{frets.get(line, ''):-<{wide}}"
+            for row_number in range(1, len(names) + 1):
+                columns[row_number] += "-" * lead * (k == 0) + f"{frets.get(row_number, ''):-<{wide}}"
         if not inside:
             columns = [" " * 8, *["-" * 8 for _ in names]]
         columns = [columns[0] + " ", *(c + "|" for c in columns[1:])]

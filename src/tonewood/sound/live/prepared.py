@@ -56,8 +56,8 @@ class PreparedBases:
         """Begin to compile the ways to pluck at the place to which a controller was moved."""
         control = self._model.playing.controls.get(kind)
         if control is not None and control.parameter == f"{self._model.default_exciter}.from_bridge":
-            place = {"from_bridge": rounded(control.value(value))}
-            self._waiting = deque((name, stop, place) for name, stop in self._places)
+            values = {"from_bridge": rounded(control.value(value))}
+            self._waiting = deque((name, stop, values) for name, stop in self._places)
 
     def compile_one(self) -> bool:
         """Compile one way that waits; whether there was one."""
@@ -71,8 +71,8 @@ class PreparedBases:
         string, fingerboard = self._model.strings[name], self._fingerboard
         event = Event(values, string.freq(stop), CONTINUED, stop, 0.0, string.length(0.0))
         gesture = self._model.exciter(self._model.default_exciter, name).gesture(event, self._model.place(name, stop))
-        held = Fretting(float(stop), place=gesture.from_bridge, width=gesture.width)
-        fretting = fingerboard.playable(name, held)
+        request = Fretting(float(stop), place=gesture.from_bridge, width=gesture.width)
+        fretting = fingerboard.playable(name, request)
         bases = fingerboard.bases(name, fretting)
         for component in () if gesture.on else string.weights(gesture.angle_deg):
             bases[component].impulses("pluck")

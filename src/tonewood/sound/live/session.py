@@ -78,12 +78,12 @@ class LiveSession:
         """One line for a meter: load of the last blocks, underruns, notes that sound, and events lost."""
         loads = self.stream.loads.copy() or (0.0,)
         player = self.live.player
-        line = f"load {100 * sum(loads) / len(loads):3.0f} %, worst {100 * max(loads):3.0f} %"
-        line += f" | {self.stream.underruns} underruns | {player.n_sounding} sounding"
+        text = f"load {100 * sum(loads) / len(loads):3.0f} %, worst {100 * max(loads):3.0f} %"
+        text += f" | {self.stream.underruns} underruns | {player.n_sounding} sounding"
         lost = sum(player.counters.dropped.values())
         if lost:
-            line += f" | {lost} not played, last: {player.counters.latest[-1].reason}"
-        return line
+            text += f" | {lost} not played, last: {player.counters.latest[-1].reason}"
+        return text
 
     def run(self, device: Any = None, stream: Any = None, wait: Callable[[], bool] | None = None) -> Playback:
         """Play until `wait` returns False or Ctrl-C; parameters as of `AudioStream.play`."""

@@ -30,20 +30,20 @@ _PREVIEW = 2.0
 _MARGIN = 3.0
 
 
-def level_name(given: str | None, *, gain_db: float, limiter: bool) -> LevelName:
+def level_name(text: str | None, *, gain_db: float, limiter: bool) -> LevelName:
     """Check the name of a level; left out it is `peak`, or `calibrated` where a gain or a limiter is asked for.
 
     Raises TonewoodError : the name is unknown, or a gain or limiter is given with a level that sets the gain itself.
     """
-    if given is None:
+    if text is None:
         return "calibrated" if gain_db or limiter else "peak"
     for name in get_args(LevelName):
-        if given == name:
+        if text == name:
             if name != "calibrated" and gain_db:
                 raise TonewoodError(f"the level {name} sets the gain; --gain goes with calibrated", key="--gain")
             level: LevelName = name
             return level
-    raise TonewoodError(f"is {given!r}; {', '.join(get_args(LevelName))} are allowed", key="--level")
+    raise TonewoodError(f"is {text!r}; {', '.join(get_args(LevelName))} are allowed", key="--level")
 
 
 def meaning(groups: Sequence[OutputGroup], gain_db: float) -> str:

@@ -124,8 +124,8 @@ def expand(manifest: Manifest, folder: Path) -> tuple[Condition, ...]:
         raise ManifestError(f"{count} conditions; {MAX_CONDITIONS} are allowed", key="factors")
     sources = {name: _source(name, s, folder) for name, s in manifest.scores.items()}
     conditions = tuple(
-        _condition(manifest, folder, sources[place["score"]], place, repeat)
-        for place in _places(manifest)
+        _condition(manifest, folder, sources[cell["score"]], cell, repeat)
+        for cell in _places(manifest)
         for repeat in range(1, manifest.repeats + 1)
     )
     if not conditions:
@@ -182,10 +182,10 @@ def _places(manifest: Manifest) -> Iterator[dict[str, str]]:
 
 
 def _condition(
-    manifest: Manifest, folder: Path, source: dict[str, Any], place: dict[str, str], repeat: int
+    manifest: Manifest, folder: Path, source: dict[str, Any], cell: dict[str, str], repeat: int
 ) -> Condition:
-    instrument, score = place["instrument"], place["score"]
-    levels = {name: place[name] for name in manifest.factors}
+    instrument, score = cell["instrument"], cell["score"]
+    levels = {name: cell[name] for name in manifest.factors}
     values = {manifest.factors[name].path: manifest.factors[name].levels[lv] for name, lv in levels.items()}
     settings = {p.removeprefix("render."): v for p, v in values.items() if p.startswith("render.")}
     parts = [instrument, score, *(f"{name}={level}" for name, level in levels.items())]
@@ -197,7 +197,7 @@ def _condition(
         score=score,
         repeat=repeat,
         levels=levels,
-        all_levels={**place, "repeat": str(repeat)},
+        all_levels={**cell, "repeat": str(repeat)},
         bundle=bundle_of(manifest.instruments[instrument], folder),
         overrides={p: v for p, v in values.items() if not p.startswith("render.")},
         render=manifest.render_settings(settings),

@@ -115,10 +115,12 @@ def with_value(manifest: Manifest, condition: Condition, path: str, value: Any) 
     return dataclasses.replace(condition, name=name, render=settings)
 
 
-def staircase_levels(manifest: Manifest, folder: Path, own: Callable[[Condition, str], Any]) -> list[StaircaseLevel]:
+def staircase_levels(
+    manifest: Manifest, folder: Path, default: Callable[[Condition, str], Any]
+) -> list[StaircaseLevel]:
     """Sounds that every staircase needs: reference, start, lowest and highest level.
 
-    own : of (condition, path), the parameter's value in the bundle; raises a TonewoodError if there is none.
+    default : of (condition, path), the parameter's value in the bundle; raises a TonewoodError if there is none.
     Raises ManifestError : a staircase changes no condition or several, a level does not fit, or levels change nothing;
         names
         the page and the key.
@@ -129,7 +131,7 @@ def staircase_levels(manifest: Manifest, folder: Path, own: Callable[[Condition,
     faults: list[TonewoodError] = []
     for index, page in pages:
         try:
-            levels += _levels_of(manifest, conditions, index, page, own)
+            levels += _levels_of(manifest, conditions, index, page, default)
         except ManifestError as fault:
             faults.append(fault)
     if faults:
@@ -142,12 +144,12 @@ def _levels_of(
     conditions: Sequence[Condition],
     index: int,
     page: StaircasePage,
-    own: Callable[[Condition, str], Any],
+    default: Callable[[Condition, str], Any],
 ) -> list[StaircaseLevel]:
     condition = changed_condition(manifest, conditions, index)
     levels = []
     try:
-        base = own(condition, page.path)
+        base = default(condition, page.path)
     except TonewoodError as fault:
         raise ManifestError(str(fault), key=f"pages.{index}.path") from None
     values = {}
@@ -168,7 +170,7 @@ def _levels_of(
         same = name == "reference" and page.reference is None
         try:
             level = condition if same else with_value(manifest, condition, page.path, value)
-            values[name] = own(level, page.path)
+            values[name] = default(level, page.path)
         except TonewoodError as fault:
             raise ManifestError(f"the level cannot be rendered: {fault}", key=key) from None
         levels.append(StaircaseLevel(key, level))

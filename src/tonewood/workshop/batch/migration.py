@@ -35,12 +35,12 @@ def manifest_edits(values: Mapping[str, Any], file: str | os.PathLike[str] | Non
     return edits
 
 
-def _page_edits(place: str, page: Mapping[str, Any]) -> list[Edit]:
+def _page_edits(path: str, page: Mapping[str, Any]) -> list[Edit]:
     old_pair = page.get("type") == "paired_comparison" and "question" not in page
-    edits = [Edit(f"{place}.type", "abx", f"{place}.type: paired_comparison is now abx")] if old_pair else []
+    edits = [Edit(f"{path}.type", "abx", f"{path}.type: paired_comparison is now abx")] if old_pair else []
     for key in ("show_waveform", "looping", "switch_back", *(("both_orders",) if old_pair else ())):
         if key in page:
-            edits.append(Edit(f"{place}.{key}", None, f"{place}.{key} is removed: an option of webMUSHRA"))
+            edits.append(Edit(f"{path}.{key}", None, f"{path}.{key} is removed: an option of webMUSHRA"))
     if old_pair and isinstance(page.get("unforced"), str):
-        edits.append(Edit(f"{place}.unforced", "true", f"{place}.unforced: its words are those of the page's language"))
+        edits.append(Edit(f"{path}.unforced", "true", f"{path}.unforced: its words are those of the page's language"))
     return edits

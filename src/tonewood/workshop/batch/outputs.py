@@ -111,8 +111,8 @@ def _draw(task: tuple[Path, dict[str, Path], str]) -> None:
 
 def _remove_strangers(folder: Path, codes: set[str], *, pictures: bool) -> None:
     """Remove sounds and pictures an earlier run made under codes that are no longer in use."""
-    for place, used in ((folder / SOUNDS, codes), (folder / PICTURES, codes if pictures else set())):
-        for path in place.glob("*.*"):
+    for subfolder, used in ((folder / SOUNDS, codes), (folder / PICTURES, codes if pictures else set())):
+        for path in subfolder.glob("*.*"):
             if _CODE_FILE.fullmatch(path.name) and path.stem not in used:
                 remove(path)
     for path in () if pictures else (folder / PICTURES).glob("differences*.png"):

@@ -356,16 +356,16 @@ class StaircasePage(ListenedPage):
         """The level of a transformed one."""
         return math.exp(u) if self.ratio else float(u)
 
-    def value(self, level: float, own: Any) -> Any:
+    def value(self, level: float, current: Any) -> Any:
         """The parameter at a level.
 
         level : x.
-        own : the parameter's value in the bundle, used where `reference` is not given.
+        current : the parameter's value in the bundle, used where `reference` is not given.
         Raises ValueError : the scale needs a number to change and there is none.
         """
         if self.scale == "value":
             return level
-        base = own if self.reference is None else self.reference
+        base = current if self.reference is None else self.reference
         if isinstance(base, bool) or not isinstance(base, (int, float)):
             raise ValueError(f"is {base!r}; scale: {self.scale} needs a number")
         if self.scale == "add":

@@ -97,7 +97,7 @@ def write_differences(path: Path, sounds: Mapping[str, Samples], fs: int, headin
     bands = [_band_levels(sound.mean(axis=1), fs, centres) for sound in sounds.values()]
     hop = max(1, round(0.02 * fs))
     levels = [_levels(sound, hop) for sound in sounds.values()]
-    made, axes = figure(2, heights=[3.6, 3.6])
+    picture, axes = figure(2, heights=[3.6, 3.6])
     loud = bands[0] > bands[0].max() - 60
     sounding = levels[0] > levels[0].max() - 60
     t = hop / fs * np.arange(len(levels[0]))
@@ -113,7 +113,7 @@ def write_differences(path: Path, sounds: Mapping[str, Samples], fs: int, headin
     legend(axes[0, 0], title=plain(f"re {labels[0]}"))
     title(axes[0, 0], heading)
     with whole_file(path, make_folder=True) as stream:
-        made.savefig(stream, format="png", dpi=70, metadata={"Software": None})
+        picture.savefig(stream, format="png", dpi=70, metadata={"Software": None})
 
 
 def _band_levels(sound: NDArray[np.float64], fs: int, centres: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -48,9 +48,9 @@ class EngineRenderer:
         Raises TonewoodError
             The bundle cannot be loaded, an override does not fit it, or the instruction set is not the one asked for.
         """
-        wanted, here = condition.render.isa, instruction_set()
-        if wanted not in ("auto", here):
-            raise TonewoodError(f"{wanted} is asked for, this process runs {here}: set TONEWOOD_ISA", key="render.isa")
+        isa, here = condition.render.isa, instruction_set()
+        if isa not in ("auto", here):
+            raise TonewoodError(f"{isa} is asked for, this process runs {here}: set TONEWOOD_ISA", key="render.isa")
         instrument = instrument_of(condition, self.allow_code)
         return {
             "asked": condition.asked(),
@@ -279,16 +279,16 @@ def _place(note: Note) -> tuple[object, ...]:
     return (note.time, note.note, note.freq, note.string, note.stop)
 
 
-def _numbers(values: Any, path: str, place: str = "") -> list[tuple[str, float]]:
+def _numbers(values: Any, path: str, prefix: str = "") -> list[tuple[str, float]]:
     """Numbers a dotted path with ``*`` leads to, each with its own path."""
     if not path:
         if isinstance(values, bool) or not isinstance(values, (int, float)):
-            raise TonewoodError(f"{values!r} cannot vary: a number is wanted", key=f"vary.{place}")
-        return [(place, float(values))]
+            raise TonewoodError(f"{values!r} cannot vary: a number is wanted", key=f"vary.{prefix}")
+        return [(prefix, float(values))]
     first, _, rest = path.partition(".")
     if isinstance(values, list):
         values = {str(v.get("name", i) if isinstance(v, Mapping) else i): v for i, v in enumerate(values)}
     if not isinstance(values, Mapping) or (first != "*" and first not in values):
-        raise TonewoodError(f"there is no {first!r}", key=f"vary.{place}.{path}" if place else f"vary.{path}")
+        raise TonewoodError(f"there is no {first!r}", key=f"vary.{prefix}.{path}" if prefix else f"vary.{path}")
     names = list(values) if first == "*" else [first]
-    return [number for n in names for number in _numbers(values[n], rest, f"{place}.{n}" if place else n)]
+    return [number for n in names for number in _numbers(values[n], rest, f"{prefix}.{n}" if prefix else n)]

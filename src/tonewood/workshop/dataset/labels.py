@@ -38,7 +38,7 @@ def jams(
     by : program and version that made it.
     """
     annotations = []
-    for string, line in by_string(notes).items():
+    for string, played in by_string(notes).items():
         annotations.append(
             {
                 "namespace": "note_midi",
@@ -47,9 +47,9 @@ def jams(
                     "annotation_tools": by, "annotation_rules": "synthesis", "validation": "", "data_source": string,
                 },
                 "data": [
-                    {"time": n.onset / fs, "duration": n.duration, "value": n.pitch, "confidence": 1.0} for n in line
+                    {"time": n.onset / fs, "duration": n.duration, "value": n.pitch, "confidence": 1.0} for n in played
                 ],
-                "sandbox": {"string": string, "notes": [_facts(n) for n in line]},
+                "sandbox": {"string": string, "notes": [_facts(n) for n in played]},
                 "time": 0.0,
                 "duration": seconds,
             }
@@ -79,10 +79,10 @@ def midi(notes: Sequence[PlayedNote], fs: int) -> bytes:
         raise ValueError(f"MIDI has no tick of one sample at {fs} Hz")
     file = mido.MidiFile(type=1, ticks_per_beat=clock[0])
     file.tracks.append(mido.MidiTrack([mido.MetaMessage("set_tempo", tempo=clock[1], time=0)]))
-    for channel, (string, line) in enumerate(by_string(notes).items()):
+    for channel, (string, played) in enumerate(by_string(notes).items()):
         track = mido.MidiTrack([mido.MetaMessage("track_name", name=_latin(string), time=0)])
         events: list[tuple[int, int, Any]] = []
-        for note in line:
+        for note in played:
             start = note.onset_frame
             stop = max(start + 1, round(note.onset + note.duration * fs))
             key, voice = min(max(round(note.pitch), 0), 127), channel % 16

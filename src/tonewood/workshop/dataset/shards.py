@@ -124,13 +124,13 @@ def _facts(sample: Sample, sound: Sound, key: str, physics: str) -> dict[str, An
 
 def _labels(task: ShardTask, sample: Sample, sound: Sound) -> dict[str, bytes]:
     """Files of labels of one sound."""
-    name, wanted = sample.condition.name, task.dataset.sounds.labels
+    name, formats = sample.condition.name, task.dataset.sounds.labels
     files = {}
-    if "jams" in wanted:
+    if "jams" in formats:
         seconds = len(sound.stems[""]) / sound.fs
         text = labels.jams(name, sound.notes, sound.fs, seconds, sample.parameters, task.by)
         files[f"{name}.jams"] = text.encode()
-    if "midi" in wanted:
+    if "midi" in formats:
         files[f"{name}.mid"] = labels.midi(sound.notes, sound.fs)
     return files
 

@@ -136,7 +136,7 @@ def _label(
     gesture = None if play is None else play.gesture
     onset = note.time * renderer.fs + renderer.zero_frame
     length = model.strings[assigned.string].length(assigned.stop)
-    place = note.from_bridge if gesture is None else gesture.from_bridge
+    position = note.from_bridge if gesture is None else gesture.from_bridge
     angle = note.angle_deg if gesture is None else gesture.angle_deg
     velocity = model.playing.velocity
     if note.velocity_midi is not None:
@@ -156,7 +156,7 @@ def _label(
         technique=(play.exciter if play is not None else "") or note.technique or model.playing.default_exciter,
         force=None if note.force is None else float(note.force),
         velocity_midi=int(nearest),
-        from_bridge=None if place is None else float(place),
+        from_bridge=None if position is None else float(position),
         length=float(length),
         angle_deg=None if angle is None else float(angle),
     )

@@ -188,10 +188,10 @@ def parse_free(lines: Mapping[str, str], instrument: Instrument) -> list[Free]:
         raise TonewoodError(f"there are {len(lines)}; 1 to {_MOST} are allowed, PATH: LOW .. HIGH", key="free")
     leaves = dict(_leaves(instrument.resolved.get("body"), "body"))
     parameters: list[Free] = []
-    for path, line in lines.items():
-        match = _FREE.fullmatch(" ".join(line.split()))
+    for path, bounds in lines.items():
+        match = _FREE.fullmatch(" ".join(bounds.split()))
         if match is None or not float(match["low"]) < float(match["high"]):
-            reason = f"{line!r} is not LOW .. HIGH, x LOW .. HIGH (a factor) or + LOW .. HIGH (added), LOW below HIGH"
+            reason = f"{bounds!r} is not LOW .. HIGH, x LOW .. HIGH (a factor) or + LOW .. HIGH (added), LOW below HIGH"
             raise TonewoodError(reason, key=path)
         chosen = {p: v for p, v in leaves.items() if _under(p, path)}
         if not chosen:

@@ -62,12 +62,12 @@ class Adviser:
         targets, free : lines, as in a file of ``tonewood design``.
         Raises TonewoodError : a line is not allowed, or a search goes on.
         """
-        wanted = [line.strip() for line in targets.splitlines() if line.strip()]
+        target_lines = [line.strip() for line in targets.splitlines() if line.strip()]
         bounds = _bounds(free)
-        parse_targets(wanted, instrument)
+        parse_targets(target_lines, instrument)
         parse_free(bounds, instrument)
         arguments = ["design", source, *options]
-        arguments += [word for line in wanted for word in ("--target", line)]
+        arguments += [word for line in target_lines for word in ("--target", line)]
         arguments += [word for path, line in bounds.items() for word in ("--free", f"{path}={line}")]
         with self._lock:
             if self._process is not None:
@@ -126,11 +126,11 @@ class Adviser:
 def _bounds(text: str) -> dict[str, str]:
     """Path -> bounds, of lines PATH: LOW .. HIGH."""
     out: dict[str, str] = {}
-    for line in text.splitlines():
-        path, colon, bounds = line.partition(":")
-        if not line.strip():
+    for text_line in text.splitlines():
+        path, colon, bounds = text_line.partition(":")
+        if not text_line.strip():
             continue
         if not colon:
-            raise TonewoodError(f"is {line.strip()!r}; PATH: LOW .. HIGH is allowed", key="free")
+            raise TonewoodError(f"is {text_line.strip()!r}; PATH: LOW .. HIGH is allowed", key="free")
         out[path.strip()] = bounds.strip()
     return out

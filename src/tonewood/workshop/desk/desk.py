@@ -112,30 +112,30 @@ class Desk:
             else:
                 self.playback.swap(self.takes.take(model, design.changes), serial=self.serial)
 
-    def _ready(self, model: Model, wanted: Wanted) -> None:
+    def _ready(self, model: Model, request: Wanted) -> None:
         """Let a model be heard that has been made."""
         with self.lock:
-            if wanted.serial != self.serial or (wanted.preview and self._exact_known(wanted)):
+            if request.serial != self.serial or (request.preview and self._exact_known(request)):
                 return
-            take = self.takes.take(model, wanted.changes, wanted.preview)
+            take = self.takes.take(model, request.changes, request.preview)
         playback = self.playback
         goes_on = playback.take is not None and bool(playback.take.preview) and playback.playing
-        goes_on = goes_on and playback.serial == wanted.serial
+        goes_on = goes_on and playback.serial == request.serial
         take.ensure((playback.at if goes_on else 0) + 2 * _READY)
         with self.lock:
-            if wanted.serial != self.serial or take.score is not self.takes.score:
+            if request.serial != self.serial or take.score is not self.takes.score:
                 return
-            playback.swap(take, goes_on=goes_on, serial=wanted.serial)
-            if not wanted.preview:
+            playback.swap(take, goes_on=goes_on, serial=request.serial)
+            if not request.preview:
                 self._models.exact = model
 
-    def _exact_known(self, wanted: Wanted) -> bool:
+    def _exact_known(self, request: Wanted) -> bool:
         take = self.playback.take
-        return take is not None and not take.preview and self.playback.serial >= wanted.serial and wanted.serial > 0
+        return take is not None and not take.preview and self.playback.serial >= request.serial and request.serial > 0
 
-    def _failed(self, wanted: Wanted, reason: str) -> None:
+    def _failed(self, request: Wanted, reason: str) -> None:
         with self.lock:
-            if wanted.serial == self.serial:
+            if request.serial == self.serial:
                 self.fault = f"no model of this design: {reason}. The sound is still that of the design before."
 
     def set_phrase(self, kind: str, notes: str = "", velocity: float = 80.0) -> None:
@@ -193,7 +193,7 @@ class Desk:
             title = name or "the start"
             self._compared = f"both are brought to one loudness: {title} is made"
 
-        def use(other_model: Model, wanted: Wanted) -> None:
+        def use(other_model: Model, request: Wanted) -> None:
             takes = self.takes.take(model, design.changes), self.takes.take(other_model, other.changes)
             pair, louder = ComparedTakes.of_one_loudness(takes, ("this design", title), blind=blind)
             with self.lock:

@@ -60,28 +60,28 @@ class DesignModels:
 
     def want(self, design: Design, serial: int) -> None:
         """Make the model of a design, in place of any other."""
-        known = None if self.exact is None else self.exact.instrument
-        coarse = previewed(design.instrument, known)
+        reference = None if self.exact is None else self.exact.instrument
+        coarse = previewed(design.instrument, reference)
         with self._lock:
             self._quick.forget()
             self._exact.forget()
             self._ahead.turn_to(design)
-            wanted = Wanted(design.instrument, design.changes, serial, self._ready)
-            self._then = None if coarse is None else wanted
+            request = Wanted(design.instrument, design.changes, serial, self._ready)
+            self._then = None if coarse is None else request
             if coarse is None:
-                self._exact.want(wanted)
+                self._exact.want(request)
                 return
             self._quick.want(Wanted(coarse[0], design.changes, serial, self._preview, coarse[1]))
 
-    def _preview(self, model: Model, wanted: Wanted) -> None:
+    def _preview(self, model: Model, request: Wanted) -> None:
         try:
-            self._ready(model, wanted)
+            self._ready(model, request)
         finally:
-            self._rest(wanted.serial)
+            self._rest(request.serial)
 
-    def _no_preview(self, wanted: Wanted, reason: str) -> None:
-        self._failed(wanted, reason)
-        self._rest(wanted.serial)
+    def _no_preview(self, request: Wanted, reason: str) -> None:
+        self._failed(request, reason)
+        self._rest(request.serial)
 
     def _rest(self, serial: int) -> None:
         """Make the exact model once the hand has rested."""

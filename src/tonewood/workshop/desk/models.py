@@ -53,10 +53,10 @@ class ModelMaker:
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
-    def want(self, wanted: Wanted) -> None:
+    def want(self, request: Wanted) -> None:
         """Make this one next, in place of any that has not been begun."""
         with self._changed:
-            self._next = wanted
+            self._next = request
             self._changed.notify()
 
     def forget(self) -> None:
@@ -84,15 +84,15 @@ class ModelMaker:
                     self._changed.wait()
                 if self._closed:
                     return
-                wanted, self._next = self._next, None
-                self.making = wanted
-            assert wanted is not None
+                request, self._next = self._next, None
+                self.making = request
+            assert request is not None
             try:
-                wanted.use(self._kept.model(wanted.instrument, self._options), wanted)
+                request.use(self._kept.model(request.instrument, self._options), request)
             except TonewoodError as fault:
-                self._fault(wanted, str(fault))
+                self._fault(request, str(fault))
             except (MemoryError, ValueError, ArithmeticError) as fault:
-                self._fault(wanted, f"{type(fault).__name__}: {fault}")
+                self._fault(request, f"{type(fault).__name__}: {fault}")
 
 
 class KeptModels:

@@ -260,14 +260,14 @@ class DeskSound:
             for fading in self._fading:
                 self._faded(fading, out)
             self._fading = [f for f in self._fading if f.done < FADE * self.fs]
-            place = 0
+            position = 0
             if self.listener is not None:
-                place = self.listener.sent
+                position = self.listener.sent
                 self.listener.sent += frames
         share = (time.perf_counter() - began) / (frames / self.fs)
         self.meter.load += 0.05 * (share - self.meter.load)
         self.meter.worst = max(0.99 * self.meter.worst, share)
-        return out, {"serial": serial, "frame": first, "playing": self.playing, "place": place}
+        return out, {"serial": serial, "frame": first, "playing": self.playing, "place": position}
 
     def moments(self, since: int) -> dict[str, Any]:
         """Return what rings: moments of energy after frame `since` of the phrase, effects that run, load."""

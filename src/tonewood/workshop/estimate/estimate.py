@@ -194,7 +194,7 @@ def on_strings(
     for played, a in zip(notes, analyses, strict=True):
         best = played
         if played.recording.string is None and a.b > 0 and played.b > 0:
-            places = [stage.at(played.recording, *place) for place in stage.places(played.recording.note)]
+            places = [stage.at(played.recording, *string_stop) for string_stop in stage.places(played.recording.note)]
             off = {p.string: abs(np.log(a.b / (p.b * factor.get(p.string, 1.0)))) for p in places if p.b > 0}
             nearest = min((p for p in places if p.string in off), key=lambda p: off[p.string])
             if off[played.string] > np.log(_OFF_STRING) and off[nearest.string] < np.log(_ON_STRING):

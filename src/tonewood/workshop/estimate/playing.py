@@ -76,7 +76,7 @@ class Stage:
             whole = stop if string.stopping.continuous else float(round(stop))
             if abs(stop - whole) < 0.5 and -0.25 < whole <= string.n_stops:
                 out.append((name, max(whole, 0.0)))
-        return sorted(out, key=lambda place: place[1])
+        return sorted(out, key=lambda string_stop: string_stop[1])
 
     def placed(self, recording: Recording) -> Played | None:
         """A recording in the place that it names, or in the lowest position; None if no string has its note.

@@ -97,15 +97,15 @@ def room_share(
     """
     from scipy.signal import fftconvolve
 
-    wanted, dry = [], []
+    measured, dry = [], []
     for (x, a), (y, b) in zip(recorded, rendered, strict=True):
         pair = between(x, a), between(y, b)
         if pair[0] is not None and pair[1] is not None:
-            wanted.append(_level(*pair[0]))
+            measured.append(_level(*pair[0]))
             dry.append((y, b, _level(*pair[1])))
-    if len(wanted) < FEWEST:
+    if len(measured) < FEWEST:
         return None
-    targets = np.array(wanted)
+    targets = np.array(measured)
     before = float(np.median(np.mean(np.abs(targets - np.array([level for _, _, level in dry])), axis=1)))
     best: RoomShare | None = None
     for room in BOXES:

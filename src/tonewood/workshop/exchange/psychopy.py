@@ -36,10 +36,10 @@ def write(test: ListeningTest, folder: Path) -> Exported:
     lengths = {code: soundfile.info(test.sound(code)).duration for rows in courses for code in codes_of(rows)}
     for number, rows in enumerate(courses, start=1):
         for page in dict.fromkeys(row["page"] for row in rows):
-            own = [made for row in rows if row["page"] == page for made in _rows(test, row, lengths)]
-            columns = list(dict.fromkeys(key for row in own for key in row))
+            page_rows = [cells for row in rows if row["page"] == page for cells in _rows(test, row, lengths)]
+            columns = list(dict.fromkeys(key for row in page_rows for key in row))
             path = folder / "conditions" / f"course{number}_page{page}.csv"
-            write_whole(path, csv_text(columns, own), make_folder=True)
+            write_whole(path, csv_text(columns, page_rows), make_folder=True)
     root = _experiment(test, courses[0])
     ET.indent(root)
     write_whole(
@@ -164,6 +164,6 @@ def _component(routine: ET.Element, kind: str, name: str, params: dict[str, Any]
 
 def _params(element: ET.Element, params: dict[str, str | tuple[str, ...]]) -> None:
     """Parameters by name: a text, or (value, type) or (value, type, when it is updated)."""
-    for name, given in params.items():
-        value, kind, updates = (given, "str", "constant") if isinstance(given, str) else (*given, "constant")[:3]
+    for name, entry in params.items():
+        value, kind, updates = (entry, "str", "constant") if isinstance(entry, str) else (*entry, "constant")[:3]
         ET.SubElement(element, "Param", val=value, valType=kind, updates=updates, name=name)

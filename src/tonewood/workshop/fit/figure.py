@@ -28,7 +28,7 @@ def draw_fit(fit: Fit, path: Path) -> None:
     sure = [row for row in fit.rows if row["measured"] and row["sd_cents"] is not None]
     freq, cents, error = (np.array([row[key] for row in sure]) for key in ("freq_Hz", "sd_cents", "sd_Q"))
     heights = [5.0, 2.2, *([1.8] if r.coherence is not None else []), 2.2, 2.2, 4.0]
-    made, grid = figure(len(heights), heights=heights, sharex=True)
+    picture, grid = figure(len(heights), heights=heights, sharex=True)
     top, off, *middle, spread, quality, chart = axes = list(grid[:, 0])
     top.plot([], [], color="0.65", lw=2 * LINE, label="measured")
     for i, (point, reference) in enumerate(r.pairs):
@@ -60,5 +60,5 @@ def draw_fit(fit: Fit, path: Path) -> None:
         frequency_axis(axis, float(r.freq[0]), float(r.freq[-1]))
         axis.set_xlabel("frequency, Hz" if axis is chart else "")
     top.set_ylabel("mobility\ndB re 1 (m/s)/N")
-    legend_above(made, top)
-    save(made, path)
+    legend_above(picture, top)
+    save(picture, path)

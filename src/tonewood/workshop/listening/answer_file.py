@@ -167,7 +167,7 @@ class OpenSession:
         """Name that the listener gave, or else the beginning of the token."""
         return listener_of(self.header)
 
-    def answer(self, given: Mapping[str, Any], *, now: str) -> dict[str, Any]:
+    def answer(self, message: Mapping[str, Any], *, now: str) -> dict[str, Any]:
         """Check an answer, write it to the disk, and then go on; returns its record.
 
         Raises ListeningError : it does not fit the step.
@@ -175,7 +175,7 @@ class OpenSession:
             before; if
             the file may hold a part of the answer, take the session up again by `resume`.
         """
-        record = {**self.session.record(given), "time": now}
+        record = {**self.session.record(message), "time": now}
         record_bytes = (json.dumps(record, ensure_ascii=False, allow_nan=False) + "\n").encode()
         _append(self.path, record_bytes, at=self.length, sync=not self.header["simulated"])
         self.length += len(record_bytes)
@@ -208,10 +208,10 @@ def place_of(header: Mapping[str, Any]) -> int:
 
     Raises ListeningError : it is no such number.
     """
-    place = header.get("place", 0)
-    if type(place) is not int or not 0 <= place < 2**31:
-        raise ListeningError(f"{place!r} is no number of a listener", key="place")
-    return place
+    index = header.get("place", 0)
+    if type(index) is not int or not 0 <= index < 2**31:
+        raise ListeningError(f"{index!r} is no number of a listener", key="place")
+    return index
 
 
 def withdraw(test: ListeningTest, token: str, *, now: str) -> bool:
@@ -360,15 +360,15 @@ def _replayed(test: ListeningTest, answers: ListenerAnswers) -> tuple[Session, L
 
     A record that does not fit is left out. One that fits a later step is taken there: the answers between are missing.
     """
-    seed, place = answers.header["seed"], answers.header.get("place", 0)
-    session = Session(test, seed, place)
+    seed, index = answers.header["seed"], answers.header.get("place", 0)
+    session = Session(test, seed, index)
     history: list[dict[str, Any] | None] = []  # None: passed over
     kept: list[tuple[int, dict[str, Any]]] = []
     left_out = list(answers.left_out)
     for line, record in zip(answers.lines, answers.records, strict=True):
         fault = _misfit(session, record)
         if fault is not None:
-            ahead = Session(test, seed, place)
+            ahead = Session(test, seed, index)
             for old in history:
                 ahead.pass_over() if old is None else ahead.take(old)
             skipped = 0

@@ -43,7 +43,7 @@ def shared(rows: Rows, factors: Sequence[str]) -> tuple[Rows, tuple[str, ...]]:
         for row in rows:
             for f in factors:
                 who.setdefault((f, str(row[f])), set()).add(str(row["listener"]))
-        single = {place for place, names in who.items() if len(names) < 2}
+        single = {cell for cell, names in who.items() if len(names) < 2}
         if not single:
             return rows, tuple(left)
         left += [f"{f}={level}" for f, level in sorted(single)]

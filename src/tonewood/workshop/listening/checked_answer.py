@@ -27,50 +27,50 @@ def choices(page: pages.AnyPage, slots: Iterable[str]) -> list[str]:
     return []
 
 
-def checked(page: pages.AnyPage, step: Step, given: Mapping[str, Any]) -> dict[str, Any]:
+def checked(page: pages.AnyPage, step: Step, message: Mapping[str, Any]) -> dict[str, Any]:
     """The answer to a step, with nothing in it beside the fields asked for.
 
     Raises ListeningError : something is missing or not allowed.
     """
     record: dict[str, Any] = {
-        "seconds": _number(given.get("seconds", 0.0), "seconds", 0.0, _LONGEST),
+        "seconds": _number(message.get("seconds", 0.0), "seconds", 0.0, _LONGEST),
         "plays": {
             slot: int(_number(count, f"plays.{slot}", 0, _most_plays(page)))
-            for slot, count in _mapping(given.get("plays", {}), "plays").items()
+            for slot, count in _mapping(message.get("plays", {}), "plays").items()
             if slot in step.slots
         },
     }
-    if (shares := given.get("heard")) is not None:
+    if (shares := message.get("heard")) is not None:
         record["heard"] = _heard(page, step, _mapping(shares, "heard"))
-    if comment := given.get("comment"):
+    if comment := message.get("comment"):
         record["comment"] = _text(comment, "comment", 2000)
     if allowed := choices(page, step.slots):
-        choice = given.get("choice")
+        choice = message.get("choice")
         if choice not in allowed:
             raise ListeningError(f"{choice!r} is not one of {', '.join(allowed)}", key="choice")
         record["choice"] = choice
     elif isinstance(page, (pages.MushraPage, pages.Bs1116Page)):
         low, high = (0.0, 100.0) if isinstance(page, pages.MushraPage) else (1.0, 5.0)
-        ratings = _mapping(given.get("ratings"), "ratings")
+        ratings = _mapping(message.get("ratings"), "ratings")
         record["ratings"] = {
             slot: _number(ratings.get(slot), f"ratings.{slot}", low, high) for slot in step.slots if slot != OPEN
         }
         if isinstance(page, pages.Bs1116Page) and max(record["ratings"].values()) < high:
             raise ListeningError("one of the two is the reference: its grade is 5.0", key="ratings")
     elif isinstance(page, pages.RatingPage):
-        values = _mapping(given.get("values"), "values")
+        values = _mapping(message.get("values"), "values")
         record["values"] = {
             scale.name: _number(values.get(scale.name), f"values.{scale.name}", scale.low, scale.high)
             for scale in page.scales
         }
     elif isinstance(page, pages.QuestionnairePage):
-        record["values"] = _questionnaire(page, _mapping(given.get("values"), "values"))
+        record["values"] = _questionnaire(page, _mapping(message.get("values"), "values"))
     elif page.type == "consent":
-        if given.get("agreed") is not True:
+        if message.get("agreed") is not True:
             raise ListeningError("the test goes on only with it", key="agreed")
         record["agreed"] = True
     elif page.type == "level" and page.measured:
-        record["spl_db"] = _number(given.get("spl_db"), "spl_db", 0.0, 130.0)
+        record["spl_db"] = _number(message.get("spl_db"), "spl_db", 0.0, 130.0)
     return record
 
 

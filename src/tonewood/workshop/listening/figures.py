@@ -54,7 +54,7 @@ def _points(
     label: str,
     heading: str,
     limits: tuple[float, float] | None,
-    line: float | None,
+    reference: float | None,
 ) -> Any:
     values = [math.nan if v is None else v for _, v, _, _ in rows]
     below = [0.0 if low is None or v is None else v - low for _, v, low, _ in rows]
@@ -68,8 +68,8 @@ def _points(
     axes.set_xlabel(label)
     if limits is not None:
         axes.set_xlim(*limits)
-    if line is not None:
-        axes.axvline(line, color="0.5", lw=1.0, ls="--")
+    if reference is not None:
+        axes.axvline(reference, color="0.5", lw=1.0, ls="--")
     title(axes, heading)
     return picture
 
@@ -125,10 +125,10 @@ def _tracks(panel: PanelResults, page: PageResults, who: str) -> Any:
 
 
 def _psychometric(panel: PanelResults, page: PageResults, who: str) -> Any:
-    own, thresholds = panel.test.pages[page.page - 1], page.thresholds
-    assert isinstance(own, StaircasePage)
+    served, thresholds = panel.test.pages[page.page - 1], page.thresholds
+    assert isinstance(served, StaircasePage)
     assert thresholds is not None
-    chance = chance_of(own)
+    chance = chance_of(served)
     picture, grid = figure(heights=[4.6])
     axes = grid[0, 0]
     levels = np.array([row["level"] for row in page.rows], dtype=np.float64)
@@ -137,8 +137,8 @@ def _psychometric(panel: PanelResults, page: PageResults, who: str) -> Any:
         here = right[levels == level]
         axes.plot(level, here.mean(), "o", color="0.6", ms=4 + 2 * math.sqrt(len(here)), alpha=0.6)
     low, high = float(levels.min()), float(levels.max())
-    x = np.geomspace(low, high, 200) if own.ratio else np.linspace(low, high, 200)
-    transform = np.log if own.ratio else np.asarray
+    x = np.geomspace(low, high, 200) if served.ratio else np.linspace(low, high, 200)
+    transform = np.log if served.ratio else np.asarray
     for one in thresholds.listeners:
         y = psychometric(transform(x), transform(np.array(one.threshold)), one.slope, chance, thresholds.share)
         axes.plot(x, y, "-", color=COLOURS[0], lw=1.0, alpha=0.5)
@@ -146,7 +146,7 @@ def _psychometric(panel: PanelResults, page: PageResults, who: str) -> Any:
     if thresholds.low is not None and thresholds.high is not None:
         axes.axvspan(thresholds.low, thresholds.high, color=COLOURS[1], alpha=0.15)
     axes.axhline(chance, color="0.5", lw=1.0, ls="--")
-    if own.ratio:
+    if served.ratio:
         axes.set_xscale("log")
     axes.set(ylim=(0, 1.02), xlabel=plain(f"level {thresholds.unit}".strip()), ylabel="share of right answers")
     legend(axes)

@@ -168,7 +168,7 @@ class CrossedFit:
         flat = [part.reshape(*y.shape[:-3], -1, *part.shape[y.ndim - 1 :]) for part in of_pairs]
         first = y.ndim - 3
         parts = [[part.sum(axis=first + 1) for part in of_pairs], [part.sum(axis=first) for part in of_pairs], flat]
-        self.clusters = [Clusters(products, own, inverse) for products, own in parts]
+        self.clusters = [Clusters(products, sums, inverse) for products, sums in parts]
         pairs: Any = there.any(axis=-1)
         self.counts = tuple(
             x.sum(axis=-1) for x in (pairs.any(axis=-1), pairs.any(axis=-2), pairs.reshape(*y.shape[:-3], -1))

@@ -102,10 +102,10 @@ def screen(rows: Rows) -> tuple[ScreenedListener, ...]:
     """Listeners to be left out by BS.1534-3; see the module."""
     low = {_place(row): row["value"] < LIMIT_SCORE for row in rows if row["role"] == "reference"}
     high = {_place(row): row["value"] > LIMIT_SCORE for row in rows if row["role"] == "anchor70"}
-    for trial in unique([place[1:] for place in high]):
-        marks = [mark for place, mark in high.items() if place[1:] == trial]
+    for trial in unique([cell[1:] for cell in high]):
+        marks = [mark for cell, mark in high.items() if cell[1:] == trial]
         if sum(marks) > EASY_ITEM_SHARE * len(marks):
-            high = {place: mark for place, mark in high.items() if place[1:] != trial}
+            high = {cell: mark for cell, mark in high.items() if cell[1:] != trial}
     rules = ((low, "hidden reference below"), (high, "mid anchor above"))
     verdicts = []
     for listener in unique([row["listener"] for row in rows]):

@@ -254,13 +254,13 @@ def _check(panel: SimulatedPanel, test: ListeningTest) -> None:
         if level not in levels_of[factor]:
             raise ListeningError(f"{level} is not one of {', '.join(levels_of[factor])}", key=f"{key}.{factor}")
     stairs = [str(i + 1) for i, page in enumerate(test.pages) if isinstance(page, pages.StaircasePage)]
-    for number, wanted in panel.thresholds.items():
+    for number, threshold in panel.thresholds.items():
         if number not in stairs:
             raise ListeningError(f"page {number} is no staircase; {', '.join(stairs) or 'none'} is", key="thresholds")
         page = test.pages[int(number) - 1]
         assert isinstance(page, pages.StaircasePage)
-        if page.ratio and (wanted.mean <= 0 or (wanted.sd is not None and wanted.sd < 1)):
-            key, value = ("mean", wanted.mean) if wanted.mean <= 0 else ("sd", wanted.sd)
+        if page.ratio and (threshold.mean <= 0 or (threshold.sd is not None and threshold.sd < 1)):
+            key, value = ("mean", threshold.mean) if threshold.mean <= 0 else ("sd", threshold.sd)
             allowed = "a level above 0" if key == "mean" else "a ratio of 1 or more (1.2: 20 %)"
             raise ListeningError(f"is {value:g}; {allowed} is allowed, the page has ratio: true",
                                  key=f"thresholds.{number}.{key}")  # fmt: skip

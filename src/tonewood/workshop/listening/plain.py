@@ -168,7 +168,7 @@ def _first_level(linear: LinearAnalysis, page: PageResults, term: ModelTerm) -> 
 def _superiority(page: PageResults, factor: str, first: str, level: str) -> Superiority | None:
     """Share of comparisons in which `level` is rated above `first`."""
     shares = []
-    for one in (s for own in _analyses(page) if own.ranks is not None for s in own.ranks.superiority):
+    for one in (s for analysis in _analyses(page) if analysis.ranks is not None for s in analysis.ranks.superiority):
         if one.factor != factor:
             continue
         if (one.first, one.second) == (first, level):
@@ -219,32 +219,32 @@ def _detected(panel: PanelResults, page: PageResults, one: Detection, percent: s
 
 
 def _threshold(panel: PanelResults, page: PageResults, percent: str) -> str:
-    own, fit = panel.test.pages[page.page - 1], page.thresholds
-    assert isinstance(own, StaircasePage)
+    staircase, fit = panel.test.pages[page.page - 1], page.thresholds
+    assert isinstance(staircase, StaircasePage)
     assert fit is not None
     unit = f" {fit.unit}".rstrip()
-    base = own.reference
-    varied = f" of {own.path}"
+    base = staircase.reference
+    varied = f" of {staircase.path}"
     if isinstance(base, (int, float)) and not isinstance(base, bool):
-        varied += f", {own.value(fit.mean, base):.4g} instead of {base:g}"
+        varied += f", {staircase.value(fit.mean, base):.4g} instead of {base:g}"
     interval = "of one listener, without an interval of the mean"
     if len(fit.listeners) > 1:
-        low = own.lowest if fit.low is None else fit.low
-        high = own.highest if fit.high is None else fit.high
+        low = staircase.lowest if fit.low is None else fit.low
+        high = staircase.highest if fit.high is None else fit.high
         interval = f"{percent} interval {low:.3g} to {high:.3g}{unit}"
         if fit.low is None or fit.high is None:
             ends = "both ends" if fit.low is fit.high else "its lower end" if fit.low is None else "its upper end"
             interval += f", beyond the levels at {ends}"
     spread = "" if len(fit.listeners) < 2 else (
-        f"; listeners differ by a factor of {fit.spread:.2f}" if own.ratio
+        f"; listeners differ by a factor of {fit.spread:.2f}" if staircase.ratio
         else f"; standard deviation {fit.spread:.2g}{unit}"
     )  # fmt: skip
     share = f"at {100 * fit.share:.1f} % right answers"
-    if not own.lowest <= fit.mean <= own.highest:
-        side, end = ("below", own.lowest) if fit.mean < own.lowest else ("above", own.highest)
+    if not staircase.lowest <= fit.mean <= staircase.highest:
+        side, end = ("below", staircase.lowest) if fit.mean < staircase.lowest else ("above", staircase.highest)
         return (
-            f"the just-noticeable difference of {own.path} lies {side} the levels that can be presented, which end at "
-            f"{end:g}{unit}: no more can be said of it ({interval})."
+            f"the just-noticeable difference of {staircase.path} lies {side} the levels that can be presented, which "
+            f"end at {end:g}{unit}: no more can be said of it ({interval})."
         )
     return f"the just-noticeable difference is {fit.mean:.3g}{unit}{varied}, {share} ({interval}{spread})."
 

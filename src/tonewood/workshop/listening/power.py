@@ -99,20 +99,20 @@ def power_of(manifest: Manifest, trials: dict[int, int], pilot: PanelResults | N
     return rows
 
 
-def _need(manifest: Manifest, page: pages.AnyPage, own: PageResults | None, each: int) -> Need | None:
+def _need(manifest: Manifest, page: pages.AnyPage, results: PageResults | None, each: int) -> Need | None:
     """Listeners that a page needs; None where nothing is tested."""
     alpha, power = manifest.power.alpha, manifest.power.power
     if isinstance(page, pages.RatingPage) and page.scales[0].ordinal:
-        return _graded(manifest, page, own)
+        return _graded(manifest, page, results)
     if isinstance(page, (pages.MushraPage, pages.Bs1116Page, pages.RatingPage)):
-        return _rated(manifest, page, own)
+        return _rated(manifest, page, results)
     if isinstance(page, pages.StaircasePage):
-        stated = page.expect_sd is not None or own is not None
-        return _staircase(page, own, alpha, power) if stated else None
+        stated = page.expect_sd is not None or results is not None
+        return _staircase(page, results, alpha, power) if stated else None
     if not isinstance(page, pages.PairPage):
         return None
     task = task_of(page)
-    seen = _share_of(own)
+    seen = _share_of(results)
     share = page.expect or (seen if seen is not None else _SHARE)
     text = f"{100 * share:.0f} % {'chosen' if task is None else 'right'}"
     if task is None:
@@ -130,7 +130,7 @@ def _need(manifest: Manifest, page: pages.AnyPage, own: PageResults | None, each
 
 
 def _rated(
-    manifest: Manifest, page: pages.MushraPage | pages.Bs1116Page | pages.RatingPage, own: PageResults | None
+    manifest: Manifest, page: pages.MushraPage | pages.Bs1116Page | pages.RatingPage, results: PageResults | None
 ) -> Need:
     alpha, power = manifest.power.alpha, manifest.power.power
     width = 100.0 if not isinstance(page, pages.RatingPage) else page.scales[0].high - page.scales[0].low
@@ -144,8 +144,8 @@ def _rated(
         sound_sd = page.expect_sound_sd or sd
         covariance, sampled = stated_spread(sd, sound_sd, sounds, k)
         text += f", {sounds} random sounds with sd {sound_sd:g}"
-    pilot, who = _pilot_means(None if own is None else own.everybody or own, reference, manifest.random)
-    out = set() if own is None else {one.listener for one in own.screened}
+    pilot, who = _pilot_means(None if results is None else results.everybody or results, reference, manifest.random)
+    out = set() if results is None else {one.listener for one in results.screened}
     kept = np.array([name not in out for name in who])
     people = None
     if isinstance(page, pages.MushraPage) and pilot is None:
@@ -212,14 +212,14 @@ def _levels(manifest: Manifest, page: pages.MushraPage | pages.Bs1116Page | page
     return len(choices[min(varied, key=lambda f: f not in reference)]) if varied else 2
 
 
-def _graded(manifest: Manifest, page: pages.RatingPage, own: PageResults | None) -> Need:
+def _graded(manifest: Manifest, page: pages.RatingPage, results: PageResults | None) -> Need:
     """Listeners that the first scale of a page needs, which is ordinal."""
     alpha, power, scale = manifest.power.alpha, manifest.power.power, page.scales[0]
     width, k = scale.high - scale.low, _levels(manifest, page)
     effect, sd = page.expect or 0.1 * width, page.expect_sd or 0.15 * width
     effects, sounds = np.zeros(k), math.prod(len(x) for x in manifest.choices().values())
     spread = f"sd {sd:g}"
-    pilot, _ = _pilot_means(own, {}, ())
+    pilot, _ = _pilot_means(results, {}, ())
     if pilot is not None:
         k = pilot.shape[2]
         means = pilot.mean(axis=(0, 1))
@@ -247,17 +247,17 @@ def _sounds(manifest: Manifest) -> int:
 
 
 def _pilot_means(
-    own: PageResults | None, reference: Mapping[str, str], random: Sequence[str]
+    results: PageResults | None, reference: Mapping[str, str], random: Sequence[str]
 ) -> tuple[Floats | None, list[str]]:
     """Means (listeners, random sounds, levels) of the levels of a page's first factor, and the listeners who have all.
 
     None with fewer than three such listeners or two levels, or without a pilot.
     """
-    factor = None if own is None else next((f for f in own.factors if f not in random), None)
-    if own is None or factor is None:
+    factor = None if results is None else next((f for f in results.factors if f not in random), None)
+    if results is None or factor is None:
         return None, []
-    sampled = [f for f in random if f in own.factors]
-    rows = [row for row in own.rows if row["role"] in ("sound", "reference") and row["value"] is not None]
+    sampled = [f for f in random if f in results.factors]
+    rows = [row for row in results.rows if row["role"] in ("sound", "reference") and row["value"] is not None]
     first = reference.get(factor)
     levels = sorted(unique([str(row[factor]) for row in rows]), key=lambda level: level != first)
     sounds = unique([tuple(str(row[f]) for f in sampled) for row in rows])
@@ -285,19 +285,19 @@ def _pilot_spread(pilot: Floats, count: int) -> tuple[Floats, SoundSpread | None
     return listeners - pairs / m, SoundSpread(count, sounds - pairs / n, pairs)
 
 
-def _share_of(own: PageResults | None) -> float | None:
+def _share_of(results: PageResults | None) -> float | None:
     """Largest share of right answers of a pilot's page."""
-    shares = [d.share for d in own.pairs if d.share is not None] if own is not None else []
+    shares = [d.share for d in results.pairs if d.share is not None] if results is not None else []
     return max(shares) if shares else None
 
 
-def _staircase(page: pages.StaircasePage, own: PageResults | None, alpha: float, power: float) -> Need:
+def _staircase(page: pages.StaircasePage, results: PageResults | None, alpha: float, power: float) -> Need:
     span = page.transformed(page.highest) - page.transformed(page.lowest)
     slope = page.expect_slope or _STEEPNESS / span
     sd = page.transformed(page.expect_sd) if page.expect_sd is not None else 0.1 * span
     middle = page.level_of(page.transformed(page.lowest) + 0.5 * span)
     mean = page.expect or middle
-    if own is not None and (seen := own.thresholds) is not None:
+    if results is not None and (seen := results.thresholds) is not None:
         mean, slope, sd = seen.mean, seen.slope, page.transformed(seen.spread)
     last = page.steps[-1] if page.steps else (1.25 if page.ratio else 0.05 * span)
     margin = page.margin or last
@@ -305,4 +305,4 @@ def _staircase(page: pages.StaircasePage, own: PageResults | None, alpha: float,
     n = threshold_listeners(page, people, page.transformed(margin), alpha, power)
     by = f"by {100 * (margin - 1):.0f} %" if page.ratio else f"by {margin:g}"
     text = f"a mean threshold other {by} than {mean:.3g}, spread between listeners {page.level_of(sd):.3g}"
-    return text, n, page.expect is not None or own is not None
+    return text, n, page.expect is not None or results is not None

@@ -22,8 +22,8 @@ def write_report(panel: PanelResults, folder: Path, facts: dict[str, Any] | None
     """
     pictures: dict[int, list[tuple[str, str]]] = {}
     for number, page in enumerate(panel.pages):
-        for name, made in figures_of(panel, page).items():
-            content = png(made, dpi=75)
+        for name, picture in figures_of(panel, page).items():
+            content = png(picture, dpi=75)
             path = folder / f"page{page.page}_{number}_{name}.png"
             path.write_bytes(content)
             pictures.setdefault(number, []).append((name, data_uri(content, "image/png")))

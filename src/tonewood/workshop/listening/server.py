@@ -228,8 +228,8 @@ class ListeningServer:
                 self.pairs.expect(page, tracks[step.track or 0].step_after(right))
 
     def _shown(self, opened: OpenSession) -> dict[str, Any]:
-        name, own = str(opened.header["listener"]), str(opened.header["token"])[:8]
-        return shown(self.test, opened.session, opened.language, name or own, own)
+        name, code = str(opened.header["listener"]), str(opened.header["token"])[:8]
+        return shown(self.test, opened.session, opened.language, name or code, code)
 
     async def _with_session(self, request: Request, use: Callable[[OpenSession, _Entry], Response]) -> Response:
         token = request.path_params["token"]
@@ -280,7 +280,7 @@ class ListeningServer:
             self._say("an answer is not confirmed", fault)
         return one_line(fault, 400 if isinstance(fault, ListeningError) else 500)
 
-    def _say(self, place: str, fault: Exception) -> None:
+    def _say(self, origin: str, fault: Exception) -> None:
         """Print a fault for the experimenter, each once."""
         expected = isinstance(fault, (TonewoodError, OSError))
         text = str(fault) if expected else "".join(traceback.format_exception(fault)).rstrip()
@@ -289,7 +289,7 @@ class ListeningServer:
                 return
             if len(self._said) < 1000:
                 self._said.add(key)
-        print(f"tonewood: {place}: {text}", file=sys.stderr, flush=True)
+        print(f"tonewood: {origin}: {text}", file=sys.stderr, flush=True)
 
     def _language(self, asked: str) -> str:
         """The first language asked for (with commas between) that the test has, or its own."""

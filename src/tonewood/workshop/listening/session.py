@@ -65,13 +65,13 @@ class Session:
                 count += len(list(self.trials.steps(index)))
         return count
 
-    def answer(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def answer(self, message: Mapping[str, Any]) -> dict[str, Any]:
         """Check the answer to the step as `record` does, take it, and go on; returns the record of it."""
-        record = self.record(given)
+        record = self.record(message)
         self.take(record)
         return record
 
-    def record(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def record(self, message: Mapping[str, Any]) -> dict[str, Any]:
         """Check the answer to the step; returns the record of it and changes nothing.
 
         Raises ListeningError : it does not fit the step; one line.
@@ -79,7 +79,7 @@ class Session:
         step, page = self.step, self.page
         if step is None or page is None:
             raise ListeningError("the test is finished")
-        answer = checked(page, step, given)
+        answer = checked(page, step, message)
         record: dict[str, Any] = {
             "index": step.index,
             "page": step.page + 1,
@@ -117,9 +117,9 @@ class Session:
             self.incomplete.add(step.page)
         self.step = next(self._course, None)
 
-    def has_taken(self, given: Mapping[str, Any]) -> bool:
+    def has_taken(self, message: Mapping[str, Any]) -> bool:
         """Whether the answer to an earlier step, by its `index`, is the one that was taken."""
-        index = given.get("index")
+        index = message.get("index")
         if type(index) is not int or not 0 <= index < len(self.answers):
             return False
         record = self.answers[index]
@@ -127,7 +127,7 @@ class Session:
         for earlier in self.answers[:index]:
             course.take(earlier)
         try:
-            return bool(course.record(given)["answer"] == record["answer"])
+            return bool(course.record(message)["answer"] == record["answer"])
         except ListeningError:
             return False
 

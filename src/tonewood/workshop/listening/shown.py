@@ -52,7 +52,7 @@ def shown(test: ListeningTest, session: Session, language: str, listener: str = 
     return view | _details(test, page, language)
 
 
-def _back(test: ListeningTest, session: Session, listener: str, own: str) -> dict[str, Any]:
+def _back(test: ListeningTest, session: Session, listener: str, code_name: str) -> dict[str, Any]:
     """Code and address for a listener who has finished, or did not pass a check."""
     if session.failed is not None:
         ends: pages.AnyPage | None = test.pages[session.failed]
@@ -61,7 +61,7 @@ def _back(test: ListeningTest, session: Session, listener: str, own: str) -> dic
     back = ends.back if isinstance(ends, (pages.FinishPage, pages.HeadphonesPage)) else None
     if back is None:
         return {}
-    code = back.code.format(id=own)
+    code = back.code.format(id=code_name)
     filled = None
     if back.address is not None:
         filled = back.address.format(code=quote(code, safe=""), listener=quote(listener, safe=""))

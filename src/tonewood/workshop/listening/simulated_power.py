@@ -138,17 +138,17 @@ def screened_power(
     Returns shares : (levels - 1,) found with all listeners and with those who are kept.
     """
     random, n = np.random.default_rng([seed, listeners]), len(pilot)
-    own = (pilot - pilot.mean(axis=0)) * math.sqrt(n / (n - 1))
+    residuals = (pilot - pilot.mean(axis=0)) * math.sqrt(n / (n - 1))
     if sampled is None:
         drawn = random.integers(n, size=(EXPERIMENTS, listeners))
-        return np.asarray(screened_found(effects + own[drawn], kept[drawn], alpha).mean(axis=0))
-    apart = np.var(own[:, 1:] - own[:, :1], axis=0).sum()
+        return np.asarray(screened_found(effects + residuals[drawn], kept[drawn], alpha).mean(axis=0))
+    apart = np.var(residuals[:, 1:] - residuals[:, :1], axis=0).sum()
     single = (np.diag(sampled.pairs)[1:] + sampled.pairs[0, 0] - 2 * sampled.pairs[0, 1:]).sum() / sampled.count
-    own = own * math.sqrt(max(1 - single / apart, 0.0)) if apart > 0 else own
+    residuals = residuals * math.sqrt(max(1 - single / apart, 0.0)) if apart > 0 else residuals
     powers = []
     for size in _batches(listeners * sampled.count * len(effects)):
         drawn = random.integers(n, size=(size, listeners))
-        y = effects + own[drawn][:, :, None] + _draws(random, sampled.sounds, size, 1, sampled.count)
+        y = effects + residuals[drawn][:, :, None] + _draws(random, sampled.sounds, size, 1, sampled.count)
         y = y + _draws(random, sampled.pairs, size, listeners, sampled.count)
         powers.append(screened_found(y, kept[drawn], alpha, sounds=True))
     return np.asarray(np.concatenate(powers).mean(axis=0))
@@ -195,16 +195,16 @@ class MushraListeners:
         listener_sd = min(SimulatedPanel.model_fields["listener_sd"].default, sd / 2)
         single = min(SimulatedPanel.model_fields["residual_sd"].default, sd / 2 * math.sqrt(answers))
         slope = math.sqrt((sd**2 - listener_sd**2 - single**2 / answers) / 2)
-        wanted = np.asarray(effects, dtype=np.float64)
-        people = cls(wanted, sounds, trials, cells, listener_sd, slope, single, sound_sd)
-        at = int(np.argmax(np.abs(wanted)))
-        if wanted[at] == 0 or sd <= 0:
+        targets = np.asarray(effects, dtype=np.float64)
+        people = cls(targets, sounds, trials, cells, listener_sd, slope, single, sound_sd)
+        at = int(np.argmax(np.abs(targets)))
+        if targets[at] == 0 or sd <= 0:
             return people
         for _ in range(_SEARCH):
             y, _ = replace(people, sound_sd=0.0).drawn(np.random.default_rng(1), 1, _SEARCHED)
             differences = (y - y[..., :1]).mean(axis=(0, 2))
             means, spread = differences.mean(axis=0), float(differences[:, at].std())
-            by = np.clip(np.divide(wanted, means, out=np.ones_like(wanted), where=wanted * means > 0), 0.5, 2.0)
+            by = np.clip(np.divide(targets, means, out=np.ones_like(targets), where=targets * means > 0), 0.5, 2.0)
             wider = min(max(sd / max(spread, 1e-9), 0.5), 2.0)
             people = replace(
                 people, effects=people.effects * by, own_sd=people.own_sd * wider, slope_sd=people.slope_sd * wider,
@@ -322,7 +322,7 @@ def threshold_listeners(
     n = max(3, math.ceil((2.8 * spread / margin) ** 2))
     while n <= MOST:
         drawn = random.integers(pool, size=(STAIRCASES, n))
-        intervals = [grid.fit(tables[own], 1 - alpha).interval for own in drawn]
+        intervals = [grid.fit(tables[listeners], 1 - alpha).interval for listeners in drawn]
         if np.mean([not low <= centre + margin <= high for low, high in intervals]) >= power:
             return n
         n = max(n + 1, math.ceil(1.15 * n))

@@ -55,15 +55,15 @@ def trials(
         return list(back.reshape(n, -1)), list(rights.reshape(n, -1))
     estimates, answers = [], []
     for t, b in zip(thresholds, slopes, strict=True):
-        own: list[float] = []
+        track_levels: list[float] = []
         right_of: list[bool] = []
         for _ in range(page.tracks):
             track = StaircaseTrack(page)
             while not track.done:
                 p = float(psychometric(page.transformed(track.level), t, b, guess, page.share, lapses))
                 track.answer(bool(random.random() < p))
-            own, right_of = own + track.levels, right_of + track.right
-        estimates.append(np.array(own))
+            track_levels, right_of = track_levels + track.levels, right_of + track.right
+        estimates.append(np.array(track_levels))
         answers.append(np.array(right_of))
     return estimates, answers
 

@@ -97,11 +97,11 @@ def contrasts(cells: Sequence[Sequence[str]], levels: Mapping[str, Sequence[str]
     bases: dict[EffectName, Floats] = {}
     differences: dict[EffectName, Floats] = {}
     names: dict[EffectName, tuple[str, ...]] = {}
-    for effect, own in columns.items():
+    for effect, block in columns.items():
         others = np.hstack([np.ones((len(cells), 1)), *(x for e, x in columns.items() if e != effect)])
-        free = own - others @ (np.linalg.pinv(others) @ own)
+        free = block - others @ (np.linalg.pinv(others) @ block)
         u, s, _ = np.linalg.svd(free, full_matrices=False)
-        if (rank := int(np.sum(s > 1e-9))) < own.shape[1]:
+        if (rank := int(np.sum(s > 1e-9))) < block.shape[1]:
             without.append(effect)
             continue
         bases[effect] = u[:, :rank]
@@ -264,11 +264,11 @@ def _parts(z: Floats, sounds: bool) -> tuple[Parts, Floats]:
         return [(np.einsum("...ni,...nj->...ij", d, d) / (n * (n - 1)), n - 1)], mean
     n, m = z.shape[-3:-1]
     mean = z.mean(axis=(-3, -2))
-    own, each = z.mean(axis=-2) - mean[..., None, :], z.mean(axis=-3) - mean[..., None, :]
-    rest = z - own[..., :, None, :] - each[..., None, :, :] - mean[..., None, None, :]
+    listeners, each = z.mean(axis=-2) - mean[..., None, :], z.mean(axis=-3) - mean[..., None, :]
+    rest = z - listeners[..., :, None, :] - each[..., None, :, :] - mean[..., None, None, :]
     both = (n - 1) * (m - 1)
     return [
-        (np.einsum("...ni,...nj->...ij", own, own) / (n * (n - 1)), n - 1),
+        (np.einsum("...ni,...nj->...ij", listeners, listeners) / (n * (n - 1)), n - 1),
         (np.einsum("...ni,...nj->...ij", each, each) / (m * (m - 1)), m - 1),
         (np.einsum("...nmi,...nmj->...ij", rest, rest) / (n * m * both), both),
     ], mean

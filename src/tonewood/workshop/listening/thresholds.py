@@ -203,16 +203,16 @@ class ThresholdGrid:
         weights /= weights.sum(axis=1, keepdims=True)
         start = like @ weights.T  # (listeners, thresholds, centres)
         penalty = 0.5 * ((centres - math.log(10.0 / self.span)) / 1.5) ** 2
-        own, best = start.mean(axis=2), -1
+        likelihood, best = start.mean(axis=2), -1
         for _ in range(_ROUNDS):  # m of greatest likelihood under the population's thresholds, and these again
-            mu, tau = self._grids(own)
+            mu, tau = self._grids(likelihood)
             kernel = self._kernel(mu, tau)
-            peak = np.argmax(np.sum(np.log(own @ kernel.T + 1e-300), axis=0))
+            peak = np.argmax(np.sum(np.log(likelihood @ kernel.T + 1e-300), axis=0))
             evidence = np.sum(np.log(np.einsum("ntc,t->nc", start, kernel[peak]) + 1e-300), axis=0) - penalty
             last, best = best, int(np.argmax(evidence))
             if best == last:
                 break
-            own = start[..., best]
+            likelihood = start[..., best]
         near = np.flatnonzero(evidence > evidence[best] - 5.0)
         near = near[:: max(1, len(near) // 8)]
         shares = np.array([start[..., c] @ kernel.T + 1e-300 for c in near])  # (slopes, listeners, means x spreads)
@@ -224,16 +224,16 @@ class ThresholdGrid:
         tail = (1 - confidence) / 2
         of_mean = posterior.sum(axis=1)
         interval = (quantile(mu, of_mean, tail), quantile(mu, of_mean, 1 - tail))
-        each, alone = np.empty((len(own), 3)), np.empty((len(own), 3))
+        each, alone = np.empty((len(likelihood), 3)), np.empty((len(likelihood), 3))
         mixed = sum((w / p) @ kernel * start[..., c] for w, p, c in zip(joint, shares, near, strict=True))
         weight = joint.sum(axis=1)
-        own = start[..., near] @ weight
+        likelihood = start[..., near] @ weight
         best = int(near[int(np.argmin(np.abs(np.cumsum(weight) - 0.5)))])
         levels = (0.5, tail, 1 - tail)
-        slopes = np.empty(len(own))
-        for i in range(len(own)):
+        slopes = np.empty(len(likelihood))
+        for i in range(len(likelihood)):
             each[i] = [quantile(self.u, mixed[i], q) for q in levels]
-            alone[i] = [quantile(self.u, own[i], q) for q in levels]
+            alone[i] = [quantile(self.u, likelihood[i], q) for q in levels]
             at = int(np.argmin(np.abs(self.u - each[i, 0])))
             share = like[i, at] * weights[best]
             slopes[i] = math.exp(float(share @ logs / share.sum()))
@@ -242,11 +242,11 @@ class ThresholdGrid:
             slopes,
         )  # fmt: skip
 
-    def _grids(self, own: Floats) -> tuple[Floats, Floats]:
+    def _grids(self, likelihood: Floats) -> tuple[Floats, Floats]:
         """Grids of mu and tau for the listeners' likelihoods (listeners, thresholds)."""
-        n = len(own)
-        means = (own @ self.u) / own.sum(axis=1)
-        errors = np.sqrt(np.maximum((own @ self.u**2) / own.sum(axis=1) - means**2, 0.0))
+        n = len(likelihood)
+        means = (likelihood @ self.u) / likelihood.sum(axis=1)
+        errors = np.sqrt(np.maximum((likelihood @ self.u**2) / likelihood.sum(axis=1) - means**2, 0.0))
         step = self.u[1] - self.u[0]
         wide = max(float(np.std(means)), float(np.median(errors)) / math.sqrt(n), 2 * step)
         reach = (6.0 if n > 3 else 10.0) * wide * math.sqrt(max(1.0, 4.0 / n))

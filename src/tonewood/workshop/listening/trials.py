@@ -102,9 +102,9 @@ class ListenerTrials:
         size = page.subset if isinstance(page, pages.TrialPage) else None
         if size is None or size >= n:
             return trials
-        turn, place = divmod(self.place, n // math.gcd(n, size))
+        turn, offset = divmod(self.place, n // math.gcd(n, size))
         circle = generator(self.test.manifest.seed, "subset", number, turn).permutation(n)
-        return [trials[i] for i in sorted(circle[(place * size + k) % n] for k in range(size))]
+        return [trials[i] for i in sorted(circle[(offset * size + k) % n] for k in range(size))]
 
     def _ordered(self, number: int, trials: list[ServedTrial], times: int) -> list[tuple[ServedTrial, int]]:
         """Trials with their repetitions: all of them once, in random order, then again in another."""

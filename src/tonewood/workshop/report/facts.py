@@ -278,15 +278,15 @@ def _named(model: Model, modes: Sequence[BodyMode]) -> dict[str, int]:
         with np.errstate(divide="ignore"):
             level = 20 * np.log10([mode.residue * mode.t60 for mode in modes])
         return mode_names([mode.freq for mode in modes], level)
-    own, whole = instrument.body.basis(upper), model.body
-    rows = [whole.index(point) for point in own.points]
+    drawn, whole = instrument.body.basis(upper), model.body
+    rows = [whole.index(point) for point in drawn.points]
     out = {}
     for k, name in enumerate(surface.labels):
         if name in ("A0", "T1"):
-            shapes, shape = whole.right[rows], own.right[:, k]
+            shapes, shape = whole.right[rows], drawn.right[:, k]
             size = np.linalg.norm(shapes, axis=0) * np.linalg.norm(shape)
             alike = np.abs(shape.conj() @ shapes) / np.where(size > 0, size, np.inf)
-            octaves = np.abs(np.log2(np.maximum(whole.natural_freq, 1e-9) / own.natural_freq[k]))
+            octaves = np.abs(np.log2(np.maximum(whole.natural_freq, 1e-9) / drawn.natural_freq[k]))
             freq = whole.natural_freq[int(np.argmin(octaves + 1 - alike))]
             out[name] = int(np.argmin([abs(mode.freq - freq) for mode in modes]))
     return out

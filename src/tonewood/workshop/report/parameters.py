@@ -43,8 +43,8 @@ def parameters(instrument: Instrument) -> dict[str, ParameterValue]:
         if plugin is not None and not unit:
             # a plugin among its parameters: a loss law
             part = getattr(plugin.parameters, inner[0], None) if inner else None
-            own, below = (part, inner[1:]) if isinstance(part, Plugin) else (plugin, inner)
-            unit = _unit(type(own).Parameters, below)
+            owner, below = (part, inner[1:]) if isinstance(part, Plugin) else (plugin, inner)
+            unit = _unit(type(owner).Parameters, below)
         if plugin is not None and inner == ["table"] and isinstance(value, str):
             digest = hashlib.sha256(plugin.files.path(value, key).read_bytes()).hexdigest()
             value = f"{value} (SHA-256 {digest[:12]})"
