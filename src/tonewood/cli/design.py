@@ -114,7 +114,7 @@ def _report(best: FoundDesign, output: Path | None) -> dict[str, Any]:
         "targets": [
             {"text": t.text, "now": float(g), "designed": float(r), "off": float(o), "unit": t.unit,
              "reached": abs(float(o)) <= t.tolerance, "rates": [float(x) for x in row]}
-            for t, g, r, o, row in zip(best.targets, best.given, best.reached, best.off, best.rates, strict=True)
+            for t, g, r, o, row in zip(best.targets, best.initial, best.reached, best.off, best.rates, strict=True)
         ],
         "overrides": _overrides(best),
         "trades": trades(best),

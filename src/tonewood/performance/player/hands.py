@@ -166,7 +166,7 @@ class PacedHands(Hands):
     def idle(self) -> bool:
         """Whether nothing is to be done at the next point."""
         return not self.dampers.stirred and not any(
-            string.later or string.cents != string.wanted or self.is_sustained(string.voice)
+            string.later or string.cents != string.target or self.is_sustained(string.voice)
             for string in self.strings.values()
         )
 
@@ -225,7 +225,7 @@ class PacedHands(Hands):
             self._change(damped)
             self.plays += touch_at_end(voice.assigned, voice.play, time, self.model)
             string.later.append((self.now + math.ceil(round((free.time - time) / self.tick, 6)) * GRID, free))
-            string.wanted = string.cents
+            string.target = string.cents
 
     def go_on(self, voice: Voice, until: int | None = None) -> None:
         """Give a gesture that lasts as long as its note another `CONTINUED` s, or end it at a sample."""
@@ -247,23 +247,23 @@ class PacedHands(Hands):
         _, change = string.later.popleft()
         string.stop = string.stop if change.stop is None else change.stop
         if change.cents is not None:
-            string.cents = string.wanted = change.cents
+            string.cents = string.target = change.cents
         self._change(replace(change, time=self.now * self.dt))
         return True
 
     def bend_one(self) -> bool:
-        """Take the bend of the string that is farthest from where it is wanted a step on; whether there was one."""
+        """Move the bend of the string farthest from its target by a step; return whether there was one."""
         bent = {
             name: string
             for name, string in self.strings.items()
-            if string.voice is not None and string.cents != string.wanted
+            if string.voice is not None and string.cents != string.target
         }
         if not bent:
             return False
-        name = max(bent, key=lambda name: abs(bent[name].wanted - bent[name].cents))
+        name = max(bent, key=lambda name: abs(bent[name].target - bent[name].cents))
         string, step = bent[name], BEND_RATE * 2 * self.spacing * GRID * self.dt
-        way = string.wanted - string.cents
-        string.cents = string.wanted if abs(way) <= step else string.cents + math.copysign(step, way)
+        way = string.target - string.cents
+        string.cents = string.target if abs(way) <= step else string.cents + math.copysign(step, way)
         self._change(Change(self.now * self.dt, name, cents=string.cents))
         return True
 
@@ -293,7 +293,7 @@ class PacedHands(Hands):
         if string.voice is not None:
             string.voice.string = None
         # the bend follows while the pluck is prepared
-        string.cents, string.wanted = assigned.cents, assigned.cents + bend
+        string.cents, string.target = assigned.cents, assigned.cents + bend
         first, *later = stopped(assigned, play, assigned.string, self.model, assigned.cents)
         string.later.clear()
         for change in sorted(later, key=lambda c: c.time):

@@ -162,7 +162,7 @@ class Player:
             self.controls[at, "bend"] = round(cents)
         for string in self.hands.strings.values():
             if string.voice is not None and channel in (None, string.voice.note.channel or 0):
-                string.wanted = self._cents(string.voice)
+                string.target = self._cents(string.voice)
 
     def all_off(self, channel: int | None = None, *, pedalled: bool = False) -> None:
         """Release all keys of a channel, or of all; with `pedalled` also the notes that the pedal holds."""

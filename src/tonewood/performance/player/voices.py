@@ -55,9 +55,9 @@ class PlayedString:
 
     voice: Voice | None = None
     stop: float = 0.0
-    #: cents of the stop's pitch, bent and as asked for
+    #: cents by which the stop's pitch is bent now, and those of its target
     cents: float = 0.0
-    wanted: float = 0.0
+    target: float = 0.0
     #: (sample, change), in order
     later: deque[tuple[int, Change]] = field(default_factory=deque)
 

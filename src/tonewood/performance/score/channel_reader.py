@@ -24,7 +24,7 @@ _IGNORED = {0xA0: "polyphonic pressure", 0xC0: "program change", 0xF0: "system e
 class _Channel:
     """State of a MIDI channel between messages; notes are indices into the performance's list."""
 
-    held: dict[int, deque[int]] = field(default_factory=dict)
+    pressed: dict[int, deque[int]] = field(default_factory=dict)
     pedalled: dict[int, int] = field(default_factory=dict)
     pedal: bool = False
     program: int | None = None
@@ -98,7 +98,7 @@ class ChannelReader:
     def finish(self, time: float) -> None:
         """End notes that still sound at the end of a pattern; controllers and bends keep their values."""
         for number, channel in enumerate(self._channels):
-            for key, notes in channel.held.items():
+            for key, notes in channel.pressed.items():
                 for _ in notes:
                     self._findings.add("note never ended, ended with the track", where(number, key, time))
             if channel.pedal:
@@ -118,7 +118,7 @@ class ChannelReader:
             return
         if key in channel.pedalled:
             self.ends[channel.pedalled.pop(key)] = time
-        indices = channel.held.setdefault(key, deque())
+        indices = channel.pressed.setdefault(key, deque())
         if indices:
             self._findings.add("key struck again before its note-off", where(number, key, time))
         indices.append(len(self.notes))
@@ -128,7 +128,7 @@ class ChannelReader:
         self.programs.append(channel.program)
 
     def _note_off(self, time: float, number: int, channel: _Channel, key: int) -> None:
-        indices = channel.held.get(key)
+        indices = channel.pressed.get(key)
         if not indices and self._is_drum(number):
             return
         if not indices:
@@ -154,10 +154,10 @@ class ChannelReader:
         channel.pedalled.clear()
 
     def _all_notes_off(self, time: float, channel: _Channel) -> None:
-        for key, notes in channel.held.items():
+        for key, notes in channel.pressed.items():
             for note in notes:
                 self._release(time, channel, key, note)
-        channel.held.clear()
+        channel.pressed.clear()
 
     def _silence(self, time: float, channel: _Channel) -> None:
         """End every note, held by key or pedal; the pedal keeps its position."""

@@ -108,7 +108,7 @@ class _States(NamedTuple):
     end: NDArray[np.float64]
     duration: NDArray[np.float64]
     stop: NDArray[np.float64]
-    held: NDArray[np.float64]
+    stopped: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,7 +254,7 @@ def _advance(
     hand = np.clip(states.hand[:, None], np.minimum(one, other), np.maximum(one, other))
     remains = np.maximum(states.end - time, 0.0) / states.duration
     lost = remains[:, None, :] * (ways.used & (states.stop[:, None, :] != ways.stop))
-    left = (states.held[:, None, :] > 0) & ~ways.used
+    left = (states.stopped[:, None, :] > 0) & ~ways.used
     left &= (states.stop[:, None, :] < hand[:, :, None] - REACH) | (
         states.stop[:, None, :] > hand[:, :, None] + HAND_SPAN + REACH
     )
@@ -273,7 +273,7 @@ def _advance(
     rings = end > until + LEGATO
     stop = np.where(rings, np.where(used, ways.stop[way], states.stop[parent]), 0.0)
     duration = np.where(rings, np.where(used, ways.duration[way], states.duration[parent]), 1.0)
-    is_stopped = np.where(used, ways.stop[way] > 0, (states.held[parent] > 0) & ~left[parent, way]) & rings
+    is_stopped = np.where(used, ways.stop[way] > 0, (states.stopped[parent] > 0) & ~left[parent, way]) & rings
     end = np.where(rings, end, -math.inf)
     hand = hand[parent, way]
 

@@ -43,14 +43,14 @@ class Placed:
     """A note of a tablature.
 
     note : with its string and stop.
-    line : number of the string, 1 the highest.
+    row : number of the string, 1 the highest.
     fret : counted from the capo; a fraction is rounded.
     finger : 0 open, 1 to 4 from the index finger.
     hand : stop under the first finger, counted from the capo.
     """
 
     note: Assigned
-    line: int
+    row: int
     fret: int
     finger: int
     hand: int
@@ -303,11 +303,11 @@ def _chord(measure: ET.Element, begin: int, end: int, k: int, tab: Tablature) ->
     tick, chord = tab.chords[k]
     for at, length, triplet in _pieces(begin, end, tab):
         ties = ["stop"] * (at > tick) + ["start"] * (at + length < _until(tab, k))
-        for i, placed in enumerate(sorted(chord, key=lambda p: p.line)):
+        for i, placed in enumerate(sorted(chord, key=lambda p: p.row)):
             note = ET.SubElement(measure, "note")
             if i:
                 _text(note, "chord")
-            string = tab.strings[placed.line - 1]
+            string = tab.strings[placed.row - 1]
             sounding = string.pitches[0] + placed.fret
             step, alter, octave = _spelled(sounding)
             pitch = _text(note, "pitch")
@@ -321,7 +321,7 @@ def _chord(measure: ET.Element, begin: int, end: int, k: int, tab: Tablature) ->
             technical = _text(notations, "technical")
             if at == tick and placed.finger:
                 _text(technical, "fingering", placed.finger)
-            _text(technical, "string", placed.line)
+            _text(technical, "string", placed.row)
             _text(technical, "fret", placed.fret)
 
 
@@ -344,7 +344,7 @@ def text(tab: Tablature) -> str:
         inside = tab.chords[bisect_left(starts, begin) : bisect_left(starts, end)]
         for k, (tick, chord) in enumerate(inside):
             following = inside[k + 1][0] if k + 1 < len(inside) else end
-            frets = {p.line: str(p.fret) for p in chord}
+            frets = {p.row: str(p.fret) for p in chord}
             here = _roman(chord[0].hand) if chord[0].hand != hand else ""
             hand = chord[0].hand
             lead = 1 + ((tick - begin) * 8 // TICKS if k == 0 else 0) // 2

@@ -38,8 +38,8 @@ class FoundDesign:
     """A design and what it reaches.
 
     targets, free : of the task.
-    before, values : (n,) parameters as given and as found.
-    given, reached : (t,) figures of both, by full computations.
+    before, values : (n,) parameters before and after the search.
+    initial, reached : (t,) figures of both, by full computations.
     rates : (t, n) derivatives of the figures at the result, per unit of each parameter.
     instrument : as designed.
     """
@@ -48,7 +48,7 @@ class FoundDesign:
     free: tuple[Free, ...]
     before: Floats
     values: Floats
-    given: Floats
+    initial: Floats
     reached: Floats
     rates: Floats
     instrument: Instrument

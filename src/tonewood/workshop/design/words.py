@@ -92,7 +92,7 @@ def lines(design: FoundDesign) -> Sequence[str]:
         bounds = f"{shown(parameter, parameter.low)} .. {shown(parameter, parameter.high)}"
         out.append(f"  {parameter.name}: {shown(parameter, before)} to {shown(parameter, value)}  ({bounds})")
     out.append("targets: now, designed, by full computations")
-    rows = zip(design.targets, design.given, design.reached, design.off, strict=True)
+    rows = zip(design.targets, design.initial, design.reached, design.off, strict=True)
     for target, present, reached, off in rows:
         words = f"{figure_words(target, present)} to {figure_words(target, reached)}"
         out.append(f"  {target.text}: {words}; {off_words(target, off)}")

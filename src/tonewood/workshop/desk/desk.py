@@ -209,7 +209,11 @@ class Desk:
             playback, take, live, seen = self.playback, self.playback.take, self.playback.live, self._seen
             busy, pair = self._models.busy, playback.pair
             notes = [] if live is None else [d.reason for d in live.player.counters.latest][-1:]
-            phrase = {"phrase": self.phrase.asked, "gain_db": self.takes.gain_db, "has_file": bool(self.phrase.given)}
+            phrase = {
+                "phrase": self.phrase.asked,
+                "gain_db": self.takes.gain_db,
+                "has_file": bool(self.phrase.score_file),
+            }
             return self._shown_session() | phrase | {
                 "serial": self.serial,
                 "heard": playback.serial,

@@ -55,18 +55,18 @@ def phrase(kind: str, instrument: Instrument, file: Path, *, notes: str = "", ve
 class ChosenPhrase:
     """The phrase that the page asks for, and its file.
 
-    given : score of the command line; None without one.
+    score_file : score of the command line; None without one.
     """
 
-    def __init__(self, given: Path | None, file: Path):
-        self.given, self._file = given, file
+    def __init__(self, score_file: Path | None, file: Path):
+        self.score_file, self._file = score_file, file
         #: kind, notes and velocity as for `phrase`; the kind ``file`` is the score of the command line
-        self.asked: dict[str, Any] = {"kind": "file" if given else "chord", "notes": "", "velocity": 80}
+        self.asked: dict[str, Any] = {"kind": "file" if score_file else "chord", "notes": "", "velocity": 80}
 
     @property
     def file(self) -> Path:
         """File of the phrase, as a command names it."""
-        return self.given if self.asked["kind"] == "file" and self.given is not None else self._file
+        return self.score_file if self.asked["kind"] == "file" and self.score_file is not None else self._file
 
     def score(self, instrument: Instrument) -> Score:
         """Return the notes of the phrase, of a file the first `LONGEST` seconds.
@@ -76,6 +76,6 @@ class ChosenPhrase:
         asked = self.asked
         if asked["kind"] != "file":
             return phrase(asked["kind"], instrument, self._file, notes=asked["notes"], velocity=asked["velocity"])
-        if self.given is None:
+        if self.score_file is None:
             raise TonewoodError("no file was given on the command line: --phrase FILE", key="phrase")
-        return read_score(self.given, stop=LONGEST)
+        return read_score(self.score_file, stop=LONGEST)

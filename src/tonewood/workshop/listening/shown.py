@@ -13,16 +13,16 @@ from tonewood.workshop.listening.session import Session
 from tonewood.workshop.listening.trials import OPEN
 
 
-def shown(test: ListeningTest, session: Session, language: str, listener: str = "", own: str = "") -> dict[str, Any]:
+def shown(test: ListeningTest, session: Session, language: str, listener: str = "", code: str = "") -> dict[str, Any]:
     """The step of a session; ``{"type": "done"}`` after the last one, ``{"type": "failed"}`` after a check not passed.
 
-    listener : name given by the listener or the address; own name of the session, if there is none.
-    own : name that the results give to a listener without a name.
+    listener : name that the listener or the address states; `code` if there is none.
+    code : name that the results use for a listener without a name.
     """
     step, page = session.step, session.page
     if step is None or page is None:
         kind = "done" if session.failed is None else "failed"
-        return {"type": kind, "index": len(session.answers), "progress": 1.0, **_back(test, session, listener, own)}
+        return {"type": kind, "index": len(session.answers), "progress": 1.0, **_back(test, session, listener, code)}
     words = test.texts(language)
     text = partial(pages.localised, language=language)
     manifest_page = test.pages[step.page]

@@ -99,7 +99,7 @@ class _Measures:
     frames: int = 0
     levels: dict[int, dict[int, list[float]]] = field(default_factory=dict)
     decays: dict[int, list[float]] = field(default_factory=dict)
-    made: dict[str, tuple[_Task, Path]] = field(default_factory=dict)
+    recordings: dict[str, tuple[_Task, Path]] = field(default_factory=dict)
 
 
 def make_library(
@@ -138,12 +138,12 @@ def make_library(
             tell(done / len(tasks))
         if measures.peak == 0.0:
             raise OutputError("every stroke is silent", file=sfz)
-        regions = [_region(task, measures, suffix) for task, _ in measures.made.values()]
+        regions = [_region(task, measures, suffix) for task, _ in measures.recordings.values()]
         # a stroke harder than those rendered is the loudest one, raised by its region's gain
         above = max(r.volume_db for r in regions if r.decay_db is None)
         gain_db = _PEAK - decibels(measures.peak) - max(0.0, above)
         tags = Tags.of(None, [instrument])
-        for task, raw in measures.made.values():
+        for task, raw in measures.recordings.values():
             scaled = np.load(raw) * 10 ** (gain_db / 20)
             Audio(scaled, options.fs, tags=tags).save(scratch / f"{task.name}{suffix}", "PCM_24")
             raw.unlink()
@@ -224,7 +224,7 @@ def _enter(measures: _Measures, fs: int, task: _Task, stroke: Stroke, raw: Path)
     """Measure a stroke."""
     measures.peak = max(measures.peak, stroke.peak)
     measures.frames += len(stroke.samples)
-    measures.made[task.name] = (task, raw)
+    measures.recordings[task.name] = (task, raw)
     if not task.release:
         measures.levels.setdefault(task.keys.centre, {}).setdefault(task.velocities.centre, []).append(
             stroke.level_db(fs)
@@ -236,7 +236,7 @@ def _region(task: _Task, measures: _Measures, suffix: str) -> Region:
     key = task.keys.centre
     levels = {v: sum(values) / len(values) for v, values in measures.levels[key].items()}
     decay = sum(measures.decays[key]) / len(measures.decays[key]) if task.release else None
-    repeats = [t.repeat for t, _ in measures.made.values() if (t.keys, t.velocities, t.release) == _place(task)]
+    repeats = [t.repeat for t, _ in measures.recordings.values() if (t.keys, t.velocities, t.release) == _place(task)]
     return Region(
         f"{task.name}{suffix}", task.keys, task.velocities, sorted(repeats).index(task.repeat) + 1, len(repeats),
         levels, decay,

@@ -81,13 +81,13 @@ def test_a_player_is_idle_when_no_bend_is_to_be_done(model: Model) -> None:
     player.bend(100.0, 0)
     (line,) = [line for line in player.hands.strings.values() if line.voice is not None]
     line.later.clear()
-    assert line.cents != line.wanted
+    assert line.cents != line.target
     assert not player.hands.idle
     player.feed([], 0.0, (point + 1) * GRID)
     while not player.hands.idle:
         point += 1
         player.feed([], 0.0, (point + 1) * GRID)
-    assert line.cents == line.wanted == 100.0
+    assert line.cents == line.target == 100.0
 
 
 def test_a_note_is_plain_unless_technique_place_or_pitch_is_its_own(model: Model) -> None:

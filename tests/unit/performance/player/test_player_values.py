@@ -605,12 +605,12 @@ def test_paced_hands_bend_the_farthest_string_first(guitar: Model) -> None:
     hands = PacedHands(guitar, 5e-3, 2, 0)
     for name, wanted in (("E2", 100.0), ("A2", -900.0)):
         string = hands.strings[name]
-        string.voice, string.wanted = Voice(0, tw.Note(0.0)), wanted
+        string.voice, string.target = Voice(0, tw.Note(0.0)), wanted
     step = 40e3 * 4 * TICK
     assert step > 900.0
     fine = PacedHands(assemble(guitar.instrument, 96000, freq_limit=1000), 5e-3, 2, 0)
     string = fine.strings["A2"]
-    string.voice, string.wanted = Voice(0, tw.Note(0.0)), -900.0
+    string.voice, string.target = Voice(0, tw.Note(0.0)), -900.0
     order = []
     for one in (hands, hands, hands, fine, fine):
         before = len(one.changes)

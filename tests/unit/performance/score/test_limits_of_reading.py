@@ -285,7 +285,7 @@ def tab_of(*rows: tuple[float, str, float], beats: Beats | None = None, capo: in
 
 def test_places_fingers_and_hands_of_a_tablature() -> None:
     tab = tab_of((0, "E2", 0), (1, "A2", 5), (1, "E4", 3), (2, "E4", 9), (3, "E4", 6))
-    rows = [(tick, p.line, p.fret, p.finger, p.hand) for tick, chord in tab.chords for p in chord]
+    rows = [(tick, p.row, p.fret, p.finger, p.hand) for tick, chord in tab.chords for p in chord]
     # the hand begins at 1, moves to 2 for fret 5, to 6 for fret 9, and stays
     assert rows == [(0, 6, 0, 0, 1), (24, 5, 5, 4, 2), (24, 1, 3, 2, 2), (48, 1, 9, 4, 6), (72, 1, 6, 1, 6)]
     assert (list(tab.measures), list(tab.tempos)) == ([0, 96], [(0, 60.0)])

@@ -39,7 +39,7 @@ def test_romance_has_the_frets_that_guitarists_play(tmp_path: Path) -> None:
     """Its melody lies on the first string at 7 7 7, 7 5 3, 3 2 0 over the open second and third."""
     music = tw.read_score(ROMANCE)
     tab = tablature(assign(music.notes, GUITAR).notes, GUITAR, music.beats or Beats(), title="romance")
-    melody = [p.fret for _, chord in tab.chords for p in chord if p.line == 1]
+    melody = [p.fret for _, chord in tab.chords for p in chord if p.row == 1]
     assert melody[:9] == [7, 7, 7, 7, 5, 3, 3, 2, 0]
     assert [p.fret for _, chord in tab.chords[1:3] for p in chord] == [0, 0]
     assert all(0 <= p.finger <= 4 and (p.finger == 0) == (p.fret == 0) for _, chord in tab.chords for p in chord)

@@ -14,7 +14,7 @@ from scipy.sparse import csc_matrix, csr_matrix
 from tonewood.physics.plate import plate_parts
 from tonewood.physics.plate.air import AIR_DENSITY, SOUND_SPEED, air_matrices, cavity_modes, couple_air
 from tonewood.physics.plate.beams import Beam, _across, beam_line, rotations, torsion_constant
-from tonewood.physics.plate.block_solve import BlockSolver, _blocks, _places
+from tonewood.physics.plate.block_solve import BlockSolver, _blocks, _positions
 from tonewood.physics.plate.body import (
     BodyDrawing,
     PlateDrawing,
@@ -496,7 +496,7 @@ def test_blocks_couple_with_their_neighbours_alone() -> None:
     assert _blocks(wide) == [0, 64, 154, 200]
     assert _blocks(csr_matrix(np.eye(5))) == [0, 5]
     matrix = csr_matrix(np.array([[1.0, 0, 1], [0, 1, 1], [1, 1, 1]]))
-    assert _places(matrix, np.array([2.0, 5.0, np.nan])).tolist() == [2.0, 5.0, 3.5]
+    assert _positions(matrix, np.array([2.0, 5.0, np.nan])).tolist() == [2.0, 5.0, 3.5]
     diagonal = np.array([4.0, 9.0])
     np.testing.assert_allclose(
         BlockSolver(csc_matrix(np.diag(diagonal)), np.zeros(2)).solve(np.ones((2, 1)))[:, 0], 1 / diagonal

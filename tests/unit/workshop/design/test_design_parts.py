@@ -467,7 +467,7 @@ def test_a_design_of_a_drawn_body_is_checked_by_two_full_computations(small) -> 
         "search, corrected by it",
         "the design in full",
     ]
-    assert found.given == pytest.approx([now[0]])
+    assert found.initial == pytest.approx([now[0]])
     assert found.reached == pytest.approx([found.instrument.body.modes_below(math.inf).freq[0]])
     assert found.ok
     assert found.instrument.resolved["body"]["thickness"] == found.values[0]
