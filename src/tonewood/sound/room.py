@@ -39,7 +39,7 @@ class Box:
     distance: float
 
     def places(self, distance: float, channels: int) -> Floats:
-        """(3, channels) m, places of the microphones, side by side across their distance from the instrument."""
+        """(3, channels) m, positions of the microphones, side by side across their distance from the instrument."""
         ahead = np.array(self.towards) / np.linalg.norm(self.towards)
         across = np.cross(ahead, (0.0, 0.0, 1.0))
         offset = _APART * (np.arange(channels) - (channels - 1) / 2)

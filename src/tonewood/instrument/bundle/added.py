@@ -161,7 +161,7 @@ def _shown(direction: Sequence[float]) -> str:
 
 
 def added_line(entry: Added) -> str:
-    """Mass, stiffness, damping and place of an entry, one line."""
+    """Mass, stiffness, damping and position of an entry, one line."""
     named = ((entry.mass, "kg"), (entry.stiffness, "N/m"), (entry.damping, "N s/m"))
     tuned = "" if entry.frequency is None else f" on a spring, tuned to {entry.frequency:g} Hz, Q {entry.q:g},"
     return f"{', '.join(f'{value:g} {unit}' for value, unit in named if value)}{tuned} at {entry.at}"

@@ -1,4 +1,4 @@
-"""A soft finger as the stop of a string: the whole string stays, and a fingertip holds it at one place.
+"""A soft finger as the stop of a string: the whole string stays, and a fingertip holds it at one point.
 
 Between string and ground stand the skin, a spring k_s and a dashpot r_s, and behind it the fingertip, a mass m that
 the hand presses on the board, a spring m w^2 and a dashpot 2 d m w. Seen from the string its compliance is

@@ -1,4 +1,4 @@
-"""The fretboard under a string, from the bundle: places and heights of frets, nut and saddle."""
+"""The fretboard under a string, from the bundle: positions and heights of frets, nut and saddle."""
 
 from __future__ import annotations
 

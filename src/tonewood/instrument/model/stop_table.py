@@ -8,7 +8,7 @@ from tonewood.instrument.model.string_setup import Stopping
 
 
 class StopTable:
-    """Pitch, place and length of a string at its stops; those of whole stops are computed once.
+    """Pitch, position and length of a string at its stops; those of whole stops are computed once.
 
     A stop is at x = L (1 - f_0 / f) from the nut, where the ideal string sounds its pitch. Over real frets it is where
     a string hinged at the stop has the pitch of the fretted string.
@@ -39,7 +39,7 @@ class StopTable:
         return self.freqs[whole] if whole == stop and 0 <= whole <= self.count else self.stopping.freq(stop)
 
     def position(self, stop: float) -> float:
-        """Return the place of a stop, m from the nut. Raises ValueError : the string has no such stop."""
+        """Return the position of a stop, m from the nut. Raises ValueError : the string has no such stop."""
         if not (0 <= stop <= self.count and (self.stopping.continuous or stop == int(stop))):
             kind = "" if self.stopping.continuous else "whole "
             raise ValueError(f"string {self.string} has {kind}stops from 0 to {self.count}, not {stop:g}")

@@ -165,7 +165,7 @@ def _string(
 
 
 def _metres(position: Any, resonator: Resonator[Any]) -> float:
-    """Distance from the bridge of a place on the open string, m."""
+    """Return a position on the open string, m from the bridge."""
     return position.fraction * resonator.length if isinstance(position, Fraction) else float(position)
 
 

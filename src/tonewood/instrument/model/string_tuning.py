@@ -145,7 +145,7 @@ class StringTuning:
         return tension * ratio_of_cents(bend_cents * self._bend_gain(stop)) ** 2 if bend_cents else tension
 
     def under_finger(self, stop: float) -> float:
-        """Return the place of a soft finger for the pitch of a stop, m from the bridge.
+        """Return the position of a soft finger for the pitch of a stop, m from the bridge.
 
         The ideal stop's compensation is a tension; here, where all stops share the open string's, it is a length, and
         between whole stops it is interpolated. A stiff string is bent across the finger, not hinged there, and speaks

@@ -33,9 +33,9 @@ class GestureConnections:
 
     def __init__(self, model: Model):
         connections = list(enumerate(model.system.connections))
-        # place, law without a gesture, and the connection with one
+        # index, law without a gesture, and the connection with one
         self._idle = [(j, c.law, model.resting[c.name]) for j, c in connections if c.name in model.resting]
-        # place, law without a finger, and the string
+        # index, law without a finger, and the string
         self._holds = [(j, c.law, c.owner) for j, c in connections if c.role == "hold"]
         #: identity of connections -> these, and their laws without fingers
         self._free: dict[int, tuple[tuple[Connection, ...], Elimination]] = {}
@@ -77,7 +77,7 @@ class GestureConnections:
 
 
 def with_laws(system: System, changes: Sequence[tuple[int, Law]]) -> System:
-    """Return the system with these laws at these places; itself if they are there already."""
+    """Return the system with these laws, each with the index of its connection; itself if it has them already."""
     now = system.connections
     laws = {now[j].name: replace(now[j], law=law) for j, law in changes if law is not now[j].law and law != now[j].law}
     return system.with_laws(laws) if laws else system

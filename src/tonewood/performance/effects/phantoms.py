@@ -95,7 +95,7 @@ class Phantoms:
         own_per_newton = response.heard_at(end, axial.freq_rad)
         heard, moved = np.zeros((len(per_newton), n, n)), np.zeros((n, n))
         for order in range(axial.n_modes + 1):
-            # the partial of place i is the cosine i + 1
+            # the partial of index i is the cosine i + 1
             driven = 0.25 * law.axial_stiffness * np.abs(cosine_products(order, n + 1)[1:, 1:])
             answer, after = np.ones(combined.shape), response.stopped_at(end, response.freq_rad[:1])[:, 0]
             if order:

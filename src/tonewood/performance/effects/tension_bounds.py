@@ -137,7 +137,7 @@ class TensionBounds:
 
     def sidebands(self, name: str, system: System, fretting: Fretting) -> Sidebands:
         """Return the sidebands of a string as it is held now."""
-        # the places where it is touched and plucked change none of them
+        # touching and plucking elsewhere changes none of them
         key = name, replace(fretting, place=None, touches=())
         if key not in self._sidebands:
             if len(self._sidebands) >= _KEPT:

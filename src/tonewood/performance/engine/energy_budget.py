@@ -1,4 +1,4 @@
-"""Energy budget of an engine: stored energy by place, the work of gestures, losses, and the energy of changes."""
+"""Energy budget of an engine: stored energy by component, the work of gestures, losses, and the energy of changes."""
 
 from __future__ import annotations
 

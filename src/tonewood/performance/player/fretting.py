@@ -50,7 +50,7 @@ class Fretting:
 
     @property
     def unplucked(self) -> Fretting:
-        """Return it with the usual place of the pluck."""
+        """Return the fretting with the usual position of the pluck."""
         return replace(self, place=None, width=0.0)
 
     def changed(self, change: Change) -> Fretting:

@@ -44,7 +44,7 @@ def samples(time: float, dt: float) -> float:
 
 
 def places(play: Play, model: Model) -> tuple[tuple[str, str, float], ...]:
-    """Return component, point and factor of each place where a gesture's forces enter."""
+    """Return component, point and factor of each point at which a gesture's forces enter."""
     if play.string is None or play.gesture.on is not None:
         return model.inputs[play.gesture.on or play.at or ""]
     weights = model.strings[play.string].weights(play.gesture.angle_deg)

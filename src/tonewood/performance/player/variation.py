@@ -25,7 +25,7 @@ _GRAIN = 5e-4
 
 @dataclass(frozen=True)
 class Deviates:
-    """Deviates of one note, in standard deviations; of force, time, place, angle and nail."""
+    """Deviates of one note, in standard deviations; of force, time, position, angle and nail."""
 
     force: float
     time: float
@@ -52,7 +52,7 @@ def moved(assigned: Assigned, drawn: Deviates, variation: HumanVariation) -> Ass
 def touched(
     values: Mapping[str, float], exciter: Exciter[Any], length: float, drawn: Deviates, variation: HumanVariation
 ) -> dict[str, float]:
-    """Return values of an event with another place, angle and share of nail, where the exciter has them.
+    """Return values of an event with another position, angle and share of nail, where the exciter has them.
 
     values : of the event, in place of the exciter's own.
     length : m, speaking length of the string.

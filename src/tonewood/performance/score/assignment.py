@@ -187,7 +187,7 @@ class StringChooser:
 
 
 class PlaceResolver:
-    """Finds the places where a note can be played."""
+    """Finds the strings and stops at which a note can be played."""
 
     def __init__(self, strings: Sequence[PlayableString], tuning: Tuning, channel_per_string: bool):
         self._strings = strings

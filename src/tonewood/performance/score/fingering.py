@@ -48,7 +48,7 @@ class FingeringCosts:
 
 
 class Option(NamedTuple):
-    """A place for a note: index of the string, stop (0 is open)."""
+    """A way to play a note: index of the string, stop (0 is open)."""
 
     string: int
     stop: float
@@ -136,7 +136,7 @@ def finger(
     hand: float = 1.0,
     sounding: Mapping[int, Sounding] | None = None,
 ) -> tuple[list[tuple[Option, ...]], float]:
-    """Choose a place for every note of every chord.
+    """Choose a string and a stop for every note of every chord.
 
     hand : stop under the first finger before the first chord.
     sounding : string -> note on it at time 0.

@@ -155,7 +155,7 @@ class _Gpif:
         return i, Fraction(share).limit_denominator(_QUARTER) * self.out.measures[i].length
 
     def _tempo(self, change: Element) -> None:
-        """Enter a change of tempo, if it says a measure, a place in it and a number."""
+        """Enter a change of tempo, if it states a measure, a position in it and a number."""
         beats, unit, *_ = [*text_of(change, "Value").split(), "", ""]
         position, value = self._place(change), number(beats, 0.0, 1e9)
         if position is None or value is None:

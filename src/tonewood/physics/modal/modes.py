@@ -53,7 +53,7 @@ class ModalBasis(ModalResponses, ModalViews):
     shape : places between the named points, m -> (n_modes,) real shape; None where there are only named points.
     residual_at : (x, y) in m -> m/N, residual compliance between two places, of arrays element by element; None as
         above.
-    places : point name -> place in m, where `shape` is given.
+    places : point name -> position in m, where `shape` is given.
     metadata : further data of the maker of the basis (its plugin reads them when a stop changes).
     """
 
@@ -110,7 +110,7 @@ class ModalBasis(ModalResponses, ModalViews):
         ----------
         natural_freq_rad : (n_modes,) omega, rad/s, 0 for a rigid-body mode.
         damping_rate : (n_modes,) sigma = zeta omega, 1/s.
-        points : name -> (n_modes,) shape, or name -> place in m when `shape` is given.
+        points : name -> (n_modes,) shape, or name -> position in m when `shape` is given.
         modal_mass : (n_modes,) or scalar, kg (with unit-free shapes); shapes become mass-normalised, 1/sqrt(kg).
         static_compliance : (x, y) in m -> m/N of *all* modes; less that of the kept ones it is the residual.
         residual : (n_points, n_points) m/N instead of `static_compliance`.

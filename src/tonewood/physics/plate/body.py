@@ -70,7 +70,7 @@ class BodyDrawing:
     extra_loss : loss factor added to that of the wood, for glue and edge.
     baffled : whether a rigid plane surrounds the body; else it radiates as in free air.
     fmax : Hz, highest mode.
-    points : (p, 2) m, places on the top.
+    points : (p, 2) m, positions on the top.
     directions : (p, 3) unit vectors in which their displacement is counted.
     heights : (p,) m above the top's middle surface; a point at height H moves by -H w_x along x and -H w_y along y.
     """

@@ -55,7 +55,7 @@ class Bank:
 def pressure(
     sources: Sources, at: ArrayLike, poles: Complexes, shapes: Floats, freq: Floats, delay: float
 ) -> Complexes:
-    """(n_freq, inputs) Pa/N at a place (3,) m: the sum that a bank follows, `delay` (s) taken out.
+    """(n_freq, inputs) Pa/N at a position (3,) m: the sum that a bank follows, `delay` (s) taken out.
 
     poles : (n,) of the modes whose volumes `sources` has.
     shapes : (inputs, n) at the driven points.

@@ -86,7 +86,7 @@ def inside(points: ArrayLike, rings: Sequence[Floats]) -> NDArray[np.bool_]:
 
 
 def crossing(ring: Floats, other: Floats | None = None) -> Floats | None:
-    """Return the first place (2,) where a ring crosses itself, or `other`; None where it does not."""
+    """Return the first point (2,) at which a ring crosses itself or `other`; None if there is none."""
     a, b = ring, np.roll(ring, -1, axis=0)
     c, d = (a, b) if other is None else (other, np.roll(other, -1, axis=0))
     for i in range(len(a)):

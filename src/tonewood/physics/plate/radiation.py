@@ -65,16 +65,16 @@ class Sources:
         return float(2 * SOUND_SPEED / np.ptp(self.points, axis=0).max())
 
     def distances(self, at: ArrayLike) -> Floats:
-        """(n,) m, of every source from a place (3,)."""
+        """(n,) m, of every source from a position (3,)."""
         x, y, z = np.asarray(at, dtype=np.float64)
         return np.asarray(np.sqrt((self.points[:, 0] - x) ** 2 + (self.points[:, 1] - y) ** 2 + z**2))
 
     def distances_behind(self, at: ArrayLike) -> Floats:
-        """(m,) m, of the squares of the back from a place (3,)."""
+        """(m,) m, of the squares of the back from a position (3,)."""
         return np.asarray(np.sqrt(((self.behind - np.asarray(at, dtype=np.float64)) ** 2).sum(axis=1)))
 
     def pressure(self, at: ArrayLike, freq: ArrayLike, delay: float = 0.0) -> Complexes:
-        """(modes, n_freq) Pa at a place (3,) m per unit acceleration of each mode, `delay` (s) taken out."""
+        """(modes, n_freq) Pa at a position (3,) m per unit acceleration of each mode, `delay` (s) taken out."""
         r, omega = self.distances(at), 2 * np.pi * np.atleast_1d(np.asarray(freq, dtype=np.float64))
         weights = AIR_DENSITY / (2 * np.pi) * self.volumes / r[:, None]
         out = weights.T @ np.exp(-1j * np.outer(r / SOUND_SPEED - delay, omega))

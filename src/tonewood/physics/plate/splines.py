@@ -77,7 +77,7 @@ class SplineGrid:
 
     @property
     def places(self) -> Floats:
-        """(count,) place of each function along the side with more cells, in cells."""
+        """(count,) position of each function along the side with more cells, in cells."""
         return np.asarray(np.indices(tuple(self.cells + self.degree))[np.argmax(self.cells)].ravel(), dtype=np.float64)
 
     def cell_of(self, points: Floats) -> Indices:

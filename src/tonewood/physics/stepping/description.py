@@ -138,7 +138,7 @@ def describe_linear(solve: LinearSolve, weights: Floats, port_sets: Sequence[Por
 
 
 def describe_potentials(system: System) -> list[Description]:
-    """Describe the potentials that are on, those of a kind together: place in the state, components, and arrays."""
+    """Describe the potentials that are on, those of a kind together: index in the state, components, and arrays."""
     out: list[Description] = []
     for i, (potential, memory) in enumerate(zip(system.potentials, system.potentials.memory, strict=True)):
         if not system.potentials.on[i]:

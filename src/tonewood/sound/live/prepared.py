@@ -53,7 +53,7 @@ class PreparedBases:
                 self._fingerboard.prepare(name, way)
 
     def moved(self, kind: str, value: float) -> None:
-        """Begin to compile the ways to pluck at the place to which a controller was moved."""
+        """Begin to compile the frettings for plucks at the position that a controller asks for."""
         control = self._model.playing.controls.get(kind)
         if control is not None and control.parameter == f"{self._model.default_exciter}.from_bridge":
             values = {"from_bridge": rounded(control.value(value))}

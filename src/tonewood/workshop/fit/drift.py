@@ -22,7 +22,7 @@ _PEAKS, _LEAST_PEAK, _MOST_MOVED = 8, 1e-4, 0.1
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Spectra of hits at one place, and their slopes.
+    """Spectra of hits at one point, and their slopes.
 
     freq : (N,) Hz.
     force, motion : (n_hits, N) and (n_hits, P, N).

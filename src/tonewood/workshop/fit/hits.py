@@ -18,7 +18,7 @@ _CLEAR = 2e-3
 
 @dataclass(frozen=True, eq=False)
 class HitResponses:
-    """Responses to several hits at one place.
+    """Responses to several hits at one point.
 
     freq : (N,) Hz.
     response : (P, N) response over force.
