@@ -139,7 +139,7 @@ def test_a_region_has_the_means_of_its_strokes() -> None:
     ended = _Task(keys, soft, 1, True)
     _enter(measures, FS, ended, Stroke(60, 40, 1, np.full((10, 1), 0.9)), Path("r"))
     assert (measures.peak, measures.frames) == (0.9, 4 * 1100 + 10)
-    assert measures.made["C4_v040_r5"][1] == Path("C4_v040_r5")
+    assert measures.recordings["C4_v040_r5"][1] == Path("C4_v040_r5")
     one = _region(_Task(keys, hard, 5, False), measures, ".wav")
     assert (one.file, one.repeat, one.n_repeats, one.decay_db) == ("C4_v100_r5.wav", 2, 2, None)
     levels = [Stroke(60, 1, 1, 10 ** (-10 * r * np.arange(500) / FS / 20)[:, None]).level_db(FS) for r in (2, 5)]
