@@ -145,8 +145,8 @@ def _is_made(folder: Path, number: int, key: str) -> bool:
         if record.pop("sha256") != _digest(record) or record["key"] != key or record["failed"]:
             return False
         return all(
-            hashlib.sha256((folder / place / name).read_bytes()).hexdigest() == digest
-            for place, files in ((SHARDS, record["files"]), (PHYSICS, record["physics"]))
+            hashlib.sha256((folder / subfolder / name).read_bytes()).hexdigest() == digest
+            for subfolder, files in ((SHARDS, record["files"]), (PHYSICS, record["physics"]))
             for name, digest in files.items()
         )
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
@@ -171,10 +171,10 @@ def _predicted(plan: DatasetPlan, renderer: EngineRenderer) -> DatasetPlan:
     n = len(plan.samples)
     chosen = sorted({round(k * (n - 1) / max(_TRIED - 1, 1)) for k in range(_TRIED)})
     lengths, costs = [], []
-    for place in [chosen[0], *chosen]:
+    for index in [chosen[0], *chosen]:
         try:
             began = time.process_time()
-            tried = renderer.renderer(plan.samples[place].condition)
+            tried = renderer.renderer(plan.samples[index].condition)
             ready = time.process_time()
             frames = 0
             for block in tried.blocks(4096):
@@ -212,7 +212,7 @@ def run_dataset(
     """
     started = time.perf_counter()
     plan = plan_dataset(dataset, source, folder, renderer)
-    place = folder / SHARDS
+    shard_folder = folder / SHARDS
     faults: list[Fault] = []
     notes: list[str] = []
     folder.mkdir(parents=True, exist_ok=True)
@@ -224,7 +224,7 @@ def run_dataset(
             notes += shard.notes
             if progress is not None:
                 progress("shards", done, len(plan.tasks))
-        for stray in place.glob("[0-9][0-9][0-9][0-9][0-9]*.*"):
+        for stray in shard_folder.glob("[0-9][0-9][0-9][0-9][0-9]*.*"):
             name = stray.name.partition(".")[0]
             if name.isdecimal() and name not in {shard_name(number) for number in plan.keys}:
                 remove(stray)
@@ -271,13 +271,13 @@ def _identities(plan: DatasetPlan, renderer: EngineRenderer) -> list[dict[str, A
 
 def _write(folder: Path, shard: Shard, key: str, data_set: str) -> None:
     """Write the files of a shard, and its record last."""
-    place, name = folder / SHARDS, shard_name(shard.number)
-    remove(place / f"{name}.json")
-    for stray in place.glob(f"{name}.*"):
+    shard_folder, name = folder / SHARDS, shard_name(shard.number)
+    remove(shard_folder / f"{name}.json")
+    for stray in shard_folder.glob(f"{name}.*"):
         if stray.name not in shard.files:
             remove(stray)
     for file, content in {**shard.files, **{f"../{PHYSICS}/{k}": v for k, v in shard.physics.items()}}.items():
-        write_whole((place / file).resolve(), content, make_folder=True)
+        write_whole((shard_folder / file).resolve(), content, make_folder=True)
     record = {
         "schema": SHARD_SCHEMA,
         "name": data_set,
@@ -288,7 +288,7 @@ def _write(folder: Path, shard: Shard, key: str, data_set: str) -> None:
         "physics": {file: hashlib.sha256(content).hexdigest() for file, content in sorted(shard.physics.items())},
         "sounds": _digests(shard),
     }
-    write_json(place / f"{name}.json", {**record, "sha256": _digest(record)})
+    write_json(shard_folder / f"{name}.json", {**record, "sha256": _digest(record)})
 
 
 def _digests(shard: Shard) -> dict[str, str]:

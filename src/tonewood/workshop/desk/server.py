@@ -81,8 +81,8 @@ class DeskServer:
         return Guard(Starlette(routes=routes, exception_handlers=handlers), "127.0.0.1")
 
     def _check(self, request: Request) -> None:
-        given = request.headers.get("x-desk-token", "")
-        if not hmac.compare_digest(given.encode("utf-8", "replace"), self.token.encode()):
+        token = request.headers.get("x-desk-token", "")
+        if not hmac.compare_digest(token.encode("utf-8", "replace"), self.token.encode()):
             raise RefusalError(403, "the address has no token, or an old one: `tonewood desk` prints the right one")
 
     async def _index(self, request: Request) -> Response:
@@ -122,26 +122,26 @@ class DeskServer:
 
     async def _act(self, request: Request) -> Response:
         self._check(request)
-        given = await json_body(request)
-        said = await run_in_threadpool(self._done, given)
+        body = await json_body(request)
+        said = await run_in_threadpool(self._done, body)
         state = await run_in_threadpool(self.desk.state)
         return JSONResponse({**state, "said": said})
 
-    def _done(self, given: dict[str, Any]) -> str:
+    def _done(self, body: dict[str, Any]) -> str:
         """Do one act; returns words on it."""
-        name = given.get("act")
+        name = body.get("act")
         act = _ACTS.get(name) if isinstance(name, str) else None
         if act is None:
             raise TonewoodError(f"is {name!r}; {', '.join(_ACTS)} are allowed", key="act")
         try:
-            return act(self.desk, given) or ""
+            return act(self.desk, body) or ""
         except (KeyError, TypeError, ValueError, OverflowError) as fault:
             raise TonewoodError(f"a value is missing or of another type ({fault})", key=str(name)) from None
 
     async def _report(self, request: Request) -> Response:
         self._check(request)
-        given = await json_body(request)
-        numbers = {k: float(v) for k, v in given.items() if isinstance(v, int | float) and abs(v) < _MOST_FRAMES}
+        body = await json_body(request)
+        numbers = {k: float(v) for k, v in body.items() if isinstance(v, int | float) and abs(v) < _MOST_FRAMES}
         listener = self.desk.playback.listener
         if numbers.get("stream") == self._stream and listener is not None:
             listener.report(int(numbers.get("heard", 0)))
@@ -177,57 +177,57 @@ Act = dict[str, Any]
 def _changes(use: Callable[[DeskSession, Act], None]) -> Callable[[Desk, Act], str | None]:
     """An act on the session that may change the design."""
 
-    def act(desk: Desk, given: Act) -> None:
-        desk.change(lambda session: use(session, given))
+    def act(desk: Desk, body: Act) -> None:
+        desk.change(lambda session: use(session, body))
 
     return act
 
 
-def _set(session: DeskSession, given: Act) -> None:
-    session.set(str(given["path"]), given["value"], dragging=bool(given.get("dragging")))
+def _set(session: DeskSession, body: Act) -> None:
+    session.set(str(body["path"]), body["value"], dragging=bool(body.get("dragging")))
 
 
-def _strings(session: DeskSession, given: Act) -> None:
-    name = str(given["name"])
+def _strings(session: DeskSession, body: Act) -> None:
+    name = str(body["name"])
     string_set(name)  # raises where there is none
     session.set("strings_from", name)
 
 
-def _save(desk: Desk, given: Act) -> str:
+def _save(desk: Desk, body: Act) -> str:
     try:
-        folder = Path(str(given["folder"])).expanduser()
+        folder = Path(str(body["folder"])).expanduser()
         desk.session.save(folder)
     except RuntimeError as fault:  # the home of a user who is not there
         raise TonewoodError(f"cannot be made: {fault}", key="folder") from None
     return f"saved in {folder.resolve()}: tonewood render {desk.phrase.file} -i {folder}"
 
 
-def _play(desk: Desk, given: Act) -> None:
-    desk.playback.loop = bool(given.get("loop", desk.playback.loop))
-    if given.get("on", True):
+def _play(desk: Desk, body: Act) -> None:
+    desk.playback.loop = bool(body.get("loop", desk.playback.loop))
+    if body.get("on", True):
         desk.playback.start()
     else:
         desk.playback.stop()
 
 
-def _loop(desk: Desk, given: Act) -> None:
-    desk.playback.loop = bool(given["on"])
+def _loop(desk: Desk, body: Act) -> None:
+    desk.playback.loop = bool(body["on"])
 
 
-def _phrase(desk: Desk, given: Act) -> None:
-    desk.set_phrase(str(given["kind"]), str(given.get("notes", "")), float(given.get("velocity", 80)))
+def _phrase(desk: Desk, body: Act) -> None:
+    desk.set_phrase(str(body["kind"]), str(body.get("notes", "")), float(body.get("velocity", 80)))
 
 
-def _key(desk: Desk, given: Act) -> None:
-    desk.key(given["note"], float(given.get("velocity", 80)), on=bool(given["on"]))
+def _key(desk: Desk, body: Act) -> None:
+    desk.key(body["note"], float(body.get("velocity", 80)), on=bool(body["on"]))
 
 
-def _advise(desk: Desk, given: Act) -> None:
+def _advise(desk: Desk, body: Act) -> None:
     session = desk.session
-    desk.adviser.ask(session.instrument, session.options(), session.source, str(given["targets"]), str(given["free"]))
+    desk.adviser.ask(session.instrument, session.options(), session.source, str(body["targets"]), str(body["free"]))
 
 
-def _take_advice(desk: Desk, given: Act) -> str:
+def _take_advice(desk: Desk, body: Act) -> str:
     values = dict(desk.adviser.overrides)
     if not values:
         raise TonewoodError("there is no design yet: look for one first", key="take")
@@ -235,21 +235,21 @@ def _take_advice(desk: Desk, given: Act) -> str:
     return "The design that was found is on view; Undo takes it back."
 
 
-def _compare(desk: Desk, given: Act) -> None:
-    name = given.get("name")
-    desk.compare(None if name is None else str(name), blind=bool(given.get("blind")))
+def _compare(desk: Desk, body: Act) -> None:
+    name = body.get("name")
+    desk.compare(None if name is None else str(name), blind=bool(body.get("blind")))
 
 
 #: what a page may ask for -> how it is done
 _ACTS: dict[str, Callable[[Desk, Act], str | None]] = {
     "set": _changes(_set),
-    "reset": _changes(lambda session, given: session.reset(str(given["path"]))),
+    "reset": _changes(lambda session, body: session.reset(str(body["path"]))),
     "strings": _changes(_strings),
-    "undo": _changes(lambda session, given: session.undo()),
-    "redo": _changes(lambda session, given: session.redo()),
-    "recall": _changes(lambda session, given: session.recall(str(given["name"]))),
-    "keep": _changes(lambda session, given: session.keep(str(given["name"]))),
-    "forget": _changes(lambda session, given: session.forget(str(given["name"]))),
+    "undo": _changes(lambda session, body: session.undo()),
+    "redo": _changes(lambda session, body: session.redo()),
+    "recall": _changes(lambda session, body: session.recall(str(body["name"]))),
+    "keep": _changes(lambda session, body: session.keep(str(body["name"]))),
+    "forget": _changes(lambda session, body: session.forget(str(body["name"]))),
     "save": _save,
     "play": _play,
     "loop": _loop,
@@ -257,10 +257,10 @@ _ACTS: dict[str, Callable[[Desk, Act], str | None]] = {
     "key": _key,
     "compare": _compare,
     "advise": _advise,
-    "advise_stop": lambda desk, given: desk.adviser.stop(),
+    "advise_stop": lambda desk, body: desk.adviser.stop(),
     "advise_take": _take_advice,
-    "pick": lambda desk, given: desk.playback.pick(int(given["which"])),
-    "reveal": lambda desk, given: desk.playback.reveal(),
+    "pick": lambda desk, body: desk.playback.pick(int(body["which"])),
+    "reveal": lambda desk, body: desk.playback.reveal(),
 }
 
 
