@@ -105,6 +105,10 @@ class HeldKeys:
         voices.append(voice)
         return voices[0] if len(voices) > _STRUCK else None
 
+    def holds(self, voice: Voice) -> bool:
+        """Whether the key of a note is one of these, or the note has none (it sounds on the body)."""
+        return (key := _key(voice)) is None or voice in self.held.get(key, ())
+
     def release(self, voice: Voice, *, pedal: bool) -> None:
         """Release the key of a note, which ends unless the pedal holds it; that holds one note a key."""
         voice.key_down = False

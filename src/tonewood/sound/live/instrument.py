@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -229,11 +230,19 @@ class Live:
         ----------
         note, channel : as for `note_on`.
         """
+        _check_channel(channel)
         return self.player.note_off(Note(0.0, note=note).note or 0.0, channel)
 
     @alone
     def release(self, voice: Voice) -> None:
-        """Release the key of a note: the `voice` that `note_on` returned."""
+        """Release the key of a note: the `voice` that `note_on` returned.
+
+        Raises
+        ------
+        TonewoodError : it is no voice of this instrument.
+        """
+        if not isinstance(voice, Voice) or (voice.key_down and not self.player.keys.holds(voice)):
+            raise TonewoodError("release: a voice that note_on of this instrument returned is allowed")
         self.player.release(voice)
 
     @alone
@@ -244,7 +253,7 @@ class Live:
         ------
         TonewoodError : another number than 0 to 127, or another value; also for a channel that is none.
         """
-        if number not in range(128) or not 0.0 <= value <= 1.0:
+        if number not in range(128) or not _within(value, 0.0, 1.0):
             raise TonewoodError(f"controller {number} at {value!r}: 0 to 127, at values 0 to 1, are allowed")
         self._control(f"cc{number}", value, channel)
 
@@ -265,11 +274,12 @@ class Live:
         ------
         TonewoodError : a value is out of range.
         """
-        if not 0.0 <= value <= 1.0:
+        if not _within(value, 0.0, 1.0):
             raise TonewoodError(f"pressure of {value!r}: 0 to 1 is allowed")
         self._control("channel_pressure" if note is None else "polyphonic_pressure", value, channel)
 
     def _control(self, kind: str, value: float, channel: int) -> None:
+        _check_channel(channel)
         self.player.control(kind, value, channel)
         self._bases.moved(kind, value)
 
@@ -279,10 +289,12 @@ class Live:
 
         Raises
         ------
-        TonewoodError : more than 12800 cents up or down.
+        TonewoodError : more than 12800 cents up or down; a channel that is none.
         """
-        if not -BEND_LIMIT <= cents <= BEND_LIMIT:
+        if not _within(cents, -BEND_LIMIT, BEND_LIMIT):
             raise TonewoodError(f"a bend of {cents!r} cents: {-BEND_LIMIT:g} to {BEND_LIMIT:g} are allowed")
+        if channel is not None:
+            _check_channel(channel)
         self.player.bend(cents, channel)
 
     @alone
@@ -358,3 +370,14 @@ class Live:
             process_s=self._seconds,
             effects=[report for effect in self.engine.effects for report in effect.report(self.engine.usage)],
         )
+
+
+def _within(value: object, least: float, most: float) -> bool:
+    """Whether a value is a number in a range."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool) and least <= value <= most
+
+
+def _check_channel(channel: int) -> None:
+    """Raises TonewoodError : it is no channel of MIDI."""
+    if not isinstance(channel, numbers.Integral) or channel not in range(16):
+        raise TonewoodError(f"channel {channel!r}: 0 to 15 are allowed")

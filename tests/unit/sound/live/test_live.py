@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -246,6 +247,38 @@ def test_wrong_events_are_one_line(monochord: tw.Instrument) -> None:
         with pytest.raises(TonewoodError):
             call()
     assert not live.process(256).any()
+
+
+@pytest.mark.parametrize(
+    ("call", "line"),
+    [
+        (lambda live: live.bend("1"), "a bend of '1' cents"),
+        (lambda live: live.bend(None), "a bend of None cents"),
+        (lambda live: live.bend(10.0, 16), "channel 16: 0 to 15 are allowed"),
+        (lambda live: live.control(64, None), "controller 64 at None"),
+        (lambda live: live.control(64, 1.0, -1), "channel -1"),
+        (lambda live: live.control(64, 1.0, 1.5), "channel 1.5"),
+        (lambda live: live.pressure(None), "pressure of None"),
+        (lambda live: live.pressure(True), "pressure of True"),
+        (lambda live: live.note_off("A2", 10**30), "channel 1000"),
+        (lambda live: live.release(object()), "a voice that note_on of this instrument returned"),
+    ],
+)
+def test_events_of_other_types_are_one_line(monochord: tw.Instrument, call: Any, line: str) -> None:
+    with pytest.raises(TonewoodError, match=re.escape(line)):
+        call(tw.Live(monochord, prepare=False))
+
+
+def test_a_voice_of_another_instrument_is_not_released(monochord: tw.Instrument) -> None:
+    lives = [tw.Live(monochord, prepare=False) for _ in range(2)]
+    voices = [live.note_on("A2") for live in lives]
+    assert voices[0] is not None
+    with pytest.raises(TonewoodError, match="of this instrument"):
+        lives[1].release(voices[0])
+    assert voices[0].key_down
+    lives[0].release(voices[0])
+    assert not voices[0].key_down
+    lives[0].release(voices[0])  # again: nothing happens
 
 
 def test_a_capo_holds_every_string() -> None:
