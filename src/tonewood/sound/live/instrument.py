@@ -372,7 +372,7 @@ class Live:
         )
 
 
-def _within(value: object, least: float, most: float) -> bool:
+def _within(value: Any, least: float, most: float) -> bool:
     """Whether a value is a number in a range."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool) and least <= value <= most
 
