@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numbers
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -374,10 +373,10 @@ class Live:
 
 def _within(value: Any, least: float, most: float) -> bool:
     """Whether a value is a number in a range."""
-    return isinstance(value, numbers.Real) and not isinstance(value, bool) and least <= value <= most
+    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and bool(least <= value <= most)
 
 
 def _check_channel(channel: int) -> None:
     """Raises TonewoodError : it is no channel of MIDI."""
-    if not isinstance(channel, numbers.Integral) or channel not in range(16):
+    if not isinstance(channel, (int, np.integer)) or channel not in range(16):
         raise TonewoodError(f"channel {channel!r}: 0 to 15 are allowed")
