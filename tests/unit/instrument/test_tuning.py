@@ -171,7 +171,7 @@ def test_a_note_the_string_cannot_reach(make: Make) -> None:
 
 def test_more_modes_than_a_string_can_have(make: Make) -> None:
     long = {"length": 5.0, "linear_density": 0.1, "tension": 670.0, "note": "C-1", "freq_upper": 1e5}
-    with pytest.raises(BundleError, match=r"strings\.A2: has some \d+ modes below 100000 Hz; at most 3000"):
+    with pytest.raises(BundleError, match=r"strings\.A2: this string has some \d+ modes below 100000 Hz; at most 3000"):
         assemble(make().replace({f"strings.A2.{key}": value for key, value in long.items()}), 400000.0)
 
 
