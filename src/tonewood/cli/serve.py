@@ -65,6 +65,8 @@ def serve(
         )  # fmt: skip
         try:
             uvicorn.Server(config).run(sockets=[listening])
+        except KeyboardInterrupt:  # the way to end a server
+            print(f"tonewood: the server has ended; answers are in {folder / 'answers'}", file=sys.stderr)
         finally:
             if pairs is not None:
                 pairs.close()
