@@ -23,7 +23,7 @@ from tonewood.workshop.fit.radiation import FittedRadiation
 #: value of entries without a statement
 UNKNOWN = "unknown"
 #: files that a fit may write, besides its figure
-_ALL = frozenset({"body.csv", "modes.csv", "radiation.csv", "body.yaml", "fit.json"})
+_ALL = frozenset({"body.csv", "modes.csv", "radiation.csv", "body.yaml", "fit.json", "fit.png"})
 
 
 @dataclass(frozen=True)
@@ -169,6 +169,7 @@ class FitFolder:
             folder.mkdir(exist_ok=True)
         except OSError as fault:
             raise OutputError(f"cannot be made: {fault.strerror}", file=folder) from None
+        names = [*texts, *(["fit.png"] if draw else [])]
         try:
             with ExitStack() as stack:
                 files = []
@@ -182,7 +183,7 @@ class FitFolder:
                     draw(self.fit, file.path)
                 for file in files:
                     file.complete()
-                for name in _ALL.difference(texts):  # of another fit
+                for name in _ALL.difference(names):  # of another fit
                     (folder / name).unlink(missing_ok=True)
         except OSError as fault:
             raise OutputError(f"cannot be written: {fault.strerror or fault}", file=folder) from None
@@ -190,7 +191,7 @@ class FitFolder:
             if new:  # nothing was completed
                 with suppress(OSError):
                     folder.rmdir()
-        return [folder / name for name in [*texts, *(["fit.png"] if draw else [])]]
+        return [folder / name for name in names]
 
 
 def _sha256(text: str) -> str:
