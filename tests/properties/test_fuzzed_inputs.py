@@ -201,7 +201,7 @@ def test_numbers_of_modes_are_limited(tmp_path: Path) -> None:
     slack = put(VALUES, ("strings", "A2", "tension"), 1.9)
     slack["strings"]["A2"] |= {"note": None, "freq": 20.0, "freq_upper": 1e5, "bending_stiffness": 0.0}
     instrument = tw.load_instrument(bundle(tmp_path / "in", json.dumps(slack)))
-    with pytest.raises(TonewoodError, match=r"strings\.A2: this string has some 4\d{3} modes .* at most 3000 are allowed"):
+    with pytest.raises(TonewoodError, match=r"strings\.A2: this string has some 4\d{3} modes .* at most 3000 are"):
         assemble(instrument, 768000)
 
 
