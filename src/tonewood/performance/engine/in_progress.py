@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from tonewood.instrument.model.assembly import Model
@@ -79,9 +79,9 @@ class GesturesInProgress:
 
 def _reaching(acting: Sequence[_Acting], until: int) -> list[_Acting]:
     out = list[_Acting]()
-    for one in acting:
-        out.append(one)
-        while one.further and one.stop <= until:
-            one = one.further()
-            out.append(one)
+    for window in acting:
+        while window.further and window.stop <= until:
+            out.append(replace(window, further=None))
+            window = window.further()
+        out.append(window)
     return out

@@ -100,3 +100,7 @@ def test_a_gesture_of_an_hour_is_computed_as_far_as_it_is_reached(noisy: bool) -
         mean = 3.0 + 2.0 * (t + 0.5 / FS) if noisy else 0.0
         force = [pull[0] + t * (pull[1] + t * pull[2]) + mean, pull[1] + 2 * t * pull[2], pull[2]]
         assert acting.values[:, one.state.sample - acting.start] == pytest.approx(force, rel=1e-12)
+    for _ in range(2):  # what was reached is not computed again
+        one.gestures.reach(one.state.sample + 20_000)
+        starts = [i.start for i in one.gestures.injections]
+        assert len(set(starts)) == len(starts) > 2
