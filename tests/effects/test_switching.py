@@ -145,7 +145,7 @@ def test_a_tension_that_comes_back_is_paid_for(seed: int) -> None:
         assert displaced.max() <= 1e-9 * np.abs(off.modes_of(still, "E4.z")[0]).max()
     else:
         assert np.array_equal(state.modes, still.modes)
-        assert stored_energy(on, still).tension > 0.2 * stored_energy(off, still).modes
+        assert stored_energy(on, still).potentials > 0.2 * stored_energy(off, still).modes
 
 
 def test_a_string_at_its_turning_point_waits() -> None:

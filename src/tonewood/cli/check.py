@@ -57,7 +57,7 @@ def check(
         pitches,
     )
     from tonewood.instrument.inspection.mounted import mounted_pitches
-    from tonewood.instrument.inspection.potentials_at_rest import pushes_at_rest, small_motions
+    from tonewood.instrument.inspection.potentials_at_rest import forces_at_rest, small_motions
     from tonewood.instrument.model.assembly import assemble
     from tonewood.performance.engine.trial import try_parts
 
@@ -88,7 +88,7 @@ def check(
         "strings": {name: _string(model, name, pairs) for name in model.groups},
         "microphones": [_microphone(response) for response in microphone_responses(model)],
         "potentials": [asdict(motion) | {"doubt": motion.doubt} for motion in small_motions(model)],
-        "pushes_at_rest": pushes_at_rest(model),
+        "forces_at_rest": forces_at_rest(model),
         "off_pitch": [pitch_row(p) for p in off],
         "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
         "off_planes": [plane_row(p) for p in off_planes],
@@ -360,7 +360,7 @@ def _warnings(report: dict[str, Any]) -> list[str]:
     doubts += [
         f"connection {name}: pushes with {abs(force):.3g} N at rest, which sounds at the start of every render: the "
         "`offset` of a contact should be 0 or less"
-        for name, force in report["pushes_at_rest"].items()
+        for name, force in report["forces_at_rest"].items()
     ]
     for name, row in report["strings"].items():
         if abs(share := row["stop_tension"]["relative"]) > _STOP_TENSION:

@@ -23,7 +23,7 @@ _ENERGY = 1e-16
 #: cents, and J, from which on a potential is said to act on small motion
 TOLERANCE_CENTS, _AT_REST = 1.0, 1e-12
 #: N, from which on a connection is said to push at rest
-_PUSH = 1e-9
+_FORCE = 1e-9
 #: J of the modes in the motion in which the gradient is compared; step of a difference, and error that is reported
 _MOTION, _STEP, _WRONG = 1e-4, 1e-4, 1e-3
 
@@ -83,14 +83,14 @@ def small_motions(model: Model) -> list[SmallMotion]:
     return out
 
 
-def pushes_at_rest(model: Model) -> dict[str, float]:
+def forces_at_rest(model: Model) -> dict[str, float]:
     """Connection -> N with which its law pushes while nothing moves."""
     forces = {
         c.name: float(c.law.force(c.law.offset, c.law.offset, model.system.dt)[0])
         for c in model.system.connections
         if isinstance(c.law, PotentialLaw)
     }
-    return {name: force for name, force in forces.items() if abs(force) > _PUSH}
+    return {name: force for name, force in forces.items() if abs(force) > _FORCE}
 
 
 def _near_rest(potential: ModalPotential, energy: PotentialEnergy, squares: Floats) -> SmallMotion:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -435,12 +436,15 @@ print(json.dumps([facts["damping"], facts["misfit"], [r["freq_Hz"] for r in rows
 """
     for kernel in ("Haswell", "Zen", "SkylakeX", "Prescott"):
         there = os.environ | {"OPENBLAS_CORETYPE": kernel}
-        done = subprocess.run([sys.executable, "-c", code], env=there, capture_output=True, text=True, check=True)
-        yield json.loads(done.stdout)
+        done = subprocess.run([sys.executable, "-c", code], env=there, capture_output=True, text=True)
+        if done.returncode != -signal.SIGILL:  # this processor has the kernel's instructions
+            assert done.returncode == 0, done.stderr
+            yield json.loads(done.stdout)
 
 
 def assert_alike(found):
     """The same verdict, frequencies and Q far within the doubt of them."""
+    assert len(found) > 1
     damping, misfit, freq, quality = found[0]
     for other in found[1:]:
         assert other[0] == damping
