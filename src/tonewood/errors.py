@@ -91,7 +91,7 @@ def words_of(error: BaseException) -> str:
     """``ValueError: its text`` on one line, of an exception of anybody's code, whose text may raise another one."""
     try:
         text = " ".join(str(error).split())
-    except Exception:
+    except Exception:  # the text of somebody's exception may fail in any way; its type still says something
         text = ""
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 

@@ -65,7 +65,7 @@ def run(arguments: list[str] | None = None) -> None:
         if stopping.signal:  # SIGHUP: the terminal has gone
             _interrupted(words, _remaining())
         _fail(f"standard output: cannot be written: {error.strerror}", 2)
-    except Exception:
+    except Exception:  # raised again, unless a signal caused it
         if stopping.signal:  # an import that was interrupted may fail in other ways
             _interrupted(words, _remaining())
         raise
