@@ -175,22 +175,22 @@ def write_bundle(
 class Scene:
     """A bundle, assembled; all modes of its strings and body are set in motion at random."""
 
-    def __init__(self, one_matrix: bool = False, still: str = "", phantoms: bool = False, **what: Any):
+    def __init__(self, one_matrix: bool = False, still: str = "", potentials: bool = True, **what: Any):
         self.still = still  # plane of motion that is at rest
         kept = elimination.LEAST_IN_PARTS
         elimination.LEAST_IN_PARTS = 10**9 if one_matrix else kept
         try:
-            self._make(phantoms, **what)
+            self._make(potentials, **what)
         finally:
             elimination.LEAST_IN_PARTS = kept
 
-    def _make(self, phantoms: bool, **what: Any) -> None:
+    def _make(self, potentials: bool, **what: Any) -> None:
         with tempfile.TemporaryDirectory() as folder:
             bundle = what.pop("bundle", None) or write_bundle(Path(folder), **what)
             made = time.perf_counter()
             self.model: Model = assemble(tw.load_instrument(bundle), FS)
         system = self.model.system
-        self.stepper = KernelStepper(system if phantoms else system.with_potentials(()))
+        self.stepper = KernelStepper(system if potentials else system.with_potentials(()))
         self.load_seconds = time.perf_counter() - made
 
     def run(self, seconds: float) -> Floats:
@@ -241,8 +241,8 @@ STUDIES: dict[str, dict[str, dict[str, Any]]] = {
     "body": {f"{n} body modes": {"modes": n} for n in (75, 150, 300, 600)},
     "tension": {f"{n} of 243 rise{of}": {"rising": n, **how} for n in (0, 1, 8, 30, 61) for of, how in KINDS.items()},
     "piano": {
-        "grand_piano": {"bundle": "grand_piano"},
-        "grand_piano, forces of all phantom partials": {"bundle": "grand_piano", "phantoms": True},
+        "grand_piano": {"bundle": "grand_piano", "potentials": False},
+        "grand_piano, forces of all phantom partials": {"bundle": "grand_piano"},
     },
 }
 

@@ -391,8 +391,9 @@ class _PartReader:
             signs.add("palm_mute")
         if text_of(element, "notehead") == "x":
             signs.add("dead")
-        ties = [e.get("type") for e in element.findall("tie")]
-        if any(e.get("type") == "let-ring" for e in element.findall("notations/tied")):
+        drawn = [e.get("type") for e in element.findall("notations/tied")]
+        ties = [e.get("type") for e in element.findall("tie")] or drawn  # some programs write only the drawn tie
+        if "let-ring" in drawn:
             signs.add("let_ring")
         technical = element.find("notations/technical")
         moved = self.transpose.get(text_of(element, "staff", "1"), self.transpose.get("", 0.0))

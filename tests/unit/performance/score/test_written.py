@@ -490,6 +490,17 @@ def test_a_tie_does_not_end_the_other_voice(tmp_path: Path) -> None:
     assert max(n.duration for n in tw.read_score(path).notes) == pytest.approx(2.0)
 
 
+def test_a_tie_that_is_only_drawn_holds_the_note(tmp_path: Path) -> None:
+    """MusicXML's <tie> says what sounds, <tied> what is drawn; some programs write the drawn tie alone."""
+    lengths = []
+    for i, more in enumerate(('<tied type="stop"/>', "")):
+        text = musicxml(note("A", 3, 2, more='<tied type="start"/>') + note("A", 3, 2, more=more))
+        lengths.append([n.duration for n in tw.read_score(write(tmp_path / f"{i}.musicxml", text)).notes])
+    held, struck = lengths[0][0], lengths[1][0]
+    assert lengths == [[held] * 2, [struck] * 4]  # the measure is repeated
+    assert held == pytest.approx(2 * struck, rel=0.05)
+
+
 def test_staves_are_transposed_and_notes_have_their_dynamics(tmp_path: Path) -> None:
     moves = "".join(
         f'<transpose number="{i}"><chromatic>0</chromatic><octave-change>{o}</octave-change></transpose>'
