@@ -97,11 +97,12 @@ def fit_counts(counts: Floats, x: Floats, prior: float = PRIOR) -> tuple[Floats,
     for _ in range(_STEPS):
         score, information = _scored(n, total, x, point, cuts)
         step = np.linalg.solve(information, score[..., None])[..., 0]
-        for _ in range(20):  # cuts keep their order
-            bad = np.any(np.diff((point + step)[..., :cuts], axis=-1) <= 0, axis=-1)
-            if not bad.any():
+        likelihood = _likelihood(n, x, point, cuts)
+        for _ in range(20):  # a whole step may lead far beyond the maximum, or change the order of cuts
+            less = _likelihood(n, x, point + step, cuts) < likelihood - 1e-9 * np.abs(likelihood)
+            if not less.any():
                 break
-            step = np.where(bad[..., None], step / 2, step)
+            step = np.where(less[..., None], step / 2, step)
         point = point + step
         done = np.max(np.abs(step), axis=-1) < 1e-7
         if done.all():
@@ -109,13 +110,24 @@ def fit_counts(counts: Floats, x: Floats, prior: float = PRIOR) -> tuple[Floats,
     return point[..., cuts:], point[..., :cuts], done
 
 
-def _scored(n: Floats, total: Floats, x: Floats, point: Floats, cuts: int) -> tuple[Floats, Floats]:
-    """Gradient and expected second derivatives of the logarithm of the likelihood in (alpha, beta)."""
+def _shares(x: Floats, point: Floats, cuts: int) -> tuple[Floats, Floats]:
+    """P(grade <= k), from 0 to 1, and P(grade = k) at (alpha, beta); nearly 0 where cuts are out of order."""
     eta = point[..., cuts:] @ x.T
     inner = 1 / (1 + np.exp(np.clip(eta[..., None] - point[..., None, :cuts], -500, 500)))
     zero = np.zeros((*inner.shape[:-1], 1))
     f = np.concatenate([zero, inner, zero + 1], axis=-1)
-    p, slope = np.maximum(np.diff(f, axis=-1), 1e-300), inner * (1 - inner)
+    return f, np.maximum(np.diff(f, axis=-1), 1e-300)
+
+
+def _likelihood(n: Floats, x: Floats, point: Floats, cuts: int) -> Floats:
+    """Logarithm of the likelihood."""
+    return np.asarray(np.sum(n * np.log(_shares(x, point, cuts)[1]), axis=(-2, -1)))
+
+
+def _scored(n: Floats, total: Floats, x: Floats, point: Floats, cuts: int) -> tuple[Floats, Floats]:
+    """Gradient and expected second derivatives of the logarithm of the likelihood in (alpha, beta)."""
+    f, p = _shares(x, point, cuts)
+    slope = f[..., 1:-1] * (1 - f[..., 1:-1])
     ratio, lean = n / p, 1 - f[..., 1:] - f[..., :-1]
     of_alpha = np.sum(slope * (ratio[..., :-1] - ratio[..., 1:]), axis=-2)
     of_eta = -np.sum(n * lean, axis=-1)

@@ -38,7 +38,6 @@ from tonewood.workshop.listening.headphones import interval
 from tonewood.workshop.listening.level_tone import tone
 from tonewood.workshop.listening.on_demand import PairSource
 from tonewood.workshop.listening.shown import shown
-from tonewood.workshop.listening.trials import Step
 from tonewood.workshop.web.guard import Guard
 from tonewood.workshop.web.requests import RefusalError, asset, json_body, mistake, one_line, refuse
 
@@ -206,7 +205,10 @@ class ListeningServer:
                 if step.level is not None and self.pairs is not None:
                     number = opened.session.page_index or 0
                     pair = self.pairs.pair(number, step.level)
-                    self._expect(opened, number, step)
+                    if not step.training:  # the levels after either answer are made ahead
+                        track = opened.session.tracks[number][step.track or 0]
+                        for right in (True, False):
+                            self.pairs.expect(number, track.step_after(right))
                     return Response(pair[step.slots[slot]], media_type="audio/wav")
                 if entry.read != step.index:  # the first sound costs as much whichever it is, the others are cached
                     for code in set(step.slots.values()):
@@ -219,13 +221,6 @@ class ListeningServer:
                 return JSONResponse({"error": "a sound of this page cannot be made"}, status_code=422)
 
         return await self._with_session(request, sound)
-
-    def _expect(self, opened: OpenSession, page: int, step: Step) -> None:
-        """Have the levels after either answer made."""
-        tracks = opened.session.tracks.get(page)
-        if self.pairs is not None and tracks and not step.training:
-            for right in (True, False):
-                self.pairs.expect(page, tracks[step.track or 0].step_after(right))
 
     def _shown(self, opened: OpenSession) -> dict[str, Any]:
         name, code = str(opened.header["listener"]), str(opened.header["token"])[:8]

@@ -25,6 +25,8 @@ from tonewood.workshop.listening import definition
 from tonewood.workshop.listening import server as server_module
 from tonewood.workshop.listening.answer_file import answers_of
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
+from tonewood.workshop.listening.headphones import interval
+from tonewood.workshop.listening.level_tone import tone
 from tonewood.workshop.listening.on_demand import RenderedPairs
 from tonewood.workshop.listening.server import ListeningServer
 from tonewood.workshop.web import requests
@@ -436,3 +438,85 @@ def test_languages_are_not_read_once_for_each_wish(test: ListeningTest, monkeypa
     session = begun(application, language="x," * 2000 + "de")
     assert json.loads(request(application, "GET", session)[2])["type"] == "consent"
     assert calls < 10
+
+
+class Noted:
+    """Sounds that are named after their page and level; notes what is wanted."""
+
+    def __init__(self) -> None:
+        self.wanted: list[Any] = []
+
+    def pair(self, page: int, level: float) -> dict[str, bytes]:
+        self.wanted.append((page, level))
+        return {"standard": b"standard", "changed": f"page {page} at {level}".encode()}
+
+    def expect(self, page: int, level: float) -> None:
+        self.wanted.append(("ahead", page, level))
+
+
+def test_levels_after_either_answer_are_made_ahead_but_not_in_training(tmp_path: Path) -> None:
+    """From 4, a right answer halves the level and a wrong one doubles it; the training stays at 4."""
+    stairs = fakes.STAIRS | {"start": 4.0, "down": 1, "steps": [2.0], "highest": 40.0, "feedback": False}
+    pairs = Noted()
+    server = ListeningServer(fakes.made(tmp_path, [{"type": "training", "page": 2, "trials": 2}, stairs]), pairs)
+    application = server.application()
+    base = begun(application)
+    for index, (level, right) in enumerate([(4.0, True), (4.0, False), (4.0, True), (2.0, False), (4.0, True)]):
+        pairs.wanted.clear()
+        sounds = {slot: request(application, "GET", f"{base}/sound/{index}/{slot}") for slot in "123"}
+        ((odd, (status, headers, raw)),) = [(s, x) for s, x in sounds.items() if x[2] != b"standard"]
+        assert (status, headers["content-type"], raw) == (200, "audio/wav", f"page 1 at {level}".encode())
+        ahead = [("ahead", 1, level / 2), ("ahead", 1, 2 * level)] if index > 1 else []
+        assert pairs.wanted == [(1, level), *ahead] * 3
+        choice = odd if right else next(s for s in "123" if s != odd)
+        body = json.dumps({"index": index, "choice": choice}).encode()
+        reply = json.loads(request(application, "POST", base, body)[2])
+        assert reply["feedback"] == ({"right": right, "correct": odd} if index < 2 else None)
+        assert reply["step"]["index"] == index + 1
+
+
+def test_a_session_has_the_language_and_the_name_that_were_asked_for(test: ListeningTest) -> None:
+    application = ListeningServer(test).application()
+    base = begun(application, listener="N", language="xx,de-CH")
+    (one,) = [a for a in answers_of(test).listeners if a.header["token"] in base]
+    assert (one.header["listener"], one.header["language"]) == ("N", "de")
+    assert json.loads(request(application, "GET", base)[2])["title"] == "Einwilligung"
+    about = json.loads(request(application, "GET", "/api/test")[2])
+    assert (about["test"], about["title"], about["language"]) == (test.sha256[:16], test.title("en"), "en")
+    assert about["texts"] == test.texts("en")
+    given = json.loads(request(application, "GET", f"{base}/data")[2])
+    assert given["listener"] == "N"
+    status, _, raw = request(application, "POST", "/api/session", b'{"listener": 7}')
+    assert (status, json.loads(raw)["error"]) == (400, "listener: is no text")
+
+
+def test_a_session_that_could_not_begin_does_not_count(test: ListeningTest, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*given: Any, **named: Any) -> None:
+        raise OutputError("cannot be written")
+
+    server = ListeningServer(test)
+    application, before = server.application(), server._begun
+    base = begun(application)
+    assert server._begun == before + 1
+    assert request(application, "DELETE", base)[0] == 200
+    assert request(application, "DELETE", base)[0] == 404
+    assert server._begun == before
+    monkeypatch.setattr(server_module, "begin", full)
+    assert request(application, "POST", "/api/session", b"{}")[0] == 500
+    assert server._begun == before
+
+
+def test_sounds_of_checks_and_levels_are_made_here(tmp_path: Path) -> None:
+    test = fakes.made(tmp_path, [{"type": "level"}, {"type": "headphones"}, PAGES[1]])
+    server = ListeningServer(test)
+    application = server.application()
+    base = begun(application)
+    tones = request(application, "GET", f"{base}/sound/0/tone")
+    assert (tones[0], tones[2]) == (200, tone(test, test.pages[0]))
+    assert request(application, "GET", f"{base}/sound/0/1")[0] == 404
+    assert request(application, "POST", base, b'{"index": 0}')[0] == 200
+    session = server._entries[base.rpartition("/")[2]].opened.session
+    noises = [request(application, "GET", f"{base}/sound/1/{slot}")[2] for slot in "123"]
+    assert noises == [interval(test, test.pages[1], session, slot) for slot in "123"]
+    assert len(set(noises)) > 1
+    assert request(application, "GET", f"{base}/sound/1/tone")[0] == 404

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from listening_studies import NULLS, graded, ratings, without
-from scipy import stats
+from scipy import optimize, special, stats
 
 from tonewood.sound.level.loudness import loudest
 from tonewood.workshop.batch.pages import LevelPage, MushraPage, PairedPage, RatingPage, StaircasePage
@@ -350,6 +350,32 @@ def test_odds_of_two_cells_of_two_grades_are_the_ratio_of_counts() -> None:
     assert done
     assert beta[0] == pytest.approx(math.log(b[1] / b[0]) - math.log(a[1] / a[0]), rel=1e-6)
     assert alpha[0] == pytest.approx(math.log(a[0] / a[1]), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "counts",
+    [
+        [[0.0, 4.0, 0.0], [1.0, 0.0, 31.0]], [[0.0, 0.0, 11.0], [0.0, 0.0, 23.0], [4.0, 1.0, 0.0]],
+        [[5.0, 2.0, 0.0], [0.0, 0.0, 27.0]], [[3.0, 5.0, 2.0], [1.0, 4.0, 7.0]],
+    ],
+)  # fmt: skip
+def test_odds_of_extreme_tables_are_those_of_maximum_likelihood(counts: list[list[float]]) -> None:
+    """Each table alone and in a stack; whole steps of Fisher's scoring leave the first two for good."""
+    x, table = np.eye(len(counts))[:, 1:], np.array(counts)
+    cells, n = len(x), table + 0.5 * table.sum(axis=0) / table.sum()
+
+    def unlikely(v: np.ndarray) -> float:
+        cuts = np.array([v[0], v[0] + np.exp(v[1])])
+        f = special.expit(cuts - (x @ v[2:])[:, None])
+        return -float(np.sum(n * np.log(np.diff(np.c_[np.zeros(cells), f, np.ones(cells)]))))
+
+    best = optimize.minimize(unlikely, np.zeros(1 + cells), method="BFGS", options={"gtol": 1e-8}).x
+    beta, alpha, done = fit_counts(np.array([table, table[::-1]]), x)
+    assert done.tolist() == [True, True]
+    np.testing.assert_allclose(beta[0], best[2:], atol=1e-4)
+    np.testing.assert_allclose(alpha[0], [best[0], best[0] + np.exp(best[1])], atol=1e-4)
+    last = beta[1, -1]  # the other way round, odds are those of the last cell
+    np.testing.assert_allclose(np.r_[0.0, beta[1]], last + np.r_[0.0, best[2:]][::-1], atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -1200,6 +1226,29 @@ def test_shares_and_odds_are_told_where_the_scale_ends() -> None:
     )
 
 
+def test_results_of_too_few_are_said_not_to_be_tested() -> None:
+    own = PageResults(1, "mushra", "M", 2, ("d",), ({"value": None}, {"value": 50.0}))
+    panel: Any = SimpleNamespace(confidence=0.95, pages=(own,))
+    assert summary(panel) == ["Page 1, M: no difference is tested, with answers of 2 listeners; three are needed."]
+    (said,) = summary(SimpleNamespace(confidence=0.95, pages=(replace(own, screened=(1,)),)))  # type: ignore[arg-type]
+    assert "of 2 listeners, 1 listener left out by the screening; three" in said
+    silent = (replace(own, factors=()), replace(own, rows=({"value": None},)))
+    assert summary(SimpleNamespace(confidence=0.95, pages=silent)) == []  # type: ignore[arg-type]
+
+
+def test_results_are_written_without_their_rows() -> None:
+    panel, own = found(LEVITT, 0.5, 0.4, 0.6)
+    screened = replace(own, page=2, everybody=own)
+    data = replace(panel, pages=(own, screened), unfinished=("u",), withdrawn=3).to_dict()
+    whole, other = data.pop("pages")
+    assert data == {
+        "name": "t", "confidence": 0.95, "listeners": 2, "simulated": 0, "unfinished": ["u"], "not_passed": [],
+        "withdrawn": 3, "left_out": [],
+    }  # fmt: skip
+    assert (whole["page"], whole["thresholds"]["mean"], whole["everybody"], "rows" in whole) == (1, 0.5, None, False)
+    assert (other["everybody"]["page"], other["everybody"]["rows"]) == (1, ())
+
+
 # -- sessions and files of answers ------------------------------------------------------------------------------------
 
 
@@ -1214,6 +1263,34 @@ def test_steps_are_counted_with_every_attempt_of_a_check(tmp_path: Path) -> None
         wrong = next(slot for slot in session.step.slots if slot != session.step.correct)
         session.answer({"choice": wrong if k == 0 else session.step.correct})
         assert session.total == max(6, k + 1) + pairs + 1
+
+
+def test_training_on_a_staircase_stays_at_its_start(tmp_path: Path) -> None:
+    pages = [{"type": "training", "page": 2, "trials": 9}, fakes.STAIRS | {"down": 1}]
+    session = Session(fakes.made(tmp_path, pages), 1)
+    assert session.total == 9 + 40 + 1
+    places = []
+    for k in range(9):
+        step = session.step
+        assert step is not None
+        assert session.page_index == 1
+        assert (step.training, step.repetition, step.track, step.level) == (True, k + 1, 0, 8.0)
+        assert [slot for slot, code in step.slots.items() if code == "changed"] == [step.correct]
+        places.append(step.correct)
+        if k < 7:
+            record = session.answer({"choice": step.correct})
+            assert (record["level"], record["right"], record["training"], record["page"]) == (8.0, True, True, 1)
+        else:
+            session.pass_over()
+    assert len(set(places)) > 1
+    assert session.incomplete == set()
+    step = session.step
+    assert step is not None
+    assert (step.training, step.page, step.level, session.tracks[1][0].levels) == (False, 1, 8.0, [])
+    session.pass_over()
+    assert session.incomplete == {1}
+    assert session.page is not None
+    assert session.page.type == "finish"
 
 
 def test_names_are_one_line_of_sixty_characters() -> None:

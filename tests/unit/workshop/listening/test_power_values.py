@@ -17,6 +17,7 @@ from tonewood.workshop.listening.simulated_power import (
     TooManyListenersError,
     _batches,
     _draws,
+    ordinal_power,
     screened_power,
     threshold_listeners,
 )
@@ -252,3 +253,27 @@ def test_listeners_of_a_threshold_are_added_by_15_percent(monkeypatch: pytest.Mo
     monkeypatch.setattr(simulated_power, "MOST", 25)
     with pytest.raises(TooManyListenersError, match=r"more than 25 listeners .* a margin of 1\.4"):
         threshold_listeners(page, people, 1.4, 0.05, 0.8)  # type: ignore[arg-type]
+
+
+def test_power_of_grades_is_that_of_shares_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Six listeners' shares of two comparisons are 0, 1/2 or 1: all counts of these, tested by Student's t."""
+    monkeypatch.setattr(simulated_power, "EXPERIMENTS", 4000)
+    effect, sd, cells, n = 3.0, 2.0, 2, 6
+    u, weight = np.polynomial.hermite_e.hermegauss(60)
+    q = stats.norm.cdf((effect + sd / math.sqrt(2) * u) / (sd * math.sqrt(cells / 2)))
+    none, half, both = ((weight * p).sum() / weight.sum() for p in ((1 - q) ** 2, 2 * q * (1 - q), q**2))
+    expected = 0.0
+    for i in range(n + 1):
+        for j in range(n + 1 - i):
+            shares = np.repeat([0.0, 0.5, 1.0], [i, j, n - i - j])
+            alike = 1.0 if j == n else 2 * 0.5**n  # by the sign test
+            p = alike if np.ptp(shares) == 0 else stats.ttest_1samp(shares, 0.5).pvalue
+            expected += (p < 0.05) * stats.multinomial.pmf([i, j, n - i - j], n, [none, half, both])
+    found = ordinal_power([0.0, effect], sd, cells, (-500.0, 700.0), n, 0.05)
+    assert 0.3 < expected < 0.9
+    assert found == pytest.approx([expected], abs=0.03)
+    assert ordinal_power([60.0, 70.0], 0.1, 1, (0.0, 100.0), 8, 0.05).tolist() == [0.0]  # both at the upper end
+    assert ordinal_power([48.0, 60.0], 0.1, 1, (0.0, 100.0), 8, 0.05).tolist() == [1.0]
+    same, other = ordinal_power([0.0, 0.0, 30.0], 1.0, 3, (0.0, 100.0), 12, 0.05)
+    assert same < 0.07
+    assert other == 1.0
