@@ -279,7 +279,7 @@ def begin(
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             part.write_bytes(b"")
-            _append(part, header_bytes, at=0)
+            _append(part, header_bytes, at=0, sync=True)
             os.replace(part, path)
         finally:
             part.unlink(missing_ok=True)
@@ -413,7 +413,7 @@ def _misfit(session: Session, record: Mapping[str, Any]) -> ListeningError | Non
     return None
 
 
-def _append(path: Path, line: bytes, *, at: int, sync: bool = True) -> None:
+def _append(path: Path, line: bytes, *, at: int, sync: bool) -> None:
     """Append a line by one write and wait until it is on the disk; the part that a full disk took is cut off again.
 
     at : length that the file must have: no other program may have written to it.

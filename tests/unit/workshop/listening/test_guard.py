@@ -520,3 +520,20 @@ def test_sounds_of_checks_and_levels_are_made_here(tmp_path: Path) -> None:
     assert noises == [interval(test, test.pages[1], session, slot) for slot in "123"]
     assert len(set(noises)) > 1
     assert request(application, "GET", f"{base}/sound/1/tone")[0] == 404
+
+
+def test_who_gave_no_name_goes_back_with_the_beginning_of_the_token(tmp_path: Path) -> None:
+    back = {"code": "C-{id}", "address": "https://crowd.example/?c={code}&p={listener}"}
+    server = ListeningServer(fakes.made(tmp_path, [*PAGES, {"type": "finish", "back": back}]))
+    application = server.application()
+    for name in ("", "N O"):
+        base = begun(application, listener=name)
+        token = base.rpartition("/")[2]
+        session = server._entries[token].opened.session
+        while session.step is not None:
+            session.pass_over()
+        view = json.loads(request(application, "GET", base)[2])
+        listener = "N%20O" if name else token[:8]
+        assert (view["code"], view["address"]) == (
+            f"C-{token[:8]}", f"https://crowd.example/?c=C-{token[:8]}&p={listener}"
+        )  # fmt: skip

@@ -197,6 +197,7 @@ def test_answers_are_on_the_disk_before_the_session_goes_on(
     monkeypatch.setattr(os, "fsync", lambda handle: (synced.append(os.fstat(handle).st_size), fsync(handle)))
     who = listener(test_of_all)
     opened = begin(test_of_all, language="en", listener="me", started="2026", seed=3)
+    assert opened.path.stat().st_size in synced
     for _ in range(6):
         opened.answer(who.answer(opened.session), now="now")
         assert opened.path.stat().st_size == synced[-1]
