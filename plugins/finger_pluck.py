@@ -10,7 +10,8 @@ Slip. The force falls as the string passes the edge, whose radius is `edge`:
 
 u is the way of the string over the edge. It grows by the hand's speed, by the string's, which is let go into its wave
 impedance (true until the first reflection comes back), and by that of the fingertip of mass m and stiffness k, which
-leaps ahead as its load is gone. A string that is drawn further leaves faster, so the release lasts about 4 Z edge / F:
+leaps ahead as its load is gone. The hand's speed is at least edge / 0.5 s, as it would take hours at forces near zero.
+A string that is drawn further leaves faster, so the release lasts about 4 Z edge / F:
 loud notes are brighter. With `nail` from 0 to 1 the edge goes from that of flesh to that of a nail, and so do the width
 of the contact, over which the force is spread evenly, and the stiffness.
 
@@ -46,6 +47,8 @@ from tonewood.authoring import Parameters
 _TENSION, _FREQ = 70.0, 200.0
 #: Hz, values of the random force per second
 _NOISE_FS = 48000.0
+#: s, in which the hand alone moves the edge past the string at any force
+_LONGEST_SLIP = 0.5
 #: steps of the slip's integration, and those between which the force is made of two parabolas
 _STEPS, _NODES = 60, (0, 3, 6, 12, 24, 36, 48, 60)
 
@@ -128,7 +131,7 @@ class FingerPluck(ta.Exciter[FingerPluckParameters]):
         rise = min(4 * impedance / tip.stiffness, 0.25 * draw)
         touch = ta.smooth_step(-draw, rise - draw, 0.0, landed)
         drawing = ta.smooth_step(rise - draw, 0.0, landed, force)
-        release = slip(force, impedance, speed, tip, p.mass)
+        release = slip(force, impedance, max(speed, tip.edge / _LONGEST_SLIP), tip, p.mass)
         hold = ta.Hold(-draw, -draw / 2, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 and not p.linear else None
         segments = touch + drawing + release
         label = f"{p.seed} {place.name} {event.stop:g} {force!r} {x!r}"

@@ -37,6 +37,15 @@ def fall_time(force: float, **values: Any) -> float:
     return float(t[np.argmax(f < 0.1)] - t[np.argmax(f < 0.9)])
 
 
+@pytest.mark.parametrize("force", [1e-300, 1e-9, 1e-3])
+def test_a_slip_at_forces_near_zero_ends(force: float) -> None:
+    """At 1e-9 N the hand that draws the string in 0.02 s needs a day to move its edge past it."""
+    g = pluck(force=force, roughness=4e-3)
+    assert g.stop < 0.501
+    assert g.noise is not None
+    assert len(g.noise.values) < 48000
+
+
 @pytest.mark.parametrize(("force", "mass"), [(0.5, 5e-4), (2.0, 5e-4), (2.0, 5e-5), (4.0, 1.0)])
 def test_the_slip_is_that_of_its_equation_of_motion(force: float, mass: float) -> None:
     """u' = v + (F - f) / 2 Z + y', m y'' = F - f - k y, by an adaptive Runge-Kutta method."""

@@ -29,20 +29,20 @@ def results(
 ) -> None:
     """Write the table of answers of DIR, means, models, sensitivities and thresholds, and a report with figures."""
     need("results", "jinja2", "matplotlib", "pyarrow")
-    from tonewood.workshop.exchange.answers import read_answers
+    from tonewood.workshop.exchange.answers import joined, read_answers
     from tonewood.workshop.listening.definition import load_test
     from tonewood.workshop.listening.plain import methods, summary
     from tonewood.workshop.listening.report import write_report
     from tonewood.workshop.listening.results import FOLDER, analyse, write_tables
 
-    tables = [read_answers(path, test) for path in answers or () for test in [load_test(folder)]]
+    others = joined([read_answers(path, test) for path in answers or () for test in [load_test(folder)]])
     analysis = analyse(
         folder,
         key=key,
         confidence=confidence,
         screening=screening,
-        others=[one for table in tables for one in table.listeners],
-        others_left_out=[one for table in tables for one in table.left_out],
+        others=others.listeners,
+        others_left_out=others.left_out,
     )
     target = output or folder / FOLDER
     write_tables(analysis, target)

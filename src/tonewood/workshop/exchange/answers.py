@@ -12,11 +12,12 @@ import csv
 import io
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from tonewood.support.text_files import decoded
+from tonewood.support.units import counted
 from tonewood.workshop.batch import pages
 from tonewood.workshop.exchange.psychopy import KEYS
 from tonewood.workshop.listening.answer_file import LeftOut, ListenerAnswers, printable
@@ -83,9 +84,11 @@ def read_answers(path: Path, test: ListeningTest) -> Imported:
     answers: dict[str, dict[tuple[Any, ...], _Given]] = {}
     spoken: dict[str, list[dict[str, Any]]] = {}
     left_out: list[LeftOut] = []
-    for line, row in enumerate(rows, start=2):
+    for line, row, beyond in rows:
         who = printable(_who(row, path, line))
         try:
+            if beyond:  # a comma in a number makes two cells of it
+                raise ListeningError(f"{beyond!r} is a cell beyond the columns that the first row names")
             if kind is None and (record := _questionnaire(test, row)) is not None:
                 if any(
                     r["page"] == record["page"] and row["item"] in r["answer"]["values"] for r in spoken.get(who, [])
@@ -124,7 +127,33 @@ def read_answers(path: Path, test: ListeningTest) -> Imported:
     return Imported(tuple(listeners), tuple(left_out))
 
 
-def _table(path: Path) -> tuple[list[Row], set[str]]:
+def joined(tables: Sequence[Imported]) -> Imported:
+    """Answers of several tables: one name is one listener; of an answer that two tables hold the first one counts."""
+    listeners: dict[str, ListenerAnswers] = {}
+    left_out = [one for table in tables for one in table.left_out]
+    for one in (one for table in tables for one in table.listeners):
+        before = listeners.setdefault(one.listener, one)
+        if before is one:
+            continue
+        known = {_what(record) for record in before.records}
+        fresh = [record for record in one.records if _what(record) not in known]
+        if count := len(one.records) - len(fresh):
+            file = one.path.with_name(one.path.name.rpartition("#")[0])
+            reason = f"{one.listener} answered this in another table, too: {counted(count, 'answer')}"
+            left_out.append(LeftOut(str(ListeningError(reason, file=file)), count))
+        records = [{**record, "index": i} for i, record in enumerate([*before.records, *fresh])]
+        listeners[one.listener] = replace(before, records=records)
+    return Imported(tuple(listeners.values()), tuple(left_out))
+
+
+def _what(record: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Page, trial and repetition that a record answers, of a questionnaire its question."""
+    questions = () if record["trial"] else tuple(record["answer"]["values"])
+    return record["page"], record["trial"], record["repetition"], questions
+
+
+def _table(path: Path) -> tuple[list[tuple[int, Row, str]], set[str]]:
+    """Rows with the number of their last line and what stands beyond the columns, and the names of these."""
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise ListeningError(f"is longer than the {_MOST_BYTES} bytes allowed", file=path)
@@ -133,10 +162,16 @@ def _table(path: Path) -> tuple[list[Row], set[str]]:
         raise ListeningError(f"cannot be read: {fault.strerror}", file=path) from None
     try:
         reader = csv.DictReader(io.StringIO(text, newline=""), restval="", strict=True)
-        rows = [{k.strip(): (v or "").strip() for k, v in row.items() if isinstance(k, str)} for row in reader]
+        names = [name.strip() for name in reader.fieldnames or ()]
+        if twice := next((name for name in names if name and names.count(name) > 1), ""):
+            raise ListeningError(f"has two columns {twice}", file=path)
+        rows = []
+        for cells in reader:
+            beyond = ", ".join(cell for cell in cells.pop(None, ()) if cell.strip())
+            rows.append((reader.line_num, {k.strip(): (v or "").strip() for k, v in cells.items()}, beyond))
     except csv.Error as fault:
         raise ListeningError(f"is no table: {fault}", file=path) from None
-    return rows, {name.strip() for name in reader.fieldnames or ()}
+    return rows, set(names)
 
 
 def _who(row: Row, path: Path, line: int) -> str:

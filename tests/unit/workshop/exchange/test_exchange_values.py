@@ -40,6 +40,7 @@ from tonewood.workshop.exchange.answers import (
     _take_webmushra,
     _values,
     _who,
+    joined,
     read_answers,
 )
 from tonewood.workshop.exchange.bids import COLUMNS
@@ -591,6 +592,34 @@ def test_records_are_as_this_program_s_own(test: ListeningTest) -> None:
 def table(path: Path, text: str) -> Path:
     path.write_text(text)
     return path
+
+
+def test_a_comma_in_a_number_does_not_change_it(test: ListeningTest, tmp_path: Path) -> None:
+    """`70,5` in a table of commas is two cells; lines are counted where cells and rows have breaks, too."""
+    rows = ("comment,listener,page,trial,stimulus,value", "", '"1', '2",a,3,tm,ra,100,', "", ",a,3,tm,sb,70,5")
+    found = read_answers(table(tmp_path / "t.csv", "\n".join(rows)), test)
+    assert [one.records[0]["answer"]["ratings"] for one in found.listeners] == [{"A": 100.0}]
+    assert [one.reason.partition("t.csv: ")[2] for one in found.left_out] == [
+        "line 6: '5' is a cell beyond the columns that the first row names"
+    ]
+    with pytest.raises(ListeningError, match=r"t\.csv: has two columns value"):
+        read_answers(table(tmp_path / "t.csv", "listener,page,trial,stimulus,value,value\na,3,tm,sb,5,70\n"), test)
+
+
+def test_a_listener_of_two_tables_is_one(test: ListeningTest, tmp_path: Path) -> None:
+    head = "listener,page,trial,stimulus,value,item\n"
+    first = read_answers(table(tmp_path / "1.csv", head + "a,3,tm,sb,70,\nb,3,tm,sb,60,\na,10,,,30,age\n"), test)
+    second = read_answers(table(tmp_path / "2.csv", head + "a,4,tg,sb,3,\na,4,tg,ra,5,\na,3,tm,sb,50,\n"), test)
+    found = joined([first, second])
+    assert [one.listener for one in found.listeners] == ["a", "b"]
+    assert [(r["index"], r["type"]) for r in found.listeners[0].records] == [
+        (0, "mushra"), (1, "questionnaire"), (2, "bs1116"),
+    ]  # fmt: skip
+    assert found.listeners[0].records[0]["answer"]["ratings"] == {"A": 70.0}
+    assert [one.reason.partition("2.csv: ")[2] for one in found.left_out] == [
+        "a answered this in another table, too: 1 answer"
+    ]
+    assert len(joined([first, first]).listeners) == 2
 
 
 def test_a_table_is_read_by_listener(test: ListeningTest, tmp_path: Path) -> None:
