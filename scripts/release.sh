@@ -34,7 +34,8 @@ quiet "$work/tools/bin/twine" check --strict "$sdist"
 tar -tzf "$sdist" >"$work/names"
 cut -d/ -f2 "$work/names" | sort -u | tr '\n' ' '
 echo
-for wanted in LICENSE LICENSES/CC-BY-4.0.txt src/kernel/isa.cpp instruments/monochord/instrument.yaml plugins/stiff_string.py; do
+for wanted in LICENSE LICENSES/CC-BY-4.0.txt src/kernel/isa.cpp instruments/monochord/instrument.yaml plugins/stiff_string.py \
+    examples/scores/greensleeves.mid; do
     grep -q "/$wanted$" "$work/names" || { echo "the sdist lacks $wanted"; exit 1; }
 done
 

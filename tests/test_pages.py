@@ -17,6 +17,8 @@ import inspect
 import re
 import shlex
 import shutil
+import sys
+import tomllib
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,6 +72,24 @@ def commands(block: Block) -> list[list[str]]:
     """Words of each command of a shell block, comments left out."""
     lines = block.text.replace("\\\n", " ").replace("&&", "\n").splitlines()
     return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=NAMES)
+def test_a_page_imports_what_is_installed_with_the_package(page: Path) -> None:
+    """Tests have more packages than users: those of an extra count, others need their installation on the page."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"].items()
+    needed = [*project["dependencies"], *(one for x, of in extras if x not in ("test", "dev", "docs") for one in of)]
+    installed = {re.split(r"[^a-z0-9_]", one)[0] for one in needed}
+    text = page.read_text(encoding="utf-8")
+    own = {Path(b.reason).stem for b in blocks(page) if b.marker == "file"} | {"tonewood"}
+    for block in (b for b in blocks(page) if b.language == "python" and b.marker != "not run"):
+        for node in ast.walk(ast.parse(block.text)):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            for name in (name.partition(".")[0] for name in names):
+                known = name in sys.stdlib_module_names | installed | own
+                assert known or f"pip install {name}" in text, f"{name} is imported"
 
 
 def run_page(page: Path, folder: Path, whole: bool) -> dict[str, Any]:
