@@ -8,7 +8,7 @@ Source: MusicXML 4.0, W3C Music Notation Community Group, 2021.
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -319,6 +319,8 @@ class _PartReader:
     def hairpins(self, starts: list[Fraction]) -> None:
         """Let notes grow and fade between dynamics; after a hairpin without any that follow they keep its end.
 
+        The first dynamics within a hairpin end it.
+
         starts : quarter notes at which measures begin.
         """
         levels = sorted((starts[i] + at, velocity) for i, at, velocity in self.levels)
@@ -332,14 +334,13 @@ class _PartReader:
                 (begin, up), end = begun, starts[i] + at
                 n = bisect_right(times, begin)
                 before = levels[n - 1][1] if n else 80
-                if ramps and ramps[-1][1] >= (times[n - 1] if n else 0):
+                if ramps and ramps[-1][1] > (times[n - 1] if n else 0):
                     before = ramps[-1][4]
-                k = max(bisect_left(times, end), n)
-                after = levels[k][1] if k < len(levels) and times[k] <= end + _HAIRPIN_ENDS else before
+                until = times[n] if n < len(levels) else starts[-1] + 1
+                after = levels[n][1] if n < len(levels) and until <= end + _HAIRPIN_ENDS else before
                 if after == before or (after > before) != up:
                     after = min(max(before + (_HAIRPIN if up else -_HAIRPIN), 1), 127)
-                until = times[k] if k < len(levels) else starts[-1] + 1
-                ramps.append((begin, max(end, begin), until, before, after))
+                ramps.append((begin, min(max(end, begin), until), until, before, after))
                 begun = None
         self.music.ignored["hairpin without an end"] += begun is not None
         begins = [ramp[0] for ramp in ramps]

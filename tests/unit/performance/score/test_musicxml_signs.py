@@ -40,6 +40,36 @@ def test_hairpins_lead_to_the_dynamics_after_them(tmp_path: Path) -> None:
     assert alone.ignored == {"hairpin without an end": 1}
 
 
+DYNAMICS = "<dynamics><{}/></dynamics>"
+
+
+@pytest.mark.parametrize(
+    ("signs", "velocities"),
+    [
+        # dynamics a quarter after the end of a hairpin are its goal, later ones are not
+        (["p <", "C", "D !", "E", "f F"], [49, 72, 96, 96]),
+        (["p <", "C !", "D", "E", "f F"], [49, 65, 65, 96]),
+        # dynamics against its sense, or none other than before, are those of the notes after it alone
+        (["p <", "C", "D ! pp", "E", "<", "F !"], [49, 57, 33, 33]),
+        (["p >", "C", "D ! p", "E", "F"], [49, 41, 49, 49]),
+        # one hairpin after the other, and within the range of velocities
+        (["p <", "C", "D ! >", "E", "F !"], [49, 57, 65, 57]),
+        (["fff <", "C", "D !", "pppp >", "E", "F !", "G"], [126, 126, 8, 4, 1]),
+        ([">", "C", "D !", "E"], [80, 72, 64]),
+        (["<", "C", "D", "E !", "F"], [80, 85, 91, 96]),
+        # dynamics within a hairpin end it
+        (["p <", "C", "D f", "E !", "F"], [49, 72, 96, 96]),
+    ],
+)
+def test_levels_of_hairpins_by_hand(tmp_path: Path, signs: list[str], velocities: list[int]) -> None:
+    kinds = {"<": "crescendo", ">": "diminuendo", "!": "stop"}
+    bar = "".join(
+        plain(s) if s in "CDEFG" else sign(f'<wedge type="{kinds[s]}"/>' if s in kinds else DYNAMICS.format(s))
+        for s in " ".join(signs).split()
+    )
+    assert [n.velocity_midi for n in read(tmp_path, bar).notes] == velocities
+
+
 def test_pedals_hold_notes_and_move_controllers(tmp_path: Path) -> None:
     down, change, up = (sign(f'<pedal type="{t}"/>') for t in ("start", "change", "stop"))
     score = read(tmp_path, down + plain(*"CD") + change + plain(*"EF") + up)

@@ -15,10 +15,11 @@ import tonewood as tw
 from tonewood.performance.score import gpif as gpif_module
 from tonewood.performance.score.assignment import Assigned, PlayableString, assign
 from tonewood.performance.score.fingering import Chord, FingeringCosts, Option, Sounding, finger, hand_after
-from tonewood.performance.score.musicxml_words import passes_of, velocity_of
+from tonewood.performance.score.musicxml_words import bend_of, passes_of, velocity_of
 from tonewood.performance.score.note import Beats
 from tonewood.performance.score.tablature import Tablature, tablature
 from tonewood.performance.score.tablature import musicxml as written
+from tonewood.performance.score.written import Curve
 
 F = Fraction
 GUITAR = [
@@ -46,6 +47,19 @@ def struck(time: float, *notes: tuple[int, float, float]) -> Chord:
         # a finger at stop 1 that the hand leaves behind, half of its note before the end; an open string rings on
         ([struck(0, (0, 1.0, 2)), struck(1, (1, 8.0, 1))], {}, 0.9 + 4.0 + 6.0 / 2),
         ([struck(0, (0, 0.0, 2)), struck(1, (1, 8.0, 1))], {}, 0.8 + 4.0),
+        # a hand that moves down, to four stops below a finger that holds its note, and to five
+        ([struck(0, (0, 9.0, 4)), struck(1, (1, 5.0, 1))], {}, 1.4 + 6.0),
+        ([struck(0, (0, 9.0, 4)), struck(1, (1, 4.0, 1))], {}, 1.3 + 7.0 + 6.0 * 3 / 4),
+        # the same of a note two chords ago, and of an open string
+        ([struck(0, (0, 1.0, 4)), struck(1, (1, 1.0, 1)), struck(2, (1, 8.0, 1))], {}, 1.0 + 4.0 + 6.0 * 2 / 4),
+        ([struck(0, (0, 0.0, 4)), struck(1, (1, 1.0, 1)), struck(2, (1, 8.0, 1))], {}, 0.9 + 4.0),
+        # a finger that has left its note does not cost again; the string rings on, and is cut by another stop
+        ([struck(0, (0, 1.0, 4)), struck(1, (1, 8.0, 1)), struck(2, (1, 9.0, 1))], {}, 1.8 + 5.0 + 6.0 * 3 / 4),
+        (
+            [struck(0, (0, 1.0, 4)), struck(1, (1, 8.0, 1)), struck(2, (0, 9.0, 1))],
+            {},
+            1.8 + 5.0 + 6.0 * (3 / 4 + 2 / 4),
+        ),
         # a note that is ended by another stop, or by the same one; within a millisecond of its end neither costs
         ([struck(0, (0, 2.0, 4)), struck(1, (0, 3.0, 1))], {}, 0.5 + 6.0 * 3 / 4),
         ([struck(0, (0, 2.0, 4)), struck(1, (0, 2.0, 1))], {}, 0.4),
@@ -63,6 +77,23 @@ def test_costs_of_fingerings_with_the_usual_weights(
 ) -> None:
     assert finger(chords, 2, FingeringCosts(), sounding=sounding)[1] == pytest.approx(cost, abs=1e-12)
     assert hand_after(5.0, [Option(0, 1.0), Option(1, 0.0)]) == 1.0
+
+
+@pytest.mark.parametrize(("apart", "together"), [(0.0, True), (0.001, True), (0.00101, False)])
+def test_a_moment_is_a_millisecond(apart: float, together: bool) -> None:
+    """Voices share a pluck in it, one string has one note in it, and a note that ends in it is not cut."""
+    two = [tw.Note(0.0, 1.0, note=60, channel=0), tw.Note(apart, 1.0, note=60, channel=1)]
+    assert len(assign(two, GUITAR).doubled) == together
+    low = [tw.Note(0.0, 1.0, note=40), tw.Note(apart, 1.0, note=41)]
+    assert len(assign(low, GUITAR).dropped) == together
+    long = [tw.Note(1.0, 1.0, note=40), tw.Note(2.0 - apart, 1.0, note=41)]
+    assert assign(long, GUITAR).n_cut == (not together)
+
+
+@pytest.mark.parametrize(("apart", "string"), [(0.03, "G3"), (0.0301, "B3")])
+def test_a_chord_begins_within_thirty_milliseconds(apart: float, string: str) -> None:
+    notes = [tw.Note(0.0, 0.01, note=59), tw.Note(apart, 0.01, note=60)]
+    assert assign(notes, GUITAR).notes[0].string == string
 
 
 @pytest.mark.parametrize(
@@ -148,6 +179,38 @@ def test_dynamics_in_percent_and_passes_of_endings() -> None:
     assert passes_of("9999") == {9999}
     assert passes_of("10000") == frozenset()
     assert passes_of("5-99") == set(range(5, 38))
+
+
+@pytest.mark.parametrize(
+    ("bends", "curve"),
+    [
+        ([], ()),
+        (["<bend-alter>2</bend-alter>"], ((0, 0), (0.5, 200), (1, 200))),
+        (["<bend-alter>1</bend-alter><pre-bend/>"], ((0, 100), (0.5, 100), (1, 100))),
+        (["<bend-alter>2</bend-alter>", "<bend-alter>-2</bend-alter><release/>"],
+         ((0, 0), (0.25, 200), (0.5, 200), (0.75, 0), (1, 0))),
+    ],
+)  # fmt: skip
+def test_bends_of_musicxml_share_their_note(bends: list[str], curve: Curve) -> None:
+    assert bend_of(ET.fromstring("<technical>" + "".join(f"<bend>{b}</bend>" for b in bends) + "</technical>")) == curve
+    assert bend_of(None) == ()
+
+
+@pytest.mark.parametrize(
+    ("values", "curve"),
+    [
+        ({}, ()),
+        ({"DestinationValue": "100"}, ((0, 0), (1, 200))),
+        ({"OriginValue": "50"}, ((0, 100), (1, 0))),
+        ({"MiddleValue": "100"}, ((0, 0), (0.5, 200), (0.5, 200), (1, 0))),
+        ({"OriginOffset": "10", "OriginValue": "25", "MiddleOffset1": "40", "MiddleOffset2": "60", "MiddleValue": "-50",
+          "DestinationOffset": "80", "DestinationValue": "5"}, ((0.1, 50), (0.4, -100), (0.6, -100), (0.8, 10))),
+        ({"OriginValue": "4800", "DestinationValue": "-4800"}, ((0, 9600), (1, -9600))),
+        ({"OriginValue": "4801", "MiddleValue": "-4801", "DestinationValue": "1"}, ((0, 0), (1, 2))),
+    ],
+)  # fmt: skip
+def test_bends_of_guitar_pro_7(values: dict[str, str], curve: Curve) -> None:
+    assert gpif_module._curve(lambda name: values.get(name, "")) == curve
 
 
 RHYTHM = "<NoteValue>Quarter</NoteValue>"
