@@ -10,8 +10,8 @@ Slip. The force falls as the string passes the edge, whose radius is `edge`:
 
 u is the way of the string over the edge. It grows by the hand's speed, by the string's, which is let go into its wave
 impedance (true until the first reflection comes back), and by that of the fingertip of mass m and stiffness k, which
-leaps ahead as its load is gone. The hand's speed is at least edge / 0.5 s, as it would take hours at forces near zero.
-A string that is drawn further leaves faster, so the release lasts about 4 Z edge / F:
+leaps ahead as its load is gone. The hand's speed is at least edge / 0.5 s; otherwise the slip would
+last hours at forces near zero. A string that is drawn further leaves faster, so the release lasts about 4 Z edge / F:
 loud notes are brighter. With `nail` from 0 to 1 the edge goes from that of flesh to that of a nail, and so do the width
 of the contact, over which the force is spread evenly, and the stiffness.
 

@@ -135,8 +135,8 @@ def joined(tables: Sequence[Imported]) -> Imported:
         before = listeners.setdefault(one.listener, one)
         if before is one:
             continue
-        known = {_what(record) for record in before.records}
-        fresh = [record for record in one.records if _what(record) not in known]
+        answered = {_question(record) for record in before.records}
+        fresh = [record for record in one.records if _question(record) not in answered]
         if count := len(one.records) - len(fresh):
             file = one.path.with_name(one.path.name.rpartition("#")[0])
             reason = f"{one.listener} answered this in another table, too: {counted(count, 'answer')}"
@@ -146,7 +146,7 @@ def joined(tables: Sequence[Imported]) -> Imported:
     return Imported(tuple(listeners.values()), tuple(left_out))
 
 
-def _what(record: Mapping[str, Any]) -> tuple[Any, ...]:
+def _question(record: Mapping[str, Any]) -> tuple[Any, ...]:
     """Page, trial and repetition that a record answers, of a questionnaire its question."""
     questions = () if record["trial"] else tuple(record["answer"]["values"])
     return record["page"], record["trial"], record["repetition"], questions
