@@ -138,8 +138,7 @@ def _grid(quarters: Sequence[float]) -> tuple[list[int], frozenset[int]]:
     triplets = set()
     for beat, onsets in by_beat.items():
         error = {n: sum(abs(round((at - beat) * n) / n - (at - beat)) for at in onsets) for n in (4, 6, 8)}
-        odd = any(round((at - beat) * 6) % 3 for at in onsets)
-        if odd and error[6] < 0.8 * min(error[4], error[8] + len(onsets) / 96):
+        if error[6] < 0.8 * min(error[4], error[8] + len(onsets) / 96):
             triplets.add(beat)
     ticks = []
     for at in quarters:
@@ -210,7 +209,7 @@ def _until(tab: Tablature, k: int) -> int:
 
 
 def _text(parent: ET.Element, tag: str, text: object = None, **attributes: str) -> ET.Element:
-    element = ET.SubElement(parent, tag, {name.replace("_", "-"): value for name, value in attributes.items()})
+    element = ET.SubElement(parent, tag, attributes)
     element.text = None if text is None else str(text)
     return element
 
@@ -332,7 +331,7 @@ def _roman(number: int) -> str:
 
 def text(tab: Tablature) -> str:
     """The tablature as lines of characters: positions of the hand, then one line per string, the highest first."""
-    names = [note_name(s.pitches[0]) for s in tab.strings]
+    names = [note_name(s.pitches[0] - tab.capo) for s in tab.strings]
     width = max(map(len, names))
     heads = [" " * width + "  ", *(f"{name:<{width}} |" for name in names)]
     out = [tab.title or "Tablature", "Tuning " + " ".join(reversed(names)) + (f", capo {tab.capo}" if tab.capo else "")]

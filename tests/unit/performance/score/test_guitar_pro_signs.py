@@ -13,7 +13,7 @@ from tablatures import enabled, gpif, gpx_bits, gpx_system, guitar_pro
 
 import tonewood as tw
 from tonewood.errors import ScoreError
-from tonewood.performance.score.gpx import gpx_score
+from tonewood.performance.score.gpx import _expanded, gpx_score
 from tonewood.performance.score.harmonics import interval, partial_at
 from tonewood.performance.score.unfolding import Measure, order
 
@@ -68,6 +68,33 @@ def test_guitar_pro_6_is_read_plain_and_compressed(tmp_path: Path) -> None:
 def test_a_damaged_container_is_one_line(data: bytes, line: str) -> None:
     with pytest.raises(ScoreError, match=line):
         gpx_score(b"BCFZ" + data, Path("a.gpx"))
+
+
+@pytest.mark.parametrize(
+    ("size", "length", "line"),
+    [
+        # 4 MiB of a small file, 300 times a larger one, 32 MiB of any; 2 MiB compressed
+        (8, 2**22, "no file system"),
+        (8, 2**22 + 1, "4194305 bytes, expanded"),
+        (14_000, 4_200_000, "no file system"),
+        (14_000, 4_200_001, "4200001 bytes, expanded"),
+        (2**21, 2**25 + 1, "33554433 bytes, expanded"),
+        (2**21 + 1, 8, "2097152 are allowed"),
+        (8, 3, "3 bytes, expanded"),
+    ],
+)
+def test_sizes_of_a_container_that_are_allowed(size: int, length: int, line: str) -> None:
+    """After the head come zeros: pieces of no bytes."""
+    with pytest.raises(ScoreError, match=line):
+        gpx_score((b"BCFZ" + struct.pack("<i", length)).ljust(size, b"\0"), Path("a.gpx"))
+
+
+def test_references_repeat_no_more_than_is_behind_them() -> None:
+    """Widths of 3 and 15 bits; two bytes back, of which five are asked for, are two."""
+    bits = "0" + "11" + "".join(f"{b:08b}" for b in b"BCF") + "0" + "10" + f"{ord('S'):08b}"
+    bits += "1" + "0011" + "010" + "101" + "1" + "1111" + f"{2:015b}"[::-1] + f"{1:015b}"[::-1]
+    data = int(bits.ljust(-len(bits) % 8 + len(bits), "0"), 2).to_bytes(-(-len(bits) // 8), "big")
+    assert _expanded(b"BCFZ" + struct.pack("<i", 7) + data, Path("a.gpx")) == b"BCFSFSF"
 
 
 def test_nodes_of_a_string_leave_their_partials() -> None:

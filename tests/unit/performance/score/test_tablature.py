@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -76,6 +77,85 @@ def test_two_notes_within_a_step_on_one_string_stay_two() -> None:
     notes = [tw.Note(0.0, 0.01, note=64, string="E4", stop=0), tw.Note(0.02, 0.1, note=66, string="E4", stop=2)]
     tab = tab_of(notes)
     assert [[p.fret for p in chord] for _, chord in tab.chords] == [[0], [2]]
+
+
+#: strings from stop 1 on, at which a capo holds them
+HELD = [PlayableString("A", tuple(range(46, 65))), PlayableString("D", tuple(range(51, 70)))]
+#: 60 a minute, from the second quarter note on 90; a measure of 5/8, then of 2/4
+CHANGING = Beats([(0.0, 0.0, 60.0), (1.0, 1.0, 90.0)], [(0.0, 2.5), (2.5, 2.0)])
+MEASURES = """<part id="P1"><measure number="1">
+<attributes><divisions>24</divisions><time><beats>5</beats><beat-type>8</beat-type></time>
+<clef><sign>TAB</sign><line>5</line></clef><staff-details><staff-lines>2</staff-lines>
+<staff-tuning line="1"><tuning-step>A</tuning-step><tuning-octave>2</tuning-octave></staff-tuning>
+<staff-tuning line="2"><tuning-step>D</tuning-step><tuning-octave>3</tuning-octave></staff-tuning>
+<capo>1</capo></staff-details></attributes>
+{above}<metronome><beat-unit>quarter</beat-unit><per-minute>60</per-minute></metronome></direction-type>
+<sound tempo="60"/></direction>
+{above}<metronome><beat-unit>quarter</beat-unit><per-minute>90</per-minute></metronome></direction-type>
+<offset>24</offset><sound tempo="90"/></direction>
+{above}<words>I</words></direction-type></direction>
+<note><pitch><step>D</step><alter>1</alter><octave>3</octave></pitch><duration>36</duration><voice>1</voice>
+<type>quarter</type><dot/><notations><technical><string>1</string><fret>0</fret></technical></notations></note>
+<note><chord/><pitch><step>C</step><octave>3</octave></pitch><duration>36</duration><voice>1</voice>
+<type>quarter</type><dot/>
+<notations><technical><fingering>2</fingering><string>2</string><fret>2</fret></technical></notations></note>
+{above}<words>IV</words></direction-type></direction>
+<note><pitch><step>F</step><octave>3</octave></pitch><duration>24</duration><tie type="start"/><voice>1</voice>
+<type>quarter</type><notations><tied type="start"/>
+<technical><fingering>4</fingering><string>2</string><fret>7</fret></technical></notations></note></measure>
+<measure number="2"><attributes><time><beats>2</beats><beat-type>4</beat-type></time></attributes>
+<note><pitch><step>F</step><octave>3</octave></pitch><duration>36</duration><tie type="stop"/><tie type="start"/>
+<voice>1</voice><type>quarter</type><dot/><notations><tied type="stop"/><tied type="start"/>
+<technical><string>2</string><fret>7</fret></technical></notations></note>
+<note><pitch><step>F</step><octave>3</octave></pitch><duration>6</duration><tie type="stop"/><voice>1</voice>
+<type>16th</type><notations><tied type="stop"/>
+<technical><string>2</string><fret>7</fret></technical></notations></note>
+{above}<words>III</words></direction-type></direction>
+<note><pitch><step>F</step><alter>1</alter><octave>3</octave></pitch><duration>6</duration><tie type="start"/>
+<voice>1</voice><type>16th</type><notations><tied type="start"/>
+<technical><fingering>1</fingering><string>1</string><fret>3</fret></technical></notations></note></measure>
+<measure number="3">
+<note><pitch><step>F</step><alter>1</alter><octave>3</octave></pitch><duration>48</duration><tie type="stop"/>
+<voice>1</voice><type>half</type><notations><tied type="stop"/>
+<technical><string>1</string><fret>3</fret></technical></notations></note></measure></part>""".format(
+    above='<direction placement="above"><direction-type>'
+)
+
+
+def test_a_piece_of_three_measures_element_by_element() -> None:
+    """Notes of a chord, of a string over a bar line and of another; positions, tempos, meters, a capo."""
+    placed = [(0.0, "A", 3), (0.0, "D", 1), (1.5, "A", 8), (4.25, "D", 4)]
+    times = [at if at < 1 else 1 + (at - 1) / 1.5 for at, *_ in placed]
+    notes = [
+        Assigned(tw.Note(time, 0.5, note=60), string, stop, 0.0, time + 0.5)
+        for time, (_, string, stop) in zip(times, placed, strict=True)
+    ]
+    tab = tablature(notes, HELD, CHANGING, title="A & B", capo=1)
+    part = ET.fromstring(musicxml(tab)).find("part")
+    assert part is not None
+    part.tail = None
+    measures = ET.canonicalize(ET.tostring(part, encoding="unicode"), strip_text=True)
+    assert measures == ET.canonicalize(MEASURES, strip_text=True)
+    assert text(tab).splitlines() == [
+        "A & B",
+        "Tuning A2 D3, capo 1",
+        "",
+        "     I      IV             III",
+        "D3 |-0------------|--------3---|--------|",
+        "A2 |-2------7-----|------------|--------|",
+    ]
+
+
+def test_lines_of_text_hold_whole_measures() -> None:
+    """Up to 88 columns; a measure that is longer is alone. Two columns for a 32nd, eight beside a long note's fret."""
+    placed = [(k / 16, 0.0) for k in range(64)] + [(4.0, 5.0)]
+    notes = [Assigned(tw.Note(time, 0.1, note=60), "E4", stop, 0.0, time + 0.1) for time, stop in placed]
+    tab = replace(tablature(notes, GUITAR[5:], Beats()), measures=[0, *range(192, 1153, 96)])
+    assert text(tab).splitlines()[2:] == [
+        *("", "     I", "E4 |-" + 64 * "0-" + "|"),
+        *("", "     II", "E4 |-5---------|" + 8 * "--------|"),  # 88
+        *("", "", "E4 |--------|"),
+    ]
 
 
 @pytest.mark.slow

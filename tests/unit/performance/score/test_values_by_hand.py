@@ -157,6 +157,11 @@ def test_a_whole_quarter_note_is_no_triplet() -> None:
     assert lengths(tab)[0] == ("24", "quarter", 0, "", "")
 
 
+def test_one_note_of_a_chord_has_the_bracket() -> None:
+    tab = tab_of((0, "E2"), (0, "A2"), (1 / 3, "E2"), (1, "E2"))
+    assert [edges for *_, edges in lengths(tab)][:3] == ["start", "", "stop"]
+
+
 def direction(inside: str) -> str:
     return f"<direction><direction-type>{inside}</direction-type></direction>"
 
