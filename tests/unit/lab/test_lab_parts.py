@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -476,12 +477,43 @@ def test_tasks_are_timed_in_turn() -> None:
         (chinnakonda, "_estimates", 12),
         (chinnakonda, "_indices", 5),
         (klosner, "_printed_modes", 17),
+        (klosner, "_beam", 8),
+        (klosner, "_modes_needed", 3),
     ],
 )
 def test_rows_of_a_part_pass(module, part: str, count: int) -> None:
     rows = list(getattr(module, part)())
     assert [f"{row.quantity}: {row.value} for {row.reference}" for row in rows if not row.passed] == []
     assert len(rows) == count
+
+
+@pytest.mark.parametrize(
+    ("update", "c", "order"),
+    [(P2, chinnakonda.LIGHT, 4), (interpolatory(4, within=True), chinnakonda.HEAVY, 6), (P1, chinnakonda.HEAVY, 2)],
+)
+def test_orders_of_updates(update: Update, c: float, order: int) -> None:
+    assert chinnakonda.measured_order(update, c) == pytest.approx(order, abs=0.03)
+
+
+@pytest.mark.parametrize(("off", "failed"), [(0.04, 0), (0.06, 20), (0.24, 20), (0.26, 30)])
+def test_orders_may_be_off_by_a_little(monkeypatch, off: float, failed: int) -> None:
+    """A quarter for orders above 4, of which there are five."""
+    monkeypatch.setattr(chinnakonda, "measured_order", lambda update, c: update.order + off)
+    rows = list(chinnakonda._orders())
+    assert (len(rows), sum(not row.passed for row in rows)) == (30, failed)
+    assert [row.quantity for row in rows if "thesis reads 3" in row.source] == ["P2, very heavy damping"]
+
+
+def test_rows_of_motions_pass(monkeypatch) -> None:
+    problem_b = replace(klosner.problem_b(), duration=0.2)
+    monkeypatch.setattr(klosner, "problems", lambda: (replace(klosner.problem_a(), duration=0.2), problem_b))
+    monkeypatch.setattr(klosner, "energy_drift", lambda form: 1.01e-10 * (form == "fixed-base"))
+    monkeypatch.setattr(klosner, "_printed_modes", lambda: iter(()))
+    monkeypatch.setattr(klosner, "_beam", lambda: iter(()))
+    monkeypatch.setattr(klosner, "_modes_needed", lambda: iter(()))
+    rows = list(klosner.rows())
+    assert [row.quantity for row in rows if not row.passed] == ["energy drift without dashpots in 20 s, fixed-base"]
+    assert [row.system for row in rows] == ["klosner A"] * 12 + ["klosner B"] * 10
 
 
 def test_a_beam_and_its_chain_have_the_frequencies_of_the_closed_form() -> None:
