@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -39,4 +40,5 @@ def new(
     print(
         f"strings {', '.join(bundle.resonators)}; {len(bundle.origins.of_unknown_origin())} figures of unknown origin"
     )
-    print(f"decide where instrument.yaml says DECIDE; then: tonewood check {bundle.folder}")
+    # ./NAME is a folder, also where an installed instrument has the name
+    print(f"decide where instrument.yaml says DECIDE; then: tonewood check {os.path.join('.', bundle.folder)}")

@@ -12,6 +12,7 @@ import pytest
 import tonewood as tw
 from tonewood.cli.main import run
 from tonewood.errors import BundleError, PluginError
+from tonewood.instrument.bundle.new_bundle import new_bundle
 from tonewood.instrument.contract import registry
 
 
@@ -125,3 +126,11 @@ def test_what_is_broken_is_listed_beside_the_rest(foreign: Path, capsys: pytest.
     # and the others play
     audio = tw.render(tw.Score([tw.Note(0.0, 0.1, note=45)]), tw.load_instrument("monochord"), 8000, max_duration=0.02)
     assert audio.samples.any()
+
+
+def test_a_folder_is_loaded_also_where_an_installed_instrument_has_its_name(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    copy = new_bundle(Path("monochord"), "monochord")
+    assert copy.folder.resolve() == tmp_path / "monochord"
+    assert copy.spec.title.startswith("monochord, begun as a copy")
+    assert registry.instrument_folder("monochord") != Path("monochord")

@@ -193,11 +193,12 @@ def _check_effects(cls: type[Plugin[Any]], who: str) -> None:
 def instrument_folder(name_or_path: str | os.PathLike[str]) -> Path:
     """Folder of a bundle: of an installed instrument by name, or any folder that holds an ``instrument.yaml``.
 
+    A path that is no text is a folder, also one that has the name of an installed instrument.
     Raises BundleError : there is neither.
     """
     text = os.fspath(name_or_path)
     instruments = entries(INSTRUMENTS)
-    if text in instruments:
+    if isinstance(name_or_path, str) and text in instruments:
         if instruments[text].fault:
             raise BundleError(instruments[text].fault)
         try:
