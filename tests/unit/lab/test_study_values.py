@@ -62,6 +62,7 @@ def test_strings_are_lifted_by_2_mm_over_their_obstacle(make: str, stiffness: fl
     assert isinstance(obstacle.law, Contact)
     assert (obstacle.law.stiffness, obstacle.law.exponent, obstacle.law.offset) == (stiffness, exponent, 0.0)
     assert (case.lossless, case.slow, case.fine_rate) == (True, True, 32 * 48e3)
+    assert case.duration == (0.3 if exponent == 1 else 0.04)
     assert case.pitch == (pytest.approx(4 / 3 * 110.0, rel=1e-3) if exponent == 1 else 0.0)
 
 
@@ -72,7 +73,7 @@ def test_a_plucked_steel_string_is_lossless_and_bent_by_2_newton() -> None:
     assert moved(case, "string", "pluck") == pytest.approx(lifted, rel=0.05)
     assert not case.scene.problem.components["body"].damping_rate.any()
     assert case.scene.tensions[0].axial_stiffness == pytest.approx(174e9 * np.pi * 0.3556e-3**2)
-    assert (case.fine_rate, case.reference_rate) == (32 * 48e3, 24e3)
+    assert (case.fine_rate, case.reference_rate, case.duration) == (32 * 48e3, 24e3, 0.2)
 
 
 def oscillators(**more: object) -> NonlinearCase:
