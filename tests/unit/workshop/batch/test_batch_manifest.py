@@ -18,6 +18,7 @@ from tonewood.workshop.batch.layout import lay_out
 from tonewood.workshop.batch.manifest import (
     ManifestError,
     NoteFields,
+    _misfits_besides,
     check_manifest,
     load_manifest,
     manifest_schema,
@@ -508,3 +509,27 @@ def test_a_manifest_of_today_needs_no_edits() -> None:
     assert manifest_edits({"render": "all", "pages": "all", "factors": {"a": "x", "b": {"path": "body.t60"}}}) == []
     edits = [(edit.path, edit.value) for edit in manifest_edits(old)]
     assert edits == [("render.precision", None), ("pages.0.type", "abx"), ("pages.0.both_orders", None)]
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({}, "colour"),
+        ({"name": 5}, "name"),
+        ({"schema": "x"}, "schema"),
+        ({"seed": -1}, "seed"),
+        ({"instruments": {"harp": 5}}, "instruments.harp"),
+        ({"scores": fakes.BASE["scores"] | {"low": 3}}, "scores.low.midi"),
+        ({"factors": fakes.BASE["factors"] | {"damping": fakes.BASE["factors"]["damping"] | {"path": 5}}},
+         "factors.damping.path"),
+        ({"pages": [*fakes.BASE["pages"], {"type": "x"}]}, f"pages.{len(fakes.BASE['pages'])}.type"),
+        ({"render": {"fs": -1}}, "render.fs"),
+    ],
+)  # fmt: skip
+def test_what_else_is_wrong_is_told_beside_a_faulty_key(change, key: str) -> None:
+    """Others that name the faulty section are no faults; the manifest stays as it was."""
+    data = fakes.manifest(vary={"note.colour": {"normal": 1.0}}, **change) | ({"colour": 1} if key == "colour" else {})
+    before = json.dumps(data)
+    assert [key for key, _ in _misfits_besides(data, [key])] == ["vary.note.colour"]
+    assert json.dumps(data) == before
+    assert _misfits_besides(data | {"title": 5}, [key]) == []  # something else that no misfits are known beside

@@ -175,6 +175,16 @@ def test_tails_of_renders_by_either_spelling() -> None:
             check_manifest(fakes.manifest(render=wrong))
 
 
+@pytest.mark.parametrize("keys", [{"room": None}, {"preset": None, "room_distance": None}, {"output": None}])
+def test_keys_of_single_renders_that_say_nothing_are_accepted(keys: dict[str, None]) -> None:
+    assert RenderSettings.model_validate(keys) == RenderSettings()
+
+
+def test_one_output_is_not_given_beside_several() -> None:
+    with pytest.raises(ValueError, match="output\n  Extra inputs"):
+        RenderSettings.model_validate({"output": "x", "outputs": ["y"]})
+
+
 def test_a_fraction_varies_about_its_length() -> None:
     """from_bridge of a tenth of a string that sounds 0.6 m long, and of a note that no string plays."""
     instrument: Any = SimpleNamespace(

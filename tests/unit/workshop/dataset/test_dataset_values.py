@@ -534,6 +534,7 @@ def test_a_plan_in_numbers() -> None:
     assert (record["manifest"]["schema"], record["manifest"]["size"]) == ("tonewood-batch/1", 11)
     assert "folder" not in record["manifest"]  # what is not there
     assert "duration" not in _subject(plan(), 1.0, {}).manifest["sounds"]
+    assert _subject(plan(), 1.0, {}).manifest["schema"] == "tonewood-batch/1"
 
 
 @pytest.mark.parametrize(
@@ -577,3 +578,10 @@ def test_time_of_a_set_is_that_of_six_of_its_sounds(
         raise TonewoodError("no")
 
     assert _predicted(plan(), SimpleNamespace(renderer=fail)).sound_seconds is None  # type: ignore[arg-type]
+
+
+def test_a_shard_of_nothing_has_no_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    task, _ = shard(monkeypatch, count=2)
+    _, *failing = task.samples
+    made_of = make(ShardTask(7, task.dataset, tuple(failing), task.renderer, "by"))
+    assert (made_of.files, made_of.physics, made_of.seconds, len(made_of.faults)) == ({}, {}, 0, 1)

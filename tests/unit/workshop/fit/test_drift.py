@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from fit_scenes import TAU
 
+from tonewood.workshop.fit import drift
 from tonewood.workshop.fit.files import Reading, read_responses
 from tonewood.workshop.fit.fit import fit_responses
 from tonewood.workshop.fit.hits import responses_of_hits
@@ -74,3 +75,13 @@ def test_shifts_of_each_hit_are_found_and_peaks_that_move_by_themselves_are_name
     peaks = responses_of_hits(*hits(own), FS).drift.peaks
     assert any(abs(freq - 197.0) < 2 and moved > 0.006 for freq, moved, _ in peaks)
     assert not any(responses_of_hits(*hits(np.zeros((4, 1)), noise=0.1), FS).drift.common)
+
+
+def test_a_zero_that_drifts_is_taken_out_and_told_re_the_peak() -> None:
+    """The largest of the hits, of each channel by itself."""
+    t, hit = np.arange(400), np.where(np.arange(400) == 100, 2.0, 0.0)
+    motion = np.array([0.5 * hit + 1e-3 * t, 0.5 * hit - 5e-4 * t])[:, None]
+    force, motion, moved = drift.level_zero(np.array([hit, hit]), motion)
+    np.testing.assert_allclose(force, [hit, hit], atol=1e-12)
+    np.testing.assert_allclose(motion[:, 0], [0.5 * hit, 0.5 * hit], atol=1e-12)
+    np.testing.assert_allclose(moved, [0.0, 0.399], atol=1e-9)
