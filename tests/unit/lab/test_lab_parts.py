@@ -605,3 +605,37 @@ def test_heads_and_sentences_of_least_times(study) -> None:
     assert "takes 0.2 to 0.2 times that" in said
     rising = Outcome("tension", "t", "r", (WAVEFORM,), study.points)
     assert "velocity Verlet is the quicker one for errors above" in least_time.sentences([rising])
+
+
+def test_the_machine_is_named(monkeypatch, tmp_path) -> None:
+    info = tmp_path / "cpuinfo"
+    info.write_text("vendor\t: V\nmodel name\t: A: B\nmodel name\t: C\n")
+    monkeypatch.setattr(timing, "Path", lambda name: info if name == "/proc/cpuinfo" else None)
+    monkeypatch.setattr(timing._kernel, "fma_peak", lambda isa, seconds: (isa, seconds))
+    monkeypatch.setattr(timing, "instruction_set", lambda: "avx2")
+    monkeypatch.setattr(timing.platform, "processor", lambda: "")
+    monkeypatch.setattr(timing.platform, "machine", lambda: "x86")
+    monkeypatch.setattr(timing.platform, "system", lambda: "OS")
+    named = {"processor": "A: B", "system": "OS x86", "instruction_set": "avx2", "fma_peak": ("avx2", 0.1)}
+    assert timing.machine() == named
+    info.write_text("vendor\t: V\n")
+    assert timing.machine()["processor"] == "x86"
+    info.unlink()
+    monkeypatch.setattr(timing.platform, "processor", lambda: "P")
+    assert timing.machine()["processor"] == "P"
+
+
+@pytest.mark.parametrize(("cents", "verdict"), [(0.0099, "confirmed"), (0.0101, "refuted")])
+def test_what_was_expected_of_a_guitar(cents: float, verdict: str) -> None:
+    points = (
+        point("tonewood", 0.02, 1e-3, cents_=cents),
+        replace(point("ab3", 0.2, 1e-2, fs=700e3, stable="NaN"), decay_median=0.5),
+        replace(point("ab3", 0.2, 1e-2, fs=1200e3), decay_median=0.2),
+        replace(point("ab3", 0.2, 1e-2, fs=816e3), decay_median=0.03),
+    )
+    said = study_tables.expectation(Outcome("s", "A system", "truth", (PITCH,), points))
+    assert said.startswith(f"**Expected** of A system: below {study_tables.EXPECTED_CENTS} cent")
+    assert f"cent at 48 kHz, {verdict}. " in said
+    assert "from 816 kHz (decay rates 3 % off there)" in said
+    assert "at none of its rates" in said
+    assert study_tables.expectation(Outcome("s", "A", "t", (PITCH,), points[1:])) == ""

@@ -22,7 +22,6 @@ from tonewood.workshop.batch.pages import (
     LevelPage,
     QuestionnairePage,
     RatingPage,
-    StaircasePage,
     TrialPage,
     localised,
 )
@@ -114,7 +113,7 @@ def course(test: ListeningTest, number: int) -> list[dict[str, Any]]:
     session = Session(test, seed=number, place=number)
     pages: list[dict[str, Any]] = []
     for index, page in enumerate(test.manifest.pages):
-        if not isinstance(page, TrialPage) or isinstance(page, StaircasePage):
+        if not isinstance(page, TrialPage):
             continue
         for fields in session.trials.steps(index):
             step = Step(index=len(pages), page=index, **fields)

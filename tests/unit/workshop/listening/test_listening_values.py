@@ -58,6 +58,7 @@ from tonewood.workshop.listening.plain import (
     _difference,
     _in_unit,
     _number,
+    _of_page,
     _p,
     _scalar,
     _threshold,
@@ -618,6 +619,19 @@ def test_simulated_choices_follow_positions_and_thresholds() -> None:
     assert one._detects(LEVITT, 0, None) == pytest.approx(1 / 3)
 
 
+@pytest.mark.parametrize("d", [0.5, 3.0])
+def test_simulated_answers_say_different_beyond_half_of_d(d: float) -> None:
+    """Differences of two observations, N(0, 2) or N(d, 2), against the criterion d / 2, at least 0.7."""
+    from tonewood.workshop.batch.pages import AbPage
+
+    one, page = simulated(d_prime={"d": {"b": d}}), AbPage.model_validate({"type": "ab", "pairs": {"d": "all"}})
+    for correct, mean in (("same", 0.0), ("different", d)):
+        step = Step(0, 0, "t", {"A": "r", "B": "s"}, correct)
+        found = np.mean([one._judged(page, step, []) == "different" for _ in range(4000)])
+        beyond = [stats.norm.sf((max(d / 2, 0.7) - sign * mean) / math.sqrt(2)) for sign in (1, -1)]
+        assert found == pytest.approx(sum(beyond), abs=0.025)
+
+
 def test_simulated_replies_to_questions() -> None:
     assert _reply(SimpleNamespace(kind="choice", choices={"b": 1, "a": 2})) == "b"
     for kind, reply in (("text", "simulated"), ("number", 0.0), ("scale", 3.5)):
@@ -1156,6 +1170,14 @@ def test_cells_of_pairs_in_words() -> None:
     assert _cells(none, 0.05).startswith("in none of 2 cells is a pair shown")
 
 
+def test_cells_are_told_of_pairs_in_several() -> None:
+    panel: Any = SimpleNamespace(confidence=0.95)
+    own = PageResults(1, "abx", "A", 4, (), (), pairs=(detected(share=None),), detections=(detected(),))
+    assert _of_page(panel, own) == ["pluck near and far: nobody decided."]
+    _, cells = _of_page(panel, replace(own, detections=(detected(), detected(p_holm=0.06))))
+    assert cells.startswith("in 1 of 2 cells")
+
+
 def linear(*terms: tuple[str, float, float, float, float], at_ends: float | None = None) -> LinearAnalysis:
     made = tuple(ModelTerm(n, ("d",), v, low, high, 9.0, p, p, 0.5) for n, v, low, high, p in terms)
     return LinearAnalysis("", "", True, 10, 5, (), made, (), 3.0, at_ends)
@@ -1617,3 +1639,13 @@ def test_answers_of_a_file_that_is_not_there_are_none(tmp_path: Path) -> None:
     assert _lines_after_the_first(tmp_path / "none") == 0
     (tmp_path / "a.jsonl").write_text("{}\n{}\n{}\n")
     assert _lines_after_the_first(tmp_path / "a.jsonl") == 2
+
+
+@pytest.mark.parametrize("levels", ["ab", "abc"])
+def test_ratings_that_never_differ_have_no_rank_test(levels: str) -> None:
+    rows = [{"listener": who, "d": level, "value": 50.0} for who in "xyz" for level in levels]
+    ranks = rank_analysis(rows, ["d"])
+    assert ranks.tests == ()
+    assert {pair.p_value for pair in ranks.pairs} == {1.0}
+    differ = [{**row, "value": float(ord(row["d"]))} for row in rows]  # type: ignore[arg-type]
+    assert len(rank_analysis(differ, ["d"]).tests) == (1 if levels == "abc" else 0)
