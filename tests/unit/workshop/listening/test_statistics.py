@@ -922,3 +922,17 @@ def test_a_scale_that_ends_is_told(tmp_path: Path) -> None:
     assert any("grades have an order" in line for line in lines)
     assert any("the odds of a higher rating are" in line for line in lines)
     assert "cumulative logit" in methods(found)
+
+
+@pytest.mark.parametrize(("kind", "shape"), [(CrossedFit, (2, 6, 5, 3)), (IncompleteFit, (2, 6, 3))])
+def test_experiments_in_front_are_each_by_itself(
+    kind: type[CrossedFit | IncompleteFit], shape: tuple[int, ...]
+) -> None:
+    y = np.random.default_rng(8).normal(50.0, 9.0, shape)
+    y[..., 0, 1] = y[0, 3, ..., 2] = np.nan
+    x = np.array([[1.0, 1.0, 0.0], [1.0, 0.0, 1.0], [1.0, -1.0, -1.0]])
+    contrasts, _ = np.linalg.qr(np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]]))
+    both = astuple(kind(y, x).tested(contrasts))
+    for i in range(2):
+        for whole, one in zip(both, astuple(kind(y[i], x).tested(contrasts)), strict=True):
+            np.testing.assert_allclose(np.asarray(whole)[i], one, rtol=1e-9)
