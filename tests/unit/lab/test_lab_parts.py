@@ -33,7 +33,18 @@ from tonewood.lab.assembled import (
     triangle,
 )
 from tonewood.lab.beam import Beam
-from tonewood.lab.interpolatory import P0, P1, P2, P2_MIDSTEP, SIMPSON, TRAPEZOIDAL, Update, interpolatory, lagrange
+from tonewood.lab.interpolatory import (
+    P0,
+    P1,
+    P2,
+    P2_MIDSTEP,
+    SIMPSON,
+    TRAPEZOIDAL,
+    UPDATES,
+    Update,
+    interpolatory,
+    lagrange,
+)
 from tonewood.lab.methods import METHODS, Problem
 from tonewood.lab.methods.method import stability_limit
 from tonewood.lab.newmark import AVERAGE_ACCELERATION, hht
@@ -168,6 +179,14 @@ def test_names_orders_and_nodes_of_updates() -> None:
             Update("x", degree, weighted)
     nodes = np.array([0.0, 0.4, 1.0])
     assert np.array([Polynomial(row)(nodes) for row in lagrange(nodes)]) == pytest.approx(np.eye(3), abs=1e-12)
+
+
+def test_updates_by_name_and_order() -> None:
+    polynomial = [("P0", 1), ("P1", 2), ("P2", 4), ("P2 mid-step", 4)]
+    others = [("P3", 4), ("P4", 6), ("P5", 6), ("P3 mid-step", 4), ("P4 mid-step", 6)]
+    rules = [("Newton-Cotes 3", 4), ("Newton-Cotes 4", 6), ("Newton-Cotes 4 mid-step", 6)]
+    sums = [("trapezoidal", 2), ("Simpson", 4), ("Simpson mid-step", 4)]
+    assert [(u.name, u.order) for u in UPDATES] == [*polynomial, *sums, *others, *rules]
 
 
 def test_kernels_are_integrals() -> None:

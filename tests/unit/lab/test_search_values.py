@@ -52,9 +52,11 @@ class Note:
         return SimpleNamespace(engine=SimpleNamespace(effects=()))
 
 
-def search(*notes: Note, cents: float = 20.0, bandwidth: float = 10e3, switched: bool = False, monkeypatch=None) -> Any:
+def search(
+    *notes: Note, cents: float = 20.0, bandwidth: float = 10e3, switched: bool = False, standard: int = 1
+) -> Any:
     strings = {"A": SimpleNamespace(freq_upper=20e3), "B": SimpleNamespace(freq_upper=15e3)}
-    instrument: Any = SimpleNamespace(spec=SimpleNamespace(name="lute", oversampling=1, strings=strings))
+    instrument: Any = SimpleNamespace(spec=SimpleNamespace(name="lute", oversampling=standard, strings=strings))
     shares: list[float] = []
     made = _Search(instrument, Target("x", Worst(cents=cents)), list(notes), 48000, bandwidth, shares.append)  # type: ignore[arg-type]
     made._switched = lambda: switched  # type: ignore[method-assign]
@@ -101,6 +103,11 @@ def test_a_sensitive_note_is_compared_by_strokes(nudged: float, strokes: int) ->
 def test_a_reference_is_as_fine_as_its_time_allows(seconds: float, reference: float) -> None:
     """30 s: a note of 2 s at the rate of `standard` takes twice these, eight times that at eight times the rate."""
     assert search(Note(seconds=seconds), cents=1e3)[0].reference == reference
+
+
+@pytest.mark.parametrize(("standard", "reference"), [(2, 16.0), (4, 16.0)])
+def test_a_reference_makes_at_most_16_steps_a_frame(standard: int, reference: float) -> None:
+    assert search(Note(), cents=1e3, standard=standard)[0].reference == reference
 
 
 def test_effects_that_are_switched_get_budgets() -> None:

@@ -54,6 +54,23 @@ def test_rising_tension_breaks_explicit_steps_of_hard_plucks_only(grid: Stabilit
     assert verdict[1000.0, 192e3] == NAN
 
 
+def test_attacks_of_a_quick_run_make_no_energy(grid: StabilityGrid) -> None:
+    """A hundredth of the steps of the long ones; two to settle at first."""
+    held = [100_002, *[10_002] * 4]
+    assert [a.steps for a in grid.attacks][-5:] == held
+    assert 800 <= grid.attacks[0].steps < 2400  # of 0.1 s at 8 kHz; some are made twice
+    assert grid.attacks[2].steps == 64 * 1000
+    names = [a.name for a in grid.attacks]
+    assert names[1].endswith("at the peak of displacement, rising tension, 8 kHz")
+    assert names[4:6] == ["a body of 1e-09 kg", "a body of 1e+09 kg"]
+    for attack in grid.attacks:
+        assert attack.failures == 0
+        assert 0 <= attack.growth < 1e-9, attack
+        assert not attack.residual > 1e-10, attack
+    # contacts and friction are searched for, joints and rising tension are not
+    assert [a.most > 0 for a in grid.attacks] == [True, False, False, True, False, False, False, False]
+
+
 @pytest.mark.validate
 def test_table_and_json_say_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "grid.md"
