@@ -132,9 +132,12 @@ def _spikes(fourth: Complexes, first: int) -> list[int]:
     bins = np.arange(-2, n + 2)
     columns = np.array([[_FOURTH[i - b + 2] if abs(i - b) <= 2 else 0.0 for b in bins] for i in range(n)])
     for number in range(1, n // 3 + 1):
-        for some in combinations(range(2, n + 2), number):
-            part = columns[:, some]
-            left = fourth - part @ np.linalg.lstsq(part, fourth, rcond=None)[0]
-            if np.abs(left).max() < _QUIET:
-                return [int(first + 2 + bins[i]) for i in some]
+        best, some = min((_left(columns[:, some], fourth), some) for some in combinations(range(2, n + 2), number))
+        if best < _QUIET:
+            return [int(first + 2 + bins[i]) for i in some]
     return []
+
+
+def _left(part: Floats, fourth: Complexes) -> float:
+    """Largest fourth difference that spikes do not explain."""
+    return float(np.abs(fourth - part @ np.linalg.lstsq(part, fourth, rcond=None)[0]).max())

@@ -229,6 +229,15 @@ def test_noise_of_windows_runs_and_spikes() -> None:
     assert noise._spikes(fourth[2:7] * 10 + 0j, 50) == [54]
 
 
+@pytest.mark.parametrize(("bins", "size"), [((150, 151), 40.0), ((150, 151), -30.0), ((150, 152), 40.0)])
+def test_spikes_beside_each_other_are_both_found(bins: tuple[int, ...], size: float) -> None:
+    """Those that explain the differences best, not others that explain them nearly."""
+    rng = np.random.default_rng(4)
+    y = (rng.standard_normal((1, 400)) + 1j * rng.standard_normal((1, 400))) / np.sqrt(2)
+    y[0, list(bins)] += size
+    assert np.flatnonzero(noise.outliers(y)[0]).tolist() == list(bins)
+
+
 def test_two_parts_are_found_from_medians() -> None:
     """Powers that are exactly a + r |Y|^2; a constant level has no relative part."""
     size = np.random.default_rng(4).uniform(0.1, 9.0, (2, 600)) ** 2

@@ -254,3 +254,11 @@ def test_arrays_that_are_no_responses_are_refused_in_one_line(tmp_path, arrays, 
         read_responses([tmp_path / "a.npz"], Reading("mobility"))
     assert reported in str(fault.value)
     assert "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize("names", ["real,real,imag", "magnitude,magnitude,phase", "imag,real,real"])
+def test_columns_without_their_partner_are_not_clear(tmp_path, names):
+    path = tmp_path / "a.csv"
+    path.write_text(f"f,{names}\n" + text([FREQ, *VALUES.real, VALUES[0].imag], ","))
+    with pytest.raises(TonewoodError, match="its 3 columns after the first are not clear"):
+        read_responses([path], Reading("mobility"))
