@@ -1649,3 +1649,25 @@ def test_ratings_that_never_differ_have_no_rank_test(levels: str) -> None:
     assert {pair.p_value for pair in ranks.pairs} == {1.0}
     differ = [{**row, "value": float(ord(row["d"]))} for row in rows]  # type: ignore[arg-type]
     assert len(rank_analysis(differ, ["d"]).tests) == (1 if levels == "abc" else 0)
+
+
+@pytest.mark.parametrize(
+    ("base", "shift", "odds"),
+    [({}, 0.0, False), ({"ordinal": False}, 0.0, False), ({"ordinal": True}, 0.0, True), ({}, 60.0, True)],
+)
+def test_odds_are_sought_of_grades_and_where_answers_stand_at_an_end(
+    base: dict[str, Any], shift: float, odds: bool
+) -> None:
+    from tonewood.workshop.listening.results import _rated
+
+    values = np.clip(np.array([[40, 50, 45], [44, 52, 41], [39, 55, 49], [42, 49, 47]]) + shift, 0, 100)
+    rows = [
+        row(str(i), float(v), f=f, role="sound")
+        for i, own in enumerate(values)
+        for f, v in zip("abc", own, strict=True)
+    ]
+    table: Any = SimpleNamespace(factors=["f"], levels={"f": list("abc")})
+    page: Any = SimpleNamespace(reference={})
+    found = _rated({"page": 1, "kind": "rating", "heading": "H"} | base, rows, table, page, 0.95, (), (0.0, 100.0))
+    assert (found.odds is not None) == odds
+    assert (found.listeners, found.factors) == (4, ("f",))

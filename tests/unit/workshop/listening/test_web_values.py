@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +16,8 @@ from starlette.requests import ClientDisconnect
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from tonewood.errors import TonewoodError
+from tonewood.workshop.listening import server
+from tonewood.workshop.listening.server import ListeningServer
 from tonewood.workshop.web.guard import HEADERS, SECONDS, BoundedConnection, Guard
 from tonewood.workshop.web.requests import RefusalError, json_body, mistake, refuse
 
@@ -267,3 +270,24 @@ def test_beyond_the_most_the_one_that_waits_longest_makes_room(now: list[float])
     alone = connected({Other()}, most=1)
     assert alone.transport.cut == 0
     assert BoundedConnection.most == 1000
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("test.js", "text/javascript"),
+        ("players.js", "text/javascript"),
+        ("test.css", "text/css"),
+        ("report.css", None),
+        ("test.html", None),
+        ("../server.py", None),
+    ],
+)
+def test_files_of_the_page_are_sent_and_no_others(name: str, kind: str | None) -> None:
+    request: Any = SimpleNamespace(path_params={"name": name})
+    response = asyncio.run(ListeningServer._static(None, request))  # type: ignore[arg-type]  # it reads nothing of the server
+    if kind is None:
+        assert (response.status_code, response.body) == (404, b"")
+    else:
+        assert (response.status_code, response.media_type) == (200, kind)
+        assert response.body == (Path(server.__file__).parent / "static" / name).read_bytes()
