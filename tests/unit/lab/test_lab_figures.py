@@ -9,7 +9,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tonewood.lab.systems import chinnakonda_plots, fabre_academic, fabre_methods, klosner, string_and_body
+from tonewood.lab.systems import (
+    chinnakonda_plots,
+    fabre_academic,
+    fabre_guitar,
+    fabre_methods,
+    harp,
+    klosner,
+    string_and_body,
+)
 from tonewood.lab.systems.chinnakonda_problems import HEAVY, LIGHT, exact_driven, two_masses
 
 
@@ -27,7 +35,7 @@ def drawn(monkeypatch):
         made[path.name] = fig.axes
         return path
 
-    for module in (chinnakonda_plots, fabre_academic, fabre_methods, klosner, string_and_body):
+    for module in (chinnakonda_plots, fabre_academic, fabre_guitar, fabre_methods, harp, klosner, string_and_body):
         monkeypatch.setattr(module, "save", save)
     return made
 
@@ -170,3 +178,76 @@ def test_pole_errors_and_modes_needed_as_they_are(drawn, monkeypatch) -> None:
         for form in klosner.FORMS:
             x, y = force[form]
             assert y[:-1] == pytest.approx(np.interp(x[:-1], t, truth), abs=0.02 * np.abs(truth).max())
+
+
+@pytest.fixture
+def made_up(monkeypatch):
+    """Responses 1 / f of each damping case, and waveforms t^2, in place of those of the systems."""
+
+    def receptance(problem, freq):
+        return problem / np.atleast_1d(np.asarray(freq, float))[:, None, None]
+
+    for module in (fabre_guitar, harp):
+        monkeypatch.setattr(module, "coupled_receptance", receptance)
+        monkeypatch.setattr(module, "problem", lambda basis, case="complex": {"complex": 1, "block": 2}.get(case, 10))
+        monkeypatch.setattr(
+            module, "pluck", lambda case, fs, seconds: case * (np.arange(round(seconds * fs) + 1) / fs) ** 2
+        )
+
+
+def test_the_guitar_s_pluck_and_spectrum(drawn, made_up) -> None:
+    fabre_guitar.plots(Path())
+    force, wave, start, spectrum = drawn["fabre_fig5_guitar.png"]
+    ((t, newton),) = curves(force).values()
+    assert (t[-1], newton.max(), newton[24000]) == (2.0, fabre_guitar.FORCE, fabre_guitar.FORCE / 2)
+    assert not newton[t > 1].any()
+    assert list(curves(wave)) == ["case 1: complex", "case 2: proportional"]
+    for (x, y), case in zip(curves(wave).values(), (1, 10), strict=True):
+        assert y == pytest.approx(1e3 * case * x**2)
+    for (x, y), case in zip(curves(start).values(), (1, 10), strict=True):
+        assert (x[0], x[-1]) == pytest.approx((1.0, 1.1))
+        assert y == pytest.approx(1e3 * case * x**2)
+    lines = list(curves(spectrum).values())
+    for (x, y), case in zip(lines[:2], (1, 10), strict=True):
+        assert (x[0], x[-1]) == (pytest.approx(40.0), pytest.approx(1499.9))
+        assert y == pytest.approx(20 * np.log10(case / x))
+    for n, (x, y) in enumerate(lines[2:18], 1):
+        assert float(x[0]) == pytest.approx(fabre_guitar.exact_string().held_freq(n), rel=0.02)
+        assert float(y[0]) == pytest.approx(20 * np.log10(1 / x[0]) + 4)
+    for (x, y), freq in zip(lines[18:], (89.817, 158.387), strict=True):
+        assert float(x[0]) == pytest.approx(freq, abs=6e-4)
+        assert float(y[0]) == pytest.approx(20 * np.log10(1 / freq) + 10, abs=1e-3)
+
+
+def test_the_harp_s_modes_waveform_and_spectrum(drawn, made_up) -> None:
+    harp.plots(Path())
+    bars, grey, black = drawn["fabre_fig7_harp_modes.png"][:3]
+    body = harp.harp_body()
+    mpc = harp.phase_collinearity(body.right)
+    assert [bar.get_height() for bar in bars.patches] == pytest.approx(mpc)
+    assert [bar.get_facecolor() == bars.patches[int(np.argmin(mpc))].get_facecolor() for bar in bars.patches] == (
+        mpc < 0.95
+    ).tolist()
+    criterion = harp.separation(body)
+    image = next(a.images[0] for a in (grey, black) if a.images[0].get_array().dtype != bool)
+    assert np.asarray(image.get_array()) == pytest.approx(np.minimum(criterion, 1.0))
+    frames = [line.get_xdata() for axis in (grey, black) for line in axis.lines]
+    assert [x.tolist() if hasattr(x, "tolist") else list(x) for x in frames] == [
+        [a, b, b, a, a] for a, b in ((0.5, 10.5), (10.5, 19.5), (19.5, 27.5), (27.5, 32.5))
+    ]
+    wave, spectrum, difference = drawn["fabre_fig8_harp.png"]
+    for (t, y), case in zip(curves(wave).values(), (1, 10), strict=True):
+        assert (t[0], t[-1]) == (pytest.approx(-10.0), pytest.approx(60.0, abs=0.1))
+        assert y == pytest.approx(np.full(t.size, 2.0 * case), rel=1e-4)
+    lines = list(curves(spectrum).values())
+    for (f, level), case in zip(lines[:3], (1, 10, 2), strict=True):
+        assert (f[0], f[-1]) == (60.0, pytest.approx(1799.9))
+        assert level == pytest.approx(20 * np.log10(case / f * (2 * np.pi * f) ** 2))
+    odd = body.natural_freq[mpc < 0.95]
+    for (x, y), freq in zip(lines[3:], odd, strict=True):
+        assert float(x[0]) == freq
+        assert float(y[0]) == pytest.approx(20 * np.log10(4 * np.pi**2 * freq) + 6, abs=0.01)
+    apart = list(curves(difference).items())
+    assert apart[0][1][1] == pytest.approx(np.full(17400, 20 * np.log10(2)))
+    assert apart[1][1][1] == pytest.approx(np.full(17400, 20.0))
+    assert [float(x[0]) for _, (x, _) in apart[2:]] == pytest.approx(247.0 * np.arange(1, 8), rel=0.02)
