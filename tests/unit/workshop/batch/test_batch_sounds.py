@@ -221,3 +221,24 @@ def test_sounds_and_pictures_of_other_codes_are_removed(tmp_path: Path, pictures
     assert sorted(p.name for p in (tmp_path / "stimuli").iterdir()) == ["bcdfgh.wav", "notes.wav"]
     assert sorted(p.name for p in (tmp_path / "pictures").iterdir()) == sorted(["abcdef.png", *left])
     assert sorted(p.name for p in tmp_path.iterdir() if p.is_file()) == ["zzzzzz.png", "zzzzzz.wav"]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"steps": [], "longest": 40}, "longest belongs to a staircase with steps"),
+        ({"trials": 30}, "trials belongs to QUEST"),
+        ({"ratio": True, "steps": [1.2], "expect_sd": 1.0}, "expect_sd is a ratio above 1"),
+        ({"ratio": True, "steps": [1.2], "margin": 0.5}, "margin is a ratio above 1"),
+        ({"ratio": True, "steps": [1.2], "expect_sd": 1.01}, None),
+        ({"expect_sd": 0.5}, None),
+        ({"steps": [], "trials": 30}, None),
+    ],
+)
+def test_keys_of_staircases_that_do_not_fit(change: dict[str, Any], said: str | None) -> None:
+    page = {"type": "staircase", "path": "b", "start": 0.5, "lowest": 0.1, "highest": 1.0, "steps": [0.1]} | change
+    if said is None:
+        assert StaircasePage.model_validate(page).start == 0.5
+    else:
+        with pytest.raises(ValueError, match=said):
+            StaircasePage.model_validate(page)

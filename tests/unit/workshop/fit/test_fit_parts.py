@@ -14,13 +14,13 @@ import yaml
 from fit_scenes import TAU, Truth, random_body
 
 from tonewood.errors import TonewoodError
-from tonewood.workshop.fit import drift, figure, files, folder, noise, radiation, search, texts
+from tonewood.workshop.fit import arrays, drift, figure, files, folder, noise, radiation, search, texts
 from tonewood.workshop.fit import fit as whole
 from tonewood.workshop.fit.body import passive_body
 from tonewood.workshop.fit.drift import Drift
 from tonewood.workshop.fit.fit import Fit, fit_responses
 from tonewood.workshop.fit.hits import is_double
-from tonewood.workshop.fit.identify import Modes, _reach
+from tonewood.workshop.fit.identify import Modes, _reach, identify
 from tonewood.workshop.fit.projection import FitData, LinearFit, Poles, Projection, Shape
 from tonewood.workshop.fit.radiation import FittedRadiation
 from tonewood.workshop.fit.responses import Responses, to_mobility
@@ -922,3 +922,38 @@ def test_signs_at_the_end_of_each_line_are_no_columns(tmp_path) -> None:
     _, columns, names, others = texts._table(tmp_path / "a.csv")
     assert columns.T.tolist() == [list(row) for row in rows]
     assert (names, others) == ([], 0)  # words of the head and columns do not match in number
+
+
+@pytest.mark.parametrize(
+    ("shape", "pairs"),
+    [
+        ((9,), [("H", "unnamed")]),
+        ((9, 2), [("H_1", "unnamed"), ("H_2", "unnamed")]),
+        ((9, 2, 2), [("H_1", "H_1"), ("H_1", "H_2"), ("H_2", "H_1"), ("H_2", "H_2")]),
+        ((9, 1, 2), [("H_1", "unnamed_1"), ("H_1", "unnamed_2")]),
+    ],
+)
+def test_arrays_are_rows_of_points_and_references(shape, pairs) -> None:
+    x = np.arange(float(np.prod(shape))).reshape(shape)
+    found = arrays._pairs_of("a.H", x)
+    assert [pair for pair, _ in found] == pairs
+    for (_, row), expected in zip(found, x.reshape(9, -1).T, strict=True):
+        assert row.tolist() == expected.tolist()
+
+
+def test_modes_are_dropped_and_kept_by_frequency() -> None:
+    """Of two modes that stand out one is dropped; one that nothing shows is kept where it is wanted."""
+    rng, freq = np.random.default_rng(3), np.arange(100.0, 500.0)
+    y = np.array([[1.0, 0.8]]) @ resonances(freq, [200.0, 400.0], [40.0, 50.0])
+    y = y + 1e-4 * (rng.standard_normal(y.shape) + 1j * rng.standard_normal(y.shape))
+    shape = Shape((0,), 1, True, False, False)
+
+    def freqs(**more):
+        poles = identify(freq, y, shape, damping="viscous", **more).poles
+        return poles.freq[(poles.freq > 100) & (poles.freq < 499)]
+
+    assert freqs() == pytest.approx([200.0, 400.0], rel=1e-3)
+    assert not np.any(np.abs(freqs(drop=[405.0]) - 400.0) < 4.0)
+    assert np.abs(freqs(keep=[300.0]) / 300.0 - 1).min() < 0.05
+    with pytest.raises(LookupError, match=r"there is no mode at 280 Hz; the nearest is at (199\.99|200)"):
+        identify(freq, y, shape, damping="viscous", drop=[280.0])
