@@ -121,6 +121,8 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
     for path, table in zip(paths, tables, strict=True):
         if len(table.freq) != len(freq) or not np.allclose(table.freq, freq, rtol=1e-9, atol=0):
             raise TonewoodError("has other frequencies than the first file", file=path, key="freq_Hz")
+    if np.any(np.diff(freq[freq > 0]) <= 0):
+        raise TonewoodError("frequencies do not rise from bin to bin", file=paths[0], key="freq_Hz")
     rows = {pair: row for table in tables for pair, row in table.rows.items()}
     if mirrored := _mirrored([row[freq >= 0] for row in rows.values()]):
         raise TonewoodError(
@@ -161,7 +163,12 @@ def _mirrored(rows: Sequence[Complexes]) -> int:
     """Bin from which responses repeat those before it, backwards and conjugate, as those of a whole FFT; 0: none."""
     for first in (0, 1):  # without and with 0 Hz
         halves = [row[first:] for row in rows]
-        if all(half.size and np.any(half.imag) and np.allclose(half, half[::-1].conj(), rtol=1e-6) for half in halves):
+        if all(
+            half.size
+            and np.any(half.imag)
+            and np.allclose(half, half[::-1].conj(), atol=1e-6 * np.nanmax(np.abs(half)))
+            for half in halves
+        ):
             return (halves[0].size + 1) // 2 + first
     return 0
 
@@ -201,6 +208,8 @@ def _driven(paths: Sequence[Path], tables: Sequence[ResponseTable], reading: Rea
 
 
 def _hash(path: Path) -> str:
+    if path.is_char_device() or path.is_fifo():
+        raise TonewoodError("is a device, whose content may not end", file=path)
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as fault:

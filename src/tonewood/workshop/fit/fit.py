@@ -46,7 +46,7 @@ class Fit:
     no_body : why, in one line.
     not_driven : references that were left out, for nothing was measured where they were driven.
     outliers : Hz, bins that were left out, for they disagree with their neighbours.
-    empty : number of bins that were left out, for a response holds no finite number there.
+    empty : number of bins that were left out, for a response holds no finite number, or 0, there.
     """
 
     responses: Responses
@@ -178,7 +178,7 @@ class Fit:
         if r.freq[-1] < LEAST_TOP:
             out.append(f"the responses end at {r.freq[-1]:.3g} Hz: kHz read as Hz, perhaps; freq_Hz is in Hz")
         if self.empty:
-            out.append(f"{self.empty} bins without a finite number were left out")
+            out.append(f"{self.empty} bins without a finite number, or with 0, were left out")
         masses = [row["mass_kg"] for row in measured if row["mass_kg"]]
         if masses and not LEAST_MASS < float(np.median(masses)) < MOST_MASS:
             side = "less" if np.median(masses) < 1 else "more"
@@ -315,7 +315,7 @@ def fit_responses(
     """
     r, not_driven = responses.reciprocal().of_driven()
     some = (r.freq > 0) & (r.freq >= (band[0] or 0.0)) & (r.freq <= (band[1] or np.inf))
-    empty = int(np.count_nonzero(some & ~np.isfinite(r.mobility).all(axis=0)))
+    empty = int(np.count_nonzero(some & ~r.measured))
     r, outliers = r.band(*band).checked().without_outliers()
     no_body = r.no_body()
     sigma = None

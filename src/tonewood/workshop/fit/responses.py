@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from tonewood.errors import TonewoodError
@@ -24,6 +25,8 @@ LEAST_COHERENCE, _COHERENCE = 0.5, 31
 _BEFORE = 4.0
 #: share of the bins, most that are outliers
 _MOST_OUTLIERS = 0.2
+#: (m/s)/N from which on a response is no number of a body, nor is one below its inverse: squares leave the range
+_LARGEST = 1e30
 #: share of the step below which a frequency is 0
 _ZERO = 0.01
 #: kg that a body of an instrument weighs as felt at a point
@@ -85,8 +88,14 @@ class Responses:
         """Rows measured where they were driven."""
         return tuple(i for i, (point, reference) in enumerate(self.pairs) if point == reference)
 
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """(N,) bins with finite numbers other than 0; responses that are 0 in nearly all bins do not count."""
+        rows = self.mobility[np.count_nonzero(self.mobility, axis=1) >= FEWEST_BINS]
+        return np.asarray(np.isfinite(self.mobility).all(axis=0) & (rows != 0).all(axis=0))
+
     def band(self, low: float | None, high: float | None) -> Responses:
-        """Return the part between two frequencies, without 0 Hz and without bins that hold no finite number.
+        """Return the part between two frequencies, without 0 Hz and without bins that were not measured.
 
         A first bin below a hundredth of the step stands for 0 Hz, written so for programs that divide by it.
 
@@ -101,7 +110,7 @@ class Responses:
         first = max(low or 0.0, 0.0)
         least = _ZERO * float(np.median(np.diff(self.freq))) if self.freq.size > 1 else 0.0
         inside = (self.freq >= first) & (self.freq > max(least, 0.0)) & (self.freq <= (high or np.inf))
-        inside &= np.all(np.isfinite(self.mobility), axis=0)
+        inside &= self.measured
         for row in self.pressure.values():
             inside &= np.isfinite(row)
         if np.count_nonzero(inside) < FEWEST_BINS:
@@ -198,8 +207,11 @@ class Responses:
         ------
         TonewoodError : values are not finite or all 0, frequencies do not rise, or the body rings before the hit.
         """
-        if not np.all(np.isfinite(self.mobility)):
-            raise TonewoodError("responses hold values that are not finite numbers", key="responses")
+        if not 1 / _LARGEST < np.abs(self.mobility).max() < _LARGEST:
+            raise TonewoodError(
+                f"responses hold values that are not finite numbers, or the largest is not between {1 / _LARGEST:g} "
+                f"and {_LARGEST:g} (m/s)/N", key="responses",
+            )  # fmt: skip
         if np.any(np.diff(self.freq) <= 0):
             raise TonewoodError("frequencies do not rise from bin to bin", key="freq_Hz")
         for (point, reference), row in zip(self.pairs, self.mobility, strict=True):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import os
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ from fit_scenes import random_body
 from tonewood.errors import TonewoodError
 from tonewood.workshop.fit.arrays import npz_arrays
 from tonewood.workshop.fit.files import Reading, read_responses
+from tonewood.workshop.fit.fit import fit_responses
 
 FREQ = np.arange(50.0, 250.0)
 TRUTH = random_body(3, seed=0, high=220.0).noisy(FREQ, 0.01, seed=0)[0]
@@ -212,3 +215,37 @@ def test_an_array_that_states_an_absurd_shape_is_one_line(tmp_path: Path) -> Non
         archive.writestr("H.npy", head.getvalue())
     with pytest.raises(TonewoodError, match=r"claim\.npz: is no npz file of arrays"):
         npz_arrays(tmp_path / "claim.npz")
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e-30])
+def test_stiff_things_are_not_two_sided(tmp_path: Path, scale: float) -> None:
+    np.savez(tmp_path / "a.npz", **{"freq_Hz": FREQ, "a:a": scale * TRUTH[0]})
+    assert np.array_equal(read_responses([tmp_path / "a.npz"], Reading("mobility")).mobility[0], scale * TRUTH[0])
+    both = np.concatenate([TRUTH[0], TRUTH[0, ::-1].conj()])
+    np.savez(tmp_path / "b.npz", **{"freq_Hz": np.arange(1.0, 401.0), "a:a": scale * both})
+    with pytest.raises(TonewoodError, match="two-sided: from bin 201 on"):
+        read_responses([tmp_path / "b.npz"], Reading("mobility"))
+
+
+def test_frequencies_that_do_not_rise_and_devices_are_named(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", **{"freq_Hz": FREQ[[1, 0, *range(2, FREQ.size)]], "a:a": TRUTH[0]})
+    with pytest.raises(TonewoodError, match=r"a\.npz: freq_Hz: frequencies do not rise"):
+        read_responses([tmp_path / "a.npz"], Reading("mobility"))
+    os.mkfifo(tmp_path / "b.csv")
+    with pytest.raises(TonewoodError, match=r"b\.csv: is a device"):
+        read_responses([tmp_path / "b.csv"], Reading("mobility"))
+
+
+def test_bins_of_0_were_not_measured(tmp_path: Path) -> None:
+    masked = TRUTH.copy()
+    masked[1, 100:160] = 0.0
+    np.savez(
+        tmp_path / "a.npz", **{"freq_Hz": FREQ, **{f"{p}:{r}": x for (p, r), x in zip(PAIRS, masked, strict=True)}}
+    )
+    responses = read_responses([tmp_path / "a.npz"], Reading("mobility"))
+    fit = fit_responses(responses)
+    assert (fit.empty, fit.responses.freq.size) == (60, FREQ.size - 60)
+    assert np.isfinite(fit.error_db).all()
+    for scale in (1e300, 1e-200):
+        with pytest.raises(TonewoodError, match=r"not between 1e-30 and 1e\+30"):
+            fit_responses(replace(responses, mobility=scale * TRUTH))
