@@ -407,3 +407,18 @@ def test_linear_springs_take_the_steps_of_their_twin(case, at_once):
     expected = [True, True, case != "none at all", True, False, False]
     assert acted.tolist() == expected
     assert stepper.statistics.failures == 0
+
+
+@pytest.mark.parametrize("make", [NumpyStepper, KernelStepper])
+def test_a_potential_beside_a_large_constant_is_that_of_its_slope(make):
+    """5 J + k d^2 / 2 in motions of a nanometre, whose differences of potential are rounding: a linear spring."""
+    mode = ModalBasis.real([600.0], [3.0], {"p": [1.0]})
+    potential = CompiledPotential(CFUNC(lambda d, _: 5.0 + 500.0 * d**2), CFUNC(lambda d, _: 1e3 * d))
+    found = []
+    for law in (potential, HardeningSpring(1e3)):
+        readout = Readout("u", "displacement", (Term("m", "p"),))
+        system = System.build({"m": mode}, [Connection("spring", (Term("m", "p"),), law)], [readout], dt=DT)
+        state = system.start()
+        system.modes_of(state, "m")[0] = 1e-9
+        found.append(make(system).run(state, 400)[0])
+    assert_same(*found, 1e-9)
