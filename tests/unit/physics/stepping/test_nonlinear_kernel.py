@@ -410,15 +410,17 @@ def test_linear_springs_take_the_steps_of_their_twin(case, at_once):
 
 
 @pytest.mark.parametrize("make", [NumpyStepper, KernelStepper])
-def test_a_potential_beside_a_large_constant_is_that_of_its_slope(make):
-    """5 J + k d^2 / 2 in motions of a nanometre, whose differences of potential are rounding: a linear spring."""
+@pytest.mark.parametrize(("cubic", "size", "within"), [(0.0, 1e-9, 1e-9), (1e15, 1e-6, 1e-7)])
+def test_a_potential_beside_a_large_constant_is_that_of_its_slope(make, cubic, size, within):
+    """5 J + k d^2 / 2 + c d^4 / 4 in motions so small that differences of it are rounding: a spring with its energy."""
     mode = ModalBasis.real([600.0], [3.0], {"p": [1.0]})
-    potential = CompiledPotential(CFUNC(lambda d, _: 5.0 + 500.0 * d**2), CFUNC(lambda d, _: 1e3 * d))
+    slope = CFUNC(lambda d, _: 1e3 * d + cubic * d**3)
+    potential = CompiledPotential(CFUNC(lambda d, _: 5.0 + 500.0 * d**2 + cubic / 4 * d**4), slope)
     found = []
-    for law in (potential, HardeningSpring(1e3)):
+    for law in (potential, HardeningSpring(1e3, cubic)):
         readout = Readout("u", "displacement", (Term("m", "p"),))
         system = System.build({"m": mode}, [Connection("spring", (Term("m", "p"),), law)], [readout], dt=DT)
         state = system.start()
-        system.modes_of(state, "m")[0] = 1e-9
+        system.modes_of(state, "m")[0] = size
         found.append(make(system).run(state, 400)[0])
-    assert_same(*found, 1e-9)
+    assert_same(*found, within)
