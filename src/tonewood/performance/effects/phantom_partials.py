@@ -4,10 +4,11 @@ They run from any gesture on a string until bounds on the missing sound (`effect
 partials and the body's response) come to the budget over all strings without them: those of the strings of a key are
 added up, those of several keys in power, since their partials are at other frequencies: the sum is an estimate. Strings
 that are not played are in it, whatever their energy: a bass string of a piano makes phantom partials of little motion.
-After gestures and changes of pedals motion spreads from string to string, so that looks are frequent for a while.
+After gestures and changes of pedals motion spreads from string to string within milliseconds. For a while they then run
+on all strings without a look: looks that are frequent enough take longer than that.
 
-Up to 24 strings may be in unison on a light body, which passes their motion on from one to another between two looks.
-Their bounds are all added up, and if they are wanted on one string they run on all.
+Up to 24 strings may be in unison on a light body, which passes their motion on from one to another between two looks at
+any time. Their bounds are all added up, and if they are wanted on one string they run on all.
 
 The transverse motion is the same on or off, so that a switch costs no energy.
 """
@@ -16,10 +17,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from operator import is_not
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tonewood.instrument.contract.base import Plugin
 from tonewood.instrument.contract.effects import Effect
@@ -27,18 +30,18 @@ from tonewood.instrument.model.assembly import Model
 from tonewood.performance.effects.base import Moment, SwitchedEffect, Switching, Watched, next_multiple
 from tonewood.performance.effects.bridge_response import BridgeResponse
 from tonewood.performance.effects.phantoms import Phantoms
-from tonewood.performance.effects.switching import clear_memory, motion
+from tonewood.performance.effects.switching import clear_memory
 from tonewood.performance.effects.usage import Bound, EffectUsage
 from tonewood.performance.player.fretting import Fretting
 from tonewood.performance.player.timeline import GRID, Timeline
 from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
 from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
-from tonewood.physics.coupling.system import State, System
+from tonewood.physics.coupling.system import Compiled, State, System
 from tonewood.physics.modal.string_modes import string_basis
 from tonewood.support.arrays import Floats
 
-#: s between two looks, and while motion spreads to other strings; s that it does after a gesture or a change of pedals
-_SELDOM, _OFTEN, _SPREAD = 0.04, 0.005, 0.15
+#: s between two looks; s for which motion spreads to other strings after a gesture or a change of pedals
+_LOOK, _SPREAD = 0.04, 0.15
 #: share of that below which they are left out; above the whole of it, they come back
 _LEAVE = 0.9
 #: strings up to which they run on all or on none: a light body passes motion on within milliseconds. Of a piano's many
@@ -48,6 +51,42 @@ _FEW = 24
 _SILENT = 1e-150
 
 
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Strings that have one bound.
+
+    names : (n_strings,) of the strings.
+    rooms : component of the bound's string -> (n_strings, n_modes), where the modes of theirs are in a state.
+    forms : component -> (3, n_strings, n_modes) a, b, c of q = a x, q' = b x + c y (`ModalBasis.motion`).
+    """
+
+    names: Sequence[str]
+    bound: Phantoms
+    rooms: Mapping[str, NDArray[np.intp]]
+    forms: Mapping[str, Floats]
+
+    @classmethod
+    def of(
+        cls, system: System, names: Sequence[str], bound: Phantoms, components: Mapping[str, Sequence[str]]
+    ) -> _Group:
+        """Make it of the strings' components that stand in the place of each one of the bound's string."""
+        rooms, forms = {}, {}
+        for component, others in components.items():
+            slots, n = [system.slot(other) for other in others], bound.parts[component].n_modes
+            rooms[component] = np.array([system.layout.offsets[slot] + np.arange(n) for slot in slots])
+            forms[component] = np.stack([system.compiled[slot].basis.motion[:3] for slot in slots], axis=1)
+        return cls(names, bound, rooms, forms)
+
+    def levels(self, state: State, peak: Floats) -> Floats:
+        """(n_strings,) largest sample that is missing without each, re the loudest one."""
+        moved = {}
+        for component, rooms in self.rooms.items():
+            (x, y), (a, b, c) = state.modes[:, rooms], self.forms[component]
+            moved[component] = a * x, b * x + c * y
+        levels = self.bound.level(self.bound.slopes(moved), peak)
+        return np.where(np.isfinite(levels), levels, math.inf)
+
+
 class PhantomPartialsEffect(SwitchedEffect):
     """Decides which strings' longitudinal forces act."""
 
@@ -55,10 +94,12 @@ class PhantomPartialsEffect(SwitchedEffect):
         super().__init__(model, effect, plugins)
         self._laws = {p.name: p for p in model.system.potentials if isinstance(p, DrivenLongitudinal)}
         self._few = len(self._laws) <= _FEW
-        self._often = max(1, round(_OFTEN / (GRID * model.system.dt)))
-        self._seldom = self._often * max(1, round(_SELDOM / (GRID * model.system.dt) / self._often))
+        self._look = max(1, round(_LOOK / (GRID * model.system.dt)))
         self._response: BridgeResponse | None = None
         self._bounds: dict[tuple[str, float], Phantoms] = {}
+        self._slots = [model.system.slot(c) for name in self._laws for c in self._planes(name)]
+        self._compiled: list[Compiled] = []
+        self._groups: list[_Group] = []
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -78,25 +119,25 @@ class PhantomPartialsEffect(SwitchedEffect):
                 self._bound(self.model.system, name, 0.0)
 
     def next_watch(self, sample: int, switching: Switching) -> int:
-        """Every 40 ms; every 5 ms while motion spreads after a gesture."""
-        return next_multiple(sample, self._often if sample < switching.until.get("", 0) else self._seldom)
+        """Every 40 ms."""
+        return next_multiple(sample, self._look)
 
     def watch(self, moment: Moment, switching: Switching) -> Watched | None:
-        """Wanted where a gesture acts or begins, and where the bound is beyond the budget.
+        """Wanted on all while motion spreads, then where a gesture acts and where the bound is beyond the budget.
 
         `Switching.until` holds, for no component, the sample until which motion spreads.
         """
-        played = self._moved(play.string for play in moment.fresh)
         until = switching.until
         if moment.fresh or moment.moved:
             until = {"": moment.sample + round(_SPREAD / moment.system.dt)}
-        whole = moment.sample % (GRID * self._seldom) == 0
-        if not whole and (moment.sample % (GRID * self._often) or moment.sample >= switching.until.get("", 0)):
-            same = played <= switching.on and until == switching.until
-            return None if same else Watched(switching.on | played, until=until)
-        staying = played | self._moved(moment.busy) | (set() if whole else switching.on)
+        if moment.sample < until.get("", 0):
+            same = until == switching.until and self._laws.keys() == switching.on
+            return None if same else Watched(frozenset(self._laws), until=until)
+        if moment.sample % (GRID * self._look):
+            return None
+        staying = self._moved(moment.busy)
         peak = np.maximum(moment.peak, _SILENT)
-        levels = {name: self._level(moment, name, peak) for name in self._laws if name not in staying}
+        levels = {name: level for name, level in self._levels(moment, peak).items() if name not in staying}
         # levels of the strings of a key add up, and so do those of few strings; those of several keys in power
         names, missing, power = set(staying), dict.fromkeys(("", *self._laws), 0.0), 0.0
         for name, level in sorted(levels.items(), key=lambda item: item[1]):
@@ -141,16 +182,33 @@ class PhantomPartialsEffect(SwitchedEffect):
     def _planes(self, name: str) -> Sequence[str]:
         return [p.component for p in self.model.strings[name].polarizations]
 
-    def _level(self, moment: Moment, name: str, peak: Floats) -> float:
-        """Bound on the largest sample that is missing without it, re the loudest one."""
-        like = self._alike(name)
-        planes = zip(self._planes(like), self._planes(name), strict=True)
-        bound = self._bound(moment.system, like, moment.frettings[name].stop)
-        moved = {a: motion(moment.system, moment.state, b) for a, b in planes}
-        if any(bound.parts[a].displaced.shape[1] != len(q) for a, (q, _) in moved.items()):
-            return math.inf  # a bend has moved modes over the limit: the bound is that of the string as it was
-        level = bound.level(bound.slopes(moved), peak)
-        return level if math.isfinite(level) else math.inf
+    def _levels(self, moment: Moment, peak: Floats) -> dict[str, float]:
+        """Bound on the largest sample that is missing without it, re the loudest one, of each string."""
+        compiled = [moment.system.compiled[slot] for slot in self._slots]
+        if len(compiled) != len(self._compiled) or any(map(is_not, compiled, self._compiled)):
+            self._compiled, self._groups = compiled, self._grouped(moment)
+        levels = dict.fromkeys(self._laws, math.inf)
+        for group in self._groups:
+            levels.update(zip(group.names, group.levels(moment.state, peak).tolist(), strict=True))
+        return levels
+
+    def _grouped(self, moment: Moment) -> list[_Group]:
+        """Strings that have one bound as they are held now; without those of which a bend has moved modes away.
+
+        The bound is that of the string as it was when that was made.
+        """
+        system, groups = moment.system, dict[tuple[str, float], list[str]]()
+        for name in self._laws:
+            key = self._alike(name), moment.frettings[name].stop
+            parts = self._bound(system, *key).parts
+            planes = zip(self._planes(key[0]), self._planes(name), strict=True)
+            if all(parts[a].n_modes == system.compiled[system.slot(b)].basis.n_modes for a, b in planes):
+                groups.setdefault(key, []).append(name)
+        found = []
+        for (like, stop), names in groups.items():
+            components = dict(zip(self._planes(like), zip(*map(self._planes, names), strict=True), strict=True))
+            found.append(_Group.of(system, names, self._bound(system, like, stop), components))
+        return found
 
     def _alike(self, name: str) -> str:
         """The first string of its key if that is the same but for some cents, else itself."""

@@ -43,6 +43,11 @@ class PartialSlopes:
     displaced: Floats
     moving: Floats
 
+    @property
+    def n_modes(self) -> int:
+        """Modes of the component."""
+        return int(self.displaced.shape[1])
+
     @classmethod
     def of(cls, part: GeometricShare, modes: HeldModes) -> PartialSlopes:
         """Make them of a transverse component's share and its modes with the bridge held."""
@@ -58,8 +63,8 @@ class PartialSlopes:
         return PartialSlopes(self.displaced[:n], self.moving[:n])
 
     def amplitudes(self, q: Floats, velocity: Floats) -> Floats:
-        """(n,) slopes of partials in a motion."""
-        return np.hypot(self.displaced @ q, self.moving @ velocity)
+        """(..., n) slopes of partials in motions (..., n_modes)."""
+        return np.hypot(q @ self.displaced.T, velocity @ self.moving.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +119,7 @@ class Phantoms:
         )
 
     def slopes(self, motion: Mapping[str, tuple[Floats, Floats]]) -> Floats:
-        """(n,) slopes of partials, all polarizations, in motions q and q' of the components."""
+        """(..., n) slopes of partials, all polarizations, in motions q and q', (..., n_modes), of the components."""
         squares = [self.parts[name].amplitudes(q, v) ** 2 for name, (q, v) in motion.items()]
         return np.asarray(np.sqrt(np.sum(squares, axis=0)))
 
@@ -122,6 +127,7 @@ class Phantoms:
         """Detuning of a partial without them at most, cents, besides that of the mean tension."""
         return float(slopes @ self.detuning @ slopes)
 
-    def level(self, slopes: Floats, peak: Floats) -> float:
-        """Largest sample that would be missing, ratio to the loudest one of each readout (R,)."""
-        return float(np.max((self.heard @ slopes @ slopes) / peak, initial=0.0))
+    def level(self, slopes: Floats, peak: Floats) -> Floats:
+        """(...,) largest sample that would be missing, ratio to the loudest one of each readout (R,)."""
+        missing = np.sum((slopes @ self.heard) * slopes, axis=-1)
+        return np.asarray(np.max(missing.T / peak, axis=-1, initial=0.0))

@@ -106,7 +106,7 @@ class TensionBounds:
                 phantoms = self._phantoms_of(law, system, moment.frettings[name])
                 slopes = phantoms.slopes(moving)
                 cents[name] += phantoms.cents(slopes)
-                alone[name] += phantoms.level(slopes, peak)
+                alone[name] += float(phantoms.level(slopes, peak))
         quietest = sorted(alone, key=lambda name: alone[name])
         levels = dict(zip(quietest, accumulate(alone[name] for name in quietest), strict=True))
         return {name: Bound(cents[name], levels.get(name, 0.0)) for name in cents}
