@@ -233,6 +233,7 @@ def test_sounds_and_pictures_of_other_codes_are_removed(tmp_path: Path, pictures
         ({"ratio": True, "steps": [1.2], "expect_sd": 1.01}, None),
         ({"expect_sd": 0.5}, None),
         ({"steps": [], "trials": 30}, None),
+        ({"highest": float("inf")}, None),  # refused where the path is known
     ],
 )
 def test_keys_of_staircases_that_do_not_fit(change: dict[str, Any], said: str | None) -> None:
