@@ -942,7 +942,7 @@ def test_arrays_are_rows_of_points_and_references(shape, pairs) -> None:
 
 
 def test_modes_are_dropped_and_kept_by_frequency() -> None:
-    """Of two modes that stand out one is dropped; one that nothing shows is kept where it is wanted."""
+    """Of two modes that stand out one is dropped; those that nothing shows are kept where they are wanted."""
     rng, freq = np.random.default_rng(3), np.arange(100.0, 500.0)
     y = np.array([[1.0, 0.8]]) @ resonances(freq, [200.0, 400.0], [40.0, 50.0])
     y = y + 1e-4 * (rng.standard_normal(y.shape) + 1j * rng.standard_normal(y.shape))
@@ -954,6 +954,28 @@ def test_modes_are_dropped_and_kept_by_frequency() -> None:
 
     assert freqs() == pytest.approx([200.0, 400.0], rel=1e-3)
     assert not np.any(np.abs(freqs(drop=[405.0]) - 400.0) < 4.0)
-    assert np.abs(freqs(keep=[300.0]) / 300.0 - 1).min() < 0.05
+    for wanted in ([300.0], [260.0, 320.0]):
+        found = freqs(keep=wanted)
+        assert len(found) == 2 + len(wanted)
+        assert all(np.abs(found / f - 1).min() < 0.05 for f in wanted)
     with pytest.raises(LookupError, match=r"there is no mode at 280 Hz; the nearest is at (199\.99|200)"):
         identify(freq, y, shape, damping="viscous", drop=[280.0])
+
+
+@pytest.mark.parametrize(
+    ("names", "chosen", "taken"),
+    [
+        (["X", "frf", "H_psd"], [], "frf"),
+        (["s.X", "s.Mobility", "Y_corr"], [], "Mobility"),
+        (["X", "frf"], ["X"], "X"),
+        (["X"], [], "X"),
+    ],
+)
+def test_of_complex_arrays_that_called_a_response_is_one(names, chosen, taken) -> None:
+    freq = np.arange(1.0, 21.0)
+    given = {"freq_Hz": freq} | {name: (i + 1j) * freq for i, name in enumerate(names)}
+    table = arrays.responses_of_arrays(Path("a.npz"), given, chosen)
+    assert list(table.rows) == [(taken, "unnamed")]
+    at = next(i for i, name in enumerate(names) if name.endswith(taken))
+    assert table.rows[taken, "unnamed"].tolist() == ((at + 1j) * freq).tolist()
+    assert table.form == ("mobility" if taken == "Mobility" else None)
