@@ -83,8 +83,6 @@ class Parameter(Section):
     def _check_notes(self, name: str) -> None:
         for value in self.values or self.range or ():
             fields: dict[str, Any] = {"time": 0.0, "note": 60.0, name: value}
-            if name == "freq":
-                fields["note"] = None
             try:
                 Note(**fields)
             except Exception as fault:

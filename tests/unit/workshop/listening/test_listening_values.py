@@ -1671,3 +1671,12 @@ def test_odds_are_sought_of_grades_and_where_answers_stand_at_an_end(
     found = _rated({"page": 1, "kind": "rating", "heading": "H"} | base, rows, table, page, 0.95, (), (0.0, 100.0))
     assert (found.odds is not None) == odds
     assert (found.listeners, found.factors) == (4, ("f",))
+
+
+@pytest.mark.parametrize(
+    ("x", "odds"), [(0.5, math.exp(0.5)), (-800.0, 0.0), (709.9, math.exp(700)), (1e4, math.exp(700))]
+)
+def test_odds_stay_finite(x: float, odds: float) -> None:
+    from tonewood.workshop.listening.ordinal import _odds
+
+    assert _odds(x) == odds
