@@ -44,7 +44,7 @@ class ChannelReader:
     ignored : (time in s, kind) of messages without effect.
     """
 
-    def __init__(self, findings: Findings, file: str | os.PathLike[str] | None = None, *, percussion: bool = False):
+    def __init__(self, findings: Findings, file: str | os.PathLike[str], *, percussion: bool):
         self.programs: list[int | None] = []
         self.n_drums = 0
         self._percussion = percussion

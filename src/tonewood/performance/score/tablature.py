@@ -84,7 +84,7 @@ def tablature(
     """Place notes on lines and on the grid of measures.
 
     notes : in time order, stops counted from the nut.
-    strings : of the instrument.
+    strings : of the instrument, as the capo holds them.
     beats : of the score.
     capo : stop from which frets are counted.
     """

@@ -326,7 +326,7 @@ def test_text_of_a_tablature_by_hand() -> None:
         f"{name} |{first.get(name, '-' * 16)}|{after.get(name, '-' * 12)}|"
         for name in ("E4", "B3", "G3", "D3", "A2", "E2")
     ]
-    assert text(tab_of((0, "E2", 2), capo=2, title="")).startswith("Tablature\nTuning E2 A2 D3 G3 B3 E4, capo 2\n\n")
+    assert text(tab_of((0, "E2", 2), capo=2, title="")).startswith("Tablature\nTuning D2 G2 C3 F3 A3 D4, capo 2\n\n")
 
 
 def test_lines_of_text_end_before_88_characters_and_empty_measures_have_eight() -> None:

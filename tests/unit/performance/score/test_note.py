@@ -33,6 +33,12 @@ def test_impossible_numbers_are_refused_by_name(field, value):
         Note(**{"time": 0.0, field: value})
 
 
+@pytest.mark.parametrize("notes", ["E4", b"E4", 64, {64}, iter([64])])
+def test_notes_of_a_score_are_a_list(notes: object) -> None:
+    with pytest.raises(ScoreError, match=r"^notes of a score are .*: a list of notes is allowed"):
+        Score(notes)
+
+
 def test_numpy_numbers_are_numbers():
     assert Note(time=np.float64(1.0), note=np.int64(60)).time == 1.0
 

@@ -17,7 +17,7 @@ from tonewood.performance.score.assignment import Assigned, PlayableString, assi
 from tonewood.performance.score.fingering import Chord, FingeringCosts, Option, Sounding, finger, hand_after
 from tonewood.performance.score.musicxml_words import bend_of, passes_of, velocity_of
 from tonewood.performance.score.note import Beats
-from tonewood.performance.score.tablature import Tablature, tablature
+from tonewood.performance.score.tablature import Tablature, _grid, tablature, text
 from tonewood.performance.score.tablature import musicxml as written
 from tonewood.performance.score.written import Curve
 
@@ -144,6 +144,7 @@ def lengths(tab: Tablature) -> list[tuple[str, str, int, str, str]]:
         # a length before a triplet ends with its quarter note
         ([0, 1 + 1 / 3, 2], [("24", "quarter", 0, "", ""), ("8", "eighth", 0, "3:2", "start"),
                              ("16", "quarter", 0, "3:2", "stop")]),
+        ([0, 1 + 2 / 3, 2], [("24", "quarter", 0, "", ""), ("16", "quarter", 0, "3:2", "start")]),
         ([0, 3 / 8, 1], [("9", "16th", 1, "", ""), ("12", "eighth", 0, "", ""), ("3", "32nd", 0, "", "")]),
         ([0, 3 / 4, 1], [("18", "eighth", 1, "", ""), ("6", "16th", 0, "", "")]),
     ],
@@ -155,6 +156,40 @@ def test_lengths_of_notation(onsets: list[float], first: list[tuple[str, str, in
 def test_a_whole_quarter_note_is_no_triplet() -> None:
     tab = replace(tab_of((0, "E2"), (1, "E2")), triplets=frozenset({0}))
     assert lengths(tab)[0] == ("24", "quarter", 0, "", "")
+
+
+@pytest.mark.parametrize(
+    ("onsets", "ticks", "triplets"),
+    [
+        # from 1/3 and from 1/4: 0.0373 and 0.046, of which 0.8 are 0.0368; then 0.0363 and 0.0376
+        ([0.296], [6], set()),
+        ([0.297], [8], {0}),
+        # from 1/3, and from 3/8 with 1/96 more: 0.0227 and 0.8 of 0.0294, then 0.0237 and 0.8 of 0.0284
+        ([0.356], [8], {0}),
+        ([0.357], [9], set()),
+        # 0.015 before a quarter note is within 1/64 of it, and counts there
+        ([0.98, 1.297], [24, 32], {1}),
+        ([0.985, 1.297], [24, 30], set()),
+    ],
+)
+def test_the_grid_of_a_quarter_note(onsets: list[float], ticks: list[int], triplets: set[int]) -> None:
+    assert _grid(onsets) == (ticks, triplets)
+
+
+def test_fingers_columns_and_a_name() -> None:
+    """A quarter tone lower than the third fret is the second finger's; seven frets are four fingers; 10 takes two."""
+    stops = [(0.0, "A2", 2.5), (0.0, "E4", 4.0), (0.0, "B3", 0.0), (1.0, "A2", 1.0), (1.0, "E4", 7.0)]
+    chord = [Assigned(tw.Note(time, 0.5, note=60), string, stop, 0.0, time + 0.5) for time, string, stop in stops]
+    tab = tablature(chord, GUITAR, Beats())
+    assert [[(p.row, p.fret, p.finger, p.hand) for p in chord] for _, chord in tab.chords] == [
+        [(5, 2, 2, 1), (1, 4, 4, 1), (2, 0, 0, 1)],
+        [(5, 1, 1, 1), (1, 7, 4, 1)],
+    ]
+    tens = [replace(c, stop=10.0 if c.string == "A2" else 9.0) for c in chord if c.string != "B3"]
+    rows = text(tablature(tens, GUITAR, Beats())).splitlines()
+    assert rows[0] == "Tablature"
+    assert (rows[4], rows[8]) == ("E4 |-9----------9---------|", "A2 |-10---------10--------|")
+    assert ET.fromstring(written(tab)).findtext("work/work-title") == "Tablature"
 
 
 def test_one_note_of_a_chord_has_the_bracket() -> None:
