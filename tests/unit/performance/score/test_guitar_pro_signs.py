@@ -239,6 +239,13 @@ def test_grace_notes_before_and_on_the_beat(tmp_path: Path) -> None:
     assert [n.time for n in score.notes] == pytest.approx([0.0, 0.125, 1.125, 2.125])
 
 
+def test_grace_notes_with_no_beat_after_them_follow_the_last_one(tmp_path: Path) -> None:
+    third, fourth = '<Beat id="2">', '<Beat id="3">'
+    grace = "<GraceNotes>BeforeBeat</GraceNotes>"
+    score = edited(tmp_path / "a.gp", (third, third + grace), (fourth, fourth + grace))
+    assert [n.time for n in score.notes] == pytest.approx([0.0, 1.0, 2.0, 2.0625])
+
+
 def test_strums_rasgueados_and_dead_slaps(tmp_path: Path) -> None:
     chord = ("<Beats>0 1 2 3</Beats>", "<Beats>0</Beats>"), ("<Notes>0</Notes>", "<Notes>0 1 2 3</Notes>{}")
     brush = '<XProperties><XProperty id="687935489"><Int>480</Int></XProperty></XProperties><Properties>'

@@ -19,6 +19,8 @@ from tonewood.performance.score.note import Control, Note, Score
         ("time", float("nan")),
         ("duration", float("inf")),
         ("note", float("nan")),
+        ("note", 256.5),
+        ("note", -128.5),
         ("freq", 0.0),
         ("force", -1.0),
         ("velocity_midi", 128),
