@@ -69,7 +69,7 @@ def _summary(comparison: Comparison, i: int) -> dict[str, Any]:
         "index": i,
         "label": comparison.instruments[i].label,
         "short": comparison.instruments[i].short,
-        "said": heard_words(rows),
+        "said": heard_words(comparison, i, rows),
         "rows": [
             (
                 row.name,

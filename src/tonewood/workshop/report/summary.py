@@ -161,12 +161,16 @@ def difference_words(change: FigureChange) -> str:
     return f"{'0' if not float(text) else text} {change.scale}".strip()
 
 
-def heard_words(rows: Sequence[FigureChange]) -> str:
-    """One sentence: which of the changes may be heard."""
+def heard_words(comparison: Comparison, i: int, rows: Sequence[FigureChange]) -> str:
+    """One sentence: which of the changes of instrument `i` may be heard, and whether a note was played on both."""
     heard = [row.name for row in rows if row.times is not None and row.times >= 1]
-    if not heard:
-        return "no change here reaches a published threshold of hearing"
-    return f"by published thresholds these may be heard: {'; '.join(heard)}"
+    words = "no change here reaches a published threshold of hearing"
+    if heard:
+        words = f"by published thresholds these may be heard: {'; '.join(heard)}"
+    first, other = comparison.instruments[0], comparison.instruments[i]
+    if (first.tones or other.tones) and not first.tones.keys() & other.tones.keys():
+        words = f"no note was played on both, so their sounds are not compared; of the other figures, {words}"
+    return words
 
 
 def lines(comparison: Comparison, i: int) -> list[str]:
@@ -174,7 +178,7 @@ def lines(comparison: Comparison, i: int) -> list[str]:
     rows = changes(comparison, i)
     texts = [(r.name, value_words(r.before, r.unit), value_words(r.after, r.unit), difference_words(r)) for r in rows]
     wide = [max((len(row[k]) for row in texts), default=0) for k in range(4)]
-    out = [heard_words(rows)]
+    out = [heard_words(comparison, i, rows)]
     for row, (name, before, after, difference) in zip(rows, texts, strict=True):
         pair = f"{name:<{wide[0]}}  {before:>{wide[1]}} to {after:>{wide[2]}}  {difference:>{wide[3]}}"
         out.append(f"  {pair}  {row.verdict}")

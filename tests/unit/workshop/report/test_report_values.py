@@ -408,7 +408,10 @@ def test_loudness_is_compared_over_notes_that_both_play() -> None:
     b = facts("B", tones={"x": tone("x", -21.0), "z": tone("z", 0.0)})
     row = rows_of(a, b)["loudness, mean of the notes"]
     assert (row.before, row.after) == (-20.0, -21.0)
-    assert "loudness, mean of the notes" not in rows_of(a, facts("B", tones={"z": tone("z", 0.0)}))
+    c = facts("B", tones={"z": tone("z", 0.0)})
+    assert "loudness, mean of the notes" not in rows_of(a, c)
+    assert summary.lines(compared(a, c), 1)[0].startswith("no note was played on both, so their sounds are not")
+    assert not summary.lines(compared(a, b), 1)[0].startswith("no note was played on both")
 
 
 def test_of_strong_modes_below_2_khz_those_that_changed_most_are_told() -> None:
@@ -436,7 +439,7 @@ def test_of_strong_modes_below_2_khz_those_that_changed_most_are_told() -> None:
 def test_a_verdict_is_by_the_threshold_of_its_direction(difference: float, times: float, words: str) -> None:
     row = FigureChange("decay", 1.0, 1.0, "s", difference, "%", Threshold(25.0, 40.0, "x"))
     assert (row.times, row.verdict) == (times, words)
-    assert summary.heard_words([row]) == (
+    assert summary.heard_words(compared(facts(), facts("B")), 1, [row]) == (
         "by published thresholds these may be heard: decay"
         if times >= 1
         else "no change here reaches a published threshold of hearing"
