@@ -93,7 +93,7 @@ def impedance(event: ta.Event, place: ta.Place) -> float:
 
 
 class FrettingNoise(ta.Exciter[FrettingNoiseParameters]):
-    """A finger that comes to a stop, or leaves one; see the module."""
+    """Noise of a hand: a finger that comes to a stop, or leaves one."""
 
     api = 1
     effects = (ta.FRETTING_NOISE,)
@@ -113,7 +113,7 @@ class FrettingNoise(ta.Exciter[FrettingNoiseParameters]):
 
 
 class TouchNoise(ta.Exciter[TouchNoiseParameters]):
-    """A finger that falls on a string; see the module."""
+    """Noise of a hand: a finger that falls on a sounding string."""
 
     api = 1
     effects = (ta.TOUCH_NOISE,)
@@ -128,7 +128,7 @@ class TouchNoise(ta.Exciter[TouchNoiseParameters]):
 
 
 class Squeak(ta.Exciter[SqueakParameters]):
-    """A finger that slides along windings; see the module."""
+    """Noise of a hand: a finger that slides along windings."""
 
     api = 1
     effects = (ta.SQUEAK,)
