@@ -22,6 +22,8 @@ class EnergyTrace:
     dt : s, one step.
     initial : name -> energy stored at the beginning.
     stored : component or connection -> (k,) energy stored at the end of each interval.
+        ``STRING.stretch`` alone may be negative: it is the strain energy of the whole string less that of its
+        longitudinal modes, which stands in ``STRING.longitudinal``.
     supplied : exciter -> (k,) work of its known forces in each interval.
     booked : label -> (k,) energy put in between steps, before or in the interval: bends, stops, impacts.
     lost : component or connection -> (k,) energy dissipated in each interval; ``COMPONENT.sound`` is radiated.
