@@ -68,11 +68,12 @@ def plan(
 ) -> None:
     """Predict the render of SCORE: effects that will run, when and why, and the time of computing."""
     from tonewood.performance.score.reading import read_score
-    from tonewood.sound.files.audio import file_format
+    from tonewood.sound.files.audio import check_rate_and_channels, file_format
     from tonewood.sound.render.plan import plan as foresee
 
     if output is not None:
         file_format(output, subtype)
+        check_rate_and_channels(output, options.fs)
         if not output.absolute().parent.is_dir():
             raise OutputError(f"there is no folder {str(output.parent)!r}", file=output)
     excerpt = reading(start, stop, transpose, tempo, tracks)

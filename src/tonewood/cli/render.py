@@ -85,11 +85,12 @@ def render(
 ) -> None:
     """Render SCORE on an instrument to a sound file; without one, each part on the instrument of its program."""
     from tonewood.cli.render_report import print_summary, report
-    from tonewood.sound.files.audio import file_format
+    from tonewood.sound.files.audio import check_rate_and_channels, file_format
     from tonewood.sound.render.energy import check_energy_file, save_energy
     from tonewood.sound.render.level import PEAK, level_name
 
     subtype = file_format(output, subtype)[1]
+    check_rate_and_channels(output, options.fs)
     common.allow("--block", block, 1, 1 << 24, "frames")
     if normalize is not None:
         common.allow("--normalize", normalize, -200.0, 0.0, "dB")
@@ -267,11 +268,12 @@ def _players(
 def _write(renderer: Renderer | Replay, form: _Form, tags: Tags) -> WrittenSound:
     """Stream to the file; unless calibrated, through a scratch file of full precision beside it."""
     from tonewood.cli.render_report import WrittenSound
-    from tonewood.sound.files.audio import SoundWriter
+    from tonewood.sound.files.audio import SoundWriter, check_rate_and_channels
     from tonewood.sound.level.limiter import Limiter
     from tonewood.support.whole_files import AtomicFile, remove_leftovers
 
     output, channels, fs = form.output, len(renderer.channels), renderer.fs
+    check_rate_and_channels(output, fs, channels)
     frames = math.ceil(renderer.expected_duration * fs)
     sound = renderer.blocks(form.block)
     limiter = Limiter(fs) if form.limited else None

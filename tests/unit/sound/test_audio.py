@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -121,6 +122,41 @@ def test_what_cannot_be_written_is_said_in_one_line(tmp_path: Path, name: str, s
     assert "\n" not in str(error.value)
     assert str(tmp_path / name) in str(error.value)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("suffix", "fs", "n_channels", "said"),
+    [
+        (".mp3", 96000, 2, "the sampling rate is 96000 Hz; MP3 holds 8000, 11025"),
+        (".mp3", 48000, 3, "has 3 channels; MP3 holds up to 2"),
+        (".ogg", 200_001, 1, "the sampling rate is 200001 Hz; OGG holds up to 200000 Hz"),  # libsndfile crashes
+        (".ogg", 48000, 256, "has 256 channels; OGG holds up to 255"),
+        (".flac", 65536, 1, "the sampling rate is 65536 Hz; FLAC holds up to 65535 Hz, and multiples of 10 Hz"),
+        (".flac", 655_360, 1, "the sampling rate is 655360 Hz"),
+        (".flac", 48000, 9, "has 9 channels; FLAC holds up to 8"),
+        (".wav", 48000, 1025, "has 1025 channels; WAV holds up to 1024"),
+    ],
+)
+def test_rates_and_channels_that_a_format_lacks_are_refused(
+    tmp_path: Path, suffix: str, fs: int, n_channels: int, said: str
+) -> None:
+    path = tmp_path / f"a{suffix}"
+    with pytest.raises(OutputError, match=f"^{re.escape(f'{path}: {said}')}"):
+        SoundWriter(path, fs, n_channels)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("suffix", "fs", "n_channels"),
+    [(".mp3", 8000, 2), (".ogg", 200_000, 1), (".ogg", 48000, 255), (".flac", 65535, 8), (".flac", 655_350, 1),
+     (".wav", 768_000, 1), (".rf64", 48000, 1024)],
+)  # fmt: skip
+def test_the_highest_rates_and_channels_of_a_format_are_written(
+    tmp_path: Path, suffix: str, fs: int, n_channels: int
+) -> None:
+    path = tmp_path / f"a{suffix}"
+    tw.Audio(np.zeros((1000, n_channels)), fs).save(path)
+    assert (sf.info(path).samplerate, sf.info(path).channels) == (fs, n_channels)
 
 
 def test_a_folder_is_not_overwritten(tmp_path: Path) -> None:

@@ -36,6 +36,11 @@ _SUBTYPES = {
 _FORMATS = {".wav": "WAV", ".rf64": "RF64", ".flac": "FLAC", ".ogg": "OGG", ".mp3": "MP3"}
 #: formats that lose some of the sound, which not every libsndfile writes
 _LOSSY = ("OGG", "MP3")
+#: most channels that a format holds
+_CHANNELS = {"FLAC": 8, "OGG": 255, "MP3": 2, "WAV": 1024, "RF64": 1024}
+_MP3_RATES = (8000, 11025, 12000, 16000, 22050, 24000, 32000, 44100, 48000)
+#: Hz, above which libvorbis has no modes, and libsndfile 1.2 ends the process
+_OGG_RATE = 200_000
 #: frames that are handed to libsndfile at a time: its Vorbis encoder keeps a block on the stack
 _AT_ONCE = 65536
 
@@ -177,6 +182,33 @@ def file_format(path: str | os.PathLike[str], subtype: str | None, n_bytes_neede
     return container, chosen
 
 
+def check_rate_and_channels(path: str | os.PathLike[str], fs: int, n_channels: int = 1) -> None:
+    """Refuse a sampling rate (Hz) or a number of channels that the format of a path does not hold.
+
+    Raises OutputError : names the value and what is allowed.
+    """
+    if reason := not_held(file_format(path, None)[0], fs, n_channels):
+        raise OutputError(reason, file=path)
+
+
+def not_held(container: str, fs: int, n_channels: int = 1) -> str | None:
+    """Reason why a container does not hold a sampling rate (Hz) or a number of channels; None where it does."""
+    rates = {
+        "FLAC": (
+            fs <= 65535 or (fs <= 655_350 and fs % 10 == 0),
+            "up to 65535 Hz, and multiples of 10 Hz up to 655350 Hz",
+        ),
+        "OGG": (fs <= _OGG_RATE, f"up to {_OGG_RATE} Hz"),
+        "MP3": (fs in _MP3_RATES, ", ".join(map(str, _MP3_RATES)) + " Hz"),
+    }
+    held, allowed = rates.get(container, (True, ""))
+    if not held:
+        return f"the sampling rate is {fs} Hz; {container} holds {allowed}"
+    if n_channels > _CHANNELS[container]:
+        return f"has {n_channels} channels; {container} holds up to {_CHANNELS[container]}"
+    return None
+
+
 class SoundWriter:
     """Streams blocks into a sound file that appears under its name only when it is complete.
 
@@ -205,6 +237,7 @@ class SoundWriter:
         self._own = not isinstance(path, AtomicFile)
         self.path = path.path if isinstance(path, AtomicFile) else Path(path)
         container, self.subtype = file_format(self.path, subtype, float(frames) * n_channels)
+        check_rate_and_channels(self.path, fs, n_channels)
         self.clipped, self.frames, self.peak = 0, 0, 0.0
         self._new = path if isinstance(path, AtomicFile) else AtomicFile(path)
         try:

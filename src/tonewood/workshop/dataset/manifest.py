@@ -15,6 +15,7 @@ from pydantic import Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from tonewood.performance.score.note import Note
+from tonewood.sound.files.audio import not_held
 from tonewood.support.validation_messages import all_messages, first_message
 from tonewood.workshop.batch.manifest import (
     NOTE_FIELDS,
@@ -168,6 +169,8 @@ class Dataset(Section):
         paths = [p.path for p in self.parameters.values()]
         if double := {path for path in paths if paths.count(path) > 1}:
             yield "parameters", f"{min(double)} stands there twice"
+        if reason := not_held("FLAC", self.render.fs):
+            yield "render.fs", reason
         if "midi" in self.sounds.labels and midi_clock(self.render.fs) is None:
             yield "sounds.labels", f"MIDI has no tick of one sample at {self.render.fs} Hz; take [jams]"
 

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.errors import NumericalError
+from tonewood.errors import NumericalError, TonewoodError
 from tonewood.performance.player.playing import Performance, playable
 from tonewood.performance.player.timeline import Play
 from tonewood.performance.score.assignment import Assigned
+from tonewood.sound.files.audio import not_held
 from tonewood.sound.render.renderer import Renderer
 from tonewood.workshop.batch.conditions import Condition
 from tonewood.workshop.batch.rendering import EngineRenderer
@@ -73,6 +74,8 @@ def made(renderer: EngineRenderer, condition: Condition, level: str, by_string: 
     Raises TonewoodError : it cannot be rendered, or is empty or not finite.
     """
     mix = renderer.renderer(condition)
+    if reason := not_held("FLAC", mix.fs, len(mix.channels)):
+        raise TonewoodError(f"{condition.name}: {reason}")
     samples = np.concatenate(list(mix.blocks(4096)))
     if not samples.size or not np.isfinite(samples).all():
         raise NumericalError(f"{condition.name}: the sound is empty, or not finite")

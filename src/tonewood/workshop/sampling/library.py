@@ -15,7 +15,7 @@ import numpy as np
 
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
-from tonewood.sound.files.audio import Audio, decibels
+from tonewood.sound.files.audio import Audio, decibels, not_held
 from tonewood.sound.files.tags import Tags
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import assembled
@@ -126,6 +126,8 @@ def make_library(
     if sampling.repeats > 1 and options.humanize is None and instrument.spec.playing.variation.seed is None:
         options = options.at(humanize=1)  # or strokes that are played in turn would be the same
     tasks = _tasks(instrument, sampling, options)
+    if reason := not_held(suffix[1:].upper(), options.fs):
+        raise OutputError(reason, file=sfz)
     try:
         scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=sfz.absolute().parent))
     except OSError as fault:

@@ -146,6 +146,7 @@ def test_a_tick_is_a_sample(fs: int, clock: tuple[int, int] | None) -> None:
         ({"sampling": "random"}, "size: is missing; sampling: random"),
         ({"parameters": {p: {"path": "body.x", "values": [1]} for p in "ab"}}, "body.x stands there twice"),
         ({"render": {"fs": 47999}}, "no tick of one sample at 47999 Hz"),
+        ({"render": {"fs": 88201}}, "render.fs: the sampling rate is 88201 Hz; FLAC holds up to 65535 Hz"),
         ({"parameters": {"p": {"path": "render.tail", "values": [1.0, -1.0]}}}, "parameters.p: -1.0: "),
     ],
 )  # fmt: skip
@@ -314,6 +315,10 @@ def test_sounds_without_samples_or_numbers_are_refused(monkeypatch: pytest.Monke
     for wrong in (np.zeros((0, 1)), np.array([[1.0], [np.nan]])):
         with pytest.raises(NumericalError, match="s: the sound is empty, or not finite"):
             made(Renders(wrong), condition, "peak", False, None)  # type: ignore[arg-type]
+    wide = Renders()
+    wide.channels = tuple("abcdefghi")  # type: ignore[assignment]
+    with pytest.raises(TonewoodError, match="s: has 9 channels; FLAC holds up to 8"):
+        made(wide, condition, "peak", False, None)  # type: ignore[arg-type]
     soft = made(Renders(np.full((4, 1), 0.01)), condition, "peak", False, None)  # type: ignore[arg-type]
     assert (soft.gain_db, soft.clipped) == (pytest.approx(39.0), 0)
     silent = made(Renders(np.zeros((4, 1))), condition, "peak", False, None)  # type: ignore[arg-type]

@@ -157,6 +157,8 @@ def test_nothing_is_overwritten_or_half_written(tmp_path: Path, library: Library
         make_library(monochord, library.sfz, SAMPLING, RenderOptions(fs=FS))
     with pytest.raises(OutputError, match=r"\.sfz is allowed"):
         make_library(monochord, tmp_path / "a.txt", SAMPLING, RenderOptions(fs=FS))
+    with pytest.raises(OutputError, match="the sampling rate is 88201 Hz; FLAC holds"):
+        make_library(monochord, tmp_path / "a.sfz", SAMPLING, RenderOptions(fs=88201))
     with pytest.raises(TonewoodError, match="keys from 45 to 69"):
         make_library(monochord, tmp_path / "a.sfz", Sampling(lowest=30), RenderOptions(fs=FS))
 
