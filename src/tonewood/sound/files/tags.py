@@ -57,9 +57,13 @@ class Tags:
         for name, text in texts.items():
             if file.format == "MP3":  # libsndfile's encoder takes every byte for a letter of Latin-1
                 text = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
-            plain = " ".join("".join(c if c.isprintable() else " " for c in text).split())[:_LONGEST]
-            if plain:
+            if plain := one_line(text)[:_LONGEST]:
                 setattr(file, name, plain)
+
+
+def one_line(text: str) -> str:
+    """Return a text as one line: breaks and characters that are not printed become single spaces."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
 
 
 #: of a file of which nothing but the program is known

@@ -56,7 +56,7 @@ class Workers:
 
         if self.cluster is None and self.backend == "processes":
             function = partial(_in_folder, os.getcwd(), function)
-        with self._backend() as options:
+        with self._backend(len(items)) as options:
             try:
                 parallel = Parallel(return_as="generator_unordered", pre_dispatch="2*n_jobs", **options)
                 with warnings.catch_warnings():
@@ -69,9 +69,9 @@ class Workers:
                 ) from None
 
     @contextlib.contextmanager
-    def _backend(self) -> Iterator[dict[str, Any]]:
+    def _backend(self, n_items: int) -> Iterator[dict[str, Any]]:
         if self.cluster is None:
-            yield {"n_jobs": self.jobs, "backend": _JOBLIB[self.backend]}
+            yield {"n_jobs": max(1, min(self.count, n_items)), "backend": _JOBLIB[self.backend]}
             return
         from distributed import Client
         from joblib import parallel_config

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +17,7 @@ import numpy as np
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.sound.files.audio import Audio, decibels, not_held
-from tonewood.sound.files.tags import Tags
+from tonewood.sound.files.tags import Tags, one_line
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import assembled
 from tonewood.support.whole_files import AtomicFile
@@ -178,6 +179,8 @@ def _targets(sfz: Path) -> tuple[Path, Path, Path]:
     folder, decent = sfz.with_suffix(""), sfz.with_suffix(".dspreset")
     if sfz.suffix.lower() != ".sfz":
         raise OutputError(f"has the suffix {sfz.suffix!r}; .sfz is allowed", file=sfz)
+    if re.search(r"[<>$]|\s\w+=", folder.name):
+        raise OutputError("holds < > $ or ' WORD=', which SFZ takes for its own; give another name", file=sfz)
     for target in (sfz, folder, decent):
         if target.exists():
             raise OutputError("is there already; give another name", file=target)
@@ -253,8 +256,8 @@ def _head(instrument: Instrument, gain_db: float) -> list[str]:
     """Lines at the head of the texts."""
     spec = instrument.spec
     return [
-        f"{spec.title}",
-        f"rendered by tonewood from the instrument {spec.name}, licence {spec.licence}",
+        one_line(spec.title),
+        one_line(f"rendered by tonewood from the instrument {spec.name}, licence {spec.licence}"),
         f"all samples {gain_db:+.2f} dB re the instrument's calibrated level",
     ]
 

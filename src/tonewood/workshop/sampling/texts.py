@@ -10,6 +10,7 @@ in dB per second since its beginning; `volume` adds that of the first `KEY_DOWN`
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
@@ -102,7 +103,7 @@ def _region(region: Region) -> str:
 def decent_text(regions: Sequence[Region], folder: str, about: Sequence[str], *, rings: bool) -> str:
     """Return a preset of Decent Sampler, arguments as for `sfz_text`."""
     root = ElementTree.Element("DecentSampler", minVersion="1.0.0")
-    root.append(ElementTree.Comment(" " + " | ".join(line.replace("--", "-") for line in about) + " "))
+    root.append(ElementTree.Comment(" " + re.sub("--+", "-", " | ".join(about)) + " "))
     groups = ElementTree.SubElement(root, "groups")
     for release in (False, True):
         chosen = [r for r in regions if (r.decay_db is not None) == release]

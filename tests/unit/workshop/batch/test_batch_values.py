@@ -8,6 +8,7 @@ import hashlib
 import json
 import math
 import re
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -793,6 +794,7 @@ def test_workers_are_of_this_machine() -> None:
     assert Workers(2, "threads", "tcp://x").local() == Workers(2, "threads")
     assert (Workers().jobs, Workers().backend, Workers(3).count) == (1, "processes", 3)
     assert sorted(Workers(1, "threads").each(lambda x: x * x, [1, 2, 3])) == [1, 4, 9]
+    assert max(Workers(500, "threads").each(lambda x: threading.active_count(), [1, 2])) < 100  # no more than the work
 
 
 def test_a_room_has_one_channel_or_those_of_the_files(tmp_path: Path) -> None:

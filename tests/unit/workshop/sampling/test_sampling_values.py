@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import tonewood as tw
-from tonewood.errors import TonewoodError
+from tonewood.errors import OutputError, TonewoodError
 from tonewood.sound.render.options import RenderOptions
 from tonewood.workshop.sampling.library import (
     Sampling,
@@ -233,6 +233,20 @@ def test_texts_beside_the_samples(tmp_path: Path) -> None:
     assert (tmp_path / "a").read_text().splitlines() == [
         "Samples of T.", "Licence of the instrument: L.", "", "Source k: S (M)"
     ]  # fmt: skip
+
+
+def test_titles_stay_in_their_comments(tmp_path: Path) -> None:
+    """A break in a title is no line of SFZ, and hyphens end no comment of XML."""
+    title = "a --- b\n<global> volume=-100\x07"
+    head = _head(SimpleNamespace(spec=SimpleNamespace(title=title, name="n", licence="L\nM")), 0.0)  # type: ignore[arg-type]
+    assert head[:2] == [
+        "a --- b <global> volume=-100", "rendered by tonewood from the instrument n, licence L M"
+    ]  # fmt: skip
+    assert [line for line in sfz_text([], "a", head, rings=True).splitlines() if "volume" in line] == [f"// {head[0]}"]
+    assert ElementTree.fromstring(decent_text([], "a", head, rings=True)).tag == "DecentSampler"
+    for name in ("a <b>", "a$b", "a sample=b"):
+        with pytest.raises(OutputError, match="which SFZ takes for its own"):
+            make_library(tw.load_instrument("monochord"), tmp_path / f"{name}.sfz", Sampling(), RenderOptions(fs=8000))
 
 
 def test_a_library_tells_its_seconds_its_size_and_its_gain(tmp_path: Path) -> None:
