@@ -187,6 +187,12 @@ def test_strings_of_one_instrument_as_stems(tonewood: Run, duo: Path, tmp_path: 
     assert [file.stem.split(".")[1] for file in files] == sorted(["E2", "A2", "D3", "G3", "B3", "E4", "body"])
     assert str(files[0].name) in out
     assert np.abs(sum(sf.read(file)[0] for file in files) - mix).max() < 6 * 2**-23
+    code, out, _ = tonewood(*words, *more, "--gain", 30, "--json")
+    clipped = {file: np.count_nonzero(np.abs(sf.read(file)[0]) > 1 - 2.0**-22) for file in files}
+    assert max(clipped.values()) > 1
+    for file, n in clipped.items():  # strings that cancel may be louder than their sum
+        line = f"{file}: {n} samples were clipped; lower --gain or --normalize, or use --subtype FLOAT"
+        assert (line in json.loads(out)["warnings"]) == (n > 1)
     for wrong in (("--stems-by", "string"), ("--stems", tmp_path / "stems", "--stems-by", "fret")):
         code, _, err = tonewood(*words, *wrong)
         assert (code, err.count("\n")) == (2, 1)

@@ -212,17 +212,20 @@ def _render_one(
     tags = Tags.of(music, [bundle])
     load_s = time.perf_counter() - began
     rendered = _write(renderer, form, tags)
+    stems_clipped: dict[Path, int] = {}
     try:
         with nullcontext() if stems.folder is None else stem_folder(stems.folder):
             if by_string is not None:
                 notes = read_score(score, **keywords)
                 again = Renderer(notes, bundle, options=options.at(energy=False), model=by_string)
-                write_string_stems(again, files, form.subtype, rendered.gain_db, renderer.summary().frames, tags)
+                frames = renderer.summary().frames
+                stems_clipped = write_string_stems(again, files, form.subtype, rendered.gain_db, frames, tags)
             elif files:
                 write_output_stems(form.output, files, form.subtype, renderer, tags)
     except KeyboardInterrupt:
         raise InterruptError(f"{form.output} is written, its stems are not") from None
-    return replace(rendered, gain_db=rendered.gain_db + options.gain_db, load_s=load_s, stems=files)
+    gain_db = rendered.gain_db + options.gain_db
+    return replace(rendered, gain_db=gain_db, load_s=load_s, stems=files, stems_clipped=stems_clipped)
 
 
 def _render_parts(

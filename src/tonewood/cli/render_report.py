@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ from tonewood.sound.render.renderer import SILENT
 from tonewood.support.units import counted, decibel
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from tonewood.performance.effects.base import EffectReport
     from tonewood.sound.level.limiter import Limiter
@@ -34,7 +34,7 @@ class WrittenSound:
     level, gain_db : its level, and the gain of that.
     limiter : through which it went.
     load_s : s, of reading the score and making the instrument's model.
-    stems : files beside it.
+    stems, stems_clipped : files beside it, and how many samples of each lie beyond full scale, where any do.
     """
 
     renderer: Renderer | Replay
@@ -47,6 +47,7 @@ class WrittenSound:
     limiter: Limiter | None
     load_s: float = 0.0
     stems: Sequence[Path] = ()
+    stems_clipped: Mapping[Path, int] = field(default_factory=dict)
 
     @property
     def silent(self) -> bool:
@@ -59,10 +60,13 @@ class WrittenSound:
         """One line each: of the render, and of the samples of the file."""
         summary = self.renderer.summary()
         lines = list(summary.warnings)
+        fate = "beyond full scale" if self.subtype.upper() in ("FLOAT", "DOUBLE") else "clipped"
         if self.clipped:
-            fate = "beyond full scale" if self.subtype.upper() in ("FLOAT", "DOUBLE") else "clipped"
             were = "sample was" if self.clipped == 1 else "samples were"
             lines.append(f"{self.clipped} {were} {fate}; lower --gain, or use --level peak or --limiter")
+        for file, clipped in self.stems_clipped.items():
+            were = "sample was" if clipped == 1 else "samples were"
+            lines.append(f"{file}: {clipped} {were} {fate}; lower --gain or --normalize, or use --subtype FLOAT")
         if self.limiter is not None and self.limiter.reduction_db > 0:
             lines.append(f"the limiter took away up to {self.limiter.reduction_db:.1f} dB")
         if self.silent and summary.peak_dbfs > decibel(SILENT):

@@ -104,8 +104,10 @@ def write_output_stems(
 
 def write_string_stems(
     renderer: Renderer, files: Sequence[Path], subtype: str, gain_db: float, frames: int, tags: Tags
-) -> None:
+) -> dict[Path, int]:
     """Write a file per string and output group, ``GROUP.STRING``, as long as the mix and at its gain.
+
+    Returns the number of samples beyond full scale of each file that has any: strings may cancel in the mix.
 
     renderer : of a model whose outputs are by string.
     files : a file per output group.
@@ -136,3 +138,4 @@ def write_string_stems(
         while written < frames:  # the mix rang on longer
             write(np.zeros((min(65536, frames - written), int(edges[-1]))))
             written += min(65536, frames - written)
+    return {file: writer.clipped for file, writer in zip(files, writers, strict=True) if writer.clipped}

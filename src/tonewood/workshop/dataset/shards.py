@@ -94,6 +94,7 @@ def make(task: ShardTask) -> Shard:
             digest = hashlib.sha256(np.ascontiguousarray(whole, dtype="<i4").tobytes()).hexdigest()
             peak = float(np.max(np.abs(whole))) / 2.0 ** (BITS[sounds.subtype] - 1)
             record = {"stem": stem, "start": start, "frames": len(whole), "sha256": digest, "peak": peak}
+            record["clipped"] = sound.clipped[stem]
             rows.append({**facts, **record, "file": f"{shard_name(task.number)}.flac"})
             start += len(whole)
         notes += [note_row(condition.name, note) for note in sound.notes]
@@ -113,7 +114,6 @@ def _facts(sample: Sample, sound: Sound, key: str, physics: str) -> dict[str, An
         "fs": sound.fs,
         "channels": ",".join(sound.channels),
         "gain_db": sound.gain_db,
-        "clipped": sound.clipped,
         "notes": len(sound.notes),
         "dropped": len(sound.dropped),
         "key": key,
@@ -137,8 +137,12 @@ def _labels(task: ShardTask, sample: Sample, sound: Sound) -> dict[str, bytes]:
 
 def _said(name: str, sound: Sound) -> list[str]:
     lines = [f"{name}: {reason}" for reason in (*sound.warnings, *sound.dropped)]
-    if sound.clipped:
-        lines.append(f"{name}: {sound.clipped} samples clipped; lower render.gain_db, or take sounds: {{level: peak}}")
+    for stem, clipped in sound.clipped.items():
+        if clipped and stem:
+            lower = "take sounds: {level: calibrated} with a lower render.gain_db"
+            lines.append(f"{name}: {clipped} samples of the stem {stem} clipped; {lower}")
+        elif clipped:
+            lines.append(f"{name}: {clipped} samples clipped; lower render.gain_db, or take sounds: {{level: peak}}")
     return lines
 
 

@@ -53,7 +53,7 @@ class Sound:
 
     stems : name -> (n, channels); the mix is ````.
     gain_db : that brought it to its level.
-    clipped : samples of the mix beyond full scale.
+    clipped : samples of each stem beyond full scale.
     """
 
     stems: dict[str, NDArray[np.float64]]
@@ -62,7 +62,7 @@ class Sound:
     notes: tuple[PlayedNote, ...]
     dropped: tuple[str, ...]
     gain_db: float
-    clipped: int
+    clipped: dict[str, int]
     warnings: tuple[str, ...]
 
 
@@ -86,14 +86,15 @@ def made(renderer: EngineRenderer, condition: Condition, level: str, by_string: 
     if by_string:
         stems |= _stems(renderer.renderer(condition, by_string=True), frames, len(mix.channels))
     summary = mix.summary()
+    stems = {name: sound * 10.0 ** (gain / 20.0) for name, sound in stems.items()}
     return Sound(
-        stems={name: sound * 10.0 ** (gain / 20.0) for name, sound in stems.items()},
+        stems=stems,
         fs=mix.fs,
         channels=mix.channels,
         notes=played(mix, condition),
         dropped=tuple(f"{drop.time:.3f} s: {drop.reason}" for drop in mix.dropped),
         gain_db=gain,
-        clipped=int(np.sum(np.abs(stems[""]) * 10.0 ** (gain / 20.0) > 1.0)),
+        clipped={name: int(np.sum(np.abs(sound) > 1.0)) for name, sound in stems.items()},
         warnings=tuple(summary.warnings),
     )
 

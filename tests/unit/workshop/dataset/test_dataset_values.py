@@ -300,7 +300,7 @@ def test_a_sound_at_its_level(
     monkeypatch.setattr("tonewood.workshop.dataset.sound.played", lambda *given: ())
     sound = made(Renders(), SimpleNamespace(name="s"), level, False, duration)  # type: ignore[arg-type]
     np.testing.assert_allclose(sound.stems[""][:, 0], expected)
-    assert (sound.gain_db, sound.clipped) == (pytest.approx(gain), clipped)
+    assert (sound.gain_db, sound.clipped) == (pytest.approx(gain), {"": clipped})
     assert (sound.fs, sound.channels, sound.dropped, sound.warnings) == (
         10,
         ("left",),
@@ -320,9 +320,9 @@ def test_sounds_without_samples_or_numbers_are_refused(monkeypatch: pytest.Monke
     with pytest.raises(TonewoodError, match="s: has 9 channels; FLAC holds up to 8"):
         made(wide, condition, "peak", False, None)  # type: ignore[arg-type]
     soft = made(Renders(np.full((4, 1), 0.01)), condition, "peak", False, None)  # type: ignore[arg-type]
-    assert (soft.gain_db, soft.clipped) == (pytest.approx(39.0), 0)
+    assert (soft.gain_db, soft.clipped) == (pytest.approx(39.0), {"": 0})
     silent = made(Renders(np.zeros((4, 1))), condition, "peak", False, None)  # type: ignore[arg-type]
-    assert (silent.gain_db, silent.clipped) == (0.0, 0)
+    assert (silent.gain_db, silent.clipped) == (0.0, {"": 0})
 
 
 @pytest.mark.parametrize(
@@ -371,7 +371,8 @@ def shard(monkeypatch: pytest.MonkeyPatch, subtype: str = "PCM_24", count: int =
             raise ZeroDivisionError("a plugin")
         mix = np.array([[0.0, 0.5], [0.25, 0.0], [2.0, -2.0], [0.0, 0.0], [0.0, 0.0]])
         notes = (played(),) if condition.name.endswith("0") else ()
-        return Sound({"": mix, "A": mix[:3, :1]}, 16000, ("l", "r"), notes, ("1.000 s: low",), -3.0, 2, ("loud",))
+        return Sound({"": mix, "A": mix[:3, :1]}, 16000, ("l", "r"), notes, ("1.000 s: low",), -3.0, {"": 2, "A": 1},
+                     ("loud",))  # fmt: skip
 
     monkeypatch.setattr("tonewood.workshop.dataset.shards.made", sound)
     data = dataset(sampling="random", size=count, sounds={"subtype": subtype, **sounds},
@@ -410,13 +411,15 @@ def test_sounds_stand_one_after_the_other_in_a_shard(monkeypatch: pytest.MonkeyP
     told = {"index": 0, "instrument": "m", "score": "one", "channels": "l,r", "gain_db": -3.0, "clipped": 2, "notes": 1,
             "dropped": 1, "file": "00007.flac", "fs": 16000, "p.p": task.samples[0].parameters["p"]}  # fmt: skip
     assert {key: first[key] for key in told} == told
+    assert [row["clipped"] for row in rows] == [2, 1, 2, 1]
     assert made_of.seconds == pytest.approx(2 * 5 / 16000)
     resolved = json.dumps(tw.load_instrument("monochord").resolved, sort_keys=True, default=str).encode()
     assert first["physics"] == hashlib.sha256(resolved).hexdigest()[:16]
     assert made_of.physics == {f"{first['physics']}.json": resolved}
-    assert made_of.notes[:3] == (
+    assert made_of.notes[:4] == (
         "m/one/000000: loud", "m/one/000000: 1.000 s: low",
         "m/one/000000: 2 samples clipped; lower render.gain_db, or take sounds: {level: peak}",
+        "m/one/000000: 1 samples of the stem A clipped; take sounds: {level: calibrated} with a lower render.gain_db",
     )  # fmt: skip
     (note,) = pq.read_table(io.BytesIO(made_of.files["00007.notes.parquet"])).to_pylist()
     assert (note["sound"], note["string"], note["onset"]) == ("m/one/000000", "A", 100.0)
