@@ -139,3 +139,13 @@ def test_account_goes_to_files(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="no folder"):
         save_energy(trace, tmp_path / "none" / "e.json")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["e.csv", "e.json"]
+
+
+def test_a_stop_on_a_string_beyond_sense_adds_up() -> None:
+    """Where psi^2 / 2 has parted from V by more than V is after the stop."""
+    strings = {"strings.A2.plugin": "tension_modulated_string", "strings.A2.axial_stiffness": 1e6}
+    made = tw.load_instrument("monochord").replace({**strings, "tuning.compensate": "none"})
+    notes = [tw.Note(0.0, 0.02, note=45, force=1000.0), tw.Note(0.03, 0.02, note=57, force=1.0)]
+    trace = tw.render(tw.Score(notes), made, 8000, max_duration=0.06, effects="all", energy=True).energy
+    assert trace is not None
+    assert trace.worst_residual <= 1e-10

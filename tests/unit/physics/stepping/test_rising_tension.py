@@ -12,7 +12,7 @@ from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.coupling.laws import Contact
 from tonewood.physics.coupling.potentials.base import MiddleOfStep
 from tonewood.physics.coupling.potentials.coordinates import pay_from_motion
-from tonewood.physics.coupling.potentials.solve import RESET_STEPS, PotentialSolve
+from tonewood.physics.coupling.potentials.solve import RESET_STEPS, PotentialSolve, keep_moved
 from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.system import Readout, State, System
 from tonewood.physics.energy.stored import stored_energy
@@ -84,6 +84,23 @@ def test_psi_is_put_back_at_the_cost_of_motion(share: float, left: bool) -> None
     assert (stored == pytest.approx(0.5 * root * root, rel=1e-12)) == (not left)
     assert kinetic() + stored == pytest.approx(before, rel=1e-12)
     np.testing.assert_array_equal(active.y(x), y)
+
+
+@pytest.mark.parametrize(("share", "kept"), [(5e-4, 5e-4), (-5e-4, -5e-4), (0.3, 1e-3), (-40.0, -1e-3)])
+def test_an_excess_is_cut_to_a_thousandth_where_a_string_is_moved_from_outside(share: float, kept: float) -> None:
+    """Of the string's modes alone; not where another string is moved, nor at rest."""
+    system, state = moving(10.0, 90)
+    at, mine = PotentialSolve(system).active[0], system.potentials[0].components
+    value = at.joined.energy(at.y(states(system, state)))
+    state.potentials[at.memory.start] = share * value
+    before = state.potentials.copy()
+    keep_moved(system, state, set(system.potentials[1].components))
+    np.testing.assert_array_equal(state.potentials[at.memory], before[at.memory])
+    keep_moved(system, state, {mine[-1]})
+    assert state.potentials[at.memory] == pytest.approx([kept * value, *before[at.memory][1:]], rel=1e-12)
+    state.potentials = np.zeros(0)
+    keep_moved(system, state, set(mine))
+    assert state.potentials.size == 0
 
 
 def test_nothing_moves_modes_at_rest() -> None:

@@ -172,6 +172,14 @@ class JoinedPotential(ABC):
         psi = float(np.sqrt(2 * max(stored + shift, 0.0)))
         return shift, -psi if row[2] < 0.0 else psi
 
+    def moved(self, y: Floats, row: Floats) -> Floats:
+        """Numbers of a state whose coordinates (n,) were set from outside, as by another basis.
+
+        The excess is the error of the steps before, and may be far beyond V where they are: it is cut to the tolerance.
+        """
+        most = self.tolerance * max(self.energy(y) + float(row[1]), 0.0)
+        return np.array([min(max(float(row[0]), -most), most), row[1], row[2]])
+
     def end(
         self, y: Floats, shift: float, psi: float, modes: Callable[[], float], pay: Callable[[float], float] | None
     ) -> Floats:

@@ -11,7 +11,7 @@ potentials, K those forces per displacement of the gaps.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
@@ -21,7 +21,7 @@ import numpy as np
 from tonewood.physics.coupling.potentials.base import JoinedPotential, MiddleOfStep
 from tonewood.physics.coupling.potentials.coordinates import ModalCoordinates, pay_from_motion
 from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal, PhantomShares
-from tonewood.physics.coupling.system import System
+from tonewood.physics.coupling.system import State, System
 from tonewood.physics.modal.propagator import apply
 from tonewood.support.arrays import Floats
 
@@ -251,6 +251,18 @@ class DrivenForces:
         """
         parts = zip(self.joined, self.slots, self.memory, strict=True)
         return np.array([joined.advance([x[i] for i in slots], memory[at]) for joined, slots, at in parts])
+
+
+def keep_moved(system: System, state: State, components: Set[str]) -> None:
+    """Cut the excess of two-way potentials whose components were moved from outside, in place."""
+    if not state.potentials.size:  # at rest
+        return
+    for index in system.potentials.two_way:
+        names = system.potentials[index].components
+        if not components.isdisjoint(names):
+            p = active_potential(system, index)
+            x = {slot: np.asarray(system.modes_of(state, name)).T for slot, name in zip(p.slots, names, strict=True)}
+            state.potentials[p.memory] = p.joined.moved(p.y(x), state.potentials[p.memory])
 
 
 def active_potential(system: System, index: int) -> ActivePotential:
