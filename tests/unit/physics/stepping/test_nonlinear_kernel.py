@@ -352,6 +352,72 @@ def test_a_string_slips_later_than_it_is_caught(stepper, sign):
     np.testing.assert_allclose(net[n // 2 :][falling < 0.42], 0.0, atol=5e-3)  # the roots meet at 0.48 N
 
 
+@pytest.mark.parametrize("sides", [(1,), (-1,), (1, -1)])
+@pytest.mark.parametrize("stepper", [NumpyStepper, KernelStepper])
+def test_friction_beside_a_stiff_contact_meets_its_curve(stepper, sides):
+    """Free masses at rest, each pressed by F on a linear contact, slip by v with (1 + k) v + L mu(v) = L F / N.
+
+    L = N h / 2M and k = K h^2 / 4M. Under the contact's force while it sticks, the mass slides; under the force
+    that the contact would have then, it sticks. So changing branches does not end, and halving finds v.
+    """
+    mass, k, normal, static, dynamic, speed = 1e-3, 2.0, 2.0, 0.8, 0.3, 6e-3
+    stiffness, load = 4 * mass * k / DT**2, normal * DT / (2 * mass)
+    pressed = np.array([0.85, 0.9])[: len(sides)] * normal
+    masses = {f"m{i}": ModalBasis.real([0.0], [0.0], {"p": [1.0]}, modal_mass=mass) for i in range(len(sides))}
+    bow = Friction(2 * normal, static, dynamic, speed)
+    links = [Connection(f"bow{i}", (Term(m, "p"),), bow) for i, m in enumerate(masses)]
+    for m, side, force in zip(masses, sides, pressed, strict=True):
+        links.append(Connection(f"on {m}", (Term(m, "p", side),), Contact(stiffness, 1.0, offset=force / stiffness)))
+    system = System.build(masses, links, dt=DT)
+    made, state = stepper(system), system.start()
+    halved = [PrescribedMotion(f"bow{i}", 0, scale=np.array([0.5])) for i in range(len(sides))]
+    _, forces = made.run(state, 1, (), halved)
+    v = np.array([
+        np.roots([1 + k, (1 + k) * speed + load * (dynamic - f), speed * load * (static - f)]).real.max()
+        for f in pressed / normal
+    ])  # fmt: skip
+    assert (v < np.sqrt(load * (static - dynamic) * speed) - speed).all()  # where no mass alone would slide
+    n = len(sides)
+    np.testing.assert_allclose(state.slip[:n], v * sides, rtol=1e-9)
+    np.testing.assert_allclose(
+        forces[0, :n], -normal * np.array(sides) * (dynamic + (static - dynamic) / (1 + v / speed)), rtol=1e-10
+    )
+    np.testing.assert_allclose(forces[0, n:], pressed - v * stiffness * DT / 2, rtol=1e-10)
+    assert (made.statistics.redone, made.statistics.failures) == (0, 0)
+
+
+PUSH = [-4e-4, -3e-4, -2e-4, -1e-4, 0.0], [20.0, 6.0, 2.0, 0.5, 0.0]  # m, N
+LOSSY = {
+    "contact": Contact(1e9, 2.0, loss=30.0),
+    "linear contact": Contact(1e5, 1.0, loss=30.0),
+    "spring": HardeningSpring(1e4, 1e11, 2.0, 20.0),
+    "sampled": SampledPotential.from_force(*PUSH, loss=30.0),
+    "sampled, damped": SampledPotential.from_force(*PUSH, damping=3.0),
+    "compiled": CompiledPotential(
+        CFUNC(lambda d, _: 1e8 / 3 * max(-d, 0.0) ** 3), CFUNC(lambda d, _: -1e8 * max(-d, 0.0) ** 2), loss=30.0
+    ),
+    "compiled, damped": CompiledPotential(
+        CFUNC(lambda d, _: 1e4 * d**2 + 1e11 * d**4), CFUNC(lambda d, _: 2e4 * d + 4e11 * d**3), damping=3.0
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LOSSY)
+def test_a_law_with_losses_takes_the_iterations_of_its_twin(name):
+    """A light mass thrown onto the law: a wrong derivative finds the same forces after more iterations, or none."""
+    mass = ModalBasis.real([0.0], [0.0], {"p": [1.0]}, modal_mass=1e-5)
+    system = System.build({"mass": mass}, [Connection("law", (Term("mass", "p"),), LOSSY[name])], dt=DT)
+    state = system.start()
+    system.modes_of(state, "mass")[:, 0] = np.array([1e-6, -1.0]) * np.sqrt(1e-5)
+    twin, ours, theirs = state.copy(), KernelStepper(system), NumpyStepper(system)
+    _, expected = theirs.run(twin, 12)
+    _, forces = ours.run(state, 12)
+    np.testing.assert_allclose(forces, expected, atol=1e-9 * np.abs(expected).max())
+    # a few more or fewer, where rounding decides
+    assert ours.statistics.iterations == pytest.approx(theirs.statistics.iterations, rel=0.2)
+    assert (ours.statistics.redone, ours.statistics.failures) == (0, 0)
+
+
 def linear_springs():
     """Springs and dashpots that are stepped with the nonlinear laws, on a string, its joint and a body."""
     springs = {

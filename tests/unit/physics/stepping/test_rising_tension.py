@@ -103,6 +103,23 @@ def test_an_excess_is_cut_to_a_thousandth_where_a_string_is_moved_from_outside(s
     assert state.potentials.size == 0
 
 
+@pytest.mark.parametrize(
+    ("steps", "share", "left"), [(90, -0.5, False), (90, 0.5, False), (90, 30.0, True), (2, -0.9, True)]
+)
+def test_the_kernel_puts_psi_back_at_the_same_cost(steps: int, share: float, left: bool) -> None:
+    """An excess of psi^2 / 2 by a share of V, either way, before a step at whose end psi is put back."""
+    system, state = moving(10.0, steps)
+    state.sample, active = -1, PotentialSolve(system).active[0]
+    excess = share * active.joined.energy(active.y(states(system, state)))
+    state.potentials[active.memory] = [excess, 0.0, 0.0]
+    twin = state.copy()
+    NumpyStepper(system).run(twin, 1)
+    KernelStepper(system).run(state, 1)
+    assert (abs(twin.potentials[active.memory][0]) > 0.1 * abs(excess)) == left
+    np.testing.assert_allclose(state.modes, twin.modes, rtol=0, atol=1e-11 * np.abs(twin.modes).max())
+    np.testing.assert_allclose(state.potentials, twin.potentials, rtol=1e-9, atol=1e-12 * abs(excess))
+
+
 def test_nothing_moves_modes_at_rest() -> None:
     system = modulated_guitar(frets=FRETS)
     active, x = PotentialSolve(system).active[0], states(system, system.start())
