@@ -165,15 +165,53 @@ def test_tables_have_a_row_per_point_and_method() -> None:
     assert len(text.splitlines()) == 2 + len(POINTS)
     assert len({len(row) for row in text.splitlines()}) == 1
     assert "spurious" not in text  # nothing is known of it
-    assert len(tables.method_table(outcome()).splitlines()) == 2 + 4
     assert "Adams-Bashforth 3, Udwadia-Kalaba 10;" in tables.headline(outcome())
 
 
+def cells_of(text: str) -> list[list[str]]:
+    """Cells of a table, without its rule."""
+    rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in text.splitlines()]
+    return [rows[0], *rows[2:]]
+
+
+def test_tables_of_methods_say_what_each_measure_finds() -> None:
+    """By pitch, where one method has lost partials, and by the waveform; of a second system only two methods."""
+    ratio = "time ratio at 0.01"
+    assert cells_of(tables.method_table(outcome())) == [
+        ["method", f"pitch: {ratio}", "its best", "time ratio there", f"waveform: {ratio}", "its best",
+         "time ratio there"],
+        ["Adams-Bashforth 3, Udwadia-Kalaba", "10", "0.001", "10", "10", "0.001", "10"],
+        ["velocity Verlet, Udwadia-Kalaba", "not reached", "0.1", "6", "not reached", "0.1", "6"],
+        ["P2, acceleration constraint", "not stable", "", "", "not stable", "", ""],
+        ["HHT-alpha (-0.3)", "partials lost", "", "", "2", "1.0e-05", "not reached by ours"],
+    ]  # fmt: skip
+    fewer = Outcome("t", "Another", "closed form", (PITCH,), (*POINTS[:4], POINTS[6], POINTS[4]))
+    pitch, wave = tables.headline_tables([outcome(), fewer]).split("\n\n")[1::2]
+    assert cells_of(pitch) == [
+        ["method", "s", "t"],
+        ["Adams-Bashforth 3, Udwadia-Kalaba", "10", "not reached"],
+        ["velocity Verlet, Udwadia-Kalaba", "not reached", "not reached"],
+        ["P2, acceleration constraint", "not stable", ""],
+        ["HHT-alpha (-0.3)", "partials lost", ""],
+        ["error there", "0.01", "0.01"],
+    ]
+    assert [row[1:] for row in cells_of(wave)] == [["s"], ["10"], ["not reached"], ["not stable"], ["2"], ["0.01"]]
+    assert tables.method_table(replace(fewer, points=())) == "Nothing to compare with in a quick run."
+
+
 def test_short_table_tells_what_is_not_reached() -> None:
-    row = tables.summary_table([outcome()]).splitlines()[2]
-    cells = [cell.strip() for cell in row.strip("|").split("|")]
     # Verlet's only point: an error of 0.1 for 3 s, where ours takes 1 s
-    assert cells == ["`s`", "0.01", "0.01", "1", "10 x", "0.1 at 3 x", "", "", ""]
+    assert cells_of(tables.summary_table([outcome()]))[1] == [
+        "`s`",
+        "0.01",
+        "0.01",
+        "1",
+        "10 x",
+        "0.1 at 3 x",
+        "",
+        "",
+        "",
+    ]
 
 
 def test_page_has_all_tables_and_the_picture() -> None:

@@ -86,15 +86,10 @@ def method_table(outcome: Outcome) -> str:
     names = [name for name, entry in outcome.headlines.items() if entry]
     if not names:
         return "Nothing to compare with in a quick run."
-    methods = dict.fromkeys(h.method for name in names for h in outcome.headlines[name])
     rows = []
-    for method in methods:
-        row = [METHODS[method].title]
-        for name in names:
-            entry = next((h for h in outcome.headlines[name] if h.method == method), None)
-            if entry is None:
-                row += ["", "", ""]
-                continue
+    for entries in zip(*(outcome.headlines[name] for name in names), strict=True):
+        row = [METHODS[entries[0].method].title]
+        for entry in entries:
             at_best = "" if entry.best is None else "not reached by ours"
             row += [entry.text, number(entry.best), number(entry.ratio_at_best, 3) or at_best]
         rows.append(row)
