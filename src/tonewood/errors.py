@@ -7,11 +7,13 @@ with code 2 (1 where every note was dropped). A programming mistake is not one o
 from __future__ import annotations
 
 import os
+import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+_CONTROL = re.compile("[\x00-\x1f\x7f-\x9f]")
 #: characters of a reason; a damaged file may be quoted, but not at length
 _LONGEST = 800
 
@@ -63,8 +65,9 @@ class TonewoodError(Exception):
         location = None if line is None else f"line {line}"
         shown = None if key is None else self.shown_key(key)
         line_of_text = ": ".join(part for part in (self.file, location, shown, self.reason) if part)
-        # bytes of a file's name that are no UTF-8 can be printed, and written to a report
-        super().__init__(line_of_text.encode(errors="backslashreplace").decode())
+        # bytes of a file's name that are no UTF-8 can be printed, and written to a report; terminals follow no text
+        printed = line_of_text.encode(errors="backslashreplace").decode()
+        super().__init__(printed if printed.isprintable() else _CONTROL.sub(lambda m: repr(m[0])[1:-1], printed))
 
     @staticmethod
     def shown_key(key: str) -> str:

@@ -267,6 +267,13 @@ def test_a_mix_with_the_name_of_a_stem_is_one_line(
     assert_one_line(result, tmp_path, f"{stem}.wav: --stems: is the name of a stem; another is allowed")
 
 
+def test_no_line_of_an_error_steers_the_terminal(tonewood: Run, tmp_path: Path) -> None:
+    code, _, err = tonewood("render", tmp_path / "\x1b[31mred.mid", "-i", "monochord", "-o", tmp_path / "a.wav")
+    assert code == 2
+    assert r"\x1b[31mred.mid: No such file" in err
+    assert "\x1b" not in err
+
+
 with_stems = pytest.mark.parametrize(
     "of", [["-i", "monochord"], ["-i", "monochord", "--stems-by", "string"], ["--part", "1=monochord"]]
 )

@@ -53,6 +53,8 @@ m: E2
         ('a: 1\nb: "\\ud83d"\n', "line 2", "half a surrogate pair"),
         ('a: {b: ["x\\udfb8 y"]}\n', "line 1", "half a surrogate pair"),
         ('"\\ud800": 1\n', "line 1", "half a surrogate pair"),
+        ('a: 1\nb: "x\\e[31m"\n', "line 2", "control character U+001B is not allowed"),
+        ('"\\x9b31m": 1\n', "line 1", "control character U+009B is not allowed"),
         ("a: .nan\n", "a", "finite"),
         ("a: {b: [0, 1e999]}\n", "a.b.1", "finite"),
         ("- 1\n", "", "a list; a mapping"),

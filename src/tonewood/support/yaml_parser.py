@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from typing import Any
 
 from ruamel.yaml import YAML
@@ -25,6 +26,8 @@ MAX_DEPTH = 24
 _STRING = "tag:yaml.org,2002:str"
 _MERGE = "tag:yaml.org,2002:merge"
 _TIMESTAMP = "tag:yaml.org,2002:timestamp"
+#: all but tabs and breaks of lines
+_CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x84\x86-\x9f]")
 
 
 def parse(
@@ -34,7 +37,8 @@ def parse(
 
     Raises TonewoodError
         Not one mapping; anchors, aliases, merge keys, tags, dates, directives, duplicate keys, keys that are
-        not words, half a surrogate pair, numbers that are not finite, nesting deeper than `MAX_DEPTH`.
+        not words, half a surrogate pair, control characters, numbers that are not finite, nesting deeper than
+        `MAX_DEPTH`.
     """
     yaml = YAML(typ="safe", pure=True)  # the C scanner speaks YAML 1.1
     yaml.Composer = _StrictComposer
@@ -133,6 +137,8 @@ def _check_keys(node: MappingNode) -> None:
 
 def _joined(node: ScalarNode) -> str:
     r"""Return the text of a scalar with escapes like ``\ud83c\udfb8``, which JSON writes, made one character."""
+    if control := _CONTROL.search(node.value):  # terminals follow them
+        raise _refused(f"control character U+{ord(control[0]):04X} is not allowed", node)
     try:
         node.value.encode()
         return str(node.value)

@@ -38,6 +38,8 @@ LEFT_OUT = {render.render: {"energy"}, plan.plan: {"energy"}, play.play: {"energ
         ({"freq_limit": 0}, "freq_limit: is 0 Hz; 100 to 768000 are allowed"),
         ({"lead_in": -1}, "lead_in: is -1; auto or 0 to 60 s are allowed"),
         ({"budget_cents": 101}, "budget_cents: is 101 cents; 0 to 100 are allowed"),
+        ({"effects": " , "}, "effects: is ' , '; auto, all, none or names are allowed"),
+        ({"outputs": ""}, "outputs: is ''; names of output groups are allowed"),
         ({"gain": 3}, "gain: is not a known key; did you mean gain_db? allowed: fs, accuracy, oversampling"),
     ],
 )

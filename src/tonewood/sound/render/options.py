@@ -145,7 +145,8 @@ class RenderOptions(Parameters):
             value = out.get(name)
             if isinstance(value, list) or (isinstance(value, str) and value not in get_args(EffectsMode)):
                 words = value.split(",") if isinstance(value, str) else value
-                out[name] = tuple(w for w in (w.strip() if isinstance(w, str) else w for w in words) if w != "")
+                names = tuple(w for w in (w.strip() if isinstance(w, str) else w for w in words) if w != "")
+                out[name] = names if names or not isinstance(value, str) else value  # "" is no name
         if isinstance(tail := out.get("tail"), Tail):
             text = "tail=Tail(level_db=..., cap=...) is deprecated since 0.2: give tail=seconds and tail_level_db=..."
             warnings.warn(text, DeprecationWarning, stacklevel=2)
@@ -208,6 +209,8 @@ def _error(fault: ValidationError, model: type[RenderOptions]) -> TonewoodError:
             reason = f"is {shown}; {span[0]:.12g} to {span[1]:.12g} are allowed"
         elif name == "lead_in":
             reason = f"is {shown}; auto or 0 to {LONGEST_LEAD_IN:g} s are allowed"
+        elif name == "outputs":
+            reason = f"is {shown}; names of output groups are allowed"
         elif words:
             reason = f"is {shown}; {', '.join(words)}{' or names' if name == 'effects' else ''} are allowed"
     return TonewoodError(reason, key=name if field is not None else key)
