@@ -223,7 +223,7 @@ def test_a_rising_tension_uses_up_the_clearance_by_its_reach(axial_stiffness):
     motion = rows.peak * rows.norm(far.modes_of(start, "s"))
     bound = motion + used * np.sqrt(max(most))
     assert bound > 1.01 * motion
-    for near, added in ((1.1, 0), (1.0, 1)):  # its bound of |g| is a little looser
+    for near, added in ((1.09, 0), (1.08, 1)):  # its bound of |g| is looser by 8.5 %; the last sample has 1.5 % or more
         clearance = motion + near * (bound - motion)
         stepper = KernelStepper(system(clearance), shortcuts=Shortcuts(fine_bound=False, group_bound=False))
         _, forces = stepper.run(start.copy(), BLOCK)
