@@ -85,8 +85,8 @@ def read_answers(path: Path, test: ListeningTest) -> Imported:
     spoken: dict[str, list[dict[str, Any]]] = {}
     left_out: list[LeftOut] = []
     for line, row, beyond in rows:
-        who = printable(_who(row, path, line))
         try:
+            who = _who(row)
             if beyond:  # a comma in a number makes two cells of it
                 raise ListeningError(f"{beyond!r} is a cell beyond the columns that the first row names")
             if kind is None and (record := _questionnaire(test, row)) is not None:
@@ -100,7 +100,7 @@ def read_answers(path: Path, test: ListeningTest) -> Imported:
                 if trial is not None and not isinstance(page := test.pages[trial.page], _READ[kind][1]):
                     reason = f"trial {trial.id} is of a page {page.type}, which has no answers in such a table"
                     raise ListeningError(reason, key="trial_id")
-                _take_webmushra(kind, row, trials, answers.setdefault(who, {}))
+                _take_webmushra(test, kind, row, trials, answers.setdefault(who, {}))
             elif row["trial"]:  # PsychoPy writes rows for pages without trials, too
                 _take_plain(test, row, trials, answers.setdefault(who, {}))
         except ListeningError as fault:
@@ -132,7 +132,7 @@ def joined(tables: Sequence[Imported]) -> Imported:
     listeners: dict[str, ListenerAnswers] = {}
     left_out = [one for table in tables for one in table.left_out]
     for one in (one for table in tables for one in table.listeners):
-        before = listeners.setdefault(one.listener, one)
+        before = listeners.setdefault(one.header["listener"], one)
         if before is one:
             continue
         answered = {_question(record) for record in before.records}
@@ -142,7 +142,7 @@ def joined(tables: Sequence[Imported]) -> Imported:
             reason = f"{one.listener} answered this in another table, too: {counted(count, 'answer')}"
             left_out.append(LeftOut(str(ListeningError(reason, file=file)), count))
         records = [{**record, "index": i} for i, record in enumerate([*before.records, *fresh])]
-        listeners[one.listener] = replace(before, records=records)
+        listeners[one.header["listener"]] = replace(before, records=records)
     return Imported(tuple(listeners.values()), tuple(left_out))
 
 
@@ -168,18 +168,20 @@ def _table(path: Path) -> tuple[list[tuple[int, Row, str]], set[str]]:
         rows = []
         for cells in reader:
             beyond = ", ".join(cell for cell in cells.pop(None, ()) if cell.strip())
-            rows.append((reader.line_num, {k.strip(): (v or "").strip() for k, v in cells.items()}, beyond))
+            row = {k.strip(): (v or "").strip() for k, v in cells.items()}
+            if beyond or any(row.values()):  # spreadsheets end tables with rows of commas alone
+                rows.append((reader.line_num, row, beyond))
     except csv.Error as fault:
         raise ListeningError(f"is no table: {fault}", file=path) from None
     return rows, set(names)
 
 
-def _who(row: Row, path: Path, line: int) -> str:
+def _who(row: Row) -> str:
     """Name of the listener of a row. Raises ListeningError : there is none."""
-    for name in ("listener", "participant", "session_uuid", "email"):
-        if row.get(name):
-            return row[name]
-    raise ListeningError("names no listener: a column listener is wanted", file=path, line=line)
+    for column in ("listener", "participant", "session_uuid", "email"):
+        if name := printable(row.get(column, ""), most=None):
+            return name
+    raise ListeningError("names no listener", key="listener")
 
 
 def _trial(row: Row, name: str, trials: Mapping[str, ServedTrial]) -> ServedTrial:
@@ -206,12 +208,24 @@ def _rate(one: _Given, code: str, item: str, value: float) -> None:
     one.ratings[code, item] = value
 
 
+def _repetition(text: str, key: str, page: pages.AnyPage) -> int:
+    """Number of a trial's repetition: one of those that the page asks for."""
+    value, most = _number(text, key, 1, 1000), getattr(page, "times", 1)
+    if value % 1 or value > most:
+        raise ListeningError(f"{text!r} is no repetition of a trial of this page, which asks {most} times", key=key)
+    return int(value)
+
+
 def _take_webmushra(
-    kind: str, row: Row, trials: Mapping[str, ServedTrial], into: dict[tuple[Any, ...], _Given]
+    test: ListeningTest,
+    kind: str,
+    row: Row,
+    trials: Mapping[str, ServedTrial],
+    into: dict[tuple[Any, ...], _Given],
 ) -> None:
     name, _, count = row["trial_id"].partition("-")
     trial = _trial(row, name, trials)
-    repetition = int(_number(count, "trial_id", 0, 1000)) if count.isdecimal() else 1
+    repetition = _repetition(count or "1", "trial_id", test.pages[trial.page])
     key = (row.get("session_uuid", ""), name, repetition)
     reference, other = trial.reference or "", trial.stimuli[0]
     if kind == "pair":
@@ -241,12 +255,14 @@ def _take_plain(
     if row["page"] != str(trial.page + 1):
         raise ListeningError(f"is {row['page']!r}, and {trial.page + 1} is the page of trial {trial.id}", key="page")
     page = test.pages[trial.page]
-    repetition = int(_number(row.get("repetition") or "1", "repetition", 1, 1000))
+    repetition = _repetition(row.get("repetition") or "1", "repetition", page)
     key = (trial.id, repetition)
     seconds = _number(row.get("seconds") or "0", "seconds", 0.0, 3.2e8)
     if isinstance(page, (pages.MushraPage, pages.Bs1116Page, pages.RatingPage)):
+        if not (values := _values(row)):
+            raise ListeningError("is missing", key="value")
         one = into.setdefault(key, _Given(trial, trial.page, repetition, {}, {}, seconds=seconds))
-        for item, value in _values(row).items():
+        for item, value in values.items():
             low, high, name = _limits(page, item)
             _rate(one, row.get("stimulus", ""), name, _number(value, "value", low, high))
         return

@@ -90,9 +90,9 @@ def now(timespec: str = "milliseconds") -> str:
     return datetime.datetime.now(datetime.UTC).isoformat(timespec=timespec)
 
 
-def printable(name: str) -> str:
-    """A name in one line, of at most 60 characters; control characters would steer a terminal."""
-    return " ".join("".join(c if c.isprintable() else " " for c in name).split())[:60]
+def printable(name: str, most: int | None = 60) -> str:
+    """A name in one line, of at most so many characters; control characters would steer a terminal."""
+    return " ".join("".join(c if c.isprintable() else " " for c in name).split())[:most]
 
 
 def listener_of(header: Mapping[str, Any]) -> str:

@@ -491,9 +491,10 @@ def test_values_and_names_of_rows() -> None:
     assert _values({"rate9_dry.response": "4", "rate9_loud.response": "", "rate9_x": "1"}) == {"dry": "4"}
     row = {"email": "e", "session_uuid": "u", "participant": "p", "listener": "l"}
     for name in ("listener", "participant", "session_uuid", "email"):
-        assert _who(row, Path("t"), 2) == row.pop(name)
-    with pytest.raises(ListeningError, match="names no listener"):
-        _who({"listener": ""}, Path("t"), 2)
+        assert _who(row) == row.pop(name)
+    for nobody in ("", "\u200b"):
+        with pytest.raises(ListeningError, match="names no listener"):
+            _who({"listener": nobody})
 
 
 def test_answers_to_questions(test: ListeningTest) -> None:
@@ -517,36 +518,41 @@ def test_answers_to_questions(test: ListeningTest) -> None:
             _questionnaire(test, row | wrong)
 
 
-def test_tables_of_webmushra_row_by_row() -> None:
+def test_tables_of_webmushra_row_by_row(test: ListeningTest) -> None:
     trials = {trial.id: trial for trial in TRIALS}
     into: dict[Any, Any] = {}
     for name, score in (("reference", "100"), ("sb", "0")):
-        row = {"session_uuid": "u", "trial_id": "tm-2", "rating_stimulus": name, "rating_score": score}
-        _take_webmushra("mushra", row, trials, into)
-    one = into["u", "tm", 2]
-    assert (one.repetition, one.page, one.ratings) == (2, 2, {("ra", ""): 100.0, ("sb", ""): 0.0})
+        row = {"session_uuid": "u", "trial_id": "tm-1", "rating_stimulus": name, "rating_score": score}
+        _take_webmushra(test, "mushra", row, trials, into)
+    one = into["u", "tm", 1]
+    assert (one.repetition, one.page, one.ratings) == (1, 2, {("ra", ""): 100.0, ("sb", ""): 0.0})
     graded = {"trial_id": "tg", "rating_non_reference": "sb", "rating_reference_score": "5",
               "rating_non_reference_score": "1"}  # fmt: skip
-    _take_webmushra("bs1116", graded, trials, into)
+    _take_webmushra(test, "bs1116", graded, trials, into)
     assert into["", "tg", 1].ratings == {("ra", ""): 5.0, ("sb", ""): 1.0}
     for answer, choice, right in (("correct", "A", True), ("incorrect", "B", False), ("undecided", "undecided", False)):
         pair: dict[Any, Any] = {}
-        _take_webmushra("pair", {"trial_id": "tx-x", "choice_answer": answer}, trials, pair)
+        _take_webmushra(test, "pair", {"trial_id": "tx-1.0", "choice_answer": answer}, trials, pair)
         given = pair["", "tx", 1]
         assert (given.choice, given.right, given.slots) == (choice, right, {"A": "ra", "B": "sb", "X": "ra"})
         with pytest.raises(ListeningError, match="answered before"):
-            _take_webmushra("pair", {"trial_id": "tx-1", "choice_answer": answer}, trials, pair)
+            _take_webmushra(test, "pair", {"trial_id": "tx-1", "choice_answer": answer}, trials, pair)
+    for count in ("2", "0", "x"):
+        with pytest.raises(ListeningError, match="trial_id: "):
+            _take_webmushra(test, "pair", {"trial_id": f"tx-{count}", "choice_answer": "correct"}, trials, {})
     with pytest.raises(ListeningError, match="is not one of correct"):
-        _take_webmushra("pair", {"trial_id": "tx", "choice_answer": "A"}, trials, {})
+        _take_webmushra(test, "pair", {"trial_id": "tx", "choice_answer": "A"}, trials, {})
 
 
 def test_plain_rows_one_by_one(test: ListeningTest) -> None:
     trials = {trial.id: trial for trial in TRIALS}
     into: dict[Any, Any] = {}
-    base = {"page": "3", "trial": "tm", "repetition": "2", "seconds": "1.5"}
+    asked = page("abx", unforced=True, times=1000, **PAIRS)
+    test.__dict__["pages"] = (*PAGES[:4], asked, *PAGES[5:])  # a cached property
+    base = {"page": "3", "trial": "tm", "repetition": "1", "seconds": "1.5"}
     _take_plain(test, base | {"stimulus": "sb", "value": "70"}, trials, into)
     _take_plain(test, base | {"stimulus": "ra", "value": "100"}, trials, into)
-    one = into["tm", 2]
+    one = into["tm", 1]
     assert (one.seconds, one.ratings) == (1.5, {("sb", ""): 70.0, ("ra", ""): 100.0})
     scaled = {"page": "9", "trial": "tr", "stimulus": "sb", "rate9_dry.response": "-2", "rate9_loud.response": "3"}
     _take_plain(test, scaled, trials, into)
@@ -556,7 +562,7 @@ def test_plain_rows_one_by_one(test: ListeningTest) -> None:
     assert (into["tx", 1].choice, into["tx", 1].right) == ("A", True)
     with pytest.raises(ListeningError, match="answered before"):
         _take_plain(test, pair | {"response": "B"}, trials, into)
-    _take_plain(test, pair | {"answer5.keys": "u", "repetition": "3"}, trials, into)
+    _take_plain(test, pair | {"answer5.keys": "u", "repetition": "3.0"}, trials, into)
     assert (into["tx", 3].choice, into["tx", 3].right) == ("undecided", False)
     same = {"page": "6", "trial": "ts", "A": "ra", "B": "sb", "answer6.keys": "d"}
     _take_plain(test, same, trials, into)
@@ -568,11 +574,15 @@ def test_plain_rows_one_by_one(test: ListeningTest) -> None:
         ({"response": "A", "X": "zz"}, "'zz' is no sound of trial tx"),
         ({"response": "A", "page": "6"}, "is '6', and 5 is the page of trial tx"),
         ({"response": "A", "repetition": "1001"}, "from 1 to 1000"),
+        ({"response": "A", "repetition": "1.5"}, "'1.5' is no repetition of a trial of this page, which asks 1000"),
         ({"response": "A", "seconds": "-1"}, "from 0 to"),
         ({"response": "A", "seconds": "3.3e8"}, "from 0 to 3.2e\\+08"),
     ):
         with pytest.raises(ListeningError, match=reason):
             _take_plain(test, pair | {"repetition": "9"} | wrong, trials, into)
+    for rated, reason in (({"repetition": "2"}, "'2' is no repetition"), ({}, "value: is missing")):
+        with pytest.raises(ListeningError, match=reason):
+            _take_plain(test, {"page": "3", "trial": "tm", "stimulus": "sc"} | rated, trials, into)
 
 
 def test_records_are_as_this_program_s_own(test: ListeningTest) -> None:
@@ -620,6 +630,21 @@ def test_a_listener_of_two_tables_is_one(test: ListeningTest, tmp_path: Path) ->
         "a answered this in another table, too: 1 answer"
     ]
     assert len(joined([first, first]).listeners) == 2
+
+
+def test_names_that_begin_alike_are_of_different_listeners(test: ListeningTest, tmp_path: Path) -> None:
+    """Names were cut to 60 characters: two listeners became one, and of answers to one trial the first counted."""
+    head, name = "listener,page,trial,stimulus,value", "p" * 60
+    one, two = (
+        read_answers(table(tmp_path / f"{k}.csv", f"{head}\n{name}a,3,tm,sb,70\n{name}{k},3,tm,sc,{k}0\n,,,,\n"), test)
+        for k in (1, 2)
+    )
+    assert not one.left_out
+    found = joined([one, two])
+    assert [one.header["listener"][60:] for one in found.listeners] == ["a", "1", "2"]
+    assert len(found.left_out) == 1
+    nobody = read_answers(table(tmp_path / "n.csv", f"{head}\na,3,tm,sb,70\n,3,tm,sb,70\n"), test)
+    assert [one.reason.partition("n.csv: ")[2] for one in nobody.left_out] == ["line 3: listener: names no listener"]
 
 
 def test_a_table_is_read_by_listener(test: ListeningTest, tmp_path: Path) -> None:
