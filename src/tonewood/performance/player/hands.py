@@ -24,6 +24,7 @@ from tonewood.performance.player.strokes import (
     stopped,
     stroke,
     tapped,
+    values_of,
 )
 from tonewood.performance.player.timeline import GRID, Change, Play, Timeline
 from tonewood.performance.player.variation import Deviates
@@ -74,10 +75,12 @@ class Hands:
         drawn = None if variation.seed is None else Deviates.of(variation.seed, voice.number)
         plays: list[Play] = []
         for name in model.groups[assigned.string]:
-            event, play = stroke(
-                assigned, name, model, values, stop_before=string.stop, duration=voice.duration,
-                una_corda=self._has_una_corda(voice), drawn=drawn,
-            )  # fmt: skip
+            exciter = exciter_of(voice.note, model, assigned.string)
+            with values_of(assigned.note, exciter, f"string {assigned.string}", self._source):
+                event, play = stroke(
+                    assigned, name, model, values, stop_before=string.stop, duration=voice.duration,
+                    una_corda=self._has_una_corda(voice), drawn=drawn,
+                )  # fmt: skip
             if not plays:
                 self.n_moved += not is_where_asked(event, assigned, model, self._source)
                 voice.event = event
@@ -206,7 +209,7 @@ class PacedHands(Hands):
 
     def tap(self, voice: Voice) -> bool:
         """Play a gesture on a point of the body, if the note asks for one; whether it does."""
-        play = tapped(voice.note, self.model)
+        play = tapped(voice.note, self.model, self._source)
         if play is not None:
             self.plays.append(replace(play, time=max(voice.time, self.now * self.dt - play.gesture.start)))
         return play is not None

@@ -64,7 +64,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
     controllers = Controllers(score.controls)
     for note in score.notes:
         checked_technique(note.technique, model, score.place)
-    body = [tapped(note, model) for note in score.notes]
+    body = [tapped(note, model, score.place) for note in score.notes]
     notes = [
         beyond_capo(with_force(note, model, loudness(controllers.of(note))), capo)
         for note, tap in zip(score.notes, body, strict=True)

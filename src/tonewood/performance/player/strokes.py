@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
-from tonewood.errors import ScoreError
+from tonewood.errors import BundleError, ScoreError
 from tonewood.instrument.contract.base import Exciter
 from tonewood.instrument.contract.gestures import Event, Gesture, Place, is_played, places
 from tonewood.instrument.model.assembly import Model
@@ -51,14 +52,15 @@ def beyond_capo(note: Note, capo: int) -> Note:
     return note if not capo or note.stop is None else replace(note, stop=max(note.stop - capo, 0.0))
 
 
-def tapped(note: Note, model: Model) -> Play | None:
+def tapped(note: Note, model: Model, file: str) -> Play | None:
     """Return the gesture of a note on a point of the body; None if its technique plays strings."""
     exciter = exciter_of(note, model)
     if exciter.at is None:
         return None
     force = force_of(note, model, 1.0)
     values = {} if force is None else {"force": force}
-    return Play(note.time, exciter.gesture(Event(values), Place(exciter.at)), at=exciter.at)
+    with values_of(note, exciter, exciter.at, file):
+        return Play(note.time, exciter.gesture(Event(values), Place(exciter.at)), at=exciter.at)
 
 
 def event_values(note: Note, model: Model, latest: Callable[[str], float | None]) -> dict[str, float]:
@@ -94,6 +96,20 @@ def is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) ->
         reason = f"the note at {assigned.note.time:g} s on string {string.name}: {fault}"
         raise ScoreError(reason, file=file, key=exciter.key) from None
     return all(is_played(x, length) for x in own_places.values())
+
+
+@contextmanager
+def values_of(note: Note, exciter: Exciter[Any], where: str, file: str) -> Iterator[None]:
+    """Raise a ScoreError, which names the note, where a value that it gives is out of its exciter's range.
+
+    where : the note is played.
+    """
+    try:
+        yield
+    except BundleError as fault:
+        name = (fault.key or exciter.key).removeprefix(f"{exciter.key}.")
+        reason = f"the note at {note.time:g} s on {where}: {name} {fault.reason}"
+        raise ScoreError(reason, file=file, key=exciter.key) from None
 
 
 def gripped(gesture: Gesture) -> Gesture:

@@ -206,6 +206,9 @@ def test_places_are_refused_beyond_the_string_and_reported_where_moved(guitar: M
         assert moved.warnings[0].endswith("beyond the stop: 1")
     with pytest.raises(ScoreError, match=r"exciters\.pluck: the note at 0 s on string E2: from_bridge is 0\.66 m"):
         played(0, 0.66)
+    said = r"^score: exciters\.pluck: the note at 0 s on string E2: force is 1000000000 N; at most 1000 N is allowed"
+    with pytest.raises(ScoreError, match=said):
+        perform(tw.Score([tw.Note(0.0, 0.1, string="E2", stop=0, force=1e9)]), guitar)
 
 
 def test_what_nobody_reads_is_counted(guitar: Model) -> None:
