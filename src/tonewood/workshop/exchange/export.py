@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tonewood.errors import TonewoodError
+from tonewood.errors import OutputError, TonewoodError
 from tonewood.workshop.exchange import bids, jspsych, psychopy, webmushra
 from tonewood.workshop.exchange.course import FOLDER, Exported
 from tonewood.workshop.listening.definition import ListeningTest, load_test
@@ -28,7 +28,7 @@ def check_programs(programs: Sequence[str]) -> None:
 def export(folder: Path, programs: Sequence[str]) -> list[Exported]:
     """Write ``export/PROGRAM`` in a batch's folder for each program; an earlier export is removed.
 
-    Raises TonewoodError : a program is not known, the folder has no test, or a file cannot be written.
+    Raises TonewoodError : a program is not known, the folder has no test, or a file cannot be removed or written.
     """
     import shutil
 
@@ -37,6 +37,11 @@ def export(folder: Path, programs: Sequence[str]) -> list[Exported]:
     files = []
     for name in dict.fromkeys(programs):
         target = folder / FOLDER / name
-        shutil.rmtree(target, ignore_errors=True)
+        try:
+            shutil.rmtree(target)
+        except FileNotFoundError:
+            pass
+        except OSError as fault:  # what is left of it would count as part of the new one
+            raise OutputError(f"cannot be removed: {fault.strerror or fault}", file=target) from None
         files.append(PROGRAMS[name](test, target))
     return files

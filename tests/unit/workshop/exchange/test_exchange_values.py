@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from tonewood.errors import OutputError
 from tonewood.workshop.batch.pages import (
     AbPage,
     AbxPage,
@@ -398,6 +399,20 @@ def test_each_program_is_exported_once_into_a_folder_of_its_own(
     assert written == [("test of batch", folder) for folder in folders]
     assert (batch / "export" / "psychopy").exists()
     assert export(batch, []) == []
+
+
+@pytest.mark.parametrize("kind", ["link", "file"])
+def test_an_earlier_export_that_stays_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    """Errors were ignored: old and new sounds would have stood side by side."""
+    monkeypatch.setattr("tonewood.workshop.exchange.export.load_test", lambda folder: None)
+    monkeypatch.setitem(PROGRAMS, "bids", lambda test, folder: Exported(folder))
+    (tmp_path / "export").mkdir()
+    place = tmp_path / "export" / "bids"
+    (tmp_path / "other").mkdir()
+    place.symlink_to(tmp_path / "other") if kind == "link" else place.write_text("mine")
+    with pytest.raises(OutputError, match="bids: cannot be removed: "):
+        export(tmp_path, ["bids"])
+    assert (tmp_path / "other").is_dir()
 
 
 # -- answers that come in ---------------------------------------------------------------------------------------------
