@@ -114,8 +114,8 @@ def _lines(page: PageResults) -> list[str]:
         lines.append(f"{page.linear.formula}; {page.linear.method}")
         for term in page.linear.terms:
             lines.append(
-                f"  {term.name}: {term.difference:+.2f} [{term.low:.2f}, {term.high:.2f}], p = {term.p_holm:.3g}, "
-                f"d = {term.cohens_d:.2f}"
+                f"  {term.name}: {term.difference:+.2f} [{term.low:.2f}, {term.high:.2f}], "
+                f"p by Holm = {term.p_holm:.3g}, d = {term.cohens_d:.2f}"
             )
         for test in page.linear.tests:
             lines.append(
@@ -123,7 +123,9 @@ def _lines(page: PageResults) -> list[str]:
             )
         lines += [f"  {note}" for note in page.linear.notes]
     for pair in page.ranks.pairs if page.ranks is not None else ():
-        lines.append(f"ranks, {pair.factor}: {pair.second} over {pair.first}: r = {pair.r:.2f}, p = {pair.p_holm:.3g}")
+        lines.append(
+            f"ranks, {pair.factor}: {pair.second} over {pair.first}: r = {pair.r:.2f}, p by Holm = {pair.p_holm:.3g}"
+        )
     for one in (*page.pairs, *(page.detections if len(page.detections) > len(page.pairs) else ())):
         cell = ", ".join(f"{k}={v}" for k, v in one.cell.items())
         if one.share is None:
@@ -132,7 +134,7 @@ def _lines(page: PageResults) -> list[str]:
         d = "" if one.d_prime is None else f", d' = {one.d_prime:.2f}"
         lines.append(
             f"{cell}: {one.right} of {one.answers} right, {100 * one.share:.1f} % "
-            f"[{100 * (one.low or 0):.1f}, {100 * (one.high or 0):.1f}], p = {one.p_holm:.3g}{d}"
+            f"[{100 * (one.low or 0):.1f}, {100 * (one.high or 0):.1f}], p by Holm = {one.p_holm:.3g}{d}"
         )
     for value in page.scale:
         lines.append(f"{value.level}: {value.value:+.2f} [{value.low:.2f}, {value.high:.2f}] logits")

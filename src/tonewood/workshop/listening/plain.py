@@ -12,7 +12,7 @@ from tonewood.workshop.batch.pages import PairedPage, StaircasePage
 from tonewood.workshop.listening.definition import ListeningTest
 from tonewood.workshop.listening.detection import Detection, sensitivity, task_of
 from tonewood.workshop.listening.models import END_SHARE, FactorTest, LinearAnalysis, ModelTerm, Superiority
-from tonewood.workshop.listening.ordinal import OddsTest
+from tonewood.workshop.listening.ordinal import OddsTerm, OddsTest
 from tonewood.workshop.listening.results import PageResults, PanelResults
 from tonewood.workshop.listening.table import VERSUS
 
@@ -130,7 +130,7 @@ def _difference(panel: PanelResults, page: PageResults, linear: LinearAnalysis, 
     share = _superiority(page, term.effect[0], first, level)
     rated = "" if share is None else (
         f"{level} is rated above {first} in {100 * share.share:.0f} % of comparisons ({percent} interval "
-        f"{100 * share.low:.0f} to {100 * share.high:.0f} %, p {_p(share.p_holm)})"
+        f"{100 * share.low:.0f} to {100 * share.high:.0f} %, {_p_of(share)})"
     )  # fmt: skip
     if page.ordinal and share is not None:
         shown = "" if share.p_holm < alpha else f"no difference between {level} and {first} is shown: "
@@ -138,9 +138,9 @@ def _difference(panel: PanelResults, page: PageResults, linear: LinearAnalysis, 
     terms = [t for one in _analyses(page) if one.linear is not None for t in one.linear.terms if t.name == term.name]
     term = max(terms, key=lambda t: t.p_holm)
     p = term.p_holm
-    interval = f"{percent} interval {_number(term.low)} to {_number(term.high)}, p {_p(p)}"
+    interval = f"{percent} interval {_number(term.low)} to {_number(term.high)}, {_p_of(term)}"
     if term.low == term.high:
-        interval = f"the same for every listener, sign test p {_p(p)}"
+        interval = f"the same for every listener, sign test {_p_of(term)}"
     about = f"{varied}; " if varied else ""
     if p < alpha:
         way = "above" if term.difference > 0 else "below"
@@ -186,7 +186,7 @@ def _odds(page: PageResults, name: str, percent: str) -> str:
     if term is None:
         return ""
     bounds = f"{percent} interval {_number(term.low)} to {_number(term.high)}"
-    return f"; the odds of a higher rating are {_number(term.ratio)} times as large ({bounds}, p {_p(term.p_holm)})"
+    return f"; the odds of a higher rating are {_number(term.ratio)} times as large ({bounds}, {_p_of(term)})"
 
 
 def _detected(panel: PanelResults, page: PageResults, one: Detection, percent: str) -> str:
@@ -201,7 +201,7 @@ def _detected(panel: PanelResults, page: PageResults, one: Detection, percent: s
     share = f"{one.right} of {one.answers} answers, {100 * one.share:.0f} %"
     if one.p_holm >= 1 - panel.confidence:
         bound = "" if one.d_high is None else f"; d' is at most {one.d_high:.2g}"
-        return f"{cell}{varied} are not shown to be told apart ({share}, p {_p(one.p_holm)}{bound})."
+        return f"{cell}{varied} are not shown to be told apart ({share}, {_p_of(one)}{bound})."
     jnd = ""
     if one.d_prime is not None and task is not None:
         unit = sensitivity(JND_SHARE, task)
@@ -215,7 +215,7 @@ def _detected(panel: PanelResults, page: PageResults, one: Detection, percent: s
         jnd = f"; d' = {one.d_prime:.2f}{bounds}, {one.d_prime / unit:.2g} just-noticeable differences by these answers"
     elif one.d_prime is None and one.d_low is not None and task is not None:
         jnd = f"; d' is at least {one.d_low:.2f}"
-    return f"{cell}{varied} are told apart ({share} right, p {_p(one.p_holm)}{jnd})."
+    return f"{cell}{varied} are told apart ({share} right, {_p_of(one)}{jnd})."
 
 
 def _threshold(panel: PanelResults, page: PageResults, percent: str) -> str:
@@ -301,6 +301,11 @@ def _number(value: float) -> str:
 
 def _p(value: float) -> str:
     return "< 0.001" if value < 0.001 else f"= {value:.3f}"
+
+
+def _p_of(test: ModelTerm | OddsTerm | Superiority | Detection) -> str:
+    """Probability of a test, which says where it is adjusted for the others: the interval beside it is not."""
+    return f"p{'' if test.p_holm == test.p_value else ' by Holm'} {_p(test.p_holm or 0.0)}"
 
 
 def methods(panel: PanelResults) -> str:

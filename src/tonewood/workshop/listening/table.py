@@ -11,6 +11,7 @@ for a tie.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -175,11 +176,14 @@ def _sound(key: Key, code: str) -> KeySound:
 def _listener_names(answers: Sequence[ListenerAnswers]) -> dict[Path, str]:
     """Names of listeners, each another one: a name given twice gets a number."""
     names: dict[Path, str] = {}
+    taken: set[str] = set()
+    last: Counter[str] = Counter()
     for one in answers:
-        name, k = one.listener, 1
-        while name in names.values():
-            k += 1
-            name = f"{one.listener} #{k}"
+        name = one.listener
+        while name in taken:
+            last[one.listener] += 1
+            name = f"{one.listener} #{last[one.listener] + 1}"
+        taken.add(name)
         names[one.path] = name
     return names
 
