@@ -125,6 +125,12 @@ def test_a_saved_instrument_has_its_plucks_and_scales(tmp_path: Path) -> None:
     assert {name.split("/")[1] for name in arrays if name.startswith("plucks/")} == set("012345")
     with pytest.raises(TonewoodError, match="stops: there is no string H2; there are E2, A2"):
         save_model(tmp_path / "a.tonewood", guitar, stops={"H2": 3})
+    for stop in (99, -1, 2.5, float("nan"), "3"):
+        with pytest.raises(TonewoodError, match=rf"^stops: A2 is {stop!r}; whole numbers from 0 to 19 are allowed"):
+            save_model(tmp_path / "a.tonewood", guitar, stops={"A2": stop})  # type: ignore[dict-item]
+    for fs in (0, float("nan"), -1.0, 1e9, "48000"):
+        with pytest.raises(TonewoodError, match=r"^fs: is .*; 1000 to 1e"):
+            save_model(tmp_path / "a.tonewood", guitar, fs)  # type: ignore[arg-type]
     with pytest.raises(TonewoodError, match="moves a partner"):
         save_model(tmp_path / "a.tonewood", "bowed_monochord")
     with pytest.raises(OutputError, match="there is no folder"):

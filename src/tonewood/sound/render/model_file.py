@@ -34,6 +34,8 @@ from tonewood.support.blas import one_blas_thread
 from tonewood.support.whole_files import AtomicFile
 
 MAGIC = b"tonewood-arrays/1\n"
+#: Hz; the reader takes no rate above the second
+LOWEST_FS, HIGHEST_FS = 1e3, 1e7
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -55,9 +57,12 @@ def save_model(
     force : N, of the plucks by the default technique.
     stops : string -> stop at which it is held; open where left out.
     outputs : groups that are read; the first where left out.
-    Raises TonewoodError : there is no such string, or the technique moves more than known forces.
+    Raises TonewoodError : the rate is not from 1 kHz to 10 MHz, there is no such string or stop, or the technique moves
+        more than known forces.
     Raises OutputError : the file cannot be written.
     """
+    if not (isinstance(fs, int | float) and LOWEST_FS <= fs <= HIGHEST_FS):
+        raise TonewoodError(f"is {fs!r}; {LOWEST_FS:g} to {HIGHEST_FS:g} Hz are allowed", key="fs")
     model = assemble(as_instrument(instrument), fs, outputs=outputs)
     engine = Engine(model, Timeline((), ()))
     stop_of = dict(stops or {})
@@ -70,6 +75,12 @@ def save_model(
     changes: dict[str, Compiled] = {}
     for name, string in model.strings.items():
         stop = stop_of.get(name, 0)
+        try:
+            string.length(stop)
+        except (TypeError, ValueError):
+            kind = "numbers" if string.stopping.continuous else "whole numbers"
+            reason = f"{name} is {stop!r}; {kind} from 0 to {string.tuning.stops.count} are allowed"
+            raise TonewoodError(reason, key="stops") from None
         gesture = exciter.gesture(Event(values, string.freq(stop), 1.0, stop), model.place(name, stop))
         if gesture.motions or gesture.on is not None:
             reason = f"{model.default_exciter} moves a partner; plucks by known forces can be saved"
