@@ -70,6 +70,8 @@ def read_answers(path: Path, test: ListeningTest) -> Imported:
     Raises ListeningError : the file cannot be read, is no such table, or no row of it fits.
     """
     rows, columns = _table(path)
+    if len(columns) == 1 and (other := next((mark for mark in ";\t|" if mark in min(columns)), "")):
+        raise ListeningError(f"has {other!r} between its columns; commas are wanted", file=path)
     kind = next((kind for column, kind in _WEBMUSHRA.items() if column in columns), None)
     if kind is None:
         missing = [name for name in ("page", "trial") if name not in columns]
@@ -101,8 +103,10 @@ def read_answers(path: Path, test: ListeningTest) -> Imported:
                     reason = f"trial {trial.id} is of a page {page.type}, which has no answers in such a table"
                     raise ListeningError(reason, key="trial_id")
                 _take_webmushra(test, kind, row, trials, answers.setdefault(who, {}))
-            elif row["trial"]:  # PsychoPy writes rows for pages without trials, too
+            elif row["trial"]:
                 _take_plain(test, row, trials, answers.setdefault(who, {}))
+            elif row.get("response") or (row.get("value") and not row.get("item")):
+                raise ListeningError("is missing", key="trial")  # not so in rows of PsychoPy for pages without trials
         except ListeningError as fault:
             left_out.append(LeftOut(str(ListeningError(fault.reason, file=path, line=line, key=fault.key))))
     listeners: list[ListenerAnswers] = []

@@ -686,7 +686,9 @@ def test_a_table_is_read_by_listener(test: ListeningTest, tmp_path: Path) -> Non
     beyond = read_answers(table(tmp_path / "b.csv", "\n".join([*lines[:3], "e,4,tg,sb,9,"])), test)
     assert ["'9' is no number" in one.reason for one in beyond.left_out] == [True]  # told once
     for text, reason in (
-        ("page,trial\n3,tm\n", "has no column listener"), ("listener,trial\na,tm\n", "has no column page"),
+        ("page,trial\n3,tm\n", "has no column listener"),
+        ("listener;page;trial\na;3;tm\n", "has ';' between its columns; commas are wanted"),
+        ("listener,page,trial,value\na,3,,50\n", "line 2: trial: is missing"), ("listener,trial\na,tm\n", "has no column page"),
         ("listener,page\na,3\n", "has no column trial"), ("listener,page,trial\n", "holds no answers to this test$"),
     ):  # fmt: skip
         with pytest.raises(ListeningError, match=reason):
