@@ -102,7 +102,8 @@ def render(
         raise TonewoodError(f"the level {level_kind} leaves no peaks to limit; one of both is allowed", key="--limiter")
     if level_kind == "LUFS":
         common.need("batch", "pyloudnorm")
-    for path in energy or ():
+    accounts = energy or []
+    for path in accounts:
         check_energy_file(path)
     form = _Form(output, subtype, block, level_kind, PEAK if normalize is None else normalize, limiter)
     keywords = common.reading(start, stop, transpose, tempo, tracks)
@@ -124,15 +125,15 @@ def render(
     bundle = common.load(instrument, settings, allow_code, strings)
     if options.preset is not None and "lead_in" not in options.model_fields_set and not live:
         options = options.at(lead_in="auto")  # a finished sound begins with the first finger on a string
-    rendered = _render_one(score, bundle, options.at(energy=bool(energy)), form, keywords, split, began, live=live)
+    rendered = _render_one(score, bundle, options.at(energy=bool(accounts)), form, keywords, split, began, live=live)
     account = rendered.renderer.energy
-    for path in energy or ():
+    for path in accounts:
         if account is not None:
             save_energy(account, path)
     if as_json:
         common.print_json("render", report(rendered), ok=not rendered.silent)
     else:
-        print_summary(rendered, energy or ())
+        print_summary(rendered, accounts)
     if rendered.silent:
         raise typer.Exit(1)
 

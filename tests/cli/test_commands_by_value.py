@@ -1,0 +1,742 @@
+"""Commands between their options and their output: long computations are replaced by results that are known."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import soundfile as sf
+import typer
+
+import tonewood as tw
+from cli_runs import refused
+from midi_bytes import note, write
+from tonewood.cli.app import application
+from tonewood.workshop.estimate.distance import Distance
+from tonewood.workshop.taps.ringing import Peak
+
+Run = Callable[..., tuple[int, str, str]]
+Patch = pytest.MonkeyPatch
+
+
+class Asked:
+    """A function that returns `result` and keeps the arguments of its last call."""
+
+    def __init__(self, result: Any = None):
+        self.result, self.words, self.options = result, (), dict[str, Any]()
+
+    def __call__(self, *words: Any, **options: Any) -> Any:
+        self.words, self.options = words, options
+        return self.result
+
+
+def told(result: tuple[int, str, str], code: int = 0) -> dict[str, Any]:
+    """JSON of a command that says nothing else."""
+    assert (result[0], result[2]) == (code, ""), result[2]
+    return json.loads(result[1], parse_constant=pytest.fail)
+
+
+def test_switches_are_off_but_for_three_that_can_be_turned_off() -> None:
+    """No command runs the code of a bundle, prints JSON or all rows without being asked."""
+    group: Any = typer.main.get_command(application(None))
+    switches = [
+        (name, option.name, option.default) for name, c in group.commands.items() for option in c.params
+        if getattr(option, "is_flag", False)
+    ]  # fmt: skip
+    assert sum(option == "allow_code" for _, option, _ in switches) >= 18
+    on = {(name, option) for name, option, default in switches if default}
+    assert on == {("results", "screening"), ("sample", "releases"), ("taptone", "names")}
+
+
+# instruments
+
+
+def test_a_check_counts_the_modes_of_the_table(tonewood: Run) -> None:
+    table = (tw.list_instruments()["monochord"] / "body.csv").read_text().splitlines()
+    freq = np.array([float(line.split(",")[0]) for line in table if line[:1].isdigit()])
+    found = told(tonewood("check", "monochord", "--fs", 16000, "--json"))["body"]
+    assert found["n_modes"] == freq.size
+    assert (found["freq_lower"], found["freq_upper"]) == pytest.approx((freq.min(), freq.max()), rel=1e-3)
+    assert (found["passive"], found["summary"]) == (True, "passive by construction (real modes)")
+
+
+@pytest.mark.parametrize(("fs", "highest"), [(48000, 10000.0), (16000, 7200.0)])
+def test_a_mobility_is_drawn_up_to_its_end(tonewood: Run, tmp_path: Path, monkeypatch: Patch, fs: int, highest) -> None:
+    from tonewood.support import plotting
+
+    drawn, saved = Asked("page"), Asked()
+    monkeypatch.setattr(plotting, "mobility_figure", drawn)
+    monkeypatch.setattr(plotting, "save", saved)
+    code, out, _ = tonewood(
+        "modes", "monochord", "--fs", fs, "--plot", tmp_path / "a.png", "--table", tmp_path / "t.csv"
+    )
+    assert code == 0
+    freq, mobility = drawn.words
+    assert (freq.size, freq[0], freq[-1]) == pytest.approx((4000, 40.0, highest))
+    assert (list(mobility), drawn.options["of"]) == (["A2"], "bridge at")
+    assert drawn.options["marks"] == pytest.approx([110.0])
+    assert saved.words == ("page", tmp_path / "a.png")
+    assert out.splitlines()[-2:] == [
+        f"bridge mobility: {tmp_path / 'a.png'}",
+        f"modes of the body: {tmp_path / 't.csv'}; its first lines are the keys for a bundle",
+    ]
+    assert (tmp_path / "t.csv").read_text().count("\n") > 1
+
+
+def test_a_new_bundle_names_its_files(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = tonewood("new", "mine", "--from", "monochord")
+    files = sorted(str(f.relative_to("mine")) for f in Path("mine").rglob("*") if f.is_file())
+    assert (code, out.splitlines()[0].partition(": ")[2]) == (0, ", ".join(files))
+    assert out.splitlines()[-1].endswith("tonewood check ./mine")
+    report = told(tonewood("new", "other", "--from", "monochord", "--json"))
+    assert (report["name"], report["files"]) == ("other", files)
+    assert out.splitlines()[1] == f"strings A2; {len(report['unknown'])} figures of unknown origin"
+
+
+def test_cents_of_frets_are_printed_by_string(tonewood: Run, monkeypatch: Patch) -> None:
+    from tonewood.instrument.inspection import intonation
+
+    def stop(n: int, cents: float) -> Any:
+        return SimpleNamespace(stop=n, rests_on=n, rigid=cents, planes={"E2.z": cents + n})
+
+    setup = SimpleNamespace(nut_setback=1e-3, saddle_setback=2e-3, rms=0.5)
+    rows = [
+        SimpleNamespace(name=name, stops=[stop(1 + n, c) for n, c in enumerate(cents)], built=setup, saddle_alone=None,
+                        both=setup) for name, cents in (("E2", (1.0, -2.0)), ("A2", (3.0,)))
+    ]  # fmt: skip
+    asked = Asked(rows)
+    monkeypatch.setattr(intonation, "intonation", asked)
+    lines = tonewood("intonation", "classical_guitar", "--frets", 19, "--fs", 44100)[1].splitlines()
+    assert asked.options == {"frets": 19, "fs": 44100}
+    assert [line.split() for line in lines[1:4]] == [["fret", "E2", "A2"], ["1", "+1.0", "+3.0"], ["2", "-2.0"]]
+    assert lines[5:7] == [
+        "  E2 fret  2: z +0.0 cents, -2.0 without the body", "  A2 fret  1: z +4.0 cents, +3.0 without the body",
+    ]  # fmt: skip
+    assert lines[-2].split() == ["A2", "+1.00", "+2.00", "0.50", "none", "+1.00", "+2.00", "0.50"]
+    for frets in (1, 20):
+        refused(tonewood("intonation", "classical_guitar", "--frets", frets), "2 to 19 are allowed")
+    refused(tonewood("intonation", "african_harp"), "frets are wanted")
+
+
+# scores
+
+
+def test_a_tablature_counts_notes_positions_and_shifts(tonewood: Run, tmp_path: Path) -> None:
+    score = write(tmp_path / "s.mid", note(0.0, 0.4, 40) + note(0.5, 0.4, 45) + note(1.0, 0.4, 20))
+    words = ("tab", score, "-i", "classical_guitar", "-o", tmp_path / "a.txt", "--meter", "2/4")
+    code, out, err = tonewood(*words)
+    assert code == 0
+    report = told(tonewood(*words[:4], "--json"))
+    rows = report["notes"]
+    assert [(r["note"], r["string"], r["stop"], r["measure"]) for r in rows] == [(40, "E2", 0, 1), (45, "A2", 0, 1)]
+    assert [d["note"] for d in report["notes_dropped"]] == [20]
+    assert out.startswith(f"{tmp_path / 'a.txt'}: 2 notes on 6 strings, 1 dropped, 1 measure, positions ")
+    assert out.endswith(", 0 shifts\n")
+    assert "not played at 1.00 s: no string plays G#0" in err
+    refused(tonewood("tab", score, "-i", "african_harp", "-o", tmp_path / "b.txt"), "has no stops")
+
+
+# recordings
+
+
+def taps(fs: int, count: int) -> Any:
+    """Taps with half a second of silence before each."""
+    time = np.arange(2 * fs) / fs
+    tap = 0.2 * np.sin(400 * np.pi * time) * np.exp(-20 * time)
+    return np.tile(np.concatenate([np.zeros(fs // 2), tap]), count)
+
+
+def test_modes_of_taps_are_listed_written_and_drawn(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    from tonewood.workshop.taps import figure, ringing
+
+    peaks = [
+        Peak(100.0, 30.0, (99.5, 100.5), (28.0, 32.0), -3.0, 3, 3),
+        Peak(200.0, 20.0, (1.0, 2.0), (3.0, 4.0), 0.0, 1, 3),
+    ]
+    fs, drawn, asked = 4000, Asked(), Asked(peaks)
+    monkeypatch.setattr(figure, "draw_taps", drawn)
+    monkeypatch.setattr(ringing, "ringing", asked)
+    sound = taps(fs, 3)
+    sf.write(tmp_path / "a.wav", np.stack([0 * sound, sound], 1), fs, subtype="DOUBLE")
+    words = ("taptone", tmp_path / "a.wav", "--channel", 2, "--band", 60, 600, "-o", tmp_path / "p.csv")
+    found = told(tonewood(*words, "--no-names", "--json", "--plot", tmp_path / "p.png"))
+    assert (len(asked.words[0]), asked.words[1:]) == (3, (fs, (60.0, 600.0)))
+    assert asked.words[0][0] == pytest.approx(sound[: len(asked.words[0][0])], abs=0.2)
+    assert (len(drawn.words[0]), drawn.words[1:]) == (3, (fs, (60.0, 600.0), peaks, {}, tmp_path / "p.png"))
+    assert [(p["freq_Hz"], p["Q"], p["certain"], p["name"]) for p in found["peaks"]] == [
+        (100.0, 30.0, True, None), (200.0, 20.0, False, None),
+    ]  # fmt: skip
+    assert (found["taps"], found["band_Hz"], found["warnings"], found["left_out"]) == (3, [60.0, 600.0], [], [])
+    assert (found["files"], found["analysed_s"]) == ([str(tmp_path / "a.wav")], len(asked.words[0][0]) / fs)
+    assert [line.split(",")[0] for line in (tmp_path / "p.csv").read_text().splitlines()] == [
+        "freq_Hz",
+        "100.0",
+        "200.0",
+    ]
+    lines = tonewood(*words)[1].splitlines()
+    assert lines[0] == (
+        f"3 taps, silent after {found['ring_out_s']:.2f} s; {found['analysed_s']:.2f} s of each analysed"
+    )
+    assert lines[2].split() == ["100.00", "99.50", "100.50", "30.0", "28.0", "32.0", "-3.0", "3/3", "A0"]
+    assert lines[3].split() == ["200.00", "1.00", "2.00", "20.0", "3.0", "4.0", "0.0", "1/3", "uncertain"]
+    assert lines[4].startswith("names by order")
+    assert lines[-1] == f"written: {tmp_path / 'p.csv'}"
+
+
+def test_taps_are_recorded_into_a_file(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    from tonewood.workshop.taps import recordings, ringing
+
+    asked = Asked(taps(8000, 3))
+    monkeypatch.setattr(recordings, "record_taps", asked)
+    monkeypatch.setattr(ringing, "ringing", Asked([]))
+    file = tmp_path / "new.wav"
+    code, out, err = tonewood("taptone", file, "--record", 3, "--fs", 8000, "--device", "2")
+    assert (code, err.splitlines()[0]) == (0, "wait a second, then tap 3 times and let each ring out")
+    assert (asked.words, asked.options["fs"], asked.options["device"]) == ((3,), 8000, 2)
+    asked.options["tell"](1)
+    samples, fs = sf.read(file)
+    assert fs == 8000
+    assert samples == pytest.approx(asked.result, abs=1e-6)
+    assert "names by order" not in out
+
+
+@pytest.mark.parametrize(
+    ("stick", "words"), [(True, ["--stick"]), (False, ["--sensor", 0]), (False, ["--outline", 0.48, 0.28, 0.24, 0.37])]
+)
+def test_a_wood_is_asked_for_with_its_sizes(tonewood: Run, tmp_path: Path, monkeypatch: Patch, stick, words) -> None:
+    from tonewood.cli import wood
+    from tonewood.workshop.wood.stick import Stick
+
+    rod = Stick(1.1e10, 400.0, None, {"E_L": (1e10, 1.2e10)}, (100.0,), (101.0,), ())
+    asked = Asked(rod)
+    monkeypatch.setattr(wood, "_stick" if stick else "_board", asked)
+    monkeypatch.setattr(wood, "_tops", Asked([{"thickness_m": 2e-3, "freq_Hz": 60.0, "of": "top"}]))
+    (tmp_path / "p.csv").write_text("freq_Hz,Q\n100,70\n200,80\n900,90\n")
+    sizes = ("--length", 0.5, "--width", 0.02, "--thickness", 0.01, "--mass", 0.04)
+    code, out, err = tonewood("wood", tmp_path / "p.csv", *sizes, "--band", 50, 500, *words, "-o", tmp_path / "w.yaml")
+    assert (code, err) == (0, "")
+    assert asked.words[0] == {"--length": 0.5, "--width": 0.02, "--thickness": 0.01}
+    assert (asked.words[1], [p.freq for p in asked.words[2]]) == (0.04, [100.0, 200.0])
+    if not stick:
+        assert asked.words[3:] == ("sitka_spruce", 5e-5, 0.0 if "--sensor" in words else None)
+    lines = out.splitlines()
+    assert lines[0] == "density 400 kg/m^3"
+    assert "2.00 mm: 60.0 Hz, top" in lines
+    assert lines[-1] == f"written: {tmp_path / 'w.yaml'}"
+    assert "E_L: 1.1e+10" in (tmp_path / "w.yaml").read_text()
+    refused(tonewood("wood", tmp_path / "p.csv", *sizes, "--stick", "--outline", 0.48, 0.28, 0.24, 0.37), "no E_R")
+    refused(tonewood("wood", tmp_path / "p.csv", *sizes[:-1], 1.0), "is no wood")
+    refused(tonewood("wood", tmp_path / "p.csv", *sizes[:-1], 0.0079), "79 kg/m^3 is no wood")
+
+
+def test_distances_of_two_folders_and_of_an_instrument(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    from tonewood.workshop.estimate import recordings, yardstick
+
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    row = Distance(1.0, 2.0, 1.5, 3.0, 4.0, 5.0, 3, 7)
+    found = SimpleNamespace(between=row, scale={"strokes": row}, shared=(45, 50), warnings=("quiet",))
+    compared, read = Asked(found), Asked("notes")
+    monkeypatch.setattr(yardstick, "compare_notes", compared)
+    monkeypatch.setattr(yardstick, "played_as", lambda folder, instrument: (folder, instrument.name))
+    monkeypatch.setattr(recordings, "read_folder", read)
+    report = told(tonewood("distance", tmp_path / "a", tmp_path / "b", "--json"))
+    assert compared.words == ("notes", "notes")
+    assert (report["a"], report["b"], report["notes"]) == (str(tmp_path / "a"), str(tmp_path / "b"), [45, 50])
+    assert list(report["distances"]) == ["A to B", "strokes"]
+    assert (report["distances"]["strokes"], report["warnings"]) == (row.as_dict(), ["quiet"])
+    for second in ("monochord", tw.list_instruments()["monochord"]):  # a bundle's folder is an instrument, too
+        code, out, err = tonewood("distance", tmp_path / "a", second, "--transpose", 2, "--table", tmp_path / "t.csv")
+        assert (code, err) == (0, "tonewood: warning: quiet\n")
+        assert out.split()[:4] == ["A", "to", "B", "strokes"]
+        assert compared.words == ("notes", ("notes", "monochord"))
+        assert (read.words, read.options) == ((tmp_path / "a",), {"table": tmp_path / "t.csv", "transpose": 2})
+    found.between = Distance(*[float("nan")] * 6, 0, 0)
+    refused(tonewood("distance", tmp_path / "a", tmp_path / "b"), "nothing could be compared")
+
+
+def test_an_estimate_is_written_and_printed(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    from tonewood.workshop.estimate import bundle, estimate, laws, page, recordings
+
+    row = Distance(1.0, 2.0, 1.5, 3.0, 4.0, 5.0, 3, 7)
+    rates = SimpleNamespace(rate=lambda freq: 0 * freq + 2.0)
+    names = ("E2", "A2")
+    figures = SimpleNamespace(
+        laws=dict.fromkeys(names, rates), bending={"E2": 3.0, "A2": 1.0}, estimated={"E2": True}, modes={1: 1, 2: 2}
+    )
+    result = SimpleNamespace(
+        moved=["string E2 is moved"], figures=figures, start=SimpleNamespace(bending={"E2": 2.0, "A2": 0.0}),
+        intervals={"E2": SimpleNamespace(spread=0 * laws.STATED + 0.25)}, warnings=("short",),
+        notes=[SimpleNamespace(string=name) for name in ("E2", "E2", "A2")], begun_with=SimpleNamespace(name="other"),
+    )  # fmt: skip
+    asked, written, read = Asked(result), Asked(SimpleNamespace(name="mine")), Asked("notes")
+    for module, name, to in (
+        (estimate, "estimate", asked), (bundle, "write_bundle", written), (recordings, "read_folder", read),
+        (page, "page", Asked("<page>")), (page, "columns_of", Asked({"before": row})),
+        (page, "place_line", Asked("place")),
+        (page, "split_line", Asked("")), (page, "louder_line", Asked("")), (page, "mode_lines", Asked(["mode"])),
+        (page, "room_line", Asked("room")),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, to)
+    words = ("estimate", tmp_path, "-o", tmp_path / "mine", "--from", "monochord", "--iterations", 5)
+    code, out, err = tonewood(*words, "--title", "a guitar", "--page", tmp_path / "p.html")
+    assert (code, err) == (0, "tonewood: warning: short\n")
+    assert (asked.words[0], asked.words[1].name, asked.options["iterations"]) == ("notes", "monochord", 5)
+    assert (written.words[:3], written.options) == ((result, tmp_path / "mine", "monochord"), {"allow_code": False})
+    assert written.words[3] == bundle.RecordingOrigin("a guitar", bundle.UNKNOWN, bundle.UNKNOWN, None)
+    assert (tmp_path / "p.html").read_text() == "<page>"
+    lines = out.splitlines()
+    n = len(laws.STATED)
+    assert lines[0] == "string E2 is moved"
+    assert lines[2].split() == ["E2", "2", "1.500", *["2.00", "+-25", "%"] * n]
+    assert lines[3].split() == ["A2", "1", "nan", *["2.00"] * n, "(from", "the", "neighbouring", "strings)"]
+    assert lines[4:7] == ["place", "mode", "room"]
+    assert lines[-1] == f"{tmp_path / 'mine'}: plays at once; its body is that of other, 2 modes moved"
+    figures.laws = dict.fromkeys((*names, *map(str, range(10))), rates)  # up to 12 all are listed
+    figures.bending = result.start.bending = dict.fromkeys(figures.laws, 1.0)
+    assert "9        " in tonewood(*words)[1]
+    figures.laws["13"] = rates  # beyond only those that were heard
+    shown = tonewood(*words)[1].splitlines()
+    assert [line.split()[0] for line in shown[2:4]] == ["E2", "place"]
+
+
+def test_a_fit_hands_its_options_on(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    from tonewood.cli import fit
+    from tonewood.workshop.fit import files, folder, radiation
+    from tonewood.workshop.fit import fit as fitting
+
+    fitted = SimpleNamespace(body="body", responses="used", warnings=("noise",))
+    reading, asked, heard = Asked("responses"), Asked(fitted), Asked("radiation")
+    made: ClassVar[list[Any]] = []
+
+    class Folder:
+        def __init__(self, *words: Any) -> None:
+            made.append(words)
+
+        def write(self, output: Path, draw: Any) -> list[Path]:
+            return [output / "body.csv"]
+
+        def facts(self) -> dict[str, Any]:
+            return {"misfit": 1.5}
+
+    places = {"bridge": folder.MeasuredPoint("z", 0.5), "side": folder.MeasuredPoint("x", None)}
+    named = Asked(("named", places))
+    for module, name, to in (
+        (files, "read_responses", reading), (fitting, "fit_responses", asked), (radiation, "fit_radiation", heard),
+        (folder, "FitFolder", Folder), (fit, "_named", named),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, to)
+    words = ("fit", "a.csv", "-o", tmp_path / "f", "--band", 80, 900, "--keep", "100,200", "--drop", "300", "--json")
+    report = told(tonewood(*words, "--form", "mobility", "--damping", "viscous", "--driving", "bridge", "--hits", 4))
+    assert reading.words[0] == [Path("a.csv")]
+    request = reading.words[1]
+    assert (request.form, request.n_hits, request.scale, request.estimator) == ("mobility", 4, 1.0, "H1")
+    assert (request.references, request.window_tau, request.arrays) == ((("bridge", ""),), None, ())
+    assert named.words == ("responses", [])
+    options = {key: asked.options[key] for key in ("band", "damping", "keep", "drop")}
+    assert options == {"band": (80.0, 900.0), "damping": "viscous", "keep": (100.0, 200.0), "drop": (300.0,)}
+    assert heard.words == ("used", "body", {"bridge": 0.5})
+    assert made[0][:3] == (fitted, "radiation", places)
+    assert (report["misfit"], report["warnings"]) == (1.5, ["noise"])
+    assert report["written"] == [str(tmp_path / "f" / "body.csv")]
+    fitted.body = None  # no passive body: nothing of which microphones could be fitted
+    told(tonewood(*words))
+    assert (asked.options["damping"], made[1][1]) == ("auto", None)
+    told(tonewood(*(word for word in words if word not in ("--band", 80, 900))))
+    assert asked.options["band"] == (None, None)
+    (tmp_path / "f").mkdir()
+    (tmp_path / "f" / "instrument.yaml").write_text("")
+    refused(tonewood(*words[:-1]), "holds an instrument")
+    refused(tonewood(*words[:3], tmp_path / "no" / "f"), "there is no folder")
+
+
+# comparisons of methods
+
+
+def test_a_comparison_writes_its_page_and_tables(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    from tonewood.lab.accuracy import dial, least_time, report, study, tables, timing
+
+    class Study:
+        machine_line = "machine"
+
+        def __init__(self, outcomes: list[str], machine: object, quick: bool, more: dict[str, Any]):
+            self.said = {"outcomes": outcomes, "quick": quick, "more": {key: rows for key, (_, rows) in more.items()}}
+
+        def markdown(self, plot: str | None) -> str:
+            return f"page with {plot}"
+
+        def html(self, png: bytes) -> str:
+            return f"page of {png.decode()}"
+
+        def tables(self) -> str:
+            return "tables"
+
+        def to_json(self) -> dict[str, Any]:
+            return self.said
+
+    point = SimpleNamespace(to_dict=lambda: {"a": 1})
+    run, points = Asked(["one", "two"]), Asked([point])
+    for module, name, to in (
+        (report, "Study", Study), (study, "run", run), (timing, "machine", Asked()), (dial, "run", points),
+        (dial, "budgets", points), (dial, "section", Asked("dial rows")),
+        (dial, "budget_section", Asked("budget rows")),
+        (least_time, "chart_png", Asked(b"png")), (tables, "section", lambda o: f"section {o}\n"),
+        (tables, "headline_tables", Asked("headlines")), (tables, "summary_table", Asked("summary")),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, to)
+    (tmp_path / "pictures").mkdir()
+    plot, page = tmp_path / "pictures" / "a.png", tmp_path / "a.md"
+    code, out, _ = tonewood("accuracy", "--quick", "--plot", plot, "--report", page)
+    assert (code, run.words, run.options["quick"], points.options["quick"]) == (0, (None,), True, True)
+    files = {file.name: file.read_text() for file in tmp_path.rglob("*.*")}
+    assert files == {"a.png": "png", "a.md": "page with pictures/a.png", "a-tables.md": "tables"}
+    assert out.split("\n\n")[:3] == ["machine", "section one", "section two"]
+    assert out.splitlines()[-4:] == ["summary", str(plot), str(page), str(tmp_path / "a-tables.md")]
+    for part in ("headlines", "dial rows", "budget rows"):
+        assert part in out
+    assert told(tonewood("accuracy", "--json", "--report", page))["more"] == {"dial": [{"a": 1}], "effects": [{"a": 1}]}
+    assert page.read_text() == "page with None"
+    run.result = ["one"]
+    one = tonewood("accuracy", "--system", "klosner_d", "--report", tmp_path / "a.html")[1]
+    assert run.words == ("klosner_d",)
+    assert (tmp_path / "a.html").read_text() == "page of png"
+    assert "headlines" not in one
+    assert "dial rows" not in one
+
+
+def test_a_target_is_searched_for_and_applied(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    from tonewood.lab.accuracy import target, target_report
+
+    frontier = SimpleNamespace(cheapest=SimpleNamespace(setting=SimpleNamespace(words="--fs 44100")))
+    search = Asked(frontier)
+    monkeypatch.setattr(target, "search", search)
+    for name, to in (("summary", "the summary"), ("to_json", {"a": 1}), ("chart_png", b"png")):
+        monkeypatch.setattr(target_report, name, Asked(to))
+    words = ("accuracy", "-i", "monochord", "--target", "1cent")
+    code, out, _ = tonewood(
+        *words, "--notes", "A2, A2:3,", "--fs", 44100, "--bandwidth", 5000, "--plot", tmp_path / "a.png"
+    )
+    assert (code, out) == (0, f"the summary\n{tmp_path / 'a.png'}\n")
+    assert (search.words[0].name, search.words[1]) == ("monochord", target.Target.parse("1cent"))
+    asked = {key: search.options[key] for key in ("notes", "fs", "bandwidth")}
+    assert asked == {"notes": ["A2", "A2:3"], "fs": 44100, "bandwidth": 5000.0}
+    assert (tmp_path / "a.png").read_bytes() == b"png"
+    assert tonewood(*words, "--apply")[1] == "--fs 44100\n"
+    assert told(tonewood(*words, "--apply", "--json"))["a"] == 1
+    frontier.cheapest = None
+    refused(tonewood(*words, "--apply"), "no setting meets 1cent")
+    assert tonewood(*words)[1] == "the summary\n"
+    refused(tonewood(*words[:3]), "--target", "is missing")
+    refused(tonewood(*words, "--quick"), "are of another comparison")
+    refused(tonewood("accuracy", "--apply"), "need -i INSTRUMENT")
+    refused(tonewood(*words, "--bandwidth", 1), "--bandwidth")
+
+
+def test_a_grid_of_stability_is_printed_and_written(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    from tonewood.lab.accuracy import attacks, stability
+
+    grid = SimpleNamespace(attacks="A", table=Asked("table\n"), markdown=Asked("# page"), to_json=Asked({"a": 1}))
+    run = Asked(grid)
+    monkeypatch.setattr(stability, "run", run)
+    monkeypatch.setattr(attacks, "section", lambda a: f"section {a}")
+    page = tmp_path / "s.md"
+    code, out, _ = tonewood("accuracy", "--stability", "--quick", "--report", page)
+    assert (code, out) == (0, f"section A\n\ntable\n{page}\n")
+    assert (run.words[0], page.read_text()) == (True, "# page")
+    assert told(tonewood("accuracy", "--stability", "--json"))["schema"] == "tonewood-stability/1"
+    assert run.words[0] is False
+    refused(tonewood("accuracy", "--stability", "--plot", tmp_path / "a.png"), "neither systems to choose nor charts")
+    refused(tonewood("accuracy", "--stability", "--system", "klosner_d"), "neither systems to choose nor charts")
+    refused(tonewood("accuracy", "--stability", "--report", tmp_path / "a.html"), "a name ending in .md is allowed")
+
+
+def test_a_failed_row_of_the_papers_ends_with_1(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    from tonewood.lab import validation
+
+    row = SimpleNamespace(passed=True, system="plate", quantity="f1", error=0.25, tolerance=0.5)
+    wrong = SimpleNamespace(passed=False, system="beam", quantity="f2", error=0.75, tolerance=0.5)
+    groups, drawn = [("plate", [row])], Asked([tmp_path / "a.png"])
+    for name, to in (
+        ("selected", Asked()), ("run_each", lambda only: groups), ("table", lambda name, rows: f"table {name}"),
+        ("counted", lambda rows: f"{len(rows)} rows"), ("draw", drawn), ("to_json", lambda rows: {"rows": len(rows)}),
+    ):  # fmt: skip
+        monkeypatch.setattr(validation, name, to)
+    code, out, _ = tonewood("validate")
+    assert (code, out.splitlines()) == (0, ["table plate", "1 rows, 0 failed"])
+    groups.append(("beam", [wrong]))
+    code, out, _ = tonewood("validate", "--plots", tmp_path, "--only", "b")
+    assert (code, out.splitlines()[2:4]) == (1, ["2 rows, 1 failed", "FAILED: beam: f2: error 0.75, tolerance 0.5"])
+    assert (drawn.words, out.splitlines()[-1]) == ((tmp_path, ["b"]), str(tmp_path / "a.png"))
+    report = told(tonewood("validate", "--json"), code=1)
+    assert (report["ok"], report["rows"]) == (False, 2)
+
+
+# listening tests and data sets
+
+
+@pytest.mark.parametrize("output", [None, "elsewhere"])
+def test_results_are_written_beside_the_answers(tonewood: Run, tmp_path: Path, monkeypatch: Patch, output) -> None:
+    from tonewood.workshop.listening import definition, plain, report, results
+
+    reason = SimpleNamespace(reason="no file", answers=1)
+    mean = SimpleNamespace(label="steel", mean=50.0, low=40.0, high=60.0)
+    alone = SimpleNamespace(label="nylon", mean=30.0, low=None, high=None)
+    term = SimpleNamespace(name="steel", difference=5.0, low=-1.0, high=11.0, p_holm=0.04, cohens_d=0.5)
+    test = SimpleNamespace(name="string", df=1.0, df2=None, statistic=4.0, p_value=0.05)
+    linear = SimpleNamespace(formula="y ~ x", method="REML", terms=[term], tests=[test], notes=["few"])
+    pair = SimpleNamespace(factor="string", first="nylon", second="steel", r=0.25, p_holm=0.5)
+    right = SimpleNamespace(cell={"a": 1}, share=0.75, right=3, answers=4, low=0.25, high=None, p_holm=0.3, d_prime=1.0)
+    none = SimpleNamespace(cell={"a": 2}, share=None)
+    value = SimpleNamespace(level="steel", value=1.0, low=0.5, high=1.5)
+    limits = SimpleNamespace(low=None, high=2.5, mean=1.5, unit="dB", share=0.75, listeners=[1, 2])
+    page = SimpleNamespace(
+        page=1, heading="how bright", kind="mushra", listeners=2, cells=[mean], helpers=[alone], linear=linear,
+        ranks=SimpleNamespace(pairs=[pair]), pairs=[right], detections=[right, none], scale=[value], thresholds=limits,
+        screened=[SimpleNamespace(listener="L3", reason="missed the reference")],
+    )  # fmt: skip
+    analysis = SimpleNamespace(
+        pages=[page], unfinished=["L4"], not_passed=["L5"], withdrawn=1, left_out=[reason], who="2 listeners",
+        confidence=0.9, test=SimpleNamespace(manifest=SimpleNamespace(name="strings")), to_dict=lambda: {"a": 1},
+    )  # fmt: skip
+    asked, tables, made = Asked(analysis), Asked(), Asked(tmp_path / "report.html")
+    for module, name, to in (
+        (definition, "load_test", Asked()), (results, "analyse", asked), (results, "write_tables", tables),
+        (report, "write_report", made), (plain, "summary", Asked(["in short"])), (plain, "methods", Asked(["how"])),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, to)
+    more = [] if output is None else ["-o", tmp_path / output]
+    code, out, err = tonewood("results", tmp_path, "--confidence", 0.9, "--no-screening", *more)
+    folder = tmp_path / (output or results.FOLDER)
+    assert (code, tables.words, made.words) == (0, (analysis, folder), (analysis, folder, None))
+    assert (asked.options["confidence"], asked.options["screening"], asked.options["key"]) == (0.9, False, None)
+    assert err.splitlines() == [
+        f"tonewood: warning: {line}" for line in (
+            "L3 is left out: missed the reference", "L4 did not finish", "L5 did not pass the check of headphones",
+            "1 withdrew; their answers were deleted", "left out: no file", "1 answer is left out",
+        )
+    ]  # fmt: skip
+    assert out.splitlines() == [
+        "strings: 2 listeners, 90 % intervals",
+        "  in short",
+        "1. how bright (mushra, 2 listeners)",
+        "   steel: 50.00 [40.00, 60.00]",
+        "   nylon: 30.00",
+        "   y ~ x; REML",
+        "     steel: +5.00 [-1.00, 11.00], p = 0.04, d = 0.50",
+        "     string: F(1.0, 0.0) = 4.00, p = 0.05",
+        "     few",
+        "   ranks, string: steel over nylon: r = 0.25, p = 0.5",
+        *["   a=1: 3 of 4 right, 75.0 % [25.0, 0.0], p = 0.3, d' = 1.00"] * 2,
+        "   a=2: none decided",
+        "   steel: +1.00 [0.50, 1.50] logits",
+        "   threshold 1.5 [\N{EN DASH}, 2.5] dB, at 75.0 % right",
+        f"{tmp_path / 'report.html'}; answers.csv and answers.parquet have one row an answer",
+    ]
+    report_ = told(tonewood("results", tmp_path, "--json"))
+    assert (report_["a"], report_["summary"], report_["methods"]) == (1, ["in short"], ["how"])
+    page.detections, limits.listeners, reason.answers = [right], [1], 2  # the page's pairs alone; one listener
+    _, out, err = tonewood("results", tmp_path)
+    assert out.count("3 of 4 right") == 1
+    assert "threshold 1.5 dB, at 75.0 % right" in out
+    assert err.splitlines()[-1].endswith("2 answers are left out")
+
+
+def test_listeners_are_simulated_by_number_and_seed(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    from tonewood.workshop.listening import definition, panel
+
+    asked = Asked([1, 2, 3])
+    monkeypatch.setattr(definition, "load_test", Asked("test"))
+    monkeypatch.setattr(panel, "read_panel", Asked("panel"))
+    monkeypatch.setattr(panel, "simulate", asked)
+    words = ("simulate", tmp_path, "--panel", tmp_path / "p.yaml")
+    assert tonewood(*words, "--listeners", 3, "--seed", 9)[:2] == (0, f"{tmp_path}: 3 simulated listeners\n")
+    assert asked.words == ("test", "panel", 3, 9)
+    for count in (0, 10_001):
+        refused(tonewood(*words, "--listeners", count), "1 to 10000 are allowed")
+
+
+@pytest.mark.parametrize("faults", [[], [SimpleNamespace(name="a", reason="r", condition="a")]])
+def test_a_data_set_is_planned_and_made(tonewood: Run, tmp_path: Path, monkeypatch: Patch, faults: list[Any]) -> None:
+    from tonewood.cli import dataset
+    from tonewood.workshop.dataset import manifest, runner
+
+    plan = SimpleNamespace(faults=faults, summary=lambda: {"a": 1})
+    report = SimpleNamespace(ok=not faults, summary=lambda: {"b": 2})
+    planned, made, printed = Asked(plan), Asked(report), Asked()
+    monkeypatch.setattr(manifest, "check_dataset", lambda data, *, file: (data["kind"], file))
+    for module, name, to in (
+        (runner, "plan_dataset", planned), (runner, "run_dataset", made), (dataset, "_print_plan", printed),
+        (dataset, "_print_report", printed),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, to)
+    file = tmp_path / "m.yaml"
+    file.write_text("kind: dataset\n")
+    code, words = bool(faults), ("batch", file, "-o", tmp_path / "out")
+    assert told(tonewood(*words, "--dry-run", "--json"), code)["ok"] is not code
+    assert planned.words[:3] == (("dataset", file), tmp_path, tmp_path / "out")
+    assert planned.options == {"predict": True}
+    assert tonewood(*words, "--dry-run", "--jobs", 3) == (code, "", "")
+    assert printed.words == (plan, 3)
+    assert told(tonewood(*words, "--json"), code)["b"] == 2
+    assert made.words[:3] == planned.words[:3]
+    assert tonewood(*words) == (code, "", "")
+    assert printed.words == (report,)
+    refused(tonewood(*words, "--dry-run", "--pilot", tmp_path), "belongs to listening tests")
+    refused(tonewood(*words, "--pilot", tmp_path), "belongs to --dry-run")
+    refused(tonewood(*words, "--jobs", 0), "1 or more are allowed, or -1")
+
+
+def test_a_batch_is_planned_with_its_power_and_exported(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    from tonewood.workshop.batch import runner
+    from tonewood.workshop.exchange import export
+    from tonewood.workshop.listening import power, results
+
+    class Plan:
+        conditions = (SimpleNamespace(name="soft"), SimpleNamespace(name="hard"))
+        notes, faults = ("slow",), ()
+        manifest = SimpleNamespace(power=SimpleNamespace(power=0.8, alpha=0.05))
+
+        def summary(self) -> dict[str, Any]:
+            return {"to_render": 1, "rendered": 2, "files": 3, "trials": 4, "predicted_seconds": 5.4}
+
+        def trials_of_a_pair(self) -> int:
+            return 7
+
+    class Row:
+        def __init__(self) -> None:
+            self.listeners = 12
+
+        def __str__(self) -> str:
+            return "12 listeners"
+
+    report = SimpleNamespace(
+        folder=tmp_path, files=[1, 2], rendered=1, reused=3, seconds=2.5, notes=(), faults=(), ok=True,
+        summary=lambda: {"c": 3},
+    )  # fmt: skip
+    powered, ran = Asked([Row()]), Asked(report)
+    exported = Asked([SimpleNamespace(folder=tmp_path / "web", notes=["a note"])])
+    for module, name, to in (
+        (runner, "plan_batch", Asked(Plan())), (runner, "run_batch", ran), (power, "power_of", powered),
+        (results, "analyse", lambda folder: ("pilot", folder)), (export, "export", exported),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, to)
+    (tmp_path / "m.yaml").write_text("kind: listening\n")
+    words = ("batch", tmp_path / "m.yaml", "-o", tmp_path / "out")
+    code, out, err = tonewood(*words, "--dry-run", "--pilot", tmp_path)
+    assert (code, err) == (0, "tonewood: warning: slow\n")
+    assert powered.words == (Plan.manifest, 7, ("pilot", tmp_path))
+    assert out.splitlines() == [
+        "soft", "hard", "2 conditions: 1 to render, 2 rendered; 3 files, 4 trials; about 5 s",
+        "for a power of 0.8 at alpha 0.05:", "  12 listeners",
+    ]  # fmt: skip
+    planned = told(tonewood(*words, "--dry-run", "--json"))
+    assert (planned["power"], planned["files"], powered.words[2]) == ([{"listeners": 12}], 3, None)
+    code, out, err = tonewood(*words, "--export", "webmushra")
+    assert (code, err) == (0, "tonewood: warning: a note\n")
+    assert out.splitlines() == [f"{tmp_path}: 2 files from 1 new and 3 earlier renders, 2.5 s", str(tmp_path / "web")]
+    assert exported.words == (tmp_path / "out", ["webmushra"])
+    places = told(tonewood(*words, "--export", "webmushra", "--json"))
+    assert (places["c"], places["exports"]) == (3, [{"folder": str(tmp_path / "web"), "notes": ["a note"]}])
+    assert told(tonewood(*words, "--json"))["exports"] == []
+    refused(tonewood(*words, "--export", "webmushra", "--dry-run"), "--dry-run none")
+    report.ok = False
+    assert tonewood(*words)[0] == 1
+
+
+def test_a_sample_library_is_asked_for_and_told(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    from tonewood.workshop.sampling import library
+
+    made = SimpleNamespace(
+        sfz=tmp_path / "m.sfz", decent=tmp_path / "m.dspreset", folder=tmp_path / "m", n_samples=3, n_releases=2,
+        seconds=12.4, size=2_500_000, gain_db=-6.0, rings=True,
+    )  # fmt: skip
+    asked = Asked(made)
+    monkeypatch.setattr(library, "make_library", asked)
+    words = ("sample", "monochord", "-o", tmp_path / "m")
+    code, out, _ = tonewood(*words, "--range", "A2-C3", "--velocities", "40, 90", "--every", 2, "--format", "wav")
+    assert code == 0
+    assert asked.words[2] == library.Sampling(2, [40, 90], 2, 45, 48, 8.0, True)
+    assert (asked.words[0].name, asked.words[1], asked.options["jobs"]) == ("monochord", tmp_path / "m", 1)
+    assert asked.options["suffix"] == ".wav"
+    assert out.splitlines() == [
+        f"{tmp_path / 'm.sfz'}: 3 samples and 2 releases, 12 s of sound, 2.5 MB in {tmp_path / 'm'}",
+        f"  all at -6.0 dB re the instrument's calibrated level; Decent Sampler: {tmp_path / 'm.dspreset'}",
+        "  notes ring on when their keys come up: they have no release",
+    ]
+    report = told(tonewood(*words, "--json"))
+    assert (report["samples"], report["releases"], report["bytes"], report["rings"]) == (3, 2, 2_500_000, True)
+    assert asked.options["suffix"] == ".flac"
+    refused(tonewood(*words, "--format", "mp3"), "flac or wav are allowed")
+    for jobs in (0, -2):
+        refused(tonewood(*words, "--jobs", jobs), "1 or more are allowed, or -1")
+
+
+# servers
+
+
+class Served:
+    """In place of uvicorn's server: keeps its settings and sockets, and ends at once."""
+
+    made: ClassVar[list[Any]] = []
+
+    def __init__(self, config: Any):
+        self.config = config
+
+    def run(self, sockets: list[Any]) -> None:
+        Served.made.append((self.config, sockets[0].getsockname()))
+
+
+def test_a_desk_is_opened_on_this_computer_alone(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    import uvicorn
+
+    from tonewood.workshop.desk import desk, server
+
+    opened, closed = Asked(SimpleNamespace(close=lambda: closed(True))), Asked()
+    served = SimpleNamespace(token="T", application=Asked("app"), closing=False)
+    monkeypatch.setattr(uvicorn, "Server", Served)
+    monkeypatch.setattr(uvicorn, "Config", lambda app, **options: (app, options))
+    monkeypatch.setattr(desk, "Desk", opened)
+    monkeypatch.setattr(server, "DeskServer", Asked(served))
+    code, out, _ = tonewood("desk", "monochord", "--port", 0, "--set", "strings.A2.tension=60", "--fs", 44100)
+    (app, options), (address, port) = Served.made.pop()
+    assert (code, out, address) == (0, f"http://127.0.0.1:{port}/#T\n", "127.0.0.1")
+    assert (app, options["ws"], options["lifespan"], options["server_header"]) == ("app", "none", "off", False)
+    assert opened.options == {"score": None, "fs": 44100, "folder": None}
+    assert opened.words[0].instrument.spec.strings["A2"].tension == 60.0
+    assert (served.closing, closed.words) == (True, (True,))
+    refused(tonewood("desk", "monochord", "--folder", tmp_path / "no"), "there is no folder")
+    refused(tonewood("desk", "monochord", "--port", 65536), "0 to 65535 are allowed")
+    refused(tonewood("desk", "monochord", "--fs", 7999), "8000 to 192000 are allowed")
+
+
+@pytest.mark.parametrize("staircase", [False, True])
+def test_a_listening_test_is_served(tonewood: Run, tmp_path: Path, monkeypatch: Patch, staircase: bool) -> None:
+    import uvicorn
+
+    from tonewood.workshop.listening import answer_file, definition, on_demand, server
+
+    closed, cleared, application = Asked(), Asked(), Asked("app")
+    pairs = SimpleNamespace(changes=lambda: ["monochord has changed"], close=lambda: closed(True))
+    served = Asked(SimpleNamespace(application=application))
+    for module, name, to in (
+        (uvicorn, "Server", Served), (uvicorn, "Config", lambda app, **options: (app, options)),
+        (definition, "load_test", Asked("test")), (answer_file, "clear_parts", cleared),
+        (server, "ListeningServer", served),
+        (server, "has_staircase", Asked(staircase)), (on_demand, "RenderedPairs", Asked(pairs)),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, to)
+    code, out, err = tonewood("serve", tmp_path, "--port", 0, "--name", "lab")
+    (app, options), (address, port) = Served.made.pop()
+    assert (code, out, address) == (0, f"http://127.0.0.1:{port}/\n", "127.0.0.1")
+    assert (app, options["ws"], options["lifespan"], options["server_header"]) == ("app", "none", "off", False)
+    assert (cleared.words, served.words) == (("test",), ("test", pairs if staircase else None))
+    assert application.words == ("127.0.0.1", ["lab"])
+    assert err == ("tonewood: monochord has changed\n" if staircase else "")
+    assert closed.words == ((True,) if staircase else ())
+    refused(tonewood("serve", tmp_path, "--port", -1), "0 to 65535 are allowed")
