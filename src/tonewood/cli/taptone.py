@@ -135,7 +135,7 @@ def _record(path: Path, count: int, fs: int, device: str | None) -> None:
     def tell(heard: int) -> None:
         print(f"{heard} of {count} taps", file=sys.stderr, flush=True)
 
-    number = int(device) if device is not None and device.isdigit() else device
+    number = int(device) if device is not None and device.isdecimal() else device
     print(f"wait a second, then tap {count} times and let each ring out", file=sys.stderr, flush=True)
     try:
         samples = record_taps(count, fs=fs, device=number, tell=tell)

@@ -24,6 +24,7 @@ from tonewood.sound.live.receiver import MidiReceiver, channel_message
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import Summary, silence
 from tonewood.support.arrays import Floats
+from tonewood.support.units import number_in
 from tonewood.support.whole_files import write_whole
 
 _HEADING = "tonewood take"
@@ -108,11 +109,8 @@ _RANGES = {"fs": (8000.0, 768000.0), "ramp": (0.0, 1.0), "spacing": (0.0, 1e6)}
 def _number(settings: dict[str, str], name: str, default: float, path: str | os.PathLike[str]) -> float:
     """Return the number of a setting; raises a `TonewoodError` where it is none, or out of its range."""
     text, (least, most) = settings.get(name, str(default)), _RANGES[name]
-    try:
-        if least <= (value := float(text)) <= most:
-            return value
-    except ValueError:
-        pass
+    if least <= (value := number_in(text)) <= most:
+        return value
     reason = f"the take has the value {text[:40]!r}; a number from {least:g} to {most:g} is needed"
     raise TonewoodError(reason, file=path, key=name)
 

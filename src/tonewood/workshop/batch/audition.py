@@ -60,7 +60,7 @@ def write_audition(
             folder / FOLDER / f"set{number}.js", f"soundsOf({number - 1}, {_json(sounds)});\n", make_folder=True
         )
     for path in (folder / FOLDER).glob("set*.js"):
-        if path.stem.removeprefix("set").isdigit() and int(path.stem.removeprefix("set")) > len(sets):
+        if path.stem.removeprefix("set").isdecimal() and int(path.stem.removeprefix("set")) > len(sets):
             path.unlink()
     factors = [name for name, levels in manifest.choices().items() if len(levels) > 1]
     factors += ["repeat"] if manifest.repeats > 1 else []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import asdict
@@ -13,6 +14,7 @@ from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.inspection.wolf import WolfNote, wolf_notes
 from tonewood.instrument.model.assembly import Model
 from tonewood.sound.render.options import RenderOptions
+from tonewood.support.units import number_in
 from tonewood.workshop.desk import views
 from tonewood.workshop.desk.differences import differences, wolf_words
 from tonewood.workshop.desk.models import KeptModels
@@ -90,7 +92,6 @@ class KeptViews:
 
 
 def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise TonewoodError(f"is {text!r}; a frequency in Hz is allowed", key="shape") from None
+    if math.isnan(value := number_in(text)):
+        raise TonewoodError(f"is {text!r}; a frequency in Hz is allowed", key="shape")
+    return value

@@ -20,6 +20,7 @@ from tonewood.errors import TonewoodError
 from tonewood.instrument.scales import note_name
 from tonewood.support.arrays import Floats
 from tonewood.support.sound_rates import LOUDEST, check_rate, check_whole
+from tonewood.support.units import number_in
 
 #: Hz, rate of the analysis, to which every recording is brought
 FS = 44100
@@ -186,7 +187,7 @@ def _row(cells: Mapping[str, str], table: Path, line: int) -> tuple[Path, Record
     if note is None and (name or not placed):
         raise TonewoodError(f"is {name!r}; A3 or 57, or string and stop are wanted", file=table, line=line, key="note")
     words = cells.get("dynamic", "")
-    dynamic = float(words) if words.isdigit() else dynamic_of(words)
+    dynamic = float(words) if words.isascii() and words.isdigit() else dynamic_of(words)
     if words and (dynamic is None or not 1 <= dynamic <= 127):
         allowed = f"{', '.join(DYNAMICS)} or 1 to 127"
         raise TonewoodError(f"is {words!r}; {allowed} are allowed", file=table, line=line, key="dynamic")
@@ -199,10 +200,7 @@ def _row(cells: Mapping[str, str], table: Path, line: int) -> tuple[Path, Record
 def _number(cells: Mapping[str, str], key: str, low: float, high: float, table: Path, line: int) -> float | None:
     if not (text := cells.get(key, "")):
         return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
+    value = number_in(text)
     if not low <= value <= high:
         raise TonewoodError(f"is {text!r}; {low:g} to {high:g} is allowed", file=table, line=line, key=key)
     return value

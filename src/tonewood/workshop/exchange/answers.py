@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from tonewood.support.text_files import decoded
-from tonewood.support.units import counted
+from tonewood.support.units import counted, number_in
 from tonewood.workshop.batch import pages
 from tonewood.workshop.exchange.psychopy import KEYS
 from tonewood.workshop.listening.answer_file import LeftOut, ListenerAnswers, printable
@@ -195,10 +195,7 @@ def _trial(row: Row, name: str, trials: Mapping[str, ServedTrial]) -> ServedTria
 
 
 def _number(text: str, key: str, low: float, high: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
+    value = number_in(text)
     if not low <= value <= high:
         raise ListeningError(f"{text!r} is no number from {low:g} to {high:g}", key=key)
     return value

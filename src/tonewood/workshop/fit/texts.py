@@ -107,6 +107,8 @@ def _numbers(line: str) -> list[float] | None:
     out: list[float] = []
     try:
         for cell in cells:
+            if "_" in cell or not cell.isascii():  # float would read 1_5 and other digits
+                return None
             if re.search(r"\d[ij]$", cell, re.I):
                 value = complex(cell.lower().replace("i", "j"))
                 out += [value.real, value.imag]

@@ -214,7 +214,7 @@ def test_a_replay_at_another_rate_says_so(monochord: tw.Instrument, tmp_path: Pa
         Take(47999)
 
 
-@pytest.mark.parametrize("setting", ["fs=x", "fs=1e999", "fs=7", "ramp=nan", "ramp=", "spacing=-1", "spacing=two"])
+@pytest.mark.parametrize("setting", ["fs=x", "fs=1e999", "fs=7", "ramp=nan", "ramp=", "spacing=-1", "spacing=1_0"])
 def test_a_take_with_a_setting_that_is_no_number_is_refused_in_one_line(
     monochord: tw.Instrument, tmp_path: Path, setting: str
 ) -> None:

@@ -58,6 +58,8 @@ def test_a_table_tells_string_stop_dynamic_and_place(tmp_path) -> None:
         ("file,note\na.wav,A3\n", ""),
         ("file,note,stop\na.wav,A3,many\n", "0 to 200 is allowed"),
         ("file,note,dynamic\na.wav,A3,very\n", "1 to 127 are allowed"),
+        ("file,note,dynamic\na.wav,A3,²\n", "1 to 127 are allowed"),
+        ("file,note,stop\na.wav,A3,1_2\n", "0 to 200 is allowed"),
         ("file\n", "has no rows"),
     ],
 )

@@ -377,6 +377,8 @@ def test_a_plain_table_is_analysed_like_answers_given_here(made: ListeningTest, 
         ({"stimulus": "bcdfgh"}, "'bcdfgh' is no sound of trial"),
         ({"value": "101"}, "'101' is no number from 0 to 100"),
         ({"value": "nan"}, "'nan' is no number"),
+        ({"value": "5_0"}, "'5_0' is no number"),
+        ({"value": "５０"}, "'５０' is no number"),
     ],
 )
 def test_rows_that_do_not_fit_are_named(

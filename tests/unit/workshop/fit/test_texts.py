@@ -95,6 +95,7 @@ def lines(*columns, head="", sign=","):
         (lines(FREQ, LEVELS[1] - 99.0, POLAR[2]), "taken for magnitude and phase in degrees"),
         (lines(FREQ, POLAR[1], LEVELS[2], head="f,mag,phase\n"), "phases that stay within pi were taken for radians"),
         (lines(*PARTS, head="f,real,imag\n") + "end\n" + lines(*(x[:20] for x in PARTS)), "20 lines of the shorter"),
+        (lines(*PARTS, head="f,real,imag\n") + "1_20,1,1\n" + lines(*(x[:20] for x in PARTS)), "20 lines of the sh"),
     ],
 )
 def test_numbers_written_in_other_ways_are_the_same_response(tmp_path, content, said):
