@@ -11,6 +11,7 @@ import pytest
 import tonewood as tw
 from tonewood.errors import ScoreError, TonewoodError
 from tonewood.performance.engine.engine import GRID
+from tonewood.performance.player.fretting import FrettedBases
 
 
 def played(instrument: tw.Instrument, events: dict[int, Any], frames: int, block: int, **options: Any) -> np.ndarray:
@@ -31,6 +32,18 @@ def dominant(sound: np.ndarray, fs: float, low: float, high: float) -> float:
     freq = np.fft.rfftfreq(8 * len(sound), 1 / fs)
     among = np.flatnonzero((freq > low) & (freq < high))
     return float(freq[among[np.argmax(spectrum[among])]])
+
+
+def test_stops_are_compiled_before_the_first_note_unless_told_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each stop as it is plucked and as it is damped: 25 of the monochord's string."""
+    ways: list[tuple[str, float]] = []
+    monkeypatch.setattr(FrettedBases, "prepare", lambda self, name, way: ways.append((name, way.added_damping)))
+    tw.Live("monochord", 16000, prepare=False)
+    assert ways == []
+    tw.Live("monochord", 16000)
+    assert [name for name, _ in ways] == 50 * ["A2"]
+    assert {damping for _, damping in ways[::2]} == {0.0}
+    assert min(damping for _, damping in ways[1::2]) > 0.0
 
 
 def test_the_samples_do_not_depend_on_the_blocks(guitar: tw.Instrument) -> None:

@@ -376,11 +376,11 @@ def test_a_mode_differs_by_half_a_cent_one_percent_of_q_or_two_of_its_residue(
 
 
 def test_the_three_strongest_modes_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Peaks of the mobility are residue Q / freq: of these 0.4, 0.1, 2, 0.05 and 4 times 0.2."""
-    residues = (2.0, 1.0, 30.0, 1.0, 100.0)
-    before = [mode(100.0 * 2**i, residue=r) for i, r in enumerate(residues)]
-    after = [mode(1.01 * 100.0 * 2**i, residue=r) for i, r in enumerate(residues)]
-    peaks = sorted(before, key=lambda m: m.residue / m.freq)[::-1]
+    """Peaks of the mobility are residue Q / freq: of these 2, 0.1, 0.375, 0.5 and 0.0625."""
+    figures = [(100.0, 100.0, 2.0), (200.0, 20.0, 1.0), (400.0, 5.0, 30.0), (800.0, 400.0, 1.0), (1600.0, 1.0, 100.0)]
+    before = [mode(*row) for row in figures]
+    after = [mode(1.01 * freq, q, residue) for freq, q, residue in figures]
+    peaks = [before[i] for i in (0, 3, 2, 1, 4)]
     lines = told(monkeypatch, modal(*after), modal(*before))
     assert [line.split()[2] for line in lines] == [f"{m.freq:.1f}" for m in peaks[:3]]
     lines = told(monkeypatch, modal(), modal(*before))
