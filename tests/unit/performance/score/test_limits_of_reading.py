@@ -280,7 +280,8 @@ def test_a_chooser_moves_its_hand_and_spares_what_sounds() -> None:
 def tab_of(*rows: tuple[float, str, float], beats: Beats | None = None, capo: int = 0, title: str = "T") -> Tablature:
     """Tablature of (quarter note, string, stop) at one quarter a second."""
     notes = [Assigned(tw.Note(at, 0.5, note=60), string, stop, 0.0, at + 0.5) for at, string, stop in rows]
-    return tablature(notes, GUITAR, beats or Beats([(0.0, 0.0, 60.0)]), title=title, capo=capo)
+    held = [PlayableString(s.name, tuple(pitch + capo for pitch in s.pitches)) for s in GUITAR]
+    return tablature(notes, held, beats or Beats([(0.0, 0.0, 60.0)]), title=title, capo=capo)
 
 
 def test_places_fingers_and_hands_of_a_tablature() -> None:
@@ -326,7 +327,7 @@ def test_text_of_a_tablature_by_hand() -> None:
         f"{name} |{first.get(name, '-' * 16)}|{after.get(name, '-' * 12)}|"
         for name in ("E4", "B3", "G3", "D3", "A2", "E2")
     ]
-    assert text(tab_of((0, "E2", 2), capo=2, title="")).startswith("Tablature\nTuning D2 G2 C3 F3 A3 D4, capo 2\n\n")
+    assert text(tab_of((0, "E2", 2), capo=2, title="")).startswith("Tablature\nTuning E2 A2 D3 G3 B3 E4, capo 2\n\n")
 
 
 def test_lines_of_text_end_before_88_characters_and_empty_measures_have_eight() -> None:
