@@ -79,6 +79,8 @@ def test_long_values_are_shown_by_their_kind() -> None:
     assert "a" * 59 not in refusal(lambda: checks.want(False, "a" * 59, "y"))
     assert "\n" not in refusal(lambda: checks.want(False, SimpleNamespace(a=np.zeros((3, 3))), "y"))
     assert refusal(lambda: checks.want(True, 1, "y")) == ""
+    for value, shown in ((np.ones((1, 2)), "array([[1., 1.]])"), (np.ones((2, 2)), "a ndarray")):  # of two lines
+        assert refusal(lambda value=value: checks.want(False, value, "y", "w")) == f"w {shown}; y is wanted"
 
 
 @pytest.mark.parametrize(
