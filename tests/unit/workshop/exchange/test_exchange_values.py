@@ -688,7 +688,8 @@ def test_a_table_is_read_by_listener(test: ListeningTest, tmp_path: Path) -> Non
     for text, reason in (
         ("page,trial\n3,tm\n", "has no column listener"),
         ("listener;page;trial\na;3;tm\n", "has ';' between its columns; commas are wanted"),
-        ("listener,page,trial,value\na,3,,50\n", "line 2: trial: is missing"), ("listener,trial\na,tm\n", "has no column page"),
+        ("listener,page,trial,value\na,3,,50\n", "line 2: trial: is missing"),
+        ("listener,trial\na,tm\n", "has no column page"),
         ("listener,page\na,3\n", "has no column trial"), ("listener,page,trial\n", "holds no answers to this test$"),
     ):  # fmt: skip
         with pytest.raises(ListeningError, match=reason):
