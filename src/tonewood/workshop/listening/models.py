@@ -5,8 +5,9 @@ cell, each effect is tested against the listeners' own differences in it (`tonew
 answers are missing, the cell means that are there are fitted, and tested against the same differences between listeners
 (`tonewood.workshop.listening.incomplete`).
 
-*Rank analysis*: for each factor Friedman's test on the listeners' means of its levels, with Kendall's W as effect size,
-and Wilcoxon's signed-rank test of each pair of levels with the matched-pairs rank-biserial correlation, p by Holm. It
+*Rank analysis*: for each factor Friedman's test on the listeners' means of its levels, over the cells of the other
+factors that a listener rated at all levels that are compared, with Kendall's W as effect size, and Wilcoxon's
+signed-rank test of each pair of levels with the matched-pairs rank-biserial correlation, p by Holm. It
 asks for no normal distribution. *Superiority* asks for no equal spacing of grades either: the share of comparisons
 within a listener, all else equal, in which one level is rated above another (a tie counts half), with Student's
 interval of the listeners' shares. Where all n listeners have the same share, an unseen part of the listeners of up to
@@ -35,12 +36,14 @@ from tonewood.support.arrays import Floats
 from tonewood.workshop.listening import strata
 from tonewood.workshop.listening.cells import Cells, Rows, cells_of
 from tonewood.workshop.listening.incomplete import CrossedFit, IncompleteFit
-from tonewood.workshop.listening.means import listener_means, student_interval, unique
+from tonewood.workshop.listening.means import student_interval, unique
 
 #: share of answers at an end of the scale beyond which differences of means mislead
 END_SHARE = 0.15
 #: random sounds below which the report warns
 FEW_SOUNDS = 6
+#: share of the largest rating below which means differ by rounding errors
+_ROUNDING = 1e-10
 
 
 @dataclass(frozen=True)
@@ -251,53 +254,61 @@ def _fitted(
 
 
 def rank_analysis(rows: Rows, factors: Sequence[str], confidence: float = 0.95) -> RankAnalysis:
-    """Rank tests of each factor, on listeners who rated all its levels, in cells of the others that have all."""
+    """Rank tests of each factor: of all its levels and of each pair, over the cells that a listener rated at all."""
     from scipy.stats import friedmanchisquare, wilcoxon
 
     tests, pairs = [], []
+    error = _ROUNDING * max((abs(row["value"]) for row in rows), default=0.0) or 1.0
     for factor in factors:
-        levels = unique([str(row[factor]) for row in rows])
-        cells: dict[tuple[str, ...], set[str]] = {}
-        for row in rows:
-            cells.setdefault(_cell(row, factors, factor), set()).add(str(row[factor]))
-        whole = [row for row in rows if len(cells[_cell(row, factors, factor)]) == len(levels)]
-        means = [listener_means([row for row in whole if str(row[factor]) == level]) for level in levels]
-        who = [w for w in means[0] if all(w in m for m in means)]
-        if len(levels) < 2 or len(who) < 3:
-            continue
-        table = np.array([[m[w] for m in means] for w in who])
-        if len(levels) > 2 and np.any(np.ptp(table, axis=1) > 0):
+        levels, cells = unique([str(row[factor]) for row in rows]), _by_listener(rows, factors, factor)
+        table = np.round(_compared(cells, levels) / error)  # what differs by rounding errors is equal
+        if len(levels) > 2 and len(table) > 2 and np.any(np.ptp(table, axis=1) > 0):
             test = friedmanchisquare(*table.T)
-            w = float(test.statistic) / (len(who) * (len(levels) - 1))
+            w = float(test.statistic) / (len(table) * (len(levels) - 1))
             figures = float(test.statistic), len(levels) - 1, float(test.pvalue), w
             tests.append(FactorTest(factor, "Friedman chi^2", *figures, "Kendall's W"))
         raw = []
-        for a, b in itertools.combinations(range(len(levels)), 2):
-            change = table[:, b] - table[:, a]
-            p = float(wilcoxon(change).pvalue) if np.any(change) else 1.0
-            raw.append((levels[a], levels[b], p, _rank_biserial(change)))
-        holm = strata.holm(np.array([p for _, _, p, _ in raw]))
-        pairs += [RankPair(factor, a, b, len(who), p, float(q), r) for (a, b, p, r), q in zip(raw, holm, strict=True)]
+        for a, b in itertools.combinations(levels, 2):
+            change = np.round(np.diff(_compared(cells, (a, b)))[:, 0] / error)
+            if (n := len(change)) > 2:
+                p = float(wilcoxon(change).pvalue) if np.any(change) else 1.0
+                raw.append((a, b, n, p, _rank_biserial(change)))
+        holm = strata.holm(np.array([p for _, _, _, p, _ in raw]))
+        pairs += [RankPair(factor, a, b, n, p, float(q), r) for (a, b, n, p, r), q in zip(raw, holm, strict=True)]
     return RankAnalysis(tuple(tests), tuple(pairs), tuple(superiorities(rows, factors, confidence)))
+
+
+def _by_listener(rows: Rows, factors: Sequence[str], factor: str) -> dict[tuple[str, ...], dict[str, list[float]]]:
+    """Values by listener and cell of the other factors, then by level of `factor`."""
+    cells: dict[tuple[str, ...], dict[str, list[float]]] = {}
+    for row in rows:
+        key = (str(row["listener"]), *_cell(row, factors, factor))
+        cells.setdefault(key, {}).setdefault(str(row[factor]), []).append(float(row["value"]))
+    return cells
+
+
+def _compared(cells: Mapping[tuple[str, ...], Mapping[str, list[float]]], levels: Sequence[str]) -> Floats:
+    """Means (listeners, levels) over the cells that a listener rated at all of these levels: all else is equal."""
+    by_listener: dict[str, list[list[float]]] = {}
+    for (who, *_), values in cells.items():
+        if all(level in values for level in levels):
+            by_listener.setdefault(who, []).append([float(np.mean(values[level])) for level in levels])
+    return np.array([np.mean(means, axis=0) for means in by_listener.values()]).reshape(-1, len(levels))
 
 
 def superiorities(rows: Rows, factors: Sequence[str], confidence: float) -> list[Superiority]:
     """Shares of preference of each pair of levels."""
     comparisons = []
     for factor in factors:
-        by_listener: dict[tuple[str, ...], dict[str, list[float]]] = {}
-        for row in rows:
-            key = (str(row["listener"]), *_cell(row, factors, factor))
-            by_listener.setdefault(key, {}).setdefault(str(row[factor]), []).append(float(row["value"]))
-        pairs = []
+        cells, pairs = _by_listener(rows, factors, factor), []
         for a, b in itertools.combinations(unique([str(row[factor]) for row in rows]), 2):
             shares: dict[str, list[float]] = {}
-            for (who, *_), values in by_listener.items():
+            for (who, *_), values in cells.items():
                 if a in values and b in values:
                     over = np.sign(np.subtract.outer(values[b], values[a]))
                     shares.setdefault(who, []).append(float(0.5 + 0.5 * over.mean()))
             if len(shares) >= 3:
-                each = np.array([np.mean(s) for s in shares.values()])
+                each = np.round([np.mean(s) for s in shares.values()], 12)
                 pairs.append((a, b, len(each), *share_interval(each, confidence)))
         adjusted = strata.holm(np.array([pair[-1] for pair in pairs]))
         comparisons += [Superiority(factor, *pair, float(p)) for pair, p in zip(pairs, adjusted, strict=True)]

@@ -233,6 +233,32 @@ def test_friedman_and_kendall_of_three_levels() -> None:
     assert test.effect == pytest.approx(test.statistic / 10)
 
 
+def test_ranks_compare_levels_where_all_else_is_equal(rng: np.random.Generator) -> None:
+    """Half of the listeners did not rate b on the score that everybody rates 30 points higher: p was below 0.01."""
+    values = np.arange(64.0) % 7 + 50
+    rng.shuffle(values)
+    of = {(who, s, d): values[4 * who + 2 * k + j] + 30 * k for who in range(16)
+          for k, s in enumerate("lh") for j, d in enumerate("ab")}  # fmt: skip
+    kept = {k: v for k, v in of.items() if k[0] % 2 == 0 or k[1:] != ("h", "b")}
+    ranks = rank_analysis([row(str(who), v, s=s, d=d) for (who, s, d), v in kept.items()], ("d", "s"))
+    change = [np.mean([of[w, s, "b"] - of[w, s, "a"] for s in ("lh" if w % 2 == 0 else "l")]) for w in range(16)]
+    (pair,) = (one for one in ranks.pairs if one.factor == "d")
+    assert (pair.listeners, pair.p_value) == (16, pytest.approx(stats.wilcoxon(np.round(change, 9)).pvalue))
+    assert pair.p_value > 0.05
+
+
+def test_rounding_errors_have_no_rank() -> None:
+    """0.1 + 0.2 + 0.3 is not 0.3 + 0.2 + 0.1: ten listeners without a difference had p = 0.002."""
+    rows = [
+        row(str(who), v, s=str(k), d=d)
+        for who in range(10)
+        for d, own in (("a", (0.1, 0.2, 0.3)), ("b", (0.3, 0.2, 0.1)))
+        for k, v in enumerate(own)
+    ]
+    (pair,) = (one for one in rank_analysis(rows, ("d", "s")).pairs if one.factor == "d")
+    assert (pair.p_value, pair.r) == (1.0, 0.0)
+
+
 def test_shares_are_tested_against_a_half() -> None:
     y = np.array([[0.2, 0.4, 0.9, 0.6], [0.7, 0.7, 0.7, 0.7], [0.5, 0.5, 0.5, 0.5]])
     found = share_test(y)
