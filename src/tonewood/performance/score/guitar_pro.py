@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from tonewood.errors import ScoreError
-from tonewood.performance.score.guitar_pro_file import bounded_reader, unknown_counted
+from tonewood.performance.score.guitar_pro_file import NO_STRING, bounded_reader, unknown_counted
 from tonewood.performance.score.harmonics import interval, partial_at, touched
 from tonewood.performance.score.limits import whole
 from tonewood.performance.score.unfolding import Measure
@@ -79,7 +79,7 @@ def read_guitar_pro(data: bytes, path: Path) -> WrittenMusic:
     music = WrittenMusic(path, [], [], tablature=True)
     try:
         with unknown_counted(music.ignored):
-            song = bounded_reader(data, path).readSong()
+            song = bounded_reader(data, path, music.ignored).readSong()
             _fill(music, song)
     except Exception as error:  # whatever a damaged file makes of a reader without checks, and of its objects
         limit = error if isinstance(error, ScoreError) else error.__cause__
@@ -180,7 +180,7 @@ class _Track:
         notes: list[WrittenNote] = []
         for note in beat.notes:
             if note.string not in self.open:
-                self.ignored["note on a string that the track does not have"] += 1
+                self.ignored[NO_STRING] += 1
             elif note.type.name != "rest":
                 graces += self._grace(note, at)
                 notes.append(self._note(note, every))

@@ -17,6 +17,8 @@ from tonewood.performance.score.written import TIE_REACHES
 
 #: measures, tracks, beats, and beats looked at for the fret of a tie
 _MOST_HEADERS, _MOST_TRACKS, _MOST_BEATS, _MOST_LOOKS = 5000, 200, 60_000, 1_000_000
+#: kind of a note that is counted
+NO_STRING = "note on a string that the track does not have"
 #: measures times tracks
 _MOST_CELLS = 60_000
 
@@ -31,9 +33,10 @@ class _Bytes(BytesIO):
         return super().read(size)
 
 
-def bounded_reader(data: bytes, path: Path) -> Any:
+def bounded_reader(data: bytes, path: Path, ignored: Counter[str]) -> Any:
     """Return a reader of pyguitarpro that counts measures, tracks and beats, and finds a beat in one step.
 
+    ignored : counts notes on strings that their track does not have, which pyguitarpro passes over.
     Raises ScoreError : pyguitarpro is not installed; when it reads, a count is beyond its limit.
     """
     try:
@@ -66,6 +69,12 @@ def bounded_reader(data: bytes, path: Path) -> Any:
                 beat.start = start
                 voice.beats.append(beat)
             return self.starts[1][start]
+
+        def readNotes(self, track: Any, *more: Any) -> None:
+            (flags,) = struct.unpack_from("B", stream.getbuffer(), stream.tell())
+            there = sum(1 << 7 - string.number for string in track.strings)
+            ignored[NO_STRING] += (flags & 0x7F & ~there).bit_count()
+            super().readNotes(track, *more)
 
         def getTiedNoteValue(self, note: Any) -> int:
             voice = note.beat.voice

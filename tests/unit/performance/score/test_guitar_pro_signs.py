@@ -349,3 +349,18 @@ def test_points_of_a_bend_that_are_left_out_are_counted(tmp_path: Path, version:
     score = tw.read_score(guitar_pro(tmp_path / f"a.gp{version}", change))
     assert score.ignored == {"point of a bend beyond 48 semitones": 1}
     assert max(c.value for c in score.controls if c.kind == "bend") == pytest.approx(200.0, abs=5.0)
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_a_note_on_a_string_that_the_track_does_not_have_is_counted(tmp_path: Path, version: int) -> None:
+    def last_on_string_6(song: Any, beats: list[Any]) -> None:
+        for beat, string in zip(beats, (3, 4, 5, 6), strict=True):
+            beat.notes[0].string = string
+
+    path = guitar_pro(tmp_path / f"a.gp{version}", last_on_string_6)
+    tuning = struct.pack("<6i", 64, 59, 55, 50, 45, 40)
+    data = path.read_bytes().replace(struct.pack("<i", 6) + tuning, struct.pack("<i", 5) + tuning)
+    path.write_bytes(data + bytes(8))
+    score = tw.read_score(path)
+    assert [note.note for note in score.notes] == [55, 52, 50]
+    assert score.ignored["note on a string that the track does not have"] == 1
