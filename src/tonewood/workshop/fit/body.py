@@ -140,7 +140,8 @@ def _shapes(
         return [shape], float(errors[driving] / residues[driving])
     matrix, weight = np.zeros((len(points), len(points))), np.zeros((len(points), len(points)))
     for (i, j), row in at.items():
-        for a, b in ((points.index(i), points.index(j)), (points.index(j), points.index(i))):
+        p, q = points.index(i), points.index(j)
+        for a, b in {(p, q), (q, p)}:  # a driving point is one entry
             precision = 1 / max(errors[row], 1e-300) ** 2
             matrix[a, b] += precision * residues[row]
             weight[a, b] += precision
