@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ import tonewood as tw
 from midi_bytes import note, write
 from tonewood.cli.main import run
 from tonewood.lab.accuracy import target_report
-from tonewood.lab.accuracy.partials import compare
+from tonewood.lab.accuracy.partials import PartialErrors, compare
 from tonewood.lab.accuracy.target import Frontier, Setting, Target, Tried, Worst, cases_of, search
 
 FS = 24000
@@ -50,6 +51,31 @@ def test_the_own_error_of_a_reference_is_found_from_coarser_ones(order: float) -
     half, quarter = (Worst(cents=true[h] - true[1.0]) for h in (2.0, 4.0))
     assert Worst.own(half, quarter).cents == pytest.approx(true[1.0])
     assert Worst.own(half, quarter).level is None
+
+
+def test_the_worst_of_notes_is_the_largest_of_each_measure() -> None:
+    """A waveform that is not known of one note is not known of all, but the larger of two results is the known one."""
+    notes = [PartialErrors(9.0, 1.0, 9.0, 0.2, 9.0, 3.0, 5, 0.1), PartialErrors(9.0, 2.0, 9.0, 0.1, 9.0, 4.0, 5, 0.3)]
+    assert Worst.of(notes) == Worst(2.0, 0.2, 4.0, 0.3)
+    assert Worst.of([notes[1], replace(notes[0], waveform=None)]) == Worst(2.0, 0.2, 4.0, None)
+    one, other = Worst(1.0, 0.5, None, None), Worst(2.0, 0.25, 3.0, None)
+    assert one + other == Worst(3.0, 0.75, None, None)
+    assert one.largest(other) == other.largest(one) == Worst(2.0, 0.5, 3.0, None)
+
+
+def test_the_nearest_setting_exceeds_its_limits_least() -> None:
+    target = Target.parse("1cent,10%decay")
+    assert target.excess(Worst(2.0, 0.3, 99.0, None)) == pytest.approx(3.0)
+    assert target.excess(Worst(4.0, 0.3)) == 4.0
+    assert target.excess(Worst(cents=4.0)) == np.inf
+    errors = (Worst(5.0, 0.1, 0.2), Worst(2.0, 0.3, 0.1), Worst(1.5, 0.4, 0.4))
+    tried = tuple(Tried(Setting(i + 1.0), e, False, i + 1.0, 1, 1.0) for i, e in enumerate(errors))
+    found = Frontier("x", target, ("A",), 48000, 1e4, tried, 8.0, Worst(0.25, 0.0), Worst(), 1, tried[0])
+    assert found.nearest is tried[1]
+    assert found.cheapest is None
+    # with the reference's own error of 0.25 cents
+    assert [found.within("cents", v) for v in (5.25, 5.0, 2.25, 2.2, 1.7)] == [*tried[:2], *tried[1:], None]
+    assert found.within("level", 9.0) is None
 
 
 def test_an_error_that_is_not_known_meets_no_target() -> None:

@@ -8,7 +8,7 @@ import scipy.linalg as sla
 from step_matrices import MAPS
 
 from tonewood.lab import assembled
-from tonewood.lab.methods import METHODS, Problem, exact, forms, stability_limit
+from tonewood.lab.methods import METHODS, Problem, coupled_receptance, exact, forms, stability_limit
 from tonewood.lab.methods.scheme import multipliers
 from tonewood.lab.methods.step_map import held_position
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
@@ -66,6 +66,21 @@ def test_complex_forms_are_the_assembled_system(form):
     # the five modes of the parts make four of the whole; the rest is the constraint's double zero
     np.testing.assert_allclose([np.min(np.abs(poles - p)) for p in expected], 0.0, atol=1e-9)
     assert np.sum(np.abs(poles) < 1e-4) == 2
+
+
+@pytest.mark.parametrize("again", [(), (Connection("again", JUNCTION.terms),)])
+def test_receptances_of_joined_parts_are_those_of_the_assembled_system(again):
+    """Parts with one joint, and with two, each of them also where one is stated twice."""
+    freq = np.array([0.0, 3.0, 5.2])
+    other = Connection("other", (Term("left", "0"), Term("right", "1", -1.0)))
+    for connections, ends in (((JUNCTION,), [2, 3]), ((JUNCTION, other), [2, 0])):
+        problem = join(LEFT, RIGHT, (*connections, *again))
+        eye = np.eye(6 - len(connections) - 1)
+        system = assembled.joined([LEFT, RIGHT], [eye[[0, 1, 2]], eye[ends]])
+        found = coupled_receptance(problem, freq)
+        for i, at in enumerate([ends[1], 2, 2]):
+            expected = assembled.receptance(system, 2j * np.pi * freq, at, 0)
+            np.testing.assert_allclose(found[:, i, 0], expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.linalg as sla
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.lab.methods.problem import Problem
@@ -26,10 +25,8 @@ def coupled_receptance(problem: Problem, freq: ArrayLike) -> Complexes:
     gaps = [c.terms for c in problem.constraints]
     H_oi, H_oc = _receptance(problem, f, outputs, inputs), _receptance(problem, f, outputs, gaps)
     H_ci, H_cc = _receptance(problem, f, gaps, inputs), _receptance(problem, f, gaps, gaps)
-    if len(gaps) == 1:
-        return np.asarray(H_oi - H_oc @ H_ci / H_cc)
-    correction = np.array([oc @ sla.pinv(cc) @ ci for oc, cc, ci in zip(H_oc, H_cc, H_ci, strict=True)])
-    return np.asarray(H_oi - correction)
+    inverse = np.linalg.pinv(H_cc, rcond=len(gaps) * np.finfo(np.float64).eps)
+    return np.asarray(H_oi - H_oc @ inverse @ H_ci)
 
 
 def _receptance(
