@@ -58,10 +58,10 @@ def write(test: ListeningTest, folder: Path) -> Exported:
     scripts = "\n".join(f'<script src="{address}"></script>' for address in _SCRIPTS)
     title = escape(test.title(language))
     write_whole(folder / "index.html", _PAGE.format(language=language, title=title, scripts=scripts), make_folder=True)
-    write_whole(folder / "test.js", f"const TEST = {json.dumps(data, ensure_ascii=False)};\n", make_folder=True)
+    write_whole(folder / "test.js", f"const TEST = {json.dumps(data, ensure_ascii=False)};\n")
     static = package_files("tonewood.workshop.exchange") / "static/tonewood.js"
     write_whole(folder / "tonewood.js", static.read_text("utf-8"))
     package = {"name": "listening-test", "private": True, "dependencies": PACKAGES}
-    write_whole(folder / "package.json", json.dumps(package, indent=1) + "\n", make_folder=True)
+    write_whole(folder / "package.json", json.dumps(package, indent=1) + "\n")
     copy_sounds(test, codes_of(row for rows in courses for row in rows), folder / "stimuli")
     return Exported(folder, left_out(test, "jspsych", _KEPT))

@@ -490,6 +490,20 @@ def test_a_set_is_made_in_a_folder_of_folders(tmp_path: Path) -> None:
         plan_dataset(unknown, tmp_path, tmp_path / "c", EngineRenderer())
 
 
+def test_sounds_that_failed_are_not_counted_and_made_again(tmp_path: Path) -> None:
+    """Three sounds in two shards, of which the second sound cannot be: its shard is not finished."""
+    data = dataset(
+        parameters={"p": {"path": "strings.A2.tension", "values": [60.0, -1.0, 55.0]}}, sounds={"per_shard": 2},
+        render={"fs": 16000, "max_duration": 0.02, "effects": "none"}, sampling="grid", size=None,
+    )  # fmt: skip
+    for made_before in (0, 1):
+        report = run_dataset(data, tmp_path, tmp_path / "out", EngineRenderer())
+        assert (report.ok, report.sounds, report.made, report.reused) == (False, 2, 2 - made_before, made_before)
+        assert len(report.faults) == 1
+        assert "strings.A2.tension" in report.faults[0].reason
+        assert report.sound_seconds == pytest.approx(0.04)
+
+
 def test_sounds_that_cannot_be_resolved_are_named(tmp_path: Path) -> None:
     data = dataset(parameters={"p": {"path": "strings.A2.tension", "values": [60.0, -1.0]}})
     found = plan_dataset(data, tmp_path, tmp_path / "out", EngineRenderer())
