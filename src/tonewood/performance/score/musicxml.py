@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from fractions import Fraction
+from operator import itemgetter
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -323,7 +324,7 @@ class _PartReader:
 
         starts : quarter notes at which measures begin.
         """
-        levels = sorted((starts[i] + at, velocity) for i, at, velocity in self.levels)
+        levels = sorted(((starts[i] + at, velocity) for i, at, velocity in self.levels), key=itemgetter(0))
         times = [time for time, _ in levels]
         ramps: list[tuple[Fraction, Fraction, Fraction, int, int]] = []  # begin, end, until, velocities
         begun: tuple[Fraction, bool] | None = None

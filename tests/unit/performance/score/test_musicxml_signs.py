@@ -59,6 +59,9 @@ DYNAMICS = "<dynamics><{}/></dynamics>"
         (["<", "C", "D", "E !", "F"], [80, 85, 91, 96]),
         # dynamics within a hairpin end it
         (["p <", "C", "D f", "E !", "F"], [49, 72, 96, 96]),
+        # of several at one place the first is the goal, the last holds from there on
+        (["p <", "C", "D ! f p", "E"], [49, 72, 49]),
+        (["f p <", "C", "D ! ff", "E"], [49, 80, 112]),
     ],
 )
 def test_levels_of_hairpins_by_hand(tmp_path: Path, signs: list[str], velocities: list[int]) -> None:
