@@ -20,7 +20,7 @@ from tonewood.instrument.inspection.frequencies import StringFeel
 from tonewood.instrument.inspection.wolf import WolfNote
 from tonewood.instrument.model.assembly import assemble
 from tonewood.support.plotting import figure as plotting_figure
-from tonewood.workshop.report import comparison, figures, page, summary, tones
+from tonewood.workshop.report import comparison, figures, noticed, page, summary, tones
 from tonewood.workshop.report import facts as report_facts
 from tonewood.workshop.report.as_json import to_json
 from tonewood.workshop.report.comparison import Comparison, ModeMatch, NoteMatch, WolfMatch, alike, match_modes
@@ -426,6 +426,13 @@ def test_of_strong_modes_below_2_khz_those_that_changed_most_are_told() -> None:
     listed = [name for name in found if name.startswith("mode at")]
     assert listed == ["mode at 200 Hz", "mode at 300 Hz", "mode at 1999 Hz", "mode at 100 Hz", "mode at 500 Hz"]
     assert not [n for n in rows_of(facts(body_modes=()), facts("B", body_modes=())) if "mode" in n]
+    # weak before and strong after, or strong before and weak after: the mode counts
+    quiet, loud = mode(700.0, mass=1000.0), mode(707.0, mass=0.1)
+    for pair in ((quiet, loud), (replace(loud, freq=700.0), replace(quiet, freq=707.0))):
+        match = ModeMatch(pair)
+        one, other = facts(body_modes=(pair[0],)), facts("B", body_modes=(pair[1],))
+        both = replace(compared(one, other), modes=(match, ModeMatch((mode(300.0), mode(300.0)))))
+        assert "mode at 700 Hz" in [row.name for row in summary.changes(both, 1)]
 
 
 @pytest.mark.parametrize(
@@ -445,6 +452,22 @@ def test_a_verdict_is_by_the_threshold_of_its_direction(difference: float, times
         else "no change here reaches a published threshold of hearing"
     )
     assert resonance(0.25).more == 7.9  # never more
+
+
+@pytest.mark.parametrize(
+    ("threshold", "less", "more", "source"),
+    [
+        (noticed.resonance(25.0), 1.58, 1.58, "Gagné and Zurek 1988"),
+        (noticed.BODY_FREQ, 1.0, 1.0, "Woodhouse et al. 2012"),
+        (noticed.BODY_DAMPING, 20.0, 20.0, "Woodhouse et al. 2012"),
+        (noticed.LEVEL, 0.93, 0.93, "Jesteadt et al. 1977"),
+        (noticed.DECAY, 25.0, 40.0, "Järveläinen and Tolonen 2001"),
+    ],
+)
+def test_thresholds_are_those_that_were_published(threshold: Threshold, less: float, more: float, source: str) -> None:
+    assert (threshold.less, threshold.more) == pytest.approx((less, more), abs=0.005)
+    assert threshold.source == source
+    assert [threshold.times(x) for x in (-2 * less, 0.0, 3 * more)] == pytest.approx([2.0, 0.0, 3.0], rel=0.01)
 
 
 @pytest.mark.parametrize(
