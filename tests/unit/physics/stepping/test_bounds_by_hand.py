@@ -204,17 +204,19 @@ def test_a_rising_tension_uses_up_the_clearance_by_its_reach(axial_stiffness):
 
     def system(clearance):
         links = [Connection("c", (Term("s", "at"),), Contact(1e7, 1.5, offset=-clearance, residual=False))]
-        return System.build({"s": string()}, links, dt=DT, potentials=[tension])
+        beside = ModalBasis.real([2 * np.pi * 700.0], [30.0], {"p": [4.0]})
+        return System.build({"beside": beside, "s": string()}, links, dt=DT, potentials=[tension])
 
     far = system(1.0)
     state = far.start()
     far.modes_of(state, "s")[:] = 1e-4 * np.array([[1.0, -0.5, 0.1, 0.05], [0.4, 0.3, -0.1, 0.02]])
-    start, rows, compiled, solve = state.copy(), Rows(ALL), far.compiled[0], PotentialSolve(far)
+    start, rows, compiled, solve = state.copy(), Rows(ALL), far.compiled[1], PotentialSolve(far)
     used = 0.0
     for _ in range(BLOCK):
         x = far.modes_of(state, "s").T.copy()
-        over = solve.over([x], [apply(compiled.E, x)], np.zeros(1), state.potentials)
-        used += abs(over.mean(np.zeros(1))[0]) * np.sqrt(np.sum(over.modal[0][1] ** 2 / weights))
+        rest = np.zeros((1, 2))
+        over = solve.over([rest, x], [rest, apply(compiled.E, x)], np.zeros(1), state.potentials)
+        used += abs(over.mean(np.zeros(1))[0]) * np.sqrt(np.sum(over.modal[1][1] ** 2 / weights))
         NumpyStepper(far).run(state, 1)
     moved, most = compiled.coordinates.kick, []
     for _ in range(BLOCK):
