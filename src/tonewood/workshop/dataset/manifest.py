@@ -33,7 +33,7 @@ SETTABLE = (*NOTE_FIELDS, "string", "stop", "technique", "channel")
 #: MIDI files have at most this many ticks in a beat, and whole microseconds in one
 _MOST_TICKS = 32767
 _BEATS_PER_SECOND = (1, 2, 4, 5, 8, 10)
-MAX_SOUNDS = 10_000_000
+MAX_SOUNDS = 1_000_000
 
 Range = tuple[float, float]
 
@@ -169,6 +169,8 @@ class Dataset(Section):
         paths = [p.path for p in self.parameters.values()]
         if double := {path for path in paths if paths.count(path) > 1}:
             yield "parameters", f"{min(double)} stands there twice"
+        if self.sounds.duration is not None and round(self.sounds.duration * self.render.fs) < 1:
+            yield "sounds.duration", f"is shorter than a sample, {1 / self.render.fs:.3g} s"
         if reason := not_held("FLAC", self.render.fs):
             yield "render.fs", reason
         if "midi" in self.sounds.labels and midi_clock(self.render.fs) is None:
@@ -185,7 +187,7 @@ class Dataset(Section):
 
     def render_settings(self, changes: dict[str, Any]) -> RenderSettings:
         """The render settings with some changed, checked anew."""
-        return RenderSettings.model_validate({**self.render.model_dump(), **changes})
+        return RenderSettings.model_validate({**self.render.model_dump(), **changes}) if changes else self.render
 
 
 def midi_clock(fs: float) -> tuple[int, int] | None:

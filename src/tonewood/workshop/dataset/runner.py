@@ -167,10 +167,14 @@ def _check_folder(dataset: Dataset, folder: Path) -> None:
 
 
 def _predicted(plan: DatasetPlan, renderer: EngineRenderer) -> DatasetPlan:
-    """The plan with time and length of all sounds, from a few of them spread over the set; the first warms up."""
+    """The plan with time and length of all sounds, from a few of them spread over the set; the first warms up.
+
+    Those of them that cannot be rendered are among its faults.
+    """
     n = len(plan.samples)
     chosen = sorted({round(k * (n - 1) / max(_TRIED - 1, 1)) for k in range(_TRIED)})
     lengths, costs = [], []
+    faults = {fault.name: fault for fault in plan.faults}
     for index in [chosen[0], *chosen]:
         try:
             began = time.process_time()
@@ -181,13 +185,16 @@ def _predicted(plan: DatasetPlan, renderer: EngineRenderer) -> DatasetPlan:
                 frames += len(block)
                 if frames > _PIECE * tried.fs:
                     break
-        except TonewoodError:
+        except TonewoodError as fault:
+            name = plan.samples[index].condition.name
+            faults.setdefault(name, Fault(name, str(fault)))
             continue
         stepped = time.process_time() - ready
         seconds = frames / tried.fs
         whole = tried.expected_duration - 0.5 * tried.options.tail if frames > _PIECE * tried.fs else seconds
         lengths.append(max(whole, seconds))
         costs.append(ready - began + stepped * lengths[-1] / max(seconds, 1e-9))
+    plan = replace(plan, faults=tuple(faults.values()))
     lengths, costs = (lengths[1:] or lengths), (costs[1:] or costs)
     if not lengths:
         return plan

@@ -146,6 +146,7 @@ def test_a_tick_is_a_sample(fs: int, clock: tuple[int, int] | None) -> None:
         ({"sampling": "random"}, "size: is missing; sampling: random"),
         ({"parameters": {p: {"path": "body.x", "values": [1]} for p in "ab"}}, "body.x stands there twice"),
         ({"render": {"fs": 47999}}, "no tick of one sample at 47999 Hz"),
+        ({"sounds": {"duration": 1e-5}}, "sounds.duration: is shorter than a sample"),
         ({"render": {"fs": 88201}}, "render.fs: the sampling rate is 88201 Hz; FLAC holds up to 65535 Hz"),
         ({"parameters": {"p": {"path": "render.tail", "values": [1.0, -1.0]}}}, "parameters.p: -1.0: "),
     ],
@@ -599,7 +600,10 @@ def test_time_of_a_set_is_that_of_six_of_its_sounds(
     def fail(condition: Any) -> Any:
         raise TonewoodError("no")
 
-    assert _predicted(plan(), SimpleNamespace(renderer=fail)).sound_seconds is None  # type: ignore[arg-type]
+    failing = _predicted(plan(), SimpleNamespace(renderer=fail))  # type: ignore[arg-type]
+    assert failing.sound_seconds is None
+    named = {f.name: f.reason for f in plan().faults} | {f"m/one/{k:06d}": "no" for k in (0, 2, 4, 6, 8, 10)}
+    assert {f.name: f.reason for f in failing.faults} == named
 
 
 def test_a_shard_of_nothing_has_no_files(monkeypatch: pytest.MonkeyPatch) -> None:
