@@ -159,9 +159,11 @@ def _question(record: Mapping[str, Any]) -> tuple[Any, ...]:
 def _table(path: Path) -> tuple[list[tuple[int, Row, str]], set[str]]:
     """Rows with the number of their last line and what stands beyond the columns, and the names of these."""
     try:
-        if path.stat().st_size > _MOST_BYTES:
+        with path.open("rb") as stream:  # a device may have no end
+            raw = stream.read(_MOST_BYTES + 1)
+        if len(raw) > _MOST_BYTES:
             raise ListeningError(f"is longer than the {_MOST_BYTES} bytes allowed", file=path)
-        text = decoded(path.read_bytes(), file=path, error=ListeningError)
+        text = decoded(raw, file=path, error=ListeningError)
     except OSError as fault:
         raise ListeningError(f"cannot be read: {fault.strerror}", file=path) from None
     try:

@@ -17,6 +17,9 @@ from tonewood.workshop.batch.manifest import Manifest, check_manifest
 from tonewood.workshop.batch.pages import AnyPage, FinishPage, TrainingPage, localised
 from tonewood.workshop.batch.production import SOUNDS
 
+#: bytes of a definition or a key
+_MOST_BYTES = 200_000_000
+
 
 class ListeningError(TonewoodError):
     """A test, its answers or its key cannot be used."""
@@ -99,7 +102,10 @@ def built_in_texts() -> dict[str, dict[str, str]]:
 def read_json(path: Path, schema: str, noun: str, hint: str = "") -> tuple[bytes, dict[str, Any]]:
     """Read a file of a schema: its bytes and values. Raises ListeningError : it cannot be read, or is no such file."""
     try:
-        raw = path.read_bytes()
+        with path.open("rb") as stream:  # a device may have no end
+            raw = stream.read(_MOST_BYTES + 1)
+        if len(raw) > _MOST_BYTES:
+            raise ListeningError(f"is longer than the {_MOST_BYTES} bytes allowed", file=path)
         data: Any = json_value(raw)
     except OSError as fault:
         raise ListeningError(f"cannot be read: {fault.strerror}{hint}", file=path) from None

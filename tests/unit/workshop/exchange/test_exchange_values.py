@@ -55,6 +55,7 @@ from tonewood.workshop.exchange.webmushra import _config, _html, _trial
 from tonewood.workshop.exchange.webmushra import write as write_webmushra
 from tonewood.workshop.listening.checked_answer import choices
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest, ServedTrial
+from tonewood.workshop.listening.table import read_key
 
 KINDS: dict[str, Any] = {
     "consent": ConsentPage, "instructions": InstructionsPage, "level": LevelPage, "mushra": MushraPage,
@@ -376,6 +377,11 @@ def test_tables_have_200_million_bytes_at_most(
     assert len(read_answers(table(tmp_path / "t.csv", text), test).listeners) == 1
     with pytest.raises(ListeningError, match=f"is longer than the {len(text)} bytes allowed"):
         read_answers(table(tmp_path / "t.csv", text + "\n"), test)
+    with pytest.raises(ListeningError, match=f"/dev/zero: is longer than the {len(text)} bytes allowed"):
+        read_answers(Path("/dev/zero"), test)  # its size is 0, and it has no end
+    monkeypatch.setattr("tonewood.workshop.listening.definition._MOST_BYTES", len(text))
+    with pytest.raises(ListeningError, match=f"/dev/zero: is longer than the {len(text)} bytes allowed"):
+        read_key(Path("/dev/zero"))
 
 
 def test_each_program_is_exported_once_into_a_folder_of_its_own(
