@@ -601,10 +601,13 @@ def test_a_bar_on_a_terminal_moves_to_its_end_and_no_farther(monkeypatch) -> Non
         for position in (0.0, 4.0, 10.0, 12.5):
             advance(position)
     assert (done, totals) == ([0.0, 4.0, 10.0, 10.0], [("rendering", 10.0)])
+    with common.progress("searching") as advance:  # shares
+        advance(1.5)
+    assert (done[4:], totals[1:]) == ([1.0], [("searching", 1.0)])
     monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
     with common.progress("rendering", 10.0) as advance:
         advance(3.0)
-    assert len(done) == 4
+    assert len(done) == 5
 
 
 @pytest.mark.parametrize(("level", "target"), [("peak", -7.0), ("LUFS", -1.0)])

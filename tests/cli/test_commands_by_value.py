@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -381,9 +382,9 @@ def test_a_comparison_writes_its_page_and_tables(tonewood: Run, tmp_path: Path, 
             return self.said
 
     point = SimpleNamespace(to_dict=lambda: {"a": 1})
-    run, points = Asked(["one", "two"]), Asked([point])
+    run, dialled, points = Asked(["one", "two"]), Asked([point]), Asked([point])
     for module, name, to in (
-        (report, "Study", Study), (study, "run", run), (timing, "machine", Asked()), (dial, "run", points),
+        (report, "Study", Study), (study, "run", run), (timing, "machine", Asked()), (dial, "run", dialled),
         (dial, "budgets", points), (dial, "section", Asked("dial rows")),
         (dial, "budget_section", Asked("budget rows")),
         (least_time, "chart_png", Asked(b"png")), (tables, "section", lambda o: f"section {o}\n"),
@@ -392,8 +393,18 @@ def test_a_comparison_writes_its_page_and_tables(tonewood: Run, tmp_path: Path, 
         monkeypatch.setattr(module, name, to)
     (tmp_path / "pictures").mkdir()
     plot, page = tmp_path / "pictures" / "a.png", tmp_path / "a.md"
+    totals, positions = list[float](), list[float]()
+
+    @contextmanager
+    def progress(label: str, total: float) -> Iterator[Any]:
+        totals.append(total)
+        yield positions.append
+
+    monkeypatch.setattr("tonewood.cli.accuracy.progress", progress)
     code, out, _ = tonewood("accuracy", "--quick", "--plot", plot, "--report", page)
     assert (code, run.words, run.options["quick"], points.options["quick"]) == (0, (None,), True, True)
+    dialled.options["tell"](1.0)
+    assert positions == totals  # at the end of the bar
     files = {file.name: file.read_text() for file in tmp_path.rglob("*.*")}
     assert files == {"a.png": "png", "a.md": "page with pictures/a.png", "a-tables.md": "tables"}
     assert out.split("\n\n")[:3] == ["machine", "section one", "section two"]

@@ -141,7 +141,7 @@ def _target(
     if plot is not None:
         need("plot", "matplotlib")
     listed = [name for name in (word.strip() for word in notes.split(",")) if name]
-    with progress("searching", 1.0) as advance:
+    with progress("searching") as advance:
         frontier = search(instrument, limit, notes=listed, fs=fs, bandwidth=bandwidth, tell=advance)
     from tonewood.lab.accuracy import target_report
 
@@ -169,7 +169,7 @@ def _stability(system: str | None, quick: bool, plot: Path | None, report: Path 
         )
     if report is not None and report.suffix.lower() != ".md":
         raise TonewoodError(f"is {report.name!r}; with --stability a name ending in .md is allowed", key="--report")
-    with progress("stability", 1.0) as advance:
+    with progress("stability") as advance:
         grid = stability.run(quick, advance)
     if report is not None:
         write_whole(report, grid.markdown())

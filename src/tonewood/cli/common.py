@@ -116,8 +116,8 @@ class Advance(Protocol):
 
 
 @contextmanager
-def progress(label: str, total: float) -> Iterator[Advance]:
-    """Progress bar on a terminal, silence in a pipe."""
+def progress(label: str, total: float = 1.0) -> Iterator[Advance]:
+    """Progress bar on a terminal, silence in a pipe; its last position is `total`."""
     if not sys.stderr.isatty():
         yield lambda position: None
         return

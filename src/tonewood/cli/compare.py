@@ -178,7 +178,7 @@ def _run(
         allow_file("--output", output, ".html")
     from tonewood.workshop.report.comparison import compare as compared
 
-    with progress("computing", 1.0) as advance:
+    with progress("computing") as advance:
         result = compared(
             candidates,
             notes=names,

@@ -42,7 +42,7 @@ def distance(
         other = read_folder(path)
     else:
         other = played_as(folder, load(second, None, allow_code))
-    with progress("analysing", 1.0) as advance:
+    with progress("analysing") as advance:
         distances = compare_notes(folder, other, advance=advance)
     if not distances.between.notes:
         raise TonewoodError("nothing could be compared", file=first)

@@ -50,7 +50,7 @@ def estimate(
     instrument = load(source, None, allow_code)
     recordings = read_folder(folder, table=table, transpose=transpose)
     try:
-        with progress("estimating", 1.0) as advance:
+        with progress("estimating") as advance:
             result = estimated(recordings, instrument, iterations=iterations, advance=advance)
         origin = RecordingOrigin(title or UNKNOWN, recorded_by or UNKNOWN, licence or UNKNOWN, url)
         bundle = write_bundle(result, output, source, origin, allow_code=allow_code)

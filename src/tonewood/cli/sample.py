@@ -80,7 +80,7 @@ def sample(
     lowest, highest = _range(keys)
     sampling = Sampling(every, _numbers(velocities), round_robins, lowest, highest, duration, releases)
     bundle = load(instrument, settings, allow_code, strings)
-    with progress("rendering", 1.0) as advance:
+    with progress("rendering") as advance:
         library = make_library(bundle, output, sampling, options, jobs=jobs, suffix=f".{sound_format}", tell=advance)
     report = {
         "sfz": str(library.sfz), "decent_sampler": str(library.decent), "folder": str(library.folder),
