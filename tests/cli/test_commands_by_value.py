@@ -125,6 +125,46 @@ def test_cents_of_frets_are_printed_by_string(tonewood: Run, monkeypatch: Patch)
     refused(tonewood("intonation", "african_harp"), "frets are wanted")
 
 
+def test_a_comparison_has_its_variants_and_its_sweep(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    from tonewood.cli import compare
+    from tonewood.workshop.report import as_json, comparison, page
+
+    asked, printed = Asked("result"), Asked()
+    for module, name, to in (
+        (comparison, "compare", asked), (as_json, "to_json", Asked({"a": 1})), (page, "page", Asked("<page>")),
+        (compare, "_print", printed),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, to)
+    words = ("compare", "monochord", "--variant", "strings.A2.tension=60; strings.A2.length=0.7", "--name", "long")
+    file = tmp_path / "p.html"
+    code, out, _ = tonewood(*words, "--sweep", "strings.A2.tension=50:70:3", "--set", "title=other", "-o", file)
+    first, long, *swept = asked.words[0]
+    assert (code, out, file.read_text()) == (0, f"page: {file}\n", "<page>")
+    assert (first.changes, first.instrument.spec.strings["A2"].tension) == (("title=other",), 58.8)
+    assert (long.name, long.changes[1:]) == ("long", ("strings.A2.tension=60", "strings.A2.length=0.7"))
+    assert [c.instrument.spec.strings["A2"].tension for c in (long, *swept)] == [60.0, 50.0, 60.0, 70.0]
+    assert [c.name for c in swept] == ["tension 50", "tension 60", "tension 70"]
+    options = {key: asked.options[key] for key in ("notes", "fs", "duration", "velocity_midi", "sweep")}
+    assert options == {
+        "notes": None,
+        "fs": 48000,
+        "duration": 4.0,
+        "velocity_midi": 80.0,
+        "sweep": "strings.A2.tension",
+    }
+    assert printed.words == ("result", False)
+    report = told(tonewood(*words, "--json", "--notes", "A2, C3", "--duration", 0.1, "--velocity", 127))
+    assert (report["schema"], report["page"], report["a"]) == ("tonewood-compare/1", None, 1)
+    assert (asked.options["notes"], asked.options["sweep"]) == (["A2", "C3"], "")
+    alone = told(tonewood("report", "monochord", "--json", "-o", file))
+    assert (alone["schema"], alone["page"]) == ("tonewood-report/1", str(file))
+    refused(tonewood("compare", "monochord"), "one instrument: another one")
+    refused(tonewood(*words, "--name", "b"), "2 names for 1 variants")
+    for option, value in (("--duration", 0.09), ("--duration", 61), ("--velocity", 0.9), ("--velocity", 128)):
+        refused(tonewood(*words, option, value), option)
+    refused(tonewood(*words, "--notes", " ,"), "notes such as E2,A3 are wanted")
+
+
 # scores
 
 
@@ -234,6 +274,43 @@ def test_a_wood_is_asked_for_with_its_sizes(tonewood: Run, tmp_path: Path, monke
     refused(tonewood("wood", tmp_path / "p.csv", *sizes, "--stick", "--outline", 0.48, 0.28, 0.24, 0.37), "no E_R")
     refused(tonewood("wood", tmp_path / "p.csv", *sizes[:-1], 1.0), "is no wood")
     refused(tonewood("wood", tmp_path / "p.csv", *sizes[:-1], 0.0079), "79 kg/m^3 is no wood")
+
+
+def test_a_board_is_estimated_twice_and_a_stick_once(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
+    """The second estimate of a board begins with the wood of the first, and holds it near its species."""
+    from tonewood.workshop.wood import board, rectangle, stick, thickness
+
+    spruce = board.typical("sitka_spruce", 400.0)
+    found = board.Board(spruce, {}, (), (), (), 0.0, 0.0)
+    calls: list[Any] = []
+    monkeypatch.setattr(board, "estimate_board", lambda *words, **options: calls.append((words, options)) or found)
+    monkeypatch.setattr(rectangle.Rectangle, "of", staticmethod(lambda *words: words))
+    monkeypatch.setattr(thickness, "panel_freq", lambda wood, ring, h: 1e4 * h)
+    monkeypatch.setattr(thickness, "thickness_for", lambda wood, ring, freq: 1e-4 * freq)
+    monkeypatch.setattr(thickness, "gore_thickness", lambda wood, length, width, freq: 1e-5 * freq * length / width)
+    (tmp_path / "p.csv").write_text("freq_Hz,Q\n100,50\n")
+    words = ("wood", tmp_path / "p.csv", "--length", 0.5, "--width", 0.2, "--thickness", 4e-3, "--mass", 0.16, "--json")
+    outline = ("--outline", 0.48, 0.28, 0.24, 0.4)
+    tops = told(tonewood(*words, *outline, "--sensor", 0.001))["tops"]
+    (first, options), (second, more) = calls
+    assert first[0] == second[0] == (0.5, 0.2, 4e-3, 0.16, spruce)
+    assert [list(values) for values in (first[1], first[3])] == [[100.0], [50.0]]
+    assert (options["sensor"], options["thickness_error"], options.get("prior")) == (1e-3, 5e-5, None)
+    assert (more["sensor"], more["prior"]) == (1e-3, spruce)
+    freqs = [20.0, 25.0, 30.0, 60.0, 75.0, 50.0, 55.0]
+    assert [row["freq_Hz"] for row in tops] == pytest.approx(freqs)
+    heights = [2e-3, 2.5e-3, 3e-3, *(1e-5 * f * 0.48 / 0.4 for f in freqs[3:])]
+    assert [row["thickness_m"] for row in tops] == pytest.approx(heights)
+    assert tops[3]["of"] == "Gore and Gilet's target of a classical top, a clamped rectangle"
+    tops = told(tonewood(*words, *outline, "--stiffness", 27))["tops"]
+    assert (tops[0]["thickness_m"], tops[0]["freq_Hz"], len(tops)) == (pytest.approx(2.7e-3), 27.0, 5)
+    refused(tonewood(*words[:-1], "--stiffness", 27), "needs --outline")
+    refused(tonewood(*words[:-1], "--outline", 0.48, 0.28, 0.24, 3.1), "0.01 to 3 are allowed")
+    rod = Asked(stick.Stick(1.1e10, 400.0, None, {}, (100.0,), (101.0,), ()))
+    monkeypatch.setattr(stick, "estimate_stick", rod)
+    assert told(tonewood(*words, "--stick"))["tops"] == []
+    assert rod.words[:4] == (0.5, 0.2, 4e-3, 0.16)
+    assert rod.options == {"shear_ratio": pytest.approx(spruce.G_LT / spruce.E_L), "thickness_error": 5e-5}
 
 
 def test_distances_of_two_folders_and_of_an_instrument(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
@@ -355,6 +432,54 @@ def test_a_fit_hands_its_options_on(tonewood: Run, tmp_path: Path, monkeypatch: 
     (tmp_path / "f" / "instrument.yaml").write_text("")
     refused(tonewood(*words[:-1]), "holds an instrument")
     refused(tonewood(*words[:3], tmp_path / "no" / "f"), "there is no folder")
+
+
+def test_lines_on_a_fit(capsys: pytest.CaptureFixture[str]) -> None:
+    from tonewood.cli import fit
+
+    rows = [
+        {"freq_Hz": 101.25, "Q": 30.0, "mass_kg": 0.125, "measured": True, "sd_cents": 1.5, "sd_Q": 0.02,
+         "without_db": 6.5, "mpc": 0.875},
+        {"freq_Hz": 202.5, "Q": 20.0, "mass_kg": None, "measured": True, "sd_cents": 2.0, "sd_Q": 0.5,
+         "without_db": 3.0, "mpc": None},
+        {"freq_Hz": 5000.0, "Q": 5.0, "mass_kg": 0.5, "measured": False},
+    ]  # fmt: skip
+    facts = {
+        "step_Hz": 0.5, "modes": rows, "dropped": ["a line"], "error_db": {"rms": 0.25, "95%": 0.5, "most": 1.5},
+        "misfit": 1.25, "radiation": {"channels": ["left", "right"], "modes": 9, "error_db_rms": 2.5},
+    }  # fmt: skip
+    steps = [SimpleNamespace(freq=[1, 2], misfit=3.0), SimpleNamespace(freq=[1, 2, 3], misfit=1.25)]
+    fitted = SimpleNamespace(
+        responses=SimpleNamespace(kept=(4, 5), pairs=[("a", "b"), ("b", "b")], freq=[80.0, 900.0]),
+        modes=SimpleNamespace(iterations=steps, structural=True), body=SimpleNamespace(points=["b", "a"]),
+    )  # fmt: skip
+    folder: Any = SimpleNamespace(fit=fitted, facts=lambda: facts, origin=SimpleNamespace(measured_by="unknown"))
+    fit._print(folder, [Path("f/body.csv"), Path("f/fit.json")])
+    assert capsys.readouterr().out.splitlines() == [
+        "a:b, b:b: 80 to 900 Hz in steps of 0.5 Hz, 4 of 5 hits kept",
+        "modes found iteration by iteration, and misfit re noise: 2 (3), 3 (1.25)",
+        "damping taken for structural (hysteretic), Q = 1/eta",
+        "     f/Hz       Q   mass at b/kg  +-cents   +-Q    without it   MPC",
+        f"   101.25    30.0   {'0.125':>10}       1.5     2 %      6.5 dB  0.875",
+        f"    202.5    20.0   {'':>10}         2    50 %      3.0 dB",
+        f"     5000     5.0   {'0.5':>10}    no mode of the band: stands for modes beyond it",
+        "  dropped: a line",
+        "misfit 1.25 times the noise; the body's mobility re the measured one: 0.25 dB r.m.s., 0.50 in 95 % of the "
+        "bins, 1.50 at most",
+        "microphones left, right: 9 modes, 2.50 dB r.m.s. off",
+        "passive by construction (real modes)",
+        "measured by unknown: say who by --measured-by",
+        "written: f/body.csv, f/fit.json",
+    ]
+    fitted.body, fitted.responses.kept, fitted.modes.structural = None, None, False
+    facts["radiation"], folder.origin.measured_by = None, "N. N."
+    fit._print(folder, [Path("f/modes.csv")])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "a:b, b:b: 80 to 900 Hz in steps of 0.5 Hz"
+    assert lines[2] == "damping taken for viscous"
+    assert lines[4].split() == ["101.25", "30.0", "0.125", "1.5", "2", "%", "6.5", "dB", "0.875"]
+    assert "the modes' mobility" in lines[8]
+    assert lines[9:] == ["measured by N. N.", "written: f/modes.csv"]
 
 
 # comparisons of methods

@@ -297,9 +297,9 @@ def _print(folder: FitFolder, written: list[Path]) -> None:
         print(f"{row['freq_Hz']:>9.6g} {row['Q']:>7.1f} {mass:>{len(mass_head)}}  {sure}")
     for line in facts["dropped"]:
         print(f"  dropped: {line}")
-    error, what = facts["error_db"], "modes" if fit.body is None else "body"
+    error, what = facts["error_db"], "modes'" if fit.body is None else "body's"
     print(
-        f"misfit {facts['misfit']:.2f} times the noise; the {what}'s mobility re the measured one: "
+        f"misfit {facts['misfit']:.2f} times the noise; the {what} mobility re the measured one: "
         f"{error['rms']:.2f} dB r.m.s., {error['95%']:.2f} in 95 % of the bins, {error['most']:.2f} at most"
     )
     if facts["radiation"] is not None:
