@@ -10,9 +10,17 @@ import numpy as np
 import pytest
 
 import tonewood as tw
-from tonewood.errors import NothingPlayedError, TonewoodError
+from tonewood.errors import NothingPlayedError, OutputError, TonewoodError
 from tonewood.performance.score.note import ScorePart
-from tonewood.sound.ensemble.mix import EnsemblePart, by_programs, parse_part, placed, read_ensemble, render_ensemble
+from tonewood.sound.ensemble.mix import (
+    EnsemblePart,
+    _to_file,
+    by_programs,
+    parse_part,
+    placed,
+    read_ensemble,
+    render_ensemble,
+)
 from tonewood.sound.ensemble.programs import choose_players, read_programs
 
 
@@ -67,6 +75,14 @@ def test_the_process_that_asked_warns_of_dropped_notes(duo: Path, capfd: pytest.
         render_ensemble(duo, parts, workers=2, reading={"transpose": 2}, fs=8000, max_duration=0.25)
     assert len(issued) == 2
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no device without space")
+def test_a_part_that_cannot_be_kept_is_one_line(duo: Path, tmp_path: Path) -> None:
+    (tmp_path / "part.npy").symlink_to("/dev/full")
+    options = tw.RenderOptions(fs=16000, max_duration=0.4)
+    with pytest.raises(OutputError, match=r"part\.npy: the part cannot be kept until the mix: (No space|is the disk)"):
+        _to_file(str(tmp_path / "part.npy"), str(duo), parse_part("4=monochord"), options, {})
 
 
 def test_wrong_parts_are_one_line(duo: Path, tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from tonewood.errors import BundleError, DroppedNotesWarning, NothingPlayedError, TonewoodError
+from tonewood.errors import BundleError, DroppedNotesWarning, NothingPlayedError, OutputError, TonewoodError
 from tonewood.instrument.model.output_assembly import pan_gains
 from tonewood.performance.score.note import Control, Score
 from tonewood.performance.score.reading import read_score
@@ -257,5 +257,9 @@ def _to_file(file: str, score: str, part: EnsemblePart, options: RenderOptions, 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DroppedNotesWarning)  # the process that asked for the part issues it
         samples, summary = _rendered(score, part, options, reading)
-    np.save(file, samples)
+    try:
+        np.save(file, samples)
+    except OSError as fault:  # NumPy gives no reason where its file is cut short
+        reason = fault.strerror or "is the disk full?"
+        raise OutputError(f"the part cannot be kept until the mix: {reason}", file=file) from None
     return replace(summary, effects=())

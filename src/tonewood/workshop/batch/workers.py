@@ -61,7 +61,7 @@ class Workers:
                 parallel = Parallel(return_as="generator_unordered", pre_dispatch="2*n_jobs", **options)
                 with warnings.catch_warnings():
                     # the error that ends it gives the reason
-                    warnings.filterwarnings("ignore", message=r"\d+ tasks? which", category=UserWarning)
+                    warnings.filterwarnings("ignore", message=r"\d+ tasks? (which|have been)", category=UserWarning)
                     yield from parallel(delayed(function)(item) for item in items)
             except BrokenProcessPool:
                 raise TonewoodError(

@@ -163,7 +163,8 @@ def make_library(
     except BaseException as fault:
         shutil.rmtree(scratch, ignore_errors=True)
         if isinstance(fault, OSError):
-            raise OutputError(f"cannot be written: {fault.strerror}", file=sfz) from None
+            # NumPy gives no reason where a file of its own is cut short
+            raise OutputError(f"cannot be written: {fault.strerror or 'is the disk full?'}", file=sfz) from None
         raise
     for file in files:
         file.complete()

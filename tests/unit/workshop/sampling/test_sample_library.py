@@ -170,6 +170,16 @@ def test_nothing_is_overwritten_or_half_written(tmp_path: Path, library: Library
     assert not list(tmp_path.iterdir())
 
 
+def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def cut_short(file: Path, samples: np.ndarray) -> None:
+        raise OSError("96000 requested and 4088 written")  # as NumPy has it
+
+    monkeypatch.setattr(np, "save", cut_short)
+    with pytest.raises(OutputError, match=r"a\.sfz: cannot be written: is the disk full\?"):
+        make_library(tw.load_instrument("monochord"), tmp_path / "a.sfz", SAMPLING, RenderOptions(fs=FS))
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("option", "message"),
     [
