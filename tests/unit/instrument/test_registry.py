@@ -134,3 +134,89 @@ def test_a_folder_is_loaded_also_where_an_installed_instrument_has_its_name(tmp_
     assert copy.folder.resolve() == tmp_path / "monochord"
     assert copy.spec.title.startswith("monochord, begun as a copy")
     assert registry.instrument_folder("monochord") != Path("monochord")
+
+
+FIT = """sources: {measurement: {text: a fit, licence: CC0-1.0}}
+provenance:
+  body: {kind: measured, source: measurement}
+body:
+  plugin: modal_table
+  table: body.csv
+  shapes: points
+  points:
+POINTS
+outputs:
+  - name: bridge
+    plugin: point_pickup
+    quantity: acceleration
+    at: {mean: [body.middle]}
+    full_scale: 700.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("places", "strings", "ends"),
+    [
+        # along the bridge -1 to 1: six strings at -1, -0.6, -0.2, 0.2, 0.6, 1
+        ({"bass": -1.0, "middle": 0.05, "treble": 1.0}, "ej46", "bass bass middle middle treble treble"),
+        ({"bass": -0.7, "middle": 0.0, "treble": None}, "ej46", "bass bass middle middle middle middle"),
+        ({"bass": -1.0, "middle": None}, "ej46", "bass bass bass bass bass bass"),  # the only one with a place
+        ({"bass": None, "middle": None}, "ej46", "middle middle middle middle middle middle"),  # it was driven
+    ],
+)
+def test_strings_of_a_fitted_body_end_at_the_nearest_points(
+    tmp_path: Path, places: dict[str, float | None], strings: str, ends: str
+) -> None:
+    fit = tmp_path / "fitted"
+    fit.mkdir()
+    rows = [f"    {k}: {{direction: z{'' if u is None else f', u: {u}'}}}" for k, u in places.items()]
+    (fit / "body.yaml").write_text(FIT.replace("POINTS", "\n".join(rows)))
+    names = ",".join(places)
+    (fit / "body.csv").write_text(f"f_Hz,Q,{names}\n200,30,{','.join('1' for _ in places)}\n")
+    made = new_bundle(tmp_path / "mine", str(fit), strings=None if strings == "ej46" else strings)
+    spec = made.spec
+    assert [part.ends for part in spec.strings.values()] == [(f"body.{end}",) for end in ends.split()]
+    assert [part.note for part in spec.strings.values()] == ["E2", "A2", "D3", "G3", "B3", "E4"]
+    assert (made.name, spec.title) == ("mine", f"mine, a measured body with {strings} strings")
+    assert (spec.licence, spec.provenance["body"].kind, spec.provenance["strings.*"].kind) == (
+        "unknown", "measured", "unknown",
+    )  # fmt: skip
+    assert sorted(path.name for path in (tmp_path / "mine").iterdir()) == [
+        "body.csv", "instrument.schema.json", "instrument.yaml",
+    ]  # fmt: skip
+    assert (tmp_path / "mine" / "body.csv").read_bytes() == (fit / "body.csv").read_bytes()
+
+
+def test_what_a_new_bundle_cannot_be_made_of_leaves_nothing(tmp_path: Path) -> None:
+    fit = tmp_path / "fitted"
+    fit.mkdir()
+    (fit / "body.yaml").write_text(FIT.replace("POINTS", "    middle: {direction: q}"))
+    (fit / "body.csv").write_text("f_Hz,Q,middle\n200,30,1\n")
+    for name, source, said in (
+        ("mine", fit, "direction"), ("1st", fit, "cannot be the name of an instrument"),
+        ("mine", tmp_path, "monochord"),
+    ):  # fmt: skip
+        with pytest.raises(BundleError, match=said):
+            new_bundle(tmp_path / name, str(source))
+    (fit / "body.yaml").write_text("sources: {}\nbody: {}\noutputs: []\n")
+    with pytest.raises(BundleError, match="no file of a fit: this key is missing") as fault:
+        new_bundle(tmp_path / "mine", str(fit))
+    assert fault.value.key == "provenance"
+    assert [path.name for path in tmp_path.iterdir()] == ["fitted"]
+
+
+def test_a_copy_with_another_string_set_drops_what_the_set_says(tmp_path: Path) -> None:
+    made = new_bundle(tmp_path / "mine", "classical_guitar", strings="ej46")
+    original = tw.load_instrument("classical_guitar").spec
+    assert made.spec.strings_from == "ej46"
+    assert {key: (part.ends, part.note) for key, part in made.spec.strings.items()} == {
+        key: (part.ends, part.note) for key, part in original.strings.items()
+    }
+    for path, entry in original.provenance.items():
+        if not path.startswith("strings."):
+            assert made.spec.provenance[path].kind == "unknown"
+            assert f"where it is {entry.kind}" in str(made.spec.provenance[path].note)
+    said = {path for path, entry in made.spec.provenance.items() if entry.source == "strings_ej46"}
+    assert "strings.*.linear_density" in said
+    text = (tmp_path / "mine" / "instrument.yaml").read_text()
+    assert "linear_density" not in text.partition("strings:")[2].partition("\n\n")[0]
