@@ -43,7 +43,11 @@ LAWS, PHYSICS = "tests/analytic/test_laws_against_ode.py", "tests/unit/physics"
 TESTS = {name: [f"{PHYSICS}/{name}"] for name in ("modal", "passivity", "energy", "plate")} | {
     "coupling": [LAWS, f"{PHYSICS}/coupling", f"{PHYSICS}/stepping"],
     "stepping": [LAWS, f"{PHYSICS}/stepping"],
-    "instrument": ["tests/unit/instrument"],
+    "instrument": [
+        "tests/unit/instrument",
+        *(f"tests/plugins/test_{name}.py" for name in ("contract", "bundle_code", "loss_laws")),
+        "tests/unit/performance/score/test_scales.py",
+    ],
     "score": ["tests/unit/performance/score"],
     "player": ["tests/unit/performance/player", "tests/unit/performance/engine", "tests/plugins/test_hand_noises.py"],
     "engine": [
