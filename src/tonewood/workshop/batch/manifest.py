@@ -35,6 +35,11 @@ from tonewood.workshop.batch.pages import (
 )
 
 RESERVED = ("instrument", "score", "repeat")
+#: other columns of the table of answers
+ANSWER_COLUMNS = (
+    "listener", "simulated", "page", "type", "trial", "index", "repetition", "training", "stimulus", "role", "item",
+    "value", "response", "right", "level", "track", "seconds", "plays", "heard", "time",
+)  # fmt: skip
 #: numbers of a note that may vary
 NOTE_FIELDS = ("time", "duration", "held", "note", "freq", "force", "velocity_midi", "from_bridge", "angle_deg")
 #: keys under ``render.tail`` -> field
@@ -383,7 +388,11 @@ def load_manifest(path: str | os.PathLike[str]) -> Manifest:
 
     Raises ManifestError : a line for each fault: file, key, fault and the values allowed.
     """
-    return check_manifest(load_yaml(path, error=ManifestError), file=Path(path))
+    manifest = check_manifest(load_yaml(path, error=ManifestError), file=Path(path))
+    taken = [name for name in manifest.factors if name in ANSWER_COLUMNS]  # tests of earlier versions may have them
+    reason = "is not free as the name of a factor: it is a column of the table of answers"
+    raise_misfits([("factors", f"{name} {reason}") for name in taken], Path(path))
+    return manifest
 
 
 def check_manifest(data: dict[str, Any], *, file: Path | None = None) -> Manifest:

@@ -23,6 +23,7 @@ from pydantic_core import PydanticCustomError
 from tonewood.support.csv_text import csv_text
 from tonewood.support.validation_messages import first_message
 from tonewood.support.whole_files import write_whole
+from tonewood.workshop.batch.manifest import ANSWER_COLUMNS
 from tonewood.workshop.batch.pages import PairedPage
 from tonewood.workshop.batch.records import KEY_SCHEMA
 from tonewood.workshop.listening.answer_file import ListenerAnswers
@@ -31,10 +32,11 @@ from tonewood.workshop.listening.trials import OPEN
 
 #: levels of two sounds of a pair, and between them
 VERSUS = "|"
-COLUMNS = (
-    "listener", "simulated", "page", "type", "trial", "index", "repetition", "training", "stimulus", "role", "item",
-    "value", "response", "right", "level", "track", "seconds", "plays", "heard", "time",
-)  # fmt: skip
+COLUMNS = ANSWER_COLUMNS
+#: columns that the analysis reads where answers have factors: none of these may have such a name
+_READ = {
+    "listener", "page", "trial", "index", "repetition", "training", "role", "item", "value", "response", "right",
+}  # fmt: skip
 #: columns that are fields of a record
 _FROM_RECORD = ("page", "type", "trial", "index", "repetition", "training", "right", "level", "track")
 
@@ -101,10 +103,14 @@ def read_key(path: Path) -> Key:
 
 
 def tidy(test: ListeningTest, key: Key, answers: Sequence[ListenerAnswers]) -> AnswerTable:
-    """The table of all answers. Raises ListeningError : a code is not in the key."""
+    """The table of all answers. Raises ListeningError : a code is not in the key, or a factor has a column's name."""
     names = _listener_names(answers)
     trials = {trial.id: trial for trial in test.trials}
     factors = tuple(f for f in key.factors if len({s.levels[f] for s in key.stimuli.values()}) > 1)
+    if taken := sorted(_READ & set(factors)):
+        raise ListeningError(
+            f"{taken[0]} is a column of the table of answers, too; give it another name", key="factors"
+        )
     factors += ("repeat",) if len({s.levels.get("repeat") for s in key.stimuli.values()}) > 1 else ()
     rows: list[dict[str, Any]] = []
     for one in answers:

@@ -502,6 +502,16 @@ def test_what_is_not_said_of_a_midi_file() -> None:
     assert (source.start, source.stop, source.channel_per_string) == (0.0, None, False)
 
 
+def test_a_factor_is_not_called_as_a_column_of_the_answers(tmp_path: Path) -> None:
+    """Results of a factor `page` were empty, those of a factor `value` a traceback."""
+    levels = fakes.BASE["factors"]["damping"]
+    data = fakes.manifest(factors={"page": levels, "value": levels, "pages": levels}, pages=[{"type": "html"}])
+    with pytest.raises(ManifestError) as caught:
+        load_manifest(fakes.write(tmp_path, data))
+    assert [fault.reason.partition(" is not free as the name")[0] for fault in caught.value.all] == ["page", "value"]
+    assert check_manifest(data).factors.keys() == {"page", "value", "pages"}  # a test that was answered is read
+
+
 def test_a_manifest_of_today_needs_no_edits() -> None:
     pages = [{"type": "paired_comparison", "question": "brighter?"}, {"type": "mushra"}]
     assert manifest_edits({"render": {"fs": 48000}, "pages": pages}) == []

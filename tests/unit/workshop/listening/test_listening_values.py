@@ -101,7 +101,7 @@ from tonewood.workshop.listening.simulated_power import (
 )
 from tonewood.workshop.listening.simulations import trials
 from tonewood.workshop.listening.staircase import StaircaseTrack
-from tonewood.workshop.listening.table import AnswerTable, _cell, _listener_names
+from tonewood.workshop.listening.table import AnswerTable, Key, KeySound, _cell, _listener_names, tidy
 from tonewood.workshop.listening.thresholds import (
     ListenerThreshold,
     ThresholdGrid,
@@ -257,6 +257,18 @@ def test_rounding_errors_have_no_rank() -> None:
     ]
     (pair,) = (one for one in rank_analysis(rows, ("d", "s")).pairs if one.factor == "d")
     assert (pair.p_value, pair.r) == (1.0, 0.0)
+
+
+@pytest.mark.parametrize(("name", "read"), [("page", False), ("value", False), ("type", True)])
+def test_answers_to_a_factor_that_hides_a_column_are_not_analysed(name: str, read: bool) -> None:
+    sounds = {code: KeySound(condition=code, levels={name: code}) for code in "ab"}
+    key = Key.model_construct(factors=[name], levels={name: ["a", "b"]}, stimuli=sounds)
+    test: Any = SimpleNamespace(trials=())
+    if read:
+        assert tidy(test, key, []).factors == (name,)
+    else:
+        with pytest.raises(ListeningError, match=f"factors: {name} is a column of the table of answers"):
+            tidy(test, key, [])
 
 
 def test_shares_are_tested_against_a_half() -> None:
