@@ -104,7 +104,7 @@ def plan_batch(
     first = {keys[c.name]: c for c in reversed(every) if c.name in keys}
     missing = [first[key] for key in dict.fromkeys(keys[c.name] for c in every if c.name in keys) if not store.has(key)]
     # one instrument after the other: workers keep the models that they used last
-    todo = tuple(sorted(missing, key=lambda c: json.dumps([c.bundle, c.overrides], default=str, sort_keys=True)))
+    todo = tuple(sorted(missing, key=lambda c: json.dumps([c.bundle, c.overrides], default=str)))
     if todo and (unused := store.others(set(keys.values()))):
         notes.append(
             f"{unused} renders in {store.folder} are not used: they were made of something else (parameters, scores, "

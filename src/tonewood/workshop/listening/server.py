@@ -284,7 +284,7 @@ class ListeningServer:
                 return
             if len(self._said) < 1000:
                 self._said.add(key)
-        print(f"tonewood: {origin}: {text}", file=sys.stderr, flush=True)
+        print(f"tonewood: {origin}: {text}", file=sys.stderr)
 
     def _language(self, asked: str) -> str:
         """The first language asked for (with commas between) that the test has, or its own."""

@@ -22,7 +22,7 @@ class StaircaseTrack:
     """
 
     page: StaircasePage
-    level: float = 0.0
+    level: float = field(init=False)
     levels: list[float] = field(default_factory=list)
     right: list[bool] = field(default_factory=list)
     reversal_levels: list[float] = field(default_factory=list)

@@ -67,6 +67,12 @@ def test_differences_are_drawn_down_to_60_db(
     bottom = np.asarray(axes[0][1][1, 0].get_lines()[0].get_xydata())
     np.testing.assert_allclose(bottom[:, 0], 0.02 * np.arange(5 * drawn), atol=1e-12)
     np.testing.assert_allclose(bottom[:, 1], -20 * math.log10(2), atol=1e-9)
+    top, below = axes[0][1][:, 0]
+    bands = np.asarray(top.get_lines()[0].get_xydata())
+    assert bands[np.abs(bands[:, 0] - 1000.0).argmin()] == pytest.approx([1000.0, -20 * math.log10(2)])
+    assert (top.get_xscale(), top.get_xlim(), top.get_xlabel()) == ("log", (50.0, 20e3), "frequency, Hz")
+    assert (below.get_xscale(), below.get_xlabel()) == ("linear", "time, s")
+    assert [t.get_text() for t in top.get_legend().get_texts()] == ["b"]
 
 
 def test_channels_of_a_sound_in_a_room(tmp_path: Path) -> None:

@@ -518,6 +518,9 @@ def test_sounds_of_checks_and_levels_are_made_here(tmp_path: Path) -> None:
     session = server._entries[base.rpartition("/")[2]].opened.session
     noises = [request(application, "GET", f"{base}/sound/1/{slot}")[2] for slot in "123"]
     assert noises == [interval(test, test.pages[1], session, slot) for slot in "123"]
+    answer = {"index": 1, "choice": "1", "plays": dict.fromkeys("123", 1)}
+    reply = json.loads(request(application, "POST", base, json.dumps(answer).encode())[2])
+    assert (reply["feedback"], reply["step"]["index"]) == (None, 2)  # a check does not say which answer is right
     assert len(set(noises)) > 1
     assert request(application, "GET", f"{base}/sound/1/tone")[0] == 404
 

@@ -1017,6 +1017,15 @@ def test_figures_of_means_are_the_means() -> None:
     crossed = made["interaction"].axes[0].containers
     assert [list(c.lines[0].get_ydata()) for c in crossed] == [[52.0, 52.0], [62.0, 62.0]]
     np.testing.assert_allclose([list(c.lines[0].get_xdata()) for c in crossed], [[0, 1], [0.06, 1.06]])
+    bars = [[s[:, 1] for s in c.lines[2][0].get_segments()] for c in crossed]
+    np.testing.assert_allclose(np.concatenate(bars), [(m.low, m.high) for m in cells])
+    # one listener has no interval
+    few = tuple(cell_means(rows[:4], ("d", "p"), 0.95))
+    alone = figures_of(panel, replace(own, rows=tuple(rows[:4]), cells=few, helpers=()))
+    for name, axis in (("means", 0), ("interaction", 1)):
+        shown = alone[name].axes[0].containers
+        ends = [s[:, axis].tolist() for c in shown for s in c.lines[2][0].get_segments()]
+        assert ends == [[m.mean, m.mean] for m in few]
 
 
 # -- simulated experiments --------------------------------------------------------------------------------------------
