@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
 import signal
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,11 +25,12 @@ from tonewood.cli import (
     render_report,
     results,
     stems,
+    stopping,
     tab,
     taptone,
     wood,
 )
-from tonewood.cli.commands import COMMANDS
+from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
 from tonewood.cli.options import _number, option_name, render_options
 from tonewood.cli.stopping import SignalHandling
 from tonewood.errors import OutputError, TonewoodError
@@ -154,6 +157,130 @@ def test_signals_have_their_words_and_codes() -> None:
     assert (handling.signal, handling.code, handling.word) == (signal.SIGHUP, 129, "hung up")
     handling._take(signal.SIGINT, None)  # within a second of the other
     assert handling.signal == signal.SIGHUP
+
+
+def test_signals_are_handled_unless_they_were_ignored(monkeypatch) -> None:
+    before = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_IGN, signal.SIGHUP: signal.SIG_DFL}
+    taken, hook = {}, sys.unraisablehook
+    monkeypatch.setattr(signal, "getsignal", before.get)
+    monkeypatch.setattr(signal, "signal", taken.__setitem__)
+    handling = SignalHandling()
+    try:
+        handling.begin()
+        assert sys.unraisablehook == handling._lost
+    finally:
+        sys.unraisablehook = hook
+    assert handling.installed
+    assert taken == dict.fromkeys((signal.SIGINT, signal.SIGHUP), handling._take)
+
+
+@pytest.mark.parametrize(("since", "reason"), [(None, "hung up; nothing was written"), (-2.0, "hung up")])
+def test_a_signal_that_ends_the_program_is_told_as_json_too(monkeypatch, since, reason) -> None:
+    """Before a command nothing was written; a second after another signal nobody knows."""
+    said, codes, handling = [], [], SignalHandling()
+    monkeypatch.setattr(stopping, "_write", lambda descriptor, text: said.append((descriptor, text)))
+    monkeypatch.setattr(stopping.os, "_exit", codes.append)
+    monkeypatch.setattr(sys, "argv", ["tonewood", "list", "--json"])
+    if since is not None:
+        handling.command_begins()
+        for seconds in (10.0, 11.0):  # the second one is a second later
+            monkeypatch.setattr(stopping.time, "monotonic", lambda seconds=seconds: seconds)
+            with pytest.raises(KeyboardInterrupt):
+                handling._take(signal.SIGHUP, None)
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            handling._take(signal.SIGHUP, None)
+    assert (codes, said[1]) == ([129], (2, f"tonewood: {reason}\n"))
+    report = json.loads(said[0][1])
+    assert (said[0][0], report["schema"], report["ok"]) == (1, "tonewood-error/1", False)
+    assert report["error"] == {
+        "kind": "Interrupted", "file": None, "line": None, "key": None, "reason": reason, "exit_code": 129,
+    }  # fmt: skip
+
+
+def test_an_interruption_that_got_lost_comes_again(monkeypatch) -> None:
+    import threading
+
+    sent, others = [], []
+
+    class Timer:
+        def __init__(self, seconds, call, arguments):
+            self.start = lambda: sent.append((seconds, call, arguments))
+
+    monkeypatch.setattr(threading, "Timer", Timer)
+    monkeypatch.setattr(sys, "__unraisablehook__", others.append)
+    handling = SignalHandling()
+    handling.signal = signal.SIGTERM
+    handling._lost(SimpleNamespace(exc_type=KeyboardInterrupt))
+    assert sent == [(0.01, os.kill, (os.getpid(), signal.SIGTERM))]
+    assert others == []
+    handling._lost(fault := SimpleNamespace(exc_type=ValueError))
+    assert (others, len(sent)) == ([fault], 1)
+
+
+@pytest.mark.parametrize(("code", "given"), [(0, 0), (3, 3), (None, 0), ("a line", 1)])
+def test_the_exit_code_of_a_command_is_kept_for_signals_after_it(monkeypatch, code, given) -> None:
+    from tonewood.cli import start
+
+    calls = []
+    monkeypatch.setattr(start.stopping, "begin", lambda: calls.append("begin"))
+    monkeypatch.setattr(start.stopping, "command_ends", calls.append)
+
+    def run():
+        raise SystemExit(code)
+
+    monkeypatch.setattr(main, "run", run)
+    with pytest.raises(SystemExit) as end:
+        start.main()
+    assert (calls, end.value.code) == (["begin", given], code)
+
+
+def fails(fault):
+    def command(*arguments, **options):
+        raise fault
+
+    return command
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "line"),
+    [
+        (InterruptError("a is written"), 130, "tonewood: interrupted; a is written\n"),
+        (KeyboardInterrupt(), 130, "tonewood: interrupted; nothing was written\n"),
+        (ReaderGoneError(), 0, ""),
+        (
+            OSError(28, "No space left on device", "/x/y"),
+            2,
+            "tonewood: /x/y: cannot be used: No space left on device\n",
+        ),
+        (OSError(28, "No space left"), 2, "tonewood: standard output: cannot be written: No space left\n"),
+        (TonewoodError("r", file="f", key="k"), 2, "tonewood: f: k: r\n"),
+    ],
+)
+def test_exceptions_of_commands_end_in_one_line(monkeypatch, capsys, fault, code, line) -> None:
+    monkeypatch.setattr("tonewood.cli.app.application", lambda first: fails(fault))
+    monkeypatch.setattr(main, "_no_more", lambda stream: None)
+    monkeypatch.setattr(whole_files, "completed", [])
+    with pytest.raises(SystemExit) as end:
+        main.run(["list"])
+    assert (end.value.code, capsys.readouterr().err) == (code, line)
+
+
+def test_an_exception_that_nobody_expected_is_raised(monkeypatch, capsys) -> None:
+    """Unless a signal was its cause."""
+    monkeypatch.setattr("tonewood.cli.app.application", lambda first: fails(ZeroDivisionError("x")))
+    monkeypatch.setattr(whole_files, "completed", [])
+    with pytest.raises(ZeroDivisionError):
+        main.run(["list"])
+    monkeypatch.setattr(main.stopping, "signal", int(signal.SIGTERM))
+    with pytest.raises(SystemExit) as end:
+        main.run(["list"])
+    assert (end.value.code, capsys.readouterr().err) == (143, "tonewood: terminated; nothing was written\n")
+    # a session that SIGTERM has ended in good order
+    monkeypatch.setattr("tonewood.cli.app.application", lambda first: lambda **options: 0)
+    with pytest.raises(SystemExit) as end:
+        main.run(["list"])
+    assert end.value.code == 143
 
 
 # messages

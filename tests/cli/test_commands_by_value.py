@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -89,6 +90,79 @@ def test_a_mobility_is_drawn_up_to_its_end(tonewood: Run, tmp_path: Path, monkey
     assert (tmp_path / "t.csv").read_text().count("\n") > 1
 
 
+def test_modes_of_an_instrument_are_printed(tonewood: Run, monkeypatch: Patch) -> None:
+    """With the parts of a body that knows its surface; rigid motion, of 0 Hz, is none of its modes."""
+    from tonewood.cli import modes
+
+    rows = [{"freq": 99.6, "q": 24.6, "kind": "A0"}, {"freq": 210.4, "q": 30.0, "kind": "top"}]
+    monkeypatch.setattr(modes, "_body_modes", Asked(rows))
+    found = told(tonewood("modes", "monochord", "--count", 2, "--fs", 16000, "--stop", 5, "--json"))
+    string = found["strings"]["A2"]
+    assert (found["stop"], found["body"]["modes"], found["plot"], found["table"]) == (5, rows, None, None)
+    assert string["wanted_freq"] == pytest.approx(110 * 2 ** (5 / 12))
+    lines = tonewood("modes", "monochord", "--count", 2, "--fs", 16000, "--stop", 5)[1].splitlines()
+    assert lines[0] == f"A2 at stop 5: {110 * 2 ** (5 / 12):.2f} Hz, {string['tension']:.2f} N"
+    at = lines.index("  partial     freq/Hz    cents    T60/s  share of the body") + 1
+    assert [line.split()[:4] for line in lines[at : at + 2]] == [
+        [str(p["number"]), f"{p['freq']:.2f}", f"{p['cents']:+.2f}", f"{p['t60']:.2f}"] for p in string["partials"]
+    ]
+    assert [line.split()[4:] for line in lines[at : at + 2]] == [
+        [f"{100 * p['body_share']:.1f}", "%"] for p in string["partials"]
+    ]
+    peaks = [f"{p['freq']:.0f} Hz {20 * math.log10(p['mobility']):.0f} dB" for p in string["bridge_mobility_peaks"]]
+    assert lines[at + 2] == f"  bridge mobility peaks, re 1 (m/s)/N: {', '.join(peaks)}"
+    assert "body: modes in Hz 100 (A0, Q 25)  210 (top, Q 30)" in lines
+    monkeypatch.undo()
+    natural, damping = np.array([0.0, 100.0, 200.0, *range(300, 1500, 100)]), np.array([1.0, 0.02, 0.01, *[0.005] * 12])
+    surface = SimpleNamespace(labels=["rigid", "A0", *["top"] * 13])
+    body = SimpleNamespace(
+        sources=lambda freq: surface, basis=lambda freq: SimpleNamespace(natural_freq=natural, damping_ratio=damping)
+    )
+    told_of = modes._body_modes(SimpleNamespace(body=body))  # type: ignore[arg-type]
+    assert told_of[:2] == [{"freq": 100.0, "q": 25.0, "kind": "A0"}, {"freq": 200.0, "q": 50.0, "kind": "top"}]
+    assert [row["freq"] for row in told_of] == [100.0 * k for k in range(1, 13)]
+
+
+def test_a_check_tells_cents_by_which_modes_move(tonewood: Run, monkeypatch: Patch) -> None:
+    from tonewood.workshop.design import sensitivity
+
+    sensed = sensitivity.Sensitivity(np.array([100.0, 200.0]), ("A0", "2"), {"1 g at bridge": np.array([-1.5, 2.0])})
+    monkeypatch.setattr(sensitivity, "sensitivity", Asked(sensed))
+    monkeypatch.setattr(sensitivity, "words", Asked(["a gram moves A0"]))
+    words = ("check", "monochord", "--fs", 16000, "--sensitivity")
+    found = told(tonewood(*words, "--json"))["sensitivity"]
+    assert found == {"modes": ["A0", "2"], "freq": [100.0, 200.0], "cents": {"1 g at bridge": [-1.5, 2.0]}}
+    assert "a gram moves A0" in tonewood(*words)[1]
+
+
+def test_string_sets_and_materials_are_listed(tonewood: Run) -> None:
+    from tonewood.instrument.bundle.string_materials import string_materials
+    from tonewood.instrument.bundle.string_sets import string_sets
+
+    report = told(tonewood("strings", "--json"))
+    assert (report["sets"], set(report["materials"])) == (list(string_sets()), set(string_materials()))
+    lines = tonewood("strings")[1].splitlines()
+    for name, one in string_sets().items():
+        notes = " ".join(entry.note for entry in one.strings)
+        assert f"  {name:<20} {one.maker} {one.product} ({notes})" in lines
+    for name, material in string_materials().items():
+        (line,) = [line for line in lines if line.startswith(f"  {name:<20} ")]
+        assert f": {material.density.value:g} kg/m^3" in line
+        assert (f", E {1e-9 * material.young.value:.4g} GPa" if material.young else ", for wraps") in line
+        assert f"    {material.density.source}" in lines
+
+
+@pytest.mark.parametrize("kind", ["instrument", "test", "dataset"])
+def test_schemas_are_of_their_kind(tonewood: Run, kind: str) -> None:
+    code, out, _ = tonewood("schema", kind)
+    key = {"instrument": "strings", "test": "trials", "dataset": "sampling"}[kind]
+    text = json.dumps(json.loads(out))
+    assert code == 0
+    assert f'"{key}"' in text
+    assert ('"sampling"' in text) == (kind == "dataset")
+    refused(tonewood("schema", "tune"), "instrument, test, dataset are allowed")
+
+
 def test_a_new_bundle_names_its_files(tonewood: Run, tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.chdir(tmp_path)
     code, out, _ = tonewood("new", "mine", "--from", "monochord")
@@ -120,6 +194,9 @@ def test_cents_of_frets_are_printed_by_string(tonewood: Run, monkeypatch: Patch)
         "  E2 fret  2: z +0.0 cents, -2.0 without the body", "  A2 fret  1: z +4.0 cents, +3.0 without the body",
     ]  # fmt: skip
     assert lines[-2].split() == ["A2", "+1.00", "+2.00", "0.50", "none", "+1.00", "+2.00", "0.50"]
+    monkeypatch.setattr("tonewood.cli.intonation._row", lambda s: s.name)
+    report = told(tonewood("intonation", "classical_guitar", "--json"))
+    assert (report["frets"], report["strings"], report["instrument"]) == (12, ["E2", "A2"], "classical_guitar")
     for frets in (1, 20):
         refused(tonewood("intonation", "classical_guitar", "--frets", frets), "2 to 19 are allowed")
     refused(tonewood("intonation", "african_harp"), "frets are wanted")
