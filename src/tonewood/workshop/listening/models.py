@@ -51,7 +51,7 @@ class ModelTerm:
     """One difference from the reference level, over all cells of the other factors (points).
 
     `p_holm` is adjusted for the differences of the same effect; Cohen's d is the difference over the standard deviation
-    of answers within a cell.
+    of answers within a cell; `first` is the reference level, empty for an interaction.
     """
 
     name: str
@@ -63,6 +63,7 @@ class ModelTerm:
     p_value: float
     p_holm: float
     cohens_d: float
+    first: str
 
 
 @dataclass(frozen=True)
@@ -190,14 +191,14 @@ def linear_analysis(
     terms, alone, alike = [], [], []
     for effect, one in estimates.items():
         indices = np.flatnonzero(np.isfinite(one.p_value))
-        names = contrasts.names[effect]
+        names, first = contrasts.names[effect], data.levels[effect[0]][0] if len(effect) == 1 else ""
         alone += [name for i, name in enumerate(names) if i not in indices]
         alike += [names[i] for i in indices if one.low[i] == one.high[i] and one.difference[i] != 0]
         for i, p in zip(indices, strata.holm(one.p_value[indices]), strict=True):
             arrays = one.difference, one.low, one.high, one.df, one.p_value
             difference, low, high, df, p_value = (float(x[i]) for x in arrays)
             d = difference / cell_sd if cell_sd > 0 else 0.0
-            terms.append(ModelTerm(names[i], effect, difference, low, high, df, p_value, float(p), d))
+            terms.append(ModelTerm(names[i], effect, difference, low, high, df, p_value, float(p), d, first))
     if alone:
         alone += [" : ".join(e) for e, t in tests.items() if not np.isfinite(t.p_value)]
         notes.append(f"not stated, because one listener or sound alone decides it: {', '.join(alone)}")

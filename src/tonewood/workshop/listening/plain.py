@@ -124,7 +124,7 @@ def _least_sure(tests: list[FactorTest | OddsTest]) -> FactorTest | OddsTest:
 def _difference(panel: PanelResults, page: PageResults, linear: LinearAnalysis, term: ModelTerm) -> tuple[float, str]:
     """Probability of a difference, adjusted for those of the same factor, and the difference in words."""
     percent, alpha = f"{100 * panel.confidence:g} %", 1 - panel.confidence
-    first, level = _first_level(linear, page, term), term.name.partition("=")[2]
+    first, level = term.first, term.name.partition("=")[2]
     varied = _in_unit(panel, term.effect[0], first, level)
     odds = _odds(page, term.name, percent)
     share = _superiority(page, term.effect[0], first, level)
@@ -135,7 +135,8 @@ def _difference(panel: PanelResults, page: PageResults, linear: LinearAnalysis, 
     if page.ordinal and share is not None:
         shown = "" if share.p_holm < alpha else f"no difference between {level} and {first} is shown: "
         return share.p_holm, f"{shown}{rated}{f' ({varied})' if varied else ''}{odds}"
-    terms = [t for one in _analyses(page) if one.linear is not None for t in one.linear.terms if t.name == term.name]
+    same = term.name, first
+    terms = [t for a in _analyses(page) if a.linear is not None for t in a.linear.terms if (t.name, t.first) == same]
     term = max(terms, key=lambda t: t.p_holm)
     p = term.p_holm
     interval = f"{percent} interval {_number(term.low)} to {_number(term.high)}, {_p_of(term)}"
@@ -155,14 +156,6 @@ def _difference(panel: PanelResults, page: PageResults, linear: LinearAnalysis, 
         text += f"; one of more than {most:.3g} points is unlikely" if term.low < term.high else ""
     bent = (linear.at_ends or 0.0) > END_SHARE
     return p, text + (f"; {rated}{odds}" if bent and rated else odds)
-
-
-def _first_level(linear: LinearAnalysis, page: PageResults, term: ModelTerm) -> str:
-    """The level that a term is a difference from: the one without a term."""
-    factor = term.effect[0]
-    named = {t.name.partition("=")[2] for t in linear.terms if t.effect == term.effect}
-    levels = dict.fromkeys(str(row[factor]) for row in page.rows if row["role"] in ("sound", "reference"))
-    return next((level for level in levels if level not in named), "the first level")
 
 
 def _superiority(page: PageResults, factor: str, first: str, level: str) -> Superiority | None:

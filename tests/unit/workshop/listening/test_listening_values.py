@@ -1231,7 +1231,7 @@ def test_cells_are_told_of_pairs_in_several() -> None:
 
 
 def linear(*terms: tuple[str, float, float, float, float], at_ends: float | None = None) -> LinearAnalysis:
-    made = tuple(ModelTerm(n, ("d",), v, low, high, 9.0, p, p, 0.5) for n, v, low, high, p in terms)
+    made = tuple(ModelTerm(n, ("d",), v, low, high, 9.0, p, p, 0.5, "a") for n, v, low, high, p in terms)
     return LinearAnalysis("", "", True, 10, 5, (), made, (), 3.0, at_ends)
 
 
@@ -1268,6 +1268,21 @@ def test_a_difference_of_ratings_in_words(term: Any, text: str) -> None:
     p, told = told_of(rated(linear(term, ("d=c", 0.0, 0.0, 0.0, 1.0))))
     assert p == term[-1]
     assert told == text if not text.startswith((";", "is shown")) else text in told
+
+
+def test_a_difference_is_from_the_level_of_the_reference() -> None:
+    """A level that one listener rated is left out; the others were said to differ from it, where it stood first."""
+    rows = [
+        {"listener": str(i), "d": d, "role": "sound", "value": v + i % 3 * (d == "b")}
+        for d, v in (("x", 10.0), ("a", 90.0), ("b", 50.0))
+        for i in range(1 if d == "x" else 6)
+    ]
+    model = linear_analysis(rows, ("d",), 0.95, {"d": ["a", "x", "b"]})
+    assert model is not None
+    assert [(t.name, t.first, round(t.difference, 9)) for t in model.terms] == [("d=b", "a", -39.0)]
+    assert told_of(PageResults(1, "mushra", "M", 6, ("d",), tuple(rows), linear=model))[1].startswith(
+        "b is rated 39 points below a ("
+    )
 
 
 def test_the_larger_p_of_those_with_and_without_the_screened_is_told() -> None:
