@@ -13,8 +13,10 @@ from tonewood.errors import BundleError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.instrument.inspection.frequencies import pitch
 from tonewood.instrument.model.assembly import Model, assemble
-from tonewood.instrument.model.tuning import CoupledMode, TunedStop
+from tonewood.instrument.model.tuning import CoupledMode, StringOnBody, TunedStop
 from tonewood.lab.string_end import ExactString, coupled_pole
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.receptance import Ports
 
 Make = Callable[..., Instrument]
 
@@ -93,6 +95,25 @@ def test_body_resonance_makes_a_wolf(guitar: Model) -> None:
     quiet = guitar.strings["E2"].tuned(8)
     assert quiet is not None
     assert quiet.wolf is None
+
+
+def test_planes_of_which_one_meets_a_body_mode_keep_their_own_modes(guitar: Model) -> None:
+    """A body mode at the pitch that moves along z alone: the modes are those of z on it and of y on a rigid end."""
+    string, tension = guitar.strings["D3"], guitar.strings["D3"].tension(0)
+    bases, freq = string.tuning.coupled(0).bases(tension), string.freq(0)
+    mode = ModalBasis.real([2 * math.pi * freq], [20.0], {"bridge": [1.0]}, modal_mass=0.2)
+    moving, rigid = np.array([[1.0], [0.0]]), np.array([[0.0]])
+
+    def poles(planes: slice, rows: np.ndarray) -> list[complex]:
+        coupled = StringOnBody(lambda _: bases[planes], Ports.of(mode, rows), 0.1)
+        return [pole for pole, _ in coupled.poles(coupled.joint(tension), freq)]
+
+    alone = [*poles(slice(0, 1), moving[:1]), *poles(slice(1, 2), rigid)]
+    both = poles(slice(0, 2), moving)
+    assert len(both) == len(alone) == 3
+    key = np.imag
+    np.testing.assert_allclose(sorted(both, key=key), sorted(alone, key=key), rtol=1e-9)
+    assert 0.01 < max(np.imag(alone)) / min(np.imag(alone)) - 1 < 0.2  # z and the body split
 
 
 def test_the_level_of_a_mode_is_that_of_its_energy() -> None:

@@ -93,7 +93,8 @@ class Parameter(Section):
         """The value at a share 0 to 1 of the range, or of the list."""
         if self.values is not None:
             return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
-        low, high = self.range or (0.0, 1.0)
+        assert self.range is not None  # a parameter without values has one
+        low, high = self.range
         if self.log_uniform is not None:
             return low * math.exp(share * math.log(high / low))
         return low + share * (high - low)
