@@ -46,7 +46,7 @@ class Desk:
         self.session, self.lock = session, threading.RLock()
         self._temporary = None if folder is not None else tempfile.TemporaryDirectory(prefix="tonewood-desk-")
         self.folder = folder if folder is not None else Path(str(self._temporary and self._temporary.name))
-        self.phrase = ChosenPhrase(score, self.folder / "phrase.mid")
+        self.phrase = ChosenPhrase(score, self.folder / "desk_phrase.mid")
         options = RenderOptions(fs=fs, tail=TAIL, max_duration=LONGEST)
         self.takes = LeveledTakes(self.phrase, session.instrument, options)
         self.playback = DeskSound(fs)

@@ -56,9 +56,13 @@ class ChosenPhrase:
     """The phrase that the page asks for, and its file.
 
     score_file : score of the command line; None without one.
+    file : to be written.
+    Raises TonewoodError : both are one file.
     """
 
     def __init__(self, score_file: Path | None, file: Path):
+        if score_file is not None and score_file.exists() and file.exists() and score_file.samefile(file):
+            raise TonewoodError("is the file that the desk writes its phrases to; give a copy of it", file=score_file)
         self.score_file, self._file = score_file, file
         #: kind, notes and velocity as for `phrase`; the kind ``file`` is the score of the command line
         self.asked: dict[str, Any] = {"kind": "file" if score_file else "chord", "notes": "", "velocity": 80}

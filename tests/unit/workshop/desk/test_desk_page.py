@@ -77,7 +77,7 @@ def test_the_sound_heard_is_the_render_and_knobs_are_heard(tmp_path: Path) -> No
         changed = tw.load_instrument("monochord").replace({path: 0.005})
         gain = browser.run("return desk.state.gain_db")
         options = RenderOptions(tail=TAIL, max_duration=LONGEST, gain_db=gain)
-        wanted = tw.render(tmp_path / "phrase.mid", changed, options=options).samples[:, 0].astype(np.float32)
+        wanted = tw.render(tmp_path / "desk_phrase.mid", changed, options=options).samples[:, 0].astype(np.float32)
         # after the fade of the sound before, a second of the phrase stands in the recording, sample for sample
         piece, n = wanted[2400 : 2400 + 24000], 24000
         starts = np.flatnonzero(found[: len(found) - n, 0] == piece[0])

@@ -694,6 +694,9 @@ def test_a_file_is_the_phrase_until_another_is_asked_for(tmp_path: Path) -> None
     assert chosen.file == tmp_path / "made.mid"
     assert [n.note for n in chosen.score(strung(40)).notes][:2] == [40, 42]
     assert ChosenPhrase(None, tmp_path / "made.mid").asked["kind"] == "chord"
+    (tmp_path / "link.mid").symlink_to(file)  # the first chord would have replaced the user's score
+    with pytest.raises(TonewoodError, match="is the file that the desk writes its phrases to"):
+        ChosenPhrase(file, tmp_path / "link.mid")
 
 
 # -- sound ------------------------------------------------------------------------------------------------------------
