@@ -7,7 +7,7 @@ import json
 import math
 import signal
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -33,6 +33,7 @@ from tonewood.cli import (
     modes,
     play,
     render,
+    render_report,
     results,
     sample,
     serve,
@@ -655,3 +656,62 @@ def test_shares_of_a_coupled_mode_add_up_to_its_energy(tonewood) -> None:
         assert p["string_share"] + p["body_share"] == pytest.approx(1.0, rel=1e-6)
         assert 0 <= p["body_share"] < 0.5
         assert p["cents"] == pytest.approx(1200 * math.log2(p["freq"] / p["number"] / row["wanted_freq"]), abs=1e-6)
+
+
+@dataclass
+class Tension:
+    cents: float = -3.0
+    given: float = 70.0
+
+    def line(self) -> str:
+        return "string E2 is held"
+
+
+def test_a_summary_of_a_render_has_every_figure(capsys) -> None:
+    dropped = SimpleNamespace(time=1.5, note=20.0, channel=3, reason="no string plays it")
+    summary = SimpleNamespace(
+        notes=1, notes_dropped=[dropped], duration_s=2.5, fs=8000, frames=20000, realtime_factor=4.0, render_s=0.625,
+        end="silent", room="hall", ignored={"aftertouch": 2}, tensions=[Tension()], zero_frame=400, n_modes=9,
+        onset_step_dbfs=-50.4, effects=[], warnings=["loud"], peak_dbfs=-3.0,
+    )  # fmt: skip
+    account = SimpleNamespace(
+        peak=0.0125, worst_residual=2e-9, worst_cumulative_residual=3e-8, balance=lambda: {"supplied": 1.0}
+    )
+    groups = [SimpleNamespace(name="mic", full_scale=40.0, unit="Pa", gain_db=0.0)]
+    renderer = SimpleNamespace(
+        summary=lambda: summary, energy=account, channels=("l", "r"), model=SimpleNamespace(outputs=groups)
+    )
+    rendered = render_report.WrittenSound(
+        renderer, Path("a.wav"), "PCM_16", 0, 0.5, "peak", 6.0, None, 0.25, [Path("s/mic.wav")]
+    )
+    render_report.print_summary(rendered, [Path("e.json"), Path("e.csv")])
+    out, err = capsys.readouterr()
+    assert out.splitlines() == [
+        "a.wav: 2.50 s, 2 channels at 8000 Hz, peak -6.0 dBFS; 1 note, 1 dropped; 4.0 x real time; ended: silent",
+        "  level peak: gain +6.0 dB, 0 dBFS is 20.05 Pa",
+        "  room hall",
+        "  without effect: 2 aftertouch",
+        "  string E2 is held",
+        "  score time 0 is frame 400",
+        "  a step of -50 dBFS at the first frame was smoothed: sound before it was cut off (see --lead-in)",
+        "  s/mic.wav",
+        "  energy: peak 0.0125 J, balance open by 2.0e-09 of it in an interval, 3.0e-08 summed up: e.json, e.csv",
+    ]
+    assert err.splitlines()[0] == "tonewood: warning: loud"
+    assert "no string plays it" in err
+    assert render_report.report(rendered) == {
+        "output": "a.wav", "outputs": ["mic"], "fs": 8000, "frames": 20000, "channels": 2, "channel_names": ["l", "r"],
+        "duration_s": 2.5, "load_s": 0.25, "render_s": 0.625, "realtime_factor": 4.0, "n_modes": 9, "notes": 1,
+        "notes_dropped": [{"time_s": 1.5, "note": 20.0, "channel": 3, "reason": "no string plays it"}],
+        "midi_ignored": {"aftertouch": 2}, "peak_dbfs": pytest.approx(20 * math.log10(0.5)), "clipped": 0,
+        "end": "silent", "tensions": [{"cents": -3.0, "given": 70.0}], "zero_frame": 400, "onset_step_dbfs": -50.4,
+        "room": "hall", "warnings": ["loud"], "energy": {"supplied": 1.0}, "effects": [], "level": "peak",
+        "gain_db": 6.0,
+    }  # fmt: skip
+    for name in ("room", "onset_step_dbfs"):
+        setattr(summary, name, None)
+    summary.ignored, summary.tensions, summary.zero_frame, renderer.energy = {}, [], 0, None
+    render_report.print_summary(replace(rendered, stems=[]), [])
+    assert len(capsys.readouterr().out.splitlines()) == 2
+    assert render_report.report(replace(rendered, peak=0.0))["peak_dbfs"] is None
+    assert render_report.report(rendered)["energy"] is None
