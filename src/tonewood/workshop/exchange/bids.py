@@ -40,7 +40,8 @@ def write(test: ListeningTest, folder: Path) -> Exported:
     Raises ListeningError : there are no answers.
     Raises OutputError : a file cannot be written.
     """
-    listeners = [one for one in answers_of(test).listeners if one.records]
+    answers = answers_of(test)
+    listeners = [one for one in answers.listeners if one.records]
     if not listeners:
         raise ListeningError("holds no answers; BIDS is of participants", file=test.folder / "answers")
     task = re.sub(r"[^A-Za-z0-9]", "", test.manifest.name) or "listening"
@@ -64,7 +65,7 @@ def write(test: ListeningTest, folder: Path) -> Exported:
     _json(folder / "dataset_description.json", {**description, "GeneratedBy": made_by})
     write_whole(folder / "README.md", _README.format(name=test.manifest.name), make_folder=True)
     copy_sounds(test, sorted(code for code in used if test.sound(code).exists()), folder / "stimuli")
-    return Exported(folder)
+    return Exported(folder, tuple(f"bids: left out: {one.reason}" for one in answers.left_out))
 
 
 _README = """# {name}

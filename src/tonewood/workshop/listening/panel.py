@@ -30,7 +30,7 @@ from tonewood.support.yaml_io import load_yaml
 from tonewood.workshop.batch import pages
 from tonewood.workshop.batch.page_parts import Name, Section
 from tonewood.workshop.batch.seeds import generator
-from tonewood.workshop.listening.answer_file import begin, now
+from tonewood.workshop.listening.answer_file import FOLDER, answers_of, begin, now
 from tonewood.workshop.listening.checked_answer import choices
 from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.detection import chance_of, share_right, task_of
@@ -87,16 +87,21 @@ def read_panel(path: Path) -> SimulatedPanel:
 def simulate(test: ListeningTest, panel: SimulatedPanel, listeners: int, seed: int) -> list[Path]:
     """Let simulated listeners take the test; returns their files.
 
-    Raises ListeningError : the parameters name a factor or level that the test has not.
+    Raises ListeningError
+        The parameters name a factor or level that the test has not, or listeners of this seed took the test before.
     """
     key = read_key(test.folder / test.manifest.output.key)
     _check(panel, test)
+    randoms = [generator(seed, "simulated listener", test.manifest.name, k) for k in range(listeners)]
+    seeds = [int(random.integers(2**48)) for random in randoms]
+    if seeds[0] in {one.header["seed"] for one in answers_of(test).listeners}:
+        reason = f"is {seed}: its listeners took this test before, and their answers would count twice"
+        raise ListeningError(f"{reason}; take another seed, or remove {test.folder / FOLDER}", key="--seed")
     answers = []
-    for k in range(listeners):
-        random = generator(seed, "simulated listener", test.manifest.name, k)
+    for k, random in enumerate(randoms):
         opened = begin(
             test, language=test.manifest.language, listener=f"simulated {k + 1}", started=now("microseconds"),
-            seed=int(random.integers(2**48)), simulated=True,
+            seed=seeds[k], simulated=True,
         )  # fmt: skip
         listener = _Listener(panel, key, test, random)
         while opened.session.step is not None:

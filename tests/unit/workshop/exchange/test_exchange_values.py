@@ -321,7 +321,7 @@ def test_participants_are_numbered(
     ]
     monkeypatch.setattr(
         "tonewood.workshop.exchange.bids.answers_of",
-        lambda t: SimpleNamespace(listeners=[*people, SimpleNamespace(records=[])]),
+        lambda t: SimpleNamespace(listeners=[*people, SimpleNamespace(records=[])], left_out=()),
     )
     write_bids(test, tmp_path / "out")
     lines = (tmp_path / "out" / "participants.tsv").read_text().splitlines()
@@ -342,8 +342,9 @@ def test_tables_of_bids(test: ListeningTest, tmp_path: Path, monkeypatch: pytest
         record("consent", answer={"agreed": True}, slots={}),
     ]
     listener = SimpleNamespace(records=own, header={"simulated": False})
-    monkeypatch.setattr("tonewood.workshop.exchange.bids.answers_of", lambda t: SimpleNamespace(listeners=[listener]))
-    write_bids(test, tmp_path / "out")
+    given = SimpleNamespace(listeners=[listener], left_out=[SimpleNamespace(reason="x.jsonl: line 3: not JSON")])
+    monkeypatch.setattr("tonewood.workshop.exchange.bids.answers_of", lambda t: given)
+    assert write_bids(test, tmp_path / "out").notes == ("bids: left out: x.jsonl: line 3: not JSON",)
     with (tmp_path / "out" / "sub-01" / "beh" / "sub-01_task-mytest_beh.tsv").open() as stream:
         rows = list(csv.DictReader(stream, delimiter="\t"))
     assert list(rows[0]) == list(COLUMNS)

@@ -147,6 +147,16 @@ def test_every_text_of_a_report_is_escaped(tmp_path: Path) -> None:
     assert "&lt;script&gt;alert(1)&lt;/script&gt;&amp;amp;" in text
 
 
+def test_the_same_simulated_listeners_do_not_take_a_test_twice(tmp_path: Path) -> None:
+    """A second run of `tonewood simulate` gave the same answers again: intervals became narrow."""
+    test = fakes.made(tmp_path, [{"type": "rating", "scales": [{"name": "bright", "label": "B"}]}])
+    assert len(simulate(test, panel(), 2, seed=1)) == 2
+    with pytest.raises(ListeningError, match="--seed: is 1: its listeners took this test before"):
+        simulate(test, panel(), 3, seed=1)
+    assert len(simulate(test, panel(), 1, seed=2)) == 1
+    assert analyse(test.folder).listeners == 3
+
+
 def test_means_and_intervals_are_student_s() -> None:
     rng = np.random.default_rng(1)
     scores = rng.normal(60, 8, 12)
