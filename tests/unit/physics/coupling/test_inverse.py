@@ -199,6 +199,33 @@ def test_runs_cut_at_windows_give_the_same_bits(rng, case, monkeypatch):
     np.testing.assert_array_equal(cut.modes, whole.modes)
 
 
+@pytest.mark.parametrize("rising", [0, 5])
+def test_kernel_finds_laws_in_parts_as_in_one_matrix(rng, rising, monkeypatch):
+    """Points of a body that move by themselves, the linear connections also without a product for all of them."""
+    seed, found = int(rng.integers(10**6)), []
+    for least, direct in ((20, True), (20, False), (10**6, True)):
+        monkeypatch.setattr(elimination, "LEAST_IN_PARTS", least)
+        system = strings_on_a_body(np.random.default_rng(seed), points=12, motions=12, laws=True, rising=rising)
+        assert isinstance(system.solve.by, InverseInParts) == (least == 20)
+        state = system.start()
+        state.modes[0] = 2e-7
+        stepper = KernelStepper(system, shortcuts=Shortcuts(direct_step=direct))
+        found.append((*stepper.run(state, 100, [knock(system)]), state.modes))
+        assert np.any(found[-1][1][:, -2:] != 0.0, axis=0).all()
+        without, _ = KernelStepper(system.with_laws(idle(system))).run(system.start(), 60, [knock(system)])
+        found[-1] = (*found[-1], without)
+    for other in found[1:]:
+        for a, b in zip(other, found[0], strict=True):
+            np.testing.assert_allclose(a, b, rtol=0, atol=1e-9 * np.abs(b).max())
+
+
+def idle(system):
+    """The nonlinear connections, off."""
+    return {
+        c.name: Connection(c.name, c.terms, SpringDashpot()) for c in system.connections if c.name in ("rail", "stop")
+    }
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("rising", [0, 12])
 def test_laws_act_on_a_body_in_parts_as_in_one_matrix(rng, rising, monkeypatch):

@@ -227,6 +227,27 @@ def test_forces_come_only_where_contacts_were_solved_for():
     np.testing.assert_array_equal(*system_forces)
 
 
+@pytest.mark.parametrize("modulated", [(), (0, 3)])
+def test_contacts_between_strings_join_the_strings_that_share_bounds(modulated):
+    """Four strings over rails, of which one is drawn: contacts join pairs of them, then both pairs; all are met."""
+    parts, links = {}, []
+    for i in range(4):
+        places = {"rail": 0.31 * LENGTH, "mid": 0.47 * LENGTH, "end": 0.1 * LENGTH}
+        parts[f"s{i}"] = held_string(21 + i, places, density=(3 + i) * 1e-3, damping=0.5)
+        links.append(Connection(f"stay{i}", (Term(f"s{i}", "end"),), SpringDashpot(2e3, 0.1)))
+    law = Contact(1e8, 1.7, loss=0.2, offset=-2e-4)
+    links += [Connection(f"rail{i}", (Term(f"s{i}", "rail"),), law) for i in range(4)]
+    for a, b in ((2, 0), (1, 3), (3, 0)):
+        links.append(Connection(f"{a} on {b}", (Term(f"s{a}", "mid"), Term(f"s{b}", "mid", -1.0)), law))
+    tensions = [TensionModulation(f"s{i}", (f"s{i}",), 2e4) for i in modulated]
+    system = System.build(parts, links, dt=DT, potentials=tensions)
+    state = system.start()
+    hang(system, state, "s3", -2e-3, 0.11 * LENGTH)
+    (_, forces), statistics = both_ways(system, state, 960)
+    assert np.any(contacts(system, forces) != 0.0, axis=0).all()
+    assert statistics["added"] > 0
+
+
 def test_frets_that_move_are_looked_at_block_by_block():
     system = fretted()
     state = plucked(system, [(1e-5, 0.0), (1e-5, 0.0)], [0.1 * LENGTH, 0.3 * LENGTH])
