@@ -13,6 +13,7 @@ from tonewood.support.whole_files import write_whole
 from tonewood.workshop.batch.pages import (
     AnyPage,
     Bs1116Page,
+    HtmlPage,
     MushraPage,
     PairedPage,
     RatingPage,
@@ -147,7 +148,7 @@ def analyse(
         why = f" that can be used; {damaged} are left out, the first because: {first}"
         raise ListeningError(f"holds no answers{why if damaged else ''}", file=folder / "answers")
     table = tidy(test, opened, answers)
-    finish = len(test.pages)
+    finish = max(number for number, page in enumerate(test.pages, start=1) if not isinstance(page, HtmlPage))
     not_passed = [one.listener for one in answers if one.failed]
     unfinished = [
         one.listener

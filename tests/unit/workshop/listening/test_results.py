@@ -16,6 +16,7 @@ from scipy import integrate, stats
 
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening import detection, means, power, simulated_power, thresholds
+from tonewood.workshop.listening.answer_file import begin
 from tonewood.workshop.listening.definition import ListeningError
 from tonewood.workshop.listening.level_tone import tone
 from tonewood.workshop.listening.models import bradley_terry, linear_analysis, rank_analysis, share_interval
@@ -155,6 +156,16 @@ def test_the_same_simulated_listeners_do_not_take_a_test_twice(tmp_path: Path) -
         simulate(test, panel(), 3, seed=1)
     assert len(simulate(test, panel(), 1, seed=2)) == 1
     assert analyse(test.folder).listeners == 3
+
+
+def test_a_page_that_nobody_sees_is_not_missing(tmp_path: Path) -> None:
+    """With a page of the audition file after the last one nobody had finished."""
+    scales = [{"name": "bright", "label": "B"}]
+    test = fakes.made(tmp_path, [{"type": "rating", "scales": scales}, {"type": "finish"}, {"type": "html"}])
+    simulate(test, panel(), 1, seed=1)
+    session = begin(test, language="en", listener="P1", started="")
+    session.answer({"values": {"bright": 1.0}}, now="")
+    assert analyse(test.folder).unfinished == ("P1",)
 
 
 def test_means_and_intervals_are_student_s() -> None:
