@@ -760,6 +760,7 @@ def test_facts_of_stimuli(tmp_path) -> None:
     }
     assert results._facts_of({"files": files, "manifest": {}})["onset_ms"] == 10.0
     assert results._facts_of({"files": [], "manifest": {}}) is None
+    assert results._facts_of({"files": files[:1], "manifest": {}})["fs"] == 48000
     for text in ("{", "[]", '{"files": 3}', '{"files": [], "files": []}'):
         (tmp_path / "manifest.json").write_text(text)
         refused("is not the record of a batch", results._facts, tmp_path)

@@ -132,6 +132,14 @@ def test_modes_of_three_instruments_are_rows_by_frequency() -> None:
     assert [row.modes for row in match_modes([a])] == [(a[0],)]
 
 
+def test_cents_of_modes_need_both() -> None:
+    match = ModeMatch((mode(100.0), None, mode(200.0)))
+    assert [match.cents(i) for i in range(3)] == [0.0, None, pytest.approx(1200.0)]
+    assert [ModeMatch((None, mode(100.0))).cents(i) for i in range(2)] == [None, None]
+    wolves = WolfMatch((None, wolf("A", 90, 95, 3.0), wolf("A", 90, 95, 7.0)))
+    assert wolves.severity_cents == 7.0
+
+
 @pytest.mark.parametrize(
     ("other", "same"),
     [
