@@ -103,7 +103,7 @@ def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tupl
     order = np.argsort(poles.log_freq)
     if np.any(np.diff(order) < 0):
         poles = poles[order]
-        solution = problem.solve(poles, slopes=True)
+        solution = problem.solve(poles)
     return poles, solution
 
 

@@ -189,6 +189,12 @@ def test_lines_of_few_bins_are_no_modes() -> None:
         problem = Projection(FitData(FREQ, y[None], np.full((1, 741), 1e-6)), Shape((0,), 1, False, False, False))
         assert search.mains(problem, Poles.at([200.3, at], [400.0, 900.0])).tolist() == told
     assert search.mains(problem, Poles.at([200.3, 900.0], [400.0, 2000.0])).tolist() == []
+    # in noise, whatever the unit
+    rng = np.random.default_rng(4)
+    rough = line + 1e-3 * (rng.standard_normal(741) + 1j * rng.standard_normal(741))
+    for unit in (1e-6, 1.0, 1e6):
+        problem = Projection(FitData(FREQ, unit * rough[None], np.full((1, 741), unit * 1.4e-3)), problem.shape)
+        assert search.mains(problem, Poles.at([200.3, 500.0], [400.0, 900.0])).tolist() == [1]
 
 
 @pytest.mark.parametrize(("quality", "reach"), [(100.0, 0.03), (10.0, 0.05)])
@@ -237,6 +243,15 @@ def test_spikes_beside_each_other_are_both_found(bins: tuple[int, ...], size: fl
     y = (rng.standard_normal((1, 400)) + 1j * rng.standard_normal((1, 400))) / np.sqrt(2)
     y[0, list(bins)] += size
     assert np.flatnonzero(noise.outliers(y)[0]).tolist() == list(bins)
+
+
+def test_noise_of_a_coherence_has_ends() -> None:
+    """A coherence of 1 counts as 1 - 1e-9, one of 0 as 1e-4; two hits have no bias that could be taken out."""
+    response = np.full((1, 80), 3.0 - 4.0j)
+    for coherence, g in ((1.0, 1 - 1e-9), (0.0, 1e-4), (0.6, 0.6)):
+        for n, bias in ((5, 5 / 4), (2, 1.0)):
+            sigma = noise.of_coherence(response, np.full((1, 80), coherence), n)
+            assert sigma == pytest.approx(5.0 * np.sqrt(bias * (1 - g) / (n * g)), rel=1e-6)
 
 
 def test_two_parts_are_found_from_medians() -> None:
@@ -645,6 +660,10 @@ def test_modes_that_create_energy_or_gain_nothing_are_taken_away() -> None:
     assert search.without_negative(problem, poles).freq == pytest.approx([200.0])
     assert search.pruned(problem, poles)[0].freq == pytest.approx([200.0], rel=1e-3)
     assert len(search.without_negative(problem, poles[1:])) == 1
+    assert search.pruned(problem, poles[1:])[0].freq.tolist() == poles[1:].freq.tolist()  # the last one is left
+    wrong = -resonances(FREQ, [200.0, 500.0], [40.0, 50.0]).sum(axis=0, keepdims=True)
+    with pytest.raises(search.NothingFoundError, match="no mode that is passive"):
+        search.pruned(Projection(replace(problem.data, mobility=wrong), problem.shape), poles)
     two = Projection(replace(problem.data, mobility=resonances(FREQ, [200.0], [40.0])), problem.shape)
     apart = Poles.at([199.0, 201.0], [40.0, 40.0])
     joined, solution = search.joined(two, apart)
@@ -779,6 +798,23 @@ def test_shifts_of_hits_are_relative_to_the_mean_by_power() -> None:
     many = [shifted_hits(np.zeros(3), 1.0, seed)[0].moves(bins) for seed in range(60)]
     spread = np.std([m for m, _ in many], axis=0)
     assert np.mean([d for _, d in many], axis=0) == pytest.approx(spread, rel=0.35)
+
+
+def test_spectra_of_hits_are_those_at_their_own_frequencies() -> None:
+    """Sums over the samples at (1 + e) f; slopes in f, with time from the sample of the largest force on."""
+    rng, fs, stretch = np.random.default_rng(6), 40.0, np.array([0.0, 0.01])
+    force, motion = rng.standard_normal((2, 20)), rng.standard_normal((2, 3, 20))
+    force[1, 4] = 9.0
+    spectra = drift.Spectra.of(force, motion, fs, stretch)
+    assert spectra.freq.tolist() == [2.0 * i for i in range(11)]
+    t = np.arange(20) / fs
+    for h, e in enumerate(stretch):
+        turns = np.exp(-1j * TAU * (1 + e) * spectra.freq[:, None] * t)
+        slopes = -1j * TAU * (1 + e) * turns * (t - 4 / fs)
+        assert spectra.force[h] == pytest.approx(turns @ force[h])
+        assert spectra.motion[h] == pytest.approx(motion[h] @ turns.T)
+        assert spectra.force_slope[h] == pytest.approx(slopes @ force[h])
+        assert spectra.motion_slope[h] == pytest.approx(motion[h] @ slopes.T)
 
 
 def test_peaks_have_the_width_of_half_their_power() -> None:
