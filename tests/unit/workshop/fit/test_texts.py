@@ -115,6 +115,15 @@ def test_empty_cells_are_bins_without_numbers_and_end_no_table(tmp_path):
     assert np.array_equal(np.flatnonzero(np.isnan(read.mobility[0])), np.arange(10, 15))
 
 
+def test_rows_at_0_hz_are_no_frequencies_that_fall(tmp_path):
+    """Two before the first frequency, and one that fills the table up."""
+    padded = [np.concatenate([[0.0, 0.0], column, [0.0]]) for column in PARTS]
+    (tmp_path / "a.csv").write_text(lines(*padded, head="f,real,imag\n"))
+    read = read_responses([tmp_path / "a.csv"], Reading("mobility"))
+    assert np.array_equal(read.freq[read.freq > 0], FREQ)
+    assert np.allclose(read.mobility[0, read.freq > 0], VALUES[0], rtol=1e-7)
+
+
 @pytest.mark.parametrize(
     ("content", "reported"),
     [
