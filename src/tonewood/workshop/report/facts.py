@@ -287,7 +287,7 @@ def _named(model: Model, modes: Sequence[BodyMode]) -> dict[str, int]:
             size = np.linalg.norm(shapes, axis=0) * np.linalg.norm(shape)
             alike = np.abs(shape.conj() @ shapes) / np.where(size > 0, size, np.inf)
             octaves = np.abs(np.log2(np.maximum(whole.natural_freq, 1e-9) / drawn.natural_freq[k]))
-            freq = whole.natural_freq[int(np.argmin(octaves + 1 - alike))]
+            freq = whole.natural_freq[int(np.argmin(octaves - alike))]
             out[name] = int(np.argmin([abs(mode.freq - freq) for mode in modes]))
     return out
 

@@ -434,6 +434,14 @@ def test_of_strong_modes_below_2_khz_those_that_changed_most_are_told() -> None:
     listed = [name for name in found if name.startswith("mode at")]
     assert listed == ["mode at 200 Hz", "mode at 300 Hz", "mode at 1999 Hz", "mode at 100 Hz", "mode at 500 Hz"]
     assert not [n for n in rows_of(facts(body_modes=()), facts("B", body_modes=())) if "mode" in n]
+    # rigid motion of 0 Hz on one side or both is no mode that changed
+    still = [mode(1.0), replace(mode(1.0), freq=0.0)]
+    for pair in ((still[1], still[0]), (still[0], still[1]), (still[1], still[1])):
+        one, other = facts(body_modes=pair[:1]), facts("B", body_modes=pair[1:])
+        both = replace(compared(one, other), modes=(ModeMatch(pair), ModeMatch((mode(200.0), mode(202.0)))))
+        rows = {row.name: row for row in summary.changes(both, 1)}
+        assert rows["all body modes, median"].difference == pytest.approx(1.0)
+        assert [name for name in rows if name.startswith("mode at")] == ["mode at 200 Hz"]
     # weak before and strong after, or strong before and weak after: the mode counts
     quiet, loud = mode(700.0, mass=1000.0), mode(707.0, mass=0.1)
     for pair in ((quiet, loud), (replace(loud, freq=700.0), replace(quiet, freq=707.0))):
@@ -615,6 +623,8 @@ def test_the_difference_of_mobilities_is_that_of_their_means(drawn: list[Figure]
     assert [ax.get_title() for ax in drawn[0].axes[:3]] == [
         "at the end of a", "at the end of b", "difference, mean of all ends, third octaves"
     ]  # fmt: skip
+    for ax in drawn[0].axes[:3]:
+        assert ax.get_xlim() == pytest.approx((40.0, 10000.0))
     x = below.lines[0].get_xdata()
     assert (x[0], x[-1], len(x)) == (pytest.approx(40 * 2 ** (1 / 6)), pytest.approx(10000 / 2 ** (1 / 6)), 120)
 
