@@ -222,8 +222,7 @@ class Player:
         return cents + self.controls.get((voice.note.channel or 0, "bend"), 0.0)
 
     def _drop(self, voice: Voice, drop: Dropped) -> None:
-        self.counters.dropped[drop.reason] += 1
-        self.counters.latest.append(replace(drop, time=self.hands.now / self.model.fs))
+        self.counters.drop(replace(drop, time=self.hands.now / self.model.fs))
         if voice.note.note is not None and voice.key_down:
             self.release(voice)
 
@@ -281,6 +280,8 @@ class Player:
             self._drop(voice, Dropped(0.0, voice.note.note, voice.note.channel, fault.reason))
             return False
         self.counters.cut += before is not None and (before.key_down or before.pedalled)
+        if before is not None and before.pedalled:
+            self.keys.let_go(before)
         self.counters.notes += 1
         return True
 

@@ -17,6 +17,8 @@ from tonewood.performance.score.note import Dropped, Note
 CONTINUED = 0.25
 #: dropped notes that are kept with their reasons; all are counted
 _KEPT = 100
+#: different reasons that are counted apart; a reason may name a time
+_REASONS = 1000
 #: notes of one key that were struck and not released; more of them release the first
 _STRUCK = 8
 
@@ -68,7 +70,7 @@ class PlayerCounters:
 
     notes : that began.
     cut : notes that ended because another one needed their string.
-    dropped : reason -> notes that could not be played.
+    dropped : reason -> notes that could not be played; beyond 1000 reasons they are under ``other reasons``.
     latest : the last of these, at most 100.
     ignored : kind of controller -> changes of it without effect; ``playing.noises.KIND`` where a score would have it.
     """
@@ -78,6 +80,12 @@ class PlayerCounters:
     dropped: Counter[str] = field(default_factory=Counter)
     latest: deque[Dropped] = field(default_factory=lambda: deque(maxlen=_KEPT))
     ignored: Counter[str] = field(default_factory=Counter)
+
+    def drop(self, drop: Dropped) -> None:
+        """Count a note that cannot be played."""
+        known = drop.reason in self.dropped or len(self.dropped) < _REASONS
+        self.dropped[drop.reason if known else "other reasons"] += 1
+        self.latest.append(drop)
 
 
 class HeldKeys:
@@ -129,6 +137,11 @@ class HeldKeys:
         """End the notes that only the pedal holds, on a channel or on all."""
         for key in [key for key in self.pedalled if channel in (None, key[0])]:
             self.end(self.pedalled.pop(key))
+
+    def let_go(self, voice: Voice) -> None:
+        """Forget a note that only the pedal holds: another one has its string."""
+        voice.pedalled = False
+        self.pedalled = {key: held for key, held in self.pedalled.items() if held is not voice}
 
     def end(self, voice: Voice) -> None:
         """Let a note end."""

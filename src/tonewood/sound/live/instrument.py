@@ -252,8 +252,13 @@ class Live:
         ------
         TonewoodError : another number than 0 to 127, or another value; also for a channel that is none.
         """
-        if number not in range(128) or not _within(value, 0.0, 1.0):
-            raise TonewoodError(f"controller {number} at {value!r}: 0 to 127, at values 0 to 1, are allowed")
+        if (
+            not isinstance(number, int | np.integer)
+            or isinstance(number, bool)
+            or number not in range(128)
+            or not _within(value, 0.0, 1.0)
+        ):
+            raise TonewoodError(f"controller {number!r} at {value!r}: 0 to 127, at values 0 to 1, are allowed")
         self._control(f"cc{number}", value, channel)
 
     @alone
@@ -298,7 +303,14 @@ class Live:
 
     @alone
     def all_off(self, channel: int | None = None) -> None:
-        """Release all keys and pedals, of a channel or of all."""
+        """Release all keys and pedals, of a channel or of all.
+
+        Raises
+        ------
+        TonewoodError : it is no channel of MIDI.
+        """
+        if channel is not None:
+            _check_channel(channel)
         for at in range(16) if channel is None else (channel,):
             for kind in {"cc64", *self.player.hands.dampers.kinds}:
                 self.player.control(kind, 0.0, at)
@@ -306,7 +318,14 @@ class Live:
 
     @alone
     def release_keys(self, channel: int | None = None) -> None:
-        """Release all keys of a channel, or of all; notes that the pedal holds sound on."""
+        """Release all keys of a channel, or of all; notes that the pedal holds sound on.
+
+        Raises
+        ------
+        TonewoodError : it is no channel of MIDI.
+        """
+        if channel is not None:
+            _check_channel(channel)
         self.player.all_off(channel)
 
     @alone
@@ -376,7 +395,12 @@ def _within(value: Any, least: float, most: float) -> bool:
     return isinstance(value, (int, float, np.number)) and not isinstance(value, bool) and bool(least <= value <= most)
 
 
+def _whole(value: Any, n: int) -> bool:
+    """Whether a value is a whole number from 0 to n - 1."""
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value in range(n)
+
+
 def _check_channel(channel: int) -> None:
     """Raises TonewoodError : it is no channel of MIDI."""
-    if not isinstance(channel, (int, np.integer)) or channel not in range(16):
+    if not _whole(channel, 16):
         raise TonewoodError(f"channel {channel!r}: 0 to 15 are allowed")

@@ -11,6 +11,7 @@ import pytest
 import tonewood as tw
 from tonewood.errors import ScoreError, TonewoodError
 from tonewood.performance.engine.engine import GRID
+from tonewood.performance.player import voices
 from tonewood.performance.player.fretting import FrettedBases
 
 
@@ -269,6 +270,10 @@ def test_wrong_events_are_one_line(monochord: tw.Instrument) -> None:
         (lambda live: live.bend(None), "a bend of None cents"),
         (lambda live: live.bend(10.0, 16), "channel 16: 0 to 15 are allowed"),
         (lambda live: live.control(64, None), "controller 64 at None"),
+        (lambda live: live.control(64.0, 1.0), "controller 64.0 at 1.0"),
+        (lambda live: live.control(True, 1.0), "controller True at 1.0"),
+        (lambda live: live.all_off(99), "channel 99: 0 to 15 are allowed"),
+        (lambda live: live.release_keys("all"), "channel 'all': 0 to 15 are allowed"),
         (lambda live: live.control(64, 1.0, -1), "channel -1"),
         (lambda live: live.control(64, 1.0, 1.5), "channel 1.5"),
         (lambda live: live.pressure(None), "pressure of None"),
@@ -280,6 +285,23 @@ def test_wrong_events_are_one_line(monochord: tw.Instrument) -> None:
 def test_events_of_other_types_are_one_line(monochord: tw.Instrument, call: Any, line: str) -> None:
     with pytest.raises(TonewoodError, match=re.escape(line)):
         call(tw.Live(monochord, prepare=False))
+
+
+def test_nothing_grows_with_the_notes_of_a_session(monochord: tw.Instrument, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Notes under the pedal whose string another one took are forgotten; reasons of dropped notes are counted."""
+    monkeypatch.setattr(voices, "_REASONS", 2)
+    live = tw.Live(monochord, 8000, prepare=False)
+    live.control(64, 1.0)
+    for k in range(4):
+        live.note_on(50 + k / 10)
+        live.process(800)
+        live.note_off(50 + k / 10)
+    assert len(live.player.keys.pedalled) == 1
+    for k in range(5):
+        live.note_on("A2", force=2000.0 + k)
+        live.process(800)
+    dropped = live.summary().dropped
+    assert (len(dropped), dropped["other reasons"], sum(dropped.values())) == (3, 3, 5)
 
 
 def test_a_voice_of_another_instrument_is_not_released(monochord: tw.Instrument) -> None:
