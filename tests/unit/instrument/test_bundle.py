@@ -57,6 +57,14 @@ def put(values: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
     return values
 
 
+KEY = {"note": "A2", "strings": ["A2"]}
+
+
+def entries(*keys: dict[str, Any]) -> dict[str, Any]:
+    """Keys k0, k1, ... of a bundle."""
+    return {"entries": {f"k{i}": key for i, key in enumerate(keys)}}
+
+
 @pytest.mark.parametrize(
     ("path", "value", "reason"),
     [
@@ -85,6 +93,19 @@ def put(values: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
         ("stops.count", 2.5, "stops.count: Input should be a valid integer, not 2.5"),
         ("stops.model", "soft", "stops.model: Input should be 'ideal' or 'finger'"),
         ("exciters", {}, "exciters"),
+        ("connections", {"k": {"plugin": "tip_mass", "strings": ["E5"]}}, "connections.k"),
+        ("playing.exciter", "plukc", "playing.exciter: there is no exciter 'plukc'; did you mean pluck?"),
+        ("playing.noises", {"key": "pluck"}, "playing.noises.key: 'pluck' acts on strings; an exciter with `at`"),
+        ("playing.noises", {"key": "tip"}, "playing.noises.key: there is no exciter 'tip'; there are pluck, tap"),
+        ("playing.keyswitches", {"H1": "pluck"}, "playing.keyswitches.H1"),
+        ("playing.keyswitches", {"C1": "bow"}, "playing.keyswitches.C1: there is no exciter 'bow'; "),
+        ("keys", entries(KEY | {"strings": ["A2", "X"]}), "keys.entries.k0.strings: there is no string 'X'"),
+        ("keys", entries(KEY | {"note": "H2"}), "keys.entries.k0.note: 'H2' is not a note"),
+        ("keys", entries(KEY | {"note": "B2"}), "k0.note: is B2, and its string A2 sounds A2; the same note is allowed"),
+        ("keys", entries(KEY | {"note": 45.4, "una_corda": 2}), "k0.una_corda: is 2; 1 to 1, the number of its strings"),
+        ("keys", entries(KEY, KEY), "keys.entries.k1.strings: string 'A2' is one of key k0; a string has one key"),
+        ("keys", entries(KEY) | {"exciter": "ham"}, "keys.exciter: there is no exciter 'ham'"),
+        ("strings_from", "ej46", "ej46 has 6 strings (E2, A2, D3, G3, B3, E4); this instrument has 2"),
         ("exciters.tap.at", "body.no", "exciters.tap.at: there is no point 'body.no'"),
         ("playing.velocity", {"parameter": "bow.force"}, "playing.velocity.parameter: there is no exciter 'bow'"),
         ("playing.velocity", {"parameter": "pluck.speed"}, "no parameter of pluck 'speed'; there are force"),
