@@ -129,9 +129,9 @@ class AudioStream:
         fs: int | None = None,
         n_channels: int | None = None,
     ):
-        if not 1 <= ahead <= 4096:
+        if not (isinstance(ahead, int | np.integer) and 1 <= ahead <= 4096):
             raise TonewoodError(f"is {ahead!r} blocks; 1 to 4096 are allowed", key="ahead")
-        if not 1 <= block_size <= 1 << 20:
+        if not (isinstance(block_size, int | np.integer) and 1 <= block_size <= 1 << 20):
             raise TonewoodError(f"is {block_size!r} frames; 1 to {1 << 20} are allowed", key="block_size")
         is_ours = isinstance(source, Live | Renderer)
         if is_ours == (fs is not None or n_channels is not None):

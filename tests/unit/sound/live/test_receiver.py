@@ -440,6 +440,9 @@ def test_a_chain_that_holds_samples_back_makes_no_short_blocks() -> None:
     assert np.array_equal(np.concatenate(blocks), source[:448])
     with pytest.raises(TypeError, match="only then"):
         tw.AudioStream(iter(source), 128)
+    for block, ahead in ((0, 2), (1.5, 2), (None, 2), (1 << 21, 2), (128, 0), (128, 1.5), (128, 5000)):
+        with pytest.raises(TonewoodError, match=r"^(block_size|ahead): is .*; 1 to \d+ are allowed"):
+            tw.AudioStream(iter(source), block, ahead=ahead, fs=48000, n_channels=2)  # type: ignore[arg-type]
 
 
 def test_a_pedalboard_is_a_chain() -> None:
