@@ -311,6 +311,9 @@ def _right(page: pages.AnyPage, trial: ServedTrial, slots: Mapping[str, str], re
         labels = [str(i + 1) for i in range(page.intervals)]
     if missing := [slot for slot in labels if slot not in slots]:
         raise ListeningError(f"has no sound in slot {missing[0]}", key="trial")
+    if others := [slot for slot in slots if slot not in (*labels, OPEN)]:
+        reason = f"has a sound in slot {others[0]}; {', '.join(labels)} are the slots of its page"
+        raise ListeningError(reason, key="trial")
     if isinstance(page, pages.AbPage):
         return response == ("same" if slots["A"] == slots["B"] else "different")
     if isinstance(page, pages.AbxPage):

@@ -470,6 +470,8 @@ def test_right_answers(index: int, slots: dict[str, str], response: str, right: 
         (4, {"A": R, "B": S, "X": "sc"}, "X is not one of A and B"),
         (5, {"A": R}, "has no sound in slot B"),
         (6, {"1": R}, "has no sound in slot 2"),
+        (6, {"1": R, "2": S, "A": S}, "has a sound in slot A; 1, 2 are the slots of its page"),
+        (5, {"A": R, "B": S, "X": R}, "has a sound in slot X; A, B are the slots of its page"),
         (6, {"1": R, "2": R}, "do not hold one other sound"),
         (6, {"1": S, "2": S}, "do not hold one other sound"),
         (7, {"A": R, "B": R}, "are not the two sounds of the trial"),
