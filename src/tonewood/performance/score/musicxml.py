@@ -229,7 +229,9 @@ class _PartReader:
         for move in element.findall("transpose"):
             steps = number_of(move, "chromatic", 0.0) + 12 * number_of(move, "octave-change", 0.0)
             staff_number = move.get("number", "")
-            self.transpose = self.transpose | {staff_number: steps} if staff_number else {"": steps}
+            if not staff_number:
+                self.transpose.clear()
+            self.transpose[staff_number] = steps
             self.music.ignored["transposition that doubles"] += move.find("double") is not None
         for staff in element.findall("staff-details"):
             capo = number_of(staff, "capo", self.part.capo)

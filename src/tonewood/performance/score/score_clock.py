@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
+from operator import itemgetter
 from pathlib import Path
 
 from tonewood.errors import ScoreError
@@ -36,6 +37,7 @@ class ScoreClock:
         self.starts: list[Fraction] = []
         now, bpm = Fraction(0), 120.0
         self._at, self._time, self._bpm, self._late = [Fraction(0)], [0.0], [bpm], 0.0
+        self._found = [0.0]  # `_at` as floats: fractions take twenty times as long to compare
         tempos = [_tempos(m) for m in measures]
         changes = Allowance(MOST_TEMPOS, "tempo changes, repeats unfolded", file)
         for i in played:
@@ -51,11 +53,12 @@ class ScoreClock:
     def _enter(self, at: Fraction, bpm: float) -> None:
         self._time.append(self.seconds(at))
         self._at.append(at)
+        self._found.append(float(at))
         self._bpm.append(bpm)
 
     def seconds(self, at: Fraction) -> float:
         """Time of a quarter note, s."""
-        i = bisect_right(self._at, max(at, Fraction(0))) - 1
+        i = bisect_right(self._found, max(float(at), 0.0)) - 1
         return self._late + self._time[i] + float(at - self._at[i]) * 60.0 / self._bpm[i]
 
     def beats(self, measures: Sequence[Measure], played: Sequence[int]) -> Beats:
@@ -78,9 +81,9 @@ def _tempos(measure: Measure) -> list[tuple[Fraction, float | None, float]]:
     for hold in measure.holds:
         for at in hold:
             changes.setdefault(at, None)
-    begun = sorted(begin for begin, _ in measure.holds)
-    ended = sorted(end for _, end in measure.holds)
+    begun = sorted(float(begin) for begin, _ in measure.holds)
+    ended = sorted(float(end) for _, end in measure.holds)
     return [
-        (at, tempo, 1.0 / HOLD if bisect_right(begun, at) > bisect_right(ended, at) else 1.0)
-        for at, tempo in sorted(changes.items())
+        (at, tempo, 1.0 / HOLD if bisect_right(begun, time) > bisect_right(ended, time) else 1.0)
+        for time, at, tempo in sorted(((float(at), at, tempo) for at, tempo in changes.items()), key=itemgetter(0))
     ]

@@ -76,7 +76,7 @@ _VELOCITIES = {"accent": 16, "marcato": 28, "ghost": -24}
 _PLAYED = {"let_ring", "staccato", "dead", *_DEPTHS, *_VELOCITIES, *_ORNAMENTS}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class WrittenNote:
     """One sign for a note.
 
@@ -164,7 +164,7 @@ class WrittenMusic:
         measure.tempos.append((at, bpm))
 
 
-@dataclass
+@dataclass(slots=True)
 class _Sounding:
     """A note with its time in quarter notes from the beginning, notes that are tied to it, and where its stop goes."""
 
@@ -259,7 +259,7 @@ def _sounding(
         signs = part.measures[i] if i < len(part.measures) else []
         most.take(len(signs))
         feel = music.measures[i].feel
-        for sign in sorted(signs, key=lambda s: s.at):
+        for sign in sorted(signs, key=lambda s: float(s.at)):
             at, end = _swung(sign, feel)
             at, end = start + at, start + end
             key = sign.string, sign.pitch
@@ -307,7 +307,7 @@ def _is_plain(sign: WrittenNote) -> bool:
 
 def _graced(out: list[_Sounding], compared: Allowance) -> list[_Sounding]:
     """Notes in order of time, grace notes without a length given theirs."""
-    out.sort(key=lambda s: s.at)
+    out.sort(key=lambda s: float(s.at))
     grace = [s for s in out if s.end == s.at]
     together: dict[Fraction, list[_Sounding]] = defaultdict(list)
     for s in out if grace else ():
@@ -324,7 +324,7 @@ def _graced(out: list[_Sounding], compared: Allowance) -> list[_Sounding]:
         for s in main:
             s.at = note.end
             together[s.at].append(s)
-    return sorted(out, key=lambda s: s.at)
+    return sorted(out, key=lambda s: float(s.at))
 
 
 def _following(sounding: Sequence[_Sounding]) -> dict[int, Fraction]:

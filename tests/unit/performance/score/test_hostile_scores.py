@@ -428,3 +428,16 @@ def test_parts_and_numbers_of_endings_are_bounded(tmp_path: Path) -> None:
     ending = f'<barline><ending type="start" number="{numbers}"/></barline>'
     path.write_text(parts(f"<measure>{ending}</measure>"), encoding="utf-8")
     assert tw.read_score(path).ignored == {"number of an ending that cannot be read": 1}
+
+
+def test_times_of_many_tempos_and_fermatas_are_found_without_comparing_fractions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sign = NOTE.replace("</notations>", "<fermata/></notations>")
+    path = tmp_path / "held.xml"
+    path.write_text(parts("<measure>" + 400 * ('<sound tempo="1900"/>' + sign) + "</measure>"))
+    compared: list[Fraction] = []
+    below = Fraction.__lt__
+    monkeypatch.setattr(Fraction, "__lt__", lambda a, b: compared.append(a) or below(a, b))
+    assert len(tw.read_score(path).notes) == 400
+    assert len(compared) < 20 * 400
