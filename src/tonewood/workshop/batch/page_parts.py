@@ -58,9 +58,10 @@ class Return(Section):
     def _can_be_filled_in(self) -> Self:
         for text, names in ((self.code, {"id"}), (self.address or "", {"code", "listener"})):
             try:
-                fields = {name for _, name, _, _ in string.Formatter().parse(text) if name is not None}
+                parts = [part for _, *part in string.Formatter().parse(text) if part[0] is not None]
             except ValueError as fault:
                 raise PydanticCustomError("return", f"{text}: {fault}") from None
+            fields = {f"{name}{f'!{mark}' if mark else ''}{f':{spec}' if spec else ''}" for name, spec, mark in parts}
             if unknown := fields - names:
                 raise PydanticCustomError("return", f"{{{min(unknown)}}} is not one of {', '.join(sorted(names))}")
         return self

@@ -853,6 +853,8 @@ def test_random_factors_are_factors() -> None:
         ({"code": "{code}"}, "{code} is not one of id"),
         ({"code": "{"}, "Single '{' encountered"),
         ({"address": "https://x.org/{id}"}, "{id} is not one of code, listener"),
+        ({"code": "{id:d}"}, "{id:d} is not one of id"),
+        ({"code": "{id!r}"}, "{id!r} is not one of id"),
         ({"address": "https://x.org/{code}{z}{b}"}, "{b} is not one of code, listener"),
     ],
 )

@@ -90,7 +90,7 @@ from tonewood.workshop.listening.results import (
     write_tables,
 )
 from tonewood.workshop.listening.session import Session
-from tonewood.workshop.listening.shown import kind_of_texts, shown
+from tonewood.workshop.listening.shown import _details, kind_of_texts, shown
 from tonewood.workshop.listening.simulated_power import (
     TooManyListenersError,
     _batches,
@@ -813,6 +813,15 @@ def test_answers_within_their_limits_are_taken(
     assert set(found) <= {"seconds", "plays", *answer}
     assert found["seconds"] == answer.get("seconds", 0.0)
     assert "Z" not in found["plays"]
+
+
+def test_words_of_one_s_own_may_lack_the_places_of_numbers() -> None:
+    """A text with another word in braces stopped every listener at the page that sets the level."""
+    level = LevelPage(type="level", spl_db=65.0)
+    words = {"level_tone": "Ton, {frequenz} Hz", "level_spl": "{spl} dB", "level_headphones": ""}
+    stimuli = SimpleNamespace(loudness=SimpleNamespace(target_lufs=-23.0))
+    test: Any = SimpleNamespace(texts=lambda language: words, manifest=SimpleNamespace(stimuli=stimuli))
+    assert _details(test, level, "de")["notes"] == ["Ton, {frequenz} Hz", "65 dB", ""]
 
 
 def test_the_level_tone_is_a_whole_number_of_periods(tmp_path: Path) -> None:
