@@ -210,6 +210,8 @@ def test_numbers_of_laws_have_limits(factor: float, fits: bool) -> None:
 )
 def test_bases_of_strings(basis: Any, said: str) -> None:
     assert said in refusal(lambda: checks.string_basis(basis))
+    lossless = replace(ModalBasis.real([1.0], [0.0], {"bridge": [1.0]}), shape=lambda x: np.ones(1))
+    assert refusal(lambda: checks.string_basis(lossless)) == ""
     assert replace_points.points == ("p",)
 
 

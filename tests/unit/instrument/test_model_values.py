@@ -237,6 +237,75 @@ def test_a_table_of_tensions_is_as_fine_as_a_cent_asks(bow: float, n: int) -> No
     assert (len(stops), stops[0], stops[-1]) == (n, 0.0, 2.0)
 
 
+@pytest.mark.parametrize(
+    ("continuous", "compensate", "table"),
+    [(True, "each_stop", True), (True, "open_only", False), (False, "each_stop", False), (True, "none", False)],
+)
+def test_a_slide_takes_its_tensions_from_a_table(continuous: bool, compensate: str, table: bool) -> None:
+    fake = fake_tuning(_gains={0.0: 2.0})
+    fake.stops.stopping.continuous, fake.stops.stopping.compensate = continuous, compensate
+    other = StringTuning.interpolated(fake)
+    assert (other is not fake) is table
+    assert (other._interpolates, other._gains) == (table, {} if table else {0.0: 2.0})
+    assert (fake._interpolates, fake._gains) == (False, {0.0: 2.0})
+
+
+def test_what_a_live_player_may_need_is_computed_ahead() -> None:
+    asked: list[Any] = []
+    for interpolates in (False, True):
+        StringTuning.prepare_all(
+            fake_tuning(
+                _interpolates=interpolates, _bend_gain=asked.append, tension=lambda stop: asked.append(("t", stop))
+            )
+        )
+    assert asked == [0, 1, 2, ("t", 0.5), 0, 1, 2]
+    asked.clear()
+    fake = fake_tuning(
+        _bend_gain=lambda stop: asked.append(("bend", stop)), tension=lambda stop: asked.append(("tension", stop)),
+        under_finger=lambda stop: asked.append(("finger", stop)),
+    )  # fmt: skip
+    StringTuning.prepare(fake, [2, 0, 2], [1])
+    fake.stops.stopping.finger = Finger()
+    StringTuning.prepare(fake, [1])
+    assert asked == [("bend", 1), ("tension", 0), ("tension", 2), ("finger", 1)]
+
+
+def test_the_first_guess_of_a_tension_goes_with_the_square_of_the_pitch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """100 Hz at 70 N: 110 Hz need 1.21 times as much; five times more or less is no such string."""
+    asked: list[tuple[float, float]] = []
+    fault = lambda reason, key: BundleError(reason, key=key)  # noqa: E731  # short
+    resonator = SimpleNamespace(tension=70.0, basis=lambda high, tension: asked.append((high, tension)), fault=fault)
+    fake = fake_tuning(
+        resonator=resonator, _kept=None, _tension_held=False, freq=lambda stop: 110.0,
+        untuned=SimpleNamespace(freq_upper=1000.0),
+    )  # fmt: skip
+    monkeypatch.setattr(string_tuning, "held_freq", lambda basis: 100.0)
+    assert StringTuning._first_guess(fake) == pytest.approx(70.0 * 1.21)
+    fake.untuned.freq_upper = 2000.0
+    assert StringTuning._first_guess(fake) == pytest.approx(70.0 * 1.21)
+    assert asked == [(1000.0, 70.0), (1320.0, 70.0)]
+    for ratio, fits in ((4.9, True), (5.1, False), (1 / 4.9, True), (1 / 5.1, False)):
+        fake.freq = lambda stop, ratio=ratio: 100.0 * math.sqrt(ratio)
+        if fits:
+            assert StringTuning._first_guess(fake) == pytest.approx(70.0 * ratio)
+            continue
+        with pytest.raises(
+            BundleError, match=f"needs a tension of {70 * ratio:.3g} N where the bundle says 70 N; up to 5"
+        ):
+            StringTuning._first_guess(fake)
+    monkeypatch.setattr(string_tuning, "held_freq", lambda basis: None)  # no mode below the limit
+    assert StringTuning._first_guess(fake) == 70.0
+    monkeypatch.setattr(string_tuning, "held_freq", lambda basis: pytest.fail("nothing is to be tuned"))
+    fake._tension_held = True
+    assert StringTuning._first_guess(fake) == 70.0
+    fake._tension_held, fake.stops.stopping.compensate = False, "none"
+    assert StringTuning._first_guess(fake) == 70.0
+    fake._kept = SimpleNamespace(known={"A": (71.5, None)})
+    assert StringTuning._first_guess(fake) == 71.5
+    fake._kept.known = {"B": (71.5, None)}
+    assert StringTuning._first_guess(fake) == 70.0
+
+
 def test_tensions_between_stops_and_under_bends() -> None:
     fake = fake_tuning(
         _interpolates=True, table=(np.array([0.0, 1.0]), np.log([64.0, 81.0])), _tune=lambda s: (None, s)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.inspection import wolf
 from tonewood.instrument.inspection.wolf import (
     _HINT,
     LEAST_SHARE,
@@ -131,3 +133,32 @@ def test_steps_are_halved_beside_every_point_of_a_share(width: float) -> None:
     calls: list[np.ndarray] = []
     _refined(lambda u: calls.append(u) or np.full(len(u), 0.9 * _HINT), np.arange(0.0, 100.0, 25.0), 10.0)
     assert [u.tolist() for u in calls] == [[-10.0, 15.0, 40.0, 65.0]]  # nothing to refine
+
+
+def test_stops_near_a_body_mode_are_swept_in_steps_of_25_cents(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half-way to the next stops, and at the body's modes; stops that are far from all of these are not swept."""
+    swept: dict[int, np.ndarray] = {}
+
+    def refined(curve: Any, x: np.ndarray, origin: float) -> tuple[np.ndarray, np.ndarray]:
+        stop = curve.args[0]
+        swept[stop] = x
+        assert curve.args[1:] == (70.0, pytest.approx(110.0 * 2 ** (origin / 1200)))
+        assert origin == pytest.approx(100.0 * stop)
+        return x, np.where((x > 190.0) & (x < 240.0), 0.5, 0.0)
+
+    monkeypatch.setattr(wolf, "_refined", refined)
+    tuning = SimpleNamespace(freqs=[110.0 * 2 ** (i / 12) for i in range(25)], coupled=lambda stop: stop)
+    string = SimpleNamespace(tuning=tuning, tension=lambda stop: 70.0)
+    body = SimpleNamespace(natural_freq=np.array([0.0, 110.0 * 2 ** (213 / 1200)]))
+    model: Any = SimpleNamespace(body=body, groups=["A"], strings={"A": string})
+    (found,) = wolf.wolf_notes(model)
+    near = wolf._NEAR_CENTS + 50.0
+    assert sorted(swept) == [i for i in range(25) if abs(100 * i - 213) < near]
+    assert swept[2] == pytest.approx([150.0, 175.0, 200.0, 213.0, 225.0, 250.0])
+    assert swept[1] == pytest.approx([50.0, 75.0, 100.0, 125.0, 150.0])
+    assert (found.string, found.stops, found.depth) == ("A", (2,), 0.5)
+    assert found.body_freq == pytest.approx(110.0 * 2 ** (213 / 1200))
+    cents = [1200 * math.log2(f / 110.0) for f in (found.low_freq, found.worst_freq, found.high_freq)]
+    assert 175.0 < cents[0] < 200.0 <= cents[1] <= 225.0 < cents[2] < 250.0
+    assert found.breadth_cents == pytest.approx(cents[2] - cents[0])
+    assert wolf.wolf_notes(model, ["A"]) == [found]

@@ -89,7 +89,7 @@ class TunedStop:
 
 def of_second_polarization(shares: Sequence[float]) -> bool:
     """Whether half of a mode's energy or more is in the string's second polarization, tuned near on purpose."""
-    return max(shares[1:-1], default=0.0) >= 0.5
+    return sum(shares[1:-1]) >= 0.5
 
 
 class StringOnBody:
