@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -45,6 +46,7 @@ from tonewood.instrument.inspection.frequencies import (
     pitch,
     pitches,
 )  # fmt: skip
+from tonewood.instrument.inspection.modal_export import modal_table_text
 from tonewood.instrument.inspection.mode_names import mode_names
 from tonewood.instrument.inspection.potentials_at_rest import SmallMotion, _near_rest
 from tonewood.instrument.inspection.string_laws import LawErrors, _relative
@@ -692,3 +694,31 @@ def test_small_motion_of_a_quadratic_potential(own: float, push: float, lowest: 
         wrong = _near_rest(potential, energy, np.array([0.0, 100.0, 900.0])).wrong  # type: ignore[arg-type]
         assert wrong is not None
         assert (wrong[0], wrong[1]) == (1, pytest.approx(1.01 * wrong[2]))
+
+
+def exported(basis: ModalBasis, **driven: bool) -> str:
+    points = {name: BodyPoint((0.0, 0.6, -0.8), driven=yes) for name, yes in driven.items()}
+    return modal_table_text(SimpleNamespace(basis=lambda high: basis, points=lambda: points), "b.csv", 900.0)  # type: ignore[arg-type]
+
+
+def test_a_table_of_modes_is_sorted_and_tells_its_keys() -> None:
+    """Q = omega / (2 sigma); columns of points as the basis has them."""
+    omega, q = 2 * math.pi * np.array([200.0, 100.0]), np.array([20.0, 50.0])
+    shapes = {"p": [0.5, -2.0], "r": [1.0, 3.0]}
+    basis = ModalBasis.real(omega, omega / (2 * q), shapes, modal_mass=1.0)
+    residual = np.array([[1e-6, 2e-7], [2e-7, 3e-6]])
+    lines = exported(replace(basis, residual=residual), p=True, r=False).splitlines()
+    assert lines[:5] == [
+        "# body:", "#   plugin: modal_table", "#   table: b.csv", "#   shapes: points",
+        "#   truncation: {residual_compliance: [[1e-06, 2e-07], [2e-07, 3e-06]]}",
+    ]  # fmt: skip
+    assert lines[5:9] == [
+        "#   points:", "#     p: {direction: [0, 0.6, -0.8]}", "#     r: {direction: [0, 0.6, -0.8], driven: false}",
+        "f_Hz,Q,p,r",
+    ]  # fmt: skip
+    rows = [[float(cell) for cell in line.split(",")] for line in lines[9:]]
+    assert rows == [pytest.approx([100.0, 50.0, -2.0, 3.0]), pytest.approx([200.0, 20.0, 0.5, 1.0])]
+    rigid, lossless = (ModalBasis.real([w], [s], {"p": [1.0]}) for w, s in ((0.0, 1.0), (1.0, 0.0)))
+    for wrong in (rigid, lossless, ModalBasis.complex([-1.0 + 5.0j], {"p": [1.0 + 1.0j]}, {"p": [1.0 + 0.0j]})):
+        with pytest.raises(TonewoodError, match="only real modes with stiffness and loss"):
+            exported(wrong, p=True)
