@@ -195,6 +195,8 @@ class _PartReader:
                 if not chord:
                     began, n_chord = now, 0
                     now = near(now + length)
+                if length and child.find("cue") is None and child.find("notations/fermata") is not None:
+                    measure.holds.add((began, began + length))
                 sign = None if child in silent else self._note(child, began, length, n_chord)
                 if sign is not None:
                     notes.append(sign)
@@ -358,6 +360,10 @@ class _PartReader:
 
     def _barline(self, element: Element, measure: Measure) -> None:
         repeat, ending = element.find("repeat"), element.find("ending")
+        self.music.ignored["fermata of a barline"] += element.find("fermata") is not None
+        self.music.ignored["repeat that is played after a jump, too"] += (
+            repeat is not None and repeat.get("after-jump") == "yes"
+        )
         if ending is not None and ending.get("type") == "start":
             words = ending.get("number", "1").replace(",", " ").split()
             passes = [passes_of(word) for word in words[:_MOST_NUMBERS]]
@@ -408,8 +414,6 @@ class _PartReader:
             tied="stop" in ties, bend=bend_of(technical),
             strum=strum_of(element.find("notations/arpeggiate"), place), steps=self._steps(element),
         )  # fmt: skip
-        if element.find("notations/fermata") is not None and length:
-            self.music.measures[len(self.part.measures)].holds.add((at, at + length))
         ornaments = element.find("notations/ornaments")
         if ornaments is not None and ornaments.find("trill-mark") is not None:
             up = self._steps(element)[1]

@@ -311,3 +311,11 @@ def test_what_is_not_followed_of_passes_and_tremolos_is_counted(tmp_path: Path) 
         "sound of some passes only, obeyed in all": 1,
         "tremolo between two notes, each repeated": 1,
     }
+
+
+def test_fermatas_of_rests_hold_and_those_of_barlines_are_counted(tmp_path: Path) -> None:
+    """60 a minute: a rest of a quarter under a fermata lasts 1.5 s."""
+    held = "<note><rest/><duration>4</duration><notations><fermata/></notations></note>"
+    score = read(tmp_path, plain("C") + held + plain("D") + "<barline><fermata/></barline>")
+    assert [n.time for n in score.notes] == [0.0, 2.5]
+    assert score.ignored == {"fermata of a barline": 1}
