@@ -626,6 +626,9 @@ def test_contacts_and_fingers_report_when_they_acted(model: Model) -> None:
     assert (finger.component, finger.seconds_active, finger.bound) == ("B3", 1.0, 0.0)
     (planned,) = dampers.plan(Foreseen(usage, 2.0, {}))
     assert (planned.spans_s, planned.why) == (((1.0, 2.0),), "fingers touch the string to pluck it")
+    usage.spans["dampers", "E4"].add(-FS, FS // 2)
+    assert {p.why for p in dampers.plan(Foreseen(usage, 2.0, {}))} == {"fingers touch the string to pluck it"}
+    del usage.spans["dampers", "E4"]
     whys = {p.component: p.why for p in frets.plan(Foreseen(usage, 2.0, {}))}
     assert whys == {"B3": "the string reaches it", "E4": "the string reaches it"}
     # the connections that acted are those of a string's contacts
@@ -673,6 +676,11 @@ def test_a_coupling_reports_with_the_tension_that_switches_it() -> None:
     (planned,) = effect.plan(Foreseen(usage, 2.0, {}))
     assert planned.spans_s == ((0.0, 1.0),)
     assert planned.why == f"as long as its tension rises or its phantom partials pass {model.choice.budget_db:g} dB"
+    for mode, why in (("all", "always: effects are all"), (["longitudinal", "tension_modulation"], "always: it is")):
+        model = assemble(duet(mode=mode).replace({"strings.B3.plugin": "geometric_string"}), FS)
+        (effect,) = (e for e in runtime_effects(model) if e.name == LONGITUDINAL.name)
+        (planned,) = effect.plan(Foreseen(usage, 2.0, {}))
+        assert planned.why.startswith(why)
 
 
 def test_switched_effects_report_cents_and_level(model: Model) -> None:

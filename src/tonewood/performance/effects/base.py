@@ -284,6 +284,13 @@ class RuntimeEffect:
         return [PlannedEffect(self.name, component, spans, why, None) for component in self.components]
 
     @property
+    def _always(self) -> str:
+        """Why it always runs by choice, where effects are not switched: empty for ``auto``."""
+        return {"auto": "", "all": "always: effects are all"}.get(
+            self.model.choice.mode, "always: it is among those named"
+        )
+
+    @property
     def _left_out(self) -> str:
         mode = self.model.choice.mode
         return f"left out: effects are {'named one by one' if mode == 'list' else mode}"
@@ -414,10 +421,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
 
     def why(self, usage: EffectUsage, component: str) -> str:
         """Return a line for the plan: why it will run on a `component` as its `usage` foresees."""
-        mode = self.model.choice.mode
-        if mode != "auto":
-            return "always: effects are all" if mode == "all" else "always: it is among those named"
-        return self.effect.before
+        return self._always or self.effect.before
 
 
 def next_multiple(sample: int, points: int) -> int:

@@ -43,7 +43,8 @@ class LongitudinalEffect(RuntimeEffect):
         """When the coupling will be on."""
         if not self.chosen:
             return super().plan(foreseen)
-        why = f"as long as its tension rises or its phantom partials pass {self.model.choice.budget_db:g} dB"
+        switched = f"as long as its tension rises or its phantom partials pass {self.model.choice.budget_db:g} dB"
+        why = self._always or switched
         usage = foreseen.usage
         return [
             PlannedEffect(self.name, name, usage.score_time(usage.spans[self.name, name]), why, None)

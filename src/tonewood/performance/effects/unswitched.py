@@ -83,7 +83,8 @@ class OccasionalEffect(RuntimeEffect):
         out = []
         for name in self.strings(foreseen.usage):
             spans = foreseen.usage.score_time(foreseen.usage.spans[self.name, name])
-            out.append(PlannedEffect(self.name, name, spans, self.why if spans else self.why_not, None))
+            why = self.why if spans else self.why_not or self.why  # a finger may touch before score time 0 alone
+            out.append(PlannedEffect(self.name, name, spans, why, None))
         return out
 
     def strings(self, usage: EffectUsage) -> list[str]:
