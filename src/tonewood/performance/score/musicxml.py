@@ -38,7 +38,10 @@ from tonewood.performance.score.written import WrittenMusic, WrittenNote, Writte
 from tonewood.performance.score.xml_files import MOST, member, number_of, parsed, text_of
 
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
-_DYNAMICS = {"pppp": 8, "ppp": 20, "pp": 33, "p": 49, "mp": 64, "mf": 80, "f": 96, "ff": 112, "fff": 126, "ffff": 127}
+_DYNAMICS = {
+    "pppppp": 1, "ppppp": 4, "pppp": 8, "ppp": 20, "pp": 33, "p": 49, "mp": 64,
+    "mf": 80, "f": 96, "ff": 112, "fff": 126, "ffff": 127, "fffff": 127, "ffffff": 127,
+}  # fmt: skip
 _SIGNS = {
     "staccato": "staccato", "staccatissimo": "staccato", "accent": "accent", "strong-accent": "marcato",
     "harmonic": "harmonic", "tap": "tapping", "wavy-line": "vibrato", "fingering": "",
@@ -280,9 +283,7 @@ class _PartReader:
             if sign := jump_sign(kind):
                 self.written.append((measure, sign))
             if kind.tag == "dynamics":
-                level = next((e.tag for e in kind if e.tag in _DYNAMICS), None)
-                self.velocity = _DYNAMICS[level] if level and not dynamics else self.velocity
-                dynamics = dynamics or level is not None
+                dynamics = dynamics or self._level(kind)
             elif kind.tag == "wedge":
                 self.wedges.append((index, now, kind.get("type", "")))
             elif kind.tag in ("harp-pedals", "scordatura"):
@@ -290,6 +291,23 @@ class _PartReader:
         if dynamics or self.velocity != before:
             self.levels.append((index, now, self.velocity))
         self._pedals(element, sound, index, now)
+
+    def _level(self, element: Element) -> bool:
+        """Take the loudness of written dynamics; returns whether they are a level. Others, as sfz, are counted."""
+        level = next((e.tag for e in element if e.tag in _DYNAMICS), None)
+        if level is None:
+            self._count(Counter(e.tag for e in element))
+            return False
+        self.velocity = _DYNAMICS[level]
+        return True
+
+    def _count(self, names: Counter[str]) -> None:
+        """Count signs that are not followed by their names, as far as these are not too many."""
+        for name, n in names.items():
+            short = name[:_LONGEST_SIGN]
+            if short not in self.music.ignored and len(self.music.ignored) >= _MOST_UNKNOWN:
+                short = "other signs that are not known"
+            self.music.ignored[short] += n
 
     def _feel(self, element: Element) -> None:
         """How long the first of two notes is, from here on."""
@@ -392,11 +410,10 @@ class _PartReader:
         self.music.ignored["pitch without an octave"] += written is not None and written.find("octave") is None
         self.music.signs.take()
         signs, ignored = _signs(element)
-        for name, n in ignored.items():
-            short = name[:_LONGEST_SIGN]
-            if short not in self.music.ignored and len(self.music.ignored) >= _MOST_UNKNOWN:
-                short = "other signs that are not known"
-            self.music.ignored[short] += n
+        self._count(ignored)
+        for dynamics in element.findall("notations/dynamics"):
+            if self._level(dynamics):
+                self.levels.append((len(self.part.measures), at, self.velocity))
         if self.palm:
             signs.add("palm_mute")
         if text_of(element, "notehead") == "x":

@@ -319,3 +319,15 @@ def test_fermatas_of_rests_hold_and_those_of_barlines_are_counted(tmp_path: Path
     score = read(tmp_path, plain("C") + held + plain("D") + "<barline><fermata/></barline>")
     assert [n.time for n in score.notes] == [0.0, 2.5]
     assert score.ignored == {"fermata of a barline": 1}
+
+
+def test_dynamics_at_a_note_hold_from_it_on_and_those_that_are_no_level_are_counted(tmp_path: Path) -> None:
+    at_note = note("D", 4, 4, more="<dynamics><ff/></dynamics>")
+    score = read(tmp_path, plain("C") + at_note + plain("E") + sign("<dynamics><sfz/></dynamics>") + plain("F"))
+    assert [n.velocity_midi for n in score.notes] == [80, 112, 112, 112]
+    assert score.ignored == {"sfz": 1}
+    ends = (sign(f"<dynamics><{level}/></dynamics>") for level in ("pppppp", "ffffff"))
+    assert [n.velocity_midi for n in read(tmp_path, "".join(d + plain("C") for d in ends)).notes] == [1, 127]
+    grows, end = (sign(f'<wedge type="{kind}"/>') for kind in ("crescendo", "stop"))
+    score = read(tmp_path, grows + plain("C", "C") + end + at_note)
+    assert [n.velocity_midi for n in score.notes] == [80, 96, 112]
