@@ -28,6 +28,7 @@ from tonewood.support.units import counted
 from tonewood.workshop.batch import pages
 from tonewood.workshop.batch.manifest import Manifest
 from tonewood.workshop.listening import simulations
+from tonewood.workshop.listening.definition import ListeningError
 from tonewood.workshop.listening.detection import CHANCE, sensitivity, task_of
 from tonewood.workshop.listening.means import unique
 from tonewood.workshop.listening.results import PageResults, PanelResults
@@ -84,11 +85,14 @@ def power_of(manifest: Manifest, trials: dict[int, int], pilot: PanelResults | N
     trials : page (from 0) -> trials that a listener gets of one pair on it.
     pilot : results of listeners who took the same pages; their spread, and their effects where a page expects none,
         take the place of the stated ones.
+    Raises ListeningError : the pilot's pages are others.
     """
     rows = []
     for index, page in enumerate(manifest.pages):
         name = pages.localised(getattr(page, "name", ""), manifest.language) or page.type
         pilot_page = next((p for p in pilot.pages if p.page == index + 1), None) if pilot is not None else None
+        if pilot_page is not None:
+            _check_same(manifest, page, pilot_page)
         need: Need | None
         try:
             need = _need(manifest, page, pilot_page, max(trials.get(index, 1), 1))
@@ -97,6 +101,15 @@ def power_of(manifest: Manifest, trials: dict[int, int], pilot: PanelResults | N
         if need is not None:
             rows.append(PowerRow(index + 1, name, *need))
     return rows
+
+
+def _check_same(manifest: Manifest, page: pages.AnyPage, pilot: PageResults) -> None:
+    """Check that a pilot's page asked the same. Raises ListeningError : it is of another type, or of other factors."""
+    other = next((f for f in pilot.factors if f not in (*manifest.choices(), "type")), None)
+    if pilot.kind != page.type or other is not None:
+        here = page.type if other is None else f"{page.type} without a factor {other}"
+        reason = f"page {pilot.page} is {here} in the manifest, and {pilot.kind} in the pilot"
+        raise ListeningError(f"{reason}; answers to the same pages are wanted", key="--pilot")
 
 
 def _need(manifest: Manifest, page: pages.AnyPage, results: PageResults | None, each: int) -> Need | None:
@@ -297,7 +310,8 @@ def _staircase(page: pages.StaircasePage, results: PageResults | None, alpha: fl
     sd = page.transformed(page.expect_sd) if page.expect_sd is not None else 0.1 * span
     middle = page.level_of(page.transformed(page.lowest) + 0.5 * span)
     mean = page.expect or middle
-    if results is not None and (seen := results.thresholds) is not None:
+    seen = None if results is None else results.thresholds
+    if seen is not None and len(seen.listeners) > 2:  # of fewer the spread is not known
         mean, slope, sd = seen.mean, seen.slope, page.transformed(seen.spread)
     last = page.steps[-1] if page.steps else (1.25 if page.ratio else 0.05 * span)
     margin = page.margin or last
@@ -305,4 +319,4 @@ def _staircase(page: pages.StaircasePage, results: PageResults | None, alpha: fl
     n = threshold_listeners(page, people, page.transformed(margin), alpha, power)
     by = f"by {100 * (margin - 1):.0f} %" if page.ratio else f"by {margin:g}"
     text = f"a mean threshold other {by} than {mean:.3g}, spread between listeners {page.level_of(sd):.3g}"
-    return text, n, page.expect is not None or results is not None
+    return text, n, page.expect is not None or (seen is not None and len(seen.listeners) > 2)

@@ -12,6 +12,7 @@ from scipy import stats
 
 from tonewood.workshop.batch.pages import Bs1116Page, MushraPage, RatingPage, StaircasePage
 from tonewood.workshop.listening import power, simulated_power
+from tonewood.workshop.listening.definition import ListeningError
 from tonewood.workshop.listening.simulated_power import (
     MushraListeners,
     TooManyListenersError,
@@ -149,12 +150,31 @@ def test_grades_are_of_single_sounds(asked: list[Any]) -> None:
 def test_a_staircase_of_a_pilot(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[Any] = []
     monkeypatch.setattr(power, "threshold_listeners", lambda page, people, *rest: given.append((people, rest)) or 5)
-    own: Any = SimpleNamespace(thresholds=SimpleNamespace(mean=3.0, slope=2.0, spread=0.5))
+    own: Any = SimpleNamespace(thresholds=SimpleNamespace(mean=3.0, slope=2.0, spread=0.5, listeners=range(3)))
     text, listeners, stated = power._staircase(StaircasePage.model_validate(STAIRS | {"margin": 0.7}), own, 0.05, 0.9)
     assert text == "a mean threshold other by 0.7 than 3, spread between listeners 0.5"
     ((people, rest),) = given
     assert (people.mean, people.sd, people.slope, rest) == (3.0, 0.5, 2.0, (0.7, 0.05, 0.9))
     assert (listeners, stated) == (5, True)
+    own.thresholds.listeners = range(2)  # of whom the spread is not known
+    text, _, stated = power._staircase(StaircasePage.model_validate(STAIRS | {"margin": 0.7}), own, 0.05, 0.9)
+    assert (text.endswith("spread between listeners 0.5"), stated) == (False, False)
+
+
+@pytest.mark.parametrize(
+    ("kind", "factors", "reason"),
+    [
+        ("mushra", ("d",), "page 1 is rating in the manifest, and mushra in the pilot"),
+        ("rating", ("e",), "page 1 is rating without a factor e in the manifest"),
+    ],
+)
+def test_a_pilot_of_other_pages_is_refused(kind: str, factors: tuple[str, ...], reason: str) -> None:
+    """Spread and effect of another question were taken for those of the page."""
+    whole = planned(d=["a", "b"])
+    whole.pages, whole.language = [rating()], "en"
+    pilot: Any = SimpleNamespace(pages=[SimpleNamespace(page=1, kind=kind, factors=factors)])
+    with pytest.raises(ListeningError, match=f"--pilot: {reason}"):
+        power.power_of(whole, {}, pilot)
 
 
 def test_a_page_that_needs_too_many_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
