@@ -59,6 +59,15 @@ def test_spectral_distance_is_a_gain_in_db() -> None:
     assert errors.spectral_db == pytest.approx(3.0, abs=1e-6)
 
 
+def test_bands_of_the_spectral_distance_end_a_sixth_of_an_octave_from_their_middle() -> None:
+    """Tones on both sides of the edge between 1 and 1.25 kHz, one 6 dB louder, the other 6 dB softer than the truth."""
+    t, freqs = np.arange(48000) / FS, 1000.0 * 2.0 ** np.array([0.14, 0.19])
+    tones = np.cos(2 * np.pi * freqs[:, None] * t) / freqs[:, None] ** 2
+    gain = 10 ** (np.array([6.0, -6.0]) / 20)
+    errors = wave_errors(gain @ tones, tones.sum(axis=0), FS, 2j * np.pi * freqs)
+    assert errors.spectral_db == pytest.approx(6.0, abs=0.01)
+
+
 def test_spurious_component_is_found_where_no_partial_is() -> None:
     t = np.arange(48000) / FS
     true = np.cos(2 * np.pi * 1000.0 * t)
