@@ -137,6 +137,8 @@ def test_headlines() -> None:
     assert found["verlet"].ratio_at_best == pytest.approx(6.0)
     assert [found[m].text for m in found] == ["10", "not reached", "not stable", "partials lost"]
     assert {h.method: h for h in headlines(POINTS, WAVEFORM)}["hht"].ratio == pytest.approx(2.0)
+    other_dial = point("newmark", 48e3, 1.0, 1e-3, dial="modes")
+    assert [h.method for h in headlines((*POINTS, other_dial), PITCH)] == list(found)
 
 
 def test_other_dials_are_not_on_the_line() -> None:

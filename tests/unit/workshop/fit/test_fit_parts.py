@@ -16,7 +16,7 @@ from fit_scenes import TAU, Truth, random_body
 from tonewood.errors import TonewoodError
 from tonewood.workshop.fit import arrays, drift, figure, files, folder, noise, radiation, search, texts
 from tonewood.workshop.fit import fit as whole
-from tonewood.workshop.fit.body import passive_body
+from tonewood.workshop.fit.body import _shapes, passive_body
 from tonewood.workshop.fit.drift import Drift
 from tonewood.workshop.fit.fit import Fit, fit_responses
 from tonewood.workshop.fit.hits import is_double
@@ -178,6 +178,18 @@ def test_modes_nobody_would_see_are_told() -> None:
     assert search.inaudible(problem, poles, np.array([300.0, 605.0])).tolist() == []
     assert search.inaudible(problem, poles, np.array([640.0])).tolist() == [1]
     assert search.inaudible(problem, poles[:1], np.zeros(0)).tolist() == []
+
+
+def test_lines_of_the_mains_are_muted_and_named() -> None:
+    rng, freq = np.random.default_rng(3), np.arange(100.0, 500.0)
+    y = resonances(freq, [200.0], [40.0])
+    y = y + 1e-4 * (rng.standard_normal(y.shape) + 1j * rng.standard_normal(y.shape))
+    y[0, [50, 250]] += 0.2
+    sigma = np.full(y.shape, 1.4e-4)
+    modes = identify(freq, y, Shape((0,), 1, True, False, False), damping="viscous", sigma=sigma)
+    assert sorted(modes.mains) == pytest.approx([150.0, 350.0], abs=0.1)
+    assert modes.poles.freq == pytest.approx([200.0], rel=1e-3)
+    assert modes.misfit == pytest.approx(1.0, abs=0.1)
 
 
 def test_lines_of_few_bins_are_no_modes() -> None:
@@ -487,6 +499,24 @@ def test_several_references_and_modes_that_create_energy() -> None:
     left = passive_body(*exact(negative))
     assert left.freq == pytest.approx([200.0])
     assert left.dropped[0] == "mode at 500.0 Hz: negative residue at the driving point"
+
+
+@pytest.mark.parametrize(
+    ("weak", "certain", "count"),
+    [(0.44, True, 1), (0.46, True, 2), (0.46, False, 2), (0.44, False, 1), (-0.1, True, 1)],
+)
+def test_further_shapes_stand_out_by_four_and_a_half_deviations(weak, certain, count) -> None:
+    """Residues diag(4, weak) known within 0.1; of one reference alone a shape that is not certain needs three."""
+    pairs = (("a", "a"), ("b", "a"), ("b", "b"))
+    shapes, error = _shapes(np.array([4.0, 0.0, weak]), np.full(3, 0.1), pairs, ("a", "b"), certain=certain)
+    assert error == pytest.approx(0.1 / 4)
+    assert [np.abs(x).tolist() for x in shapes] == [[2.0, 0.0], [0.0, np.sqrt(abs(weak))]][:count]
+    for value, kept in ((0.29, certain), (0.31, True), (-0.1, False)):
+        shapes, error = _shapes(np.array([value, 0.3]), np.full(2, 0.1), pairs[:2], ("a", "b"), certain=certain)
+        assert len(shapes) == kept
+        if kept:
+            assert shapes[0] == pytest.approx(np.array([value, 0.3]) / np.sqrt(value))
+        assert error == pytest.approx(0.1 / value if kept else np.inf)
 
 
 @pytest.fixture(scope="module")
@@ -903,7 +933,7 @@ def test_a_folder_of_a_fit_has_its_figures(fitted, tmp_path) -> None:
 @pytest.mark.parametrize(("places", "driven"), [((0.0,), "a"), ((-0.5, 0.5), "ab")])
 def test_a_bank_is_that_of_its_pressures(places, driven) -> None:
     """Two poles, one microphone, noise of 1e-5: poles, heave and moment; the high-pass lies at a fifth of 60 Hz."""
-    poles = TAU * np.array([200.0, 500.0]) * (-0.5 / np.array([40.0, 60.0]) + 1j)
+    poles = TAU * np.array([200.0, 500.0]) * (-0.5 / np.array([8.0, 60.0]) + 1j)
     heave, moment = np.array([3.0 + 1j, -2.0 + 2j]), np.array([1.0 - 1j, 0.5j])
     s = 1j * TAU * FREQ
     a, b = TAU * 12.0 * np.array([0.8, 1.25])

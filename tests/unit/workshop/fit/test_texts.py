@@ -8,6 +8,7 @@ import pytest
 from tonewood.errors import TonewoodError
 from tonewood.workshop.fit.files import Reading, read_responses
 from tonewood.workshop.fit.fit import fit_responses
+from tonewood.workshop.fit.texts import _polar, record_of_text
 
 FREQ = np.arange(20.0, 120.0)
 VALUES = (np.array([[1.0], [0.3]]) + 0.01 * FREQ) * np.exp(0.02j * FREQ)
@@ -113,6 +114,40 @@ def test_empty_cells_are_bins_without_numbers_and_end_no_table(tmp_path):
     read = read_responses([tmp_path / "a.csv"], Reading("mobility"))
     assert np.array_equal(read.freq, FREQ)
     assert np.array_equal(np.flatnonzero(np.isnan(read.mobility[0])), np.arange(10, 15))
+
+
+@pytest.mark.parametrize(
+    ("step", "first", "is_time"),
+    [(0.9e-3, 0.0, True), (1.2e-3, 0.0, False), (0.9e-3, 19.8, True), (0.9e-3, 20.0, False), (-0.9e-3, 1.0, False)],
+)
+def test_a_first_column_without_a_name_is_time_in_steps_of_a_millisecond_up_to_20_s(tmp_path, step, first, is_time):
+    columns = [first + step * np.arange(100), np.sin(FREQ), np.cos(FREQ)]
+    (tmp_path / "a.txt").write_text(text(columns, "\t"))
+    record = record_of_text(tmp_path / "a.txt")
+    assert (record is not None) == is_time
+    if record is not None:
+        assert [np.allclose(a, b, atol=1e-8) for a, b in zip(record, [*columns[:2], [columns[2]]], strict=True)] == [
+            True
+        ] * 3
+
+
+@pytest.mark.parametrize(
+    ("size", "names", "level", "told"),
+    [
+        ([0.5, 0.1], ("mag", "deg"), False, []),
+        ([0.5, 0.0], ("mag", "rad"), False, []),
+        ([0.5, -0.1], ("mag", "deg"), True, ["magnitudes below 0 were taken for dB"]),
+        ([0.5, -0.1], ("mag db", "deg"), True, []),
+        ([0.5, 0.1], ("mag", "phase"), False, ["phases that stay within pi were taken for radians"]),
+    ],
+)
+def test_magnitudes_and_phases_are_read_by_their_names_and_values(size, names, level, told):
+    said = []
+    phase = np.array([3.0, -2.0])
+    found = _polar(np.array(size), phase, *names, said)
+    turned = np.deg2rad(phase) if names[1] == "deg" else phase
+    assert found == pytest.approx((10 ** (np.array(size) / 20) if level else np.array(size)) * np.exp(1j * turned))
+    assert said == told
 
 
 def test_rows_at_0_hz_are_no_frequencies_that_fall(tmp_path):
