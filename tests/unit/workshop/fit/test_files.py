@@ -236,6 +236,86 @@ def test_frequencies_that_do_not_rise_and_devices_are_named(tmp_path: Path) -> N
         read_responses([tmp_path / "b.csv"], Reading("mobility"))
 
 
+def write_hit(path, n=400, fs=4000, *, forces=1, points=1, zeros=0, size=0.5, seed=0):
+    """A force and a decaying tone in noise: CSV with this program's columns, text without a name, or WAV."""
+    rng, t = np.random.default_rng(seed), np.arange(n)
+    motion = 0.3 * np.exp(-t / 80) * np.sin(t / 6) + 1e-3 * rng.normal(size=n)
+    force = size * np.exp(-0.5 * ((t - 30) / 3.0) ** 2)
+    columns = np.array([force] * forces + [motion] * points).T
+    columns[n - zeros :] = 0.0
+    if path.suffix == ".wav":
+        sf.write(path, columns, fs, subtype="DOUBLE")
+        return path
+    names = [f"{'ab'[i]}_force" for i in range(forces)] + ["a", "b"][:points]
+    head = "time_s," + ",".join(names) if path.suffix == ".csv" else ""
+    np.savetxt(path, np.column_stack([t / fs, columns]), delimiter="," if head else "\t", header=head, comments="")
+    return path
+
+
+HITS = Reading("mobility", points=("a",), references=(("a", ""),), sensitivity=(1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("made", "reported"),
+    [
+        (lambda at: [], "FILES: no file was given"),
+        (lambda at: [at / "no.npz"], r"no\.npz: cannot be read: No such file"),
+        (lambda at: [write_hit(at / "a.csv"), write_hit(at / "b.csv", n=300)], r"b\.csv: has another rate, length or"),
+        (lambda at: [write_hit(at / "a.csv"), write_hit(at / "b.csv", fs=3000)], r"b\.csv: has another rate, length"),
+        (lambda at: [write_hit(at / "a.csv"), write_hit(at / "b.csv", points=2)], r"b\.csv: has another .* channels"),
+        (lambda at: [write_hit(at / "a.csv", zeros=40)], r"a\.csv: ends in zeros"),
+        (lambda at: [write_hit(at / "a.csv", forces=2)], r"a\.csv: wants one column REFERENCE_force and one or more"),
+        (lambda at: [write_hit(at / "a.csv", points=0)], r"a\.csv: wants one column REFERENCE_force and one or more"),
+        (lambda at: [write_hit(at / "a.wav", n=0)], r"a\.wav: holds no samples"),
+        (lambda at: [write_hit(at / "a.wav", size=1.0)], r"a\.wav: is clipped: samples of channel 1 reach full scale"),
+        (lambda at: [write_csv(at / "a.csv").rename(at / "a.wav")], r"a\.wav: is no sound file: "),
+        (
+            lambda at: [write_csv(at / "a.csv"), write_hit(at / "b.csv")],
+            r"FILES: files of different kinds \(csv, hits\)",
+        ),
+    ],
+)
+def test_what_is_wrong_with_hits_is_reported_in_one_line(tmp_path: Path, made, reported) -> None:
+    with pytest.raises(TonewoodError, match=reported) as fault:
+        read_responses(made(tmp_path), HITS)
+    assert "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "reported"),
+    [
+        ({"freq_Hz": FREQ + 1, "b:a": TRUTH[1]}, r"b\.npz: freq_Hz: has other frequencies than the first file"),
+        ({"freq_Hz": FREQ[1:], "b:a": TRUTH[1, 1:]}, r"b\.npz: freq_Hz: has other frequencies than the first file"),
+        ({"freq_Hz": FREQ, "b:a": TRUTH[1, :3]}, r"b\.npz: b:a: has the shape \(3,\); \(200,\) is allowed"),
+    ],
+)
+def test_files_of_other_frequencies_are_no_one_measurement(tmp_path: Path, arrays, reported) -> None:
+    np.savez(tmp_path / "a.npz", **{"freq_Hz": FREQ, "a:a": TRUTH[0]})
+    np.savez(tmp_path / "b.npz", **arrays)
+    with pytest.raises(TonewoodError, match=reported):
+        read_responses([tmp_path / "a.npz", tmp_path / "b.npz"], Reading("mobility"))
+
+
+def test_a_text_over_time_is_a_hit_and_one_hit_has_no_coherence(tmp_path: Path) -> None:
+    paths = [write_hit(tmp_path / f"{i}.txt", seed=i) for i in range(2)]
+    tables = [write_hit(tmp_path / f"{i}.csv", seed=i) for i in range(2)]
+    unscaled = replace(HITS, sensitivity=())
+    two, same = (read_responses(files, unscaled) for files in (paths, tables))
+    np.testing.assert_allclose(two.mobility, same.mobility, rtol=1e-9)
+    assert (two.n_hits, two.kept, two.remarks) == (2, (2, 2), ())
+    assert two.coherence is not None
+    one = read_responses(paths[:1], replace(HITS, sensitivity=(2.0, 3.0)))
+    assert (one.coherence, one.n_hits, one.kept) == (None, None, (1, 1))
+    assert one.remarks == ("one hit at a: its noise is taken from the roughness of the response; five tell more",)
+    single = read_responses(paths[:1], unscaled)
+    np.testing.assert_allclose(one.mobility, 1.5 * single.mobility, rtol=1e-9)
+    assert repr(single) == "<Responses of 1 pairs, 0 microphones, 201 bins, 0 to 2000 Hz>"
+    with pytest.raises(TonewoodError, match=r"holds a record over time, of 0\.0998 s, of a force and 1 responses"):
+        read_responses(paths, Reading("mobility"))
+    with pytest.raises(TonewoodError, match="--form: the quantity measured is not stated"):
+        read_responses(paths, replace(HITS, form=None))
+
+
 def test_bins_of_0_were_not_measured(tmp_path: Path) -> None:
     masked = TRUTH.copy()
     masked[1, 100:160] = 0.0

@@ -528,6 +528,28 @@ def fitted() -> Fit:
     return fit_responses(r, damping="viscous")
 
 
+def test_a_fit_without_a_mode_or_with_one_to_drop_that_is_none_is_refused(fitted) -> None:
+    r = fitted.responses
+    rng = np.random.default_rng(2)
+    noise_alone = rng.standard_normal(r.mobility.shape) + 1j * rng.standard_normal(r.mobility.shape)
+    with pytest.raises(TonewoodError, match="responses: no mode stands out of the noise: wrong files, band or"):
+        fit_responses(replace(r, mobility=noise_alone), damping="viscous")
+    turned = fit_responses(replace(r, mobility=-r.mobility), damping="viscous")
+    assert (turned.body, len(turned.modes.poles)) == (None, 2)
+    assert "mobility of 'a' has a negative real part" in turned.no_body
+    with pytest.raises(TonewoodError, match="--drop: there is no mode at 250 Hz; the nearest is at 320"):
+        fit_responses(r, damping="viscous", drop=(250.0,))
+
+
+def test_a_coherence_is_the_least_noise_of_a_fit(fitted) -> None:
+    coherence = np.full(fitted.responses.mobility.shape, 0.9)
+    fit = fit_responses(replace(fitted.responses, coherence=coherence, n_hits=4), damping="viscous")
+    least = noise.of_coherence(fit.responses.mobility, coherence, 4)
+    assert np.all(fit.modes.problem.data.sigma >= 0.999 * least)
+    assert np.median(fit.modes.problem.data.sigma / least) < 1.2
+    assert np.median(fitted.modes.problem.data.sigma / least) < 0.2
+
+
 def test_rows_of_a_fit_have_intervals_and_changes(fitted) -> None:
     measured = [row for row in fitted.rows if row["measured"]]
     assert [row["freq_Hz"] for row in measured] == pytest.approx([150.0, 320.0], rel=1e-3)
