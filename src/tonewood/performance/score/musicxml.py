@@ -148,7 +148,7 @@ class _Reader:
 class _PartReader:
     def __init__(self, part: WrittenPart, music: WrittenMusic):
         self.part, self.music = part, music
-        self.divisions, self.velocity = Fraction(0), 80
+        self.divisions, self.velocity, self.staves = Fraction(0), 80, 1
         self.transpose: dict[str, float] = {}  # number of a staff, "" for all others -> semitones
         self.tuning: dict[int, float] = {}
         self.ending: frozenset[int] = frozenset()
@@ -160,6 +160,8 @@ class _PartReader:
         #: (measure, quarter notes, velocity) of dynamics, and (measure, quarter notes, kind) of ends of hairpins
         self.levels: list[tuple[int, Fraction, int]] = []
         self.wedges: list[tuple[int, Fraction, str]] = []
+        #: measures back to the one that a sign of repetition plays again; 0 where there is none
+        self.simile = 0
         #: whether a sound says a jump, and (measure, sign) of jumps and marks that are only written
         self.sounded, self.written = False, list[tuple[Measure, str]]()
 
@@ -216,6 +218,9 @@ class _PartReader:
                 self._barline(child, measure)
             longest = max(longest, now)
         _from_lowest(notes)
+        if self.simile and not any(n.find("rest") is None for n in element.findall("note")):
+            notes = list(self.part.measures[index - self.simile]) if self.simile <= index else []
+            self.music.signs.take(len(notes))
         measure.feel = measure.feel or self.feel
         measure.length = max(measure.length, longest)
         measure.endings = measure.endings or self.ending
@@ -230,7 +235,10 @@ class _PartReader:
         self.music.ignored[f"divisions outside 1/{MOST_DIVISIONS} to {MOST_DIVISIONS}"] += wrong
         self.music.ignored["fifths outside -7 to 7"] += abs(number_of(element, "key/fifths", 0.0)) > 7
         self.meter = meter_of(element, self.meter)
+        self.staves = whole(text_of(element, "staves"), 1, _MOST_LINES) or self.staves
         self.fifths = int(number_of(element, "key/fifths", self.fifths, -7.0, 7.0))
+        for style in element.findall("measure-style"):
+            self._simile(style)
         for move in element.findall("transpose"):
             steps = number_of(move, "chromatic", 0.0) + 12 * number_of(move, "octave-change", 0.0)
             staff_number = move.get("number", "")
@@ -248,6 +256,18 @@ class _PartReader:
                 if pitch is not None:
                     # lines count from the lowest, strings from the highest
                     self.tuning[len(lines) + 1 - (whole(line.get("line", ""), -_MOST_LINES, _MOST_LINES) or 1)] = pitch
+
+    def _simile(self, style: Element) -> None:
+        """Note which measures are played again; signs for a beat, and for one staff of several, are counted."""
+        beat, sign = style.find("beat-repeat"), style.find("measure-repeat")
+        self.music.ignored["beat-repeat"] += beat is not None and beat.get("type") == "start"
+        if sign is None:
+            return
+        back = whole(sign.text or "", 1, _MOST_TIMES) if sign.get("type") == "start" else 0
+        self.music.ignored["measure-repeat that cannot be read"] += back is None
+        several = back and style.get("number") is not None and self.staves > 1
+        self.music.ignored["measure-repeat on one of several staves"] += bool(several)
+        self.simile = 0 if several else back or 0
 
     def _direction(self, element: Element, now: Fraction, measure: Measure) -> None:
         sound = element if element.tag == "sound" else element.find("sound")

@@ -331,3 +331,26 @@ def test_dynamics_at_a_note_hold_from_it_on_and_those_that_are_no_level_are_coun
     grows, end = (sign(f'<wedge type="{kind}"/>') for kind in ("crescendo", "stop"))
     score = read(tmp_path, grows + plain("C", "C") + end + at_note)
     assert [n.velocity_midi for n in score.notes] == [80, 96, 112]
+
+
+def test_measures_of_repeat_signs_play_those_before_them(tmp_path: Path) -> None:
+    """A sign may play the last two measures again; it holds until its stop, in measures without notes."""
+    style = "<attributes>{}<measure-style{}>{}</measure-style></attributes>"
+    again = '<measure-repeat type="{}">{}</measure-repeat>'
+    rest = "<note><rest/><duration>4</duration></note>"
+    bars = (plain("C"), plain("D"), style.format("", "", again.format("start", 2)) + rest, rest, plain("E"), rest)
+    end = style.format("", "", again.format("stop", "")) + rest
+    score = read(tmp_path, *bars, end, plain("F"))
+    assert [(n.time, n.note) for n in score.notes] == [
+        (0, 60), (1, 62), (2, 60), (3, 62), (4, 64), (5, 62), (7, 65)
+    ]  # fmt: skip
+    assert score.ignored == {}
+    beats = style.format("", "", '<beat-repeat type="start"/>')
+    wrong = style.format("", "", again.format("start", "x")) + style.format(
+        "<staves>2</staves>", ' number="2"', again.format("start", 1)
+    )
+    score = read(tmp_path, plain("C"), beats + wrong + rest)
+    assert [n.note for n in score.notes] == [60]
+    assert score.ignored == {
+        "beat-repeat": 1, "measure-repeat that cannot be read": 1, "measure-repeat on one of several staves": 1
+    }  # fmt: skip
