@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import resample_poly
 
+from tonewood.errors import OutputError
 from tonewood.sound.level.loudness import loudest, loudness, matching_gain_db, true_peak
 
 FS = 48000
@@ -64,3 +65,11 @@ def test_a_block_at_a_rate_that_it_does_not_divide(n: int, gated: bool) -> None:
     tone = 0.1 * np.sin(2 * np.pi * 997.0 / 8832 * np.arange(n))[:, None]
     found, gates = loudness(tone, 8832)
     assert (found, gates) == (pytest.approx(-23.01, abs=0.1), gated)
+
+
+@pytest.mark.parametrize("sound", [np.zeros((FS, 2)), np.zeros((0, 1))])
+def test_silence_has_no_loudness(sound: np.ndarray) -> None:
+    assert loudest(sound, FS) == -np.inf
+    assert true_peak(sound) == 0.0
+    with pytest.raises(OutputError, match="the sound is silent"):
+        matching_gain_db(sound, FS, -23.0)

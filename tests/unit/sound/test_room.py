@@ -53,6 +53,24 @@ def test_microphones_stand_in_the_room(tmp_path: Path) -> None:
         room_response(str(tmp_path / "room.wav"), 16000, 2, distance=1.0)
 
 
+@pytest.mark.parametrize(
+    ("name", "volume", "t60", "distance"), [("studio", 98, 0.3, 0.7), ("small", 53, 0.4, 0.6), ("hall", 3240, 1.6, 2.0)]
+)
+def test_rooms_are_those_of_the_page_of_presets(name: str, volume: int, t60: float, distance: float) -> None:
+    """With instrument and microphones inside, 30 cm apart and both at the distance from the instrument that is told."""
+    box = ROOMS[name]
+    assert (round(np.prod(box.size)), box.t60, box.distance) == (volume, t60, distance)
+    left, right = box.places(distance, 2).T
+    middle = (left + right) / 2 - box.source
+    assert np.linalg.norm(middle) == pytest.approx(distance)
+    assert np.cross(middle, box.towards) == pytest.approx(np.zeros(3), abs=1e-12)
+    assert np.dot(middle, box.towards) > 0
+    assert (np.linalg.norm(right - left), (right - left) @ middle) == pytest.approx((0.3, 0.0), abs=2e-3)
+    for place in (np.array(box.source), left, right):
+        assert np.all(place >= 0.3)
+        assert np.all(place <= np.array(box.size) - 0.3)
+
+
 @pytest.mark.parametrize("name", ROOMS)
 def test_boxes_begin_with_their_direct_sound_and_decay(name: str) -> None:
     """T60 from Schroeder's backward integral, -5 to -25 dB, within 40 % of Sabine's."""

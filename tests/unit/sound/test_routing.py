@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import tonewood as tw
-from tonewood.errors import BundleError
+from tonewood.errors import BundleError, TonewoodError
+from tonewood.sound.render.model_file import save_model
 
 FS = 16000
 SCORE = tw.Score([tw.Note(0.08, 0.05, "E4", velocity_midi=80)])
@@ -97,3 +99,18 @@ def test_live_counts_the_samples_beyond_full_scale() -> None:
     heard = np.concatenate([live.process(n) for n in (500, 1, 1200)])
     assert live.summary().clipped == np.count_nonzero(abs(heard) > 1.0) > 10
     assert live.summary().peak_dbfs == pytest.approx(20 * np.log10(abs(heard).max()))
+
+
+@pytest.mark.parametrize("changes", [{"delay": 0.002}, {"equalizer": [{"freq": 200.0, "gain_db": -3.0}]}])
+def test_a_file_of_a_model_has_plain_outputs_alone(tmp_path: Path, changes: dict[str, Any]) -> None:
+    monochord = tw.load_instrument("monochord")
+    name, group = next(iter(monochord.pickups)), monochord.spec.outputs[0]
+    file = tmp_path / "m.tonewood"
+    save_model(file, monochord, FS)
+    assert b"scale f8 1\n" + np.array([1 / group.full_scale], "<f8").tobytes() in file.read_bytes()
+    assert b"fs f8\n" + np.array(1 / (1 / FS), "<f8").tobytes() in file.read_bytes()
+    file.unlink()
+    wrong = monochord.replace({f"outputs.{name}.{key}": value for key, value in changes.items()})
+    with pytest.raises(TonewoodError, match="a circuit, delays, an equalizer"):
+        save_model(file, wrong, FS)
+    assert not file.exists()

@@ -47,6 +47,15 @@ def test_stops_are_compiled_before_the_first_note_unless_told_otherwise(monkeypa
     assert min(damping for _, damping in ways[1::2]) > 0.0
 
 
+def test_limits_of_ramp_and_spacing_are_allowed_themselves() -> None:
+    for ramp, spacing in ((1e-3, 0), (0.1, 64)):
+        live = tw.Live("monochord", 16000, prepare=False, ramp=ramp, spacing=spacing)
+        assert live.ramp == ramp
+    for options in ({"ramp": 0.99e-3}, {"ramp": 0.101}, {"spacing": 65}, {"spacing": -1}):
+        with pytest.raises(TonewoodError, match="are allowed"):
+            tw.Live("monochord", 16000, prepare=False, **options)
+
+
 def test_the_samples_do_not_depend_on_the_blocks(guitar: tw.Instrument) -> None:
     events = {
         100: lambda live: (live.note_on("E2", 100), live.note_on("B3", 60), live.note_on("G3", 70)),
