@@ -70,7 +70,7 @@ def read_answers(path: Path, test: ListeningTest) -> Imported:
     Raises ListeningError : the file cannot be read, is no such table, or no row of it fits.
     """
     rows, columns = _table(path)
-    if len(columns) == 1 and (other := next((mark for mark in ";\t|" if mark in min(columns)), "")):
+    if len(columns) == 1 and (other := next((mark for mark in ";\t|" if mark in "".join(columns)), "")):
         raise ListeningError(f"has {other!r} between its columns; commas are wanted", file=path)
     kind = next((kind for column, kind in _WEBMUSHRA.items() if column in columns), None)
     if kind is None:

@@ -673,7 +673,7 @@ def test_names_that_begin_alike_are_of_different_listeners(test: ListeningTest, 
 
 def test_a_table_is_read_by_listener(test: ListeningTest, tmp_path: Path) -> None:
     lines = (
-        "listener,page,trial,stimulus,value,item", "b,4,tg,sb,3,", "b,4,tg,ra,5,", "a,3,tm,sb,70,", "a,10,,,30,age",
+        "listener,page,trial,stimulus,value,item", "b,4,tg,sb,3,", "b,4,tg,ra,5,", "a,3,tm,sb,70,", "a,10,,,30,age", "a,10,,,2,pain",
         "b,4,tg,sb,3,", "c,4,tg,sb,3,", "d,10,,,44,age", "a,1,,,,",
     )  # fmt: skip
     found = read_answers(table(tmp_path / "t.csv", "\n".join(lines)), test)
@@ -681,9 +681,11 @@ def test_a_table_is_read_by_listener(test: ListeningTest, tmp_path: Path) -> Non
     assert [one.path.name for one in found.listeners] == ["t.csv#1", "t.csv#2", "t.csv#3"]
     first, second, third = (one.records for one in found.listeners)
     assert first[0]["answer"]["ratings"] == {"A": 3.0, "B": 5.0}
-    assert [(r["index"], r["type"]) for r in second] == [(0, "mushra"), (1, "questionnaire")]
+    assert [(r["index"], r["type"]) for r in second] == [
+        (0, "mushra"), (1, "questionnaire"), (2, "questionnaire"),
+    ]  # fmt: skip
     assert [(r["index"], r["answer"]) for r in third] == [(0, {"values": {"age": 44.0}})]
-    assert ["line 6" in found.left_out[0].reason, len(found.left_out)] == [True, 2]
+    assert ["line 7" in found.left_out[0].reason, len(found.left_out)] == [True, 2]
     assert "c has no grade of both sounds of trial tg" in found.left_out[1].reason
     assert found.listeners[0].header == {
         "listener": "b",
