@@ -182,7 +182,8 @@ def linear_analysis(
     at_ends = None if ends is None else float(np.mean((data.value <= ends[0]) | (data.value >= ends[1])))
     estimates, tests, method = _fitted(data, contrasts, confidence)
     if not data.complete:
-        notes.append(f"{int(np.sum(np.isnan(data.means)))} of {data.means.size} cells of listeners have no answer")
+        without = f"{int(np.sum(np.isnan(data.means)))} of {data.means.size} cells of listeners have no answer"
+        notes.append(f"{without}: differences allow for that, means per factor do not")
     if sampled and len(data.sounds) < FEW_SOUNDS:
         notes.append(
             f"{len(data.sounds)} sounds are few for a random sample: with fewer than {FEW_SOUNDS}, between 1 and 6.5 % "
