@@ -673,7 +673,8 @@ def test_names_that_begin_alike_are_of_different_listeners(test: ListeningTest, 
 
 def test_a_table_is_read_by_listener(test: ListeningTest, tmp_path: Path) -> None:
     lines = (
-        "listener,page,trial,stimulus,value,item", "b,4,tg,sb,3,", "b,4,tg,ra,5,", "a,3,tm,sb,70,", "a,10,,,30,age", "a,10,,,2,pain",
+        "listener,page,trial,stimulus,value,item", "b,4,tg,sb,3,", "b,4,tg,ra,5,", "a,3,tm,sb,70,", "a,10,,,30,age",
+        "a,10,,,2,pain",
         "b,4,tg,sb,3,", "c,4,tg,sb,3,", "d,10,,,44,age", "a,1,,,,",
     )  # fmt: skip
     found = read_answers(table(tmp_path / "t.csv", "\n".join(lines)), test)
