@@ -101,7 +101,7 @@ def _text_page(routines: ET.Element, flow: ET.Element, page: dict[str, Any]) -> 
     name = f"page{page['page']}"
     routine = ET.SubElement(routines, "Routine", name=name)
     text = "\n\n".join(part for part in (page["title"], page["content"], f"{page['button']}: space") if part)
-    _component(routine, "Text", f"text{page['page']}", {"text": text, "letterHeight": ("0.03", "num")})
+    _component(routine, "Text", f"text{page['page']}", {"text": _words(text), "letterHeight": ("0.03", "num")})
     if page["tone"]:
         _component(routine, "Sound", f"tone{page['page']}", {"sound": f"stimuli/{page['tone']}"})
     _component(routine, "Keyboard", f"go{page['page']}", {"allowedKeys": ("'space'", "list")})
@@ -120,7 +120,7 @@ def _trial_page(routines: ET.Element, flow: ET.Element, page: dict[str, Any], ro
     hint = order + "  ".join(f"{k.upper()}: {c}" for k, c in zip(keys, row["choices"] or ["OK"], strict=True))
     text = "\n\n".join(part for part in (page["title"], page["content"], page["question"], hint) if part)
     layout = {"pos": ("(0, 0.25)", "list"), "letterHeight": ("0.03", "num")}
-    _component(routine, "Text", f"text{number}", {"text": text, **layout})
+    _component(routine, "Text", f"text{number}", {"text": _words(text), **layout})
     for i in range(1, n + 1):
         _component(
             routine, "Sound", f"sound{number}_{i}",
@@ -149,6 +149,11 @@ def _trial_page(routines: ET.Element, flow: ET.Element, page: dict[str, Any], ro
     })  # fmt: skip
     ET.SubElement(flow, "Routine", name=name)
     ET.SubElement(flow, "LoopTerminator", name=loop)
+
+
+def _words(text: str) -> str:
+    """A text that PsychoPy takes for no code, as it does where a dollar sign is in it."""
+    return text.replace("$", r"\$")
 
 
 def _component(routine: ET.Element, kind: str, name: str, params: dict[str, Any]) -> None:

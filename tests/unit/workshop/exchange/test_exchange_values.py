@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from types import SimpleNamespace
@@ -241,6 +242,16 @@ def test_sounds_of_psychopy_follow_each_other(test: ListeningTest) -> None:
     slots = rows["tx"]["slots"]
     assert {s: pair[s] for s in "ABX"} == slots
     assert pair["ends"] == pytest.approx(0.5 * 3 + sum(lengths[c] for c in slots.values()))
+
+
+def test_a_dollar_is_no_code_of_psychopy(test: ListeningTest) -> None:
+    """`You get $10` would have been evaluated as Python."""
+    rated = page("mushra", name="$5", reference={"f": "a"})
+    manifest: Any = test.manifest
+    manifest.pages = [page("consent", content="You get $10"), PAGES[1], rated, *PAGES[3:]]
+    texts = [p.get("val") or "" for p in _experiment(test, course(test, 0)).iter("Param") if p.get("name") == "text"]
+    assert any(r"You get \$10" in text for text in texts)
+    assert not any(re.search(r"^\$|[^\\]\$", text) for text in texts)  # PsychoPy's own expression for code
 
 
 def test_psychopy_s_components(test: ListeningTest, tmp_path: Path) -> None:
