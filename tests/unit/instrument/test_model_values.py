@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,7 +18,7 @@ from tonewood.instrument.contract import array_cache
 from tonewood.instrument.contract.base import BodyPoint, BridgeForce
 from tonewood.instrument.contract.microphones import Microphones
 from tonewood.instrument.inspection import frequencies
-from tonewood.instrument.model import kept_tunings, string_tuning
+from tonewood.instrument.model import kept_tunings, string_tuning, strings
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.choice import Choice
 from tonewood.instrument.model.kept_tunings import KeptTunings
@@ -27,6 +28,7 @@ from tonewood.instrument.model.string_assembly import _is_beyond
 from tonewood.instrument.model.string_setup import GivenTension, Polarization, Stopping
 from tonewood.instrument.model.string_stems import outputs_by_string
 from tonewood.instrument.model.string_tuning import StringTuning
+from tonewood.instrument.model.strings import StringModel
 from tonewood.instrument.model.tuning import CoupledMode, TunedStop, tune
 from tonewood.instrument.model.untuned_bases import PASSING_STOPS, UntunedBases, held_freq
 from tonewood.instrument.scales import note_name
@@ -434,3 +436,62 @@ def test_keys_without_two_modes_below_the_limit_are_beyond_it(freq: float, n_mod
     assert upper == pytest.approx([] if freq < 250 else [1000.0] * 2)
     instrument.key_of = {}
     assert not _is_beyond(instrument, "a", 1060.0 / 0.98)
+
+
+def test_parts_on_a_string_have_places_and_names_of_their_own() -> None:
+    class Pad:
+        def fault(self, reason: str) -> BundleError:
+            return BundleError(reason)
+
+    fake: Any = SimpleNamespace(
+        name="A", places=SimpleNamespace(points=("nut",)), touching={"a": Pad(), "b": Pad()},
+        tuning=SimpleNamespace(stops=SimpleNamespace(open_length=0.6)),
+    )  # fmt: skip
+
+    def check(*places: dict[str, float] | None) -> None:
+        StringModel._check_places(fake, [None if at is None else SimpleNamespace(places=at) for at in places])
+
+    check(None, {"b.pad": 0.0})
+    check({"a.pad": 0.6}, {"b.pad": 0.3})
+    for places, said in (
+        (({"bridge": 0.1}, None), "'bridge' on string A, which has a point of this name; names begin with the part's"),
+        (({"pluck": 0.1}, None), "'pluck' on string A"), (({"nut": 0.1}, None), "'nut' on string A"),
+        (({"x": 0.1}, {"x": 0.2}), "'x' on string A"),
+        (({"x": -1e-3}, None), "-0.001 m from the bridge; 0 to 0.6 m are allowed"), (({"x": 0.601}, None), "0.601 m"),
+    ):  # fmt: skip
+        with pytest.raises(BundleError, match=re.escape(said)):
+            check(*places)
+
+
+def test_motion_is_carried_to_the_next_stop_by_the_string_its_finger_or_its_length(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(strings, "string_transfer", lambda old, new: ("along", old, new))
+    monkeypatch.setattr(strings, "string_carry", lambda old, new, q, v: (2 * q, 3 * v))
+    monkeypatch.setattr(strings, "laid_down", lambda old, new: (np.full((1, 2), 2.0), np.full((1, 2), 5.0)))
+    resonator = SimpleNamespace(
+        transfer=lambda old, new: ("own", old, new), carried=lambda old, new, q, v: (4 * q, 5 * v)
+    )
+    fake: Any = SimpleNamespace(
+        name="A", components=("A.z", "A.x"), longitudinal=SimpleNamespace(component="A.x"), resonator=resonator,
+        stopping=SimpleNamespace(finger=None),
+    )  # fmt: skip
+    fake._is_longitudinal = lambda component: StringModel._is_longitudinal(fake, component)
+    short, long = (SimpleNamespace(metadata={"length": x}) for x in (0.5, 0.6))
+    q, v = np.array([1.0, 2.0]), np.array([3.0, 4.0])
+
+    def carried(component: str, old: Any, new: Any) -> list[list[float]]:
+        return [part.tolist() for part in StringModel.carried(fake, component, old, new, q, v)]
+
+    assert StringModel.transfer(fake, "A.x", short, long) == ("along", short, long)
+    assert StringModel.transfer(fake, "A.z", short, long) == ("own", short, long)
+    assert carried("A.x", short, long) == [[2.0, 4.0], [9.0, 12.0]]
+    assert carried("A.x", short, short) == [[1.0, 2.0], [3.0, 4.0]]  # stays as it is
+    assert carried("A.z", short, long) == [[4.0, 8.0], [15.0, 20.0]]
+    fake.stopping.finger = Finger()
+    assert carried("A.z", short, long) == [[6.0], [35.0]]
+    assert StringModel.transfer(fake, "A.z", short, long)[1].tolist() == [[5.0, 5.0]]
+    with pytest.raises(ValueError, match=r"string A has the components A\.z, A\.x, not 'A\.y'"):
+        carried("A.y", short, long)
+    fake.longitudinal = None
+    assert StringModel.transfer(fake, "A.x", short, long)[0].tolist() == [[2.0, 2.0]]

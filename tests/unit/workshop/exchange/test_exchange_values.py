@@ -565,6 +565,18 @@ def test_tables_of_webmushra_row_by_row(test: ListeningTest) -> None:
               "rating_non_reference_score": "1"}  # fmt: skip
     _take_webmushra(test, "bs1116", graded, trials, into)
     assert into["", "tg", 1].ratings == {("ra", ""): 5.0, ("sb", ""): 1.0}
+    for key in ("rating_reference_score", "rating_non_reference_score"):
+        for score in (1.0, 5.0):
+            _take_webmushra(test, "bs1116", graded | {key: str(score)}, trials, ends := {})
+            assert ends["", "tg", 1].ratings["ra" if key == "rating_reference_score" else "sb", ""] == score
+        for score in (0.99, 5.01):
+            with pytest.raises(ListeningError, match=f"{key}: '{score}' is no number from 1 to 5"):
+                _take_webmushra(test, "bs1116", graded | {key: str(score)}, trials, {})
+    for score in ("-0.1", "100.1"):
+        with pytest.raises(ListeningError, match=f"rating_score: '{score}' is no number from 0 to 100"):
+            _take_webmushra(
+                test, "mushra", {"trial_id": "tm", "rating_stimulus": "sb", "rating_score": score}, trials, {}
+            )
     for answer, choice, right in (("correct", "A", True), ("incorrect", "B", False), ("undecided", "undecided", False)):
         pair: dict[Any, Any] = {}
         _take_webmushra(test, "pair", {"trial_id": "tx-1.0", "choice_answer": answer}, trials, pair)
