@@ -101,7 +101,7 @@ class Condition:
         """Everything of the manifest that decides the samples, as JSON-ready data (no names, no places)."""
         return {
             "overrides": self.overrides,
-            "render": self.render.model_dump(mode="json", by_alias=True),
+            "render": self.render.model_dump(mode="json"),
             "notes": None if self.notes is None else [dataclasses.asdict(n) for n in self.notes],
             "midi": None if self.midi is None else {k: v for k, v in self.midi.items() if k != "path"},
             "midi_sha256": self.midi_sha256,

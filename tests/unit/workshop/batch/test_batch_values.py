@@ -25,7 +25,7 @@ from tonewood.performance.score.note import Note
 from tonewood.workshop.batch import outputs, rendering
 from tonewood.workshop.batch.audition import facts_of
 from tonewood.workshop.batch.conditions import MAX_CONDITIONS, Draw, bundle_of, expand
-from tonewood.workshop.batch.data_sheet import Subject, _software, _sources, data_sheet, write_data_sheet
+from tonewood.workshop.batch.data_sheet import Subject, _name, _software, _sources, data_sheet, write_data_sheet
 from tonewood.workshop.batch.definition import (
     changed_condition,
     check_answers,
@@ -542,6 +542,8 @@ def test_rows_of_a_data_sheet(tmp_path: Path) -> None:
     assert _sources([{"sources": sources}, {"sources": None}]) == {
         ("A, doi:10/x", "L", "c"), ("B, http://u", "M", ""), ("C", "N", "")
     }  # fmt: skip
+    names = [_name(keys) for keys in ({"title": "T", "name": "n"}, {"title": "", "name": "n"}, {})]
+    assert names == ["T", "n", "not stated"]
     whole = hashlib.sha256(json.dumps({"a": 1, "seed": 3}).encode()).hexdigest()
     assert f"| SHA-256 of the manifest | `{whole}` |" in data_sheet(
         Subject("n", "", "", {"seed": 3, "a": 1}, {}, {}), []

@@ -1485,6 +1485,10 @@ def test_odds_of_an_analysis_are_those_of_its_fit() -> None:
     p = 2 * stats.t.sf(abs(eta[1]) / error, 8)
     assert (term.p_value, term.p_holm, test.p_value) == pytest.approx((p, p, p), rel=1e-4)
     assert (test.df, test.df2, test.statistic) == pytest.approx((1, 8, (eta[1] / error) ** 2), rel=1e-4)
+    # scores are taken re their mean, which the added answers move: n listeners show n - 1 directions at most
+    few = np.array([[[3.0, 1, 0], [1, 2, 1], [0, 1, 3]], [[2, 1, 1], [2, 2, 0], [1, 0, 3]]])
+    directions = np.linalg.eigvalsh(clustered(few, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), prior=4.0)[1])
+    assert abs(directions[-2]) < 1e-9 * directions[-1]
     assert ordinal_analysis([r | {"value": 1.0} for r in rows], ["f"], 0.9, {"f": ["x", "y"]}) is None
     sampled = [r | {"s": str(i % 3)} for i, r in enumerate(rows)]
     assert ordinal_analysis(sampled, ["f", "s"], 0.9, {"f": ["x", "y"]}, ["s"]) is None

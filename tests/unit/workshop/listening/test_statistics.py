@@ -58,6 +58,15 @@ def test_strata_are_those_of_winer_s_table() -> None:
     assert found.p_value == pytest.approx(1.9925e-05, abs=5e-10)
 
 
+@pytest.mark.parametrize(
+    ("listeners", "sounds", "df"), [(0.0, 2.0, 5.0), (3.0, 0.0, 4.0), (0.0, 0.0, 1.0), (3.0, 2.0, 5 / 1.15)]
+)
+def test_degrees_of_freedom_of_two_samples_are_weighted_by_their_variances(listeners, sounds, df) -> None:
+    """(a + b) / (a / 4 + b / 5) of variances a and b; 1 where there are none."""
+    parts = [(np.array([[v]]), f) for v, f in ((listeners, 4), (sounds, 5), (0.1, 20))]
+    assert strata._joined(parts)[2] == pytest.approx(df)
+
+
 def test_strata_are_those_of_statsmodels() -> None:
     """AnovaRM of Winer's table and of two crossed factors."""
     pandas = pytest.importorskip("pandas")
