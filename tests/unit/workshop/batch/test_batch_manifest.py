@@ -125,7 +125,8 @@ def test_varied_notes() -> None:
         value = getattr(note, draw.note_field)
         return 3.0 if value is None and draw.note_field == "force" else value
 
-    got = vary_notes(notes, (later, draw, place), base)
+    of_the_body = Draw("body.t60", "normal", 1.0, 3, ("a",))  # varies no note
+    got = vary_notes(notes, (of_the_body, later, draw, place), base)
     factors, shifts = draw.values(3), place.values(3)
     np.testing.assert_allclose([n.force for n in got], [1.0, 3.0, 3.0] * factors, rtol=1e-15)
     assert got[0].from_bridge == pytest.approx(0.1 + shifts[0])
@@ -277,6 +278,23 @@ def test_a_folder_beside_the_manifest_needs_no_dot(tmp_path: Path) -> None:
             {"pages": [{"type": "abx", "pairs": {"damping": ["block"]}}]},
             "m.yaml: page 1.pairs: a pair is two different levels",
         ),
+        (
+            {"scores": {"low": {"phrase": [{"time": 0.0, "freq": 220.0}], "stop": 1.0}}},
+            "m.yaml: scores.low: start, stop and channel_per_string belong to midi",
+        ),
+        (
+            {"pages": [{"type": "headphones", "trials": 3, "right": 4}]},
+            "m.yaml: page 1: right is 4, there are 3 trials",
+        ),
+        (
+            {"pages": [{"type": "mushra", "reference": {"damping": "block"}, "plays": 2, "loop": "whole"}]},
+            "m.yaml: page 1: a loop repeats a sound without end",
+        ),
+        (
+            {"pages": [{"type": "questionnaire", "questions": [{"name": "a", "label": "A", "kind": "choice"}]}]},
+            "m.yaml: page 1.questions.0: kind: choice and choices belong together",
+        ),
+        ({"random": ["dampng"]}, "m.yaml: random: dampng is not one of instrument, score, damping, pluck"),
     ],
 )
 def test_faults_are_one_line(changes, line: str) -> None:
@@ -438,6 +456,17 @@ def test_pages_that_cannot_be() -> None:
     with pytest.raises(ManifestError, match=r"13 signals on page1.* at most 12 \(BS\.1534\), or strict: false"):
         groups_of(factors=many, pages=[crowded])
     assert groups_of(factors=many, pages=[crowded | {"strict": False}])[0]
+    with pytest.raises(ManifestError, match="pages: no page is left with anything to hear"):
+        groups_of(pages=[{"type": "consent"}])
+    abx = {"type": "abx", "pairs": {"damping": ["complex", "block"]}}
+    groups, _ = groups_of(pages=[abx, {"type": "html"}], exclude=[{"damping": "block"}])
+    assert {g.page for g in groups} == {1}
+
+
+def test_a_page_may_be_grouped_by_the_repeat() -> None:
+    page = {"type": "html", "group_by": ["repeat", "score"]}
+    groups, _ = groups_of(pages=[page], repeats=2)
+    assert [g.fixed for g in groups] == [{"score": s, "repeat": r} for s in ("low", "high") for r in "12"]
 
 
 @pytest.mark.parametrize(

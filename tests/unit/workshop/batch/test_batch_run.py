@@ -118,6 +118,12 @@ def test_the_audition_has_every_sound_and_keeps_names_apart(tmp_path: Path) -> N
     names = (report.folder / "audition" / "names.js").read_text()
     assert "harp.low.damping=complex" in names
     assert '"role": "anchor35"' in names
+    for stranger in ("set9.js", "setup.js", "set1.txt"):
+        (report.folder / "audition" / stranger).write_text("")
+    run(tmp_path, pages=[page], output={"blind": True}, title=evil)
+    sets = {path.name for path in (report.folder / "audition").iterdir()}
+    assert sets >= {"set1.js", "setup.js", "set1.txt"}
+    assert "set9.js" not in sets
     script = (report.folder / "audition" / "set1.js").read_text()
     sounds = json.loads(script.removeprefix("soundsOf(0, ").removesuffix(");\n"))
     for file in report.files:

@@ -406,6 +406,7 @@ def stimuli(**changes: Any) -> Stimuli:
 def test_lengths_of_files() -> None:
     assert longest(stimuli()) == 12 * 48000
     assert longest(stimuli(duration=0.5, fs=44100)) == 22050
+    assert [longest(stimuli(duration=n / 48000)) for n in (0.1, 1.0, 1.6)] == [1, 1, 2]
     assert group_length([3, 9, 4], stimuli()) == 9
     assert group_length([], stimuli()) == 1
     assert group_length([3, 9, 4], stimuli(duration=0.5)) == 24000
