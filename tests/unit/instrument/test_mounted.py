@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from system_modes import CoupledModes, coupled_modes
 from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.inspection import mounted
 from tonewood.instrument.inspection.frequencies import pitch
 from tonewood.instrument.inspection.mounted import Mounted
 from tonewood.instrument.model.assembly import Model, assemble
@@ -73,3 +76,42 @@ def test_two_like_strings_on_one_bridge(make: Make) -> None:
         assert len(zeros) == 2
         assert min(abs(s.imag / (2 * np.pi * held) - 1) for s in zeros) < 1e-6
         assert max(abs(s.imag / (2 * np.pi * held) - 1) for s in zeros) > 1e-4
+
+
+def test_a_damped_string_stands_beside_those_of_its_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    """C and D have dampers, and D and E one key; the others stand beside all that have none."""
+
+    class Fake:
+        def __init__(self, strings: Any, body: str):
+            self.strings = (body, *strings)
+
+        def pitch(self, at: Any) -> Any:
+            return at.string, self.strings
+
+    monkeypatch.setattr(mounted, "Mounted", Fake)
+    dampers, groups = {"A": None, "B": None, "C": "felt", "D": "felt", "E": None}, {"D": ("D", "E")}
+    strings = {
+        name: SimpleNamespace(places=SimpleNamespace(damper=damper), group=groups.get(name, (name,)))
+        for name, damper in dampers.items()
+    }
+    model: Any = SimpleNamespace(strings=strings, body="body")
+    alone: Any = [SimpleNamespace(string=name) for name in strings]
+    free = ("body", "A", "B", "E")
+    assert mounted.mounted_pitches(model, alone) == [
+        ("A", free), ("B", free), ("C", ("body", "C")), ("D", ("body", "D", "E")), ("E", free),
+    ]  # fmt: skip
+
+
+def test_a_string_that_does_not_end_on_the_body_keeps_its_pitch(monkeypatch: pytest.MonkeyPatch) -> None:
+    still = [SimpleNamespace(right=np.zeros((1, 3)))]
+    monkeypatch.setattr(mounted, "_ports", lambda string, stop: still)
+    monkeypatch.setattr(mounted, "Star", lambda *words: pytest.fail("nothing is shared"))
+    strings: Any = {"A": SimpleNamespace(polarizations=[])}
+    monkeypatch.setattr(mounted.Mounted, "__init__", lambda self, strings, body: None)
+    on_body = mounted.Mounted(strings, None)  # type: ignore[arg-type]
+    on_body.strings, on_body._open = strings, {}
+    freq = 220.0 * 2 ** (3 / 1200)
+    mode = SimpleNamespace(pole=complex(-1.0, 2 * np.pi * freq))
+    found = on_body.pitch(SimpleNamespace(string="A", stop=2, wanted_freq=220.0, modes=[mode]))  # type: ignore[arg-type]
+    assert (found.freq, found.error_cents) == pytest.approx((freq, 3.0))
+    assert (found.modes, found.partner, found.partner_share) == (((pytest.approx(3.0), 1.0),), None, 0.0)
