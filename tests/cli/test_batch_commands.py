@@ -168,6 +168,10 @@ def test_simulated_listeners_and_their_results(done: Path, capsys: pytest.Captur
     [
         (("gone",), "gone/test.json: cannot be read: No such file or directory; `tonewood batch` writes it"),
         ((".", "--port", "70000"), "--port: is 70000"),
+        ((".", "--host", " "), "--host: is empty"),  # it was listened at all interfaces
+        ((".", "--name", "https://test.example"), "--name: is 'https://test.example'; a name or an address alone"),
+        ((".", "--name", "test.example:80"), "--name: is 'test.example:80'"),
+        ((".", "--name", "[::1]"), "test.json: cannot be read"),
     ],
 )
 def test_mistakes_of_serve_are_one_line(arguments: tuple, line: str, capsys: pytest.CaptureFixture[str]) -> None:

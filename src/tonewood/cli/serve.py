@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ipaddress
+import re
 import socket
 import sys
 from pathlib import Path
@@ -42,6 +44,13 @@ def serve(
     from tonewood.workshop.web.guard import BoundedConnection
 
     allow("--port", port, 0, 65535, "")
+    if not host.strip():  # would be all interfaces
+        raise TonewoodError("is empty; an address or a name is allowed", key="--host")
+    for one in name or ():
+        if not _is_name(one):
+            raise TonewoodError(
+                f"is {one!r}; a name or an address alone is allowed, no https:// and no port", key="--name"
+            )
     load_test(folder)  # its fault comes first
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with locked(folder, "tonewood serve"), socket.socket(family, socket.SOCK_STREAM) as listening:
@@ -70,6 +79,15 @@ def serve(
         finally:
             if pairs is not None:
                 pairs.close()
+
+
+def _is_name(text: str) -> bool:
+    """Whether a text can be the name in an address; one that cannot would be refused at each request."""
+    try:
+        ipaddress.ip_address(text.strip("[]"))
+    except ValueError:
+        return re.fullmatch(r"[A-Za-z0-9_.-]+", text) is not None
+    return True
 
 
 def _names(host: str) -> list[str]:

@@ -17,9 +17,12 @@ def simulate(
     seed: Annotated[int, typer.Option(help="of their answers")] = 1,
 ) -> None:
     """Let simulated listeners take the test of DIR; their answers are marked as simulated wherever they are shown."""
+    from tonewood.support.folder_lock import locked
     from tonewood.workshop.listening.definition import load_test
     from tonewood.workshop.listening.panel import read_panel, simulate
 
     allow("--listeners", listeners, 1, 10_000, "")
-    answers = simulate(load_test(folder), read_panel(panel), listeners, seed)
+    load_test(folder)  # its fault comes first
+    with locked(folder, "tonewood simulate"):
+        answers = simulate(load_test(folder), read_panel(panel), listeners, seed)
     print(f"{folder}: {len(answers)} simulated listeners")

@@ -14,6 +14,8 @@ import pytest
 import soundfile
 from scipy import integrate, stats
 
+from tonewood.cli.main import run
+from tonewood.support.folder_lock import locked
 from tonewood.workshop.batch.pages import StaircasePage
 from tonewood.workshop.listening import detection, means, power, simulated_power, thresholds
 from tonewood.workshop.listening.answer_file import begin
@@ -148,13 +150,20 @@ def test_every_text_of_a_report_is_escaped(tmp_path: Path) -> None:
     assert "&lt;script&gt;alert(1)&lt;/script&gt;&amp;amp;" in text
 
 
-def test_the_same_simulated_listeners_do_not_take_a_test_twice(tmp_path: Path) -> None:
+def test_the_same_simulated_listeners_do_not_take_a_test_twice(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A second run of `tonewood simulate` gave the same answers again: intervals became narrow."""
     test = fakes.made(tmp_path, [{"type": "rating", "scales": [{"name": "bright", "label": "B"}]}])
     assert len(simulate(test, panel(), 2, seed=1)) == 2
     with pytest.raises(ListeningError, match="--seed: is 1: its listeners took this test before"):
         simulate(test, panel(), 3, seed=1)
     assert len(simulate(test, panel(), 1, seed=2)) == 1
+    assert analyse(test.folder).listeners == 3
+    (tmp_path / "panel.yaml").write_text("schema: tonewood-panel/1")
+    with locked(test.folder, "tonewood serve"), pytest.raises(SystemExit):
+        run(["simulate", str(test.folder), "--panel", str(tmp_path / "panel.yaml"), "--seed", "3"])
+    assert "is in use by tonewood serve" in capsys.readouterr().err
     assert analyse(test.folder).listeners == 3
 
 
