@@ -212,6 +212,53 @@ def test_results_name_and_count_what_they_leave_out(test: ListeningTest, tmp_pat
         analyse(test.folder)
 
 
+@pytest.mark.parametrize(
+    ("change", "reported"),
+    [
+        ({"schema": "x"}, "no answers of a listener: schema tonewood-answers/"),
+        ({"token": "x"}, "no answers of a listener: schema tonewood-answers/"),
+        ({"token": "0" * 32}, "token: is the file of another session: its name is not its token"),
+        ({"seed": "3"}, "line 1: seed: '3' is no int"),
+        ({"simulated": 1}, "line 1: simulated: 1 is no bool"),
+        ({"listener": None}, "line 1: listener: None is no str"),
+        ({"place": -1}, "line 1: place: -1 is no number of a listener"),
+        ({"place": 2**31}, "line 1: place: 2147483648 is no number of a listener"),
+    ],
+)
+def test_a_first_line_that_is_damaged_is_said(test: ListeningTest, change: dict[str, Any], reported: str) -> None:
+    path = opened(test, 2).path
+    head, _, rest = path.read_bytes().partition(b"\n")
+    path.write_bytes(json.dumps(json.loads(head) | change).encode() + b"\n" + rest)
+    with pytest.raises(ListeningError) as fault:
+        read(path)
+    assert str(fault.value).startswith(f"{path}: {reported}")
+    path.write_bytes(b"[1]\n" + rest)
+    with pytest.raises(ListeningError, match="line 1: not an answer"):
+        read(path)
+    with pytest.raises(ListeningError, match="is no file"):
+        read(path.parent)
+
+
+def test_answers_that_are_missing_damaged_or_cut_off_are_counted(test: ListeningTest) -> None:
+    """Of six answers: one gone, two gone, one that is no JSON, and the last one cut."""
+    session = opened(test, 6)
+    lines = session.path.read_bytes().splitlines(keepends=True)
+
+    def found(changed: list[bytes]) -> tuple[list[int], list[tuple[str, int]]]:
+        session.path.write_bytes(b"".join(changed))
+        answers = answers_of(test)
+        reasons = [(one.reason.removeprefix(f"{session.path}: "), one.answers) for one in answers.left_out]
+        return [r["index"] for r in answers.listeners[0].records], reasons
+
+    assert found(lines) == (list(range(6)), [])
+    assert found([*lines[:4], *lines[5:]]) == ([0, 1, 2, 4, 5], [("line 5: 1 answer before it missing", 1)])
+    assert found([*lines[:3], *lines[5:]]) == ([0, 1, 4, 5], [("line 4: 2 answers before it missing", 2)])
+    indices, ((reason, count),) = found([*lines[:4], b"{\n", *lines[5:]])
+    assert (indices, reason[:16], count) == ([0, 1, 2, 4, 5], "line 5: not JSON", 1)
+    cut = [*lines[:6], lines[6][:-4]]
+    assert found(cut) == (list(range(5)), [("line 7: is cut off: its answer was not confirmed to the listener", 1)])
+
+
 def test_a_damaged_session_is_not_continued(test: ListeningTest) -> None:
     session = opened(test, 6)
     lines = session.path.read_bytes().splitlines(keepends=True)
