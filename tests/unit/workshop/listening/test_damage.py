@@ -21,7 +21,7 @@ from tonewood.workshop.listening.definition import ListeningError, ListeningTest
 from tonewood.workshop.listening.panel import SimulatedPanel, _Listener
 from tonewood.workshop.listening.report import write_report
 from tonewood.workshop.listening.results import analyse, write_tables
-from tonewood.workshop.listening.table import read_key
+from tonewood.workshop.listening.table import read_key, tidy
 
 PAGES = [
     {"type": "consent"},
@@ -257,6 +257,46 @@ def test_answers_that_are_missing_damaged_or_cut_off_are_counted(test: Listening
     assert (indices, reason[:16], count) == ([0, 1, 2, 4, 5], "line 5: not JSON", 1)
     cut = [*lines[:6], lines[6][:-4]]
     assert found(cut) == (list(range(5)), [("line 7: is cut off: its answer was not confirmed to the listener", 1)])
+
+
+def test_answers_without_sounds_are_rows_too(tmp_path: Path) -> None:
+    """A check of headphones, a level that was measured, questions by number and by choice."""
+    pages = [
+        {"type": "headphones", "trials": 1, "right": 1},
+        {"type": "level", "measured": True},
+        fakes.ALL[-1],
+        PAGES[3],
+    ]
+    test = fakes.made(tmp_path, pages)
+    session = begin(test, language="en", listener="me", started="2026", seed=3)
+    step = session.session.step
+    assert step is not None
+    given: list[dict[str, Any]] = [
+        {"choice": step.correct}, {"spl_db": 71.5}, {"values": {"age": 33.0, "plays": "much"}}
+    ]  # fmt: skip
+    for answer in given:
+        slots = session.session.step.slots if session.session.step else {}
+        session.answer(answer | {"plays": dict.fromkeys(slots, 1), "seconds": 1.0}, now="now")
+    table = tidy(test, read_key(test.folder / "key.json"), answers_of(test).listeners)
+    assert [(row["item"], row["value"], row["response"]) for row in table.rows] == [
+        ("headphones", 1.0, step.correct), ("spl_db", 71.5, 71.5), ("age", 33.0, 33.0), ("plays", None, "much")
+    ]  # fmt: skip
+    key = json.loads((test.folder / "key.json").read_text())
+    code = next(iter(key["stimuli"]))
+    for change, reported in (
+        ({"levels": {}}, r"not a whole key: levels\.\w+ is missing"),
+        (
+            {"stimuli": {code: key["stimuli"][code] | {"levels": {}}}},
+            rf"stimuli\.{code}\.levels: not a whole key: \w+ is missing",
+        ),
+        ({"factors": 3}, r"key\.json: factors: not a whole key"),
+    ):
+        (tmp_path / "key.json").write_text(json.dumps(key | change))
+        with pytest.raises(ListeningError, match=reported):
+            read_key(tmp_path / "key.json")
+    for confidence in (0.0, 1.0):
+        with pytest.raises(ListeningError, match=f"--confidence: is {confidence:g}; a number between 0 and 1 is"):
+            analyse(test.folder, confidence=confidence)
 
 
 def test_a_damaged_session_is_not_continued(test: ListeningTest) -> None:
