@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from nonlinear_scenes import LENGTH, TENSION, body, hang, held_string
 
+from assembled import held_force
 from tonewood import _kernel
 from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.physics.coupling.laws import Contact
@@ -225,6 +226,20 @@ def test_forces_come_only_where_contacts_were_solved_for():
     # and nothing of it is left in the next run
     system_forces = one.run(a, 64)[1], other.run(b, 64)[1]
     np.testing.assert_array_equal(*system_forces)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_free_mass_that_a_known_force_drives_off_meets_its_rail(sign):
+    """A force under which one mode has no static state; the other mode moves little."""
+    mass = ModalBasis.real([0.0, 2 * np.pi * 400.0], [0.0, 5.0], {"p": [1.0, 0.3]}, modal_mass=2e-3)
+    rail = Connection("rail", (Term("mass", "p", -sign),), Contact(1e8, 1.7, offset=-1e-3, residual=False))
+    system = System.build({"mass": mass}, [rail], dt=DT)
+    push = held_force(mass, "mass", "p", np.full(400, sign * 0.5), DT)
+    (_, forces), _ = both_ways(system, system.start(), 400, injections=[push])
+    met = int(np.argmax(forces[:, 0] != 0.0))
+    # x = F t^2 / 2M of the free mode; the other one adds at most 2 F 0.09 / k, k = M w^2
+    near = np.sqrt(2 * 2e-3 * np.array([1e-3 - 2 * 0.5 * 0.09 / (2e-3 * (2 * np.pi * 400.0) ** 2), 1e-3]) / 0.5) / DT
+    assert near[0] - 1 <= met <= near[1] + 1
 
 
 @pytest.mark.parametrize("modulated", [(), (0, 3)])
