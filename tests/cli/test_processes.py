@@ -179,6 +179,20 @@ def test_a_full_disk_is_one_line_and_no_file(tmp_path: Path, score: Path, more: 
     assert [p.name for p in tmp_path.iterdir()] == ["score.mid"]
 
 
+def test_worker_processes_run_no_module_of_the_current_folder(tmp_path: Path) -> None:
+    """Files beside a manifest or a bundle are data, also those called as modules that a worker imports."""
+    for name in ("joblib", "numpy", "random", "tonewood"):
+        (tmp_path / f"{name}.py").write_text("open('run', 'w').close()\nraise ImportError('not this one')\n")
+    words = ["--every", "24", "--velocities", "64", "--round-robins", "1", "--duration", "0.5", "--fs", "8000"]
+    result = subprocess.run(
+        [sys.executable, "-P", "-m", "tonewood", "sample", "monochord", "-o", "a.sfz", *words, "--jobs", "2"],
+        capture_output=True, text=True, cwd=tmp_path,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "a.sfz").exists()
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.slow
 def test_from_another_folder_with_relative_paths_and_a_pipe(tmp_path: Path, score: Path) -> None:
     result = subprocess.run(

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
+
 from tonewood.cli.stopping import stopping
 
 
 def main() -> None:
     """Run the command line and exit."""
     stopping.begin()
+    # Python looks for the modules of worker processes in the current folder otherwise: a bundle's files are data
+    os.environ["PYTHONSAFEPATH"] = "1"
     from tonewood.cli.main import run
 
     try:

@@ -76,7 +76,7 @@ class Adviser:
             self.command = shlex.join(["tonewood", *arguments])
             self._began = time.monotonic()
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "tonewood", *arguments, "--json"],
+                [sys.executable, "-P", "-m", "tonewood", *arguments, "--json"],
                 stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             )  # fmt: skip
         threading.Thread(target=self._follow, args=(self._process,), daemon=True).start()

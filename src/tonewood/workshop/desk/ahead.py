@@ -57,7 +57,7 @@ class Ahead:
             if self._process is not None:
                 return
             self._process = subprocess.Popen(
-                [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
+                [sys.executable, "-P", "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL, text=True,
             )  # fmt: skip
         text = json.dumps({**self._fixed, "changes": dict(design.changes)})

@@ -272,7 +272,7 @@ def test_one_process_makes_the_models_of_one_body(monkeypatch: pytest.MonkeyPatc
 
     def popen(words: list[str], *, text: bool, **_: Any) -> Process:
         assert text
-        assert words[1:] == ["-m", "tonewood.workshop.desk.ahead"]
+        assert words[1:] == ["-P", "-m", "tonewood.workshop.desk.ahead"]
         processes.append(Process())
         return processes[-1]
 

@@ -120,7 +120,7 @@ def test_a_search_ends_with_its_report_or_its_last_line(
     adviser.ask(instrument, ["--set", "a=1"], "monochord", " mode 1 = 180\n\n", "\nbody.added.0.mass : 0 .. 0.05 \n")
     words = ["design", "monochord", "--set", "a=1", "--target", "mode 1 = 180"]
     words += ["--free", "body.added.0.mass=0 .. 0.05"]
-    assert commands == [[sys.executable, "-m", "tonewood", *words, "--json"]]
+    assert commands == [[sys.executable, "-P", "-m", "tonewood", *words, "--json"]]
     assert shlex.split(adviser.command) == ["tonewood", *words]
     begun = adviser.state()
     assert 0.0 <= begun.pop("seconds") < 60.0
