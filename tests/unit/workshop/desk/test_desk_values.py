@@ -45,7 +45,7 @@ from tonewood.workshop.desk.phrase import ChosenPhrase, phrase
 from tonewood.workshop.desk.playback import ComparedTakes, DeskSound, PageProgress
 from tonewood.workshop.desk.server import DeskServer
 from tonewood.workshop.desk.session import MOST_SNAPSHOTS, DeskSession
-from tonewood.workshop.desk.take import Ringing, stored
+from tonewood.workshop.desk.take import PhraseTake, Ringing, stored
 from tonewood.workshop.desk.views import _rounded, drawing, force, mobility, neck, shape, strings
 from tonewood.workshop.report.facts import BodyMode
 
@@ -97,7 +97,7 @@ class Search:
     ("process", "lines", "fault", "overrides"),
     [
         (Search('{"lines": ["a", "b"], "overrides": {"x": 1.5}}'), ["a", "b"], "", {"x": 1.5}),
-        (Search("", "first\nlast\n", 2), [], "last", {}),
+        (Search("", "first\nsecond\nlast\n", 2), [], "last", {}),
         (Search("", "", 3), [], "the search ended with code 3", {}),
         (Search('{"lines": []}', "", 0), [], "the search ended with code 0", {}),
     ],
@@ -373,6 +373,11 @@ def test_a_mode_differs_by_half_a_cent_one_percent_of_q_or_two_of_its_residue(
     monkeypatch: pytest.MonkeyPatch, other: BodyMode, line: str | None
 ) -> None:
     assert told(monkeypatch, modal(other), modal(mode(100))) == ([] if line is None else [line])
+
+
+def test_a_mode_s_level_is_that_of_the_ratio_of_its_residues(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = told(monkeypatch, modal(mode(100, residue=2)), modal(mode(100, residue=4)))
+    assert lines == ["body mode 100.0 → 100.0 Hz (+0 cents), Q 20 → 20, at the bridge -3.0 dB"]
 
 
 def test_the_three_strongest_modes_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -833,6 +838,49 @@ def test_keys_that_are_exchanged_fall_and_the_last_four_fades_are_kept() -> None
     assert [f.source.value for f in sound._fading] == [2.0, 3.0, 4.0, 5.0]  # type: ignore[union-attr]
     sound.read(30)
     assert sound._fading == []
+
+
+@pytest.mark.parametrize("block", [7, 30, 40])
+def test_a_take_that_falls_goes_on_from_where_it_was(block: int) -> None:
+    """The same in blocks of any length: frames 20 to 49 of a take that counts them, at its gain."""
+
+    class Counting(Take):
+        def read(self, start: int, frames: int) -> Any:
+            return np.arange(start, start + frames, dtype=np.float32)[:, None] * np.float32([1.0, -1.0])
+
+    sound = sounding(0.0)
+    sound._fade_out(Counting(0.0), 20, 0.5)  # type: ignore[arg-type]
+    found = np.concatenate([left(sound, block) for _ in range(-(-40 // block))])[:40]
+    np.testing.assert_allclose(found, np.r_[0.5 * np.arange(20, 50) * FALL, np.zeros(10)], rtol=1e-6)
+    assert sound._fading == []
+
+
+def test_effects_of_a_take_have_their_times_and_costs() -> None:
+    """Of switched effects what they cost a second of sound: their own steps, and those of the loads where they run."""
+    rates = SimpleNamespace(mode=2e-9, running={"bend": 1e-6}, load={"bend": 1e-7, "ring": 3e-7})
+    usage = SimpleNamespace(
+        costs=SimpleNamespace(rates=lambda: rates), loads={"bend": {"A": 5.0, "B": 7.0}, "ring": {"A": 2.0}}
+    )
+    switchings = {name: SimpleNamespace(on=on) for name, on in (("bend", {"B", "A"}), ("ring", {"A"}), ("none", {"A"}))}
+    reports = [
+        SimpleNamespace(name=n, title=n.upper(), component=c, seconds_active=s, seconds_saved=1.5)
+        for n, c, s in (("bend", "A", 0.25), ("bend", "B", 0.12345), ("ring", "A", 0.5), ("plain", "A", 1.0))
+    ]
+    fake: Any = SimpleNamespace(
+        model=SimpleNamespace(n_modes=100, fs=96000.0), frames=24000, fs=48000,
+        renderer=SimpleNamespace(
+            engine=SimpleNamespace(usage=usage, switchings=switchings), summary=lambda: SimpleNamespace(effects=reports)
+        ),
+    )  # fmt: skip
+    whole, bend, ring, plain = PhraseTake.effects(fake)
+    assert (whole["title"], whole["active"], whole["on"], whole["saved"]) == ("100 modes", {"": 0.5}, None, 0.0)
+    assert whole["cost"] == pytest.approx(2e-9 * 100 * 48000)
+    assert (bend["title"], bend["active"], bend["saved"]) == ("BEND", {"A": 0.25, "B": 0.123}, 3.0)
+    assert (bend["on"], bend["cost"]) == (["A", "B"], pytest.approx((1e-6 + 12 * 1e-7) * 96000))
+    assert (ring["on"], ring["cost"]) == (["A"], pytest.approx(2 * 3e-7 * 96000))
+    assert (plain["on"], plain["cost"]) == (None, None)
+    switchings["bend"].on = set()
+    assert PhraseTake.effects(fake)[1]["cost"] == 0.0
 
 
 def test_a_fork_is_joined_at_its_frame() -> None:
