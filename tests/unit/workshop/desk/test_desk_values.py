@@ -24,6 +24,7 @@ from tonewood.errors import ScoreError, TonewoodError
 from tonewood.instrument.inspection.wolf import WolfNote
 from tonewood.sound.live.instrument import Live
 from tonewood.sound.render.options import RenderOptions
+from tonewood.workshop.desk import knobs as desk_knobs
 from tonewood.workshop.desk.advice import Adviser, offered
 from tonewood.workshop.desk.ahead import Ahead
 from tonewood.workshop.desk.ahead import main as make_ahead
@@ -629,6 +630,13 @@ def test_factors_are_on_numbers_that_all_strings_have() -> None:
     assert zero
     assert not {f"strings.*.{k}" for k in zero} & set(rows)
     assert rows["strings.*.loss.eta_a"]["label"] == "loss eta_a"
+
+
+def test_switches_and_words_of_all_strings_have_no_factor(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(desk_knobs, "declared_field", lambda instrument, path: None)
+    parts = {"on": True, "x": 2.0, "n": 3, "word": "a", "inner": {"y": -1.0, "off": False}, "zero": 0.0}
+    fake: Any = SimpleNamespace(resolved={"strings": {"A": parts, "B": parts | {"n": 4}}})
+    assert [knob.path for knob in desk_knobs._factors(fake)] == ["strings.*.x", "strings.*.n", "strings.*.inner.y"]
 
 
 def test_hands_of_another_folder_or_with_another_hammer_need_a_model() -> None:
