@@ -73,6 +73,11 @@ def _line(raw: bytes, at: int) -> str:
     return f" (line {raw.count(bytes([10]), 0, at) + 1})"
 
 
+def one_line(text: str) -> str:
+    """Return a text as one line: breaks and characters that are not printed become single spaces."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+
+
 def json_value(text: str | bytes) -> Any:
     """Return the value of a JSON text.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from fractions import Fraction
 from operator import itemgetter
@@ -21,13 +21,16 @@ from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import Allowance, number, whole
 from tonewood.performance.score.musicxml_harmonics import kind_of_pitch, not_heard, sounding
 from tonewood.performance.score.musicxml_words import (
+    DYNAMICS,
     MOST_DIVISIONS,
     bend_of,
     divisions_of,
+    from_lowest,
     jump_sign,
     meter_of,
     offset_of,
     passes_of,
+    signs_of,
     strum_of,
     velocity_of,
     written_tempo,
@@ -38,20 +41,6 @@ from tonewood.performance.score.written import WrittenMusic, WrittenNote, Writte
 from tonewood.performance.score.xml_files import MOST, member, number_of, parsed, text_of
 
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
-_DYNAMICS = {
-    "pppppp": 1, "ppppp": 4, "pppp": 8, "ppp": 20, "pp": 33, "p": 49, "mp": 64,
-    "mf": 80, "f": 96, "ff": 112, "fff": 126, "ffff": 127, "fffff": 127, "ffffff": 127,
-}  # fmt: skip
-_SIGNS = {
-    "staccato": "staccato", "staccatissimo": "staccato", "accent": "accent", "strong-accent": "marcato",
-    "harmonic": "harmonic", "tap": "tapping", "wavy-line": "vibrato", "fingering": "",
-    "turn": "turn", "delayed-turn": "turn", "inverted-turn": "inverted_turn", "delayed-inverted-turn": "inverted_turn",
-    "mordent": "mordent", "inverted-mordent": "inverted_mordent",
-    "string": "", "fret": "", "hammer-on": "", "pull-off": "", "bend": "", "pluck": "", "up-bow": "", "down-bow": "",
-    "trill-mark": "", "tremolo": "", "accidental-mark": "", "slur": "", "tied": "", "tuplet": "", "tenuto": "",
-    "thumb-position": "", "open-string": "", "breath-mark": "", "slide": "", "glissando": "", "arpeggiate": "",
-    "dynamics": "", "palm-mute": "palm_mute", "fermata": "", "golpe": "golpe",
-}  # fmt: skip
 #: letters in the order in which sharps are written, and semitones from each letter to the next one up
 _SHARPS, _LETTERS = "FCGDAEB", "CDEFGAB"
 #: velocity that a hairpin adds or takes where no dynamics follow, and quarter notes after its end in which they may
@@ -217,7 +206,7 @@ class _PartReader:
             elif child.tag == "barline":
                 self._barline(child, measure)
             longest = max(longest, now)
-        _from_lowest(notes)
+        from_lowest(notes)
         if self.simile and not any(n.find("rest") is None for n in element.findall("note")):
             notes = list(self.part.measures[index - self.simile]) if self.simile <= index else []
             self.music.signs.take(len(notes))
@@ -314,11 +303,11 @@ class _PartReader:
 
     def _level(self, element: Element) -> bool:
         """Take the loudness of written dynamics; returns whether they are a level. Others, as sfz, are counted."""
-        level = next((e.tag for e in element if e.tag in _DYNAMICS), None)
+        level = next((e.tag for e in element if e.tag in DYNAMICS), None)
         if level is None:
             self._count(Counter(e.tag for e in element))
             return False
-        self.velocity = _DYNAMICS[level]
+        self.velocity = DYNAMICS[level]
         return True
 
     def _count(self, names: Counter[str]) -> None:
@@ -429,7 +418,7 @@ class _PartReader:
         self.music.ignored["octave that is not whole"] += number_of(written, "octave", 4.0) % 1 > 0
         self.music.ignored["pitch without an octave"] += written is not None and written.find("octave") is None
         self.music.signs.take()
-        signs, ignored = _signs(element)
+        signs, ignored = signs_of(element)
         self._count(ignored)
         for dynamics in element.findall("notations/dynamics"):
             if self._level(dynamics):
@@ -501,43 +490,9 @@ class _PartReader:
         return replace(note, string=int(string), fret=int(fret))
 
 
-def _from_lowest(notes: list[WrittenNote]) -> None:
-    """Count the places of arpeggios that go down from 0."""
-    lowest: Counter[Fraction] = Counter()
-    for note in notes:
-        lowest[note.at] = min(lowest[note.at], note.strum)
-    for i, note in enumerate(notes):
-        if lowest[note.at] < 0:
-            notes[i] = replace(note, strum=note.strum - lowest[note.at])
-
-
 def _pitch(element: Element | None, step: str, alter: str, octave: str) -> float | None:
     letter = text_of(element, step)
     if letter not in _STEPS:
         return None
     pitch = 12 * (number_of(element, octave, 4.0) + 1) + _STEPS[letter] + number_of(element, alter, 0.0)
     return pitch if 0.0 <= pitch <= 140.0 else None
-
-
-def _signs(element: Element) -> tuple[set[str], Counter[str]]:
-    signs: set[str] = set()
-    ignored: Counter[str] = Counter()
-    for sign in _notated(element):
-        name = _SIGNS.get(sign.tag)
-        if name is None:
-            ignored[sign.tag] += 1
-        elif name:
-            signs.add(name)
-        if sign.get("type") == "stop":
-            ending = {"hammer-on": "hammer_on", "pull-off": "pull_off", "slide": "slide", "glissando": "slide"}
-            signs |= {ending[sign.tag]} if sign.tag in ending else set()
-    return signs, ignored
-
-
-def _notated(element: Element) -> Iterator[Element]:
-    for notations in element.findall("notations"):
-        for sign in notations:
-            if sign.tag in ("articulations", "technical", "ornaments"):
-                yield from sign
-            else:
-                yield sign

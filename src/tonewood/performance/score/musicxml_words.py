@@ -1,16 +1,32 @@
-"""Tempos and jumps of MusicXML that are drawn or stand in words; its units of time, loudness and bends."""
+"""Signs of MusicXML, tempos and jumps that are drawn or stand in words; its units of time, loudness and bends."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
 from fractions import Fraction
 from xml.etree.ElementTree import Element
 
 from tonewood.performance.score.limits import number, whole
-from tonewood.performance.score.written import Curve, bend_curve
+from tonewood.performance.score.written import Curve, WrittenNote, bend_curve
 from tonewood.performance.score.xml_files import MOST, number_of, text_of
 
+DYNAMICS = {
+    "pppppp": 1, "ppppp": 4, "pppp": 8, "ppp": 20, "pp": 33, "p": 49, "mp": 64,
+    "mf": 80, "f": 96, "ff": 112, "fff": 126, "ffff": 127, "fffff": 127, "ffffff": 127,
+}  # fmt: skip
+_SIGNS = {
+    "staccato": "staccato", "staccatissimo": "staccato", "accent": "accent", "strong-accent": "marcato",
+    "harmonic": "harmonic", "tap": "tapping", "wavy-line": "vibrato", "fingering": "",
+    "turn": "turn", "delayed-turn": "turn", "inverted-turn": "inverted_turn", "delayed-inverted-turn": "inverted_turn",
+    "mordent": "mordent", "inverted-mordent": "inverted_mordent",
+    "string": "", "fret": "", "hammer-on": "", "pull-off": "", "bend": "", "pluck": "", "up-bow": "", "down-bow": "",
+    "trill-mark": "", "tremolo": "", "accidental-mark": "", "slur": "", "tied": "", "tuplet": "", "tenuto": "",
+    "thumb-position": "", "open-string": "", "breath-mark": "", "slide": "", "glissando": "", "arpeggiate": "",
+    "dynamics": "", "palm-mute": "palm_mute", "fermata": "", "golpe": "golpe",
+}  # fmt: skip
 #: durations per quarter note; others are damaged
 MOST_DIVISIONS = 16384
 #: number of an ending, and passes between two with a hyphen
@@ -122,6 +138,16 @@ def strum_of(arpeggiate: Element | None, place: int) -> int:
     return 0 if arpeggiate is None else -place if arpeggiate.get("direction") == "down" else place
 
 
+def from_lowest(notes: list[WrittenNote]) -> None:
+    """Let the places of arpeggios that go down begin at 0."""
+    lowest: Counter[Fraction] = Counter()
+    for note in notes:
+        lowest[note.at] = min(lowest[note.at], note.strum)
+    for i, note in enumerate(notes):
+        if lowest[note.at] < 0:
+            notes[i] = replace(note, strum=note.strum - lowest[note.at])
+
+
 def bend_of(technical: Element | None) -> Curve:
     """Course of a note's bends, one after the other, in equal parts of the note."""
     bends = [] if technical is None else technical.findall("bend")
@@ -136,3 +162,28 @@ def bend_of(technical: Element | None) -> Curve:
         points.append((begin + 0.5 / len(bends), target))
         value = target
     return bend_curve([*points, (1.0, value)])
+
+
+def signs_of(element: Element) -> tuple[set[str], Counter[str]]:
+    """Return the signs at a note that are followed, and a count of others by their names."""
+    signs: set[str] = set()
+    ignored: Counter[str] = Counter()
+    for sign in _notated(element):
+        name = _SIGNS.get(sign.tag)
+        if name is None:
+            ignored[sign.tag] += 1
+        elif name:
+            signs.add(name)
+        if sign.get("type") == "stop":
+            ending = {"hammer-on": "hammer_on", "pull-off": "pull_off", "slide": "slide", "glissando": "slide"}
+            signs |= {ending[sign.tag]} if sign.tag in ending else set()
+    return signs, ignored
+
+
+def _notated(element: Element) -> Iterator[Element]:
+    for notations in element.findall("notations"):
+        for sign in notations:
+            if sign.tag in ("articulations", "technical", "ornaments"):
+                yield from sign
+            else:
+                yield sign

@@ -11,15 +11,19 @@ Association 1996.
 
 from __future__ import annotations
 
+import codecs
 from dataclasses import dataclass, field
 from fractions import Fraction
 
 from tonewood.errors import ScoreError
+from tonewood.support.text_files import one_line
 
 MAX_TRACKS = 2000
 MAX_MESSAGES = 1_000_000
 _DATA_BYTES = {0x80: 2, 0x90: 2, 0xA0: 2, 0xB0: 2, 0xC0: 1, 0xD0: 1, 0xE0: 2}
 _SYSTEM_DATA_BYTES = {0xF1: 1, 0xF2: 2, 0xF3: 1}
+#: bytes that are kept of a text
+_LONGEST_TEXT = 200
 _TEXTS = {0x02: "copyright", 0x03: "title"}
 
 
@@ -268,7 +272,7 @@ def _read_meta(data: bytes, pos: int, limit: int, tick: int, label: str, track: 
     elif kind == 0x58 and length >= 2 and data[start] and data[start + 1] <= 6:
         track.meters.append((tick, data[start], 2 ** data[start + 1]))
     elif kind in _TEXTS:
-        track.texts.setdefault(_TEXTS[kind], _clean_text(data[start : min(pos, start + 200)]))
+        track.texts.setdefault(_TEXTS[kind], _clean_text(data[start:pos]))
     return pos
 
 
@@ -283,9 +287,11 @@ def _variable_length(data: bytes, pos: int, limit: int) -> tuple[int, int]:
 
 
 def _clean_text(raw: bytes) -> str:
-    """Printable text of a meta event: UTF-8 if it is that, else Latin-1; never control characters."""
+    """Beginning of the text of a meta event on one line: UTF-8 if it is that, else Latin-1."""
+    kept = raw[:_LONGEST_TEXT]
     try:
-        text = raw.decode("utf-8")
+        # a letter of several bytes may be cut at the end
+        text = codecs.getincrementaldecoder("utf-8")().decode(kept, final=len(raw) <= _LONGEST_TEXT)
     except UnicodeDecodeError:
-        text = raw.decode("latin-1")
-    return "".join(c if c.isprintable() else " " for c in text).strip()
+        text = kept.decode("latin-1")
+    return one_line(text)

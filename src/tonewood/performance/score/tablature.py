@@ -18,6 +18,7 @@ from tonewood.instrument.scales import note_name
 from tonewood.performance.score.assignment import Assigned, PlayableString
 from tonewood.performance.score.fingering import HAND_SPAN, Option, hand_after
 from tonewood.performance.score.note import Beats
+from tonewood.support.text_files import one_line
 
 #: divisions of a quarter note
 TICKS = 24
@@ -106,7 +107,7 @@ def tablature(
     measures = [round(m * TICKS) for m in beats.measures(last / TICKS)]
     by_tick = {max(round(at * TICKS), 0): bpm for _, at, bpm in beats.tempos}
     tempos = [item for before, item in pairwise([(-1, 0.0), *sorted(by_tick.items())]) if item[1] != before[1]]
-    return Tablature(title, lines, capo, chords, triplets, measures, tempos)
+    return Tablature(one_line(title), lines, capo, chords, triplets, measures, tempos)
 
 
 def _free(tick: int, taken: dict[int, int]) -> int:

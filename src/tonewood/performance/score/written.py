@@ -41,6 +41,7 @@ from tonewood.performance.score.note import Control, Note, Score, ScorePart
 from tonewood.performance.score.score_clock import MOST_TEMPOS, TEMPOS, ScoreClock, near
 from tonewood.performance.score.unfolding import Measure, lost_jumps, order
 from tonewood.support.garbage import without_collecting
+from tonewood.support.text_files import one_line
 
 RINGS, DEAD, STRUM = 8.0, 0.05, 0.012
 GRACE = Fraction(1, 8)
@@ -189,7 +190,8 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     chosen = range(1, len(music.parts) + 1) if parts is None else parts
     for number in chosen:
         if not 1 <= number <= len(music.parts):
-            names = ", ".join(f"{i} {p.name}".strip() for i, p in enumerate(music.parts, 1))
+            names = ", ".join(f"{i} {one_line(p.name)[:40]}".strip() for i, p in enumerate(music.parts[:20], 1))
+            names += f" and {len(music.parts) - 20} more" if len(music.parts) > 20 else ""
             raise ScoreError(f"there is no part {number}; there are {names}", file=music.file)
     try:
         played = order(music.measures, tablature=music.tablature)
@@ -229,9 +231,8 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
         controls += _pedalled(music.parts[number - 1], played, clock, its_channels[number], own_notes, bends)
         notes += own_notes
         part = music.parts[number - 1]
-        about.append(
-            ScorePart(number, part.name, (), {part.program: len(own_notes)} if own_notes else {}, part.n_drums)
-        )
+        programs = {part.program: len(own_notes)} if own_notes else {}
+        about.append(ScorePart(number, one_line(part.name), (), programs, part.n_drums))
     ignored.update(lost_jumps(music.measures, tablature=music.tablature))
     reached = set(played)
     for number in chosen:
@@ -243,8 +244,9 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     notes.sort(key=lambda n: n.time)
     controls.sort(key=lambda c: c.time)
     beats = clock.beats(music.measures, played)
+    metadata = {name: one_line(text) for name, text in music.metadata.items()}
     return Score(
-        notes, controls, (), warnings, music.file.stem, music.metadata, dict(+ignored), str(music.file), about, beats
+        notes, controls, (), warnings, music.file.stem, metadata, dict(+ignored), str(music.file), about, beats
     )
 
 

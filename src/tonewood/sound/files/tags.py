@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from tonewood.support.text_files import one_line
+
 if TYPE_CHECKING:
     from tonewood.instrument.bundle.loading import Instrument
     from tonewood.performance.score.note import Score
@@ -59,11 +61,6 @@ class Tags:
                 text = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
             if plain := one_line(text)[:_LONGEST]:
                 setattr(file, name, plain)
-
-
-def one_line(text: str) -> str:
-    """Return a text as one line: breaks and characters that are not printed become single spaces."""
-    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
 
 
 #: of a file of which nothing but the program is known

@@ -17,9 +17,10 @@ import numpy as np
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.instrument.bundle.loading import Instrument
 from tonewood.sound.files.audio import Audio, decibels, not_held
-from tonewood.sound.files.tags import Tags, one_line
+from tonewood.sound.files.tags import Tags
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import assembled
+from tonewood.support.text_files import one_line
 from tonewood.support.whole_files import AtomicFile
 from tonewood.workshop.batch.workers import Workers
 from tonewood.workshop.sampling.notes import Span, compass, key_spans, sample_name, velocity_spans

@@ -180,7 +180,9 @@ def test_volume_and_expression_are_a_factor_on_later_notes(read):
 
 def test_titles_are_text_without_control_characters(read):
     score = read(smf(meta(0, 3, "Bourrée\n\x1b[31m".encode()) + ONE_NOTE))
-    assert score.metadata["title"] == "Bourrée  [31m"
+    assert score.metadata["title"] == "Bourrée [31m"
+    long = read(smf(meta(0, 3, ("a" + 100 * "é").encode()) + ONE_NOTE))  # of 201 bytes 200 are kept
+    assert long.metadata["title"] == "a" + 99 * "é"
     assert read(smf(meta(0, 3, "Lágrima".encode("latin-1")) + ONE_NOTE)).metadata["title"] == "Lágrima"
 
 

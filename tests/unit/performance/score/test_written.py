@@ -13,6 +13,9 @@ from tablatures import enabled, gpif, guitar_pro, musicxml, mxl, note
 
 import tonewood as tw
 from tonewood.errors import ScoreError
+from tonewood.performance.score.assignment import PlayableString
+from tonewood.performance.score.note import Beats
+from tonewood.performance.score.tablature import tablature
 from tonewood.performance.score.unfolding import Measure, order
 from tonewood.performance.score.written import WrittenMusic, WrittenNote, WrittenPart, performed
 
@@ -311,6 +314,20 @@ def test_tempo_changes_and_grace_notes() -> None:
     # 2 s for the first two quarters, 0.5 s for each after them; the grace note takes an eighth of a quarter
     assert [n.time for n in score.notes] == pytest.approx([0.0, 2.5, 2.5625, 3.0])
     assert score.notes[1].duration == pytest.approx(0.0625)
+
+
+def test_titles_and_names_of_parts_are_one_line(tmp_path: Path) -> None:
+    def named(song: Any, beats: list[Any]) -> None:
+        song.title, song.tracks[0].name = "A\x1b[31m\nB", "low\x1b[2J"
+
+    path = guitar_pro(tmp_path / "a.gp4", named)
+    score = tw.read_score(path)
+    assert (score.metadata["title"], score.parts[0].name) == ("A [31m B", "low [2J")
+    title = tablature([], [PlayableString.fretted("E4", 64)], Beats(), title="A\x1b[31m\nB").title
+    assert title == "A [31m B"
+    many = WrittenMusic(Path("t"), [Measure()], [WrittenPart("x" * 99) for _ in range(22)])
+    with pytest.raises(ScoreError, match=r", 20 x{40} and 2 more$"):
+        performed(many, [23])
 
 
 def test_excerpts_tempo_tracks_and_transposition(tmp_path: Path) -> None:
