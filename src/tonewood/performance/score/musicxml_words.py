@@ -45,7 +45,11 @@ _UNITS = {
     "64th": 0.0625,
 }
 #: a tempo in words: a sign for its note value, if any, and quarter notes of that
-_TEMPO_WORDS = re.compile(r"([♩♪qehw\U0001d15d-\U0001d160]?)(\.?)\s*=\s*(?:ca?\.\s*)?(\d+(?:\.\d+)?)")
+_TEMPO_WORDS = re.compile(
+    r"(?:(?<!\w)([♩♪qehw\U0001d15d-\U0001d160]))?(\.?)\s*=\s*(?:ca?\.\s*)?(\d+(?:\.\d+)?)(?![\d.]*\s*[Hh]z)"
+)
+#: name of a pitch at the end of words: a number after it is its frequency
+_PITCH_NAME = re.compile(r"(?<!\w)(?:[A-G][#b♯♭]?['’′]*\d?|[a-g](?:['’′]+|\d)|la\d?)\s*$")
 _GLYPHS = {"♪": 0.5, "e": 0.5, "\U0001d160": 0.5, "h": 2.0, "\U0001d15e": 2.0, "w": 4.0, "\U0001d15d": 4.0}
 #: letters of words -> sign of a jump, or of a mark
 _JUMP_WORDS = {"segno": "segno", "coda": "coda", "fine": "fine", "tocoda": "to_coda", "dacoda": "to_coda"} | {
@@ -79,7 +83,8 @@ def written_tempo(element: Element, ignored: Counter[str]) -> float | None:
         ignored[kind] += match is None
         return (number(match.group(0), -MOST, MOST) or 0.0) * unit if match else None
     for words in element.findall("direction-type/words"):
-        if (tempo_word := _TEMPO_WORDS.search((words.text or "")[:200])) is not None:
+        text = (words.text or "")[:200]
+        if (tempo_word := _TEMPO_WORDS.search(text)) is not None and not _PITCH_NAME.search(text[: tempo_word.start()]):
             glyph, dot, beats = tempo_word.groups()
             return (number(beats, 0.0, MOST) or 0.0) * _GLYPHS.get(glyph, 1.0) * (1.5 if dot else 1.0)
     return None

@@ -139,6 +139,12 @@ def test_a_fermata_holds_all(tmp_path: Path) -> None:
         ("<words>♩. = 40</words>", 1.0),
         ("<words>h=90</words>", 1 / 3),
         ("<words>Andante</words>", 1.0),
+        ("<words>Allegro = 120</words>", 0.5),
+        ("<words>measure = 120</words>", 0.5),
+        ("<words>A = 415</words>", 1.0),
+        ("<words>tuned to a' = 440</words>", 1.0),
+        ("<words>e = 120</words>", 1.0),
+        ("<words>pitch = 440 Hz</words>", 1.0),
         ("<words>Capo = open</words>", 1.0),
     ],
 )
