@@ -11,6 +11,7 @@ import sys
 import threading
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pytest
 import soundfile as sf
@@ -196,6 +197,10 @@ def test_pictures_are_the_same_bytes_and_have_their_kind(tmp_path) -> None:
     assert struct.unpack(">II", plotting.png(chart, 20)[16:24]) == (200, 24)
     assert chart._repr_png_().startswith(b"\x89PNG")
     assert plotting.save(chart, tmp_path / "new" / "a.SVG", make_folder=True).read_bytes().startswith(b"<?xml")
+    with matplotlib.rc_context({"text.usetex": True}):  # of somebody's matplotlibrc: labels are no TeX
+        named = drawn()
+        named.axes[0].set_xlabel("100 % of a_b")
+        assert plotting.png(named, 20).startswith(b"\x89PNG")
     empty, axes = plotting.figure(heights=[1.0])
     plotting.legend_above(empty, axes[0, 0])
     plotting.legend(axes[0, 0])

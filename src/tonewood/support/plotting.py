@@ -83,11 +83,20 @@ def figure(
 def _figure_class() -> type[Figure]:
     """Figures that a notebook shows without pyplot."""
     try:
+        from matplotlib import rc_context
         from matplotlib.figure import Figure
+        from matplotlib.text import Text
     except ImportError:
         raise TonewoodError("figures need matplotlib: pip install 'tonewood[plot]'") from None
 
     class ShownFigure(Figure):
+        def savefig(self, *args: Any, **options: Any) -> None:
+            """Write the figure, without TeX also where a ``matplotlibrc`` asks for it: texts of figures are plain."""
+            for text in self.findobj(Text):
+                text.set_usetex(False)
+            with rc_context({"text.usetex": False}):
+                super().savefig(*args, **options)
+
         def _repr_png_(self) -> bytes:
             stream = io.BytesIO()
             self.savefig(stream, format="png", dpi=72)
