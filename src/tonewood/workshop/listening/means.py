@@ -64,10 +64,10 @@ def unique(items: Sequence[Any]) -> list[Any]:
 
 def listener_means(rows: Rows) -> dict[str, float]:
     """Mean value of each listener's answers."""
-    return {
-        who: float(np.mean([row["value"] for row in rows if row["listener"] == who]))
-        for who in unique([row["listener"] for row in rows])
-    }
+    values: dict[str, list[float]] = {}
+    for row in rows:
+        values.setdefault(row["listener"], []).append(row["value"])
+    return {who: float(np.mean(of)) for who, of in values.items()}
 
 
 def student_interval(values: Sequence[float], confidence: float) -> tuple[float, float | None, float | None]:
@@ -106,16 +106,23 @@ def screen(rows: Rows) -> tuple[ScreenedListener, ...]:
         marks = [mark for cell, mark in high.items() if cell[1:] == trial]
         if sum(marks) > EASY_ITEM_SHARE * len(marks):
             high = {cell: mark for cell, mark in high.items() if cell[1:] != trial}
-    rules = ((low, "hidden reference below"), (high, "mid anchor above"))
+    rules = ((_by_listener(low), "hidden reference below"), (_by_listener(high), "mid anchor above"))
     verdicts = []
     for listener in unique([row["listener"] for row in rows]):
         for marks_of, text in rules:
-            marks = [mark for (who, *_), mark in marks_of.items() if who == listener]
+            marks = marks_of.get(listener, [])
             if marks and sum(marks) > LIMIT_SHARE * len(marks):
                 reason = f"{text} {LIMIT_SCORE:g} in {sum(marks)} of {len(marks)} trials"
                 verdicts.append(ScreenedListener(listener, reason))
                 break
     return tuple(verdicts)
+
+
+def _by_listener(marks: Mapping[tuple[str, str, int], bool]) -> dict[str, list[bool]]:
+    by_listener: dict[str, list[bool]] = {}
+    for (who, *_), mark in marks.items():
+        by_listener.setdefault(who, []).append(mark)
+    return by_listener
 
 
 def _place(row: Mapping[str, Any]) -> tuple[str, str, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -27,7 +28,7 @@ from tonewood.workshop.listening.detection import Detection, adjusted, detection
 from tonewood.workshop.listening.figures import figures_of
 from tonewood.workshop.listening.headphones import ramped
 from tonewood.workshop.listening.level_tone import tone
-from tonewood.workshop.listening.means import cell_means, screen, student_interval
+from tonewood.workshop.listening.means import cell_means, listener_means, screen, student_interval
 from tonewood.workshop.listening.models import (
     END_SHARE,
     LinearAnalysis,
@@ -269,6 +270,21 @@ def test_answers_to_a_factor_that_hides_a_column_are_not_analysed(name: str, rea
     else:
         with pytest.raises(ListeningError, match=f"factors: {name} is a column of the table of answers"):
             tidy(test, key, [])
+
+
+def test_means_of_listeners_take_one_pass() -> None:
+    """The time grew with the square of the number of listeners: of 10 000 the means took hours."""
+
+    class Passes(list[dict[str, Any]]):
+        count = 0
+
+        def __iter__(self) -> Iterator[dict[str, Any]]:
+            self.count += 1
+            return super().__iter__()
+
+    rows = Passes({"listener": str(k % 50), "value": float(k)} for k in range(100))
+    assert listener_means(rows) == {str(k): k + 25.0 for k in range(50)}
+    assert rows.count <= 2
 
 
 def test_shares_are_tested_against_a_half() -> None:
