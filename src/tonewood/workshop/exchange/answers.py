@@ -62,6 +62,7 @@ class _Given:
     choice: str | None = None
     right: bool | None = None
     seconds: float = 0.0
+    session: str = ""
 
 
 def read_answers(path: Path, test: ListeningTest) -> Imported:
@@ -229,7 +230,9 @@ def _take_webmushra(
     name, _, count = row["trial_id"].partition("-")
     trial = _trial(row, name, trials)
     repetition = _repetition(count or "1", "trial_id", test.pages[trial.page])
-    key = (row.get("session_uuid", ""), name, repetition)
+    key, session = (name, repetition), row.get("session_uuid", "")
+    if key in into and into[key].session != session:
+        raise ListeningError("this trial was answered before, in another session", key="trial_id")
     reference, other = trial.reference or "", trial.stimuli[0]
     if kind == "pair":
         if key in into:
@@ -239,9 +242,9 @@ def _take_webmushra(
         right = answer == "correct"
         choice = "undecided" if answer == "undecided" else "A" if right else "B"
         slots = {"A": reference, "B": other, "X": reference}
-        into[key] = _Given(trial, trial.page, repetition, slots, {}, choice, right)
+        into[key] = _Given(trial, trial.page, repetition, slots, {}, choice, right, session=session)
         return
-    one = into.setdefault(key, _Given(trial, trial.page, repetition, {}, {}))
+    one = into.setdefault(key, _Given(trial, trial.page, repetition, {}, {}, session=session))
     if kind == "mushra":
         code = reference if row["rating_stimulus"] == "reference" else row["rating_stimulus"]
         _rate(one, code, "", _number(row["rating_score"], "rating_score", 0.0, 100.0))

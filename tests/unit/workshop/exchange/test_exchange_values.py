@@ -559,16 +559,18 @@ def test_tables_of_webmushra_row_by_row(test: ListeningTest) -> None:
     for name, score in (("reference", "100"), ("sb", "0")):
         row = {"session_uuid": "u", "trial_id": "tm-1", "rating_stimulus": name, "rating_score": score}
         _take_webmushra(test, "mushra", row, trials, into)
-    one = into["u", "tm", 1]
+    with pytest.raises(ListeningError, match="answered before, in another session"):
+        _take_webmushra(test, "mushra", row | {"session_uuid": "v", "rating_stimulus": "sc"}, trials, into)
+    one = into["tm", 1]
     assert (one.repetition, one.page, one.ratings) == (1, 2, {("ra", ""): 100.0, ("sb", ""): 0.0})
     graded = {"trial_id": "tg", "rating_non_reference": "sb", "rating_reference_score": "5",
               "rating_non_reference_score": "1"}  # fmt: skip
     _take_webmushra(test, "bs1116", graded, trials, into)
-    assert into["", "tg", 1].ratings == {("ra", ""): 5.0, ("sb", ""): 1.0}
+    assert into["tg", 1].ratings == {("ra", ""): 5.0, ("sb", ""): 1.0}
     for key in ("rating_reference_score", "rating_non_reference_score"):
         for score in (1.0, 5.0):
             _take_webmushra(test, "bs1116", graded | {key: str(score)}, trials, ends := {})
-            assert ends["", "tg", 1].ratings["ra" if key == "rating_reference_score" else "sb", ""] == score
+            assert ends["tg", 1].ratings["ra" if key == "rating_reference_score" else "sb", ""] == score
         for score in (0.99, 5.01):
             with pytest.raises(ListeningError, match=f"{key}: '{score}' is no number from 1 to 5"):
                 _take_webmushra(test, "bs1116", graded | {key: str(score)}, trials, {})
@@ -580,7 +582,7 @@ def test_tables_of_webmushra_row_by_row(test: ListeningTest) -> None:
     for answer, choice, right in (("correct", "A", True), ("incorrect", "B", False), ("undecided", "undecided", False)):
         pair: dict[Any, Any] = {}
         _take_webmushra(test, "pair", {"trial_id": "tx-1.0", "choice_answer": answer}, trials, pair)
-        given = pair["", "tx", 1]
+        given = pair["tx", 1]
         assert (given.choice, given.right, given.slots) == (choice, right, {"A": "ra", "B": "sb", "X": "ra"})
         with pytest.raises(ListeningError, match="answered before"):
             _take_webmushra(test, "pair", {"trial_id": "tx-1", "choice_answer": answer}, trials, pair)
