@@ -14,12 +14,13 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
+from tonewood.performance.score.bend_curves import Curve, bend_curve
 from tonewood.performance.score.guitar_pro import DYNAMICS, FEELS, FRETS, GRACES, GRADUAL, RASGUEADOS, jump, strummed
 from tonewood.performance.score.harmonics import touched
 from tonewood.performance.score.limits import Allowance, number, whole
 from tonewood.performance.score.score_clock import near
 from tonewood.performance.score.unfolding import Measure
-from tonewood.performance.score.written import Curve, WrittenMusic, WrittenNote, WrittenPart, bend_curve
+from tonewood.performance.score.written import WrittenMusic, WrittenNote, WrittenPart
 from tonewood.performance.score.xml_files import number_of, parsed, text_of
 
 _QUARTER = 960

@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from tonewood.errors import ScoreError
+from tonewood.performance.score.bend_curves import Curve, bend_curve
 from tonewood.performance.score.guitar_pro_file import NO_STRING, bounded_reader, unknown_counted
 from tonewood.performance.score.harmonics import interval, partial_at, touched
 from tonewood.performance.score.limits import whole
 from tonewood.performance.score.unfolding import Measure
-from tonewood.performance.score.written import Curve, WrittenMusic, WrittenNote, WrittenPart, bend_curve
+from tonewood.performance.score.written import WrittenMusic, WrittenNote, WrittenPart
 
 _QUARTER = 960
 #: frets near which a string has a node of a low partial

@@ -193,7 +193,7 @@ class _PartReader:
                     measure.holds.add((began, began + length))
                 sign = None if child in silent else self._note(child, began, length, n_chord)
                 if sign is not None:
-                    notes.append(sign)
+                    notes.append(replace(sign, in_chord=True) if chord and not length else sign)
                     n_chord += 1
             elif child.tag in ("backup", "forward"):
                 now = near(now + (1 if child.tag == "forward" else -1) * self._quarters(child))

@@ -9,8 +9,9 @@ from dataclasses import replace
 from fractions import Fraction
 from xml.etree.ElementTree import Element
 
+from tonewood.performance.score.bend_curves import Curve, bend_curve
 from tonewood.performance.score.limits import number, whole
-from tonewood.performance.score.written import Curve, WrittenNote, bend_curve
+from tonewood.performance.score.written import WrittenNote
 from tonewood.performance.score.xml_files import MOST, number_of, text_of
 
 DYNAMICS = {

@@ -27,7 +27,7 @@ looks them up, and counts those that it lacks. Signs that nothing can follow are
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -36,6 +36,7 @@ from operator import itemgetter
 from pathlib import Path
 
 from tonewood.errors import ScoreError
+from tonewood.performance.score.bend_curves import Curve, value_at
 from tonewood.performance.score.limits import MAX_CONTROLS, MAX_NOTES, MAX_TIME, Allowance
 from tonewood.performance.score.note import Control, Note, Score, ScorePart
 from tonewood.performance.score.score_clock import MOST_TEMPOS, TEMPOS, ScoreClock, near
@@ -70,8 +71,6 @@ _ORNAMENTS = {
 _STEP_UP, _STEP_DOWN = (2, 2, 2, 1, 1, 2, 2, 2, 2, 2, 1, 1), (1,) * 12
 #: semitones of a slide into or out of a note, and the most s and the share of the note that it takes
 _SLIDE, _SLIDE_TIME, _SLIDE_SHARE = 2.0, 0.15, 0.4
-#: (share of the note, cents), in order of the share
-Curve = tuple[tuple[float, float], ...]
 _VELOCITIES = {"accent": 16, "marcato": 28, "ghost": -24}
 #: signs that are played here; all others become marks
 _PLAYED = {"let_ring", "staccato", "dead", *_DEPTHS, *_VELOCITIES, *_ORNAMENTS}
@@ -97,6 +96,7 @@ class WrittenNote:
         slides and strikes again; empty if it does not.
     slides : ``into_from_below``, ``into_from_above``, ``out_down``, ``out_up``.
     steps : semitones down and up to the notes of an ornament; None for those of C major.
+    in_chord : a grace note that begins with the one before it.
     """
 
     at: Fraction
@@ -117,6 +117,7 @@ class WrittenNote:
     arrives: str = ""
     slides: tuple[str, ...] = ()
     steps: tuple[int, int] | None = None
+    in_chord: bool = False
 
 
 @dataclass
@@ -315,17 +316,25 @@ def _graced(out: list[_Sounding], compared: Allowance) -> list[_Sounding]:
     for s in out if grace else ():
         if s.end > s.at:
             together[s.at].append(s)
-    for note in reversed(grace):  # each takes its time from the one after it
-        there = together[note.at]
-        compared.take(len(there))
-        main = [s for s in there if s.sign.string in (note.sign.string, None)] or there
-        room = min([(s.end - s.at) / 4 for s in main], default=GRACE)
-        note.end = near(note.at + min(GRACE, room))
-        moved = {id(s) for s in main}
-        together[note.at] = [note, *(s for s in there if id(s) not in moved)]
-        for s in main:
-            s.at = note.end
-            together[s.at].append(s)
+    chords: list[list[_Sounding]] = []
+    for note in grace:
+        if note.sign.in_chord and chords and chords[-1][0].at == note.at:
+            chords[-1].append(note)
+        else:
+            chords.append([note])
+    for chord in reversed(chords):  # each takes its time from the one after it
+        at, there = chord[0].at, together[chord[0].at]
+        compared.take(len(there) * len(chord))
+        later: dict[int, tuple[_Sounding, Fraction]] = {}
+        for note in chord:
+            main = [s for s in there if s.sign.string in (note.sign.string, None)] or there
+            room = min([(s.end - s.at) / 4 for s in main], default=GRACE)
+            note.end = near(at + min(GRACE, room))
+            later |= {id(s): (s, note.end) for s in main}
+        together[at] = [*chord, *(s for s in there if id(s) not in later)]
+        for s, begin in later.values():
+            s.at = begin
+            together[begin].append(s)
     return sorted(out, key=lambda s: float(s.at))
 
 
@@ -440,7 +449,7 @@ def _bends(one: _Sounding, channel: int, clock: ScoreClock, most: Allowance) -> 
         most.take(n)
         for k in range(n):
             share = k / n
-            cents = _at(sign.bend, share) + _at(sign.whammy, share)
+            cents = value_at(sign.bend, share) + value_at(sign.whammy, share)
             cents += depth * math.sin(math.pi * _VIBRATO * (end - begin) * share) ** 2
             value = float(round(cents))
             if not out or value != out[-1].value:
@@ -480,20 +489,3 @@ def _pedalled(
             until = max(min(ups[k], last), end)
             notes[i] = replace(note, duration=until - note.time, held=note.duration)
     return [Control(time, kind, value, channel) for time, kind, value in moves for channel in channels]
-
-
-def _at(curve: Curve, share: float) -> float:
-    """Value of a curve between its points."""
-    if not curve:
-        return 0.0
-    if len(curve) == 1 or not curve[0][0] <= share <= curve[-1][0]:
-        return curve[0][1] if share < curve[0][0] else curve[-1][1]
-    i = max(bisect_left(curve, share, key=itemgetter(0)), 1)
-    (a, low), (b, high) = curve[i - 1 : i + 1]
-    return high if b == a else low + (high - low) * (share - a) / (b - a)
-
-
-def bend_curve(points: Sequence[tuple[float, float]]) -> Curve:
-    """Curve through points (share of the note, cents) in any order; nothing where all are 0."""
-    ordered = tuple(sorted((min(max(share, 0.0), 1.0), cents) for share, cents in points))
-    return ordered if any(cents for _, cents in ordered) else ()

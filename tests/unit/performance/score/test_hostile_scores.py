@@ -17,8 +17,8 @@ from tablatures import gpif, guitar_pro, musicxml, mxl, note
 
 import tonewood as tw
 from tonewood.errors import ScoreError
+from tonewood.performance.score import bend_curves, guitar_pro_file, limits, score_clock, written, xml_files
 from tonewood.performance.score import gpif as gpif_reader
-from tonewood.performance.score import guitar_pro_file, limits, score_clock, written, xml_files
 from tonewood.performance.score.limits import number, whole
 from tonewood.performance.score.unfolding import Measure, order
 
@@ -304,8 +304,8 @@ def test_strokes_and_bends_without_end(tmp_path: Path, monkeypatch: pytest.Monke
 def test_a_curve_of_many_points_is_what_it_was() -> None:
     curve = tuple((share, cents) for share, cents in ((0.0, 10.0), (0.0, 20.0), (0.25, 60.0), (0.5, 60.0), (0.75, 0.0)))
     wanted = {0.0: 20.0, 0.125: 40.0, 0.25: 60.0, 0.375: 60.0, 0.625: 30.0, 0.75: 0.0, 1.0: 0.0}
-    assert {share: written._at(curve, share) for share in wanted} == wanted
-    assert written._at(((0.5, 7.0),), 0.5) == 7.0
+    assert {share: bend_curves.value_at(curve, share) for share in wanted} == wanted
+    assert bend_curves.value_at(((0.5, 7.0),), 0.5) == 7.0
 
 
 def test_grace_notes_and_chords_of_any_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

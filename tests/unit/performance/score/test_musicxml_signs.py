@@ -360,3 +360,15 @@ def test_measures_of_repeat_signs_play_those_before_them(tmp_path: Path) -> None
     assert score.ignored == {
         "beat-repeat": 1, "measure-repeat that cannot be read": 1, "measure-repeat on one of several staves": 1
     }  # fmt: skip
+
+
+def test_a_chord_of_grace_notes_sounds_at_once(tmp_path: Path) -> None:
+    """60 a minute: each of the two, a chord and a note, takes a quarter of what is after it, at most an eighth."""
+
+    def grace(step: str, before: str = "") -> str:
+        return f"<note><grace/>{before}<pitch><step>{step}</step><octave>4</octave></pitch></note>"
+
+    score = read(tmp_path, plain("C") + grace("D") + grace("F", "<chord/>") + grace("E") + plain("G"))
+    assert [(n.time, n.note, n.duration) for n in score.notes] == [
+        (0, 60, 1), (1, 62, 0.03125), (1, 65, 0.03125), (1.03125, 64, 0.125), (1.15625, 67, 0.84375)
+    ]  # fmt: skip

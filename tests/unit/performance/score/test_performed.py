@@ -14,12 +14,13 @@ import pytest
 
 import tonewood as tw
 from tonewood.errors import ScoreError
+from tonewood.performance.score.bend_curves import bend_curve
 from tonewood.performance.score.harmonics import antinode_near, interval, middle_node, partial_at, touched
 from tonewood.performance.score.limits import Allowance, number, whole
 from tonewood.performance.score.note import Beats
 from tonewood.performance.score.score_clock import ScoreClock, near
 from tonewood.performance.score.unfolding import Measure, lost_jumps, number_endings, order
-from tonewood.performance.score.written import WrittenMusic, WrittenNote, WrittenPart, bend_curve, performed
+from tonewood.performance.score.written import WrittenMusic, WrittenNote, WrittenPart, performed
 
 F = Fraction
 

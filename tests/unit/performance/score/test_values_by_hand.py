@@ -14,12 +14,12 @@ from tablatures import GPIF, gpif, guitar_pro, musicxml, note
 import tonewood as tw
 from tonewood.performance.score import gpif as gpif_module
 from tonewood.performance.score.assignment import Assigned, PlayableString, assign
+from tonewood.performance.score.bend_curves import Curve
 from tonewood.performance.score.fingering import Chord, FingeringCosts, Option, Sounding, finger, hand_after
 from tonewood.performance.score.musicxml_words import bend_of, passes_of, velocity_of
 from tonewood.performance.score.note import Beats
 from tonewood.performance.score.tablature import Tablature, _grid, tablature, text
 from tonewood.performance.score.tablature import musicxml as written
-from tonewood.performance.score.written import Curve
 
 F = Fraction
 GUITAR = [
