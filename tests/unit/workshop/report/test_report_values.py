@@ -265,6 +265,20 @@ def test_frequencies_of_mobility_are_even_and_the_modes_own() -> None:
     assert report_facts.frequencies(body, 10000.0)[-1] == pytest.approx(4500.0)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(("plates", "whole"), [(0.2, 0.23), (None, None)])
+def test_the_mass_of_a_body_is_with_what_is_on_it(monkeypatch: pytest.MonkeyPatch, plates: Any, whole: Any) -> None:
+    for name in ("_strings", "_notes", "wolf_notes"):
+        monkeypatch.setattr(report_facts, name, lambda *words: ())
+    added = [{"at": "bridge", "mass": 0.01}, {"at": "bridge", "mass": 0.02}]
+    model = assemble(tw.load_instrument("monochord").replace({"body.added": added}), 8000.0)
+    monkeypatch.setattr(type(model.instrument.body), "mass", lambda body: plates)
+    found = report_facts.gather(model, label="B", changes=("x=1",), called="mine")
+    assert found.mass == (None if whole is None else pytest.approx(whole))
+    assert (found.label, found.called, found.changes, found.fs) == ("B", "mine", ("x=1",), 8000.0)
+    assert (len(found.added), found.name, found.tones, found.missing_tones) == (2, "monochord", {}, {})
+    assert (found.strings, found.notes, found.wolves) == ((), (), ())
+
+
 def test_modes_of_a_body_at_its_strings_and_alone() -> None:
     """Residues of ends a and b: means; a mode without loss rings for ever, one that no end moves has no mass."""
     shapes = np.array([[3.0, 0.0, 1.0], [4.0, 0.0, 2.0], [1.0, 1.0, 5.0]])
