@@ -49,6 +49,8 @@ def write(test: ListeningTest, folder: Path) -> Exported:
     kept = {i + 1 for i, page in enumerate(test.manifest.pages) if isinstance(page, (MushraPage, Bs1116Page, AbxPage))}
     copy_sounds(test, codes_of(row for row in rows if row["page"] in kept), folder / sounds)
     notes = left_out(test, "webmushra", _KEPT)
+    if any(isinstance(page, QuestionnairePage) for page in test.manifest.pages):
+        notes += ("webmushra: answers to questions stay in its tables; `tonewood results` does not read them",)
     return Exported(folder, (*notes, "webmushra: the file fits webMUSHRA's documented keys; it was not tried with it"))
 
 

@@ -176,6 +176,7 @@ def test_a_course_has_every_trial_with_its_choices(test: ListeningTest) -> None:
 
 def test_webmushra_s_configuration(test: ListeningTest, tmp_path: Path) -> None:
     done = write_webmushra(test, tmp_path / "out")
+    assert any("answers to questions stay in its tables" in note for note in done.notes)
     config = YAML(typ="safe", pure=True).load(tmp_path / "out" / "configs" / "my-test.yaml")
     sounds = "configs/resources/my-test"
     assert config == json.loads(json.dumps(_config(test, sounds, course(test, 0))))
