@@ -363,12 +363,12 @@ def test_measures_of_repeat_signs_play_those_before_them(tmp_path: Path) -> None
 
 
 def test_a_chord_of_grace_notes_sounds_at_once(tmp_path: Path) -> None:
-    """60 a minute: each of the two, a chord and a note, takes a quarter of what is after it, at most an eighth."""
+    """60 a minute: each, a chord and a note, takes a quarter of the note after it, at most an eighth of a quarter."""
 
     def grace(step: str, before: str = "") -> str:
         return f"<note><grace/>{before}<pitch><step>{step}</step><octave>4</octave></pitch></note>"
 
     score = read(tmp_path, plain("C") + grace("D") + grace("F", "<chord/>") + grace("E") + plain("G"))
     assert [(n.time, n.note, n.duration) for n in score.notes] == [
-        (0, 60, 1), (1, 62, 0.03125), (1, 65, 0.03125), (1.03125, 64, 0.125), (1.15625, 67, 0.84375)
+        (0, 60, 1), (1, 62, 0.03125), (1, 65, 0.03125), (1.03125, 64, 0.09375), (1.125, 67, 0.875)
     ]  # fmt: skip
