@@ -444,7 +444,8 @@ class _PartReader:
         if ornaments is not None and ornaments.find("trill-mark") is not None:
             up = self._steps(element)[1]
             note = replace(note, trill=note.pitch + up, signs=tuple(s for s in note.signs if s != "vibrato"))
-        strokes = number_of(ornaments, "tremolo", 0.0)
+        free = ornaments is not None and ornaments.find("tremolo[@type='unmeasured']") is not None
+        strokes = 3.0 if free else number_of(ornaments, "tremolo", 0.0)
         alternates = ornaments is not None and ornaments.find("tremolo[@type='start']") is not None
         self.music.ignored["tremolo between two notes, each repeated"] += alternates
         if 0 < strokes <= 5:

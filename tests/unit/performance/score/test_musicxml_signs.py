@@ -372,3 +372,8 @@ def test_a_chord_of_grace_notes_sounds_at_once(tmp_path: Path) -> None:
     assert [(n.time, n.note, n.duration) for n in score.notes] == [
         (0, 60, 1), (1, 62, 0.03125), (1, 65, 0.03125), (1.03125, 64, 0.09375), (1.125, 67, 0.875)
     ]  # fmt: skip
+
+
+def test_a_tremolo_that_is_not_measured_has_eight_strokes_a_quarter(tmp_path: Path) -> None:
+    free = note("C", 4, 4, more='<ornaments><tremolo type="unmeasured">0</tremolo></ornaments>')
+    assert [n.time for n in read(tmp_path, free).notes] == [i / 8 for i in range(8)]
