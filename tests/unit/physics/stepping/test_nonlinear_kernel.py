@@ -437,6 +437,35 @@ def test_a_law_with_losses_takes_the_iterations_of_its_twin(name):
     assert (ours.statistics.redone, ours.statistics.failures) == (0, 0)
 
 
+@pytest.mark.parametrize("stepper", [NumpyStepper, KernelStepper])
+@pytest.mark.parametrize("speed", [1.0, 9.0, 25.0])
+def test_steps_over_several_samples_keep_the_energy_of_a_potential(stepper, speed):
+    """A mass thrown onto a law whose stiffness doubles from sample to sample, within them and beyond both ends."""
+    knots, stiffness = np.linspace(-5e-4, 0.0, 6), 1e4 * 2.0 ** np.arange(4, -1, -1)
+    slopes = np.append(-np.cumsum((stiffness * 1e-4)[::-1])[::-1], 0.0)
+    levels = np.append(-np.cumsum((0.5 * (slopes[1:] + slopes[:-1]) * 1e-4)[::-1])[::-1], 0.0)
+    coefficients = np.stack([levels[:-1], slopes[:-1], 0.5 * stiffness, 0 * stiffness], axis=1)
+
+    def potential(d):
+        cell = int(np.clip(np.searchsorted(knots, d, side="right") - 1, 0, 4))
+        u = d - knots[cell]
+        return levels[cell] + slopes[cell] * u + 0.5 * stiffness[cell] * u * u
+
+    mass = ModalBasis.real([0.0], [0.0], {"p": [1.0]}, modal_mass=1e-4)
+    readouts = [Readout(quantity, quantity, (Term("mass", "p"),)) for quantity in ("displacement", "velocity")]
+    law = SampledPotential(knots, coefficients)
+    system = System.build({"mass": mass}, [Connection("law", (Term("mass", "p"),), law)], readouts, dt=DT)
+    made, state, path = stepper(system), system.start(), []
+    system.modes_of(state, "mass")[:, 0] = np.array([1.3e-4, -speed]) * np.sqrt(1e-4)
+    for _ in range(60):
+        (((at, velocity),), _) = made.run(state, 1)
+        path.append((at, 0.5 * 1e-4 * velocity**2 + potential(at)))
+    places, energies = np.array(path).T
+    np.testing.assert_allclose(energies, 0.5e-4 * speed**2 + potential(1.3e-4), rtol=1e-9)
+    assert places.max() > 1e-4
+    assert np.abs(np.diff(np.searchsorted(knots, places))).max() > (speed > 5)
+
+
 def linear_springs():
     """Springs and dashpots that are stepped with the nonlinear laws, on a string, its joint and a body.
 
