@@ -13,6 +13,7 @@ from tonewood.errors import ScoreError, TonewoodError
 from tonewood.performance.engine.engine import GRID
 from tonewood.performance.player import voices
 from tonewood.performance.player.fretting import FrettedBases
+from tonewood.sound.live.prepared import PreparedBases
 
 
 def played(instrument: tw.Instrument, events: dict[int, Any], frames: int, block: int, **options: Any) -> np.ndarray:
@@ -36,12 +37,19 @@ def dominant(sound: np.ndarray, fs: float, low: float, high: float) -> float:
 
 
 def test_stops_are_compiled_before_the_first_note_unless_told_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each stop as it is plucked and as it is damped: 25 of the monochord's string."""
+    made: list[PreparedBases] = []
+    monkeypatch.setattr(PreparedBases, "prepare", made.append)
+    tw.Live("monochord", 8000, prepare=False)
+    assert made == []
+    tw.Live("monochord", 8000)
+    assert len(made) == 1
+
+
+def test_each_stop_is_compiled_as_it_is_plucked_and_as_it_is_damped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """25 of the monochord's string."""
     ways: list[tuple[str, float]] = []
     monkeypatch.setattr(FrettedBases, "prepare", lambda self, name, way: ways.append((name, way.added_damping)))
-    tw.Live("monochord", 16000, prepare=False)
-    assert ways == []
-    tw.Live("monochord", 16000)
+    tw.Live("monochord", 8000)
     assert [name for name, _ in ways] == 50 * ["A2"]
     assert {damping for _, damping in ways[::2]} == {0.0}
     assert min(damping for _, damping in ways[1::2]) > 0.0
