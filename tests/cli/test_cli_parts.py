@@ -254,6 +254,8 @@ def fails(fault):
             "tonewood: /x/y: cannot be used: No space left on device\n",
         ),
         (OSError(28, "No space left"), 2, "tonewood: standard output: cannot be written: No space left\n"),
+        (FileNotFoundError(2, "No such folder"), 2, "tonewood: cannot go on: No such folder\n"),
+        (OSError("5 requested and 3 written"), 2, "tonewood: cannot go on: 5 requested and 3 written\n"),
         (TonewoodError("r", file="f", key="k"), 2, "tonewood: f: k: r\n"),
     ],
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import gc
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -250,3 +251,9 @@ def test_a_file_that_another_writer_is_about_to_remove_is_not_written_to(
     file.path.write_bytes(b"whole")
     file.complete()
     assert [path.name for path in tmp_path.iterdir()] == ["a.bin"]
+
+
+def test_a_link_into_a_folder_that_is_not_there_names_it(tmp_path: Path) -> None:
+    (tmp_path / "a.wav").symlink_to(tmp_path / "none" / "b.wav")
+    with pytest.raises(OutputError, match=re.escape(f"a.wav: there is no folder '{tmp_path / 'none'}'")):
+        AtomicFile(tmp_path / "a.wav")

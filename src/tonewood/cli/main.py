@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import sys
@@ -64,6 +65,8 @@ def run(arguments: list[str] | None = None) -> None:
         _no_more(sys.stdout)
         if stopping.signal:  # SIGHUP: the terminal has gone
             _interrupted(words, _remaining())
+        if error.errno in (None, errno.ENOENT):  # NumPy gives no number
+            _fail(f"cannot go on: {error.strerror or error}", 2)
         _fail(f"standard output: cannot be written: {error.strerror}", 2)
     except Exception:  # raised again, unless a signal caused it
         if stopping.signal:  # an import that was interrupted may fail in other ways

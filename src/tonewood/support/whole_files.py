@@ -51,7 +51,8 @@ class AtomicFile:
             self._final = Path(path).resolve()
             folder = self._final.parent
             if not folder.is_dir():
-                raise OutputError(f"there is no folder {str(Path(path).parent)!r}", file=path)
+                named = folder if Path(path).is_symlink() else Path(path).parent
+                raise OutputError(f"there is no folder {str(named)!r}", file=path)
             if self._final.is_dir():
                 raise OutputError("is a folder", file=path)
             if self._final.exists() and not self._final.is_file():

@@ -49,13 +49,16 @@ class Workers:
     def each(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
         """Results of `function` in the order they are finished; each is dropped here once it is taken.
 
-        Raises TonewoodError : a worker process died, or the cluster does not answer.
+        Raises TonewoodError : a worker process died, the cluster does not answer, or the current folder was removed.
         """
         from joblib import Parallel, delayed
         from joblib.externals.loky.process_executor import BrokenProcessPool
 
         if self.cluster is None and self.backend == "processes":
-            function = partial(_in_folder, os.getcwd(), function)
+            try:
+                function = partial(_in_folder, os.getcwd(), function)
+            except FileNotFoundError:
+                raise TonewoodError("the current folder is not there any more: go to another one") from None
         with self._backend(len(items)) as options:
             try:
                 parallel = Parallel(return_as="generator_unordered", pre_dispatch="2*n_jobs", **options)

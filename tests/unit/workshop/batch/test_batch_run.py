@@ -200,6 +200,15 @@ def test_worker_processes_follow_the_current_folder(tmp_path: Path, monkeypatch:
         assert sounds(tmp_path / name / "out")
 
 
+def test_a_current_folder_that_was_removed_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # and back again at the end
+    (tmp_path / "gone").mkdir()
+    os.chdir("gone")
+    (tmp_path / "gone").rmdir()
+    with pytest.raises(TonewoodError, match="the current folder is not there any more"):
+        list(Workers(2).each(str, [1, 2]))
+
+
 def test_finished_renders_are_used_again(tmp_path: Path) -> None:
     log = tmp_path / "log"
     path = fakes.write(tmp_path, fakes.manifest(**SMALL))
