@@ -38,7 +38,7 @@ def dominant(sound: np.ndarray, fs: float, low: float, high: float) -> float:
 
 def test_stops_are_compiled_before_the_first_note_unless_told_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[PreparedBases] = []
-    monkeypatch.setattr(PreparedBases, "prepare", made.append)
+    monkeypatch.setattr(PreparedBases, "prepare", lambda self: made.append(self))
     tw.Live("monochord", 8000, prepare=False)
     assert made == []
     tw.Live("monochord", 8000)
