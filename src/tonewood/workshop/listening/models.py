@@ -51,7 +51,7 @@ class ModelTerm:
     """One difference from the reference level, over all cells of the other factors (points).
 
     `p_holm` is adjusted for the differences of the same effect; Cohen's d is the difference over the standard deviation
-    of answers within a cell; `first` is the reference level, empty for an interaction.
+    of answers within a cell, infinite where they have none; `first` is the reference level, empty for an interaction.
     """
 
     name: str
@@ -179,6 +179,7 @@ def linear_analysis(
     if not contrasts.bases:
         return None
     cell_sd = data.cell_sd()
+    spread = cell_sd > _ROUNDING * float(np.max(np.abs(data.value)))
     at_ends = None if ends is None else float(np.mean((data.value <= ends[0]) | (data.value >= ends[1])))
     estimates, tests, method = _fitted(data, contrasts, confidence)
     if not data.complete:
@@ -198,7 +199,7 @@ def linear_analysis(
         for i, p in zip(indices, strata.holm(one.p_value[indices]), strict=True):
             arrays = one.difference, one.low, one.high, one.df, one.p_value
             difference, low, high, df, p_value = (float(x[i]) for x in arrays)
-            d = difference / cell_sd if cell_sd > 0 else 0.0
+            d = difference / cell_sd if spread else math.copysign(math.inf, difference) if difference else 0.0
             terms.append(ModelTerm(names[i], effect, difference, low, high, df, p_value, float(p), d, first))
     if alone:
         alone += [" : ".join(e) for e, t in tests.items() if not np.isfinite(t.p_value)]

@@ -311,6 +311,9 @@ def test_answers_at_the_ends_and_sizes_of_effects(rng: np.random.Generator) -> N
     assert term.cohens_d == pytest.approx(term.difference / sd)
     assert (found.answers, found.listeners, found.formula, found.exact) == (36, 6, "value ~ f", True)
     assert linear_analysis(rows, ["f"], 0.95, {"f": ["a", "b"]}).at_ends is None  # type: ignore[union-attr]
+    for a, b, d in ((0.3, 0.1, -math.inf), (0.1, 0.3, math.inf), (0.1, 0.1, 0.0)):  # without any spread it was 0
+        rows = [row(str(i), {"a": a, "b": b}[f], f=f) for i in range(7) for f in "ab"]
+        assert linear_analysis(rows, ["f"], 0.95, {"f": ["a", "b"]}).terms[0].cohens_d == d  # type: ignore[union-attr]
 
 
 # -- detection --------------------------------------------------------------------------------------------------------
