@@ -62,6 +62,18 @@ def test_numbers_of_numpy_and_names_in_one_text() -> None:
     assert tw.RenderOptions(effects="none").effects == "none"
 
 
+def test_names_that_are_blank_are_none() -> None:
+    """A list of blanks is one of no names, which is refused like an empty text; blanks between names are left out."""
+    for given in (["", " "], []):
+        with pytest.raises(tw.TonewoodError, match=r"^outputs: is \(\); names of output groups are allowed"):
+            tw.RenderOptions(outputs=given)  # type: ignore[arg-type]  # a list on purpose
+    assert tw.RenderOptions(effects=[" a ", ""]).effects == ("a",)  # type: ignore[arg-type]
+    assert tw.RenderOptions(outputs=" b ,, c").outputs == ("b", "c")  # type: ignore[arg-type]
+    for key in ("outputs", "effects"):
+        with pytest.raises(tw.TonewoodError, match=f"^{key}: is ''"):
+            tw.RenderOptions(**{key: ""})  # type: ignore[arg-type]
+
+
 def test_single_settings_go_before_those_of_options() -> None:
     options = tw.RenderOptions(fs=16000, max_duration=0.02, gain_db=-6.0)
     monochord = tw.load_instrument("monochord")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,28 @@ def test_each_stop_is_compiled_as_it_is_plucked_and_as_it_is_damped(monkeypatch:
     assert [name for name, _ in ways] == 50 * ["A2"]
     assert {damping for _, damping in ways[::2]} == {0.0}
     assert min(damping for _, damping in ways[1::2]) > 0.0
+
+
+def test_ways_to_pluck_at_another_place_are_compiled_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All stops from the capo on, when the controller of the place moves; the newest place alone."""
+    done: list[tuple[str, int, Any]] = []
+    monkeypatch.setattr(PreparedBases, "_compile", lambda self, *way: done.append(way))
+    places = {"cc74": SimpleNamespace(parameter="pluck.from_bridge", value=lambda x: 0.1 + x / 10)}
+    places["cc1"] = SimpleNamespace(parameter="pluck.force", value=lambda x: x)
+    strings = {"A": SimpleNamespace(n_stops=3), "B": SimpleNamespace(n_stops=2)}
+    playing = SimpleNamespace(controls=places)
+    model: Any = SimpleNamespace(strings=strings, playing=playing, default_exciter="pluck")
+    bases = PreparedBases(model, SimpleNamespace(room=3), 2)  # type: ignore[arg-type]
+    for kind in ("cc1", "cc2"):
+        bases.moved(kind, 0.5)
+    assert (bases.waiting, bases.compile_one(), done) == (False, False, [])
+    bases.moved("cc74", 0.5)
+    assert (bases.waiting, bases.compile_one()) == (True, True)
+    bases.moved("cc74", 1.0)
+    assert [bases.compile_one() for _ in range(4)] == [True, True, True, False]
+    values = [(name, stop, pytest.approx(way["from_bridge"], abs=1e-3)) for name, stop, way in done]
+    assert values == [("A", 2, 0.15), ("A", 2, 0.2), ("A", 3, 0.2), ("B", 2, 0.2)]
+    assert not bases.waiting
 
 
 def test_limits_of_ramp_and_spacing_are_allowed_themselves() -> None:
