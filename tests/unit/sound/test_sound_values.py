@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
+import select
 from collections import Counter
 from fractions import Fraction
 from functools import partial
@@ -28,10 +31,11 @@ from tonewood.sound.files.tags import Tags
 from tonewood.sound.level.limiter import Limiter
 from tonewood.sound.level.loudness import resampled
 from tonewood.sound.level.spectrum import SILENCE_DB, level_curve, spectrogram
+from tonewood.sound.live import keyboard
 from tonewood.sound.live.keyboard import HELD, ComputerKeyboard
 from tonewood.sound.live.receiver import MidiReceiver
 from tonewood.sound.live.stream import Arrivals, AudioStream
-from tonewood.sound.render import level
+from tonewood.sound.render import energy, level
 from tonewood.sound.render.accuracy import LEVELS
 from tonewood.sound.render.options import RenderOptions, choices, limits
 from tonewood.sound.render.plan import (
@@ -634,3 +638,47 @@ def test_messages_of_the_mode_of_a_channel(number: int, done: list[str]) -> None
     one: Any = SimpleNamespace(_channels=channels, live=SimpleNamespace(**calls), ignored=Counter(), _bend=list)
     MidiReceiver._mode(one, 3, number)
     assert [*said, *one.ignored] == done
+
+
+def test_the_terminal_is_read_by_characters_and_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    import pty
+    import termios
+
+    controller, terminal = pty.openpty()
+    with open(terminal, "rb", closefd=False) as stdin:
+        monkeypatch.setattr(keyboard.sys, "stdin", stdin)
+        before = termios.tcgetattr(terminal)
+        opened = keyboard._Terminal()
+        assert opened.read() == ""
+        os.write(controller, "q\N{LATIN SMALL LETTER E WITH ACUTE}".encode())  # no return key
+        assert select.select([terminal], [], [], 10.0)[0]
+        assert opened.read() == "q\N{LATIN SMALL LETTER E WITH ACUTE}"
+        during = termios.tcgetattr(terminal)
+        assert not during[3] & (termios.ICANON | termios.ECHO)
+        opened.close()
+        assert termios.tcgetattr(terminal) == before
+    for descriptor in (controller, terminal):
+        os.close(descriptor)
+    monkeypatch.setattr(keyboard.sys, "stdin", open(os.devnull))  # noqa: SIM115  # closed with the test
+    with pytest.raises(TonewoodError, match="standard input is no terminal"):
+        keyboard._Terminal()
+
+
+def test_an_account_of_energy_is_a_row_an_interval(tmp_path: Path) -> None:
+    trace: Any = SimpleNamespace(
+        time=np.array([0.5, 1.0]), steps=np.array([10, 20]), residual=np.array([1e-12, -2e-12]),
+        stored={"A": np.array([1.0, 0.5])}, supplied={"pluck": np.array([2.0, 0.0])}, booked={},
+        lost={"A": np.array([0.25, 0.125])},
+        to_dict=lambda: {"a": 1}, plot=lambda stream: stream.write(b"png"),
+    )  # fmt: skip
+    files = [tmp_path / name for name in ("e.csv", "e.JSON", "e.png")]
+    for file in files:
+        energy.save_energy(trace, file)
+    assert files[0].read_text().splitlines() == [
+        "time_s,steps,stored:A,supplied:pluck,lost:A,residual", "0.5,10,1.0,2.0,0.25,1e-12",
+        "1.0,20,0.5,0.0,0.125,-2e-12",
+    ]  # fmt: skip
+    assert (json.loads(files[1].read_text()), files[2].read_bytes()) == ({"a": 1}, b"png")
+    with pytest.raises(TonewoodError, match=r"--energy: is 'e\.txt'; a name ending in \.json, \.csv, \.png is allowed"):
+        energy.save_energy(trace, tmp_path / "e.txt")
+    assert sorted(tmp_path.iterdir()) == sorted(files)
