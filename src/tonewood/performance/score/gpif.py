@@ -7,10 +7,11 @@ downwards and upwards, 16 and 32 into it from below and above, 64 and 128 of a p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from typing import TypeVar
 from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
@@ -23,7 +24,10 @@ from tonewood.performance.score.unfolding import Measure
 from tonewood.performance.score.written import WrittenMusic, WrittenNote, WrittenPart
 from tonewood.performance.score.xml_files import number_of, parsed, text_of
 
+_Value = TypeVar("_Value")
 _QUARTER = 960
+#: times that a measure is repeated
+_MOST_TIMES = 128
 #: measures
 _MOST_MEASURES = 20_000
 #: quarter notes in a measure; parts of a whole note; notes of a tuplet; bits of flags; ids in lists
@@ -61,12 +65,6 @@ def read_gpif(pieces: Iterable[bytes], path: Path) -> WrittenMusic:
     return _Gpif(root, path).music()
 
 
-def _times(text: str) -> int:
-    """How often a measure is played up to a repeat sign, at most 32; 0 where it does not say."""
-    count = number(text, 0.0, 1e9)
-    return 0 if count is None else int(min(count, 32))
-
-
 class _Gpif:
     """Tables of a score, by id."""
 
@@ -90,6 +88,7 @@ class _Gpif:
     def _entry(self, kind: str, number: str) -> Element | None:
         """Element of a table, read once more: a long one that is listed often is work without end."""
         element = self.tables[kind].get(number)
+        self.ignored[f"{kind.lower()} that is not in the file"] += element is None and number != "-1"
         self.read.take(0 if element is None else self._sizes[element])
         return element
 
@@ -122,7 +121,10 @@ class _Gpif:
         pitches = text_of(values.get("Tuning"), "Pitches").split()
         self.tuning = [pitch for pitch in (number(x, -128.0, 256.0) for x in pitches) if pitch is not None]
         self.ignored["tuning of a string that cannot be read"] += len(pitches) - len(self.tuning)
-        self.capo = int(number_of(values.get("CapoFret"), "Fret", 0.0, 0.0, FRETS))
+        capo = number(text_of(values.get("CapoFret"), "Fret", "0"), 0.0, FRETS)
+        self.ignored["capo that cannot be read"] += capo is None
+        self.ignored["capo on some strings"] += number_of(values.get("PartialCapoFret"), "Fret", 0.0) > 0
+        self.capo = int(capo or 0)
         midi = track.find("GeneralMidi")
         self.drums = text_of(track, "InstrumentSet/Type") == "drumKit" or (
             midi is not None and midi.get("table") == "Percussion"
@@ -141,6 +143,11 @@ class _Gpif:
             else:
                 part.measures.append(self._bar(bar, first=i == 0))
         return part
+
+    def _known(self, table: Mapping[str, _Value], name: str, what: str) -> _Value | None:
+        """Value of a name; one that is not known is counted."""
+        self.ignored[f"{what} that is not known"] += bool(name) and name not in table
+        return table.get(name)
 
     def _ids(self, element: Element | None, path: str) -> list[str]:
         ids = text_of(element, path).split()
@@ -181,12 +188,15 @@ class _Gpif:
         measure = Measure(Fraction(4) if upper is None or lower is None else Fraction(4 * upper, lower))
         if (repeat := bar.find("Repeat")) is not None:
             measure.opens = repeat.get("start") == "true"
-            measure.closes = _times(repeat.get("count", "2")) if repeat.get("end") == "true" else 0
+            times = whole(repeat.get("count", "2"), 0, _MOST_TIMES)
+            self.ignored[f"repeat count outside 0 to {_MOST_TIMES}"] += times is None
+            measure.closes = (2 if times is None else times) if repeat.get("end") == "true" else 0
         endings = [whole(n, 0, 9999) for n in self._ids(bar, "AlternateEndings")]
         measure.endings = frozenset(n for n in endings if n is not None)
         for sign in (text_of(e, ".") for e in bar.findall("Directions/*")):
             measure.signs |= jump(sign, self.ignored)
-        measure.feel = FEELS.get(text_of(bar, "TripletFeel"))
+        feel = text_of(bar, "TripletFeel").replace("NoTripletFeel", "")
+        measure.feel = self._known(FEELS, feel, "swing")
         self.ignored["fermata"] += len(bar.findall("Fermatas/Fermata"))
         return measure
 
@@ -198,7 +208,6 @@ class _Gpif:
             for beat_id in self._ids(self._entry("Voice", voice), "Beats"):
                 beat = self._entry("Beat", beat_id)
                 if beat is None:
-                    self.ignored["beat that is not in the file"] += 1
                     continue
                 if beat.find("GraceNotes") is not None:
                     grace.append(beat)
@@ -241,8 +250,7 @@ class _Gpif:
         dots = None if rhythm is None else rhythm.find("AugmentationDot")
         n_dots = 0 if dots is None else number(dots.get("count", "1"), 0.0, 1e9)
         length *= 2 - Fraction(1, 2 ** int(min(n_dots or 0, 4)))
-        tuplet = None if rhythm is None else rhythm.find("PrimaryTuplet")
-        if tuplet is not None:
+        for tuplet in () if rhythm is None else (*rhythm.findall("PrimaryTuplet"), *rhythm.findall("SecondaryTuplet")):
             num = whole(tuplet.get("num") or text_of(tuplet, "Num", "1"), 1, _MOST_OF_TUPLET)
             den = whole(tuplet.get("den") or text_of(tuplet, "Den", "1"), 1, _MOST_OF_TUPLET)
             if num is None or den is None:
@@ -264,8 +272,9 @@ class _Gpif:
         common = {sign for name, sign in (("Slapped", "slap"), ("Popped", "pop")) if name in values}
         common |= _vibrato(text_of(values.get("VibratoWTremBar"), "Strength"))
         every = WrittenNote(
-            at, length, 0.0, velocity=DYNAMICS.get(text_of(beat, "Dynamic"), 79), signs=tuple(common),
-            tremolo=_TREMOLOS.get(text_of(beat, "Tremolo")), whammy=_whammy(beat, values),
+            at, length, 0.0, velocity=self._known(DYNAMICS, text_of(beat, "Dynamic"), "dynamic") or 79,
+            signs=tuple(common), tremolo=self._known(_TREMOLOS, text_of(beat, "Tremolo"), "tremolo"),
+            whammy=_whammy(beat, values),
         )  # fmt: skip
         if beat.find("DeadSlapped") is not None:
             self.out.signs.take(len(self.tuning))
@@ -350,9 +359,9 @@ class _Gpif:
             sign for name, sign in (("LetRing", "let_ring"), ("AntiAccent", "ghost")) if note.find(name) is not None
         }
         signs |= _vibrato(text_of(note, "Vibrato"))
-        ornament = text_of(note, "Ornament")
-        if ornament in _ORNAMENTS:
-            signs.add(_ORNAMENTS[ornament])
+        ornament = self._known(_ORNAMENTS, text_of(note, "Ornament"), "ornament")
+        if ornament is not None:
+            signs.add(ornament)
         return signs
 
 

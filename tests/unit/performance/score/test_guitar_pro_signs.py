@@ -364,3 +364,39 @@ def test_a_note_on_a_string_that_the_track_does_not_have_is_counted(tmp_path: Pa
     score = tw.read_score(path)
     assert [note.note for note in score.notes] == [55, 52, 50]
     assert score.ignored["note on a string that the track does not have"] == 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "counted", "n"),
+    [
+        ("<Bars>0</Bars>", "<Bars>7</Bars>", "bar that is not in the file", 1),
+        ("<Voices>0 -1", "<Voices>9 -1", "voice that is not in the file", 1),
+        ("<Notes>1</Notes>", "<Notes>99</Notes>", "note that is not in the file", 1),
+        ('<Rhythm ref="0"/>', '<Rhythm ref="9"/>', "rhythm that is not in the file", 4),
+        ("<Fret>0</Fret></Property></Properties></Staff>", "<Fret>1x</Fret></Property></Properties></Staff>",
+         "capo that cannot be read", 1),
+        ('<Property name="CapoFret">', '<Property name="PartialCapoFret"><Fret>2</Fret></Property><Property name="C">',
+         "capo on some strings", 1),
+        ("<Dynamic>F</Dynamic>", "<Dynamic>FX</Dynamic>", "dynamic that is not known", 4),
+        ("<Dynamic>F</Dynamic>", "<Tremolo>1/3</Tremolo>", "tremolo that is not known", 4),
+        ("<Time>", "<TripletFeel>Waltz</TripletFeel><Time>", "swing that is not known", 1),
+        ("<Time>", "<TripletFeel>NoTripletFeel</TripletFeel><Time>", "swing that is not known", 0),
+        ("<Time>", '<Repeat end="true" count="129"/><Time>', "repeat count outside 0 to 128", 1),
+        ("</Note>", "<Ornament>Trillo</Ornament></Note>", "ornament that is not known", 4),
+    ],
+)  # fmt: skip
+def test_what_a_file_lacks_or_names_otherwise_is_counted(
+    tmp_path: Path, old: str, new: str, counted: str, n: int
+) -> None:
+    assert edited(tmp_path / "a.gp", (old, new)).ignored == ({counted: n} if n else {})
+
+
+def test_nested_tuplets_and_many_repeats(tmp_path: Path) -> None:
+    nested = '<PrimaryTuplet num="3" den="2"/><SecondaryTuplet num="5" den="4"/></Rhythm>'
+    score = edited(
+        tmp_path / "a.gp", ("<NoteValue>Quarter</NoteValue></Rhythm>", "<NoteValue>Quarter</NoteValue>" + nested)
+    )
+    assert [n.time for n in score.notes] == pytest.approx([i * 8 / 15 for i in range(4)])
+    for count, times in {"": 2, "0": 1, "1": 1, "2": 2, "2.7": 2, "-1": 2, "99": 99, "128": 128, "129": 2}.items():
+        repeated = edited(tmp_path / "b.gp", ("<Time>", f'<Repeat end="true" count="{count}"/><Time>'))
+        assert len(repeated.notes) == 4 * times

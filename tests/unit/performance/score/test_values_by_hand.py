@@ -283,8 +283,6 @@ def test_note_values_and_tempos_of_guitar_pro(
 def test_numbers_of_guitar_pro_within_their_limits() -> None:
     programs = {"0": 1, "24": 25, "127": 128, "128": None, "-1": None, "": None}
     assert {text: gpif_module._program(text) for text in programs} == programs
-    times = {"": 0, "2": 2, "32": 32, "33": 32, "0": 0, "-1": 0, "2.7": 2}
-    assert {text: gpif_module._times(text) for text in times} == times
 
 
 def test_beats_of_a_midi_file_follow_tempos_and_meters(tmp_path: Path) -> None:
