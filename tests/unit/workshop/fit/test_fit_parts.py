@@ -537,6 +537,15 @@ def test_a_fit_without_a_mode_or_with_one_to_drop_that_is_none_is_refused(fitted
     turned = fit_responses(replace(r, mobility=-r.mobility), damping="viscous")
     assert (turned.body, len(turned.modes.poles)) == (None, 2)
     assert "mobility of 'a' has a negative real part" in turned.no_body
+    problem, poles, solution = turned.modes.bent
+    by_freq, by_zeta, _ = problem.deviations(poles)
+    rows = turned.rows
+    assert [row["sd_cents"] for row in rows] == pytest.approx(1200 * np.log2(np.e) * by_freq)
+    assert [row["sd_Q"] for row in rows] == pytest.approx(by_zeta)
+    for i, row in enumerate(rows):
+        shape = solution.residues[:, i] - 1j * solution.residues[:, i + 2]
+        assert np.array(row["shape"]) @ [1, 1j] == pytest.approx(shape / shape[np.argmax(np.abs(shape))])
+        assert (row["mass_kg"], row["sd_shape"], row["interval_90"].get("mass_kg")) == (None, None, None)
     with pytest.raises(TonewoodError, match="--drop: there is no mode at 250 Hz; the nearest is at 320"):
         fit_responses(r, damping="viscous", drop=(250.0,))
 
