@@ -220,7 +220,7 @@ def _attributes(measure: ET.Element, tab: Tablature, size: int, *, first: bool) 
     if first:
         _text(attributes, "divisions", TICKS)
     time = ET.SubElement(attributes, "time")
-    unit = next((n for n in (4, 8, 16, 32) if size * n % (4 * TICKS) == 0), 32)
+    unit = next((n for n in (4, 8, 16) if size * n % (4 * TICKS) == 0), 32)
     _text(time, "beats", max(size * unit // (4 * TICKS), 1))
     _text(time, "beat-type", unit)
     if not first:

@@ -400,3 +400,19 @@ def test_nested_tuplets_and_many_repeats(tmp_path: Path) -> None:
     for count, times in {"": 2, "0": 1, "1": 1, "2": 2, "2.7": 2, "-1": 2, "99": 99, "128": 128, "129": 2}.items():
         repeated = edited(tmp_path / "b.gp", ("<Time>", f'<Repeat end="true" count="{count}"/><Time>'))
         assert len(repeated.notes) == 4 * times
+
+
+def test_strokes_of_tremolos_and_trills_of_guitar_pro_5(tmp_path: Path) -> None:
+    """60 a minute: sixteenths on one note, thirty-seconds between two, eighths on the third."""
+    import guitarpro as gp
+
+    def repeated(song: Any, beats: list[Any]) -> None:
+        beats[0].notes[0].effect.tremoloPicking = gp.TremoloPickingEffect(gp.Duration(16))
+        beats[1].notes[0].effect.trill = gp.TrillEffect(fret=4, duration=gp.Duration(32))
+        beats[2].notes[0].effect.tremoloPicking = gp.TremoloPickingEffect(gp.Duration(8))
+
+    score = tw.read_score(guitar_pro(tmp_path / "a.gp5", repeated))
+    assert [n.time for n in score.notes] == [
+        *(i / 4 for i in range(4)), *(1 + i / 8 for i in range(8)), 2, 2.5, 3
+    ]  # fmt: skip
+    assert [n.note for n in score.notes] == 4 * [40] + 4 * [47, 49] + [55, 55, 62]
