@@ -178,6 +178,7 @@ def test_modes_nobody_would_see_are_told() -> None:
     assert search.inaudible(problem, poles, np.array([300.0, 605.0])).tolist() == []
     assert search.inaudible(problem, poles, np.array([640.0])).tolist() == [1]
     assert search.inaudible(problem, poles[:1], np.zeros(0)).tolist() == []
+    assert search._decibels(np.array([2.0, 0.1]), np.array([20j, -0.001])) == pytest.approx([20.0, -40.0])
 
 
 def test_lines_of_the_mains_are_muted_and_named() -> None:
@@ -542,7 +543,11 @@ def test_a_fit_without_a_mode_or_with_one_to_drop_that_is_none_is_refused(fitted
     rows = turned.rows
     assert [row["sd_cents"] for row in rows] == pytest.approx(1200 * np.log2(np.e) * by_freq)
     assert [row["sd_Q"] for row in rows] == pytest.approx(by_zeta)
+    whole_row = problem.model(poles, solution.residues)
     for i, row in enumerate(rows):
+        part = solution.residues[:, [i, i + 2]] @ problem.columns(poles)[0][[i, i + 2]]
+        change = np.abs(20 * np.log10(np.abs(1 - part / whole_row))).max()
+        assert row["without_db"] == pytest.approx(change)
         shape = solution.residues[:, i] - 1j * solution.residues[:, i + 2]
         assert np.array(row["shape"]) @ [1, 1j] == pytest.approx(shape / shape[np.argmax(np.abs(shape))])
         assert (row["mass_kg"], row["sd_shape"], row["interval_90"].get("mass_kg")) == (None, None, None)
