@@ -627,6 +627,9 @@ def test_a_check_prints_the_worst_first(capsys) -> None:
     ]
     assert "  of unknown origin: u, v" in text
     assert text[-3:] == ["  moves", "  (--all prints every string, stop, microphone and source)", "ok, with 2 warnings"]
+    strings = {"E2": string(), "A2": string(worst_cents=1.0, worst_cents_mounted=-0.5)}  # the worst counts
+    check._print(report(strings=strings), True, False, [])
+    assert "  2 strings, every stop within 2.5 cents alone, 3.5 with all on" in capsys.readouterr().out.splitlines()
     bare = report(strings={}, table_doubts=[], potentials=[], n_modes_all_outputs=90)
     check._print(bare, False, False, [])
     text = capsys.readouterr().out.splitlines()

@@ -548,6 +548,19 @@ def test_a_loudness_is_reached_unless_the_peak_would_be_too_high(tmp_path, monke
     assert render._write(Fixed(samples), form, Tags()).gain_db == pytest.approx(gain, abs=0.02)
 
 
+@pytest.mark.parametrize("channels", [[1], [1, 2]])
+def test_stems_of_outputs_are_their_channels_of_the_file(tmp_path, channels) -> None:
+    whole = np.random.default_rng(3).uniform(-0.5, 0.5, (300, sum(channels)))
+    sf.write(tmp_path / "a.wav", whole, 8000, subtype="DOUBLE")
+    groups = [SimpleNamespace(channels=tuple("lr"[:n])) for n in channels]
+    renderer = SimpleNamespace(model=SimpleNamespace(outputs=groups), options=RenderOptions(), fs=8000)
+    files = [tmp_path / f"s{i}.wav" for i in range(len(groups))]
+    stems.write_output_stems(tmp_path / "a.wav", files, "DOUBLE", renderer, Tags())
+    found = [sf.read(file, always_2d=True)[0] for file in files]
+    assert [x.shape[1] for x in found] == channels
+    assert np.array_equal(np.concatenate(found, axis=1), whole)
+
+
 @pytest.mark.parametrize("frames", [400, 1500])
 def test_stems_of_strings_are_as_long_as_the_mix_and_at_its_gain(tmp_path, frames) -> None:
     """Blocks of 1000 samples of two groups, of one channel and of two: cut, or filled with silence."""

@@ -179,6 +179,7 @@ def test_cents_of_frets_are_printed_by_string(tonewood: Run, monkeypatch: Patch)
     monkeypatch.setattr("tonewood.cli.intonation._row", lambda s: s.name)
     report = told(tonewood("intonation", "classical_guitar", "--json"))
     assert (report["frets"], report["strings"], report["instrument"]) == (12, ["E2", "A2"], "classical_guitar")
+    assert asked.options == {"frets": 12, "fs": 48000}
     for frets in (1, 20):
         refused(tonewood("intonation", "classical_guitar", "--frets", frets), "2 to 19 are allowed")
     refused(tonewood("intonation", "african_harp"), "frets are wanted")

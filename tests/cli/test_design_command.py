@@ -47,6 +47,7 @@ def test_modes_of_a_free_plate_are_counted_without_its_rigid_motion(tonewood: Ru
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
+        ([], ["there are 0; 1 to 40 are allowed"]),
         (["--free", "strings=none_such"], ["there is no string set 'none_such'"]),
         (["--free", "strings=ej45", "--strings", "ej46"], ["--strings", "one of the two"]),
         (["--free", "body.added.0.mass=2:1"], ["LOW below HIGH"]),
