@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from cli_runs import refused
+from cli_runs import Asked, refused, told
 from tonewood import load_instrument
 
 Run = Callable[..., tuple[int, str, str]]
@@ -55,3 +57,51 @@ def test_modes_of_a_free_plate_are_counted_without_its_rigid_motion(tonewood: Ru
 )
 def test_commands_refuse(tonewood: Run, arguments: list[str], said: list[str]) -> None:
     refused(tonewood("design", "classical_guitar", "--target", "no wolf F3..A3", *arguments), *said)
+
+
+def test_the_cheapest_of_several_designs_is_told(
+    tonewood: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A string set that misses its target, and one that reaches it, with a free mass."""
+    from tonewood.cli import design
+    from tonewood.workshop.design import folder, search, words
+
+    asked: list[Any] = []
+
+    def found(instrument: Any, targets: Any, free: Any, tell: Any) -> Any:
+        asked.append((instrument.spec.strings_from, [t.text for t in targets], [p.name for p in free]))
+        tell("a step")
+        first = len(asked) % 2 == 1
+        return SimpleNamespace(
+            cost=2.0 if first else 0.5, ok=not first, targets=targets, off=[1e9 if first else 0.0], free=free,
+            values=[0.004 if first else 0.02],
+        )  # fmt: skip
+
+    written = Asked()
+    monkeypatch.setattr(search, "find_design", found)
+    monkeypatch.setattr(folder, "write_design", written)
+    monkeypatch.setattr(words, "lines", lambda best: ["as designed"])
+    monkeypatch.setattr(design, "_report", lambda best, output: {"cost": best.cost, "output": str(output)})
+    call = (
+        "design",
+        "classical_guitar",
+        "--set",
+        "body.added=[{at: bridge_E2, mass: 0.001}]",
+        "--target",
+        "mode 1 = 100",
+    )
+    call += ("--free", "strings=ej16, ej45", "--free", "body.added.0.mass=0:0.05", "-o", tmp_path / "made")
+    code, out, err = tonewood(*call)
+    assert (code, err) == (0, "design: a step\n" * 2)
+    assert [row[0] for row in asked] == ["ej16", "ej45"]
+    assert asked[0][1:] == (["mode 1 = 100"], ["body.added.0.mass"])
+    assert out.splitlines() == [
+        "strings ej16: misses mode 1 = 100", "strings ej45: reach all targets", "with strings ej45", "as designed",
+        "for render and compare: --strings ej45 --set body.added.0.mass=0.02", f"bundle: {tmp_path / 'made'}",
+    ]  # fmt: skip
+    assert (written.words[0].cost, written.words[1]) == (0.5, tmp_path / "made")
+    report = told((*tonewood(*call, "--json")[:2], ""))
+    assert (report["cost"], report["strings"], report["ok"]) == (0.5, "ej45", True)
+    code, out, _ = tonewood(*call[:6], "--free", "body.added.0.mass=0:0.05")  # misses its target
+    assert (code, out.splitlines()) == (1, ["as designed", "for render and compare: --set body.added.0.mass=0.004"])
+    refused(tonewood(*call[:6], "--free", "body.added.0.mass"), "PATH=LOW:HIGH is allowed")
