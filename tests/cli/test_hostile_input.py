@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 import shutil
 import warnings
 from collections.abc import Callable, Iterator
@@ -272,6 +273,23 @@ def test_no_line_of_an_error_steers_the_terminal(tonewood: Run, tmp_path: Path) 
     assert code == 2
     assert r"\x1b[31mred.mid: No such file" in err
     assert "\x1b" not in err
+
+
+@pytest.mark.parametrize("value", ["1", "x", "[1]", "[[a, b]]", "null"])
+@pytest.mark.parametrize("key", ["sources", "provenance"])
+def test_sources_and_kinds_that_are_no_mapping_are_one_line(
+    tonewood: Run, tmp_path: Path, key: str, value: str
+) -> None:
+    for name, more in (("monochord", ""), ("classical_guitar", "\nstrings_from: ej45")):
+        folder = tmp_path / name
+        shutil.copytree(instrument_folder(name), folder)
+        text = (folder / "instrument.yaml").read_text()
+        text = re.sub(r"^strings_from:.*\n", "", text, flags=re.MULTILINE)
+        text = re.sub(rf"^{key}:.*\n(?:[ ]+.*\n|\n)*", f"{key}: {value}{more}\n", text, flags=re.MULTILINE)
+        (folder / "instrument.yaml").write_text(text)
+        code, _, err = tonewood("check", folder)
+        assert (code, err.count("\n")) == (2, 1)
+        assert f": {key}: " in err
 
 
 with_stems = pytest.mark.parametrize(

@@ -60,6 +60,8 @@ def with_set(values: Mapping[str, Any], name: str, *, over: bool, file: Any = No
     chosen, strings = string_set(name, file=file), values.get("strings")
     if not isinstance(strings, Mapping) or not all(isinstance(part, Mapping) for part in strings.values()):
         return dict(values)  # the check of the schema says what is wrong
+    if not _has_sources(values):
+        return dict(values)
     if len(strings) != len(chosen.strings):
         notes = ", ".join(entry.note for entry in chosen.strings)
         raise BundleError(
@@ -128,6 +130,8 @@ def with_materials(values: Mapping[str, Any], *, over: Collection[str] = (), fil
     entries = {
         name: part for name, part in parts if isinstance(part, Mapping) and isinstance(part.get("made_of"), Mapping)
     }
+    if not _has_sources(values):
+        return out
     sources, provenance = dict(values.get("sources") or {}), dict(values.get("provenance") or {})
     for name, part in entries.items():
         key = f"strings.{name}"
@@ -142,6 +146,11 @@ def with_materials(values: Mapping[str, Any], *, over: Collection[str] = (), fil
     if entries:
         out |= {"strings": {**dict(parts), **entries}, "provenance": provenance, "sources": sources}
     return out
+
+
+def _has_sources(values: Mapping[str, Any]) -> bool:
+    """Whether sources and provenance are mappings, or left out; the check of the schema says if they are not."""
+    return all(isinstance(values.get(key, {}), Mapping) for key in ("sources", "provenance"))
 
 
 def _with_kinds(
