@@ -126,6 +126,7 @@ class _Gpif:
         self.ignored["capo on some strings"] += number_of(values.get("PartialCapoFret"), "Fret", 0.0) > 0
         self.capo = int(capo or 0)
         midi = track.find("GeneralMidi")
+        self.ignored["mute of a track"] += text_of(track, "PlaybackState") == "Mute"
         self.drums = text_of(track, "InstrumentSet/Type") == "drumKit" or (
             midi is not None and midi.get("table") == "Percussion"
         )

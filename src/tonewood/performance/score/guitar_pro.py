@@ -137,6 +137,7 @@ class _Track:
     def part(self) -> WrittenPart:
         """Return its measures."""
         track, music = self.track, self.music
+        self.ignored["mute of a track"] += bool(track.isMute)
         instrument = whole(track.channel.instrument, 0, 127)
         part = WrittenPart(track.name.strip(), capo=self.capo, program=None if instrument is None else instrument + 1)
         for i, measure in enumerate(track.measures):

@@ -416,3 +416,12 @@ def test_strokes_of_tremolos_and_trills_of_guitar_pro_5(tmp_path: Path) -> None:
         *(i / 4 for i in range(4)), *(1 + i / 8 for i in range(8)), 2, 2.5, 3
     ]  # fmt: skip
     assert [n.note for n in score.notes] == 4 * [40] + 4 * [47, 49] + [55, 55, 62]
+
+
+def test_mutes_of_tracks_are_counted(tmp_path: Path) -> None:
+    def muted(song: Any, beats: list[Any]) -> None:
+        song.tracks[0].isMute = True
+
+    assert tw.read_score(guitar_pro(tmp_path / "a.gp5", muted)).ignored == {"mute of a track": 1}
+    mute = ("<Staves>", "<PlaybackState>Mute</PlaybackState><Staves>")
+    assert edited(tmp_path / "a.gp", mute).ignored == {"mute of a track": 1}
