@@ -39,6 +39,8 @@ _READ: dict[str, tuple[tuple[str, ...], type[pages.AnyPage]]] = {
 #: columns of PsychoPy's table with an answer
 _KEY, _RATE = re.compile(r"answer\d+\.keys"), re.compile(r"rate\d+_(\w+)\.response")
 _MOST_BYTES = 200_000_000
+#: characters of a reason
+_MOST_SHOWN = 300
 Row = dict[str, str]
 
 
@@ -109,7 +111,9 @@ def read_answers(path: Path, test: ListeningTest) -> Imported:
             elif row.get("response") or (row.get("value") and not row.get("item")):
                 raise ListeningError("is missing", key="trial")  # not so in rows of PsychoPy for pages without trials
         except ListeningError as fault:
-            left_out.append(LeftOut(str(ListeningError(fault.reason, file=path, line=line, key=fault.key))))
+            long = len(fault.reason) > _MOST_SHOWN  # so may a cell be
+            reason = f"{fault.reason[:_MOST_SHOWN]} ..." if long else fault.reason
+            left_out.append(LeftOut(str(ListeningError(reason, file=path, line=line, key=fault.key))))
     listeners: list[ListenerAnswers] = []
     for who in dict.fromkeys([*answers, *spoken]):
         kept = []

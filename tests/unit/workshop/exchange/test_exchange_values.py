@@ -693,6 +693,8 @@ def test_names_that_begin_alike_are_of_different_listeners(test: ListeningTest, 
     found = joined([one, two])
     assert [one.header["listener"][60:] for one in found.listeners] == ["a", "1", "2"]
     assert len(found.left_out) == 1
+    digits = read_answers(table(tmp_path / "d.csv", f"{head}\na,3,tm,sb,70\na,3,tm,sc,{'9' * 5000}\n"), test)
+    assert len(digits.left_out[0].reason.partition("d.csv: ")[2]) < 330
     nobody = read_answers(table(tmp_path / "n.csv", f"{head}\na,3,tm,sb,70\n,3,tm,sb,70\n"), test)
     assert [one.reason.partition("n.csv: ")[2] for one in nobody.left_out] == ["line 3: listener: names no listener"]
 
