@@ -101,7 +101,7 @@ def _expanded(data: bytes, path: Path) -> bytes:
                 if back > len(out):
                     raise ScoreError("damaged Guitar Pro 6 file: it refers to bytes before its beginning", file=path)
                 begin = len(out) - back
-                out += out[begin : begin + min(back, size)]
+                out += out[begin : begin + size]
             else:
                 for _ in range(bits.reversed(2)):
                     out.append(bits.take(8))

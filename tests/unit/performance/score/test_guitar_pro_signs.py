@@ -54,6 +54,10 @@ def test_guitar_pro_6_is_read_plain_and_compressed(tmp_path: Path) -> None:
     (tmp_path / "cut.gpx").write_bytes(system[:-0x1000])
     with pytest.raises(ScoreError, match=r"score.gpif ends early"):
         tw.read_score(tmp_path / "cut.gpx")
+    # the last sector describes the file, and is cut within its numbers of sectors
+    (tmp_path / "cut.gpx").write_bytes(system[: 4 + 0x1000 + 0x94] + struct.pack("<2i", 1, 1) + b"\1\0")
+    with pytest.raises(ScoreError, match=r"score.gpif ends early"):
+        tw.read_score(tmp_path / "cut.gpx")
 
 
 @pytest.mark.parametrize(
@@ -93,8 +97,9 @@ def test_references_repeat_no_more_than_is_behind_them() -> None:
     """Widths of 3 and 15 bits; two bytes back, of which five are asked for, are two."""
     bits = "0" + "11" + "".join(f"{b:08b}" for b in b"BCF") + "0" + "10" + f"{ord('S'):08b}"
     bits += "1" + "0011" + "010" + "101" + "1" + "1111" + f"{2:015b}"[::-1] + f"{1:015b}"[::-1]
+    bits += "0" + "10" + f"{ord('!'):08b}"
     data = int(bits.ljust(-len(bits) % 8 + len(bits), "0"), 2).to_bytes(-(-len(bits) // 8), "big")
-    assert _expanded(b"BCFZ" + struct.pack("<i", 7) + data, Path("a.gpx")) == b"BCFSFSF"
+    assert _expanded(b"BCFZ" + struct.pack("<i", 8) + data, Path("a.gpx")) == b"BCFSFSF!"
 
 
 def test_nodes_of_a_string_leave_their_partials() -> None:

@@ -337,6 +337,9 @@ def test_dynamics_at_a_note_hold_from_it_on_and_those_that_are_no_level_are_coun
     grows, end = (sign(f'<wedge type="{kind}"/>') for kind in ("crescendo", "stop"))
     score = read(tmp_path, grows + plain("C", "C") + end + at_note)
     assert [n.velocity_midi for n in score.notes] == [80, 96, 112]
+    sfz = sign("<dynamics><sfz/></dynamics>")  # ends no hairpin
+    score = read(tmp_path, grows + plain("C") + sfz + plain("C") + end + at_note)
+    assert [n.velocity_midi for n in score.notes] == [80, 96, 112]
 
 
 def test_measures_of_repeat_signs_play_those_before_them(tmp_path: Path) -> None:
