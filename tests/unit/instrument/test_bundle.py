@@ -249,6 +249,9 @@ def test_scales_of_the_bundle(make: Make, values: dict[str, Any], tmp_path: Path
     assert string.freq(7) / string.freq(0) == pytest.approx(40 / 27, rel=1e-9)  # D to A, the just scale's narrow fifth
     outside = tmp_path.parent / "outside.scl"
     outside.write_text((tmp_path / "just.scl").read_text().replace("3/2", "700.0"))
+    for name in ("a" * 3000, "a\0b"):
+        with pytest.raises(BundleError, match=r"tuning\.scale: .* cannot be followed to a file"):
+            make().replace({"tuning.scale": name})
     changed = make().replace({"tuning.scale": str(outside)})  # whoever overrides may name any file
     assert changed.replace({"stops.count": 3}).tuning.freq(67) / changed.tuning.freq(60) == pytest.approx(2 ** (7 / 12))
     assert changed.content_hash != make(dict(make().resolved)).content_hash

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -317,11 +318,12 @@ def _outside_files(overrides: Mapping[str, Any], folder: Path) -> tuple[dict[str
     inside, outside = dict(overrides), set()
     for key in ("tuning.scale", "tuning.keymap"):
         value = inside.get(key)
-        if not isinstance(value, str) or (not Path(value).is_absolute() and (folder / value).is_file()):
-            continue
-        if Path(value).is_file():
-            inside[key] = str(Path(value).resolve())
-            outside.add(Path(value).resolve())
+        with suppress(OSError, ValueError):  # a name too long or with a zero byte: `Files.path` refuses it
+            if not isinstance(value, str) or (not Path(value).is_absolute() and (folder / value).is_file()):
+                continue
+            if Path(value).is_file():
+                inside[key] = str(Path(value).resolve())
+                outside.add(Path(value).resolve())
     return inside, frozenset(outside)
 
 
