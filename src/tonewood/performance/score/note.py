@@ -207,7 +207,7 @@ class Beats:
     def measures(self, end: float) -> list[float]:
         """Quarter notes at which measures begin, and the end of the last one, which is at `end` or later."""
         out = [0.0]
-        for (_, length), (until, _) in zip(self.meters, [*self.meters[1:], (math.inf, 0.0)], strict=True):
+        for (_, length), until in zip(self.meters, [*(at for at, _ in self.meters[1:]), math.inf], strict=True):
             while out[-1] < min(until, end) - 1e-6:
                 out.append(min(out[-1] + length, until))
         return out

@@ -406,12 +406,12 @@ def _split(one: _Sounding, most: Allowance) -> list[tuple[Fraction, Fraction, fl
     most.take(max(n, 1))
     if stroke is None:
         return []
+    pitches = sign.pitch, sign.pitch if sign.trill is None else sign.trill
     for i in range(n):
-        other = sign.trill is not None and i % 2 == 1
+        pitch, before = pitches[i % 2], pitches[1 - i % 2]
         extra: tuple[str, ...] = ()
         if sign.trill is not None and i:
-            extra = ("hammer_on",) if other == (sign.trill > sign.pitch) else ("pull_off",)
-        pitch = sign.trill if other and sign.trill is not None else sign.pitch
+            extra = ("hammer_on",) if pitch > before else ("pull_off",)
         out.append((one.at + i * stroke, min(one.at + (i + 1) * stroke, one.end), pitch, extra))
     return out
 
