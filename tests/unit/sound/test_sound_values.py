@@ -35,7 +35,9 @@ from tonewood.sound.live import keyboard
 from tonewood.sound.live.keyboard import HELD, ComputerKeyboard
 from tonewood.sound.live.receiver import MidiReceiver
 from tonewood.sound.live.stream import Arrivals, AudioStream
+from tonewood.sound.live.take import Replay
 from tonewood.sound.render import energy, level
+from tonewood.sound.render import plan as plan_module
 from tonewood.sound.render.accuracy import LEVELS
 from tonewood.sound.render.options import RenderOptions, choices, limits
 from tonewood.sound.render.plan import (
@@ -317,6 +319,8 @@ def test_pictures_show_the_sound() -> None:
     levels = np.asarray(image.get_array())
     assert levels.max() == 0.0
     assert levels[:, levels.shape[1] // 2].argmax() == 32  # 1 kHz of 4 in 128 bins
+    (image,) = audio.spectrogram(freq_upper=2000.0, window=256).axes[0].images
+    assert image.get_extent()[2:] == [0.0, 2.0]
 
 
 def test_tags_of_instruments_stand_once() -> None:
@@ -682,3 +686,52 @@ def test_an_account_of_energy_is_a_row_an_interval(tmp_path: Path) -> None:
     with pytest.raises(TonewoodError, match=r"--energy: is 'e\.txt'; a name ending in \.json, \.csv, \.png is allowed"):
         energy.save_energy(trace, tmp_path / "e.txt")
     assert sorted(tmp_path.iterdir()) == sorted(files)
+
+
+@pytest.mark.parametrize(("limit", "seconds"), [(None, 3.5), (9.0, 3.5), (2.0, 2.0)])
+def test_a_take_lasts_to_its_last_message_and_the_tail(limit: float | None, seconds: float) -> None:
+    fake: Any = SimpleNamespace(_end=16000, fs=8000, options=SimpleNamespace(tail=1.5, max_duration=limit))
+    assert Replay.expected_duration.fget(fake) == seconds  # type: ignore[attr-defined]
+
+
+def test_time_of_a_switched_effect_is_measured_on_none_one_and_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """1 us a sample without it, 0.2 us with any of it, and 10 ns for each unit of its load, on a quiet clock."""
+    clock, loads = [0.0], {"A": 2.0, "B": 6.0}
+
+    class Switched:
+        name, chosen, components = "bend", True, ("A", "B")
+
+        def apply(self, system: Any, on: Any, frettings: Any) -> Any:
+            return on
+
+        def load(self, component: str) -> float:
+            return loads[component]
+
+    class Stepper:
+        on: Any = None
+
+        def exchange(self, on: Any) -> None:
+            self.on = on
+
+        def run(self, state: Any, n: int) -> None:
+            clock[0] += n * (1e-6 + 2e-7 * bool(self.on) + 1e-8 * sum(loads[name] for name in self.on))
+
+    left_out, none = Switched(), Switched()
+    left_out.chosen, none.components = False, ()  # type: ignore[assignment]
+    engine: Any = SimpleNamespace(
+        effects=[Switched(), left_out, none, object()], stepper=Stepper(), system="system", frettings={},
+        state=SimpleNamespace(copy=lambda: None),
+    )  # fmt: skip
+    monkeypatch.setattr(plan_module, "SwitchedEffect", Switched)
+    monkeypatch.setattr(plan_module.time, "thread_time", lambda: clock[0])
+    (rate,) = plan_module._switched_rates(engine).values()
+    assert (rate.per_sample, rate.per_load) == pytest.approx((2e-7, 1e-8))
+    assert engine.stepper.on == "system"
+
+
+def test_a_long_score_is_planned_from_its_first_notes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plan_module, "_MOST_NOTES", 1)
+    score = tw.Score([tw.Note(0.0, 0.2, note=45), tw.Note(1.5, 0.5, note=45)])
+    found = tw.plan(score, tw.load_instrument("monochord"), 16000, tail=0.25, lead_in=0.0, effects="none")
+    assert found.duration_s == pytest.approx(1.5 + 0.5 + 0.25)
+    assert 0.2 < found.sketched_s <= 1.5
