@@ -10,8 +10,10 @@ from typing import Any, ClassVar
 
 import pytest
 
+import tonewood as tw
 from cli_runs import Asked, refused, told
 from tonewood.errors import TonewoodError
+from tonewood.sound.render.options import RenderOptions
 
 Run = Callable[..., tuple[int, str, str]]
 Patch = pytest.MonkeyPatch
@@ -414,6 +416,23 @@ def test_a_listening_test_is_served(tonewood: Run, tmp_path: Path, monkeypatch: 
 
 
 # live playing
+
+
+def test_the_gain_of_live_playing_is_that_of_all_open_strings(monkeypatch: Patch) -> None:
+    """Plucked one after the other in 10 ms each, at velocity 110."""
+    from tonewood.cli import live
+    from tonewood.sound.render import level
+
+    asked, options = Asked(-7.5), RenderOptions()
+    monkeypatch.setattr(level, "preview_gain", asked)
+    guitar = tw.load_instrument("classical_guitar")
+    assert live._gain(guitar, options) == -7.5
+    score, *rest = asked.words
+    assert rest == [guitar, options]
+    assert [(n.string, n.stop, n.velocity_midi) for n in score.notes] == [
+        (name, 0, 110) for name in guitar.string_names
+    ]
+    assert [n.time for n in score.notes] == pytest.approx([0.01 * i for i in range(6)])
 
 
 @pytest.mark.parametrize("ends", ["well", "badly", "at once"])
