@@ -33,3 +33,25 @@ def test_strings_are_listed(tonewood: Run) -> None:
     rows = json.loads(tonewood("strings", "exl110", "--json")[1])["strings"]
     assert rows[5]["tension"] == pytest.approx(72.13, abs=0.01)
     assert "together 460.8 N, 103.6 lb" in tonewood("strings", "exl110")[1]
+
+
+@pytest.mark.parametrize(
+    ("name", "inches", "material"),
+    # printed on their packets: gauges in thousandths of an inch; of ej46 none is known
+    [("exl110", (46, 36, 26, 17, 13, 10), True), ("ej16", (53, 42, 32, 24, 16, 12), False), ("ej46", (), False)],
+)
+def test_gauges_of_a_set_are_told(tonewood: Run, name: str, inches: tuple[int, ...], material: bool) -> None:
+    rows = json.loads(tonewood("strings", name, "--json")[1])["strings"]
+    found = [None if row["diameter"] is None else round(row["diameter"] / 25.4e-6) for row in rows]
+    assert found == (list(inches) or [None] * 6)
+    assert [row["material"] is not None for row in rows] == [material] * 6
+    text = tonewood("strings", name)[1].splitlines()[3:9]
+    for line, row in zip(text, rows, strict=True):
+        d = row["diameter"]
+        size = ["-", "-"] if d is None else [f"{1e3 * d:.3f}", f"{d / 0.0254:.4f}"]
+        assert line.split()[:4] == [row["note"], *size, row["material"] or "-"]
+        assert f"{row['tension']:.2f}" in line
+    longer = json.loads(tonewood("strings", name, "--length", 0.7, "--json")[1])["strings"]
+    assert {row["length"] for row in longer} == {0.7}
+    for a, b in zip(rows, longer, strict=True):
+        assert b["tension"] / a["tension"] == pytest.approx((0.7 / a["length"]) ** 2)
