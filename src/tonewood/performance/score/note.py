@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from tonewood.errors import ScoreError, kind_of
@@ -201,7 +203,7 @@ class Beats:
 
     def quarter(self, time: float) -> float:
         """Quarter notes from the beginning at a time, s."""
-        at, began, bpm = next((t for t in reversed(self.tempos) if t[0] <= time), self.tempos[0])
+        at, began, bpm = self.tempos[max(bisect_right(self.tempos, time, key=itemgetter(0)) - 1, 0)]
         return began + (time - at) * bpm / 60.0
 
     def measures(self, end: float) -> list[float]:

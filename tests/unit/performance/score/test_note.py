@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import UserList
 
 import numpy as np
 import pytest
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.controllers import Controllers, loudness
-from tonewood.performance.score.note import Control, Note, Score
+from tonewood.performance.score.note import Beats, Control, Note, Score
 
 
 @pytest.mark.parametrize(
@@ -84,3 +85,17 @@ def test_a_glide_that_is_no_place_in_time_and_pitch_is_refused(glide: tuple[floa
     Note(0.0, note=45, glides=((0.0, 0.0), (0.1, -384.0)))
     with pytest.raises(ScoreError, match=r"a glide of a note is .*: times from 0 and up to 384 semitones are allowed"):
         Note(0.0, note=45, glides=((0.0, 0.0), glide))
+
+
+def test_quarter_notes_of_a_time_are_found_among_many_tempos_in_few_steps():
+    looked: list[int] = []
+
+    class Counted(UserList[tuple[float, float, float]]):
+        def __getitem__(self, i):
+            looked.append(i)
+            return super().__getitem__(i)
+
+    beats = Beats(Counted([(0.5 * i, float(i), 120.0) for i in range(4096)] + [(2048.0, 4096.0, 60.0)]))
+    times = (-1.0, 0.0, 0.25, 100.1, 2048.0, 2050.0)
+    assert [beats.quarter(time) for time in times] == pytest.approx([-2, 0, 0.5, 200.2, 4096, 4098])
+    assert len(looked) < 20 * len(times)
