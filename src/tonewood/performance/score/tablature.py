@@ -181,9 +181,8 @@ def musicxml(tab: Tablature) -> bytes:
         if i == 0 or end - begin != size:
             size = end - begin
             _attributes(measure, tab, size, first=i == 0)
-        for tick, bpm in tab.tempos:
-            if begin <= tick < end:
-                _tempo(measure, tick - begin, bpm)
+        for tick, bpm in tab.tempos[bisect_left(tab.tempos, (begin,)) : bisect_left(tab.tempos, (end,))]:
+            _tempo(measure, tick - begin, bpm)
         at = begin
         first = bisect_left(starts, begin)
         for k in range(max(first - 1, 0), bisect_left(starts, end)):  # the one before may last into the measure

@@ -196,3 +196,26 @@ def test_a_string_struck_again_and_again_takes_the_first_free_ticks() -> None:
             tick += TICKS // 8
         taken.add(tick)
     assert [tick for tick, _ in tab.chords] == sorted(taken)
+
+
+def test_tempos_of_a_measure_are_found_in_few_steps() -> None:
+    compared: list[int] = []
+
+    class Tick(int):
+        def __le__(self, other: int) -> bool:
+            compared.append(1)
+            return int(self) <= other
+
+        def __ge__(self, other: int) -> bool:
+            compared.append(1)
+            return int(self) >= other
+
+        def __lt__(self, other: int) -> bool:
+            compared.append(1)
+            return int(self) < other
+
+    tempos = [(Tick(96 * i), 60.0 + i % 2) for i in range(200)]
+    tab = Tablature("T", GUITAR, 0, [], frozenset(), [96 * i for i in range(201)], tempos)
+    root = ET.fromstring(musicxml(tab))
+    assert [len(measure.findall("direction")) for measure in root.iter("measure")] == 200 * [1]
+    assert len(compared) < 200 * 20
