@@ -120,7 +120,7 @@ class FingerPluck(ta.Exciter[FingerPluckParameters]):
         p = self.adjusted(event.values)
         peak, force = p.force, self.parameters.force if p.linear else p.force
         if p.linear and force <= 0.0:
-            raise self.fault("is 0 N; `linear` needs a force above 0 of which the slip is taken", "force")
+            raise self.fault(f"needs `force` above 0 N, of which the slip is taken; {self.key}.force is 0 N", "linear")
         tip, x = p.tip, ta.metres(p.from_bridge, place)
         tension, freq = place.tension or _TENSION, event.freq or _FREQ
         impedance = tension / (2 * place.length * freq)

@@ -76,7 +76,7 @@ class Hands:
         plays: list[Play] = []
         for name in model.groups[assigned.string]:
             exciter = exciter_of(voice.note, model, assigned.string)
-            with values_of(assigned.note, exciter, f"string {assigned.string}", self._source):
+            with values_of(assigned.note, values, exciter, f"string {assigned.string}", self._source):
                 event, play = stroke(
                     assigned, name, model, values, stop_before=string.stop, duration=voice.duration,
                     una_corda=self._has_una_corda(voice), drawn=drawn,

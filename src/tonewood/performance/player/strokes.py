@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -59,7 +59,7 @@ def tapped(note: Note, model: Model, file: str) -> Play | None:
         return None
     force = force_of(note, model, 1.0)
     values = {} if force is None else {"force": force}
-    with values_of(note, exciter, exciter.at, file):
+    with values_of(note, values, exciter, exciter.at, file):
         return Play(note.time, exciter.gesture(Event(values), Place(exciter.at)), at=exciter.at)
 
 
@@ -99,15 +99,18 @@ def is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) ->
 
 
 @contextmanager
-def values_of(note: Note, exciter: Exciter[Any], where: str, file: str) -> Iterator[None]:
+def values_of(note: Note, values: Collection[str], exciter: Exciter[Any], where: str, file: str) -> Iterator[None]:
     """Raise a ScoreError, which names the note, where a value that it gives is out of its exciter's range.
 
+    values : names of those that it gives; faults of others are the bundle's.
     where : the note is played.
     """
     try:
         yield
     except BundleError as fault:
         name = (fault.key or exciter.key).removeprefix(f"{exciter.key}.")
+        if name not in values:
+            raise
         reason = f"the note at {note.time:g} s on {where}: {name} {fault.reason}"
         raise ScoreError(reason, file=file, key=exciter.key) from None
 
