@@ -410,7 +410,8 @@ def test_a_listening_test_is_served(tonewood: Run, tmp_path: Path, monkeypatch: 
     assert (app, options["ws"], options["lifespan"], options["server_header"]) == ("app", "none", "off", False)
     assert (cleared.words, served.words) == (("test",), ("test", pairs if staircase else None))
     assert application.words == ("127.0.0.1", ["lab"])
-    assert err == ("tonewood: monochord has changed\n" if staircase else "")
+    ended = f"tonewood: the server has ended; answers are in {tmp_path / 'answers'}\n"
+    assert err == ("tonewood: monochord has changed\n" if staircase else "") + ended
     assert closed.words == ((True,) if staircase else ())
     refused(tonewood("serve", tmp_path, "--port", -1), "0 to 65535 are allowed")
 

@@ -6,6 +6,7 @@ import ipaddress
 import re
 import socket
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -73,8 +74,8 @@ def serve(
             server_header=False, timeout_graceful_shutdown=2,
         )  # fmt: skip
         try:
-            uvicorn.Server(config).run(sockets=[listening])
-        except KeyboardInterrupt:  # the way to end a server
+            with suppress(KeyboardInterrupt):  # the way to end a server, which may not pass it on
+                uvicorn.Server(config).run(sockets=[listening])
             print(f"tonewood: the server has ended; answers are in {folder / 'answers'}", file=sys.stderr)
         finally:
             if pairs is not None:
