@@ -230,9 +230,10 @@ def test_the_exit_code_of_a_command_is_kept_for_signals_after_it(monkeypatch, co
         raise SystemExit(code)
 
     monkeypatch.setattr(main, "run", run)
+    monkeypatch.setenv("PYTHONSAFEPATH", "")  # put back after the test: it would reach the processes of others
     with pytest.raises(SystemExit) as end:
         start.main()
-    assert (calls, end.value.code) == (["begin", given], code)
+    assert (calls, end.value.code, os.environ["PYTHONSAFEPATH"]) == (["begin", given], code, "1")
 
 
 def fails(fault):
