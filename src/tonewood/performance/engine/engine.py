@@ -27,7 +27,7 @@ from tonewood.performance.engine.schedule import Schedule
 from tonewood.performance.player.fretting import FrettedBases, Fretting, at_rest, bridge_forces
 from tonewood.performance.player.gestures import quasi_static
 from tonewood.performance.player.timeline import GRID, Play, Timeline
-from tonewood.physics.coupling.potentials.solve import keep_moved
+from tonewood.physics.coupling.potentials.solve import cut_excess
 from tonewood.physics.coupling.system import Compiled, State, System
 from tonewood.physics.stepping.kernel import KernelStepper
 from tonewood.physics.stepping.motion import share_velocities
@@ -347,7 +347,7 @@ class Engine:
             self.system.modes_of(self.state, component)[:] = motion
         if restopped:
             share_velocities(self.system, self.state)
-        keep_moved(self.system, self.state, carried.keys())
+        cut_excess(self.system, self.state, carried.keys())
         self.counters.exchanges += len(changes)
         if self.energy_budget:
             self.energy_budget.changed("stops, bends and dampers", self.system, self.state)

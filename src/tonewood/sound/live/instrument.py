@@ -252,12 +252,7 @@ class Live:
         ------
         TonewoodError : another number than 0 to 127, or another value; also for a channel that is none.
         """
-        if (
-            not isinstance(number, int | np.integer)
-            or isinstance(number, bool)
-            or number not in range(128)
-            or not _within(value, 0.0, 1.0)
-        ):
+        if not (_whole(number, 128) and _within(value, 0.0, 1.0)):
             raise TonewoodError(f"controller {number!r} at {value!r}: 0 to 127, at values 0 to 1, are allowed")
         self._control(f"cc{number}", value, channel)
 

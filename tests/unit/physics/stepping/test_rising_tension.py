@@ -12,7 +12,7 @@ from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.coupling.laws import Contact
 from tonewood.physics.coupling.potentials.base import MiddleOfStep
 from tonewood.physics.coupling.potentials.coordinates import pay_from_motion
-from tonewood.physics.coupling.potentials.solve import RESET_STEPS, PotentialSolve, keep_moved
+from tonewood.physics.coupling.potentials.solve import RESET_STEPS, PotentialSolve, cut_excess
 from tonewood.physics.coupling.potentials.tension import TensionModulation
 from tonewood.physics.coupling.system import Readout, State, System
 from tonewood.physics.energy.stored import stored_energy
@@ -94,12 +94,12 @@ def test_an_excess_is_cut_to_a_thousandth_where_a_string_is_moved_from_outside(s
     value = at.joined.energy(at.y(states(system, state)))
     state.potentials[at.memory.start] = share * value
     before = state.potentials.copy()
-    keep_moved(system, state, set(system.potentials[1].components))
+    cut_excess(system, state, set(system.potentials[1].components))
     np.testing.assert_array_equal(state.potentials[at.memory], before[at.memory])
-    keep_moved(system, state, {mine[-1]})
+    cut_excess(system, state, {mine[-1]})
     assert state.potentials[at.memory] == pytest.approx([kept * value, *before[at.memory][1:]], rel=1e-12)
     state.potentials = np.zeros(0)
-    keep_moved(system, state, set(mine))
+    cut_excess(system, state, set(mine))
     assert state.potentials.size == 0
 
 

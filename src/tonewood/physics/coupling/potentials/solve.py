@@ -253,8 +253,11 @@ class DrivenForces:
         return np.array([joined.advance([x[i] for i in slots], memory[at]) for joined, slots, at in parts])
 
 
-def keep_moved(system: System, state: State, components: Set[str]) -> None:
-    """Cut the excess of two-way potentials whose components were moved from outside, in place."""
+def cut_excess(system: System, state: State, components: Set[str]) -> None:
+    """Cut the excess of psi^2 / 2 - C over V, in place, of two-way potentials whose components were moved from outside.
+
+    components : names of those that were moved; the others keep theirs.
+    """
     if not state.potentials.size:  # at rest
         return
     for index in system.potentials.two_way:
