@@ -10,8 +10,8 @@ from numbers import Real
 from tonewood.errors import ScoreError
 from tonewood.support.units import number_in
 
-#: notes of a score, and controls
-MAX_NOTES, MAX_CONTROLS = 100_000, 400_000
+#: notes of written music, and controls: reading the densest takes some 7 s
+MAX_NOTES, MAX_CONTROLS = 60_000, 400_000
 #: s, end of a score
 MAX_TIME = 6 * 3600.0
 #: characters of a number

@@ -18,7 +18,7 @@ HOLD = 1.5
 #: quarter notes per minute
 TEMPOS = (4.0, 2000.0)
 #: tempo changes that are played
-MOST_TEMPOS = 100_000
+MOST_TEMPOS = 60_000
 #: denominators of times are rounded to
 _FINEST = 10**9
 #: s by which grace notes may come before the first measure: all others are then later
