@@ -5,6 +5,9 @@ on the disk before the session goes on and the server confirms it. A line that a
 left out when the file is read, and cut off when it is taken up again; that answer was never confirmed, so its page is
 shown again.
 
+An answer's line ends with ``crc32``, the checksum of the line up to there, so that a changed digit is noticed, too.
+Answers of earlier versions have none, nor has the first line, in which names may be replaced.
+
 The analysis reads on past damage: a line that is no answer of this course is left out and reported, the others count.
 A session with such a line is not continued.
 
@@ -18,6 +21,7 @@ import json
 import os
 import re
 import secrets
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,6 +41,8 @@ FOLDER = ANSWERS
 WITHDRAWN = "withdrawn.log"
 #: 128 random bits: a listener cannot guess the session of another one
 _TOKEN = re.compile(r"[0-9a-f]{32}")
+#: a line, its checksum at the end
+_CHECKED = re.compile(rb'(.+), "crc32": "([0-9a-f]{8})"\}')
 #: key of the header -> type
 _HEADER = {"sha256": str, "listener": str, "language": str, "seed": int, "started": str, "simulated": bool}
 
@@ -123,7 +129,7 @@ def _parsed(path: Path, raw: bytes) -> ListenerAnswers:
         except ListeningError as fault:
             if number == 1:
                 raise ListeningError(fault.reason, file=path, line=1) from None
-            left_out.append(LeftOut(str(ListeningError(fault.reason, file=path, line=number))))
+            left_out.append(LeftOut(str(ListeningError(fault.reason, file=path, line=number, key=fault.key))))
     header = rows.pop(1, {})
     if header.get("schema") != SCHEMA or not _TOKEN.fullmatch(str(header.get("token", ""))):
         raise ListeningError(f"no answers of a listener: schema {SCHEMA} is wanted", file=path)
@@ -148,7 +154,18 @@ def _row(line: bytes) -> dict[str, Any]:
         raise ListeningError(f"not JSON: {fault}") from None
     if not isinstance(row, dict):
         raise ListeningError("not an answer")
+    if "crc32" in row:
+        match = _CHECKED.fullmatch(line)
+        if match is None or int(match[2], 16) != zlib.crc32(match[1]):
+            raise ListeningError("damaged: it has another checksum", key="crc32")
+        del row["crc32"]
     return row
+
+
+def _line(record: Mapping[str, Any]) -> bytes:
+    """Line of an answer, as `_row` reads it."""
+    text = json.dumps(record, ensure_ascii=False, allow_nan=False).removesuffix("}").encode()
+    return text + f', "crc32": "{zlib.crc32(text):08x}"}}\n'.encode()
 
 
 class OpenSession:
@@ -176,7 +193,7 @@ class OpenSession:
             the file may hold a part of the answer, take the session up again by `resume`.
         """
         record = {**self.session.record(message), "time": now}
-        record_bytes = (json.dumps(record, ensure_ascii=False, allow_nan=False) + "\n").encode()
+        record_bytes = _line(record)
         _append(self.path, record_bytes, at=self.length, sync=not self.header["simulated"])
         self.length += len(record_bytes)
         self.session.take(record)

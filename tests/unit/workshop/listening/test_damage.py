@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -134,12 +135,41 @@ def test_an_answer_sent_again_is_known_and_another_one_is_not(test: ListeningTes
         assert not session.session.has_taken(given | change)
 
 
+def test_a_changed_digit_of_an_answer_is_noticed(test: ListeningTest) -> None:
+    session = opened(test)
+    raw = session.path.read_bytes()
+    lines = raw.splitlines(keepends=True)
+    number = next(i for i, line in enumerate(lines) if b'"mushra"' in line)
+    for at, byte in enumerate(lines[number]):
+        if chr(byte).isdigit():
+            changed = bytearray(lines[number])
+            changed[at] = ord("0") + (byte - ord("0") + 1) % 10
+            session.path.write_bytes(b"".join([*lines[:number], bytes(changed), *lines[number + 1 :]]))
+            if b'"crc32": "' not in changed:  # no checksum by its name, and the answer is as it was
+                continue
+            reasons = [left.reason for left in read(session.path).left_out]
+            assert reasons == [f"{session.path}: line {number + 1}: crc32: damaged: it has another checksum"]
+
+
+def test_answers_without_checksums_count(test: ListeningTest) -> None:
+    """They are those of earlier versions."""
+    session = opened(test)
+    before = read(session.path)
+    plain = [re.sub(rb', "crc32": "[0-9a-f]{8}"', b"", line) for line in session.path.read_bytes().splitlines()]
+    session.path.write_bytes(b"\n".join(plain) + b"\n")
+    after = read(session.path)
+    assert (after.records, after.left_out) == (before.records, ())
+    assert not any("crc32" in record for record in before.records)
+
+
 @pytest.mark.slow
 def test_each_line_may_be_damaged_and_the_others_count(test: ListeningTest) -> None:
     """Line by line: garbage, a record cut and run into the next, one that is gone, one that is there twice."""
     session = opened(test)
     lines = session.path.read_bytes().splitlines()
     records = [json.loads(line) for line in lines[1:]]
+    for record in records:
+        del record["crc32"]  # damage is found without it, too
     stairs = [r["index"] for r in records if r["type"] == "staircase" and not r["training"]]
     assert len(stairs) >= 4
 
