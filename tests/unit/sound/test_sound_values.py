@@ -490,11 +490,11 @@ def test_arrivals_that_have_waited_too_long_keep_their_distances() -> None:
     arrivals.add(0.0, "a")
     now[0] = 0.05
     assert list(arrivals.due(0)) == ["a"]  # within the patience: at once
-    for time, name in ((1.0, "b"), (1.099, "c"), (1.1, "d"), (1.25, "e")):
+    for time, name in ((1.0, "b"), (1.148, "c"), (1.15, "d"), (1.355, "e")):
         arrivals.add(time, name)
     now[0] = 1.051
-    assert list(arrivals.due(500)) == ["b", "c"]
-    assert list(arrivals.due(600)) == ["d"]
+    assert list(arrivals.due(500)) == ["b", "c"]  # 100 frames, and those after the first 51 count twice: 149
+    assert list(arrivals.due(600)) == ["d"]  # 349
     assert list(arrivals.due(700)) == ["e"]
     arrivals.add(5.0, "f")
     assert list(arrivals.rest()) == ["f"]
@@ -620,6 +620,7 @@ def test_channels_of_zones_are_played_with_their_masters(channels: set[int] | No
     of = SimpleNamespace(is_member=lambda number: any(number in members for members in zones.values()))
     one = SimpleNamespace(zones=zones, channels=channels, _channels=of)
     one._masters = partial(MidiReceiver._masters, one)  # type: ignore[arg-type]
+    one._chosen = partial(MidiReceiver._chosen, one)  # type: ignore[arg-type]
     assert [one._masters(i) for i in (0, 1, 2, 3, 10, 15)] == [[], [0], [0], [], [15], []]
     assert {i for i in range(16) if MidiReceiver._is_played(one, i)} == played  # type: ignore[arg-type]
 
@@ -627,7 +628,7 @@ def test_channels_of_zones_are_played_with_their_masters(channels: set[int] | No
 @pytest.mark.parametrize(
     ("number", "done"),
     [
-        (120, ["all_off 3"]),
+        (120, ["release_keys 3 pedalled"]),
         (121, ["reset 3", "control 1 0.0 3", "control 11 1.0 3", "control 64 0.0 3"]),
         (122, ["local control"]),
         *((number, ["release_keys 3"]) for number in (123, 124, 127)),
@@ -636,10 +637,12 @@ def test_channels_of_zones_are_played_with_their_masters(channels: set[int] | No
 def test_messages_of_the_mode_of_a_channel(number: int, done: list[str]) -> None:
     """MIDI 1.0: 120 all sound off, 121 reset, 122 local control, from 123 on all notes off."""
     said = list[str]()
-    calls = {name: lambda *a, name=name: said.append(" ".join(map(str, (name, *a))))
-             for name in ("all_off", "reset", "control", "release_keys")}  # fmt: skip
+    calls = {name: lambda *a, name=name, **how: said.append(" ".join(map(str, (name, *a, *how))))
+             for name in ("reset", "control", "release_keys")}  # fmt: skip
     channels = SimpleNamespace(reached=lambda n: [n], reset=calls["reset"])
-    one: Any = SimpleNamespace(_channels=channels, live=SimpleNamespace(**calls), ignored=Counter(), _bend=list)
+    moved = {(3, f"cc{controller}") for controller in (1, 11, 64)}
+    live = SimpleNamespace(**calls, player=SimpleNamespace(controls=moved))
+    one: Any = SimpleNamespace(_channels=channels, live=live, ignored=Counter(), _bend=list)
     MidiReceiver._mode(one, 3, number)
     assert [*said, *one.ignored] == done
 

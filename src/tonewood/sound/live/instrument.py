@@ -312,8 +312,13 @@ class Live:
         self.player.all_off(channel, pedalled=True)
 
     @alone
-    def release_keys(self, channel: int | None = None) -> None:
+    def release_keys(self, channel: int | None = None, *, pedalled: bool = False) -> None:
         """Release all keys of a channel, or of all; notes that the pedal holds sound on.
+
+        Parameters
+        ----------
+        channel : 0 to 15; all where left out.
+        pedalled : end the notes that the pedal holds, too; the pedal stays where it is.
 
         Raises
         ------
@@ -321,7 +326,7 @@ class Live:
         """
         if channel is not None:
             _check_channel(channel)
-        self.player.all_off(channel)
+        self.player.all_off(channel, pedalled=pedalled)
 
     @alone
     def process(self, frames: int) -> Floats:

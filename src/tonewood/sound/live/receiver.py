@@ -69,7 +69,8 @@ class MidiReceiver:
             if not self.live.note_off(a, number):
                 self.ignored["note-off without a note"] += 1
         elif kind == 0xA0:
-            self.live.pressure(b / 127, number, note=a)
+            for at in self._chosen([number]):
+                self.live.pressure(b / 127, at, note=a)
         elif kind == 0xB0 and a < 120:
             self._controller(number, a, b)
         elif kind == 0xB0:
@@ -77,7 +78,7 @@ class MidiReceiver:
         elif kind == 0xC0:
             self.ignored["program change"] += 1
         elif kind == 0xD0:
-            for at in self._channels.reached(number):
+            for at in self._chosen(self._channels.reached(number)):
                 self.live.pressure(a / 127, at)
         else:
             self._channels.wheel(number, a, b)
@@ -85,8 +86,14 @@ class MidiReceiver:
 
     def _is_played(self, number: int) -> bool:
         if self.channels is not None:
-            return any(master + 1 in self.channels for master in (number, *self._masters(number)))
+            return bool(self._chosen([number]))
         return number + 1 != PERCUSSION or self._channels.is_member(number)
+
+    def _chosen(self, numbers: Sequence[int]) -> Sequence[int]:
+        """Channels that were chosen, by themselves or with the master of their zone; pedals of others move nothing."""
+        if self.channels is None:
+            return numbers
+        return [at for at in numbers if any(of + 1 in self.channels for of in (at, *self._masters(at)))]
 
     def _masters(self, number: int) -> list[int]:
         """Master of the zone of MPE of which a channel is a member."""
@@ -106,7 +113,7 @@ class MidiReceiver:
 
     def _controller(self, number: int, a: int, b: int) -> None:
         if a not in STEERING:
-            for at in self._channels.reached(number):
+            for at in self._chosen(self._channels.reached(number)):
                 self.live.control(a, b / 127, at)
         elif kind := self._channels.steer(number, a, b):
             self.ignored[kind] += 1
@@ -115,11 +122,12 @@ class MidiReceiver:
     def _mode(self, number: int, a: int) -> None:
         for at in self._channels.reached(number):
             if a == 120:
-                self.live.all_off(at)
+                self.live.release_keys(at, pedalled=True)
             elif a == 121:
                 self._channels.reset(at)
                 for controller, value in ((1, 0.0), (11, 1.0), (64, 0.0)):
-                    self.live.control(controller, value, at)
+                    if (at, f"cc{controller}") in self.live.player.controls:
+                        self.live.control(controller, value, at)
             elif a >= 123:
                 self.live.release_keys(at)
             else:

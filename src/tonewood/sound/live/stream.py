@@ -56,7 +56,9 @@ class Arrivals(Generic[T]):
     """Messages that wait for the block that they come before.
 
     One that has just come is due at once. Where the oldest has waited for longer than `PATIENCE`, because sound had not
-    begun or was interrupted, messages keep their distances: they come as late as that one, until none waits any more.
+    begun or was interrupted, the messages that came until then keep their distances. Those that come later are taken at
+    twice their pace until none waits any more: a stream that never pauses, such as a clock's, is in time again after
+    twice the interruption.
 
     fs, block_size : Hz, frames per block.
     clock : s, of the times of arrival.
@@ -65,8 +67,8 @@ class Arrivals(Generic[T]):
     def __init__(self, fs: int, block_size: int, clock: Callable[[], float] = time.monotonic):
         self._fs, self._block_size, self._clock = fs, block_size, clock
         self._waiting: deque[tuple[float, T]] = deque()
-        #: time of arrival and frame of the message that was late; None where none is
-        self._late: tuple[float, int] | None = None
+        #: time of arrival and frame of the message that was late, and frames that it had waited; None where none is
+        self._late: tuple[float, int, float] | None = None
 
     def add(self, time: float, message: T) -> None:
         """Add a message that came at a time, s; of several in their order."""
@@ -74,12 +76,13 @@ class Arrivals(Generic[T]):
 
     def due(self, frame: int) -> Iterator[T]:
         """Yield the messages due before the block that begins at a frame."""
-        if self._late is None and self._waiting and self._clock() - self._waiting[0][0] > PATIENCE:
-            self._late = self._waiting[0][0], frame
+        if self._late is None and self._waiting and (waited := self._clock() - self._waiting[0][0]) > PATIENCE:
+            self._late = self._waiting[0][0], frame, waited * self._fs
         while self._waiting:
             if self._late is not None:
-                time, first = self._late
-                if (self._waiting[0][0] - time) * self._fs >= frame - first + self._block_size:
+                time, first, missed = self._late
+                reached = frame - first + self._block_size
+                if (self._waiting[0][0] - time) * self._fs >= reached + max(reached - missed, 0.0):
                     return
             yield self._waiting.popleft()[1]
         self._late = None
