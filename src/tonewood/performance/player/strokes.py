@@ -42,9 +42,17 @@ def force_of(note: Note, model: Model, factor: float) -> float | None:
 
 
 def with_force(note: Note, model: Model, factor: float) -> Note:
-    """Return a note with its force in N, if it has one, in place of its velocity."""
-    force = force_of(note, model, factor)
-    return note if force is None else replace(note, force=force, velocity_midi=None)
+    """Return a note with its force in N, if it has one, in place of its velocity.
+
+    A `factor` below 1 brings it down to the least that the exciter allows: a volume of 0 refuses no note.
+    """
+    force, whole = force_of(note, model, factor), force_of(note, model, 1.0)
+    if force is None or whole is None:
+        return note
+    name = model.playing.velocity.parameter.partition(".")[2]
+    field = type(exciter_of(note, model).parameters).model_fields.get(name)
+    least = next((m.ge for m in field.metadata if hasattr(m, "ge")), -math.inf) if field is not None else -math.inf
+    return replace(note, force=max(force, min(whole, least)), velocity_midi=None)
 
 
 def beyond_capo(note: Note, capo: int) -> Note:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import tonewood as tw
+from tonewood.errors import ScoreError
 from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.performance.engine.engine import Engine
 from tonewood.performance.player.player import Player
 from tonewood.performance.player.playing import perform
+from tonewood.performance.player.strokes import with_force
 from tonewood.performance.player.timeline import GRID, Timeline
 
 FS = 16000
@@ -195,3 +198,18 @@ def test_points_at_which_nothing_is_done_can_be_left_out(model: Model, seed: int
     assert changes == whole.changes
     assert plain(Timeline(changes, plays)) == plain(whole)
     assert looked < 0.8 * 2.0 * FS / GRID
+
+
+@pytest.mark.parametrize("kind", ["cc7", "cc11"])
+def test_a_volume_of_zero_refuses_no_note(kind: str) -> None:
+    """The least force of a plectrum is 1 mN; a note that asks for less itself is still refused."""
+    steel = assemble(tw.load_instrument("steel_guitar"), 48000.0)
+    score = tw.Score([tw.Note(0.5, 0.5, note=50), tw.Note(1.0, 0.5, note=50, velocity_midi=127)])
+    faded = replace(score, notes=[replace(n, velocity_midi=127) for n in score.notes], controls=[
+        tw.Control(0.0, kind, 0.0), tw.Control(0.8, kind, 0.5)
+    ])  # fmt: skip
+    played = perform(faded, steel)
+    assert [assigned.note.force for assigned in played.notes] == [1e-3, pytest.approx(2.5 * 0.25)]
+    assert with_force(tw.Note(0.0, note=50, force=1e-4), steel, 1.0).force == 1e-4
+    with pytest.raises(ScoreError, match=r"force is 0\.0001 N"):
+        perform(tw.Score([tw.Note(0.5, 0.5, note=50, force=1e-4)]), steel)
