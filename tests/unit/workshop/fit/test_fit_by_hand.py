@@ -199,7 +199,7 @@ def test_a_candidate_may_be_negative_at_a_driving_point_within_its_noise() -> No
     y = y / np.sqrt(np.sum(2 * np.abs(y) ** 2))  # a gain of 1
     for second, itself in ((2.9, True), (3.1, False)):  # beyond doubt, a neighbour of the grid stands in for it
         found = filters.candidates(np.array([40 * y, -second * y]), 1)
-        assert (found.freq[0] == pytest.approx(at[k]) and found.quality[0] == pytest.approx(25.0)) is itself
+        assert np.allclose([found.freq[0], found.quality[0]], [at[k], 25.0], rtol=1e-6) is itself
 
 
 @pytest.mark.parametrize(
