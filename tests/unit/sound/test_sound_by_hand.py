@@ -24,9 +24,10 @@ from tonewood.sound.ensemble import mix
 from tonewood.sound.ensemble.mix import EnsemblePart
 from tonewood.sound.files import audio
 from tonewood.sound.files.audio import SoundWriter
+from tonewood.sound.level.loudness import resampled
 from tonewood.sound.live import take
 from tonewood.sound.live.session import LiveSession
-from tonewood.sound.live.stream import Arrivals
+from tonewood.sound.live.stream import Arrivals, AudioStream
 from tonewood.sound.render import energy, plan
 from tonewood.sound.render.model_file import flat, save_model, write_arrays
 from tonewood.sound.render.options import RenderOptions
@@ -462,6 +463,39 @@ def test_frames_before_the_first_are_left_out_however_they_are_stepped(monkeypat
         live._bases._waiting.extend([("A2", 0, {})] * waits)
         assert live.process(10)[:, 0].tolist() == list(range(70, 80))
         assert live.process(100)[:, 0].tolist() == list(range(80, 180))
+
+
+def test_blocks_of_a_stream_are_timed_clipped_and_given_to_both_sides(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks of 8 ms that take 2, 4 and 1 ms, by a processor that halves them and gives 96 frames in place of 64."""
+    clock = iter([0.0, 0.002, 1.0, 1.004, 2.0, 2.001, 3.0])
+    monkeypatch.setattr("tonewood.sound.live.stream.time.perf_counter", lambda: next(clock))
+
+    def longer(block: np.ndarray, fs: int) -> np.ndarray:
+        assert fs == FS
+        return np.concatenate([0.5 * block, 0.5 * block[:32]])
+
+    sound = AudioStream([np.full((64, 1), v) for v in (1.0, 3.0)], 64, ahead=9, chain=[longer], fs=FS, n_channels=1)
+    sound._fill()
+    given = [sound._ready.get() for _ in range(4)]
+    assert given.pop() is None
+    values = np.concatenate([0.5 * np.ones(96), np.ones(96)])
+    assert [block.tolist() for block in given if block is not None] == [
+        [[v, v] for v in values[first : first + 64]] for first in (0, 64, 128)
+    ]
+    assert (sound.n_channels, sound.clipped) == (2, 96)
+    assert list(sound.loads) == pytest.approx([0.25, 0.5, 0.125])
+    assert sound.latency == pytest.approx(11 * 0.008)
+    found = sound.playback()
+    assert (found.load, found.worst_block_s) == (pytest.approx(0.875 / 3), pytest.approx(0.004))
+
+
+def test_a_sound_is_resampled_by_as_many_taps_as_kaiser_s_formula_gives() -> None:
+    """(A - 7.95) / (2.285 pi width) + 1 of 110 dB and a width of 0.05 of the doubled rate's Nyquist frequency."""
+    taps = int(np.ceil((110 - 7.95) / (2.285 * np.pi * 0.05) + 1)) | 1
+    impulse = np.zeros((400, 1))
+    impulse[200] = 1.0
+    at = np.flatnonzero(resampled(impulse, 24000, 48000))
+    assert (at[0], at[-1]) == (400 - taps // 2, 400 + taps // 2)
 
 
 def test_settings_of_a_take_have_their_limits(tmp_path: Path) -> None:
