@@ -291,3 +291,50 @@ def test_a_bank_begins_with_the_modes_of_the_body_and_rings_no_longer_beyond_the
         assert bank.error_db[[r, 2 + r]] == pytest.approx(20 * np.log10(level))
     for scale, low_cut in ((0.05, 1.0), (20.0, 200.0), (2.0, 24.0)):
         assert radiation.fit_radiation(replace(given, freq=FREQ * scale), body, {"b": 0.5}).low_cut == low_cut
+
+
+def test_a_file_of_arrays_runs_no_code(tmp_path) -> None:
+    """Objects in a file of NumPy are pickles, whose reading may call anything."""
+    ran = tmp_path / "ran"
+
+    class Call:
+        def __reduce__(self):
+            return Path.touch, (ran,)
+
+    for name, save in (("a.npy", np.save), ("a.npz", np.savez)):
+        save(tmp_path / name, np.array([Call()], dtype=object), allow_pickle=True)
+        with pytest.raises(TonewoodError, match=rf"is no {name[2:]} file of arrays"):
+            arrays.npz_arrays(tmp_path / name)
+    assert not ran.exists()
+
+
+def test_coherences_are_real_arrays_of_the_responses_shape() -> None:
+    freq = np.arange(1.0, 21.0)
+    h = np.array([1.0, 2.0]) * (1 + 1j * freq[:, None])
+    g = np.array([0.5, 0.25]) * np.ones((20, 1))
+    given = {"freq_Hz": freq, "H": h, "coherence": g, "coh_one": g[:, 0], "cohort": 1j * g}
+    table = arrays.responses_of_arrays(Path("a.mat"), given, ["H"])
+    assert list(table.rows) == list(table.coherence) == [("H_1", "unnamed"), ("H_2", "unnamed")]
+    assert [row.tolist() for row in table.coherence.values()] == [[0.5] * 20, [0.25] * 20]
+    assert not arrays.responses_of_arrays(Path("a.mat"), {"freq_Hz": freq, "H": h, "cohort": 1j * g}, ["H"]).coherence
+
+
+def test_a_band_without_ends_begins_with_the_data() -> None:
+    """Below 1 Hz, too; what lies below a hundredth of a step stands for 0 Hz."""
+    freq = np.array([0.0, 9e-4, *np.arange(0.1, 5.0, 0.1)])
+    r = Responses(freq, np.ones((1, freq.size), complex), (("a", "a"),))
+    assert r.band(None, None).freq[0] == pytest.approx(0.1)
+    assert r.band(-1.0, 0.0).freq.size == 49
+    assert r.band(0.35, 4.0).freq[[0, -1]] == pytest.approx([0.4, 4.0])
+
+
+def test_shifts_of_hits_are_weighted_by_the_noise_of_each_response() -> None:
+    """A second response that is noise alone changes nothing."""
+    rng, freq, shift = np.random.default_rng(5), np.arange(1.0, 201.0), np.array([3e-6, -1e-6, -2e-6])
+    force = np.exp(2j * np.pi * rng.uniform(size=(3, 200)))
+    h, slope = rng.standard_normal((2, 200)) + 1j * rng.standard_normal((2, 200))
+    clean = force * (h - shift[:, None] * freq * slope)
+    motion = np.stack([clean, 30.0 * (rng.standard_normal((3, 200)) + 1j * rng.standard_normal((3, 200)))], axis=1)
+    slopes = np.stack([force * slope, 0 * force + 1.0], axis=1)
+    moved, _ = drift.Spectra(freq, force, motion, 0 * force, slopes).moves(np.arange(20, 180))
+    assert moved == pytest.approx(shift, abs=1e-8)
