@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fit_scenes import TAU
+from scipy.optimize import brentq
 
 from tonewood.workshop.fit import search
 from tonewood.workshop.fit.projection import FitData, LinearFit, Poles, Projection, Shape
@@ -220,3 +221,157 @@ def test_groups_of_eight_are_moved_by_themselves(monkeypatch) -> None:
     moved.clear()
     search.descend_in_groups(problem, poles[:16], 7)
     assert moved == [(16, 7, 1e-4)]
+
+
+# which modes stay
+
+
+def scene(at, quality, residues, sigma=1e-4, shape=None, freq=FREQ, beside=0.0):
+    y = np.atleast_2d(residues) @ resonances(freq, at, quality) + beside
+    shape = shape or Shape((0,), len(y), False, False, False)
+    return Projection(FitData(freq, y, np.full(y.shape, sigma)), shape), Poles.at(at, quality)
+
+
+def change_near(weak, quality):
+    """dB, r.m.s. change within two bandwidths and five steps of 600 Hz, where the other mode alone is fitted."""
+    near = np.abs(FREQ - 600.0) <= 2 * 600.0 / quality + 5.0
+    first, second = resonances(FREQ, [300.0, 600.0], [30.0, quality])
+    y = first + weak * second
+    alone = np.vdot(first, y).real / np.vdot(first, first).real * first
+    return np.sqrt(np.mean((20 * np.log10(np.abs(alone / y))[near]) ** 2))
+
+
+@pytest.mark.parametrize(("level", "seen"), [(0.049, False), (0.051, True)])
+def test_a_mode_that_changes_a_response_by_a_twentieth_of_a_decibel_stays(level, seen) -> None:
+    weak = brentq(lambda weak: change_near(weak, 40.0) - level, 1e-6, 0.1)
+    problem, poles = scene([300.0, 600.0], [30.0, 40.0], [1.0, weak])
+    assert search.inaudible(problem, poles, np.zeros(0)).tolist() == ([] if seen else [1])
+
+
+@pytest.mark.parametrize(("driving", "doubt", "whole"), [((0,), 0.2, False), ((), 0.11, True), ((), 0.09, False)])
+def test_without_a_driving_point_a_doubtful_mode_has_to_matter_over_the_whole_band(
+    driving, doubt, whole, monkeypatch
+) -> None:
+    """19 of 741 bins are near it: 0.15 dB there are a sixth of that in all."""
+    weak = brentq(lambda weak: change_near(weak, 300.0) - 0.15, 1e-6, 0.1)
+    shape = Shape(driving, 1, False, False, False)
+    problem, poles = scene([300.0, 600.0], [30.0, 300.0], [1.0, weak], shape=shape)
+    monkeypatch.setattr(Projection, "deviations", lambda self, poles: (None, np.full(len(poles), doubt), None))
+    assert search.inaudible(problem, poles, np.zeros(0)).tolist() == ([1] if whole else [])
+
+
+def test_of_several_the_one_that_matters_least_is_named() -> None:
+    problem, poles = scene([200.0, 400.0, 600.0], [30.0] * 3, [1.0, 3e-5, 1e-5], sigma=1e-8)
+    assert search.inaudible(problem, poles, np.zeros(0)).tolist() == [2]
+    assert search.inaudible(problem, poles, np.array([600.0 * np.exp(0.029)])).tolist() == [1]
+    assert search.inaudible(problem, poles, np.array([600.0 * np.exp(0.031)])).tolist() == [2]
+
+
+def test_modes_of_which_one_costs_too_much_are_taken_away_the_weakest_first(monkeypatch) -> None:
+    """Neighbours one at a time; those farther apart than four half bandwidths at once. A wrong sign comes first."""
+    gone = []
+
+    def descend(problem, poles, most, enough):
+        gone.append((poles.freq.round(3).tolist(), most, enough))
+        return poles, None
+
+    monkeypatch.setattr(search, "descend", descend)
+    # the half bandwidths re the frequencies are 0.02 each: 300 and 320 are within four of both, 300 and 360 are not
+    at, quality = [150.0, 300.0, 320.0, 600.0], [25.0] * 4
+    problem, poles = scene(at, quality, [1.0, 2e-7, 1e-7, 3e-7])
+    search.pruned(problem, poles, steps=3)
+    assert gone == [([150.0, 300.0], 3, 1e-3), ([150.0], 3, 1e-3)]
+    gone.clear()
+    problem, poles = scene([150.0, 300.0, 360.0, 600.0], quality, [1.0, 2e-7, 1e-7, 3e-7])
+    search.pruned(problem, poles)
+    assert gone == [([150.0], 4, 1e-3)]
+    gone.clear()
+
+
+class StopError(Exception):
+    """Ends a search with the poles that it would go on with."""
+
+
+@pytest.mark.parametrize(("share", "first"), [(0.21, 300.0), (0.19, 320.0)])
+def test_a_mode_of_a_wrong_sign_counts_a_fifth_of_its_gain(share, first, monkeypatch) -> None:
+    """Beside a neighbour that gains a share of it."""
+
+    def stop(problem, poles, most, enough):
+        raise StopError(poles)
+
+    at = [150.0, 300.0, 320.0, 600.0]
+    problem, poles = scene(at, [25.0] * 4, [1.0, -1.0, 1.0, 1.0])
+    answer = LinearFit(0.0, np.array([[1.0, -1.0, 1.0, 1.0]]), np.array([[1e4, 100.0, 100.0 * share, 1e4]]))
+    monkeypatch.setattr(Projection, "solve", lambda self, poles: answer)
+    monkeypatch.setattr(search, "prices", lambda problem, poles, solution: np.full(len(poles), 1e3))
+    monkeypatch.setattr(search, "descend", stop)
+    with pytest.raises(StopError) as caught:
+        search.pruned(problem, poles)
+    assert caught.value.args[0].freq == pytest.approx([f for f in at if f != first])
+
+
+def test_two_modes_may_be_one_for_four_prices_on_the_bins_around_them(monkeypatch) -> None:
+    """Two neighbours on each side move with them; of too few bins all have to move."""
+    at = 200.0 + 40.0 * np.arange(8)
+    problem, poles = scene(at.tolist(), [20.0] * 8, np.ones(8))
+    residues, one = problem.solve(poles).residues, Poles.at([340.0], [20.0])
+    moved, costs = [], [0.0]
+
+    def descend(problem, poles, most, enough):
+        moved.append((poles.freq.round(3).tolist(), most, enough))
+        return poles, LinearFit(costs[0], residues, residues)
+
+    monkeypatch.setattr(search, "descend", descend)
+    monkeypatch.setattr(search, "prices", lambda problem, poles, solution: np.array([9.0, 9.0, 5.0, 7.0, 9.0, 9.0]))
+    before = search._around(problem, poles, residues, np.arange(1, 7)).solve(poles[1:7]).cost
+    for costs[0], may in ((before + 27.9, True), (before + 28.1, False)):
+        assert search._may_be_one(problem, poles, residues, (3, 4), one) is may
+    assert moved[0] == ([240.0, 280.0, 340.0, 400.0, 440.0], 6, 1e-4)
+    search._may_be_one(problem, poles, residues, (0, 1), one)
+    assert moved[-1][0] == [280.0, 320.0, 340.0]
+    search._may_be_one(problem, poles, residues, (6, 7), one)
+    assert moved[-1][0] == [340.0, 360.0, 400.0]
+    monkeypatch.setattr(search, "_around", lambda *_: None)
+    assert search._may_be_one(problem, poles, residues, (3, 4), one) is True
+
+
+# matched filters
+
+
+def test_filters_are_on_a_grid_of_three_tenths_of_a_bandwidth_that_bins_resolve() -> None:
+    problem, _ = scene([200.0], [20.0], [1.0])
+    at, quality = search.MatchedFilters(problem)._grid
+    assert sorted(set(quality)) == [3, 6, 12, 25, 50, 100, 200, 400, 800]
+    for q in set(quality):
+        mine = at[quality == q]
+        assert np.diff(np.log(mine)) == pytest.approx(0.3 / q)
+        assert mine[0] == pytest.approx(max(60.0, 60.0 * np.exp(0.3 / q * np.ceil(np.log(0.5 * q / 60.0) * q / 0.3))))
+        assert mine[-1] < 800.0 <= mine[-1] * np.exp(0.3 / q)
+
+
+@pytest.mark.parametrize("structural", [False, True])
+def test_a_filter_reaches_six_bandwidths_and_three_bins(structural) -> None:
+    """The conjugate resonance over its noise, sqrt(2) / sigma; its length is the sum of squares."""
+    problem, _ = scene([200.0], [20.0], [1.0], 1e-3, Shape((0,), 1, False, False, False, structural))
+    one = search.MatchedFilters(problem)
+    (filters,), lengths = one._filters
+    at, quality = one._grid
+    for k in (5, np.flatnonzero(quality == 25)[40], np.flatnonzero(quality == 100)[150]):
+        w, s, reach = TAU * at[k], 1j * TAU * FREQ, 6 * at[k] / quality[k] + 3
+        h = s / (s * s + (1j * w * w / quality[k] if structural else w / quality[k] * s) + w * w)
+        row = np.where((at[k] - reach <= FREQ) & (at[k] + reach > FREQ), h.conj() * np.sqrt(2) / 1e-3, 0.0)
+        np.testing.assert_allclose(filters[[k]].toarray()[0], row, rtol=1e-9)
+        assert lengths[0, k] == pytest.approx(np.sum(np.abs(row) ** 2))
+
+
+def test_candidates_are_as_many_as_are_asked_for_and_worth_their_price() -> None:
+    problem, _ = scene([100.0, 300.0, 600.0], [25.0] * 3, [1.0, 2.0, 3.0], 1e-4)
+    filters = search.MatchedFilters(problem)
+    assert len(filters.candidates(problem.data.mobility, 2)) == 2
+    assert filters.candidates(problem.data.mobility, 1).freq[0] == pytest.approx(600.0, rel=0.01)
+    assert len(filters.candidates(problem.data.mobility)) == 12
+    problem, _ = scene([600.0], [25.0], [1.0])
+    gain = 2 * np.sum(np.abs(problem.data.mobility) ** 2) / 1e-8
+    for share, some in ((1.1, True), (0.99, False)):
+        weak = problem.data.mobility * np.sqrt(share * problem.price / gain)
+        assert (len(filters.candidates(weak)) > 0) is some
