@@ -102,7 +102,7 @@ _LONGER, _NO_BUILD = "longer than", "does not compile"
 
 
 class Reached:
-    """A plugin of pytest: lines of the package that each test reaches, and how long it takes, s.
+    """A plugin of pytest: lines of the package that each test reaches, and the processor time that it takes, s.
 
     What a fixture or a cached function of the package does counts for all tests of a file that use it.
     """
@@ -117,8 +117,9 @@ class Reached:
         """Begin, before the package is imported."""
         self.cover.start()
 
-    def pytest_runtest_protocol(self, item: pytest.Item) -> None:
-        """Turn to a test; empty the package's caches at the first of a file."""
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        """Turn to a test and time it; empty the package's caches at the first of a file."""
         if item.nodeid.partition("::")[0] != self.test.partition("::")[0]:
             for kept in gc.get_objects():
                 if type(kept) is CACHED and str(kept.__module__).startswith("tonewood"):
@@ -127,6 +128,10 @@ class Reached:
         self.cover.switch_context(self.test)
         for made in item._fixtureinfo.name2fixturedefs.values():  # type: ignore[attr-defined]  # private in pytest
             self.shared.setdefault(f"{made[-1].baseid} {made[-1].argname}", []).append(self.test)
+        began = sum(os.times()[:4])  # of this process and those that it has waited for
+        ran = yield
+        self.seconds[self.test] = sum(os.times()[:4]) - began
+        return ran  # type: ignore[return-value]  # passed on
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(self, fixturedef: pytest.FixtureDef[object]) -> Iterator[None]:
@@ -137,8 +142,7 @@ class Reached:
         return made  # type: ignore[return-value]  # passed on
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Add the time of a test, note that it failed."""
-        self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration
+        """Note that a test failed."""
         self.failed |= {report.nodeid} if report.failed else set()
 
     def pytest_sessionfinish(self) -> None:
@@ -241,10 +245,12 @@ class Copy:
     def near(self, edit: Edit, known: dict[str, list[Any]]) -> tuple[list[str], list[str]]:
         """Tests that reach the edited lines, and other tests of their files, or of those that start processes."""
         source, lines = str(edit.file), set(edit.lines)
-        pattern = re.compile(rf"\b(?:from|import) [\w.]*\b{edit.file.stem}\b")
+        name = rf"\b{edit.file.stem}\b"
+        forms = rf"from [\w.]*{name} import|import [\w.]*{name}|from [\w.]+ import (?:\([^)]*|[^\n(]*){name}"
+        pattern = re.compile(rf"^ *(?:{forms})", re.M)
         texts = {f: (self.folder / f).read_text(encoding="utf-8") for f in {t.partition("::")[0] for t in known}}
         first = [t for t, row in known.items() if (at := row[1].get(source)) and (not lines or lines & set(at))]
-        if not lines:  # a constant: whoever imports it may read it without running a line of its module
+        if not lines or edit.in_signature:  # whoever imports it may read it without running a line of its module
             first += [t for t in known if t not in first and pattern.search(texts[t.partition("::")[0]])]
         files = {t.partition("::")[0] for t in first}
         files |= set() if first else {f for f, text in texts.items() if re.search("subprocess|Popen|_in_process", text)}
@@ -340,7 +346,7 @@ def main() -> int:
     parser.add_argument("--edits", type=int, default=15)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--limit", type=float, default=300.0, help="s, of the tests of one edit")
-    parser.add_argument("--seconds", type=float, default=math.inf, help="s, of the tests of one edit as they took once")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="s of a processor, of the tests of one edit")
     parser.add_argument("--where", default="", help="FILE or FILE:LINE")
     parser.add_argument("--tests", nargs="+", help="in place of the package's own")
     parser.add_argument("--slow", action="store_true", help="slow tests, too")

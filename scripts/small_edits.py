@@ -79,6 +79,13 @@ class Edit:
                     found = range(node.lineno, (body[0].lineno if header else last + 1))
         return found
 
+    @property
+    def in_signature(self) -> bool:
+        """Whether it is a default of a function."""
+        line = self.source.count("\n", 0, self.start) + 1
+        functions = (n for n in ast.walk(ast.parse(self.source)) if isinstance(n, ast.FunctionDef))
+        return any(node.lineno <= line < node.body[0].lineno for node in functions)
+
     def __str__(self) -> str:
         first, last = self.source.rfind("\n", 0, self.start) + 1, self.source.find("\n", self.stop)
         old = " ".join(self.source[self.start : self.stop].split())

@@ -19,31 +19,41 @@ import yaml
 
 from tonewood.cli import (
     accuracy,
+    batch,
     check,
     common,
     compare,
     dataset,
     design,
+    desk,
     distance,
     ensemble,
     estimate,
     fit,
     intonation,
+    listing,
     live,
+    migrate,
     modes,
+    new,
+    plan,
     play,
     render,
     render_report,
     results,
     sample,
+    schema,
     serve,
     simulate,
     stems,
     stopping,
+    strings,
     tab,
     taptone,
+    validate,
     wood,
 )
+from tonewood.cli.commands import COMMANDS
 from tonewood.cli.options import _metavar
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.physics.plate.wood import Wood
@@ -577,31 +587,57 @@ def test_stems_of_strings_are_as_long_as_the_mix_and_at_its_gain(tmp_path, frame
         assert sf.read(file, always_2d=True)[0] == pytest.approx(wanted[:, columns], abs=1e-6)
 
 
+#: of a render's options, where a command has them
+RENDERS = {"fs": 48000, "accuracy": "standard", "tail": 10.0, "tail_level_db": -60.0, "gain_db": 0.0, "capo": 0,
+           "lead_in": "0", "room_mix_db": 0.0, "start": 0.0, "transpose": 0.0, "tempo": 1.0}  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("command", "defaults"),
     [
-        (accuracy.accuracy, {"fs": 48000, "bandwidth": 10000.0}),
+        (accuracy.accuracy, {"fs": 48000, "bandwidth": 10000.0, "notes": ""}),
+        (batch.batch, {"jobs": -1, "workers": "processes"}),
         (check.check, {"fs": 48000}),
         (compare.compare, {"duration": 4.0, "velocity": 80.0, "fs": 48000}),
+        (compare.report, {"duration": 4.0, "velocity": 80.0, "fs": 48000}),
+        (design.design, {}),
+        (desk.desk, {"port": 8137, "fs": 48000}),
+        (distance.distance, {"transpose": 0}),
         (estimate.estimate, {"transpose": 0, "iterations": 3}),
-        (intonation.intonation, {"frets": 12, "fs": 48000, "detail": False}),
+        (fit.fit, {"scale": 1.0, "damping": "auto", "estimator": "H1"}),
+        (intonation.intonation, {"frets": 12, "fs": 48000}),
+        (listing.list_installed, {}),
+        (migrate.migrate, {}),
         (modes.modes, {"stop": 0, "count": 12, "fs": 48000}),
-        (play.play, {"fs": 48000, "ramp": 5.0, "spacing": 2, "ahead": 4, "tempo": 1.0, "start": 0.0}),
-        (render.render, {"fs": 48000, "block": 4096, "gain_db": 0.0, "transpose": 0.0, "tempo": 1.0, "start": 0.0}),
+        (new.new, {}),
+        (plan.plan, RENDERS),
+        (play.play, {**RENDERS, "ramp": 5.0, "spacing": 2, "ahead": 4}),
+        (render.render, {**RENDERS, "block": 4096, "stems_by": "output"}),
         (results.results, {"confidence": 0.95, "screening": True}),
-        (sample.sample, {"every": 3, "round_robins": 2, "duration": 8.0, "releases": True, "tail_level_db": -60.0}),
-        (serve.serve, {"port": 8000}),
+        (sample.sample, {"velocities": "32,64,96,120", "every": 3, "round_robins": 2, "duration": 8.0, "releases": True,
+                         "sound_format": "flac", "jobs": 1, "fs": 48000, "accuracy": "standard",
+                         "tail_level_db": -60.0}),
+        (schema.schema, {"kind": "instrument"}),
+        (serve.serve, {"host": "127.0.0.1", "port": 8000}),
         (simulate.simulate, {"listeners": 20, "seed": 1}),
+        (strings.strings_for_sale, {}),
         (tab.tab, {"transpose": 0.0, "capo": 0}),
-        (taptone.taptone, {"fs": 48000, "channel": 1, "names": True}),
-        (wood.wood, {"thickness_error": 5e-5}),
+        (taptone.taptone, {"fs": 48000, "channel": 1, "band": (50.0, 1000.0), "names": True}),
+        (validate.validate, {}),
+        (wood.wood, {"species": "sitka_spruce", "thickness_error": 5e-5, "band": (30.0, 800.0)}),
         (common.print_json, {"ok": True}),
     ],
-)
+)  # fmt: skip
 def test_regression_of_defaults_of_options(command, defaults) -> None:
-    """Figures of the help of commands; a change of one changes what users get."""
-    parameters = inspect.signature(command).parameters
-    assert {name: parameters[name].default for name in defaults} == defaults
+    """Figures of the help of commands: a change of one changes what users get. All others are left out or off."""
+    given = {p.name: p.default for p in inspect.signature(command).parameters.values() if p.default is not p.empty}
+    assert {name: value for name, value in given.items() if value is not None and value is not False} == defaults
+
+
+def test_the_defaults_of_all_commands_are_held() -> None:
+    (table,) = (m for m in test_regression_of_defaults_of_options.pytestmark if m.name == "parametrize")
+    held = {(c.__module__.rpartition(".")[2], c.__name__) for c, _ in table.args[1]}
+    assert {tuple(where.split(":")) for where in COMMANDS.values()} <= held
 
 
 def test_a_bar_on_a_terminal_moves_to_its_end_and_no_farther(monkeypatch) -> None:

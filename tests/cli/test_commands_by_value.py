@@ -12,29 +12,15 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 import soundfile as sf
-import typer
 
 import tonewood as tw
 from cli_runs import Asked, refused, told
 from midi_bytes import note, write
-from tonewood.cli.app import application
 from tonewood.workshop.estimate.distance import Distance
 from tonewood.workshop.taps.ringing import Peak
 
 Run = Callable[..., tuple[int, str, str]]
 Patch = pytest.MonkeyPatch
-
-
-def test_switches_are_off_but_for_three_that_can_be_turned_off() -> None:
-    """No command runs the code of a bundle, prints JSON or all rows without being asked."""
-    group: Any = typer.main.get_command(application(None))
-    switches = [
-        (name, option.name, option.default) for name, c in group.commands.items() for option in c.params
-        if getattr(option, "is_flag", False)
-    ]  # fmt: skip
-    assert sum(option == "allow_code" for _, option, _ in switches) >= 18
-    on = {(name, option) for name, option, default in switches if default}
-    assert on == {("results", "screening"), ("sample", "releases"), ("taptone", "names")}
 
 
 # instruments

@@ -12,7 +12,7 @@ from fit_scenes import TAU, Truth
 
 from tonewood.errors import TonewoodError
 from tonewood.workshop.fit import arrays, drift, identify, noise, radiation, search
-from tonewood.workshop.fit.body import _shapes
+from tonewood.workshop.fit.body import _shapes, passive_body
 from tonewood.workshop.fit.fit import Fit, fit_responses
 from tonewood.workshop.fit.hits import is_double
 from tonewood.workshop.fit.projection import FitData, Poles, Projection, Shape
@@ -79,6 +79,18 @@ def test_a_certain_shape_may_be_small() -> None:
         shapes, error = _shapes(size * np.array([4.0, 2.0, 1.0]), np.full(3, size), pairs, ("a", "b"), certain=True)
         assert np.abs(shapes) == pytest.approx(np.sqrt(size) * np.array([[2.0, 1.0]]))
         assert error == pytest.approx(1 / 5)
+
+
+def test_modes_of_the_band_are_measured_and_those_beside_it_are_not() -> None:
+    """Bins from 60 to 800 Hz; a Q below 2 is background."""
+    at, quality = [59.5, 60.5, 200.0, 300.0, 799.5, 800.5], [30.0, 30.0, 1.99, 2.01, 30.0, 30.0]
+    y = np.ones((2, 6)) @ resonances(FREQ, at, quality)
+    problem, poles = Projection(FitData(FREQ, y, np.full(y.shape, 1e-6)), REAL), Poles.at(at, quality)
+    body = passive_body(
+        SimpleNamespace(problem=problem, poles=poles, solution=problem.solve(poles)), (("a", "a"), ("b", "a"))
+    )
+    assert body.freq == pytest.approx(at)
+    assert body.measured.tolist() == [False, True, False, True, True, False]
 
 
 @pytest.mark.parametrize("weak", [0, 1])
