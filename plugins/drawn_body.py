@@ -60,7 +60,7 @@ class WoodParameters(Parameters):
     G_RT: float | None = _modulus(doc="the same across the grain: rolling shear")
 
     @model_validator(mode="after")
-    def _known(self) -> WoodParameters:
+    def _species_or_values(self) -> WoodParameters:
         if self.species is not None and self.species not in ta.plate.SPECIES:
             raise ValueError(f"there is no species {self.species!r}; there are {', '.join(ta.plate.SPECIES)}")
         values = {k: v for k, v in self.model_dump().items() if v is not None}
@@ -114,7 +114,7 @@ class Outline(Parameters):
     )
 
     @model_validator(mode="after")
-    def _one(self) -> Outline:
+    def _one_outline(self) -> Outline:
         if sum(getattr(self, way) is not None for way in ("guitar", "points", "table", "svg")) != 1:
             raise ValueError("one of guitar, points, table and svg is wanted")
         return self

@@ -138,7 +138,7 @@ def _course(
     """Times, places from the resting string and velocities of a hammer from the blow on, `_NODES` of each."""
     speed = 2 * place.length * (event.freq or 1.0)
     impedance = max(place.tension, 1.0) / speed
-    met = sum(factor > 0 for _, factor in place.strings) or 1
+    n_strings = sum(factor > 0 for _, factor in place.strings) or 1
     softer = max((factor for _, factor in place.strings), default=1.0)
     dt = p.free_time / (_NODES * _STEPS)
     echo = max(1, round(2 * min(at, place.length - at) / speed / dt))
@@ -150,7 +150,7 @@ def _course(
         felt = softer * p.stiffness * gap**p.exponent * max(1 + p.loss * (v - slide), 0.0) if gap > 0 else 0.0
         past.append(felt)
         slide = (felt - (past[i - echo] if i >= echo else 0.0)) / (2 * impedance)
-        v -= met * felt / p.mass * dt
+        v -= n_strings * felt / p.mass * dt
         x, y = x + v * dt, y + slide * dt
         if (i + 1) % _STEPS == 0:
             times.append((i + 1) * dt)

@@ -221,8 +221,8 @@ def integrated(
         inside = np.flatnonzero((times > a) & (times <= b))
         # forces are continuous, so the value just inside the piece does at both of its ends
         stay = lambda t, y, a=a, b=b: rate(min(max(t, a), b - 1e-13), y)  # noqa: E731
-        asked = np.unique(np.concatenate([times[inside], [b]]))
-        done = solve_ivp(stay, (a, b), y, method="DOP853", rtol=rtol, atol=atol, t_eval=asked)
+        outputs = np.unique(np.concatenate([times[inside], [b]]))
+        done = solve_ivp(stay, (a, b), y, method="DOP853", rtol=rtol, atol=atol, t_eval=outputs)
         if not done.success:
             raise NumericalError(f"the reference was not found: {done.message}")
         out[inside] = done.y.T[: inside.size]

@@ -302,9 +302,9 @@ def test_the_first_guess_of_a_tension_goes_with_the_square_of_the_pitch(monkeypa
     assert StringTuning._first_guess(fake) == 70.0
     fake._tension_held, fake.stops.stopping.compensate = False, "none"
     assert StringTuning._first_guess(fake) == 70.0
-    fake._kept = SimpleNamespace(known={"A": (71.5, None)})
+    fake._kept = SimpleNamespace(entries={"A": (71.5, None)})
     assert StringTuning._first_guess(fake) == 71.5
-    fake._kept.known = {"B": (71.5, None)}
+    fake._kept.entries = {"B": (71.5, None)}
     assert StringTuning._first_guess(fake) == 70.0
 
 
@@ -357,13 +357,13 @@ def test_tunings_are_kept_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kept_tunings, "keep", lambda folder, key, content: written.append(content))
     kept = KeptTunings("guitar", 900.0)  # type: ignore[arg-type]
     kept.save()
-    assert (kept.known, written) == ({}, [])
+    assert (kept.entries, written) == ({}, [])
     tuned = TunedStop(110.1, 71.3, (CoupledMode(complex(-0.1, 691.7), (0.9, 0.05, 0.05), 1.625),))
     kept.add("A2", 70.0, tuned)
     kept.save()
     kept.save()
     (content,) = written
-    assert kept_tunings._decoded(content) == {"A2": (70.0, tuned)} == kept.known
+    assert kept_tunings._decoded(content) == {"A2": (70.0, tuned)} == kept.entries
     for before, after in ((b"110.1", b"110"), (b"1.625", b"true")):
         with pytest.raises(TypeError, match="is no number"):
             kept_tunings._decoded(content.replace(before, after))

@@ -18,7 +18,7 @@ from midi_bytes import note, write
 from tonewood.cli.main import run
 from tonewood.lab.accuracy import target_report
 from tonewood.lab.accuracy.partials import PartialErrors, compare
-from tonewood.lab.accuracy.target import Frontier, Setting, Target, Tried, Worst, cases_of, search
+from tonewood.lab.accuracy.target import Frontier, Setting, Target, Trial, Worst, cases_of, search
 
 FS = 24000
 
@@ -49,8 +49,8 @@ def test_the_own_error_of_a_reference_is_found_from_coarser_ones(order: float) -
     """Errors of h^order, seen against a reference that has some itself."""
     true = {h: 3.0 * h**order for h in (1.0, 2.0, 4.0)}
     half, quarter = (Worst(cents=true[h] - true[1.0]) for h in (2.0, 4.0))
-    assert Worst.own(half, quarter).cents == pytest.approx(true[1.0])
-    assert Worst.own(half, quarter).level is None
+    assert Worst.reference_error(half, quarter).cents == pytest.approx(true[1.0])
+    assert Worst.reference_error(half, quarter).level is None
 
 
 def test_the_worst_of_notes_is_the_largest_of_each_measure() -> None:
@@ -69,12 +69,12 @@ def test_the_nearest_setting_exceeds_its_limits_least() -> None:
     assert target.excess(Worst(4.0, 0.3)) == 4.0
     assert target.excess(Worst(cents=4.0)) == np.inf
     errors = (Worst(5.0, 0.1, 0.2), Worst(2.0, 0.3, 0.1), Worst(1.5, 0.4, 0.4))
-    tried = tuple(Tried(Setting(i + 1.0), e, False, i + 1.0, 1, 1.0) for i, e in enumerate(errors))
-    found = Frontier("x", target, ("A",), 48000, 1e4, tried, 8.0, Worst(0.25, 0.0), Worst(), 1, tried[0])
-    assert found.nearest is tried[1]
+    trials = tuple(Trial(Setting(i + 1.0), e, False, i + 1.0, 1, 1.0) for i, e in enumerate(errors))
+    found = Frontier("x", target, ("A",), 48000, 1e4, trials, 8.0, Worst(0.25, 0.0), Worst(), 1, trials[0])
+    assert found.nearest is trials[1]
     assert found.cheapest is None
     # with the reference's own error of 0.25 cents
-    assert [found.within("cents", v) for v in (5.25, 5.0, 2.25, 2.2, 1.7)] == [*tried[:2], *tried[1:], None]
+    assert [found.within("cents", v) for v in (5.25, 5.0, 2.25, 2.2, 1.7)] == [*trials[:2], *trials[1:], None]
     assert found.within("level", 9.0) is None
 
 
@@ -84,19 +84,20 @@ def test_an_error_that_is_not_known_meets_no_target() -> None:
 
 
 def test_the_frontier_has_what_nothing_cheaper_reaches() -> None:
-    tried = tuple(Tried(Setting(1.0), Worst(cents=e), e < 0.4, s, 1, 1.0) for s, e in ((1, 0.5), (2, 0.6), (3, 0.1)))
-    found = Frontier("x", Target.parse("0.4cent"), ("A",), 48000, 1e4, tried, 8.0, Worst(), Worst(), 1, tried[0])
-    assert [found.on_front(t, "cents") for t in tried] == [True, False, True]
-    assert found.cheapest is tried[2]
+    trials = tuple(Trial(Setting(1.0), Worst(cents=e), e < 0.4, s, 1, 1.0) for s, e in ((1, 0.5), (2, 0.6), (3, 0.1)))
+    found = Frontier("x", Target.parse("0.4cent"), ("A",), 48000, 1e4, trials, 8.0, Worst(), Worst(), 1, trials[0])
+    assert [found.on_front(t, "cents") for t in trials] == [True, False, True]
+    assert found.cheapest is trials[2]
 
 
 @pytest.mark.parametrize(
-    ("own", "said"), [(0.1, "no setting tried meets it. The nearest:"), (1.0, "not known so well")]
+    ("reference_error", "said"),
+    [(0.1, "no setting tried meets it. The nearest:"), (1.0, "the error of the reference is larger")],
 )
-def test_a_target_below_the_reference_is_said(own: float, said: str) -> None:
-    tried = (Tried(Setting(1.0), Worst(0.5, 0.0, 0.0, 0.1), False, 1.0, 1, 1e4),)
-    target, known = Target.parse("0.4cent"), Worst(own, 0.0, 0.0, 0.0)
-    found = Frontier("x", target, ("A",), 48000, 1e4, tried, 8.0, known, Worst(), 1, tried[0])
+def test_a_target_below_the_reference_is_said(reference_error: float, said: str) -> None:
+    trials = (Trial(Setting(1.0), Worst(0.5, 0.0, 0.0, 0.1), False, 1.0, 1, 1e4),)
+    target, known = Target.parse("0.4cent"), Worst(reference_error, 0.0, 0.0, 0.0)
+    found = Frontier("x", target, ("A",), 48000, 1e4, trials, 8.0, known, Worst(), 1, trials[0])
     assert said in target_report.summary(found).splitlines()[0]
 
 
@@ -124,7 +125,7 @@ def test_the_setting_found_meets_the_target_against_another_reference(monochord:
     best = case.errors(case.strokes(monochord.cheapest.setting.options), truth)
     assert best.cents_worst < 2.0
     assert best.level_worst < 1.0
-    for cheaper in monochord.tried[: monochord.tried.index(monochord.cheapest)]:
+    for cheaper in monochord.trials[: monochord.trials.index(monochord.cheapest)]:
         errors = case.errors(case.strokes(cheaper.setting.options), truth)
         assert errors.cents_worst > 2.0 or errors.level_worst > 1.0
 
@@ -136,15 +137,15 @@ def test_the_own_error_of_the_reference_is_of_the_right_size(monochord: Frontier
     reference, finer = (case.strokes({"oversampling": k * monochord.reference}).sounds for k in (1.0, 2.0))
     freq = 110.0 * 2 ** (5 / 12)
     error = compare(reference[:, FS // 10 :], finer[:, FS // 10 :], FS, freq)
-    assert monochord.own.level == pytest.approx(error.level_worst, rel=0.5)
-    assert monochord.own.cents == pytest.approx(error.cents_worst, rel=0.5)
+    assert monochord.reference_error.level == pytest.approx(error.level_worst, rel=0.5)
+    assert monochord.reference_error.cents == pytest.approx(error.cents_worst, rel=0.5)
 
 
 def test_text_json_and_chart(monochord: Frontier) -> None:
     text = target_report.summary(monochord)
     assert monochord.cheapest is not None
     assert text.splitlines()[0].endswith(monochord.cheapest.setting.words)
-    assert text.count("\n| ") == len(monochord.tried) + 2
+    assert text.count("\n| ") == len(monochord.trials) + 2
     plain = json.loads(json.dumps(target_report.to_json(monochord)), parse_constant=pytest.fail)
     assert plain["apply"] == monochord.cheapest.setting.words
     pytest.importorskip("matplotlib")
@@ -242,7 +243,7 @@ def test_instruments_that_are_not_linear(name: str) -> None:
     instrument = tw.load_instrument(name)
     found = search(instrument, Target.parse("5cent,8dB"), notes=[instrument.string_names[0]])
     assert found.cheapest is not None
-    assert np.isfinite(found.own.cents or np.nan)
+    assert np.isfinite(found.reference_error.cents or np.nan)
     assert (found.strokes > 1) == (name == "buzzing_monochord")
-    budgeted = [t for t in found.tried if t.setting.budgets is not None]
+    budgeted = [t for t in found.trials if t.setting.budgets is not None]
     assert bool(budgeted) == (name == "steel_strings")

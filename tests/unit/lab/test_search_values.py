@@ -69,19 +69,19 @@ def test_settings_are_tried_from_the_lowest_rate_until_well_beyond_the_first_tha
     found, shares = search(note)
     # the reference: eight steps a frame; from 16 and 64/16 - 1 and 64/4 - 1 by its order, 2
     assert (found.reference, found.strokes, found.notes, found.fs) == (8.0, 1, ("A:3",), 48000)
-    assert found.own.cents == pytest.approx(3.0 / (2 ** np.log2(15 / 3 - 1) - 1))
-    tried = [(0.5, [None])]  # 10 kHz is nearly all that it steps
-    tried += [(rate, [10e3, 12700.0 if rate < 1 else 14100.0, None]) for rate in (0.75, 1.0, 1.5, 2.0, 3.0, 4.0)]
-    settings = [Setting(rate, limit) for rate, limits in tried for limit in limits]
-    assert [t.setting for t in found.tried] == settings
-    by = {(t.setting.oversampling, t.setting.freq_limit): t for t in found.tried}
+    assert found.reference_error.cents == pytest.approx(3.0 / (2 ** np.log2(15 / 3 - 1) - 1))
+    trials = [(0.5, [None])]  # 10 kHz is nearly all that it steps
+    trials += [(rate, [10e3, 12700.0 if rate < 1 else 14100.0, None]) for rate in (0.75, 1.0, 1.5, 2.0, 3.0, 4.0)]
+    settings = [Setting(rate, limit) for rate, limits in trials for limit in limits]
+    assert [t.setting for t in found.trials] == settings
+    by = {(t.setting.oversampling, t.setting.freq_limit): t for t in found.trials}
     assert by[1.0, None].highest == 20e3
     assert by[0.5, None].highest == 0.45 * 0.5 * 48e3
     assert by[1.0, 10e3].highest == 10e3
     assert by[1.0, 14100.0].setting.words == "--oversampling 1 --freq-limit 14100"
     assert by[2.0, None].errors.cents == 15.0
     assert (by[2.0, None].met, by[1.5, None].met) == (True, False)
-    assert [t.seconds for t in found.tried] == sorted(t.seconds for t in found.tried)
+    assert [t.seconds for t in found.trials] == sorted(t.seconds for t in found.trials)
     assert found.cheapest.setting == Setting(2.0, 10e3)
     assert (found.default.setting, found.default.errors.cents) == (Setting(1.0), 63.0)
     assert found.modes.cents == 0.25
@@ -96,7 +96,7 @@ def test_settings_are_tried_from_the_lowest_rate_until_well_beyond_the_first_tha
 def test_a_sensitive_note_is_compared_by_strokes(nudged: float, strokes: int) -> None:
     """A fifth of the limit of 20 cents; chance is that of the halves of the reference."""
     found, _ = search(Note(nudged=nudged))
-    assert (found.strokes, found.own.cents) == (strokes, pytest.approx(1.0 if strokes == 1 else 9.0))
+    assert (found.strokes, found.reference_error.cents) == (strokes, pytest.approx(1.0 if strokes == 1 else 9.0))
 
 
 @pytest.mark.parametrize(("seconds", "reference"), [(1.8, 8.0), (1.9, 4.0), (3.7, 4.0), (3.8, 2.0), (99.0, 2.0)])
@@ -113,8 +113,8 @@ def test_a_reference_makes_at_most_16_steps_a_frame(standard: int, reference: fl
 def test_effects_that_are_switched_get_budgets() -> None:
     """Of the two cheapest that meet the target, down to the first budget that does."""
     found, _ = search(Note(), cents=16.4, switched=True)
-    auto = [(t.setting.oversampling, t.setting.budgets) for t in found.tried if t.setting.effects == "auto"]
-    assert {t.setting.effects for t in found.tried} == {"all", "auto"}
+    auto = [(t.setting.oversampling, t.setting.budgets) for t in found.trials if t.setting.effects == "auto"]
+    assert {t.setting.effects for t in found.trials} == {"all", "auto"}
     assert found.default.setting.effects == "auto"
     assert found.cheapest.setting.words == "--oversampling 2 --effects auto --budget-cents 0.05 --budget-db -120"
     assert auto == [(2.0, (5.0, -40.0)), (2.0, (0.5, -80.0)), (2.0, (0.05, -120.0)), (3.0, (5.0, -40.0))]

@@ -35,21 +35,21 @@ class KeptTunings:
     def __init__(self, instrument: Instrument, limit: float):
         self._key = _key(instrument, limit)
         #: string -> tension (N) at which its modes were first computed, and its tuning
-        self.known: dict[str, tuple[float, TunedStop]] = {}
+        self.entries: dict[str, tuple[float, TunedStop]] = {}
         if self._key is not None:
-            self.known = read_kept("tunings", self._key, _decoded) or {}
+            self.entries = read_kept("tunings", self._key, _decoded) or {}
         self._complete = True
 
     def add(self, name: str, guess: float, tuned: TunedStop) -> None:
-        """Enter a tuning that was not known."""
-        self.known[name] = guess, tuned
+        """Enter a new tuning."""
+        self.entries[name] = guess, tuned
         self._complete = False
 
     def save(self) -> None:
         """Write the tunings added; a file that cannot be written costs time alone."""
         if not self._complete and self._key is not None:
-            entries = {name: _plain(*entry) for name, entry in self.known.items()}
-            keep("tunings", self._key, json.dumps(entries).encode())
+            rows = {name: _plain(*entry) for name, entry in self.entries.items()}
+            keep("tunings", self._key, json.dumps(rows).encode())
             self._complete = True
 
 

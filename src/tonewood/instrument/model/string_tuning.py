@@ -199,8 +199,8 @@ class StringTuning:
 
     def _first_guess(self) -> float:
         """Tension of a rigidly held string of this pitch: f is proportional to the root of the tension."""
-        if self._kept is not None and self.stops.string in self._kept.known:
-            return self._kept.known[self.stops.string][0]
+        if self._kept is not None and self.stops.string in self._kept.entries:
+            return self._kept.entries[self.stops.string][0]
         nominal = self.resonator.tension
         if self._tension_held or self.stops.stopping.compensate == "none":
             return nominal
@@ -246,8 +246,8 @@ class StringTuning:
         if how == "open_only" and stop > 0:
             tension = self.tension(0.0)
             return self.under(tension, stop), tension
-        if stop == 0 and self._kept is not None and string in self._kept.known:
-            entry = self._kept.known[string][1]
+        if stop == 0 and self._kept is not None and string in self._kept.entries:
+            entry = self._kept.entries[string][1]
             return entry, entry.tension
         guess = self.tension(0.0) if stop > 0 else self._first_guess()
         try:

@@ -122,19 +122,19 @@ class Study:
         parts = ["# What does one cent cost?", least_time.section(self.outcomes)]
         if picture is not None:
             parts.append(f"![Error against time, one system and one quantity a row]({picture})")
-        parts += [READING, self._made, *(text for text, _ in self.more.values()), INTRODUCTION]
+        parts += [READING, self._provenance, *(text for text, _ in self.more.values()), INTRODUCTION]
         return "\n\n".join(part for part in parts if part) + "\n"
 
     def tables(self) -> str:
         """The appendix: every point of every system."""
-        parts = ["# What accuracy costs: tables", TABLES, self._made, SHORT, summary_table(self.outcomes)]
+        parts = ["# What accuracy costs: tables", TABLES, self._provenance, SHORT, summary_table(self.outcomes)]
         parts += [HEADLINE, headline_tables(self.outcomes)]
         parts += [expectation(o) for o in self.outcomes if o.name == "fabre_guitar"]
         parts += [section(o).rstrip() for o in self.outcomes]
         return "\n\n".join(parts) + "\n"
 
     @property
-    def _made(self) -> str:
+    def _provenance(self) -> str:
         command = f"tonewood accuracy{' --quick' * self.quick} --report FILE.md --plot FILE.png"
         return f"Printed by `{command}`. Machine: {self.machine_line}; a shared one: compare times as ratios."
 

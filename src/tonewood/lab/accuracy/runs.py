@@ -221,7 +221,7 @@ class ExplicitRun:
         a, m = self._scene.arrays, self._scene.arrays.modes
         q, v = apply(m.read, self._scene.x).T
         halved = v - a.acceleration(q, v) / (2 * self._fs)
-        self.state = self._layout.put(np.stack([q, halved, -m.omega2 * q - 2 * m.sigma * v]))
+        self.state = self._layout.state_of(np.stack([q, halved, -m.omega2 * q - 2 * m.sigma * v]))
 
     def run(self, n: int, every: int = 1) -> tuple[Floats, bool]:
         """See `Run`."""
@@ -232,6 +232,6 @@ class ExplicitRun:
     def energy(self) -> float:
         """See `Run`."""
         a = self._scene.arrays
-        q, w, _ = self._layout.take(self.state)
+        q, w, _ = self._layout.numbers_of(self.state)
         # the velocity half a step on needs the acceleration here
         return a.energy(q, w + a.acceleration(q, w) / (2 * self._fs))

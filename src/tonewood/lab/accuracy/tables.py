@@ -112,7 +112,7 @@ def headline(outcome: Outcome) -> str:
         never = [METHODS[h.method].title for h in others if h.ratio is None and h.best is not None]
         lost = [METHODS[h.method].title for h in others if h.best is None and h.stable]
         unstable = [METHODS[h.method].title for h in others if h.best is None and not h.stable]
-        said = [
+        clauses = [
             f"times as long: {', '.join(reached)}" * bool(reached),
             f"not reached: {', '.join(never)}" * bool(never),
             f"partials lost: {', '.join(lost)}" * bool(lost),
@@ -120,7 +120,7 @@ def headline(outcome: Outcome) -> str:
         ]
         lines.append(
             f"- **{name}**: tonewood at {ours.value} has {number(MEASURES[name].of(ours))} ({MEASURES[name].title}) "
-            f"for {number(ours.seconds)} s per second of sound. At that error, {'; '.join(filter(None, said))}."
+            f"for {number(ours.seconds)} s per second of sound. At that error, {'; '.join(filter(None, clauses))}."
         )
     return "\n".join(lines)
 

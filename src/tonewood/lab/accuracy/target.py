@@ -62,7 +62,7 @@ class Worst:
         )
 
     @classmethod
-    def own(cls, half: Worst, quarter: Worst) -> Worst:
+    def reference_error(cls, half: Worst, quarter: Worst) -> Worst:
         """Error of a reference, from those found with half and a quarter of its steps."""
         out: dict[str, float | None] = {}
         for name in NAMES:
@@ -164,7 +164,7 @@ class Setting:
 
 
 @dataclass(frozen=True, slots=True)
-class Tried:
+class Trial:
     """A setting, its errors, and its cost.
 
     setting, errors : against the reference.
@@ -187,9 +187,9 @@ class Frontier:
     """Settings that were tried, and their errors.
 
     instrument, target, notes, fs : of the question.
-    tried : from cheap to dear.
+    trials : from cheap to dear.
     reference : steps per frame of the reference.
-    own : its own error.
+    reference_error : its own error.
     modes : change by twice as high a limit of the strings' modes, at twice the rate of `standard`; the bundle's
         limit is part of the instrument and counts in no error.
     strokes : whose means were compared; 1 where a thousandth more force changes little.
@@ -201,34 +201,34 @@ class Frontier:
     notes: tuple[str, ...]
     fs: int
     bandwidth: float
-    tried: tuple[Tried, ...]
+    trials: tuple[Trial, ...]
     reference: float
-    own: Worst
+    reference_error: Worst
     modes: Worst
     strokes: int
-    default: Tried
+    default: Trial
 
     @property
-    def cheapest(self) -> Tried | None:
+    def cheapest(self) -> Trial | None:
         """The setting that meets the target in least time."""
-        return next((t for t in self.tried if t.met), None)
+        return next((t for t in self.trials if t.met), None)
 
-    def within(self, name: str, value: float) -> Tried | None:
+    def within(self, name: str, value: float) -> Trial | None:
         """The cheapest setting whose error of one measure, the reference's own added, is no larger."""
-        error = getattr(self.own, name)
-        sizes = ((t, getattr(t.errors, name)) for t in self.tried)
+        error = getattr(self.reference_error, name)
+        sizes = ((t, getattr(t.errors, name)) for t in self.trials)
         return next((t for t, e in sizes if e is not None and error is not None and e + error <= value), None)
 
-    def on_front(self, tried: Tried, name: str) -> bool:
+    def on_front(self, trial: Trial, name: str) -> bool:
         """Whether no cheaper setting has as small an error of one measure."""
-        error = getattr(tried.errors, name)
-        cheaper = (getattr(t.errors, name) for t in self.tried if t.seconds < tried.seconds)
+        error = getattr(trial.errors, name)
+        cheaper = (getattr(t.errors, name) for t in self.trials if t.seconds < trial.seconds)
         return error is not None and all(e is None or e > error for e in cheaper)
 
     @property
-    def nearest(self) -> Tried:
+    def nearest(self) -> Trial:
         """The setting that comes nearest to the target."""
-        return min(self.tried, key=lambda t: self.target.excess(t.errors))
+        return min(self.trials, key=lambda t: self.target.excess(t.errors))
 
 
 def cases_of(instrument: Instrument, notes: Sequence[str], fs: int) -> list[NoteCase]:
@@ -277,7 +277,7 @@ class _Search:
     tell: Tell
     factors: tuple[float, ...] = (1.0,)
     truths: list[Strokes] = field(default_factory=list)
-    own: Worst = field(default_factory=Worst)
+    reference_error: Worst = field(default_factory=Worst)
     effects: str | None = None
 
     def run(self) -> Frontier:
@@ -296,13 +296,13 @@ class _Search:
         self.truths = self._strokes(Setting(reference, effects=self.effects))
         self.tell(0.35)
         half, quarter = (self._errors(Setting(reference / n, effects=self.effects)) for n in (2, 4))
-        self.own = Worst.own(half, quarter)
+        self.reference_error = Worst.reference_error(half, quarter)
         if len(self.factors) > 1:
             pieces = [truth.halves() for truth in self.truths]
             chance = [case.errors(*two) for case, two in zip(self.cases, pieces, strict=True)]
-            self.own = self.own.largest(Worst.of(chance))
+            self.reference_error = self.reference_error.largest(Worst.of(chance))
         self.tell(0.5)
-        tried = self._tried(reference)
+        trials = self._trials(reference)
         default = self._try_default(standard)
         return Frontier(
             self.instrument.spec.name,
@@ -310,9 +310,9 @@ class _Search:
             tuple(f"{c.string}:{c.stop}" if c.stop else c.string for c in self.cases),
             self.fs,
             self.bandwidth,
-            tuple(tried),
+            tuple(trials),
             reference,
-            self.own,
+            self.reference_error,
             self._modes(base),
             len(self.factors),
             default,
@@ -328,9 +328,9 @@ class _Search:
         triples = zip(self.cases, strokes, self.truths, strict=True)
         return Worst.of([case.errors(rendered, truth) for case, rendered, truth in triples])
 
-    def _tried(self, reference: float) -> list[Tried]:
+    def _trials(self, reference: float) -> list[Trial]:
         """Settings from the lowest rate up, until well beyond the first that meets the target."""
-        out: list[Tried] = []
+        out: list[Trial] = []
         allowed = [r for r in RATES if FREQ_LIMIT * r * self.fs >= self.bandwidth and r <= reference / 2]
         if not allowed:
             raise TonewoodError(
@@ -357,30 +357,30 @@ class _Search:
         whole = Setting(rate, effects=self.effects)
         return [whole, *(replace(whole, freq_limit=f) for f in lower if self.bandwidth <= f < 0.9 * top)]
 
-    def _try(self, setting: Setting) -> Tried:
+    def _try(self, setting: Setting) -> Trial:
         strokes = self._strokes(setting)
         errors = self._held_against(strokes)
-        return self._made(setting, strokes, errors)
+        return self._trial(setting, strokes, errors)
 
-    def _made(self, setting: Setting, strokes: Sequence[Strokes], errors: Worst) -> Tried:
+    def _trial(self, setting: Setting, strokes: Sequence[Strokes], errors: Worst) -> Trial:
         top = self._top(setting.oversampling)
-        limit, met = min(top, setting.freq_limit or top), self.target.met(errors + self.own)
-        return Tried(setting, errors, met, strokes[0].seconds, strokes[0].n_modes, limit)
+        limit, met = min(top, setting.freq_limit or top), self.target.met(errors + self.reference_error)
+        return Trial(setting, errors, met, strokes[0].seconds, strokes[0].n_modes, limit)
 
     def _top(self, rate: float) -> float:
         """Highest mode of strings at a rate, Hz."""
         return min(FREQ_LIMIT * rate * self.fs, max(p.freq_upper for p in self.instrument.spec.strings.values()))
 
-    def _try_default(self, standard: float) -> Tried:
+    def _try_default(self, standard: float) -> Trial:
         strokes = [case.strokes({}, self.factors) for case in self.cases]
         setting = Setting(standard, effects=self.effects and "auto")
-        return self._made(setting, strokes, self._held_against(strokes))
+        return self._trial(setting, strokes, self._held_against(strokes))
 
-    def _timed(self, tried: Sequence[Tried]) -> list[Tried]:
+    def _timed(self, trials: Sequence[Trial]) -> list[Trial]:
         """Return the settings from cheap to dear, timed on the first note, all in turn."""
-        options = [t.setting.options for t in tried]
+        options = [t.setting.options for t in trials]
         times = self.cases[0].timed(options, 2, lambda share: self.tell(0.8 + 0.15 * share))
-        timed = (replace(t, seconds=seconds) for t, seconds in zip(tried, times, strict=True))
+        timed = (replace(t, seconds=seconds) for t, seconds in zip(trials, times, strict=True))
         return sorted(timed, key=lambda t: t.seconds)
 
     def _switched(self) -> bool:

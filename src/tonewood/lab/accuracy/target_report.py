@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from tonewood.lab.accuracy.target import NAMES, Frontier, Tried, Worst
+from tonewood.lab.accuracy.target import NAMES, Frontier, Trial, Worst
 from tonewood.lab.tables import number, table
 from tonewood.support.plotting import COLOURS, LINE, SMALL, figure, png, title
 
@@ -31,16 +31,16 @@ def summary(frontier: Frontier) -> str:
 
 def _answer(frontier: Frontier) -> str:
     best, default = frontier.cheapest, frontier.default
-    asked = f"{frontier.target.text} on {frontier.instrument} ({', '.join(frontier.notes)})"
+    question = f"{frontier.target.text} on {frontier.instrument} ({', '.join(frontier.notes)})"
     if best is None:
         near = frontier.nearest
-        if not frontier.target.met(frontier.own):
-            return f"{asked}: no setting can be shown to meet it; the reference itself is not known so well, see below."
-        return f"{asked}: no setting tried meets it. The nearest: {near.setting.words} ({_worded(near.errors)})."
+        if not frontier.target.met(frontier.reference_error):
+            return f"{question}: no setting can be shown to meet it: the error of the reference is larger, see below."
+        return f"{question}: no setting tried meets it. The nearest: {near.setting.words} ({_worded(near.errors)})."
     ratio = best.seconds / default.seconds
     meets = "meets it, too" if default.met else "does not meet it"
     return (
-        f"{asked}: {best.setting.words}\n"
+        f"{question}: {best.setting.words}\n"
         f"It takes {number(best.seconds, 3)} s of computing per second of sound, {number(ratio, 2)} times as "
         f"long as a render without options, which {meets} ({_worded(default.errors)})."
     )
@@ -51,8 +51,8 @@ def _ground(frontier: Frontier) -> list[str]:
     out = [
         f"Errors: worst partial of the first twenty within 40 dB of the loudest, worst note, 2 s at {frontier.fs} Hz, "
         f"against {frontier.reference:g} steps per frame{effects}.",
-        f"The reference's own error, by Richardson's extrapolation: {_worded(frontier.own)}. It is added before an "
-        "error is held against the target.",
+        f"The reference's own error, by Richardson's extrapolation: {_worded(frontier.reference_error)}. "
+        "It is added before an error is compared with the target.",
         "Part of the instrument and in no error: the limit of its strings' modes; twice as high, it would change "
         f"{_worded(frontier.modes)}.",
     ]
@@ -67,14 +67,14 @@ def _ground(frontier: Frontier) -> list[str]:
 def settings_table(frontier: Frontier) -> str:
     """A row per setting, from cheap to dear: `>` the cheapest that meets the target; `*` errors on the frontier."""
 
-    def effects(t: Tried) -> str:
+    def effects(t: Trial) -> str:
         budgets = t.setting.budgets
         return t.setting.effects or "" if budgets is None else "{:g} cents, {:g} dB".format(*budgets)
 
-    def error(name: str) -> Callable[[Tried], str]:
+    def error(name: str) -> Callable[[Trial], str]:
         return lambda t: f"{_shown(t.errors, name)}{'*' if frontier.on_front(t, name) else ''}"
 
-    columns: Mapping[str, Callable[[Tried], str]] = {
+    columns: Mapping[str, Callable[[Trial], str]] = {
         "meets": lambda t: ">" if t is frontier.cheapest else "yes" if t.met else "",
         "oversampling": lambda t: f"{t.setting.oversampling:g}",
         "modes to, kHz": lambda t: f"{t.highest / 1e3:.3g}",
@@ -85,7 +85,7 @@ def settings_table(frontier: Frontier) -> str:
         "time ratio": lambda t: number(t.seconds / frontier.default.seconds, 2),
     }
     note = "`>`: the cheapest that meets the target. `*`: no cheaper one has as small an error."
-    return f"{table(frontier.tried, columns)}\n\n{note}"
+    return f"{table(frontier.trials, columns)}\n\n{note}"
 
 
 def _shown(errors: Worst, name: str) -> str:
@@ -111,10 +111,10 @@ def chart_png(frontier: Frontier, *, dpi: int = 110) -> bytes:
 
     Raises TonewoodError : matplotlib is not installed.
     """
-    shown = [name for name in NAMES if any(getattr(t.errors, name) for t in frontier.tried)]
+    shown = [name for name in NAMES if any(getattr(t.errors, name) for t in frontier.trials)]
     chart, axes = figure(len(shown), heights=[3.6] * len(shown), sharex=True)
     best = [
-        t for t in sorted(frontier.tried, key=lambda t: t.seconds) if any(frontier.on_front(t, name) for name in shown)
+        t for t in sorted(frontier.trials, key=lambda t: t.seconds) if any(frontier.on_front(t, name) for name in shown)
     ]
     numbers = {id(t): i for i, t in enumerate(best, 1)}
     for ax, name in zip(axes[:, 0], shown, strict=True):
@@ -136,7 +136,7 @@ def chart_png(frontier: Frontier, *, dpi: int = 110) -> bytes:
 
 def _row(ax: Axes, frontier: Frontier, name: str, numbers: Mapping[int, int]) -> None:
     heading, factor = HEADS[name]
-    points = [(t, factor * e) for t in frontier.tried if (e := getattr(t.errors, name))]
+    points = [(t, factor * e) for t in frontier.trials if (e := getattr(t.errors, name))]
     ax.plot([t.seconds for t, _ in points], [e for _, e in points], "o", color="0.6", ms=7)
     front = [(t, e) for t, e in points if frontier.on_front(t, name)]
     ax.plot([t.seconds for t, _ in front], [e for _, e in front], "o-", color=COLOURS[0], lw=LINE, ms=9)
@@ -149,7 +149,7 @@ def _row(ax: Axes, frontier: Frontier, name: str, numbers: Mapping[int, int]) ->
         ax.plot(best.seconds, factor * error, "o", color=COLOURS[1], ms=17, mfc="none", mew=3)
     for value, style, text in (
         (getattr(frontier.target.limits, name), "-", "target"),
-        (getattr(frontier.own, name), ":", "the reference's own error"),
+        (getattr(frontier.reference_error, name), ":", "the reference's own error"),
     ):
         if value:
             ax.axhline(factor * value, color=COLOURS[1] if style == "-" else "0.3", ls=style, lw=LINE)
@@ -167,5 +167,5 @@ def _row(ax: Axes, frontier: Frontier, name: str, numbers: Mapping[int, int]) ->
     ax.grid(which="major", alpha=0.3)
 
 
-def _label(t: Tried) -> str:
+def _label(t: Trial) -> str:
     return f"{t.setting.oversampling:g}x, {t.highest / 1e3:.3g} kHz"

@@ -84,14 +84,14 @@ class Layout:
             self.parts.append((name, modes, slice(self.capacity, self.capacity + size)))
             self.capacity += size
 
-    def put(self, numbers: Floats) -> Floats:
+    def state_of(self, numbers: Floats) -> Floats:
         """(k, capacity) from numbers (k, n) of the modes."""
         state = np.zeros((len(numbers), self.capacity))
         for _, modes, slots in self.parts:
             state[:, slots.start : slots.start + modes.stop - modes.start] = numbers[:, modes]
         return state
 
-    def take(self, state: Floats) -> Floats:
+    def numbers_of(self, state: Floats) -> Floats:
         """Numbers (k, n) of the modes."""
         return np.concatenate(
             [state[:, slots.start : slots.start + modes.stop - modes.start] for _, modes, slots in self.parts], axis=1
@@ -136,7 +136,7 @@ class Runner:
     def start(self, x: Floats) -> None:
         """Put a state (n, 2) in."""
         numbers, forces = self.scheme.begin(x)
-        self.state, self.forces = self._layout.put(numbers), np.ascontiguousarray(forces, dtype=np.float64)
+        self.state, self.forces = self._layout.state_of(numbers), np.ascontiguousarray(forces, dtype=np.float64)
 
     def run(self, n: int, every: int = 1) -> tuple[Floats, int]:
         """Advance by n steps.
@@ -150,20 +150,20 @@ class Runner:
     @property
     def x(self) -> Floats:
         """(n, 2) the state."""
-        return self.scheme.motion(self._layout.take(self.state))
+        return self.scheme.motion(self._layout.numbers_of(self.state))
 
 
 def multipliers(scheme: Scheme) -> Complexes:
     """Eigenvalues of the step, found by stepping unit vectors of its state; parasitic ones among them."""
     runner, layout = Runner(scheme), Layout(scheme.problem)
     runner.start(np.zeros((scheme.problem.n_modes, 2)))
-    shape, forces = layout.take(runner.state).shape, runner.forces.shape
+    shape, forces = layout.numbers_of(runner.state).shape, runner.forces.shape
     size = int(np.prod(shape))
     columns = []
     for unit in np.eye(size + int(np.prod(forces))):
-        runner.state, runner.forces = layout.put(unit[:size].reshape(shape)), unit[size:].reshape(forces).copy()
+        runner.state, runner.forces = layout.state_of(unit[:size].reshape(shape)), unit[size:].reshape(forces).copy()
         runner.run(scheme.phases)
-        columns.append(np.concatenate([layout.take(runner.state).ravel(), runner.forces.ravel()]))
+        columns.append(np.concatenate([layout.numbers_of(runner.state).ravel(), runner.forces.ravel()]))
     return np.asarray(sla.eigvals(np.array(columns).T), dtype=np.complex128)
 
 

@@ -57,8 +57,8 @@ def noises(notes: Sequence[Assigned], plays: Sequence[Play], model: Model, capo:
     line, plays : notes of the string and their gestures.
     capo : stop at which the string is held before its first note.
     """
-    options, end, kept = model.playing.noises, model.playing.note_end, _kept(model)
-    if not kept:
+    options, end, names = model.playing.noises, model.playing.note_end, _noise_exciters(model)
+    if not names:
         return
     fret, free_from, slurs = capo, -math.inf, model.playing.slurs.named.values()
     for i, (assigned, play) in enumerate(zip(notes, plays, strict=True)):
@@ -67,9 +67,9 @@ def noises(notes: Sequence[Assigned], plays: Sequence[Play], model: Model, capo:
         for kind in ("fretting", "squeak"):
             far = abs(assigned.stop - fret) >= options.least_shift and min(assigned.stop, fret) > capo
             moves = assigned.stop != fret and not play.gesture.stops and play.exciter not in slurs
-            if kind not in kept or not moves or (kind == "squeak" and not far):
+            if kind not in names or not moves or (kind == "squeak" and not far):
                 continue
-            noise = _noise(kept[kind], assigned, fret, until, _SHARE * (until - free_from), model)
+            noise = _noise(names[kind], assigned, fret, until, _SHARE * (until - free_from), model)
             if noise is not None:
                 until = noise.start
                 yield noise
@@ -77,9 +77,9 @@ def noises(notes: Sequence[Assigned], plays: Sequence[Play], model: Model, capo:
         following = plays[i + 1].start if i + 1 < len(plays) else math.inf
         if end.kind == "ring" or not math.isfinite(assigned.end) or assigned.end >= following - 1e-3:
             continue
-        if "touch" in kept and assigned.end >= free_from:
+        if "touch" in names and assigned.end >= free_from:
             # as the string is damped
-            noise = _noise(kept["touch"], assigned, fret, _point_before(assigned.end, model.fs), math.inf, model)
+            noise = _noise(names["touch"], assigned, fret, _point_before(assigned.end, model.fs), math.inf, model)
             if noise is not None and noise.stop < following:
                 free_from = noise.stop
                 yield noise
@@ -93,7 +93,7 @@ def touch_at_end(assigned: Assigned | None, play: Play | None, time: float, mode
     There is none where the noise is not wanted, or the string is still being plucked. It is the one noise that needs no
     knowledge of the next note.
     """
-    name = _kept(model).get("touch")
+    name = _noise_exciters(model).get("touch")
     if name is None or assigned is None or (play is not None and play.stop > time):
         return []
     noise = _noise(name, assigned, assigned.stop, time, math.inf, model)
@@ -102,27 +102,27 @@ def touch_at_end(assigned: Assigned | None, play: Play | None, time: float, mode
 
 def key_noises(notes: Sequence[Assigned], model: Model) -> Iterator[Play]:
     """Yield the noises of a key's notes: as it goes down, and as it comes up before the next note."""
-    kept = _kept(model)
+    names = _noise_exciters(model)
     for i, assigned in enumerate(notes):
         note = assigned.note
         following = notes[i + 1].note.time if i + 1 < len(notes) else math.inf
         for kind, time in (("key", note.time), ("release", note.key_up)):
-            if kind not in kept or not math.isfinite(time) or (kind == "release" and time >= following):
+            if kind not in names or not math.isfinite(time) or (kind == "release" and time >= following):
                 continue
-            exciter = model.exciters[kept[kind]]
+            exciter = model.exciters[names[kind]]
             values = {} if note.force is None else {"velocity": note.force}
             values = {k: v for k, v in values.items() if k in type(exciter.parameters).model_fields}
             gesture = exciter.gesture(Event(values), Place(exciter.at or ""))
             if gesture.start < gesture.stop:
-                yield Play(time, gesture, at=exciter.at, exciter=kept[kind])
+                yield Play(time, gesture, at=exciter.at, exciter=names[kind])
 
 
 def not_live(model: Model) -> list[str]:
     """Noises that are wanted and need a score that is known ahead, as keys of the bundle."""
-    return [f"playing.noises.{kind}" for kind in _kept(model) if kind != "touch"]
+    return [f"playing.noises.{kind}" for kind in _noise_exciters(model) if kind != "touch"]
 
 
-def _kept(model: Model) -> dict[str, str]:
+def _noise_exciters(model: Model) -> dict[str, str]:
     """Noise -> exciter, of those that are wanted and not left out."""
     noises = model.playing.noises
     return {k: name for k, name in noises.named.items() if noises.on and model.choice.keeps(model.exciters[name])}

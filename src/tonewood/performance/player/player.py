@@ -66,7 +66,7 @@ class Player:
         )
         self.waiting: deque[Voice] = deque()
         #: (time at which it is to be done, number, event) of those that are known and still to come
-        self._known: list[tuple[float, int, Note | Control | Voice]] = []
+        self._events: list[tuple[float, int, Note | Control | Voice]] = []
         self.controls: dict[tuple[int, str], float] = {}
         self._switches = {float(note_number(k)): name for k, name in model.playing.keyswitches.items()}
         self._techniques: dict[int, str] = {}
@@ -95,9 +95,9 @@ class Player:
         for event in events:
             # a note is begun at the last point before its gesture's preparation, if it is known by then
             early = self.hands.preparation(event.technique) + self.hands.tick if isinstance(event, Note) else 0.0
-            heapq.heappush(self._known, (event.time - min(early, lookahead), next(self._numbers), event))
-        while self._known and self._known[0][0] <= sample / self.model.fs:
-            self._do(heapq.heappop(self._known)[2])
+            heapq.heappush(self._events, (event.time - min(early, lookahead), next(self._numbers), event))
+        while self._events and self._events[0][0] <= sample / self.model.fs:
+            self._do(heapq.heappop(self._events)[2])
         self._tick(sample)
         return self.hands.taken()
 
@@ -107,7 +107,7 @@ class Player:
             self.release(event)
         elif isinstance(event, Note):
             if (voice := self.note_on(event, time=event.time)) is not None:
-                heapq.heappush(self._known, (event.key_up, next(self._numbers), voice))
+                heapq.heappush(self._events, (event.key_up, next(self._numbers), voice))
         else:
             for channel in range(16) if event.channel is None else (event.channel,):
                 if event.kind == "bend":
@@ -175,7 +175,7 @@ class Player:
     @property
     def idle_points(self) -> int:
         """Points of the grid that may be stepped at once: 1 where something is to be done at the next."""
-        busy = self.waiting or self.keys.ending or self.keys.falling or self._known
+        busy = self.waiting or self.keys.ending or self.keys.falling or self._events
         return 1 if busy or not self.hands.idle else _IDLE
 
     @property
@@ -249,7 +249,7 @@ class Player:
         """Give notes that begin now their strings; later ones that are known count, too."""
         sounding = {v.assigned.string: Sounding(v.assigned.stop - self.capo, 1.0) for v in self.waiting if v.assigned}
         time = max([0.0, *(voice.time for voice in fresh)])
-        later = sorted((e for _, _, e in self._known if isinstance(e, Note) and e.time > time), key=lambda n: n.time)
+        later = sorted((e for _, _, e in self._events if isinstance(e, Note) and e.time > time), key=lambda n: n.time)
         notes, ahead = ([beyond_capo(note, self.capo) for note in notes] for notes in ([v.note for v in fresh], later))
         assigned, dropped = self._hand.assign(
             [replace(note, time=time) for note in notes], self.hands.sounding() | sounding, ahead

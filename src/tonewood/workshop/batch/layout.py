@@ -161,9 +161,9 @@ def _compared(
         return _Draft(label, index, fixed, names, ((None, names),))
     references = [c.name for c in members if reference.items() <= c.all_levels.items()]
     if len(references) != 1:
-        asked = ", ".join(f"{k}: {v}" for k, v in reference.items())
+        levels = ", ".join(f"{k}: {v}" for k, v in reference.items())
         raise ManifestError(
-            f"{{{asked}}} names {len(references)} conditions on {label}, one is wanted"
+            f"{{{levels}}} names {len(references)} conditions on {label}, one is wanted"
             + (": name more levels, or more factors in group_by" if references else ""),
             key=f"pages.{index}.reference",
         )

@@ -26,8 +26,8 @@ def manifest_edits(values: Mapping[str, Any], file: str | os.PathLike[str] | Non
     edits = []
     render = values.get("render")
     if isinstance(render, dict) and "precision" in render:
-        said = f"render.precision ({render['precision']}) is removed: always double"
-        edits.append(Edit("render.precision", None, said))
+        text = f"render.precision ({render['precision']}) is removed: always double"
+        edits.append(Edit("render.precision", None, text))
     pages = values.get("pages")
     for i, page in enumerate(pages if isinstance(pages, list) else ()):
         if isinstance(page, dict):

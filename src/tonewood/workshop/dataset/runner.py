@@ -178,20 +178,20 @@ def _predicted(plan: DatasetPlan, renderer: EngineRenderer) -> DatasetPlan:
     for index in [chosen[0], *chosen]:
         try:
             began = time.process_time()
-            tried = renderer.renderer(plan.samples[index].condition)
+            trial = renderer.renderer(plan.samples[index].condition)
             ready = time.process_time()
             frames = 0
-            for block in tried.blocks(4096):
+            for block in trial.blocks(4096):
                 frames += len(block)
-                if frames > _PIECE * tried.fs:
+                if frames > _PIECE * trial.fs:
                     break
         except TonewoodError as fault:
             name = plan.samples[index].condition.name
             faults.setdefault(name, Fault(name, str(fault)))
             continue
         stepped = time.process_time() - ready
-        seconds = frames / tried.fs
-        whole = tried.expected_duration - 0.5 * tried.options.tail if frames > _PIECE * tried.fs else seconds
+        seconds = frames / trial.fs
+        whole = trial.expected_duration - 0.5 * trial.options.tail if frames > _PIECE * trial.fs else seconds
         lengths.append(max(whole, seconds))
         costs.append(ready - began + stepped * lengths[-1] / max(seconds, 1e-9))
     plan = replace(plan, faults=tuple(faults.values()))

@@ -26,7 +26,7 @@ from tonewood.workshop.batch.store import content_key
 from tonewood.workshop.dataset import labels
 from tonewood.workshop.dataset.manifest import Dataset
 from tonewood.workshop.dataset.sampling import Sample
-from tonewood.workshop.dataset.sound import Sound, made, note_row
+from tonewood.workshop.dataset.sound import Sound, note_row, sound_of
 
 #: of ZIP entries; the format begins in 1980
 _DATE = (1980, 1, 1, 0, 0, 0)
@@ -65,7 +65,7 @@ def make(task: ShardTask) -> Shard:
     rows: list[dict[str, Any]] = []
     notes: list[dict[str, Any]] = []
     faults: list[Fault] = []
-    said: list[str] = []
+    texts: list[str] = []
     pieces: list[Any] = []
     files: dict[str, bytes] = {}
     physics: dict[str, bytes] = {}
@@ -74,7 +74,7 @@ def make(task: ShardTask) -> Shard:
         condition = sample.condition
         try:
             key = content_key(task.renderer.identity(condition))
-            sound = made(task.renderer, condition, sounds.level, sounds.stems == "string", sounds.duration)
+            sound = sound_of(task.renderer, condition, sounds.level, sounds.stems == "string", sounds.duration)
         except TonewoodError as fault:
             faults.append(Fault(condition.name, str(fault)))
             continue
@@ -99,9 +99,9 @@ def make(task: ShardTask) -> Shard:
             start += len(whole)
         notes += [note_row(condition.name, note) for note in sound.notes]
         files |= _labels(task, sample, sound)
-        said += _said(condition.name, sound)
+        texts += _warning_lines(condition.name, sound)
     seconds = sum(row["frames"] / row["fs"] for row in rows if row["stem"] == "")
-    return Shard(task.number, _written(task, rows, notes, pieces, files), physics, seconds, tuple(faults), tuple(said))
+    return Shard(task.number, _written(task, rows, notes, pieces, files), physics, seconds, tuple(faults), tuple(texts))
 
 
 def _facts(sample: Sample, sound: Sound, key: str, physics: str) -> dict[str, Any]:
@@ -135,7 +135,7 @@ def _labels(task: ShardTask, sample: Sample, sound: Sound) -> dict[str, bytes]:
     return files
 
 
-def _said(name: str, sound: Sound) -> list[str]:
+def _warning_lines(name: str, sound: Sound) -> list[str]:
     lines = [f"{name}: {reason}" for reason in (*sound.warnings, *sound.dropped)]
     for stem, clipped in sound.clipped.items():
         if clipped and stem:

@@ -66,7 +66,9 @@ class Sound:
     warnings: tuple[str, ...]
 
 
-def made(renderer: EngineRenderer, condition: Condition, level: str, by_string: bool, duration: float | None) -> Sound:
+def sound_of(
+    renderer: EngineRenderer, condition: Condition, level: str, by_string: bool, duration: float | None
+) -> Sound:
     """Render a sound.
 
     level : ``calibrated`` or ``peak``.

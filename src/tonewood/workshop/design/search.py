@@ -254,6 +254,6 @@ class _Named:
     """Resonances with other names."""
 
     def __init__(self, resonances: Resonances, named: dict[str, int]):
-        self._found, self.named = resonances, named
+        self._original, self.named = resonances, named
         self.freq, self.quality, self.squares = resonances.freq, resonances.quality, resonances.squares
         self.mass, self.mobility = resonances.mass, resonances.mobility

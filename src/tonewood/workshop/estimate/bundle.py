@@ -101,13 +101,13 @@ def _edited(text: str, estimate: Estimate, origin: RecordingOrigin) -> str:
         if bands:
             part["equalizer"] = [_flow(yaml, {k: v for k, v in band.items() if v is not None}) for band in bands]
     values["title"] = f"{values['name']}, estimated from recordings: {origin.title}"
-    said = {
+    source_entry = {
         "text": f"{origin.title}; recorded by {origin.recorded_by}",
         **({} if origin.url is None else {"url": origin.url}),
         "licence": origin.licence,
         "changes": f"{len(estimate.notes)} single notes analysed; no recording is part of this bundle",
     }
-    values["sources"].insert(0, SOURCE, said)  # comments hang on the last one
+    values["sources"].insert(0, SOURCE, source_entry)  # comments hang on the last one
     for path, note in _provenance(estimate).items():
         values["provenance"][path] = _flow(yaml, {"kind": "estimated", "source": SOURCE, "note": note})
     stream = io.StringIO()

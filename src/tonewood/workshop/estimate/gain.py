@@ -104,12 +104,12 @@ def bands_of(gain: Floats) -> tuple[Band, ...]:
     grid = np.geomspace(KNOTS[0], KNOTS[-1], 60)
     target = at(gain, grid)
 
-    def made(q: Floats) -> list[Band]:
+    def bands_at(q: Floats) -> list[Band]:
         return [(freq, float(db), quality) for (freq, quality), db in zip(kinds, q, strict=True)]
 
     def off(q: Floats) -> Floats:
-        return np.concatenate([response_db(made(q[:-1]), grid) + q[-1] - target, 0.03 * q[:-1]])
+        return np.concatenate([response_db(bands_at(q[:-1]), grid) + q[-1] - target, 0.03 * q[:-1]])
 
     most = np.append(np.full(len(kinds), 40.0), 300.0)
     q = least_squares(off, np.zeros(len(kinds) + 1), bounds=(-most, most)).x
-    return tuple((round(freq, 2), round(db, 3), quality) for freq, db, quality in made(q[:-1]))
+    return tuple((round(freq, 2), round(db, 3), quality) for freq, db, quality in bands_at(q[:-1]))

@@ -53,7 +53,7 @@ class Imported:
 
 
 @dataclass
-class _Given:
+class _TrialAnswer:
     """One answer, collected of its rows: ratings by code (and item), or a choice."""
 
     trial: ServedTrial
@@ -86,7 +86,7 @@ def read_answers(path: Path, test: ListeningTest) -> Imported:
     elif missing := [name for name in _READ[kind][0] if name not in columns]:
         raise ListeningError(f"has no column {missing[0]}; {', '.join(_READ[kind][0])} are wanted", file=path)
     trials = {trial.id: trial for trial in test.trials}
-    answers: dict[str, dict[tuple[Any, ...], _Given]] = {}
+    answers: dict[str, dict[tuple[Any, ...], _TrialAnswer]] = {}
     spoken: dict[str, list[dict[str, Any]]] = {}
     left_out: list[LeftOut] = []
     for line, row, beyond in rows:
@@ -208,7 +208,7 @@ def _number(text: str, key: str, low: float, high: float) -> float:
     return value
 
 
-def _rate(one: _Given, code: str, item: str, value: float) -> None:
+def _rate(one: _TrialAnswer, code: str, item: str, value: float) -> None:
     if code not in one.trial.codes:
         raise ListeningError(f"{code!r} is no sound of trial {one.trial.id}", key="stimulus")
     if (code, item) in one.ratings:
@@ -229,7 +229,7 @@ def _take_webmushra(
     kind: str,
     row: Row,
     trials: Mapping[str, ServedTrial],
-    into: dict[tuple[Any, ...], _Given],
+    into: dict[tuple[Any, ...], _TrialAnswer],
 ) -> None:
     name, _, count = row["trial_id"].partition("-")
     trial = _trial(row, name, trials)
@@ -246,9 +246,9 @@ def _take_webmushra(
         right = answer == "correct"
         choice = "undecided" if answer == "undecided" else "A" if right else "B"
         slots = {"A": reference, "B": other, "X": reference}
-        into[key] = _Given(trial, trial.page, repetition, slots, {}, choice, right, session=session)
+        into[key] = _TrialAnswer(trial, trial.page, repetition, slots, {}, choice, right, session=session)
         return
-    one = into.setdefault(key, _Given(trial, trial.page, repetition, {}, {}, session=session))
+    one = into.setdefault(key, _TrialAnswer(trial, trial.page, repetition, {}, {}, session=session))
     if kind == "mushra":
         code = reference if row["rating_stimulus"] == "reference" else row["rating_stimulus"]
         _rate(one, code, "", _number(row["rating_score"], "rating_score", 0.0, 100.0))
@@ -259,7 +259,7 @@ def _take_webmushra(
 
 
 def _take_plain(
-    test: ListeningTest, row: Row, trials: Mapping[str, ServedTrial], into: dict[tuple[Any, ...], _Given]
+    test: ListeningTest, row: Row, trials: Mapping[str, ServedTrial], into: dict[tuple[Any, ...], _TrialAnswer]
 ) -> None:
     trial = _trial(row, row["trial"], trials)
     if row["page"] != str(trial.page + 1):
@@ -271,7 +271,7 @@ def _take_plain(
     if isinstance(page, (pages.MushraPage, pages.Bs1116Page, pages.RatingPage)):
         if not (values := _values(row)):
             raise ListeningError("is missing", key="value")
-        one = into.setdefault(key, _Given(trial, trial.page, repetition, {}, {}, seconds=seconds))
+        one = into.setdefault(key, _TrialAnswer(trial, trial.page, repetition, {}, {}, seconds=seconds))
         for item, value in values.items():
             low, high, name = _limits(page, item)
             _rate(one, row.get("stimulus", ""), name, _number(value, "value", low, high))
@@ -287,7 +287,7 @@ def _take_plain(
     if response not in (allowed := choices(page, slots)):
         raise ListeningError(f"{response!r} is not one of {', '.join(allowed)}", key="response")
     right = _right(page, trial, slots, response)
-    into[key] = _Given(trial, trial.page, repetition, slots, {}, response, right, seconds)
+    into[key] = _TrialAnswer(trial, trial.page, repetition, slots, {}, response, right, seconds)
 
 
 def _values(row: Row) -> dict[str, str]:
@@ -356,7 +356,7 @@ def _questionnaire(test: ListeningTest, row: Row) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def _record(test: ListeningTest, one: _Given, index: int) -> dict[str, Any]:
+def _record(test: ListeningTest, one: _TrialAnswer, index: int) -> dict[str, Any]:
     """A record as the files of this test have them."""
     page, answer = test.pages[one.page], {"seconds": one.seconds}
     slots: dict[str, str] = one.slots

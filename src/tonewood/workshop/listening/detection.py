@@ -193,11 +193,14 @@ def _pooled(
     right = np.array([bool(row["value"]) for row in rows])
     if task != "same":
         return pooling.pooled(np.bincount(where, right), np.bincount(where, right >= 0), shares_of(task), confidence)
-    said = np.array([row["response"] == "different" for row in rows])
-    were = said == right
-    if were.all() or not were.any():
+    said_different = np.array([row["response"] == "different" for row in rows])
+    differed = said_different == right
+    if differed.all() or not differed.any():
         return None, None, None
-    hits, different, alarms, same = (np.bincount(where, x, len(who)) for x in (said & were, were, said & ~were, ~were))
+    hits, different, alarms, same = (
+        np.bincount(where, x, len(who))
+        for x in (said_different & differed, differed, said_different & ~differed, ~differed)
+    )
     return pooling.pooled_same_different(hits, different, alarms, same, confidence)
 
 

@@ -116,7 +116,7 @@ class _Listener:
     def __init__(self, panel: SimulatedPanel, key: Key, test: ListeningTest, random: np.random.Generator):
         self.panel, self.key, self.test, self.random = panel, key, test, random
         self.seed = int(random.integers(2**48))
-        self.own = float(random.normal(0.0, panel.listener_sd))
+        self.offset = float(random.normal(0.0, panel.listener_sd))
         self.careless = bool(random.random() < panel.careless)
         self.deviation = float(random.standard_normal())  # of thresholds
 
@@ -150,7 +150,7 @@ class _Listener:
     def _within(self, centre: float, low: float, high: float) -> float:
         if self.careless:
             return float(self.random.uniform(low, high))
-        return float(np.clip(centre + self.own + self.random.normal(0.0, self.panel.residual_sd), low, high))
+        return float(np.clip(centre + self.offset + self.random.normal(0.0, self.panel.residual_sd), low, high))
 
     def _heard(self, reference: str, codes: Mapping[str, str]) -> dict[str, float]:
         """Differences from the reference as they are heard, points by slot."""
@@ -181,7 +181,7 @@ class _Listener:
         heard = self._heard(slots[OPEN], codes)
         best = max(heard, key=heard.__getitem__)
         return {
-            slot: 100.0 if slot == best else float(np.clip(100 + self.own + value, 0, 100))
+            slot: 100.0 if slot == best else float(np.clip(100 + self.offset + value, 0, 100))
             for slot, value in heard.items()
         }
 

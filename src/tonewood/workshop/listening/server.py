@@ -74,7 +74,7 @@ class ListeningServer:
         self._lock = threading.Lock()
         self._beginning = threading.Lock()
         self._begun = len(list((test.folder / FOLDER).glob("*.jsonl")))
-        self._said: set[str] = set()
+        self._printed: set[str] = set()
 
     def application(self, host: str = "127.0.0.1", names: Collection[str] = ()) -> Guard:
         """The application, for any ASGI server.
@@ -116,9 +116,9 @@ class ListeningServer:
         )
 
     async def _begin(self, request: Request) -> Response:
-        asked = await json_body(request, ListeningError)
-        language = self._language(str(asked.get("language", "")))
-        listener = asked.get("listener") or ""
+        message = await json_body(request, ListeningError)
+        language = self._language(str(message.get("language", "")))
+        listener = message.get("listener") or ""
         if not isinstance(listener, str):
             raise ListeningError("is no text", key="listener")
 
@@ -280,15 +280,15 @@ class ListeningServer:
         expected = isinstance(fault, (TonewoodError, OSError))
         text = str(fault) if expected else "".join(traceback.format_exception(fault)).rstrip()
         with self._lock:
-            if (key := f"{type(fault)}{fault}") in self._said:
+            if (key := f"{type(fault)}{fault}") in self._printed:
                 return
-            if len(self._said) < 1000:
-                self._said.add(key)
+            if len(self._printed) < 1000:
+                self._printed.add(key)
         print(f"tonewood: {origin}: {text}", file=sys.stderr)
 
-    def _language(self, asked: str) -> str:
+    def _language(self, wishes: str) -> str:
         """The first language asked for (with commas between) that the test has, or its own."""
-        for wish in asked.split(","):
+        for wish in wishes.split(","):
             for name in (wish.strip(), wish.strip().partition("-")[0]):
                 if name in self.test.languages:
                     return name

@@ -259,7 +259,7 @@ def match_wolves(instruments: Sequence[Sequence[WolfNote]]) -> tuple[WolfMatch, 
     rows: list[list[WolfNote | None]] = []
     for i, wolves in enumerate(instruments):
         for wolf in wolves:
-            fit = [row for row in rows if row[i] is None and any(w is not None and _one(w, wolf) for w in row)]
+            fit = [row for row in rows if row[i] is None and any(w is not None and _overlap(w, wolf) for w in row)]
             if fit:
                 fit[0][i] = wolf
             else:
@@ -267,7 +267,7 @@ def match_wolves(instruments: Sequence[Sequence[WolfNote]]) -> tuple[WolfMatch, 
     return tuple(sorted((WolfMatch(tuple(row)) for row in rows), key=lambda m: -m.severity_cents))
 
 
-def _one(a: WolfNote, b: WolfNote) -> bool:
+def _overlap(a: WolfNote, b: WolfNote) -> bool:
     if a.string != b.string:
         return False
     overlap = a.low_freq <= b.high_freq and b.low_freq <= a.high_freq

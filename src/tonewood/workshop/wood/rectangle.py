@@ -61,16 +61,16 @@ class Rectangle:
         nominal = replace(nominal, density=density)
         ring = np.array([[0.0, 0.0], [length, 0.0], [length, width], [0.0, width]])
 
-        def made(wood: Wood) -> Plate:
+        def plate_of(wood: Wood) -> Plate:
             return Plate([ring], wood, thickness, FREE, size=length / 18, layers_of=nominal)
 
-        base, constants = made(nominal), stiffness_constants(nominal)
+        base, constants = plate_of(nominal), stiffness_constants(nominal)
         _, vectors = base.solution(count=_BASIS)
         whole = base.stored(vectors)
         parts = []
         for i in range(len(constants)):
             more = constants * np.where(np.arange(len(constants)) == i, 1.5, 1.0)
-            parts.append(2 * (made(wood_with(more, density)).stored(vectors) - whole))
+            parts.append(2 * (plate_of(wood_with(more, density)).stored(vectors) - whole))
         corner = base.operator([[SENSOR_AT, SENSOR_AT]]) @ vectors[-base.functions :]
         return cls(length, width, thickness, mass, nominal, np.array(parts), np.asarray(corner)[0])
 

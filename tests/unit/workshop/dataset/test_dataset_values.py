@@ -40,7 +40,7 @@ from tonewood.workshop.dataset.runner import (
 )
 from tonewood.workshop.dataset.sampling import points, samples, sources
 from tonewood.workshop.dataset.shards import Shard, ShardTask, make, parquet, shard_name, zipped
-from tonewood.workshop.dataset.sound import PlayedNote, Sound, _label, fitted, made, note_row
+from tonewood.workshop.dataset.sound import PlayedNote, Sound, _label, fitted, note_row, sound_of
 
 pytest.importorskip("pyarrow")
 
@@ -299,7 +299,7 @@ def test_a_sound_at_its_level(
     monkeypatch: pytest.MonkeyPatch, level: str, duration: float | None, expected: Any, gain: float, clipped: int
 ) -> None:
     monkeypatch.setattr("tonewood.workshop.dataset.sound.played", lambda *given: ())
-    sound = made(Renders(), SimpleNamespace(name="s"), level, False, duration)  # type: ignore[arg-type]
+    sound = sound_of(Renders(), SimpleNamespace(name="s"), level, False, duration)  # type: ignore[arg-type]
     np.testing.assert_allclose(sound.stems[""][:, 0], expected)
     assert (sound.gain_db, sound.clipped) == (pytest.approx(gain), {"": clipped})
     assert (sound.fs, sound.channels, sound.dropped, sound.warnings) == (
@@ -315,14 +315,14 @@ def test_sounds_without_samples_or_numbers_are_refused(monkeypatch: pytest.Monke
     condition: Any = SimpleNamespace(name="s")
     for wrong in (np.zeros((0, 1)), np.array([[1.0], [np.nan]])):
         with pytest.raises(NumericalError, match="s: the sound is empty, or not finite"):
-            made(Renders(wrong), condition, "peak", False, None)  # type: ignore[arg-type]
+            sound_of(Renders(wrong), condition, "peak", False, None)  # type: ignore[arg-type]
     wide = Renders()
     wide.channels = tuple("abcdefghi")  # type: ignore[assignment]
     with pytest.raises(TonewoodError, match="s: has 9 channels; FLAC holds up to 8"):
-        made(wide, condition, "peak", False, None)  # type: ignore[arg-type]
-    soft = made(Renders(np.full((4, 1), 0.01)), condition, "peak", False, None)  # type: ignore[arg-type]
+        sound_of(wide, condition, "peak", False, None)  # type: ignore[arg-type]
+    soft = sound_of(Renders(np.full((4, 1), 0.01)), condition, "peak", False, None)  # type: ignore[arg-type]
     assert (soft.gain_db, soft.clipped) == (pytest.approx(39.0), {"": 0})
-    silent = made(Renders(np.zeros((4, 1))), condition, "peak", False, None)  # type: ignore[arg-type]
+    silent = sound_of(Renders(np.zeros((4, 1))), condition, "peak", False, None)  # type: ignore[arg-type]
     assert (silent.gain_db, silent.clipped) == (0.0, {"": 0})
 
 
@@ -375,7 +375,7 @@ def shard(monkeypatch: pytest.MonkeyPatch, subtype: str = "PCM_24", count: int =
         return Sound({"": mix, "A": mix[:3, :1]}, 16000, ("l", "r"), notes, ("1.000 s: low",), -3.0, {"": 2, "A": 1},
                      ("loud",))  # fmt: skip
 
-    monkeypatch.setattr("tonewood.workshop.dataset.shards.made", sound)
+    monkeypatch.setattr("tonewood.workshop.dataset.shards.sound_of", sound)
     data = dataset(sampling="random", size=count, sounds={"subtype": subtype, **sounds},
                    parameters={"p": {"path": "note.force", "uniform": [1.0, 2.0]}})  # fmt: skip
     renderer: Any = SimpleNamespace(identity=lambda condition: {"n": condition.name}, allow_code=False)

@@ -31,7 +31,6 @@ from tonewood.workshop.batch.pages import (
     StaircasePage,
 )
 from tonewood.workshop.exchange.answers import (
-    _Given,
     _limits,
     _number,
     _questionnaire,
@@ -40,6 +39,7 @@ from tonewood.workshop.exchange.answers import (
     _right,
     _take_plain,
     _take_webmushra,
+    _TrialAnswer,
     _values,
     _who,
     joined,
@@ -510,7 +510,7 @@ def test_limits_of_scales() -> None:
 
 
 def test_ratings_are_of_sounds_of_the_trial_and_once() -> None:
-    one = _Given(TRIALS[0], 2, 1, {}, {})
+    one = _TrialAnswer(TRIALS[0], 2, 1, {}, {})
     _rate(one, "sb", "", 3.0)
     _rate(one, "sb", "loud", 4.0)
     _rate(one, "ra", "", 5.0)
@@ -636,16 +636,16 @@ def test_plain_rows_one_by_one(test: ListeningTest) -> None:
 
 
 def test_records_are_as_this_program_s_own(test: ListeningTest) -> None:
-    rated = _Given(TRIALS[0], 2, 3, {}, {("sb", ""): 7.0, ("ra", ""): 9.0}, seconds=1.5)
+    rated = _TrialAnswer(TRIALS[0], 2, 3, {}, {("sb", ""): 7.0, ("ra", ""): 9.0}, seconds=1.5)
     assert _record(test, rated, 4) == {
         "index": 4, "page": 3, "type": "mushra", "trial": "tm", "training": False, "repetition": 3,
         "slots": {"reference": "ra", "A": "sb", "B": "ra"},
         "answer": {"seconds": 1.5, "ratings": {"A": 7.0, "B": 9.0}},
     }  # fmt: skip
-    chosen = _record(test, _Given(TRIALS[2], 4, 1, {"A": "ra"}, {}, "A", False), 0)
+    chosen = _record(test, _TrialAnswer(TRIALS[2], 4, 1, {"A": "ra"}, {}, "A", False), 0)
     assert (chosen["answer"], chosen["right"], chosen["slots"]) == ({"seconds": 0.0, "choice": "A"}, False, {"A": "ra"})
-    assert "right" not in _record(test, _Given(TRIALS[5], 7, 1, {"A": "ra"}, {}, "A"), 0)
-    scaled = _record(test, _Given(TRIALS[6], 8, 1, {}, {("sb", "dry"): 1.0}), 0)
+    assert "right" not in _record(test, _TrialAnswer(TRIALS[5], 7, 1, {"A": "ra"}, {}, "A"), 0)
+    scaled = _record(test, _TrialAnswer(TRIALS[6], 8, 1, {}, {("sb", "dry"): 1.0}), 0)
     assert (scaled["slots"], scaled["answer"]["values"]) == ({"A": "sb"}, {"dry": 1.0})
 
 
