@@ -55,6 +55,7 @@ m: E2
         ('"\\ud800": 1\n', "line 1", "half a surrogate pair"),
         ('a: 1\nb: "x\\e[31m"\n', "line 2", "control character U+001B is not allowed"),
         ('"\\x9b31m": 1\n', "line 1", "control character U+009B is not allowed"),
+        ('a: "\\uffff"\n', "line 1", "control character U+FFFF is not allowed"),  # YAML and XML have none
         ("a: .nan\n", "a", "finite"),
         ("a: {b: [0, 1e999]}\n", "a.b.1", "finite"),
         ("- 1\n", "", "a list; a mapping"),

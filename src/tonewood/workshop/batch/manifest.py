@@ -332,6 +332,9 @@ class Manifest(Section):
         for name in page.group_by if isinstance(page, SoundPage) else ():
             if name not in choices and name != "repeat":
                 yield f"{key}.group_by", f"{name} is not one of {', '.join([*choices, 'repeat'])}"
+        for part in ("questions", "scales"):  # answers stand under these names
+            names = [one.name for one in getattr(page, part, ())]
+            yield from ((f"{key}.{part}", f"{name} stands there twice") for name in names if names.count(name) > 1)
         if isinstance(page, PairPage):
             for factor, pairs in page.pairs.items():
                 if factor not in choices:

@@ -19,6 +19,7 @@ from typing import Any
 from tonewood.support.text_files import decoded
 from tonewood.support.units import counted, number_in
 from tonewood.workshop.batch import pages
+from tonewood.workshop.exchange.course import identifiers
 from tonewood.workshop.exchange.psychopy import KEYS
 from tonewood.workshop.listening.answer_file import LeftOut, ListenerAnswers, printable
 from tonewood.workshop.listening.checked_answer import choices
@@ -269,7 +270,7 @@ def _take_plain(
     key = (trial.id, repetition)
     seconds = _number(row.get("seconds") or "0", "seconds", 0.0, 3.2e8)
     if isinstance(page, (pages.MushraPage, pages.Bs1116Page, pages.RatingPage)):
-        if not (values := _values(row)):
+        if not (values := _values(row, page)):
             raise ListeningError("is missing", key="value")
         one = into.setdefault(key, _TrialAnswer(trial, trial.page, repetition, {}, {}, seconds=seconds))
         for item, value in values.items():
@@ -290,11 +291,13 @@ def _take_plain(
     into[key] = _TrialAnswer(trial, trial.page, repetition, slots, {}, response, right, seconds)
 
 
-def _values(row: Row) -> dict[str, str]:
-    """Ratings of a row by item: one, or those of the columns of PsychoPy's sliders."""
+def _values(row: Row, page: pages.AnyPage) -> dict[str, str]:
+    """Ratings of a row by item: one, or those of the columns of PsychoPy's sliders, which are named by identifiers."""
     if "value" in row:
         return {row.get("item", ""): row["value"]}
-    return {m[1]: row[c] for c in row if (m := _RATE.fullmatch(c)) and row[c]}
+    scales = [scale.name for scale in page.scales] if isinstance(page, pages.RatingPage) else []
+    names = dict(zip(identifiers(scales), scales, strict=True))
+    return {names.get(m[1], m[1]): row[c] for c in row if (m := _RATE.fullmatch(c)) and row[c]}
 
 
 def _limits(page: pages.MushraPage | pages.Bs1116Page | pages.RatingPage, item: str) -> tuple[float, float, str]:

@@ -6,8 +6,9 @@ slots of each course are drawn as `tonewood serve` draws them.
 
 from __future__ import annotations
 
+import re
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,6 +55,18 @@ def left_out(test: ListeningTest, program: str, kept: tuple[type[Any], ...], why
         for index, page in enumerate(test.manifest.pages)
         if not isinstance(page, (*kept, HtmlPage)) and page.type != "finish"
     )
+
+
+def identifiers(names: Sequence[str]) -> list[str]:
+    """Names as programs allow them: letters, digits and underscores, a letter first; all different."""
+    found: list[str] = []
+    for name in names:
+        plain = re.sub(r"\W", "_", name)
+        plain = plain if plain[0].isalpha() else f"q{plain}"
+        while plain in found or (plain != name and plain in names):
+            plain += "_"
+        found.append(plain)
+    return found
 
 
 def words(test: ListeningTest, page: AnyPage) -> tuple[str, str]:

@@ -15,7 +15,16 @@ import soundfile
 from tonewood.support.csv_text import csv_text
 from tonewood.support.whole_files import write_whole
 from tonewood.workshop.batch import pages
-from tonewood.workshop.exchange.course import COURSES, Exported, codes_of, copy_sounds, course, left_out, shown_pages
+from tonewood.workshop.exchange.course import (
+    COURSES,
+    Exported,
+    codes_of,
+    copy_sounds,
+    course,
+    identifiers,
+    left_out,
+    shown_pages,
+)
 from tonewood.workshop.listening.definition import ListeningTest
 
 _KEPT = (pages.ConsentPage, pages.InstructionsPage, pages.LevelPage, pages.TrialPage)
@@ -126,10 +135,11 @@ def _trial_page(routines: ET.Element, flow: ET.Element, page: dict[str, Any], ro
             routine, "Sound", f"sound{number}_{i}",
             {"sound": (f"$sound{i}", "str", "set every repeat"), "startVal": (f"$start{i}", "code")},
         )  # fmt: skip
-    for i, scale in enumerate(page["scales"]):
+    names = identifiers([scale["name"] or "points" for scale in page["scales"]])
+    for i, (scale, variable) in enumerate(zip(page["scales"], names, strict=True)):
         low, high = scale["low"], scale["high"]
-        _component(routine, "Slider", f"rate{number}_{scale['name'] or 'points'}", {
-            "ticks": (f"({low:g}, {high:g})", "list"),
+        _component(routine, "Slider", f"rate{number}_{variable}", {
+            "ticks": (f"({low!r}, {high!r})", "list"),
             "labels": (repr([scale["low_label"] or f"{low:g}", scale["high_label"] or f"{high:g}"]), "list"),
             "granularity": ("0", "num"),
             "pos": (f"(0, {-0.1 - 0.1 * i:g})", "list"),

@@ -2,17 +2,19 @@
 
 Keys are those of webMUSHRA's documentation for experimenters (doc/experimenter.md) and of its configs/default.yaml
 (``questionnaire``). Identifiers of conditions are blind codes; anchors are sounds like others. The file was checked
-against these keys; webMUSHRA itself was not run on it.
+against these keys and read by yamljs, webMUSHRA's reader of YAML; webMUSHRA itself was not run on it.
 """
 
 from __future__ import annotations
 
-import io
+import json
+from collections.abc import Iterator
 from html import escape
 from pathlib import Path
 from typing import Any
 
 from tonewood.support.whole_files import write_whole
+from tonewood.workshop.batch.page_parts import Question
 from tonewood.workshop.batch.pages import (
     AbxPage,
     Bs1116Page,
@@ -24,7 +26,7 @@ from tonewood.workshop.batch.pages import (
     RatedPage,
     localised,
 )
-from tonewood.workshop.exchange.course import Exported, codes_of, copy_sounds, course, left_out, words
+from tonewood.workshop.exchange.course import Exported, codes_of, copy_sounds, course, identifiers, left_out, words
 from tonewood.workshop.listening.definition import ListeningTest
 
 _KEPT = (ConsentPage, InstructionsPage, LevelPage, MushraPage, Bs1116Page, AbxPage, QuestionnairePage)
@@ -35,17 +37,11 @@ def write(test: ListeningTest, folder: Path) -> Exported:
 
     Raises OutputError : a file cannot be written.
     """
-    from ruamel.yaml import YAML
-
     name = test.manifest.name
     sounds = f"configs/resources/{name}"
     rows = course(test, 0)
-    stream = io.StringIO()
-    writer = YAML(typ="safe", pure=True)
-    writer.default_flow_style = False
-    writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]  # declared as None
-    writer.dump(_config(test, sounds, rows), stream)
-    write_whole(folder / "configs" / f"{name}.yaml", stream.getvalue(), make_folder=True)
+    text = "\n".join(_yaml(_config(test, sounds, rows))) + "\n"
+    write_whole(folder / "configs" / f"{name}.yaml", text, make_folder=True)
     kept = {i + 1 for i, page in enumerate(test.manifest.pages) if isinstance(page, (MushraPage, Bs1116Page, AbxPage))}
     copy_sounds(test, codes_of(row for row in rows if row["page"] in kept), folder / sounds)
     notes = left_out(test, "webmushra", _KEPT)
@@ -56,29 +52,25 @@ def write(test: ListeningTest, folder: Path) -> Exported:
 
 def _config(test: ListeningTest, sounds: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
     pages: list[Any] = []
+    asked = [q for page in test.manifest.pages if isinstance(page, QuestionnairePage) for q in page.questions]
+    # the page that asks finds the fields by jQuery selectors: a plus sign or a first digit would disable its button
+    names = identifiers(["listener", *(question.name for question in asked)])[1:]
     questions: list[dict[str, Any]] = [{"type": "text", "label": "Your number or name", "name": "listener"}]
+    questions += [_question(q, name, test.manifest.language) for q, name in zip(asked, names, strict=True)]
     for index, page in enumerate(test.manifest.pages):
         title, content = words(test, page)
-        base = {"id": f"page{index + 1}", "name": escape(title), "content": _html(content)}
+        base = {"id": f"page{index + 1}", "name": escape(_line(title)), "content": _html(content)}
         if isinstance(page, ConsentPage):
             pages.append({"type": "consent", **base, "mustConsent": True})
         elif isinstance(page, LevelPage):
             pages.append({"type": "volume", **base, "stimulus": f"{sounds}/tone{index + 1}.wav", "defaultVolume": 0.5})
         elif isinstance(page, InstructionsPage):
             pages.append({"type": "generic", **base})
-        elif isinstance(page, QuestionnairePage):
-            for question in page.questions:
-                kind = "number" if question.kind in ("number", "scale") else "text"
-                limits = (
-                    {"min": question.low, "max": question.high, "default": question.low} if kind == "number" else {}
-                )
-                label = escape(localised(question.label, test.manifest.language))
-                questions.append({"type": kind, "label": label, "name": question.name, **limits})
         elif isinstance(page, (MushraPage, Bs1116Page, AbxPage)):
             of_page = [row for row in rows if row["page"] == index + 1]
             pages.append(["random", *(_trial(page, base, row, sounds) for row in of_page)])
     return {
-        "testname": escape(test.title(test.manifest.language)),
+        "testname": _line(test.title(test.manifest.language)),  # shown as text, others as HTML
         "testId": test.manifest.name,
         "bufferSize": 2048,
         "stopOnErrors": True,
@@ -86,10 +78,23 @@ def _config(test: ListeningTest, sounds: str, rows: list[dict[str, Any]]) -> dic
         "remoteService": "service/write.php",
         "pages": [
             *pages,
-            {"type": "finish", "name": escape(test.texts(test.manifest.language)["finish_title"]),
+            {"type": "finish", "name": escape(_line(test.texts(test.manifest.language)["finish_title"])),
              "content": "", "showResults": False, "writeResults": True, "questionnaire": questions},
         ],
     }  # fmt: skip
+
+
+def _question(question: Question, name: str, language: str) -> dict[str, Any]:
+    """An entry of webMUSHRA's questionnaire; a field that has a value before it is touched would count as answered."""
+    label = escape(_line(localised(question.label, language)))
+    asked: dict[str, Any] = {"type": "text", "label": label, "name": name}
+    if question.kind == "choice":
+        labels = {value: localised(text, language) for value, text in (question.choices or {}).items()}
+        response = [{"value": value, "label": escape(_line(text))} for value, text in labels.items()]
+        asked |= {"type": "likert", "response": response}
+    elif question.kind != "text":
+        asked |= {"type": "number", "min": question.low, "max": question.high, "default": ""}
+    return {**asked, "optional": True} if question.optional else asked
 
 
 def _trial(
@@ -117,5 +122,22 @@ def _trial(
     return trial
 
 
+def _line(text: str) -> str:
+    """A text in one line: webMUSHRA's reader of YAML knows no others, and HTML shows any white space as a blank."""
+    return " ".join(text.split())
+
+
 def _html(text: str) -> str:
-    return "".join(f"<p>{escape(part)}</p>" for part in text.split("\n\n") if part.strip())
+    return "".join(f"<p>{escape(_line(part))}</p>" for part in text.split("\n\n") if part.strip())
+
+
+def _yaml(value: Any, depth: int = 0) -> Iterator[str]:
+    """Lines of YAML as yamljs reads it: a sequence in a sequence begins on a line of its own, a text is in one line."""
+    pairs = value.items() if isinstance(value, dict) else (("", one) for one in value)
+    for key, inner in pairs:
+        head = "  " * depth + (f"{key}:" if isinstance(value, dict) else "-")
+        if isinstance(inner, (dict, list)) and inner:
+            yield head
+            yield from _yaml(inner, depth + 1)
+        else:
+            yield f"{head} {json.dumps(inner, ensure_ascii=False)}"

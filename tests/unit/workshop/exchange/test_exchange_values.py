@@ -182,7 +182,7 @@ def test_webmushra_s_configuration(test: ListeningTest, tmp_path: Path) -> None:
     assert config == json.loads(json.dumps(_config(test, sounds, course(test, 0))))
     consent, level, mushra, grades, abx, finish = config.pop("pages")
     assert config == {
-        "testname": "Mine &lt;x&gt;", "testId": "my-test", "bufferSize": 2048, "stopOnErrors": True,
+        "testname": "Mine <x>", "testId": "my-test", "bufferSize": 2048, "stopOnErrors": True,
         "showButtonPreviousPage": False, "remoteService": "service/write.php",
     }  # fmt: skip
     assert consent == {
@@ -210,9 +210,10 @@ def test_webmushra_s_configuration(test: ListeningTest, tmp_path: Path) -> None:
     assert "unforced" not in pair
     assert finish.pop("questionnaire") == [
         {"type": "text", "label": "Your number or name", "name": "listener"},
-        {"type": "number", "label": "Age", "name": "age", "min": 1.0, "max": 99.0, "default": 1.0},
-        {"type": "text", "label": "Plays", "name": "plays"},
-        {"type": "number", "label": "Pain", "name": "pain", "min": 1.0, "max": 5.0, "default": 1.0},
+        {"type": "number", "label": "Age", "name": "age", "min": 1.0, "max": 99.0, "default": ""},
+        {"type": "likert", "label": "Plays", "name": "plays", "response": [{"value": "y", "label": "yes"}],
+         "optional": True},
+        {"type": "number", "label": "Pain", "name": "pain", "min": 1.0, "max": 5.0, "default": ""},
     ]  # fmt: skip
     assert (finish["showResults"], finish["writeResults"], finish["content"]) == (False, True, "")
     files = {p.name for p in (tmp_path / "out" / sounds).iterdir()}
@@ -277,7 +278,7 @@ def test_psychopy_s_components(test: ListeningTest, tmp_path: Path) -> None:
     assert "sound3_3" not in parts  # reference and one sound
     assert "sound9_1" in parts
     assert "sound9_2" not in parts
-    assert parts["rate9_dry"]["ticks"][0] == "(-2, 2)"
+    assert parts["rate9_dry"]["ticks"][0] == "(-2.0, 2.0)"
     assert parts["rate9_dry"]["labels"][0] == "['wet', '2']"
     assert parts["rate9_loud"]["labels"][0] == "['0', '100']"
     assert (parts["rate9_dry"]["pos"][0], parts["rate9_loud"]["pos"][0]) == ("(0, -0.1)", "(0, -0.2)")
@@ -522,9 +523,10 @@ def test_ratings_are_of_sounds_of_the_trial_and_once() -> None:
 
 
 def test_values_and_names_of_rows() -> None:
-    assert _values({"value": "3", "item": "dry", "rate9_dry.response": "4"}) == {"dry": "3"}
-    assert _values({"value": "3"}) == {"": "3"}
-    assert _values({"rate9_dry.response": "4", "rate9_loud.response": "", "rate9_x": "1"}) == {"dry": "4"}
+    rated = page("rating", scales=SCALES)
+    assert _values({"value": "3", "item": "dry", "rate9_dry.response": "4"}, rated) == {"dry": "3"}
+    assert _values({"value": "3"}, rated) == {"": "3"}
+    assert _values({"rate9_dry.response": "4", "rate9_loud.response": "", "rate9_x": "1"}, rated) == {"dry": "4"}
     row = {"email": "e", "session_uuid": "u", "participant": "p", "listener": "l"}
     for name in ("listener", "participant", "session_uuid", "email"):
         assert _who(row) == row.pop(name)

@@ -82,7 +82,8 @@ function questions(page) {
       ? `<select ${id}><option value=""></option>${Object.entries(choices).map(([k, v]) => `<option value="${clean(k)}">${clean(v)}</option>`).join("")}</select>`
       : kind === "text" ? `<input type="text" ${id}>`
       : kind === "number" ? `<input type="number" step="any" ${id}>`
-      : `<input type="range" min="${low}" max="${high}" step="any" ${id}>`;
+      // the slider has a value before it is touched, the number beside it has none
+      : `<input type="range" min="${low}" max="${high}" step="any" aria-label="${clean(label)}" oninput="this.nextElementSibling.value = this.value"><input type="number" min="${low}" max="${high}" step="any" ${id}>`;
     return `<p><label>${clean(label)} ${field}</label></p>`;
   }).join("");
 }

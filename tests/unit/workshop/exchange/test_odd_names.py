@@ -1,0 +1,139 @@
+"""Names and texts that other programs take for something else, in exports of listening tests."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ruamel.yaml import YAML
+
+sys.path.append(str(Path(__file__).parents[1] / "listening"))
+import listening_fakes as fakes
+
+from tonewood.errors import TonewoodError
+from tonewood.workshop.exchange import course, webmushra
+from tonewood.workshop.exchange.answers import read_answers
+from tonewood.workshop.exchange.export import export
+from tonewood.workshop.listening.definition import ListeningTest
+
+LONG = " ".join(f'it\'s {i}: "x" # {{y}}' for i in range(40))
+SCALES = [
+    {"name": "dull-bright", "label": "B", "low": 123456789.0, "high": 123456790.0},
+    {"name": "dull_bright", "label": "C", "low": 0.1234567891, "high": 1.0},
+    {"name": "1st+2nd", "label": "D"},
+]
+QUESTIONS = [
+    {"name": "listener", "label": LONG, "optional": True},
+    {"name": "a+b", "label": "A\u2028B\nC", "kind": "number"},
+    {"name": "1st", "label": "x", "kind": "choice", "choices": {"much": "a <lot>", "little": "little"}},
+]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> ListeningTest:
+    pages = [
+        {"type": "instructions", "name": LONG, "content": f"{LONG}\n\ntwo\nlines"},
+        {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}},
+        {"type": "rating", "scales": SCALES},
+        {"type": "questionnaire", "questions": QUESTIONS},
+    ]
+    test = fakes.made(tmp_path_factory.mktemp("odd"), pages, title="Bows & strings")
+    export(test.folder, ["webmushra", "psychopy"])
+    return test
+
+
+def test_identifiers_are_different_and_begin_with_a_letter() -> None:
+    assert course.identifiers(["a", "a+b", "a_b", "a-b", "1", "listener", "q1"]) == [
+        "a", "a_b_", "a_b", "a_b__", "q1_", "listener", "q1"
+    ]  # fmt: skip
+    assert course.identifiers(["listener", "listener"]) == ["listener", "listener_"]
+
+
+def test_webmushra_s_reader_of_yaml_gets_one_value_a_line(made: ListeningTest) -> None:
+    """As in its own configs/default.yaml: a list in a list begins on its own line, and no text goes on on the next."""
+    text = (made.folder / "export" / "webmushra" / "configs" / "damping.yaml").read_text("utf-8")
+    line = re.compile(r"(  )*(-|\w+:)( (\"([^\"\\]|\\[\"\\])*\"|-?[\d.]+|true|false))?")
+    assert [one for one in text.split("\n")[:-1] if not line.fullmatch(one)] == []
+    assert not set(text) & set("\u2028\u2029\x85\t\r")
+    config = YAML(typ="safe", pure=True).load(text)
+    first, rated, finish = config["pages"]
+    assert config["testname"] == "Bows & strings"  # it is shown as text, and pages as HTML
+    assert (first["name"].count("&#x27;"), first["content"].count("<p>")) == (40, 2)
+    assert first["content"].endswith("<p>two lines</p>")
+    assert (rated[0], {page["type"] for page in rated[1:]}) == ("random", {"mushra"})
+    asked = {one["name"]: one for one in finish["questionnaire"]}
+    assert list(asked) == ["listener", "listener_", "a_b", "q1st"]
+    assert [one.get("optional", False) for one in asked.values()] == [False, True, False, False]
+    assert (asked["a_b"]["label"], asked["a_b"]["default"]) == ("A B C", "")
+    assert asked["q1st"]["response"] == [
+        {"value": "much", "label": "a &lt;lot&gt;"}, {"value": "little", "label": "little"}
+    ]  # fmt: skip
+
+
+def test_lines_of_yaml_are_the_configuration() -> None:
+    value = {"a": ["random", {"b": 1.5, "c": {}, "d": []}], "e": True, "f": {"g": 'x: "y" \\ # z'}, "h": 1e-7}
+    assert YAML(typ="safe", pure=True).load("\n".join(webmushra._yaml(value))) == value
+
+
+def test_scales_of_psychopy_are_names_of_python_with_their_own_ends(made: ListeningTest, tmp_path: Path) -> None:
+    """And the columns of its table are read back under the scales' own names."""
+    folder = made.folder / "export" / "psychopy"
+    sliders: dict[str, Any] = {}
+    for slider in ET.parse(folder / "damping.psyexp").iter("SliderComponent"):
+        sliders[slider.get("name", "")] = {p.get("name"): p.get("val", "") for p in slider.iter("Param")}["ticks"]
+    assert all(name.isidentifier() for name in sliders)
+    ends = {name: tuple(map(float, ticks.strip("()").split(","))) for name, ticks in sliders.items()}
+    assert [ends[f"rate3_{name}"] for name in ("dull_bright_", "dull_bright", "q1st_2nd")] == [
+        (123456789.0, 123456790.0), (0.1234567891, 1.0), (0.0, 100.0)
+    ]  # fmt: skip
+    with (folder / "conditions" / "course1_page3.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    answers = {"rate3_dull_bright_": 123456789.25, "rate3_dull_bright": 0.5, "rate3_q1st_2nd": 7.0}
+    cells = {f"{name}.response": value for name, value in answers.items()}
+    with (tmp_path / "psychopy.csv").open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, ["participant", *rows[0], *cells])
+        writer.writeheader()
+        writer.writerows({"participant": "p", **row, **cells} for row in rows)
+    found = read_answers(tmp_path / "psychopy.csv", made)
+    assert found.left_out == ()
+    (listener,) = found.listeners
+    assert len(listener.records) == len(rows)
+    for record in listener.records:
+        assert record["answer"]["values"] == {"dull-bright": 123456789.25, "dull_bright": 0.5, "1st+2nd": 7.0}
+
+
+@pytest.mark.parametrize(("part", "kind"), [("questions", "questionnaire"), ("scales", "rating")])
+def test_a_name_that_stands_twice_is_refused(tmp_path: Path, part: str, kind: str) -> None:
+    """Answers stand under these names: the second answer would replace the first."""
+    entries = [{"name": name, "label": "x"} for name in ("a", "b", "a", "A")]
+    with pytest.raises(TonewoodError, match=rf"page 1\.{part}: a stands there twice$"):
+        fakes.made(tmp_path, [{"type": kind, part: entries}])
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
+def test_no_field_of_jspsych_is_answered_before_it_is_touched() -> None:
+    """A slider always has a value, so that its answer comes from the number beside it."""
+    script = (files("tonewood.workshop.exchange") / "static/tonewood.js").read_text("utf-8")
+    question = {"name": "pain", "label": "Pain", "kind": "scale", "low": 1, "high": 5, "optional": False}
+    test = {"texts": {}, "pages": [{"page": 1, "title": "", "content": "", "questions": [question]}], "courses": [[]]}
+    stubs = f"""
+        const TEST = {json.dumps(test)}, jsPsychModule = {{ ParameterType: {{}} }}, jsPsychSurveyHtmlForm = "form";
+        const document = {{ createElement: () => ({{ append(text) {{ this.innerHTML = text; }} }}) }};
+        const location = {{ search: "" }};
+        const initJsPsych = () => ({{ run: pages => console.log(pages[0].html) }});
+    """
+    done = subprocess.run(["node", "-e", stubs + script], capture_output=True, text=True, timeout=60, check=True)
+    slider, number = re.findall("<input[^>]*>", done.stdout)
+    assert ('type="range"' in slider, "name=" in slider) == (True, False)
+    for attribute in ('type="number"', 'name="pain"', 'min="1"', 'max="5"', "required"):
+        assert attribute in number
+    assert " value=" not in number
