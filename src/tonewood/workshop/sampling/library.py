@@ -161,14 +161,18 @@ def make_library(
             files[-1].path.write_text(text, encoding="utf-8")
         scratch.chmod(0o755)
         scratch.rename(folder)
+        for file in files:
+            file.complete()
     except BaseException as fault:
+        if not scratch.exists():  # it has its name already: none of the three was there before
+            shutil.rmtree(folder, ignore_errors=True)
+            sfz.unlink(missing_ok=True)
+            decent.unlink(missing_ok=True)
         shutil.rmtree(scratch, ignore_errors=True)
         if isinstance(fault, OSError):
             # NumPy gives no reason where a file of its own is cut short
             raise OutputError(f"cannot be written: {fault.strerror or 'is the disk full?'}", file=sfz) from None
         raise
-    for file in files:
-        file.complete()
     n_releases = sum(r.decay_db is not None for r in regions)
     seconds = measures.frames / options.fs
     return Library(
@@ -181,8 +185,9 @@ def _targets(sfz: Path) -> tuple[Path, Path, Path]:
     folder, decent = sfz.with_suffix(""), sfz.with_suffix(".dspreset")
     if sfz.suffix.lower() != ".sfz":
         raise OutputError(f"has the suffix {sfz.suffix!r}; .sfz is allowed", file=sfz)
-    if re.search(r"[<>$]|\s\w+=", folder.name):
-        raise OutputError("holds < > $ or ' WORD=', which SFZ takes for its own; give another name", file=sfz)
+    if re.search(r"[<>$\\\x00-\x1f\x7f]|\s\w+=", folder.name):
+        reason = "holds < > $ \\ ' WORD=' or a control character, which SFZ takes for its own; give another name"
+        raise OutputError(reason, file=sfz)
     for target in (sfz, folder, decent):
         if target.exists():
             raise OutputError("is there already; give another name", file=target)

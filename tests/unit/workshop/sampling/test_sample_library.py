@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import time
 from pathlib import Path
@@ -18,6 +19,7 @@ from tonewood.cli.main import run
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.sound.render.options import RenderOptions
 from tonewood.sound.render.renderer import assembled
+from tonewood.support.whole_files import AtomicFile
 from tonewood.workshop.sampling.library import Library, Sampling, make_library
 from tonewood.workshop.sampling.notes import Span, compass, key_spans, velocity_spans
 from tonewood.workshop.sampling.strokes import Stroke, rings
@@ -167,6 +169,28 @@ def test_nothing_is_overwritten_or_half_written(tmp_path: Path, library: Library
 
     with pytest.raises(KeyboardInterrupt):
         make_library(monochord, tmp_path / "a.sfz", SAMPLING, RenderOptions(fs=FS), tell=stop)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("completed", [0, 1])
+def test_nothing_is_left_where_the_last_files_are_not_completed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, completed: int
+) -> None:
+    """The folder has its name by then, and perhaps one of the two texts: a second run must find none of them."""
+    original, done = AtomicFile.complete, []
+
+    def complete(file: AtomicFile) -> None:
+        if len(done) == completed:
+            raise KeyboardInterrupt
+        done.append(file)
+        original(file)
+
+    monkeypatch.setattr(AtomicFile, "complete", complete)
+    one = Sampling(step=12, velocities=(64,), repeats=1, lowest=45, highest=45, duration=0.1)
+    with pytest.raises(KeyboardInterrupt):
+        make_library(tw.load_instrument("monochord"), tmp_path / "a.sfz", one, RenderOptions(fs=8000), suffix=".wav")
+    assert len(done) == completed
+    gc.collect()
     assert not list(tmp_path.iterdir())
 
 

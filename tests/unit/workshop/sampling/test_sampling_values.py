@@ -244,7 +244,7 @@ def test_titles_stay_in_their_comments(tmp_path: Path) -> None:
     ]  # fmt: skip
     assert [line for line in sfz_text([], "a", head, rings=True).splitlines() if "volume" in line] == [f"// {head[0]}"]
     assert ElementTree.fromstring(decent_text([], "a", head, rings=True)).tag == "DecentSampler"
-    for name in ("a <b>", "a$b", "a sample=b"):
+    for name in ("a <b>", "a$b", "a sample=b", "a\\b", "a\nb", "a\rb", "a\x07"):
         with pytest.raises(OutputError, match="which SFZ takes for its own"):
             make_library(tw.load_instrument("monochord"), tmp_path / f"{name}.sfz", Sampling(), RenderOptions(fs=8000))
 
