@@ -180,9 +180,10 @@ def test_nothing_is_left_where_the_last_files_are_not_completed(
     original, done = AtomicFile.complete, []
 
     def complete(file: AtomicFile) -> None:
-        if len(done) == completed:
-            raise KeyboardInterrupt
-        done.append(file)
+        if file.path.suffix != ".wav":
+            if len(done) == completed:
+                raise KeyboardInterrupt
+            done.append(file)
         original(file)
 
     monkeypatch.setattr(AtomicFile, "complete", complete)
