@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,8 @@ from tonewood.workshop.batch.seeds import generator
 from tonewood.workshop.dataset.manifest import MAX_SOUNDS, Dataset
 
 MIDI_SUFFIXES = (".mid", ".midi")
+#: characters that no name of a file in a ZIP has; bytes of a name that are no UTF-8 are half surrogate pairs
+_NO_NAME = re.compile("[\x00-\x1f\x7f\\\\\ud800-\udfff]")
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,9 @@ def sources(dataset: Dataset, folder: Path) -> dict[str, dict[str, Any]]:
         raise ManifestError(f"{dataset.folder} holds no MIDI files ({', '.join(MIDI_SUFFIXES)})", key="folder")
     for path in files:
         name = path.relative_to(root).with_suffix("").as_posix()
+        if _NO_NAME.search(name):
+            reason = f"{name!a} names files of labels: UTF-8 without control characters and backslashes is allowed"
+            raise ManifestError(reason, key="folder")
         if name in by_name:
             raise ManifestError(f"{dataset.folder}: two scores are called {name}", key="folder")
         by_name[name] = midi_source(path, path.name, "folder")
@@ -81,9 +87,16 @@ def sources(dataset: Dataset, folder: Path) -> dict[str, dict[str, Any]]:
 def samples(dataset: Dataset, folder: Path) -> list[Sample]:
     """All sounds of a data set, in order.
 
-    Raises ManifestError : a score's file cannot be read, or there are more than `MAX_SOUNDS`.
+    Raises ManifestError : a score's file cannot be read, two names differ by case alone, or there are more than
+        `MAX_SOUNDS`.
     """
     scores = sources(dataset, folder)
+    for key, names in (("instruments", dataset.instruments), ("scores", scores)):
+        folded: dict[str, str] = {}
+        for name in names:
+            if (other := folded.setdefault(name.casefold(), name)) != name:
+                reason = f"{other} and {name} differ by case alone; their labels are one file on macOS and Windows"
+                raise ManifestError(reason, key=key)
     each = dataset.size or math.prod(len(p.grid()) for p in dataset.parameters.values())
     if (count := len(dataset.instruments) * len(scores) * each) > MAX_SOUNDS:
         raise ManifestError(f"{count} sounds; {MAX_SOUNDS} are allowed", key="parameters")

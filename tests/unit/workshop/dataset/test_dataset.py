@@ -6,6 +6,7 @@ import hashlib
 import io
 import itertools
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -72,6 +73,29 @@ def bits(folder: Path) -> dict[str, str]:
 
 def table(folder: Path, pattern: str = "[0-9]*[0-9].parquet") -> list[dict[str, Any]]:
     return [row for path in sorted((folder / SHARDS).glob(pattern)) for row in pq.read_table(path).to_pylist()]
+
+
+@pytest.mark.parametrize("name", [b"caf\xe9.mid", b"a\nb.mid", b"a\\b.mid", b"\x7f.MIDI"])
+def test_scores_whose_names_are_no_names_of_labels_are_refused(tmp_path: Path, name: bytes) -> None:
+    (tmp_path / "music").mkdir()
+    with open(os.path.join(os.fsencode(tmp_path), b"music", name), "wb") as stream:
+        stream.write(b"")
+    with pytest.raises(ManifestError, match="UTF-8 without control characters and backslashes is allowed") as fault:
+        samples(check_dataset({**BASE, "scores": {}, "folder": "music"}), tmp_path)
+    assert str(fault.value).isascii()
+
+
+def test_names_that_differ_by_case_alone_are_refused(tmp_path: Path) -> None:
+    """Their labels would replace each other where they are unpacked on macOS or Windows."""
+    (tmp_path / "music").mkdir()
+    for name in ("Study", "study", "other"):
+        (tmp_path / "music" / f"{name}.mid").write_bytes(b"")
+    two = check_dataset({**BASE, "scores": {}, "folder": "music"})
+    with pytest.raises(ManifestError, match=r"^scores: Study and study differ by case alone"):
+        samples(two, tmp_path)
+    both = check_dataset({**BASE, "instruments": {"harp": "african_harp", "Harp": "african_harp"}})
+    with pytest.raises(ManifestError, match=r"^instruments: harp and Harp differ by case alone"):
+        samples(both, tmp_path)
 
 
 @pytest.fixture(scope="module")
