@@ -118,7 +118,13 @@ def responses_of_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], chosen: 
     arrays, remarks = _frequencies_apart(arrays)
     key, freq = _frequencies(path, arrays)
     arrays, joined = _of_parts(arrays, freq.size)
-    named = {name.replace("__", ":", 1): x for name, x in arrays.items() if name != key and _says_pair(name)}
+    named: dict[str, NDArray[Any]] = {}
+    for name, x in arrays.items():
+        if name != key and _says_pair(name):
+            colon = name.replace("__", ":", 1)
+            if colon in named:
+                raise TonewoodError(f"is in it as {name}, too; once is allowed", file=path, key=colon)
+            named[colon] = x
     if named and not chosen:
         return _of_pairs(path, freq, named)
     by_name = {name: _by_bins(x, freq.size) for name, x in arrays.items() if name != key and freq.size in x.shape}
@@ -221,7 +227,9 @@ def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]]) -> tuple[str, F
                 raise TonewoodError("is no row of real numbers", file=path, key=names[0])
             if not np.all(np.isfinite(x)):
                 raise TonewoodError("holds a value that is not a finite number", file=path, key=names[0])
-            return names[0], np.asarray(x, dtype=np.float64)
+            if re.search("rad", names[0], re.I):
+                raise TonewoodError("may be in rad/s: save freq_Hz, divided by 2 pi", file=path, key=names[0])
+            return names[0], (1e3 if re.search("khz", names[0], re.I) else 1.0) * np.asarray(x, dtype=np.float64)
     if steps := _steps(arrays):
         return steps
     hint = ""
@@ -277,13 +285,22 @@ def _of_pairs(path: Path, freq: Floats, arrays: Mapping[str, NDArray[Any]]) -> R
         if values.shape != freq.shape:
             raise TonewoodError(f"has the shape {values.shape}; {freq.shape} is allowed", file=path, key=name)
     rows: dict[Pair, Complexes] = {}
+
+    def put(name: str, values: NDArray[Any]) -> None:
+        if pair_of(path, name) in rows:
+            raise TonewoodError(
+                "is in it in two forms; one of complex numbers, _re with _im, and _mag with _phase is allowed",
+                file=path, key=name,
+            )  # fmt: skip
+        rows[pair_of(path, name)] = np.asarray(values, dtype=np.complex128)
+
     for name, values in arrays.items():
         stem, _, part = name.rpartition("_")
         if part == "coherence" and ":" in stem:
             continue
         other = {"re": "im", "im": "re", "mag": "phase", "phase": "mag"}.get(part) if ":" in stem else None
         if other is None:
-            rows[pair_of(path, name)] = np.asarray(values, dtype=np.complex128)
+            put(name, values)
             continue
         if f"{stem}_{other}" not in arrays:
             raise TonewoodError(f"has no column {stem}_{other} beside {name}", file=path)
@@ -294,7 +311,7 @@ def _of_pairs(path: Path, freq: Floats, arrays: Mapping[str, NDArray[Any]]) -> R
             raise TonewoodError(f"stays within pi: radians? {stem}_phase is in degrees", file=path, key=f"{stem}_phase")
         if part in ("re", "mag"):
             turned = values + 1j * second if part == "re" else values * np.exp(1j * np.deg2rad(second))
-            rows[pair_of(path, stem)] = np.asarray(turned, dtype=np.complex128)
+            put(stem, turned)
     coherence = {
         pair: np.asarray(arrays[key], dtype=np.float64)
         for pair in rows

@@ -107,7 +107,7 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
     """
     if not paths:
         raise TonewoodError("no file was given", key="FILES")
-    hashes = {path.name: _hash(path) for path in paths}
+    hashes = _hashes(paths)
     kinds = {_kind(path) for path in paths}
     if len(kinds) > 1:
         raise TonewoodError(
@@ -118,19 +118,26 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
         return _of_hits(paths, reading, hashes)
     tables = _driven(paths, [_table(kind, path, reading) for path in paths], reading)
     freq = tables[0].freq
+    if not freq.size:
+        raise TonewoodError("holds no bins", file=paths[0], key="freq_Hz")
     for path, table in zip(paths, tables, strict=True):
         if len(table.freq) != len(freq) or not np.allclose(table.freq, freq, rtol=1e-9, atol=0):
             raise TonewoodError("has other frequencies than the first file", file=path, key="freq_Hz")
     if np.any(np.diff(freq[freq > 0]) <= 0):
         raise TonewoodError("frequencies do not rise from bin to bin", file=paths[0], key="freq_Hz")
-    rows = {pair: row for table in tables for pair, row in table.rows.items()}
+    rows: dict[Pair, Complexes] = {}
+    for path, table in zip(paths, tables, strict=True):
+        for pair, row in table.rows.items():
+            if pair in rows:
+                raise TonewoodError("is in another file, too; once is allowed", file=path, key=":".join(pair))
+            rows[pair] = row
     if mirrored := _mirrored([row[freq >= 0] for row in rows.values()]):
         raise TonewoodError(
             f"its responses are two-sided: from bin {mirrored + 1} on they are the conjugate of those before, "
             "backwards; keep the first half", file=paths[0], key="freq_Hz",
         )  # fmt: skip
     for pair, row in rows.items():
-        if not np.any(row.imag[np.isfinite(row)]):
+        if np.any(row[np.isfinite(row)]) and not np.any(row.imag[np.isfinite(row)]):
             raise TonewoodError(
                 f"the response {':'.join(pair)} is real: magnitudes without phase do not show modes; export real and "
                 "imaginary parts, or magnitude and phase", file=paths[0],
@@ -205,6 +212,18 @@ def _driven(paths: Sequence[Path], tables: Sequence[ResponseTable], reading: Rea
         return {(point, names.get(old, old)): row for (point, old), row in rows.items()}
 
     return [replace(table, rows=renamed(table.rows), coherence=renamed(table.coherence)) for table in tables]
+
+
+def _hashes(paths: Sequence[Path]) -> dict[str, str]:
+    """Name -> SHA-256 of each file; files of one name by their paths."""
+    names = [path.name for path in paths]
+    hashes: dict[str, str] = {}
+    for path in paths:
+        found = _hash(path)
+        if same := next((name for name, other in hashes.items() if other == found), None):
+            raise TonewoodError(f"has the same content as {same}; each file once is allowed", file=path)
+        hashes[path.name if names.count(path.name) == 1 else str(path)] = found
+    return hashes
 
 
 def _hash(path: Path) -> str:
@@ -303,7 +322,11 @@ def _uff(path: Path) -> ResponseTable:
     def unit(x: Mapping[str, Any]) -> float:
         return per_force if int(x["ordinate_spec_data_type"]) == _PRESSURE else per_force / per_length
 
-    rows = {pair(x): sign(x) * unit(x) * np.asarray(x["data"], dtype=np.complex128) for x in responses}
+    rows: dict[Pair, Complexes] = {}
+    for x in responses:
+        if pair(x) in rows:
+            raise TonewoodError("is in it twice; one response of a pair is allowed", file=path, key=":".join(pair(x)))
+        rows[pair(x)] = sign(x) * unit(x) * np.asarray(x["data"], dtype=np.complex128)
     coherence = {pair(x): np.asarray(x["data"]).real.astype(np.float64) for x in sets if x["func_type"] == 6}
     form = forms.pop() if len(forms) == 1 else None
     return ResponseTable(freq, rows, coherence, form, _missing_nodes(path, data_sets, responses))

@@ -27,6 +27,8 @@ _BEFORE = 4.0
 _MOST_OUTLIERS = 0.2
 #: (m/s)/N from which on a response is no number of a body, nor is one below its inverse: squares leave the range
 _LARGEST = 1e30
+#: error of rounding of a coherence of 1
+_ROUNDED = 1e-6
 #: share of the step below which a frequency is 0
 _ZERO = 0.01
 #: kg that a body of an instrument weighs as felt at a point
@@ -217,9 +219,11 @@ class Responses:
         for (point, reference), row in zip(self.pairs, self.mobility, strict=True):
             if np.count_nonzero(row) < FEWEST_BINS:
                 raise TonewoodError(f"the response {point}:{reference} is 0 in nearly all bins", key="responses")
-        if self.n_hits is not None and self.coherence is not None and not np.all(np.isfinite(self.coherence)):
+        used = None if self.n_hits is None else self.coherence
+        if used is not None and not np.all((used >= 0) & (used <= 1 + _ROUNDED)):
             raise TonewoodError(
-                "coherences hold values that are not finite numbers; without --hits they are not used", key="--hits"
+                "coherences hold values that are not numbers from 0 to 1; without --hits they are not used",
+                key="--hits",
             )
         # of exp(jwt) the second half of the period is the time before the hit
         power = np.square(np.abs(np.fft.ifft(self.mobility, axis=1))).sum(axis=0)

@@ -25,18 +25,24 @@ _ABOVE = 6
 _TIME_STEP, _TIME_END = 1e-3, 20.0
 #: bytes of a text, and fewest lines of a table
 _LARGEST, _FEWEST = 64_000_000, 8
+#: characters of a line that are shown
+_SHOWN = 40
 #: words of the head that say what a column holds
 _KINDS = {
-    "re": re.compile(r"real|\bre\b|_re\b"), "im": re.compile(r"imag|\bim\b|_im\b"),
-    "phase": re.compile(r"phase|angle|\barg\b|\bdeg"), "mag": re.compile(r"magn|\bmag\b|ampl|\babs|modul|\|h|_mag\b"),
+    "re": re.compile(r"real|r[eé]el|\bre\b|_re\b"), "im": re.compile(r"imag|\bim\b|_im\b"),
+    "phase": re.compile(r"phase|fase|angle|\barg\b|\bdeg"),
+    "mag": re.compile(r"magn|\bmag\b|ampl|ampiez|betrag|\babs|m[oó]dul|\|h|_mag\b"),
     "coherence": re.compile(r"coher"),
 }  # fmt: skip
-#: units of the head, without blanks
+#: units of the head, without blanks beside their signs; a group is there where they are not SI, and its factor
 _FORMS = (
-    ("accelerance", re.compile(r"m/s(\^|\*\*)?[2²]\)?[/(]n|\bg(n)?/n\b")),
-    ("mobility", re.compile(r"m/s\)?/n")),
-    ("receptance", re.compile(r"(^|[^a-z])m/n\b")),
+    ("accelerance", re.compile(r"(?<![a-zµμ])(?:([mcunµμ]?)m/s(?:\^|\*\*)?[2²]|(g)n?)\)?[/(]n(?![a-z])")),
+    ("mobility", re.compile(r"(?<![a-zµμ])([mcunµμ]?)m/s\)?/n(?![a-z])")),
+    ("receptance", re.compile(r"(?<![a-zµμ])([mcunµμ]?)m/n(?![a-z])")),
 )
+_FACTORS = {"m": 1e-3, "c": 1e-2, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9, "g": 9.80665}
+#: reference of a level: a number, or a power of ten
+_REFERENCE = re.compile(r"\bre[fl]?\b[.:]?\s*(?:10\s*(?:\^|\*\*)\s*\(?(-?\d+)|(\d*\.?\d+(?:e[+-]?\d+)?))?")
 #: a second column without a name is a phase in degrees if it is so many times larger than the first
 _DEGREES = 20.0
 
@@ -59,13 +65,16 @@ def responses_of_text(path: Path) -> ResponseTable:
     if re.search(r"khz", first):
         freq = 1e3 * freq
     rows, coherence, said = _rows(path, np.delete(columns, at, axis=0), [*names[:at], *names[at + 1 :]])
-    flat = re.sub(r"\s", "", whole)
-    form = next((form for form, unit in _FORMS if unit.search(flat)), None)
+    flat = re.sub(r"\s*([/^*()])\s*", r"\1", whole)
+    form, unit = next(((form, unit) for form, units in _FORMS if (unit := units.search(flat))), (None, None))
     remarks = [f"{path.name}: {line}" for line in said]
     if others:
         remarks.append(f"{path.name} holds more than one table: {others} lines of the shorter ones were not read")
-    if re.search(r"\bg/n\b", whole):
-        remarks.append(f"{path.name} says g/N: --scale 9.80665 makes it (m/s^2)/N, unless you gave it")
+    factor = next((_FACTORS[group] for group in unit.groups() if group), None) if unit else None
+    if unit and factor:
+        remarks.append(
+            f"{path.name} says {unit[0].removesuffix('n')}N: --scale {factor:g} makes it SI units, unless you gave it"
+        )
     return ResponseTable(freq, rows, coherence, form, tuple(remarks))
 
 
@@ -95,7 +104,7 @@ def is_documented(path: Path) -> bool:
 
 def _numbers(line: str) -> list[float] | None:
     """Numbers of a line, an empty cell as NaN and a complex number as two; None if one cell is none."""
-    line = line.strip()
+    line = re.sub(r'"\s*,\s*"', ";", line.strip()).replace('"', "")
     if re.search(r"\d[ij]\b", line, re.I):
         line = re.sub(r"(?<=[\d.])\s*([+-])\s*(?=[\d.,]+(e[+-]?\d+)?[ij])", r"\1", re.sub("[()]", "", line), flags=re.I)
     if ";" in line or "\t" in line:
@@ -148,6 +157,13 @@ def _table(path: Path) -> tuple[list[str], Floats, list[str], int]:
             "of each response are wanted", file=path,
         )  # fmt: skip
     columns = np.array(rows[first:stop], dtype=np.float64).T
+    for at in (first - 1, stop):
+        line = lines[at].strip() if 0 <= at < len(lines) else ""
+        if line[:1].isdigit() and rows[at] is None and len(_cells(line)) == len(columns):
+            raise TonewoodError(
+                f"is {line[:_SHOWN]!r}, beside the table, and no row of numbers; numbers without a sign for thousands, "
+                "and empty cells, are allowed", file=path, line=at + 1,
+            )  # fmt: skip
     head, others = lines[:first], sum(count for count, _, _ in runs if count >= _FEWEST) - length
     while len(columns) > 1 and np.isnan(columns[-1]).all():  # a sign that separates at the end of each line
         columns = columns[:-1]
@@ -158,7 +174,8 @@ def _table(path: Path) -> tuple[list[str], Floats, list[str], int]:
 
 def _rows(path: Path, columns: Floats, names: list[str]) -> tuple[dict[Pair, Complexes], dict[Pair, Floats], list[str]]:
     """Responses, coherences, and remarks on what no head says."""
-    kinds = [next((kind for kind, word in _KINDS.items() if word.search(name)), "") for name in names]
+    plain = [_REFERENCE.sub("", name) if "db" in name else name for name in names]
+    kinds = [next((kind for kind, word in _KINDS.items() if word.search(name)), "") for name in plain]
     stem = re.sub(r"\W", "_", path.stem)
     stem = stem if stem[:1].isalpha() else f"p_{stem}"
     of = {kind: [i for i, k in enumerate(kinds) if k == kind] for kind in _KINDS}
@@ -175,7 +192,7 @@ def _rows(path: Path, columns: Floats, names: list[str]) -> tuple[dict[Pair, Com
             "holds magnitudes without phase, which do not show modes: export real and imaginary parts, or magnitude "
             "and phase", file=path,
         )  # fmt: skip
-    elif len(columns) % 2 == 0 and not any(kinds):
+    elif len(columns) % 2 == 0 and not any(re.search(r"[^\W\d_]{3}", name) for name in names):
         degrees = all(_looks_polar(m, p) for m, p in _by_two(columns))
         values = [_polar(m, p, "", "deg", said) if degrees else m + 1j * p for m, p in _by_two(columns)]
         what = "magnitude and phase in degrees" if degrees else "real and imaginary parts"
@@ -208,12 +225,15 @@ def _looks_polar(size: Floats, phase: Floats) -> bool:
 
 
 def _polar(size: Floats, phase: Floats, size_name: str, phase_name: str, said: list[str]) -> Complexes:
-    level, turn = "db" in size_name, "rad" in phase_name
+    level, turn = "db" in size_name, bool(re.search(r"\brad", phase_name))
     if not level and np.nanmin(size) < 0:
         level = True
         said.append("magnitudes below 0 were taken for dB")
     if not turn and "deg" not in phase_name and within_pi(phase):
         turn = True
         said.append("phases that stay within pi were taken for radians")
-    size = 10 ** (size / 20) if level else size
+    if level:
+        reference = _REFERENCE.search(size_name)
+        power, number = reference.groups() if reference else (None, None)
+        size = (10.0 ** int(power) if power else float(number or 1)) * 10 ** (size / 20)
     return np.asarray(size * np.exp(1j * (phase if turn else np.deg2rad(phase))), dtype=np.complex128)

@@ -329,3 +329,54 @@ def test_bins_of_0_were_not_measured(tmp_path: Path) -> None:
     for scale in (1e300, 1e-200):
         with pytest.raises(TonewoodError, match=r"not between 1e-30 and 1e\+30"):
             fit_responses(replace(responses, mobility=scale * TRUTH))
+
+
+def test_a_response_that_is_given_twice_is_refused_in_one_line(tmp_path):
+    """Of two values of one pair none is chosen: in two files, two data sets, two spellings, two forms."""
+    row, other = TRUTH[0], 2 * TRUTH[0]
+    for folder, values in (("one", row), ("two", other)):
+        (tmp_path / folder).mkdir()
+        np.savez(tmp_path / folder / "p.npz", freq_Hz=FREQ, **{"a:a": values})
+    np.savez(tmp_path / "spelt.npz", freq_Hz=FREQ, **{"a:a": row, "a__a": other})
+    np.savez(tmp_path / "parts.npz", freq_Hz=FREQ, **{"a:a": row, "a:a_re": other.real, "a:a_im": other.imag})
+    cases = [
+        ([tmp_path / "one" / "p.npz", tmp_path / "two" / "p.npz"], "p.npz: a:a: is in another file, too"),
+        ([tmp_path / "one" / "p.npz", tmp_path / "one" / "p.npz"], "has the same content as"),
+        ([tmp_path / "spelt.npz"], "a:a: is in it as a__a, too"),
+        ([tmp_path / "parts.npz"], "a:a: is in it in two forms"),
+    ]
+    for paths, reported in cases:
+        with pytest.raises(TonewoodError) as fault:
+            read_responses(paths, Reading("mobility"))
+        assert reported in str(fault.value)
+        assert "\n" not in str(fault.value)
+    pyuff = pytest.importorskip("pyuff")
+    universal = pyuff.UFF(str(tmp_path / "d.uff"))
+    for values in (row, other):
+        universal.write_sets(
+            pyuff.prepare_58(
+                func_type=4, rsp_node=1, rsp_dir=3, ref_node=1, ref_dir=3, rsp_ent_name="NONE", ref_ent_name="NONE",
+                data=values, x=FREQ, binary=1, id1="", id2="", id3="", id4="", id5="", load_case_id=0,
+                abscissa_spacing=1, abscissa_spec_data_type=18, ordinate_spec_data_type=11, orddenom_spec_data_type=13,
+            ),
+            mode="add",
+        )  # fmt: skip
+    with pytest.raises(TonewoodError, match="is in it twice"):
+        read_responses([tmp_path / "d.uff"], Reading())
+
+
+@pytest.mark.parametrize("value", [98.0, -0.1, np.nan])
+def test_coherences_outside_0_and_1_are_refused(tmp_path, value):
+    coherence = np.where(FREQ == 100.0, value, 0.9)
+    np.savez(tmp_path / "a.npz", freq_Hz=FREQ, **{"a:a": TRUTH[0], "a:a_coherence": coherence})
+    with pytest.raises(TonewoodError, match="from 0 to 1"):
+        read_responses([tmp_path / "a.npz"], Reading("mobility", n_hits=5)).checked()
+
+
+def test_responses_of_nothing_are_not_called_real(tmp_path):
+    np.savez(tmp_path / "a.npz", freq_Hz=FREQ, **{"a:a": 0j * FREQ})
+    with pytest.raises(TonewoodError, match="hold values that are not finite numbers, or the largest"):
+        fit_responses(read_responses([tmp_path / "a.npz"], Reading("mobility")))
+    np.savez(tmp_path / "b.npz", freq_Hz=FREQ[:0], **{"a:a": 0j * FREQ[:0]})
+    with pytest.raises(TonewoodError, match="freq_Hz: holds no bins"):
+        read_responses([tmp_path / "b.npz"], Reading("mobility"))

@@ -96,7 +96,13 @@ def lines(*columns, head="", sign=","):
         (lines(FREQ, LEVELS[1] - 99.0, POLAR[2]), "taken for magnitude and phase in degrees"),
         (lines(FREQ, POLAR[1], LEVELS[2], head="f,mag,phase\n"), "phases that stay within pi were taken for radians"),
         (lines(*PARTS, head="f,real,imag\n") + "end\n" + lines(*(x[:20] for x in PARTS)), "20 lines of the shorter"),
-        (lines(*PARTS, head="f,real,imag\n") + "1_20,1,1\n" + lines(*(x[:20] for x in PARTS)), "20 lines of the sh"),
+        (lines(*([f'"{x}"' for x in row] for row in PARTS), head='"f","real","imag"\n'), None),
+        (lines(*([f'"{x}"'.replace(".", ",") for x in row] for row in PARTS), head='"f","real","imag"\n'), None),
+        (lines(*POLAR, head="f,Amplitude,Phase (Grad)\n"), None),
+        (lines(*POLAR, head="f,Ampiezza,Fase (gradi)\n"), None),
+        (lines(*POLAR, head="Frequenz,Betrag,Phase [Grad]\n"), None),
+        (lines(FREQ, LEVELS[1] + 120, POLAR[2], head="f,Magnitude (dB re 1e-6),Phase (deg)\n"), None),
+        (lines(FREQ, LEVELS[1] + 120, POLAR[2], head="f,Magnitude (dB ref 10^-6),Phase (deg)\n"), None),
     ],
 )
 def test_numbers_written_in_other_ways_are_the_same_response(tmp_path, content, said):
@@ -170,6 +176,10 @@ def test_rows_at_0_hz_are_no_frequencies_that_fall(tmp_path):
         ),
         (lines(FREQ, POLAR[1], LEVELS[2], head="freq_Hz,a:a_mag,a:a_phase\n"), "stays within pi: radians"),
         (lines(FREQ, LEVELS[1] - 99, POLAR[2], head="freq_Hz,a:a_mag,a:a_phase\n"), "holds a value below 0: dB"),
+        (lines([f"{10 * x:,.1f}" for x in FREQ], *PARTS[1:], head="f;real;imag\n", sign=";"), "line 82: is '1,000.0;"),
+        (lines(*PARTS, head="f,real,imag\n") + "1_20,1,1\n" + lines(*PARTS), "line 102: is '1_20,1,1', beside"),
+        (lines(["95.0", *FREQ], ["n/a", *PARTS[1]], ["1.0", *PARTS[2]], head="f,real,imag\n"), "line 2: is '95.0,n/a"),
+        (lines(*PARTS, head="f,osa tosi,osa toinen\n"), r"are not clear \(osa tosi, osa toinen\)"),
     ],
 )
 def test_columns_in_another_place_or_unit_are_refused_in_one_line(tmp_path, content, reported):
@@ -299,6 +309,28 @@ def test_arrays_that_are_no_responses_are_refused_in_one_line(tmp_path, arrays, 
         read_responses([tmp_path / "a.npz"], Reading("mobility"))
     assert reported in str(fault.value)
     assert "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize(
+    ("unit", "form", "scale"),
+    [
+        ("mm/s^2/N", "accelerance", "0.001"), ("g/N", "accelerance", "9.80665"), ("µm/s/N", "mobility", "1e-06"),
+        ("mm / N", "receptance", "0.001"), ("m/s/N", "mobility", None), ("m/N", "receptance", None),
+    ],
+)  # fmt: skip
+def test_units_that_are_not_si_are_named_with_their_factor(tmp_path, unit, form, scale):
+    (tmp_path / "a.csv").write_text(lines(*PARTS, head=f"Frequency (Hz),Real ({unit}),Imag ({unit})\n"))
+    remarks = read_responses([tmp_path / "a.csv"], Reading()).remarks
+    assert read_responses([tmp_path / "a.csv"], Reading(form)).remarks == remarks
+    assert (f"--scale {scale} makes it SI" in remarks[0]) if scale else not remarks
+
+
+def test_frequencies_that_are_named_as_khz_or_rad_are_no_hz(tmp_path):
+    np.savez(tmp_path / "a.npz", freq_kHz=1e-3 * FREQ, H=VALUES[0])
+    assert read_responses([tmp_path / "a.npz"], Reading("mobility")).freq == pytest.approx(FREQ, rel=1e-12)
+    np.savez(tmp_path / "b.npz", freq_rad=2 * np.pi * FREQ, H=VALUES[0])
+    with pytest.raises(TonewoodError, match="may be in rad/s"):
+        read_responses([tmp_path / "b.npz"], Reading("mobility"))
 
 
 @pytest.mark.parametrize("names", ["real,real,imag", "magnitude,magnitude,phase", "imag,real,real"])
