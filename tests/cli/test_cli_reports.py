@@ -674,7 +674,7 @@ def test_a_mix_is_the_sum_of_its_stems_at_its_level(monkeypatch, tmp_path, capsy
     monkeypatch.setattr(mix, "render_ensemble", lambda *arguments, **options: rendered)
     ensemble.render_parts(
         tmp_path / "a.mid", parts, tmp_path / "a.wav", RenderOptions(fs=48000), reading={}, subtype="DOUBLE",
-        level=level, target=target, stems=tmp_path / "stems", as_json=True, left_out=["part 9"],
+        level=level, target=target, stems=tmp_path / "new" / "stems", as_json=True, left_out=["part 9"],
     )  # fmt: skip
     told = json.loads(capsys.readouterr().out)
     whole = sf.read(tmp_path / "a.wav")[0]
@@ -686,7 +686,7 @@ def test_a_mix_is_the_sum_of_its_stems_at_its_level(monkeypatch, tmp_path, capsy
     names = [Path(name).name for name in told["stems"]]
     assert names == ["01_monochord.wav", "02_monochord.wav"]
     for name, sound in zip(names, sounds, strict=True):
-        assert sf.read(tmp_path / "stems" / name)[0] == pytest.approx(sound * 10 ** (gain / 20), abs=1e-9)
+        assert sf.read(tmp_path / "new" / "stems" / name)[0] == pytest.approx(sound * 10 ** (gain / 20), abs=1e-9)
     assert [row["peak_dbfs"] for row in told["parts"]] == pytest.approx([20 * math.log10(0.2) + gain] * 2, abs=1e-6)
     assert (told["frames"], told["duration_s"], told["fs"], told["clipped"]) == (48000, 1.0, 48000, 0)
     assert (told["ok"], told["level"], told["left_out"]) == (True, level, ["part 9"])

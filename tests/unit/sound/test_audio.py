@@ -190,6 +190,7 @@ def test_files_carry_their_tags_and_repeat(tmp_path: Path, suffix: str) -> None:
     if suffix != ".mp3":  # libsndfile writes neither into the tags of an MP3
         assert "CC-BY-4.0" in texts["copyright"]
         assert texts["software"].startswith(f"tonewood {tw.__version__}")
+    assert texts.get("license", "") == (tags.licence if suffix in (".flac", ".ogg") else "")
     same = sf.read(path)[0], sf.read(tmp_path / f"b{suffix}")[0]
     assert np.array_equal(*same)
     if suffix != ".ogg":  # libsndfile numbers its streams at random

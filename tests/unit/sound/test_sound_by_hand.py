@@ -270,7 +270,10 @@ def test_a_writer_leaves_an_error_inside_it_as_it_is(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
     file = AtomicFile(tmp_path / "b.wav")
     with SoundWriter(file, FS, 1) as writer:
-        writer.write(np.zeros((4, 1)))
+        writer.write(np.zeros((0, 1)))
+        assert (writer.peak, writer.frames) == (0.0, 0)
+        writer.write(np.array([[0.0], [-0.25], [0.125], [0.0]]))
+        assert (writer.peak, writer.frames) == (0.25, 4)
     assert not (tmp_path / "b.wav").exists()
     file.complete()
     assert sf.info(str(tmp_path / "b.wav")).frames == 4

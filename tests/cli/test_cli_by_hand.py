@@ -1,0 +1,203 @@
+"""What commands hand on where an option is left out, and the picture of a body that is drawn."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cli_runs import Asked, refused
+from tonewood.cli import modes, sample, serve
+from tonewood.errors import OutputError
+
+Run = Callable[..., tuple[int, str, str]]
+Patch = pytest.MonkeyPatch
+
+
+@pytest.mark.parametrize(("given", "live", "score"), [((), 128, 1024), (("--block", 300), 300, 300)])
+def test_blocks_of_live_playing_are_shorter(
+    given: Any, live: int, score: int, tonewood: Run, tmp_path: Path, monkeypatch: Patch
+) -> None:
+    from tonewood.cli import live as cli_live
+    from tonewood.performance.score import reading
+    from tonewood.sound.level import limiter
+    from tonewood.sound.live import play as player
+    from tonewood.sound.render import renderer
+
+    played_live, played = Asked(), Asked(SimpleNamespace(frames=4800, clipped=0, underruns=0))
+    summary = SimpleNamespace(warnings=[], notes_dropped=[], realtime_factor=8.0)
+    one = SimpleNamespace(summary=lambda: summary, model=SimpleNamespace(outputs=[]))
+    for module, name, to in (
+        (cli_live, "play_live", played_live), (player, "play", played), (renderer, "Renderer", Asked(one)),
+        (reading, "read_score", Asked("score")), (limiter, "Limiter", Asked("limiter")),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, to)
+    assert tonewood("play", "-i", "monochord", "--keyboard", *given)[0] == 0
+    assert played_live.options["block_size"] == live
+    assert (played_live.options["port"], played_live.options["keyboard"]) == (None, True)
+    for level, held in (("calibrated", None), (None, None)):
+        words = ("play", "a.mid", "-i", "monochord", "--gain", 3, *(("--level", level) if level else ()), *given)
+        code, out, err = tonewood(*words)
+        assert (code, err) == (0, "")
+        assert out.startswith("played 0.10 s, 0 underruns; 8.0 x real time")
+        assert (played.options["block_size"], played.options["limiter"]) == (score, held)
+    assert tonewood("play", "a.mid", "-i", "monochord", "--limiter", *given)[0] == 0
+    assert played.options["limiter"] == "limiter"
+
+
+@pytest.mark.parametrize(("jobs", "needed"), [(1, []), (2, [("batch", "joblib")]), (-1, [("batch", "joblib")])])
+def test_several_renders_at_a_time_need_joblib(
+    jobs: int, needed: list[Any], tonewood: Run, tmp_path: Path, monkeypatch: Patch
+) -> None:
+    from tonewood.workshop.sampling import library
+
+    asked, made = list[Any](), SimpleNamespace(
+        sfz="a", decent="b", folder="c", n_samples=1, n_releases=0, seconds=1.0, size=1, gain_db=0.0, rings=False
+    )  # fmt: skip
+    make = Asked(made)
+    monkeypatch.setattr(sample, "need", lambda *words: asked.append(words))
+    monkeypatch.setattr(library, "make_library", make)
+    assert tonewood("sample", "monochord", "-o", tmp_path / "m", "--jobs", jobs)[0] == 0
+    assert (asked, make.options["jobs"]) == (needed, jobs)
+    assert make.words[2] == library.Sampling(3, [32, 64, 96, 120], 2, None, None, 8.0, True)
+
+
+@pytest.mark.parametrize(("host", "family"), [("127.0.0.1", socket.AF_INET), ("::1", socket.AF_INET6)])
+def test_an_address_is_taken_again_at_once_and_by_one_server(
+    host: str, family: int, tonewood: Run, tmp_path: Path, monkeypatch: Patch
+) -> None:
+    import uvicorn
+
+    from tonewood.workshop.listening import answer_file, definition, server
+
+    seen = list[Any]()
+
+    class Server:
+        def __init__(self, config: Any):
+            self.config = config
+
+        def run(self, sockets: list[Any]) -> None:
+            one = sockets[0]
+            seen.append((one.family, bool(one.getsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR)), self.config))
+
+    for module, name, to in (
+        (uvicorn, "Server", Server), (uvicorn, "Config", lambda app, **options: options),
+        (definition, "load_test", Asked("test")), (answer_file, "clear_parts", Asked()),
+        (server, "ListeningServer", Asked(SimpleNamespace(application=Asked("app")))),
+        (server, "has_staircase", Asked(False)),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, to)
+    with socket.socket(family, socket.SOCK_STREAM) as taken:
+        try:
+            taken.bind((host, 0))
+        except OSError:
+            pytest.skip("has no such address")
+        taken.listen(1)
+        port = taken.getsockname()[1]
+        refused(tonewood("serve", tmp_path, "--host", host, "--port", port), f"{host}:{port} cannot be used")
+        assert seen == []
+    code, out, _ = tonewood("serve", tmp_path, "--host", host, "--port", 0)
+    assert code == 0
+    assert out.startswith("http://[::1]:" if ":" in host else "http://127.0.0.1:")
+    ((found, again, config),) = seen
+    assert (found, again, config["timeout_graceful_shutdown"]) == (family, True, 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "allowed"),
+    [("lab", True), ("lab-1.example_org", True), ("10.0.0.1", True), ("[fe80::1]", True), ("fe80::1", True),
+     ("https://lab", False), ("lab:8000", False), ("", False), ("lab two", False), ("l\xe4b", False)],
+)  # fmt: skip
+def test_names_of_a_computer(name: str, allowed: bool) -> None:
+    assert serve._is_name(name) is allowed
+
+
+def test_addresses_to_open(monkeypatch: Patch) -> None:
+    """Of all interfaces those of this computer and of its network, or its name where it has none."""
+    assert serve._names("10.0.0.1") == ["10.0.0.1"]
+    assert serve._names("::1") == ["[::1]"]
+
+    class Probe:
+        fault: OSError | None = None
+
+        def __init__(self, family: int, kind: int):
+            assert (family, kind) == (socket.AF_INET, socket.SOCK_DGRAM)
+
+        def __enter__(self) -> Probe:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def connect(self, address: Any) -> None:
+            if self.fault is not None:
+                raise self.fault
+
+        def getsockname(self) -> tuple[str, int]:
+            return "192.168.1.7", 4711
+
+    monkeypatch.setattr(serve.socket, "socket", Probe)
+    monkeypatch.setattr(serve.socket, "gethostname", lambda: "lab")
+    for host in ("0.0.0.0", "::"):
+        assert serve._names(host) == ["127.0.0.1", "192.168.1.7"]
+    monkeypatch.setattr(Probe, "fault", OSError("no network"))
+    assert serve._names("0.0.0.0") == ["127.0.0.1", "lab"]
+
+
+@pytest.mark.parametrize(("fs", "names", "of"), [(16000.0, ["A"], "bridge at"), (48000.0, [], "body at")])
+def test_a_drawn_body_has_its_mobility_above_its_first_modes(
+    fs: float, names: list[str], of: str, tmp_path: Path, monkeypatch: Patch
+) -> None:
+    """Twelve panels in rows of four below one that is as wide as all; motion at 0 Hz is no mode."""
+    from tonewood.instrument.inspection import frequencies
+    from tonewood.physics.plate import figures
+    from tonewood.support import plotting
+
+    shapes, curves, saved, legends = Asked(), Asked(), Asked(), Asked()
+    asked = list[Any]()
+    mobility = {"A": np.ones(4000)}
+
+    def bridge_mobility(model: Any, freq: np.ndarray, strings: list[str]) -> Any:
+        asked.append((freq, strings))
+        return mobility
+
+    for module, name, to in (
+        (frequencies, "bridge_mobility", bridge_mobility), (figures, "draw_shapes", shapes),
+        (plotting, "draw_mobility", curves), (plotting, "save", saved), (plotting, "legend", legends),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, to)
+    sources = SimpleNamespace(areas=[1.0], of=lambda which: ("of", which.tolist()))
+    basis = SimpleNamespace(natural_freq=np.array([0.0, 95.0, 210.0]), damping_ratio=np.array([0.0, 0.02, 0.01]))
+    known = list[float]()
+    body = SimpleNamespace(
+        sources=lambda up_to: known.append(up_to) or sources, basis=lambda up_to: known.append(up_to) or basis
+    )
+    instrument = SimpleNamespace(spec=SimpleNamespace(title="A guitar"), body=body)
+    model: Any = SimpleNamespace(fs=fs, instrument=instrument, strings={"A": SimpleNamespace(freq=lambda: 110.0)})
+    modes._plot(model, names, tmp_path / "a.png")
+    ((freq, strings),) = asked
+    assert (freq.size, freq[0], freq[-1]) == pytest.approx((4000, 40.0, min(10000.0, 0.45 * fs)))
+    assert np.diff(np.log(freq)) == pytest.approx(np.log(freq[-1] / 40.0) / 3999)
+    assert strings == names
+    axes, shown, at, quality = shapes.words
+    assert (len(axes), shown) == (12, ("of", [False, True, True]))
+    assert (at.tolist(), quality.tolist()) == ([95.0, 210.0], [25.0, 50.0])
+    assert len(set(known)) == 1
+    page, path = saved.words
+    assert path == tmp_path / "a.png"
+    assert [tuple(page.axes[i].get_subplotspec().colspan) for i in (0, 3)] == [(0,), (3,)]
+    whole = page.axes[-1]
+    assert tuple(whole.get_subplotspec().colspan) == (0, 1, 2, 3)
+    assert tuple(whole.get_subplotspec().rowspan) == (0,)
+    assert page.get_size_inches()[1] == pytest.approx(5.0 + 3 * 3.6 + 0.2)
+    assert curves.words == (whole, freq, mobility)
+    assert (whole.get_title(loc="left") or whole.get_title(), legends.words) == ("A guitar", (whole,))
+    assert legends.options == {"title": of, "ncols": 2}
+    mobility.clear()
+    with pytest.raises(OutputError, match="there is no mobility"):
+        modes._plot(model, names, tmp_path / "a.png")
