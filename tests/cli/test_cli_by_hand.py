@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import socket
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,11 +14,18 @@ import numpy as np
 import pytest
 
 from cli_runs import Asked, refused
-from tonewood.cli import modes, sample, serve
+from tonewood.cli import check, modes, sample, serve
 from tonewood.errors import OutputError
 
 Run = Callable[..., tuple[int, str, str]]
 Patch = pytest.MonkeyPatch
+
+
+@dataclass
+class Feel:
+    """Of a string that is not felt."""
+
+    newton_per_mm: float | None = None
 
 
 @pytest.mark.parametrize(("given", "live", "score"), [((), 128, 1024), (("--block", 300), 300, 300)])
@@ -201,3 +210,41 @@ def test_a_drawn_body_has_its_mobility_above_its_first_modes(
     mobility.clear()
     with pytest.raises(OutputError, match="there is no mobility"):
         modes._plot(model, names, tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(
+    ("passive", "code", "said"), [(True, 0, "ok"), (False, 2, "not ok: its body could create energy")]
+)
+def test_a_check_of_a_body_that_creates_energy_fails(
+    passive: bool, code: int, said: str, tonewood: Run, monkeypatch: Patch
+) -> None:
+    body = check._body
+    monkeypatch.setattr(check, "_body", lambda model: body(model) | {"passive": passive})
+    found = tonewood("check", "monochord", "--fs", 16000)
+    assert (found[0], found[1].splitlines()[-1].partition(",")[0]) == (code, said)
+    assert json.loads(tonewood("check", "monochord", "--fs", 16000, "--json")[1])["ok"] is passive
+
+
+@pytest.mark.parametrize(("errors", "worst"), [([0.1, -0.4, 0.3], -0.4), ([0.5, -0.4, 0.3], 0.5)])
+def test_the_worst_stop_of_a_string_is_the_farthest_from_its_pitch(
+    errors: list[float], worst: float, monkeypatch: Patch
+) -> None:
+    """Alone, and with all strings on the body, where the errors are in the other order."""
+    from tonewood.instrument.inspection import frequencies, string_laws
+
+    monkeypatch.setattr(string_laws, "law_errors", lambda model, name: [])
+    monkeypatch.setattr(frequencies, "feel", lambda model, name: Feel())
+    tension = SimpleNamespace(given=None, held="pitch", noticeable=False)
+    string = SimpleNamespace(
+        open_note=45.0, n_stops=2, components=(), group=("A", "B"), tuning=SimpleNamespace(given=tension)
+    )
+    model: Any = SimpleNamespace(strings={"A": string, "B": string})
+    pairs: Any = [
+        (SimpleNamespace(string=name, stop=i, error_cents=scale * e, tension=60.0 + i),
+         SimpleNamespace(error_cents=2 * scale * e))
+        for name, scale in (("A", 1.0), ("B", 9.0)) for i, e in enumerate(errors)
+    ]  # fmt: skip
+    row = check._string(model, "A", pairs)
+    assert (row["worst_cents"], row["worst_cents_mounted"]) == (worst, 2 * worst)
+    assert (row["tension"], row["stop_tension"]) == (60.0, {"stop": 2, "relative": pytest.approx(2 / 60)})
+    assert (row["note"], row["stops"], row["count"], row["loss_error"], row["held_note"]) == ("A2", 2, 2, None, None)

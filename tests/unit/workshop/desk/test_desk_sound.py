@@ -14,9 +14,12 @@ import pytest
 from tonewood.errors import ScoreError, TonewoodError
 from tonewood.sound.render.options import RenderOptions
 from tonewood.workshop.desk import views
+from tonewood.workshop.desk.advice import Adviser
+from tonewood.workshop.desk.desk import Desk
 from tonewood.workshop.desk.knobs import _many, _under, groups, knobs
 from tonewood.workshop.desk.playback import DeskSound, PageProgress, _stereo
 from tonewood.workshop.desk.server import BLOCK, DeskServer
+from tonewood.workshop.desk.session import DeskSession
 from tonewood.workshop.desk.take import LeveledTakes, PhraseTake, Ringing
 
 
@@ -207,3 +210,19 @@ def test_points_that_may_bear_a_mass_and_a_design_that_is_taken() -> None:
     assert done == [{"body.x": 1.5}, ("p", [1], False), ("p", 2, True), ("strings_from", "ej46", False), Path("f")]
     with pytest.raises(TonewoodError, match="'none'"):
         server._done({"act": "strings", "name": "none"})
+
+
+@pytest.mark.parametrize(("gain", "words"), [(None, "--gain=0 "), (-3.5, "--gain=-3.5 ")])
+def test_the_command_of_a_desk_has_no_gain_until_a_take_was_measured(gain: float | None, words: str) -> None:
+    session = DeskSession("monochord")
+    desk: Any = SimpleNamespace(
+        session=session, takes=SimpleNamespace(gain_db=gain), phrase=SimpleNamespace(file="p.mid"), adviser=Adviser()
+    )
+    shown = Desk._shown_session(desk)
+    assert shown["command"].startswith("tonewood render p.mid -i monochord --level calibrated " + words)
+    assert (shown["undo"], shown["redo"], shown["changes"], shown["snapshots"]) == (False, False, [], [])
+    session.set("strings.A2.tension", 60.0)
+    session.keep("one")
+    shown = Desk._shown_session(desk)
+    assert (shown["undo"], shown["changes"]) == (True, [{"path": "strings.A2.tension", "value": 60.0}])
+    assert shown["snapshots"] == [{"name": "one", "changes": ["strings.A2.tension=60.0"]}]
