@@ -28,8 +28,8 @@ public:
         for (const Input& input : block_.inputs[i]) {
             const Held& held = held_by(c, input.vector);
             double mean = 0.0, off = 0.0;
-            for (int b = 0; held.exists && b < block_.nb; ++b) mean += input.values[b * input.stride] / block_.nb;
-            for (int b = 0; b < block_.nb; ++b) off += std::abs(input.values[b * input.stride] - mean);
+            for (int b = 0; held.exists && b < block_.nb; ++b) mean += input.values[b] / block_.nb;
+            for (int b = 0; b < block_.nb; ++b) off += std::abs(input.values[b] - mean);
             for (std::size_t k = 0; k < 2 * n; ++k) state.modes[k] -= held.modes[k] * mean;
             for (int r = 0; r < c.contact.n; ++r) state.rows[r] += mean * held.rows[r];
             added += off * held.norm;

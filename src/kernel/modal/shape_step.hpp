@@ -55,8 +55,8 @@ public:
             V nx = S::load(e + k) * x + (S::load(e + n_ + k) * y + S::load(drive + k) * f);
             V ny = S::load(e + 3 * n_ + k) * y + (S::load(e + 2 * n_ + k) * x + S::load(drive + n_ + k) * f);
             for (const Input& input : inputs_) {
-                nx += S::load(input.vector + k) * input.values[b * input.stride];
-                ny += S::load(input.vector + n_ + k) * input.values[b * input.stride];
+                nx += S::load(input.vector + k) * input.values[b];
+                ny += S::load(input.vector + n_ + k) * input.values[b];
             }
             S::store(x_ + k, nx), S::store(y_ + k, ny);
             if (!next) continue;
@@ -72,7 +72,7 @@ private:
         V out = S::load(s_.read_next.data() + k) * x + S::load(s_.read_next.data() + n_ + k) * y;
         for (const Input& input : inputs_)
             out += (S::load(s_.read.data() + k) * S::load(input.vector + k) +
-                    S::load(s_.read.data() + n_ + k) * S::load(input.vector + n_ + k)) * input.values[b * input.stride];
+                    S::load(s_.read.data() + n_ + k) * S::load(input.vector + n_ + k)) * input.values[b];
         return out;
     }
 

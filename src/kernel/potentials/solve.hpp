@@ -272,7 +272,7 @@ public:
                 });
             }
             for (const Input& in : inputs) {
-                const double value = in.values[sample_ * in.stride];
+                const double value = in.values[sample_];
                 each_vector(part, [&](std::size_t k, V&, V& v, const double*) {
                     v += (S::load(basis + 6 * n + k) * S::load(in.vector + k) +
                           S::load(basis + 7 * n + k) * S::load(in.vector + n + k)) * value;
@@ -363,7 +363,7 @@ private:
         part.known = block_.inputs[i].empty() ? nullptr : known;
         if (part.known) std::fill_n(known, part.c->n, 0.0);
         for (const Input& in : block_.inputs[i]) {
-            const double value = in.values[sample_ * in.stride];
+            const double value = in.values[sample_];
             each_vector(part, [&](std::size_t k, V&, V& v, const double*) {
                 const V added = S::load(basis + k) * S::load(in.vector + k) * value;
                 v += added;
