@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+import tonewood as tw
 from tonewood.errors import ScoreError, TonewoodError
 from tonewood.sound.render.options import RenderOptions
 from tonewood.workshop.desk import views
 from tonewood.workshop.desk.advice import Adviser
 from tonewood.workshop.desk.desk import Desk
-from tonewood.workshop.desk.knobs import _many, _under, groups, knobs
+from tonewood.workshop.desk.knobs import _many, _under, groups, knobs, shown
 from tonewood.workshop.desk.playback import DeskSound, PageProgress, _stereo
 from tonewood.workshop.desk.server import BLOCK, DeskServer
 from tonewood.workshop.desk.session import DeskSession
@@ -226,3 +227,23 @@ def test_the_command_of_a_desk_has_no_gain_until_a_take_was_measured(gain: float
     shown = Desk._shown_session(desk)
     assert (shown["undo"], shown["changes"]) == (True, [{"path": "strings.A2.tension", "value": 60.0}])
     assert shown["snapshots"] == [{"name": "one", "changes": ["strings.A2.tension=60.0"]}]
+
+
+def test_energy_of_sound_is_counted_from_where_it_is_known(take: PhraseTake, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a body that does not know it none; the fork's, which does, begins at 0."""
+    place = "tonewood.workshop.desk.take."
+    monkeypatch.setattr(f"{place}stored", lambda engine, at: Ringing(at, {}, 0.0, None))
+    take.ensure(9 * 2048)
+    assert {m.sound for m in take.moments} == {None}
+    other, at = take.forked(6000, "o", {})  # type: ignore[arg-type, misc]
+    monkeypatch.setattr(f"{place}stored", lambda engine, at: Ringing(at, {}, 0.0, 3.0))
+    other.ensure(at + 2048)
+    assert [m.sound for m in other.moments] == [None, None, None, pytest.approx(0.768)]
+
+
+def test_a_factor_on_all_strings_shows_what_it_was_changed_to() -> None:
+    guitar = tw.load_instrument("classical_guitar")
+    for change, value in (({"scale": 1.25}, 1.25), ({"add": 2.0}, 1.0), (7.0, 1.0)):
+        rows = {row["path"]: row for row in shown(guitar, guitar, {"strings.*.tension": change}, "strings.*")}
+        assert (rows["strings.*.tension"]["value"], rows["strings.*.tension"]["start_value"]) == (value, 1.0)
+        assert {row["value"] for path, row in rows.items() if path != "strings.*.tension"} == {1.0}
