@@ -207,6 +207,13 @@ def test_nothing_escapes_being_run(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
+def test_equations_are_plain_text(name: str) -> None:
+    """The site typesets no TeX: its commands would stand on the page as they are written."""
+    text = _BLOCK.sub("", (ROOT / name).read_text(encoding="utf-8"))
+    assert re.findall(r"\\[A-Za-z]{2,}", re.sub(r"`[^`]*`", "", text)) == []
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_commands_in_sentences_exist(name: str) -> None:
     """Names of commands, options and scripts in the text."""
     known = {
