@@ -31,7 +31,7 @@ from tonewood.sound.live.stream import Arrivals, AudioStream
 from tonewood.sound.render import energy, plan
 from tonewood.sound.render.model_file import flat, save_model, write_arrays
 from tonewood.sound.render.options import RenderOptions
-from tonewood.sound.render.renderer import Summary
+from tonewood.sound.render.renderer import Renderer, Summary
 from tonewood.support.params import Parameters
 from tonewood.support.whole_files import AtomicFile
 
@@ -540,3 +540,113 @@ def test_an_account_with_a_value_that_is_no_number_is_not_written(tmp_path: Path
     with pytest.raises(ValueError, match="not JSON compliant"):
         energy.save_energy(trace, tmp_path / "e.json")
     assert list(tmp_path.iterdir()) == []
+
+
+# spans of a render
+
+
+class Spans:
+    """A renderer at 100 Hz whose last event is at sample 5120; its sound is 0, 1, 2 ... and ends at `ends`."""
+
+    def __init__(self, sample: int, *, late: int = 0, ends: int = 10**9, room: Any = None, **options: Any):
+        self.asked, self.watched, self.given = list[int](), list[tuple[int, float]](), list[int]()
+        self.engine = SimpleNamespace(state=SimpleNamespace(sample=sample), advance=self.advance)
+        self._resampler, self._routing, self.late, self.ends = self, self, late, ends
+        self.options = SimpleNamespace(**{"max_duration": None, "energy": False, **options})
+        self.fs, self.model = 100, SimpleNamespace(fs=100.0)
+        self.performance = SimpleNamespace(timeline=SimpleNamespace(stop=51.2))
+        self.zero_frame, self._end, self._room, self._made = 0, "", room, 0
+        self._seconds = self._peak = 0.0
+        self._pending = np.zeros((0, 1))
+
+    def advance(self, ticks: int) -> np.ndarray:
+        self.asked.append(ticks)
+        return np.arange(1.0 + self.engine.state.sample, 1 + self.engine.state.sample + 64 * ticks)[:, None]
+
+    def __call__(self, sound: np.ndarray, sample: int) -> np.ndarray:
+        return sound
+
+    def frame(self, sample: int) -> int:
+        return sample - self.late
+
+    def samples(self, frames: float) -> float:
+        return frames
+
+    def scaled(self, sound: np.ndarray) -> np.ndarray:
+        return sound
+
+    finished = scaled
+
+    def _begun(self, sound: np.ndarray, first: int) -> np.ndarray:
+        self.given.append(first)
+        return sound[max(0, -first) :]
+
+    def _watch(self, sample: int, peak: float) -> None:
+        self.watched.append((sample, peak))
+        if sample >= self.ends:
+            self._end = self._end or "decayed"
+
+    def filled(self, frames: int) -> tuple[list[int], list[tuple[int, float]], int, str]:
+        Renderer._fill(self, frames)  # type: ignore[arg-type]
+        return self.asked, self.watched, len(self._pending), self._end
+
+
+@pytest.mark.parametrize(
+    ("frames", "spans", "given"),
+    [(1, 1, {}), (512, 1, {}), (513, 2, {}), (1000, 2, {}), (10**6, 9, {}), (1000, 2, {"late": 3})],
+)
+def test_before_the_last_event_as_many_spans_are_stepped_as_frames_need(frames: int, spans: int, given: Any) -> None:
+    """Of 512 samples, and no further than two spans before the last event."""
+    one = Spans(0, **given)
+    late = given.get("late", 0)
+    assert one.filled(frames) == ([8 * spans], [(512 * spans, 512.0 * spans)], 512 * spans - late, "")
+    assert (one.given, one._made, one._peak) == ([-late], 512 * spans - late, 512.0 * spans)
+    assert one._pending[0, 0] == 1.0 + late
+
+
+def test_after_the_last_event_spans_are_watched_one_by_one() -> None:
+    one = Spans(4608)
+    asked, watched, n, end = one.filled(1)
+    assert (asked, n, end) == ([64], 8 * 512, "")
+    assert watched == [(4608 + 512 * k, 4608.0 + 512 * k) for k in range(1, 9)]
+    one = Spans(4608, ends=4608 + 1024)
+    asked, watched, n, end = one.filled(1)
+    assert (asked, len(watched), n, end) == ([64], 2, 1024, "decayed")
+    assert Spans(4608, energy=True).filled(1)[:2] == ([8], [(5120, 5120.0)])
+    # within the two spans before it nothing but the tail follows
+    assert [Spans(sample).filled(10**6)[0] for sample in (3584, 4096, 4097)] == [[16], [8], [64]]
+
+
+@pytest.mark.parametrize(("sample", "late", "zero", "spans", "n"), [
+    (0, 0, 0, 1, 150), (0, 20, 0, 1, 150), (0, 20, 30, 1, 170), (0, 60, 30, 1, 180), (4608, 0, 0, 3, 1392),
+])  # fmt: skip
+def test_the_longest_render_is_counted_from_score_time_0(sample: int, late: int, zero: int, spans: int, n: int) -> None:
+    """1.5 s, of sound that a resampler gives late frames earlier; a lead-in of 30 frames comes before."""
+    one = Spans(sample, late=late, max_duration=1.5 if sample == 0 else 60.0)
+    one.zero_frame = zero
+    asked, watched, length, end = one.filled(10**6)
+    assert (asked, length, end) == ([8 * spans], n, "maximum duration")
+    assert watched[-1][0] == sample + 512 * spans
+    assert one._pending[0, 0] == 1.0 + sample + max(0, late - zero)
+    assert one._pending[-1, 0] == watched[-1][1]
+
+
+def test_reverberation_ends_with_the_longest_render() -> None:
+    """A room that adds 100 frames at the end; it is told which piece is the last."""
+    told: list[bool] = []
+
+    def add(sound: np.ndarray, *, last: bool) -> np.ndarray:
+        told.append(last)
+        return np.concatenate([sound, np.full((100 * last, 1), 9e9)])
+
+    room = SimpleNamespace(add=add)
+    one = Spans(4608, room=room, ends=4608 + 1024)
+    one._pending = np.zeros((7, 1))
+    assert one.filled(1)[2] == 7 + 1124
+    assert (told, one._made, one._peak) == ([True], 1124, 9e9)
+    one = Spans(0, room=room)
+    assert one.filled(1)[2] == 512
+    assert (told[1:], one._peak) == ([False], 512.0)
+    one = Spans(4608, room=room, max_duration=60.0)
+    one._made = 4608
+    assert one.filled(1)[2:] == (1392, "maximum duration")

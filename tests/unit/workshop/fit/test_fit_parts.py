@@ -744,6 +744,8 @@ def test_modes_that_create_energy_or_gain_nothing_are_taken_away() -> None:
     [
         (np.arange(50) / 1000, 1000.0),
         (np.round(np.arange(3000) / 2000, 3), 2000.0),  # some times repeat
+        (np.round(np.arange(1000) / 100 / 0.02) * 0.02, 100.0),  # two thousandths of 10 s are 20 ms
+        (np.round(np.arange(500) / 10000, 3), None),  # of 50 ms 0.1 ms
         (np.array([0.0, 1.0, 2.005]), 2 / 2.005),
         (np.array([0.0, 1.0, 2.02]), None),
         (np.array([0.0, 1.0, 1.0, 3.0]), None),
