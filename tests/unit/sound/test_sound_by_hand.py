@@ -1,222 +1,28 @@
-"""Ways of a sound to its file, its mix and its player, with neighbours that the test replaces: what each is given."""
+"""Spans of a render, sound files that fail, models in files, with neighbours that the test replaces."""
 
 from __future__ import annotations
 
-import gc
-import sys
-import warnings
-from collections import Counter, deque
-from concurrent.futures import Future
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
 import soundfile as sf
 
 import tonewood as tw
-from tonewood.errors import DroppedNotesWarning, NothingPlayedError, OutputError, TonewoodError
-from tonewood.performance.engine.engine import GRID
-from tonewood.performance.score.note import Control, Dropped
-from tonewood.sound.ensemble import mix
-from tonewood.sound.ensemble.mix import EnsemblePart
+from tonewood.errors import OutputError, TonewoodError
 from tonewood.sound.files import audio
 from tonewood.sound.files.audio import SoundWriter
 from tonewood.sound.level.loudness import resampled
-from tonewood.sound.live import take
-from tonewood.sound.live.session import LiveSession
-from tonewood.sound.live.stream import Arrivals, AudioStream
 from tonewood.sound.render import energy, plan
 from tonewood.sound.render.model_file import flat, save_model, write_arrays
 from tonewood.sound.render.options import RenderOptions
-from tonewood.sound.render.renderer import Renderer, Summary
+from tonewood.sound.render.renderer import Renderer
 from tonewood.support.params import Parameters
 from tonewood.support.whole_files import AtomicFile
 
 FS = 8000
-
-
-def summary(**more: Any) -> Summary:
-    usual = {"frames": 4, "fs": FS, "duration_s": 1.0, "render_s": 1.0, "realtime_factor": 1.0, "n_modes": 1,
-             "notes": 1, "notes_dropped": [], "peak_dbfs": 0.0, "end": "decayed", "warnings": ["one"]}  # fmt: skip
-    return Summary(**{**usual, **more})
-
-
-# parts of an ensemble
-
-
-class Pool:
-    """Processes that are none: a job is done when it is submitted."""
-
-    sizes: ClassVar[list[int]] = []
-    methods: ClassVar[list[str]] = []
-
-    def __init__(self, n: int, mp_context: Any):
-        self.sizes.append(n)
-        self.methods.append(mp_context.get_start_method())
-
-    def __enter__(self) -> Pool:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def submit(self, function: Any, *arguments: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        try:
-            future.set_result(function(*arguments))
-        except Exception as fault:  # as a pool does
-            future.set_exception(fault)
-        return future
-
-
-@pytest.mark.parametrize(
-    ("workers", "cores", "n_parts", "size"),
-    [(2, 9, 3, 2), (5, 9, 3, 3), (None, 2, 3, 2), (None, None, 3, None), (1, 9, 3, None), (4, 9, 1, None)],
-)
-def test_parts_come_in_their_order_from_as_many_processes_as_are_of_use(
-    workers: int | None, cores: int | None, n_parts: int, size: int | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One worker, one processor or one part: in this process."""
-
-    def rendered(score: str, part: EnsemblePart, options: RenderOptions, reading: dict[str, Any]) -> Any:
-        if part.part == 2:
-            raise NothingPlayedError("no notes")
-        warnings.warn(DroppedNotesWarning("in the process of the part"), stacklevel=1)
-        dropped = [Dropped(0.5, 1.0, 1, "too low")] if part.part == 3 else []
-        return np.full((2, 2), part.part), summary(notes_dropped=dropped, effects=["an effect"])
-
-    Pool.sizes, Pool.methods = [], []
-    monkeypatch.setattr(mix, "_rendered", rendered)
-    monkeypatch.setattr(mix, "ProcessPoolExecutor", Pool)
-    monkeypatch.setattr(mix.os, "cpu_count", lambda: cores)
-    told: list[str] = []
-    jobs: Any = [("s", EnsemblePart(part=i, instrument=f"i{i}"), RenderOptions(), {}) for i in (1, 2, 3)[:n_parts]]
-    with warnings.catch_warnings(record=True) as issued:
-        warnings.simplefilter("always")
-        results = list(mix._all_rendered(jobs, workers, told.append))
-    assert told == ["i1", "i2", "i3"][:n_parts]
-    assert [None if isinstance(r, NothingPlayedError) else r[0].tolist() for r in results] == [
-        [[1, 1], [1, 1]], None, [[3, 3], [3, 3]],
-    ][:n_parts]  # fmt: skip
-    assert [size] == (Pool.sizes or [None])
-    if size is not None:
-        assert Pool.methods == ["spawn"]
-        assert results[0][1].effects == ()  # type: ignore[index]  # they hold what no process sends
-        # warnings of the processes are theirs; those of dropped notes are issued once, here
-        assert [str(w.message) for w in issued] == ["1 note cannot be played; the first, at 0.50 s: too low"]
-
-
-def test_a_process_that_ends_is_named_with_its_instrument(monkeypatch: pytest.MonkeyPatch) -> None:
-    def rendered(*_: Any) -> Any:
-        raise BrokenProcessPool
-
-    monkeypatch.setattr(mix, "_rendered", rendered)
-    monkeypatch.setattr(mix, "ProcessPoolExecutor", Pool)
-    jobs: Any = [("s", EnsemblePart(part=i, instrument=f"i{i}"), RenderOptions(), {}) for i in (1, 2)]
-    with pytest.raises(TonewoodError, match="the process that rendered i1 ended: out of memory"):
-        list(mix._all_rendered(jobs, 2, None))
-
-
-@pytest.mark.parametrize(
-    ("fault", "said"), [(OSError(28, "No space left"), "No space left"), (OSError("4 of 9"), r"is the disk full\?")]
-)
-def test_a_part_that_is_not_kept_says_why(fault: OSError, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def save(*_: Any) -> None:
-        raise fault
-
-    monkeypatch.setattr(mix, "_rendered", lambda *_: (np.zeros((1, 2)), summary()))
-    monkeypatch.setattr(mix.np, "save", save)
-    with pytest.raises(OutputError, match=f"kept until the mix: {said}$"):
-        mix._to_file("x.npy", "s", EnsemblePart(part=1, instrument="i"), RenderOptions(), {})
-
-
-def test_stems_are_as_long_as_the_longest_part(monkeypatch: pytest.MonkeyPatch) -> None:
-    parts = [EnsemblePart(part=i, instrument="i") for i in (1, 2, 3)]
-    why = NothingPlayedError("no notes", file="s.mid")
-    given: list[Any] = []
-
-    def all_rendered(jobs: Any, workers: Any, progress: Any) -> Any:
-        given[:] = jobs
-        results = [(np.ones((2, 2)), summary()), why, (np.ones((3, 2)), summary())]
-        return [results[job[1].part - 1] for job in jobs]
-
-    monkeypatch.setattr(mix, "_all_rendered", all_rendered)
-    silent: list[tuple[int, str]] = []
-    stems = mix.render_ensemble(
-        Path("s.mid"), parts, FS, silent=lambda part, reason: silent.append((part.part, reason)), lead_in=0.5
-    )
-    assert silent == [(2, "no notes")]
-    assert [(stem.part.part, stem.samples[:, 1].tolist()) for stem in stems] == [(1, [1, 1, 0]), (3, [1, 1, 1])]
-    assert [(job[0], job[2].fs, job[2].lead_in, job[3]) for job in given] == [("s.mid", FS, 0.5, {})] * 3
-    mix.render_ensemble("s.mid", parts[:1], reading={"transpose": 2})
-    assert given[0][3] == {"transpose": 2}
-    # one part alone, or nobody to tell: that is the error
-    for some, tell in ((parts[1:2], silent.append), (parts, None)):
-        with pytest.raises(NothingPlayedError) as caught:
-            mix.render_ensemble("s.mid", some, silent=tell)  # type: ignore[arg-type]  # not called
-        assert caught.value is why
-    with pytest.raises(NothingPlayedError, match="no note of any part can be played"):
-        mix.render_ensemble("s.mid", [parts[1]] * 2, silent=lambda part, reason: None)
-
-
-@pytest.mark.parametrize(("channel", "acts"), [(1, True), (None, True), (0, False), (2, False)])
-def test_volume_of_a_part_is_that_of_its_channel_at_the_time_of_its_lead_in(
-    channel: int | None, acts: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Part 2 is channel 1 from 0; a volume that the instrument itself uses is left to it."""
-    controls = [
-        Control(0.5, "cc7", 0.5, channel),
-        Control(0.5, "cc11", 0.5, channel),
-        Control(0.5, "cc1", 0.5, channel),
-    ]
-    score = tw.Score([tw.Note(0.0, note=45, program=p) for p in (3, 4)], controls,
-                     ignored={"program change": 1, "other": 2})  # fmt: skip
-    played: list[Any] = []
-
-    class Renderer:
-        channels, zero_frame, fs = ("a",), 250, 1000
-
-        def __init__(self, music: tw.Score, instrument: Any, *, options: RenderOptions):
-            played.append(music)
-
-        def blocks(self, size: int) -> list[np.ndarray]:
-            return [np.ones((500, 1)), np.ones((500, 1))]
-
-        def summary(self) -> Summary:
-            return summary()
-
-    playing = SimpleNamespace(controls={"cc11": None}, switches={})
-    instrument = SimpleNamespace(replace=lambda changes: SimpleNamespace(spec=SimpleNamespace(playing=playing)))
-    monkeypatch.setattr(mix, "Renderer", Renderer)
-    monkeypatch.setattr(mix, "read_score", lambda path, tracks, **reading: score)
-    monkeypatch.setattr("tonewood.instrument.bundle.loading.Instrument.load", lambda name: instrument)
-    part = EnsemblePart(part=2, instrument="i", programs=[3], pan=-1.0)
-    sound, found = mix._rendered("s", part, RenderOptions(), {})
-    assert [n.program for n in played[0].notes] == [3]
-    assert [c.kind for c in played[0].controls] == ["cc11", "cc1"]
-    assert played[0].ignored == {"other": 2}
-    assert sound[[749, 755, 760], 0] == pytest.approx([1.0, 0.75**2, 0.25] if acts else [1.0, 1.0, 1.0])
-    assert found.warnings == ("one",)
-    mix._rendered("s", part.model_copy(update={"programs": None}), RenderOptions(), {})
-    assert played[1].ignored == {"program change": 1, "other": 2}
-    quiet = part.model_copy(update={"gain_db": -120.0})
-    monkeypatch.setattr(Renderer, "blocks", lambda self, size: [np.full((9, 1), 1e-5)])
-    assert mix._rendered("s", quiet, RenderOptions(), {})[1].warnings[1:] == (
-        "the sound is silent: its peak is -220 dBFS",
-    )
-    monkeypatch.setattr(Renderer, "blocks", lambda self, size: [])
-    assert mix._rendered("s", part, RenderOptions(), {})[0].shape == (0, 2)
-    monkeypatch.setattr(Renderer, "channels", ("a", "b", "c"))
-    with pytest.raises(TonewoodError, match="outputs: i has 3 channels; choose one or two"):
-        mix._rendered("s", part, RenderOptions(), {})
-    monkeypatch.setattr(mix, "Renderer", lambda *_, **__: (_ for _ in ()).throw(NothingPlayedError("too low")))
-    with pytest.raises(NothingPlayedError, match="s: part 2 on i: too low"):
-        mix._rendered("s", part, RenderOptions(), {})
-    with pytest.raises(NothingPlayedError, match="s: part 2 on i: there are no notes to play"):
-        mix._rendered("s", part.model_copy(update={"programs": [9]}), RenderOptions(), {})
 
 
 # files
@@ -296,100 +102,6 @@ def test_options_inside_of_other_options_report_their_place() -> None:
     assert [error["loc"] for error in caught.value.errors()] == [("render", "fs")]
 
 
-# live
-
-
-def test_frames_of_a_live_instrument_are_counted_and_its_past_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    live = tw.Live("monochord", FS, prepare=False)
-    forgotten: list[int] = []
-    monkeypatch.setattr(live, "_fill", lambda frames: None)
-    monkeypatch.setattr(live.engine.usage, "forget_times", lambda: forgotten.append(live.frames))
-    live._pending = np.array([[0.5], [-1.5], [1.0], [1.25], [0.0], [0.25]])
-    assert live.process(3)[:, 0].tolist() == [0.5, -1.5, 1.0]
-    assert live.process(1)[:, 0].tolist() == [1.25]
-    found = live.summary()
-    assert (found.frames, found.clipped, found.peak_dbfs) == (4, 2, pytest.approx(20 * np.log10(1.5)))
-    assert live.time == 4 / FS
-    for frames, times in ((65534, 0), (65535, 1), (65536, 1), (131070, 1), (131071, 2)):
-        live.frames, live._pending = frames, np.zeros((1, 1))
-        live.process(1)
-        assert len(forgotten) == times
-
-
-def test_a_long_block_is_stepped_at_once_and_no_further_than_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Points of 64 frames; while notes may come between two of them, or stops are to be compiled, one at a time."""
-    live = tw.Live("monochord", FS, prepare=False)
-    steps: list[int] = []
-    advance = live.engine.advance
-    monkeypatch.setattr(live.engine, "advance", lambda points: (steps.append(points), advance(points))[1])
-    idle = live.player.idle_points
-    assert idle >= 8
-    assert GRID == 64
-    for frames, points in ((257, [5]), (63, []), (1, [1]), (63, []), (512, [8])):
-        steps.clear()
-        live.process(frames)
-        assert steps == points
-    live.player.spare = lambda: False  # what waits is not compiled yet
-    live._bases._waiting.append(("A2", 0, {}))
-    live.process(256)
-    live._bases._waiting.clear()
-    live.process(256)
-    assert steps == [8, 1, 1, 1, 1, 4]
-
-
-def test_a_meter_has_loads_underruns_and_the_last_note_that_was_lost() -> None:
-    counters = SimpleNamespace(dropped=Counter(), latest=deque())
-    stream = SimpleNamespace(loads=deque(), underruns=0, latency=0.02, device_latency=0.03)
-    player = SimpleNamespace(n_sounding=2, counters=counters)
-    live = SimpleNamespace(player=player, ramp=0.005, latency=0.0075)
-    one: Any = SimpleNamespace(stream=stream, live=live)
-    assert LiveSession.status(one) == "load   0 %, worst   0 % | 0 underruns | 2 sounding"
-    stream.loads.extend([0.1, 0.2, 0.6])
-    stream.underruns = 3
-    counters.dropped.update({"too low": 2, "too high": 1})
-    counters.latest.extend([SimpleNamespace(reason="too low"), SimpleNamespace(reason="too high")])
-    assert LiveSession.status(one) == (
-        "load  30 %, worst  60 % | 3 underruns | 2 sounding | 3 not played, last: too high"
-    )
-    parts = LiveSession.latency.fget(one)  # type: ignore[attr-defined]
-    assert parts == pytest.approx({"pluck": 0.005, "grid": 0.0025, "blocks": 0.02, "device": 0.03})
-
-
-@pytest.mark.parametrize("interrupted", [True, False])
-def test_a_session_leaves_the_interpreter_as_it_was(interrupted: bool) -> None:
-    """Meanwhile no collection, and threads that give way sooner; messages without a block go into the take."""
-    during: list[Any] = []
-
-    class Stream:
-        def play(self, *arguments: Any, **options: Any) -> str:
-            during.append((gc.isenabled(), sys.getswitchinterval(), arguments, options))
-            if interrupted:
-                raise KeyboardInterrupt
-            return "played"
-
-        def playback(self) -> str:
-            return "so far"
-
-    taken: list[Any] = []
-    live: Any = SimpleNamespace(fs=FS, frames=77)
-    closed: list[str] = []
-    source: Any = SimpleNamespace(
-        poll=lambda: [(2.0, [0x90, 2, 2]), (1.0, [0x90, 1, 1])], close=lambda: closed.append("closed")
-    )
-    take: Any = SimpleNamespace(add=lambda frame, message: taken.append((frame, message)))
-    made = object.__new__(LiveSession)
-    made.live, made.sources, made.take, made.stream = live, [source], take, Stream()  # type: ignore[assignment]
-    made.receiver = SimpleNamespace(ignored=Counter())  # type: ignore[assignment]
-    made._arrivals = Arrivals(FS, 64)
-    before = sys.getswitchinterval()
-    assert made.run("device", "stream", None) == ("so far" if interrupted else "played")  # type: ignore[comparison-overlap]
-    assert (gc.isenabled(), sys.getswitchinterval()) == (True, before)
-    assert during == [(False, pytest.approx(5e-4), ("device", "stream", None), {"low_latency": True})]
-    assert taken == [(77, [0x90, 1, 1]), (77, [0x90, 2, 2])]
-    assert made.receiver.ignored == {"message after the last block": 2}
-    assert closed == ["closed"]
-
-
 # models in files
 
 
@@ -444,81 +156,6 @@ def test_a_saved_string_is_held_where_it_is_asked_and_plucked_by_the_force(tmp_p
     assert not (tmp_path / "wrong").exists()
 
 
-def test_frames_before_the_first_are_left_out_however_they_are_stepped(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A resampler that looks 70 frames ahead gives these before frame 0: in one piece, and in two."""
-
-    class Ahead:
-        def __call__(self, sound: np.ndarray, sample: int) -> np.ndarray:
-            return sound
-
-        def samples(self, frames: float) -> float:
-            return frames
-
-    for waits in (False, True):
-        live = tw.Live("monochord", FS, prepare=False)
-        given = iter(range(10**6))
-        monkeypatch.setattr(
-            live.engine, "advance", lambda points, given=given: np.array([[next(given)] for _ in range(points * GRID)])
-        )
-        live._early, live._resampler = 70, Ahead()  # type: ignore[assignment]
-        live._routing = SimpleNamespace(scaled=lambda x: x, finished=lambda x: x)  # type: ignore[assignment]
-        live.player.spare = lambda: False
-        live._bases._waiting.extend([("A2", 0, {})] * waits)
-        assert live.process(10)[:, 0].tolist() == list(range(70, 80))
-        assert live.process(100)[:, 0].tolist() == list(range(80, 180))
-
-
-def test_blocks_of_a_stream_are_timed_clipped_and_given_to_both_sides(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Blocks of 8 ms that take 2, 4 and 1 ms, by a processor that halves them and gives 96 frames in place of 64."""
-    clock = iter([0.0, 0.002, 1.0, 1.004, 2.0, 2.001, 3.0])
-    monkeypatch.setattr("tonewood.sound.live.stream.time.perf_counter", lambda: next(clock))
-
-    def longer(block: np.ndarray, fs: int) -> np.ndarray:
-        assert fs == FS
-        return np.concatenate([0.5 * block, 0.5 * block[:32]])
-
-    sound = AudioStream([np.full((64, 1), v) for v in (1.0, 3.0)], 64, ahead=9, chain=[longer], fs=FS, n_channels=1)
-    sound._fill()
-    given = [sound._ready.get() for _ in range(4)]
-    assert given.pop() is None
-    values = np.concatenate([0.5 * np.ones(96), np.ones(96)])
-    assert [block.tolist() for block in given if block is not None] == [
-        [[v, v] for v in values[first : first + 64]] for first in (0, 64, 128)
-    ]
-    assert (sound.n_channels, sound.clipped) == (2, 96)
-    assert list(sound.loads) == pytest.approx([0.25, 0.5, 0.125])
-    assert sound.latency == pytest.approx(11 * 0.008)
-    found = sound.playback()
-    assert (found.load, found.worst_block_s) == (pytest.approx(0.875 / 3), pytest.approx(0.004))
-
-
-def test_a_sound_is_resampled_by_as_many_taps_as_kaiser_s_formula_gives() -> None:
-    """(A - 7.95) / (2.285 pi width) + 1 of 110 dB and a width of 0.05 of the doubled rate's Nyquist frequency."""
-    taps = int(np.ceil((110 - 7.95) / (2.285 * np.pi * 0.05) + 1)) | 1
-    impulse = np.zeros((400, 1))
-    impulse[200] = 1.0
-    at = np.flatnonzero(resampled(impulse, 24000, 48000))
-    assert (at[0], at[-1]) == (400 - taps // 2, 400 + taps // 2)
-
-
-def test_settings_of_a_take_have_their_limits(tmp_path: Path) -> None:
-    limits = {"fs": (8000.0, 768000.0), "ramp": (0.0, 1.0), "spacing": (0.0, 1e6)}
-    for name, (low, high) in limits.items():
-        for value in (low, high):
-            assert take._number({name: repr(value)}, name, 1.0, "a.mid") == value
-        for text in (repr(low - 1), repr(high * 1.01), "much"):
-            with pytest.raises(TonewoodError, match=f"a.mid: {name}: the take has the value '{text}'; a number from"):
-                take._number({name: text}, name, 1.0, "a.mid")
-    assert take._number({}, "ramp", 0.25, "a.mid") == 0.25
-    recorded, live = take.Take(FS), tw.Live("monochord", FS, prepare=False, spacing=0)
-    recorded.add(100, [0x90, 45, 90])
-    recorded.save(tmp_path / "t.mid", live, 300)
-    again = take.Replay(tmp_path / "t.mid", "monochord", tail=0.0)
-    assert (again.live.player.spacing, again.fs) == (0, FS)
-    assert [len(block) for block in again.blocks(150)] == [100, 150, 50]
-    assert again.time == 300 / FS
-
-
 # plans, accounts
 
 
@@ -540,6 +177,15 @@ def test_an_account_with_a_value_that_is_no_number_is_not_written(tmp_path: Path
     with pytest.raises(ValueError, match="not JSON compliant"):
         energy.save_energy(trace, tmp_path / "e.json")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_sound_is_resampled_by_as_many_taps_as_kaiser_s_formula_gives() -> None:
+    """(A - 7.95) / (2.285 pi width) + 1 of 110 dB and a width of 0.05 of the doubled rate's Nyquist frequency."""
+    taps = int(np.ceil((110 - 7.95) / (2.285 * np.pi * 0.05) + 1)) | 1
+    impulse = np.zeros((400, 1))
+    impulse[200] = 1.0
+    at = np.flatnonzero(resampled(impulse, 24000, 48000))
+    assert (at[0], at[-1]) == (400 - taps // 2, 400 + taps // 2)
 
 
 # spans of a render
