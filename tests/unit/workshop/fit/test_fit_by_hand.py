@@ -11,7 +11,7 @@ import pytest
 from fit_scenes import TAU, Truth
 
 from tonewood.errors import TonewoodError
-from tonewood.workshop.fit import arrays, drift, identify, noise, radiation, search
+from tonewood.workshop.fit import arrays, drift, files, identify, noise, radiation, search
 from tonewood.workshop.fit.body import _shapes, passive_body
 from tonewood.workshop.fit.fit import Fit, fit_responses
 from tonewood.workshop.fit.hits import is_double
@@ -350,3 +350,60 @@ def test_shifts_of_hits_are_weighted_by_the_noise_of_each_response() -> None:
     slopes = np.stack([force * slope, 0 * force + 1.0], axis=1)
     moved, _ = drift.Spectra(freq, force, motion, 0 * force, slopes).moves(np.arange(20, 180))
     assert moved == pytest.approx(shift, abs=1e-8)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.5, -3.0])
+def test_the_zero_of_a_force_is_its_median(offset) -> None:
+    force = pulses((1000, [1.0, 0.5]), (3000, [0.02]))
+    assert not is_double(offset + force, FS)
+    force[3000] = 0.04
+    assert is_double(offset + force, FS)
+
+
+@pytest.mark.parametrize(("first", "second"), [(True, True), (True, False), (False, True), (False, False)])
+def test_hits_on_several_points_are_one_measurement(first, second, monkeypatch, tmp_path) -> None:
+    """Rows in the order of the points struck; a coherence where all have one, and the fewest hits of one point."""
+    freq = np.arange(5.0)
+
+    def hit(path, reading):
+        return files._Hit(100.0, np.arange(20.0), np.ones((2, 20)), ("a", "b"), path.name[0])
+
+    def of_one(name, hits, reading):
+        known = {"p": first, "q": second}[name]
+        y = np.full((2, 5), len(hits) + 0j)
+        return Responses(
+            freq, y, (("a", name), ("b", name)), np.full((2, 5), 0.1 * len(hits)) if known else None,
+            len(hits) if known else None, 2.0, {("m", name): y[0]}, kept=(len(hits), len(hits) + 1), remarks=(name,),
+        )  # fmt: skip
+
+    monkeypatch.setattr(files, "_hit", hit)
+    monkeypatch.setattr(files, "_of_one_reference", of_one)
+    paths = [Path(name) for name in ("p1", "q1", "p2", "p3", "q2")]
+    whole = files._of_hits(paths, files.Reading("mobility"), {"p1": "hash"})
+    assert whole.pairs == (("a", "p"), ("b", "p"), ("a", "q"), ("b", "q"))
+    assert whole.mobility[:, 0].tolist() == [3, 3, 2, 2]
+    both = first and second
+    assert (whole.coherence is not None) == both
+    if both:
+        assert whole.coherence[:, 0] == pytest.approx([0.3, 0.3, 0.2, 0.2])
+        assert whole.n_hits == 2
+    assert (list(whole.pressure), whole.kept, whole.remarks) == ([("m", "p"), ("m", "q")], (5, 7), ("p", "q"))
+    assert (whole.alpha, whole.files) == (2.0, {"p1": "hash"})
+    with pytest.raises(TonewoodError, match="--form: the quantity measured is not stated"):
+        files._of_hits(paths, files.Reading(), {})
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"fs": 101.0}, "another rate, length or other channels"), ({"names": ("a", "c")}, "another rate"),
+        ({"force": np.ones(21)}, "another rate"),
+        ({"motion": np.array([np.ones(20), np.r_[np.ones(18), 0, 0]])}, "ends in zeros"),
+    ],
+)  # fmt: skip
+def test_hits_that_do_not_belong_together_are_refused(changes, said, monkeypatch) -> None:
+    usual = files._Hit(100.0, np.arange(20.0), np.ones((2, 20)), ("a", "b"), "p")
+    hits = {"1": usual, "2": replace(usual, **changes)}
+    monkeypatch.setattr(files, "_hit", lambda path, reading: hits[path.name])
+    with pytest.raises(TonewoodError, match=f"2: (has|ends).*{said.removeprefix('ends ')}"):
+        files._of_hits([Path("1"), Path("2")], files.Reading("mobility"), {})
