@@ -393,6 +393,31 @@ def test_takes_are_kept_once_a_second(monkeypatch, tmp_path) -> None:
     kept.save()
     assert saved[-1] == (tmp_path / "t.mid", 7)
     live.Kept(None, None, None).now_and_then()
+
+
+def test_a_take_that_cannot_be_kept_is_said_while_it_is_played(monkeypatch, tmp_path, capsys) -> None:
+    """Once, as is a take that has grown too long to be read again; the last error ends the command."""
+    now = [0.0]
+    monkeypatch.setattr(live.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(live, "MAX_MESSAGES", 3)
+
+    def full(*_: object) -> None:
+        raise OutputError("the disk is full", file="t.mid")
+
+    take = SimpleNamespace(messages=[], save=full)
+    kept = live.Kept(take, "t.mid", SimpleNamespace(frames=7))
+    for at in (1.0, 2.0, 3.0, 4.0, 5.0):
+        now[0] = at
+        take.messages.append(at)
+        kept.now_and_then()
+    assert [line.removeprefix("tonewood: warning: ") for line in capsys.readouterr().err.splitlines()] == [
+        "t.mid: the disk is full; it is tried again until the end",
+        "t.mid: `render --live` reads 3 messages at most; begin another take",
+    ]
+    refused("the disk is full", kept.save)
+
+
+def test_files_of_takes_are_checked_before(tmp_path) -> None:
     live._check_record(tmp_path / "new.mid")
     refused("there is no folder", live._check_record, tmp_path / "no" / "t.mid")
     refused("cannot be written", live._check_record, tmp_path)

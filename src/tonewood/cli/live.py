@@ -6,13 +6,13 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tonewood.cli.common import print_json, warn, warn_of_kinds
 from tonewood.errors import OutputError, TonewoodError
+from tonewood.performance.score.smf import MAX_MESSAGES
 from tonewood.support.units import counted
 
 if TYPE_CHECKING:
@@ -100,15 +100,24 @@ class Kept:
 
     def __init__(self, take: Take | None, record: Path | None, live: Live):
         self._take, self._record, self._live = take, record, live
-        self._at, self._n = time.monotonic(), 0
+        self._at, self._n, self._said = time.monotonic(), 0, set[str]()
 
     def now_and_then(self) -> None:
-        """Save messages of the last second; where they cannot be written, `save` tries again and says so."""
+        """Save messages of the last second; where they cannot be written, say so once: `save` tries again."""
         now, n = time.monotonic(), 0 if self._take is None else len(self._take.messages)
         if n > self._n and now - self._at >= _KEPT_EVERY:
             self._at, self._n = now, n
-            with suppress(OutputError):
+            try:
                 self._write()
+            except OutputError as fault:
+                self._say(f"{fault}; it is tried again until the end")
+            if n > MAX_MESSAGES:
+                self._say(f"{self._record}: `render --live` reads {MAX_MESSAGES} messages at most; begin another take")
+
+    def _say(self, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            warn([text])
 
     def save(self) -> None:
         """Save all; Ctrl-C meanwhile begins it again."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import threading
 import time
@@ -156,6 +157,59 @@ def test_a_device_that_is_not_there_one_line(monochord: tw.Instrument, monkeypat
         tw.play(renderer(monochord), device=99)
     with pytest.raises(OutputError, match="--device names another, and `tonewood render` writes a file"):
         tw.play(renderer(monochord))
+
+
+def test_a_device_that_cannot_be_started_is_one_line_and_one_that_was_is_given_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fake, calls = ModuleType("sounddevice"), list[str]()
+
+    class PortAudioError(Exception):
+        pass
+
+    class OutputStream:
+        busy, latency = True, 0.25
+
+        def __init__(self, **options: Any) -> None:
+            self.callback = options["callback"]
+
+        def start(self) -> None:
+            if self.busy:
+                raise PortAudioError("device busy")
+            with contextlib.suppress(StopIteration):
+                while True:
+                    self.callback(np.zeros((4, 2), np.float32), 4)
+
+        def stop(self) -> None:
+            calls.append("stop")
+
+        def close(self) -> None:
+            calls.append("close")
+
+    fake.PortAudioError, fake.OutputStream, fake.CallbackStop = PortAudioError, OutputStream, StopIteration  # type: ignore[attr-defined]  # a module of these names
+    monkeypatch.setitem(sys.modules, "sounddevice", fake)
+    with pytest.raises(OutputError, match="cannot open the sound device: device busy"):
+        tw.AudioStream([np.zeros((4, 1))], 4, fs=16000, n_channels=1).play()
+    assert calls == []
+    OutputStream.busy = False
+    stream = tw.AudioStream([np.zeros((4, 1))], 4, fs=16000, n_channels=1)
+    assert (stream.play().frames, stream.device_latency, calls) == (4, 0.25, ["stop", "close"])
+
+
+def test_a_device_that_stops_by_itself_is_an_error() -> None:
+    """PortAudio calls back that the stream has finished, also where the device was unplugged."""
+
+    class Unplugged(FakeStream):
+        def _run(self) -> None:
+            for _ in range(2):
+                self.options["callback"](np.zeros((self.options["blocksize"], 2), np.float32), 4000, None, None)
+            self.options["finished_callback"]()
+
+    blocks = [np.zeros((4000, 1))] * 100
+    with pytest.raises(OutputError, match=r"^the sound device has stopped by itself, after 0\.5 s$"):
+        tw.AudioStream(blocks, 4000, fs=16000, n_channels=1).play(stream=Unplugged)
+    ended = tw.AudioStream(blocks[:2], 4000, fs=16000, n_channels=1).play(stream=FakeStream)
+    assert ended.frames == 8000
 
 
 def test_samples_beyond_full_scale_are_counted() -> None:

@@ -88,10 +88,10 @@ class LiveSession:
     def run(self, device: Any = None, stream: Any = None, wait: Callable[[], bool] | None = None) -> Playback:
         """Play until `wait` returns False or Ctrl-C; parameters as of `AudioStream.play`."""
         interval = sys.getswitchinterval()
-        gc.collect()
-        gc.disable()  # playing makes no cycles, and a collection takes as long as a block or two
-        sys.setswitchinterval(_SWITCH)
         try:
+            gc.collect()
+            gc.disable()  # playing makes no cycles, and a collection takes as long as a block or two
+            sys.setswitchinterval(_SWITCH)
             return self.stream.play(device, stream, wait, low_latency=True)
         except KeyboardInterrupt:
             return self.stream.playback()

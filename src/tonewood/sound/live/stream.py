@@ -8,6 +8,7 @@ import time
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -148,6 +149,8 @@ class AudioStream:
         self._ready: queue.Queue[Floats | None] = queue.Queue(maxsize=ahead)
         self.done, self._primed = threading.Event(), threading.Event()
         self._failed: list[Exception] = []
+        #: whether the source's last block was given out
+        self._ended = False
         self.frames = self.underruns = self.clipped = self.late = 0
         self._blocks_made, self._busy_s, self.worst_block_s = 0, 0.0, 0.0
         self.device_latency = 0.0
@@ -236,9 +239,9 @@ class AudioStream:
 
         Raises
         ------
-        OutputError : there is no PortAudio or no such device, in one line.
+        OutputError : there is no PortAudio or no such device, or it has stopped by itself; in one line.
         """
-        make = stream or _output_stream()
+        make, stopped = stream or _output_stream(), False
         try:
             self.start()
             with make(
@@ -250,9 +253,13 @@ class AudioStream:
                 while not self.done.wait(0.1):
                     if wait is not None and not wait():
                         break
+                stopped = self.done.is_set() and not self._ended
         finally:
             self.close()
-        return self.playback()
+        playback = self.playback()
+        if stopped:
+            raise OutputError(f"the sound device has stopped by itself, after {self.frames / self.fs:.1f} s")
+        return playback
 
     def callback(self, out: Any, n: int, _time: Any = None, status: Any = None) -> None:
         """Fill `out`, (n, n_channels), with n frames of a block; a sound card's callback, `status` its flags.
@@ -267,6 +274,7 @@ class AudioStream:
             out[:] = 0.0
             raise
         if ended:
+            self._ended = True
             self.done.set()
             raise _stop()
 
@@ -355,14 +363,21 @@ def _output_stream() -> Any:
     except OSError:
         raise OutputError("playing needs the PortAudio library, which is not installed") from None
 
-    def make(**options: Any) -> Any:
+    @contextmanager
+    def make(**options: Any) -> Iterator[Any]:
         try:
-            return sounddevice.OutputStream(**options)
+            opened = sounddevice.OutputStream(**options)
+            opened.start()
         except (sounddevice.PortAudioError, ValueError) as error:
             reason = f"cannot open the sound device: {error}"
             if options.get("device") is None:
                 reason += " (the usual one; --device names another, and `tonewood render` writes a file)"
             raise OutputError(reason) from None
+        try:
+            yield opened
+        finally:
+            opened.stop()
+            opened.close()
 
     return make
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -14,7 +16,9 @@ from tonewood.instrument.model.assembly import assemble
 from tonewood.performance.player.playing import perform
 from tonewood.performance.score.reading import read_score
 from tonewood.sound.live.receiver import MidiReceiver
+from tonewood.sound.live.session import LiveSession
 from tonewood.sound.live.stream import Arrivals
+from tonewood.sound.live.take import Take
 
 DOWN, UP = (0xB0, 64, 127), (0xB0, 64, 0)
 SOUND_OFF, RESET = (0xB0, 120, 0), (0xB0, 121, 0)
@@ -87,3 +91,21 @@ def test_a_stream_that_never_pauses_is_in_time_again_after_an_interruption() -> 
     for time, delay in delays.items():
         wanted = 3.0 if time <= began else max((9.0 - time) / 2, 0.0)
         assert wanted - longest <= delay <= wanted + longest, time
+
+
+def test_a_signal_before_the_first_block_keeps_the_messages_that_came(
+    monochord: tw.Instrument, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Garbage is collected before: that takes as long as many blocks."""
+    source = SimpleNamespace(name="keys", poll=[[(0.0, (0x90, 45, 90))], []].pop, close=lambda: None)
+    take = Take(48000)
+    session = LiveSession(tw.Live(monochord, prepare=False), [source], take=take)
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tonewood.sound.live.session.gc.collect", interrupted)
+    source.poll()
+    assert session.run(stream=SimpleNamespace).frames == 0
+    assert take.messages == [(0, bytes((0x90, 45, 90)))]
+    assert gc.isenabled()
