@@ -178,7 +178,7 @@ def test_noise_of_a_misfit_and_of_a_coherence_are_smoothed_over_their_bins() -> 
     [
         ({150: 20.0}, [150]),  # 20 * 6 / sqrt(70) is above ten deviations, 10 times that is not
         ({150: 10.0}, []),
-        ({150: 40.0, 152: 10.0}, [150, 152]),  # the second one is above four and a half
+        ({150: 40.0, 152: 8.0}, [150, 152]),  # the second one is above four and a half
         ({150: 40.0, 158: 10.0}, [150]),  # a run of its own begins with ten deviations
     ],
 )
