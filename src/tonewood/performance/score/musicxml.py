@@ -281,6 +281,8 @@ class _PartReader:
             self.sounded = self.sounded or bool(said_jumps)
             measure.opens = measure.opens or sound.get("forward-repeat") == "yes"
             self.music.ignored["sound of some passes only, obeyed in all"] += sound.get("time-only") is not None
+            self.music.ignored["change of instrument within a part"] += sound.find("midi-instrument") is not None
+            self.music.ignored["pizzicato"] += sound.get("pizzicato") is not None
             mute = text_of(sound, "play/mute")
             self.palm = mute == "palm" if mute else self.palm
             if (feel := sound.find("swing")) is not None:
@@ -415,6 +417,7 @@ class _PartReader:
             self.part.n_drums += written is None
             return None
         self.music.ignored["note of some passes only, played in all"] += element.get("time-only") is not None
+        self.music.ignored["attack or release of a note"] += bool({"attack", "release"} & element.keys())
         self.music.ignored["octave that is not whole"] += number_of(written, "octave", 4.0) % 1 > 0
         self.music.ignored["pitch without an octave"] += written is not None and written.find("octave") is None
         self.music.signs.take()

@@ -380,3 +380,13 @@ def test_a_chord_of_grace_notes_sounds_at_once(tmp_path: Path) -> None:
 def test_a_tremolo_that_is_not_measured_has_eight_strokes_a_quarter(tmp_path: Path) -> None:
     free = note("C", 4, 4, more='<ornaments><tremolo type="unmeasured">0</tremolo></ornaments>')
     assert [n.time for n in read(tmp_path, free).notes] == [i / 8 for i in range(8)]
+
+
+def test_signs_of_a_sound_that_are_not_followed_are_counted(tmp_path: Path) -> None:
+    program = '<sound><midi-instrument id="I"><midi-program>41</midi-program></midi-instrument></sound>'
+    early = note("D", 4, 4).replace("<note>", '<note attack="-1" release="2">')
+    score = read(tmp_path, plain("C") + program + early + '<sound pizzicato="yes"/>' + plain("E"))
+    assert [n.note for n in score.notes] == [60, 62, 64]
+    assert score.ignored == {
+        "change of instrument within a part": 1, "attack or release of a note": 1, "pizzicato": 1,
+    }  # fmt: skip
