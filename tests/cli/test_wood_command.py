@@ -11,7 +11,8 @@ import soundfile as sf
 
 import tonewood as tw
 from cli_runs import refused
-from tonewood.workshop.wood.board import typical
+from tonewood.cli.wood import _report
+from tonewood.workshop.wood.board import Board, MatchedPeak, typical
 from tonewood.workshop.wood.rectangle import Rectangle
 from tonewood.workshop.wood.stick import bar_freq
 
@@ -102,3 +103,18 @@ def test_a_stick_gives_its_modulus_along_the_grain(tonewood: Run, tmp_path: Path
     assert values["E_L"] == pytest.approx(12.0, rel=0.02)
     assert values["loss_L"] == pytest.approx(1 / 110, rel=1e-3)
     assert "E_R" not in out
+
+
+def test_peaks_that_are_not_used_are_named(tonewood: Run, tmp_path: Path) -> None:
+    """Those outside the band, and a quarter of them or more that are no mode of the board."""
+    (tmp_path / "s.csv").write_text("freq_Hz\n220\n606\n900\n1200.5\n")
+    words = ("--length", 0.45, "--width", 0.008, "--thickness", 0.008, "--mass", 0.0118, "--stick")
+    code, _, err = tonewood("wood", tmp_path / "s.csv", *words)
+    assert code == 0
+    assert "peaks outside --band 30 800 were not used: 900.0, 1200.5 Hz\n" in err
+    wood = typical("sitka_spruce", 420.0)
+    for strangers, pairs, doubtful in ((1, 3, True), (2, 7, False), (3, 9, True)):
+        board = Board(wood, {}, (MatchedPeak(60.0, 60.0, (1.0, 0.0, 0.0), 0.0),) * pairs, (99.0,) * strangers, (), 0.0)
+        warnings = _report(board, 420.0, [], False)["warnings"]
+        line = f"{strangers} of {strangers + pairs} peaks are no mode of such a board: do not trust the constants"
+        assert any(warning.startswith(line) for warning in warnings) == doubtful

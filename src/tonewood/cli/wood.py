@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from tonewood.workshop.wood.peaks import BoardPeak
     from tonewood.workshop.wood.stick import Stick
 
+#: share of peaks without a mode from which the constants are doubtful
+_STRANGERS = 0.25
 _NAMES = {"E_L": "GPa", "E_R": "GPa", "G_LR": "GPa", "loss_L": "", "loss_R": "", "loss_shear": ""}
 
 
@@ -88,7 +90,7 @@ def wood(
     if stick and outline is not None:
         raise TonewoodError("is for a board; a stick has no E_R and G_LR", key="--outline")
     allow_file("--output", output, ".yaml")
-    peaks = read_peaks(files, band)
+    peaks, outside = read_peaks(files, band)
     nominal = typical(species, density)
     try:
         solution = _stick(sizes, mass, peaks, nominal.G_LT / nominal.E_L, thickness_error) if stick else _board(
@@ -98,6 +100,9 @@ def wood(
     except ValueError as fault:
         raise TonewoodError(str(fault), file=files[0]) from None
     report = _report(solution, density, tops, sensor is None)
+    if outside:
+        shown = ", ".join(f"{f:.1f}" for f in outside)
+        report["warnings"].append(f"peaks outside --band {band[0]:g} {band[1]:g} were not used: {shown} Hz")
     if output is not None:
         write_whole(output, _yaml(solution, species))
         report["written"] = str(output)
@@ -173,6 +178,12 @@ def _report(solution: Board | Stick, density: float, tops: list[dict[str, Any]],
             warnings.append(
                 f"a sensor of {1e3 * solution.sensor:.1f} g at a corner explains the peaks better and was taken into "
                 "account: state its mass by --sensor, 0 if there was none"
+            )
+        strangers = len(solution.peaks_without_mode)
+        if strangers >= _STRANGERS * (strangers + len(pairs)):
+            warnings.append(
+                f"{strangers} of {strangers + len(pairs)} peaks are no mode of such a board: do not trust the "
+                "constants or their intervals before sizes (length is along the grain), mass and peaks are checked"
             )
         if solution.misfit > 0.012:
             warnings.append(

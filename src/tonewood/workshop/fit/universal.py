@@ -63,6 +63,8 @@ def responses_of_uff(path: Path) -> ResponseTable:
         )  # fmt: skip
     ordinates = {int(x["ordinate_spec_data_type"]) for x in responses} - {_PRESSURE}
     forms = {_ORDINATES.get(ordinate) for ordinate in ordinates}
+    if len(stated := sorted(form for form in forms if form)) > 1:
+        raise TonewoodError(f"holds responses of different quantities: {', '.join(stated)}", file=path)
     freq = np.asarray(responses[0]["x"], dtype=np.float64)
     if any(len(x["x"]) != len(freq) for x in responses):
         raise TonewoodError("holds responses of different frequencies", file=path)

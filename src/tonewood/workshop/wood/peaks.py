@@ -28,8 +28,8 @@ class BoardPeak:
     q: float = 0.0
 
 
-def read_peaks(paths: Sequence[Path], band: tuple[float, float]) -> list[BoardPeak]:
-    """Read the peaks of one board.
+def read_peaks(paths: Sequence[Path], band: tuple[float, float]) -> tuple[list[BoardPeak], list[float]]:
+    """Read the peaks of one board in a band, and the frequencies of a table outside it, Hz.
 
     paths : one table (.csv, as `tonewood taptone -o` writes it), or recordings of taps.
     band : Hz.
@@ -40,11 +40,11 @@ def read_peaks(paths: Sequence[Path], band: tuple[float, float]) -> list[BoardPe
     tables = [path for path in paths if path.suffix.lower() == ".csv"]
     if tables and len(paths) > 1:
         raise TonewoodError("one table of peaks, or recordings only, are allowed", key="FILES")
-    peaks = _table(tables[0]) if tables else _taps(paths, band)
-    peaks = sorted((p for p in peaks if band[0] <= p.freq <= band[1]), key=lambda peak: peak.freq)
+    listed = sorted(_table(tables[0]) if tables else _taps(paths, band), key=lambda peak: peak.freq)
+    peaks = [p for p in listed if band[0] <= p.freq <= band[1]]
     if not peaks:
         raise TonewoodError(f"no peak lies between {band[0]:g} and {band[1]:g} Hz", file=paths[0], key="--band")
-    return peaks
+    return peaks, [p.freq for p in listed if p not in peaks]
 
 
 def _taps(paths: Sequence[Path], band: tuple[float, float]) -> list[BoardPeak]:
@@ -65,8 +65,13 @@ def _table(path: Path) -> list[BoardPeak]:
     if at is None:
         raise TonewoodError(f"no column freq_Hz; there are {', '.join(head) or 'none'}", file=path)
     ends = [head.index(name) for name in ("freq_low_Hz", "freq_high_Hz") if name in head]
-    out = []
+    out: list[BoardPeak] = []
     for line, row in enumerate(rows[1:], 2):
+        if any(cell.strip() for cell in row[len(head) :]):
+            raise TonewoodError(
+                f"row {line}: has {len(row)} cells under {len(head)} names; decimal points, and commas between cells, "
+                "are allowed", file=path,
+            )  # fmt: skip
 
         def value(column: int | None, row: list[str] = row, line: int = line) -> float | None:
             if column is None or column >= len(row) or not row[column].strip():
@@ -77,10 +82,15 @@ def _table(path: Path) -> list[BoardPeak]:
             return number
 
         freq = value(at)
-        if freq is None:
+        if freq is None and not any(cell.strip() for cell in row):
             continue
+        if freq is None or any(peak.freq == freq for peak in out):
+            wrong = "has no frequency" if freq is None else f"lists {freq:g} Hz a second time; once is allowed"
+            raise TonewoodError(f"row {line}: {wrong}", file=path)
         error = value(columns["error_Hz"])
         if len(ends) == 2 and (low := value(ends[0])) is not None and (high := value(ends[1])) is not None:
+            if high < low:
+                raise TonewoodError(f"row {line}: freq_low_Hz is above freq_high_Hz", file=path)
             error = (high - low) / (2 * NORMAL_90)
         out.append(BoardPeak(freq, error or READ_OFF * freq, value(columns["Q"]) or 0.0))
     return out

@@ -350,19 +350,28 @@ def test_a_response_that_is_given_twice_is_refused_in_one_line(tmp_path):
             read_responses(paths, Reading("mobility"))
         assert reported in str(fault.value)
         assert "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize(
+    ("sets", "reported"),
+    [(((1, 11), (1, 11)), "1+3:1+3: is in it twice"), (((1, 11), (2, 12)), "quantities: accelerance, mobility")],
+)
+def test_data_sets_that_contradict_each_other_are_refused(tmp_path, sets, reported):
     pyuff = pytest.importorskip("pyuff")
     universal = pyuff.UFF(str(tmp_path / "d.uff"))
-    for values in (row, other):
+    for node, ordinate in sets:
         universal.write_sets(
             pyuff.prepare_58(
-                func_type=4, rsp_node=1, rsp_dir=3, ref_node=1, ref_dir=3, rsp_ent_name="NONE", ref_ent_name="NONE",
-                data=values, x=FREQ, binary=1, id1="", id2="", id3="", id4="", id5="", load_case_id=0,
-                abscissa_spacing=1, abscissa_spec_data_type=18, ordinate_spec_data_type=11, orddenom_spec_data_type=13,
+                func_type=4, rsp_node=node, rsp_dir=3, ref_node=1, ref_dir=3, rsp_ent_name="NONE",
+                ref_ent_name="NONE", data=TRUTH[0], x=FREQ, binary=1, id1="", id2="", id3="", id4="", id5="",
+                load_case_id=0, abscissa_spacing=1, abscissa_spec_data_type=18, ordinate_spec_data_type=ordinate,
+                orddenom_spec_data_type=13,
             ),
             mode="add",
         )  # fmt: skip
-    with pytest.raises(TonewoodError, match="is in it twice"):
-        read_responses([tmp_path / "d.uff"], Reading())
+    with pytest.raises(TonewoodError) as fault:
+        read_responses([tmp_path / "d.uff"], Reading("mobility"))
+    assert reported in str(fault.value)
 
 
 @pytest.mark.parametrize("value", [98.0, -0.1, np.nan])

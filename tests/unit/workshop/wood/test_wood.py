@@ -181,12 +181,12 @@ def test_a_table_of_peaks_states_errors_or_is_read_off(tmp_path: Path) -> None:
     """A standard deviation as it is, of an interval of 90 % a part, of nothing 0.2 % of the frequency."""
     text = "# board 7\n\n  # tapped\nf_Hz, Q, sd_Hz\n100, 80, 0.5\n400,,\n ,,\n200, 90,\n1500, 60,\n"
     (tmp_path / "a.csv").write_text(text)
-    peaks = read_peaks([tmp_path / "a.csv"], (50.0, 1000.0))
+    peaks, _ = read_peaks([tmp_path / "a.csv"], (50.0, 1000.0))
     assert [p.freq for p in peaks] == [100.0, 200.0, 400.0]
     assert [p.error for p in peaks] == pytest.approx([0.5, 0.4, 0.8])
     assert [p.q for p in peaks] == [80.0, 90.0, 0.0]
     (tmp_path / "b.csv").write_text("freq_Hz,freq_low_Hz,freq_high_Hz\n100,98.355,101.645\n")
-    assert read_peaks([tmp_path / "b.csv"], (50.0, 1000.0))[0].error == pytest.approx(1.0, rel=1e-3)
+    assert read_peaks([tmp_path / "b.csv"], (50.0, 1000.0))[0][0].error == pytest.approx(1.0, rel=1e-3)
     for paths, band, said in (
         ([], (50.0, 1000.0), "no file"),
         (["a.csv", "b.csv"], (50.0, 1000.0), "one table"),

@@ -278,6 +278,10 @@ def test_a_thickness_follows_its_frequency(monkeypatch) -> None:
         ("freq_Hz,Q\n100,-1\n", "row 2: is '-1'"),
         ("freq_Hz\n1000000\n", "row 2"),
         ("freq_Hz\nten\n", "row 2: is 'ten'"),
+        ("freq_Hz\n51,5\n75,0\n", "row 2: has 2 cells under 1 names; decimal points"),
+        ("freq_Hz,Q\n100,80\n,85\n", "row 3: has no frequency"),
+        ("freq_Hz,Q\n100,80\n200,85\n100,85\n", "row 4: lists 100 Hz a second time"),
+        ("freq_Hz,freq_low_Hz,freq_high_Hz\n100,101,99\n", "row 2: freq_low_Hz is above freq_high_Hz"),
     ],
 )
 def test_tables_that_are_refused(tmp_path, text, said) -> None:
@@ -290,11 +294,9 @@ def test_peaks_at_both_ends_of_the_band_count(tmp_path) -> None:
     (tmp_path / "t.csv").write_text(
         "Hz,q,error_Hz,freq_low_Hz,freq_high_Hz\n300,9,2,,\n50,,,49,\n100,,5,99,101\n301,,,,\n49.9,,,,\n"
     )
-    assert read_peaks([tmp_path / "t.csv"], (50.0, 300.0)) == [
-        BoardPeak(50.0, 0.1),
-        BoardPeak(100.0, pytest.approx(1 / 1.6449)),
-        BoardPeak(300.0, 2.0, 9.0),
-    ]
+    inside, outside = read_peaks([tmp_path / "t.csv"], (50.0, 300.0))
+    assert inside == [BoardPeak(50.0, 0.1), BoardPeak(100.0, pytest.approx(1 / 1.6449)), BoardPeak(300.0, 2.0, 9.0)]
+    assert outside == [49.9, 301.0]
 
 
 def test_a_shear_modulus_that_is_not_known_widens_a_stick_s_interval() -> None:
