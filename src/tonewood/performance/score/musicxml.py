@@ -417,7 +417,7 @@ class _PartReader:
             self.part.n_drums += written is None
             return None
         self.music.ignored["note of some passes only, played in all"] += element.get("time-only") is not None
-        self.music.ignored["attack or release of a note"] += bool({"attack", "release"} & element.keys())
+        self.music.ignored["attack or release of a note"] += "attack" in element.attrib or "release" in element.attrib
         self.music.ignored["octave that is not whole"] += number_of(written, "octave", 4.0) % 1 > 0
         self.music.ignored["pitch without an octave"] += written is not None and written.find("octave") is None
         self.music.signs.take()
