@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import tonewood as tw
 from cli_runs import Asked, refused
-from tonewood.cli import check, modes, sample, serve
-from tonewood.errors import OutputError
+from tonewood.cli import check, fit, listing, live, modes, plan, render_report, sample, serve, wood
+from tonewood.errors import OutputError, TonewoodError
 
 Run = Callable[..., tuple[int, str, str]]
 Patch = pytest.MonkeyPatch
@@ -248,3 +249,107 @@ def test_the_worst_stop_of_a_string_is_the_farthest_from_its_pitch(
     assert (row["worst_cents"], row["worst_cents_mounted"]) == (worst, 2 * worst)
     assert (row["tension"], row["stop_tension"]) == (60.0, {"stop": 2, "relative": pytest.approx(2 / 60)})
     assert (row["note"], row["stops"], row["count"], row["loss_error"], row["held_note"]) == ("A2", 2, 2, None, None)
+
+
+@pytest.mark.parametrize("reduction", [None, 0.0, 2.5])
+def test_a_limiter_is_told_of_where_it_took_something_away(reduction: float | None) -> None:
+    summary = SimpleNamespace(peak_dbfs=-3.0, warnings=())
+    hold: Any = None if reduction is None else SimpleNamespace(reduction_db=reduction)
+    renderer: Any = SimpleNamespace(summary=lambda: summary)
+    written = render_report.WrittenSound(renderer, Path("a.wav"), "PCM_24", 0, 0.5, "peak", 0.0, hold)
+    assert written.warnings() == (["the limiter took away up to 2.5 dB"] if reduction else [])
+
+
+@pytest.mark.parametrize(("duration", "going"), [(None, True), (4.0, True), (3.0, False), (2.0, False)])
+def test_a_session_lasts_as_long_as_it_is_asked_to(
+    duration: float | None, going: bool, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """3 s after its beginning; its latency is told once."""
+    clock, ended = [1000.0], [False]
+    monkeypatch.setattr(live.time, "monotonic", lambda: clock[0])
+    session: Any = SimpleNamespace(latency={"pluck": 0.005, "blocks": 0.0125}, status=lambda: "s" * 200)
+    wait = live._meter(session, duration, lambda: ended[0])
+    assert wait() is True
+    clock[0] = 1003.0
+    assert wait() is going
+    ended[0] = True
+    assert wait() is False
+    assert capsys.readouterr().err == "  latency 17.5 ms: pluck 5.0, blocks 12.5\n"
+    monkeypatch.setattr(live.sys.stderr, "isatty", lambda: True, raising=False)
+    wait()
+    assert capsys.readouterr().err == "\r\x1b[K" + "s" * 110
+
+
+def test_a_plugin_without_a_docstring_is_listed(tonewood: Run, monkeypatch: Patch) -> None:
+    """One whose docstring refers to its module has the first line of that."""
+    from tonewood.instrument.contract import registry
+
+    entry = SimpleNamespace(name="one", dist=SimpleNamespace(name="p", version="1"))
+    plugins = {
+        "bare": SimpleNamespace(__doc__=None, kind="body"),
+        "short": SimpleNamespace(__doc__="  A thing.\n\nMore.", kind="exciter"),
+        "long": SimpleNamespace(__doc__="See the module.", kind="string", __module__=__name__),
+    }
+    monkeypatch.setattr(registry, "entries", lambda group: dict.fromkeys(plugins if "plugin" in group else (), entry))
+    monkeypatch.setattr(registry, "broken_plugins", dict)
+    monkeypatch.setattr(registry, "plugin", plugins.get)
+    monkeypatch.setattr(listing, "_owner", lambda entry: {"name": entry.name, "package": "p", "version": "1"})
+    rows = json.loads(tonewood("list", "--json")[1])["plugins"]
+    assert [(row["kind"], row["summary"]) for row in rows] == [
+        ("body", ""), ("exciter", "A thing."),
+        ("string", "What commands hand on where an option is left out, and the picture of a body that is drawn."),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("given", "longest"), [((), 3.75), (("--max-duration", 2.5), 2.5), (("--max-duration", 9), 3.75)]
+)
+def test_a_sketch_is_as_long_as_its_last_note_and_the_tail(
+    given: Any, longest: float, tonewood: Run, monkeypatch: Patch
+) -> None:
+    from contextlib import nullcontext
+
+    from tonewood.performance.score import reading
+    from tonewood.sound.render import plan as foreseen
+
+    bars, asked = list[Any](), Asked(foreseen.Plan((), 1.0, 2.0, 1.0, sketched_s=1.0))
+    score = tw.Score([tw.Note(0.0, 3.0, note=45), tw.Note(1.0, 0.5, note=45)])
+    monkeypatch.setattr(reading, "read_score", lambda path, **settings: score)
+    monkeypatch.setattr(plan, "progress", lambda label, total: bars.append((label, total)) or nullcontext("bar"))
+    monkeypatch.setattr(foreseen, "plan", asked)
+    assert tonewood("plan", "a.mid", "-i", "monochord", "--tail", 0.75, *given)[0] == 0
+    assert bars == [("sketching", longest)]
+    assert (asked.words[0], asked.options["progress"]) == (score, "bar")
+
+
+def test_tops_of_a_board_are_those_of_a_stiffness_or_of_three_thicknesses(monkeypatch: Patch) -> None:
+    from tonewood.physics.plate import outline
+    from tonewood.workshop.wood import thickness
+    from tonewood.workshop.wood.board import Board
+
+    board: Any = object.__new__(Board)
+    object.__setattr__(board, "wood", "spruce")
+    monkeypatch.setattr(outline, "guitar_outline", lambda *sizes: ("ring", sizes))
+    monkeypatch.setattr(thickness, "thickness_for", lambda *words: words)
+    monkeypatch.setattr(thickness, "panel_freq", lambda *words: words)
+    monkeypatch.setattr(thickness, "gore_thickness", lambda *words: words)
+    monkeypatch.setattr(thickness, "TARGETS", {"steel_string": 55.0})
+    sizes = (0.5, 0.28, 0.24, 0.38)
+    ring = ("ring", sizes)
+    first, last = wood._tops(board, sizes, 7.0)
+    assert (first["thickness_m"], first["freq_Hz"]) == (("spruce", ring, 7.0), 7.0)
+    assert (last["thickness_m"], last["freq_Hz"]) == (("spruce", 0.5, 0.38, 55.0), 55.0)
+    assert last["of"] == "Gore and Gilet's target of a steel string, a clamped rectangle"
+    rows = wood._tops(board, sizes, None)
+    assert [row["thickness_m"] for row in rows[:3]] == pytest.approx([2.0e-3, 2.5e-3, 3.0e-3])
+    assert [row["freq_Hz"] for row in rows[:3]] == [("spruce", ring, row["thickness_m"]) for row in rows[:3]]
+    assert wood._tops(board, None, 7.0) == wood._tops("a stick", sizes, 7.0) == []  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("word", "place"), [("-1", -1.0), ("1", 1.0), ("-1.01", None), ("1.01", None), ("x", None)])
+def test_places_on_the_bridge_are_from_bass_to_treble(word: str, place: float | None) -> None:
+    if place is None:
+        with pytest.raises(TonewoodError, match=r"--point: is 'n=a:z:.*'; the place U is a number from -1 \(bass\)"):
+            fit._place_on_bridge(f"n=a:z:{word}", word)
+    else:
+        assert fit._place_on_bridge(f"n=a:z:{word}", word) == place

@@ -296,9 +296,9 @@ def _of_pairs(path: Path, freq: Floats, arrays: Mapping[str, NDArray[Any]]) -> R
 
     for name, values in arrays.items():
         stem, _, part = name.rpartition("_")
-        if part == "coherence" and ":" in stem:
+        if part == "coherence":
             continue
-        other = {"re": "im", "im": "re", "mag": "phase", "phase": "mag"}.get(part) if ":" in stem else None
+        other = {"re": "im", "im": "re", "mag": "phase", "phase": "mag"}.get(part)
         if other is None:
             put(name, values)
             continue

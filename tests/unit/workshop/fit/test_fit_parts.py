@@ -14,7 +14,7 @@ import yaml
 from fit_scenes import TAU, Truth, random_body
 
 from tonewood.errors import TonewoodError
-from tonewood.workshop.fit import arrays, drift, figure, files, folder, noise, radiation, search, texts
+from tonewood.workshop.fit import arrays, drift, figure, files, folder, noise, radiation, search, texts, universal
 from tonewood.workshop.fit import fit as whole
 from tonewood.workshop.fit.body import _shapes, passive_body
 from tonewood.workshop.fit.drift import Drift
@@ -778,17 +778,18 @@ def test_nodes_without_a_response_are_named() -> None:
         return [{"rsp_node": n, "ref_node": reference} for n in nodes]
 
     path = Path("a.uff")
-    assert files._missing_nodes(path, [{"type": 58}], sets([1, 2, 4])) == (
+    assert universal._missing_nodes(path, [{"type": 58}], sets([1, 2, 4])) == (
         "a.uff has no response at 1 of its nodes: 3; sets may be missing",
     )
-    assert files._missing_nodes(path, {"type": 15, "node_nums": [1, 2, 4, 9]}, sets([1, 2, 4]))[0].count(": 9;") == 1
-    assert files._missing_nodes(path, [], sets([1, 2, 3])) == ()
-    assert files._missing_nodes(path, [], sets([1, 9])) == ()
+    geometry = {"type": 15, "node_nums": [1, 2, 4, 9]}
+    assert universal._missing_nodes(path, geometry, sets([1, 2, 4]))[0].count(": 9;") == 1
+    assert universal._missing_nodes(path, [], sets([1, 2, 3])) == ()
+    assert universal._missing_nodes(path, [], sets([1, 9])) == ()
     many = [{"type": 15, "node_nums": range(1, 15)}]
-    (line,) = files._missing_nodes(path, many, sets(range(1, 8)))
+    (line,) = universal._missing_nodes(path, many, sets(range(1, 8)))
     assert "at 7 of its nodes: 8, 9, 10, 11, 12, 13 ...;" in line
     moved = [{"rsp_node": 1, "ref_node": n} for n in (1, 2, 4)]
-    assert ": 3;" in files._missing_nodes(path, [], moved)[0]
+    assert ": 3;" in universal._missing_nodes(path, [], moved)[0]
 
 
 def test_ends_of_universal_files() -> None:
@@ -799,9 +800,9 @@ def test_ends_of_universal_files() -> None:
         (b"a\0cdef    -1", True),
         (b"    -2", False),
     ):
-        assert files._bounds(line) is bound
-    assert files._uff_units([{"type": 15}, {"type": 164, "force": 2, "length": 3}]) == (2.0, 3.0)
-    assert files._uff_units({"type": 58}) == (1.0, 1.0)
+        assert universal._bounds(line) is bound
+    assert universal._uff_units([{"type": 15}, {"type": 164, "force": 2, "length": 3}]) == (2.0, 3.0)
+    assert universal._uff_units({"type": 58}) == (1.0, 1.0)
 
 
 def test_a_hit_is_scaled_and_named() -> None:
@@ -1020,9 +1021,9 @@ def test_a_universal_file_cut_off_after_its_nodes_names_them(tmp_path) -> None:
     for count, said in ((8, r"data set 1 \(response at node 12 to node 7\), and"), (7, "data set 1, and")):
         (tmp_path / "a.uff").write_text("\n".join(lines[:count]) + "\n")
         with pytest.raises(TonewoodError, match=said):
-            files._whole(tmp_path / "a.uff")
+            universal._whole(tmp_path / "a.uff")
     (tmp_path / "a.uff").write_text("\n".join([*lines, "    -1"]) + "\n")
-    assert files._whole(tmp_path / "a.uff") is None
+    assert universal._whole(tmp_path / "a.uff") is None
 
 
 def test_signs_at_the_end_of_each_line_are_no_columns(tmp_path) -> None:
