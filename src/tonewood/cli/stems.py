@@ -69,12 +69,17 @@ def make_stem_folder(folder: Path, *, parents: bool = False) -> None:
 def stem_files(folder: Path, names: Iterable[str], output: Path) -> list[Path]:
     """Files of stems, with the suffix of the mix; of equal names the second is numbered, ``name_2``.
 
+    Names that differ by case alone are equal: they are one file on macOS and Windows.
+
     Raises OutputError : the mix has the name of one of them.
     """
     files: list[Path] = []
+    taken = set[str]()
     for name in names:
-        numbered = (folder / f"{name}{end}{output.suffix}" for end in chain([""], (f"_{i}" for i in count(2))))
-        files.append(next(file for file in numbered if file not in files))
+        numbered = (f"{name}{end}" for end in chain([""], (f"_{i}" for i in count(2))))
+        free = next(one for one in numbered if one.casefold() not in taken)
+        taken.add(free.casefold())
+        files.append(folder / f"{free}{output.suffix}")
     if output.resolve() in [file.resolve() for file in files]:
         raise OutputError("is the name of a stem; another is allowed", file=output, key="--stems")
     return files
