@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfilt
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.signal import butter, decimate, sosfilt
 
 from tonewood.errors import TonewoodError
 from tonewood.support.arrays import Floats
@@ -23,6 +25,10 @@ LEAST, MOST = 0.25, 4.0
 _SLOW, _DECAYED = 0.02, 2.0
 #: Hz, below this is handling noise
 _RUMBLE = 30.0
+#: Hz, least rate of prediction; samples from which the next one is predicted; its regularisation re the mean power
+_PREDICTED, _ORDER, _RIDGE = 4000.0, 40, 1e-9
+#: s before a sample of which its error of prediction is the largest of a strike; the error's power re its median
+_APART, _UNLIKE = (4e-3, 12e-3), 30.0
 #: samples in a row at full scale that are clipped
 _CLIPPED = 3
 
@@ -91,8 +97,10 @@ class Taps:
 def cut_taps(samples: Floats, fs: float, name: str = "recording", full_scale: float = 1.0) -> Taps:
     """Cut a recording into taps.
 
-    A tap is a rise of the level by 12 dB, to within 30 dB of the strongest. Its first 5 ms are left out: the hand is
-    still on the body. It ends 20 ms before the next. The noise is the quietest tenth of the recording.
+    A tap is a rise of the level by 12 dB, to within 30 dB of the strongest. While another one rings it is such a rise
+    of the error of linear prediction: free motion, a sum of decaying sines, follows from its own past, and a strike
+    does not. The first 5 ms of a tap are left out: the hand is still on the body. It ends 20 ms before the next. The
+    noise is the quietest tenth of the recording.
 
     Parameters
     ----------
@@ -107,13 +115,14 @@ def cut_taps(samples: Floats, fs: float, name: str = "recording", full_scale: fl
     """
     if not np.all(np.isfinite(samples)):
         raise TonewoodError("holds a sample that is not a finite number", key=name)
-    x = sosfilt(butter(2, _RUMBLE, "high", fs=fs, output="sos"), samples)
+    # less the first sample, from rest: a constant is no rise
+    x = sosfilt(butter(2, _RUMBLE, "high", fs=fs, output="sos"), samples - samples[:1].sum())
     starts = _onsets(x, fs)
     if not starts.size:
         raise TonewoodError(
             "holds no tap: nothing rises by 12 dB within 16 ms; begin to record before the tap", key=name
         )
-    quiet = _noise(x, fs)
+    starts, quiet = _with_strikes(x, fs, starts), _noise(x, fs)
     kept: list[Floats] = []
     ended: list[float] = []
     left_out: list[str] = []
@@ -151,6 +160,38 @@ def _onsets(x: Floats, fs: float) -> NDArray[np.intp]:
         if not out or block - out[-1] > 2 * _BEFORE:
             out.append(int(block))
     return np.asarray(out, dtype=np.intp) * size
+
+
+def _with_strikes(x: Floats, fs: float, starts: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Onsets, and those of strikes while another tap rings."""
+    q = max(1, int(fs // _PREDICTED))
+    y = decimate(x, q, ftype="fir") if q > 1 else x
+    out: list[int] = []
+    for start, stop in zip(starts, [*starts[1:], x.size], strict=True):
+        at: int | None = int(start)
+        while at is not None:
+            out.append(at)
+            first, last = at // q + round(CONTACT * fs / q), stop // q - round(CONTACT * fs / q)
+            strike = _strike(y[first:last], fs / q)
+            at = None if strike is None else (first + strike) * q
+    return np.asarray(out, dtype=np.intp)
+
+
+def _strike(x: Floats, fs: float) -> int | None:
+    """Sample of the first strike within what rings freely from the first sample on."""
+    near, far = (round(s * fs) for s in _APART)
+    if x.size < 4 * _ORDER + far:
+        return None
+    past = sliding_window_view(x[:-1], _ORDER)
+    normal = past.T @ past
+    normal[np.diag_indices(_ORDER)] += _RIDGE * (np.trace(normal) / _ORDER + np.finfo(float).tiny)
+    error = x[_ORDER:] - past @ np.linalg.solve(normal, past.T @ x[_ORDER:])
+    power = uniform_filter1d(error**2, max(1, round(_BLOCK * fs)))
+    before = np.full(power.size, np.inf)
+    before[far:] = maximum_filter1d(power, far - near, origin=(far - near - 1) // 2 - (far - near) + 1)[: -far or None]
+    least = max(_WEAKEST * float(np.mean(x[: round(_SLOW * fs)] ** 2)), _UNLIKE * float(np.median(power)))
+    found = np.flatnonzero((power > _RISE * before) & (power > least))
+    return int(found[0]) + _ORDER if found.size else None
 
 
 def _noise(x: Floats, fs: float) -> float:
