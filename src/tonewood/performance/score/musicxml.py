@@ -19,7 +19,8 @@ from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import Allowance, number, whole
-from tonewood.performance.score.musicxml_harmonics import kind_of_pitch, not_heard, sounding
+from tonewood.performance.score.musicxml_harmonics import not_heard, sounding
+from tonewood.performance.score.musicxml_pitch import neighbours, pitch_of
 from tonewood.performance.score.musicxml_words import (
     DYNAMICS,
     MOST_DIVISIONS,
@@ -40,9 +41,6 @@ from tonewood.performance.score.unfolding import Measure, number_endings
 from tonewood.performance.score.written import WrittenMusic, WrittenNote, WrittenPart
 from tonewood.performance.score.xml_files import MOST, member, number_of, parsed, text_of
 
-_STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
-#: letters in the order in which sharps are written, and semitones from each letter to the next one up
-_SHARPS, _LETTERS = "FCGDAEB", "CDEFGAB"
 #: velocity that a hairpin adds or takes where no dynamics follow, and quarter notes after its end in which they may
 _HAIRPIN, _HAIRPIN_ENDS = 16, Fraction(1)
 #: s for which a pedal is up where it changes
@@ -241,7 +239,7 @@ class _PartReader:
             self.part.capo = int(capo) if 0 <= capo <= _MOST_LINES else self.part.capo
             lines = staff.findall("staff-tuning")
             for line in lines:
-                pitch = _pitch(line, "tuning-step", "tuning-alter", "tuning-octave")
+                pitch = pitch_of(line, "tuning-step", "tuning-alter", "tuning-octave")
                 if pitch is not None:
                     # lines count from the lowest, strings from the highest
                     self.tuning[len(lines) + 1 - (whole(line.get("line", ""), -_MOST_LINES, _MOST_LINES) or 1)] = pitch
@@ -411,7 +409,7 @@ class _PartReader:
         if element.find("rest") is not None or element.find("cue") is not None:
             return None
         written = element.find("pitch")
-        pitch = _pitch(written, "step", "alter", "octave")
+        pitch = pitch_of(written, "step", "alter", "octave")
         if pitch is None:
             self.music.ignored["unpitched note" if written is None else "note whose pitch cannot be read"] += 1
             self.part.n_drums += written is None
@@ -441,11 +439,11 @@ class _PartReader:
             at, length, pitch + moved, velocity=self.velocity if share is None else velocity_of(share),
             signs=tuple(sorted(signs)),
             tied="stop" in ties, bend=bend_of(technical),
-            strum=strum_of(element.find("notations/arpeggiate"), place), steps=self._steps(element),
+            strum=strum_of(element.find("notations/arpeggiate"), place), steps=neighbours(element, self.fifths),
         )  # fmt: skip
         ornaments = element.find("notations/ornaments")
         if ornaments is not None and ornaments.find("trill-mark") is not None:
-            up = self._steps(element)[1]
+            up = neighbours(element, self.fifths)[1]
             note = replace(note, trill=note.pitch + up, signs=tuple(s for s in note.signs if s != "vibrato"))
         free = ornaments is not None and ornaments.find("tremolo[@type='unmeasured']") is not None
         strokes = 3.0 if free else number_of(ornaments, "tremolo", 0.0)
@@ -455,22 +453,6 @@ class _PartReader:
             note = replace(note, tremolo=Fraction(1, 2 ** int(strokes)))
         self.music.ignored["tremolo outside 0 to 5 strokes"] += not 0 <= strokes <= 5
         return self._placed(note, technical, kind_of_pitch(element))
-
-    def _steps(self, element: Element) -> tuple[int, int]:
-        """Semitones down and up to the neighbours of a note in its key, or by an accidental at its ornament."""
-        letter = text_of(element, "pitch/step")
-        pitch = _STEPS[letter] + round(number_of(element, "pitch/alter", 0.0))
-        out = []
-        for way in (-1, 1):
-            other = _LETTERS[(_LETTERS.index(letter) + way) % 7]
-            index = _SHARPS.index(other)
-            alter = (self.fifths > index) - (-self.fifths > 6 - index)
-            for mark in element.findall("notations/ornaments/accidental-mark"):
-                if (mark.get("placement") == "below") == (way < 0):
-                    alter = {"sharp": 1, "natural": 0, "flat": -1}.get((mark.text or "").strip(), alter)
-            step = (_STEPS[other] + alter - pitch) * way % 12
-            out.append(step if 0 < step < 5 else 2)
-        return out[0], out[1]
 
     def _placed(self, note: WrittenNote, technical: Element | None, kind: str) -> WrittenNote:
         """The note with its string and fret, if its pitch is there."""
@@ -492,11 +474,3 @@ class _PartReader:
                 return replace(note, string=int(string))
             fret = frets[0]
         return replace(note, string=int(string), fret=int(fret))
-
-
-def _pitch(element: Element | None, step: str, alter: str, octave: str) -> float | None:
-    letter = text_of(element, step)
-    if letter not in _STEPS:
-        return None
-    pitch = 12 * (number_of(element, octave, 4.0) + 1) + _STEPS[letter] + number_of(element, alter, 0.0)
-    return pitch if 0.0 <= pitch <= 140.0 else None
