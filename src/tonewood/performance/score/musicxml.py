@@ -19,7 +19,7 @@ from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.limits import Allowance, number, whole
-from tonewood.performance.score.musicxml_harmonics import not_heard, sounding
+from tonewood.performance.score.musicxml_harmonics import kind_of_pitch, not_heard, sounding
 from tonewood.performance.score.musicxml_pitch import neighbours, pitch_of
 from tonewood.performance.score.musicxml_words import (
     DYNAMICS,
