@@ -114,6 +114,11 @@ def test_a_table_of_columns() -> None:
 
 def test_types_of_parquet_columns(tmp_path) -> None:
     reader = pytest.importorskip("pyarrow.parquet")
+    large = [{"a": 2**63 - 1, "b": 2**63, "c": 10**400}, {"a": -(2**63), "b": 1, "c": 0.5}]
+    write_parquet(tmp_path / "large.parquet", ["a", "b", "c"], large)
+    assert reader.read_table(tmp_path / "large.parquet").to_pylist() == [
+        {"a": 2**63 - 1, "b": str(2**63), "c": str(10**400)}, {"a": -(2**63), "b": "1", "c": "0.5"}
+    ]  # fmt: skip
     rows = [{"i": 1, "f": 1, "s": "x", "b": True, "m": 1, "l": [1, 2]}, {"f": 2.5, "m": "y"}, {"i": 3, "b": False}]
     write_parquet(tmp_path / "new" / "t.parquet", ["i", "f", "s", "b", "m", "l", "none"], rows)
     found = reader.read_table(tmp_path / "new" / "t.parquet")

@@ -12,6 +12,7 @@ import select
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from tonewood.errors import TonewoodError
@@ -21,6 +22,7 @@ KEYS = {key: i for i, key in enumerate("zsxdcvgbhnjm")} | {key: 12 + i for i, ke
 #: s, from the last press of a key to its release
 HELD = 0.6
 _STEP = 12
+_ESC = "\x1b"
 HELP = "keys z to m and q to p play; [ ] octave, - = loudness, space damps all, Esc ends"
 
 
@@ -61,7 +63,7 @@ class ComputerKeyboard:
             repeated = self._held.get(note, 0.0) - HELD > now - 0.1
             self._held[note] = now + HELD
             return [] if repeated else [[0x90, note, self.velocity]]
-        if character == "\x1b":
+        if character == _ESC:
             self.ended = True
         elif character == " ":
             self._held.clear()
@@ -94,13 +96,17 @@ class _Terminal:
         tty.setcbreak(self._fd)
 
     def read(self) -> str:
-        """Characters typed since the last time."""
+        """Characters typed since the last time; Esc where the terminal has gone."""
         if not select.select([self._fd], [], [], 0.0)[0]:
             return ""
-        return os.read(self._fd, 64).decode("utf-8", "replace")
+        try:
+            return os.read(self._fd, 64).decode("utf-8", "replace") or _ESC
+        except OSError:
+            return _ESC
 
     def close(self) -> None:
-        """Restore how the terminal was."""
+        """Restore how the terminal was, if it is still there."""
         import termios
 
-        termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
+        with suppress(termios.error):
+            termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)

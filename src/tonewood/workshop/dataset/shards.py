@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from tonewood.errors import TonewoodError
+from tonewood.support.parquet import is_storable
 from tonewood.workshop.batch.production import Fault
 from tonewood.workshop.batch.rendering import EngineRenderer, instrument_of
 from tonewood.workshop.batch.seeds import generator
@@ -169,7 +170,7 @@ def _written(
 
 
 def parquet(rows: Sequence[dict[str, Any]]) -> bytes:
-    """Rows as a Parquet file; a column of values of several kinds is text (JSON)."""
+    """Rows as Parquet; a column of values of several kinds, or with an integer beyond 64 bits, is text (JSON)."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -177,7 +178,7 @@ def parquet(rows: Sequence[dict[str, Any]]) -> bytes:
     for key, values in columns.items():
         kinds = {bool if isinstance(v, bool) else float if isinstance(v, (int, float)) else type(v) for v in values}
         kinds -= {type(None)}
-        if len(kinds) > 1 or kinds & {list, dict, tuple}:
+        if len(kinds) > 1 or kinds & {list, dict, tuple} or not all(map(is_storable, values)):
             columns[key] = [None if v is None else json.dumps(v) for v in values]
         elif kinds == {float} and any(isinstance(v, float) for v in values):
             columns[key] = [None if v is None else float(v) for v in values]

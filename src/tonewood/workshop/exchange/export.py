@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tonewood.errors import OutputError, TonewoodError
+from tonewood.support.whole_files import folder_whole
 from tonewood.workshop.exchange import bids, jspsych, psychopy, webmushra
 from tonewood.workshop.exchange.course import FOLDER, Exported
 from tonewood.workshop.listening.definition import ListeningTest, load_test
@@ -26,7 +27,7 @@ def check_programs(programs: Sequence[str]) -> None:
 
 
 def export(folder: Path, programs: Sequence[str]) -> list[Exported]:
-    """Write ``export/PROGRAM`` in a batch's folder for each program; an earlier export is removed.
+    """Write ``export/PROGRAM`` in a batch's folder for each program; an earlier export is removed, and a part of one.
 
     Raises TonewoodError : a program is not known, the folder has no test, or a file cannot be removed or written.
     """
@@ -43,5 +44,6 @@ def export(folder: Path, programs: Sequence[str]) -> list[Exported]:
             pass
         except OSError as fault:  # what is left of it would count as part of the new one
             raise OutputError(f"cannot be removed: {fault.strerror or fault}", file=target) from None
-        files.append(PROGRAMS[name](test, target))
+        with folder_whole(target):
+            files.append(PROGRAMS[name](test, target))
     return files

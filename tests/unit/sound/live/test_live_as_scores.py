@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import gc
+import os
+import pty
+import select
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +18,7 @@ from pianos import piano
 from tonewood.instrument.model.assembly import assemble
 from tonewood.performance.player.playing import perform
 from tonewood.performance.score.reading import read_score
+from tonewood.sound.live.keyboard import ComputerKeyboard
 from tonewood.sound.live.receiver import MidiReceiver
 from tonewood.sound.live.session import LiveSession
 from tonewood.sound.live.stream import Arrivals
@@ -109,3 +113,20 @@ def test_a_signal_before_the_first_block_keeps_the_messages_that_came(
     assert session.run(stream=SimpleNamespace).frames == 0
     assert take.messages == [(0, bytes((0x90, 45, 90)))]
     assert gc.isenabled()
+
+
+def test_a_terminal_that_has_gone_ends_the_session(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Esc does: what was typed before counts, and nothing is raised."""
+    controller, terminal = pty.openpty()
+    with open(terminal) as stdin:
+        monkeypatch.setattr("tonewood.sound.live.keyboard.sys.stdin", stdin)
+        keys = ComputerKeyboard(36.0)
+        os.write(controller, b"z")
+        assert select.select([terminal], [], [], 10.0)[0]
+        assert [message for _, message in keys.poll()] == [[0x90, 36, 90]]
+        assert not keys.ended
+        os.close(controller)
+        assert select.select([terminal], [], [], 10.0)[0]
+        assert keys.poll() == []
+        assert keys.ended
+        keys.close()

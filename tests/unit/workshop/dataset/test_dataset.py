@@ -288,6 +288,10 @@ def test_columns_of_a_table_keep_their_kinds() -> None:
         {"a": 2, "b": 2.5, "c": '"two"', "d": '{"k": 2}', "e": None, "f": None, "g": None, "h": "3.0", "i": "[2, 3]"},
     ]
     assert [str(found.schema.field(name).type) for name in "abef"] == ["int64", "double", "double", "bool"]
+    seeds = [{"a": 2**63 - 1, "b": 2**63, "c": 10**400}, {"a": -(2**63), "b": 1, "c": 0.5}]
+    assert pq.read_table(io.BytesIO(parquet(seeds))).to_pylist() == [
+        {"a": 2**63 - 1, "b": str(2**63), "c": str(10**400)}, {"a": -(2**63), "b": "1", "c": "0.5"}
+    ]  # fmt: skip
 
 
 def test_too_many_sounds_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

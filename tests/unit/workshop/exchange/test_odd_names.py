@@ -79,6 +79,27 @@ def test_webmushra_s_reader_of_yaml_gets_one_value_a_line(made: ListeningTest) -
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize("fault", [KeyboardInterrupt(), OSError(28, "No space left on device")])
+def test_no_part_of_an_export_is_left(
+    made: ListeningTest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: BaseException
+) -> None:
+    """The texts are written before the sounds; the third sound cannot be."""
+    folder = shutil.copytree(made.folder, tmp_path / "test")
+    original, copied = shutil.copyfile, []
+
+    def copy(source: Path, target: Path) -> None:
+        copied.append(target)
+        if len(copied) == 3:
+            raise fault
+        original(source, target)
+
+    monkeypatch.setattr(shutil, "copyfile", copy)
+    with pytest.raises(KeyboardInterrupt if isinstance(fault, KeyboardInterrupt) else TonewoodError):
+        export(folder, ["psychopy", "webmushra"])
+    assert len(copied) == 3
+    assert not (folder / "export" / "psychopy").exists()
+
+
 def test_lines_of_yaml_are_the_configuration() -> None:
     value = {"a": ["random", {"b": 1.5, "c": {}, "d": []}], "e": True, "f": {"g": 'x: "y" \\ # z'}, "h": 1e-7}
     assert YAML(typ="safe", pure=True).load("\n".join(webmushra._yaml(value))) == value
