@@ -15,7 +15,20 @@ import pytest
 
 import tonewood as tw
 from cli_runs import Asked, refused
-from tonewood.cli import check, fit, listing, live, modes, plan, render_report, sample, serve, wood
+from tonewood.cli import (
+    check,
+    dataset,
+    fit,
+    listing,
+    live,
+    modes,
+    plan,
+    render_report,
+    sample,
+    serve,
+    strings,
+    wood,
+)
 from tonewood.errors import OutputError, TonewoodError
 
 Run = Callable[..., tuple[int, str, str]]
@@ -353,3 +366,79 @@ def test_places_on_the_bridge_are_from_bass_to_treble(word: str, place: float | 
             fit._place_on_bridge(f"n=a:z:{word}", word)
     else:
         assert fit._place_on_bridge(f"n=a:z:{word}", word) == place
+
+
+# from where on something is told
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.099, False), (0.101, True), (-0.099, False), (-0.101, True)])
+def test_a_stop_that_is_tuned_by_more_than_a_tenth_of_the_tension_is_doubted(share: float, told: bool) -> None:
+    string = {"stop_tension": {"stop": 7.0, "relative": share}, "law": []}
+    report = {"table_doubts": [], "microphones": [], "potentials": [], "forces_at_rest": {}, "strings": {"A": string}}
+    found = check._warnings(report)
+    assert len(found) == told
+    if told:
+        assert found[0].startswith(f"string A: stop 7 is in tune at {100 * share:+.0f} % of the open string's tension")
+
+
+def test_a_list_has_a_line_for_each_of_what_is_installed(tonewood: Run) -> None:
+    """The words of its JSON: names, titles, packages with their versions, licences, notes of sets."""
+    lines, report = tonewood("list")[1].splitlines(), json.loads(tonewood("list", "--json")[1])
+    at = [lines.index(word) for word in ("instruments", "plugins")]
+    of_sets = next(i for i, line in enumerate(lines) if line.startswith("string sets"))
+    assert lines[0] == f"tonewood {report['version']}"
+    assert lines[at[0] + 1 : at[1] - 1] == [
+        f"  {x['name']:<20} {x['title']}  [{x['package']} {x['version']}, {x['licence']}]"
+        for x in report["instruments"]
+    ]
+    assert lines[at[1] + 1 : of_sets - 1] == [
+        f"  {x['name']:<20} {x['kind']:<10} {x['summary']}  [{x['package']} {x['version']}]" for x in report["plugins"]
+    ]
+    assert lines[of_sets + 1 :] == [
+        f"  {x['name']:<20} {x['maker']} {x['product']} ({' '.join(x['notes'])})" for x in report["string_sets"]
+    ]
+    assert len(report["instruments"]) > 5
+    assert listing._line({"name": "x", "broken": "no folder"}) == f"  {'x':<20} broken: no folder"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "predicted", "told"),
+    [(0.0, None, False), (0.1, None, True), (9.98, None, True), (9.995, None, False), (10.0, 0.079, False),
+     (10.0, 0.081, True), (0.0, 0.081, True)],
+)  # fmt: skip
+def test_an_effect_matters_that_is_switched_or_takes_two_percent(
+    seconds: float, predicted: float | None, told: bool
+) -> None:
+    """Of 10 s of sound in 4 s of computing."""
+    effect: Any = SimpleNamespace(seconds=seconds, predicted_s=predicted)
+    whole: Any = SimpleNamespace(duration_s=10.0, predicted_s=4.0)
+    assert plan.matters(effect, whole) is told
+
+
+@pytest.mark.parametrize("count", [20, 21])
+def test_twenty_notes_on_a_data_set_are_told(count: int, capsys: pytest.CaptureFixture[str]) -> None:
+    report: Any = SimpleNamespace(
+        folder="d", sounds=3, sound_seconds=7200.0, made=2, reused=1, seconds=4.25, sha256="0123456789abcdef99",
+        notes=[f"note {i}" for i in range(count)], faults=[],
+    )  # fmt: skip
+    dataset._print_report(report)
+    out, err = capsys.readouterr()
+    assert out == (
+        "d: 3 sounds, 2 hours, in 2 new and 1 earlier shards, 4.2 s; SHA-256 of all samples 0123456789abcdef\n"
+    )
+    assert err.count("note ") == 20
+    assert len(err.splitlines()) == count
+
+
+def test_tensions_of_a_set_are_in_newtons_and_pounds(capsys: pytest.CaptureFixture[str]) -> None:
+    """An international pound is 0.45359237 kg at 9.80665 m/s^2."""
+    pound = 0.45359237 * 9.80665
+    chosen: Any = SimpleNamespace(maker="M", product="P", source=SimpleNamespace(text="S"))
+    row = {"note": "E4", "diameter": 0.254e-3, "material": None, "linear_density": 4e-4, "tension": 20 * pound,
+           "bending_stiffness": 3e-6, "axial_stiffness": None, "fretting_stiffness": 9000.0}  # fmt: skip
+    strings._print_set("set", chosen, [row, row | {"diameter": None, "material": "steel", "tension": 10 * pound}])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == ["set: M P", "  S"]
+    assert lines[3].split() == ["E4", "0.254", "0.0100", "-", "0.4000", f"{20 * pound:.2f}", "20.0", "3", "-", "9000"]
+    assert lines[4].split()[1:4] == ["-", "-", "steel"]
+    assert lines[5] == f"  together {30 * pound:.1f} N, 30.0 lb"

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from tonewood.instrument.inspection.mounted import MountedPitch
     from tonewood.instrument.model.assembly import Model
 
-#: cause of partials that are off
 #: share of the tension by which the tuner may change it at a stop; that of no built-in instrument exceeds 0.03
 _STOP_TENSION = 0.1
+#: cause of partials that are off
 _DETUNED = "the plugin's `detuned` gives others than its `basis`"
 #: stops whose second plane is off that are printed
 _PLANES = 12

@@ -75,6 +75,15 @@ def test_clipped_samples_are_counted_and_cut(tmp_path: Path) -> None:
     assert sf.read(str(tmp_path / "b.wav"))[0][20, 0] == -2.0
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_lossy_file_gets_the_sound_cut_at_full_scale(tmp_path: Path, sign: float) -> None:
+    """Vorbis would keep numbers beyond it, which players cut in their own ways."""
+    ramp = sign * np.repeat([0.0, 3.0, 0.0], 8000)[:, None] * np.hanning(24000)[:, None]
+    with pytest.warns(UserWarning, match="were clipped"):
+        tw.Audio(ramp, 48000).save(tmp_path / "a.ogg")
+    assert np.abs(sf.read(tmp_path / "a.ogg")[0]).max() == pytest.approx(1.0, abs=0.1)
+
+
 def test_not_a_number_is_never_written(tmp_path: Path) -> None:
     x = tone()
     x[100, 1] = np.nan
