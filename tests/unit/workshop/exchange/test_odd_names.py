@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
 import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from http.server import SimpleHTTPRequestHandler
 from importlib.resources import files
 from pathlib import Path
+from queue import Queue
 from typing import Any
 
 import pytest
@@ -19,12 +22,15 @@ from ruamel.yaml import YAML
 sys.path.append(str(Path(__file__).parents[1] / "listening"))
 import listening_fakes as fakes
 
+from browser import CHROMEDRIVER, CHROMIUM, answering, driven
 from tonewood.errors import TonewoodError
 from tonewood.workshop.exchange import course, webmushra
 from tonewood.workshop.exchange.answers import read_answers
 from tonewood.workshop.exchange.export import export
 from tonewood.workshop.listening.definition import ListeningTest
 
+#: a folder with webMUSHRA
+WEBMUSHRA = os.environ.get("TONEWOOD_WEBMUSHRA")
 LONG = " ".join(f'it\'s {i}: "x" # {{y}}' for i in range(40))
 SCALES = [
     {"name": "dull-bright", "label": "B", "low": 123456789.0, "high": 123456790.0},
@@ -158,3 +164,48 @@ def test_no_field_of_jspsych_is_answered_before_it_is_touched() -> None:
     for attribute in ('type="number"', 'name="pain"', 'min="1"', 'max="5"', "required"):
         assert attribute in number
     assert " value=" not in number
+
+
+@pytest.mark.validate
+@pytest.mark.skipif(
+    WEBMUSHRA is None or CHROMIUM is None or CHROMEDRIVER is None, reason="TONEWOOD_WEBMUSHRA names no copy of it"
+)
+def test_webmushra_shows_every_page_and_sends_its_answers(made: ListeningTest, tmp_path: Path) -> None:
+    """In a browser; a server stands in for its PHP."""
+    folder = shutil.copytree(str(WEBMUSHRA), tmp_path / "webmushra")
+    shutil.copytree(made.folder / "export" / "webmushra" / "configs", folder / "configs", dirs_exist_ok=True)
+    sent: Queue[str] = Queue()
+
+    class Server(SimpleHTTPRequestHandler):
+        def __init__(self, *words: Any) -> None:
+            super().__init__(*words, directory=str(folder))
+
+        def do_POST(self) -> None:
+            sent.put(self.rfile.read(int(self.headers["Content-Length"])).decode())
+            self.send_response(200)
+            self.end_headers()
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Says nothing."""
+
+    with answering(Server) as port, driven(1000) as browser:
+        browser.open(f"http://127.0.0.1:{port}/index.html?config=damping.yaml")
+        browser.until("pageManager && document.querySelector('#page_content h1, #page_content p')")
+        assert browser.run("return errorHandler.getErrors()") == []
+        kinds = browser.run("return pageManager.pages.map(page => page.constructor.name)")
+        assert (kinds[0], set(kinds[1:-1]), kinds[-1]) == ("GenericPage", {"MushraPage"}, "FinishPage")
+        browser.run("while (pageManager.getPageIndex() < pageManager.getNumPages() - 1) pageManager.nextPage();")
+        browser.run("""
+            document.getElementById("listener").value = "P1";
+            document.getElementById("a_b").value = "40";
+            document.querySelector("input[type=radio][value=much]").checked = true;
+        """)
+        browser.until("!document.getElementById('send_results').disabled")
+        browser.run("document.getElementById('send_results').click()")
+        answers = json.loads(sent.get(timeout=30).removeprefix("sessionJSON="))
+    assert answers["participant"] == {
+        "name": ["listener", "listener_", "a_b", "q1st"], "response": ["P1", None, "40", "much"]
+    }  # fmt: skip
+    assert {trial["id"].partition("-")[0] for trial in answers["trials"]} == {
+        trial.id for trial in made.trials if made.pages[trial.page].type == "mushra"
+    }
