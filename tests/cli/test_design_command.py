@@ -105,3 +105,10 @@ def test_the_cheapest_of_several_designs_is_told(
     code, out, _ = tonewood(*call[:6], "--free", "body.added.0.mass=0:0.05")  # misses its target
     assert (code, out.splitlines()) == (1, ["as designed", "for render and compare: --set body.added.0.mass=0.004"])
     refused(tonewood(*call[:6], "--free", "body.added.0.mass"), "PATH=LOW:HIGH is allowed")
+
+
+def test_a_free_parameter_is_given_once(tonewood: Run) -> None:
+    """Of two bounds none is chosen."""
+    words = ("--target", "T1 = 200", "--free", "body.thickness=2e-3:3e-3", "--free", "body.thickness=2e-3:4e-3")
+    code, _, err = tonewood("design", "drawn_guitar", *words)
+    assert (code, err) == (2, "tonewood: --free body.thickness: is there twice; once is allowed\n")

@@ -59,6 +59,8 @@ def design(
         path, equals, bounds = text.partition("=")
         if not equals or not path.strip():
             raise TonewoodError(f"is {text!r}; PATH=LOW:HIGH is allowed", key="--free")
+        if free and sum(other.partition("=")[0].strip() == path.strip() for other in free) > 1:
+            raise TonewoodError("is there twice; once is allowed", key=f"--free {path.strip()}")
         parameters[path.strip()] = bounds
     if output is not None:
         check_folder(output)

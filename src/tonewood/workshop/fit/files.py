@@ -277,6 +277,8 @@ def _of_hits(paths: Sequence[Path], reading: Reading, hashes: Mapping[str, str])
     for path, hit in (entry for group in struck.values() for entry in group):
         if (hit.fs, hit.names, hit.force.size) != (first.fs, first.names, first.force.size):
             raise TonewoodError("has another rate, length or other channels than the first file", file=path)
+        if not (np.isfinite(hit.force).all() and np.isfinite(hit.motion).all()):
+            raise TonewoodError("holds a sample that is not a finite number", file=path)
         if any(_padded(row) for row in hit.motion):
             raise TonewoodError(
                 "ends in zeros: of a padded hit neighbouring bins say the same; cut them off", file=path
@@ -345,12 +347,15 @@ def _hit(path: Path, reading: Reading) -> _Hit:
         return _csv_hit(path)
     record = record_of_text(path)
     assert record is not None
-    time, force, motion = record
+    time, force, motion, units = record
     if not reading.points:
         raise TonewoodError(
             f"holds a record over time, of {np.ptp(time):.3g} s, of a force and {len(motion)} responses: name the "
             "responses by --points, and the point that was struck by --driving", file=path,
         )  # fmt: skip
+    if not reading.sensitivity and any(unit != 1.0 for unit in units):
+        shown = ",".join("?" if np.isnan(unit) else f"{unit:g}" for unit in units)
+        raise TonewoodError(f"its columns are not in SI units: --sensitivity {shown}", file=path, key="--sensitivity")
     sensitivity = reading.sensitivity or (1.0,) * (1 + len(motion))
     return _scaled(path, _rate(path, time), np.vstack([force, motion]), reading, sensitivity)
 

@@ -311,12 +311,20 @@ def fit_responses(
 
     Raises
     ------
-    TonewoodError : the responses hold no numbers to be fitted, or no mode stands out of their noise.
+    TonewoodError : the responses hold no numbers to be fitted, no mode stands out of their noise, or `keep` lies
+        outside the band or in `drop`.
     """
     r, not_driven = responses.reciprocal().of_driven()
     some = (r.freq > 0) & (r.freq >= (band[0] or 0.0)) & (r.freq <= (band[1] or np.inf))
     empty = int(np.count_nonzero(some & ~r.measured))
     r, outliers = r.band(*band).checked().without_outliers()
+    for f in keep:
+        if not r.freq[0] <= f <= r.freq[-1]:
+            raise TonewoodError(
+                f"{f:g} Hz lies outside {r.freq[0]:g} to {r.freq[-1]:g} Hz, the band that is fitted", key="--keep"
+            )
+        if f in drop:
+            raise TonewoodError(f"{f:g} Hz is to be dropped, too; one of the two is allowed", key="--keep")
     no_body = r.no_body()
     sigma = None
     if r.coherence is not None and r.n_hits is not None:

@@ -18,7 +18,12 @@ from tonewood.support.arrays import Complexes, Floats
 from tonewood.workshop.fit.arrays import ANGULAR, UNNAMED, Pair, ResponseTable, within_pi
 
 #: name of a column of times, and of a force over time
-_TIME, _FORCE = re.compile(r"\btime\b|\bsec|\[s\]|\(s\)"), re.compile(r"force|hammer|\[n\]|\(n\)")
+_TIME, _FORCE = re.compile(r"\btime\b|\bsec|[\[(][mµμu]?s[\])]"), re.compile(r"force|hammer|[\[(][mk]?n[\])]")
+#: units of columns over time that are not SI, and their factor; that of a voltage is the sensor's
+_UNITS = {
+    "mn": 1e-3, "kn": 1e3, "lbf": 4.4482216, "g": 9.80665, "gn": 9.80665, "mm/s^2": 1e-3, "mm/s²": 1e-3, "mm/s2": 1e-3,
+    "mm/s": 1e-3, "µm/s": 1e-6, "um/s": 1e-6, "mm": 1e-3, "µm": 1e-6, "um": 1e-6, "v": np.nan, "mv": np.nan,
+}  # fmt: skip
 #: lines above a table that may name its columns
 _ABOVE = 6
 #: step and end of a first column without a name up to which it holds times
@@ -78,10 +83,11 @@ def responses_of_text(path: Path) -> ResponseTable:
     return ResponseTable(freq, rows, coherence, form, tuple(remarks))
 
 
-def record_of_text(path: Path) -> tuple[Floats, Floats, Floats] | None:
+def record_of_text(path: Path) -> tuple[Floats, Floats, Floats, list[float]] | None:
     """Time, force and the other channels, (n,), (n,) and (P, n), of a table over time; None of any other table.
 
-    The force is the column that the head calls so, otherwise the first after time.
+    The force is the column that the head calls so, otherwise the first after time. Last come the SI units per unit of
+    force and channels as the head has them, NaN of volts.
 
     Raises TonewoodError : there is no table of numbers.
     """
@@ -92,7 +98,15 @@ def record_of_text(path: Path) -> tuple[Floats, Floats, Floats] | None:
         return None
     forces = [i for i, name in enumerate(names) if i and _FORCE.search(name)]
     at = forces[0] if len(forces) == 1 else 1
-    return time, columns[at], np.delete(columns, [0, at], axis=0)
+    time = time * (1e-3 if re.search(r"[\[(]ms[\])]", name) else 1e-6 if re.search(r"[\[(][µμu]s[\])]", name) else 1.0)
+    units = [_unit(name) for name in (names or [""] * len(columns))]
+    return time, columns[at], np.delete(columns, [0, at], axis=0), [units[at], *np.delete(units, [0, at])]
+
+
+def _unit(name: str) -> float:
+    """SI units per unit that a name ends with, in brackets or as its last word."""
+    words = re.findall(r"[^\s\[\](),]+", name.replace("μ", "µ"))
+    return _UNITS.get(words[-1], 1.0) if len(words) > 1 else 1.0
 
 
 def is_documented(path: Path) -> bool:

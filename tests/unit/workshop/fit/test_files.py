@@ -17,6 +17,7 @@ from tonewood.errors import TonewoodError
 from tonewood.workshop.fit.arrays import npz_arrays
 from tonewood.workshop.fit.files import Reading, read_responses
 from tonewood.workshop.fit.fit import fit_responses
+from tonewood.workshop.fit.responses import Responses
 
 FREQ = np.arange(50.0, 250.0)
 TRUTH = random_body(3, seed=0, high=220.0).noisy(FREQ, 0.01, seed=0)[0]
@@ -389,3 +390,12 @@ def test_responses_of_nothing_are_not_called_real(tmp_path):
     np.savez(tmp_path / "b.npz", freq_Hz=FREQ[:0], **{"a:a": 0j * FREQ[:0]})
     with pytest.raises(TonewoodError, match="freq_Hz: holds no bins"):
         read_responses([tmp_path / "b.npz"], Reading("mobility"))
+
+
+@pytest.mark.parametrize(
+    ("keep", "drop", "reported"),
+    [(400.0, (), "400 Hz lies outside 50 to 249"), (60.0, (60.0,), "60 Hz is to be dropped, too")],
+)
+def test_a_mode_that_is_kept_lies_in_the_band_and_is_not_dropped(keep, drop, reported):
+    with pytest.raises(TonewoodError, match=reported):
+        fit_responses(Responses(FREQ, TRUTH[:1], PAIRS[:1]), keep=(keep,), drop=drop)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -132,9 +134,9 @@ def test_a_first_column_without_a_name_is_time_in_steps_of_a_millisecond_up_to_2
     record = record_of_text(tmp_path / "a.txt")
     assert (record is not None) == is_time
     if record is not None:
-        assert [np.allclose(a, b, atol=1e-8) for a, b in zip(record, [*columns[:2], [columns[2]]], strict=True)] == [
-            True
-        ] * 3
+        assert record[3] == [1.0, 1.0]
+        for read, wanted in zip(record, [*columns[:2], [columns[2]]], strict=False):
+            assert np.allclose(read, wanted, atol=1e-8)
 
 
 @pytest.mark.parametrize(
@@ -198,6 +200,37 @@ def hit(n=4000, fs=8000.0):
     velocity = np.exp(-zeta * w * t) * (np.cos(turned * t) - zeta * w / turned * np.sin(turned * t)) / 0.2
     velocity[0] /= 2  # the mean of both sides of its step
     return t, force, np.convolve(force, velocity)[:n] / fs
+
+
+@pytest.mark.parametrize(
+    ("head", "times", "needed"),
+    [
+        ("Time (s),Force (N),Acc (m/s^2)", 1.0, None), ("Time (ms),Force [N],Acc", 1e-3, None),
+        ("Zeit [µs],Kraft,Beschleunigung", 1e-6, None), ("Time (s),Force (N),Acc (g)", 1.0, "1,9.80665"),
+        ("Time,Force,Velocity\ns,mN,mm/s", 1.0, "0.001,0.001"), ("Time (s),Force (kN),Acc (V)", 1.0, "1000,?"),
+    ],
+)  # fmt: skip
+def test_units_of_records_over_time(tmp_path, head, times, needed):
+    """Times in ms and microseconds are read so; for other units the sensitivities are asked for."""
+    t, force, velocity = hit(n=200)
+    (tmp_path / "a.csv").write_text(head + "\n" + text([t / times, force, velocity], ","))
+    reading = Reading("mobility", points=("p",), references=(("p", ""),))
+    if needed is not None:
+        with pytest.raises(TonewoodError) as fault:
+            read_responses([tmp_path / "a.csv"], reading)
+        assert str(fault.value).endswith(f"not in SI units: --sensitivity {needed}")
+        reading = replace(reading, sensitivity=(2.0, 3.0))
+    read = read_responses([tmp_path / "a.csv"], reading)
+    assert read.freq[1] == pytest.approx(1 / (t[1] * 200), rel=1e-6)
+
+
+def test_a_hit_that_holds_no_finite_number_is_refused(tmp_path):
+    t, force, velocity = hit(n=200)
+    lines_of = text([t, force, velocity], ",").splitlines()
+    lines_of[50] = lines_of[50].rpartition(",")[0] + ","
+    (tmp_path / "a.csv").write_text("\n".join(["Time (s),Force (N),Velocity (m/s)", *lines_of]) + "\n")
+    with pytest.raises(TonewoodError, match="holds a sample that is not a finite number"):
+        read_responses([tmp_path / "a.csv"], Reading("mobility", points=("p",), references=(("p", ""),)))
 
 
 @pytest.mark.slow
