@@ -12,11 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import typer
 
 import tonewood as tw
 from cli_runs import Asked, refused
 from tonewood.cli import (
     check,
+    compare,
     dataset,
     fit,
     listing,
@@ -442,3 +444,49 @@ def test_tensions_of_a_set_are_in_newtons_and_pounds(capsys: pytest.CaptureFixtu
     assert lines[3].split() == ["E4", "0.254", "0.0100", "-", "0.4000", f"{20 * pound:.2f}", "20.0", "3", "-", "9000"]
     assert lines[4].split()[1:4] == ["-", "-", "steel"]
     assert lines[5] == f"  together {30 * pound:.1f} N, 30.0 lb"
+
+
+def test_a_report_names_the_changes_of_its_instrument(tonewood: Run, monkeypatch: Patch) -> None:
+    """The set of strings first, then each value."""
+    ran, loaded = Asked(), Asked(SimpleNamespace(name="loaded"))
+    monkeypatch.setattr(compare, "_run", ran)
+    monkeypatch.setattr(compare, "load", loaded)
+    words = ("report", "monochord", "--set", "a.b=1", "--set", "c=2")
+    assert tonewood(*words, "--strings", "light", "--duration", 3, "--velocity", 70)[0] == 0
+    assert loaded.words == ("monochord", ["a.b=1", "c=2"], False, "light")
+    ((candidate,), *rest) = ran.words
+    assert (candidate.instrument.name, candidate.changes) == ("loaded", ("strings_from=light", "a.b=1", "c=2"))
+    assert rest == [None, None, 3.0, 70.0, 48000, False, False]
+    tonewood(*words)
+    assert ran.words[0][0].changes == ("a.b=1", "c=2")
+
+
+def test_a_mix_that_is_silent_has_no_level_and_fails(tmp_path: Path, monkeypatch: Patch) -> None:
+    from tonewood.cli import ensemble
+    from tonewood.sound.ensemble import mix
+
+    file = tmp_path / "a.mid"
+    tw.write_midi(tw.Score([tw.Note(0.0, 0.1, note=60, velocity_midi=80)]), file)
+    part = mix.EnsemblePart(part=1, instrument="monochord")
+    summary = SimpleNamespace(notes=1, ignored={}, notes_dropped=[], warnings=[])
+    stem = SimpleNamespace(part=part, samples=np.zeros((4000, 2)), summary=summary)
+    monkeypatch.setattr(mix, "render_ensemble", lambda *arguments, **options: [stem])
+    told = list[Any]()
+    monkeypatch.setattr(ensemble, "print_json", lambda command, report, ok: told.append((report, ok)))
+    with pytest.raises(typer.Exit) as ended:
+        ensemble.render_parts(
+            file, [part], tmp_path / "a.wav", tw.RenderOptions(fs=8000), reading={}, subtype="PCM_24", level="LUFS",
+            target=-1.0, stems=None, as_json=True, left_out=None,
+        )  # fmt: skip
+    ((report, ok),) = told
+    assert (ended.value.exit_code, ok) == (1, False)
+    assert (report["gain_db"], report["true_peak_dbtp"], report["loudness_lufs"]) == (0.0, None, None)
+    assert (report["parts"][0]["peak_dbfs"], report["frames"], report["stems"]) == (None, 4000, [])
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_planes_of_a_string_are_printed_where_there_are_two(n: int, tonewood: Run, monkeypatch: Patch) -> None:
+    planes = {f"A2.{p}": {"cents": 0.5 * i, "split_cents": -0.25, "share": 1.0} for i, p in enumerate("zy"[:n])}
+    monkeypatch.setattr(check, "plane_row", lambda pitch: {"planes": planes})
+    lines = tonewood("modes", "monochord", "--count", 1, "--fs", 16000)[1].splitlines()
+    assert [line for line in lines if "planes" in line] == ["  planes: z +0.0, y +0.5 (split -0.2) cents"][: n - 1]

@@ -87,7 +87,7 @@ def render_parts(
             for stem, file, player in zip(rendered, files, players, strict=True):
                 tags = Tags.of(music, [player])
                 Audio(stem.samples * factor, fs, ("left", "right"), tags=tags).save(file, subtype)
-    lufs = loudness(mix * factor, fs)[0] if find_spec("pyloudnorm") and peak > 0 else None
+    lufs = loudness(mix * factor, fs)[0] if find_spec("pyloudnorm") else None
     if lufs is not None and not np.isfinite(lufs):
         lufs = None
     said = {
