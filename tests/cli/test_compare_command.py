@@ -79,6 +79,8 @@ def test_a_report_is_printed_and_written(tonewood: Run, tmp_path: Path) -> None:
         (("compare", "monochord", "--sweep", "strings.A2.tension=50:60:9"), "--sweep: has 9 values; 2 to 5"),
         (("compare", "monochord", "nothing"), "instrument 'nothing': is neither installed nor a folder"),
         (("compare", "monochord", "--variant", "strings.A2"), "is not PATH=VALUE"),
+        (("compare", "monochord", "--variant", " ; "), "--variant: is ' ; '; PATH=VALUE[;...], each path once"),
+        (("compare", "monochord", "--variant", "strings.A2.tension=50; strings.A2.tension=60"), "each path once"),
         (("compare", "monochord", "--variant", "strings.B2.note=C3"), "there is no 'B2'"),
         (("report", "monochord", "--notes", ","), "--notes: is empty"),
         (("report", "monochord", "--notes", "E9"), "--notes E9: no string plays E9"),

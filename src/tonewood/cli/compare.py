@@ -100,6 +100,9 @@ def compare(
         raise TonewoodError(f"{len(names)} names for {len(variant or ())} variants; one each is allowed", key="--name")
     for text, called in zip_longest(variant or (), names, fillvalue=""):
         texts = tuple(part.strip() for part in text.split(";") if part.strip())
+        paths = [part.partition("=")[0].strip() for part in texts]
+        if not texts or len(set(paths)) < len(paths):
+            raise TonewoodError(f"is {text!r}; PATH=VALUE[;...], each path once, is allowed", key="--variant")
         candidates.append(Candidate(base.replace(dict(map(parse_assignment, texts))), (*changes, *texts), called))
     path = ""
     if sweep is not None:

@@ -167,10 +167,18 @@ def _tabled(table: Path) -> list[tuple[Path, Recording]]:
     if "file" not in header or unknown:
         wrong = f"column {unknown[0]!r} is unknown" if unknown else "a column `file` is missing"
         raise TonewoodError(f"{wrong}; the columns {', '.join(_COLUMNS)} are allowed", file=table, line=1)
-    out = []
+    out: list[tuple[Path, Recording]] = []
     for i, row in enumerate(rows, 2):
         cells = {(k or "").strip(): (v or "").strip() for k, v in row.items() if isinstance(v, str)}
-        out.append(_row(cells, table, i))
+        if None in row:
+            raise TonewoodError(
+                f"has more cells than the {len(header)} names above; decimal points, and commas between cells, are "
+                "allowed", file=table, line=i,
+            )  # fmt: skip
+        path, recording = _row(cells, table, i)
+        if any(path == other for other, _ in out):
+            raise TonewoodError(f"lists {cells['file']!r} a second time; once is allowed", file=table, line=i)
+        out.append((path, recording))
     if not out:
         raise TonewoodError("has no rows", file=table)
     return out

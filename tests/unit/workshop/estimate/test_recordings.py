@@ -61,6 +61,8 @@ def test_a_table_tells_string_stop_dynamic_and_place(tmp_path) -> None:
         ("file,note,dynamic\na.wav,A3,²\n", "1 to 127 are allowed"),
         ("file,note,stop\na.wav,A3,1_2\n", "0 to 200 is allowed"),
         ("file\n", "has no rows"),
+        ("file,note\na.wav,A3\na.wav,A3\n", "line 3: lists 'a.wav' a second time"),
+        ("file,note,place\na.wav,A3,1,2\n", "line 2: has more cells than the 3 names"),
     ],
 )
 def test_a_table_that_cannot_be_read(tmp_path, text: str, said: str) -> None:
