@@ -588,6 +588,7 @@ def report(**more):
             {"output": "o", "channel": "l", "n_modes": 5, "peak": 2.0, "unit": "Pa", "peak_freq": 200.4, "doubt": None}
         ],
         "forces_at_rest": {},
+        "touched_at_rest": {"bridge": ["E2"]},
         "potentials": [{"name": "v", "effect": None, "doubt": None}, {"name": "w", "effect": "e", "doubt": "doubtful"}],
         "off_pitch": [
             {"string": "E2", "stop": i, "note": "X", "error_cents": (-1) ** i * 5.0 * i} for i in range(1, 7)

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import tonewood as tw
@@ -199,3 +200,21 @@ def test_modes_of_a_drawn_body_are_listed_and_drawn(tonewood: Run, tmp_path: Pat
     assert "hinged" in text
     assert "(T1, Q" in text
     assert picture.stat().st_size > 50_000
+
+
+@pytest.mark.slow
+def test_check_and_modes_name_a_bridge_that_the_pitch_leaves_out(tonewood: Run) -> None:
+    """Bridge and thread cut off 6 to 11 of 1000 mm, so the sound is 10 to 19 cents above the pitch without them."""
+    sound = tw.render(
+        tw.Score([tw.Note(0.0, 2.0, note="C3")]), "tanpura", outputs=("bridge",), max_duration=1.0, effects="all"
+    ).samples[:, 0]
+    spectrum = np.abs(np.fft.rfft(sound * np.hanning(len(sound)), 1 << 20))
+    freq = np.fft.rfftfreq(1 << 20, 1 / 48000)
+    near = (freq > 255.0) & (freq < 270.0)
+    cents = 1200 * np.log2(freq[near][np.argmax(spectrum[near])] / 261.79)  # of the second partial on the body alone
+    assert 10.0 < cents < 19.0
+    line = "left out: bridge, which touches C3 at rest: pitch and decay of the sound differ from those stated here"
+    for command in ("check", "modes"):
+        assert line in tonewood(command, "tanpura")[1]
+        assert json.loads(tonewood(command, "tanpura", "--json")[1])["touched_at_rest"] == {"bridge": ["C3"]}
+    assert "left out" not in tonewood("modes", "monochord")[1]

@@ -57,7 +57,11 @@ def check(
         pitches,
     )
     from tonewood.instrument.inspection.mounted import mounted_pitches
-    from tonewood.instrument.inspection.potentials_at_rest import forces_at_rest, small_motions
+    from tonewood.instrument.inspection.potentials_at_rest import (
+        forces_at_rest,
+        small_motions,
+        touched_at_rest,
+    )
     from tonewood.instrument.model.assembly import assemble
     from tonewood.performance.engine.trial import try_parts
 
@@ -89,6 +93,7 @@ def check(
         "microphones": [_microphone(response) for response in microphone_responses(model)],
         "potentials": [asdict(motion) | {"doubt": motion.doubt} for motion in small_motions(model)],
         "forces_at_rest": forces_at_rest(model),
+        "touched_at_rest": touched_at_rest(model),
         "off_pitch": [pitch_row(p) for p in off],
         "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
         "off_planes": [plane_row(p) for p in off_planes],
@@ -260,6 +265,14 @@ def pitch_row(p: Pitch) -> dict[str, Any]:
     return row
 
 
+def touched_lines(touched: dict[str, list[str]]) -> list[str]:
+    """One line about each part that the figures of strings leave out although it touches them at rest."""
+    return [
+        f"{part}, which touches {', '.join(names)} at rest: pitch and decay of the sound differ from those stated here"
+        for part, names in touched.items()
+    ]
+
+
 def wolf_line(row: dict[str, Any]) -> str:
     """One line about a wolf note."""
     wolf = row["wolf"]
@@ -332,6 +345,7 @@ def _print(report: dict[str, Any], ok: bool, every: bool, moves: list[str]) -> N
     worst = sorted(report["wolf_notes"], key=lambda row: abs(row["wolf"]["level_db"]))
     _listed("wolf note", [wolf_line(row) for row in (report["wolf_notes"] if every else worst)], most)
     shared = sorted(report["off_pitch_mounted"], key=lambda row: -abs(row["cents_mounted"]))
+    _listed("left out", touched_lines(report["touched_at_rest"]), None)
     _listed("with all strings on", [_mounted_line(row) for row in shared], most)
     planes = [
         f"{row['string']} stop {row['stop']:>2} ({row['note']}): {plane_words(row)}" for row in report["off_planes"]

@@ -55,9 +55,10 @@ def modes(
     as_json: Json = False,
 ) -> None:
     """List the coupled modes of INSTRUMENT's strings: frequency, cents from the harmonic, T60, wolf notes."""
-    from tonewood.cli.check import pitch_row, plane_row, plane_words, wolf_line
+    from tonewood.cli.check import pitch_row, plane_row, plane_words, touched_lines, wolf_line
     from tonewood.instrument.inspection.frequencies import mobility_peaks, partials, pitch, pitches
     from tonewood.instrument.inspection.modal_export import modal_table_text
+    from tonewood.instrument.inspection.potentials_at_rest import touched_at_rest
     from tonewood.instrument.model.assembly import assemble
     from tonewood.support.whole_files import write_whole
 
@@ -79,6 +80,7 @@ def modes(
     listed = {name: partials(model, name, stop, count=count) for name in names}
     planes = {name: plane_row(pitch(model, name, stop)) for name in names}
     wolves = [pitch_row(p) for p in pitches(model, names) if p.wolf is not None]
+    touched = {part: mine for part, on in touched_at_rest(model).items() if (mine := [n for n in on if n in names])}
     facts = bundle.body.facts()
     peaks = {name: mobility_peaks(model, name) for name in names}
     if plot is not None:
@@ -104,6 +106,7 @@ def modes(
                 for name, rows in listed.items()
             },
             "body": {"facts": list(facts), "modes": _body_modes(bundle)},
+            "touched_at_rest": touched,
             "wolf_notes": wolves,
             "plot": None if plot is None else str(plot),
             "table": None if table is None else str(table),
@@ -122,6 +125,8 @@ def modes(
         if peaks[name]:
             shown = ", ".join(f"{f:.0f} Hz {decibel(y):.0f} dB" for f, y in peaks[name])
             print(f"  bridge mobility peaks, re 1 (m/s)/N: {shown}")
+    for line in touched_lines(touched):
+        print(f"left out: {line}")
     for line in facts:
         print(f"body: {line}")
     if named := _body_modes(bundle):

@@ -19,6 +19,7 @@ from tonewood.instrument.inspection.frequencies import (
     pitch,
     pitches,
 )
+from tonewood.instrument.inspection.potentials_at_rest import touched_at_rest
 from tonewood.instrument.model.assembly import Model, assemble
 
 
@@ -159,3 +160,24 @@ def test_broken_transfers_are_named(monkeypatch: pytest.MonkeyPatch, change: Any
     monkeypatch.setattr(kind, "transfer", lambda self, old, new: change(*transfer(self, old, new)))
     with pytest.raises(tw.errors.BundleError, match=rf"strings\.A2: .*{reason}"):
         check_transfers(model)
+
+
+THREAD = {"plugin": "bridge_barrier", "start": 1e-3, "stop": 5e-3, "below": 1e-3, "stiffness": 1e6, "points": 1}
+SPRING = {"from_bridge": 0.01, "stiffness": 2e3, "damping": 0.0, "points": 1}
+
+
+@pytest.mark.parametrize(
+    ("part", "touches"),
+    [
+        (THREAD, False),  # one millimetre below the string
+        (THREAD | {"below": 0.0}, True),  # its only point lies at the string
+        (THREAD | {"thread": SPRING}, True),
+        (THREAD | {"thread": SPRING | {"stiffness": 0.0}}, False),
+        (THREAD | {"thread": SPRING | {"stiffness": 0.0, "damping": 0.1}}, True),
+        ({"plugin": "listing", "from_bridge": 0.5, "width": 0.02, "damping": 1.0}, True),
+        ({"plugin": "rattle", "from_bridge": 0.3, "mass": 1e-3, "clearance": 1e-4}, False),
+    ],
+)
+def test_parts_that_hold_or_damp_a_resting_string_are_named(part: dict[str, Any], touches: bool) -> None:
+    touched = tw.load_instrument("monochord").replace({"connections": {"part": part}})
+    assert touched_at_rest(assemble(touched, 48000)) == ({"part": ["A2"]} if touches else {})

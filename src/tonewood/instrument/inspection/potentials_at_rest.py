@@ -1,8 +1,8 @@
 """What laws and potentials of plugins do to small motion: a force at rest, and a stiffness that belongs to the modes.
 
-The tuner knows the modes alone. With H = d2V/dy2 at rest, small motion has the frequencies of omega^2 + H. In larger
-motion the gradient is compared with differences of V: nothing else would tell that one of them is wrong, because the
-step keeps the balance of energies with any gradient.
+The tuner knows the modes alone, and no part of `connections`. With H = d2V/dy2 at rest, small motion has the
+frequencies of omega^2 + H. In larger motion the gradient is compared with differences of V: nothing else would tell
+that one of them is wrong, because the step keeps the balance of energies with any gradient.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.instrument.model.assembly import Model
+from tonewood.physics.coupling.connections import Connection, SpringDashpot
 from tonewood.physics.coupling.laws.base import PotentialLaw
 from tonewood.physics.coupling.potentials.user import ModalPotential, PotentialEnergy
 from tonewood.support.arrays import Floats
@@ -24,6 +25,8 @@ _ENERGY = 1e-16
 TOLERANCE_CENTS, _AT_REST = 1.0, 1e-12
 #: N, from which on a connection is said to push at rest
 _FORCE = 1e-9
+#: m, deflection that shows whether a law acts on a string at rest
+_NUDGE = 1e-9
 #: J of the modes in the motion in which the gradient is compared; step of a difference, and error that is reported
 _MOTION, _STEP, _WRONG = 1e-4, 1e-4, 1e-3
 
@@ -91,6 +94,28 @@ def forces_at_rest(model: Model) -> dict[str, float]:
         if isinstance(c.law, PotentialLaw)
     }
     return {name: force for name, force in forces.items() if abs(force) > _FORCE}
+
+
+def touched_at_rest(model: Model) -> dict[str, list[str]]:
+    """Part of `connections` -> strings that it holds or damps while nothing moves; the tuner leaves it out."""
+    out: dict[str, list[str]] = {}
+    for c in model.system.connections:
+        if c.role == "attached" and c.part in model.instrument.attachments and _acts_at_rest(c, model.system.dt):
+            strings = out.setdefault(c.part, [])
+            if c.owner not in strings:
+                strings.append(c.owner)
+    return out
+
+
+def _acts_at_rest(connection: Connection, dt: float) -> bool:
+    """Whether its force changes with small motion about rest."""
+    law = connection.law
+    if isinstance(law, SpringDashpot):
+        return law.stiffness > 0.0 or law.damping > 0.0
+    if not isinstance(law, PotentialLaw):
+        return False
+    at = (law.offset - _NUDGE, law.offset, law.offset + _NUDGE)
+    return len({law.force(p, p, dt)[0] for p in at}) > 1
 
 
 def _near_rest(potential: ModalPotential, energy: PotentialEnergy, squares: Floats) -> SmallMotion:
