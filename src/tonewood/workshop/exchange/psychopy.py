@@ -138,9 +138,11 @@ def _trial_page(routines: ET.Element, flow: ET.Element, page: dict[str, Any], ro
     names = identifiers([scale["name"] or "points" for scale in page["scales"]])
     for i, (scale, variable) in enumerate(zip(page["scales"], names, strict=True)):
         low, high = scale["low"], scale["high"]
+        # a slider has no title: the words of the scale stand at its left end
+        left = ": ".join(part for part in (scale["label"], scale["low_label"] or f"{low:.12g}") if part)
         _component(routine, "Slider", f"rate{number}_{variable}", {
             "ticks": (f"({low!r}, {high!r})", "list"),
-            "labels": (repr([scale["low_label"] or f"{low:g}", scale["high_label"] or f"{high:g}"]), "list"),
+            "labels": (repr([left, scale["high_label"] or f"{high:.12g}"]), "list"),
             "granularity": ("0", "num"),
             "pos": (f"(0, {-0.1 - 0.1 * i:g})", "list"),
             "startVal": ("$ends", "code"),

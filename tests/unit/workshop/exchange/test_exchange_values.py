@@ -279,8 +279,8 @@ def test_psychopy_s_components(test: ListeningTest, tmp_path: Path) -> None:
     assert "sound9_1" in parts
     assert "sound9_2" not in parts
     assert parts["rate9_dry"]["ticks"][0] == "(-2.0, 2.0)"
-    assert parts["rate9_dry"]["labels"][0] == "['wet', '2']"
-    assert parts["rate9_loud"]["labels"][0] == "['0', '100']"
+    assert parts["rate9_dry"]["labels"][0] == "['Dry: wet', '2']"
+    assert parts["rate9_loud"]["labels"][0] == "['L: 0', '100']"
     assert (parts["rate9_dry"]["pos"][0], parts["rate9_loud"]["pos"][0]) == ("(0, -0.1)", "(0, -0.2)")
     assert "rate3_points" in parts
     loops = {e.get("name"): {str(p.get("name")): p.get("val") for p in e} for e in root.iter("LoopInitiator")}

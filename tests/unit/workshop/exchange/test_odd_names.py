@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import csv
 import json
 import os
@@ -114,9 +115,13 @@ def test_lines_of_yaml_are_the_configuration() -> None:
 def test_scales_of_psychopy_are_names_of_python_with_their_own_ends(made: ListeningTest, tmp_path: Path) -> None:
     """And the columns of its table are read back under the scales' own names."""
     folder = made.folder / "export" / "psychopy"
-    sliders: dict[str, Any] = {}
+    sliders, labels = dict[str, Any](), dict[str, list[str]]()
     for slider in ET.parse(folder / "damping.psyexp").iter("SliderComponent"):
-        sliders[slider.get("name", "")] = {p.get("name"): p.get("val", "") for p in slider.iter("Param")}["ticks"]
+        params = {p.get("name"): p.get("val", "") for p in slider.iter("Param")}
+        sliders[slider.get("name", "")] = params["ticks"]
+        labels[slider.get("name", "")] = ast.literal_eval(params["labels"])
+    assert labels["rate3_dull_bright_"] == ["B: 123456789", "123456790"]  # the words of the scale, too
+    assert labels["rate3_q1st_2nd"] == ["D: 0", "100"]
     assert all(name.isidentifier() for name in sliders)
     ends = {name: tuple(map(float, ticks.strip("()").split(","))) for name, ticks in sliders.items()}
     assert [ends[f"rate3_{name}"] for name in ("dull_bright_", "dull_bright", "q1st_2nd")] == [
