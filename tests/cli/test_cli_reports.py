@@ -317,7 +317,7 @@ def test_lines_on_a_data_set(capsys) -> None:
     )
     lines = err.splitlines()
     assert len(lines) == 22
-    assert lines[20:] == ["tonewood: warning: 1 more notes: --json has all", "tonewood: failed: a: r"]
+    assert lines[20:] == ["tonewood: warning: 1 more note: --json has all", "tonewood: failed: a: r"]
 
 
 def test_velocities_and_ranges_of_keys() -> None:

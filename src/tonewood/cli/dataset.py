@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tonewood.cli.common import need, print_faults, print_json, warn
+from tonewood.support.units import counted
 
 if TYPE_CHECKING:
     from tonewood.workshop.batch.runner import Progress
@@ -74,5 +75,5 @@ def _print_report(report: DatasetReport) -> None:
     )
     warn(list(report.notes[:_MOST_NOTES]))
     if (more := len(report.notes) - _MOST_NOTES) > 0:
-        warn([f"{more} more notes: --json has all"])
+        warn([f"{counted(more, 'more note')}: --json has all"])
     print_faults(report.faults, "sounds")
