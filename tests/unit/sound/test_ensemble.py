@@ -37,7 +37,8 @@ def test_a_part_as_it_is_written() -> None:
     found = parse_part("2=electric_bass@-3dB@pan-0.3")
     assert (found.part, found.instrument, found.gain_db, found.pan) == (2, "electric_bass", -3.0, -0.3)
     assert parse_part(" 1=folder/my-guitar ").instrument == "folder/my-guitar"
-    for text in ("guitar", "0x=guitar", "1=guitar@loud", "1=guitar@pan", "1="):
+    twice = ("1=guitar@-3dB@-6dB", "1=guitar@pan0@pan1")
+    for text in ("guitar", "0x=guitar", "1=guitar@loud", "1=guitar@pan", "1=", *twice):
         with pytest.raises(TonewoodError, match=r"is not NUMBER=INSTRUMENT\[@GAINdB\]"):
             parse_part(text)
     with pytest.raises(TonewoodError, match=r"--part\.pan: is 3; at most 1"):

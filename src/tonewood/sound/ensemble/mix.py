@@ -71,7 +71,7 @@ def parse_part(text: str) -> EnsemblePart:
     words = match["rest"].split("@")[1:] if match else []
     for word in words:
         gain, pan = _GAIN.fullmatch(word.strip()), _PAN.fullmatch(word.strip())
-        if gain is None and pan is None:
+        if (gain is None and pan is None) or ("gain_db" if gain else "pan") in values:
             match = None
         elif gain is not None:
             values["gain_db"] = float(gain[1])
