@@ -1,13 +1,16 @@
-"""Contacts and rising tension against closed forms: a mass on a barrier, a string over an obstacle, one mode, a bow."""
+"""Contacts and rising tension against closed forms: a mass on a barrier, a string over an obstacle, one mode, a bow,
+a spring."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.special import ellipk, gamma
 
+import tonewood as tw
 from tonewood.physics.coupling.connections import Connection, Term
 from tonewood.physics.coupling.laws import Contact, Friction
 from tonewood.physics.coupling.potentials.tension import TensionModulation
@@ -227,3 +230,35 @@ class TestBow:
         assert heat > 0
         assert np.all(forces[:, 0] * slip <= 1e-12)
         assert stored_energy(system, state).total == pytest.approx(given - heat, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_a_stiff_spring_on_a_string_is_sharp_by_the_modes_left_out(tmp_path: Path) -> None:
+    """It stops an ideal string at x: c / 2 (L - x). Its R is left out, some L / (pi^2 T N)."""
+    original = tw.list_instruments()["monochord"]
+    (tmp_path / "instrument.yaml").write_text((original / "instrument.yaml").read_text())
+    (tmp_path / "body.csv").write_text("f_Hz,Q,modal_mass,bridge\n9000,30,1e4,1\n")
+    length, x, tension, density, stiffness = 0.9, 0.06, 60.0, 1.5e-3, 1e6
+    values = {
+        "tuning.compensate": "none", "strings.A2.tension": tension, "strings.A2.bending_stiffness": 0.0,
+        "strings.A2.freq_upper": 5000.0, "strings.A2.polarizations": ["z"],
+        "connections": {"stop": {
+            "plugin": "listing", "from_bridge": x, "width": 1e-3, "points": 1, "stiffness": stiffness, "damping": 0.0,
+        }},
+        "outputs": [{
+            "name": "out", "plugin": "point_pickup", "quantity": "displacement", "at": "A2.pluck", "full_scale": 1.0,
+        }],
+    }  # fmt: skip
+    renderer = tw.Renderer(
+        tw.Score([tw.Note(0.0, 2.0, string="A2", force=1.0, from_bridge=0.5)]),
+        tw.load_instrument(tmp_path).replace(values), max_duration=1.0,
+    )  # fmt: skip
+    sound = np.concatenate(list(renderer.blocks()))[:, 0]
+    spectrum = np.abs(np.fft.rfft(sound * np.hanning(len(sound)), 1 << 22))
+    freq = np.argmax(spectrum) * 48000 / (1 << 22)
+    stopped = np.sqrt(tension / density) / (2 * (length - x + tension / stiffness))
+    model = renderer.model
+    sines = model.system.compiled[model.system.slot("A2.z")].basis.n_modes - 1
+    expected = 1200 / np.log(2) / np.pi**2 / sines * length / (length - x)
+    assert 1200 * np.log2(freq / stopped) == pytest.approx(expected, rel=0.1)
+    assert expected > 4.0
