@@ -150,6 +150,8 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
     )
     complete = all(pair in coherence for pair in pairs)
     remarks = tuple(line for table in tables for line in table.remarks)
+    if negative := int(np.count_nonzero(freq < 0)):
+        remarks += (f"{negative} bins of frequencies below 0 were left out",)
     return Responses(
         freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]) if complete else None, reading.n_hits,
         alpha, pressure, hashes, remarks=remarks,

@@ -399,3 +399,10 @@ def test_responses_of_nothing_are_not_called_real(tmp_path):
 def test_a_mode_that_is_kept_lies_in_the_band_and_is_not_dropped(keep, drop, reported):
     with pytest.raises(TonewoodError, match=reported):
         fit_responses(Responses(FREQ, TRUTH[:1], PAIRS[:1]), keep=(keep,), drop=drop)
+
+
+def test_bins_below_0_hz_are_left_out_and_counted(tmp_path):
+    np.savez(tmp_path / "a.npz", freq_Hz=FREQ - 60.0, **{"a:a": TRUTH[0]})
+    read = read_responses([tmp_path / "a.npz"], Reading("mobility"))
+    assert read.remarks == ("10 bins of frequencies below 0 were left out",)
+    assert read.band(None, None).freq.tolist() == list(range(1, 190))
