@@ -583,6 +583,7 @@ def report(**more):
         "n_modes_all_outputs": 120,
         "body": {"n_modes": 9, "freq_lower": 80.4, "freq_upper": 999.6, "summary": "passive"},
         "added": ["2 g at a"],
+        "model": [],
         "strings": {"E2": string(), "A2": string(count=2, tension=50.0, stops=0, held_note="held at 70 N")},
         "microphones": [
             {"output": "o", "channel": "l", "n_modes": 5, "peak": 2.0, "unit": "Pa", "peak_freq": 200.4, "doubt": None}

@@ -165,6 +165,16 @@ def test_check_names_a_string_that_misses_its_loss_law(tonewood: Run) -> None:
     assert "decays at" not in tonewood("check", "monochord")[1]
 
 
+def test_check_warns_of_a_string_that_moves_no_body(tonewood: Run) -> None:
+    """Its bridge moves in z alone: a string that vibrates in y is silent."""
+    aside = ("monochord", "--set", "strings.A2.polarizations=[y]", "--set", "stops.count=0")
+    code, out, _ = tonewood("check", *aside)
+    assert code == 0
+    assert "  warning: strings.A2: shares no direction with the body's points it ends on" in out
+    assert out.splitlines()[-1] == "ok, with 1 warning"
+    assert len(json.loads(tonewood("check", *aside, "--json")[1])["model"]) == 1
+
+
 @pytest.mark.slow
 def test_check_warns_of_a_table_that_is_another(tonewood: Run, tmp_path: Path) -> None:
     folder = tmp_path / "mine"

@@ -88,6 +88,7 @@ def check(
         "n_modes": model.n_modes - sum(_modes_of_other_outputs(model)),
         "n_modes_all_outputs": model.n_modes,
         "body": body,
+        "model": [line for line in model.warnings if line != f"body: {body.get('repair')}"],
         "added": [added_line(entry) for entry in spec.body.added],
         "strings": {name: _string(model, name, pairs) for name in model.groups},
         "microphones": [_microphone(response) for response in microphone_responses(model)],
@@ -367,8 +368,8 @@ def _print(report: dict[str, Any], ok: bool, every: bool, moves: list[str]) -> N
 
 
 def _warnings(report: dict[str, Any]) -> list[str]:
-    """Tables that may be others, microphones that hear nothing, strings that miss their law."""
-    doubts = [*report["table_doubts"]]
+    """Parts that do not sound, tables that may be others, microphones that hear nothing, strings that miss their law."""
+    doubts = [*report["model"], *report["table_doubts"]]
     doubts += [f"{row['output']}.{row['channel']} {row['doubt']}" for row in report["microphones"] if row["doubt"]]
     doubts += [row["doubt"] for row in report["potentials"] if row["doubt"]]
     doubts += [

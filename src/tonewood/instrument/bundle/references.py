@@ -8,7 +8,7 @@ from typing import Any
 
 from tonewood.errors import BundleError, ScoreError
 from tonewood.instrument.bundle.keys import check_keys
-from tonewood.instrument.bundle.schema import Bundle
+from tonewood.instrument.bundle.schema import Bundle, ControllerMap, Velocity
 from tonewood.instrument.contract.base import Exciter
 from tonewood.instrument.scales import note_number
 from tonewood.support.validation_messages import did_you_mean
@@ -21,14 +21,14 @@ def check_references(
     file: Path,
     open_note: Callable[[str], float],
 ) -> None:
-    """Check that every part which another one names is there.
+    """Check that every part which another one names is there, and that what moves a parameter stays in its range.
 
     spec : all keys.
     points : of the body, where strings may end and exciters push.
     exciters : name -> plugin.
     file : the manifest, for errors.
     open_note : string -> note number of the open string.
-    Raises BundleError : one is not; names the key, and those that there are.
+    Raises BundleError : one is not, or does not; names the key, and what is allowed.
     """
 
     def none(kind: str, name: str, names: Iterable[str], key: str) -> BundleError:
@@ -38,13 +38,18 @@ def check_references(
         reason = f"there is no {kind} {name!r}; {hint}there are {', '.join(words) or 'none'}"
         return BundleError(reason, file=file, key=key)
 
-    def parameter(path: str, key: str) -> None:
-        exciter, _, name = path.partition(".")
+    def moved(entry: Velocity | ControllerMap, key: str) -> None:
+        exciter, _, name = entry.parameter.partition(".")
         if exciter not in exciters:
-            raise none("exciter", exciter, exciters, key)
+            raise none("exciter", exciter, exciters, f"{key}.parameter")
         fields = exciters[exciter].Parameters.model_fields
         if name not in fields:
-            raise none(f"parameter of {exciter}", name, fields, key)
+            raise none(f"parameter of {exciter}", name, fields, f"{key}.parameter")
+        for end in ("low", "high"):
+            try:
+                exciters[exciter].adjusted({name: getattr(entry, end)})
+            except BundleError as fault:
+                raise BundleError(f"{entry.parameter} {fault.reason}", file=file, key=f"{key}.{end}") from None
 
     for name, part in spec.strings.items():
         for end in part.ends:
@@ -59,9 +64,9 @@ def check_references(
     check_keys(spec, file, open_note)
     playing = spec.playing
     if spec.strings:
-        parameter(playing.velocity.parameter, "playing.velocity.parameter")
+        moved(playing.velocity, "playing.velocity")
     for control, entry in playing.controls.items():
-        parameter(entry.parameter, f"playing.controls.{control}.parameter")
+        moved(entry, f"playing.controls.{control}")
     if playing.exciter is not None and playing.exciter not in exciters:
         raise none("exciter", playing.exciter, exciters, "playing.exciter")
     switched = [("switches", k, v) for k, v in playing.switches.items()]

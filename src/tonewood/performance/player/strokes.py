@@ -84,14 +84,14 @@ def event_values(note: Note, model: Model, latest: Callable[[str], float | None]
         value = latest(kind) if exciter == name else None
         if value is not None:
             values[parameter] = control.value(value)
-    by_note = {
-        model.playing.velocity.parameter.partition(".")[2]: note.force,
-        "from_bridge": note.from_bridge,
-        "angle_deg": note.angle_deg,
-    }
+    by_note = (
+        (model.playing.velocity.parameter.partition(".")[2], note.force),
+        ("from_bridge", note.from_bridge),
+        ("angle_deg", note.angle_deg),
+    )
     # a hammer has no force for a velocity that means one, a bow's stroke no angle
     fields = type(model.exciters[name].parameters).model_fields
-    return values | {k: v for k, v in by_note.items() if v is not None and k in fields}
+    return values | {k: v for k, v in by_note if v is not None and k in fields}
 
 
 def is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) -> bool:

@@ -15,7 +15,7 @@ from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.performance.engine.engine import Engine
 from tonewood.performance.player.player import Player
 from tonewood.performance.player.playing import perform
-from tonewood.performance.player.strokes import with_force
+from tonewood.performance.player.strokes import event_values, with_force
 from tonewood.performance.player.timeline import GRID, Timeline
 
 FS = 16000
@@ -213,3 +213,19 @@ def test_a_volume_of_zero_refuses_no_note(kind: str) -> None:
     assert with_force(tw.Note(0.0, note=50, force=1e-4), steel, 1.0).force == 1e-4
     with pytest.raises(ScoreError, match=r"force is 0\.0001 N"):
         perform(tw.Score([tw.Note(0.5, 0.5, note=50, force=1e-4)]), steel)
+
+
+@pytest.mark.parametrize("name", ["from_bridge", "angle_deg"])
+def test_velocity_moves_the_place_and_the_angle_of_a_pluck(name: str) -> None:
+    """Any parameter may follow the velocity; a note that states its own keeps it."""
+    velocity = {"parameter": f"pluck.{name}", "low": 0.1, "high": 0.3, "curve": "linear"}
+    model = assemble(tw.load_instrument("monochord").replace({"playing.velocity": velocity}), FS)
+    soft, loud, own = (
+        event_values(with_force(note, model, 1.0), model, lambda kind: None)
+        for note in (
+            tw.Note(0.0, 0.5, note=45, velocity_midi=1),
+            tw.Note(0.0, 0.5, note=45, velocity_midi=127),
+            replace(tw.Note(0.0, 0.5, note=45, velocity_midi=64), **{name: 0.25}),
+        )
+    )
+    assert (soft[name], loud[name], own[name]) == pytest.approx((0.1, 0.3, 0.25))
