@@ -376,7 +376,14 @@ def test_places_on_the_bridge_are_from_bass_to_treble(word: str, place: float | 
 @pytest.mark.parametrize(("share", "told"), [(0.099, False), (0.101, True), (-0.099, False), (-0.101, True)])
 def test_a_stop_that_is_tuned_by_more_than_a_tenth_of_the_tension_is_doubted(share: float, told: bool) -> None:
     string = {"stop_tension": {"stop": 7.0, "relative": share}, "law": []}
-    report = {"table_doubts": [], "microphones": [], "potentials": [], "forces_at_rest": {}, "strings": {"A": string}}
+    report = {
+        "model": [],
+        "table_doubts": [],
+        "microphones": [],
+        "potentials": [],
+        "forces_at_rest": {},
+        "strings": {"A": string},
+    }
     found = check._warnings(report)
     assert len(found) == told
     if told:

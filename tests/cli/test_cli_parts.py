@@ -443,14 +443,16 @@ def test_a_table_of_taps_has_their_figures(tmp_path) -> None:
         "2 tap(s): three or more at one place tell what repeats"
     ]
     file, band = tmp_path / "a.wav", (50.0, 60.0)
-    assert taptone._check([file], 3, 48000, 1, band, None, None) == [file]
-    refused("no file was given", taptone._check, [], None, 48000, 1, band, None, None)
-    refused("--record writes one file", taptone._check, [file, file], 3, 48000, 1, band, None, None)
-    refused("1 to 100 are allowed", taptone._check, [file], 0, 48000, 1, band, None, None)
-    refused("8000 to 192000", taptone._check, [file], 1, 7999, 1, band, None, None)
-    refused("--channel", taptone._check, [file], None, 48000, 0, band, None, None)
+    assert taptone._check([file], 3, 48000, None, 1, band, None, None) == [file]
+    refused("no file was given", taptone._check, [], None, None, None, 1, band, None, None)
+    refused("--record writes one file", taptone._check, [file, file], 3, 48000, None, 1, band, None, None)
+    refused("1 to 100 are allowed", taptone._check, [file], 0, 48000, None, 1, band, None, None)
+    refused("--fs: is for --record", taptone._check, [file], None, 48000, None, 1, band, None, None)
+    refused("--device: is for --record", taptone._check, [file], None, None, "2", 1, band, None, None)
+    refused("8000 to 192000", taptone._check, [file], 1, 7999, None, 1, band, None, None)
+    refused("--channel", taptone._check, [file], None, None, None, 0, band, None, None)
     file.write_text("")
-    refused("it would be overwritten", taptone._check, [file], 3, 48000, 1, band, None, None)
+    refused("it would be overwritten", taptone._check, [file], 3, 48000, None, 1, band, None, None)
 
 
 def test_lengths_in_mm_are_told() -> None:

@@ -90,7 +90,7 @@ def test_the_cheapest_of_several_designs_is_told(
         "--target",
         "mode 1 = 100",
     )
-    call += ("--free", "strings=ej16, ej45", "--free", "body.added.0.mass=0:0.05", "-o", tmp_path / "made")
+    call += ("--free", "strings=ej16, ej45", "--free", "body.added.0.mass=0.001:0.05", "-o", tmp_path / "made")
     code, out, err = tonewood(*call)
     assert (code, err) == (0, "design: a step\n" * 2)
     assert [row[0] for row in asked] == ["ej16", "ej45"]
@@ -102,7 +102,7 @@ def test_the_cheapest_of_several_designs_is_told(
     assert (written.words[0].cost, written.words[1]) == (0.5, tmp_path / "made")
     report = told((*tonewood(*call, "--json")[:2], ""))
     assert (report["cost"], report["strings"], report["ok"]) == (0.5, "ej45", True)
-    code, out, _ = tonewood(*call[:6], "--free", "body.added.0.mass=0:0.05")  # misses its target
+    code, out, _ = tonewood(*call[:6], "--free", "body.added.0.mass=0.001:0.05")  # misses its target
     assert (code, out.splitlines()) == (1, ["as designed", "for render and compare: --set body.added.0.mass=0.004"])
     refused(tonewood(*call[:6], "--free", "body.added.0.mass"), "PATH=LOW:HIGH is allowed")
 

@@ -368,7 +368,7 @@ def _print(report: dict[str, Any], ok: bool, every: bool, moves: list[str]) -> N
 
 
 def _warnings(report: dict[str, Any]) -> list[str]:
-    """Parts that do not sound, tables that may be others, microphones that hear nothing, strings that miss their law."""
+    """Silent parts, tables that may be others, microphones that hear nothing, strings that miss their law."""
     doubts = [*report["model"], *report["table_doubts"]]
     doubts += [f"{row['output']}.{row['channel']} {row['doubt']}" for row in report["microphones"] if row["doubt"]]
     doubts += [row["doubt"] for row in report["potentials"] if row["doubt"]]

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from tonewood.workshop.taps.cutting import Taps
     from tonewood.workshop.taps.ringing import Peak
 
+#: Hz, of a recording
+_RATE = 48000
+
 
 def taptone(
     files: Annotated[
@@ -30,7 +33,7 @@ def taptone(
         typer.Option(metavar="TAPS", help="record so many taps from the microphone, into the one FILE (.wav)"),
     ] = None,
     device: Annotated[str | None, typer.Option(help="microphone, by name or number; the default otherwise")] = None,
-    fs: Annotated[int, typer.Option(help="sampling rate of a recording, Hz")] = 48000,
+    fs: Annotated[int | None, typer.Option(help="sampling rate of --record, Hz; 48000 if left out")] = None,
     channel: Annotated[int, typer.Option(help="channel of the files that is used, from 1")] = 1,
     band: Annotated[tuple[float, float], typer.Option(metavar="LOW HIGH", help="Hz, band of the peaks")] = (
         50.0,
@@ -54,9 +57,9 @@ def taptone(
     from tonewood.workshop.taps.recordings import read_taps
     from tonewood.workshop.taps.ringing import ringing
 
-    paths = _check(files or [], record, fs, channel, band, output, plot)
+    paths = _check(files or [], record, fs, device, channel, band, output, plot)
     if record is not None:
-        _record(paths[0], record, fs, device)
+        _record(paths[0], record, fs or _RATE, device)
     taps = read_taps(paths, channel)
     used = taps.analysed()
     peaks = ringing(used, taps.fs, band)
@@ -98,7 +101,8 @@ def taptone(
 def _check(
     files: list[Path],
     record: int | None,
-    fs: int,
+    fs: int | None,
+    device: str | None,
     channel: int,
     band: tuple[float, float],
     output: Path | None,
@@ -108,9 +112,12 @@ def _check(
         raise TonewoodError(
             "no file was given; recordings of taps, or --record TAPS FILE.wav, are allowed", key="FILES"
         )
+    for option, value in (("--fs", fs), ("--device", device)):
+        if record is None and value is not None:
+            raise TonewoodError("is for --record, which is not given", key=option)
     if record is not None:
         allow("--record", record, 1, 100, "taps")
-        allow("--fs", fs, 8000, 192_000, "Hz")
+        allow("--fs", fs or _RATE, 8000, 192_000, "Hz")
         if len(files) != 1:
             raise TonewoodError("--record writes one file; a name ending in .wav is allowed", key="FILES")
         allow_file("FILES", files[0], ".wav")

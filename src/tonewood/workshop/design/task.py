@@ -182,7 +182,8 @@ def _pitch(word: str, text: str) -> float:
 def parse_free(lines: Mapping[str, str], instrument: Instrument) -> list[Free]:
     """Free parameters from their lines.
 
-    Raises TonewoodError : a path leads to no number, bounds are none, or two of them set one key.
+    Raises TonewoodError : a path leads to no number, bounds are none or ones that the bundle does not allow, or two
+        parameters set one key.
     """
     if not 0 < len(lines) <= _MOST:
         raise TonewoodError(f"there are {len(lines)}; 1 to {_MOST} are allowed, PATH: LOW .. HIGH", key="free")
@@ -202,6 +203,12 @@ def parse_free(lines: Mapping[str, str], instrument: Instrument) -> list[Free]:
         )
         if not parameter.kind and len(set(parameter.base)) > 1:
             raise TonewoodError("are several numbers: x LOW .. HIGH or + LOW .. HIGH keep their differences", key=path)
+        for bound in (parameter.low, parameter.high):
+            try:
+                instrument.replace(parameter.overrides(bound))
+            except TonewoodError as fault:
+                where = "" if fault.key in (None, path) else f"{fault.key}: "
+                raise TonewoodError(f"its bound {bound:g} cannot be: {where}{fault.reason}", key=path) from None
         for other in parameters:
             if both := set(other.paths) & set(parameter.paths):
                 raise TonewoodError(f"sets {min(both)}, which {other.name} sets as well", key=path)

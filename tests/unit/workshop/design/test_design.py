@@ -212,6 +212,12 @@ def test_numbers_that_a_pattern_frees(box):
         parse_free({"body.thickness": "2e-3 .. 3e-3", "body.thick*": "x 0.9 .. 1.1"}, box)
 
 
+@pytest.mark.parametrize(("bounds", "wrong"), [("-1e-3 .. 3e-3", "-0.001"), ("x 0 .. 1", "0"), ("+ 0 .. 1", "1")])
+def test_bounds_are_values_that_the_bundle_allows(box, bounds, wrong):
+    with pytest.raises(TonewoodError, match=rf"body\.thickness: its bound {wrong} cannot be: .* 0\.0001 to 0\.1 m"):
+        parse_free({"body.thickness": bounds}, box)
+
+
 @pytest.mark.parametrize(
     ("text", "key"),
     [
