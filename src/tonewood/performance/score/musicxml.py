@@ -11,7 +11,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from operator import itemgetter
 from pathlib import Path
@@ -77,11 +77,23 @@ def _name(element: Element) -> str:
     return element.tag.rpartition("}")[2]
 
 
+@dataclass(slots=True)
+class _Content:
+    """What all parts write into a measure.
+
+    empty : quarter notes by the time signature of parts without a note or rest in it.
+    overfull : whether parts go beyond their time signature; some may, and some not.
+    """
+
+    empty: Fraction = Fraction(0)
+    overfull: set[bool] = field(default_factory=set)
+
+
 class _Reader:
     """Reads measures as soon as they end in the file, part by part or measure by measure."""
 
     def __init__(self, music: WrittenMusic):
-        self.music = music
+        self.music, self._contents = music, list[_Content]()
         #: element of a part, or its name in a score by measures -> its reader
         self._parts: dict[Element | str, _PartReader] = {}
         self._allowed = Allowance(_MOST_PARTS, "parts", music.file)
@@ -100,7 +112,7 @@ class _Reader:
     def _reader(self, part: Element | str) -> _PartReader:
         if part not in self._parts:
             self._allowed.take()
-            self._parts[part] = _PartReader(WrittenPart(""), self.music)
+            self._parts[part] = _PartReader(WrittenPart(""), self.music, self._contents)
         return self._parts[part]
 
     def music_of(self, root: Element) -> WrittenMusic:
@@ -116,9 +128,10 @@ class _Reader:
         ids = [e.get("id") for e in root.iter("score-part") if e.find(_PROGRAM) is not None]
         music.ignored["midi-program outside 1 to 128"] += sum(programs[part] is None for part in ids)
         starts = [Fraction(0)]
-        for i, measure in enumerate(music.measures):
-            if not measure.length:  # nothing is in it, not even a rest
-                measure.length = max(p.without_notes[i] for p in self._parts.values() if i < len(p.without_notes))
+        for measure, content in zip(music.measures, self._contents, strict=True):
+            measure.length = measure.length or content.empty
+            several = len(content.overfull) > 1
+            music.ignored["measure that some parts make longer than its time signature"] += several
             starts.append(near(starts[-1] + measure.length))
         for part, reader in self._parts.items():
             reader.hairpins(starts)
@@ -133,16 +146,16 @@ class _Reader:
 
 
 class _PartReader:
-    def __init__(self, part: WrittenPart, music: WrittenMusic):
-        self.part, self.music = part, music
+    def __init__(self, part: WrittenPart, music: WrittenMusic, contents: list[_Content]):
+        self.part, self.music, self.contents = part, music, contents
         self.divisions, self.velocity, self.staves = Fraction(0), 80, 1
         self.transpose: dict[str, float] = {}  # number of a staff, "" for all others -> semitones
         self.tuning: dict[int, float] = {}
         self.ending: frozenset[int] = frozenset()
         self.palm = False
         self.fifths = 0
-        #: quarter notes of a measure by the time signature, and of each measure without notes
-        self.meter, self.without_notes = Fraction(0), list[Fraction]()
+        #: quarter notes of a measure by the time signature
+        self.meter = Fraction(0)
         self.feel: tuple[Fraction, Fraction] | None = None
         #: (measure, quarter notes, velocity) of dynamics, and (measure, quarter notes, kind) of ends of hairpins
         self.levels: list[tuple[int, Fraction, int]] = []
@@ -167,7 +180,8 @@ class _PartReader:
         self.music.cells.take()
         if index == len(self.music.measures):
             self.music.measures.append(Measure(Fraction(0)))
-        measure = self.music.measures[index]
+            self.contents.append(_Content())
+        measure, content = self.music.measures[index], self.contents[index]
         for e in element.iter():
             if e.tag in _NUMBERS and number(e.text or "", -MOST, MOST) is None:
                 self.music.ignored[f"{e.tag} that cannot be read"] += 1
@@ -214,7 +228,10 @@ class _PartReader:
         if self.ending and any(e.get("type") != "start" for e in element.iter("ending")):
             self.ending = frozenset()
         self.part.measures.append(notes)
-        self.without_notes.append(Fraction(0) if element.find("note") is not None else self.meter)
+        if element.find("note") is None:
+            content.empty = max(content.empty, self.meter)
+        if longest and self.meter:
+            content.overfull.add(longest > self.meter)
 
     def _attributes(self, element: Element) -> None:
         self.divisions = divisions_of(element) or self.divisions

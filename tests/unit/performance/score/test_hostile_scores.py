@@ -9,6 +9,7 @@ import sys
 import zipfile
 from fractions import Fraction
 from pathlib import Path
+from types import FrameType
 
 import pytest
 from mutations import FORMATS, NUMBERS
@@ -20,6 +21,7 @@ from tonewood.errors import ScoreError
 from tonewood.performance.score import bend_curves, guitar_pro_file, limits, score_clock, written, xml_files
 from tonewood.performance.score import gpif as gpif_reader
 from tonewood.performance.score.limits import number, whole
+from tonewood.performance.score.musicxml import read_musicxml
 from tonewood.performance.score.unfolding import Measure, order
 
 MB = 2**20
@@ -441,3 +443,22 @@ def test_times_of_many_tempos_and_fermatas_are_found_without_comparing_fractions
     monkeypatch.setattr(Fraction, "__lt__", lambda a, b: compared.append(a) or below(a, b))
     assert len(tw.read_score(path).notes) == 400
     assert len(compared) < 20 * 400
+
+
+def test_empty_measures_of_one_part_are_not_compared_with_all_others(tmp_path: Path) -> None:
+    """1000 parts of one measure and one of 1000 are 2000 measures; each of them costs the same few calls."""
+    many = "".join(f'<part id="{i}"><measure/></part>' for i in range(1000))
+    path = tmp_path / "a.musicxml"
+    path.write_text(f'<score-partwise>{many}<part id="long">{"<measure/>" * 1000}</part></score-partwise>')
+    calls = 0
+
+    def count(_frame: FrameType, event: str, _argument: object) -> None:
+        nonlocal calls
+        calls += event in ("call", "c_call")
+
+    sys.setprofile(count)
+    try:
+        read_musicxml(path.read_bytes(), path)
+    finally:
+        sys.setprofile(None)
+    assert calls < 2000 * 100

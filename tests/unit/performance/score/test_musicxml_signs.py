@@ -271,6 +271,21 @@ def test_a_measure_with_nothing_in_it_lasts_as_its_time_signature_says(tmp_path:
     assert [n.time for n in read(tmp_path, meter + plain("A"), free, plain("B")).notes] == [0.0, 1.0]
 
 
+@pytest.mark.parametrize(("meter", "rests", "counted"), [("4", 2, 1), ("4", 1, 0), ("8", 2, 0)])
+def test_a_measure_that_one_part_makes_too_long_is_counted(
+    tmp_path: Path, meter: str, rests: int, counted: int
+) -> None:
+    """All parts wait for a part with two whole rests in a measure of 4/4, as some files have it."""
+    start = "<attributes><divisions>4</divisions>" + f"<time><beats>{meter}</beats><beat-type>4</beat-type></time>"
+    lower = f"<measure>{start}</attributes>{'<note><rest/><duration>16</duration></note>' * rests}</measure>"
+    upper = f"<measure>{start}</attributes>{plain(*'ABCD')}</measure><measure>{plain('E')}</measure>"
+    path = tmp_path / "a.musicxml"
+    path.write_text(f'<score-partwise><part id="P">{upper}</part><part id="Q">{lower}</part></score-partwise>')
+    score = tw.read_score(path)
+    assert score.notes[-1].time == 2.0 * rests
+    assert score.ignored == ({"measure that some parts make longer than its time signature": 1} if counted else {})
+
+
 def harmonic(step: str, octave: int, inside: str, *, place: str = "", before: str = "") -> str:
     return note(step, octave, 4, f"<harmonic>{inside}</harmonic>{place}", before=before)
 
