@@ -24,6 +24,8 @@ _NEAR = 1.15
 #: range of the search for a tension, cents of pitch from the uncoupled one
 _REACH_CENTS = 120.0
 _ACCURACY_CENTS = 1e-3
+#: most tensions tried; relative width of the bracket in which a jump over the note lies
+_TENSIONS, _NARROW = 60, 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,8 +197,8 @@ def tune(string: StringOnBody, freq: float, tension: float) -> TunedStop:
     """
     best, least = tension, math.inf
     flat, sharp = 0.0, math.inf
-    guess = tension
-    for _ in range(24):
+    guess, bisects = tension, False
+    for _ in range(_TENSIONS):
         poles = string.poles(string.joint(guess), freq)
         if not poles:
             break
@@ -204,10 +206,13 @@ def tune(string: StringOnBody, freq: float, tension: float) -> TunedStop:
         error = cents(pole.imag / (2 * math.pi) / freq)
         if abs(error) < least:
             best, least = guess, abs(error)
-        if least <= _ACCURACY_CENTS or sharp < flat * (1 + 1e-5):
-            break
+        width = sharp / flat if flat > 0 else math.inf
         flat, sharp = (max(flat, guess), sharp) if error < 0 else (flat, min(sharp, guess))
-        guess = _follow(string, freq, guess, pole)
+        if least <= _ACCURACY_CENTS or sharp < flat * (1 + _NARROW):
+            break
+        # a mode may leave the note out at every tension near; following it again would lead to the same place
+        bisects = not bisects and flat > 0 and sharp / flat > math.sqrt(width)
+        guess = math.sqrt(flat * sharp) if bisects else _follow(string, freq, guess, pole)
         if not flat < guess < sharp:
             guess = math.sqrt(flat * sharp) if flat > 0 and sharp < math.inf else best * (1.05 if error < 0 else 0.95)
     modes = string.modes(best, freq)
