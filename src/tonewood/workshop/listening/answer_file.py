@@ -437,7 +437,8 @@ def _append(path: Path, line: bytes, *, at: int, sync: bool) -> None:
     sync : wait; answers of simulated listeners can be had again.
     """
     try:
-        handle = os.open(path, os.O_WRONLY | os.O_APPEND)
+        # a pipe in its place does not block
+        handle = os.open(path, os.O_WRONLY | os.O_APPEND | getattr(os, "O_NONBLOCK", 0))
         try:
             if os.fstat(handle).st_size != at:
                 raise OutputError("was changed by another program", file=path)

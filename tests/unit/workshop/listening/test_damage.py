@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shutil
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -115,6 +116,19 @@ def test_a_file_that_another_program_changed_is_not_written_to(test: ListeningTe
     again = resume(test, session.header["token"])
     again.answer(who.answer(again.session), now="now")
     assert [r["index"] for r in answers_of(test).listeners[0].records] == [0, 1, 2, 3]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with names")
+def test_a_pipe_in_the_place_of_a_file_does_not_block(test: ListeningTest) -> None:
+    session, who = opened(test, 3), listener(test)
+    session.path.unlink()
+    os.mkfifo(session.path)
+    signal.alarm(5)  # ends the run where it blocks
+    try:
+        with pytest.raises(OutputError, match="cannot be written"):
+            session.answer(who.answer(session.session), now="now")
+    finally:
+        signal.alarm(0)
 
 
 def test_what_a_killed_server_wrote_is_on_the_disk_before_it_is_confirmed(
