@@ -6,13 +6,16 @@ import os
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from tonewood.errors import ScoreError
 from tonewood.performance.score.channels import STEERING, TUNING, MidiChannels
 from tonewood.performance.score.note import Control
 from tonewood.performance.score.smf import Findings
 
-MAX_CONTROLS = 1_000_000
+_T = TypeVar("_T")
+#: changes of controllers and bends; and further channels that messages of a master channel reach in all
+MAX_CONTROLS = 600_000
 _PERCUSSION = 9
 #: finding: how a score says that notes are left out
 DRUM = "note of channel 10, percussion by General MIDI, left out (--tracks 10 plucks them)"
@@ -54,6 +57,7 @@ class ChannelReader:
         self.controls: list[Control] = []
         self.ignored: list[tuple[float, str]] = []
         self._findings, self._file = findings, file
+        self._n_reached = 0
         self._latest: dict[tuple[int, str], float] = {}
         self._channels = [_Channel() for _ in range(16)]
         self._midi = MidiChannels()
@@ -66,7 +70,7 @@ class ChannelReader:
     def play(self, messages: Iterable[tuple[float, int, int, int]]) -> None:
         """Take messages (time in s, status, data 1, data 2) in time order.
 
-        Raises ScoreError : more than `MAX_CONTROLS` changes.
+        Raises ScoreError : more than `MAX_CONTROLS` changes, or channels reached by masters.
         """
         for time, status, a, b in messages:
             number = status & 0x0F
@@ -79,18 +83,18 @@ class ChannelReader:
                 case 0xB0 if a in STEERING:
                     self._steer(time, number, a, b)
                 case 0xB0:
-                    for at in self._midi.reached(number):
+                    for at in self._counted(self._midi.reached(number)):
                         self._controller(time, at, a, b)
                     self._bend(time)
                 case 0xE0:
                     self._midi.wheel(number, a, b)
                     self._bend(time)
                 case 0xC0:
-                    for at in self._midi.reached(number):
+                    for at in self._counted(self._midi.reached(number)):
                         self._channels[at].program = a + 1
                     self.ignored.append((time, _IGNORED[0xC0]))  # by an instrument that is given
                 case 0xD0:
-                    for at in self._midi.reached(number):
+                    for at in self._counted(self._midi.reached(number)):
                         self._control(time, at, "channel_pressure", a / 127)
                 case kind:
                     self.ignored.append((time, _IGNORED[kind]))
@@ -198,15 +202,25 @@ class ChannelReader:
             self._all_notes_off(time, channel)
 
     def _bend(self, time: float) -> None:
-        for number, cents in self._midi.bends():
+        for number, cents in self._counted(self._midi.bends()):
             self._control(time, number, "bend", cents)
+
+    def _counted(self, reached: list[_T]) -> list[_T]:
+        """Count the channels that a message reaches: that of a master reaches sixteen, also where it changes nothing."""
+        self._n_reached += max(len(reached) - 1, 0)
+        if self._n_reached > MAX_CONTROLS:
+            raise self._too_many()
+        return reached
+
+    def _too_many(self) -> ScoreError:
+        return ScoreError(f"more than {MAX_CONTROLS} changes of controllers and bends", file=self._file)
 
     def _control(self, time: float, number: int, kind: str, value: float) -> None:
         if self._latest.get((number, kind), 0.0 if kind == "bend" else None) != value:
             self._latest[number, kind] = value
             self.controls.append(Control(time, kind, value, number))
-            if len(self.controls) > MAX_CONTROLS:  # one message of a master channel makes sixteen
-                raise ScoreError(f"more than {MAX_CONTROLS} changes of controllers and bends", file=self._file)
+            if len(self.controls) > MAX_CONTROLS:
+                raise self._too_many()
 
 
 def where(channel: int, key: int, time: float) -> str:

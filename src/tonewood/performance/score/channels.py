@@ -91,10 +91,11 @@ class MidiChannels:
         channel = self._channels[number]
         if channel.parameter == _BEND_RANGE:
             bend_range = float(b) if a == 6 else int(channel.bend_range) + b / 100
-            zone = [c for c, master in self._master.items() if master == self._master.get(number)]
-            for at in zone or [number]:
+            master = self._master.get(number)
+            zone = [number] if master is None else self.reached(master)[1:]
+            for at in zone:
                 self._channels[at].bend_range = bend_range
-                self._changed.update(self.reached(at))
+            self._changed.update(self.reached(number) if master is None else zone)
         elif channel.parameter == _ZONE and number in (0, 15):
             if a == 6:
                 self._zone(number, b)

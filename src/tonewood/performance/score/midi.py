@@ -140,15 +140,20 @@ def read_messages(path: str | os.PathLike[str]) -> tuple[list[tuple[float, int, 
     return messages, end, _texts(midi)
 
 
-def _played(midi: MidiFile, findings: Findings) -> Iterator[tuple[list[tuple[float, int, int, int]], float]]:
+def _played(midi: MidiFile, findings: Findings) -> Iterator[tuple[Iterator[tuple[float, int, int, int]], float]]:
     """Yield the messages of each pattern, (time in s, status, data 1, data 2), and the time of its end."""
     began = 0.0
     for pattern in _patterns(midi, findings):
-        seconds = _clock(midi, pattern)
-        messages = sorted(chain.from_iterable(t.messages for t in pattern), key=itemgetter(0))
-        timed = [(began + seconds(tick), status, a, b) for tick, status, a, b in messages]
-        began += seconds(max(t.end for t in pattern))
-        yield timed, began
+        end = began + _clock(midi, pattern)(max(t.end for t in pattern))
+        yield _timed(pattern, began, _clock(midi, pattern)), end
+        began = end
+
+
+def _timed(
+    pattern: Sequence[Track], began: float, seconds: Callable[[int], float]
+) -> Iterator[tuple[float, int, int, int]]:
+    for tick, status, a, b in sorted(chain.from_iterable(t.messages for t in pattern), key=itemgetter(0)):
+        yield began + seconds(tick), status, a, b
 
 
 def _texts(midi: MidiFile) -> dict[str, str]:
@@ -215,7 +220,8 @@ def _excerpt(
             )
         )  # fmt: skip
     before = {(c.kind, c.channel): replace(c, time=0.0) for c in performance.controls if c.time < start}
-    within = [replace(c, time=c.time - start) for c in performance.controls if start <= c.time < stop]
+    within = (c for c in performance.controls if start <= c.time < stop)
+    within = (replace(c, time=c.time - start) for c in within) if start else within
     return tuple(notes), (*before.values(), *within)
 
 

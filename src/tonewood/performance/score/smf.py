@@ -166,9 +166,9 @@ def _read_tracks(data: bytes, pos: int, findings: Findings, file: str | None) ->
             label = f"track {len(tracks) + 1}"
             track, pos = _read_track(data, body, end, room, label, findings)
             tracks.append(track)
-            room -= len(track.messages)
+            room -= len(track.messages) + len(track.tempos) + len(track.meters)
             if room < 0 or len(tracks) > MAX_TRACKS:
-                limit = f"{MAX_MESSAGES} MIDI messages" if room < 0 else f"{MAX_TRACKS} tracks"
+                limit = f"{MAX_MESSAGES} MIDI messages, tempos and meters" if room < 0 else f"{MAX_TRACKS} tracks"
                 raise ScoreError(f"more than {limit}", file=file)
         elif end <= len(data) and _chunk_follows(data, end) and any(name):
             findings.add("unknown chunk skipped", repr(name.decode("latin-1")))
@@ -211,6 +211,8 @@ def _read_events(data: bytes, pos: int, limit: int, room: int, label: str, track
     messages = track.messages
     tick = running = 0
     while pos < limit:
+        if len(messages) + len(track.tempos) + len(track.meters) > room:
+            return limit
         delta, pos = _variable_length(data, pos, limit)
         tick += delta
         track.end = tick
@@ -245,8 +247,6 @@ def _read_events(data: bytes, pos: int, limit: int, room: int, label: str, track
         if (first | second) & 0x80:
             findings.add("data byte over 127, its top bit ignored", f"{label}, byte {pos}")
         messages.append((tick, running, first & 0x7F, second & 0x7F))
-        if len(messages) > room:
-            return limit
         pos += count
     findings.add("no end-of-track event", label)
     return limit

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -152,6 +154,23 @@ def test_number_of_notes_and_messages_is_limited(read, monkeypatch):
     monkeypatch.setattr("tonewood.performance.score.smf.MAX_MESSAGES", 19)
     with pytest.raises(ScoreError, match="more than 19 MIDI messages"):
         read(smf(ONE_NOTE * 5, ONE_NOTE * 5))
+    for change in (b"\xff\x51\x03\x07\xa1\x20", b"\xff\x58\x04\x03\x02\x18\x08"):
+        with pytest.raises(ScoreError, match="more than 19 MIDI messages, tempos and meters"):
+            read(smf((b"\x01" + change) * 18 + ONE_NOTE))
+        assert len(read(smf((b"\x01" + change) * 17 + ONE_NOTE)).notes) == 1
+
+
+@pytest.mark.parametrize(("status", "most"), [(0xA0, 240), (0xE0, 300)])
+def test_memory_of_a_message_is_limited(tmp_path, status, most):
+    """Bytes of the largest state while 20,000 messages are read: 10⁶ of them, or 600,000 changes, fit in 300 MB."""
+    path = tmp_path / "a.mid"
+    path.write_bytes(smf(ONE_NOTE + b"".join(event(1, status, i & 127, i >> 7 & 127) for i in range(20_000))))
+    read_midi(path)
+    tracemalloc.start()
+    read_midi(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak / 20_000 < most
 
 
 def test_notes_of_no_length_and_endless_notes_are_bounded(read):

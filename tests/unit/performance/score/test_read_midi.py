@@ -319,6 +319,10 @@ def test_a_master_cannot_multiply_controllers_beyond_a_limit(read, monkeypatch):
     monkeypatch.setattr("tonewood.performance.score.channel_reader.MAX_CONTROLS", 1000)
     with pytest.raises(ScoreError, match=r"\.mid: more than 1000 changes"):
         read(smf(register(0, 6, 15) + MPE_NOTE + b"".join(event(1, 0xB0, 1, i % 128) for i in range(100))))
+    for message in (register(3, 0, 24), event(1, 0xC0, 5), register(0, 6, 15)):  # nothing that sounds changes
+        with pytest.raises(ScoreError, match=r"\.mid: more than 1000 changes"):
+            read(smf(register(0, 6, 15) + MPE_NOTE + message * 100))
+        read(smf(register(0, 6, 15) + MPE_NOTE + message * 20))
 
 
 @pytest.mark.parametrize("order", [1, -1])
