@@ -56,6 +56,8 @@ ROOMS = {
 _APART, _FROM_WALL = 0.3, 0.3
 #: s, longest response of a file
 _LONGEST = 20.0
+#: samples to each side from which values between samples are interpolated
+_NEAR = 64
 #: frames of a part of the convolution
 _PART = 1024
 #: s after the direct sound between which the mix's gain sets in
@@ -147,13 +149,25 @@ def _read(name: str, fs: int, channels: int) -> Floats:
 
 
 def _begun(responses: Floats, fs: int) -> Floats:
-    """Responses from half a millisecond before the earliest direct sound on; the loudest channel's has a gain of 1."""
-    largest = np.abs(responses).max(axis=0)
-    if not np.all(largest > 0):
+    """Responses from half a millisecond before the earliest direct sound on; the loudest channel's has a gain of 1.
+
+    The gain is the largest value between samples, too: a direct sound that comes half a sample late has a largest
+    sample of 0.64 of it.
+    """
+    direct = np.abs(responses).argmax(axis=0)
+    largest = max(_peak(response, int(k)) for response, k in zip(responses.T, direct, strict=True))
+    if not np.all(np.abs(responses).max(axis=0) > 0):
         raise TonewoodError("the response is silent", key="room")
-    direct = int(np.abs(responses).argmax(axis=0).min())
-    first = max(0, direct - round(0.5e-3 * fs))
-    return np.asarray(responses[first:] / largest.max())
+    first = max(0, int(direct.min()) - round(0.5e-3 * fs))
+    return np.asarray(responses[first:] / largest)
+
+
+def _peak(response: Floats, k: int) -> float:
+    """Largest value of a band-limited response within a sample of sample k."""
+    first = max(0, k - _NEAR)
+    near = np.arange(first, min(len(response), k + _NEAR + 1))
+    between = k + np.linspace(-1.0, 1.0, 129)
+    return float(np.abs(np.sinc(between[:, None] - near) @ response[near]).max())
 
 
 class Room:
