@@ -206,7 +206,7 @@ class ChannelReader:
             self._control(time, number, "bend", cents)
 
     def _counted(self, reached: list[_T]) -> list[_T]:
-        """Count the channels that a message reaches: that of a master reaches sixteen, also where it changes nothing."""
+        """Count the channels that a message reaches: a master reaches sixteen, even where it changes nothing."""
         self._n_reached += max(len(reached) - 1, 0)
         if self._n_reached > MAX_CONTROLS:
             raise self._too_many()

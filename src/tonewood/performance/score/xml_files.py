@@ -20,9 +20,9 @@ from tonewood.performance.score.limits import Allowance, number
 MAX_BYTES, _MOST_RATIO, _RATIO_FROM = 64 * 2**20, 300, 2**22
 #: files in an archive
 _MOST_MEMBERS = 10_000
-#: elements, one within the other, and characters of a text, a tag and a name
+#: elements, one within the other, and characters of a text and a tag; characters of a name, and different names
 MAX_ELEMENTS, _DEEPEST, _LONGEST = 1_000_000, 100, 2**21
-_LONGEST_NAME = 500
+_LONGEST_NAME, _MOST_NAMES = 500, 10_000
 #: elements, attributes and texts that are kept at a time: some 100 bytes each
 _MOST_KEPT = 1_600_000
 #: bytes of an empty text
@@ -77,6 +77,9 @@ class _Tree:
         self._path, self._cell, self._builder = path, cell, TreeBuilder()
         self._open: list[Element] = []
         self._elements = Allowance(MAX_ELEMENTS, "elements", path)
+        self._different = Allowance(_MOST_NAMES, "different names of elements and attributes", path)
+        #: name as expat has it -> as elements have it: one text for all of them
+        self._names: dict[str, str] = {}
         self._kept = self._kept_before = self._text = self._fed = 0
         self._parser = parser = expat.ParserCreate(encoding, "}")
         parser.buffer_text = True
@@ -114,12 +117,18 @@ class _Tree:
             raise ScoreError(f"elements more than {_DEEPEST} deep", file=self._path)
         if len(self._open) == 2:
             self._kept_before = self._kept
-        names = [tag, *attributes]
-        if max(map(len, names)) > _LONGEST_NAME:  # with its namespace, which expat writes out in each of them
-            raise ScoreError(f"a name of more than {_LONGEST_NAME} characters", file=self._path)
+        for name in (tag, *attributes):
+            if name not in self._names:
+                self._add(name)
         self._keep(4 + len(attributes) + sum(map(_extra, attributes.values())) if attributes else 1)
         self._text = 0
-        self._open.append(self._builder.start("{" + tag if "}" in tag else tag, attributes))
+        self._open.append(self._builder.start(self._names[tag], attributes))
+
+    def _add(self, name: str) -> None:
+        if len(name) > _LONGEST_NAME:  # with its namespace, which expat writes out in each of them
+            raise ScoreError(f"a name of more than {_LONGEST_NAME} characters", file=self._path)
+        self._different.take()
+        self._names[name] = "{" + name if "}" in name else name
 
     def _data(self, text: str) -> None:
         self._keep(1 + _extra(text))

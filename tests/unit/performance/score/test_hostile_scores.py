@@ -6,6 +6,7 @@ import io
 import os
 import subprocess
 import sys
+import tracemalloc
 import zipfile
 from fractions import Fraction
 from pathlib import Path
@@ -462,3 +463,18 @@ def test_empty_measures_of_one_part_are_not_compared_with_all_others(tmp_path: P
     finally:
         sys.setprofile(None)
     assert calls < 2000 * 100
+
+
+def test_names_with_a_long_namespace_are_kept_once(tmp_path: Path) -> None:
+    """expat writes the namespace out in each name; 20,000 elements of one name take less than 300 bytes each."""
+    path = tmp_path / "a.musicxml"
+    space = f'<score-partwise xmlns:a="{"u" * 400}"><a:b'
+    path.write_text(f"{space}/>{'<a:b/>' * 20_000}</score-partwise>")
+    tracemalloc.start()
+    read_musicxml(path.read_bytes(), path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak / 20_000 < 300
+    for names in ("<a:c{}/>", '<a:b a:c{}=""/>'):
+        path.write_text(f"{space}>{''.join(names.format(i) for i in range(10_000))}</a:b></score-partwise>")
+        refused(path, "more than 10000 different names of elements and attributes")
