@@ -21,8 +21,8 @@ def monochord() -> tw.Instrument:
     return tw.load_instrument("monochord")
 
 
-def renderer(monochord: tw.Instrument) -> tw.Renderer:
-    return tw.Renderer(tw.Score([tw.Note(0.0, 0.2, note=45, force=1.0)]), monochord, FS, max_duration=0.2)
+def renderer(monochord: tw.Instrument, pitch: int = 45, fs: float = FS) -> tw.Renderer:
+    return tw.Renderer(tw.Score([tw.Note(0.0, 0.2, note=pitch, force=1.0)]), monochord, fs, max_duration=0.2)
 
 
 def in_a_thread(call: Callable[[], Any]) -> Any:
@@ -142,3 +142,20 @@ def test_an_error_in_the_callback_ends_the_stream_and_is_raised(monochord: tw.In
     stream = tw.AudioStream(tw.Live(monochord, FS, prepare=False), 64, chain=[lambda block, fs: np.zeros((64, 3))])
     with pytest.raises(ValueError, match="broadcast"):
         stream.play(stream=Card)
+
+
+def test_a_snapshot_of_a_render_of_something_else_is_refused(monochord: tw.Instrument) -> None:
+    """Of one string all arrays have the same shapes, at any rate, so that the samples would be wrong without a word."""
+    kept = renderer(monochord).snapshot()
+    nearer = monochord.replace({"exciters.pluck.from_bridge": 0.05})
+    others = {
+        "options": renderer(monochord, fs=FS / 2),
+        "values of the instrument": renderer(nearer),
+        "notes": renderer(monochord, pitch=47),
+    }
+    for name, other in others.items():
+        with pytest.raises(TonewoodError, match=f"^checkpoint: is of a renderer with other {name}$"):
+            other.restore(kept)
+    again, whole = renderer(monochord), np.concatenate(list(renderer(monochord).blocks(256)))
+    again.restore(kept)
+    assert np.array_equal(np.concatenate(list(again.blocks(256))), whole)

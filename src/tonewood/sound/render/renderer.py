@@ -98,8 +98,12 @@ class Summary:
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """Snapshot of a renderer between two blocks."""
+    """Snapshot of a renderer between two blocks.
 
+    origin : that renderer's arguments by name.
+    """
+
+    origin: Mapping[str, Any]
     engine: Snapshot
     memory: tuple[Floats, ...]
     room: tuple[NDArray[np.complex128], Floats, Floats] | None
@@ -192,6 +196,10 @@ class Renderer:
         self._recent: list[tuple[int, float]] = []
         self._end = ""
         self._reading = OneReader("renderer")
+        #: checkpoints of a renderer with the same fit this one
+        self._origin = {
+            "notes": score, "options": options, "values of the instrument": (instrument.folder, instrument.resolved),
+        }  # fmt: skip
         warn_of_dropped_notes(self.dropped)
 
     def _set_in_room(self) -> tuple[Room, str]:
@@ -298,6 +306,7 @@ class Renderer:
         """Return a copy of the whole state, to `restore` in this renderer or in one made from the same arguments."""
         with self._reading.use:
             return Checkpoint(
+                self._origin,
                 self.engine.snapshot(),
                 (self._resampler.memory.copy(), *self._routing.memory),
                 None if self._room is None else self._room.memory,
@@ -305,7 +314,16 @@ class Renderer:
             )
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Restore a `checkpoint` of this renderer; the samples that follow are the same to the last bit."""
+        """Restore a `checkpoint` of this renderer; the samples that follow are the same to the last bit.
+
+        Raises TonewoodError : it was made with another score, another instrument or other options.
+        """
+        for name, value in self._origin.items():
+            if checkpoint.origin[name] != value:
+                raise TonewoodError(f"is of a renderer with other {name}", key="checkpoint")
+        self._continue_from(checkpoint)
+
+    def _continue_from(self, checkpoint: Checkpoint) -> None:
         with self._reading.use:
             self.engine.restore(checkpoint.engine)
             self._resampler.memory, self._routing.memory = checkpoint.memory[0].copy(), checkpoint.memory[1:]
@@ -318,7 +336,7 @@ class Renderer:
 
         Motion and gestures that had begun go on; gestures of this renderer's score that begin later follow.
         """
-        self.restore(checkpoint)
+        self._continue_from(checkpoint)
         self.engine.follow_timeline()
 
     def _fill(self, frames: int) -> None:
