@@ -330,6 +330,7 @@ def test_a_component_without_modes_and_a_part_without_modes_are_refused() -> Non
         (("target",), 3), (("target",), 2), (("target",), -1), (("slots", 0), 2), (("slots", 0), 3), (("slots",), []),
         (("at",), 2**31 - 1), (("parts", 0, "weights"), np.zeros((3, 0))),
         (("steps",), np.zeros((33, 4))), (("steps",), np.zeros((0, 4))),
+        (("vector",), np.full((2, PAD), np.nan)), (("vector",), np.r_[[np.ones(PAD)], [[*np.ones(PAD - 1), np.inf]]]),
     ],
 )  # fmt: skip
 def test_longitudinal_forces_that_do_not_fit_are_refused(path: Path, wrong: Any) -> None:

@@ -26,6 +26,7 @@ def string_on_mass(
     moves: bool = False,
     planes: tuple[str, ...] = ("y",),
     axial_stiffness: float = AXIAL,
+    more: tuple[Connection, ...] = (),
 ) -> System:
     """A string whose tension along itself acts on a free mass; `moves`: its transverse end moves that, too."""
     mass = ModalBasis.real([0.0], [0.0], {"top": [1.0]}, modal_mass=MASS)
@@ -37,7 +38,7 @@ def string_on_mass(
     readouts = [Readout("force", "acceleration", (Term("mass", "top", MASS),))]
     law = DrivenLongitudinal("string", planes, (("mass", "top", 1.0),), axial_stiffness, freq_coupled, loss)
     components = dict.fromkeys(planes, transverse(fs=FS)) | {"mass": mass}
-    return System.build(components, [*ends, seat], readouts, dt=1 / FS, potentials=[law])
+    return System.build(components, [*ends, seat, *more], readouts, dt=1 / FS, potentials=[law])
 
 
 @pytest.mark.parametrize(("pair", "within"), [((5, 6), 0.03), ((6, 7), 0.03), ((11, 13), 0.1)])
@@ -96,6 +97,20 @@ def test_kernel_and_numpy_agree(moves: bool, order: int) -> None:
     assert peak > 0.1
     assert np.max(np.abs(found - wanted)) < 1e-10 * peak
     assert np.max(np.abs(state.potentials - reference.potentials)) < 1e-10 * np.max(np.abs(reference.potentials))
+
+
+def test_kernel_and_numpy_agree_on_a_string_that_is_held_between_its_ends_too() -> None:
+    """Forces at two points of the string drive the copies of its modes."""
+    felt = Connection("felt", (Term("y", "pick"),), SpringDashpot(stiffness=300.0, damping=0.05))
+    system = string_on_mass(moves=True, planes=("y", "z"), more=(felt,))
+    reference = plucked(system, 5e-3, ("y", "z"))
+    state = reference.copy()
+    wanted, _ = NumpyStepper(system).run(reference, 200)
+    open_string = string_on_mass(moves=True, planes=("y", "z"))
+    without, _ = NumpyStepper(open_string).run(plucked(open_string, 5e-3, ("y", "z")), 200)
+    assert np.max(np.abs(without - wanted)) > 0.01 * np.max(np.abs(wanted))
+    found, _ = KernelStepper(system).run(state, 200)
+    assert np.max(np.abs(found - wanted)) < 1e-10 * np.max(np.abs(wanted))
 
 
 def test_strings_on_one_body_add_their_forces() -> None:
