@@ -583,9 +583,10 @@ def report(**more):
         "fs": 48000,
         "n_modes": 90,
         "n_modes_all_outputs": 120,
-        "body": {"n_modes": 9, "freq_lower": 80.4, "freq_upper": 999.6, "summary": "passive"},
+        "body": {"n_modes": 9, "freq_lower": 80.4, "freq_upper": 999.6, "n_overdamped": 4, "summary": "passive"},
         "added": ["2 g at a"],
         "model": [],
+        "silent_outputs": [],
         "strings": {"E2": string(), "A2": string(count=2, tension=50.0, stops=0, held_note="held at 70 N")},
         "microphones": [
             {"output": "o", "channel": "l", "n_modes": 5, "peak": 2.0, "unit": "Pa", "peak_freq": 200.4, "doubt": None}

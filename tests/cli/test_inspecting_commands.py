@@ -171,8 +171,35 @@ def test_check_warns_of_a_string_that_moves_no_body(tonewood: Run) -> None:
     code, out, _ = tonewood("check", *aside)
     assert code == 0
     assert "  warning: strings.A2: shares no direction with the body's points it ends on" in out
-    assert out.splitlines()[-1] == "ok, with 1 warning"
+    assert "  warning: output bridge is silent whatever is played" in out
+    assert out.splitlines()[-1] == "ok, with 2 warnings"
     assert len(json.loads(tonewood("check", *aside, "--json")[1])["model"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "said"),
+    [
+        (0, 1e-3, "body: no mode above 20 Hz: check the unit of its frequencies"),  # kHz
+        (1, 1e-3, "body: 3 modes do not oscillate: check their Q, or zeta"),  # zeta in the place of Q
+        (3, 0.0, "output bridge is silent whatever is played"),
+        (0, 1.0, ""),
+    ],
+)
+def test_check_doubts_a_body_that_nobody_can_hear(
+    tonewood: Run, tmp_path: Path, column: int, factor: float, said: str
+) -> None:
+    folder = tmp_path / "mine"
+    shutil.copytree(tw.load_instrument("monochord").folder, folder)
+    table = folder / "body.csv"
+    *notes, numbers = table.read_text().partition("f_Hz,Q,modal_mass,bridge\n")
+    rows = [[float(x) for x in row.split(",")] for row in numbers.splitlines()]
+    lines = [",".join(str(x * factor if i == column else x) for i, x in enumerate(row)) for row in rows]
+    table.write_text("".join(notes) + "\n".join(lines))
+    code, out, _ = tonewood("check", folder, "--set", "stops.count=0")
+    assert code == 0
+    warnings = [line for line in out.splitlines() if line.startswith("  warning: ")]
+    assert len(warnings) == bool(said)
+    assert said in out
 
 
 @pytest.mark.slow

@@ -25,6 +25,8 @@ _DETUNED = "the plugin's `detuned` gives others than its `basis`"
 _PLANES = 12
 #: peak sound of a microphone per N on the bridge, re full scale, from which on its table is doubted
 LOUD = 1e3
+#: Hz, lowest frequency that is heard
+AUDIBLE = 20.0
 
 
 def check(
@@ -69,7 +71,7 @@ def check(
     bundle = load(instrument, settings, allow_code, strings)
     model = assemble(bundle, fs, outputs=tuple(bundle.pickups), alone=True)
     check_transfers(model)
-    try_parts(model)
+    silent = try_parts(model)
     body = _body(model)
     tones = pitches(model)
     wolves = [p for p in tones if p.wolf is not None]
@@ -92,6 +94,7 @@ def check(
         "added": [added_line(entry) for entry in spec.body.added],
         "strings": {name: _string(model, name, pairs) for name in model.groups},
         "microphones": [_microphone(response) for response in microphone_responses(model)],
+        "silent_outputs": silent,
         "potentials": [asdict(motion) | {"doubt": motion.doubt} for motion in small_motions(model)],
         "forces_at_rest": forces_at_rest(model),
         "touched_at_rest": touched_at_rest(model),
@@ -145,6 +148,7 @@ def _body(model: Model) -> dict[str, Any]:
         "n_modes": basis.n_modes,
         "freq_lower": float(freq.min(initial=math.inf)) if freq.size else None,
         "freq_upper": float(freq.max(initial=0.0)) if freq.size else None,
+        "n_overdamped": int((basis.damping_ratio >= 1.0).sum()),
         "passive": passive,
         "summary": summary,
         **{key: str(value) for key, value in basis.metadata.items() if key == "repair"},
@@ -371,6 +375,16 @@ def _warnings(report: dict[str, Any]) -> list[str]:
     """Silent parts, tables that may be others, microphones that hear nothing, strings that miss their law."""
     doubts = [*report["model"], *report["table_doubts"]]
     doubts += [f"{row['output']}.{row['channel']} {row['doubt']}" for row in report["microphones"] if row["doubt"]]
+    doubted = {row["output"] for row in report["microphones"] if row["doubt"]}
+    doubts += [
+        f"output {name} is silent whatever is played: its place does not move, or nothing moves the body"
+        for name in report["silent_outputs"]
+        if name not in doubted
+    ]
+    if report["body"]["n_modes"] > 1 and report["body"]["freq_upper"] < AUDIBLE:  # one alone may hold a gong
+        doubts.append(f"body: no mode above {AUDIBLE:g} Hz: check the unit of its frequencies")
+    if 2 * report["body"]["n_overdamped"] > report["body"]["n_modes"]:
+        doubts.append(f"body: {report['body']['n_overdamped']} modes do not oscillate: check their Q, or zeta")
     doubts += [row["doubt"] for row in report["potentials"] if row["doubt"]]
     doubts += [
         f"connection {name}: pushes with {abs(force):.3g} N at rest, which sounds at the start of every render: the "

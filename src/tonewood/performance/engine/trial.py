@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.model.references import by_part
 from tonewood.instrument.model.strings import StringModel
@@ -14,16 +16,17 @@ from tonewood.performance.score.note import Note, Score
 _APART, _AFTER = 0.005, 8
 
 
-def try_parts(model: Model) -> None:
+def try_parts(model: Model) -> list[str]:
     """Make the gesture of every exciter on an open string and step them; compare attachments at the last stops.
 
     Each exciter and effect is so asked once for all that a render asks; assembly has asked the other plugins.
 
+    Returns Names of output groups that hear nothing of all that.
     Raises TonewoodError : a plugin breaks the contract; names it.
     """
     strings = list(model.groups)
     if not strings:
-        return
+        return []
     notes = [
         Note(_APART * (i // len(strings)), _APART, string=strings[i % len(strings)], stop=0, technique=name)
         for i, name in enumerate(model.exciters)
@@ -33,10 +36,12 @@ def try_parts(model: Model) -> None:
             _same_connections(model.strings[name])
     engine = Engine(model, perform(Score(notes), model).timeline)
     last = max(note.time for note in notes) * model.fs
+    heard = np.zeros(len(model.system.readouts), dtype=bool)
     while engine.state.sample < last + _AFTER * GRID:
-        engine.advance(1)
+        heard |= engine.advance(1).any(axis=0)
     for effect in engine.effects:
         effect.report(engine.usage)
+    return [group.name for group in model.outputs if not heard[list(group.readouts)].any()]
 
 
 def _same_connections(string: StringModel) -> None:
