@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -287,3 +289,18 @@ def test_a_mode_that_decays_at_once_is_weak() -> None:
     """Energy at the bridge over the whole decay, a^2 / (2 sigma): ten times the decay, -10 dB."""
     slow, quick = (CoupledMode(complex(-s, 1000.0), (1.0, 0.0), 0.2) for s in (2.0, 20.0))
     assert quick.level_db(slow) == pytest.approx(-10.0)
+
+
+@pytest.mark.parametrize("shape", [1e-3, 1e-5])
+def test_a_string_on_a_nearly_rigid_body_has_the_tension_of_a_hinged_string(tmp_path: Path, shape: float) -> None:
+    """Both planes sound at one frequency, a mode of the body two semitones below: f = sqrt(T / mu (1 + B)) / 2 L,
+    B = pi^2 EI / T L^2."""
+    folder = shutil.copytree(Instrument.load("monochord").folder, tmp_path / "rigid")
+    table = (folder / "body.csv").read_text()
+    (folder / "body.csv").write_text(table.replace(",1\n", f",{shape}\n"))
+    tuned, length = assemble(Instrument.load(folder), 16000.0).strings["A2"].tuned(20), 0.90 * 2 ** (-20 / 12)
+    wanted = 110.0 * 2 ** (20 / 12)
+    assert tuned.tension == pytest.approx(
+        1.5e-3 * (2 * length * wanted) ** 2 - (math.pi / length) ** 2 * 2e-4, rel=2e-6
+    )
+    assert abs(tuned.error_cents) < 1e-3

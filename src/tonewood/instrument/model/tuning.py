@@ -149,6 +149,12 @@ class StringOnBody:
         starts += [p * (1 + 1e-3) for p in poles]  # not the pole itself, where M is infinite
         zeros = joint.zeros(starts, multiply=poles)
         modes = [(s, tuple(float(x) for x in joint.shares(s))) for s in zeros if s not in poles]
+        if joint.size > 1 and sum(shares[0] for _, shares in modes) < 0.5:
+            # the string's mode was not found: one of another plane lies at the same frequency
+            of_body = [s for s, shares in modes if shares[-1] > 0.5]
+            s = joint.newton(starts[0], multiply=poles, divide=of_body, first=True)
+            found = [] if s is None else [(s, tuple(float(x) for x in joint.shares(s)))]
+            modes += [mode for mode in found if mode[1][0] > 0.5]
         return sorted(modes, key=lambda pair: -pair[1][0])
 
     def modes(self, tension: float, freq: float) -> tuple[CoupledMode, ...]:

@@ -139,6 +139,13 @@ class Joint:
         det = complex(np.prod(np.diag(lu))) * (-1) ** int(np.count_nonzero(pivots != np.arange(self.size)))
         return det, det * complex(np.sum(zgetri(lu, pivots)[0].T * D))
 
+    def condensed(self, s: complex) -> tuple[complex, complex]:
+        """Return S = M_00 - M_01 M_11^-1 M_10, the first gap's receptance while the others are closed, and S'."""
+        M, D = self.receptance(s)
+        right, left = np.linalg.solve(M[1:, 1:], M[1:, :1]), np.linalg.solve(M[1:, 1:].T, M[:1, 1:].T).T
+        slope = D[:1, :1] - D[:1, 1:] @ right - left @ D[1:, :1] + left @ D[1:, 1:] @ right
+        return complex(M[0, 0] - (M[:1, 1:] @ right)[0, 0]), complex(slope[0, 0])
+
     def null(self, s: complex) -> tuple[Complexes, Complexes]:
         """Right and left null vectors v, w of M at a zero s, norm 1: M v = 0, w M = 0; v are the gaps' forces."""
         M = self.receptance(s)[0]
@@ -165,16 +172,19 @@ class Joint:
         *,
         multiply: Sequence[complex] = (),
         divide: Sequence[complex] = (),
+        first: bool = False,
         tolerance: float = 1e-11,
         steps: int = 40,
     ) -> complex | None:
         """A zero of det M prod (s - multiply) / prod (s - divide) from `start`; None if it does not converge.
 
-        Poles of det M near the start are to be multiplied out, zeros already found divided out.
+        Poles of det M near the start are to be multiplied out, zeros already found divided out. `first` takes S of
+        `condensed` for det M: a mode of the first gap and one of another at the same frequency are a double zero of
+        det M, whose place is known to half of the digits only, but a simple one of S.
         """  # fmt: skip
         s = complex(start)
         for _ in range(steps):
-            det, slope = self.determinant(s)
+            det, slope = self.condensed(s) if first else self.determinant(s)
             if det == 0:
                 return s
             rate = slope / det
