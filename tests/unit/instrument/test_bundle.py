@@ -110,6 +110,7 @@ def entries(*keys: dict[str, Any]) -> dict[str, Any]:
         ("playing.velocity", {"parameter": "bow.force"}, "playing.velocity.parameter: there is no exciter 'bow'"),
         ("playing.velocity", {"parameter": "pluck.speed"}, "no parameter of pluck 'speed'; there are force"),
         ("playing.velocity", {"low": 0.0}, "playing.velocity: an exponential curve needs low and high above 0"),
+        ("playing.velocity", {"parameter": "pluck.from_bridge", "low": 0.1, "high": 0.2}, "is no force or speed"),
         ("playing.velocity", {"high": 4e5}, "playing.velocity.high: pluck.force is 400000 N; at most 1000 N"),
         ("playing.velocity", {"parameter": "pluck.linear"}, "playing.velocity.low: pluck.linear Input should be a"),
         ("playing.controls.cc74", {"parameter": "tap.duration", "low": -1, "high": 1}, "playing.controls.cc74.low: "),

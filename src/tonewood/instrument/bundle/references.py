@@ -13,6 +13,9 @@ from tonewood.instrument.contract.base import Exciter
 from tonewood.instrument.scales import note_number
 from tonewood.support.validation_messages import did_you_mean
 
+#: parameters of an exciter that a note states beside its force
+OF_NOTES = ("from_bridge", "angle_deg")
+
 
 def check_references(
     spec: Bundle,
@@ -65,6 +68,11 @@ def check_references(
     playing = spec.playing
     if spec.strings:
         moved(playing.velocity, "playing.velocity")
+        if playing.velocity.parameter.partition(".")[2] in OF_NOTES:
+            reason = (
+                "is no force or speed, which volume and human variation scale; `playing.controls` move any parameter"
+            )
+            raise BundleError(f"{playing.velocity.parameter} {reason}", file=file, key="playing.velocity.parameter")
     for control, entry in playing.controls.items():
         moved(entry, f"playing.controls.{control}")
     if playing.exciter is not None and playing.exciter not in exciters:

@@ -65,7 +65,8 @@ def tapped(note: Note, model: Model, file: str) -> Play | None:
     exciter = exciter_of(note, model)
     if exciter.at is None:
         return None
-    force = force_of(note, model, 1.0)
+    is_force = note.force is not None or model.playing.velocity.parameter.endswith(".force")  # not a hammer's speed
+    force = force_of(note, model, 1.0) if is_force else None
     values = {} if force is None else {"force": force}
     with values_of(note, values, exciter, exciter.at, file):
         return Play(note.time, exciter.gesture(Event(values), Place(exciter.at)), at=exciter.at)
@@ -84,14 +85,14 @@ def event_values(note: Note, model: Model, latest: Callable[[str], float | None]
         value = latest(kind) if exciter == name else None
         if value is not None:
             values[parameter] = control.value(value)
-    by_note = (
-        (model.playing.velocity.parameter.partition(".")[2], note.force),
-        ("from_bridge", note.from_bridge),
-        ("angle_deg", note.angle_deg),
-    )
+    by_note = {
+        model.playing.velocity.parameter.partition(".")[2]: note.force,
+        "from_bridge": note.from_bridge,
+        "angle_deg": note.angle_deg,
+    }
     # a hammer has no force for a velocity that means one, a bow's stroke no angle
     fields = type(model.exciters[name].parameters).model_fields
-    return values | {k: v for k, v in by_note if v is not None and k in fields}
+    return values | {k: v for k, v in by_note.items() if v is not None and k in fields}
 
 
 def is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) -> bool:

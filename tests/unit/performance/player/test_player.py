@@ -15,8 +15,9 @@ from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.performance.engine.engine import Engine
 from tonewood.performance.player.player import Player
 from tonewood.performance.player.playing import perform
-from tonewood.performance.player.strokes import event_values, with_force
+from tonewood.performance.player.strokes import tapped, with_force
 from tonewood.performance.player.timeline import GRID, Timeline
+from tonewood.physics.stepping.forcing import course
 
 FS = 16000
 Event = tw.Note | tw.Control
@@ -215,17 +216,18 @@ def test_a_volume_of_zero_refuses_no_note(kind: str) -> None:
         perform(tw.Score([tw.Note(0.5, 0.5, note=50, force=1e-4)]), steel)
 
 
-@pytest.mark.parametrize("name", ["from_bridge", "angle_deg"])
-def test_velocity_moves_the_place_and_the_angle_of_a_pluck(name: str) -> None:
-    """Any parameter may follow the velocity; a note that states its own keeps it."""
-    velocity = {"parameter": f"pluck.{name}", "low": 0.1, "high": 0.3, "curve": "linear"}
-    model = assemble(tw.load_instrument("monochord").replace({"playing.velocity": velocity}), FS)
-    soft, loud, own = (
-        event_values(with_force(note, model, 1.0), model, lambda kind: None)
-        for note in (
-            tw.Note(0.0, 0.5, note=45, velocity_midi=1),
-            tw.Note(0.0, 0.5, note=45, velocity_midi=127),
-            replace(tw.Note(0.0, 0.5, note=45, velocity_midi=64), **{name: 0.25}),
-        )
-    )
-    assert (soft[name], loud[name], own[name]) == pytest.approx((0.1, 0.3, 0.25))
+def test_the_speed_of_a_hammer_is_no_force_of_a_tap() -> None:
+    """A tap at a velocity has the force of the bundle where velocities are speeds, and a note's own force."""
+    bundle = tw.load_instrument("struck_monochord")
+    tap = {"plugin": "force_pulse", "at": "body.bridge", "duration": 1e-3, "force": 5.0}
+    model = assemble(bundle.replace({"exciters.tap": tap}), FS)
+    assert model.playing.velocity.parameter.endswith(".velocity")
+    note = tw.Note(0.0, 0.5, technique="tap", velocity_midi=100)
+
+    def peak(one: tw.Note) -> float:
+        play = tapped(one, model, "")
+        assert play is not None
+        return float(course(play.gesture.segments, np.linspace(-1e-3, 1e-3, 401)).max())
+
+    assert peak(note) == pytest.approx(5.0, rel=1e-3)
+    assert peak(replace(note, force=2.0)) == pytest.approx(2.0, rel=1e-3)
