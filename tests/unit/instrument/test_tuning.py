@@ -301,6 +301,6 @@ def test_a_string_on_a_nearly_rigid_body_has_the_tension_of_a_hinged_string(tmp_
     tuned, length = assemble(Instrument.load(folder), 16000.0).strings["A2"].tuned(20), 0.90 * 2 ** (-20 / 12)
     wanted = 110.0 * 2 ** (20 / 12)
     assert tuned.tension == pytest.approx(
-        1.5e-3 * (2 * length * wanted) ** 2 - (math.pi / length) ** 2 * 2e-4, rel=2e-6
+        1.5e-3 * (2 * length * wanted) ** 2 - (math.pi / length) ** 2 * 2e-4, rel=2e-5
     )
     assert abs(tuned.error_cents) < 1e-3
