@@ -96,6 +96,8 @@ def entries(*keys: dict[str, Any]) -> dict[str, Any]:
         ("connections", {"k": {"plugin": "tip_mass", "strings": ["E5"]}}, "connections.k"),
         ("playing.exciter", "plukc", "playing.exciter: there is no exciter 'plukc'; did you mean pluck?"),
         ("playing.noises", {"key": "pluck"}, "playing.noises.key: 'pluck' acts on strings; an exciter with `at`"),
+        ("playing.noises", {"touch": "tap"}, "playing.noises.touch: 'tap' acts on body.wing; an exciter of strings"),
+        ("playing.slurs", {"up": "tap"}, "playing.slurs.up: 'tap' acts on body.wing; an exciter of strings, without"),
         ("playing.noises", {"key": "tip"}, "playing.noises.key: there is no exciter 'tip'; there are pluck, tap"),
         ("playing.keyswitches", {"H1": "pluck"}, "playing.keyswitches.H1"),
         ("playing.keyswitches", {"C1": "bow"}, "playing.keyswitches.C1: there is no exciter 'bow'; "),

@@ -83,9 +83,12 @@ def check_references(
     for kind, key, target in [*switched, *(("keyswitches", k, v) for k, v in playing.keyswitches.items())]:
         if target not in exciters:
             raise none("exciter", target, exciters, f"playing.{kind}.{key}")
-        if kind == "noises" and key in ("key", "release") and exciters[target].at is None:
+        on_body = exciters[target].at is not None
+        if kind in ("noises", "slurs") and on_body != (key in ("key", "release")):
             reason = f"{target!r} acts on strings; an exciter with `at`, a point of the body, is wanted"
-            raise BundleError(reason, file=file, key=f"playing.noises.{key}")
+            if on_body:
+                reason = f"{target!r} acts on {exciters[target].at}; an exciter of strings, without `at`, is wanted"
+            raise BundleError(reason, file=file, key=f"playing.{kind}.{key}")
         if kind == "keyswitches":
             try:
                 note_number(key)
