@@ -111,7 +111,7 @@ def phantoms() -> dict[str, Any]:
     """The first component drives longitudinal modes whose force acts on the second one."""
     made = described()
     parts = [{"weights": np.full((3, 2), 1.0), "mirrored": np.full((3, 2), 1.0)}]
-    string = {"target": 1, "scale": 1e-3, "vector": np.full((2, PAD), 1e-6), "steps": np.full((2, 4), 0.1)}
+    string = {"target": 1, "scale": 1e-3, "vector": np.full((2, PAD), 1e-6), "steps": np.full((2, 6), 0.1)}
     made["potentials"] = [{"kind": Kind.PHANTOM, "at": 0, "slots": [0], "parts": parts, **string}]
     return made
 
@@ -329,7 +329,7 @@ def test_a_component_without_modes_and_a_part_without_modes_are_refused() -> Non
     [
         (("target",), 3), (("target",), 2), (("target",), -1), (("slots", 0), 2), (("slots", 0), 3), (("slots",), []),
         (("at",), 2**31 - 1), (("parts", 0, "weights"), np.zeros((3, 0))),
-        (("steps",), np.zeros((33, 4))), (("steps",), np.zeros((0, 4))),
+        (("steps",), np.zeros((33, 6))), (("steps",), np.zeros((0, 6))),
         (("vector",), np.full((2, PAD), np.nan)), (("vector",), np.r_[[np.ones(PAD)], [[*np.ones(PAD - 1), np.inf]]]),
     ],
 )  # fmt: skip

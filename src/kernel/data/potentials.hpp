@@ -48,7 +48,7 @@ struct PhantomString {
     int target = 0;              // component that its force acts on
     int order = 0;               // longitudinal modes
     double scale = 0;            // EA
-    Array<double> steps;         // (4, kPhantomModes)
+    Array<double> steps;         // (6, kPhantomModes)
     std::vector<Part> parts;
     bool operator==(const PhantomString&) const = default;
 };

@@ -107,7 +107,7 @@ struct PotentialDescription {
     double scale = 0;            // EA/(4 L), EA L, EA
     std::vector<Part> parts;     // by component
     int target = 0;              // phantom: component that its force acts on, and
-    View vector, steps;          // (2, modes of the target), (order, 4)
+    View vector, steps;          // (2, modes of the target), (order, 6)
     std::vector<int> sizes;      // user: coordinates of each component, and a function; its C is `scale`
     UserPotential::Function function = nullptr;
     const void* data = nullptr;

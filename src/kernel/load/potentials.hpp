@@ -222,15 +222,15 @@ inline PhantomString load_phantom(const PotentialDescription& d, const std::vect
             name + "steps: 1 to " + std::to_string(kPhantomModes) + " modes are allowed");
     require(d.parts.size() == d.slots.size(), name + "parts: one for each component is needed");
     const std::size_t order = d.steps.shape[0];
-    expect(name + "steps", d.steps, {order, 4});
+    expect(name + "steps", d.steps, {order, 6});
     expect(name + "vector", d.vector, {2, std::size_t(components[d.target].n)});
     require(std::all_of(d.vector.data, d.vector.data + d.vector.size(), [](double x) { return std::isfinite(x); }),
             name + "vector: its numbers must be finite");
     PhantomString out;
     out.at = d.at, out.target = d.target, out.order = int(order), out.scale = d.scale;
-    out.steps.assign(4 * kPhantomModes, 0.0);
+    out.steps.assign(6 * kPhantomModes, 0.0);
     for (std::size_t m = 0; m < order; ++m)
-        for (std::size_t i = 0; i < 4; ++i) out.steps[i * kPhantomModes + m] = d.steps[4 * m + i];
+        for (std::size_t i = 0; i < 6; ++i) out.steps[i * kPhantomModes + m] = d.steps[6 * m + i];
     for (std::size_t q = 0; q < d.parts.size(); ++q) {
         const auto& p = d.parts[q];
         const int slot = d.slots[q];

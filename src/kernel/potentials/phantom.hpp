@@ -7,6 +7,7 @@
 //
 //     s_m = sum_k w_mk x_k x_(k + m) + ...,      e_m = s_m + a_m,      force = EA (s_0 + sum e_m).
 //
+// s_m is held for half a sample to each side: a_m is kept for the time half a sample before, e_m is that in the middle.
 // The s_m have the samples of the block side by side: each weight is read once a block, and no lanes are added.
 #pragma once
 
@@ -83,7 +84,7 @@ public:
                 S::V sum{};
                 for (int m = 0; m < kPhantomModes && m < string.order; m += S::width) {
                     const S::V square = S::load(s + m + 1), e = S::load(a + m) + square, moving = S::load(v + m);
-                    sum += e;
+                    sum += S::load(to + 4 * kPhantomModes + m) * e + S::load(to + 5 * kPhantomModes + m) * moving;
                     S::store(a + m, S::load(to + m) * e + S::load(to + kPhantomModes + m) * moving - square);
                     S::store(v + m,
                              S::load(to + 2 * kPhantomModes + m) * e + S::load(to + 3 * kPhantomModes + m) * moving);

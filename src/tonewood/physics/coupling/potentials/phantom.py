@@ -121,7 +121,8 @@ class PhantomShare:
 
     weights : (P + 1, n) s_m = sum_k weights[m, k] x_k x_(k + m) + ..., x the first numbers of the modes.
     mirrored : (P + 1, P) ... + sum_(k < m) mirrored[m, k] x_k x_(m - 1 - k).
-    steps : (P, 4) from e_n and a_n' before a step to e_n and a_n' after it, s_n being held: row by row.
+    steps : (P, 6) from e_n and a_n' before a step to e_n and a_n' after it, s_n being held: row by row; then to e_n in
+        its middle.
     """
 
     weights: Floats
@@ -150,7 +151,9 @@ class PhantomShares:
     def advance(self, states: Sequence[Floats], row: Floats) -> float:
         """Return the force (N) over the step that begins with states (n_modes, 2) of the polarizations.
 
-        row : (MEMORY,) of the state; moved by one sample.
+        row : (MEMORY,) of the state; moved by one sample. Its a_n are those half a sample before: s_n is held about
+            the time at which it is read. Held from there on, e_n = s_n + a_n of slow motion, where a_n is nearly -s_n,
+            would have an error of the first order.
         """
         steps = self.shares[0].steps
         order = len(steps)
@@ -158,7 +161,7 @@ class PhantomShares:
         a, moving = row[DELAY : DELAY + order], row[DELAY + MOST_MODES : DELAY + MOST_MODES + order]
         e, force = a + s[1:], float(row[0])
         row[: DELAY - 1] = row[1:DELAY].copy()
-        row[DELAY - 1] = self.axial_stiffness * (s[0] + e.sum())
+        row[DELAY - 1] = self.axial_stiffness * (s[0] + (steps[:, 4] * e + steps[:, 5] * moving).sum())
         a[:], moving[:] = steps[:, 0] * e + steps[:, 1] * moving - s[1:], steps[:, 2] * e + steps[:, 3] * moving
         return force
 
@@ -169,10 +172,12 @@ class PhantomShares:
 
 
 def steps_of(freq_rad: Floats, damping_rate: Floats, dt: float) -> Floats:
-    """(P, 4) propagator of e and e' of oscillators over a step, row by row."""
+    """(P, 6) propagator of e and e' of oscillators over a step, row by row, and of e over half a step."""
     damped = np.sqrt(freq_rad**2 - damping_rate**2)
-    c, s = np.cos(damped * dt), np.sin(damped * dt) / damped
-    return np.asarray(
-        np.exp(-damping_rate * dt)
-        * np.array([c + damping_rate * s, s, -(freq_rad**2) * s, c - damping_rate * s])
-    ).T.copy()  # fmt: skip
+
+    def rows(time: float) -> Floats:
+        c, s = np.cos(damped * time), np.sin(damped * time) / damped
+        decay = np.exp(-damping_rate * time)
+        return np.asarray(decay * np.array([c + damping_rate * s, s, -(freq_rad**2) * s, c - damping_rate * s]))
+
+    return np.concatenate([rows(dt), rows(0.5 * dt)[:2]]).T.copy()
