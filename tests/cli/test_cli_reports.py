@@ -647,7 +647,7 @@ RENDERS = {"fs": 48000, "accuracy": "standard", "tail": 10.0, "tail_level_db": -
         (simulate.simulate, {"listeners": 20, "seed": 1}),
         (strings.strings_for_sale, {}),
         (tab.tab, {"transpose": 0.0, "capo": 0}),
-        (taptone.taptone, {"fs": 48000, "channel": 1, "band": (50.0, 1000.0), "names": True}),
+        (taptone.taptone, {"channel": 1, "band": (50.0, 1000.0), "names": True}),
         (validate.validate, {}),
         (wood.wood, {"species": "sitka_spruce", "thickness_error": 5e-5, "band": (30.0, 800.0)}),
         (common.print_json, {"ok": True}),
