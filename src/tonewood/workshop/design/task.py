@@ -37,6 +37,8 @@ _ALLOWED = (
 )
 #: most of each
 _MOST = 40
+#: share of a range from its bounds at which the bundle must allow the value: a mass, never 0, may have the bound 0
+_INWARDS = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,9 +205,10 @@ def parse_free(lines: Mapping[str, str], instrument: Instrument) -> list[Free]:
         )
         if not parameter.kind and len(set(parameter.base)) > 1:
             raise TonewoodError("are several numbers: x LOW .. HIGH or + LOW .. HIGH keep their differences", key=path)
-        for bound in (parameter.low, parameter.high):
+        inwards = _INWARDS * (parameter.high - parameter.low)
+        for bound, value in ((parameter.low, parameter.low + inwards), (parameter.high, parameter.high - inwards)):
             try:
-                instrument.replace(parameter.overrides(bound))
+                instrument.replace(parameter.overrides(value))
             except TonewoodError as fault:
                 where = "" if fault.key in (None, path) else f"{fault.key}: "
                 raise TonewoodError(f"its bound {bound:g} cannot be: {where}{fault.reason}", key=path) from None
