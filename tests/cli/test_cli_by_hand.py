@@ -377,8 +377,8 @@ def test_places_on_the_bridge_are_from_bass_to_treble(word: str, place: float | 
 def test_a_stop_that_is_tuned_by_more_than_a_tenth_of_the_tension_is_doubted(share: float, told: bool) -> None:
     string = {"stop_tension": {"stop": 7.0, "relative": share}, "law": []}
     report = {
-        "model": [], "table_doubts": [], "microphones": [], "silent_outputs": [], "potentials": [], "forces_at_rest": {},
-        "body": {"n_modes": 1, "freq_upper": 5e3, "n_overdamped": 0}, "strings": {"A": string},
+        "model": [], "table_doubts": [], "microphones": [], "silent_outputs": [], "potentials": [],
+        "forces_at_rest": {}, "body": {"n_modes": 1, "freq_upper": 5e3, "n_overdamped": 0}, "strings": {"A": string},
     }  # fmt: skip
     found = check._warnings(report)
     assert len(found) == told
