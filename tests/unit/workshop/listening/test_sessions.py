@@ -3,6 +3,7 @@ from __future__ import annotations
 import copy
 import json
 import os
+import re
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -272,7 +273,9 @@ def test_damaged_answers_are_one_line(test_of_all: ListeningTest) -> None:
     opened = begin(test_of_all, language="en", listener="me", started="2026", seed=3)
     while opened.session.step is not None:
         opened.answer(who.answer(opened.session), now="now")
-    lines = opened.path.read_text().splitlines()
+    # without their checksums, as in files of earlier versions
+    lines = [re.sub(', "crc32": "[0-9a-f]{8}"', "", line) for line in opened.path.read_text().splitlines()]
+    opened.path.write_text("\n".join(lines) + "\n")
     assert not answers_of(test_of_all).left_out
     kinds = {row["type"]: i for i, row in reversed(list(enumerate(map(json.loads, lines)))) if i}
     read_all, said = set(), []
