@@ -220,7 +220,7 @@ def account_with(system, slot, **changes):
     true = account._energy_of(system.names[slot])
     basis = system.compiled[slot].basis
     believed = ComponentEnergy(replace(basis, **changes), basis.points, system.dt)
-    true._N, true._known = believed._N, {}
+    true._N, true._by_duration = believed._N, {}
     return account
 
 
