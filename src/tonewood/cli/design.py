@@ -55,13 +55,15 @@ def design(
 
     texts, parameters = read_task(task) if task is not None else ([], {})
     texts = texts + list(target or ())
+    bounds: dict[str, str] = {}
     for text in free or ():
-        path, equals, bounds = text.partition("=")
-        if not equals or not path.strip():
+        path, equals, ends = (part.strip() for part in text.partition("="))
+        if not equals or not path:
             raise TonewoodError(f"is {text!r}; PATH=LOW:HIGH is allowed", key="--free")
-        if free and sum(other.partition("=")[0].strip() == path.strip() for other in free) > 1:
-            raise TonewoodError("is there twice; once is allowed", key=f"--free {path.strip()}")
-        parameters[path.strip()] = bounds
+        if path in bounds:
+            raise TonewoodError("is there twice; once is allowed", key=f"--free {path}")
+        bounds[path] = ends
+    parameters |= bounds  # the command line decides over the file
     if output is not None:
         check_folder(output)
     sets = [name.strip() for name in parameters.pop("strings", "").split(",") if name.strip()]

@@ -153,8 +153,8 @@ class StringOnBody:
             # the string's mode was not found: one of another plane lies at the same frequency
             of_body = [s for s, shares in modes if shares[-1] > 0.5]
             s = joint.newton(starts[0], multiply=poles, divide=of_body, first=True)
-            found = [] if s is None else [(s, tuple(float(x) for x in joint.shares(s)))]
-            modes += [mode for mode in found if mode[1][0] > 0.5]
+            condensed_modes = [] if s is None else [(s, tuple(float(x) for x in joint.shares(s)))]
+            modes += [mode for mode in condensed_modes if mode[1][0] > 0.5]
         return sorted(modes, key=lambda pair: -pair[1][0])
 
     def modes(self, tension: float, freq: float) -> tuple[CoupledMode, ...]:

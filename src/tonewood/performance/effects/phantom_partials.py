@@ -204,11 +204,11 @@ class PhantomPartialsEffect(SwitchedEffect):
             planes = zip(self._planes(key[0]), self._planes(name), strict=True)
             if all(parts[a].n_modes == system.compiled[system.slot(b)].basis.n_modes for a, b in planes):
                 groups.setdefault(key, []).append(name)
-        found = []
+        alike = []
         for (like, stop), names in groups.items():
             components = dict(zip(self._planes(like), zip(*map(self._planes, names), strict=True), strict=True))
-            found.append(_Group.of(system, names, self._bound(system, like, stop), components))
-        return found
+            alike.append(_Group.of(system, names, self._bound(system, like, stop), components))
+        return alike
 
     def _alike(self, name: str) -> str:
         """The first string of its key if that is the same but for some cents, else itself."""

@@ -10,7 +10,7 @@ from numbers import Real
 from tonewood.errors import ScoreError
 from tonewood.support.units import number_in
 
-#: notes of written music, and controls: reading the densest takes some 7 s
+#: most notes of written music (the densest file takes some 7 s to read), and most controls
 MAX_NOTES, MAX_CONTROLS = 60_000, 400_000
 #: s, end of a score
 MAX_TIME = 6 * 3600.0

@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Element
 from tonewood.performance.score.xml_files import number_of, text_of
 
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
-#: letters in the order in which sharps are written, and from each letter to the next one up
+#: letters in the order in which sharps are written, and in the order of pitch
 _SHARPS, _LETTERS = "FCGDAEB", "CDEFGAB"
 
 

@@ -37,7 +37,7 @@ class ScoreClock:
         self.starts: list[Fraction] = []
         now, bpm = Fraction(0), 120.0
         self._at, self._time, self._bpm, self._late = [Fraction(0)], [0.0], [bpm], 0.0
-        self._found = [0.0]  # `_at` as floats: fractions take twenty times as long to compare
+        self._at_floats = [0.0]  # `_at` as floats: fractions take twenty times as long to compare
         tempos = [_tempos(m) for m in measures]
         changes = Allowance(MOST_TEMPOS, "tempo changes, repeats unfolded", file)
         for i in played:
@@ -53,12 +53,12 @@ class ScoreClock:
     def _enter(self, at: Fraction, bpm: float) -> None:
         self._time.append(self.seconds(at))
         self._at.append(at)
-        self._found.append(float(at))
+        self._at_floats.append(float(at))
         self._bpm.append(bpm)
 
     def seconds(self, at: Fraction) -> float:
         """Time of a quarter note, s."""
-        i = bisect_right(self._found, max(float(at), 0.0)) - 1
+        i = bisect_right(self._at_floats, max(float(at), 0.0)) - 1
         return self._late + self._time[i] + float(at - self._at[i]) * 60.0 / self._bpm[i]
 
     def beats(self, measures: Sequence[Measure], played: Sequence[int]) -> Beats:

@@ -114,7 +114,7 @@ class ComponentEnergy:
         self._unit = unit
         size = np.abs(self._B).max(axis=(1, 2), initial=0.0) * dt
         self._force_unit = np.where(size > 0, size, 1.0)
-        self._known: dict[float, IntervalForms] = {}
+        self._by_duration: dict[float, IntervalForms] = {}
         self._dt = dt
 
     def stored(self, x: Floats) -> Floats:
@@ -130,11 +130,11 @@ class ComponentEnergy:
 
     def forms(self, duration: float) -> IntervalForms:
         """Forms over an interval; those of the typical one are kept."""
-        if duration in self._known:
-            return self._known[duration]
+        if duration in self._by_duration:
+            return self._by_duration[duration]
         forms = _interval_forms(self._A, self._B / self._force_unit[:, None, None], self._scaled(), duration)
         if duration == self._dt:
-            self._known[duration] = forms
+            self._by_duration[duration] = forms
         return forms
 
     def start(self, x: Floats, forces: Floats, modal_forces: Floats | None = None) -> Floats:

@@ -85,7 +85,7 @@ class PlateParts:
     ):
         self.grid, self.rings, self.wood, self.beams = grid, tuple(rings), wood, beams
         self.grain, self.shear_factor = grain, shear_factor
-        self._given, self._layered = thickness, layered
+        self._thickness, self._layered = thickness, layered
         self.quadrature = self._kept("points", rings, lambda: quadrature(grid, rings))
         rotation = [(name, grid.count) for name in ("gamma_x", "gamma_y")] if wood.shears else []
         self.bending: list[Field] = [*rotation, ("w", grid.count)]
@@ -94,7 +94,7 @@ class PlateParts:
     def without_beams(self, edge: Edge) -> list[Part]:
         """All parts but the beams."""
         plate = (
-            *self.rings, self._given, self.wood, edge, self.grain, self.shear_factor, self._layered, self.beams,
+            *self.rings, self._thickness, self.wood, edge, self.grain, self.shear_factor, self._layered, self.beams,
         )  # fmt: skip
         parts: list[Part] = self._kept(
             "plate", plate, lambda: [self._plate(), *self._layers(edge), *self._membrane(), *self._edge(edge)]
@@ -107,7 +107,16 @@ class PlateParts:
         def make() -> tuple[csr_matrix, csr_matrix, csr_matrix]:
             return beam_matrices(self.grid, beam, self.thickness(beam_line(self.grid, beam)[0]), self.wood.shears)
 
-        parts = (beam.start, beam.stop, beam.heights, self._given, beam.width, beam.wood, beam.above, self.wood.shears)
+        parts = (
+            beam.start,
+            beam.stop,
+            beam.heights,
+            self._thickness,
+            beam.width,
+            beam.wood,
+            beam.above,
+            self.wood.shears,
+        )
         matrices: tuple[csr_matrix, csr_matrix, csr_matrix] = self._kept("beam", parts, make)
         return matrices
 
@@ -127,11 +136,11 @@ class PlateParts:
 
     def thickness(self, points: Floats) -> Floats:
         """(...,) m at points (..., 2)."""
-        return self._given(points) if callable(self._given) else np.full(points.shape[:-1], self._given)
+        return self._thickness(points) if callable(self._thickness) else np.full(points.shape[:-1], self._thickness)
 
     def _plate(self) -> Part:
         """The bare plate, in gamma and w."""
-        wood, grain, thickness = self.wood, self.grain, self._given
+        wood, grain, thickness = self.wood, self.grain, self._thickness
         bend = [wood.stiffness(grain), wood.losses(grain)]
         if not wood.shears:
             cubed = (lambda x: thickness(x) ** 3 / 12) if callable(thickness) else thickness**3 / 12
@@ -158,7 +167,7 @@ class PlateParts:
         if not self.beams:
             return []
         matrices = [self.wood.stiffness(self.grain), self.wood.losses(self.grain)]
-        part, loss = integrals(2, self.quadrature, _strain, self._given, matrices)
+        part, loss = integrals(2, self.quadrature, _strain, self._thickness, matrices)
         return [Part(self.in_plane, (part + diags(_TRACE * part.diagonal()), loss))]
 
     def _layers(self, edge: Edge) -> list[Part]:

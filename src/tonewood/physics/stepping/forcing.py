@@ -184,9 +184,9 @@ class Course:
     @cached_property
     def used(self) -> NDArray[np.intp]:
         """Which of constant, linear and quadratic part there are in whole steps."""
-        given = np.array([(p.c0, p.c1, p.c2) for *_, p in self.whole]).reshape(-1, 3) != 0.0
+        nonzero = np.array([(p.c0, p.c1, p.c2) for *_, p in self.whole]).reshape(-1, 3) != 0.0
         noisy = self.noise is not None and bool(np.any(self.noise[0].values))
-        return np.flatnonzero([noisy or given.any(), given[:, 1:].any(), given[:, 2].any()])
+        return np.flatnonzero([noisy or nonzero.any(), nonzero[:, 1:].any(), nonzero[:, 2].any()])
 
     def injections(
         self, component: str, impulses: Floats, factor: float = 1.0, *, window: int | None = None

@@ -83,7 +83,7 @@ class DrawnDesign:
         self._cells = with_cells(_drawing(instrument), self._below)
         self._values: Floats = np.zeros(0)
         self._named: dict[str, int] = {}
-        self._known: Floats = np.zeros((0, 0))
+        self._shapes: Floats = np.zeros((0, 0))
 
     def _body(self, values: Sequence[float] | Floats) -> WholeBody:
         instrument = changed(self._instrument, self._free, values)
@@ -102,7 +102,7 @@ class DrawnDesign:
         vectors = self._modes[1][:, : self._count]
         description = self._whole.described(self._modes[0][: self._count], vectors, self._mobility)
         self._named = self._followed(description.named, vectors)
-        self._known = vectors
+        self._shapes = vectors
         return self._damped(replace(description, named=self._named), self._values)
 
     def _damped(self, modes: LowModes, values: Floats) -> DrawnResonances:
@@ -119,11 +119,11 @@ class DrawnDesign:
 
     def _followed(self, named: dict[str, int], vectors: Floats) -> dict[str, int]:
         """Numbers of the modes with names: those most like the ones that had them before, by z^T M z."""
-        if not self._named or len(self._known) != len(vectors):
+        if not self._named or len(self._shapes) != len(vectors):
             return named
         out = {}
         for name, k in self._named.items():
-            alike = (self._known[:, k] @ (self._whole.mass_matrix @ vectors)) ** 2
+            alike = (self._shapes[:, k] @ (self._whole.mass_matrix @ vectors)) ** 2
             if alike.max() > _ALIKE:
                 out[name] = int(np.argmax(alike))
         return {**named, **out}
@@ -134,7 +134,7 @@ class DrawnDesign:
             below, above, step = self.beside(i)
             return np.asarray((above.freq - below.freq) / (2 * step))
         less, more, step = self._sides(i)
-        values, vectors = self._modes[0][: self._count], self._known
+        values, vectors = self._modes[0][: self._count], self._shapes
         k, m = (
             np.einsum("ij,ij->j", vectors, a - b) / (2 * step)
             for a, b in (

@@ -37,7 +37,7 @@ _ALLOWED = (
 )
 #: most of each
 _MOST = 40
-#: share of a range from its bounds at which the bundle must allow the value: a mass, never 0, may have the bound 0
+#: bounds are tested this share of the range inside: a mass must be above 0, and may have the bound 0
 _INWARDS = 1e-6
 
 

@@ -59,14 +59,14 @@ def left_out(test: ListeningTest, program: str, kept: tuple[type[Any], ...], why
 
 def identifiers(names: Sequence[str]) -> list[str]:
     """Names as programs allow them: letters, digits and underscores, a letter first; all different."""
-    found: list[str] = []
+    out: list[str] = []
     for name in names:
         plain = re.sub(r"\W", "_", name)
         plain = plain if plain[0].isalpha() else f"q{plain}"
-        while plain in found or (plain != name and plain in names):
+        while plain in out or (plain != name and plain in names):
             plain += "_"
-        found.append(plain)
-    return found
+        out.append(plain)
+    return out
 
 
 def words(test: ListeningTest, page: AnyPage) -> tuple[str, str]:

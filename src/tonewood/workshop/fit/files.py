@@ -211,10 +211,10 @@ def _hashes(paths: Sequence[Path]) -> dict[str, str]:
     names = [path.name for path in paths]
     hashes: dict[str, str] = {}
     for path in paths:
-        found = _hash(path)
-        if same := next((name for name, other in hashes.items() if other == found), None):
+        digest = _hash(path)
+        if same := next((name for name, other in hashes.items() if other == digest), None):
             raise TonewoodError(f"has the same content as {same}; each file once is allowed", file=path)
-        hashes[path.name if names.count(path.name) == 1 else str(path)] = found
+        hashes[path.name if names.count(path.name) == 1 else str(path)] = digest
     return hashes
 
 

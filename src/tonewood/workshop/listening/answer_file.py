@@ -5,8 +5,8 @@ on the disk before the session goes on and the server confirms it. A line that a
 left out when the file is read, and cut off when it is taken up again; that answer was never confirmed, so its page is
 shown again.
 
-An answer's line ends with ``crc32``, the checksum of the line up to there, so that a changed digit is noticed, too.
-Answers of earlier versions have none, nor has the first line, in which names may be replaced.
+The line of an answer ends with ``crc32``, the checksum of the text before it, so that a changed digit is noticed. The
+first line has no checksum: its names may be replaced. Files of earlier versions have none either, and are read.
 
 The analysis reads on past damage: a line that is no answer of this course is left out and reported, the others count.
 A session with such a line is not continued.

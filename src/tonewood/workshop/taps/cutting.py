@@ -190,8 +190,8 @@ def _strike(x: Floats, fs: float) -> int | None:
     before = np.full(power.size, np.inf)
     before[far:] = maximum_filter1d(power, far - near, origin=(far - near - 1) // 2 - (far - near) + 1)[: -far or None]
     least = max(_WEAKEST * float(np.mean(x[: round(_SLOW * fs)] ** 2)), _UNLIKE * float(np.median(power)))
-    found = np.flatnonzero((power > _RISE * before) & (power > least))
-    return int(found[0]) + _ORDER if found.size else None
+    strikes = np.flatnonzero((power > _RISE * before) & (power > least))
+    return int(strikes[0]) + _ORDER if strikes.size else None
 
 
 def _noise(x: Floats, fs: float) -> float:

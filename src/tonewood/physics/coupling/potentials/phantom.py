@@ -151,9 +151,10 @@ class PhantomShares:
     def advance(self, states: Sequence[Floats], row: Floats) -> float:
         """Return the force (N) over the step that begins with states (n_modes, 2) of the polarizations.
 
-        row : (MEMORY,) of the state; moved by one sample. Its a_n are those half a sample before: s_n is held about
-            the time at which it is read. Held from there on, e_n = s_n + a_n of slow motion, where a_n is nearly -s_n,
-            would have an error of the first order.
+        row : (MEMORY,) of the state; moved by one sample. Its a_n belong to the time half a sample before that of the
+            states: s_n is held from half a sample before to half a sample after the time at which it is read. In slow
+            motion a_n is nearly -s_n. If s_n were held from the time at which it is read on, the error of
+            e_n = s_n + a_n would be of the first order in dt.
         """
         steps = self.shares[0].steps
         order = len(steps)
