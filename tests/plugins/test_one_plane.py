@@ -64,6 +64,31 @@ def test_any_plane_over_any_body_renders(
     assert tw.plan(SCORE, played, **options).effects
 
 
+@pytest.mark.parametrize("plugin", ["phantom_string", "geometric_string", "tension_modulated_string"])
+def test_a_string_bent_until_no_mode_is_stepped_holds_the_bridge(tmp_path: Path, plugin: str) -> None:
+    """Eight octaves up, as far as a wheel of MIDI goes, only its compliance is left of the string.
+
+    The body's two modes are then those of M q'' + C q' + (K + 1/R) q = 0, R the compliance between them.
+    """
+    played = one_string(tmp_path, plugin, planes=["z"], direction="z")
+    string = tw.Renderer(SCORE, played, fs=FS).engine.model.strings["S"].bases(bend_cents=9600.0)["S.z"]
+    assert string.n_modes == 0
+    score = tw.Score([tw.Note(0.0, 0.5, string="S", stop=0, force=3.0)], [tw.Control(0.05, "bend", 9600.0)])
+    sound = tw.render(score, played, fs=FS, effects="all", max_duration=0.4, tail=0.0)
+    heard = sound.samples[int(0.3 * FS) :, 0]
+    omega, mass, shape = 2 * np.pi * np.array([200.0, 310.0]), np.array([0.6, 0.5]), np.array([1.0, -1.0])
+    R = string.residual[string.index("bridge"), string.index("bridge")]
+    free = np.sqrt(np.linalg.eigvals((np.diag(mass * omega**2) + np.outer(shape, shape) / R) / mass[:, None])) / (
+        2 * np.pi
+    )
+    spectrum = np.abs(np.fft.rfft(heard * np.hanning(heard.size), 1 << 16))
+    freq = np.fft.rfftfreq(1 << 16, 1 / FS)
+    for below, above in ((0.0, 600.0), (600.0, FS / 2)):
+        band = (freq >= below) & (freq < above)
+        peak = freq[band][np.argmax(spectrum[band])]
+        assert peak == pytest.approx(free[(free >= below) & (free < above)].item(), rel=0.01)
+
+
 def test_body_moved_along_the_string_alone_sounds_of_phantoms(tmp_path: Path) -> None:
     """A string in y on a body that moves in z: only the longitudinal force reaches it, by the leverage."""
     sounds = {}

@@ -319,7 +319,7 @@ def test_a_component_without_modes_and_a_part_without_modes_are_refused() -> Non
     with pytest.raises(ValueError, match="offset: the modes do not fit"):
         through(made)
     made = longitudinal()
-    made["potentials"][0]["parts"][0]["slopes"] = np.zeros((2, 0))
+    made["potentials"][0]["parts"][-1]["slopes"] = np.zeros((2, 0))
     with pytest.raises(ValueError, match="slopes: they do not fit"):
         through(made)
 
@@ -328,7 +328,7 @@ def test_a_component_without_modes_and_a_part_without_modes_are_refused() -> Non
     ("path", "wrong"),
     [
         (("target",), 3), (("target",), 2), (("target",), -1), (("slots", 0), 2), (("slots", 0), 3), (("slots",), []),
-        (("at",), 2**31 - 1), (("parts", 0, "weights"), np.zeros((3, 0))),
+        (("at",), 2**31 - 1), (("parts", 0, "weights"), np.zeros((3, PAD + 1))), (("parts", 0, "weights"), np.zeros(3)),
         (("steps",), np.zeros((33, 6))), (("steps",), np.zeros((0, 6))),
         (("vector",), np.full((2, PAD), np.nan)), (("vector",), np.r_[[np.ones(PAD)], [[*np.ones(PAD - 1), np.inf]]]),
     ],

@@ -154,7 +154,8 @@ inline Stretch load_stretch(const PotentialDescription& d, const std::vector<Com
         const Component& c = components[d.slots[q]];
         const std::string at = name + "parts[" + std::to_string(q) + "].";
         require(slopes.ndim == 2, at + "slopes has 2 dimensions");
-        require(!c.contact.n && slopes.shape[1] > 0 && slopes.shape[1] <= std::size_t(c.n) && slopes.shape[0] > 0,
+        const bool moves = slopes.shape[1] > 0 || q < last;  // a plane whose modes all lie above the solved band does not
+        require(!c.contact.n && moves && slopes.shape[1] <= std::size_t(c.n) && slopes.shape[0] > 0,
                 at + "slopes: they do not fit the component");
         out.sizes.push_back(int(slopes.shape[1]));
         if (q < last) most = std::max(most, std::size_t(slopes.shape[0]));
@@ -234,9 +235,9 @@ inline PhantomString load_phantom(const PotentialDescription& d, const std::vect
     for (std::size_t q = 0; q < d.parts.size(); ++q) {
         const auto& p = d.parts[q];
         const int slot = d.slots[q];
-        const std::size_t n = p.weights.ndim == 2 ? p.weights.shape[1] : 0;
-        require(n > 0 && n <= std::size_t(components[slot].n) && !components[slot].driven &&
-                    !components[slot].by_sample(),
+        require(p.weights.ndim == 2, name + "weights: two axes are needed");
+        const std::size_t n = p.weights.shape[1];  // 0 where every mode of the string lies above the solved band
+        require(n <= std::size_t(components[slot].n) && !components[slot].driven && !components[slot].by_sample(),
                 name + "parts: one does not fit component " + std::to_string(slot));
         expect(name + "weights", p.weights, {order + 1, n});
         expect(name + "mirrored", p.mirrored, {order + 1, order});
