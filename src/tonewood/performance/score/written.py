@@ -393,6 +393,7 @@ def _split(one: _Sounding, most: Allowance) -> list[tuple[Fraction, Fraction, fl
     ornament = next((_ORNAMENTS[s] for s in sign.signs if s in _ORNAMENTS), None)
     out: list[tuple[Fraction, Fraction, float, tuple[str, ...]]] = []
     if ornament is not None:
+        most.take(len(ornament[0]) + 1)
         at, shorter = one.at, min(one.end - one.at, Fraction(1))
         tone = int(sign.pitch) % 12
         for step in ornament[0]:

@@ -304,6 +304,26 @@ def test_strokes_and_bends_without_end(tmp_path: Path, monkeypatch: pytest.Monke
         refused(path, "s of music")
 
 
+@pytest.mark.parametrize("kind", ["PrimaryTuplet", "SecondaryTuplet"])
+@pytest.mark.parametrize(("num", "den"), [(1, 1000), (1000, 1), (997, 991)])
+def test_a_rhythm_has_one_tuplet_of_a_kind(tmp_path: Path, kind: str, num: int, den: int) -> None:
+    text = gpif_text(tmp_path)
+    tuplets = f'</NoteValue><{kind} num="3" den="2"/>' + f'<{kind} num="{num}" den="{den}"/>' * 120
+    path = archived(tmp_path / "tuplets.gp", text.replace("</NoteValue>", tuplets, 1))
+    score = tw.read_score(path)
+    assert score.notes[0].duration == pytest.approx(2 / 3)  # of a quarter note of 1 s
+    assert score.ignored == {"second tuplet of a kind": 120}
+
+
+def test_notes_of_ornaments_count_as_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = gpif_text(tmp_path).replace('<Note id="0">', '<Note id="0"><Ornament>Turn</Ornament>')
+    path = archived(tmp_path / "turns.gp", text.replace("<Beats>0", "<Beats>" + "0 " * 10))
+    monkeypatch.setattr(written, "MAX_NOTES", 40)
+    assert len(tw.read_score(path).notes) == 40
+    monkeypatch.setattr(written, "MAX_NOTES", 39)
+    refused(path, "more than 39 notes, repeats unfolded")
+
+
 def test_a_curve_of_many_points_is_what_it_was() -> None:
     curve = tuple((share, cents) for share, cents in ((0.0, 10.0), (0.0, 20.0), (0.25, 60.0), (0.5, 60.0), (0.75, 0.0)))
     wanted = {0.0: 20.0, 0.125: 40.0, 0.25: 60.0, 0.375: 60.0, 0.625: 30.0, 0.75: 0.0, 1.0: 0.0}
