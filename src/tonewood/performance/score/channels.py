@@ -18,6 +18,7 @@ STEERING = frozenset({0, 6, 32, 38, 96, 97, 98, 99, 100, 101})
 _WITHOUT_EFFECT = {0: "bank select", 32: "bank select", 96: "data increment", 97: "data decrement"}
 #: kinds of data entry that have no effect
 TUNING, UNREAD = "channel tuning", "data entry of a parameter that is not read"
+TOO_LARGE = "zone of MPE of more than 15 channels"
 
 
 @dataclass
@@ -97,6 +98,8 @@ class MidiChannels:
                 self._channels[at].bend_range = bend_range
             self._changed.update(self.reached(number) if master is None else zone)
         elif channel.parameter == _ZONE and number in (0, 15):
+            if a == 6 and b > 15:
+                return TOO_LARGE
             if a == 6:
                 self._zone(number, b)
         else:
@@ -106,7 +109,7 @@ class MidiChannels:
     def _zone(self, master: int, n: int) -> None:
         """Give a zone n member channels; where they overlap, the other zone loses them, or ends with its master."""
         self._changed.update(range(16))
-        members = range(1, min(n, 15) + 1) if master == 0 else range(15 - min(n, 15), 15)
+        members = range(1, n + 1) if master == 0 else range(15 - n, 15)
         ended = {master, *members}
         self._master = {c: m for c, m in self._master.items() if c not in ended and m not in ended}
         for at in members:

@@ -315,6 +315,17 @@ def test_the_range_of_a_zone_is_that_of_parameter_0(read):
     assert len([c for c in ended.controls if c.channel == 1]) == 1
 
 
+@pytest.mark.parametrize("n", [16, 127])
+def test_a_zone_of_more_channels_than_there_are_is_ignored_and_counted(read, n):
+    wheel = event(5, 0xE0, 0, 96)
+    found = read(smf(register(0, 6, n) + wheel + MPE_NOTE))
+    assert found.ignored["zone of MPE of more than 15 channels"] == 1
+    assert {c.channel for c in found.controls if c.kind == "bend"} == {0}
+    largest = read(smf(register(0, 6, 15) + wheel + MPE_NOTE))
+    assert not largest.ignored
+    assert {c.channel for c in largest.controls if c.kind == "bend"} == set(range(16))
+
+
 def test_a_master_cannot_multiply_controllers_beyond_a_limit(read, monkeypatch):
     monkeypatch.setattr("tonewood.performance.score.channel_reader.MAX_CONTROLS", 1000)
     with pytest.raises(ScoreError, match=r"\.mid: more than 1000 changes"):
