@@ -252,10 +252,11 @@ class _Gpif:
         n_dots = 0 if dots is None else number(dots.get("count", "1"), 0.0, 1e9)
         length *= 2 - Fraction(1, 2 ** int(min(n_dots or 0, 4)))
         for kind in ("PrimaryTuplet", "SecondaryTuplet"):
-            tuplet, *others = ([] if rhythm is None else rhythm.findall(kind)) or [None]
-            self.ignored["second tuplet of a kind"] += len(others)
-            if tuplet is None:
+            tuplets = [] if rhythm is None else rhythm.findall(kind)
+            if not tuplets:
                 continue
+            tuplet, *others = tuplets
+            self.ignored["second tuplet of a kind"] += len(others)
             num = whole(tuplet.get("num") or text_of(tuplet, "Num", "1"), 1, _MOST_OF_TUPLET)
             den = whole(tuplet.get("den") or text_of(tuplet, "Den", "1"), 1, _MOST_OF_TUPLET)
             if num is None or den is None:
