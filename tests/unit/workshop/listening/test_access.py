@@ -150,3 +150,27 @@ def test_ratings_survive_a_reload_and_half_a_sound_is_not_enough(tmp_path: Path)
         browser.until("document.getElementById('withdrawn')")
     assert answers_of(test).listeners == ()
     assert (test.folder / "answers" / "withdrawn.log").read_text().count("\n") == 1
+
+
+@pytest.mark.parametrize("kind", ["abx", "afc"])
+def test_a_listener_goes_on_when_no_play_is_left(tmp_path: Path, kind: str) -> None:
+    """Each sound is stopped before enough of it was heard, as often as it may be played."""
+    test = made(tmp_path, [{"type": kind, "pairs": {"pluck": ["near", "far"]}, "plays": 1, "listen": 1.0}])
+    port = free_port()
+    with served(test, port), driven(1280) as browser:
+        browser.open(f"http://127.0.0.1:{port}/?quick=1")
+        browser.until("document.getElementById('next')")
+        browser.click("#next")
+        browser.until(f"{INDEX} === 0")
+        browser.click(".choice input")
+        for slot in [1] if kind == "afc" else browser.run("return step.slots"):
+            browser.click("#next")
+            assert "Still to hear" in browser.until("document.getElementById('message').textContent")
+            browser.run(f"{'sounds.sequence(step.slots)' if kind == 'afc' else f'sounds.play({slot!r})'}; return 1")
+            browser.until(f"sounds.plays['{slot}'] === 1 && sounds.share('{slot}') > 0.05")
+            browser.run("sounds.stop(); return 1")
+        browser.click("#next")
+        browser.until(f"{INDEX} === 1")
+    (one,) = answers_of(test).listeners
+    heard = one.records[0]["answer"]["heard"]
+    assert 0 < min(heard.values() if kind == "abx" else [heard["1"]]) < 0.9

@@ -246,6 +246,9 @@ async function current() {
   return show(found.data);
 }
 
+// Whether a sound can be played again; in a sequence none can when one of them cannot.
+const playable = slot => (step.sequence ? step.slots : [slot]).every(each => sounds.may(each));
+
 // The share of a sound that must be heard; a tenth of a percent less, as clocks are not exact.
 const enough = slot => sounds.plays[slot] > 0 && sounds.share(slot) >= (step.listen || 0) - 0.001;
 
@@ -260,7 +263,7 @@ function mark() {
     }
   }
   const play = main.querySelector("button.sequence");
-  if (play) play.disabled = step.slots.some(slot => !sounds.may(slot));
+  if (play) play.disabled = !playable(step.slots[0]);
   if (step.type !== "level") draft.write(sounds.kept());
 }
 
@@ -484,7 +487,7 @@ async function send(answer, button) {
   const found = answer();
   if (!found) return;
   if (sounds) sounds.mark();
-  const missing = sounds ? step.slots.filter(slot => !enough(slot)) : [];
+  const missing = sounds ? step.slots.filter(slot => !enough(slot) && playable(slot)) : [];
   if (missing.length) {
     return tell(texts.listen_first.replace("{share}", Math.round(100 * step.listen)).replace("{slots}", missing.map(nameOf).join(", ")));
   }
