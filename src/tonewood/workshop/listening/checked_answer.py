@@ -118,8 +118,9 @@ def _questionnaire(page: pages.QuestionnairePage, values: Mapping[str, Any]) -> 
                 raise ListeningError(f"{value!r} is not one of {', '.join(question.choices or {})}", key=key)
             answers[question.name] = value
         else:
-            limits = (question.low, question.high) if question.kind == "scale" else (-math.inf, math.inf)
-            answers[question.name] = _number(value, key, *limits)
+            bounded = {"low", "high"} if question.kind == "scale" else question.model_fields_set
+            low = question.low if "low" in bounded else -math.inf
+            answers[question.name] = _number(value, key, low, question.high if "high" in bounded else math.inf)
     return answers
 
 

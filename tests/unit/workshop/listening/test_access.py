@@ -174,3 +174,27 @@ def test_a_listener_goes_on_when_no_play_is_left(tmp_path: Path, kind: str) -> N
     (one,) = answers_of(test).listeners
     heard = one.records[0]["answer"]["heard"]
     assert 0 < min(heard.values() if kind == "abx" else [heard["1"]]) < 0.9
+
+
+def test_a_number_that_cannot_be_read_is_not_passed_over(tmp_path: Path) -> None:
+    """A field with such text has an empty value, as one that is left out."""
+    age = {"name": "age", "label": "Age", "kind": "number", "optional": True, "low": 5, "high": 120}
+    test = made(tmp_path, [{"type": "questionnaire", "questions": [age]}, *fakes.ALL[-3:-2]])
+    port = free_port()
+    with served(test, port), driven(1280) as browser:
+        browser.open(f"http://127.0.0.1:{port}/?quick=1&language=en")
+        browser.until("document.getElementById('next')")
+        browser.click("#next")
+        browser.until(f"{INDEX} === 0")
+        for text, told in [("3-4", "Please write a number."), ("3", "values.age: 3 is not a number from 5 to 120")]:
+            browser.run("const [i] = document.getElementsByName('age'); i.value = ''; i.focus(); return 1")
+            browser.press(*text)
+            browser.click("#next")
+            browser.until("document.getElementById('message').textContent")
+            assert browser.run("return document.getElementById('message').textContent") == told
+        browser.run("const [i] = document.getElementsByName('age'); i.value = ''; i.focus(); return 1")
+        browser.press("3", "4")
+        browser.click("#next")
+        browser.until(f"{INDEX} === 1")
+    (one,) = answers_of(test).listeners
+    assert one.records[0]["answer"]["values"] == {"age": 34}

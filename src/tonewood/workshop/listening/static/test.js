@@ -387,9 +387,9 @@ function rated(low, high, stepSize, words, kind) {
   };
 }
 
-// Nothing yet: said, and the field is where the keys go.
-function unanswered(field) {
-  tell(texts.unanswered);
+// Nothing yet, or nothing that can be read: said, and the field is where the keys go.
+function unanswered(field, reason = texts.unanswered) {
+  tell(reason);
   if (field) field.focus();
 }
 
@@ -451,6 +451,7 @@ function fields(questions) {
     for (const [i, question] of questions.entries()) {
       const [read, input] = readers[i], value = read();
       if (value === null && !question.optional) return unanswered(input);
+      if (input && input.validity.badInput) return unanswered(input, texts.no_number);   // its value is empty
       if (value !== null) values[question.name] = value;
     }
     return { values };
