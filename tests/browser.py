@@ -35,6 +35,7 @@ KEYS = {
     "Down": "\ue015",
     "Space": " ",
     "End": "\ue010",
+    "Home": "\ue011",
 }
 _OPTIONS = ("--headless", "--no-sandbox", "--disable-gpu", "--autoplay-policy=no-user-gesture-required")
 

@@ -198,3 +198,24 @@ def test_a_number_that_cannot_be_read_is_not_passed_over(tmp_path: Path) -> None
         browser.until(f"{INDEX} === 1")
     (one,) = answers_of(test).listeners
     assert one.records[0]["answer"]["values"] == {"age": 34}
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 0.9), (-2.0, 0.6), (3.589, 23.7837), (1.0, 7.0)])
+def test_both_ends_of_a_scale_can_be_given(tmp_path: Path, low: float, high: float) -> None:
+    scales = [{"name": f"s{k}", "label": "Warmth", "low": low, "high": high} for k in range(2)]
+    test = made(tmp_path, [{"type": "rating", "scales": scales, "listen": 0.0}])
+    port = free_port()
+    with served(test, port), driven(1280) as browser:
+        browser.open(f"http://127.0.0.1:{port}/?quick=1")
+        browser.until("document.getElementById('next')")
+        browser.click("#next")
+        browser.until(f"{INDEX} === 0")
+        for slot in browser.run("return step.slots"):
+            browser.run(f"sounds.play('{slot}'); sounds.stop(); return 1")
+        for key, name in [("Home", "s0"), ("End", "s1")]:
+            browser.run(f"document.getElementsByName('{name}')[0].focus(); return 1")
+            browser.press(key)
+        browser.click("#next")
+        browser.until(f"{INDEX} === 1")
+    (one,) = answers_of(test).listeners
+    assert one.records[0]["answer"]["values"] == {"s0": low, "s1": high}

@@ -432,7 +432,8 @@ function fields(questions) {
     const label = make("span", {}, words);
     if (question.kind === "scale") {
       const ends = [question.low_label || String(question.low), question.high_label || String(question.high)];
-      const input = slider(question.low, question.high, (question.high - question.low) / 100,
+      // rounded: 100 steps that are too long by a rounding error would leave the right end out of reach
+      const input = slider(question.low, question.high, Number(((question.high - question.low) / 100).toPrecision(12)),
         { name: question.name, "aria-label": `${words}, ${ends.join(" - ")}` }, String, kept);
       input.addEventListener("input", () => keep(question.name, Number(input.value)));
       main.append(make("div", { class: "field" }, label, input,
@@ -450,8 +451,8 @@ function fields(questions) {
     const values = {};
     for (const [i, question] of questions.entries()) {
       const [read, input] = readers[i], value = read();
-      if (value === null && !question.optional) return unanswered(input);
       if (input && input.validity.badInput) return unanswered(input, texts.no_number);   // its value is empty
+      if (value === null && !question.optional) return unanswered(input);
       if (value !== null) values[question.name] = value;
     }
     return { values };
