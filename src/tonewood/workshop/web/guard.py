@@ -13,6 +13,7 @@ import time
 from collections.abc import Collection, MutableMapping
 from typing import Any
 
+from h11 import LocalProtocolError
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 HEADERS = {
@@ -115,6 +116,16 @@ class BoundedConnection(H11Protocol):
             if others:
                 min(others, key=lambda c: c._since).transport.abort()
         self._watch = self.loop.call_later(self.seconds / 4, self._look)
+
+    def send_400_response(self, msg: str) -> None:
+        """Reply to bytes that are no HTTP and close; a request on which they follow gets no other reply."""
+        if self.cycle is not None:
+            self.cycle.disconnected = True
+            self.cycle.message_event.set()
+        try:
+            super().send_400_response(msg)
+        except LocalProtocolError:  # a reply has begun, or may have no body
+            self.transport.close()
 
     def on_response_complete(self) -> None:
         """Wait for the next request from now on."""

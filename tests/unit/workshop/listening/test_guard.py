@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import http.client
+import itertools
 import json
 import os
 import socket
 import subprocess
 import sys
 import time
+import urllib.request
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -359,6 +362,33 @@ def test_connections_that_wait_for_ever_are_closed(test: ListeningTest) -> None:
     finally:
         process.kill()
         process.wait()
+
+
+@pytest.mark.slow
+def test_bytes_that_are_no_http_end_their_connection_only(test: ListeningTest) -> None:
+    """Also after a request whose reply has no body, or is not sent yet."""
+    tails = [
+        b"Transfer-Encoding: chunked\r\n\r\n" + b"[" * 40000, b"Transfer-Encoding: chunked\r\n\r\nzz\r\n",
+        b"Content-Length: 2\r\n\r\n{}\0garbage\r\n\r\n",
+    ]  # fmt: skip
+    command = [sys.executable, str(Path(__file__).parent / "serve_in_process.py"), str(test.folder), "0"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(command, env=environment, **pipes)
+    try:
+        assert process.stdout is not None
+        port = int(process.stdout.readline())
+        for method, host, tail in itertools.product((b"HEAD", b"POST"), (b"localhost", b"other.example"), tails):
+            with socket.create_connection(("127.0.0.1", port), timeout=60) as one, suppress(ConnectionResetError):
+                one.sendall(method + b" /api/session HTTP/1.1\r\nHost: " + host + b"\r\n" + tail)
+                while one.recv(65536):
+                    pass
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/test", timeout=60) as reply:
+            assert reply.status == 200
+    finally:
+        process.kill()
+        errors = process.communicate()[1]
+    assert set(errors.splitlines()) == {"WARNING:  Invalid HTTP request received."}
 
 
 @pytest.mark.slow
