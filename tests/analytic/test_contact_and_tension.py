@@ -233,8 +233,9 @@ class TestBow:
 
 
 @pytest.mark.slow
-def test_a_stiff_spring_on_a_string_is_sharp_by_the_modes_left_out(tmp_path: Path) -> None:
-    """It stops an ideal string at x: c / 2 (L - x). Its R is left out, some L / (pi^2 T N)."""
+@pytest.mark.parametrize("points", [1, 4])
+def test_a_stiff_spring_on_a_string_stops_it(tmp_path: Path, points: int) -> None:
+    """It stops an ideal string at x: c / 2 (L - x). Without R of the modes left out, L / (pi^2 T N), it were sharp."""
     original = tw.list_instruments()["monochord"]
     (tmp_path / "instrument.yaml").write_text((original / "instrument.yaml").read_text())
     (tmp_path / "body.csv").write_text("f_Hz,Q,modal_mass,bridge\n9000,30,1e4,1\n")
@@ -243,7 +244,7 @@ def test_a_stiff_spring_on_a_string_is_sharp_by_the_modes_left_out(tmp_path: Pat
         "tuning.compensate": "none", "strings.A2.tension": tension, "strings.A2.bending_stiffness": 0.0,
         "strings.A2.freq_upper": 5000.0, "strings.A2.polarizations": ["z"],
         "connections": {"stop": {
-            "plugin": "listing", "from_bridge": x, "width": 1e-3, "points": 1, "stiffness": stiffness, "damping": 0.0,
+            "plugin": "listing", "from_bridge": x, "width": 1e-5, "points": points, "stiffness": stiffness, "damping": 0.0,
         }},
         "outputs": [{
             "name": "out", "plugin": "point_pickup", "quantity": "displacement", "at": "A2.pluck", "full_scale": 1.0,
@@ -259,6 +260,5 @@ def test_a_stiff_spring_on_a_string_is_sharp_by_the_modes_left_out(tmp_path: Pat
     stopped = np.sqrt(tension / density) / (2 * (length - x + tension / stiffness))
     model = renderer.model
     sines = model.system.compiled[model.system.slot("A2.z")].basis.n_modes - 1
-    expected = 1200 / np.log(2) / np.pi**2 / sines * length / (length - x)
-    assert 1200 * np.log2(freq / stopped) == pytest.approx(expected, rel=0.1)
-    assert expected > 4.0
+    assert 1200 / np.log(2) / np.pi**2 / sines * length / (length - x) > 4.0  # cents sharp without R
+    assert abs(1200 * np.log2(freq / stopped)) < 0.05

@@ -30,15 +30,10 @@ from tonewood.support.arrays import Floats
 POINT = "finger"
 
 
-def fingertips(finger: Finger, site: Site, residual: float | None) -> Attached:
-    """One fingertip per polarization.
-
-    residual : m/N, residual compliance of the string under the finger, in series with the skin; None on an open
-        string, where the skin has no effect.
-    """
-    components, connections, law = {}, [], SpringDashpot()
-    if residual is not None:
-        law = SpringDashpot(1 / (1 / finger.skin_stiffness + residual), finger.skin_damping)
+def fingertips(finger: Finger, site: Site, *, stopped: bool) -> Attached:
+    """One fingertip per polarization; on a string that is not stopped its skin has no effect."""
+    components, connections = {}, []
+    law = SpringDashpot(finger.skin_stiffness, finger.skin_damping) if stopped else SpringDashpot()
     omega = 2 * math.pi * finger.freq
     for i, (component, _) in enumerate(site.polarizations, 1):
         tip = f"{site.string}.fingertip{i}"  # no part can have this name, as an exciter may be called finger

@@ -165,13 +165,6 @@ class StringTuning:
         bent = math.sqrt(cast(float, stiffness) / tension) / 2
         return length + bent - tension * compliance(finger, self.freq(stop)).real
 
-    def left_under_finger(self, stop: float) -> float | None:
-        """Return the residual compliance of the string under a soft finger, m/N; None on the open string."""
-        if self.stops.stopping.finger is None or stop == 0:
-            return None
-        x, left = self.under_finger(stop), self.base(0.0).residual_at
-        return 0.0 if left is None else float(left(x, x))
-
     @property
     def _tension_held(self) -> bool:
         return self.stops.stopping.hold == "tension" and self.stops.stopping.compensate != "none"

@@ -121,8 +121,7 @@ class StringModel:
             parts = [(name, part.attach(name, site)) for name, part in self.touching.items()]
             self._check_places([a for _, a in parts])
             if self.stopping.finger is not None:
-                left = self.tuning.left_under_finger(stop)
-                parts.append((POINT, fingertips(self.stopping.finger, site, left)))
+                parts.append((POINT, fingertips(self.stopping.finger, site, stopped=stop != 0)))
             self._attached[stop] = tuple(a.owned_by(self.name, part) for part, a in parts if a is not None)
         return self._attached[stop]
 

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -65,7 +65,7 @@ class Rigid:
 
 @dataclass(frozen=True, slots=True)
 class SpringDashpot:
-    """Spring and dashpot, f = -stiffness (g - offset) - damping g'; they act on the stepped modes only.
+    """Spring and dashpot, f = -stiffness (g - offset) - damping g'; the residual compliance of its gap is in series.
 
     Over a step f = -stiffness ((g+ + g)/2 - offset) - damping (g+ - g)/h: of second order, passive at any h.
 
@@ -83,6 +83,11 @@ class SpringDashpot:
     def __post_init__(self) -> None:
         if not (self.stiffness >= 0.0 and self.damping >= 0.0):
             raise ValueError("stiffness and damping of a connection must not be negative")
+
+    def in_series(self, residual: float) -> SpringDashpot:
+        """Return the law of the gap without the displacement of its residual compliance (m/N)."""
+        share = 1 / (1 + self.stiffness * residual)
+        return replace(self, stiffness=self.stiffness * share, damping=self.damping * share**2)
 
 
 Law = Rigid | SpringDashpot | NonlinearLaw

@@ -17,6 +17,7 @@ from tonewood.physics.coupling.connections import (
     NonlinearGaps,
     NonlinearLaws,
     NonlinearSolve,
+    SpringDashpot,
 )
 from tonewood.physics.coupling.inverse import MOST_IN_PART, Hub, InverseInParts
 from tonewood.physics.coupling.layout import Layout
@@ -50,6 +51,12 @@ class GapCompliance:
         each = np.concatenate([np.zeros(0), *(getattr(c, which).diagonal() for c in self.compiled)])
         m = len(self.layout.connections)
         return np.asarray(np.bincount(self.layout.joints[1], each, m), dtype=np.float64)
+
+    def residual_times(self, forces: Floats) -> Floats:
+        """(m,) m, residual compliance times forces (m,) N on the gaps."""
+        rows, columns = self.layout.entries
+        each = np.concatenate([np.zeros(0), *(c.residual.ravel() for c in self.compiled)])
+        return np.asarray(np.bincount(rows, each * forces[columns], len(forces)), dtype=np.float64)
 
     def in_parts(self, laws: LinearLaws) -> InverseInParts | None:
         """Invert the compliance of linear connections in parts; None where there are few, or no parts."""
@@ -162,10 +169,26 @@ class Elimination:
             solves[self.linear] = self._solved()
         return solves[self.linear]
 
+    @cached_property
+    def springs_in_series(self) -> Mapping[int, SpringDashpot]:
+        """Place -> law of each spring whose gap has residual compliance, in series with it.
+
+        The force that springs of near gaps share moves each of them: sum_i R_ji k_i / k_j stands for R of gap j.
+        """
+        laws = {j: self.connections[j].law for j in np.flatnonzero(self.linear.active & ~self.linear.rigid).tolist()}
+        springs = {j: law for j, law in laws.items() if isinstance(law, SpringDashpot) and law.stiffness > 0.0}
+        if not springs:
+            return {}
+        stiffness = np.zeros(len(self.connections))
+        stiffness[list(springs)] = [law.stiffness for law in springs.values()]
+        moved = self.gap.residual_times(stiffness)
+        return {j: law.in_series(moved[j] / law.stiffness) for j, law in springs.items() if moved[j] > 0.0}
+
     def _solved(self) -> LinearSolve:
-        if (by := self.gap.in_parts(self.linear)) is not None:
-            return self.linear.solved(by, self.gap.diagonal("compliance"), self.gap.diagonal("residual"))
-        return self.linear.solve(self.gap.compliance, self.gap.residual)
+        laws = self.linear.changed(self.springs_in_series, self.dt)
+        if (by := self.gap.in_parts(laws)) is not None:
+            return laws.solved(by, self.gap.diagonal("compliance"), self.gap.diagonal("residual"))
+        return laws.solve(self.gap.compliance, self.gap.residual)
 
     @cached_property
     def nonlinear(self) -> NonlinearSolve | None:

@@ -45,6 +45,7 @@ class LawEnergies:
         self._dt = system.dt
         self._names = tuple(c.name for c in system.connections)
         self._springs = {j: law for j, law in enumerate(laws) if isinstance(law, SpringDashpot)}
+        self._springs.update(system.elimination.springs_in_series)
         rigid = np.array([isinstance(law, Rigid) for law in laws], dtype=bool)
         self._yielding = np.flatnonzero(rigid & (system.solve.gamma > 0))
         self._offset = np.array([law.offset if isinstance(law, Rigid) else 0.0 for law in laws])

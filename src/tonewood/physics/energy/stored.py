@@ -67,7 +67,8 @@ def stored_energy(system: System, state: State) -> Energy:
     residual = 0.5 * float(bent @ scaled_pinv(R) @ bent) if R.any() else 0.0
     for j, law in enumerate(laws):
         if isinstance(law, SpringDashpot):
-            springs += 0.5 * law.stiffness * float(gap[j] - law.offset) ** 2
+            spring = system.elimination.springs_in_series.get(j, law)
+            springs += 0.5 * spring.stiffness * float(gap[j] - spring.offset) ** 2
     if system.nonlinear is not None:
         on = system.nonlinear.index
         series = state.series[on] if state.series.size else np.zeros(len(on))

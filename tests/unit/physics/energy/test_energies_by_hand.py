@@ -87,14 +87,14 @@ def test_energies_of_each_law_over_steps_are_its_formulas() -> None:
     before, after = scale * (V(old) - V(1e-4)), scale * (V(new) - V(1e-4))
     rate = (new - old) / DT
     stored = {
-        "spring": 400.0 * (gap["spring"] - 1e-5) ** 2,
-        "alone": 25.0 * gap["alone"] ** 2,
+        "spring": 400.0 / (1 + 800.0 * R) * (gap["spring"] - 1e-5) ** 2,
+        "alone": 25.0 / (1 + 50.0 * R) * gap["alone"] ** 2,
         "joint": (gap["joint"] - 2e-5) ** 2 / (2 * R),
         "contact": U(p) - U(1e-5) + np.square(rho) / (2 * R),
         "hard": np.concatenate([before[:1], after]),
     }
     lost = {
-        "spring": 0.3 * step_of(gap["spring"]) ** 2 / DT,
+        "spring": 0.3 / (1 + 800.0 * R) ** 2 * step_of(gap["spring"]) ** 2 / DT,
         "dashpot": 0.7 * step_of(gap["dashpot"]) ** 2 / DT,
         "contact": 0.5 * step_of(U(p)) * step_of(p) / DT + (theta - 0.5) * np.diff(rho) ** 2 / R,
         "hard": scale * (0.2 + 3.0 * np.abs(rate)) * rate * (new - old),
@@ -139,7 +139,7 @@ def test_stored_energy_is_the_sum_of_its_formulas() -> None:
     energy = stored_energy(system, state)
     omega = {"a": 300.0, "b": 500.0, "c": 900.0}
     modes = sum(0.5 * (motion[n][1] ** 2 + (omega[n] * motion[n][0]) ** 2) for n in omega)
-    springs = 350.0 * (y["b"] + 4e-5) ** 2 + 1e7 / 3 * (5e-5 - y["c"] - 2e-6) ** 3
+    springs = 350.0 / (1 + 700.0 * 3 * R) * (y["b"] + 4e-5) ** 2 + 1e7 / 3 * (5e-5 - y["c"] - 2e-6) ** 3
     residual = (expected_gaps[0] - 1e-5) ** 2 / (2 * (R + 4 * 3 * R)) + (2e-6) ** 2 / (2 * R)
     stretch = 0.5 * (2e4 / (4 * 0.65)) * (40.0 * 2e-4**2) ** 2
     assert energy.modes == pytest.approx(modes, rel=1e-12)
