@@ -244,7 +244,8 @@ def test_a_stiff_spring_on_a_string_stops_it(tmp_path: Path, points: int) -> Non
         "tuning.compensate": "none", "strings.A2.tension": tension, "strings.A2.bending_stiffness": 0.0,
         "strings.A2.freq_upper": 5000.0, "strings.A2.polarizations": ["z"],
         "connections": {"stop": {
-            "plugin": "listing", "from_bridge": x, "width": 1e-5, "points": points, "stiffness": stiffness, "damping": 0.0,
+            "plugin": "listing", "from_bridge": x, "width": 1e-5, "points": points, "stiffness": stiffness,
+            "damping": 0.0,
         }},
         "outputs": [{
             "name": "out", "plugin": "point_pickup", "quantity": "displacement", "at": "A2.pluck", "full_scale": 1.0,
