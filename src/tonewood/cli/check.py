@@ -270,14 +270,6 @@ def pitch_row(p: Pitch) -> dict[str, Any]:
     return row
 
 
-def touched_lines(touched: dict[str, list[str]]) -> list[str]:
-    """One line about each part that the figures of strings leave out although it touches them at rest."""
-    return [
-        f"{part}, which touches {', '.join(names)} at rest: pitch and decay of the sound differ from those stated here"
-        for part, names in touched.items()
-    ]
-
-
 def wolf_line(row: dict[str, Any]) -> str:
     """One line about a wolf note."""
     wolf = row["wolf"]
@@ -338,6 +330,8 @@ def _listed(label: str, lines: list[str], most: int | None) -> None:
 
 def _print(report: dict[str, Any], ok: bool, every: bool, moves: list[str]) -> None:
     """What is wrong first, then notes that are off, then the body; each string, microphone and source on request."""
+    from tonewood.instrument.inspection.potentials_at_rest import touched_lines
+
     most = None if every else 4
     warnings = _warnings(report)
     print(f"{report['instrument']}: {report['title']} ({report['licence']})")

@@ -55,10 +55,10 @@ def modes(
     as_json: Json = False,
 ) -> None:
     """List the coupled modes of INSTRUMENT's strings: frequency, cents from the harmonic, T60, wolf notes."""
-    from tonewood.cli.check import pitch_row, plane_row, plane_words, touched_lines, wolf_line
+    from tonewood.cli.check import pitch_row, plane_row, plane_words, wolf_line
     from tonewood.instrument.inspection.frequencies import mobility_peaks, partials, pitch, pitches
     from tonewood.instrument.inspection.modal_export import modal_table_text
-    from tonewood.instrument.inspection.potentials_at_rest import touched_at_rest
+    from tonewood.instrument.inspection.potentials_at_rest import touched_at_rest, touched_lines
     from tonewood.instrument.model.assembly import assemble
     from tonewood.support.whole_files import write_whole
 

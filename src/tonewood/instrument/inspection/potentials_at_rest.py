@@ -7,6 +7,7 @@ that one of them is wrong, because the step keeps the balance of energies with a
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,6 +106,22 @@ def touched_at_rest(model: Model) -> dict[str, list[str]]:
             if c.owner not in strings:
                 strings.append(c.owner)
     return out
+
+
+def touched_lines(touched: Mapping[str, Sequence[str]]) -> list[str]:
+    """One line about each part that the figures of strings leave out although it touches them at rest.
+
+    touched : see `touched_at_rest`.
+    """
+    return [
+        f"{part}, which touches {', '.join(names)} at rest: pitch and decay of the sound differ from those stated here"
+        for part, names in touched.items()
+    ]
+
+
+def left_out_lines(model: Model) -> list[str]:
+    """`touched_lines` of a model, for those who read no figures of `touched_at_rest`."""
+    return [f"left out: {line}" for line in touched_lines(touched_at_rest(model))]
 
 
 def _acts_at_rest(connection: Connection, dt: float) -> bool:

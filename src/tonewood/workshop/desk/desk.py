@@ -12,6 +12,7 @@ from typing import Any
 
 from tonewood.errors import TonewoodError
 from tonewood.instrument.bundle.string_sets import string_sets
+from tonewood.instrument.inspection.potentials_at_rest import left_out_lines
 from tonewood.instrument.model.assembly import Model
 from tonewood.sound.live.instrument import Live
 from tonewood.sound.render.options import RenderOptions
@@ -221,7 +222,7 @@ class Desk:
                 "preview": "" if take is None else take.preview,
                 "fault": self.fault,
                 "modes": None if seen is None else seen.n_modes,
-                "warnings": [] if seen is None else list(seen.warnings),
+                "warnings": [] if seen is None else [*seen.warnings, *left_out_lines(seen)],
                 "channels": [] if take is None else list(take.renderer.channels),
                 "dropped": notes + ([] if take is None else [d.reason for d in take.renderer.dropped[:3]]),
                 "playing": playback.playing,

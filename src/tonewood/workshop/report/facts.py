@@ -23,6 +23,7 @@ from tonewood.instrument.bundle.schema import Provenance, Source
 from tonewood.instrument.inspection.frequencies import StringFeel, bridge_mobility, feel, partials, pitches
 from tonewood.instrument.inspection.mode_names import mode_names
 from tonewood.instrument.inspection.mounted import mounted_pitches
+from tonewood.instrument.inspection.potentials_at_rest import left_out_lines
 from tonewood.instrument.inspection.wolf import WolfNote, wolf_notes
 from tonewood.instrument.model.assembly import Model
 from tonewood.instrument.scales import note_name
@@ -204,7 +205,7 @@ def gather(model: Model, *, label: str = "A", changes: tuple[str, ...] = (), cal
         unknown=tuple(instrument.origins.of_unknown_origin()),
         kinds=_kinds(spec.provenance),
         table_doubts=tuple(instrument.origins.table_doubts()),
-        warnings=model.warnings,
+        warnings=(*model.warnings, *left_out_lines(model)),
         fs=model.fs,
         body_modes=modes,
         named=_named(model, modes),

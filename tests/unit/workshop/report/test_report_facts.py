@@ -57,6 +57,14 @@ def test_ten_grams_are_seen_everywhere() -> None:
     assert np.abs(freq - 201.0).min() < 0.2
 
 
+def test_parts_that_touch_a_string_at_rest_are_named(found: Comparison) -> None:
+    """Cloth on the clavichord's string, whose decay it leaves out; nothing touches the monochord's."""
+    (clavichord,) = compare([Candidate(tw.load_instrument("clavichord"))], fs=FS, duration=0.1).instruments
+    line = "left out: listing, which touches A3 at rest: pitch and decay of the sound differ from those stated here"
+    assert clavichord.warnings == (line,)
+    assert not any("left out" in line for facts in found.instruments for line in facts.warnings)
+
+
 def test_modes_are_those_of_the_table(found: Comparison) -> None:
     """Shapes at the bridge are 1: mass is the table's, T60 = ln 1000 Q / (pi f)."""
     modes = found.instruments[0].body_modes
