@@ -378,7 +378,8 @@ def test_a_stop_that_is_tuned_by_more_than_a_tenth_of_the_tension_is_doubted(sha
     string = {"stop_tension": {"stop": 7.0, "relative": share}, "law": []}
     report = {
         "model": [], "table_doubts": [], "microphones": [], "silent_outputs": [], "potentials": [],
-        "forces_at_rest": {}, "body": {"n_modes": 1, "freq_upper": 5e3, "n_overdamped": 0}, "strings": {"A": string},
+        "forces_at_rest": {}, "changing_bases": [], "strings": {"A": string},
+        "body": {"n_modes": 1, "freq_upper": 5e3, "n_overdamped": 0},
     }  # fmt: skip
     found = check._warnings(report)
     assert len(found) == told

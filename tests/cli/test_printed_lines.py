@@ -333,6 +333,7 @@ def report(**more):
         ],
         "forces_at_rest": {},
         "touched_at_rest": {"bridge": ["E2"]},
+        "changing_bases": [],
         "potentials": [{"name": "v", "effect": None, "doubt": None}, {"name": "w", "effect": "e", "doubt": "doubtful"}],
         "off_pitch": [
             {"string": "E2", "stop": i, "note": "X", "error_cents": (-1) ** i * 5.0 * i} for i in range(1, 7)

@@ -342,6 +342,12 @@ def cases() -> list[tuple[str, str, str, str]]:
             "def eta(self, omega, k, tension=None):\n    return 2.0 / omega + 0j",
             "eta must be real",
         ),
+        (
+            "strings.A2",
+            "eta",
+            "def eta(self, omega, k, tension=None):\n    omega *= 2.0\n    return 2.0 / omega",
+            "Odd.basis raises ValueError: output array is read-only (odd.py, line|Odd.eta raises",
+        ),
         ("strings.A2", "length", UNTOLD, "Odd.length raises E (odd.py, line"),
         ("connections.felt", "attach", felt("-0.1"), "'felt.at' on string A2 -0.1 m from the bridge; 0 to 0.9 m"),
         ("connections.felt", "attach", felt("3.0"), "'felt.at' on string A2 3 m from the bridge; 0 to 0.9 m"),
@@ -571,7 +577,13 @@ def test_code_that_ends_the_program_or_takes_all_memory_is_one_line(
 
 
 PUSHING = felt("0.3", law="ta.Contact(1e6, 1.5, offset=1e-3)")
-STRING_BASIS = WHOLE["strings.A2"][1]["basis"]
+STRING_BASIS, BODY_BASIS = WHOLE["strings.A2"][1]["basis"], WHOLE["body"][1]["basis"]
+
+
+def counted(basis: str, number: str) -> str:
+    """A basis in which a number grows by a ten-thousandth from call to call."""
+    count = "    self.n = getattr(self, 'n', 0) + 1\n"
+    return basis.replace("    return", count + "    return").replace(number, f"{number} * (1 + 1e-4 * self.n)")
 
 
 @pytest.mark.parametrize(
@@ -583,12 +595,15 @@ STRING_BASIS = WHOLE["strings.A2"][1]["basis"]
         # two semitones by tension alone: 2^(4 / 12) - 1
         ("strings.A2", "basis", STRING_BASIS.replace("0.9 - stop", "0.9"), "string A2: stop 2 is in tune at +26 %"),
         ("strings.A2", "basis", STRING_BASIS, None),
+        ("strings.A2", "basis", counted(STRING_BASIS, "1.5e-3"), "string A2: its plugin's `basis` gives other modes"),
+        ("body", "basis", counted(BODY_BASIS, "1200.0"), "body: its plugin's `basis` gives other modes"),
+        ("body", "basis", BODY_BASIS, None),
     ],
 )
 def test_what_check_can_only_doubt(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, method: str, lines: str, said: str | None
 ) -> None:
-    """A contact with the wrong sign of its offset, and a basis that does not know its stop, play without an error."""
+    """A wrong sign of an offset, a basis that does not know its stop and one with a state play without an error."""
     status, out, err = checked(bundle(tmp_path, key, code(key, {method: lines})), capsys)
     assert (status, err) == (0, "")
     if said is None:

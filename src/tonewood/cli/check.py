@@ -51,6 +51,7 @@ def check(
     Exit code 2 if it cannot be played or its body could create energy.
     """
     from tonewood.instrument.bundle.added import added_line
+    from tonewood.instrument.inspection.changing import changing_bases
     from tonewood.instrument.inspection.frequencies import (
         PLANE_CENTS,
         TOLERANCE_CENTS,
@@ -98,6 +99,7 @@ def check(
         "potentials": [asdict(motion) | {"doubt": motion.doubt} for motion in small_motions(model)],
         "forces_at_rest": forces_at_rest(model),
         "touched_at_rest": touched_at_rest(model),
+        "changing_bases": changing_bases(model),
         "off_pitch": [pitch_row(p) for p in off],
         "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
         "off_planes": [plane_row(p) for p in off_planes],
@@ -307,7 +309,7 @@ def _law_lines(rows: list[dict[str, Any]]) -> list[str]:
     if row := next((row for row in rows if row["decay_is_off"]), None):
         steep = "the law grows too steeply without loss to the air or of stretching"
         why = steep if abs(row["own"]) > 0.5 * abs(row["decay"]) else _DETUNED
-        rate = f"{1 + row['decay']:.3g} times the rate of its loss law on a rigid end"
+        rate = f"{1 + row['decay']:.4g} times the rate of its loss law on a rigid end"
         out.append(f"warning: partial {row['decay_partial']} {_held(row)} decays at {rate}: {why}")
     if row := next((row for row in rows if row["pitch_is_off"]), None):
         beside = f"{row['cents']:+.3g} cents from that of a basis made for this tension"
@@ -385,11 +387,17 @@ def _warnings(report: dict[str, Any]) -> list[str]:
         "`offset` of a contact should be 0 or less"
         for name, force in report["forces_at_rest"].items()
     ]
+    doubts += [
+        f"{'body' if name == 'body' else f'string {name}'}: its plugin's `basis` gives other modes when it is asked "
+        "again: renders need not be alike, and these figures are those of one of them"
+        for name in report["changing_bases"]
+    ]
     for name, row in report["strings"].items():
         if abs(share := row["stop_tension"]["relative"]) > _STOP_TENSION:
             doubts.append(
                 f"string {name}: stop {row['stop_tension']['stop']:g} is in tune at {100 * share:+.0f} % of the open "
-                "string's tension more or less: its plugin's `basis` at this stop is out of tune"
+                "string's tension more or less: its plugin's `basis` at this stop is out of tune, or a mode of the "
+                "body pulls it"
             )
         lines = [line for line in _law_lines(row["law"]) if line.startswith("warning: ")]
         doubts += [f"string {name}: {line.removeprefix('warning: ')}" for line in lines]

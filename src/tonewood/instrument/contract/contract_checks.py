@@ -27,6 +27,7 @@ from tonewood.physics.coupling.potentials.base import Potential
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.string_modes import MOST_MODES
 from tonewood.physics.stepping.forcing import SampledForce, Segment
+from tonewood.support.arrays import read_only
 
 #: check of a result, which raises `WrongResultError`: object, result, arguments of the call
 Verify = Callable[[Any, Any, Mapping[str, Any]], None]
@@ -426,7 +427,7 @@ def _checked(
     def call(self: Any, *args: Any, **kwargs: Any) -> Any:
         try:
             with np.errstate(all="ignore"):  # what is not finite is refused below, in one line
-                value = function(self, *args, **kwargs)
+                value = function(self, *map(read_only, args), **{k: read_only(v) for k, v in kwargs.items()})
         except (TonewoodError, MemoryError):
             raise
         except (Exception, SystemExit, GeneratorExit) as raised:  # told with class, method and key

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 
 from tonewood.physics.modal.modes import ModalBasis
 from tonewood.physics.modal.secular import secular_roots
-from tonewood.support.arrays import Floats
+from tonewood.support.arrays import Floats, read_only
 
 #: limit of the number of modes of a string: cost and memory grow with its square
 MOST_MODES = 3000
@@ -191,7 +191,7 @@ def _count_below(limit: float, length: float, tension: float, linear_density: fl
 
 def _rates(loss: LossFactor, freq_rad: Floats, wavenumber: Floats) -> Floats:
     """Decay rates sigma = omega eta / 2, 1/s, of partials of these frequencies."""
-    law = np.asarray(loss(freq_rad, wavenumber))
+    law = np.asarray(loss(read_only(freq_rad), read_only(wavenumber)))
     if law.dtype.kind not in "fiu":
         raise ValueError(f"the loss law gives numbers of the type {law.dtype}; eta must be real")
     eta = np.broadcast_to(law.astype(np.float64), freq_rad.shape)
