@@ -421,7 +421,7 @@ def _misfit(session: Session, record: Mapping[str, Any]) -> ListeningError | Non
         entry = session.record(answer)
         for key, value in json.loads(json.dumps(entry)).items():
             if key == "index" and session.incomplete:
-                continue  # the number of trials of the staircase is unknown
+                continue  # the number of trials of a page before is unknown
             if key not in record or record[key] != value:
                 reason = f"is {record.get(key)!r}, and {value!r} in the course of this test: the file is damaged"
                 raise ListeningError(reason, key=key)

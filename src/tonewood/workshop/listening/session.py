@@ -23,7 +23,8 @@ class Session:
     place : number of the listener, from 0; it decides which trials of a `subset` are theirs.
     step : the one to answer; None after the last.
     failed : the page (from 0) of the check of headphones that ended the test, or None.
-    incomplete : staircases (pages from 0) of which a trial was passed over.
+    incomplete : staircases and checks of headphones (pages from 0) of which a trial was passed over: the number of their
+        trials is unknown.
     """
 
     def __init__(self, test: ListeningTest, seed: int, place: int = 0):
@@ -111,9 +112,13 @@ class Session:
         self.step = next(self._course, None)
 
     def pass_over(self) -> None:
-        """Go on without an answer; a staircase ends with that, because its next level is unknown."""
+        """Go on without an answer.
+
+        A staircase ends with that, because its next level is unknown, and a check of headphones with that attempt.
+        """
         step = self.step
-        if step is not None and step.track is not None and not step.training:
+        checks = step is not None and isinstance(self.test.pages[step.page], pages.HeadphonesPage)
+        if step is not None and (checks or (step.track is not None and not step.training)):
             self.incomplete.add(step.page)
         self.step = next(self._course, None)
 

@@ -303,6 +303,28 @@ def test_answers_that_are_missing_damaged_or_cut_off_are_counted(test: Listening
     assert found(cut) == (list(range(5)), [("line 7: is cut off: its answer was not confirmed to the listener", 1)])
 
 
+@pytest.mark.parametrize("line", [2, 3])
+def test_a_damaged_check_of_headphones_costs_no_later_page(tmp_path: Path, line: int) -> None:
+    """Two attempts fail and the third is passed; without an answer of the first their number is unknown."""
+    test = fakes.made(tmp_path, [{"type": "headphones", "trials": 2, "attempts": 3}, *PAGES[3:]])
+    session, who = begin(test, language="en", listener="me", started="2026", seed=3), listener(test)
+    for attempt in range(3):
+        for _ in range(2):
+            step = session.session.step
+            assert step is not None
+            wrong = next(slot for slot in step.slots if slot != step.correct)
+            session.answer({"choice": step.correct if attempt == 2 else wrong}, now="now")
+    while session.session.step is not None:
+        session.answer(who.answer(session.session), now="now")
+    lines = session.path.read_bytes().splitlines(keepends=True)
+    session.path.write_bytes(b"".join([*lines[: line - 1], b"{\n", *lines[line:]]))
+    answers = answers_of(test)
+    kept = [record["index"] for record in answers.listeners[0].records]
+    assert kept == [3 - line, *range(6, len(lines) - 1)]
+    assert sum(one.answers for one in answers.left_out) == 5
+    assert not answers.listeners[0].failed
+
+
 def test_answers_without_sounds_are_rows_too(tmp_path: Path) -> None:
     """A check of headphones, a level that was measured, questions by number and by choice."""
     pages = [
