@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import piano_scenes
 import pytest
-from phantom_scenes import excess
+from phantom_scenes import SECONDS, excess, scene
 
 import tonewood as tw
 from pianos import piano
+from tonewood.errors import NumericalError
 from tonewood.performance.effects.base import Moment, SwitchedEffect, Switching
 
 FS = 24000.0
@@ -130,8 +132,10 @@ def test_switched_effects_share_the_budget(bass: tw.Instrument) -> None:
 @pytest.mark.validate
 def test_motion_that_grows_ends_in_an_error(tmp_path: Path) -> None:
     """The force takes no energy from the string, and scene 289 is not passive: refused, never sound without limit."""
-    with pytest.raises(tw.NumericalError, match="no longer finite"):
-        excess(289, tmp_path)
+    instrument, score, _ = scene(289, tmp_path)
+    strong = tw.Score([replace(note, force=3 * (note.force or 0.0)) for note in score.notes])
+    with pytest.raises(NumericalError, match="no longer finite"):
+        tw.render(strong, instrument, fs=FS, max_duration=SECONDS, effects="all")
 
 
 @pytest.mark.validate
