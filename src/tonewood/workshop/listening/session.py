@@ -23,8 +23,8 @@ class Session:
     place : number of the listener, from 0; it decides which trials of a `subset` are theirs.
     step : the one to answer; None after the last.
     failed : the page (from 0) of the check of headphones that ended the test, or None.
-    incomplete : staircases and checks of headphones (pages from 0) of which a trial was passed over: the number of their
-        trials is unknown.
+    incomplete : staircases and checks of headphones (pages from 0) of which a trial was passed over; the number of
+        their trials is unknown.
     """
 
     def __init__(self, test: ListeningTest, seed: int, place: int = 0):
