@@ -103,6 +103,8 @@ def _tone(tone: Tone) -> dict[str, Any]:
         "freq": tone.freq,
         "peak_dbfs": finite(tone.peak_dbfs),
         "lufs": finite(tone.lufs),
+        "full_scale": tone.full_scale,
+        "unit": tone.unit,
         "time": _rounded(tone.time, 4),
         "level_db": _rounded(tone.level_db, 2),
     }

@@ -211,12 +211,20 @@ def wolf_name(match: WolfMatch) -> str:
 
 
 def decay_picture(comparison: Comparison, note: str) -> Picture:
-    """Level over time of a note on every instrument that plays it, dB re the first one's loudest 20 ms."""
+    """Level over time of a note on every instrument that plays it, dB re the first one's loudest 20 ms.
+
+    One whose output is of another unit is drawn re its own.
+    """
     played = [(i, facts.tones[note]) for i, facts in enumerate(comparison.instruments) if note in facts.tones]
-    top = float(played[0][1].level_db.max())
+    first = played[0][1]
+    shifts = [tone.shift_db(first) for _, tone in played]
+    tops = [
+        float(tone.level_db.max() if shift is None else first.level_db.max() - shift)
+        for (_, tone), shift in zip(played, shifts, strict=True)
+    ]
     drawing, axes = figure(heights=[4.0])
     ax = axes[0, 0]
-    for i, tone in played:
+    for (i, tone), top in zip(played, tops, strict=True):
         ax.plot(
             tone.time,
             tone.level_db - top,
@@ -225,8 +233,9 @@ def decay_picture(comparison: Comparison, note: str) -> Picture:
             lw=LINE,
             label=plain(_names(comparison)[i]),
         )
-    highest = max(float(tone.level_db.max()) for _, tone in played) - top
+    highest = max(float(tone.level_db.max()) - top for (_, tone), top in zip(played, tops, strict=True))
     of = f" of {comparison.instruments[played[0][0]].label}" if len(comparison.instruments) > 1 else ""
+    of = " of each" if None in shifts else of
     ax.set(xlabel="time, s", ylabel=f"level\ndB re maximum{of}")
     ax.set(xlim=(0.0, comparison.duration), ylim=(-RANGE_DB, highest + 5.0))
     if len(comparison.instruments) > 1:

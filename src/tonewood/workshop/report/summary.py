@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 BAND, _LISTED = (80.0, 1000.0), 2000.0
 #: modes that are listed; dB below the strongest peak of mobility at which a mode is no more looked at
 _MODES, _WEAK = 5, 20.0
+_LOUDNESS = "loudness, mean of the notes"
 #: cents of severity from which on a wolf is counted
 _WOLF_CENTS = 10.0
 
@@ -72,7 +73,7 @@ def key_figures(facts: InstrumentFacts) -> dict[str, tuple[float, str]]:
         out[f"mean mobility, {BAND[0]:g} to {BAND[1]:g} Hz"] = (mean, "dB")
     heard = [tone.lufs for tone in facts.tones.values() if math.isfinite(tone.lufs)]
     if heard:
-        out["loudness, mean of the notes"] = (float(np.mean(heard)), "LUFS")
+        out[_LOUDNESS] = (float(np.mean(heard)), "LUFS")
     decays = [note.t60 for note in facts.notes if math.isfinite(note.t60)]
     if decays:
         out["decay, median T60 of all stops"] = (float(np.median(decays)), "s")
@@ -91,12 +92,16 @@ def changes(comparison: Comparison, i: int) -> list[FigureChange]:
     before, after = key_figures(first), key_figures(other)
     if first.tones.keys() != other.tones.keys():
         shared = {**first.tones}.keys() & other.tones.keys()
-        name = "loudness, mean of the notes"
         for figures, facts in ((before, first), (after, other)):
             heard = [facts.tones[note].lufs for note in shared if math.isfinite(facts.tones[note].lufs)]
-            figures.pop(name, None)
+            figures.pop(_LOUDNESS, None)
             if heard:
-                figures[name] = (float(np.mean(heard)), "LUFS")
+                figures[_LOUDNESS] = (float(np.mean(heard)), "LUFS")
+    shift = _shift_db(first, other)
+    if shift is None:
+        before.pop(_LOUDNESS, None)
+    elif _LOUDNESS in after:  # re the full scale of the first
+        after[_LOUDNESS] = (after[_LOUDNESS][0] + shift, "LUFS")
     out = []
     for name, (value, unit) in before.items():
         if name in after:
@@ -116,6 +121,12 @@ def changes(comparison: Comparison, i: int) -> list[FigureChange]:
             name = "damping of all body modes, median"
             out.append(FigureChange(name, at, at * (1 + middle / 100), "%", middle, "%", BODY_DAMPING))
     return out + _most_changed(pairs, [first, other])
+
+
+def _shift_db(first: InstrumentFacts, other: InstrumentFacts) -> float | None:
+    """See `Tone.shift_db`; 0 where no note was played on both."""
+    pairs = [(first.tones[note], tone) for note, tone in other.tones.items() if note in first.tones]
+    return pairs[0][1].shift_db(pairs[0][0]) if pairs else 0.0
 
 
 def _most_changed(pairs: Sequence[tuple[BodyMode, BodyMode]], facts: Sequence[InstrumentFacts]) -> list[FigureChange]:
@@ -170,6 +181,9 @@ def heard_words(comparison: Comparison, i: int, rows: Sequence[FigureChange]) ->
     first, other = comparison.instruments[0], comparison.instruments[i]
     if (first.tones or other.tones) and not first.tones.keys() & other.tones.keys():
         words = f"no note was played on both, so their sounds are not compared; of the other figures, {words}"
+    elif _shift_db(first, other) is None:
+        units = " and ".join(next(iter(facts.tones.values())).unit for facts in (first, other))
+        words = f"their outputs are in {units}, so their levels are not compared; of the other figures, {words}"
     return words
 
 

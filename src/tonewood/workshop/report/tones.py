@@ -36,6 +36,7 @@ class Tone:
     samples, fs : (n, n_channels) of the instrument's first output group, full scale 1.0; Hz.
     time, level_db : s, and level re full scale over 20 ms each.
     peak_dbfs, lufs : largest sample, and loudness (BS.1770-4).
+    full_scale, unit : of the output; levels of two instruments are comparable once both are re one full scale.
     """
 
     note: str
@@ -48,6 +49,12 @@ class Tone:
     level_db: Floats
     peak_dbfs: float
     lufs: float
+    full_scale: float
+    unit: str
+
+    def shift_db(self, first: Tone) -> float | None:
+        """Return the dB that make its levels those re the full scale of another; None if that has another unit."""
+        return decibel(self.full_scale / first.full_scale) if self.unit == first.unit else None
 
 
 def play_note(
@@ -76,6 +83,8 @@ def play_note(
         level_db=level_db,
         peak_dbfs=audio.peak_dbfs,
         lufs=loudness(audio.samples, fs)[0],
+        full_scale=model.outputs[0].full_scale,
+        unit=model.outputs[0].unit,
     )
 
 

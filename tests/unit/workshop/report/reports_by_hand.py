@@ -33,6 +33,7 @@ def tone(name: str, lufs: float = -20.0, level: tuple[float, ...] = (-10.0, -5.0
     values: dict[str, Any] = {
         "note": name, "string": "A", "stop": 0.0, "freq": 110.0, "samples": np.full((480, 1), 0.5), "fs": 4800,
         "time": np.arange(3) / 10, "level_db": np.array(level), "peak_dbfs": -6.0, "lufs": lufs,
+        "full_scale": 1.0, "unit": "Pa",
     }  # fmt: skip
     return Tone(**values | other)
 

@@ -157,7 +157,8 @@ def test_infinite_numbers_are_null_in_json() -> None:
     }  # fmt: skip
     shown = found["instruments"][0]
     assert shown["tones"]["A2"] == {
-        "string": "A", "stop": 0.0, "freq": 110.0, "peak_dbfs": None, "lufs": None, "time": [0.0, 0.1, 0.2],
+        "string": "A", "stop": 0.0, "freq": 110.0, "peak_dbfs": None, "lufs": None,
+        "full_scale": 1.0, "unit": "Pa", "time": [0.0, 0.1, 0.2],
         "level_db": [-10.0, -5.0, -30.13],
     }  # fmt: skip
     assert shown["strings"][0]["partials"] == [{"number": 1, "freq": 110.0, "cents": 0.0, "t60": None}]

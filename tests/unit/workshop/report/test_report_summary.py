@@ -49,6 +49,16 @@ def test_a_mode_that_moves_is_told_with_its_threshold(found: Comparison) -> None
     assert f"{row.times:.2g} x the least noticed" in text
 
 
+def test_a_full_scale_changes_no_loudness_and_velocity_is_no_acceleration() -> None:
+    monochord = tw.load_instrument("monochord")
+    others = [monochord.replace({f"outputs.bridge.{k}": v}) for k, v in (("full_scale", 5.0), ("quantity", "velocity"))]
+    found = compare([Candidate(i) for i in (monochord, *others)], notes=["A2"], fs=FS, duration=0.2)
+    scaled, other = ({row.name: row.difference for row in changes(found, i)} for i in (1, 2))
+    assert scaled["loudness, mean of the notes"] == pytest.approx(0.0, abs=1e-6)
+    assert "loudness, mean of the notes" not in other
+    assert lines(found, 2)[0].startswith("their outputs are in m/s^2 and m/s, so their levels are not compared")
+
+
 def test_decay_and_loudness_follow_the_loss(found: Comparison) -> None:
     rows = {row.name: row for row in changes(found, 1)}
     decay = rows["decay, median T60 of all stops"]

@@ -102,6 +102,18 @@ def test_loudness_is_compared_over_notes_that_both_play() -> None:
     assert not summary.lines(compared(a, b), 1)[0].startswith("no note was played on both")
 
 
+def test_levels_are_compared_in_one_unit() -> None:
+    """-21 LUFS re 4 Pa are -41 LUFS re 40 Pa; sound pressure and acceleration have no common level."""
+    a = facts(tones={"x": tone("x", -20.0, full_scale=40.0)})
+    b = facts("B", tones={"x": tone("x", -21.0, full_scale=4.0)})
+    row = rows_of(a, b)["loudness, mean of the notes"]
+    assert (row.before, row.after, row.difference) == pytest.approx((-20.0, -41.0, -21.0))
+    c = facts("B", tones={"x": tone("x", -21.0, unit="m/s^2")})
+    assert "loudness, mean of the notes" not in rows_of(a, c)
+    said = "their outputs are in Pa and m/s^2, so their levels are not compared; of the other figures, "
+    assert summary.lines(compared(a, c), 1)[0].startswith(said)
+
+
 def test_of_strong_modes_below_2_khz_those_that_changed_most_are_told() -> None:
     """Seven move; one is 20.1 dB weaker than the strongest, one lies at 2 kHz: the others by size."""
     freq = [100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 1999.0, 2000.0]
@@ -358,6 +370,12 @@ def test_levels_of_tones_are_drawn_below_the_loudest_of_the_first(drawn: list[Fi
     assert [line.get_ydata().tolist() for line in axes.lines] == [[-5.0, 0.0, -25.0], [-15.0, 3.0, -45.0]]
     assert (axes.get_xlim(), axes.get_ylim()) == ((0.0, 2.0), (-80.0, 8.0))
     assert axes.get_ylabel().endswith("maximum of A")
+    scaled = facts("B", tones={"x": tone("x", full_scale=10.0)})
+    velocity = facts("C", tones={"x": tone("x", unit="m/s", level=(-20.0, -8.0, -9.0))})
+    figures.decay_picture(compared(one, scaled, velocity), "x")
+    axes = drawn.pop().axes[0]
+    assert [line.get_ydata().tolist() for line in axes.lines[1:]] == [[15.0, 20.0, -5.0], [-12.0, 0.0, -1.0]]
+    assert axes.get_ylabel().endswith("maximum of each")
     figures.decay_picture(compared(one), "x")
     assert drawn[1].axes[0].get_ylabel().endswith("maximum")
 
