@@ -97,11 +97,11 @@ def changes(comparison: Comparison, i: int) -> list[FigureChange]:
             figures.pop(_LOUDNESS, None)
             if heard:
                 figures[_LOUDNESS] = (float(np.mean(heard)), "LUFS")
-    shift = _shift_db(first, other)
-    if shift is None:
+    level_db = _shift_db(first, other)
+    if level_db is None:
         before.pop(_LOUDNESS, None)
     elif _LOUDNESS in after:  # re the full scale of the first
-        after[_LOUDNESS] = (after[_LOUDNESS][0] + shift, "LUFS")
+        after[_LOUDNESS] = (after[_LOUDNESS][0] + level_db, "LUFS")
     out = []
     for name, (value, unit) in before.items():
         if name in after:
