@@ -8,6 +8,7 @@ import pytest
 import tonewood as tw
 from tonewood.errors import TonewoodError
 from tonewood.sound.render.presets import BUILT_IN, with_preset
+from tonewood.sound.room import ROOMS
 
 pytest.importorskip("pyroomacoustics")
 NOTES = tw.Score([tw.Note(0.0, 0.2, string="A2", stop=0, force=1.0)])
@@ -45,6 +46,22 @@ def test_a_bundle_names_its_own(monochord: tw.Instrument) -> None:
     assert BUILT_IN["studio"].room == "studio"
     with pytest.raises(TonewoodError, match="'far'; dry, studio, stage, near are allowed"):
         tw.Renderer(NOTES, own, preset="far")
+
+
+@pytest.mark.parametrize(
+    ("preset", "said"),
+    [
+        ({"room": "../../response.wav"}, "presets.own.room: Input should be 'studio', 'small' or 'hall'"),
+        ({"outputs": ["bridge", "brige"]}, "presets.own.outputs: there is no output 'brige'; did you mean bridge"),
+    ],
+)
+def test_a_bundle_names_rooms_and_outputs_that_there_are(monochord: tw.Instrument, preset: object, said: str) -> None:
+    """A file of the user's computer is the user's to name, by `--room`: bundles come from others."""
+    with pytest.raises(TonewoodError, match=said):
+        monochord.replace({"presets": {"own": preset}})
+    assert set(ROOMS) == {"studio", "small", "hall"}
+    for room in ROOMS:
+        assert monochord.replace({"presets": {"own": {"room": room}}}).spec.presets["own"].room == room
 
 
 def test_a_room_turns_one_channel_into_two(monochord: tw.Instrument) -> None:

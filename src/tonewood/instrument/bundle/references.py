@@ -97,6 +97,10 @@ def check_references(
     for name, exciter in exciters.items():
         if exciter.at is not None and exciter.at not in {f"body.{p}" for p in points}:
             raise none("point", exciter.at, [f"body.{p}" for p in points], f"exciters.{name}.at")
+    for preset, options in spec.presets.items():
+        for output in options.outputs or ():
+            if output not in (names := [group.name for group in spec.outputs]):
+                raise none("output", output, names, f"presets.{preset}.outputs")
     for path, origin in spec.provenance.items():
         if origin.source is not None and origin.source not in spec.sources:
             raise none("source", origin.source, spec.sources, f"provenance.{path}.source")

@@ -383,7 +383,7 @@ class Preset(Parameters):
     """Options of a render under one name; those that a user gives come first."""
 
     outputs: list[Name] | None = described("output groups; the instrument's first where left out", default=None)
-    room: str | None = described("studio, small, hall; none where left out", default=None)
+    room: Literal["studio", "small", "hall"] | None = described("none where left out", default=None)
     room_distance: float | None = quantity("m", low=0.1, high=60.0, default=None, doc="of the microphones in it")
     room_mix_db: float = quantity("dB", low=-100.0, high=40.0, default=0.0, doc="of the room's own sound")
     humanize: int | None = described("seed of human variation; none where left out", default=None, ge=0)
