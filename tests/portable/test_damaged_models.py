@@ -152,6 +152,18 @@ def test_what_does_not_fit_is_refused_by_its_name(
     assert re.fullmatch(rf"\S+: f: [ -~]*{reason}[ -~]*\n", done.stderr)
 
 
+@pytest.mark.validate
+def test_a_plane_whose_modes_all_lie_above_the_solved_band_plays(
+    mutate: Path, files: dict[str, Path], tmp_path: Path
+) -> None:
+    arrays = dict(saved.read(files["longitudinal"]))
+    slopes = arrays["potentials/0/parts/0/slopes"]
+    arrays["potentials/0/parts/0/slopes"] = slopes[:, :0]
+    write_arrays(tmp_path / "whole", arrays)
+    done = read_by(mutate, tmp_path / "whole")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 HEADERS = [
     b"", b"tonewood-arrays/2\n", MAGIC + b"a f8 4294967296 4294967296\n", MAGIC + b"a f8 2305843009213693952\n",
     MAGIC + b"a f8 0 18446744073709551616\n", MAGIC + b"a f8 0 2147483647\n", MAGIC + b"a f8 -1\n",

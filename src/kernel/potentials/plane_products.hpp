@@ -1,6 +1,7 @@
 // Products of one matrix with the vectors of one or two planes of motion at once: each number of the matrix is loaded once.
 #pragma once
 
+#include <algorithm>
 #include <utility>
 
 #include "../modal/pass.hpp"
@@ -34,6 +35,10 @@ inline void plane_columns(const double* matrix, int width, int n, const double* 
 // to[p] = matrix^T x[p]: matrix (n, width) by blocks of columns, width a multiple of kLane.
 template <int Planes>
 inline void multiply_planes(const double* matrix, int width, int n, const double* const* x, double* const* to) {
+    if (n == 0) {  // a plane without modes: the matrix may be a null pointer
+        for (int p = 0; p < Planes; ++p) std::fill_n(to[p], width, 0.0);
+        return;
+    }
     constexpr int lanes = Simd::width, most = kPack > 2 ? int(kColumns) / lanes : kPack;  // as many as the registers hold
     for (int first = 0, end; first < width; first = end) {
         const int columns = int(block_columns(std::size_t(width - first)));
