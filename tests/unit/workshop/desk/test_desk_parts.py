@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from tonewood.errors import TonewoodError
+from tonewood.physics.coupling.connections import Connection, SpringDashpot
 from tonewood.sound.render.options import RenderOptions
 from tonewood.workshop.desk.ahead import Ahead
 from tonewood.workshop.desk.desk import Desk
@@ -362,7 +363,10 @@ class Models:
 
 
 def model(name: str, instrument: Any) -> Any:
-    return SimpleNamespace(name=name, instrument=instrument, n_modes=3, warnings=("w",), groups={"A2": 0})
+    system = SimpleNamespace(connections=(), dt=1 / 8000)
+    return SimpleNamespace(
+        name=name, instrument=instrument, n_modes=3, warnings=("w",), groups={"A2": 0}, system=system
+    )
 
 
 @pytest.fixture
@@ -384,6 +388,16 @@ def ready(desk: Any, name: str = "design", preview: str = "") -> Any:
     made = model(name, design.instrument)
     desk._models.ready(made, wanted)
     return made
+
+
+def test_parts_that_touch_a_string_at_rest_are_told(desk: Any) -> None:
+    """Partials and decays that the page shows leave them out."""
+    made = ready(desk)
+    touching = Connection("felt", (), SpringDashpot(damping=1.0), "attached", part="felt", owner="A2")
+    made.system.connections = (touching,)
+    made.instrument = SimpleNamespace(attachments={"felt": None})
+    line = "left out: felt, which touches A2 at rest: pitch and decay of the sound differ from those stated here"
+    assert desk.state()["warnings"] == ["w", line]
 
 
 def test_the_first_model_is_heard_at_4_db_below_full_scale(desk: Any) -> None:
