@@ -39,6 +39,8 @@ SCHEMA = "tonewood-answers/1"
 FOLDER = ANSWERS
 #: one line for each listener who withdrew
 WITHDRAWN = "withdrawn.log"
+#: characters of a listener's name; panels' names of their listeners are hashes of 64 or longer
+LONGEST_NAME = 200
 #: 128 random bits: a listener cannot guess the session of another one
 _TOKEN = re.compile(r"[0-9a-f]{32}")
 #: a line, its checksum at the end
@@ -96,7 +98,7 @@ def now(timespec: str = "milliseconds") -> str:
     return datetime.datetime.now(datetime.UTC).isoformat(timespec=timespec)
 
 
-def printable(name: str, most: int | None = 60) -> str:
+def printable(name: str, most: int | None = LONGEST_NAME) -> str:
     """A name in one line, of at most so many characters; control characters would steer a terminal."""
     return " ".join("".join(c if c.isprintable() else " " for c in name).split())[:most]
 
@@ -273,8 +275,11 @@ def begin(
 ) -> OpenSession:
     """Begin a session: make its file. Two calls at one time would give one place twice.
 
+    Raises ListeningError : the name is too long; cut off, it would be that of another listener.
     Raises OutputError : it cannot be written.
     """
+    if len(name := printable(listener, most=None)) > LONGEST_NAME:
+        raise ListeningError(f"has {len(name)} characters, {LONGEST_NAME} are allowed", key="listener")
     token = secrets.token_hex(16)
     own_seed = secrets.randbits(48) if seed is None else seed
     header = {
@@ -282,7 +287,7 @@ def begin(
         "token": token,
         "test": test.manifest.name,
         "sha256": test.sha256,
-        "listener": printable(listener),
+        "listener": name,
         "language": language,
         "seed": own_seed,
         "place": free_place(test),

@@ -150,6 +150,23 @@ def test_a_listener_gets_the_code_at_the_end_only_and_all_answers_on_request(tes
     assert not any(f'"{secret}"' in json.dumps(own) for secret in secrets)
 
 
+def test_long_names_of_a_panel_are_whole_or_refused(tmp_path: Path) -> None:
+    """In the way back and in the results; a hash in hexadecimal digits has 64."""
+    finish = {"type": "finish", "back": {"code": "C", "address": "https://crowd.example/?p={listener}"}}
+    test = made(tmp_path, [PAIRS | {"subset": 1}, finish])
+    application = ListeningServer(test).application()
+    name = "0123456789abcdef" * 4 + "zz"
+    _, begun = call(application, "POST", "/api/session", {"listener": name})
+    path = f"/api/session/{begun['token']}"
+    for index in range(2):
+        assert call(application, "POST", path, {"index": index, "choice": "A"})[0] == 200
+    assert call(application, "GET", path)[1]["address"] == f"https://crowd.example/?p={name}"
+    assert [one.listener for one in answers_of(test).listeners] == [name]
+    status, reply = call(application, "POST", "/api/session", {"listener": "x" * 201})
+    assert (status, reply) == (400, {"error": "listener: has 201 characters, 200 are allowed"})
+    assert len(answers_of(test).listeners) == 1
+
+
 def test_who_withdraws_leaves_no_answer_and_gives_the_place_back(tmp_path: Path, test: ListeningTest) -> None:
     test = made(tmp_path, [PAIRS | {"subset": 1}])
     application = ListeningServer(test).application()
