@@ -90,7 +90,19 @@ def build(seed, n_strings, body_dofs, complex_body, yielding, extra, dt, springs
     forces = Readout("force", "force", (), tuple((f"c{j}", 1.0) for j in range(len(links))))
     system = System.build(bases, links, [*motion_readouts(parts), forces], dt=dt)
     rigid = np.array([isinstance(law, Rigid) for law in laws])
-    return Instrument(parts, gaps, laws, residual * np.outer(rigid, rigid), dt, system)
+    return Instrument(parts, gaps, in_series(laws, residual), residual * np.outer(rigid, rigid), dt, system)
+
+
+def in_series(laws: list[Rigid | SpringDashpot], residual: np.ndarray) -> list[Rigid | SpringDashpot]:
+    """Put springs in series with the residual compliance that they load: k/(1 + k R) and r/(1 + k R)^2."""
+    stiffness = np.array([0.0 if isinstance(law, Rigid) else law.stiffness for law in laws])
+    out: list[Rigid | SpringDashpot] = []
+    for law, k, moved in zip(laws, stiffness, residual @ stiffness, strict=True):
+        if isinstance(law, SpringDashpot) and k > 0 and moved > 0:
+            out.append(SpringDashpot(k / (1 + moved), law.damping / (1 + moved) ** 2))
+        else:
+            out.append(law)
+    return out
 
 
 def instruments(max_strings=40):
